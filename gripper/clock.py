@@ -1,0 +1,15 @@
+"""Time as the gripper needs it: monotonic, injected."""
+
+from typing import Protocol
+
+
+class Clock(Protocol):
+    """A monotonic clock that can wait. The standard module ``time`` is one; tests use a virtual one."""
+
+    def monotonic(self) -> float:
+        """Return the time in s since an arbitrary start; it never goes back."""
+        ...
+
+    def sleep(self, seconds: float, /) -> None:
+        """Wait for ``seconds`` s."""
+        ...

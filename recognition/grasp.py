@@ -1,0 +1,137 @@
+"""The record of one force ramp: the only input that recognisers take."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+
+def _frozen(values: ArrayLike, dtype: type, shape: tuple[int, ...], name: str) -> NDArray:  # type: ignore[type-arg]
+    array = np.array(values, dtype=dtype)
+    if array.shape != shape:
+        raise ValueError(f"{name} has shape {array.shape}, expected {shape}")
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PadArray:
+    """Where the taxels of a grasp are.
+
+    Attributes
+    ----------
+    pad_shape : (n_pads, 2) int64
+        Rows and columns of each pad.
+    taxel_pad : (n_taxels,) int64
+        Pad of each taxel; row-major within a pad.
+    taxel_xy_m : (n_taxels, 2) float64
+        Position in the pad's plane in m: x along the finger, y across.
+    adc_max : int
+        Full scale of the counts.
+    """
+
+    pad_shape: NDArray[np.int64]
+    taxel_pad: NDArray[np.int64]
+    taxel_xy_m: NDArray[np.float64]
+    adc_max: int
+
+    def __post_init__(self) -> None:
+        n_pads = len(np.atleast_2d(self.pad_shape))
+        n_taxels = len(np.atleast_1d(self.taxel_pad))
+        object.__setattr__(
+            self, "pad_shape", _frozen(self.pad_shape, np.int64, (n_pads, 2), "pad_shape")
+        )
+        object.__setattr__(
+            self, "taxel_pad", _frozen(self.taxel_pad, np.int64, (n_taxels,), "taxel_pad")
+        )
+        object.__setattr__(
+            self, "taxel_xy_m", _frozen(self.taxel_xy_m, np.float64, (n_taxels, 2), "taxel_xy_m")
+        )
+        if self.adc_max < 1:
+            raise ValueError(f"adc_max is {self.adc_max}, must be at least 1")
+        if not np.all(np.isfinite(self.taxel_xy_m)):
+            raise ValueError("taxel_xy_m has values that are not finite")
+        per_pad = np.bincount(self.taxel_pad, minlength=n_pads)
+        if len(per_pad) != n_pads or np.any(per_pad != self.pad_shape.prod(axis=1)):
+            raise ValueError(
+                f"taxel_pad has {per_pad.tolist()} taxels on the pads, "
+                f"pad_shape says {self.pad_shape.prod(axis=1).tolist()}"
+            )
+
+    @property
+    def n_pads(self) -> int:
+        """Number of pads."""
+        return len(self.pad_shape)
+
+    @property
+    def n_taxels(self) -> int:
+        """Number of taxels on all pads."""
+        return len(self.taxel_pad)
+
+    def taxels_of(self, pad: int) -> NDArray[np.int64]:
+        """Return the indices of one pad's taxels, row-major, shape (rows * columns,)."""
+        return np.flatnonzero(self.taxel_pad == pad)
+
+    def same_as(self, other: "PadArray") -> bool:
+        """Say whether two grasps were taken on the same pads."""
+        return (
+            self.adc_max == other.adc_max
+            and np.array_equal(self.pad_shape, other.pad_shape)
+            and np.array_equal(self.taxel_pad, other.taxel_pad)
+            and np.allclose(self.taxel_xy_m, other.taxel_xy_m, atol=1e-6)
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Grasp:
+    """One force ramp on one object: from the open gripper to the full force.
+
+    Attributes
+    ----------
+    pads
+        The pads that the counts belong to.
+    counts : (n_frames, n_taxels) uint16
+        Raw frames, in the order of time.
+    t_s : (n_frames,) float64
+        Time since the first frame in s.
+    aperture_m : (n_frames,) float64
+        Opening between the fingers in m; NaN where unknown.
+    force_n : (n_frames,) float64
+        Commanded grip force in N; NaN where unknown.
+    label, shape, source
+        What was grasped, its class of shape, where the record came from; empty where unknown.
+    start_ms
+        Time of the first frame in ms: sorts the grasps of a label.
+    """
+
+    pads: PadArray
+    counts: NDArray[np.uint16]
+    t_s: NDArray[np.float64]
+    aperture_m: NDArray[np.float64]
+    force_n: NDArray[np.float64]
+    label: str = ""
+    shape: str = ""
+    source: str = ""
+    start_ms: int = 0
+
+    def __post_init__(self) -> None:
+        n_frames = len(self.counts)
+        if n_frames < 1:
+            raise ValueError("a grasp needs at least one frame")
+        largest = int(np.max(self.counts))
+        if largest > self.pads.adc_max:
+            raise ValueError(f"counts reach {largest}, adc_max is {self.pads.adc_max}")
+        object.__setattr__(
+            self,
+            "counts",
+            _frozen(self.counts, np.uint16, (n_frames, self.pads.n_taxels), "counts"),
+        )
+        for name in ("t_s", "aperture_m", "force_n"):
+            object.__setattr__(
+                self, name, _frozen(getattr(self, name), np.float64, (n_frames,), name)
+            )
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames."""
+        return len(self.counts)

@@ -1,0 +1,94 @@
+"""What a recogniser is: taught with grasps, it answers a grasp with probabilities."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recognition.grasp import Grasp
+
+UNKNOWN = "UNKNOWN"
+"""The answer for an object that was never taught, or that cannot be told from the others."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Posterior:
+    """What one grasp, or several fused ones, tell of the object.
+
+    Attributes
+    ----------
+    labels
+        The taught objects.
+    probability : (n_labels,) float64
+        Calibrated probability of each label, given that the object was taught. Sums to 1.
+    unknown : float
+        Probability from 0 to 1 that the object was never taught.
+    """
+
+    labels: tuple[str, ...]
+    probability: NDArray[np.float64]
+    unknown: float
+
+    def __post_init__(self) -> None:
+        p = np.array(self.probability, dtype=np.float64)
+        if p.shape != (len(self.labels),) or not np.all(np.isfinite(p)) or np.any(p < 0):
+            raise ValueError(f"probabilities {p} do not fit the {len(self.labels)} labels")
+        if abs(float(p.sum()) - 1.0) > 1e-6:
+            raise ValueError(f"probabilities sum to {p.sum()}, not to 1")
+        if not 0.0 <= self.unknown <= 1.0:
+            raise ValueError(f"unknown is {self.unknown}, not from 0 to 1")
+        p.setflags(write=False)
+        object.__setattr__(self, "probability", p)
+
+    @property
+    def best(self) -> str:
+        """The likeliest of the taught labels."""
+        return self.labels[int(np.argmax(self.probability))]
+
+    def decision(self, *, max_unknown: float = 0.5, min_probability: float = 0.0) -> str:
+        """Return the likeliest label, or ``UNKNOWN`` where it is too unlikely or too strange."""
+        if self.unknown > max_unknown or float(self.probability.max()) < min_probability:
+            return UNKNOWN
+        return self.best
+
+
+class Recognizer(Protocol):
+    """A taught recogniser."""
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The taught objects, sorted."""
+        ...
+
+    def posterior(self, grasp: Grasp) -> Posterior:
+        """Say what the grasp tells. Raises ValueError for a grasp on pads other than the taught ones."""
+        ...
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return all that was learnt as plain arrays (numbers and strings, no objects)."""
+        ...
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """Rebuild from `to_arrays`. Raises ValueError, naming what is missing or does not fit."""
+        ...
+
+
+class Trainer(Protocol):
+    """Teaches one kind of recogniser."""
+
+    @property
+    def name(self) -> str:
+        """Name in tables, models and on the command line."""
+        ...
+
+    @property
+    def uses_aperture(self) -> bool:
+        """Whether the opening between the fingers is used."""
+        ...
+
+    def fit(self, grasps: Sequence[Grasp]) -> Recognizer:
+        """Learn from labelled grasps. Raises ValueError where they do not suffice."""
+        ...
