@@ -33,5 +33,5 @@ class ForceSensor(Protocol):
     """Source of force samples; called once every period of the force loop, must not block."""
 
     def latest_force(self) -> ForceSample | None:
-        """Return the newest sample, or None while there has been none. Its age is the caller's to judge."""
+        """Return the newest sample, None while there is none; the caller judges its age."""
         ...

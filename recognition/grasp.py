@@ -1,13 +1,14 @@
 """The record of one force ramp: the only input that recognisers take."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike, DTypeLike, NDArray
 
 
-def _frozen(values: ArrayLike, dtype: type, shape: tuple[int, ...], name: str) -> NDArray:  # type: ignore[type-arg]
-    array = np.array(values, dtype=dtype)
+def _frozen(values: ArrayLike, dtype: DTypeLike, shape: tuple[int, ...], name: str) -> NDArray[Any]:
+    array: NDArray[Any] = np.array(values, dtype=dtype)
     if array.shape != shape:
         raise ValueError(f"{name} has shape {array.shape}, expected {shape}")
     array.setflags(write=False)

@@ -63,7 +63,7 @@ class Recognizer(Protocol):
         ...
 
     def posterior(self, grasp: Grasp) -> Posterior:
-        """Say what the grasp tells. Raises ValueError for a grasp on pads other than the taught ones."""
+        """Say what the grasp tells; ValueError for pads other than the taught ones."""
         ...
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:

@@ -4,7 +4,7 @@ from typing import Protocol
 
 
 class Clock(Protocol):
-    """A monotonic clock that can wait. The standard module ``time`` is one; tests use a virtual one."""
+    """A monotonic clock that can wait; the standard module ``time`` is one."""
 
     def monotonic(self) -> float:
         """Return the time in s since an arbitrary start; it never goes back."""
