@@ -1,0 +1,79 @@
+"""Virtual time: one thread, no waiting, every run the same."""
+
+import math
+from collections.abc import Callable
+
+STEP_S = 1e-3
+"""Longest piece in s by which a virtual clock moves at once."""
+
+
+class VirtualClock:
+    """A monotonic clock that moves only when somebody sleeps on it.
+
+    It has ``monotonic`` and ``sleep`` as the standard module ``time`` has them, so it stands in
+    for that module wherever a clock is injected. Waiting moves the time in pieces of at most
+    ``step_s`` and calls ``on_advance`` after each piece: whatever lives in the simulated world
+    sees the time pass.
+
+    Parameters
+    ----------
+    start_s
+        First reading of the clock in s.
+    step_s
+        Longest piece in s by which the time moves at once.
+
+    Attributes
+    ----------
+    on_advance
+        Called in this order with the new time in s after each piece; a callback must not move
+        the clock itself.
+    """
+
+    __slots__ = ("_advancing", "_now_s", "_step_s", "on_advance")
+
+    def __init__(self, start_s: float = 0.0, *, step_s: float = STEP_S) -> None:
+        if not math.isfinite(start_s):
+            raise ValueError(f"a clock starts at a finite time, got start_s={start_s}")
+        if not (math.isfinite(step_s) and step_s > 0.0):
+            raise ValueError(f"the step of a clock is positive, got step_s={step_s}")
+        self._now_s = float(start_s)
+        self._step_s = float(step_s)
+        self._advancing = False
+        self.on_advance: list[Callable[[float], None]] = []
+
+    def monotonic(self) -> float:
+        """Return the time in s."""
+        return self._now_s
+
+    def sleep(self, seconds: float, /) -> None:
+        """Move the time on by ``seconds`` s; as ``time.sleep``, refuses a negative time."""
+        if not (math.isfinite(seconds) and seconds >= 0.0):
+            raise ValueError(f"sleep takes a finite time of at least 0 s, got {seconds}")
+        self.advance_to(self._now_s + seconds)
+
+    def advance_to(self, t_s: float) -> None:
+        """Move the time on to ``t_s`` s; a time that has passed already changes nothing.
+
+        Raises
+        ------
+        ValueError
+            If ``t_s`` is not finite.
+        RuntimeError
+            If a callback of ``on_advance`` tries to move the clock that calls it.
+        """
+        if not math.isfinite(t_s):
+            raise ValueError(f"a clock moves to a finite time, got t_s={t_s}")
+        if t_s <= self._now_s:
+            return
+        if self._advancing:
+            raise RuntimeError("a callback of on_advance must not move the clock that calls it")
+        self._advancing = True
+        try:
+            while self._now_s < t_s:
+                now_s = self._now_s + self._step_s
+                # A rest below a millionth of the step joins the last piece.
+                self._now_s = t_s if now_s > t_s - 1e-6 * self._step_s else now_s
+                for callback in self.on_advance:
+                    callback(self._now_s)
+        finally:
+            self._advancing = False
