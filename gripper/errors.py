@@ -1,0 +1,124 @@
+"""Errors of the gripper: one small tree, each message names cause, value, limit and remedy."""
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from gripper.verification import VerificationReport
+
+_RESULT_CODES = {
+    1: "Result Fail: the command was not carried out",
+    2: "Instruction: the servo does not know this instruction",
+    3: "CRC: the servo received a damaged packet",
+    4: "Data Range: the value is outside the range of the item, or the bus watchdog has tripped",
+    5: "Data Length: the data is shorter than the item",
+    6: "Data Limit: the value is outside a configured limit",
+    7: "Access: read-only or undefined address, or EEPROM written with torque on",
+}
+
+_HARDWARE_ERROR_BITS = {
+    0: "input voltage",
+    2: "overheating",
+    3: "encoder",
+    4: "electrical shock",
+    5: "overload",
+}
+
+
+def hardware_error_names(bits: int) -> tuple[str, ...]:
+    """Name the bits of Hardware Error Status (register 70), lowest bit first."""
+    return tuple(
+        _HARDWARE_ERROR_BITS.get(bit, f"undefined bit {bit}") for bit in range(8) if bits >> bit & 1
+    )
+
+
+class GripperError(Exception):
+    """Base of all errors that the package ``gripper`` raises on purpose."""
+
+
+class PortLost(GripperError):  # noqa: N818
+    """The serial port cannot be opened, is used by another program or went away."""
+
+
+class BusTimeout(GripperError, TimeoutError):  # noqa: N818
+    """A servo did not answer in time, nor to the retry."""
+
+
+class BusCorrupt(GripperError):  # noqa: N818
+    """Answers arrived damaged, of the wrong length or from the wrong servo."""
+
+
+class BusBusy(GripperError):  # noqa: N818
+    """Another thread holds the bus for longer than a transaction may take."""
+
+
+class ServoRejected(GripperError):  # noqa: N818
+    """A servo refused an instruction.
+
+    Attributes
+    ----------
+    servo_id
+        The servo that answered.
+    code
+        Error number of the status packet, 1 to 7 (Protocol 2.0, status packet, error field).
+    """
+
+    def __init__(self, servo_id: int, code: int, action: str) -> None:
+        reason = _RESULT_CODES.get(code, "undefined error number")
+        super().__init__(f"servo {servo_id} refused {action}: error {code} ({reason})")
+        self.servo_id = servo_id
+        self.code = code
+
+
+class ServoFault(GripperError):  # noqa: N818
+    """A servo reports a hardware error, has rebooted or lost its torque.
+
+    Attributes
+    ----------
+    servo_id
+        The servo at fault.
+    bits
+        Hardware Error Status (register 70); 0 where the fault is not one of its bits.
+    """
+
+    def __init__(self, servo_id: int, bits: int, detail: str) -> None:
+        names = ", ".join(hardware_error_names(bits)) or "no hardware error bit"
+        super().__init__(
+            f"servo {servo_id}: {detail} (Hardware Error Status 0x{bits:02X}: {names})"
+        )
+        self.servo_id = servo_id
+        self.bits = bits
+
+
+class VerificationFailed(GripperError):  # noqa: N818
+    """The servos are not what the settings say; nothing has moved.
+
+    Attributes
+    ----------
+    report
+        Expected against found, row by row.
+    """
+
+    def __init__(self, report: "VerificationReport", failed: Sequence[str]) -> None:
+        super().__init__(
+            "the servos do not match the settings: "
+            + "; ".join(failed)
+            + ". Correct the settings or the servo, then start again"
+        )
+        self.report = report
+
+
+class LimitExceeded(GripperError, ValueError):  # noqa: N818
+    """A command or a measured value is outside a limit of the settings."""
+
+
+class GripperStateError(GripperError):
+    """The command is not allowed in the present state."""
+
+
+class ForceSensorStale(GripperError):  # noqa: N818
+    """The force sensor gave no valid sample for too long; the grip is kept."""
+
+
+class GraspStopped(GripperError):  # noqa: N818
+    """The running command was stopped by ``request_stop``; the grip is kept."""
