@@ -1,0 +1,41 @@
+"""What can go wrong in the cell: one tree, each message says cause, value, limit and next step."""
+
+
+class CellError(Exception):
+    """Base of all errors that the package raises on purpose."""
+
+
+class ConfigError(CellError):
+    """A config file or value is refused; nothing has moved."""
+
+
+class DatasetError(CellError):
+    """A grasp data set cannot be read or written."""
+
+
+class ModelError(CellError):
+    """A taught model cannot be read, written or used on these pads."""
+
+
+class RecordingError(CellError):
+    """A recording cannot be read, or stopped while it was being written."""
+
+
+class ReportError(CellError):
+    """The report page cannot be made."""
+
+
+class CellStateError(CellError):
+    """The command is not allowed in the state that the cell is in."""
+
+
+class PositionerError(CellError):
+    """A pose was not reached, or an object is not to be had."""
+
+
+class NoPartFound(CellError):
+    """The fingers closed to their limit and touched nothing."""
+
+
+class CellStopped(CellError):
+    """The sequence was stopped on request; the grip is kept until it is released on purpose."""
