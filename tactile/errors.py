@@ -1,0 +1,84 @@
+"""What can go wrong with the tactile sensor; each message names cause, value, limit and remedy."""
+
+
+class TactileError(Exception):
+    """Base of all errors of the tactile sensor."""
+
+
+class LayoutError(TactileError, ValueError):
+    """A layout or a frame format that cannot exist, or that does not fit the unit."""
+
+
+class FrameError(TactileError, ValueError):
+    """Values that cannot be put into a frame."""
+
+
+class CalibrationError(TactileError):
+    """A calibration that does not fit the sensor, or a value outside of its range."""
+
+
+class TareRefused(TactileError):  # noqa: N818
+    """The zero was not taken: touched, drifting or noisy taxels, or too few frames."""
+
+
+class LinkFault(TactileError):  # noqa: N818
+    """The link to the control unit is not to be trusted any more; latched until a new start."""
+
+
+class NodeMissing(LinkFault):
+    """The control unit did not show up, or does not answer."""
+
+
+class IdentityMismatch(LinkFault):
+    """Another unit than the expected one answers; the message lists expected and found."""
+
+
+class HeartbeatLost(LinkFault):
+    """The control unit's heartbeat stayed away."""
+
+
+class NodeRebooted(LinkFault):
+    """The control unit restarted while in operation: its set-up and its zero are gone."""
+
+
+class NodeStateChanged(LinkFault):
+    """The control unit left the operational state."""
+
+
+class NodeEmergency(LinkFault):
+    """The control unit sent an emergency (EMCY) message.
+
+    Attributes
+    ----------
+    code
+        CiA 301 emergency error code.
+    register
+        Error register, object 0x1001.
+    text
+        What the code means.
+    """
+
+    def __init__(self, code: int, register: int, text: str, source: str) -> None:
+        self.code = code
+        self.register = register
+        self.text = text
+        super().__init__(
+            f"{source} reports emergency 0x{code:04X} ({text}), error register 0x{register:02X}: "
+            "remove the cause, then start the link again"
+        )
+
+
+class BusOff(LinkFault):
+    """The CAN controller is off the bus, or the interface does not work any more."""
+
+
+class BusErrorPassive(LinkFault):
+    """The CAN controller is error-passive for longer than allowed."""
+
+
+class ReceiveLoopDead(LinkFault):
+    """Nothing is received any more because the receiver ended, hangs or was overrun."""
+
+
+class FrameTimeout(LinkFault):
+    """Whole frames stay away although the control unit runs, or the values are frozen."""

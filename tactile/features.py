@@ -1,0 +1,135 @@
+"""Features of each pad that the control unit can send instead of the samples: the reduced traffic.
+
+Two messages a pad and scan. TPDO2: header (phase in the two top bits, pad below), active taxels u8,
+peak u16, total u32. TPDO3: the same header, frame counter's low byte, centroid row u16 and column
+u16 in 1/256 taxel, CRC-16/CCITT-FALSE u16 over the 14 bytes before it. All little-endian.
+"""
+
+import struct
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile.errors import FrameError
+from tactile.layout import TaxelLayout
+from tactile.protocol import MESSAGE_BYTES, PHASES, crc16
+
+MAX_PADS = 64
+_FIRST = struct.Struct("<BBHL")
+_SECOND = struct.Struct("<BBHH")
+_SUBTAXEL = 256
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PadFeatures:
+    """What the unit tells of one pad and scan.
+
+    Attributes
+    ----------
+    pad
+        Index of the pad in the layout.
+    counter
+        Frame counter modulo 256.
+    active
+        Taxels above the touch threshold, at most 255.
+    peak_counts
+        Largest sample.
+    total_counts
+        Sum of the samples of the active taxels.
+    centroid_row, centroid_column
+        Count-weighted centre of the active taxels in taxels, resolution 1/256; 0 without any.
+    """
+
+    pad: int
+    counter: int
+    active: int
+    peak_counts: int
+    total_counts: int
+    centroid_row: float
+    centroid_column: float
+
+
+def pad_features(
+    layout: TaxelLayout, counts: NDArray[np.uint16], counter: int, threshold: int
+) -> tuple[PadFeatures, ...]:
+    """Compute the features of all pads.
+
+    Parameters
+    ----------
+    layout
+        The pads.
+    counts : (n_taxels,) uint16
+        Samples.
+    counter
+        Frame counter.
+    threshold
+        A taxel is active above this many counts.
+    """
+    if counts.shape != (layout.n_taxels,):
+        raise FrameError(f"counts have shape {counts.shape}, expected ({layout.n_taxels},)")
+    features = []
+    for index, pad in enumerate(layout.pads):
+        values = counts[layout.taxels_of(index)].astype(np.int64)
+        weights = np.where(values > threshold, values, 0)
+        total = int(weights.sum())
+        grid = weights.reshape(pad.rows, pad.columns)
+        row = float(grid.sum(axis=1) @ np.arange(pad.rows)) / total if total else 0.0
+        column = float(grid.sum(axis=0) @ np.arange(pad.columns)) / total if total else 0.0
+        features.append(
+            PadFeatures(
+                pad=index,
+                counter=counter % 256,
+                active=min(int(np.count_nonzero(weights)), 255),
+                peak_counts=int(values.max()),
+                total_counts=total,
+                centroid_row=round(row * _SUBTAXEL) / _SUBTAXEL,
+                centroid_column=round(column * _SUBTAXEL) / _SUBTAXEL,
+            )
+        )
+    return tuple(features)
+
+
+def encode_features(features: PadFeatures) -> tuple[bytes, bytes]:
+    """Return the messages of TPDO2 and TPDO3; FrameError for values that do not fit."""
+    if not 0 <= features.pad < MAX_PADS:
+        raise FrameError(f"pad is {features.pad}, features can name pads 0 to {MAX_PADS - 1}")
+    header = (features.counter % PHASES) << 6 | features.pad
+    try:
+        first = _FIRST.pack(header, features.active, features.peak_counts, features.total_counts)
+        second = _SECOND.pack(
+            header,
+            features.counter,
+            round(features.centroid_row * _SUBTAXEL),
+            round(features.centroid_column * _SUBTAXEL),
+        )
+    except struct.error as error:
+        raise FrameError(f"features of pad {features.pad} do not fit: {error}") from error
+    return first, second + crc16(first + second).to_bytes(2, "little")
+
+
+def decode_features(first: bytes, second: bytes) -> PadFeatures:
+    """Return what a pair of messages says; FrameError if they are damaged or not of one scan."""
+    if len(first) != MESSAGE_BYTES or len(second) != MESSAGE_BYTES:
+        raise FrameError(
+            f"feature messages have {len(first)} and {len(second)} bytes, expected {MESSAGE_BYTES}"
+        )
+    found, expected = int.from_bytes(second[6:], "little"), crc16(first + second[:6])
+    if found != expected:
+        raise FrameError(f"feature CRC is 0x{found:04X}, computed 0x{expected:04X}")
+    header, active, peak, total = _FIRST.unpack(first)
+    header_again, counter, row, column = _SECOND.unpack(second[:6])
+    if header != header_again or header >> 6 != counter % PHASES:
+        raise FrameError(
+            f"feature messages of different scans: headers 0x{header:02X} and "
+            f"0x{header_again:02X}, counter {counter}"
+        )
+    return PadFeatures(
+        pad=header & 63,
+        counter=counter,
+        active=active,
+        peak_counts=peak,
+        total_counts=total,
+        centroid_row=row / _SUBTAXEL,
+        centroid_column=column / _SUBTAXEL,
+    )

@@ -1,0 +1,249 @@
+"""Pads and taxels: how many, where, which way they face.
+
+Frames
+------
+Finger frame: origin in the middle of the inner (gripping) face, x along the finger towards the tip,
+y across, z out of the inner face towards the other finger. The two fingers are mirror images in the
+centre plane of the gripper: x and y point the same way for both, so taxels of equal row and column
+on two equal inner pads face each other, and finger 1's frame is left-handed.
+
+Pad plane: origin in the pad's centre, x along the rows' direction, y along the columns' direction.
+"""
+
+import hashlib
+import json
+import math
+from dataclasses import dataclass, field
+from typing import Any, Literal, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from tactile.errors import LayoutError
+
+Face = Literal["inner", "outer", "side_a", "side_b", "tip"]
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pad:
+    """One rectangular field of taxels.
+
+    Attributes
+    ----------
+    name
+        Unique in the layout.
+    finger
+        0 or 1.
+    face
+        Side of the finger; the inner face grips.
+    rows, columns
+        Number of taxels along the pad's x and y axis. Taxels are counted row by row.
+    pitch_x_m, pitch_y_m
+        Distance of neighbours along x and along y in m.
+    centre_m
+        Centre of the pad in the finger frame in m.
+    x_axis, y_axis
+        Unit vectors of the pad's plane in the finger frame; the normal is x cross y.
+    """
+
+    name: str
+    finger: int
+    face: Face
+    rows: int
+    columns: int
+    pitch_x_m: float
+    pitch_y_m: float
+    centre_m: Vector = (0.0, 0.0, 0.0)
+    x_axis: Vector = (1.0, 0.0, 0.0)
+    y_axis: Vector = (0.0, 1.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if self.finger not in (0, 1):
+            raise LayoutError(f"pad {self.name}: finger is {self.finger}, must be 0 or 1")
+        if self.face not in get_args(Face):
+            raise LayoutError(
+                f"pad {self.name}: face is {self.face!r}, must be one of {get_args(Face)}"
+            )
+        if not (1 <= self.rows <= 255 and 1 <= self.columns <= 255):
+            raise LayoutError(
+                f"pad {self.name}: {self.rows} x {self.columns} taxels, each side must be 1 to 255"
+            )
+        for pitch in (self.pitch_x_m, self.pitch_y_m):
+            if not (math.isfinite(pitch) and pitch > 0.0):
+                raise LayoutError(f"pad {self.name}: pitch is {pitch} m, must be above 0")
+        if not np.all(np.isfinite(self.centre_m)):
+            raise LayoutError(f"pad {self.name}: centre {self.centre_m} is not finite")
+        axes = np.array([self.x_axis, self.y_axis], dtype=np.float64)
+        if not np.allclose(axes @ axes.T, np.eye(2), atol=1e-9):
+            raise LayoutError(
+                f"pad {self.name}: axes {self.x_axis}, {self.y_axis} are not orthonormal"
+            )
+
+    @property
+    def n_taxels(self) -> int:
+        """Number of taxels."""
+        return self.rows * self.columns
+
+    @property
+    def area_m2(self) -> float:
+        """Area of one taxel's cell in m²."""
+        return self.pitch_x_m * self.pitch_y_m
+
+    @property
+    def normal(self) -> NDArray[np.float64]:
+        """Outward normal in the finger frame, unit vector, shape (3,)."""
+        return np.cross(np.array(self.x_axis), np.array(self.y_axis))
+
+    def taxel_xy_m(self) -> NDArray[np.float64]:
+        """Return the taxels' positions in the pad's plane in m, row by row, shape (n, 2)."""
+        x_m = (np.arange(self.rows) - 0.5 * (self.rows - 1)) * self.pitch_x_m
+        y_m = (np.arange(self.columns) - 0.5 * (self.columns - 1)) * self.pitch_y_m
+        return np.stack([np.repeat(x_m, self.columns), np.tile(y_m, self.rows)], axis=1)
+
+
+def _read_only(values: ArrayLike, dtype: type) -> NDArray[Any]:
+    array: NDArray[Any] = np.array(values, dtype=dtype)
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TaxelLayout:
+    """All pads of both fingers, in the order in which the control unit sends their taxels.
+
+    Attributes
+    ----------
+    name
+        For messages; does not enter the hash.
+    pads
+        Pads in the order of transmission.
+    sample_bits
+        Size of a sample on the bus: 8 or 16.
+    adc_max
+        Full scale of the counts.
+    pad_shape : (n_pads, 2) int64
+        Rows and columns.
+    taxel_pad : (n_taxels,) int64
+        Pad of each taxel; row-major within a pad.
+    taxel_xy_m : (n_taxels, 2) float64
+        Position in the pad's plane in m: x along the finger, y across.
+    position_m, normal : (n_taxels, 3) float64
+        Position in m and outward normal in the frame of the taxel's finger.
+    gripping_pads
+        Index of the inner pad of finger 0 and of finger 1.
+    layout_hash
+        16 hexadecimal digits over all that gives the samples their meaning.
+    """
+
+    name: str
+    pads: tuple[Pad, ...]
+    sample_bits: int = 8
+    adc_max: int = 255
+    pad_shape: NDArray[np.int64] = field(init=False)
+    taxel_pad: NDArray[np.int64] = field(init=False)
+    taxel_xy_m: NDArray[np.float64] = field(init=False)
+    position_m: NDArray[np.float64] = field(init=False)
+    normal: NDArray[np.float64] = field(init=False)
+    gripping_pads: tuple[int, int] = field(init=False)
+    layout_hash: str = field(init=False)
+
+    def __post_init__(self) -> None:
+        if self.sample_bits not in (8, 16):
+            raise LayoutError(
+                f"layout {self.name}: {self.sample_bits} sample bits, must be 8 or 16"
+            )
+        if not 1 <= self.adc_max < 1 << self.sample_bits:
+            raise LayoutError(
+                f"layout {self.name}: adc_max is {self.adc_max}, must be 1 to "
+                f"{(1 << self.sample_bits) - 1} for {self.sample_bits} bit samples"
+            )
+        names = [pad.name for pad in self.pads]
+        if len(set(names)) != len(names):
+            raise LayoutError(f"layout {self.name}: pad names repeat: {names}")
+        inner = [
+            [i for i, pad in enumerate(self.pads) if (pad.finger, pad.face) == (finger, "inner")]
+            for finger in (0, 1)
+        ]
+        if [len(pads) for pads in inner] != [1, 1]:
+            raise LayoutError(
+                f"layout {self.name}: fingers 0 and 1 have {len(inner[0])} and {len(inner[1])} "
+                "inner pads, each needs exactly one to grip with"
+            )
+        sizes = [pad.n_taxels for pad in self.pads]
+        xy_m = [pad.taxel_xy_m() for pad in self.pads]
+        position_m = [
+            np.array(pad.centre_m) + xy @ np.array([pad.x_axis, pad.y_axis])
+            for pad, xy in zip(self.pads, xy_m, strict=True)
+        ]
+        derived: dict[str, Any] = {
+            "pad_shape": _read_only([(pad.rows, pad.columns) for pad in self.pads], np.int64),
+            "taxel_pad": _read_only(np.repeat(np.arange(len(sizes)), sizes), np.int64),
+            "taxel_xy_m": _read_only(np.concatenate(xy_m), np.float64),
+            "position_m": _read_only(np.concatenate(position_m), np.float64),
+            "normal": _read_only(
+                np.repeat([pad.normal for pad in self.pads], sizes, axis=0), np.float64
+            ),
+            "gripping_pads": (inner[0][0], inner[1][0]),
+            "layout_hash": _layout_hash(self),
+        }
+        for key, value in derived.items():
+            object.__setattr__(self, key, value)
+
+    def __eq__(self, other: object) -> bool:
+        """Two layouts are equal when their hashes are."""
+        return isinstance(other, TaxelLayout) and self.layout_hash == other.layout_hash
+
+    def __hash__(self) -> int:
+        return hash(self.layout_hash)
+
+    @property
+    def n_pads(self) -> int:
+        """Number of pads."""
+        return len(self.pads)
+
+    @property
+    def n_taxels(self) -> int:
+        """Number of taxels on all pads."""
+        return len(self.taxel_pad)
+
+    @property
+    def sample_bytes(self) -> int:
+        """Bytes of one sample on the bus."""
+        return self.sample_bits // 8
+
+    def taxels_of(self, pad: int) -> slice:
+        """Return where in a frame the taxels of a pad are; IndexError for a pad that is none."""
+        if not 0 <= pad < self.n_pads:
+            raise IndexError(f"pad {pad} does not exist, layout {self.name} has {self.n_pads}")
+        start = sum(p.n_taxels for p in self.pads[:pad])
+        return slice(start, start + self.pads[pad].n_taxels)
+
+    def pads_of_finger(self, finger: int) -> tuple[int, ...]:
+        """Return the indices of the pads of one finger."""
+        return tuple(i for i, pad in enumerate(self.pads) if pad.finger == finger)
+
+
+def _layout_hash(layout: TaxelLayout) -> str:
+    def nanometres(values_m: tuple[float, ...]) -> list[int]:
+        return [round(value * 1e9) for value in values_m]
+
+    content = {
+        "adc_max": layout.adc_max,
+        "sample_bits": layout.sample_bits,
+        "pads": [
+            {
+                "finger": pad.finger,
+                "face": pad.face,
+                "shape": [pad.rows, pad.columns],
+                "pitch_nm": nanometres((pad.pitch_x_m, pad.pitch_y_m)),
+                "centre_nm": nanometres(pad.centre_m),
+                "axes": [
+                    [round(value, 6) + 0.0 for value in axis] for axis in (pad.x_axis, pad.y_axis)
+                ],
+            }
+            for pad in layout.pads
+        ],
+    }
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]

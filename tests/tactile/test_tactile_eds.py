@@ -1,0 +1,81 @@
+"""The EDS: valid by an independent checker, loads in canopen, agrees with the constants."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import canopen
+import pytest
+from canopen.objectdictionary import ODRecord
+
+from tactile import eds
+from tactile.layouts import paper_layout
+from tactile.protocol import FrameFormat
+
+
+@pytest.fixture(scope="module")
+def dictionary() -> canopen.ObjectDictionary:
+    return canopen.import_od(str(eds.EDS_PATH), 5)
+
+
+def test_dcfchk_finds_nothing() -> None:
+    checker = Path(sys.executable).with_name("dcfchk")
+    done = subprocess.run(
+        [checker, "-n", "5", eds.EDS_PATH], capture_output=True, text=True, check=False, timeout=30
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def test_pdo_records_are_records(dictionary: canopen.ObjectDictionary) -> None:
+    for index in (0x1800, 0x1801, 0x1802, 0x1A00, 0x1A01, 0x1A02):
+        assert isinstance(dictionary[index], ODRecord)
+
+
+def test_every_tpdo_maps_64_bits(dictionary: canopen.ObjectDictionary) -> None:
+    for index in (0x1A00, 0x1A01, 0x1A02):
+        entries = [dictionary[index][sub].default for sub in dictionary[index] if sub]
+        assert sum(entry & 0xFF for entry in entries) == 64
+        for entry in entries:
+            variable = dictionary[entry >> 16][entry >> 8 & 0xFF]
+            assert variable.pdo_mappable
+            assert len(variable) == entry & 0xFF
+    assert tuple(dictionary[0x1A00][sub].default for sub in (1, 2)) == eds.TPDO1_ENTRIES
+
+
+def test_cob_ids_follow_the_node_id(dictionary: canopen.ObjectDictionary) -> None:
+    assert dictionary[eds.TPDO1_PARAMETER][1].default == 0x185
+    assert dictionary[eds.EMCY_COB_ID].default == 0x85
+
+
+def test_defaults_are_the_papers_layout(dictionary: canopen.ObjectDictionary) -> None:
+    layout = paper_layout()
+    frame_format = FrameFormat.of(layout)
+    found = {
+        (index, sub): dictionary[index][sub].default
+        for index in (eds.IDENTITY, eds.LAYOUT, eds.FORMAT)
+        for sub in (1, 2, 3, 4)
+    }
+    assert found == {
+        (eds.IDENTITY, eds.IDENTITY_VENDOR): eds.VENDOR_ID,
+        (eds.IDENTITY, eds.IDENTITY_PRODUCT): eds.PRODUCT_CODE,
+        (eds.IDENTITY, eds.IDENTITY_REVISION): eds.REVISION,
+        (eds.IDENTITY, eds.IDENTITY_SERIAL): 1,
+        (eds.LAYOUT, eds.LAYOUT_PADS): layout.n_pads,
+        (eds.LAYOUT, eds.LAYOUT_TAXELS): layout.n_taxels,
+        (eds.LAYOUT, eds.LAYOUT_HASH): layout.layout_hash,
+        (eds.LAYOUT, eds.LAYOUT_ADC_MAX): layout.adc_max,
+        (eds.FORMAT, eds.FORMAT_SAMPLE_BITS): layout.sample_bits,
+        (eds.FORMAT, eds.FORMAT_SAMPLE_BYTES): layout.sample_bytes,
+        (eds.FORMAT, eds.FORMAT_MESSAGES): frame_format.n_messages,
+        (eds.FORMAT, eds.FORMAT_HEADER_BYTES): frame_format.header_bytes,
+    }
+
+
+def test_every_index_constant_is_in_the_dictionary(dictionary: canopen.ObjectDictionary) -> None:
+    indices = {
+        value
+        for name, value in vars(eds).items()
+        if name.isupper() and isinstance(value, int) and 0x1000 <= value <= 0x2FFF
+    }
+    assert len(indices) > 20
+    assert indices <= set(dictionary)
