@@ -1,0 +1,84 @@
+"""How long a CAN message occupies the wire."""
+
+import math
+
+from simulator.errors import SimulatorSettingsError
+
+_CRC_POLYNOMIAL = 0x4599
+_STUFFABLE_BITS = 34  # start of frame, identifier, control field and CRC of an 11-bit data frame
+_FIXED_BITS = 13  # delimiters, acknowledge, end of frame, interframe space
+_EXTENDED_BITS = 20
+_STUFF_PER_BIT = 3.2 / (_STUFFABLE_BITS + 64)
+_STUFF_PER_QUIET_BYTE = 9.7 / 7
+
+
+def exact_bits(can_id: int, data: bytes) -> int:
+    """Return the bits of a classic 11-bit data frame with its stuff bits and interframe space."""
+    bits = [0]  # start of frame
+    bits += [can_id >> i & 1 for i in range(10, -1, -1)]
+    bits += [0, 0, 0]  # RTR, IDE, r0
+    bits += [len(data) >> i & 1 for i in range(3, -1, -1)]
+    bits += [byte >> i & 1 for byte in data for i in range(7, -1, -1)]
+    crc = 0
+    for bit in bits:
+        crc = (crc << 1 & 0x7FFF) ^ (_CRC_POLYNOMIAL if bit ^ (crc >> 14) else 0)
+    bits += [crc >> i & 1 for i in range(14, -1, -1)]
+    stuffed, run, last = 0, 0, -1
+    for bit in bits:
+        run = run + 1 if bit == last else 1
+        last = bit
+        if run == 5:
+            stuffed += 1
+            run, last = 1, 1 - bit
+    return len(bits) + stuffed + _FIXED_BITS
+
+
+def mean_bits(data: bytes, *, extended: bool = False) -> float:
+    """Return the bits that a data frame of this content takes in the mean.
+
+    Stuffing is counted as for random bits (114.2 bits for 8 bytes), plus what bytes of 0x00 and
+    0xFF cost: an untouched skin loads the bus more than a touched one (123.9 bits for a header and
+    7 such bytes). Within 2 % of `exact_bits` for the mean of many messages, at a fiftieth of its
+    cost.
+    """
+    length = _STUFFABLE_BITS + 8 * len(data)
+    quiet = data.count(0) + data.count(255)
+    return (
+        length
+        + _FIXED_BITS
+        + _STUFF_PER_BIT * length
+        + _STUFF_PER_QUIET_BYTE * quiet
+        + (_EXTENDED_BITS if extended else 0)
+    )
+
+
+class CanWire:
+    """One wire that carries one message at a time, first come first served.
+
+    Arbitration among messages that wait at the same time is not simulated: a control unit that
+    sends a burst keeps its own order, and its identifiers win against the rest of the traffic.
+
+    Parameters
+    ----------
+    bitrate
+        Bits per second.
+    """
+
+    __slots__ = ("_bit_s", "_busy_until_s", "bitrate")
+
+    def __init__(self, bitrate: int) -> None:
+        if bitrate <= 0:
+            raise SimulatorSettingsError(f"CAN bit rate is {bitrate} bit/s, must be positive")
+        self.bitrate = bitrate
+        self._bit_s = 1.0 / bitrate
+        self._busy_until_s = -math.inf
+
+    def occupy(self, ready_s: float, data: bytes, *, extended: bool = False) -> float:
+        """Send a message that is ready at ``ready_s``; return when it is through, in s."""
+        start_s = max(ready_s, self._busy_until_s)
+        self._busy_until_s = start_s + mean_bits(data, extended=extended) * self._bit_s
+        return self._busy_until_s
+
+    def burst_duration_s(self, messages: list[bytes]) -> float:
+        """Return how long messages take one after the other on the free wire, in s."""
+        return sum(map(mean_bits, messages)) * self._bit_s

@@ -1,0 +1,124 @@
+"""Objects from STL files: triangles seen along the closing axis."""
+
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.errors import SimulatorSettingsError
+from simulator.shapes import Heights
+
+MAX_FACES = 200_000
+"""More triangles than this are refused: a placement would take minutes."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class MeshShape:
+    """A closed surface of triangles.
+
+    Attributes
+    ----------
+    triangles_m : (n, 3, 3) float64
+        Corners of each triangle in m, centred; x is the long axis.
+    roll_step_rad
+        Rolls in which it rests between the pads, multiples of this in rad; 0 allows any.
+    """
+
+    triangles_m: NDArray[np.float64] = field(repr=False)
+    roll_step_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        triangles_m = np.array(self.triangles_m, dtype=np.float64)
+        if triangles_m.ndim != 3 or triangles_m.shape[1:] != (3, 3) or len(triangles_m) == 0:
+            raise SimulatorSettingsError(
+                f"triangles have shape {triangles_m.shape}, expected (n, 3, 3)"
+            )
+        if len(triangles_m) > MAX_FACES:
+            raise SimulatorSettingsError(
+                f"the mesh has {len(triangles_m)} triangles, limit {MAX_FACES}"
+            )
+        if not np.all(np.isfinite(triangles_m)):
+            raise SimulatorSettingsError("the mesh has corners that are not finite")
+        triangles_m.setflags(write=False)
+        object.__setattr__(self, "triangles_m", triangles_m)
+
+    def heights(
+        self, x_m: NDArray[np.float64], y_m: NDArray[np.float64], roll_rad: float
+    ) -> Heights:
+        """Take the lowest and the highest triangle over each point; see `Shape.heights`."""
+        c, s = math.cos(roll_rad), math.sin(roll_rad)
+        roll = np.array([[1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]])
+        low_m = np.full(x_m.size, np.inf)
+        high_m = np.full(x_m.size, -np.inf)
+        points_m = np.column_stack([x_m.ravel(), y_m.ravel()])
+        # Points sorted by x: a triangle then looks only at its own stripe.
+        order = np.argsort(points_m[:, 0], kind="stable")
+        sorted_m = points_m[order]
+        triangles_m = self.triangles_m @ roll.T
+        first = np.searchsorted(sorted_m[:, 0], triangles_m[:, :, 0].min(axis=1), side="left")
+        last = np.searchsorted(sorted_m[:, 0], triangles_m[:, :, 0].max(axis=1), side="right")
+        for triangle_m, begin, end in zip(triangles_m, first, last, strict=True):
+            _rasterise(triangle_m, sorted_m[begin:end], low_m[begin:end], high_m[begin:end])
+        reach_0 = np.empty_like(low_m)
+        reach_1 = np.empty_like(high_m)
+        reach_0[order] = -low_m
+        reach_1[order] = high_m
+        return reach_0.reshape(x_m.shape), reach_1.reshape(x_m.shape)
+
+
+def _rasterise(
+    triangle_m: NDArray[np.float64],
+    points_m: NDArray[np.float64],
+    low_m: NDArray[np.float64],
+    high_m: NDArray[np.float64],
+) -> None:
+    """Widen the range of heights at the points that lie under or over one triangle."""
+    a, b, c = triangle_m
+    edge_b, edge_c = b[:2] - a[:2], c[:2] - a[:2]
+    area = edge_b[0] * edge_c[1] - edge_b[1] * edge_c[0]
+    if abs(area) < 1e-18 or len(points_m) == 0:
+        return  # seen edge-on: its neighbours cover the same points
+    offset_m = points_m - a[:2]
+    u = (offset_m[:, 0] * edge_c[1] - offset_m[:, 1] * edge_c[0]) / area
+    v = (offset_m[:, 1] * edge_b[0] - offset_m[:, 0] * edge_b[1]) / area
+    hit = (u >= -1e-9) & (v >= -1e-9) & (u + v <= 1.0 + 1e-9)
+    z_m = a[2] + u[hit] * (b[2] - a[2]) + v[hit] * (c[2] - a[2])
+    low_m[hit] = np.minimum(low_m[hit], z_m)
+    high_m[hit] = np.maximum(high_m[hit], z_m)
+
+
+def load_mesh(path: Path, *, unit_m: float = 1e-3, roll_step_rad: float = 0.0) -> MeshShape:
+    """Read an STL file, centred on its bounding box.
+
+    Parameters
+    ----------
+    path
+        The STL file.
+    unit_m
+        Length of one unit of the file in m; STL has none, mm is what most programs write.
+    roll_step_rad
+        See `MeshShape`.
+
+    Raises
+    ------
+    SimulatorSettingsError
+        If the file cannot be read as a closed surface.
+    ModuleNotFoundError
+        If the extra ``mesh`` is not installed.
+    """
+    import trimesh  # noqa: PLC0415 (an extra, needed for mesh files only)
+
+    try:
+        mesh = trimesh.load_mesh(path, file_type="stl")
+    except (OSError, ValueError) as error:
+        raise SimulatorSettingsError(f"{path} cannot be read as STL: {error}") from error
+    triangles_m = np.asarray(mesh.triangles, dtype=np.float64) * unit_m
+    if len(triangles_m) == 0 or not mesh.is_watertight:
+        raise SimulatorSettingsError(
+            f"{path} holds no closed surface; repair the mesh and export it again"
+        )
+    corners_m = triangles_m.reshape(-1, 3)
+    centre_m = 0.5 * (corners_m.min(axis=0) + corners_m.max(axis=0))
+    return MeshShape(triangles_m=triangles_m - centre_m, roll_step_rad=roll_step_rad)

@@ -1,0 +1,103 @@
+"""From the pressure on a pad to the counts of its taxels."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.foam import Foam
+from tactile.layout import Pad
+
+CELL_M = 0.35e-3
+"""Longest side in m of a cell of the grid on which pressures are worked out."""
+
+RESISTANCE_AT_REST_MOHM = 1.579
+"""Resistance of an untouched taxel in MOhm, equation (11) of the paper."""
+RESISTANCE_DECAY_PER_N = 0.449
+"""Decay of the resistance over the force in 1/N, equation (11) of the paper."""
+
+
+def resistance_mohm(force_n: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the resistance in MOhm of taxels under ``force_n`` N: equation (11), first term.
+
+    The second term is below 1e-10 MOhm at all forces.
+    """
+    resistance: NDArray[np.float64] = RESISTANCE_AT_REST_MOHM * np.exp(
+        -RESISTANCE_DECAY_PER_N * force_n
+    )
+    return resistance
+
+
+def ideal_counts(force_n: NDArray[np.float64], adc_max: int) -> NDArray[np.float64]:
+    """Return what the converter reads under ``force_n`` N, before noise and rounding.
+
+    Constant current and an inverting stage: 0 counts at rest, ``adc_max`` at no resistance.
+    """
+    return adc_max * (1.0 - resistance_mohm(force_n) / RESISTANCE_AT_REST_MOHM)
+
+
+class PadGrid:
+    """A fine grid over one pad, and how pressure on it reaches the taxels.
+
+    The grid's cells divide the taxels evenly. A pressure on a cell arrives as a Gaussian, mirrored
+    at the pad's edges, so that no force is lost; a taxel feels what falls on its own cell of the
+    layout. Both directions are independent: two small matrices do the spreading and the
+    integration at once.
+
+    Attributes
+    ----------
+    pad
+        The pad.
+    x_m : (n_x, 1) float64
+    y_m : (1, n_y) float64
+        Centres of the grid's cells in the plane of the pad in m.
+    cell_area_m2
+        Area of a cell in m².
+    """
+
+    __slots__ = ("_across", "_along", "cell_area_m2", "pad", "x_m", "y_m")
+
+    def __init__(self, pad: Pad, foam: Foam) -> None:
+        self.pad = pad
+        x_m, self._along = _share_of_taxels(pad.rows, pad.pitch_x_m, foam.spread_m)
+        y_m, across = _share_of_taxels(pad.columns, pad.pitch_y_m, foam.spread_m)
+        self._across = across.T
+        self.x_m = x_m[:, np.newaxis]
+        self.y_m = y_m[np.newaxis, :]
+        self.cell_area_m2 = float((x_m[1] - x_m[0]) * (y_m[1] - y_m[0]))
+
+    def taxel_force_n(
+        self, pressure_pa: NDArray[np.float64], window: tuple[slice, slice]
+    ) -> NDArray[np.float64]:
+        """Return the force in N on each taxel, shape (rows * columns,), row-major.
+
+        Parameters
+        ----------
+        pressure_pa
+            Pressure in Pa on the cells of ``window``; all others carry none.
+        window
+            Rows and columns of the grid.
+        """
+        rows, columns = window
+        force_n: NDArray[np.float64] = (
+            self._along[:, rows] @ pressure_pa @ self._across[columns] * self.cell_area_m2
+        )
+        return force_n.ravel()
+
+
+def _share_of_taxels(
+    n_taxels: int, pitch_m: float, spread_m: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return cell centres (n,) in m and each taxel's share of each cell, (n_taxels, n)."""
+    per_taxel = max(2, math.ceil(pitch_m / CELL_M))
+    half_m = 0.5 * n_taxels * pitch_m
+    edges_m = np.linspace(-half_m, half_m, n_taxels * per_taxel + 1)
+    centres_m = 0.5 * (edges_m[:-1] + edges_m[1:])
+    taxel_edges_m = edges_m[::per_taxel]
+    erf = np.vectorize(math.erf, otypes=[np.float64])
+    share = np.zeros((n_taxels, len(centres_m)))
+    # The mirror images in both edges stand for what would be lost beyond them.
+    for image_m in (centres_m, 2.0 * half_m - centres_m, -2.0 * half_m - centres_m):
+        reached = erf((taxel_edges_m[:, np.newaxis] - image_m) / (math.sqrt(2.0) * spread_m))
+        share += 0.5 * np.diff(reached, axis=0)
+    return centres_m, share / share.sum(axis=0)
