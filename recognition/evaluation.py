@@ -1,0 +1,203 @@
+"""How good a recogniser is: accuracy, fusion, calibration and rejection of untaught objects."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recognition import fusion
+from recognition.grasp import Grasp
+from recognition.metrics import (
+    auroc,
+    confusion_matrix,
+    expected_calibration_error,
+    wilson_interval,
+)
+from recognition.recognizer import Posterior, Trainer
+from recognition.splits import (
+    by_label,
+    chronological_split,
+    parse_split,
+    shuffled_split,
+)
+
+__all__ = [
+    "Evaluation",
+    "auroc",
+    "chronological_split",
+    "confusion_matrix",
+    "evaluate",
+    "expected_calibration_error",
+    "parse_split",
+    "shuffled_split",
+    "wilson_interval",
+]
+
+_MIN_LABELS_FOR_UNKNOWN = 4
+_RANDOM_SUBSETS = 20
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Evaluation:
+    """What a recogniser reached on grasps that did not teach it.
+
+    Attributes
+    ----------
+    trainer, uses_aperture
+        What was taught.
+    labels
+        The taught objects.
+    n
+        Number of tested grasps of taught objects.
+    n_untaught
+        Number of tested grasps of other objects; they count in no accuracy.
+    single_accuracy, interval
+        Share of grasps whose likeliest label is right, and its 95 % Wilson interval.
+    fused_accuracy
+        The same for k grasps of one label that follow each other in time, all such runs, by k.
+    random_fused_accuracy
+        The same for random sets of k grasps of one label.
+    calibration_error
+        Expected calibration error of the probability of the likeliest label, ten bins.
+    known_rejected
+        Share of tested grasps of taught objects with ``unknown`` above 0.5.
+    unknown_auroc
+        Area under the curve of ``unknown`` for objects that were left out of teaching, against
+        those that were not; NaN where it was not measured.
+    unknown_rejected
+        Share of grasps of left-out objects with ``unknown`` above 0.5; NaN where not measured.
+    confusion : (C, C) int64
+        Row = what it was, column = the likeliest label.
+    """
+
+    trainer: str
+    uses_aperture: bool
+    labels: tuple[str, ...]
+    n: int
+    n_untaught: int
+    single_accuracy: float
+    interval: tuple[float, float]
+    fused_accuracy: Mapping[int, float]
+    random_fused_accuracy: Mapping[int, float]
+    calibration_error: float
+    known_rejected: float
+    unknown_auroc: float
+    unknown_rejected: float
+    confusion: NDArray[np.int64]
+
+
+def evaluate(
+    train: Sequence[Grasp],
+    test: Sequence[Grasp],
+    trainer: Trainer,
+    fuse: Sequence[int] = (1, 2, 3, 5),
+    seed: int = 0,
+    *,
+    unknown_groups: int = 6,
+) -> Evaluation:
+    """Teach with one part, test on the other.
+
+    Parameters
+    ----------
+    train, test
+        Labelled grasps; no grasp may be in both.
+    trainer
+        What is taught.
+    fuse
+        Numbers of grasps to fuse.
+    seed
+        Of the random sets of grasps.
+    unknown_groups
+        Into how many groups the labels are dealt out; each group in turn is left out of teaching
+        and must then be found unknown. That many more recognisers are taught; 0 for none.
+
+    Raises
+    ------
+    ValueError
+        No tested grasp is of a taught object, or a grasp has no label.
+    """
+    recognizer = trainer.fit(train)
+    taught = set(recognizer.labels)
+    known = [g for members in by_label(test).values() for g in members if g.label in taught]
+    untaught = [g for g in test if g.label not in taught]
+    if not known:
+        raise ValueError(
+            f"none of the {len(test)} tested grasps is of a taught object {sorted(taught)}"
+        )
+    posteriors = [recognizer.posterior(g) for g in known]
+    truth = [g.label for g in known]
+    right = np.array([p.best == t for p, t in zip(posteriors, truth, strict=True)])
+    rows = {
+        label: [p for p, t in zip(posteriors, truth, strict=True) if t == label]
+        for label in sorted(set(truth))
+    }
+    known_scores = [p.unknown for p in posteriors]
+    areas, strange = _leave_out(train, known, trainer, unknown_groups)
+    if untaught:
+        scores = [recognizer.posterior(g).unknown for g in untaught]
+        areas, strange = [*areas, auroc(known_scores, scores)], [*strange, *scores]
+    return Evaluation(
+        trainer=trainer.name,
+        uses_aperture=trainer.uses_aperture,
+        labels=recognizer.labels,
+        n=len(known),
+        n_untaught=len(untaught),
+        single_accuracy=float(right.mean()),
+        interval=wilson_interval(int(right.sum()), len(right)),
+        fused_accuracy=MappingProxyType({k: _consecutive(rows, k) for k in fuse}),
+        random_fused_accuracy=MappingProxyType({k: _random(rows, k, seed) for k in fuse}),
+        calibration_error=expected_calibration_error(
+            [float(p.probability.max()) for p in posteriors], right
+        ),
+        known_rejected=float(np.mean(np.array(known_scores) > 0.5)),
+        unknown_auroc=float(np.mean(areas)) if areas else float("nan"),
+        unknown_rejected=float(np.mean(np.array(strange) > 0.5)) if strange else float("nan"),
+        confusion=confusion_matrix(truth, [p.best for p in posteriors], recognizer.labels),
+    )
+
+
+def _leave_out(
+    train: Sequence[Grasp], test: Sequence[Grasp], trainer: Trainer, n_groups: int
+) -> tuple[list[float], list[float]]:
+    """Return the area under the curve per group of left-out labels, and their unknown scores."""
+    labels = sorted({g.label for g in train})
+    areas: list[float] = []
+    strange: list[float] = []
+    if len(labels) < _MIN_LABELS_FOR_UNKNOWN:
+        return areas, strange
+    n_groups = min(n_groups, len(labels))
+    for group in range(n_groups):
+        out = set(labels[group::n_groups])
+        if len(labels) - len(out) < 2 or not any(g.label in out for g in test):
+            continue
+        recognizer = trainer.fit([g for g in train if g.label not in out])
+        score = {True: list[float](), False: list[float]()}
+        for grasp in test:
+            score[grasp.label in out].append(recognizer.posterior(grasp).unknown)
+        areas.append(auroc(score[False], score[True]))
+        strange += score[True]
+    return areas, strange
+
+
+def _consecutive(rows: Mapping[str, Sequence[Posterior]], k: int) -> float:
+    """Return the share of right answers over all runs of k grasps; NaN where there is none."""
+    right = [
+        fusion.fuse(members[i : i + k]).best == label
+        for label, members in rows.items()
+        for i in range(len(members) - k + 1)
+    ]
+    return float(np.mean(right)) if right else float("nan")
+
+
+def _random(rows: Mapping[str, Sequence[Posterior]], k: int, seed: int) -> float:
+    """Return the share of right answers over random sets of k grasps; NaN where there is none."""
+    rng = np.random.default_rng(seed)
+    right = [
+        fusion.fuse([members[i] for i in rng.choice(len(members), k, replace=False)]).best == label
+        for label, members in rows.items()
+        if len(members) >= k
+        for _ in range(_RANDOM_SUBSETS)
+    ]
+    return float(np.mean(right)) if right else float("nan")

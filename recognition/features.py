@@ -1,0 +1,68 @@
+"""Levels of a ramp -> one vector of numbers per grasp."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recognition.features_aperture import aperture_features
+from recognition.features_footprint import Footprint, PadGrid, describe_footprint
+from recognition.features_growth import growth_features
+from recognition.ramp_levels import Levels
+
+FEATURE_VERSION = 1
+"""Changes with every change of a feature: models of another version are refused."""
+
+FeatureGroups = dict[str, NDArray[np.float64]]
+
+
+def feature_groups(levels: Levels, grids: Sequence[PadGrid]) -> FeatureGroups:
+    """Return the features by what they tell, each (n, F) float64.
+
+    Groups: ``patch`` (size and shape of the pressed patch, unchanged when it moves or turns on
+    the pad), ``pose`` (where and how it lies), ``pads`` (one pad against the other), ``growth``
+    and ``aperture`` (NaN where the opening is unknown).
+    """
+    n = len(levels)
+    prints = [
+        describe_footprint(m, levels.noise[..., p], grid)
+        for p, (m, grid) in enumerate(zip(levels.maps, grids, strict=True))
+    ]
+    patch = [_flat(part, n) for f in prints for part in _patch(f)]
+    pose = [_flat(part, n) for f in prints for part in (f.direction, f.centroid_mm)]
+    groups = {
+        "patch": np.concatenate(patch, axis=1),
+        "pose": np.concatenate(pose, axis=1),
+        "growth": growth_features(levels, prints),
+        "aperture": aperture_features(levels),
+    }
+    if len(prints) > 1:
+        groups["pads"] = _differences(prints[0], prints[1], n)
+    return groups
+
+
+def _patch(f: Footprint) -> tuple[NDArray[np.float64], ...]:
+    return (
+        f.log_load,
+        f.log_peak,
+        f.log_extent,
+        f.log_pressed,
+        f.log_axes,
+        f.tails,
+        f.harmonics,
+        f.profile,
+    )
+
+
+def _differences(a: Footprint, b: Footprint, n: int) -> NDArray[np.float64]:
+    parts = (
+        a.log_load - b.log_load,
+        a.log_peak - b.log_peak,
+        a.log_axes[..., 0] - b.log_axes[..., 0],
+        a.centroid_mm - b.centroid_mm,
+    )
+    return np.concatenate([_flat(p, n) for p in parts], axis=1)
+
+
+def _flat(values: NDArray[np.float64], n: int) -> NDArray[np.float64]:
+    return values.reshape(n, -1)

@@ -1,0 +1,25 @@
+"""How patch and load grow along the ramp: curvature, compliance and creep."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recognition.features_footprint import Footprint
+from recognition.ramp_levels import Levels
+
+
+def growth_features(levels: Levels, footprints: Sequence[Footprint]) -> NDArray[np.float64]:
+    """Return (n, F): growth of patch and load from the first level, load over time, times."""
+    n = len(levels)
+    parts: list[NDArray[np.float64]] = []
+    for print_ in footprints:
+        extent, axes = print_.log_extent[..., 0], print_.log_axes
+        parts.append((extent[:, -1] - extent[:, 0])[:, None])
+        parts.append(axes[:, -1, :2] - axes[:, 0, :2])
+        parts.append(print_.log_load[:, -1:] - print_.log_load[:, :-1])
+    timed = np.log(np.maximum(levels.timed_load, 0.0) + 1e-2)
+    parts.append((timed[..., -1:] - timed[..., :-1]).reshape(n, -1))
+    parts.append(np.log(np.maximum(levels.level_time_s, 0.0) + 0.05))
+    parts.append(levels.touch_delay_s[:, None])
+    return np.concatenate(parts, axis=1)

@@ -1,0 +1,139 @@
+"""Linear discriminant analysis with a shrunken covariance."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, solve_triangular
+
+_RANK_TOLERANCE = 1e-9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LinearDiscriminant:
+    """Gaussian classes with one covariance, seen in the space that separates them.
+
+    Attributes
+    ----------
+    mean, scale : (F,) float64
+        Features are centred and scaled by these before all else.
+    projection : (F, r) float64
+        From scaled features to the discriminant space, where each class has unit covariance.
+    centres : (C, r) float64
+        Classes in the discriminant space.
+    """
+
+    mean: NDArray[np.float64]
+    scale: NDArray[np.float64]
+    projection: NDArray[np.float64]
+    centres: NDArray[np.float64]
+
+    def project(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (n, r): features (n, F) in the discriminant space."""
+        projected: NDArray[np.float64] = ((features - self.mean) / self.scale) @ self.projection
+        return projected
+
+    def distances(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (n, C): squared distance of each row to each class, in standard deviations."""
+        z = self.project(features)
+        d = ((z[:, None, :] - self.centres[None]) ** 2).sum(axis=2)
+        return np.asarray(d, dtype=np.float64)
+
+    def to_arrays(self, prefix: str) -> dict[str, NDArray[Any]]:
+        """Return everything as plain arrays under names that begin with the prefix."""
+        return {
+            f"{prefix}mean": self.mean,
+            f"{prefix}scale": self.scale,
+            f"{prefix}projection": self.projection,
+            f"{prefix}centres": self.centres,
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], prefix: str) -> Self:
+        """Rebuild from `to_arrays`; KeyError where an array is missing."""
+        return cls(
+            mean=arrays[f"{prefix}mean"],
+            scale=arrays[f"{prefix}scale"],
+            projection=arrays[f"{prefix}projection"],
+            centres=arrays[f"{prefix}centres"],
+        )
+
+
+def fit_lda(
+    features: NDArray[np.float64],
+    classes: NDArray[np.int64],
+    n_classes: int,
+    *,
+    shrinkage: float | None = None,
+    n_independent: int | None = None,
+) -> LinearDiscriminant:
+    """Fit to labelled rows.
+
+    Parameters
+    ----------
+    features : (n, F)
+        Finite features.
+    classes : (n,)
+        Class of each row, 0 to n_classes - 1; each class at least once.
+    n_classes
+        Number of classes C.
+    shrinkage
+        Share of the identity in the correlation matrix, 0 to 1; None for the oracle approximating
+        shrinkage (Chen et al. 2010, eq. 23).
+    n_independent
+        Number of independent rows where others are variations of them; None for all.
+
+    Raises
+    ------
+    ValueError
+        There are no more rows than classes, or a class has none.
+    """
+    n, n_features = features.shape
+    count = np.bincount(classes, minlength=n_classes).astype(np.float64)
+    if n <= n_classes or np.any(count == 0):
+        raise ValueError(
+            f"{n} grasps of {n_classes} objects do not show how grasps of one object vary: "
+            "teach each object at least twice"
+        )
+    members = np.zeros((n_classes, n))
+    members[classes, np.arange(n)] = 1.0
+    means = (members @ features) / count[:, None]
+    within = features - means[classes]
+    mean = means.mean(axis=0)
+    freedom = float(n - n_classes)
+    spread = np.sqrt((within**2).sum(axis=0) / freedom)
+    overall = features.std(axis=0)
+    scale = np.sqrt(spread**2 + (1e-2 * overall) ** 2)
+    scale = np.where(scale > 1e-12, scale, 1.0)
+    within = within / scale
+    covariance = within.T @ within / freedom
+    independent = n if n_independent is None else n_independent
+    rho = (
+        _oas(covariance, max(1, independent - n_classes)) if shrinkage is None else float(shrinkage)
+    )
+    level = float(np.trace(covariance)) / n_features
+    covariance *= 1.0 - rho
+    covariance[np.diag_indices(n_features)] += rho * level + 1e-9
+    # Classes live in the space spanned by their means; there a rotation makes axes independent.
+    offsets = (means - mean) / scale
+    lower, _ = cho_factor(covariance, lower=True)
+    whitened = solve_triangular(np.tril(lower), offsets.T, lower=True)
+    left, singular, _ = np.linalg.svd(whitened, full_matrices=False)
+    rank = int(np.sum(singular > _RANK_TOLERANCE * max(float(singular[0]), 1e-300)))
+    axes = left[:, :rank]
+    projection = solve_triangular(np.tril(lower), axes, lower=True, trans="T")
+    return LinearDiscriminant(
+        mean=mean, scale=scale, projection=projection, centres=offsets @ projection
+    )
+
+
+def _oas(covariance: NDArray[np.float64], freedom: int) -> float:
+    p = len(covariance)
+    trace2 = float(np.trace(covariance)) ** 2
+    squares = float((covariance**2).sum())
+    below = (freedom + 1 - 2 / p) * (squares - trace2 / p)
+    if below <= 0:
+        return 1.0
+    return min(1.0, ((1 - 2 / p) * squares + trace2) / below)

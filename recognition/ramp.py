@@ -1,0 +1,196 @@
+"""Raw frames of a grasp -> load above rest on the gripping pads, and where the touch begins."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from recognition.grasp import Grasp, PadArray
+
+_QUIET_FRAMES = 3
+_TOUCH_FRACTION = 0.06
+_TOUCH_SIGMAS = 4.0
+_STARTS_TOUCHED = 0.25
+_SMOOTHING_FRACTION = 0.06
+_MAX_SMOOTHING_FRAMES = 15
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Rest:
+    """What the untouched pads read, learnt from the first frames of the taught grasps.
+
+    Attributes
+    ----------
+    pads
+        The pads that were taught.
+    gripping : tuple of int
+        The one or two pads that rise most under load, in the order of the layout.
+    counts : (n_taxels,) float64
+        Reading of each untouched taxel in counts.
+    noise_counts : (n_gripping,) float64
+        Standard deviation of one sample of an untouched taxel in counts.
+    """
+
+    pads: PadArray
+    gripping: tuple[int, ...]
+    counts: NDArray[np.float64]
+    noise_counts: NDArray[np.float64]
+
+    def check(self, pads: PadArray) -> None:
+        """Raise ValueError for pads other than the taught ones."""
+        if pads is not self.pads and not self.pads.same_as(pads):
+            raise ValueError(
+                f"the grasp was taken on pads {pads.pad_shape.tolist()} with full scale "
+                f"{pads.adc_max}, taught were {self.pads.pad_shape.tolist()} with "
+                f"{self.pads.adc_max}: teach on these pads"
+            )
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return everything as plain arrays."""
+        return {
+            "pad_shape": self.pads.pad_shape,
+            "taxel_pad": self.pads.taxel_pad,
+            "taxel_xy_m": self.pads.taxel_xy_m,
+            "adc_max": np.array(self.pads.adc_max, dtype=np.int64),
+            "gripping": np.array(self.gripping, dtype=np.int64),
+            "rest_counts": self.counts,
+            "noise_counts": self.noise_counts,
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """Rebuild from `to_arrays`; KeyError where an array is missing."""
+        return cls(
+            pads=PadArray(
+                pad_shape=arrays["pad_shape"],
+                taxel_pad=arrays["taxel_pad"],
+                taxel_xy_m=arrays["taxel_xy_m"],
+                adc_max=int(arrays["adc_max"]),
+            ),
+            gripping=tuple(int(p) for p in arrays["gripping"]),
+            counts=np.asarray(arrays["rest_counts"], dtype=np.float64),
+            noise_counts=np.asarray(arrays["noise_counts"], dtype=np.float64),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Ramp:
+    """One grasp above rest.
+
+    Attributes
+    ----------
+    rise : tuple of (n_frames, n_taxels_of_pad) float64
+        Counts above rest of each gripping pad, negative noise included.
+    noise_counts : (n_gripping,) float64
+        Standard deviation of one sample in counts.
+    load : (n_frames, n_gripping) float64
+        Sum of the rise of each pad in counts.
+    touch : (n_gripping,) int64
+        First frame of the lasting touch of each pad; n_frames where it was never touched.
+    smoothing : int
+        Number of frames that a running mean may span without blurring the ramp.
+    """
+
+    rise: tuple[NDArray[np.float64], ...]
+    noise_counts: NDArray[np.float64]
+    load: NDArray[np.float64]
+    touch: NDArray[np.int64]
+    smoothing: int
+
+    @property
+    def touched(self) -> bool:
+        """Whether every gripping pad was touched."""
+        return bool(np.all(self.touch < len(self.load)))
+
+    @property
+    def start(self) -> int:
+        """First frame in which every pad is touched; the last frame where that never was."""
+        return min(int(self.touch.max()), len(self.load) - 1)
+
+
+def learn_rest(grasps: Sequence[Grasp]) -> Rest:
+    """Learn what untouched pads read and which pads grip.
+
+    Raises ValueError where there is no grasp, or grasps come from different pads.
+    """
+    if not grasps:
+        raise ValueError("no grasps to learn from")
+    pads = grasps[0].pads
+    first = np.stack([g.counts[:_QUIET_FRAMES].mean(axis=0) for g in grasps])
+    last = np.stack([g.counts[-_QUIET_FRAMES:].mean(axis=0) for g in grasps])
+    for grasp in grasps:
+        if grasp.pads is not pads and not pads.same_as(grasp.pads):
+            raise ValueError("the grasps were taken on different pads: teach pads one by one")
+    rest = np.median(first, axis=0)
+    rise = [float(np.median((last - rest)[:, pads.taxels_of(p)].sum(axis=1))) for p in _pads(pads)]
+    gripping = tuple(sorted(sorted(_pads(pads), key=lambda p: -rise[p])[:2]))
+    noise = np.array(
+        [
+            np.median([np.std(_early(g, pads.taxels_of(p)), axis=0).mean() for g in grasps])
+            for p in gripping
+        ]
+    )
+    return Rest(pads=pads, gripping=gripping, counts=rest, noise_counts=noise)
+
+
+def find_ramp(grasp: Grasp, rest: Rest) -> Ramp:
+    """Take the rest off a grasp and find where each gripping pad is touched for good.
+
+    The rest is taken from the grasp's own first frames, which follows a drift, except where the
+    pads are already loaded in them: then the taught rest serves. Raises ValueError for other pads.
+    """
+    rest.check(grasp.pads)
+    n = grasp.n_frames
+    smoothing = int(np.clip(round(_SMOOTHING_FRACTION * n), 1, _MAX_SMOOTHING_FRAMES))
+    rises: list[NDArray[np.float64]] = []
+    loads: list[NDArray[np.float64]] = []
+    touch: list[int] = []
+    for pad, noise in zip(rest.gripping, rest.noise_counts, strict=True):
+        taxels = grasp.pads.taxels_of(pad)
+        rise = grasp.counts[:, taxels] - _own_rest(grasp, rest, taxels)
+        load = rise.sum(axis=1)
+        smooth = uniform_filter1d(load, smoothing, mode="nearest")
+        sigma = noise * np.sqrt(len(taxels) / smoothing)
+        limit = max(
+            _TOUCH_FRACTION * float(smooth.max()), _TOUCH_SIGMAS * sigma, 0.005 * rest.pads.adc_max
+        )
+        free = np.flatnonzero(smooth[: int(np.argmax(smooth)) + 1] < limit)
+        begin = int(free[-1]) + 1 if len(free) else 0
+        touch.append(begin if float(smooth.max()) >= limit else n)
+        rises.append(rise)
+        loads.append(load)
+    return Ramp(
+        rise=tuple(rises),
+        noise_counts=rest.noise_counts,
+        load=np.stack(loads, axis=1),
+        touch=np.array(touch, dtype=np.int64),
+        smoothing=smoothing,
+    )
+
+
+def _own_rest(grasp: Grasp, rest: Rest, taxels: NDArray[np.int64]) -> NDArray[np.float64]:
+    counts = grasp.counts[:, taxels].astype(np.float64)
+    taught = rest.counts[taxels]
+    totals = counts.sum(axis=1)
+    quiet = min(_QUIET_FRAMES, grasp.n_frames)
+    first = float(totals[:quiet].mean() - taught.sum())
+    largest = float(totals.max() - taught.sum())
+    if grasp.n_frames < 2 * _QUIET_FRAMES or first > _STARTS_TOUCHED * largest:
+        return taught
+    # Every frame as low as the first ones is untouched: more of them, less noise.
+    limit = float(totals[:quiet].max())
+    above = np.flatnonzero(totals > limit + 0.02 * (float(totals.max()) - limit))
+    end = max(quiet, int(above[0]) - 1 if len(above) else quiet)
+    own: NDArray[np.float64] = counts[:end].mean(axis=0)
+    return own
+
+
+def _early(grasp: Grasp, taxels: NDArray[np.int64]) -> NDArray[np.float64]:
+    return grasp.counts[: 2 * _QUIET_FRAMES, taxels].astype(np.float64)
+
+
+def _pads(pads: PadArray) -> range:
+    return range(pads.n_pads)
