@@ -1,0 +1,123 @@
+"""From the force loop's cycles and the sensor's frames to the record of one grasp."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cell.pose import Pose
+from cell.sequence import GraspStep
+from gripper.force import ForceSample
+from gripper.gripper import Cycle, GraspOutcome
+from recognition.grasp import Grasp, PadArray
+from tactile.layout import TaxelLayout
+from tactile.protocol import TactileFrame
+from tactile.sensor import TactileReading, TactileSensor
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GraspRecord:
+    """One grasp of a sequence, with all that belongs to it.
+
+    Attributes
+    ----------
+    grasp
+        What the recognisers get.
+    step
+        What was planned.
+    reached
+        Pose that the positioner reached.
+    outcome
+        What the gripper says of it.
+    cycles
+        Every period of the force loop, in order.
+    """
+
+    grasp: Grasp
+    step: GraspStep
+    reached: Pose
+    outcome: GraspOutcome
+    cycles: tuple[Cycle, ...]
+
+
+def pad_array(layout: TaxelLayout) -> PadArray:
+    """Return the part of a layout that recognisers need."""
+    return PadArray(
+        pad_shape=np.asarray(layout.pad_shape),
+        taxel_pad=np.asarray(layout.taxel_pad),
+        taxel_xy_m=np.asarray(layout.taxel_xy_m),
+        adc_max=layout.adc_max,
+    )
+
+
+class SensorTap:
+    """The force sensor that the gripper asks each period; keeps what passes for the recording.
+
+    Implements `gripper.force.ForceSensor` on a `TactileSensor`.
+    """
+
+    def __init__(self, sensor: TactileSensor) -> None:
+        self._sensor = sensor
+        self._new: list[TactileReading] = []
+
+    def latest_force(self) -> ForceSample | None:
+        """Take in what has arrived and return the newest force; see `ForceSensor`."""
+        self._new.extend(self._sensor.poll())
+        reading = self._sensor.latest
+        if reading is None:
+            return None
+        left, right = reading.finger_force_n
+        return ForceSample(
+            t_s=reading.frame.t_s, force_n=(float(left), float(right)), valid=reading.ok
+        )
+
+    def take(self) -> list[TactileReading]:
+        """Return the readings since the last call, oldest first."""
+        taken, self._new = self._new, []
+        return taken
+
+
+class GraspCollector:
+    """Collects one grasp: each frame with the opening and set-point of the period it came in."""
+
+    def __init__(self) -> None:
+        self._frames: list[TactileFrame] = []
+        self._apertures_m: list[float] = []
+        self._forces_n: list[float] = []
+        self._cycles: list[Cycle] = []
+
+    def add(self, cycle: Cycle, readings: list[TactileReading]) -> None:
+        """Take one period of the force loop and the readings that arrived in it."""
+        self._cycles.append(cycle)
+        for reading in readings:
+            self._frames.append(reading.frame)
+            self._apertures_m.append(cycle.state.aperture_m)
+            self._forces_n.append(cycle.setpoint_n)
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames so far."""
+        return len(self._frames)
+
+    @property
+    def cycles(self) -> tuple[Cycle, ...]:
+        """All periods so far, in order."""
+        return tuple(self._cycles)
+
+    def grasp(
+        self, pads: PadArray, *, label: str = "", shape: str = "", source: str = "", start_ms: int
+    ) -> Grasp:
+        """Return what was collected. Raises ValueError if no frame came."""
+        if not self._frames:
+            raise ValueError("no tactile frame came during the grasp")
+        t_s = np.array([frame.t_s for frame in self._frames])
+        return Grasp(
+            pads=pads,
+            counts=np.stack([frame.counts for frame in self._frames]),
+            t_s=t_s - t_s[0],
+            aperture_m=np.array(self._apertures_m),
+            force_n=np.array(self._forces_n),
+            label=label,
+            shape=shape,
+            source=source,
+            start_ms=start_ms,
+        )

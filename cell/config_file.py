@@ -1,0 +1,137 @@
+"""Reading config files: YAML to `CellConfig`, every complaint with file, line and key."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+from ruamel.yaml.nodes import MappingNode, Node, SequenceNode
+
+from cell.config import CellConfig
+from cell.errors import ConfigError
+
+MAX_BYTES = 1_000_000
+"""Largest config file that is read."""
+_MAX_DEPTH = 20
+_MAX_VALUES = 100_000
+
+
+def load_config(path: Path | None) -> CellConfig:
+    """Read a config file; without one, return the built-in simulated cell.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, is not YAML 1.2, has unknown or repeated keys, aliases, or
+        values out of range. All complaints stand in one message.
+    """
+    if path is None:
+        return CellConfig()
+    try:
+        size = path.stat().st_size
+        if size > MAX_BYTES:
+            raise ConfigError(f"{path}: {size} bytes; a config has at most {MAX_BYTES}")
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}") from error
+    return parse_config(text, source=str(path))
+
+
+def parse_config(text: str, *, source: str) -> CellConfig:
+    """Check the text of a config; ``source`` names it in complaints.
+
+    Raises
+    ------
+    ConfigError
+        As `load_config`.
+    """
+    try:
+        root = YAML(typ="safe", pure=True).compose(text)
+        if root is not None:
+            _refuse_bombs(root, source)
+        data = YAML(typ="safe", pure=True).load(text)
+    except (YAMLError, ValueError, RecursionError) as error:
+        raise ConfigError(f"{source}: not YAML 1.2: {error}") from error
+    if data is None:
+        data = {}
+    if not isinstance(data, dict):
+        kind = type(data).__name__
+        raise ConfigError(f"{source}:1: a config is a mapping of sections, not a {kind}")
+    try:
+        return CellConfig.model_validate_json(json.dumps(data, default=str))
+    except ValidationError as error:
+        raise ConfigError(_complaints(error, root, source)) from error
+
+
+def config_schema() -> dict[str, Any]:
+    """Return the JSON schema of the config file."""
+    schema = CellConfig.model_json_schema()
+    schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
+    schema["title"] = "tactile-cell configuration"
+    return schema
+
+
+def schema_text() -> str:
+    """Return the JSON schema as the text that is committed in config/."""
+    return json.dumps(config_schema(), indent=2, ensure_ascii=False) + "\n"
+
+
+def config_text(config: CellConfig, *, comments: bool = True) -> str:
+    """Write a config as YAML that `parse_config` reads back to an equal value."""
+    from cell.config_writer import write_yaml  # noqa: PLC0415  only `config init` needs it
+
+    return write_yaml(config, comments=comments)
+
+
+def _refuse_bombs(root: Node, source: str) -> None:
+    seen: set[int] = set()
+    stack = [(root, 1)]
+    while stack:
+        node, depth = stack.pop()
+        if id(node) in seen:
+            raise ConfigError(
+                f"{source}:{node.start_mark.line + 1}: aliases are not allowed; write the value out"
+            )
+        seen.add(id(node))
+        if depth > _MAX_DEPTH or len(seen) > _MAX_VALUES:
+            raise ConfigError(
+                f"{source}: more than {_MAX_DEPTH} levels or {_MAX_VALUES} values; not a config"
+            )
+        if isinstance(node, MappingNode):
+            stack += [(part, depth + 1) for pair in node.value for part in pair]
+        elif isinstance(node, SequenceNode):
+            stack += [(part, depth + 1) for part in node.value]
+
+
+def _complaints(error: ValidationError, root: Node | None, source: str) -> str:
+    lines = []
+    for item in error.errors(include_url=False):
+        line, key = _locate(root, item["loc"])
+        given = item.get("input")
+        shown = "" if isinstance(given, dict | list) else f" (found: {given!r})"
+        message = item["msg"].removeprefix("Value error, ")
+        if item["type"] == "extra_forbidden":
+            message = "unknown key; `tactile-cell config schema` lists the keys"
+        lines.append(f"{source}:{line}: {key or 'config'}: {message}{shown}")
+    return "\n".join(lines)
+
+
+def _locate(root: Node | None, loc: tuple[int | str, ...]) -> tuple[int, str]:
+    """Follow a pydantic location as far as the file goes; steps that name a union are not in it."""
+    node, key = root, []
+    line = 1 if root is None else root.start_mark.line + 1
+    for step in loc:
+        if isinstance(node, MappingNode):
+            found = [(k, v) for k, v in node.value if k.value == str(step)]
+            if found:
+                line, node = found[0][0].start_mark.line + 1, found[0][1]
+                key.append(str(step))
+            elif step == loc[-1]:
+                key.append(str(step))
+        elif isinstance(node, SequenceNode) and isinstance(step, int) and step < len(node.value):
+            node = node.value[step]
+            line = node.start_mark.line + 1
+            key.append(str(step))
+    return line, ".".join(key)

@@ -1,0 +1,178 @@
+"""The system check: each finding passes, warns or fails, and says what to do."""
+
+import importlib.metadata
+import os
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+
+from gripper.port import serial_candidates
+
+from cell.build import Cell, build_cell
+from cell.config import CellConfig
+from cell.errors import CellError
+from gripper.errors import GripperError, VerificationFailed
+from tactile.errors import TactileError
+
+
+class Verdict(StrEnum):
+    """How a check ended."""
+
+    PASS = "pass"
+    WARN = "warn"
+    FAIL = "fail"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Finding:
+    """One checked thing.
+
+    Attributes
+    ----------
+    what
+        What was checked.
+    verdict
+        How it ended.
+    found
+        What was found.
+    advice
+        What to do; empty where all is well.
+    """
+
+    what: str
+    verdict: Verdict
+    found: str
+    advice: str = ""
+
+
+def examine(config: CellConfig) -> Iterator[Finding]:
+    """Check the machine, then each device of the cell, yielding findings as they come.
+
+    Reads and verifies only: no torque is switched on and nothing moves.
+    """
+    yield from _machine()
+    if not config.simulated:
+        yield from _ports(config)
+    yield from _devices(config)
+
+
+def _machine() -> Iterator[Finding]:
+    version = ".".join(map(str, sys.version_info[:3]))
+    yield Finding(what="Python", verdict=Verdict.PASS, found=version)
+    for package in ("dynamixel-sdk", "canopen", "python-can", "numpy", "scipy"):
+        yield Finding(what=package, verdict=Verdict.PASS, found=importlib.metadata.version(package))
+    for extra, package in (("report", "matplotlib"), ("mesh", "trimesh")):
+        try:
+            yield Finding(
+                what=package, verdict=Verdict.PASS, found=importlib.metadata.version(package)
+            )
+        except importlib.metadata.PackageNotFoundError:
+            yield Finding(
+                what=package,
+                verdict=Verdict.WARN,
+                found="not installed",
+                advice=f"pip install 'tactile-cell[{extra}]' if you want it",
+            )
+
+
+def _ports(config: CellConfig) -> Iterator[Finding]:
+    port = Path(config.gripper.port)
+    candidates = ", ".join(serial_candidates()) or "none"
+    if not port.exists():
+        yield Finding(
+            what="servo port",
+            verdict=Verdict.FAIL,
+            found=f"{port} does not exist; serial ports here: {candidates}",
+            advice="plug in the adapter or correct gripper.port",
+        )
+        return
+    if not os.access(port, os.R_OK | os.W_OK):
+        yield Finding(
+            what="servo port",
+            verdict=Verdict.FAIL,
+            found=f"{port} may not be opened by this user",
+            advice="add the user to the group dialout and log in again",
+        )
+        return
+    yield Finding(what="servo port", verdict=Verdict.PASS, found=str(port))
+    latency = Path(f"/sys/bus/usb-serial/devices/{port.resolve().name}/latency_timer")
+    if latency.exists():
+        timer_ms = int(latency.read_text())
+        yield Finding(
+            what="USB latency timer",
+            verdict=Verdict.PASS if timer_ms <= 1 else Verdict.WARN,
+            found=f"{timer_ms} ms",
+            advice="" if timer_ms <= 1 else f"echo 1 > {latency} (a udev rule keeps it)",
+        )
+
+
+def _devices(config: CellConfig) -> Iterator[Finding]:
+    try:
+        cell = build_cell(config)
+    except (CellError, GripperError, TactileError) as error:
+        yield Finding(
+            what="links",
+            verdict=Verdict.FAIL,
+            found=str(error),
+            advice="check cabling, power and the names in the config",
+        )
+        return
+    try:
+        yield from _guarded("servos", lambda: _servos(cell))
+        yield from _guarded("control unit", lambda: _control_unit(cell))
+    finally:
+        cell.close()
+
+
+def _guarded(what: str, check: Callable[[], list[Finding]]) -> Iterator[Finding]:
+    try:
+        yield from check()
+    except VerificationFailed as error:
+        for line in str(error).splitlines():
+            yield Finding(
+                what=what, verdict=Verdict.FAIL, found=line, advice="see the expected value"
+            )
+    except (GripperError, TactileError) as error:
+        yield Finding(
+            what=what,
+            verdict=Verdict.FAIL,
+            found=str(error),
+            advice="check power, id and bit rate",
+        )
+
+
+def _servos(cell: Cell) -> list[Finding]:
+    report = cell.controller.gripper.verify()
+    return [
+        Finding(
+            what=f"servo {row.servo_id} {row.item}",
+            verdict=Verdict.PASS if row.ok else Verdict.FAIL,
+            found=f"{row.found} (expected {row.expected})",
+            advice="" if row.ok else "correct it with the servo maker's wizard or the config",
+        )
+        for row in report.rows
+    ]
+
+
+def _control_unit(cell: Cell) -> list[Finding]:
+    identity = cell.controller.sensor.start()
+    readings = [cell.controller.sensor.read(timeout_s=1.0) for _ in range(10)]
+    statistics = cell.controller.sensor.link.statistics.frames
+    lost = statistics.lost + statistics.torn + statistics.corrupt
+    return [
+        Finding(what="control unit", verdict=Verdict.PASS, found=str(identity)),
+        Finding(
+            what="tactile frames",
+            verdict=Verdict.PASS if lost == 0 else Verdict.WARN,
+            found=f"{statistics.complete} whole, {lost} lost or damaged",
+            advice="" if lost == 0 else "check the terminating resistors and the bus load",
+        ),
+        Finding(
+            what="taxels at rest",
+            verdict=Verdict.PASS if readings[-1].ok else Verdict.WARN,
+            found=f"{int(readings[-1].saturated.sum())} saturated",
+            advice="" if readings[-1].ok else "is something touching the pads?",
+        ),
+    ]

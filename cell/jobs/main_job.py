@@ -1,0 +1,216 @@
+"""The main job: teach the objects, then identify each of them several times."""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cell.build import Cell
+from cell.collect import GraspRecord
+from cell.config import CellConfig
+from cell.controller import Identification
+from cell.dataset import write_dataset
+from cell.jobs.progress import Progress
+from cell.jobs.teaching import teach, train
+from cell.sequence import plan
+from recognition.evaluation import wilson_interval
+from recognition.grasp import Grasp
+from recognition.recognizer import UNKNOWN, Posterior, Recognizer
+
+BASELINE = "level_check"
+"""The paper's own classifier, told from one grasp, as in its Table 1."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trial:
+    """One identification and what was really held."""
+
+    truth: str
+    found: Identification
+    first: dict[str, Posterior]
+    """What further recognisers say of the first grasp alone, by name."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Score:
+    """How often one recogniser was right.
+
+    Attributes
+    ----------
+    accuracy, interval
+        Share of right answers and its 95 % interval (Wilson).
+    n, n_right
+        Answers in all and right ones.
+    confusion : (n_labels, n_labels + 1) int
+        Row: what was held; column: the answer, the last one UNKNOWN.
+    """
+
+    accuracy: float
+    interval: tuple[float, float]
+    n: int
+    n_right: int
+    confusion: tuple[tuple[int, ...], ...]
+
+
+@dataclass(slots=True, kw_only=True)
+class MainResult:
+    """What the main job found out and where it is written."""
+
+    labels: tuple[str, ...]
+    default: str
+    n_taught: int
+    seconds: float
+    scores: dict[str, Score]
+    trials: tuple[Trial, ...]
+    examples: dict[str, GraspRecord]
+    recognizers: dict[str, Recognizer]
+    dataset: Path | None
+    recording: Path | None
+    report: Path | None = None
+    extra: dict[str, Any] = field(default_factory=dict)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what ``--json`` writes."""
+        return {
+            "seconds": round(self.seconds, 2),
+            "n_taught": self.n_taught,
+            "n_trials": len(self.trials),
+            "labels": list(self.labels),
+            "default": self.default,
+            "recognizers": {
+                name: {
+                    "accuracy": score.accuracy,
+                    "interval": list(score.interval),
+                    "n": score.n,
+                    "confusion": [list(row) for row in score.confusion],
+                    "confusion_columns": [*self.labels, UNKNOWN],
+                }
+                for name, score in self.scores.items()
+            },
+            "grasps_per_trial": float(
+                np.mean([len(trial.found.records) for trial in self.trials] or [0.0])
+            ),
+            "report": None if self.report is None else str(self.report),
+            "recording": None if self.recording is None else str(self.recording),
+            "dataset": None if self.dataset is None else str(self.dataset),
+            **self.extra,
+        }
+
+
+def teach_and_identify(
+    cell: Cell,
+    config: CellConfig,
+    *,
+    labels: Sequence[str],
+    n_teach: int,
+    n_trials: int,
+    folder: Path,
+    progress: Progress,
+    recognizer: Recognizer | None = None,
+) -> MainResult:
+    """Teach each object, train, identify each object ``n_trials`` times; write the data set.
+
+    With a ``recognizer`` nothing is taught. Plans of teaching and of identifying are drawn with
+    different seeds, so no pose and force is met twice.
+
+    Raises
+    ------
+    CellError, GripperError, TactileError
+        What the cell raises; the recording has all that happened until then.
+    """
+    started_s = time.monotonic()
+    default = config.recognition.recognizer
+    taught: list[Grasp] = []
+    examples: dict[str, GraspRecord] = {}
+    recognizers: dict[str, Recognizer] = {}
+    if recognizer is None:
+        for number, label in enumerate(labels):
+            records = teach(
+                cell, config, label, n_teach, seed=_seed(config, 0, number), progress=progress
+            )
+            taught += [record.grasp for record in records]
+            examples[label] = max(records, key=lambda record: record.step.force_n)
+        dataset = folder / "taught.npz"
+        write_dataset(dataset, taught)
+        progress("train", 0, 2)
+        recognizers[default] = train(taught, default, use_aperture=config.recognition.use_aperture)
+        progress("train", 1, 2)
+        if default != BASELINE:
+            recognizers[BASELINE] = train(taught, BASELINE)
+        progress("train", 2, 2)
+    else:
+        dataset = None
+        recognizers[default] = recognizer
+    trials = []
+    for number, label in enumerate(labels):
+        for repeat in range(n_trials):
+            trials.append(
+                _trial(cell, config, recognizers, label, _seed(config, 1 + repeat, number))
+            )
+            progress(f"identify {label}", repeat + 1, n_trials)
+    return MainResult(
+        labels=tuple(labels),
+        default=default,
+        n_taught=len(taught),
+        seconds=time.monotonic() - started_s,
+        scores=_scores(trials, labels, default),
+        trials=tuple(trials),
+        examples=examples or {trial.truth: trial.found.records[0] for trial in trials},
+        recognizers=recognizers,
+        dataset=dataset,
+        recording=cell.recording_path,
+    )
+
+
+def _seed(config: CellConfig, use: int, number: int) -> int:
+    """Give each plan its own seed, so that none repeats another."""
+    return int(np.random.SeedSequence([config.seed, use, number]).generate_state(1)[0])
+
+
+def _trial(
+    cell: Cell, config: CellConfig, recognizers: dict[str, Recognizer], label: str, seed: int
+) -> Trial:
+    default = config.recognition.recognizer
+    cell.controller.present(label)
+    found = cell.controller.identify(
+        recognizers[default], plan(config.sequence, config.sequence.max_grasps, seed=seed)
+    )
+    first = found.records[0].grasp
+    return Trial(
+        truth=label,
+        found=found,
+        first={
+            name: found.posteriors[0] if name == default else recognizer.posterior(first)
+            for name, recognizer in recognizers.items()
+        },
+    )
+
+
+def _scores(trials: Sequence[Trial], labels: Sequence[str], default: str) -> dict[str, Score]:
+    answers: dict[str, list[str]] = {default: [trial.found.label for trial in trials]}
+    for name in trials[0].first if trials else ():
+        key = f"{name}_one_grasp" if name == default else name
+        answers[key] = [trial.first[name].decision() for trial in trials]
+    truths = [trial.truth for trial in trials]
+    return {name: score(truths, given, labels) for name, given in answers.items()}
+
+
+def score(truths: Sequence[str], answers: Sequence[str], labels: Sequence[str]) -> Score:
+    """Count answers against the truth."""
+    columns = [*labels, UNKNOWN]
+    counts = np.zeros((len(labels), len(columns)), dtype=int)
+    for truth, answer in zip(truths, answers, strict=True):
+        if truth in labels:
+            place = columns.index(answer) if answer in columns else len(labels)
+            counts[labels.index(truth), place] += 1
+    n, n_right = int(counts.sum()), int(np.trace(counts))
+    return Score(
+        accuracy=n_right / n if n else float("nan"),
+        interval=wilson_interval(n_right, n) if n else (0.0, 1.0),
+        n=n,
+        n_right=n_right,
+        confusion=tuple(tuple(row) for row in counts.tolist()),
+    )

@@ -1,0 +1,318 @@
+"""What a host program loads: a cell behind jobs that never block.
+
+Found through the entry point ``tactile_cell`` of the group ``robot_cell.plugins``. The host moves;
+the plugin grasps and tells what it held.
+"""
+
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+
+from cell.build import Cell, build_cell
+from cell.config import CellConfig
+from cell.config_file import load_config
+from cell.errors import CellStateError, ConfigError
+from cell.model import load_model, save_model
+from cell.pose import Pose
+from cell.sequence import plan
+from cell.worker import CellWorker, Job, JobOutcome, JobStatus, Report
+from recognition.grasp import Grasp
+from recognition.recognizer import Recognizer
+from recognition.recognizers import make_trainer
+
+
+class _Goal(BaseModel):
+    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+
+
+class TeachGoal(_Goal):
+    """Grasp a known object."""
+
+    label: str = Field(min_length=1, max_length=60)
+    """Name of the object."""
+    grasps: int = Field(default=10, ge=1, le=1000)
+    """How many times it is grasped, 1 to 1000."""
+    seed: int = Field(default=0, ge=0)
+    """Seed of the plan of poses and forces."""
+
+
+class IdentifyGoal(_Goal):
+    """Grasp and classify an unknown object until its name is sure enough."""
+
+    max_grasps: int | None = Field(default=None, ge=1, le=100)
+    """Most grasps; none: as the config says."""
+    seed: int = Field(default=1, ge=0)
+    """Seed of the plan of poses and forces."""
+    present: str | None = None
+    """Object to place first, where the positioner can do so (simulated cell)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answer:
+    """What an identification says.
+
+    Attributes
+    ----------
+    label
+        A taught label, or ``UNKNOWN``.
+    probability
+        Probability of the label.
+    probabilities
+        Probability of each taught label, given that the object was taught.
+    unknown
+        Probability that the object was never taught.
+    n_grasps
+        Grasps that it took.
+    """
+
+    label: str
+    probability: float
+    probabilities: Mapping[str, float] = field(hash=False)
+    unknown: float
+    n_grasps: int
+
+
+class TactileCellPlugin:
+    """A cell for host programs without ROS.
+
+    Calls return at once, but for `result`, `release` and `close`, which wait as long as they are
+    told. A fault or a cancelled job keeps the grip; `release` is the only way to let go.
+    """
+
+    def __init__(
+        self,
+        config: Path | str | CellConfig | None = None,
+        *,
+        mover: Callable[[Pose], Pose | bool | None] | None = None,
+        model: Path | str | None = None,
+    ) -> None:
+        """Connect to the cell, verify the devices and take the zero of the taxels.
+
+        Parameters
+        ----------
+        config
+            Config file or value; None is the built-in simulated cell.
+        mover
+            Called with each pose that the sequence wants the object at; returns None or True when
+            it is reached, False to refuse, or the pose reached instead.
+        model
+            File of a taught model (`save`); without one, teach first.
+
+        Raises
+        ------
+        ConfigError, ModelError
+            Before any hardware is touched.
+        gripper.errors.GripperError, tactile.errors.TactileError
+            If a device is missing or not what the config says.
+        """
+        checked = (
+            config
+            if isinstance(config, CellConfig)
+            else load_config(None if config is None else Path(config))
+        )
+        if mover is not None:
+            checked = checked.model_copy(
+                update={"positioner": checked.positioner.model_copy(update={"kind": "callback"})}
+            )
+        self._config = checked
+        self._lock = threading.Lock()
+        self._taught: list[Grasp] = []
+        self._recognizer: Recognizer | None = (
+            None if model is None else load_model(Path(model)).recognizer
+        )
+        self._cell: Cell = build_cell(checked, mover=mover)
+        try:
+            self._cell.controller.start()
+        except BaseException:
+            self._cell.close()
+            raise
+        self._worker = CellWorker(
+            idle=self._cell.controller.tick,
+            idle_period_s=1.0 / checked.gripper.loop_rate_hz if self._cell.realtime else None,
+        )
+
+    # -- what a host asks ----------------------------------------------------------------------
+
+    def info(self) -> dict[str, Any]:
+        """Return name, layout and taught labels."""
+        return {
+            "name": self._config.name,
+            "simulated": self._config.simulated,
+            "n_taxels": self._cell.controller.pads.n_taxels,
+            "labels": self.labels,
+        }
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The taught objects."""
+        return self._recognizer.labels if self._recognizer is not None else ()
+
+    def state(self) -> str:
+        """Return the state of the cell, a PackML name."""
+        return self._cell.controller.state.value
+
+    def fault(self) -> str | None:
+        """Return what is wrong, while a fault is latched."""
+        return self._cell.controller.fault
+
+    def start(self, goal: TeachGoal | IdentifyGoal | Mapping[str, Any]) -> Job:
+        """Start a job and return its handle at once.
+
+        A goal is a `TeachGoal`, an `IdentifyGoal`, or a mapping with ``task`` ``teach`` or
+        ``identify`` and the fields of these.
+
+        Raises
+        ------
+        ConfigError
+            If the goal has unknown fields or values out of range.
+        CellStateError
+            If another job runs, or nothing was taught yet.
+        """
+        checked = _goal(goal)
+        if isinstance(checked, TeachGoal):
+            return self._worker.start(lambda report: self._teach(checked, report))
+        if self._recognizer is None:
+            raise CellStateError("nothing was taught; start a teach goal or load a model first")
+        recognizer = self._recognizer
+        return self._worker.start(lambda report: self._identify(checked, recognizer, report))
+
+    def feedback(self, job: Job) -> JobStatus:
+        """Say where a job stands; never waits."""
+        return self._worker.status(job)
+
+    def result(self, job: Job, timeout_s: float) -> Any:
+        """Wait for a job and return its `Answer`, or the number of grasps taught.
+
+        Raises
+        ------
+        TimeoutError
+            If it is not over in time; it goes on.
+        CellStateError
+            If it was cancelled or aborted, with the reason.
+        """
+        status = self._worker.wait(job, timeout_s)
+        if status.outcome is not JobOutcome.SUCCEEDED:
+            raise CellStateError(f"job {job.number} {status.outcome.value}: {status.error}")
+        return status.value
+
+    def cancel(self, job: Job) -> None:
+        """Stop a job; what is held stays held. Does nothing to a job that is over."""
+        if not self.feedback(job).outcome.terminal:
+            self._cell.controller.cancel()
+
+    def release(self, timeout_s: float = 30.0) -> None:
+        """Let the part go and open the fingers; the only way to do so outside a sequence."""
+        job = self._worker.start(lambda _report: self._cell.controller.release())
+        self.result(job, timeout_s)
+
+    def clear(self, timeout_s: float = 5.0) -> None:
+        """Acknowledge a latched fault."""
+        self.result(self._worker.start(lambda _r: self._cell.controller.clear()), timeout_s)
+
+    def reset(self, timeout_s: float = 60.0) -> None:
+        """After `clear`: verify the devices anew and be ready again."""
+
+        def work(_report: Report) -> None:
+            self._cell.controller.reset()
+            self._cell.controller.start()
+
+        self.result(self._worker.start(work), timeout_s)
+
+    def save(self, path: Path | str) -> None:
+        """Write what was taught to a model file. Raises CellStateError if nothing was."""
+        if self._recognizer is None:
+            raise CellStateError("nothing was taught, there is no model to save")
+        save_model(
+            Path(path),
+            self._recognizer,
+            trainer_name=self._config.recognition.recognizer,
+            pads=self._cell.controller.pads,
+        )
+
+    def close(self, timeout_s: float = 30.0) -> None:
+        """Stop what runs and disconnect; a held part stays held."""
+        self._cell.controller.cancel()
+        self._worker.close(timeout_s)
+        self._cell.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    # -- jobs, on the worker's thread -----------------------------------------------------------
+
+    def _teach(self, goal: TeachGoal, report: Report) -> int:
+        steps = plan(self._config.sequence, goal.grasps, seed=goal.seed)
+        taught = []
+        for record in self._cell.controller.collect(goal.label, steps):
+            taught.append(record.grasp)
+            report({"task": "teach", "label": goal.label, "grasps": len(taught), "of": len(steps)})
+        with self._lock:
+            self._taught.extend(taught)
+            trainer = make_trainer(
+                self._config.recognition.recognizer,
+                use_aperture=self._config.recognition.use_aperture,
+            )
+            self._recognizer = trainer.fit(self._taught)
+        return len(taught)
+
+    def _identify(self, goal: IdentifyGoal, recognizer: Recognizer, report: Report) -> Answer:
+        self._cell.controller.present(goal.present)
+        n_grasps = goal.max_grasps or self._config.sequence.max_grasps
+        found = self._cell.controller.identify(
+            recognizer,
+            plan(self._config.sequence, n_grasps, seed=goal.seed),
+            on_grasp=lambda number, record, posterior: report(
+                {
+                    "task": "identify",
+                    "grasps": number,
+                    "of": n_grasps,
+                    "best": posterior.best,
+                    "probability": float(posterior.probability.max()),
+                    "force_n": record.step.force_n,
+                }
+            ),
+        )
+        return Answer(
+            label=found.label,
+            probability=found.probability,
+            probabilities=dict(
+                zip(found.fused.labels, map(float, found.fused.probability), strict=True)
+            ),
+            unknown=found.fused.unknown,
+            n_grasps=len(found.records),
+        )
+
+
+_TASKS: dict[str, TypeAdapter[TeachGoal] | TypeAdapter[IdentifyGoal]] = {
+    "teach": TypeAdapter(TeachGoal),
+    "identify": TypeAdapter(IdentifyGoal),
+}
+
+
+def _goal(goal: TeachGoal | IdentifyGoal | Mapping[str, Any]) -> TeachGoal | IdentifyGoal:
+    if isinstance(goal, TeachGoal | IdentifyGoal):
+        return goal
+    fields = dict(goal)
+    task = fields.pop("task", None)
+    if task not in _TASKS:
+        raise ConfigError(f"goal has task {task!r}; write one of {', '.join(_TASKS)}")
+    try:
+        return _TASKS[task].validate_python(fields)
+    except ValidationError as error:
+        complaints = "; ".join(
+            f"{'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors()
+        )
+        raise ConfigError(f"goal {task}: {complaints}") from error

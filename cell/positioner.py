@@ -1,0 +1,164 @@
+"""Who changes position and rotation between grasps."""
+
+import json
+import math
+import socket
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, Protocol
+
+from cell.errors import PositionerError
+from cell.pose import Pose
+
+
+class Positioner(Protocol):
+    """Moves the object, or the gripper around it, to the next pose of a sequence."""
+
+    @property
+    def blocks(self) -> bool:
+        """Whether a call may take long, so that the cell must be supervised meanwhile."""
+        ...
+
+    def present(self, label: str | None) -> None:
+        """Have the object with this label in reach; None: the one to be identified.
+
+        Raises PositionerError if there is no such object.
+        """
+        ...
+
+    def move_to(self, pose: Pose) -> Pose:
+        """Go to the pose and return the one that was reached; the fingers are open meanwhile.
+
+        Raises PositionerError if it cannot be reached.
+        """
+        ...
+
+
+class ObjectPlacer(Protocol):
+    """What the simulated cell offers to whoever moves the object."""
+
+    def place(self, label: str, pose: Pose) -> Pose:
+        """Place an object and return where it came to rest (a box settles on a face)."""
+        ...
+
+
+class SimulatedPositioner:
+    """Places objects in the simulated cell, in this process or through a socket in another."""
+
+    blocks = False
+
+    def __init__(self, placer: ObjectPlacer, *, label: str | None = None) -> None:
+        self._placer = placer
+        self._label = label
+
+    def present(self, label: str | None) -> None:
+        """Choose the object that the following poses are for; None keeps the present one."""
+        if label is not None:
+            self._label = label
+
+    def move_to(self, pose: Pose) -> Pose:
+        """Place the chosen object at the pose; see `Positioner`."""
+        if self._label is None:
+            raise PositionerError(
+                "the simulated cell was not told which object to place; "
+                "name one with --object, or call present(label) first"
+            )
+        return self._placer.place(self._label, pose)
+
+
+class SocketPlacer:
+    """Places objects in a simulated cell of another process.
+
+    Speaks JSON lines over the Unix socket that ``tactile-cell simulate`` announces as
+    ``positioner_socket``: one request, one reply.
+    """
+
+    def __init__(self, path: str, *, timeout_s: float = 5.0) -> None:
+        self._path = path
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._socket.settimeout(timeout_s)
+        try:
+            self._socket.connect(path)
+        except OSError as error:
+            self._socket.close()
+            raise PositionerError(
+                f"no simulated cell answers at {path} ({error}); is `tactile-cell simulate` running?"
+            ) from error
+        self._replies = self._socket.makefile("rb")
+
+    def place(self, label: str, pose: Pose) -> Pose:
+        """Place an object in the other process; see `ObjectPlacer`."""
+        reached = self._ask({"place": label, "pose": pose.as_dict()})["pose"]
+        return Pose(**{name: float(reached[name]) for name in pose.as_dict()})
+
+    def close(self) -> None:
+        """Close the connection; the object stays where it is."""
+        self._replies.close()
+        self._socket.close()
+
+    def _ask(self, request: dict[str, Any]) -> dict[str, Any]:
+        try:
+            self._socket.sendall(json.dumps(request).encode() + b"\n")
+            line = self._replies.readline(65536)
+            reply = json.loads(line) if line else None
+        except (OSError, ValueError) as error:
+            raise PositionerError(f"the simulated cell at {self._path} is gone: {error}") from error
+        if not isinstance(reply, dict):
+            raise PositionerError(f"the simulated cell at {self._path} closed the connection")
+        if "error" in reply:
+            raise PositionerError(f"the simulated cell refused: {reply['error']}")
+        return reply
+
+
+class OperatorPositioner:
+    """Asks a person at the terminal to move the object, and waits until it is done."""
+
+    blocks = True
+
+    def __init__(self, ask: Callable[[str], str]) -> None:
+        self._ask = ask
+
+    def present(self, label: str | None) -> None:
+        """Ask for an object; see `Positioner`."""
+        what = "the object to identify" if label is None else f"the object {label!r}"
+        self._confirm(f"Put {what} between the open fingers")
+
+    def move_to(self, pose: Pose) -> Pose:
+        """Ask for a pose; see `Positioner`."""
+        self._confirm(
+            f"Move the object to x {pose.x_m * 1e3:+.1f} mm, y {pose.y_m * 1e3:+.1f} mm, turned by "
+            f"{math.degrees(pose.rotation_rad):.0f} deg about the approach axis and "
+            f"{math.degrees(pose.roll_rad):.0f} deg about its own axis"
+        )
+        return pose
+
+    def _confirm(self, text: str) -> None:
+        try:
+            answer = self._ask(f"{text}. Enter when done, q to stop: ")
+        except EOFError as error:
+            raise PositionerError("no operator at the terminal (end of input)") from error
+        if answer.strip().lower() in ("q", "quit"):
+            raise PositionerError("the operator stopped the sequence")
+
+
+class CallbackPositioner:
+    """Lets the host program move: its callback gets the pose and says whether it was reached.
+
+    The callback returns None or True when the pose is reached, False to veto it, or the `Pose`
+    that it reached instead.
+    """
+
+    blocks = True
+
+    def __init__(self, move: Callable[[Pose], Pose | bool | None]) -> None:
+        self._move = move
+
+    def present(self, label: str | None) -> None:
+        """Do nothing: the host brings the objects."""
+
+    def move_to(self, pose: Pose) -> Pose:
+        """Call the host; see `Positioner`."""
+        reached = self._move(pose)
+        if reached is False:
+            raise PositionerError(f"the host refused to move to {pose}")
+        return reached if isinstance(reached, Pose) else replace(pose)
