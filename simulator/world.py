@@ -1,0 +1,222 @@
+"""The world between the fingers: an object floats between two foam pads, time passes in steps."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.errors import SimulatorStateError
+from simulator.foam import Foam
+from simulator.noise import NoiseModel
+from simulator.press import Press
+from simulator.shape_text import parse_shape
+from simulator.shapes import PAPER_OBJECTS, ObjectPose, Shape
+from simulator.taxels import PadGrid, ideal_counts
+from tactile.layout import TaxelLayout
+
+STEP_S = 1e-3
+"""Length of a step of the world in s."""
+
+
+class Fingers(Protocol):
+    """What the world asks of the mechanics that carry the pads."""
+
+    @property
+    def finger_position_m(self) -> tuple[float, float]:
+        """Half openings in m: distance of each undeformed pad from the centre plane."""
+        ...
+
+    def step(
+        self,
+        dt_s: float,
+        contact_force_n: tuple[float, float],
+        contact_stiffness_n_m: tuple[float, float],
+    ) -> None:
+        """Move on by ``dt_s`` s under the forces in N that push the fingers open."""
+        ...
+
+
+class World(Protocol):
+    """What the simulated devices ask of the world that they are in."""
+
+    def advance_to(self, now_s: float) -> None:
+        """Let the time pass until ``now_s`` s."""
+        ...
+
+    def scan(self) -> NDArray[np.uint16]:
+        """Convert all taxels at this moment; counts (n_taxels,) in the order of the layout."""
+        ...
+
+    def contact_force_n(self) -> tuple[float, float]:
+        """Return the force in N with which each pad is pressed."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WorldSettings:
+    """What the world is made of.
+
+    Attributes
+    ----------
+    foam
+        The sheet on each inner pad.
+    noise
+        Noise of the converter.
+    seed
+        Seed of all noise.
+    nest_friction_n
+        Force in N that it takes to move the object along the closing axis: the nest in which it
+        stands holds it that much.
+    objects
+        Objects that can be placed by their name.
+    """
+
+    foam: Foam = field(default_factory=Foam)
+    noise: NoiseModel = field(default_factory=NoiseModel)
+    seed: int = 0
+    nest_friction_n: float = 0.05
+    objects: Mapping[str, Shape] = field(default_factory=lambda: PAPER_OBJECTS)
+
+
+class PhysicalWorld:
+    """Two opposing pads, moved by servos, and a rigid object that floats between them.
+
+    Nothing here commands a force: the grip is what foam and object push back with at the positions
+    that the mechanics have reached. The other pads touch nothing.
+
+    Parameters
+    ----------
+    layout
+        The taxels; the inner pad of each finger grips.
+    fingers
+        The mechanics that carry the pads; stepped by this world.
+    settings
+        Foam, noise, objects.
+    start_s
+        Time at the start in s.
+    """
+
+    __slots__ = (
+        "_fingers",
+        "_force_n",
+        "_grids",
+        "_layout",
+        "_placed",
+        "_press",
+        "_rng",
+        "_settings",
+        "_stiffness_n_m",
+        "_time_s",
+    )
+
+    def __init__(
+        self,
+        layout: TaxelLayout,
+        fingers: Fingers,
+        settings: WorldSettings | None = None,
+        *,
+        start_s: float = 0.0,
+    ) -> None:
+        self._layout = layout
+        self._fingers = fingers
+        self._settings = settings or WorldSettings()
+        self._grids = tuple(
+            PadGrid(layout.pads[pad], self._settings.foam) for pad in layout.gripping_pads
+        )
+        self._rng = np.random.default_rng(self._settings.seed)
+        self._time_s = start_s
+        self._press: Press | None = None
+        self._placed: tuple[str, ObjectPose] | None = None
+        self._force_n = (0.0, 0.0)
+        self._stiffness_n_m = (0.0, 0.0)
+
+    @property
+    def placed(self) -> tuple[str, ObjectPose] | None:
+        """Name and pose of the object as it was placed, None without one."""
+        return self._placed
+
+    @property
+    def object_z_m(self) -> float:
+        """Where the object has floated to along the closing axis in m; NaN without one."""
+        return self._press.z_m if self._press else math.nan
+
+    def place(self, label: str | None, pose: ObjectPose | None = None) -> None:
+        """Put an object between the open pads, or take the present one away.
+
+        Parameters
+        ----------
+        label
+            Name of one of the settings' objects, or a shape as text (`simulator.shape_text`);
+            None takes the object away.
+        pose
+            Where it goes; by default the pads' centre.
+
+        Raises
+        ------
+        SimulatorSettingsError
+            If the shape is unknown, cannot rest like that or lies beside the pads.
+        SimulatorStateError
+            If the fingers are not open wide enough for it, or hold an object.
+        """
+        if label is None:
+            self.remove()
+            return
+        if max(self._force_n) > self._settings.nest_friction_n:
+            raise SimulatorStateError(
+                f"the fingers hold an object with {max(self._force_n):.2f} N: release it first"
+            )
+        pose = pose or ObjectPose()
+        shape = self._settings.objects.get(label) or parse_shape(label)
+        press = Press(shape, pose, self._grids, self._settings.foam)
+        near_m, far_m = self._fingers.finger_position_m
+        need_m = press.reach_m
+        if need_m[0] - pose.z_m > near_m or need_m[1] + pose.z_m > far_m:
+            raise SimulatorStateError(
+                f"the pads are {1e3 * near_m:.2f} and {1e3 * far_m:.2f} mm from the centre plane, "
+                f"{label} reaches {1e3 * (need_m[0] - pose.z_m):.2f} and "
+                f"{1e3 * (need_m[1] + pose.z_m):.2f} mm: open the gripper first"
+            )
+        self._press = press
+        self._placed = (label, pose)
+        self._force_n = self._stiffness_n_m = (0.0, 0.0)
+
+    def remove(self) -> None:
+        """Take the object away, also out of closed fingers; without one nothing changes."""
+        self._press = None
+        self._placed = None
+        self._force_n = self._stiffness_n_m = (0.0, 0.0)
+
+    def advance_to(self, now_s: float) -> None:
+        """Step the fingers and the object until ``now_s`` s; a rest below a step waits."""
+        fingers = self._fingers
+        while self._time_s + STEP_S <= now_s + 1e-9:
+            self._time_s += STEP_S
+            fingers.step(STEP_S, self._force_n, self._stiffness_n_m)
+            if self._press is not None:
+                self._force_n, self._stiffness_n_m = self._press.settle(
+                    fingers.finger_position_m, self._settings.nest_friction_n
+                )
+
+    def contact_force_n(self) -> tuple[float, float]:
+        """Return the force in N with which each pad is pressed; equal up to the nest's friction."""
+        return self._force_n
+
+    def taxel_force_n(self) -> NDArray[np.float64]:
+        """Return the force in N on each taxel at this moment, shape (n_taxels,)."""
+        force_n = np.zeros(self._layout.n_taxels)
+        if self._press is not None and max(self._force_n) > 0.0:
+            position_m = self._fingers.finger_position_m
+            for side, pad in enumerate(self._layout.gripping_pads):
+                force_n[self._layout.taxels_of(pad)] = self._press.taxel_force_n(side, position_m)
+        return force_n
+
+    def scan(self) -> NDArray[np.uint16]:
+        """Convert all taxels: equation (11), new noise, rounding; counts (n_taxels,)."""
+        adc_max = self._layout.adc_max
+        counts = ideal_counts(self.taxel_force_n(), adc_max)
+        counts += self._settings.noise.sample(self._rng, self._layout.n_taxels, adc_max)
+        converted: NDArray[np.uint16] = np.rint(np.clip(counts, 0.0, adc_max)).astype(np.uint16)
+        return converted
