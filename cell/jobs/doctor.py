@@ -8,12 +8,11 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
-from gripper.port import serial_candidates
-
 from cell.build import Cell, build_cell
 from cell.config import CellConfig
 from cell.errors import CellError
 from gripper.errors import GripperError, VerificationFailed
+from gripper.port import serial_candidates
 from tactile.errors import TactileError
 
 

@@ -1,5 +1,6 @@
 """Accuracy of recognisers over recorded grasps, without buses."""
 
+import math
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -83,9 +84,12 @@ def evaluate_recognizers(
     """
     started_s = time.monotonic()
     if train is None:
-        train_part, test_part = parse_split(split, grasps, seed=seed)
+        try:
+            train_part, test_part = parse_split(split, seed=seed)(grasps)
+        except ValueError as error:
+            raise CellError(str(error)) from error
     else:
-        split, train_part, test_part = "separate files", list(train), list(grasps)
+        split, train_part, test_part = "separate files", tuple(train), tuple(grasps)
     if not train_part or not test_part:
         raise CellError(
             f"split {split!r} leaves {len(train_part)} grasps to train and {len(test_part)} "
@@ -130,9 +134,19 @@ def _figures(evaluation: Evaluation) -> dict[str, Any]:
     return {
         "single_accuracy": evaluation.single_accuracy,
         "interval": list(evaluation.interval),
-        "fused_accuracy": {str(k): value for k, value in evaluation.fused_accuracy.items()},
-        "unknown_auroc": evaluation.unknown_auroc,
+        "fused_accuracy": {str(k): _known(v) for k, v in evaluation.fused_accuracy.items()},
+        "random_fused_accuracy": {
+            str(k): _known(v) for k, v in evaluation.random_fused_accuracy.items()
+        },
+        "unknown_auroc": _known(evaluation.unknown_auroc),
+        "unknown_rejected": _known(evaluation.unknown_rejected),
+        "known_rejected": evaluation.known_rejected,
         "calibration_error": evaluation.calibration_error,
         "labels": list(evaluation.labels),
         "confusion": [list(map(int, row)) for row in evaluation.confusion],
     }
+
+
+def _known(value: float) -> float | None:
+    """Return None for a figure that was not measured: JSON has no NaN."""
+    return None if math.isnan(value) else value

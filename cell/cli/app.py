@@ -1,0 +1,50 @@
+"""The commands and how errors become exit codes: 0 done, 1 the job failed, 2 wrong use."""
+
+import sys
+
+import typer
+
+from cell.cli import cells, configs, figures, simulated
+from cell.cli.output import complain
+from cell.errors import CellError, ConfigError
+from gripper.errors import GripperError
+from tactile.errors import TactileError
+
+app = typer.Typer(
+    name="tactile-cell",
+    help="Find out by touch what the gripper holds.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+config_app = typer.Typer(no_args_is_help=True, help="Config files: init, check, schema.")
+
+app.command()(cells.run)
+app.command()(cells.teach)
+app.command()(figures.train)
+app.command()(cells.identify)
+app.command()(cells.release)
+app.command()(figures.evaluate)
+app.command()(figures.replay)
+app.command()(simulated.simulate)
+app.command()(simulated.doctor)
+app.add_typer(config_app, name="config")
+config_app.command("init")(configs.init)
+config_app.command("check")(configs.check)
+config_app.command("schema")(configs.schema)
+
+
+def main() -> None:
+    """Run the command line; the exit code says how it went."""
+    try:
+        app()
+    except ConfigError as error:
+        complain(str(error))
+        sys.exit(2)
+    except (CellError, GripperError, TactileError) as error:
+        complain(str(error))
+        sys.exit(1)
+    except KeyboardInterrupt:
+        complain("interrupted; nothing was let go")
+        sys.exit(1)

@@ -1,0 +1,219 @@
+"""Commands that move a cell: run, teach, identify, release."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cell.build import Cell, build_cell
+from cell.cli.options import ConfigOption, JsonOption, ModelOption, OutOption, SeedOption
+from cell.cli.output import confusion_table, out, percent, progress_bar, say, write_json
+from cell.cli.stopping import stopping
+from cell.config import CellConfig
+from cell.config_file import load_config
+from cell.dataset import read_dataset
+from cell.errors import CellError, CellStopped, ConfigError
+from cell.jobs.files import job_folder
+from cell.jobs.identifying import identify_on_cell, identify_recorded
+from cell.jobs.main_job import MainResult, teach_and_identify
+from cell.jobs.main_report import main_report
+from cell.jobs.teaching import append_to_dataset
+from cell.jobs.teaching import teach as teach_object
+from cell.model import load_model
+from cell.paper import TABLE_1, TABLE_1_LABELS
+from gripper.errors import GripperError
+from tactile.errors import TactileError
+
+ObjectsOption = Annotated[
+    list[str] | None,
+    typer.Option("--object", "-o", help="Object; repeat for several [default: all configured]."),
+]
+
+
+def run(
+    config: ConfigOption = None,
+    objects: ObjectsOption = None,
+    teach_grasps: Annotated[
+        int, typer.Option("--teach", min=2, max=1000, help="Grasps taught of each object.")
+    ] = 20,
+    trials: Annotated[
+        int, typer.Option("--trials", min=1, max=1000, help="Identifications of each object.")
+    ] = 10,
+    model: ModelOption = None,
+    out_folder: OutOption = None,
+    seed: SeedOption = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Teach objects and identify them: the main job, on the configured or the simulated cell."""
+    checked = _seeded(load_config(config), seed)
+    recognizer = None if model is None else load_model(model).recognizer
+    configured = [entry.label for entry in checked.simulator.objects]
+    if checked.positioner.kind == "simulated":
+        labels = objects or (list(recognizer.labels) if recognizer else configured)
+        strange = [label for label in labels if label not in configured]
+        if strange:
+            raise ConfigError(
+                f"the simulated cell has no object {', '.join(strange)}; "
+                f"it has {', '.join(configured)}"
+            )
+    else:
+        labels = objects or []
+        if not labels:
+            raise ConfigError("name the objects that are at hand, as --object ball --object box")
+    folder = job_folder(out_folder or Path(checked.recording.directory), "run")
+    with _cell(checked, folder) as cell, progress_bar() as progress:
+        result = teach_and_identify(
+            cell,
+            checked,
+            labels=labels,
+            n_teach=teach_grasps,
+            n_trials=trials,
+            folder=folder,
+            progress=progress,
+            recognizer=recognizer,
+        )
+        result.extra = {"health": cell.health()}
+    result.report = main_report(result, checked, folder / "report.html")
+    _print_main(result)
+    write_json(json_file, result.as_json())
+
+
+def teach(
+    label: Annotated[str, typer.Argument(help="Name of the object.")],
+    dataset: Annotated[Path, typer.Option("--output", "-o", help="Data set to write or extend.")],
+    grasps: Annotated[int, typer.Option("--grasps", "-n", min=1, max=1000)] = 20,
+    config: ConfigOption = None,
+    out_folder: OutOption = None,
+    seed: SeedOption = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Grasp a known object several times and add the grasps to a data set."""
+    checked = _seeded(load_config(config), seed)
+    before = read_dataset(dataset) if dataset.exists() else ()
+    folder = job_folder(out_folder or Path(checked.recording.directory), "teach")
+    with _cell(checked, folder) as cell, progress_bar() as progress:
+        records = teach_object(
+            cell, checked, label, grasps, seed=checked.seed + len(before), progress=progress
+        )
+        recording = cell.recording_path
+    append_to_dataset(dataset, before, [record.grasp for record in records])
+    say(f"{len(records)} grasps of {label} added to {dataset} ({len(before)} were there)")
+    say(f"recording: {recording}")
+    write_json(
+        json_file,
+        {
+            "label": label,
+            "n_grasps": len(records),
+            "dataset": str(dataset),
+            "recording": str(recording),
+        },
+    )
+
+
+def identify(
+    dataset: Annotated[
+        Path | None, typer.Argument(help="Recorded grasps; without them, the cell grasps.")
+    ] = None,
+    model: ModelOption = None,
+    held: Annotated[
+        str | None, typer.Option("--object", help="Object that the simulated cell shall hold.")
+    ] = None,
+    config: ConfigOption = None,
+    out_folder: OutOption = None,
+    seed: SeedOption = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Name the object in the grip, or the objects of recorded grasps."""
+    if model is None:
+        raise ConfigError("--model is missing; `tactile-cell train` makes one")
+    if dataset is not None:
+        loaded = load_model(model)
+        answers = identify_recorded(loaded, read_dataset(dataset))
+        for answer in answers:
+            say(
+                f"grasp {answer.number:4d}: {answer.label:<24} {percent(answer.probability)}"
+                + (f"   (was {answer.truth})" if answer.truth else "")
+            )
+        write_json(json_file, {"answers": [answer.as_json() for answer in answers]})
+        return
+    checked = _seeded(load_config(config), seed)
+    loaded = load_model(model)
+    folder = job_folder(out_folder or Path(checked.recording.directory), "identify")
+    with _cell(checked, folder) as cell, progress_bar() as progress:
+        found, truth = identify_on_cell(cell, checked, loaded, held=held, progress=progress)
+        recording = cell.recording_path
+    for number, posterior in enumerate(found.posteriors, start=1):
+        say(
+            f"grasp {number}: {posterior.best} {percent(float(posterior.probability.max()))}, "
+            f"untaught {percent(posterior.unknown)}"
+        )
+    was = f" (it was {truth})" if truth else ""
+    say(f"answer: {found.label} {percent(found.probability)}{was}")
+    write_json(
+        json_file,
+        {
+            "label": found.label,
+            "probability": found.probability,
+            "probabilities": dict(
+                zip(found.fused.labels, found.fused.probability.tolist(), strict=True)
+            ),
+            "unknown": found.fused.unknown,
+            "n_grasps": len(found.posteriors),
+            "held": truth,
+            "recording": str(recording),
+        },
+    )
+
+
+def release(
+    config: ConfigOption = None,
+    confirm: Annotated[
+        bool, typer.Option("--confirm", help="The part may fall; say that this is meant.")
+    ] = False,
+) -> None:
+    """Let go of a part that is still in the grip of an earlier run, and open the fingers."""
+    if not confirm:
+        raise ConfigError("the part may fall; add --confirm if that is meant")
+    cell = build_cell(load_config(config))
+    try:
+        cell.controller.release_held()
+    finally:
+        cell.close()
+    say("released; the fingers are open")
+
+
+@contextmanager
+def _cell(config: CellConfig, folder: Path) -> Iterator[Cell]:
+    """Start a cell, stop it on signals, and say what is kept where if it ends early."""
+    cell = build_cell(config, folder=folder, ask=typer.prompt_plain)
+    try:
+        with stopping(cell.controller.cancel):
+            cell.controller.start()
+            yield cell
+    except CellStopped as stop:
+        raise CellError(f"{stop}. Recording so far: {cell.recording_path}") from stop
+    except (CellError, GripperError, TactileError) as error:
+        grip = "the grip is kept" if cell.controller.fault else "nothing is held"
+        raise CellError(f"{error}\n{grip}; recording so far: {cell.recording_path}") from error
+    finally:
+        cell.close()
+
+
+def _seeded(config: CellConfig, seed: int | None) -> CellConfig:
+    return config if seed is None else config.model_copy(update={"seed": seed})
+
+
+def _print_main(result: MainResult) -> None:
+    if set(result.labels) == set(TABLE_1_LABELS):
+        order = [TABLE_1_LABELS.index(label) for label in result.labels]
+        rows = [[TABLE_1[row][column] for column in order] for row in order]
+        out.print(confusion_table("Paper, Table 1 (per cent)", result.labels, rows))
+    for name, score in result.scores.items():
+        title = f"{name}: {percent(score.accuracy, score.interval)} of {score.n}"
+        out.print(confusion_table(title, result.labels, score.confusion))
+    say(f"report:    {result.report}")
+    say(f"recording: {result.recording}")
+    say(f"data set:  {result.dataset}")
+    say(f"{result.seconds:.1f} s")

@@ -1,0 +1,45 @@
+"""Commands for config files."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cell.cli.output import say
+from cell.config import CellConfig
+from cell.config_file import config_text, load_config, schema_text
+from cell.errors import ConfigError
+from cell.files import write_text_atomically
+
+
+def init(
+    path: Annotated[Path, typer.Argument(help="File to write.")] = Path("tactile-cell.yaml"),
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+) -> None:
+    """Write a config file with every key, its meaning, unit and default, and the schema beside."""
+    if path.exists() and not force:
+        raise ConfigError(f"{path} exists; name another file or add --force")
+    schema_path = path.parent / "tactile-cell.schema.json"
+    write_text_atomically(path, config_text(CellConfig()))
+    write_text_atomically(schema_path, schema_text())
+    say(f"wrote {path} and {schema_path}")
+
+
+def check(path: Annotated[Path, typer.Argument(help="Config file.")]) -> None:
+    """Check a config file; complaints name file, line, key and limit."""
+    config = load_config(path)
+    kind = "the simulated cell" if config.simulated else "real ports"
+    say(f"{path}: valid ({config.name}; {kind})")
+
+
+def schema(
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="File to write instead of printing.")
+    ] = None,
+) -> None:
+    """Print the JSON schema of the config file."""
+    if output is None:
+        typer.echo(schema_text(), nl=False)
+    else:
+        write_text_atomically(output, schema_text())
+        say(f"wrote {output}")

@@ -1,0 +1,175 @@
+"""Commands over recorded grasps: train, evaluate, replay."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from rich.table import Table
+
+from cell.cli.options import ConfigOption, JsonOption
+from cell.cli.output import out, percent, progress_bar, say, write_json
+from cell.config_file import load_config
+from cell.dataset import read_dataset
+from cell.errors import CellError, ConfigError
+from cell.jobs.evaluating import EvaluationResult, evaluate_recognizers
+from cell.jobs.replaying import replay_grasps
+from cell.jobs.teaching import train as train_recognizer
+from cell.model import save_model
+from cell.recording import recording_grasps
+from recognition.grasp import Grasp
+from recognition.recognizers import DEFAULT_TRAINER, TRAINERS
+
+SplitOption = Annotated[
+    str, typer.Option("--split", help="chronological:FRACTION or shuffled:FRACTION to train on.")
+]
+RecognizerOption = Annotated[
+    str, typer.Option("--recognizer", help=f"One of {', '.join(TRAINERS)}.")
+]
+ApertureOption = Annotated[
+    bool, typer.Option("--aperture/--no-aperture", help="Use the opening of the fingers too.")
+]
+
+
+def train(
+    datasets: Annotated[list[Path], typer.Argument(help="Data sets of labelled grasps.")],
+    model: Annotated[Path, typer.Option("--output", "-o", help="Model file to write.")],
+    recognizer: RecognizerOption = DEFAULT_TRAINER,
+    aperture: ApertureOption = True,
+    json_file: JsonOption = None,
+) -> None:
+    """Train a recogniser on data sets and write a model file."""
+    _check_recognizer(recognizer)
+    grasps = [grasp for path in datasets for grasp in _grasps(path)]
+    if not all(grasp.pads.same_as(grasps[0].pads) for grasp in grasps):
+        raise CellError("the data sets were taken on different pads; train a model for each")
+    taught = train_recognizer(grasps, recognizer, use_aperture=aperture)
+    save_model(model, taught, trainer_name=recognizer, pads=grasps[0].pads)
+    say(f"{recognizer} taught {len(taught.labels)} objects with {len(grasps)} grasps: {model}")
+    write_json(
+        json_file,
+        {
+            "model": str(model),
+            "recognizer": recognizer,
+            "n_grasps": len(grasps),
+            "labels": list(taught.labels),
+        },
+    )
+
+
+def evaluate(
+    dataset: Annotated[Path, typer.Argument(help="Data set or recording of labelled grasps.")],
+    train_on: Annotated[
+        Path | None, typer.Option("--train", help="Train on this file and test on all of DATASET.")
+    ] = None,
+    split: SplitOption = "chronological:0.6",
+    fuse: Annotated[str, typer.Option("--fuse", help="Numbers of grasps to fuse.")] = "1,2,3,5",
+    recognizers: Annotated[
+        list[str] | None,
+        typer.Option("--recognizer", help=f"Repeat for several [default: {', '.join(TRAINERS)}]."),
+    ] = None,
+    seed: Annotated[int, typer.Option("--seed", min=0)] = 0,
+    json_file: JsonOption = None,
+) -> None:
+    """Measure recognisers on recorded grasps: accuracy with intervals, fusion, unknown objects."""
+    names = recognizers or list(TRAINERS)
+    for name in names:
+        _check_recognizer(name)
+    with progress_bar() as progress:
+        result = evaluate_recognizers(
+            _grasps(dataset),
+            split=split,
+            train=None if train_on is None else _grasps(train_on),
+            names=names,
+            fuse=_numbers(fuse),
+            seed=seed,
+            progress=progress,
+        )
+    _print_evaluation(result)
+    write_json(json_file, result.as_json())
+
+
+def replay(
+    source: Annotated[Path, typer.Argument(help="Data set or recording.")],
+    split: SplitOption = "chronological:0.6",
+    limit: Annotated[
+        int | None, typer.Option("--limit", min=1, help="Most grasps to replay [default: all].")
+    ] = None,
+    recognizer: RecognizerOption = DEFAULT_TRAINER,
+    config: ConfigOption = None,
+    capture: Annotated[
+        Path | None, typer.Option("--capture", help="Write the CAN traffic to this pcap file.")
+    ] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Send recorded grasps through the real protocols, receive, compare and identify them."""
+    _check_recognizer(recognizer)
+    with progress_bar() as progress:
+        result = replay_grasps(
+            _grasps(source),
+            load_config(config) if config is not None else None,
+            split=split,
+            limit=limit,
+            recognizer=recognizer,
+            capture=capture,
+            progress=progress,
+        )
+    same = "bit for bit the same" if result.frames_equal else "NOT the same"
+    say(
+        f"{result.n_grasps} grasps: {result.frames_sent} frames sent, "
+        f"{result.frames_received} received, {same}"
+    )
+    say(f"openings differ by at most {result.aperture_error_m * 1e3:.3f} mm (servo pulses)")
+    if result.accuracy is not None:
+        say(f"{recognizer}, one grasp: {percent(result.accuracy, result.interval)}")
+    say(f"{result.seconds:.1f} s")
+    write_json(json_file, result.as_json())
+    if not result.frames_equal:
+        raise CellError(f"frames differ: {result.difference}")
+
+
+def _grasps(path: Path) -> tuple[Grasp, ...]:
+    return recording_grasps(path) if path.suffix == ".mcap" else read_dataset(path)
+
+
+def _check_recognizer(name: str) -> None:
+    if name not in TRAINERS:
+        raise ConfigError(f"no recogniser is named {name!r}; there are {', '.join(TRAINERS)}")
+
+
+def _numbers(text: str) -> tuple[int, ...]:
+    try:
+        numbers = tuple(int(part) for part in text.split(","))
+    except ValueError:
+        numbers = ()
+    if not numbers or min(numbers) < 1:
+        raise ConfigError(f"--fuse is {text!r}; write numbers from 1, as 1,2,3,5")
+    return numbers
+
+
+def _print_evaluation(result: EvaluationResult) -> None:
+    say(
+        f"{result.split}: {result.n_train} grasps to train, {result.n_test} to test, "
+        f"{len(result.labels)} objects"
+    )
+    fused = sorted({k for f in result.recognizers.values() for k in f.full.fused_accuracy})
+    table = Table(header_style="bold")
+    table.add_column("recogniser")
+    table.add_column("one grasp (95 % interval)", justify="right")
+    for k in fused:
+        table.add_column(f"{k} fused", justify="right")
+    table.add_column("unknown AUROC", justify="right")
+    for name, figures in result.recognizers.items():
+        for shown, evaluation in (
+            (name, figures.full),
+            ("  tactile only", figures.without_aperture),
+        ):
+            if evaluation is None:
+                continue
+            table.add_row(
+                shown,
+                percent(evaluation.single_accuracy, evaluation.interval),
+                *(percent(evaluation.fused_accuracy[k]) for k in fused),
+                f"{evaluation.unknown_auroc:.3f}",
+            )
+    out.print(table)
+    say(f"{result.seconds:.1f} s")

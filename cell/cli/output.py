@@ -1,0 +1,100 @@
+"""How the command line speaks: progress, tables, errors, JSON files."""
+
+import json
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from cell.errors import CellError
+from recognition.recognizer import UNKNOWN
+
+out = Console(highlight=False)
+"""Results."""
+err = Console(stderr=True, highlight=False)
+"""Progress and complaints."""
+
+
+def say(text: str) -> None:
+    """Print one line of result; square brackets stand for themselves."""
+    out.print(escape(text))
+
+
+def complain(text: str) -> None:
+    """Print one error."""
+    err.print(f"[bold red]error:[/] {escape(text)}")
+
+
+@contextmanager
+def progress_bar() -> Iterator["ProgressBar"]:
+    """Draw a bar on standard error for each task that a job names."""
+    columns = (
+        TextColumn("{task.description:<22}"),
+        BarColumn(bar_width=32),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=err) as bars:
+        yield ProgressBar(bars)
+
+
+class ProgressBar:
+    """Implements `cell.jobs.progress.Progress` with bars."""
+
+    def __init__(self, bars: Progress) -> None:
+        self._bars = bars
+        self._tasks: dict[str, Any] = {}
+
+    def __call__(self, task: str, done: int, total: int) -> None:
+        """Draw the bar of one task."""
+        if task not in self._tasks:
+            self._tasks[task] = self._bars.add_task(escape(task), total=total)
+        self._bars.update(self._tasks[task], completed=done, total=total)
+
+
+def confusion_table(
+    title: str, labels: Sequence[str], confusion: Sequence[Sequence[float]], *, unit: str = ""
+) -> Table:
+    """Return a confusion table: rows are what was held, columns the answers."""
+    columns = [*labels, UNKNOWN] if len(confusion[0]) > len(labels) else list(labels)
+    table = Table(title=title, title_justify="left", header_style="bold")
+    table.add_column("held")
+    for column in columns:
+        table.add_column(escape(column), justify="right")
+    for row, (label, counts) in enumerate(zip(labels, confusion, strict=True)):
+        table.add_row(
+            escape(label),
+            *(
+                f"[bold green]{value:g}{unit}[/]"
+                if place == row
+                else f"[red]{value:g}{unit}[/]"
+                if value
+                else "[dim]0[/]"
+                for place, value in enumerate(counts)
+            ),
+        )
+    return table
+
+
+def write_json(path: Path | None, data: dict[str, Any]) -> None:
+    """Write what was printed as data. Raises CellError if the file cannot be written."""
+    if path is None:
+        return
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise CellError(f"{path}: cannot be written: {error}") from error
+
+
+def percent(share: float, interval: tuple[float, float] | None = None) -> str:
+    """Write a share as per cent, with its interval."""
+    text = f"{100 * share:.1f} %"
+    if interval is not None:
+        text += f" ({100 * interval[0]:.1f} to {100 * interval[1]:.1f})"
+    return text

@@ -1,0 +1,97 @@
+"""Naming objects with a taught model: on the cell, or from recorded grasps."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cell.build import Cell
+from cell.config import CellConfig
+from cell.controller import Identification
+from cell.errors import ModelError
+from cell.jobs.progress import Progress
+from cell.model import LoadedModel
+from cell.sequence import plan
+from recognition.grasp import Grasp, PadArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordedAnswer:
+    """What one recorded grasp tells.
+
+    Attributes
+    ----------
+    number
+        Place of the grasp in its file, from 0.
+    label, probability
+        The answer and its probability.
+    unknown
+        Probability that the object was never taught.
+    truth
+        Label in the file; empty where there is none.
+    """
+
+    number: int
+    label: str
+    probability: float
+    unknown: float
+    truth: str
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the answer as plain data."""
+        return {
+            "grasp": self.number,
+            "label": self.label,
+            "probability": self.probability,
+            "unknown": self.unknown,
+            "truth": self.truth or None,
+        }
+
+
+def identify_recorded(model: LoadedModel, grasps: Sequence[Grasp]) -> list[RecordedAnswer]:
+    """Answer each recorded grasp by itself. Raises ModelError for grasps on other pads."""
+    check_pads(model, grasps[0].pads)
+    answers = []
+    for number, grasp in enumerate(grasps):
+        posterior = model.recognizer.posterior(grasp)
+        answers.append(
+            RecordedAnswer(
+                number=number,
+                label=posterior.decision(),
+                probability=float(posterior.probability.max()),
+                unknown=posterior.unknown,
+                truth=grasp.label,
+            )
+        )
+    return answers
+
+
+def identify_on_cell(
+    cell: Cell, config: CellConfig, model: LoadedModel, *, held: str | None, progress: Progress
+) -> tuple[Identification, str | None]:
+    """Run one sequence; return its answer and, where the cell is simulated, what was held.
+
+    A simulated cell that is not told what to hold draws one of its objects.
+    """
+    check_pads(model, cell.controller.pads)
+    if held is None and config.positioner.kind == "simulated":
+        objects = [entry.label for entry in config.simulator.objects]
+        held = str(np.random.default_rng(config.seed).choice(objects))
+    cell.controller.present(held)
+    n_grasps = config.sequence.max_grasps
+    found = cell.controller.identify(
+        model.recognizer,
+        plan(config.sequence, n_grasps, seed=config.seed + 1),
+        on_grasp=lambda number, _record, _posterior: progress("identify", number, n_grasps),
+    )
+    return found, held
+
+
+def check_pads(model: LoadedModel, pads: PadArray) -> None:
+    """Refuse a model that was taught on other pads. Raises ModelError."""
+    if not model.pads.same_as(pads):
+        raise ModelError(
+            f"the model was taught on {model.pads.n_taxels} taxels in {model.pads.n_pads} pads, "
+            f"these grasps have {pads.n_taxels} in {pads.n_pads}; teach on these pads"
+        )
