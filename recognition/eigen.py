@@ -70,25 +70,29 @@ def check_symmetric(Q: ArrayLike) -> NDArray[np.float64]:
     return symmetric
 
 
+def ascending(symmetric: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the eigenvalues of symmetric matrices (..., n, n) that need no more checks."""
+    return np.asarray(np.linalg.eigvalsh(symmetric), dtype=np.float64)
+
+
 def eigenvalues(Q: ArrayLike) -> NDArray[np.float64]:
     """Return all eigenvalues, ascending, of property matrices (..., n, n); shape (..., n)."""
-    ascending: NDArray[np.float64] = np.linalg.eigvalsh(check_symmetric(Q))
-    return ascending
+    return ascending(check_symmetric(Q))
 
 
 def smallest_of(
-    ascending: NDArray[np.float64], reading: Reading = Reading.SMALLEST_MAGNITUDE
+    values: NDArray[np.float64], reading: Reading = Reading.SMALLEST_MAGNITUDE
 ) -> SmallestEigenvalue:
     """Pick the smallest from eigenvalues of shape (..., n) in ascending order."""
-    n = ascending.shape[-1]
-    largest = np.maximum(np.abs(ascending[..., 0]), np.abs(ascending[..., -1]))
-    floor = n * _EPS * largest
+    n = values.shape[-1]
+    magnitudes = np.abs(values)
+    floor = n * _EPS * np.maximum(magnitudes[..., 0], magnitudes[..., -1])
     if reading is Reading.ALGEBRAIC_MINIMUM:
-        value = ascending[..., 0]
+        value = values[..., 0]
         return SmallestEigenvalue(value=value, degenerate=np.abs(value) <= floor)
-    magnitude = np.abs(ascending[..., 0])
-    for column in range(1, n):
-        np.minimum(magnitude, np.abs(ascending[..., column]), out=magnitude)
+    magnitude = magnitudes[..., 0]
+    for column in range(1, n):  # faster over long batches than a minimum along a short axis
+        magnitude = np.minimum(magnitude, magnitudes[..., column])
     degenerate = magnitude <= floor
     magnitude = np.maximum(magnitude, floor)
     if reading is Reading.COVARIANCE:

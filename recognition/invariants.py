@@ -1,0 +1,170 @@
+"""What of a quadric does not change with its pose, and the eigenvalue feature made invariant.
+
+With A the 3x3 block of Q, b = (g, h, j) and k its last entry: I1, I2, I3 and D keep their values
+under rigid motion, for a fixed scale of the coefficients. Under scaling x -> s x and Q -> mu Q only
+functions of I1^2/I2 and I1 I2/I3 remain, the ratios of the squared axes.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from recognition.eigen import (
+    Reading,
+    SmallestEigenvalue,
+    ascending,
+    check_symmetric,
+    smallest_eigenvalue,
+)
+from recognition.errors import QuadricError
+from recognition.transform import congruence, scaling, translation
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Invariants:
+    """Invariants of a batch of quadrics; every array has the shape of the batch.
+
+    Attributes
+    ----------
+    i1, i2, i3
+        Trace, sum of the principal 2x2 minors and determinant of A.
+    d
+        Determinant of Q.
+    d2, d3
+        Sums of the principal 2x2 and 3x3 minors of Q; translation changes them except for
+        parallel planes (d2) and cylinders (d3).
+    """
+
+    i1: NDArray[np.float64]
+    i2: NDArray[np.float64]
+    i3: NDArray[np.float64]
+    d: NDArray[np.float64]
+    d2: NDArray[np.float64]
+    d3: NDArray[np.float64]
+
+
+def _elementary(values: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """Return the elementary symmetric functions e1..en of the last axis."""
+    coefficients = [np.ones(values.shape[:-1])]
+    for column in range(values.shape[-1]):
+        value = values[..., column]
+        grown = [*coefficients, np.zeros_like(value)]
+        for order in range(1, len(grown)):
+            grown[order] = grown[order] + value * coefficients[order - 1]
+        coefficients = grown
+    return coefficients[1:]
+
+
+def _checked_4x4(Q: ArrayLike) -> NDArray[np.float64]:
+    Q = check_symmetric(Q)
+    if Q.shape[-1] != 4:
+        raise QuadricError(f"property matrix has shape {Q.shape}, expected (..., 4, 4)")
+    return Q
+
+
+def invariants(Q: ArrayLike) -> Invariants:
+    """Return the invariants of property matrices (..., 4, 4)."""
+    Q = _checked_4x4(Q)
+    i1, i2, i3 = _elementary(ascending(Q[..., :3, :3]))
+    _, d2, d3, d = _elementary(ascending(Q))
+    return Invariants(i1=i1, i2=i2, i3=i3, d=d, d2=d2, d3=d3)
+
+
+def similarity_invariants(Q: ArrayLike) -> NDArray[np.float64]:
+    """Return (I1^2 / I2, I1 I2 / I3), shape (..., 2); not finite where I2 or I3 vanish."""
+    found = invariants(Q)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratios = [found.i1**2 / found.i2, found.i1 * found.i2 / found.i3]
+    return np.stack(ratios, axis=-1)
+
+
+def squared_semi_axes(Q: ArrayLike) -> NDArray[np.float64]:
+    """Return a_i^2 = -D / (I3 lambda_i(A)), shape (..., 3), in squared length.
+
+    Negative where the surface does not cross that axis.
+
+    Raises
+    ------
+    QuadricError
+        Where A is singular: the surface has no centre, or a whole line of them.
+    """
+    Q = _checked_4x4(Q)
+    values = ascending(Q[..., :3, :3])
+    _refuse_singular(values)
+    # D / I3 is k at the centre, by Schur's complement: no product of small numbers needed
+    at_centre = Q[..., 3, 3] - np.einsum(
+        "...i,...i->...",
+        Q[..., :3, 3],
+        np.linalg.solve(Q[..., :3, :3], Q[..., :3, 3, None])[..., 0],
+    )
+    squared: NDArray[np.float64] = -at_centre[..., None] / values
+    return squared
+
+
+def cylinder_squared_radii(Q: ArrayLike) -> NDArray[np.float64]:
+    """Return a_i^2 = -D3 / (I2 lambda_i(A)) of the two large lambda_i, shape (..., 2).
+
+    Right for cylinders alone (I3 = D = 0); the caller knows that it has one.
+    """
+    Q = _checked_4x4(Q)
+    found = invariants(Q)
+    values = ascending(Q[..., :3, :3])
+    order = np.argsort(-np.abs(values), axis=-1)[..., :2]
+    large = np.sort(np.take_along_axis(values, order, axis=-1), axis=-1)
+    return -found.d3[..., None] / (found.i2[..., None] * large)
+
+
+def _refuse_singular(values: NDArray[np.float64]) -> None:
+    magnitude = np.abs(values)
+    if np.any(magnitude.min(axis=-1) <= 1e-12 * magnitude.max(axis=-1)):
+        raise QuadricError(
+            "the quadric has no single centre (its 3x3 block is singular); "
+            "give the contact's centroid and a radius instead"
+        )
+
+
+def corrected_eigenvalue(
+    Q: ArrayLike,
+    reading: Reading = Reading.SMALLEST_MAGNITUDE,
+    *,
+    centre: ArrayLike | None = None,
+    radius: ArrayLike | None = None,
+) -> SmallestEigenvalue:
+    """Return the paper's feature made independent of translation, rotation and scale.
+
+    The origin is moved to the quadric's centre, lengths are divided by a radius and Q is scaled
+    to k = -1. What remains depends on the ratios of the axes alone.
+
+    Parameters
+    ----------
+    Q : (..., 4, 4)
+        Property matrices.
+    reading
+        Which eigenvalue, see `recognition.eigen.Reading`.
+    centre : (..., 3), optional
+        Origin to use; the quadric's own centre where not given.
+    radius : (...), optional
+        Unit of length; the root mean square of the semi-axes' magnitudes where not given.
+
+    Raises
+    ------
+    QuadricError
+        Where the centre or the radius is not given and A is singular, or where k vanishes at the
+        centre (a cone).
+    """
+    Q = _checked_4x4(Q)
+    if radius is None:
+        radius = np.sqrt(np.mean(np.abs(squared_semi_axes(Q)), axis=-1))
+    if centre is None:
+        _refuse_singular(ascending(Q[..., :3, :3]))
+        centre = -np.linalg.solve(Q[..., :3, :3], Q[..., :3, 3, None])[..., 0]
+    inverse_radius = 1.0 / np.asarray(radius, dtype=np.float64)
+    if not np.all(np.isfinite(inverse_radius)):
+        raise QuadricError("the radius is 0: the quadric is a cone or a point")
+    to_centre = scaling(inverse_radius) @ translation(-np.asarray(centre, dtype=np.float64))
+    moved = congruence(Q, to_centre)
+    k = moved[..., 3, 3]
+    if np.any(np.abs(k) <= 1e-12 * np.abs(moved).max(axis=(-1, -2))):
+        raise QuadricError("k vanishes at the centre: the quadric is a cone or a point")
+    return smallest_eigenvalue(moved / -k[..., None, None], reading)

@@ -1,0 +1,202 @@
+"""The paper's one number for a grasp: the smallest eigenvalue of its surface at a known force.
+
+The number is close to j^2 over the fitted peak height in counts. It moves with the grip force, so
+it is comparable only at equal force: near the end of the ramp, at one force, or along its steps.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from recognition.contact import Baseline, estimate_baseline, main_patch, noise_threshold
+from recognition.eigen import Reading, smallest_eigenvalue
+from recognition.errors import ContactError, QuadricError
+from recognition.grasp import Grasp, PadArray
+from recognition.quadric import fit_height_field
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LevelSettings:
+    """How the number is taken.
+
+    Attributes
+    ----------
+    force_n
+        Grip force in N to take it at; None: near the full force of the ramp. Grasps without a
+        record of the force are taken near their full load.
+    tolerance
+        Frames count as near a force, or load, within this part of the largest one.
+    sigmas
+        Threshold of a loaded taxel in standard deviations of the noise.
+    rim
+        Rings of unloaded taxels that the fit takes along.
+    reading
+        Which eigenvalue.
+    """
+
+    force_n: float | None = None
+    tolerance: float = 0.1
+    sigmas: float = 4.0
+    rim: int = 1
+    reading: Reading = Reading.SMALLEST_MAGNITUDE
+
+
+DEFAULT_LEVEL = LevelSettings()
+FULL_SCALE_COUNTS = 255.0
+"""Heights are fitted in counts of an 8-bit converter, the paper's, whatever the pads' own."""
+
+
+def gripping_pads(load: ArrayLike, pads: PadArray, *, min_share: float = 0.05) -> tuple[int, ...]:
+    """Return the one or two pads that hold the object, the most loaded one first.
+
+    The second is the counterpart of the first: the same place in the other half of the list of pads
+    if that has the same shape (finger 0, then finger 1), else the most loaded other pad.
+
+    Parameters
+    ----------
+    load : (n_pads,)
+        Load of each pad in counts.
+    pads
+        The pads.
+    min_share
+        Part of the first pad's load below which the second counts as untouched.
+
+    Raises
+    ------
+    ContactError
+        Where no pad is loaded.
+    """
+    load = np.asarray(load, dtype=np.float64)
+    first = int(np.argmax(load))
+    if not load[first] > 0:
+        raise ContactError(
+            "no pad is loaded: nothing was gripped, or the ramp ended before contact"
+        )
+    if pads.n_pads == 1:
+        return (first,)
+    second = (first + pads.n_pads // 2) % pads.n_pads
+    if pads.n_pads % 2 or not np.array_equal(pads.pad_shape[first], pads.pad_shape[second]):
+        second = int(np.argsort(-load, kind="stable")[1])
+    return (first, second) if load[second] > min_share * load[first] else (first,)
+
+
+def frames_near(grasp: Grasp, share: float, tolerance: float) -> NDArray[np.int64]:
+    """Return the frames of a ramp near a share, from 0 to 1, of its full force.
+
+    By the commanded force where it is known; else by the total load, smoothed over three frames,
+    between its least and its largest value. Never empty: the nearest frame is always in it.
+    """
+    known = np.isfinite(grasp.force_n)
+    if known.any():
+        # frames without a force are infinitely far
+        reached = np.where(known, grasp.force_n, np.inf) / max(
+            float(np.max(grasp.force_n[known])), 1e-9
+        )
+    else:
+        total = grasp.counts.sum(axis=1, dtype=np.float64)
+        padded = np.concatenate([total[:1], total, total[-1:]])
+        total = np.median(np.stack([padded[:-2], padded[1:-1], padded[2:]]), axis=0)
+        least = float(total.min())
+        reached = (total - least) / max(float(total.max()) - least, 1e-9)
+    distance = np.abs(reached - share)
+    return np.flatnonzero(distance <= max(tolerance, float(distance.min())))
+
+
+def _level_at(
+    grasp: Grasp, baseline: Baseline, frames: NDArray[np.int64], settings: LevelSettings
+) -> float:
+    pads = grasp.pads
+    height = grasp.counts[frames].mean(axis=0) - baseline.counts
+    threshold = [
+        noise_threshold(float(noise), len(frames), pads.adc_max, settings.sigmas)
+        for noise in baseline.noise_counts
+    ]
+    over = np.where(height > np.take(threshold, pads.taxel_pad), height, 0.0)
+    load = np.bincount(pads.taxel_pad, weights=over, minlength=pads.n_pads)
+    to_8_bit = FULL_SCALE_COUNTS / pads.adc_max
+    found, refused = [], []
+    for pad in gripping_pads(load, pads):
+        patch = main_patch(height, pads, pad, threshold[pad], rim=settings.rim)
+        try:
+            quadric = fit_height_field(patch.xy_m, to_8_bit * patch.height, patch.weight)
+        except QuadricError as error:
+            refused.append(f"pad {pad}: {error}")
+            continue
+        smallest = smallest_eigenvalue(quadric.Q, settings.reading)
+        if smallest.degenerate:
+            refused.append(f"pad {pad}: the matrix is singular to rounding")
+        else:
+            found.append(float(smallest.value))
+    if not found:
+        raise QuadricError("no pad carries a surface: " + "; ".join(refused))
+    if settings.reading is Reading.ALGEBRAIC_MINIMUM:
+        return float(np.mean(found))
+    return float(np.exp(np.mean(np.log(found))))
+
+
+def grip_level(grasp: Grasp, settings: LevelSettings = DEFAULT_LEVEL) -> float:
+    """Return the smallest eigenvalue of one grasp.
+
+    Frames near the force are averaged (the noise filter before the surface), the loaded patch of
+    each gripping pad is fitted in the form (7), and the eigenvalues of the pads are averaged,
+    geometrically where they are magnitudes.
+
+    Raises
+    ------
+    ContactError
+        Where no pad is touched, or the ramp never came near ``settings.force_n``.
+    QuadricError
+        Where no gripping pad carries a surface.
+    """
+    return _level_at(
+        grasp, estimate_baseline(grasp), _frames_at(grasp, settings.force_n, settings), settings
+    )
+
+
+def _frames_at(grasp: Grasp, force_n: float | None, settings: LevelSettings) -> NDArray[np.int64]:
+    known = np.isfinite(grasp.force_n)
+    if force_n is None or not known.any():
+        return frames_near(grasp, 1.0, settings.tolerance)
+    largest = float(np.max(grasp.force_n[known]))
+    distance = np.where(known, np.abs(grasp.force_n - force_n), np.inf)
+    frames = np.flatnonzero(distance <= settings.tolerance * largest)
+    if len(frames) == 0:
+        raise ContactError(
+            f"no frame within {settings.tolerance * largest:.3g} N of {force_n:.3g} N; the ramp "
+            f"reached {largest:.3g} N"
+        )
+    return frames
+
+
+def ramp_levels(
+    grasp: Grasp, shares: Sequence[float], settings: LevelSettings = DEFAULT_LEVEL
+) -> NDArray[np.float64]:
+    """Return lambda(F): the smallest eigenvalue at each share of the full force.
+
+    Parameters
+    ----------
+    grasp
+        One force ramp.
+    shares
+        Parts of the full force, each above 0 and up to 1.
+    settings
+        How each value is taken; ``force_n`` has no part in it.
+
+    Returns
+    -------
+    (n_shares,) float64
+        NaN where there was no contact yet, or no surface to be fitted.
+    """
+    if not all(0.0 < share <= 1.0 for share in shares):
+        raise ContactError(f"shares of the force are {list(shares)}, each must be above 0, up to 1")
+    baseline = estimate_baseline(grasp)
+    values = np.full(len(shares), np.nan)
+    for index, share in enumerate(shares):
+        frames = frames_near(grasp, share, settings.tolerance)
+        try:
+            values[index] = _level_at(grasp, baseline, frames, settings)
+        except (ContactError, QuadricError):
+            values[index] = np.nan  # documented: this step of the ramp has no level
+    return values

@@ -1,0 +1,288 @@
+"""The paper's level check as a recogniser: one scalar per grasp, compared with taught levels.
+
+It is the reference that the paper sets, not the cell's best: the scalar is close to the inverse of
+the fitted peak height, so objects that press alike are confused whatever their shape.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recognition.eigen import Reading
+from recognition.errors import ContactError, QuadricError, TrajectoryError
+from recognition.grasp import Grasp, PadArray
+from recognition.level import DEFAULT_LEVEL, LevelSettings, grip_level
+from recognition.recognizer import UNKNOWN, Posterior
+from recognition.thresholds import Levels, check_level, find_thresholds
+
+NAME = "level_check"
+_VERSION = 1
+_FLATTEN = 0.01  # uniform part of every posterior: one scalar is never certain
+_PRIOR_GRASPS = 4.0  # weight, in grasps, of the pooled spread against an object's own
+_LEAST_SPREAD = 0.02  # standard deviation of a level's logarithm that no teaching goes below
+_DEFAULT_SPREAD = 0.08  # pooled spread where every object was touched once: the paper's noise
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LevelCheckRecognizer:
+    """Taught levels.
+
+    Attributes
+    ----------
+    labels
+        The taught objects, sorted.
+    pads
+        The pads that they were taught on.
+    settings
+        How the level of a grasp is taken.
+    mean, spread : (n_labels,) float64
+        Mean and standard deviation of the natural logarithm of the level's magnitude; NaN for an
+        object none of whose taught grasps carried a surface.
+    low, high : (n_labels,) float64
+        Least and largest taught level; NaN likewise.
+    margin
+        Part of its edge by which a level's band reaches into open space.
+    """
+
+    labels: tuple[str, ...]
+    pads: PadArray
+    settings: LevelSettings
+    mean: NDArray[np.float64]
+    spread: NDArray[np.float64]
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    margin: float
+
+    def __post_init__(self) -> None:
+        for name in ("mean", "spread", "low", "high"):
+            array = np.array(getattr(self, name), dtype=np.float64)
+            if array.shape != (len(self.labels),):
+                raise ValueError(f"{name} has shape {array.shape}, labels are {len(self.labels)}")
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+
+    @property
+    def labels_without_level(self) -> tuple[str, ...]:
+        """Taught objects that are never named: no taught grasp carried a surface."""
+        return tuple(
+            label for label, low in zip(self.labels, self.low, strict=True) if np.isnan(low)
+        )
+
+    @property
+    def levels(self) -> Levels:
+        """Bands, thresholds and windows of the taught objects."""
+        bands = list(np.stack([self.low, self.high], axis=1))
+        return find_thresholds(bands, margin=self.margin)
+
+    def level(self, grasp: Grasp) -> float | None:
+        """Return the smallest eigenvalue of a grasp, None where it carries no surface.
+
+        Raises ValueError for pads other than the taught ones.
+        """
+        if not self.pads.same_as(grasp.pads):
+            raise ValueError(
+                f"the grasp comes from {grasp.pads.n_pads} pads with {grasp.pads.n_taxels} taxels "
+                f"up to {grasp.pads.adc_max}; taught were {self.pads.n_pads} with "
+                f"{self.pads.n_taxels} up to {self.pads.adc_max}, or other places; teach again"
+            )
+        return _level_or_none(grasp, self.settings)
+
+    def check(self, grasp: Grasp) -> str:
+        """Name the object by the paper's rule alone; closed windows are unknown too."""
+        value = self.level(grasp)
+        index = None if value is None else check_level(self.levels, value)
+        return UNKNOWN if index is None else self.labels[index]
+
+    def posterior(self, grasp: Grasp) -> Posterior:
+        """Say what the level of a grasp tells; see `recognition.recognizer.Recognizer`.
+
+        ``unknown`` is 0 inside a band, 1/2 at the edge of its margin and goes to 1 beyond; a grasp
+        without a surface gives a uniform posterior and unknown 1. A closed window is no reason for
+        unknown: there the probability is shared.
+        """
+        n = len(self.labels)
+        uniform = np.full(n, 1.0 / n)
+        value = self.level(grasp)
+        if value is None:
+            return Posterior(labels=self.labels, probability=uniform, unknown=1.0)
+        z = (np.log(abs(value)) - self.mean) / self.spread
+        log_density = np.where(np.isnan(z), -np.inf, -0.5 * z**2 - np.log(self.spread))
+        density = np.exp(log_density - log_density.max())
+        probability = (1.0 - _FLATTEN) * density / density.sum() + _FLATTEN * uniform
+        return Posterior(
+            labels=self.labels,
+            probability=probability / probability.sum(),
+            unknown=self._unknown(value),
+        )
+
+    def _unknown(self, value: float) -> float:
+        edge = np.where(value < self.low, np.abs(self.low), np.abs(self.high))
+        distance = np.maximum(np.maximum(self.low - value, value - self.high), 0.0)
+        outside = distance / (self.margin * edge)
+        nearest = float(np.nanmin(outside))
+        return nearest**2 / (1.0 + nearest**2)
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return all that was learnt as plain arrays."""
+        force_n = np.nan if self.settings.force_n is None else self.settings.force_n
+        return {
+            "level_check_version": np.array(_VERSION),
+            "labels": np.array(self.labels, dtype=np.str_),
+            "pad_shape": self.pads.pad_shape,
+            "taxel_pad": self.pads.taxel_pad,
+            "taxel_xy_m": self.pads.taxel_xy_m,
+            "adc_max": np.array(self.pads.adc_max),
+            "force_n": np.array(force_n),
+            "tolerance": np.array(self.settings.tolerance),
+            "sigmas": np.array(self.settings.sigmas),
+            "rim": np.array(self.settings.rim),
+            "reading": np.array(str(self.settings.reading)),
+            "mean": self.mean,
+            "spread": self.spread,
+            "low": self.low,
+            "high": self.high,
+            "margin": np.array(self.margin),
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """Rebuild from `to_arrays`. Raises ValueError, naming what is missing or does not fit."""
+
+        def get(name: str) -> NDArray[Any]:
+            if name not in arrays:
+                raise ValueError(f"{NAME}: array {name!r} is missing")
+            return arrays[name]
+
+        version = int(get("level_check_version"))
+        if version != _VERSION:
+            raise ValueError(f"{NAME}: version {version}, this program reads {_VERSION}")
+        force_n = float(get("force_n"))
+        learnt = cls(
+            labels=tuple(str(label) for label in get("labels")),
+            pads=PadArray(
+                pad_shape=get("pad_shape"),
+                taxel_pad=get("taxel_pad"),
+                taxel_xy_m=get("taxel_xy_m"),
+                adc_max=int(get("adc_max")),
+            ),
+            settings=LevelSettings(
+                force_n=None if np.isnan(force_n) else force_n,
+                tolerance=float(get("tolerance")),
+                sigmas=float(get("sigmas")),
+                rim=int(get("rim")),
+                reading=Reading(str(get("reading"))),
+            ),
+            mean=get("mean"),
+            spread=get("spread"),
+            low=get("low"),
+            high=get("high"),
+            margin=float(get("margin")),
+        )
+        usable = np.isfinite(learnt.low)
+        numbers = np.stack([learnt.mean, learnt.spread, learnt.high])[:, usable]
+        sound = (
+            usable.any()
+            and np.isfinite(numbers).all()
+            and (numbers[1] > 0).all()
+            and (learnt.low[usable] <= learnt.high[usable]).all()
+            and 0.0 < learnt.margin < 1.0
+        )
+        if not sound:
+            raise ValueError(f"{NAME}: mean, spread, low, high and margin make no levels")
+        return learnt
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LevelCheckTrainer:
+    """Teaches the levels.
+
+    Attributes
+    ----------
+    settings
+        How the level of a grasp is taken.
+    margin
+        Part of its edge by which a level's band reaches into open space, above 0, below 1.
+    """
+
+    settings: LevelSettings = DEFAULT_LEVEL
+    margin: float = 0.08
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.margin < 1.0:
+            raise TrajectoryError(f"margin is {self.margin}, must be above 0 and below 1")
+
+    @property
+    def name(self) -> str:
+        """Name in tables, models and on the command line."""
+        return NAME
+
+    @property
+    def uses_aperture(self) -> bool:
+        """The opening between the fingers is not used."""
+        return False
+
+    def fit(self, grasps: Sequence[Grasp]) -> LevelCheckRecognizer:
+        """Learn the level of each label.
+
+        An object none of whose grasps carries a surface stays among the labels without a level.
+
+        Raises
+        ------
+        ValueError
+            Where there is no grasp, one without a label, grasps from different pads, or no grasp
+            with a surface at all.
+        """
+        if not grasps:
+            raise ValueError(f"{NAME}: no grasps to learn from")
+        if not all(grasp.label for grasp in grasps):
+            raise ValueError(f"{NAME}: a grasp has no label")
+        pads = grasps[0].pads
+        if not all(pads.same_as(grasp.pads) for grasp in grasps):
+            raise ValueError(f"{NAME}: the grasps were taken on different pads")
+        labels = tuple(sorted({grasp.label for grasp in grasps}))
+        taught: dict[str, list[float]] = {label: [] for label in labels}
+        for grasp in grasps:
+            value = _level_or_none(grasp, self.settings)
+            if value is not None:
+                taught[grasp.label].append(value)
+        values = [np.array(taught[label]) for label in labels]
+        levels = find_thresholds(values, margin=self.margin)
+        mean, spread = _log_statistics(values)
+        return LevelCheckRecognizer(
+            labels=labels,
+            pads=pads,
+            settings=self.settings,
+            mean=mean,
+            spread=spread,
+            low=levels.low,
+            high=levels.high,
+            margin=self.margin,
+        )
+
+
+def _level_or_none(grasp: Grasp, settings: LevelSettings) -> float | None:
+    try:
+        value = grip_level(grasp, settings)
+    except (ContactError, QuadricError):
+        return None  # the caller answers unknown, or leaves the grasp out of the teaching
+    return value if value != 0.0 else None
+
+
+def _log_statistics(
+    values: Sequence[NDArray[np.float64]],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return mean and spread of log|level|; each spread is drawn towards the pooled one."""
+    logs = [np.log(np.abs(one)) for one in values]
+    counts = np.array([len(one) for one in logs])
+    mean = np.array([one.mean() if len(one) else np.nan for one in logs])
+    squares = np.array([np.sum((one - one.mean()) ** 2) if len(one) else 0.0 for one in logs])
+    freedom = np.maximum(counts - 1, 0)
+    pooled = float(squares.sum() / freedom.sum()) if freedom.sum() else _DEFAULT_SPREAD**2
+    variance = (squares + _PRIOR_GRASPS * pooled) / (freedom + _PRIOR_GRASPS)
+    # the mean itself is known from a few grasps only
+    variance = variance * (1.0 + 1.0 / np.maximum(counts, 1))
+    spread = np.sqrt(np.maximum(variance, _LEAST_SPREAD**2))
+    return mean, np.where(counts > 0, spread, np.nan)

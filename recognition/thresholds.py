@@ -1,0 +1,168 @@
+"""Levels, thresholds and windows: the decision of the paper's Algorithm 1.
+
+Each object has a band of values. Between neighbouring bands lies a window (A, B, C, ... in the
+paper's Fig. 4), with the threshold at its middle. Where bands overlap, the window is closed and
+nothing in it can be told.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from recognition.errors import TrajectoryError
+
+NOISE_SHARE = 0.08
+"""Bands are widened by the noise that the paper's levels are said to bear: 8 %."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Levels:
+    """Bands of the taught objects and what lies between them.
+
+    Attributes
+    ----------
+    low, high : (n_objects,) float64
+        Band of each object; NaN where an object has no level.
+    order : (n_levels,) int64
+        Objects that have a level, by the middle of their band, ascending.
+    threshold : (n_levels - 1,) float64
+        Middle between the bands of neighbours in ``order``.
+    window : (n_levels - 1,) float64
+        Gap between them; closed where it is not above 0.
+    margin
+        Part of its edge by which a band reaches into open space.
+    """
+
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    order: NDArray[np.int64]
+    threshold: NDArray[np.float64]
+    window: NDArray[np.float64]
+    margin: float
+
+    def __post_init__(self) -> None:
+        for name in ("low", "high", "order", "threshold", "window"):
+            array = np.array(getattr(self, name))
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+
+    @property
+    def closed(self) -> tuple[tuple[int, int], ...]:
+        """Pairs of neighbouring objects that the level cannot tell apart everywhere."""
+        return tuple(
+            (int(self.order[i]), int(self.order[i + 1]))
+            for i in range(len(self.window))
+            if self.window[i] <= 0
+        )
+
+    def distance(self, value: float) -> NDArray[np.float64]:
+        """Return how far a value is outside each band, (n_objects,); 0 inside, NaN: no level."""
+        return np.maximum(np.maximum(self.low - value, value - self.high), 0.0)
+
+    def reach(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the bands widened by the margin, low and high, (n_objects,) each."""
+        return self.low - self.margin * np.abs(self.low), self.high + self.margin * np.abs(
+            self.high
+        )
+
+
+def find_thresholds(
+    values: Sequence[ArrayLike], *, coverage: float = 1.0, margin: float = NOISE_SHARE
+) -> Levels:
+    """Turn the values of each object into bands, thresholds and windows.
+
+    Parameters
+    ----------
+    values
+        For each object its values, any number; NaN is left out. An object without any has no level
+        and is never named.
+    coverage
+        Central part of an object's values that makes its band: 1 from the least to the largest.
+    margin
+        See `Levels`.
+
+    Raises
+    ------
+    TrajectoryError
+        Where no object has a level, or coverage or margin are out of range.
+    """
+    if not 0.0 < coverage <= 1.0 or not 0.0 <= margin < 1.0:
+        raise TrajectoryError(
+            f"coverage is {coverage}, must be above 0, up to 1; margin is {margin}, from 0 below 1"
+        )
+    low = np.full(len(values), np.nan)
+    high = np.full(len(values), np.nan)
+    for index, one in enumerate(values):
+        usable = np.asarray(one, dtype=np.float64).ravel()
+        usable = usable[np.isfinite(usable)]
+        if len(usable):
+            tail = 0.5 * (1.0 - coverage)
+            low[index], high[index] = np.quantile(usable, [tail, 1.0 - tail])
+    order = np.argsort(0.5 * (low + high), kind="stable")
+    order = order[np.isfinite(low[order])]
+    if not len(order):
+        raise TrajectoryError(f"none of {len(values)} objects has a level")
+    below, above = order[:-1], order[1:]
+    return Levels(
+        low=low,
+        high=high,
+        order=order,
+        threshold=0.5 * (high[below] + low[above]),
+        window=low[above] - high[below],
+        margin=margin,
+    )
+
+
+def check_level(levels: Levels, value: float) -> int | None:
+    """Name the object whose level a value has.
+
+    Inside one band it is that object, inside several (a closed window) none. Between bands it is
+    the object on whose side of the threshold the value lies, as far as that band reaches.
+
+    Returns
+    -------
+    int or None
+        Index of the object; None for unknown.
+    """
+    distance = levels.distance(value)
+    inside = np.flatnonzero(distance == 0.0)
+    if len(inside):
+        return int(inside[0]) if len(inside) == 1 else None
+    low, high = levels.reach()
+    near = np.flatnonzero((value >= low) & (value <= high))
+    if not len(near):
+        return None
+    nearest = near[distance[near] == distance[near].min()]
+    return int(nearest[0]) if len(nearest) == 1 else None
+
+
+def ramp_thresholds(
+    taught: Sequence[ArrayLike], *, coverage: float = 1.0, margin: float = NOISE_SHARE
+) -> tuple[Levels | None, ...]:
+    """Find thresholds at every step of the force ramp.
+
+    Parameters
+    ----------
+    taught
+        For each object its grasps' lambda(F), (n_grasps, n_steps), see
+        `recognition.level.ramp_levels`; the number of steps is the same for all.
+    coverage, margin
+        See `find_thresholds`.
+
+    Returns
+    -------
+    tuple of Levels or None
+        One for each step; None where no object has a level yet.
+    """
+    tables = [np.atleast_2d(np.asarray(one, dtype=np.float64)) for one in taught]
+    steps = {table.shape[1] for table in tables}
+    if len(steps) != 1:
+        raise TrajectoryError(f"the objects have {sorted(steps)} steps, expected one number")
+    found: list[Levels | None] = []
+    for step in range(steps.pop()):
+        columns = [table[:, step] for table in tables]
+        known = any(np.any(np.isfinite(column)) for column in columns)
+        found.append(find_thresholds(columns, coverage=coverage, margin=margin) if known else None)
+    return tuple(found)
