@@ -36,23 +36,23 @@ class GripperError(Exception):
     """Base of all errors that the package ``gripper`` raises on purpose."""
 
 
-class PortLost(GripperError):  # noqa: N818
+class PortLost(GripperError):
     """The serial port cannot be opened, is used by another program or went away."""
 
 
-class BusTimeout(GripperError, TimeoutError):  # noqa: N818
+class BusTimeout(GripperError, TimeoutError):
     """A servo did not answer in time, nor to the retry."""
 
 
-class BusCorrupt(GripperError):  # noqa: N818
+class BusCorrupt(GripperError):
     """Answers arrived damaged, of the wrong length or from the wrong servo."""
 
 
-class BusBusy(GripperError):  # noqa: N818
+class BusBusy(GripperError):
     """Another thread holds the bus for longer than a transaction may take."""
 
 
-class ServoRejected(GripperError):  # noqa: N818
+class ServoRejected(GripperError):
     """A servo refused an instruction.
 
     Attributes
@@ -70,7 +70,7 @@ class ServoRejected(GripperError):  # noqa: N818
         self.code = code
 
 
-class ServoFault(GripperError):  # noqa: N818
+class ServoFault(GripperError):
     """A servo reports a hardware error, has rebooted or lost its torque.
 
     Attributes
@@ -90,7 +90,7 @@ class ServoFault(GripperError):  # noqa: N818
         self.bits = bits
 
 
-class VerificationFailed(GripperError):  # noqa: N818
+class VerificationFailed(GripperError):
     """The servos are not what the settings say; nothing has moved.
 
     Attributes
@@ -108,7 +108,7 @@ class VerificationFailed(GripperError):  # noqa: N818
         self.report = report
 
 
-class LimitExceeded(GripperError, ValueError):  # noqa: N818
+class LimitExceeded(GripperError, ValueError):
     """A command or a measured value is outside a limit of the settings."""
 
 
@@ -116,9 +116,9 @@ class GripperStateError(GripperError):
     """The command is not allowed in the present state."""
 
 
-class ForceSensorStale(GripperError):  # noqa: N818
+class ForceSensorStale(GripperError):
     """The force sensor gave no valid sample for too long; the grip is kept."""
 
 
-class GraspStopped(GripperError):  # noqa: N818
+class GraspStopped(GripperError):
     """The running command was stopped by ``request_stop``; the grip is kept."""

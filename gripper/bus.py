@@ -1,0 +1,295 @@
+"""Servo bus: typed, checked transactions in DYNAMIXEL Protocol 2.0.
+
+Every status packet is looked at: CRC, sender, length of its data, error number and Alert bit. A
+transaction either returns what was asked for or raises; it never returns a value that no servo
+has sent.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+from gripper.clock import Clock
+from gripper.errors import BusCorrupt, BusTimeout, LimitExceeded, ServoRejected
+from gripper.line import BusStatistics, NoAnswerError, ServoLine
+from gripper.packet_handler import Instruction
+from gripper.packets import StatusPacket
+from gripper.port import ByteStream
+from gripper.registers import Register, registers_between
+
+BROADCAST_ID = 0xFE
+_HIGHEST_ID = 252
+_CRC_REFUSED = 3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServoIdentity:
+    """Answer to a ping: Model Number (register 0) and Firmware Version (register 6)."""
+
+    servo_id: int
+    model_number: int
+    firmware: int
+
+
+class ServoBus:
+    """Transactions with servos on one line; safe to use from several threads.
+
+    A lost answer is asked for once more. Before that, a ping shows that everything that the
+    servo still owed has arrived, so that a late answer is never taken for the new one. Where the
+    ping stays unanswered too, the next transaction first waits until the line has been quiet
+    for ``late_guard_s``.
+
+    Parameters
+    ----------
+    stream
+        The line.
+    baudrate
+        Baud rate in bit/s.
+    clock
+        Source of time.
+    period_s
+        Period of the loop that uses the bus in s: `sync_read` ends within it, retry included.
+    return_delay_s
+        Longest Return Delay Time of the servos in s (register 9; the factory value is 0.5 ms).
+    allowance_s
+        Time for adapter and operating system in s.
+    late_guard_s
+        Quiet time in s after which nothing late is expected any more.
+    lock_timeout_s
+        Longest wait in s for another thread's transaction.
+    """
+
+    def __init__(
+        self,
+        stream: ByteStream,
+        *,
+        baudrate: int,
+        clock: Clock,
+        period_s: float = 0.005,
+        return_delay_s: float = 0.0005,
+        allowance_s: float = 0.0015,
+        late_guard_s: float = 0.05,
+        lock_timeout_s: float = 1.0,
+    ) -> None:
+        self.period_s = period_s
+        self._line = ServoLine(
+            stream,
+            baudrate=baudrate,
+            clock=clock,
+            return_delay_s=return_delay_s,
+            allowance_s=allowance_s,
+            late_guard_s=late_guard_s,
+            lock_timeout_s=lock_timeout_s,
+        )
+
+    @property
+    def statistics(self) -> BusStatistics:
+        """Counts since the bus was opened."""
+        return self._line.statistics
+
+    @property
+    def return_delay_s(self) -> float:
+        """Longest Return Delay Time of the servos in s; enters every time-out."""
+        return float(self._line.port.return_delay_s)
+
+    @return_delay_s.setter
+    def return_delay_s(self, delay_s: float) -> None:
+        self._line.port.return_delay_s = delay_s
+
+    def alert(self, servo_id: int) -> bool:
+        """Say whether the last answer of a servo had the Alert bit: register 70 is not zero."""
+        return servo_id in self._line.alerts
+
+    def misses(self, servo_id: int) -> int:
+        """Return how many answers of a servo have been lost in a row."""
+        return self._line.misses.get(servo_id, 0)
+
+    def ping(self, servo_id: int) -> ServoIdentity:
+        """Ask a servo who it is; BusTimeout when none has that ID."""
+        status = self._ask(servo_id, Instruction.PING, b"", 3, f"ping of servo {servo_id}")
+        return ServoIdentity(
+            servo_id=servo_id,
+            model_number=int.from_bytes(status.data[:2], "little"),
+            firmware=status.data[2],
+        )
+
+    def read(self, servo_id: int, register: Register) -> int:
+        """Return the raw value of an item, sign-extended."""
+        status = self._ask(
+            servo_id,
+            Instruction.READ,
+            _words(register.address, register.size),
+            register.size,
+            f"reading {register.name} of servo {servo_id}",
+        )
+        return register.decode(status.data)
+
+    def write(self, servo_id: int, register: Register, raw: int) -> None:
+        """Write the raw value of an item and wait for the servo's confirmation.
+
+        Raises
+        ------
+        LimitExceeded
+            When the item is read-only or the value does not fit.
+        ServoRejected
+            When the servo refuses, for example EEPROM with torque on (error 7).
+        """
+        if not register.writable:
+            raise LimitExceeded(f"{register.name} is read-only")
+        self._ask(
+            servo_id,
+            Instruction.WRITE,
+            _words(register.address) + register.encode(raw),
+            0,
+            f"writing {register.name} = {raw} to servo {servo_id}",
+        )
+
+    def sync_read(
+        self, ids: Sequence[int], first: Register, last: Register
+    ) -> dict[int, dict[str, int]]:
+        """Return one contiguous block of items of several servos as raw values by name.
+
+        A servo whose answer is missing is asked alone, as long as the period allows.
+
+        Raises
+        ------
+        BusTimeout, BusCorrupt
+            When an answer is still missing; nothing of the others is returned then.
+        """
+        block = registers_between(first, last)
+        size = last.end - first.address
+        action = f"reading {first.name} to {last.name} of servos {list(ids)}"
+        for servo_id in ids:
+            _check_id(servo_id)
+        with self._line.transaction():
+            deadline_s = self._line.clock.monotonic() + self.period_s
+            found, failure = self._chain(ids, first, size)
+            for servo_id in ids:
+                if servo_id in found:
+                    continue
+                try:
+                    self._line.clear(servo_id, deadline_s)
+                    self._line.count(retries=1)
+                    found[servo_id] = self._line.request(
+                        servo_id, Instruction.READ, _words(first.address, size), size
+                    )
+                except NoAnswerError as again:
+                    self._line.suspect = True
+                    raise _give_up(failure or again, action, servo_id) from None
+            for servo_id in ids:
+                _check_error(found[servo_id], action)
+        return {servo_id: _decode(block, found[servo_id].data) for servo_id in ids}
+
+    def sync_write(self, values: Mapping[int, int | Sequence[int]], *registers: Register) -> None:
+        """Write one item, or several contiguous ones, to several servos at once.
+
+        Servos do not confirm a sync write: what must be certain is read back by the caller.
+
+        Parameters
+        ----------
+        values
+            Raw value, or one for each register, by servo ID.
+        registers
+            Contiguous items in the order of their addresses.
+        """
+        if not registers or not values:
+            raise LimitExceeded("a sync write needs at least one servo and one register")
+        if any(a.end != b.address for a, b in pairwise(registers)):
+            raise LimitExceeded(f"{', '.join(r.name for r in registers)} are not contiguous")
+        if any(not r.writable for r in registers):
+            raise LimitExceeded(f"{', '.join(r.name for r in registers)}: not all are writable")
+        params = _words(registers[0].address, registers[-1].end - registers[0].address)
+        for servo_id, raws in values.items():
+            _check_id(servo_id)
+            listed = (raws,) if isinstance(raws, int) else tuple(raws)
+            params += bytes([servo_id])
+            params += b"".join(r.encode(v) for r, v in zip(registers, listed, strict=True))
+        with self._line.transaction():
+            self._line.send(BROADCAST_ID, Instruction.SYNC_WRITE, params)
+
+    def reboot(self, servo_id: int) -> None:
+        """Restart a servo: torque off, RAM at its defaults; a part that it holds is let go.
+
+        Sent once only, because a repetition would restart it again.
+        """
+        with self._line.transaction():
+            action = f"reboot of servo {servo_id}"
+            _check_id(servo_id)
+            try:
+                status = self._line.request(servo_id, Instruction.REBOOT, b"", 0)
+            except NoAnswerError as failure:
+                self._line.suspect = True
+                raise _give_up(failure, action, servo_id) from None
+            self._line.alerts.discard(servo_id)
+            _check_error(status, action)
+
+    def close(self) -> None:
+        """Close the line; the servos keep doing what they were told last."""
+        self._line.close()
+
+    def _ask(
+        self, servo_id: int, instruction: Instruction, params: bytes, size: int, action: str
+    ) -> StatusPacket:
+        """Send a request and return the checked answer; once more when it is lost."""
+        _check_id(servo_id)
+        with self._line.transaction():
+            try:
+                status = self._line.request(servo_id, instruction, params, size)
+                if status.error == _CRC_REFUSED:
+                    raise NoAnswerError(damaged=True)
+            except NoAnswerError as failure:
+                self._line.count(retries=1)
+                try:
+                    self._line.clear(servo_id, None)
+                    status = self._line.request(servo_id, instruction, params, size)
+                except NoAnswerError:
+                    self._line.suspect = True
+                    raise _give_up(failure, action, servo_id) from None
+        _check_error(status, action)
+        return status
+
+    def _chain(
+        self, ids: Sequence[int], first: Register, size: int
+    ) -> tuple[dict[int, StatusPacket], NoAnswerError | None]:
+        """Send a sync read and collect the answers; a servo is silent after a missing one."""
+        self._line.send(
+            BROADCAST_ID, Instruction.SYNC_READ, _words(first.address, size) + bytes(ids)
+        )
+        found: dict[int, StatusPacket] = {}
+        for servo_id in ids:
+            try:
+                found[servo_id] = self._line.receive(servo_id, size)
+            except NoAnswerError as failure:
+                return found, failure
+        return found, None
+
+
+def _words(*values: int) -> bytes:
+    return b"".join(value.to_bytes(2, "little") for value in values)
+
+
+def _check_id(servo_id: int) -> None:
+    if not 0 <= servo_id <= _HIGHEST_ID:
+        raise LimitExceeded(f"servo ID {servo_id} is not from 0 to {_HIGHEST_ID}")
+
+
+def _check_error(status: StatusPacket, action: str) -> None:
+    if status.error:
+        raise ServoRejected(status.servo_id, status.error, action)
+
+
+def _decode(block: Sequence[Register], data: bytes) -> dict[str, int]:
+    start = block[0].address
+    return {r.name: r.decode(data[r.address - start : r.end - start]) for r in block}
+
+
+def _give_up(failure: NoAnswerError, action: str, servo_id: int) -> BusTimeout | BusCorrupt:
+    if failure.damaged:
+        return BusCorrupt(
+            f"{action}: the answers of servo {servo_id} arrive damaged, twice in a row: check "
+            f"cable, termination and that no two servos share the ID"
+        )
+    return BusTimeout(
+        f"{action}: no answer of servo {servo_id}, twice in a row: check its supply, cable, ID "
+        f"and baud rate"
+    )

@@ -1,0 +1,208 @@
+"""Linkage between servos and fingers: angle <-> aperture, current <-> grip force.
+
+Angles are counted from the zero of each servo and grow while the gripper opens. Grip force is
+the normal force on one finger; both fingers carry the same one in equilibrium.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import asin, cos, isfinite, pi, sin
+from typing import Protocol
+
+from gripper.errors import LimitExceeded
+from gripper.servo_models import ServoModel
+
+
+class Linkage(Protocol):
+    """What the gripper needs to know of its mechanics."""
+
+    @property
+    def n_servos(self) -> int:
+        """Return 1 where one servo drives both fingers, 2 where each finger has its own."""
+        ...
+
+    def aperture_m(self, angles_rad: Sequence[float]) -> float:
+        """Return the opening between both pads in m for one angle of each servo."""
+        ...
+
+    def angles_rad(self, aperture_m: float) -> tuple[float, ...]:
+        """Return the angle of each servo for a centred opening; LimitExceeded out of reach."""
+        ...
+
+    def effective_radius_m(self, angle_rad: float) -> float:
+        """Return the torque of a servo for a grip force of 1 N, in N m / N."""
+        ...
+
+    def opening_per_rad_m(self, angle_rad: float) -> float:
+        """Return the part of the aperture in m that one servo opens for one rad."""
+        ...
+
+
+def _check_count(n_servos: int, angles_rad: Sequence[float]) -> None:
+    if len(angles_rad) != n_servos:
+        raise LimitExceeded(f"got {len(angles_rad)} angles for a linkage with {n_servos} servos")
+
+
+def _check_positive(name: str, value: float) -> None:
+    if not (isfinite(value) and value > 0.0):
+        raise LimitExceeded(f"{name} is {value}, must be finite and above 0")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ParallelLinkage:
+    """Rotary fingers on a parallelogram, so that the pads stay parallel.
+
+    Half opening = link_m * sin(angle) + offset_m; by virtual work a grip force F on a finger is a
+    torque of F * link_m * cos(angle), twice that where one servo drives both.
+
+    Attributes
+    ----------
+    link_m
+        Length of the parallelogram's links in m.
+    offset_m
+        Half opening at angle 0 in m.
+    n_servos
+        1 or 2.
+    """
+
+    link_m: float
+    offset_m: float = 0.0
+    n_servos: int = 2
+
+    def __post_init__(self) -> None:
+        _check_positive("link_m", self.link_m)
+        _check_n_servos(self.n_servos)
+        if not isfinite(self.offset_m):
+            raise LimitExceeded(f"offset_m is {self.offset_m}, must be finite")
+
+    def aperture_m(self, angles_rad: Sequence[float]) -> float:
+        """Return the opening between both pads in m."""
+        _check_count(self.n_servos, angles_rad)
+        halves_m = [self.link_m * sin(angle) + self.offset_m for angle in angles_rad]
+        return sum(halves_m) * (2.0 / self.n_servos)
+
+    def angles_rad(self, aperture_m: float) -> tuple[float, ...]:
+        """Return the angle of each servo for a centred opening in m."""
+        ratio = (0.5 * aperture_m - self.offset_m) / self.link_m
+        if not -1.0 < ratio < 1.0:
+            raise LimitExceeded(
+                f"aperture {aperture_m} m is out of reach of links of {self.link_m} m "
+                f"with an offset of {self.offset_m} m"
+            )
+        return (asin(ratio),) * self.n_servos
+
+    def effective_radius_m(self, angle_rad: float) -> float:
+        """Return the torque of a servo for a grip force of 1 N, in N m / N."""
+        return self.opening_per_rad_m(angle_rad)
+
+    def opening_per_rad_m(self, angle_rad: float) -> float:
+        """Return the part of the aperture in m that one servo opens for one rad."""
+        if not -pi / 2.0 < angle_rad < pi / 2.0:
+            raise LimitExceeded(
+                f"the link stands at {angle_rad} rad, beyond its dead centre at 1.571 rad: "
+                f"check zero_raw and direction of the servo"
+            )
+        return self.link_m * cos(angle_rad) * (2.0 / self.n_servos)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RackPinion:
+    """Straight fingers on racks: half opening = pinion_radius_m * angle + offset_m.
+
+    Attributes
+    ----------
+    pinion_radius_m
+        Pitch radius of the pinion in m.
+    offset_m
+        Half opening at angle 0 in m.
+    n_servos
+        1 (one pinion between two racks) or 2.
+    """
+
+    pinion_radius_m: float
+    offset_m: float = 0.0
+    n_servos: int = 1
+
+    def __post_init__(self) -> None:
+        _check_positive("pinion_radius_m", self.pinion_radius_m)
+        _check_n_servos(self.n_servos)
+        if not isfinite(self.offset_m):
+            raise LimitExceeded(f"offset_m is {self.offset_m}, must be finite")
+
+    def aperture_m(self, angles_rad: Sequence[float]) -> float:
+        """Return the opening between both pads in m."""
+        _check_count(self.n_servos, angles_rad)
+        halves_m = [self.pinion_radius_m * angle + self.offset_m for angle in angles_rad]
+        return sum(halves_m) * (2.0 / self.n_servos)
+
+    def angles_rad(self, aperture_m: float) -> tuple[float, ...]:
+        """Return the angle of each servo for a centred opening in m."""
+        angle = (0.5 * aperture_m - self.offset_m) / self.pinion_radius_m
+        if not isfinite(angle) or abs(angle) > pi:
+            raise LimitExceeded(
+                f"aperture {aperture_m} m is out of reach of one turn of a pinion of "
+                f"{self.pinion_radius_m} m with an offset of {self.offset_m} m"
+            )
+        return (angle,) * self.n_servos
+
+    def effective_radius_m(self, angle_rad: float) -> float:
+        """Return the torque of a servo for a grip force of 1 N, in N m / N."""
+        return self.opening_per_rad_m(angle_rad)
+
+    def opening_per_rad_m(self, angle_rad: float) -> float:
+        """Return the part of the aperture in m that one servo opens for one rad."""
+        return self.pinion_radius_m * (2.0 / self.n_servos)
+
+
+def _check_n_servos(n_servos: int) -> None:
+    if n_servos not in (1, 2):
+        raise LimitExceeded(f"n_servos is {n_servos}, must be 1 or 2")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Transmission:
+    """Servo current <-> grip force at one position, with the friction of the gearing.
+
+    The torque at rest may lie anywhere in a band: while the force rises the motor works against
+    friction, T = kt I - Tc; while it falls friction helps, T = kt I + Tc.
+
+    Attributes
+    ----------
+    kt_nm_a
+        Torque constant at the servo's output in N m / A.
+    friction_nm
+        Tc in N m.
+    radius_m
+        Torque of the servo for a grip force of 1 N, in N m / N.
+    """
+
+    kt_nm_a: float
+    friction_nm: float
+    radius_m: float
+
+    @classmethod
+    def at(cls, model: ServoModel, linkage: Linkage, angle_rad: float) -> "Transmission":
+        """Return the transmission of one servo at an angle."""
+        return cls(
+            kt_nm_a=model.kt_nm_a,
+            friction_nm=model.friction_nm,
+            radius_m=linkage.effective_radius_m(angle_rad),
+        )
+
+    @property
+    def friction_n(self) -> float:
+        """Half the width of the friction band, as grip force in N."""
+        return self.friction_nm / self.radius_m
+
+    def loading_current_a(self, force_n: float) -> float:
+        """Return the current in A that drives the force up to ``force_n``."""
+        return (force_n * self.radius_m + self.friction_nm) / self.kt_nm_a
+
+    def unloading_current_a(self, force_n: float) -> float:
+        """Return the current in A that lets the force fall to ``force_n``; below 0 pushes open."""
+        return (force_n * self.radius_m - self.friction_nm) / self.kt_nm_a
+
+    def force_band_n(self, current_a: float) -> tuple[float, float]:
+        """Return the least and the largest grip force in N that a current can hold."""
+        centre_n = current_a * self.kt_nm_a / self.radius_m
+        return max(0.0, centre_n - self.friction_n), max(0.0, centre_n + self.friction_n)

@@ -1,0 +1,283 @@
+"""Serial port under the servo bus: a stream of bytes that blocks instead of spinning."""
+
+import errno
+import fcntl
+import hashlib
+import os
+import select
+import tempfile
+import termios
+from pathlib import Path
+from typing import Protocol
+
+import serial
+from dynamixel_sdk import PortHandler
+from serial.tools import list_ports
+
+from gripper.clock import Clock
+from gripper.errors import LimitExceeded, PortLost
+
+_TIMER_GRAIN_MS = 1e-3
+
+_PORT_ERRORS = (serial.SerialException, OSError, termios.error)
+
+BAUD_RATES = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
+"""Baud rates that both the servos (register 8) and the SDK know."""
+
+
+class ByteStream(Protocol):
+    """Both directions of a serial line."""
+
+    def write(self, data: bytes, /) -> None:
+        """Send all bytes; PortLost when the line is gone."""
+        ...
+
+    def read(self, size: int, timeout_s: float, /) -> bytes:
+        """Return 1 to ``size`` bytes as soon as any is there, b"" after ``timeout_s`` s."""
+        ...
+
+    def drop_input(self) -> None:
+        """Forget what has arrived and was not read."""
+        ...
+
+    def close(self) -> None:
+        """Give the line back; may be called twice."""
+        ...
+
+
+def serial_candidates() -> tuple[str, ...]:
+    """Return the paths of the serial ports that the operating system lists."""
+    return tuple(sorted(port.device for port in list_ports.comports()))
+
+
+class SerialStream:
+    """A serial port of the operating system, held alone.
+
+    A lock file beside the exclusive mode of the port keeps a second program out even where
+    that runs with the rights of an administrator.
+
+    Parameters
+    ----------
+    path
+        Device, such as /dev/ttyUSB0 or a link below /dev/serial/by-id.
+    baudrate
+        One of `BAUD_RATES`.
+
+    Raises
+    ------
+    PortLost
+        When the port is missing, taken or refuses; the message says what to do next.
+    LimitExceeded
+        When the baud rate is none that servos know.
+    """
+
+    def __init__(self, path: str, baudrate: int = 1_000_000) -> None:
+        if baudrate not in BAUD_RATES:
+            raise LimitExceeded(
+                f"baud rate {baudrate} is none of {', '.join(map(str, BAUD_RATES))}"
+            )
+        self.path = path
+        self._lock_fd: int | None = None
+        try:
+            # The lock follows the device, not the link that names it.
+            device = os.path.realpath(path, strict=True)
+            self._lock_fd = _lock(device)
+            self._serial = serial.Serial(path, baudrate, timeout=0, exclusive=True)
+        except _PORT_ERRORS as error:
+            self._unlock()
+            raise PortLost(_opening_failed(path, error)) from error
+        self.low_latency = self._request_low_latency()
+
+    def write(self, data: bytes, /) -> None:
+        """Send all bytes; PortLost when the line is gone."""
+        try:
+            self._serial.write(data)
+        except _PORT_ERRORS as error:
+            raise self._lost(error) from error
+
+    def read(self, size: int, timeout_s: float, /) -> bytes:
+        """Return 1 to ``size`` bytes as soon as any is there, b"" after ``timeout_s`` s."""
+        try:
+            ready, _, _ = select.select([self._serial.fileno()], [], [], max(0.0, timeout_s))
+            if not ready:
+                return b""
+            data = os.read(self._serial.fileno(), size)
+        except (*_PORT_ERRORS, ValueError) as error:
+            raise self._lost(error) from error
+        if not data:
+            raise self._lost("end of file")
+        return data
+
+    def drop_input(self) -> None:
+        """Forget what has arrived and was not read."""
+        try:
+            self._serial.reset_input_buffer()
+        except _PORT_ERRORS as error:
+            raise self._lost(error) from error
+
+    def close(self) -> None:
+        """Give the port back; a port that is gone is closed without an error."""
+        try:
+            self._serial.close()
+        except _PORT_ERRORS:
+            # The device has vanished: nothing is left to close.
+            pass
+        finally:
+            self._unlock()
+
+    def latency_timer_ms(self) -> int | None:
+        """Return the latency timer of a USB adapter in ms, None where the system shows none.
+
+        More than 1 ms makes each answer wait that long (FTDI adapters start with 16 ms).
+        """
+        name = Path(os.path.realpath(self.path)).name
+        try:
+            text = Path(f"/sys/bus/usb-serial/devices/{name}/latency_timer").read_text("ascii")
+        except OSError:
+            return None
+        return int(text)
+
+    def _request_low_latency(self) -> bool:
+        """Ask the driver to hand bytes on at once; not every driver can."""
+        try:
+            self._serial.set_low_latency_mode(True)
+        except (ValueError, AttributeError, NotImplementedError, *_PORT_ERRORS):
+            return False
+        return True
+
+    def _lost(self, cause: object) -> PortLost:
+        return PortLost(
+            f"serial port {self.path} is gone ({cause}): check cable and supply of the adapter, "
+            f"then open the port again. A part may still be gripped"
+        )
+
+    def _unlock(self) -> None:
+        if self._lock_fd is not None:
+            os.close(self._lock_fd)
+            self._lock_fd = None
+
+
+def _lock(device: str) -> int:
+    """Take the lock file of a device; the operating system drops it when the program ends."""
+    digest = hashlib.sha256(device.encode()).hexdigest()[:16]
+    path = Path(tempfile.gettempdir()) / f"servo-port-{digest}.lock"
+    lock_fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
+    try:
+        fcntl.flock(lock_fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BaseException:
+        os.close(lock_fd)
+        raise
+    return lock_fd
+
+
+def _opening_failed(path: str, error: Exception) -> str:
+    number = getattr(error, "errno", None)
+    if number in (errno.EAGAIN, errno.EWOULDBLOCK, errno.EBUSY):
+        return f"serial port {path} is used by another program: end that program first"
+    if number in (errno.EACCES, errno.EPERM):
+        return (
+            f"no right to open serial port {path} ({error}): add the user to the group that "
+            f"owns the device (often dialout) and log in again"
+        )
+    found = ", ".join(serial_candidates()) or "none"
+    return (
+        f"cannot open serial port {path} ({error}): check the path and that the adapter is "
+        f"plugged in. Serial ports found: {found}"
+    )
+
+
+class SdkPort(PortHandler):  # type: ignore[misc]
+    """The SDK's port on any `ByteStream`, with blocking reads and monotonic time.
+
+    The time-out of a packet is the time on the wire of request and answer, the return delay of
+    the servo and an allowance for adapter and operating system.
+
+    Parameters
+    ----------
+    stream
+        The line.
+    clock
+        Source of time.
+    baudrate
+        Baud rate in bit/s; 10 bits a byte.
+    return_delay_s
+        Return Delay Time of the slowest servo (register 9) in s.
+    allowance_s
+        Allowance in s.
+    """
+
+    def __init__(
+        self,
+        stream: ByteStream,
+        clock: Clock,
+        *,
+        baudrate: int,
+        return_delay_s: float,
+        allowance_s: float,
+    ) -> None:
+        super().__init__("")
+        self._stream = stream
+        self._clock = clock
+        self.baudrate = baudrate
+        self.tx_time_per_byte = 10_000.0 / baudrate
+        self.return_delay_s = return_delay_s
+        self.allowance_s = allowance_s
+        self.is_open = True
+        self._unanswered_bytes = 0
+
+    def openPort(self) -> bool:  # noqa: N802
+        """Say whether the port is open; the stream is opened by whoever made it."""
+        return bool(self.is_open)
+
+    def closePort(self) -> None:  # noqa: N802
+        """Close the stream."""
+        self.is_open = False
+        self.is_using = False
+        self._stream.close()
+
+    def clearPort(self) -> None:  # noqa: N802
+        """Forget what has arrived."""
+        self._stream.drop_input()
+
+    def getBytesAvailable(self) -> int:  # noqa: N802
+        """Refuse: a stream does not count what waits in it."""
+        raise NotImplementedError("a ByteStream has no count of waiting bytes")
+
+    def setBaudRate(self, baudrate: int) -> bool:  # noqa: N802
+        """Refuse another rate: it belongs to the stream."""
+        return bool(baudrate == self.baudrate)
+
+    def writePort(self, packet: bytes) -> int:  # noqa: N802
+        """Send a packet and return its length."""
+        data = bytes(packet)
+        self._stream.write(data)
+        self._unanswered_bytes = len(data)
+        return len(data)
+
+    def readPort(self, length: int) -> bytes:  # noqa: N802
+        """Return up to ``length`` bytes, waiting no longer than the packet's time-out."""
+        left_ms = self.packet_timeout - self.getTimeSinceStart()
+        return self._stream.read(length, max(0.0, left_ms) / 1000.0)
+
+    def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802
+        """Start the time-out for an answer of that many bytes."""
+        wire_ms = self.tx_time_per_byte * (packet_length + self._unanswered_bytes)
+        self._unanswered_bytes = 0
+        self.setPacketTimeoutMillis(wire_ms + 1000.0 * (self.return_delay_s + self.allowance_s))
+
+    def setPacketTimeoutMillis(self, msec: float) -> None:  # noqa: N802
+        """Start a time-out in ms."""
+        self.packet_start_time = self.getCurrentTime()
+        self.packet_timeout = msec
+
+    def getCurrentTime(self) -> float:  # noqa: N802
+        """Return the monotonic time in ms."""
+        return self._clock.monotonic() * 1000.0
+
+    def getTimeSinceStart(self) -> float:  # noqa: N802
+        """Return the time since the start of the packet's time-out in ms."""
+        return self.getCurrentTime() - float(self.packet_start_time)
+
+    def isPacketTimeout(self) -> bool:  # noqa: N802
+        """Say whether the packet's time-out is over."""
+        return self.getTimeSinceStart() >= float(self.packet_timeout) - _TIMER_GRAIN_MS

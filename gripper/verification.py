@@ -1,0 +1,204 @@
+"""What a servo must be set to before it may move, and the report of the comparison."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from gripper.errors import LimitExceeded
+from gripper.registers import (
+    CURRENT_LIMIT,
+    DRIVE_MODE,
+    FIRMWARE_VERSION,
+    HARDWARE_ERROR_STATUS,
+    HOMING_OFFSET,
+    MODEL_NUMBER,
+    OPERATING_MODE,
+    PROTOCOL_TYPE,
+    REGISTERS,
+    RETURN_DELAY_TIME,
+    SHUTDOWN,
+    STARTUP_CONFIGURATION,
+    STATUS_RETURN_LEVEL,
+    TEMPERATURE_LIMIT,
+    HardwareError,
+    OperatingMode,
+    ServoModel,
+)
+
+DRIVE_MODE_MASK = 0b1101
+STARTUP_MASK = 0b11
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VerificationRow:
+    """One comparison.
+
+    Attributes
+    ----------
+    servo_id
+        The servo.
+    item
+        Name of the register.
+    expected, found
+        As text, in raw units of the register.
+    ok
+        True when they agree, or were made to agree.
+    corrected
+        True when the register was rewritten to agree.
+    """
+
+    servo_id: int
+    item: str
+    expected: str
+    found: str
+    ok: bool
+    corrected: bool = False
+
+    def __str__(self) -> str:
+        return f"servo {self.servo_id} {self.item}: expected {self.expected}, found {self.found}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VerificationReport:
+    """All comparisons of a start.
+
+    Attributes
+    ----------
+    rows
+        One for each servo and item.
+    torque_was_on
+        True when a servo had its torque on: it may hold a part, and nothing was changed.
+    """
+
+    rows: tuple[VerificationRow, ...]
+    torque_was_on: bool = False
+
+    @property
+    def ok(self) -> bool:
+        """True when every row agrees."""
+        return all(row.ok for row in self.rows)
+
+    @property
+    def failed(self) -> tuple[VerificationRow, ...]:
+        """The rows that do not agree."""
+        return tuple(row for row in self.rows if not row.ok)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Requirement:
+    """What one register must hold.
+
+    Attributes
+    ----------
+    item
+        Name of the register.
+    expected
+        Text for the report.
+    low, high
+        Bounds of the raw value after the mask.
+    mask
+        Bits that count.
+    write_raw
+        Value to write when it does not agree; None where that is the user's decision.
+    """
+
+    item: str
+    expected: str
+    low: int
+    high: int
+    mask: int = -1
+    write_raw: int | None = None
+
+    def met_by(self, raw: int) -> bool:
+        """Say whether a raw value agrees."""
+        return self.low <= raw & self.mask <= self.high
+
+
+def _exactly(item: str, raw: int, *, mask: int = -1, correct: bool = False) -> Requirement:
+    return Requirement(
+        item=item,
+        expected=str(raw),
+        low=raw,
+        high=raw,
+        mask=mask,
+        write_raw=raw if correct else None,
+    )
+
+
+def requirements(
+    model: ServoModel, current_max_a: float, temperature_max_c: float
+) -> tuple[Requirement, ...]:
+    """Return what a servo must hold so that this package may drive it.
+
+    Operating mode, return delay and status return level are made to agree; what changes the
+    mechanics or the protection of the servo is the user's decision and is only compared.
+    """
+    if current_max_a > model.current_a(model.current_limit_raw):
+        raise LimitExceeded(
+            f"current_max_a is {current_max_a} A, a {model.name} allows at most "
+            f"{model.current_a(model.current_limit_raw):.3f} A"
+        )
+    needed_raw = model.current_raw(current_max_a)
+    protection = int(HardwareError.OVERHEATING | HardwareError.OVERLOAD)
+    return (
+        _exactly(MODEL_NUMBER.name, model.number),
+        Requirement(item=FIRMWARE_VERSION.name, expected="1 or later", low=1, high=255),
+        _exactly(PROTOCOL_TYPE.name, 2),
+        _exactly(HARDWARE_ERROR_STATUS.name, 0),
+        _exactly(DRIVE_MODE.name, 0, mask=DRIVE_MODE_MASK),
+        _exactly(HOMING_OFFSET.name, 0),
+        _exactly(STARTUP_CONFIGURATION.name, 0, mask=STARTUP_MASK),
+        Requirement(
+            item=SHUTDOWN.name,
+            expected=f"bits {protection} set",
+            low=protection,
+            high=protection,
+            mask=protection,
+        ),
+        Requirement(
+            item=TEMPERATURE_LIMIT.name,
+            expected=f"{temperature_max_c:g} to {model.temperature_limit_c}",
+            low=round(temperature_max_c),
+            high=model.temperature_limit_c,
+        ),
+        Requirement(
+            item=CURRENT_LIMIT.name,
+            expected=f"{needed_raw} to {model.current_limit_raw}",
+            low=needed_raw,
+            high=model.current_limit_raw,
+        ),
+        _exactly(RETURN_DELAY_TIME.name, 0, correct=True),
+        _exactly(OPERATING_MODE.name, int(OperatingMode.CURRENT_BASED_POSITION), correct=True),
+        _exactly(STATUS_RETURN_LEVEL.name, 2, correct=True),
+    )
+
+
+def compare(
+    servo_id: int,
+    required: tuple[Requirement, ...],
+    found: Mapping[str, int],
+    corrected: frozenset[str] = frozenset(),
+) -> tuple[VerificationRow, ...]:
+    """Return one row for each requirement.
+
+    Parameters
+    ----------
+    servo_id
+        The servo.
+    required
+        What is asked for.
+    found
+        Raw values by name of the register.
+    corrected
+        Names of the registers that were rewritten before ``found`` was read.
+    """
+    return tuple(
+        VerificationRow(
+            servo_id=servo_id,
+            item=REGISTERS[requirement.item].name,
+            expected=requirement.expected,
+            found=str(found[requirement.item]),
+            ok=requirement.met_by(found[requirement.item]),
+            corrected=requirement.item in corrected,
+        )
+        for requirement in required
+    )
