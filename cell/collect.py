@@ -3,15 +3,15 @@
 from dataclasses import dataclass
 
 import numpy as np
+from gripper.gripper import Cycle, GraspOutcome
+from tactile.sensor import TactileReading, TactileSensor
 
 from cell.pose import Pose
 from cell.sequence import GraspStep
 from gripper.force import ForceSample
-from gripper.gripper import Cycle, GraspOutcome
 from recognition.grasp import Grasp, PadArray
 from tactile.layout import TaxelLayout
 from tactile.protocol import TactileFrame
-from tactile.sensor import TactileReading, TactileSensor
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -375,7 +375,7 @@ class CellConfig(_Section):
     positioner: PositionerConfig = PositionerConfig()
     """Who moves the object or the gripper."""
     recognition: RecognitionConfig = RecognitionConfig()
-    """How grasps become an answer."""
+    """Recogniser and what it may use."""
     recording: RecordingConfig = RecordingConfig()
     """Where results go."""
     simulator: SimulatorConfig = SimulatorConfig()

@@ -7,9 +7,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TypeVar
 
+from gripper.gripper import Cycle, GraspResult, Gripper, GripperPhase
+from tactile.sensor import TactileSensor
+
 from cell.collect import GraspCollector, GraspRecord, SensorTap, pad_array
 from cell.config import SequenceConfig
-from cell.errors import CellError, CellStateError, CellStopped, NoPartFound
+from cell.errors import CellStateError, CellStopped, NoPartFound
 from cell.pose import Pose
 from cell.positioner import Positioner
 from cell.ramps import force_ramp
@@ -18,11 +21,9 @@ from cell.sequence import GraspStep
 from cell.states import CellState, Event, next_state
 from gripper.clock import Clock
 from gripper.errors import GraspStopped, GripperError
-from gripper.gripper import Cycle, Gripper, GripperPhase, GraspResult
 from recognition.fusion import Decision, DecisionKind, StopRule, decide, fuse
 from recognition.grasp import PadArray
 from recognition.recognizer import Posterior, Recognizer
-from tactile.sensor import TactileSensor
 
 _T = TypeVar("_T")
 

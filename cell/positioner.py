@@ -82,7 +82,7 @@ class SocketPlacer:
         except OSError as error:
             self._socket.close()
             raise PositionerError(
-                f"no simulated cell answers at {path} ({error}); is `tactile-cell simulate` running?"
+                f"no simulated cell answers at {path} ({error}); is it running?"
             ) from error
         self._replies = self._socket.makefile("rb")
 

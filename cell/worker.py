@@ -146,7 +146,7 @@ class CellWorker:
     def _supervise(self) -> None:
         try:
             self._idle()
-        except Exception as error:  # noqa: BLE001  kept for whoever asks; the cell has latched it
+        except Exception as error:
             self._idle_error = error
 
     def _execute(self, job: Job, work: Callable[[Report], Any]) -> None:
@@ -158,7 +158,7 @@ class CellWorker:
             value = work(report)
         except CellStopped as stop:
             self._end(job, JobOutcome.CANCELED, error=str(stop))
-        except BaseException as error:  # noqa: BLE001  every job reaches a terminal state
+        except BaseException as error:
             self._end(job, JobOutcome.ABORTED, error=f"{type(error).__name__}: {error}")
         else:
             self._end(job, JobOutcome.SUCCEEDED, value=value)
