@@ -316,7 +316,7 @@ class RecognitionConfig(_Section):
 
 
 class RecordingConfig(_Section):
-    """Where results go."""
+    """Where recordings, data sets and reports go."""
 
     directory: str = Field(default="out", min_length=1, max_length=500)
     """Folder of recordings, data sets and reports; made when missing."""
