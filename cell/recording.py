@@ -1,0 +1,350 @@
+"""Recorder: everything that a sequence sees and does, in one MCAP file."""
+
+import enum
+import json
+import math
+import time
+from collections import deque
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import fields
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Protocol, Self
+
+import numpy as np
+from mcap.writer import CompressionType, Writer
+
+from cell import recording_schema as schema
+from cell.errors import RecordingError
+from cell.recording_file import BackgroundFile, DirectFile, RecordSink
+from cell.recording_reader import Recording, read_recording, recording_grasps
+from recognition.grasp import Grasp, PadArray
+
+if TYPE_CHECKING:
+    from gripper.gripper import Cycle
+
+    from cell.pose import Pose
+    from tactile.protocol import TactileFrame
+
+__all__ = ["Recorder", "Recording", "read_recording", "recording_grasps"]
+
+CHUNK_BYTES = 64 << 10
+"""Size of a chunk before compression: what a killed program loses at most."""
+
+_NEWEST_FRAMES = 65536
+_TIME_TOLERANCE_S = 1e-6
+_ENCODE = json.JSONEncoder(separators=(",", ":"), allow_nan=False, ensure_ascii=False).encode
+
+
+class MonotonicClock(Protocol):
+    """A clock that never goes back; the standard module ``time`` is one."""
+
+    def monotonic(self) -> float:
+        """Return the time in s since an arbitrary start."""
+        ...
+
+
+class Recorder:
+    """Writes frames, cycles, poses, events, grasps and results of one sequence as they come.
+
+    A disk that is full, gone or too slow never raises into the force loop: the recording stops
+    for good, `fault` says why, ``on_fault`` is called once, and `close` raises the fault. What was
+    written before can be read (`cell.recording_reader`).
+
+    Parameters
+    ----------
+    path
+        The new file; an existing one is never overwritten.
+    clock
+        Stamps poses, events and results; frames and cycles carry their own monotonic stamps.
+    pads
+        The pads whose counts are recorded.
+    metadata
+        Further facts to keep with the recording, for instance hashes of config and model.
+    on_fault
+        Called once with the error when the recording stops.
+    background
+        Write from a thread of its own, for real time; in virtual time leave it off.
+    wall_clock_ns
+        Wall clock in ns since 1970, read once.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be made.
+    """
+
+    def __init__(
+        self,
+        path: Path | str,
+        clock: MonotonicClock,
+        *,
+        pads: PadArray,
+        metadata: Mapping[str, str] | None = None,
+        on_fault: Callable[[RecordingError], None] | None = None,
+        background: bool = False,
+        wall_clock_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        self.path = Path(path)
+        self._clock = clock
+        self._pads = pads
+        self._on_fault = on_fault
+        self._fault: RecordingError | None = None
+        self._closed = False
+        self._n_frames = 0
+        self._n_dropped = 0
+        self._sequence: dict[str, int] = {}
+        self._newest: deque[tuple[float, int]] = deque(maxlen=_NEWEST_FRAMES)
+        try:
+            self._sink: RecordSink = DirectFile(self.path)
+        except FileExistsError as cause:
+            raise RecordingError(
+                f"{path} is there already; recordings are never overwritten, choose another name"
+            ) from cause
+        except OSError as cause:
+            raise RecordingError(
+                f"cannot record to {path}: {cause.strerror}; check folder and rights"
+            ) from cause
+        if background:
+            self._sink = BackgroundFile(self._sink)
+        self._writer = Writer(
+            self._sink,  # type: ignore[arg-type]
+            chunk_size=CHUNK_BYTES,
+            compression=CompressionType.ZSTD,
+            enable_data_crcs=True,
+        )
+        self._guarded(lambda: self._begin(wall_clock_ns(), dict(metadata or {})))
+
+    def _begin(self, wall_ns: int, metadata: dict[str, str]) -> None:
+        pads = {
+            "pad_shape": self._pads.pad_shape.tolist(),
+            "taxel_pad": self._pads.taxel_pad.tolist(),
+            "taxel_xy_m": self._pads.taxel_xy_m.round(9).tolist(),
+            "adc_max": self._pads.adc_max,
+        }
+        self._writer.start(profile="", library="tactile-cell")
+        entries = {
+            **metadata,
+            "format": schema.FORMAT,
+            "wall_clock_start_ns": str(wall_ns),
+            "monotonic_start_ns": str(_ns(self._clock.monotonic())),
+            "pads": _ENCODE(pads),
+        }
+        self._writer.add_metadata(
+            schema.METADATA, entries | {"crc32": schema.metadata_crc32(entries)}
+        )
+        self._channels: dict[str, int] = {}
+        for topic, content in schema.SCHEMAS.items():
+            number = self._writer.register_schema(
+                content["title"], "jsonschema", _ENCODE(content).encode()
+            )
+            self._channels[topic] = self._writer.register_channel(topic, "json", number)
+
+    @property
+    def fault(self) -> RecordingError | None:
+        """Why the recording stopped before its end; None while all is well."""
+        return self._fault
+
+    @property
+    def n_dropped(self) -> int:
+        """Messages that came after the fault and were not written."""
+        return self._n_dropped
+
+    def frame(self, frame: "TactileFrame") -> None:
+        """Record a whole tactile frame of raw counts."""
+        counts = frame.counts
+        if counts.shape != (self._pads.n_taxels,):
+            raise ValueError(f"frame of shape {counts.shape}, the pads have {self._pads.n_taxels}")
+        self._put(
+            schema.FRAME,
+            frame.t_s,
+            {
+                "number": self._n_frames,
+                "counter": int(frame.counter),
+                "status": int(frame.status),
+                "counts": counts.tolist(),
+            },
+        )
+        self._n_frames += 1
+        self._newest.append((frame.t_s, schema.counts_crc32(counts)))
+
+    def cycle(self, cycle: "Cycle") -> None:
+        """Record one period of the force loop."""
+        state = cycle.state
+        values: dict[str, Any] = {"phase": cycle.phase.name}
+        values |= _known(
+            setpoint_n=cycle.setpoint_n,
+            goal_current_a=cycle.goal_current_a,
+            aperture_m=state.aperture_m,
+            aperture_velocity_m_s=state.aperture_velocity_m_s,
+            current_a=state.current_a,
+            force_from_current_n=state.force_from_current_n,
+            temperature_c=state.temperature_c,
+            voltage_v=state.voltage_v,
+        )
+        if cycle.force is not None:
+            values["force_t_s"] = round(cycle.force.t_s, 9)
+            values["force_valid"] = cycle.force.valid
+            if all(map(math.isfinite, cycle.force.force_n)):
+                values["force_n"] = [round(float(f), 7) for f in cycle.force.force_n]
+        values["servos"] = [_plain_fields(servo) for servo in state.servos]
+        self._put(schema.CYCLE, cycle.t_s, values)
+
+    def pose(self, pose: "Pose") -> None:
+        """Record the pose that the positioner reached."""
+        self._put(schema.POSE, self._clock.monotonic(), _plain_fields(pose))
+
+    def event(self, kind: str, text: str) -> None:
+        """Record that something happened: its kind, and a text for people."""
+        self._put(schema.EVENT, self._clock.monotonic(), {"kind": kind, "text": text})
+
+    def grasp(self, grasp: Grasp) -> None:
+        """Record that the newest frames make up this grasp.
+
+        The frames themselves are those given to `frame` before; ValueError if they are others.
+        """
+        if self._fault is not None:
+            self._n_dropped += 1
+            return
+        newest = list(self._newest)[-grasp.n_frames :]
+        stamps_s = np.array([t_s for t_s, _ in newest])
+        if len(newest) < grasp.n_frames or np.any(
+            np.abs(stamps_s - stamps_s[0] - grasp.t_s) > _TIME_TOLERANCE_S
+        ):
+            raise ValueError(
+                f"the newest {len(newest)} recorded frames are not the {grasp.n_frames} of the "
+                "grasp; record each of its frames, then the grasp"
+            )
+        if schema.counts_crc32(grasp.counts[-1]) != newest[-1][1]:
+            raise ValueError("the counts of the grasp are not the raw counts that were recorded")
+        values: dict[str, Any] = {
+            "label": grasp.label,
+            "shape": grasp.shape,
+            "source": grasp.source,
+            "start_ms": grasp.start_ms,
+            "first_frame": self._n_frames - grasp.n_frames,
+            "n_frames": grasp.n_frames,
+            "frame_t_s": grasp.t_s.round(9).tolist(),
+            "counts_crc32": schema.counts_crc32(grasp.counts),
+        }
+        for name in ("aperture_m", "force_n"):
+            array = getattr(grasp, name)
+            if np.all(np.isfinite(array)):
+                values[name] = array.round(9).tolist()
+        self._put(schema.GRASP, float(stamps_s[0]), values)
+
+    def result(
+        self,
+        *,
+        label: str,
+        probability: float,
+        labels: Sequence[str],
+        probabilities: Sequence[float],
+        unknown: float,
+        n_grasps: int,
+        true_label: str = "",
+    ) -> None:
+        """Record the answer of a sequence; see `recording_schema` for the fields."""
+        values: dict[str, Any] = {
+            "label": label,
+            "probability": float(probability),
+            "labels": list(labels),
+            "probabilities": [float(p) for p in probabilities],
+            "unknown": float(unknown),
+            "n_grasps": n_grasps,
+        }
+        if true_label:
+            values["true_label"] = true_label
+        self._put(schema.RESULT, self._clock.monotonic(), values)
+
+    def close(self) -> None:
+        """Finish the file. Raises the RecordingError of a recording that stopped early."""
+        if self._closed:
+            return
+        self._guarded(self._writer.finish)
+        self._closed = True
+        if self._fault is None:
+            self._guarded(self._sink.close)
+        else:
+            with suppress(OSError):  # the fault is already known, and raised below
+                self._sink.close()
+        if self._fault is not None:
+            raise self._fault
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        try:
+            self.close()
+        except RecordingError as fault:
+            if error is None:
+                raise
+            error.add_note(str(fault))
+
+    def _put(self, topic: str, t_s: float, values: dict[str, Any]) -> None:
+        if self._closed:
+            raise RecordingError(f"{self.path} is closed; nothing more can be recorded")
+        if self._fault is not None:
+            self._n_dropped += 1
+            return
+        stamp_ns = _ns(t_s)
+        data = _ENCODE({"t_s": round(float(t_s), 9), **values}).encode()
+        number = self._sequence.get(topic, 0)
+        self._sequence[topic] = number + 1
+        channel = self._channels[topic]
+        self._guarded(
+            lambda: self._writer.add_message(channel, stamp_ns, data, stamp_ns, sequence=number)
+        )
+
+    def _guarded(self, act: Callable[[], object]) -> None:
+        if self._fault is not None:
+            return
+        try:
+            act()
+        except OSError as cause:
+            reason = cause.strerror or str(cause)
+            self._fault = RecordingError(
+                f"the recording {self.path} stopped after {self._n_frames} frames: {reason}. What "
+                "was written before can be read; free space or choose another disk, then repeat"
+            )
+            self._fault.__cause__ = cause
+            if self._on_fault is not None:
+                self._on_fault(self._fault)
+
+
+def _ns(t_s: float) -> int:
+    if not (math.isfinite(t_s) and t_s >= 0):
+        raise ValueError(f"{t_s} s is no monotonic time; it must be finite and not negative")
+    return round(t_s * 1e9)
+
+
+def _known(**values: float | None) -> dict[str, float]:
+    return {
+        name: round(float(value), 7)
+        for name, value in values.items()
+        if value is not None and math.isfinite(value)
+    }
+
+
+def _plain_fields(value: Any) -> dict[str, Any]:
+    plain = ((field.name, _plain(getattr(value, field.name))) for field in fields(value))
+    return {name: item for name, item in plain if item is not None}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, enum.Enum):
+        return value.name
+    if isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, float):
+        return round(float(value), 7) if math.isfinite(value) else None
+    if isinstance(value, Iterable):
+        return [_plain(item) for item in value]
+    return None if value is None else str(value)

@@ -1,0 +1,165 @@
+"""Where the bytes of a recording go: a file that ends at a record's end even on a full disk."""
+
+import os
+import threading
+from collections import deque
+from pathlib import Path
+from typing import Protocol
+
+MAX_WAITING_BYTES = 16 << 20
+"""Bytes that may wait for a slow disk before the recording is given up."""
+
+
+class RecordSink(Protocol):
+    """What the MCAP writer writes to; each `write` brings whole records."""
+
+    def write(self, data: bytes, /) -> int:
+        """Take the bytes. Raises OSError where they cannot be kept."""
+        ...
+
+    def tell(self) -> int:
+        """Return the number of bytes taken so far."""
+        ...
+
+    def flush(self) -> None:
+        """Nothing is held back by a sink."""
+        ...
+
+    def close(self) -> None:
+        """Bring everything to the disk and end. Raises OSError where that fails."""
+        ...
+
+
+class DirectFile:
+    """Writes in the caller's thread. A failed write leaves no half record behind.
+
+    Raises FileExistsError where the file is already there: no recording is ever overwritten.
+    """
+
+    def __init__(self, path: Path) -> None:
+        flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
+        self._handle = os.open(path, flags, 0o666)
+        self._length = 0
+        self._open = True
+
+    def write(self, data: bytes, /) -> int:
+        """Write all bytes, or none and raise OSError."""
+        rest = memoryview(data)
+        try:
+            while rest:
+                rest = rest[os.write(self._handle, rest) :]
+        except OSError:
+            os.ftruncate(self._handle, self._length)
+            raise
+        self._length += len(data)
+        return len(data)
+
+    def tell(self) -> int:
+        """Return the number of bytes written."""
+        return self._length
+
+    def flush(self) -> None:
+        """Nothing is held back."""
+
+    def close(self) -> None:
+        """Bring the file to the disk and close it; once closed, nothing happens."""
+        if not self._open:
+            return
+        self._open = False
+        try:
+            os.fsync(self._handle)
+        finally:
+            os.close(self._handle)
+
+
+class BackgroundFile:
+    """Hands the bytes to one writing thread, so that a slow disk never holds up the force loop.
+
+    Parameters
+    ----------
+    sink
+        Where the thread writes; this object closes it.
+    max_waiting_bytes
+        More than this waiting is an OSError: the disk is too slow.
+    close_timeout_s
+        How long `close` waits for the disk, in s, before that is an OSError too.
+    """
+
+    def __init__(
+        self,
+        sink: RecordSink,
+        *,
+        max_waiting_bytes: int = MAX_WAITING_BYTES,
+        close_timeout_s: float = 10.0,
+    ) -> None:
+        self._sink = sink
+        self._max_waiting_bytes = max_waiting_bytes
+        self._close_timeout_s = close_timeout_s
+        self._queue: deque[bytes] = deque()
+        self._changed = threading.Condition()
+        self._waiting_bytes = 0
+        self._length = 0
+        self._closing = False
+        self._error: OSError | None = None
+        self._thread = threading.Thread(target=self._run, name="recording", daemon=True)
+        self._thread.start()
+
+    def write(self, data: bytes, /) -> int:
+        """Queue the bytes. Raises OSError if the disk has failed since, or is too slow."""
+        with self._changed:
+            if self._error is not None:
+                raise self._error
+            if self._waiting_bytes + len(data) > self._max_waiting_bytes:
+                raise OSError(
+                    f"the disk is too slow: {self._waiting_bytes} bytes wait to be written, "
+                    f"the limit is {self._max_waiting_bytes}"
+                )
+            self._queue.append(bytes(data))
+            self._waiting_bytes += len(data)
+            self._length += len(data)
+            self._changed.notify()
+        return len(data)
+
+    def tell(self) -> int:
+        """Return the number of bytes taken."""
+        return self._length
+
+    def flush(self) -> None:
+        """Nothing is held back beyond the queue."""
+
+    def close(self) -> None:
+        """Wait until all is written, then close; OSError on failure or after the time-out."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify()
+        self._thread.join(self._close_timeout_s)
+        if self._thread.is_alive():
+            raise OSError(f"the disk did not take the rest within {self._close_timeout_s} s")
+        if self._error is not None:
+            raise self._error
+
+    def _run(self) -> None:
+        try:
+            while (data := self._next()) is not None:
+                self._sink.write(data)
+                with self._changed:
+                    self._waiting_bytes -= len(data)
+        except OSError as error:
+            self._fail(error)
+        except Exception as error:
+            self._fail(OSError(f"the recording's thread died: {type(error).__name__}: {error}"))
+        finally:
+            try:
+                self._sink.close()
+            except OSError as error:
+                self._fail(error)
+
+    def _next(self) -> bytes | None:
+        with self._changed:
+            self._changed.wait_for(lambda: self._queue or self._closing)
+            return self._queue.popleft() if self._queue else None
+
+    def _fail(self, error: OSError) -> None:
+        with self._changed:
+            if self._error is None:
+                self._error = error
