@@ -1,0 +1,1 @@
+"""Each figure that README or docs quote, as a command: python -m benchmarks."""
