@@ -17,7 +17,7 @@ class SimulatorStateError(SimulatorError, RuntimeError):
     """Something was asked for in the wrong order, such as polling an endpoint that is closed."""
 
 
-class PortUnplugged(SimulatorError, OSError):  # noqa: N818
+class PortUnplugged(SimulatorError, OSError):
     """The simulated cable is out: reading and writing fail as on an adapter that went away."""
 
 

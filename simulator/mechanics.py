@@ -1,0 +1,225 @@
+"""Motion of the simulated fingers: one or two servos, friction, end stops, contact forces.
+
+Semi-implicit Euler steps with the contact stiffness taken implicitly, and Karnopp's friction: an
+axis that has come to rest stays at rest until the torque exceeds the stiction, so a gripper that
+holds a part does not creep.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from gripper.registers import RAD_PER_PULSE
+from simulator.errors import SimulatorSettingsError
+from simulator.linkage import FingerLinkage
+from simulator.motor import ServoMotor
+
+STICTION_RATIO = 1.1
+"""Torque that sets an axis at rest in motion, over its Coulomb friction."""
+LONGEST_STEP_S = 1e-3
+FINGER_INERTIA_KG_M2 = 2e-4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServoMount:
+    """How a servo sits in the gripper.
+
+    Attributes
+    ----------
+    direction
+        +1 when the fingers open with a growing position, -1 when they close.
+    zero_raw
+        Raw position at the linkage angle 0.
+    """
+
+    direction: int = 1
+    zero_raw: int = 2048
+
+    def __post_init__(self) -> None:
+        if self.direction not in {-1, 1}:
+            raise SimulatorSettingsError(f"direction is 1 or -1, got {self.direction}")
+
+
+class FingerMechanics:
+    """Two fingers that one servo drives together, or two servos one each.
+
+    Parameters
+    ----------
+    motors
+        One or two motors; their angles are set to the start aperture.
+    mounts
+        How each motor sits in the gripper.
+    linkage
+        From servo angle to half opening.
+    aperture_m
+        Distance between the pads at the start, m.
+    half_opening_min_m
+        Closed end stop in m, at least 0: there the fingers touch each other.
+    """
+
+    __slots__ = (
+        "_axes",
+        "_driven",
+        "_linkage",
+        "_lower_rad",
+        "_mounts",
+        "_upper_rad",
+        "motors",
+    )
+
+    def __init__(
+        self,
+        motors: Sequence[ServoMotor],
+        mounts: Sequence[ServoMount],
+        linkage: FingerLinkage,
+        *,
+        aperture_m: float,
+        half_opening_min_m: float = 0.0,
+    ) -> None:
+        if len(motors) not in {1, 2} or len(mounts) != len(motors):
+            raise SimulatorSettingsError(
+                f"a gripper has one or two motors, each with a mount; got {len(motors)} motors "
+                f"and {len(mounts)} mounts"
+            )
+        if not 0.0 <= half_opening_min_m < linkage.half_opening_max_m:
+            raise SimulatorSettingsError(
+                f"half_opening_min_m is at least 0 and below {linkage.half_opening_max_m}, "
+                f"got {half_opening_min_m}"
+            )
+        self.motors = tuple(motors)
+        self._mounts = tuple(mounts)
+        self._linkage = linkage
+        self._axes = tuple((m.direction, m.zero_raw * RAD_PER_PULSE) for m in mounts)
+        self._lower_rad = linkage.angle_rad(half_opening_min_m)
+        self._upper_rad = linkage.angle_rad(linkage.half_opening_max_m)
+        self._driven = False
+        self.drive_to(aperture_m)
+        self.let_go()
+
+    @property
+    def finger_position_m(self) -> tuple[float, float]:
+        """Half openings of finger 0 and finger 1 from the centre plane in m."""
+        first = self._half_opening_m(0)
+        return (first, first) if len(self.motors) == 1 else (first, self._half_opening_m(1))
+
+    @property
+    def finger_velocity_m_s(self) -> tuple[float, float]:
+        """Velocities of the half openings in m/s, positive when opening."""
+        first = self._opening_velocity_m_s(0)
+        return (first, first) if len(self.motors) == 1 else (first, self._opening_velocity_m_s(1))
+
+    @property
+    def aperture_m(self) -> float:
+        """Distance between the two pads in m."""
+        first, second = self.finger_position_m
+        return first + second
+
+    def drive_to(self, aperture_m: float, velocity_m_s: float = 0.0) -> None:
+        """Put both fingers where a record says, evenly; steps no longer move them until `let_go`.
+
+        Parameters
+        ----------
+        aperture_m
+            Recorded distance between the pads, m.
+        velocity_m_s
+            Rate of change of the aperture that the servos report, m/s.
+        """
+        half_m = 0.5 * aperture_m
+        if not (math.isfinite(half_m) and 0.0 <= half_m <= self._linkage.half_opening_max_m):
+            raise SimulatorSettingsError(
+                f"aperture {aperture_m} m is outside 0 to {2 * self._linkage.half_opening_max_m} m"
+            )
+        theta = self._linkage.angle_rad(half_m)
+        slope = self._linkage.slope_m_rad(theta)
+        self._driven = True
+        for motor, (direction, zero_rad) in zip(self.motors, self._axes, strict=True):
+            motor.angle_rad = zero_rad + direction * theta
+            motor.velocity_rad_s = direction * 0.5 * velocity_m_s / slope
+
+    def let_go(self) -> None:
+        """End `drive_to`: the motors move the fingers again, from rest."""
+        self._driven = False
+        for motor in self.motors:
+            motor.velocity_rad_s = 0.0
+
+    def step(
+        self,
+        dt_s: float,
+        contact_force_n: tuple[float, float],
+        contact_stiffness_n_m: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
+        """Advance the fingers by ``dt_s`` s.
+
+        Parameters
+        ----------
+        dt_s
+            Time step in s; one above `LONGEST_STEP_S` is taken in pieces.
+        contact_force_n
+            Force on each pad in N at the present position, positive when it pushes the finger open.
+        contact_stiffness_n_m
+            How fast that force falls when the finger opens, N/m, at least 0.
+        """
+        if dt_s <= LONGEST_STEP_S:
+            self._step(dt_s, contact_force_n, contact_stiffness_n_m)
+            return
+        pieces = math.ceil(dt_s / LONGEST_STEP_S - 1e-9)
+        start = self.finger_position_m
+        for _ in range(pieces):
+            x0, x1 = self.finger_position_m
+            force = (
+                max(0.0, contact_force_n[0] - contact_stiffness_n_m[0] * (x0 - start[0])),
+                max(0.0, contact_force_n[1] - contact_stiffness_n_m[1] * (x1 - start[1])),
+            )
+            self._step(dt_s / pieces, force, contact_stiffness_n_m)
+
+    def _step(
+        self, dt_s: float, force_n: tuple[float, float], stiffness_n_m: tuple[float, float]
+    ) -> None:
+        motors = self.motors
+        if self._driven:
+            for motor in motors:
+                motor.torque_nm(dt_s)
+        elif len(motors) == 1:
+            self._move(0, dt_s, force_n[0] + force_n[1], stiffness_n_m[0] + stiffness_n_m[1])
+        else:
+            self._move(0, dt_s, force_n[0], stiffness_n_m[0])
+            self._move(1, dt_s, force_n[1], stiffness_n_m[1])
+
+    def _move(self, axis: int, dt_s: float, force_n: float, stiffness_n_m: float) -> None:
+        motor = self.motors[axis]
+        direction, zero_rad = self._axes[axis]
+        theta = direction * (motor.angle_rad - zero_rad)
+        slope = direction * self._linkage.slope_m_rad(theta)
+        torque = motor.torque_nm(dt_s) + slope * force_n
+        velocity = motor.velocity_rad_s
+        friction = motor.friction_nm
+        if velocity == 0.0:
+            if abs(torque) <= STICTION_RATIO * friction:
+                return
+            torque -= math.copysign(friction, torque)
+        else:
+            torque -= math.copysign(friction, velocity)
+        inertia = motor.inertia_kg_m2 + FINGER_INERTIA_KG_M2
+        new = (inertia * velocity + dt_s * torque) / (
+            inertia + dt_s * motor.viscous_nm_s + dt_s * dt_s * slope * slope * stiffness_n_m
+        )
+        if new * velocity < 0.0:
+            new = 0.0
+        theta += direction * new * dt_s
+        if theta < self._lower_rad:
+            theta, new = self._lower_rad, 0.0
+        elif theta > self._upper_rad:
+            theta, new = self._upper_rad, 0.0
+        motor.velocity_rad_s = new
+        motor.angle_rad = zero_rad + direction * theta
+
+    def _half_opening_m(self, axis: int) -> float:
+        direction, zero_rad = self._axes[axis]
+        theta = direction * (self.motors[axis].angle_rad - zero_rad)
+        return max(0.0, self._linkage.half_opening_m(theta))
+
+    def _opening_velocity_m_s(self, axis: int) -> float:
+        direction, zero_rad = self._axes[axis]
+        theta = direction * (self.motors[axis].angle_rad - zero_rad)
+        slope = self._linkage.slope_m_rad(theta)
+        return direction * slope * self.motors[axis].velocity_rad_s
