@@ -38,7 +38,7 @@ def mean_bits(data: bytes, *, extended: bool = False) -> float:
 
     Stuffing is counted as for random bits (114.2 bits for 8 bytes), plus what bytes of 0x00 and
     0xFF cost: an untouched skin loads the bus more than a touched one (123.9 bits for a header and
-    7 such bytes). Within 2 % of XX of its
+    7 such bytes). Within 3 % of the mean of `exact_bits` over many messages, at a fiftieth of its
     cost.
     """
     length = _STUFFABLE_BITS + 8 * len(data)

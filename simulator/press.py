@@ -55,13 +55,13 @@ class Press:
         for side, grid in enumerate(grids):
             x_m, y_m = np.broadcast_arrays(grid.x_m, grid.y_m)
             reach_m = posed_heights(shape, pose, x_m, y_m)[side]
-            covered = np.isfinite(reach_m)
+            covered: NDArray[np.bool_] = np.isfinite(reach_m)
             if not covered.any():
                 raise SimulatorSettingsError(
                     f"at x = {1e3 * pose.x_m:.1f} mm, y = {1e3 * pose.y_m:.1f} mm the object lies "
                     f"beside the pad {grid.pad.name}"
                 )
-            window = (_span(covered.any(axis=1)), _span(covered.any(axis=0)))
+            window = (_span(covered, axis=0), _span(covered, axis=1))
             table = ForceTable(foam, reach_m[window], grid.cell_area_m2)
             tables.append(table)
             windows.append(window)
@@ -139,6 +139,7 @@ class Press:
         return self._grids[side].taxel_force_n(pressure_pa, self._windows[side])
 
 
-def _span(covered: NDArray[np.bool_]) -> slice:
-    indices = np.flatnonzero(covered)
-    return slice(int(indices[0]), int(indices[-1]) + 1)
+def _span(covered: NDArray[np.bool_], *, axis: int) -> slice:
+    """Return the stretch along an axis in which something is covered."""
+    indices = np.nonzero(covered)[axis]
+    return slice(int(indices.min()), int(indices.max()) + 1)

@@ -1,0 +1,291 @@
+"""The tactile control unit as a CANopen device after CiA 301.
+
+After each SYNC it latches one scan and sends it as one burst of TPDO1, at the rate of the wire.
+canopen's LocalNode serves SDO and makes heartbeat, boot-up and EMCY; what it does not do is here:
+services by NMT state, resets, SYNC, the history of errors, the synchronous window.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import canopen
+
+from simulator.can_faults import ControlUnitFaults
+from simulator.can_wire import mean_bits
+from simulator.device_network import DeviceNetwork
+from simulator.errors import SimulatorSettingsError, SimulatorStateError
+from simulator.sdo_gate import SdoGate
+from simulator.unit_dictionary import UnitDictionary
+from simulator.unit_scan import ScannedWorld, Scanner
+from tactile import eds
+from tactile.eds import TransmissionMode
+from tactile.layout import TaxelLayout
+
+EMCY_WINDOW = 0xFF01
+"""A burst was cut short: it does not fit into the synchronous window (0x1007)."""
+EMCY_OVERRUN = 0xFF02
+"""A SYNC came while the burst of the one before it was still being sent; it was passed over."""
+REGISTER_GENERIC = 0x01
+REGISTER_MANUFACTURER = 0x80
+
+_OPERATIONAL, _STOPPED = "OPERATIONAL", "STOPPED"
+_NMT_START, _NMT_STOP, _NMT_PREOPERATIONAL = 1, 2, 128
+_NMT_RESET_NODE, _NMT_RESET_COMMUNICATION = 129, 130
+_WORST_BITS = 135
+_MAX_HISTORY = 8
+
+SendBurst = Callable[[float, int, list[bytes]], float]
+"""Takes the time in s at which messages are ready, their identifier and their data; sends them one
+after the other and returns when the last one is through, in s."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ControlUnitSettings:
+    """What one control unit is.
+
+    Attributes
+    ----------
+    node_id
+        1 to 127.
+    bitrate
+        Bit rate in bit/s that its CAN controller is set to.
+    serial_number
+        Object 0x1018:04.
+    identity
+        Other sub-indices of 0x1018 that differ from the EDS, to stand for a wrong device.
+    boot_s
+        Time in s from power-on or reset to the boot-up message.
+    """
+
+    node_id: int = 5
+    bitrate: int = 1_000_000
+    serial_number: int = 1
+    identity: Mapping[int, int] = field(default_factory=dict)
+    boot_s: float = 0.02
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.node_id <= 127:
+            raise SimulatorSettingsError(f"node_id is {self.node_id}, must be 1 to 127")
+        if self.bitrate <= 0:
+            raise SimulatorSettingsError(f"bitrate is {self.bitrate}, must be positive")
+        if not (math.isfinite(self.boot_s) and self.boot_s >= 0.0):
+            raise SimulatorSettingsError(f"boot_s is {self.boot_s}, must be at least 0")
+
+
+class SimulatedControlUnit:
+    """One control unit. It has no clock: whoever carries its messages tells it the time.
+
+    Parameters
+    ----------
+    world
+        Where the scans come from.
+    layout
+        The taxels.
+    settings
+        Node id, identity, bit rate.
+    faults
+        Knobs that may be turned at any time.
+    start_s
+        Time of power-on in s.
+    """
+
+    __slots__ = (
+        "_boot_due_s",
+        "_burst_end_s",
+        "_dictionary",
+        "_gate",
+        "_layout",
+        "_network",
+        "_node",
+        "_scanner",
+        "_send",
+        "_sync_count",
+        "_sync_id",
+        "faults",
+        "settings",
+    )
+
+    def __init__(
+        self,
+        world: ScannedWorld,
+        layout: TaxelLayout,
+        settings: ControlUnitSettings | None = None,
+        *,
+        faults: ControlUnitFaults | None = None,
+        start_s: float = 0.0,
+    ) -> None:
+        self.settings = settings or ControlUnitSettings()
+        self.faults = faults or ControlUnitFaults()
+        self._layout = layout
+        self._send: SendBurst | None = None
+        self._boot_due_s = math.inf
+        self._sync_id = 0
+        self._scanner = Scanner(world, layout, self.faults)
+        node_id = self.settings.node_id
+        self._node = _local_node(node_id)
+        self._network = DeviceNetwork(self._emit, start_s)
+        self._node.associate_network(self._network)
+        self._dictionary = UnitDictionary(
+            self._node,
+            layout,
+            self._scanner,
+            serial_number=self.settings.serial_number,
+            identity=self.settings.identity,
+        )
+        sdo = self._node.sdo
+        self._gate = SdoGate(
+            serve=lambda data: sdo.on_request(sdo.rx_cobid, data, self._network.now_s),
+            respond=lambda data: self._network.send_message(sdo.tx_cobid, data),
+        )
+        self.power_cycle()
+
+    @property
+    def state(self) -> str:
+        """NMT state by the names of CiA 301: INITIALISING, PRE-OPERATIONAL, ..."""
+        return str(self._node.nmt.state)
+
+    def connect(self, send: SendBurst) -> None:
+        """Plug the unit into a bus."""
+        self._send = send
+
+    def next_event_s(self) -> float:
+        """Return when the unit will next say something by itself, in s; infinity for never."""
+        return min(self._boot_due_s, self._network.next_due_s())
+
+    def advance(self, now_s: float) -> None:
+        """Let the time pass until ``now_s`` s: boot-up, heartbeat."""
+        if now_s < self._boot_due_s and now_s < self._network.next_due_s():
+            self._network.now_s = now_s
+            return
+        if self._boot_due_s <= now_s:
+            self._network.now_s = self._boot_due_s
+            self._boot_due_s = math.inf
+            # canopen sends the boot-up on entering, and starts the heartbeat on leaving this state.
+            self._node.nmt.state = "INITIALISING"
+            self._node.nmt.state = "PRE-OPERATIONAL"
+        self._network.run(now_s, mute=self.faults.dead or self.faults.heartbeat_off)
+        self._network.now_s = now_s
+
+    def receive(self, can_id: int, data: bytes, now_s: float) -> None:
+        """Take one message from the bus at ``now_s`` s and answer it."""
+        self.advance(now_s)
+        if self.faults.dead or math.isfinite(self._boot_due_s):
+            return
+        if can_id == 0:
+            self._nmt(data)
+        elif self.state == _STOPPED:
+            return
+        elif can_id == self._sync_id:
+            self._sync()
+        elif can_id == self._node.sdo.rx_cobid:
+            self._gate.request(data)
+            self._sync_id = self._dictionary.number(eds.SYNC_COB_ID) & 0x7FF
+
+    def emergency(self, code: int, *, register: int = REGISTER_GENERIC, data: bytes = b"") -> None:
+        """Report an error: EMCY, error register and history; code 0 reports that all are gone.
+
+        Parameters
+        ----------
+        code
+            Error code after CiA 301, 16 bit.
+        register
+            Bits of the error register that it sets.
+        data
+            Up to 5 bytes that tell more.
+        """
+        dictionary = self._dictionary
+        if code == 0:
+            dictionary.error_register = 0
+        else:
+            dictionary.error_register |= register | REGISTER_GENERIC
+            dictionary.errors.insert(0, code)
+            del dictionary.errors[_MAX_HISTORY:]
+        if not math.isfinite(self._boot_due_s) and self.state != _STOPPED:
+            self._node.emcy.send(code, dictionary.error_register, data)
+
+    def power_cycle(self) -> None:
+        """Lose power and come back: all values at their defaults, one boot-up after the boot."""
+        self._reset(everything=True)
+
+    def _reset(self, *, everything: bool) -> None:
+        self._node.nmt.stop_heartbeat()
+        self._gate.reset()
+        self._dictionary.reset(self._layout, everything=everything)
+        if everything:
+            self._scanner.reset()
+        self._sync_id = self._dictionary.number(eds.SYNC_COB_ID) & 0x7FF
+        self._sync_count = 0
+        self._burst_end_s = -math.inf
+        self._boot_due_s = self._network.now_s + self.settings.boot_s
+
+    def _nmt(self, data: bytes) -> None:
+        if len(data) != 2 or data[1] not in {0, self.settings.node_id}:
+            return
+        if data[0] in {_NMT_RESET_NODE, _NMT_RESET_COMMUNICATION}:
+            self._reset(everything=data[0] == _NMT_RESET_NODE)
+        elif data[0] in {_NMT_START, _NMT_STOP, _NMT_PREOPERATIONAL}:
+            self._node.nmt.on_command(0, data, self._network.now_s)
+
+    def _sync(self) -> None:
+        if self.state != _OPERATIONAL:
+            return
+        now_s = self._network.now_s
+        if now_s < self._burst_end_s:
+            self._passed_over(EMCY_OVERRUN)
+            return
+        kind = self._dictionary.number(eds.TPDO1_PARAMETER, 2)
+        self._sync_count += 1
+        if 1 < kind <= 240 and self._sync_count % kind:
+            return
+        self._scanner.latch()
+        mode = self._dictionary.number(eds.MODE)
+        if mode & TransmissionMode.RAW:
+            self._send_frame(now_s)
+        if mode & TransmissionMode.FEATURES:
+            touch = self._dictionary.number(eds.THRESHOLDS, eds.THRESHOLD_TOUCH)
+            firsts, seconds = self._scanner.feature_messages(touch)
+            for first, second in zip(firsts, seconds, strict=True):
+                self._send_pdo(2, now_s, [first])
+                self._send_pdo(3, now_s, [second])
+
+    def _send_frame(self, now_s: float) -> None:
+        messages = self._scanner.frame_messages()
+        window_s = 1e-6 * self._dictionary.number(eds.SYNC_WINDOW_US)
+        bit_s = 1.0 / self.settings.bitrate
+        if window_s and len(messages) * _WORST_BITS * bit_s > window_s:
+            used_s, fitting = 0.0, 0
+            for message in messages:
+                used_s += mean_bits(message) * bit_s
+                if used_s > window_s:
+                    break
+                fitting += 1
+            if fitting < len(messages):
+                messages = messages[:fitting]
+                self._passed_over(EMCY_WINDOW)
+        self._send_pdo(1, now_s, messages)
+
+    def _passed_over(self, code: int) -> None:
+        """Mark the next frame, and say once in an EMCY what goes wrong again and again."""
+        self._scanner.overrun = True
+        if code not in self._dictionary.errors:
+            self.emergency(code, register=REGISTER_MANUFACTURER)
+
+    def _send_pdo(self, pdo: int, now_s: float, messages: list[bytes]) -> None:
+        can_id = self._dictionary.pdo_cob_id(pdo)
+        if can_id is not None and messages and self._send is not None:
+            self._burst_end_s = self._send(now_s, can_id, messages)
+
+    def _emit(self, t_s: float, can_id: int, data: bytes) -> None:
+        if can_id == self._node.sdo.tx_cobid:
+            self._gate.response(data)
+        if self._send is None:
+            raise SimulatorStateError("the control unit is not connected to a bus: connect() first")
+        if not self.faults.dead:
+            self._send(t_s, can_id, [data])
+
+
+def _local_node(node_id: int) -> Any:
+    """Return canopen's node on the unit's dictionary; most of its interface has no types."""
+    return canopen.LocalNode(node_id, canopen.import_od(str(eds.EDS_PATH), node_id))
