@@ -1,0 +1,207 @@
+"""Model files: what a recogniser learnt, as plain arrays and one JSON header in an npz archive.
+
+Nothing in a model file is ever executed. A model is refused before any hardware is touched when
+its format, its pads or the version of its features are not those of this program.
+"""
+
+import hashlib
+import importlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.errors import ModelError
+from cell.files import read_npz, savez, write_atomically
+from recognition.grasp import PadArray
+from recognition.recognizer import Recognizer
+from recognition.recognizers import TRAINERS
+
+FORMAT = "tactile-cell-model/1"
+"""First thing that a model file says of itself."""
+
+DEFAULT_LIMIT_BYTES = 256 << 20
+"""Unpacked size of a model file that is read."""
+
+_HEADER = "model"
+_PREFIX = "learnt."
+_PADS = "pads."
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoadedModel:
+    """A model file that was read and fits.
+
+    Attributes
+    ----------
+    recognizer
+        Ready to answer.
+    trainer_name
+        Name of its kind, a key of `recognition.recognizers.TRAINERS`.
+    labels
+        The taught objects.
+    pads
+        The pads that it was taught on.
+    """
+
+    recognizer: Recognizer
+    trainer_name: str
+    labels: tuple[str, ...]
+    pads: PadArray
+
+
+def layout_hash(pads: PadArray) -> str:
+    """Return 16 hex digits that are equal for equal pads: shapes, places to 1 um, full scale."""
+    digest = hashlib.sha256()
+    for array in (pads.pad_shape, pads.taxel_pad, np.rint(pads.taxel_xy_m * 1e6)):
+        digest.update(np.asarray(array, dtype="<i8").tobytes() + b"|")
+    digest.update(str(pads.adc_max).encode())
+    return digest.hexdigest()[:16]
+
+
+def save_model(
+    path: Path | str, recognizer: Recognizer, *, trainer_name: str, pads: PadArray
+) -> None:
+    """Write a taught recogniser, whole or not at all.
+
+    Parameters
+    ----------
+    path
+        The model file; an older one stays until the new one is whole.
+    recognizer
+        What was taught.
+    trainer_name
+        Its kind, a key of `recognition.recognizers.TRAINERS`.
+    pads
+        The pads that it was taught on.
+
+    Raises
+    ------
+    ModelError
+        If the kind is unknown or the disk refuses.
+    """
+    path = Path(path)
+    kind = type(recognizer)
+    if _class_of(path, trainer_name, kind.__name__) is not kind:
+        raise ModelError(f"cannot write model {path}: {kind.__name__} is not of {trainer_name!r}")
+    learnt = recognizer.to_arrays()
+    arrays: dict[str, NDArray[Any]] = {
+        f"{_PADS}shape": pads.pad_shape,
+        f"{_PADS}taxel_pad": pads.taxel_pad,
+        f"{_PADS}taxel_xy_m": pads.taxel_xy_m,
+        f"{_PADS}adc_max": np.array(pads.adc_max, dtype=np.int64),
+        **{_PREFIX + name: np.asarray(array) for name, array in learnt.items()},
+    }
+    header = {
+        "format": FORMAT,
+        "trainer": trainer_name,
+        "class": kind.__name__,
+        "labels": list(recognizer.labels),
+        "layout_hash": layout_hash(pads),
+        "sha256": _digest(arrays),
+    }
+    arrays = {_HEADER: np.array(json.dumps(header)), **arrays}
+    write_atomically(path, lambda file: savez(file, arrays), error=ModelError, what="model")
+
+
+def load_model(path: Path | str, expected_pads: PadArray | None = None) -> LoadedModel:
+    """Read a model file.
+
+    Parameters
+    ----------
+    path
+        The model file.
+    expected_pads
+        The pads of the cell; None to take those of the model.
+
+    Raises
+    ------
+    ModelError
+        If the file is damaged, no model, of another version, or was taught on other pads.
+    """
+    path = Path(path)
+    arrays = read_npz(path, error=ModelError, what="model", limit_bytes=DEFAULT_LIMIT_BYTES)
+    header = _header(path, arrays)
+    pads = _pads(path, arrays)
+    if header.get("layout_hash") != layout_hash(pads):
+        raise ModelError(f"{path}: its pads do not have its layout hash; the file is damaged")
+    if expected_pads is not None and not pads.same_as(expected_pads):
+        raise ModelError(
+            f"{path} was taught on {_describe(pads)}, the cell has {_describe(expected_pads)}; "
+            "teach again on these pads, or name the right layout in the config"
+        )
+    trainer_name = str(header.get("trainer"))
+    kind = _class_of(path, trainer_name, str(header.get("class")))
+    learnt = {
+        name.removeprefix(_PREFIX): array
+        for name, array in arrays.items()
+        if name.startswith(_PREFIX)
+    }
+    try:
+        recognizer = kind.from_arrays(learnt)
+        labels = tuple(recognizer.labels)
+    except (ValueError, KeyError, TypeError, IndexError, ArithmeticError) as cause:
+        raise ModelError(
+            f"{path} does not suit this program ({type(cause).__name__}: {cause}); train it again"
+        ) from cause
+    if list(labels) != header.get("labels"):
+        raise ModelError(f"{path} names other labels in its header than in its arrays")
+    return LoadedModel(recognizer=recognizer, trainer_name=trainer_name, labels=labels, pads=pads)
+
+
+def _header(path: Path, arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+    text = arrays.get(_HEADER)
+    if text is None or text.dtype.kind != "U" or text.shape != ():
+        raise ModelError(f"{path} is no model file: it has no header; train a model first")
+    try:
+        header = json.loads(str(text))
+    except (ValueError, RecursionError) as cause:
+        raise ModelError(f"{path}: its header is no JSON ({cause})") from cause
+    if not isinstance(header, dict) or header.get("format") != FORMAT:
+        raise ModelError(f"{path} is not of the format {FORMAT}; train it again")
+    rest = {name: array for name, array in arrays.items() if name != _HEADER}
+    if header.get("sha256") != _digest(rest):
+        raise ModelError(f"{path}: its arrays do not have its checksum; the file is damaged")
+    return header
+
+
+def _digest(arrays: Mapping[str, NDArray[Any]]) -> str:
+    digest = hashlib.sha256()
+    for name, array in sorted(arrays.items()):
+        digest.update(f"{name}|{array.dtype.str}|{array.shape}|".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()
+
+
+def _pads(path: Path, arrays: Mapping[str, NDArray[Any]]) -> PadArray:
+    try:
+        return PadArray(
+            pad_shape=arrays[f"{_PADS}shape"],
+            taxel_pad=arrays[f"{_PADS}taxel_pad"],
+            taxel_xy_m=arrays[f"{_PADS}taxel_xy_m"],
+            adc_max=int(arrays[f"{_PADS}adc_max"]),
+        )
+    except (KeyError, ValueError, TypeError, IndexError) as cause:
+        raise ModelError(f"{path}: its pads cannot be read ({cause})") from cause
+
+
+def _class_of(path: Path, trainer_name: str, class_name: str) -> type[Recognizer]:
+    """Return a recogniser's class; a file can only name those that this program offers."""
+    if trainer_name not in TRAINERS:
+        raise ModelError(
+            f"{path} is of the kind {trainer_name!r}; there are {', '.join(sorted(TRAINERS))}"
+        )
+    module = importlib.import_module(f"recognition.recognizers.{trainer_name}")
+    found = getattr(module, class_name, None)
+    if not isinstance(found, type) or not hasattr(found, "from_arrays"):
+        raise ModelError(f"{path}: {trainer_name} has no recogniser named {class_name!r}")
+    return cast("type[Recognizer]", found)
+
+
+def _describe(pads: PadArray) -> str:
+    shapes = " + ".join(f"{rows}x{columns}" for rows, columns in pads.pad_shape.tolist())
+    return f"{shapes} taxels up to {pads.adc_max} (layout {layout_hash(pads)})"
