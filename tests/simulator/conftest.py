@@ -1,0 +1,109 @@
+"""Benches that several tests of the simulator share."""
+
+from collections.abc import Callable, Mapping
+
+import pytest
+
+from gripper.registers import XM430_W350, ServoModel
+from simulator.clock import VirtualClock
+from simulator.linkage import ParallelogramLinkage
+from simulator.mechanics import FingerMechanics, ServoMount
+from simulator.motor import ServoMotor
+from simulator.protocol2 import Instruction, PacketParser, encode_instruction
+from simulator.servo import SimulatedServo
+from simulator.servo_bus import ServoBusDevice
+from simulator.servo_core import WatchdogStop
+from simulator.servo_stream import MemoryServoStream
+
+
+class ServoBench:
+    """Servos with IDs 1, 2 ... on a bus in memory; the fingers move as the clock is slept on."""
+
+    def __init__(
+        self,
+        *,
+        count: int = 2,
+        model: ServoModel = XM430_W350,
+        firmware: int | None = None,
+        settings: Mapping[str, int] | None = None,
+        baudrate: int = 1_000_000,
+        watchdog_stop: WatchdogStop = WatchdogStop.HOLD,
+        usb_latency_s: float = 0.0,
+        crc_error_reply: bool = True,
+    ) -> None:
+        self.clock = VirtualClock()
+        self.motors = [ServoMotor(model) for _ in range(count)]
+        self.force_n = (0.0, 0.0)
+        self.mechanics = None
+        if count <= 2:
+            mounts = [ServoMount(direction=1), ServoMount(direction=-1)][:count]
+            self.mechanics = FingerMechanics(
+                self.motors, mounts, ParallelogramLinkage(), aperture_m=0.06
+            )
+        defaults = {"baud_rate": 3, "return_delay_time": 0}
+        self.servos = [
+            SimulatedServo(
+                i,
+                model,
+                motor,
+                firmware=firmware,
+                settings={**defaults, **(settings or {})},
+                watchdog_stop=watchdog_stop,
+            )
+            for i, motor in enumerate(self.motors, start=1)
+        ]
+        self.device = ServoBusDevice(
+            self.servos,
+            baudrate,
+            usb_latency_s=usb_latency_s,
+            crc_error_reply=crc_error_reply,
+        )
+        self.stream = MemoryServoStream(self.device, self.clock)
+        self.clock.on_advance.append(self._advance)
+        self._last_s = 0.0
+
+    def _advance(self, now_s: float) -> None:
+        if self.mechanics is not None:
+            self.mechanics.step(now_s - self._last_s, self.force_n)
+        self._last_s = now_s
+        self.device.advance_to(now_s)
+
+    def exchange(self, request: bytes, timeout_s: float = 0.02) -> bytes:
+        """Send bytes and return all that comes back until the line is quiet for the time-out."""
+        self.stream.write(request)
+        answer = b""
+        while piece := self.stream.read(256, timeout_s):
+            answer += piece
+        return answer
+
+    def ask(self, servo_id: int, instruction: int, parameters: bytes = b"") -> tuple[int, bytes]:
+        """Return error byte and data of the one status packet that answers."""
+        answer = self.exchange(encode_instruction(servo_id, instruction, parameters))
+        (packet,) = PacketParser().push(answer)
+        assert packet.intact
+        assert packet.packet_id == servo_id
+        assert packet.instruction == 0x55
+        return packet.parameters[0], packet.parameters[1:]
+
+    def read(self, servo_id: int, address: int, size: int, *, signed: bool = False) -> int:
+        error, data = self.ask(
+            servo_id,
+            Instruction.READ,
+            address.to_bytes(2, "little") + size.to_bytes(2, "little"),
+        )
+        assert error & 0x7F == 0
+        assert len(data) == size
+        return int.from_bytes(data, "little", signed=signed)
+
+    def write(self, servo_id: int, address: int, size: int, value: int) -> int:
+        """Write one item and return the error byte."""
+        data = (value & (1 << 8 * size) - 1).to_bytes(size, "little")
+        error, rest = self.ask(servo_id, Instruction.WRITE, address.to_bytes(2, "little") + data)
+        assert rest == b""
+        return error
+
+
+@pytest.fixture
+def servo_bench() -> Callable[..., ServoBench]:
+    """Return the maker of a bench with servos; takes what `ServoBench` takes."""
+    return ServoBench
