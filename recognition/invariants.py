@@ -159,10 +159,10 @@ def corrected_eigenvalue(
     if centre is None:
         _refuse_singular(ascending(Q[..., :3, :3]))
         centre = -np.linalg.solve(Q[..., :3, :3], Q[..., :3, 3, None])[..., 0]
-    inverse_radius = 1.0 / np.asarray(radius, dtype=np.float64)
-    if not np.all(np.isfinite(inverse_radius)):
-        raise QuadricError("the radius is 0: the quadric is a cone or a point")
-    to_centre = scaling(inverse_radius) @ translation(-np.asarray(centre, dtype=np.float64))
+    radius = np.asarray(radius, dtype=np.float64)
+    if not np.all((radius > 0) & np.isfinite(radius)):
+        raise QuadricError(f"radius is {radius}, must be above 0; a cone or a point has none")
+    to_centre = scaling(1.0 / radius) @ translation(-np.asarray(centre, dtype=np.float64))
     moved = congruence(Q, to_centre)
     k = moved[..., 3, 3]
     if np.any(np.abs(k) <= 1e-12 * np.abs(moved).max(axis=(-1, -2))):

@@ -1,0 +1,105 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from recognition import transform
+from recognition.errors import TransformError
+
+BALL = np.diag([1.0, 1.0, 1.0, -1.0])
+numbers = st.floats(-3.0, 3.0)
+
+
+def _point(x, y, z):
+    return np.array([x, y, z, 1.0])
+
+
+def test_each_rotation_turns_right_handed():
+    quarter = np.pi / 2
+    assert transform.rotation_x(quarter) @ _point(0, 1, 0) == pytest.approx(_point(0, 0, 1))
+    assert transform.rotation_y(quarter) @ _point(0, 0, 1) == pytest.approx(_point(1, 0, 0))
+    assert transform.rotation_z(quarter) @ _point(1, 0, 0) == pytest.approx(_point(0, 1, 0))
+
+
+def test_rotation_xyz_turns_about_x_first():
+    both = transform.rotation_xyz([np.pi / 2, 0.0, np.pi / 2])
+    assert both @ _point(0, 1, 0) == pytest.approx(_point(0, 0, 1))
+    assert both @ _point(1, 0, 0) == pytest.approx(_point(0, 1, 0))
+
+
+def test_denavit_hartenberg_is_the_product_of_its_four_steps():
+    theta, d, a, alpha = 0.3, 0.7, -0.4, 1.1
+    expected = (
+        transform.rotation_z(theta)
+        @ transform.translation([0, 0, d])
+        @ transform.translation([a, 0, 0])
+        @ transform.rotation_x(alpha)
+    )
+    assert transform.denavit_hartenberg(theta, d, a, alpha) == pytest.approx(expected)
+    batch = transform.denavit_hartenberg(np.zeros(5), d, a, alpha)
+    assert batch.shape == (5, 4, 4)
+
+
+def test_default_order_scales_first_and_translates_last():
+    parts = {
+        "translate": transform.translation([1, 2, 3]),
+        "rotate": transform.rotation_z(np.pi / 2),
+        "scale": transform.scaling(2.0),
+    }
+    assert transform.compose(**parts) @ _point(1, 0, 0) == pytest.approx(_point(1, 4, 3))
+    scaled_last = transform.compose(**parts, order="STR")
+    assert scaled_last @ _point(1, 0, 0) == pytest.approx(_point(2, 6, 6))
+
+
+def test_congruence_moves_the_surface():
+    moved = transform.congruence(BALL, transform.translation([5, 0, 0]) @ transform.scaling(2.0))
+    on_surface = _point(7, 0, 0)
+    assert on_surface @ moved @ on_surface == pytest.approx(0.0, abs=1e-12)
+
+
+@settings(derandomize=True, max_examples=50, deadline=None)
+@given(
+    values=arrays(np.float64, (4, 4), elements=numbers),
+    offset=arrays(np.float64, 3, elements=numbers),
+    angle=arrays(np.float64, 3, elements=numbers),
+    scale=st.floats(0.25, 4.0),
+    point=arrays(np.float64, 3, elements=numbers),
+)
+def test_congruence_keeps_the_value_at_the_moved_point(values, offset, angle, scale, point):
+    Q = values + values.T
+    M = transform.compose(
+        translate=transform.translation(offset),
+        rotate=transform.rotation_xyz(angle),
+        scale=transform.scaling(scale),
+    )
+    P = np.append(point, 1.0)
+    moved = transform.congruence(Q, M)
+    assert np.array_equal(moved, moved.T)
+    assert (M @ P) @ moved @ (M @ P) == pytest.approx(P @ Q @ P, abs=1e-8)
+    assert transform.congruence(moved, np.linalg.inv(M)) == pytest.approx(Q, abs=1e-8)
+
+
+def test_chain_is_the_congruence_of_the_product():
+    first, second = transform.rotation_x(0.4), transform.translation([1.0, -2.0, 0.5])
+    at_once = transform.congruence(BALL, second @ first)
+    steps = transform.chain(BALL, [np.linalg.inv(first), np.linalg.inv(second)])
+    assert steps == pytest.approx(at_once)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: transform.translation([1.0, 2.0]), r"shape \(2,\)"),
+        (lambda: transform.rotation_xyz(0.5), "angle_rad has shape"),
+        (lambda: transform.scaling([1.0, 0.0]), "scale factor is 0"),
+        (lambda: transform.check_order("TTR"), "permutation of 'TRS'"),
+        (lambda: transform.invert(np.eye(3)), "expected"),
+        (lambda: transform.invert(np.full((4, 4), np.nan)), "not finite"),
+        (lambda: transform.invert(np.ones((4, 4))), "last row"),
+        (lambda: transform.invert(np.diag([1.0, 1.0, 0.0, 1.0])), "condition number inf"),
+    ],
+)
+def test_refusals_name_the_cause(call, message):
+    with pytest.raises(TransformError, match=message):
+        call()
