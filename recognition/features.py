@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from recognition.features_aperture import aperture_features
 from recognition.features_footprint import Footprint, PadGrid, describe_footprint
 from recognition.features_growth import growth_features
+from recognition.features_profile import profile_features
 from recognition.ramp_levels import Levels
 
 FEATURE_VERSION = 1
@@ -21,7 +22,8 @@ def feature_groups(levels: Levels, grids: Sequence[PadGrid]) -> FeatureGroups:
 
     Groups: ``patch`` (size and shape of the pressed patch, unchanged when it moves or turns on
     the pad), ``pose`` (where and how it lies), ``pads`` (one pad against the other), ``growth``
-    and ``aperture`` (NaN where the opening is unknown).
+    ``profile`` (load per row and column of taxels) and ``aperture`` (NaN where the opening is
+    unknown).
     """
     n = len(levels)
     prints = [
@@ -34,6 +36,13 @@ def feature_groups(levels: Levels, grids: Sequence[PadGrid]) -> FeatureGroups:
         "patch": np.concatenate(patch, axis=1),
         "pose": np.concatenate(pose, axis=1),
         "growth": growth_features(levels, prints),
+        "profile": np.concatenate(
+            [
+                profile_features(m, levels.noise[..., p], grid)
+                for p, (m, grid) in enumerate(zip(levels.maps, grids, strict=True))
+            ],
+            axis=1,
+        ),
         "aperture": aperture_features(levels),
     }
     if len(prints) > 1:

@@ -83,6 +83,13 @@ class Footprint:
     profile: NDArray[np.float64]
 
 
+def pressed(maps: NDArray[np.float64], noise: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return `maps` (..., n_taxels) with all that may be noise set to 0; noise has shape (...)."""
+    limit = np.maximum(_NOISE_SIGMAS * noise, _FLOOR)[..., None]
+    kept: NDArray[np.float64] = np.where(maps > limit, maps, 0.0)
+    return kept
+
+
 def describe_footprint(
     maps: NDArray[np.float64], noise: NDArray[np.float64], grid: PadGrid
 ) -> Footprint:
@@ -97,8 +104,7 @@ def describe_footprint(
     grid
         The pad.
     """
-    limit = np.maximum(_NOISE_SIGMAS * noise, _FLOOR)[..., None]
-    m = np.where(maps > limit, maps, 0.0)
+    m = pressed(maps, noise)
     total = m.sum(axis=-1)
     peak = m.max(axis=-1)
     share = m / np.maximum(total, 1e-9)[..., None]

@@ -1,0 +1,157 @@
+"""The default recogniser: shape of the patches, their growth along the ramp, and the opening."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recognition.features import FEATURE_VERSION, feature_groups
+from recognition.features_footprint import PadGrid, pad_grid
+from recognition.grasp import Grasp
+from recognition.ramp import Rest, learn_rest
+from recognition.ramp_levels import Levels, load_levels
+from recognition.recognizer import Posterior
+from recognition.recognizers._view import View, fit_view
+from recognition.splits import by_label
+
+_TACTILE_GROUPS = ("patch", "pose", "pads", "growth", "profile")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ForceRamp:
+    """A taught recogniser with two views: touch and opening, and touch alone.
+
+    Attributes
+    ----------
+    labels
+        The taught objects, sorted.
+    rest
+        The untouched pads.
+    touch
+        The view of touch alone, for grasps whose opening is unknown.
+    both
+        The view of touch and opening; None where the opening is not used or was never known.
+    """
+
+    labels: tuple[str, ...]
+    rest: Rest
+    touch: View
+    both: View | None
+
+    def posterior(self, grasp: Grasp) -> Posterior:
+        """Say what the grasp tells; ValueError for pads other than the taught ones.
+
+        A grasp that never touched both pads tells nothing: even probabilities, surely unknown.
+        """
+        levels = load_levels([grasp], self.rest)
+        if not levels.touched[0]:
+            even = np.full(len(self.labels), 1.0 / len(self.labels))
+            return Posterior(labels=self.labels, probability=even, unknown=1.0)
+        tactile, aperture = _features(levels, _grids(self.rest))
+        view, features = self.touch, tactile
+        if self.both is not None and np.all(np.isfinite(aperture)):
+            view, features = self.both, np.concatenate([tactile, aperture], axis=1)
+        return Posterior(
+            labels=self.labels,
+            probability=view.probability(features)[0],
+            unknown=float(view.unknown(features)[0]),
+        )
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return all that was learnt as plain arrays."""
+        arrays = {
+            "feature_version": np.array(FEATURE_VERSION),
+            "labels": np.array(self.labels),
+            "has_both": np.array(self.both is not None),
+            **self.rest.to_arrays(),
+            **self.touch.to_arrays("touch_"),
+        }
+        if self.both is not None:
+            arrays |= self.both.to_arrays("both_")
+        return arrays
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """Rebuild from `to_arrays`. Raises ValueError, naming what is missing or does not fit."""
+        try:
+            if int(arrays["feature_version"]) != FEATURE_VERSION:
+                raise ValueError(
+                    f"the model has features of version {int(arrays['feature_version'])}, "
+                    f"here is {FEATURE_VERSION}: train again"
+                )
+            return cls(
+                labels=tuple(str(label) for label in arrays["labels"]),
+                rest=Rest.from_arrays(arrays),
+                touch=View.from_arrays(arrays, "touch_"),
+                both=View.from_arrays(arrays, "both_") if bool(arrays["has_both"]) else None,
+            )
+        except KeyError as missing:
+            raise ValueError(f"the model lacks the array {missing}") from missing
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ForceRampTrainer:
+    """Teaches the default recogniser."""
+
+    use_aperture: bool = True
+
+    @property
+    def name(self) -> str:
+        """Name in tables, models and on the command line."""
+        return "force_ramp"
+
+    @property
+    def uses_aperture(self) -> bool:
+        """Whether the opening between the fingers is used."""
+        return self.use_aperture
+
+    def fit(self, grasps: Sequence[Grasp]) -> ForceRamp:
+        """Learn from labelled grasps.
+
+        Grasps that never touched both pads teach nothing and are left out. Raises ValueError where
+        fewer than two objects remain, or none of them was grasped twice.
+        """
+        members = by_label(grasps)
+        ordered = [g for group in members.values() for g in group]
+        rest = learn_rest(ordered)
+        levels = load_levels(ordered, rest)
+        touched = levels.touched
+        names = np.array([g.label for g in ordered])
+        labels, classes = np.unique(names[touched], return_inverse=True)
+        lost = sorted(set(members) - set(labels.tolist()))
+        if lost or len(labels) < 2:
+            raise ValueError(
+                f"{len(labels)} objects to tell apart, {lost} never touched both pads: teach at "
+                "least two objects with grasps that press them"
+            )
+        tactile, aperture = (part[touched] for part in _features(levels, _grids(rest)))
+        known = np.all(np.isfinite(aperture), axis=1)
+        both = None
+        if self.use_aperture and np.all(np.bincount(classes[known], minlength=len(labels)) > 1):
+            both = fit_view(
+                np.concatenate([tactile, aperture], axis=1)[known],
+                classes[known],
+                len(labels),
+                n_second=tactile.shape[1],
+            )
+        return ForceRamp(
+            labels=tuple(labels.tolist()),
+            rest=rest,
+            touch=fit_view(tactile, classes, len(labels)),
+            both=both,
+        )
+
+
+def _grids(rest: Rest) -> list[PadGrid]:
+    return [pad_grid(rest.pads, pad) for pad in rest.gripping]
+
+
+def _features(
+    levels: Levels, grids: Sequence[PadGrid]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the tactile features and those of the opening, (n, F) each."""
+    groups = feature_groups(levels, grids)
+    tactile = [groups[name] for name in _TACTILE_GROUPS if name in groups]
+    return np.concatenate(tactile, axis=1), groups["aperture"]
