@@ -8,7 +8,7 @@ does not depend on the pose or the scale of the points.
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg  # type: ignore[import-untyped]
+import scipy.linalg
 from numpy.typing import ArrayLike, NDArray
 
 from recognition.eigen import check_symmetric

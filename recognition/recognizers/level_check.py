@@ -205,10 +205,14 @@ class LevelCheckTrainer:
         How the level of a grasp is taken.
     margin
         Part of its edge by which a level's band reaches into open space, above 0, below 1.
+    use_aperture
+        Taken as by every trainer of this package; the paper's method has no place for the
+        opening, so both values teach the same and `uses_aperture` is always False.
     """
 
     settings: LevelSettings = DEFAULT_LEVEL
     margin: float = 0.08
+    use_aperture: bool = False
 
     def __post_init__(self) -> None:
         if not 0.0 < self.margin < 1.0:

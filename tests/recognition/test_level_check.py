@@ -177,6 +177,7 @@ def test_an_object_without_any_surface_stays_without_a_level():
 def test_the_trainer_says_what_it_is_and_refuses_what_does_not_teach():
     trainer = LevelCheckTrainer()
     assert (trainer.name, trainer.uses_aperture) == ("level_check", False)
+    assert not LevelCheckTrainer(use_aperture=True).uses_aperture
     with pytest.raises(ValueError, match="no grasps"):
         trainer.fit([])
     pads = _pads(*LAYOUTS["pinch"])
