@@ -30,7 +30,8 @@ class CanLinkFaults:
         Messages with an unknown identifier and random content that come every second.
     error_passive, bus_off
         The host's CAN controller reports that state with an error frame, once each time it is
-        switched on; while it is bus-off nothing passes in either direction.
+        switched on (and the way back from error-passive); while it is bus-off nothing passes in
+        either direction.
     unplugged
         The host's adapter is gone: sending and receiving fail.
     """

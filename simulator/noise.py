@@ -14,6 +14,7 @@ NoiseKind = Literal["clipped_normal", "symmetric", "uniform", "none"]
 _SIGMA_COUNTS = 10.0
 _LIMIT_COUNTS = 20.0
 _FULL_SCALE_COUNTS = 255.0
+_LEVEL_MAX = 4.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,7 +32,7 @@ class NoiseModel:
         ``symmetric``: N(0, 10) clipped to [-20, 20]. ``uniform``: even over [1, 20].
         ``none``: nothing.
     level
-        Factor from 0 to 1 on all of it; 1 is the paper's upper limit, 8 % of full scale.
+        Factor from 0 to 4 on all of it; 1 is the paper's upper limit, 8 % of full scale.
     """
 
     kind: NoiseKind = "clipped_normal"
@@ -42,8 +43,10 @@ class NoiseModel:
             raise SimulatorSettingsError(
                 f"noise kind is {self.kind!r}, must be one of {get_args(NoiseKind)}"
             )
-        if not (math.isfinite(self.level) and 0.0 <= self.level <= 1.0):
-            raise SimulatorSettingsError(f"noise level is {self.level}, must be from 0 to 1")
+        if not (math.isfinite(self.level) and 0.0 <= self.level <= _LEVEL_MAX):
+            raise SimulatorSettingsError(
+                f"noise level is {self.level}, must be from 0 to {_LEVEL_MAX:g}"
+            )
 
     def sample(self, rng: np.random.Generator, n: int, adc_max: int) -> NDArray[np.float64]:
         """Return noise in counts for ``n`` taxels of a converter with full scale ``adc_max``."""

@@ -38,7 +38,7 @@ class Press:
     Raises
     ------
     SimulatorSettingsError
-        If the object cannot rest like that or lies beside the pads.
+        If the object lies beside a pad.
     """
 
     __slots__ = ("_foam", "_grids", "_lag_m", "_tables", "_windows", "z_m")

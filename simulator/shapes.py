@@ -7,7 +7,7 @@ surface reaches from the centre plane towards finger 0 (in -z) and towards finge
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Protocol
 
@@ -18,8 +18,6 @@ from simulator.errors import SimulatorSettingsError
 
 Heights = tuple[NDArray[np.float64], NDArray[np.float64]]
 """Reach in m towards finger 0 and towards finger 1, -inf beside the object."""
-
-_ROLL_TOLERANCE_RAD = 1e-6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,26 +78,21 @@ def posed_heights(
     """Return the reach of a posed object towards both fingers at points of the pads' plane.
 
     The offset along the closing axis is left out: the object floats along it.
-
-    Raises
-    ------
-    SimulatorSettingsError
-        If the object does not rest between the pads with the roll asked for.
     """
-    check_roll(shape, pose.roll_rad)
     dx_m, dy_m = x_m - pose.x_m, y_m - pose.y_m
     c, s = math.cos(pose.rotation_rad), math.sin(pose.rotation_rad)
     return shape.heights(c * dx_m + s * dy_m, c * dy_m - s * dx_m, pose.roll_rad)
 
 
-def check_roll(shape: Shape, roll_rad: float) -> None:
-    """Refuse a roll in which the object would not rest between the pads."""
+def resting_pose(shape: Shape, pose: ObjectPose) -> ObjectPose:
+    """Return the pose in which an object comes to rest: rolled onto the nearest side.
+
+    A box that is put down on an edge settles on the face next to it; a ball stays as it is.
+    """
     step_rad = shape.roll_step_rad
-    if step_rad and abs(math.remainder(roll_rad, step_rad)) > _ROLL_TOLERANCE_RAD:
-        raise SimulatorSettingsError(
-            f"roll is {math.degrees(roll_rad):.3f} deg, this object rests only at multiples of "
-            f"{math.degrees(step_rad):.0f} deg"
-        )
+    if not step_rad:
+        return pose
+    return replace(pose, roll_rad=step_rad * round(pose.roll_rad / step_rad))
 
 
 def check_dimensions(**lengths_m: float) -> None:
@@ -227,6 +220,21 @@ def ball(*, diameter_m: float) -> Ellipsoid:
     return Ellipsoid(length_m=diameter_m, width_m=diameter_m, height_m=diameter_m)
 
 
+def ellipsoid(
+    *,
+    length_m: float,
+    diameter_m: float | None = None,
+    width_m: float | None = None,
+    height_m: float | None = None,
+) -> Ellipsoid:
+    """Return an ellipsoid: one of revolution with ``diameter_m``, or with width and height."""
+    if diameter_m is not None and width_m is None and height_m is None:
+        return Ellipsoid(length_m=length_m, width_m=diameter_m, height_m=diameter_m)
+    if diameter_m is None and width_m is not None and height_m is not None:
+        return Ellipsoid(length_m=length_m, width_m=width_m, height_m=height_m)
+    raise SimulatorSettingsError("an ellipsoid has a length and a diameter, or width and height")
+
+
 def cylinder(*, diameter_m: float, length_m: float) -> Revolution:
     """Return a cylinder that lies between the pads."""
     check_dimensions(diameter_m=diameter_m)
@@ -234,13 +242,22 @@ def cylinder(*, diameter_m: float, length_m: float) -> Revolution:
 
 
 def dumbbell(
-    *, length_m: float, diameter_m: float, waist_diameter_m: float, waist_length_m: float
+    *,
+    length_m: float,
+    diameter_m: float,
+    waist_diameter_m: float | None = None,
+    waist_length_m: float | None = None,
 ) -> Revolution:
     """Return a dumbbell: two rounded heads, between them a smooth waist.
 
     The heads' outer edges are quarter ellipses over half a head; the waist is one period of a
-    cosine.
+    cosine. By default it has 0.6 of the diameter and 6/13 of the length; the paper, which has a
+    dumbbell of 13 mm and 10 mm, does not tell.
     """
+    if waist_diameter_m is None:
+        waist_diameter_m = 0.6 * diameter_m
+    if waist_length_m is None:
+        waist_length_m = 6.0 / 13.0 * length_m
     check_dimensions(
         diameter_m=diameter_m, waist_diameter_m=waist_diameter_m, waist_length_m=waist_length_m
     )
@@ -268,12 +285,7 @@ PAPER_OBJECTS: Mapping[str, Shape] = MappingProxyType(
         "cylinder": cylinder(diameter_m=6e-3, length_m=20e-3),
         "box": Box(length_m=15.9e-3, width_m=10e-3, height_m=10e-3),
         "ball": ball(diameter_m=9.5e-3),
-        "dumbbell": dumbbell(
-            length_m=13e-3, diameter_m=10e-3, waist_diameter_m=6e-3, waist_length_m=6e-3
-        ),
+        "dumbbell": dumbbell(length_m=13e-3, diameter_m=10e-3),
     }
 )
-"""The five objects of the paper's experiment (table in its section on results).
-
-The paper gives no shape of the dumbbell's waist: 6 mm thick and 6 mm long are chosen here.
-"""
+"""The five objects of the paper's experiment (table in its section on results)."""

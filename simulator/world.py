@@ -13,7 +13,7 @@ from simulator.foam import Foam
 from simulator.noise import NoiseModel
 from simulator.press import Press
 from simulator.shape_text import parse_shape
-from simulator.shapes import PAPER_OBJECTS, ObjectPose, Shape
+from simulator.shapes import PAPER_OBJECTS, ObjectPose, Shape, resting_pose
 from simulator.taxels import PadGrid, ideal_counts
 from tactile.layout import TaxelLayout
 
@@ -135,7 +135,7 @@ class PhysicalWorld:
 
     @property
     def placed(self) -> tuple[str, ObjectPose] | None:
-        """Name and pose of the object as it was placed, None without one."""
+        """Name of the object and the pose in which it came to rest, None without one."""
         return self._placed
 
     @property
@@ -143,33 +143,34 @@ class PhysicalWorld:
         """Where the object has floated to along the closing axis in m; NaN without one."""
         return self._press.z_m if self._press else math.nan
 
-    def place(self, label: str | None, pose: ObjectPose | None = None) -> None:
-        """Put an object between the open pads, or take the present one away.
+    def place(self, label: str, pose: ObjectPose | None = None) -> ObjectPose:
+        """Put an object between the open pads, in the place of the present one.
 
         Parameters
         ----------
         label
-            Name of one of the settings' objects, or a shape as text (`simulator.shape_text`);
-            None takes the object away.
+            Name of one of the settings' objects, or a shape as text (`simulator.shape_text`).
         pose
             Where it goes; by default the pads' centre.
+
+        Returns
+        -------
+        ObjectPose
+            Where it came to rest: a box settles on a face.
 
         Raises
         ------
         SimulatorSettingsError
-            If the shape is unknown, cannot rest like that or lies beside the pads.
+            If the shape is unknown or lies beside the pads.
         SimulatorStateError
             If the fingers are not open wide enough for it, or hold an object.
         """
-        if label is None:
-            self.remove()
-            return
         if max(self._force_n) > self._settings.nest_friction_n:
             raise SimulatorStateError(
                 f"the fingers hold an object with {max(self._force_n):.2f} N: release it first"
             )
-        pose = pose or ObjectPose()
         shape = self._settings.objects.get(label) or parse_shape(label)
+        pose = resting_pose(shape, pose or ObjectPose())
         press = Press(shape, pose, self._grids, self._settings.foam)
         near_m, far_m = self._fingers.finger_position_m
         need_m = press.reach_m
@@ -182,6 +183,7 @@ class PhysicalWorld:
         self._press = press
         self._placed = (label, pose)
         self._force_n = self._stiffness_n_m = (0.0, 0.0)
+        return pose
 
     def remove(self) -> None:
         """Take the object away, also out of closed fingers; without one nothing changes."""

@@ -1,0 +1,106 @@
+"""What a simulated cell is made of."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from gripper.registers import XM430_W350, ServoModel
+from simulator.errors import SimulatorSettingsError
+from simulator.foam import Foam
+from simulator.linkage import FingerLinkage, ParallelogramLinkage
+from simulator.mechanics import ServoMount
+from simulator.noise import NoiseModel
+from simulator.shapes import PAPER_OBJECTS, Shape
+from tactile.layout import TaxelLayout
+from tactile.layouts import paper_layout
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SimulatedServoSettings:
+    """One servo and how it sits in the gripper.
+
+    Attributes
+    ----------
+    servo_id
+        ID on the bus.
+    model
+        The servo model.
+    mount
+        Direction and zero.
+    """
+
+    servo_id: int
+    model: ServoModel = XM430_W350
+    mount: ServoMount = field(default_factory=ServoMount)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RecordedGrasp:
+    """Frames of one real grasp, to be played.
+
+    Attributes
+    ----------
+    counts : (n, n_taxels) uint16
+        Frames in the order of time.
+    aperture_m : (n,) float64
+        Opening between the fingers in m; NaN where unknown.
+    label
+        What was grasped.
+    """
+
+    counts: NDArray[np.uint16]
+    aperture_m: NDArray[np.float64]
+    label: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SimulatorSettings:
+    """A simulated cell: the default is the paper's sensor on two XM430-W350.
+
+    Attributes
+    ----------
+    layout
+        The taxels.
+    servos
+        One servo that drives both fingers, or two that drive one each.
+    linkage
+        From servo angle to half opening.
+    servo_baud_rate
+        Baud rate that the servos are set to.
+    node_id, can_bitrate, serial_number
+        Node id, bit rate in bit/s and serial number of the control unit.
+    foam, noise, seed
+        The pads, the converter's noise, the seed of everything that comes by chance.
+    objects
+        Objects that can be placed by their name.
+    aperture_m
+        Opening between the pads at the start in m.
+    grasps
+        With any, the cell plays these grasps instead of pressing objects into foam.
+    """
+
+    layout: TaxelLayout = field(default_factory=paper_layout)
+    servos: tuple[SimulatedServoSettings, ...] = (
+        SimulatedServoSettings(servo_id=1),
+        SimulatedServoSettings(servo_id=2),
+    )
+    linkage: FingerLinkage = field(default_factory=lambda: ParallelogramLinkage(link_m=0.06))
+    servo_baud_rate: int = 1_000_000
+    node_id: int = 5
+    can_bitrate: int = 1_000_000
+    serial_number: int = 1
+    foam: Foam = field(default_factory=Foam)
+    noise: NoiseModel = field(default_factory=NoiseModel)
+    seed: int = 0
+    objects: Mapping[str, Shape] = field(default_factory=lambda: PAPER_OBJECTS)
+    aperture_m: float = 0.03
+    grasps: tuple[RecordedGrasp, ...] = ()
+
+    def __post_init__(self) -> None:
+        reach_m = 2.0 * self.linkage.half_opening_max_m
+        if not 0.0 <= self.aperture_m <= reach_m:
+            raise SimulatorSettingsError(
+                f"aperture_m is {self.aperture_m}, the linkage reaches 0 to {reach_m:.3f} m"
+            )
