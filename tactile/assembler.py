@@ -172,8 +172,11 @@ class FrameAssembler:
         header = self._format.header_bytes
         whole = np.frombuffer(b"".join(part for part in burst.parts if part), dtype=np.uint8)
         payload = whole.reshape(self._n, MESSAGE_BYTES)[:, header:].tobytes()
-        if burst is self._current and self._previous is not None and self._previous.missing:
-            self._torn += 1
+        if burst is self._current:
+            # The burst before is over: what of its phase comes now is its late duplicate or, after
+            # two lost frames, a new frame, which must not be compared with it.
+            if self._previous is not None and self._previous.missing:
+                self._torn += 1
             self._previous = None
         checked, trailer = payload[:-2], payload[-TRAILER_BYTES:]
         counter = trailer[0] | trailer[1] << 8

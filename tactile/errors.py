@@ -17,11 +17,15 @@ class CalibrationError(TactileError):
     """A calibration that does not fit the sensor, or a value outside of its range."""
 
 
-class TareRefused(TactileError):  # noqa: N818
+class TareRefused(TactileError):
     """The zero was not taken: touched, drifting or noisy taxels, or too few frames."""
 
 
-class LinkFault(TactileError):  # noqa: N818
+class LinkStateError(TactileError):
+    """A call that the link does not allow in the state it is in."""
+
+
+class LinkFault(TactileError):
     """The link to the control unit is not to be trusted any more; latched until a new start."""
 
 
@@ -82,3 +86,7 @@ class ReceiveLoopDead(LinkFault):
 
 class FrameTimeout(LinkFault):
     """Whole frames stay away although the control unit runs, or the values are frozen."""
+
+
+class BusNotOpened(LinkFault):
+    """The CAN bus could not be opened."""

@@ -6,6 +6,7 @@ u16 in 1/256 taxel, CRC-16/CCITT-FALSE u16 over the 14 bytes before it. All litt
 """
 
 import struct
+from collections import deque
 from dataclasses import dataclass
 
 import numpy as np
@@ -133,3 +134,36 @@ def decode_features(first: bytes, second: bytes) -> PadFeatures:
         centroid_row=row / _SUBTAXEL,
         centroid_column=column / _SUBTAXEL,
     )
+
+
+class FeatureCollector:
+    """Pairs the two messages of each pad; keeps at most 1000 features that nobody took."""
+
+    def __init__(self) -> None:
+        self._first: dict[int, bytes] = {}
+        self._features: deque[PadFeatures] = deque(maxlen=1000)
+        self.malformed = 0
+
+    def push_first(self, data: bytes) -> None:
+        """Take a message of TPDO2."""
+        if len(data) != MESSAGE_BYTES:
+            self.malformed += 1
+            return
+        self._first[data[0] & 63] = data
+
+    def push_second(self, data: bytes) -> PadFeatures | None:
+        """Take a message of TPDO3 and return the features that it completes."""
+        first = self._first.pop(data[0] & 63, b"") if data else b""
+        try:
+            features = decode_features(first, data)
+        except FrameError:
+            self.malformed += 1
+            return None
+        self._features.append(features)
+        return features
+
+    def take(self) -> tuple[PadFeatures, ...]:
+        """Return the features since the last call."""
+        features = tuple(self._features)
+        self._features.clear()
+        return features

@@ -238,6 +238,13 @@ def test_a_buffer_that_the_caller_reuses_does_no_harm() -> None:
     np.testing.assert_array_equal(frame.counts, np.arange(408) & 255)
 
 
+@pytest.mark.parametrize("missing", [1, 2, 5, 6])
+def test_idle_frames_after_lost_ones_are_not_taken_for_duplicates(missing: int) -> None:
+    kept = [c for c in range(20) if not 8 <= c < 8 + missing]
+    frames = received(FrameAssembler(PAPER), stream_of(dict.fromkeys(kept, np.zeros(408, int))))
+    assert [frame.counter for frame in frames] == kept
+
+
 def test_reset_forgets_counter_and_statistics() -> None:
     assembler = FrameAssembler(PAPER)
     stream = stream_of({40: np.zeros(408, int)})

@@ -1,0 +1,136 @@
+"""Opens and closes CAN buses, with the traps of the adapters' drivers closed."""
+
+import select
+from collections import deque
+from typing import Any
+
+import can
+from can.interfaces.slcan import slcanBus
+
+from tactile.errors import BusNotOpened
+
+_SEND_TIMEOUT_S = 0.1
+_LONGEST_LINE = 32
+"""The longest line of a classic message is T + 8 + 1 + 16 characters, its end and a time stamp."""
+
+
+class BulkSlcanBus(slcanBus):
+    """slcan that reads what is there at once, and survives damaged lines.
+
+    The driver it derives from reads byte by byte (92 µs a message), waits 2 s after opening, waits
+    without end for the adapter to take its output, and raises for ever on one bad character. Here
+    bad lines are dropped and counted; a failing port still raises ``can.CanOperationError``.
+
+    Parameters
+    ----------
+    channel
+        Serial port.
+    bitrate
+        CAN bit rate in bit/s.
+    tty_baudrate
+        Speed of the serial port in baud.
+    """
+
+    def __init__(self, channel: str, *, bitrate: int, tty_baudrate: int) -> None:
+        self._lines: deque[str] = deque()
+        self.bad_lines = 0
+        super().__init__(
+            channel, bitrate=bitrate, tty_baudrate=tty_baudrate, sleep_after_open=0.0, timeout=0.0
+        )
+        with can.exceptions.error_check("the port is in use", can.CanInitializationError):
+            self.serialPortOrig.exclusive = True
+
+    def _write(self, string: str) -> None:
+        with can.exceptions.error_check("the serial port of the CAN adapter cannot be written"):
+            self.serialPortOrig.write(string.encode("ascii") + self.LINE_TERMINATOR)
+
+    def _read(self, timeout: float | None) -> str | None:
+        if not self._lines:
+            with can.exceptions.error_check("the serial port of the CAN adapter cannot be read"):
+                if select.select([self.serialPortOrig.fileno()], [], [], timeout)[0]:
+                    # Zero bytes on a readable port mean that its other end is gone: raises.
+                    self._buffer += self.serialPortOrig.read(self.serialPortOrig.in_waiting or 1)
+            *lines, rest = self._buffer.replace(b"\a", b"\r").split(b"\r")
+            self._buffer = bytearray(rest)
+            if len(rest) > _LONGEST_LINE:
+                self._buffer.clear()
+                self.bad_lines += 1
+            # Empty lines acknowledge commands.
+            self._lines.extend(line.decode("ascii", errors="replace") for line in lines if line)
+        return self._lines.popleft() if self._lines else None
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        while True:
+            try:
+                message, filtered = super()._recv_internal(timeout)
+            except (ValueError, IndexError, KeyError):
+                self.bad_lines += 1
+            else:
+                if message is not None or not self._lines:
+                    return message, filtered
+            timeout = 0.0
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Send a message; ``can.CanOperationError`` if the adapter does not take it in 0.1 s."""
+        super().send(msg, _SEND_TIMEOUT_S if timeout is None else timeout)
+
+
+def open_bus(
+    interface: str,
+    channel: str,
+    *,
+    bitrate: int = 500_000,
+    tty_baudrate: int = 1_000_000,
+) -> can.BusABC:
+    """Open a CAN bus; no configuration file or environment variable has a say.
+
+    Parameters
+    ----------
+    interface
+        python-can's name: ``socketcan``, ``slcan``, ``socketcand``, ``virtual``, ...
+    channel
+        Interface or port; for ``socketcand`` as ``HOST:PORT/CHANNEL``.
+    bitrate
+        CAN bit rate in bit/s. SocketCAN interfaces have theirs from the system.
+    tty_baudrate
+        Speed of the serial port of an ``slcan`` adapter in baud.
+
+    Raises
+    ------
+    BusNotOpened
+        When the bus cannot be opened; the message says what to check.
+    """
+    try:
+        if interface == "slcan":
+            return BulkSlcanBus(channel, bitrate=bitrate, tty_baudrate=tty_baudrate)
+        options: dict[str, Any] = {"bitrate": bitrate}
+        if interface == "socketcan":
+            options = {}
+        elif interface == "socketcand":
+            address, _, channel = channel.partition("/")
+            host, _, port = address.rpartition(":")
+            options = {"host": host, "port": int(port), "tcp_tune": True}
+        return can.Bus(channel, interface=interface, ignore_config=True, **options)
+    except (can.CanError, OSError, ValueError, NotImplementedError, ImportError) as error:
+        cause = error.__cause__ or error
+        raise BusNotOpened(
+            f"CAN interface {interface!r}, channel {channel!r}, cannot be opened: {cause}. "
+            f"{_ADVICE.get(interface, 'Check the names of interface and channel')}"
+        ) from error
+
+
+_ADVICE = {
+    "slcan": "Check that the adapter is plugged in, that the port is its port, that no other "
+    "program has it open, and that you may read and write it (group dialout)",
+    "socketcan": "Check `ip link`: the interface must exist and be up, with the bit rate set "
+    "(ip link set CHANNEL up type can bitrate RATE)",
+    "socketcand": "Check that the server runs and that the channel is written HOST:PORT/CHANNEL",
+}
+
+
+def close_bus(bus: can.BusABC) -> None:
+    """Close a bus, whatever state it is in: an adapter that is gone cannot be told so."""
+    try:
+        bus.shutdown()
+    except (can.CanError, OSError):
+        return

@@ -1,0 +1,227 @@
+"""All that lives from one start of the link to its end: what was received, sent and is watched."""
+
+from collections.abc import Callable
+
+import can
+import canopen
+
+from tactile import eds
+from tactile.assembler import FrameAssembler
+from tactile.clock import Clock
+from tactile.errors import NodeMissing
+from tactile.features import FeatureCollector
+from tactile.frame_flow import FrameFlow
+from tactile.layout import TaxelLayout
+from tactile.link_settings import LinkSettings, LinkStatistics
+from tactile.protocol import FrameFormat, TactileFrame
+from tactile.receive import MessageSource, interface_failed
+from tactile.sdo import ObjectAccess, PolledSdoClient
+from tactile.supervision import NodeSupervisor, SupervisionLimits
+
+_SYNC_ID = 0x080
+_EMCY_ID = 0x080
+_TPDO1_ID = 0x180
+_TPDO2_ID = 0x280
+_TPDO3_ID = 0x380
+_SDO_RESPONSE_ID = 0x580
+_HEARTBEAT_ID = 0x700
+_SYNC_EARLY_S = 1e-6
+"""A caller that polls in step with SYNC must not miss it by a rounding error."""
+
+
+class LinkSession:
+    """One control unit from the start of the link to its end.
+
+    Parameters
+    ----------
+    bus
+        An open bus.
+    source
+        Where its messages come from; already started.
+    node_id
+        CANopen node-ID of the unit.
+    layout
+        Its taxels.
+    clock
+        Monotonic time.
+    settings
+        Periods and limits.
+    """
+
+    def __init__(
+        self,
+        bus: can.BusABC,
+        source: MessageSource,
+        *,
+        node_id: int,
+        layout: TaxelLayout,
+        clock: Clock,
+        settings: LinkSettings,
+    ) -> None:
+        self.name = f"the control unit (node-ID {node_id})"
+        self._source = source
+        self._node_id = node_id
+        self._clock = clock
+        self._settings = settings
+        self._network = canopen.Network(bus)
+        self._client = PolledSdoClient(
+            node_id=node_id,
+            dictionary=canopen.import_od(str(eds.EDS_PATH), node_id),
+            clock=clock,
+            service=self.service,
+            wait=source.wait,
+            timeout_s=settings.sdo_timeout_s,
+        )
+        self._client.network = self._network
+        self.objects = ObjectAccess(self._client, name=self.name)
+        self.supervisor = NodeSupervisor(
+            self.name,
+            SupervisionLimits(
+                heartbeat_s=settings.heartbeat_s,
+                heartbeat_factor=settings.heartbeat_factor,
+                passive_s=settings.error_passive_s,
+            ),
+        )
+        self._assembler = FrameAssembler(FrameFormat.of(layout))
+        self._flow = FrameFlow(
+            self.name,
+            timeout_periods=settings.frame_timeout_periods,
+            max_loss_rate=settings.max_loss_rate,
+            window_frames=settings.loss_window_frames,
+        )
+        self.features = FeatureCollector()
+        self.last_frame_s: float | None = None
+        self._frames: list[TactileFrame] = []
+        self._nodes_heard: set[int] = set()
+        self._next_sync_s: float | None = None
+        self._syncs = self._late_syncs = self._foreign = self._malformed = 0
+        self._handlers: dict[int, Callable[[bytes, float], None]] = {
+            _EMCY_ID + node_id: self._on_emergency,
+            _TPDO2_ID + node_id: self._on_features_first,
+            _TPDO3_ID + node_id: self._on_features_second,
+            _SDO_RESPONSE_ID + node_id: self._on_sdo_response,
+            _HEARTBEAT_ID + node_id: self.supervisor.on_heartbeat,
+        }
+
+    @property
+    def statistics(self) -> LinkStatistics:
+        """Counts since the start."""
+        return LinkStatistics(
+            frames=self._assembler.statistics,
+            recent_loss_rate=self._flow.recent_loss_rate,
+            syncs=self._syncs,
+            late_syncs=self._late_syncs,
+            foreign=self._foreign,
+            malformed=self._malformed + self.features.malformed + self.supervisor.short_emergencies,
+            error_frames=self.supervisor.error_frames,
+        )
+
+    def take_frames(self) -> tuple[TactileFrame, ...]:
+        """Return the whole frames since the last call."""
+        frames = tuple(self._frames)
+        self._frames.clear()
+        return frames
+
+    def enter_operation(self) -> None:
+        """From now on SYNC is sent, and heartbeat, state and frames are watched."""
+        now_s = self._clock.monotonic()
+        self.supervisor.enter_operation(now_s)
+        self._next_sync_s = now_s
+
+    def leave_operation(self) -> None:
+        """Send no SYNC any more."""
+        self._next_sync_s = None
+
+    def command(self, code: int) -> None:
+        """Send an NMT command to the unit."""
+        self._send(0, bytes((code, self._node_id)))
+
+    def service(self) -> None:
+        """Take in what was received, look at the deadlines, send SYNC when due."""
+        frame_id = _TPDO1_ID + self._node_id
+        push = self._assembler.push
+        for t_s, message in self._source.drain():
+            if message.is_error_frame:
+                self.supervisor.on_error_frame(message.arbitration_id, message.data, t_s)
+            elif message.is_remote_frame or message.is_extended_id:
+                self._malformed += 1
+            elif message.arbitration_id == frame_id:
+                frame = push(message.data, message.dlc, t_s)
+                if frame is not None:
+                    self._on_frame(frame)
+            else:
+                self._dispatch(message, t_s)
+        now_s = self._clock.monotonic()
+        self.supervisor.check(now_s)
+        if self._next_sync_s is not None and now_s >= self._next_sync_s - _SYNC_EARLY_S:
+            self._sync(now_s, self._next_sync_s)
+
+    def pump(self) -> None:
+        """Do one round of `service` and let a little time pass."""
+        self.service()
+        self._source.wait(self._settings.sync_period_s)
+
+    def wait_for(self, condition: Callable[[], bool], failure: str) -> None:
+        """Serve until a condition holds; NodeMissing with ``failure`` after the start-up time."""
+        timeout_s = self._settings.startup_timeout_s
+        deadline_s = self._clock.monotonic() + timeout_s
+        self.service()
+        while not condition():
+            left_s = deadline_s - self._clock.monotonic()
+            if left_s <= 0.0:
+                heard = ", ".join(str(node) for node in sorted(self._nodes_heard))
+                found = f"node-IDs heard: {heard}" if heard else "no node is heard on this bus"
+                raise NodeMissing(
+                    f"{self.name} {failure} within {timeout_s:g} s; {found}. Check the unit's "
+                    "supply, node-ID, bit rate, CAN cable and termination"
+                )
+            self._source.wait(left_s)
+            self.service()
+
+    def _send(self, cob_id: int, data: bytes) -> None:
+        try:
+            self._network.send_message(cob_id, data)
+        except (can.CanError, OSError) as error:
+            raise interface_failed(error) from error
+
+    def _dispatch(self, message: can.Message, t_s: float) -> None:
+        cob_id = message.arbitration_id
+        if cob_id & 0x780 == _HEARTBEAT_ID:
+            self._nodes_heard.add(cob_id & 0x7F)
+        handler = self._handlers.get(cob_id)
+        if handler is None:
+            self._foreign += 1
+        elif len(message.data) != message.dlc:
+            self._malformed += 1
+        else:
+            handler(bytes(message.data), t_s)
+
+    def _sync(self, now_s: float, due_s: float) -> None:
+        self._flow.before_sync()
+        self._send(_SYNC_ID, b"")
+        self._syncs += 1
+        period_s = self._settings.sync_period_s
+        if now_s - due_s >= period_s:
+            self._late_syncs += 1
+            due_s = now_s
+        self._next_sync_s = due_s + period_s
+
+    def _on_frame(self, frame: TactileFrame) -> None:
+        self._frames.append(frame)
+        self.last_frame_s = frame.t_s
+        self._flow.on_frame(frame.counter)
+
+    def _on_features_first(self, data: bytes, t_s: float) -> None:
+        self.features.push_first(data)
+
+    def _on_features_second(self, data: bytes, t_s: float) -> None:
+        features = self.features.push_second(data)
+        if features is not None and self._settings.mode is eds.TransmissionMode.FEATURES:
+            self.last_frame_s = t_s
+            self._flow.answered()
+
+    def _on_emergency(self, data: bytes, t_s: float) -> None:
+        self.supervisor.on_emergency(data)
+
+    def _on_sdo_response(self, data: bytes, t_s: float) -> None:
+        self._client.on_response(_SDO_RESPONSE_ID + self._node_id, data, t_s)

@@ -1,0 +1,492 @@
+"""The link: start-up, frames, and every fault of the control unit."""
+
+import can
+import numpy as np
+import pytest
+
+from tactile import eds
+from tactile.emergency import Emergency, encode_emergency
+from tactile.errors import (
+    BusErrorPassive,
+    BusOff,
+    FrameError,
+    FrameTimeout,
+    HeartbeatLost,
+    IdentityMismatch,
+    LinkFault,
+    LinkStateError,
+    NodeEmergency,
+    NodeMissing,
+    NodeRebooted,
+    NodeStateChanged,
+    TareRefused,
+)
+from tactile.features import encode_features, pad_features
+from tactile.layouts import paper_layout, pinch_layout
+from tactile.link import ExpectedIdentity, LinkSettings, TactileLink
+
+NODE = 5
+
+
+def sync_times(bench) -> int:
+    return sum(message.arbitration_id == 0x80 for message in bench.bus.sent)
+
+
+def test_start_checks_configures_and_starts_the_unit(bench) -> None:
+    identity = bench.link.start()
+    assert identity.serial == 4711
+    assert identity.name == "Tactile control unit"
+    assert bench.unit.nmt == [130, 1]
+    assert bench.unit.written == {
+        (eds.SYNC_COB_ID, 0): 0x80,
+        (eds.SYNC_WINDOW_US, 0): 17_000,
+        (eds.SYNC_PERIOD_US, 0): 20_000,
+        (eds.HEARTBEAT_MS, 0): 100,
+        (eds.MODE, 0): eds.TransmissionMode.RAW,
+    }
+    first = [(m.arbitration_id, bytes(m.data)) for m in bench.bus.sent[:2]]
+    assert first == [(0, bytes([130, 5])), (0x605, bytes.fromhex("40 18 10 01 00 00 00 00"))]
+
+
+@pytest.mark.parametrize("layout", [paper_layout(), pinch_layout()], ids=["paper", "pinch"])
+def test_frames_come_at_the_rate_of_sync(make_bench, layout) -> None:
+    bench = make_bench(layout)
+    bench.unit.counts = np.arange(layout.n_taxels, dtype=np.uint16) % layout.adc_max
+    bench.link.start()
+    frames = bench.run(1.0)
+    assert len(frames) == pytest.approx(50, abs=1)
+    assert [frame.counter for frame in frames] == list(range(len(frames)))
+    np.testing.assert_array_equal(frames[0].counts, bench.unit.counts)
+    spacing_s = np.diff([frame.t_s for frame in frames])
+    np.testing.assert_allclose(spacing_s, 0.02, atol=1e-9)
+    statistics = bench.link.statistics
+    assert (statistics.frames.complete, statistics.frames.lost) == (len(frames), 0)
+    assert statistics.recent_loss_rate == 0.0
+    assert statistics.foreign == statistics.malformed == statistics.late_syncs == 0
+    assert bench.link.last_frame_s == frames[-1].t_s
+
+
+def test_a_slow_caller_does_not_make_up_for_syncs_and_does_not_lose_the_link(bench) -> None:
+    bench.link.start()
+    bench.run(0.1)
+    before = sync_times(bench)
+    bench.clock.sleep(0.5)
+    bench.link.poll()
+    assert sync_times(bench) == before + 1
+    assert bench.link.statistics.late_syncs == 1
+    assert len(bench.run(0.2)) >= 10
+
+
+# --- start-up refusals ---------------------------------------------------------------------------
+
+
+def test_a_node_that_never_appears_is_missing_and_the_message_says_who_is_there(bench) -> None:
+    bench.unit.alive = False
+    bench.clock.on_advance.append(lambda now_s: bench.bus.put(0x706, b"\x7f"))
+    start_s = bench.clock.now_s
+    with pytest.raises(NodeMissing, match=r"within 3 s; node-IDs heard: 6"):
+        bench.link.start()
+    assert bench.clock.now_s - start_s == pytest.approx(3.0, abs=0.01)
+
+
+def test_an_empty_bus_is_named_as_such(bench) -> None:
+    bench.unit.alive = False
+    with pytest.raises(NodeMissing, match="no node is heard"):
+        bench.link.start()
+
+
+def test_a_unit_that_boots_late_is_waited_for(bench) -> None:
+    bench.unit.alive = False
+
+    def power_on(now_s: float) -> None:
+        if now_s >= 101.5 and not bench.unit.alive:
+            bench.unit.alive = True
+            bench.unit.boot()
+
+    bench.clock.on_advance.append(power_on)
+    assert bench.link.start().serial == 4711
+
+
+def test_a_unit_that_does_not_become_operational_is_refused(bench) -> None:
+    bench.unit.heartbeats = False
+    with pytest.raises(NodeMissing, match="did not become operational"):
+        bench.link.start()
+
+
+def test_two_units_of_one_node_id_are_refused(bench) -> None:
+    bench.unit.boots = 2
+    with pytest.raises(NodeMissing, match="same node-ID"):
+        bench.link.start()
+
+
+@pytest.mark.parametrize(
+    ("entry", "value", "says"),
+    [
+        ((eds.IDENTITY, 1), b"\1\0\0\0", r"vendor-ID: expected 21571 \(0x5443\), found 1"),
+        ((eds.IDENTITY, 2), b"\2\0\0\0", "product code: expected 1032"),
+        ((eds.IDENTITY, 3), b"\0\0\2\0", r"major revision: expected 1 \(0x1\), found 2"),
+        ((eds.LAYOUT, 3), b"0123456789abcdef", "layout hash: expected 48.*, found 0123456789abc"),
+        ((eds.LAYOUT, 2), b"\x9c\0", "taxels: expected 408 .*found 156"),
+        ((eds.LAYOUT, 4), b"\xff\x0f", "full scale: expected 255 .*found 4095"),
+        ((eds.FORMAT, 2), b"\2", "sample bytes"),
+        ((eds.FORMAT, 3), b"\x33\0", "messages per frame: expected 59 .*found 51"),
+        ((eds.FORMAT, 4), b"\2", "header bytes"),
+        ((eds.TPDO1_MAPPING, 0), b"\0", "TPDO1 entries"),
+        ((eds.TPDO1_MAPPING, 2), b"\x40\0\0\x21", "TPDO1 entry 2"),
+        ((eds.TPDO1_PARAMETER, 1), b"\x85\1\0\x80", "TPDO1 COB-ID"),
+    ],
+)
+def test_another_unit_is_refused_with_expected_and_found(bench, entry, value, says) -> None:
+    bench.unit.objects[entry] = value
+    with pytest.raises(IdentityMismatch, match=says):
+        bench.link.start()
+    assert bench.unit.state != 5
+    assert sync_times(bench) == 0
+
+
+def test_the_serial_number_tells_swapped_units_apart(make_bench) -> None:
+    bench = make_bench(identity=ExpectedIdentity(serial=4712))
+    with pytest.raises(IdentityMismatch, match="serial number: expected 4712"):
+        bench.link.start()
+
+
+def test_a_unit_that_does_not_keep_its_set_up_is_refused(bench) -> None:
+    def forget(index: int, sub: int, value: int, size: int) -> bytes:
+        bench.unit.objects[index, sub] = (value // 2).to_bytes(size, "little")
+        return bytes([0x60]) + index.to_bytes(2, "little") + bytes([sub, 0, 0, 0, 0])
+
+    bench.unit.write = forget
+    with pytest.raises(IdentityMismatch, match=r"heartbeat in ms: expected 100 .*found 50"):
+        bench.link.start()
+
+
+def test_an_object_that_is_missing_is_named(bench) -> None:
+    del bench.unit.objects[eds.LAYOUT, 3]
+    with pytest.raises(NodeMissing, match=r"0x2100:03 .*refused.*Object does not exist"):
+        bench.link.start()
+
+
+def test_lost_sdo_responses_are_asked_for_again(bench) -> None:
+    bench.unit.mute_sdo = 2
+    assert bench.link.start().vendor_id == eds.VENDOR_ID
+
+
+def test_a_silent_sdo_server_is_a_missing_node(bench) -> None:
+    bench.unit.mute_sdo = 1000
+    with pytest.raises(NodeMissing, match=r"failed 3 times: no SDO response within 0.3 s"):
+        bench.link.start()
+
+
+def test_a_zero_held_by_the_unit_is_cleared(bench) -> None:
+    bench.unit.objects[eds.TARE, eds.TARE_RESULT] = bytes([eds.TareResult.DONE])
+    bench.link.start()
+    assert bench.unit.written[eds.TARE, eds.TARE_COMMAND] == eds.TARE_CLEAR_SIGNATURE
+
+
+# --- faults in operation -------------------------------------------------------------------------
+
+
+def test_lost_heartbeat_is_a_fault_after_one_and_a_half_periods(bench) -> None:
+    bench.link.start()
+    bench.run(0.5)
+    bench.unit.heartbeats = False
+    last_s = bench.clock.now_s
+    with pytest.raises(HeartbeatLost, match=r"allowed are 0.15 s"):
+        bench.run(1.0)
+    assert bench.clock.now_s - last_s <= 0.1 + 0.15 + 0.006
+
+
+def test_boot_up_in_operation_is_a_reboot(bench) -> None:
+    bench.link.start()
+    bench.run(0.1)
+    bench.unit.boot()
+    with pytest.raises(NodeRebooted, match="boot-up"):
+        bench.link.poll()
+
+
+@pytest.mark.parametrize(("state", "name"), [(127, "pre-operational"), (4, "stopped"), (9, "9")])
+def test_leaving_operational_is_a_fault(bench, state, name) -> None:
+    bench.link.start()
+    bench.bus.put(0x700 + NODE, bytes([state]))
+    with pytest.raises(NodeStateChanged, match=name):
+        bench.link.poll()
+
+
+def test_emergency_is_a_fault_with_its_text(bench) -> None:
+    bench.link.start()
+    bench.bus.put(
+        0x80 + NODE, encode_emergency(Emergency(code=0xFF02, register=0x81, detail=bytes(5)))
+    )
+    with pytest.raises(NodeEmergency, match=r"0xFF02 \(converter self-test failed\)") as caught:
+        bench.link.poll()
+    assert (caught.value.code, caught.value.register) == (0xFF02, 0x81)
+    assert caught.value.text == "converter self-test failed"
+
+
+def test_error_reset_and_short_emergencies_are_no_fault(bench) -> None:
+    bench.link.start()
+    bench.bus.put(0x80 + NODE, bytes(8))
+    bench.bus.put(0x80 + NODE, b"\x10\x81")
+    bench.link.poll()
+    assert bench.link.statistics.malformed == 1
+
+
+def test_bus_off_is_a_fault(bench) -> None:
+    bench.link.start()
+    bench.bus.put(0x40, bytes(8), is_error_frame=True)
+    with pytest.raises(BusOff, match="bus-off"):
+        bench.link.poll()
+
+
+def test_error_passive_is_a_fault_when_it_lasts(bench) -> None:
+    bench.link.start()
+    bench.bus.put(0x04, bytes([0, 0x10, 0, 0, 0, 0, 0, 0]), is_error_frame=True)
+    assert bench.run(0.45)
+    bench.bus.put(0x04, bytes([0, 0x40, 0, 0, 0, 0, 0, 0]), is_error_frame=True)
+    assert bench.run(1.0)
+    bench.bus.put(0x04, bytes([0, 0x20, 0, 0, 0, 0, 0, 0]), is_error_frame=True)
+    start_s = bench.clock.now_s
+    with pytest.raises(BusErrorPassive, match=r"allowed are 0.5 s"):
+        bench.run(1.0)
+    assert bench.clock.now_s - start_s == pytest.approx(0.505, abs=0.01)
+    assert bench.link.statistics.error_frames == 3
+
+
+def test_no_frames_for_three_syncs_is_a_fault_within_60_ms(bench) -> None:
+    bench.link.start()
+    frames = bench.run(0.2)
+    bench.unit.mute_syncs = 1000
+    with pytest.raises(FrameTimeout, match="after 3 SYNCs"):
+        bench.run(1.0)
+    assert bench.clock.now_s - frames[-1].t_s <= 0.08 + 0.006
+
+
+def test_two_lost_frames_are_noted_only(bench) -> None:
+    bench.link.start()
+    bench.run(0.2)
+    bench.unit.mute_syncs = 2
+    frames = bench.run(0.2)
+    assert len(frames) == 8
+    assert bench.link.statistics.frames.lost == 2
+    assert bench.link.statistics.recent_loss_rate == pytest.approx(2 / 20, abs=0.02)
+
+
+def test_a_torn_frame_is_never_handed_out_and_frequent_loss_is_a_fault(bench) -> None:
+    bench.link.start()
+    bench.run(0.5)
+
+    def lose_every_third(messages: list[bytes]) -> list[bytes]:
+        return messages[:20] + messages[21:] if bench.unit.counter % 3 == 0 else messages
+
+    bench.unit.alter = lose_every_third
+    with pytest.raises(FrameTimeout, match=r"6 of the last 50 .* allowed are 10%"):
+        bench.run(2.0)
+    assert bench.link.statistics.frames.torn >= 5
+
+
+def test_frames_without_crc_are_a_fault_in_the_end(bench) -> None:
+    bench.link.start()
+    bench.unit.alter = lambda messages: [*messages[:-1], messages[-1][:-1] + b"\0"]
+    with pytest.raises(FrameTimeout):
+        bench.run(1.0)
+    assert bench.link.statistics.frames.corrupt >= 2
+
+
+@pytest.mark.parametrize("error", [can.CanOperationError("gone"), OSError(5, "gone")])
+def test_a_failing_interface_is_bus_off(bench, error) -> None:
+    bench.link.start()
+    bench.bus.incoming.append(error)
+    with pytest.raises(BusOff, match=r"gone.*plugged in"):
+        bench.link.poll()
+
+
+def test_a_failing_send_is_bus_off(bench) -> None:
+    bench.link.start()
+    bench.bus.send_error = can.CanOperationError("no buffer space")
+    with pytest.raises(BusOff, match="no buffer space"):
+        bench.run(0.1)
+    bench.link.close()
+
+
+def test_foreign_remote_extended_and_damaged_messages_are_counted(bench) -> None:
+    bench.link.start()
+    bench.bus.put(0x7FF, b"")
+    bench.bus.put(0x180 + NODE, b"", is_remote_frame=True)
+    bench.bus.incoming.append(can.Message(arbitration_id=0x185, data=bytes(8), is_extended_id=True))
+    bench.bus.put(0x80 + NODE, b"\1\2\3", dlc=8)
+    bench.bus.put(0x180 + NODE, b"\1\2\3", dlc=8)
+    bench.bus.put(0x700 + NODE, b"")
+    assert len(bench.run(0.1)) == 5
+    statistics = bench.link.statistics
+    assert (statistics.foreign, statistics.malformed, statistics.frames.short) == (1, 3, 1)
+
+
+def test_random_garbage_does_no_harm(bench) -> None:
+    rng = np.random.default_rng(8)
+    bench.link.start()
+
+    def garbage(now_s: float) -> None:
+        for _ in range(3):
+            cob_id = int(rng.integers(0, 0x800))
+            if cob_id not in {0x80 + NODE, 0x700 + NODE}:
+                bench.bus.put(cob_id, rng.bytes(int(rng.integers(0, 9))))
+
+    bench.clock.on_advance.append(garbage)
+    frames = bench.run(1.0)
+    assert len(frames) >= 49
+    assert all(not frame.counts.any() for frame in frames)
+
+
+# --- latching and life cycle ---------------------------------------------------------------------
+
+
+def test_a_fault_latches_until_closed_and_started_again(bench) -> None:
+    bench.link.start()
+    bench.unit.boot()
+    with pytest.raises(NodeRebooted):
+        bench.link.poll()
+    bench.unit.state = 5
+    syncs = sync_times(bench)
+    for _ in range(3):
+        bench.clock.sleep(0.02)
+        with pytest.raises(NodeRebooted):
+            bench.link.poll()
+        with pytest.raises(NodeRebooted):
+            bench.link.read_last_frame()
+    assert isinstance(bench.link.fault, NodeRebooted)
+    assert sync_times(bench) == syncs
+    bench.link.close()
+    bench.link.start()
+    assert bench.link.fault is None
+    assert len(bench.run(0.2)) == 10
+
+
+def test_calls_out_of_order_are_refused(bench) -> None:
+    with pytest.raises(LinkStateError, match="start it first"):
+        bench.link.poll()
+    bench.link.start()
+    with pytest.raises(LinkStateError, match="close it"):
+        bench.link.start()
+    bench.link.close()
+    bench.link.close()
+    assert bench.unit.state == 127
+    with pytest.raises(LinkStateError):
+        bench.link.poll()
+
+
+def test_a_failed_start_can_be_repeated_after_close(bench) -> None:
+    bench.unit.alive = False
+    with pytest.raises(NodeMissing):
+        bench.link.start()
+    bench.unit.alive = True
+    bench.link.close()
+    assert bench.link.start().serial == 4711
+
+
+def test_every_link_fault_is_one() -> None:
+    for fault in (NodeMissing, HeartbeatLost, FrameTimeout, BusOff, NodeRebooted):
+        assert issubclass(fault, LinkFault)
+
+
+# --- services ------------------------------------------------------------------------------------
+
+
+def test_last_frame_by_sdo_is_the_frame_by_pdo_and_frames_go_on(bench) -> None:
+    bench.unit.noisy = True
+    bench.link.start()
+    bench.run(0.1)
+    bench.unit.noisy = False
+    bench.unit.counts = np.arange(408, dtype=np.uint16) % 250
+    frames = bench.run(0.1)
+    counter, counts = bench.link.read_last_frame()
+    np.testing.assert_array_equal(counts, bench.unit.counts)
+    frames += bench.link.poll()
+    frames += bench.run(0.1)
+    counters = [frame.counter for frame in frames]
+    assert counters == list(range(counters[0], counters[-1] + 1))
+    assert counter in counters
+
+
+def test_last_frame_of_wrong_size_is_refused(bench) -> None:
+    bench.link.start()
+    bench.unit.objects[eds.LAST_FRAME, 0] = bytes(100)
+    bench.unit.frame = lambda: []
+    with pytest.raises(FrameError, match="100 bytes, expected 408"):
+        bench.link.read_last_frame()
+
+
+def test_unit_tare(bench) -> None:
+    bench.link.start()
+    bench.link.tare_unit()
+    assert bench.unit.written[eds.TARE, eds.TARE_COMMAND] == int.from_bytes(b"tare", "little")
+
+
+def test_unit_tare_refused_is_told_with_the_largest_sample(bench) -> None:
+    bench.link.start()
+    bench.unit.tare_result = eds.TareResult.REFUSED_TOUCHED
+    with pytest.raises(TareRefused, match="touched, largest sample 93 counts"):
+        bench.link.tare_unit()
+    assert bench.link.fault is None
+
+
+def test_unit_tare_that_does_not_end_is_given_up(bench) -> None:
+    bench.link.start()
+    bench.unit.tare_polls = 10**6
+    start_s = bench.clock.now_s
+    with pytest.raises(TareRefused, match="within 1 s"):
+        bench.link.tare_unit(timeout_s=1.0)
+    assert bench.clock.now_s - start_s == pytest.approx(1.0, abs=0.05)
+
+
+def test_features_alone_keep_the_link_alive(make_bench) -> None:
+    bench = make_bench(mode=eds.TransmissionMode.FEATURES)
+    layout = paper_layout()
+    counts = np.zeros(408, dtype=np.uint16)
+    counts[20:24] = 100
+
+    def features() -> None:
+        for pad in pad_features(layout, counts, bench.unit.counter, 30):
+            first, second = encode_features(pad)
+            bench.bus.put(0x280 + NODE, first)
+            bench.bus.put(0x380 + NODE, second)
+        bench.bus.put(0x280 + NODE, b"\1")
+        bench.bus.put(0x380 + NODE, b"")
+        bench.unit.counter += 1
+
+    bench.unit.sync = features
+    bench.link.start()
+    assert bench.run(0.2) == []
+    taken = bench.link.take_features()
+    assert len(taken) == 10 * 10
+    assert taken[0].total_counts == 400
+    assert (taken[0].centroid_row, taken[0].centroid_column) == (5.0, 1.5)
+    assert taken[1].total_counts == 0
+    assert bench.link.take_features() == ()
+    assert bench.link.statistics.malformed == 20
+
+
+# --- settings ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"sync_period_s": 0.0},
+        {"sync_window_s": 0.03},
+        {"heartbeat_s": 100.0},
+        {"heartbeat_factor": 0.9},
+        {"startup_timeout_s": 0.0},
+        {"frame_timeout_periods": 0},
+        {"max_loss_rate": 1.5},
+        {"sdo_timeout_s": float("nan")},
+    ],
+)
+def test_settings_out_of_range_are_refused(change) -> None:
+    with pytest.raises(ValueError, match=f"{next(iter(change))} is .*must be"):
+        LinkSettings(**change)
+
+
+@pytest.mark.parametrize("node_id", [0, 128])
+def test_node_id_out_of_range_is_refused(bench, node_id) -> None:
+    with pytest.raises(ValueError, match="1 to 127"):
+        TactileLink(bench.bus, node_id=node_id, layout=paper_layout(), clock=bench.clock)
