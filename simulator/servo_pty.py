@@ -4,7 +4,9 @@ The endpoint has no loop of its own: whoever owns it waits until its descriptor 
 next event is due, and calls `ServoPty.poll`.
 """
 
+import fcntl
 import os
+import struct
 import termios
 import tty
 from pathlib import Path
@@ -19,6 +21,10 @@ _BAUD_BY_CONSTANT: dict[int, int] = {
     if name.startswith("B") and name[1:].isdigit() and int(name[1:]) > 0
 }
 _OUTPUT_SPEED = 5
+_SPEED_IN_NUMBERS = 0o10000
+"""BOTHER of asm-generic/termbits.h: the rate stands as a number in the newer structure."""
+_TCGETS2 = 0x802C542A
+_TERMIOS2 = struct.Struct("=4IB19s2I")
 
 
 class ServoPty:
@@ -59,8 +65,11 @@ class ServoPty:
 
     @property
     def client_baudrate(self) -> int:
-        """Line rate in baud that the client has set; 0 for one without a name."""
+        """Line rate in baud that the client has set, by a constant or as a number; 0 = hung up."""
         speed = termios.tcgetattr(self._slave_fd)[_OUTPUT_SPEED]
+        if speed == _SPEED_IN_NUMBERS:
+            raw = fcntl.ioctl(self._slave_fd, _TCGETS2, bytes(_TERMIOS2.size))
+            return int(_TERMIOS2.unpack(raw)[-1])
         return _BAUD_BY_CONSTANT.get(speed, 0)
 
     def fileno(self) -> int:
