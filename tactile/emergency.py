@@ -7,15 +7,17 @@ EMCY_BYTES = 8
 _LAYOUT = struct.Struct("<HB5s")
 
 ERROR_RESET = 0x0000
-SCAN_OVERRUN = 0xFF01
-CONVERTER_FAULT = 0xFF02
-MULTIPLEXER_FAULT = 0xFF03
-ZERO_LOST = 0xFF04
+WINDOW_EXCEEDED = 0xFF01
+SYNC_OVERRUN = 0xFF02
+CONVERTER_FAULT = 0xFF03
+MULTIPLEXER_FAULT = 0xFF04
+ZERO_LOST = 0xFF05
 """Codes that the control unit defines itself; the others are from CiA 301."""
 
 _TEXTS = {
     ERROR_RESET: "no error",
-    SCAN_OVERRUN: "a frame was not sent within the synchronous window",
+    WINDOW_EXCEEDED: "a burst was cut short, it does not fit into the synchronous window",
+    SYNC_OVERRUN: "a SYNC came while the burst before it was still being sent",
     CONVERTER_FAULT: "converter self-test failed",
     MULTIPLEXER_FAULT: "multiplexer self-test failed",
     ZERO_LOST: "the stored zero is damaged",

@@ -1,0 +1,111 @@
+"""What the tactile sensor is told, and what it gives."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile.filters import TouchThresholds, Values
+from tactile.protocol import TactileFrame
+from tactile.tare import TareLimits
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorSettings:
+    """How frames become forces. Counts are given as shares of the full scale.
+
+    The defaults suit 50 frames/s and one-sided noise of up to 8 % of the full scale on each taxel
+    and frame.
+
+    Attributes
+    ----------
+    mean_frames
+        Frames averaged: the force follows a step completely after so many.
+    touch_start_share, touch_keep_share, touch_join_share, touch_leave_share
+        See `TouchThresholds`.
+    gap_s
+        A longer gap between frames starts the mean anew, in s.
+    frozen_s
+        Samples that stay identical for this long are a fault, if the tare has seen noise, in s.
+    stuck_frames
+        A taxel that repeats itself so often while others do not is bad.
+    bad_share
+        Forces are not ok with a larger share of bad taxels on a gripping pad.
+    poll_s
+        Pause between two polls while waiting, in s.
+    tare_limits
+        When a zero is refused.
+    """
+
+    mean_frames: int = 3
+    touch_start_share: float = 8 / 255
+    touch_keep_share: float = 4 / 255
+    touch_join_share: float = 5 / 255
+    touch_leave_share: float = 0.0
+    gap_s: float = 0.1
+    frozen_s: float = 0.1
+    stuck_frames: int = 25
+    bad_share: float = 0.05
+    poll_s: float = 0.001
+    tare_limits: TareLimits = field(default_factory=TareLimits)
+
+    def __post_init__(self) -> None:
+        for name, low in (
+            ("mean_frames", 1),
+            ("gap_s", 0.0),
+            ("frozen_s", 0.0),
+            ("stuck_frames", 8),
+            ("bad_share", 0.0),
+            ("poll_s", 1e-6),
+        ):
+            if not getattr(self, name) >= low:
+                raise ValueError(f"{name} is {getattr(self, name)}, must be at least {low:g}")
+
+    def thresholds(self, adc_max: int) -> TouchThresholds:
+        """Return the touch thresholds in counts."""
+        return TouchThresholds(
+            start=self.touch_start_share * adc_max,
+            keep=self.touch_keep_share * adc_max,
+            join=self.touch_join_share * adc_max,
+            leave=self.touch_leave_share * adc_max,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TactileReading:
+    """One frame and what it says in newtons. Arrays are read-only.
+
+    Attributes
+    ----------
+    frame
+        The raw frame.
+    tared_counts : (n_taxels,) float64
+        Counts above the zero, averaged over the last frames, bad taxels filled from neighbours.
+    force_n : (n_taxels,) float64
+        Normal force on each active taxel in N, 0 on the others.
+    pad_force_n : (n_pads,) float64
+        Sum over each pad in N.
+    finger_force_n
+        Force on the gripping pad of finger 0 and of finger 1 in N.
+    active, saturated : (n_taxels,) bool
+        Touched taxels; taxels at full scale in this frame.
+    ok
+        Whether the finger forces may be used for control.
+    reason
+        Why not, empty if ok.
+    """
+
+    frame: TactileFrame
+    tared_counts: Values
+    force_n: Values
+    pad_force_n: Values
+    finger_force_n: tuple[float, float]
+    active: NDArray[np.bool_]
+    saturated: NDArray[np.bool_]
+    ok: bool
+    reason: str
+
+    @property
+    def t_s(self) -> float:
+        """Monotonic time of reception in s."""
+        return self.frame.t_s
