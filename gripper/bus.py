@@ -104,6 +104,10 @@ class ServoBus:
         """Return how many answers of a servo have been lost in a row."""
         return self._line.misses.get(servo_id, 0)
 
+    def distrust(self) -> None:
+        """Let the next transaction wait until the line is quiet: an answer came out of turn."""
+        self._line.distrust()
+
     def ping(self, servo_id: int) -> ServoIdentity:
         """Ask a servo who it is; BusTimeout when none has that ID."""
         status = self._ask(servo_id, Instruction.PING, b"", 3, f"ping of servo {servo_id}")

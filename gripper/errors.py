@@ -120,5 +120,9 @@ class ForceSensorStale(GripperError):
     """The force sensor gave no valid sample for too long; the grip is kept."""
 
 
+class PartLost(GripperError):
+    """Both pads are empty although a part was held; the fingers stand still."""
+
+
 class GraspStopped(GripperError):
     """The running command was stopped by ``request_stop``; the grip is kept."""

@@ -155,6 +155,11 @@ class ServoLine:
                 (self.alerts.add if status.alert else self.alerts.discard)(servo_id)
                 return status
 
+    def distrust(self) -> None:
+        """Take it that an answer is still on its way."""
+        self.suspect = True
+        self._owed += 1
+
     def clear(self, servo_id: int, deadline_s: float | None) -> None:
         """Ping a servo: answers come in order, so after this one nothing old can arrive."""
         if deadline_s is not None and self.clock.monotonic() >= deadline_s:

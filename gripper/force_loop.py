@@ -1,0 +1,157 @@
+"""Force loop: from the set-point of the grip force to the driving force of the fingers.
+
+The gearing holds a load by friction: at a driving force u (torque constant times current over
+effective radius) the grip force may be anywhere from u - phi to u + phi, phi being the friction
+band. While the force rises it is u - phi, while it falls u + phi. The loop follows this with a
+model of play (hysteresis without rate): the modelled force moves only when the band pushes it.
+
+A proportional-integral controller in this setting is a feed-forward through the inverse of the
+model plus a slowly learnt bias, the low-passed difference between sensor and model at the time of
+each sample: delay and noise of the sensor do not enter the fast path, a saturated drive winds
+nothing up, and within a dead band the drive stays where it is, so that friction cannot turn a
+small error into a limit cycle. While the drive moves, a small square wave on it keeps the gearing from
+sticking: friction at rest is larger than in motion, and every breakaway would be a jump.
+"""
+
+from collections import deque
+from math import exp
+
+from gripper.errors import LimitExceeded
+from gripper.force import ForceSample
+from gripper.settings import ForceLoopSettings
+
+_HISTORY_LENGTH = 128
+_IMPLAUSIBLE_S = 0.3
+
+
+class ForceLoop:
+    """State of the force loop of one grasp; no clock, no bus.
+
+    Parameters
+    ----------
+    settings
+        Tuning.
+    force_n
+        Grip force at the start in N.
+    drive_n
+        Driving force at the start in N.
+    now_s
+        Monotonic time in s.
+    """
+
+    def __init__(
+        self, settings: ForceLoopSettings, *, force_n: float, drive_n: float, now_s: float
+    ) -> None:
+        self._settings = settings
+        self._model_n = max(0.0, force_n)
+        self._drive_n = drive_n
+        self._rising = True
+        self._dither = 0.0
+        self._bias_n = 0.0
+        self._history: deque[tuple[float, float]] = deque(maxlen=_HISTORY_LENGTH)
+        self._history.append((now_s, self._model_n))
+        self._sample_s = now_s
+        self._implausible_since_s: float | None = None
+
+    @property
+    def drive_n(self) -> float:
+        """Driving force in N, without the square wave on it; below 0 it pushes open."""
+        return self._drive_n
+
+    @property
+    def model_n(self) -> float:
+        """Modelled grip force in N."""
+        return self._model_n
+
+    @property
+    def bias_n(self) -> float:
+        """Learnt difference between sensor and model in N."""
+        return self._bias_n
+
+    def step(
+        self,
+        now_s: float,
+        dt_s: float,
+        setpoint_n: float,
+        sample: ForceSample,
+        *,
+        friction_n: float,
+        drive_max_n: float,
+        taper: bool = False,
+    ) -> float:
+        """Advance by one period and return the driving force in N.
+
+        Parameters
+        ----------
+        now_s, dt_s
+            Monotonic time and time since the last step in s.
+        setpoint_n
+            Grip force that is asked for now.
+        sample
+            Newest valid force sample; the same one may come again.
+        friction_n
+            Half the width of the friction band as grip force.
+        drive_max_n
+            Largest driving force, from the cap of the current.
+        taper
+            True during a long hold: give back what friction makes superfluous.
+
+        Raises
+        ------
+        LimitExceeded
+            When sensor and model disagree by more than is plausible for some time: the sensor
+            does not see the force that the current makes.
+        """
+        settings = self._settings
+        self._learn(now_s, sample, setpoint_n)
+        target_n = max(0.0, setpoint_n - self._bias_n)
+        error_n = target_n - self._model_n
+        reversal_n = max(settings.reversal_band_n, settings.reversal_band_share * setpoint_n)
+        rise_n = settings.dead_band_n if self._rising else reversal_n
+        fall_n = reversal_n if self._rising else settings.dead_band_n
+        wanted_n = self._drive_n
+        dither = settings.dither_share if self._dither <= 0.0 else -settings.dither_share
+        self._dither = 0.0
+        if error_n > rise_n:
+            self._dither = dither
+            self._rising = True
+            wanted_n = target_n + friction_n
+        elif error_n < -fall_n:
+            self._dither = dither
+            self._rising = False
+            wanted_n = target_n - friction_n
+        elif taper and self._drive_n > self._model_n:
+            wanted_n = max(self._model_n, self._drive_n - settings.taper_n_s * dt_s)
+        step_n = settings.drive_rate_n_s * dt_s
+        wanted_n = min(max(wanted_n, self._drive_n - step_n), self._drive_n + step_n)
+        self._drive_n = min(max(wanted_n, -settings.push_open_share * friction_n), drive_max_n)
+        low_n, high_n = self._drive_n - friction_n, self._drive_n + friction_n
+        self._model_n = max(0.0, min(max(self._model_n, low_n), high_n))
+        self._history.append((now_s, self._model_n))
+        return min(self._drive_n + self._dither * friction_n, drive_max_n)
+
+    def _learn(self, now_s: float, sample: ForceSample, setpoint_n: float) -> None:
+        settings = self._settings
+        if sample.t_s > self._sample_s:
+            gain = 1.0 - exp(-(sample.t_s - self._sample_s) / settings.bias_time_s)
+            self._sample_s = sample.t_s
+            seen_n = sample.grip_n - self._model_at(sample.t_s - settings.sensor_delay_s)
+            self._bias_n += gain * (seen_n - self._bias_n)
+        limit_n = settings.bias_max_n + settings.bias_max_share * setpoint_n
+        if abs(self._bias_n) <= limit_n:
+            self._implausible_since_s = None
+        elif self._implausible_since_s is None:
+            self._implausible_since_s = now_s
+        elif now_s - self._implausible_since_s > _IMPLAUSIBLE_S:
+            raise LimitExceeded(
+                f"force sensor and servo current disagree by {self._bias_n:.2f} N, more than "
+                f"{limit_n:.2f} N: the sensor reads {sample.grip_n:.2f} N where the current makes "
+                f"{self._model_n:.2f} N. Check the pads, the tare and the torque figures"
+            )
+
+    def _model_at(self, t_s: float) -> float:
+        """Return the modelled force in N at an earlier time, as far back as it is known."""
+        for then_s, model_n in reversed(self._history):
+            if then_s <= t_s:
+                return model_n
+        return self._history[0][1]

@@ -1,0 +1,245 @@
+"""One grasp: approach, contact, ramp, settling; then holding and backing off."""
+
+from collections.abc import Callable
+
+from gripper.contact import Approach, ApproachEvent
+from gripper.errors import LimitExceeded, PartLost
+from gripper.kinematics import Linkage
+from gripper.limits import ServoGoal
+from gripper.motion import GripControl, motion_current_a
+from gripper.ramp import ForceRamp
+from gripper.runner import Action, LoopRunner, Moment, Observer
+from gripper.servos import ServoGroup
+from gripper.settings import GripperSettings
+from gripper.state import GraspOutcome, GraspResult, GripperPhase, GripperState
+
+_TAPER_AFTER_S = 1.0
+
+
+class GraspRun:
+    """The phases of a grasp, and what is known of the part that is held.
+
+    Parameters
+    ----------
+    runner, servos, linkage, settings
+        Of the gripper.
+    """
+
+    def __init__(
+        self,
+        runner: LoopRunner,
+        servos: ServoGroup,
+        linkage: Linkage,
+        settings: GripperSettings,
+    ) -> None:
+        self._runner = runner
+        self._servos = servos
+        self._linkage = linkage
+        self._settings = settings
+        self._setpoint_n = 0.0
+        self.control: GripControl | None = None
+
+    def forget(self) -> None:
+        """Nothing is held any more."""
+        self.control = None
+        self._setpoint_n = 0.0
+
+    def check(self, ramp: ForceRamp, state: GripperState) -> None:
+        """Refuse a ramp beyond the limits with LimitExceeded, before anything moves."""
+        settings = self._settings
+        largest_n = max(ramp.start_n, ramp.final_n)
+        if largest_n > settings.grasp_force_limit_n:
+            raise LimitExceeded(
+                f"the ramp asks for {largest_n} N, the limit is {settings.grasp_force_limit_n} N"
+            )
+        if ramp.final_n < settings.contact_force_n:
+            raise LimitExceeded(
+                f"the ramp ends at {ramp.final_n} N, below contact_force_n = "
+                f"{settings.contact_force_n} N: it could not hold a part"
+            )
+        needed_a = max(
+            path.loading_current_a(largest_n) for path in self._servos.transmissions(state.servos)
+        )
+        if needed_a > settings.current_max_a:
+            raise LimitExceeded(
+                f"{largest_n} N take {needed_a:.3f} A, current_max_a is {settings.current_max_a} "
+                f"A: lower the force or raise the cap"
+            )
+
+    def run(
+        self,
+        ramp: ForceRamp,
+        observer: Observer | None,
+        set_phase: Callable[[GripperPhase], None],
+    ) -> GraspOutcome:
+        """Approach, then follow the ramp to its end."""
+        self.forget()
+        event, state = self._approach(observer)
+        if event is not ApproachEvent.CONTACT:
+            limit = event is ApproachEvent.LIMIT
+            return GraspOutcome(
+                result=GraspResult.NO_CONTACT if limit else GraspResult.OBSTRUCTED,
+                contact_t_s=None,
+                contact_aperture_m=None,
+                final_aperture_m=state.aperture_m,
+                final_force_n=0.0,
+                overshoot_n=0.0,
+            )
+        set_phase(GripperPhase.RAMPING)
+        return self._follow(ramp, state, observer)
+
+    def hold(
+        self, control: GripControl, duration_s: float, observer: Observer | None
+    ) -> GripperState:
+        """Control the force at its last set-point for a time in s."""
+        elapsed_s = 0.0
+
+        def step(moment: Moment) -> Action:
+            nonlocal elapsed_s
+            elapsed_s += moment.dt_s
+            self._check_part(control, moment)
+            goals = control.goals(
+                moment,
+                self._servos.transmissions(moment.state.servos),
+                self._setpoint_n,
+                taper=elapsed_s > _TAPER_AFTER_S,
+            )
+            done = elapsed_s >= duration_s - 1e-9
+            return Action(goals=goals, setpoint_n=self._setpoint_n, done=done)
+
+        control.resume()
+        return self._runner.run(GripperPhase.HOLDING, step, observer, needs_force=True)
+
+    def back_off_ramp(self, force_n: float, rate_n_s: float) -> ForceRamp:
+        """Return the way down from the present set-point; LimitExceeded where there is none."""
+        if not self._settings.contact_force_n <= force_n <= self._setpoint_n:
+            raise LimitExceeded(
+                f"backing off to {force_n} N is not from contact_force_n = "
+                f"{self._settings.contact_force_n} N to the present {self._setpoint_n} N; "
+                f"letting go is done by release"
+            )
+        return ForceRamp.linear(force_n, rate_n_s, start_n=self._setpoint_n)
+
+    def follow_down(
+        self, control: GripControl, ramp: ForceRamp, observer: Observer | None
+    ) -> GripperState:
+        """Follow a falling ramp to its end and until the force has settled."""
+        elapsed_s = 0.0
+
+        def step(moment: Moment) -> Action:
+            nonlocal elapsed_s
+            elapsed_s += moment.dt_s
+            self._check_part(control, moment)
+            self._setpoint_n = ramp.setpoint_n(elapsed_s)
+            goals = control.goals(
+                moment, self._servos.transmissions(moment.state.servos), self._setpoint_n
+            )
+            done = self._settled(ramp, elapsed_s, control)
+            return Action(goals=goals, setpoint_n=self._setpoint_n, done=done)
+
+        control.resume()
+        return self._runner.run(GripperPhase.BACKING_OFF, step, observer, needs_force=True)
+
+    def _approach(self, observer: Observer | None) -> tuple[ApproachEvent, GripperState]:
+        settings = self._settings
+        start = self._servos.read()
+        current_a = motion_current_a(
+            settings, self._servos.transmissions(start.servos), settings.approach_force_n
+        )
+        approach = Approach(settings, self._linkage, start, now_s=start.t_s, current_a=current_a)
+        event = ApproachEvent.CLOSING
+
+        def step(moment: Moment) -> Action:
+            nonlocal event
+            event, angles_rad = approach.step(
+                moment.now_s, moment.dt_s, moment.state, moment.sample
+            )
+            if event in (ApproachEvent.LIMIT, ApproachEvent.OBSTRUCTED):
+                angles_rad = [servo.angle_rad for servo in moment.state.servos]
+            goals = [ServoGoal(angle_rad=a, current_a=current_a) for a in angles_rad]
+            return Action(goals=goals, done=event is not ApproachEvent.CLOSING)
+
+        state = self._runner.run(GripperPhase.APPROACHING, step, observer, needs_force=True)
+        return event, state
+
+    def _follow(
+        self, ramp: ForceRamp, contact: GripperState, observer: Observer | None
+    ) -> GraspOutcome:
+        control: GripControl | None = None
+        actual = ramp
+        elapsed_s = 0.0
+        peak_n = 0.0
+        lost = False
+
+        def step(moment: Moment) -> Action:
+            nonlocal control, actual, elapsed_s, peak_n, lost
+            paths = self._servos.transmissions(moment.state.servos)
+            if control is None:
+                force_n = 0.0 if moment.sample is None else max(0.0, moment.sample.grip_n)
+                friction_n = sum(path.friction_n for path in paths) / len(paths)
+                drive_n = min(
+                    goal.current_a * path.kt_nm_a / path.radius_m
+                    for goal, path in zip(self._servos.goals, paths, strict=True)
+                )
+                control = GripControl(
+                    self._settings,
+                    contact,
+                    force_n=force_n,
+                    drive_n=max(drive_n, force_n - friction_n),
+                    now_s=moment.now_s,
+                )
+                self.control = control
+                actual = ramp.starting_from(force_n)
+            else:
+                elapsed_s += moment.dt_s
+            self._setpoint_n = actual.setpoint_n(elapsed_s)
+            goals = control.goals(moment, paths, self._setpoint_n)
+            peak_n = max(peak_n, control.force_n)
+            lost = control.part_lost(moment)
+            if lost:
+                goals = tuple(
+                    ServoGoal(angle_rad=servo.angle_rad, current_a=goal.current_a)
+                    for servo, goal in zip(moment.state.servos, goals, strict=True)
+                )
+            return Action(
+                goals=goals,
+                setpoint_n=self._setpoint_n,
+                level=actual.level_at(elapsed_s),
+                done=lost or self._settled(actual, elapsed_s, control),
+            )
+
+        state = self._runner.run(GripperPhase.RAMPING, step, observer, needs_force=True)
+        final_n = 0.0 if control is None else control.force_n
+        tolerance_n = self._settings.settle_tolerance_at_n(ramp.final_n)
+        reached = abs(final_n - ramp.final_n) <= tolerance_n
+        if lost:
+            self.forget()
+            result = GraspResult.PART_LOST
+        else:
+            result = GraspResult.FORCE_REACHED if reached else GraspResult.FORCE_NOT_REACHED
+        return GraspOutcome(
+            result=result,
+            contact_t_s=contact.t_s,
+            contact_aperture_m=contact.aperture_m,
+            final_aperture_m=state.aperture_m,
+            final_force_n=final_n,
+            overshoot_n=max(0.0, peak_n - ramp.final_n),
+        )
+
+    def _settled(self, ramp: ForceRamp, elapsed_s: float, control: GripControl) -> bool:
+        """Say whether a ramp is over and its force reached, or the time for that is up."""
+        left_s = ramp.duration_s - elapsed_s
+        if left_s > 1e-9:
+            return False
+        error_n = abs(control.force_n - ramp.final_n)
+        return (
+            error_n <= self._settings.settle_tolerance_at_n(ramp.final_n)
+            or -left_s >= self._settings.settle_timeout_s
+        )
+
+    def _check_part(self, control: GripControl, moment: Moment) -> None:
+        if control.part_lost(moment):
+            raise PartLost(
+                f"both pads are empty at an opening of {moment.state.aperture_m * 1e3:.1f} mm: "
+                f"the part has slipped out or was taken; the fingers stand still"
+            )

@@ -1,0 +1,244 @@
+"""Steps of control for the loop: moving to an opening, and controlling the grip force."""
+
+from collections import deque
+from collections.abc import Sequence
+
+from gripper.errors import LimitExceeded, ServoFault
+from gripper.force import ForceSample
+from gripper.force_loop import ForceLoop
+from gripper.kinematics import Linkage, Transmission
+from gripper.limits import OPENING_MARGIN_RAD, ServoGoal, closing_margin_rad
+from gripper.registers import RAD_PER_PULSE
+from gripper.runner import Action, Moment
+from gripper.settings import GripperSettings
+from gripper.state import GripperState, ServoState
+
+_REACHED_RAD = 2.0 * RAD_PER_PULSE
+_OVERRUN_RAD = 0.6 * OPENING_MARGIN_RAD
+_PATIENCE_S = 2.0
+_FRICTION_RESERVE = 1.2
+_OPENING_FORCE_N = 3.0
+_LOST_SHARE = 0.25
+_LOST_TIME_S = 0.1
+_MEAN_SAMPLES = 3
+_GIVE_RAD = 0.03
+
+
+def motion_current_a(
+    settings: GripperSettings, paths: Sequence[Transmission], force_n: float
+) -> float:
+    """Return the current in A that moves the fingers freely and presses with ``force_n`` at most.
+
+    Friction enters with a reserve for breaking away; LimitExceeded when the cap of the current
+    does not allow it.
+    """
+    current_a = max(
+        (force_n * p.radius_m + _FRICTION_RESERVE * p.friction_nm) / p.kt_nm_a for p in paths
+    )
+    if current_a > settings.current_max_a:
+        raise LimitExceeded(
+            f"moving the fingers takes {current_a:.3f} A, current_max_a is "
+            f"{settings.current_max_a} A: raise it"
+        )
+    return current_a
+
+
+class MoveTo:
+    """Moves all servos evenly to an opening; the goal runs a little beyond against friction.
+
+    Parameters
+    ----------
+    settings, linkage
+        Of the gripper.
+    state
+        Feedback at the start.
+    aperture_m
+        Opening to reach in m.
+    paths
+        Transmissions at the start.
+    now_s
+        Monotonic time in s.
+    """
+
+    def __init__(
+        self,
+        settings: GripperSettings,
+        linkage: Linkage,
+        state: GripperState,
+        paths: Sequence[Transmission],
+        *,
+        aperture_m: float,
+        now_s: float,
+    ) -> None:
+        self._start_rad = [servo.angle_rad for servo in state.servos]
+        self._target_rad = linkage.angles_rad(aperture_m)
+        travel_m = max(abs(aperture_m - state.aperture_m), 1e-3)
+        opening = aperture_m >= state.aperture_m
+        speed_m_s = settings.open_speed_m_s if opening else settings.approach_speed_m_s
+        force_n = _OPENING_FORCE_N if opening else settings.approach_force_n
+        self._current_a = motion_current_a(settings, paths, force_n)
+        self._share_per_s = speed_m_s / travel_m
+        self._share = 0.0
+        self._aperture_m = aperture_m
+        self._deadline_s = now_s + travel_m / speed_m_s + _PATIENCE_S
+
+    def step(self, moment: Moment) -> Action:
+        """Return the goals of one period; ServoFault when a finger does not arrive in time."""
+        self._share = min(1.0, self._share + self._share_per_s * moment.dt_s)
+        goals = []
+        arrived = True
+        for servo, start_rad, target_rad in zip(
+            moment.state.servos, self._start_rad, self._target_rad, strict=True
+        ):
+            sign = 1.0 if target_rad >= start_rad else -1.0
+            there = sign * (target_rad - servo.angle_rad) <= _REACHED_RAD
+            arrived = arrived and there
+            end_rad = target_rad + sign * _OVERRUN_RAD
+            angle_rad = (
+                servo.angle_rad if there else start_rad + self._share * (end_rad - start_rad)
+            )
+            goals.append(ServoGoal(angle_rad=angle_rad, current_a=self._current_a))
+        if not arrived and moment.now_s > self._deadline_s:
+            slowest = max(
+                zip(moment.state.servos, self._target_rad, strict=True),
+                key=lambda pair: abs(pair[1] - pair[0].angle_rad),
+            )[0]
+            raise ServoFault(
+                slowest.servo_id,
+                0,
+                f"its finger is stuck: the gripper stands at "
+                f"{moment.state.aperture_m * 1e3:.1f} mm on its way to "
+                f"{self._aperture_m * 1e3:.1f} mm",
+            )
+        return Action(goals=goals, done=arrived)
+
+
+class GripControl:
+    """Turns the set-point of the grip force into goals of the servos, for one grasp.
+
+    Parameters
+    ----------
+    settings
+        Of the gripper.
+    state
+        Feedback at the contact; the fingers are not driven open beyond it by more than a pad's
+        thickness.
+    force_n
+        Grip force at the contact in N.
+    drive_n
+        Driving force at the contact in N.
+    now_s
+        Monotonic time in s.
+    """
+
+    def __init__(
+        self,
+        settings: GripperSettings,
+        state: GripperState,
+        *,
+        force_n: float,
+        drive_n: float,
+        now_s: float,
+    ) -> None:
+        self._settings = settings
+        self._contact_rad = [servo.angle_rad for servo in state.servos]
+        self._loop = ForceLoop(settings.force_loop, force_n=force_n, drive_n=drive_n, now_s=now_s)
+        self._drive_n = drive_n
+        self._samples: deque[ForceSample] = deque(maxlen=_MEAN_SAMPLES)
+        self._held_s = now_s
+        self._paused = False
+
+    @property
+    def loop(self) -> ForceLoop:
+        """The force loop."""
+        return self._loop
+
+    @property
+    def force_n(self) -> float:
+        """Mean of the last samples of the grip force in N."""
+        if not self._samples:
+            return self._loop.model_n
+        return sum(sample.grip_n for sample in self._samples) / len(self._samples)
+
+    def resume(self) -> None:
+        """Begin again after a pause: what the pads said before it no longer counts."""
+        self._samples.clear()
+        self._paused = True
+
+    def part_lost(self, moment: Moment) -> bool:
+        """Say whether both pads have been empty for some time, or the fingers closed fully."""
+        closed = moment.state.aperture_m < self._settings.aperture_min_m
+        return closed or moment.now_s - self._held_s > _LOST_TIME_S
+
+    def goals(
+        self,
+        moment: Moment,
+        paths: Sequence[Transmission],
+        setpoint_n: float,
+        *,
+        taper: bool = False,
+    ) -> tuple[ServoGoal, ...]:
+        """Return the goals of one period.
+
+        Parameters
+        ----------
+        moment
+            Feedback and a valid force sample.
+        paths
+            Transmission of each servo at its present angle.
+        setpoint_n
+            Grip force that is asked for in N.
+        taper
+            True during a long hold.
+        """
+        sample = moment.sample
+        if self._paused:
+            self._paused = False
+            self._held_s = moment.now_s
+        if sample is None or not sample.valid:
+            # A sample that is young enough was there before: nothing new to go by.
+            return self._drive(moment.state.servos, paths)
+        self._note(moment.now_s, sample)
+        self._drive_n = self._loop.step(
+            moment.now_s,
+            moment.dt_s,
+            setpoint_n,
+            sample,
+            friction_n=sum(path.friction_n for path in paths) / len(paths),
+            drive_max_n=min(
+                self._settings.current_max_a * path.kt_nm_a / path.radius_m for path in paths
+            ),
+            taper=taper,
+        )
+        return self._drive(moment.state.servos, paths)
+
+    def _note(self, now_s: float, sample: ForceSample) -> None:
+        if not self._samples or sample.t_s > self._samples[-1].t_s:
+            self._samples.append(sample)
+        empty_n = _LOST_SHARE * self._settings.contact_force_n
+        means_n = [sum(s.force_n[f] for s in self._samples) / len(self._samples) for f in (0, 1)]
+        if max(means_n) >= empty_n:
+            self._held_s = now_s
+
+    def _drive(
+        self, servos: Sequence[ServoState], paths: Sequence[Transmission]
+    ) -> tuple[ServoGoal, ...]:
+        drive_n = self._drive_n
+        goals = []
+        for servo, path, settings, contact_rad in zip(
+            servos, paths, self._settings.servos, self._contact_rad, strict=True
+        ):
+            current_a = min(
+                abs(drive_n) * path.radius_m / path.kt_nm_a, self._settings.current_max_a
+            )
+            model = settings.servo_model
+            margin_rad = closing_margin_rad(
+                model.position_gains[2], current_a / model.stall_current_a
+            )
+            # In mode 5 the goal current is a magnitude: the side of the goal position is its sign.
+            if drive_n >= 0.0:
+                angle_rad = servo.angle_rad - margin_rad
+            else:
+                angle_rad = min(servo.angle_rad + margin_rad, contact_rad + _GIVE_RAD)
+            goals.append(ServoGoal(angle_rad=angle_rad, current_a=current_a))
+        return tuple(goals)

@@ -1,0 +1,238 @@
+"""The loop: each period feedback in, force in, one step of control, goals out, observer told."""
+
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+from gripper.clock import Clock
+from gripper.errors import (
+    BusCorrupt,
+    BusTimeout,
+    ForceSensorStale,
+    GraspStopped,
+    LimitExceeded,
+)
+from gripper.force import ForceSample, ForceSensor
+from gripper.limits import ServoGoal
+from gripper.servos import ServoGroup
+from gripper.settings import GripperSettings
+from gripper.state import Cycle, GripperPhase, GripperState, LoopStatistics
+
+_HEALTH_EVERY = 4
+
+Observer = Callable[[Cycle], None]
+"""Called once a period, after the goals were written; what it raises ends the command."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Action:
+    """What one step of control wants.
+
+    Attributes
+    ----------
+    goals
+        Goal of each servo; None writes nothing.
+    setpoint_n
+        Force that is asked for in N.
+    level
+        Level of the ramp that is held.
+    done
+        True when the command ends after this period.
+    """
+
+    goals: Sequence[ServoGoal] | None = None
+    setpoint_n: float = 0.0
+    level: int | None = None
+    done: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Moment:
+    """What one step of control sees.
+
+    Attributes
+    ----------
+    now_s, dt_s
+        Monotonic time of the feedback and time since the last step in s; a late step counts as
+        two periods at most, so that nothing catches up.
+    state, sample
+        Feedback and newest force sample, checked for age where force matters.
+    """
+
+    now_s: float
+    dt_s: float
+    state: GripperState
+    sample: ForceSample | None
+
+
+class LoopRunner:
+    """Runs one command at a time at the loop's rate, in the caller's thread.
+
+    Parameters
+    ----------
+    servos, sensor, settings, clock
+        Of the gripper.
+    """
+
+    def __init__(
+        self,
+        servos: ServoGroup,
+        sensor: ForceSensor,
+        settings: GripperSettings,
+        clock: Clock,
+    ) -> None:
+        self.statistics = LoopStatistics()
+        self._servos = servos
+        self._sensor = sensor
+        self._settings = settings
+        self._clock = clock
+        self._stop = threading.Event()
+        self._good_s = clock.monotonic()
+        self._cycles = 0
+
+    def request_stop(self) -> None:
+        """Let the running command end with GraspStopped; safe from any thread."""
+        self._stop.set()
+
+    def forget_stop(self) -> None:
+        """Begin a new command: earlier requests to stop no longer count."""
+        self._stop.clear()
+
+    def read(self) -> GripperState | None:
+        """Read the feedback; None while a lost answer may still be passed over.
+
+        Raises
+        ------
+        BusTimeout, BusCorrupt
+            When there was no feedback for ``bus_loss_s``.
+        """
+        try:
+            state = self._servos.read()
+        except (BusTimeout, BusCorrupt):
+            self.statistics = replace(
+                self.statistics, missed_reads=self.statistics.missed_reads + 1
+            )
+            if self._clock.monotonic() - self._good_s > self._settings.bus_loss_s:
+                raise
+            return None
+        self._good_s = state.t_s
+        return state
+
+    def run(
+        self,
+        phase: GripperPhase,
+        step: Callable[[Moment], Action],
+        observer: Observer | None,
+        *,
+        needs_force: bool,
+    ) -> GripperState:
+        """Run steps until one is done and return the last feedback.
+
+        Parameters
+        ----------
+        phase
+            What the observer is told.
+        step
+            One step of control.
+        observer
+            Told of each period.
+        needs_force
+            True to insist on a fresh, valid force sample.
+
+        Raises
+        ------
+        GraspStopped
+            After `request_stop`.
+        ForceSensorStale
+            When the force is needed and its newest valid sample is too old.
+        LimitExceeded
+            When a limit stands against the goals, the force is above its cap, or the loop stalled.
+        """
+        period_s = self._settings.period_s
+        deadline_s = self._clock.monotonic()
+        self._good_s = deadline_s
+        last_s = deadline_s - period_s
+        fresh_s = deadline_s
+        while True:
+            if self._stop.is_set():
+                raise GraspStopped(
+                    "stopped on request: goals are frozen, a held part stays held until release"
+                )
+            state = self.read()
+            sample = self._sensor.latest_force()
+            if state is not None:
+                if sample is not None and sample.valid:
+                    fresh_s = max(fresh_s, sample.t_s)
+                    self._servos.note_force(sample)
+                if needs_force:
+                    self._check_force(state.t_s, fresh_s)
+                moment = Moment(
+                    now_s=state.t_s,
+                    dt_s=min(max(state.t_s - last_s, 0.0), 2.0 * period_s),
+                    state=state,
+                    sample=sample,
+                )
+                last_s = state.t_s
+                action = step(moment)
+                if action.goals is not None:
+                    self._servos.write_goals(action.goals, state)
+                self._look_after_health(state)
+                if observer is not None:
+                    observer(self._cycle(phase, moment, action))
+                if action.done:
+                    return state
+            deadline_s = self._wait(deadline_s + period_s)
+
+    def _check_force(self, now_s: float, fresh_s: float) -> None:
+        age_s = now_s - fresh_s
+        if age_s > self._settings.force_stale_s:
+            raise ForceSensorStale(
+                f"no valid force sample for {age_s:.3f} s, force_stale_s is "
+                f"{self._settings.force_stale_s} s: the goals are frozen, the grip is kept; "
+                f"check the tactile sensor, then clear the fault"
+            )
+        self._servos.guard.check_force()
+
+    def _look_after_health(self, state: GripperState) -> None:
+        self._cycles += 1
+        if self._cycles % _HEALTH_EVERY == 0 or any(servo.alert for servo in state.servos):
+            try:
+                self._servos.poll_health(state)
+            except (BusTimeout, BusCorrupt):
+                # Feedback shows soon enough whether the bus is lost.
+                self.statistics = replace(
+                    self.statistics, missed_reads=self.statistics.missed_reads + 1
+                )
+
+    def _cycle(self, phase: GripperPhase, moment: Moment, action: Action) -> Cycle:
+        goals = self._servos.goals
+        return Cycle(
+            t_s=moment.now_s,
+            phase=phase,
+            state=moment.state,
+            force=moment.sample,
+            setpoint_n=action.setpoint_n,
+            goal_current_a=sum(goal.current_a for goal in goals) / max(1, len(goals)),
+            level=action.level,
+        )
+
+    def _wait(self, deadline_s: float) -> float:
+        """Wait for the next period and return its begin; a late one moves all that follow."""
+        statistics = self.statistics
+        now_s = self._clock.monotonic()
+        late_s = max(0.0, now_s - deadline_s)
+        self.statistics = replace(
+            statistics,
+            cycles=statistics.cycles + 1,
+            late=statistics.late + (late_s > 0.5 * self._settings.period_s),
+            worst_lateness_s=max(statistics.worst_lateness_s, late_s),
+        )
+        if late_s > self._settings.stall_max_s:
+            raise LimitExceeded(
+                f"the loop was {late_s:.3f} s late, stall_max_s is {self._settings.stall_max_s} "
+                f"s: take slow work out of its observer and its process"
+            )
+        if now_s >= deadline_s:
+            return now_s
+        self._clock.sleep(deadline_s - now_s)
+        return deadline_s

@@ -1,0 +1,337 @@
+"""The servos of one gripper as a group: checks, feedback, torque, watchdog and goals."""
+
+from collections.abc import Sequence
+from math import pi, tau
+
+from gripper.bus import ServoBus
+from gripper.clock import Clock
+from gripper.errors import ServoFault, VerificationFailed
+from gripper.force import ForceSample
+from gripper.freshness import TickWatch
+from gripper.kinematics import Linkage, Transmission
+from gripper.limits import GoalGuard, ServoGoal
+from gripper.registers import (
+    BUS_WATCHDOG,
+    GOAL_CURRENT,
+    GOAL_POSITION,
+    GOAL_PWM,
+    GOAL_VELOCITY,
+    HARDWARE_ERROR_STATUS,
+    MODEL_NUMBER,
+    OPERATING_MODE,
+    PRESENT_TEMPERATURE,
+    PROFILE_ACCELERATION,
+    PROFILE_VELOCITY,
+    PWM_LIMIT,
+    RAD_PER_PULSE,
+    RAD_S_PER_VELOCITY_UNIT,
+    REALTIME_TICK,
+    REGISTERS,
+    TORQUE_ENABLE,
+    OperatingMode,
+)
+from gripper.settings import GripperSettings, ServoSettings
+from gripper.state import GripperState, ServoState
+from gripper.verification import VerificationReport, VerificationRow, compare, requirements
+
+
+class ServoGroup:
+    """Conversion between registers and SI, and all writing to the servos.
+
+    Parameters
+    ----------
+    bus, linkage, settings, clock
+        Of the gripper.
+    """
+
+    def __init__(
+        self, bus: ServoBus, linkage: Linkage, settings: GripperSettings, clock: Clock
+    ) -> None:
+        self.guard = GoalGuard(settings, linkage)
+        self._bus = bus
+        self._linkage = linkage
+        self._settings = settings
+        self._clock = clock
+        self._ids = [servo.servo_id for servo in settings.servos]
+        self._ticks = TickWatch()
+        self._last: GripperState | None = None
+        self._polls = 0
+        self.goals: tuple[ServoGoal, ...] = ()
+
+    # Start
+
+    def torque_on(self) -> bool:
+        """Read whether any servo has its torque on."""
+        return any(self._bus.read(i, TORQUE_ENABLE) != 0 for i in self._ids)
+
+    def verify(self, *, correct: bool, refuse: bool = False) -> VerificationReport:
+        """Compare all servos with what they must hold.
+
+        Parameters
+        ----------
+        correct
+            True to rewrite mode, return delay and status return level where they differ; needs
+            the torque off.
+        refuse
+            True to raise VerificationFailed when a row does not agree.
+        """
+        rows: list[VerificationRow] = []
+        for servo in self._settings.servos:
+            rows += self._verify_one(servo, correct=correct)
+        if correct:
+            self._bus.return_delay_s = 0.0
+        report = VerificationReport(rows=tuple(rows), torque_was_on=not correct)
+        if refuse and not report.ok:
+            raise VerificationFailed(report, [str(row) for row in report.failed])
+        return report
+
+    def _verify_one(self, servo: ServoSettings, *, correct: bool) -> tuple[VerificationRow, ...]:
+        settings = self._settings
+        required = requirements(
+            servo.servo_model, settings.current_max_a, settings.temperature_max_c
+        )
+        corrected: set[str] = set()
+        self._bus.ping(servo.servo_id)
+        found: dict[str, int] = {}
+        for item in required:
+            register = REGISTERS[item.item]
+            raw = self._bus.read(servo.servo_id, register)
+            if correct and item.write_raw is not None and not item.met_by(raw):
+                self._bus.write(servo.servo_id, register, item.write_raw)
+                raw = self._bus.read(servo.servo_id, register)
+                corrected.add(item.item)
+            found[item.item] = raw
+            if register is MODEL_NUMBER and not item.met_by(raw):
+                # Another model: its other items may mean something else.
+                return compare(servo.servo_id, required[:1], found)
+        return compare(servo.servo_id, required, found, frozenset(corrected))
+
+    # Feedback
+
+    def read(self) -> GripperState:
+        """Read the feedback of all servos in one transaction.
+
+        Raises
+        ------
+        BusTimeout, BusCorrupt
+            When an answer is missing, damaged or older than the request.
+        """
+        sent_s = self._clock.monotonic()
+        raws = self._bus.sync_read(self._ids, REALTIME_TICK, PRESENT_TEMPERATURE)
+        now_s = self._clock.monotonic()
+        for servo_id, raw in raws.items():
+            problem = self._ticks.check(servo_id, raw[REALTIME_TICK.name], sent_s, now_s)
+            if problem is not None:
+                self._bus.distrust()
+                self._check_torque(servo_id)
+                raise problem
+        servos = tuple(self._servo_state(s, raws[s.servo_id]) for s in self._settings.servos)
+        angles = [servo.angle_rad for servo in servos]
+        current_a = sum(abs(servo.current_a) for servo in servos) / len(servos)
+        forces_n = [
+            path.force_band_n(abs(servo.current_a))[0]
+            for path, servo in zip(self.transmissions(servos), servos, strict=True)
+        ]
+        self._last = GripperState(
+            t_s=now_s,
+            aperture_m=self._linkage.aperture_m(angles),
+            aperture_velocity_m_s=sum(
+                self._linkage.opening_per_rad_m(servo.angle_rad) * servo.velocity_rad_s
+                for servo in servos
+            ),
+            current_a=current_a,
+            force_from_current_n=sum(forces_n) / len(forces_n),
+            temperature_c=max(servo.temperature_c for servo in servos),
+            voltage_v=min(servo.voltage_v for servo in servos),
+            servos=servos,
+        )
+        return self._last
+
+    def _servo_state(self, servo: ServoSettings, raw: dict[str, int]) -> ServoState:
+        turned = (raw["present_position"] - servo.zero_raw) * RAD_PER_PULSE * servo.direction
+        return ServoState(
+            servo_id=servo.servo_id,
+            # A multi-turn count may be off by whole turns; fingers move by less than half a turn.
+            angle_rad=(turned + pi) % tau - pi,
+            velocity_rad_s=raw["present_velocity"] * RAD_S_PER_VELOCITY_UNIT * servo.direction,
+            current_a=servo.servo_model.current_a(raw["present_current"]) * servo.direction,
+            position_raw=raw["present_position"],
+            temperature_c=float(raw["present_temperature"]),
+            voltage_v=raw["present_input_voltage"] * 0.1,
+            tick_ms=raw[REALTIME_TICK.name],
+            alert=self._bus.alert(servo.servo_id),
+        )
+
+    def transmissions(self, servos: Sequence[ServoState]) -> tuple[Transmission, ...]:
+        """Return the transmission of each servo at its present angle."""
+        return tuple(
+            Transmission.at(settings.servo_model, self._linkage, servo.angle_rad)
+            for settings, servo in zip(self._settings.servos, servos, strict=True)
+        )
+
+    def halve_currents(self) -> None:
+        """Write the last goals again with half their currents, as the way out of too much force."""
+        if self._last is not None and self.goals:
+            goals = [
+                ServoGoal(angle_rad=goal.angle_rad, current_a=0.5 * goal.current_a)
+                for goal in self.goals
+            ]
+            self.write_goals(goals, self._last)
+
+    def poll_health(self, state: GripperState, *, watchdog: bool = True) -> None:
+        """Look at one more item of one servo; call it now and then while the torque is on.
+
+        Parameters
+        ----------
+        state
+            Newest feedback; an Alert in it is followed up at once.
+        watchdog
+            False where a tripped watchdog does no harm.
+
+        Raises
+        ------
+        ServoFault
+            When a servo reports a hardware error, has lost its torque or its watchdog tripped.
+        """
+        for servo in state.servos:
+            if servo.alert:
+                self._check_hardware(servo.servo_id)
+        index, check = divmod(self._polls, 2)
+        self._polls = (self._polls + 1) % (2 * len(self._ids))
+        if check == 0:
+            self._check_torque(self._ids[index])
+        elif watchdog and self._bus.read(self._ids[index], BUS_WATCHDOG) < 0:
+            raise ServoFault(
+                self._ids[index],
+                0,
+                "its bus watchdog has tripped because the loop fell silent; the servo has "
+                "stopped, a part may still be gripped",
+            )
+
+    def _check_hardware(self, servo_id: int) -> None:
+        bits = self._bus.read(servo_id, HARDWARE_ERROR_STATUS)
+        if bits:
+            dropped = self._bus.read(servo_id, TORQUE_ENABLE) == 0
+            detail = (
+                "it has switched its torque off, the part has possibly been dropped; after a "
+                "remedy clear the fault with a reboot"
+                if dropped
+                else "it reports a hardware error, the grip is kept"
+            )
+            raise ServoFault(servo_id, bits, detail)
+
+    def _check_torque(self, servo_id: int) -> None:
+        if self.goals and self._bus.read(servo_id, TORQUE_ENABLE) == 0:
+            bits = self._bus.read(servo_id, HARDWARE_ERROR_STATUS)
+            raise ServoFault(
+                servo_id,
+                bits,
+                "its torque is off although nobody switched it off (a reboot or a shutdown); the "
+                "part has possibly been dropped",
+            )
+
+    # Torque, watchdog, goals
+
+    def switch_on(self, current_a: float) -> GripperState:
+        """Set the goals to the present positions, switch the torque on, arm the watchdog."""
+        state = self._freeze_at_present(current_a)
+        for servo_id in self._ids:
+            self._bus.write(servo_id, TORQUE_ENABLE, 1)
+        self.arm_watchdog()
+        return state
+
+    def restart_watchdog(self, current_a: float) -> GripperState:
+        """Clear a tripped watchdog, set the goals to the present positions and arm it again."""
+        self.disarm_watchdog()
+        state = self._freeze_at_present(current_a)
+        self.arm_watchdog()
+        return state
+
+    def switch_off(self) -> None:
+        """Disarm the watchdog and switch the torque off."""
+        self.disarm_watchdog()
+        for servo_id in self._ids:
+            self._bus.write(servo_id, TORQUE_ENABLE, 0)
+        self.goals = ()
+
+    def arm_watchdog(self) -> None:
+        """Arm the bus watchdog of each servo (register 98)."""
+        for servo_id in self._ids:
+            self._bus.write(servo_id, BUS_WATCHDOG, self._settings.watchdog_raw)
+
+    def disarm_watchdog(self) -> None:
+        """Disarm, or clear after a trip, the bus watchdog of each servo."""
+        for servo_id in self._ids:
+            self._bus.write(servo_id, BUS_WATCHDOG, 0)
+
+    def hardware_errors(self) -> dict[int, int]:
+        """Read Hardware Error Status (register 70) of all servos; those with an error, by ID."""
+        bits = {servo_id: self._bus.read(servo_id, HARDWARE_ERROR_STATUS) for servo_id in self._ids}
+        return {servo_id: found for servo_id, found in bits.items() if found}
+
+    def force_is_too_high(self) -> bool:
+        """Say whether the last force samples are above the cap."""
+        return self.guard.force_is_too_high()
+
+    def watchdog_tripped(self) -> bool:
+        """Read whether the bus watchdog of any servo has tripped."""
+        return any(self._bus.read(servo_id, BUS_WATCHDOG) < 0 for servo_id in self._ids)
+
+    def _freeze_at_present(self, current_a: float) -> GripperState:
+        for servo_id in self._ids:
+            if self._bus.read(servo_id, OPERATING_MODE) != OperatingMode.CURRENT_BASED_POSITION:
+                raise ServoFault(
+                    servo_id, 0, "its operating mode is no longer 5 (current-based position)"
+                )
+            # The goals of the other modes limit this one too.
+            self._bus.write(servo_id, GOAL_PWM, self._bus.read(servo_id, PWM_LIMIT))
+        state = self.read()
+        goals = [ServoGoal(angle_rad=s.angle_rad, current_a=current_a) for s in state.servos]
+        self.write_goals(goals, state)
+        for servo in state.servos:
+            found = self._bus.read(servo.servo_id, GOAL_POSITION)
+            if found != servo.position_raw:
+                raise ServoFault(
+                    servo.servo_id,
+                    0,
+                    f"it did not take its goal position: wrote {servo.position_raw}, read {found}",
+                )
+        return state
+
+    def note_force(self, sample: ForceSample) -> None:
+        """Let the guard of the goals know the newest force."""
+        self.guard.note_force(sample)
+
+    def write_goals(self, goals: Sequence[ServoGoal], state: GripperState) -> None:
+        """Write goal current and goal position of all servos at once, if no limit is against it.
+
+        The only place that writes goals.
+
+        Parameters
+        ----------
+        goals
+            One for each servo.
+        state
+            Newest feedback: the goals are reached from there.
+        """
+        self.guard.check(goals, state, self._clock.monotonic())
+        values: dict[int, list[int]] = {}
+        for goal, servo, settings in zip(goals, state.servos, self._settings.servos, strict=True):
+            # Relative to the present position: whole turns of the count do not matter.
+            delta_rad = (goal.angle_rad - servo.angle_rad) * settings.direction
+            values[servo.servo_id] = [
+                settings.servo_model.current_raw(goal.current_a),
+                0,
+                0,
+                0,
+                servo.position_raw + round(delta_rad / RAD_PER_PULSE),
+            ]
+        self._bus.sync_write(
+            values,
+            GOAL_CURRENT,
+            GOAL_VELOCITY,
+            PROFILE_ACCELERATION,
+            PROFILE_VELOCITY,
+            GOAL_POSITION,
+        )
+        self.goals = tuple(goals)

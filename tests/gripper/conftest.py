@@ -1,0 +1,245 @@
+"""Stand-ins for the gripper's tests: a script of exact bytes, and a cell with real dynamics."""
+
+import random
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+
+from gripper.bus import ServoBus
+from gripper.errors import PortLost
+from gripper.force import ForceSample
+from gripper.gripper import Gripper, GripperSettings, ServoSettings
+from gripper.kinematics import Linkage, ParallelLinkage, RackPinion
+from gripper.registers import RAD_PER_PULSE, XM430_W350, ServoModel
+from simulator.clock import VirtualClock
+from simulator.linkage import ParallelogramLinkage, RackLinkage
+from simulator.mechanics import FingerMechanics, ServoMount
+from simulator.motor import ServoMotor
+from simulator.servo import SimulatedServo
+from simulator.servo_bus import ServoBusDevice
+from simulator.servo_faults import ServoFaultKnobs
+from simulator.servo_stream import MemoryServoStream
+
+
+def packed(text: str) -> bytes:
+    return bytes.fromhex(text.replace(" ", ""))
+
+
+@dataclass
+class ScriptedStream:
+    """Answers exact requests with exact bytes, each piece after a delay; anything else fails."""
+
+    clock: VirtualClock
+    script: deque[tuple[bytes, list[tuple[float, bytes]]]] = field(default_factory=deque)
+    arriving: list[tuple[float, bytes]] = field(default_factory=list)
+    closed: bool = False
+    reads: int = 0
+
+    def expect(self, request: str, *answers: str | tuple[float, str]) -> "ScriptedStream":
+        pieces = [(0.0, a) if isinstance(a, str) else a for a in answers]
+        self.script.append((packed(request), [(d, packed(a)) for d, a in pieces]))
+        return self
+
+    def write(self, data: bytes, /) -> None:
+        assert self.script, f"unexpected request {data.hex()}"
+        request, pieces = self.script.popleft()
+        assert data.hex() == request.hex()
+        now_s = self.clock.monotonic()
+        self.arriving += [(now_s + delay_s, piece) for delay_s, piece in pieces]
+        self.arriving.sort(key=lambda entry: entry[0])
+
+    def read(self, size: int, timeout_s: float, /) -> bytes:
+        self.reads += 1
+        deadline_s = self.clock.monotonic() + timeout_s
+        if not self.arriving or self.arriving[0][0] > deadline_s:
+            self.clock.advance_to(deadline_s)
+            return b""
+        due_s, piece = self.arriving.pop(0)
+        self.clock.advance_to(due_s)
+        if len(piece) > size:
+            self.arriving.insert(0, (due_s, piece[size:]))
+        return piece[:size]
+
+    def drop_input(self) -> None:
+        now_s = self.clock.monotonic()
+        self.arriving = [entry for entry in self.arriving if entry[0] > now_s]
+
+    def close(self) -> None:
+        self.closed = True
+
+
+@pytest.fixture
+def clock() -> VirtualClock:
+    return VirtualClock()
+
+
+@pytest.fixture
+def script(clock: VirtualClock) -> Iterator[ScriptedStream]:
+    stream = ScriptedStream(clock)
+    yield stream
+    assert not stream.script, f"{len(stream.script)} requests were never sent"
+
+
+@pytest.fixture
+def bus(script: ScriptedStream, clock: VirtualClock) -> ServoBus:
+    return ServoBus(script, baudrate=1_000_000, clock=clock)
+
+
+@dataclass
+class Part:
+    """An elastic part between the pads; it floats, so both pads carry the same force."""
+
+    width_m: float = 0.012
+    stiffness_n_m: float = 20_000.0
+    offset_m: float = 0.0
+    present: bool = True
+
+    def force_n(self, first_m: float, second_m: float) -> tuple[float, float]:
+        """Force on both pads for their half openings."""
+        if not self.present:
+            return 0.0, 0.0
+        pressed_m = self.width_m - (first_m + second_m)
+        force_n = max(0.0, 0.5 * pressed_m * self.stiffness_n_m)
+        return force_n, force_n
+
+
+class SampledForce:
+    """A force sensor: 50 Hz, delayed, noisy."""
+
+    def __init__(self, *, noise_n: float, delay_s: float, seed: int = 7) -> None:
+        self.noise_n = noise_n
+        self.delay_s = delay_s
+        self.period_s = 0.02
+        self.dead = False
+        self.valid = True
+        self.gain = 1.0
+        self._random = random.Random(seed)
+        self._due_s = 0.0
+        self._waiting: deque[tuple[float, ForceSample]] = deque()
+        self._latest: ForceSample | None = None
+        self._now_s = 0.0
+
+    def measure(self, now_s: float, force_n: tuple[float, float]) -> None:
+        self._now_s = now_s
+        if now_s >= self._due_s and not self.dead:
+            self._due_s += self.period_s
+            noisy = tuple(
+                max(0.0, self.gain * f + self._random.gauss(0, self.noise_n)) for f in force_n
+            )
+            sample = ForceSample(t_s=now_s, force_n=(noisy[0], noisy[1]), valid=self.valid)
+            self._waiting.append((now_s + self.delay_s, sample))
+
+    def latest_force(self) -> ForceSample | None:
+        while self._waiting and self._waiting[0][0] <= self._now_s:
+            self._latest = self._waiting.popleft()[1]
+        return self._latest
+
+
+class Cell:
+    """Simulated servos and fingers, a part and a force sensor under one virtual clock."""
+
+    def __init__(
+        self,
+        *,
+        n_servos: int = 2,
+        linkage: str = "parallel",
+        model: ServoModel = XM430_W350,
+        part: Part | None = None,
+        noise_n: float = 0.2,
+        delay_s: float = 0.03,
+        kt_error: float = 0.0,
+        friction_error: float = 0.0,
+        aperture_m: float = 0.02,
+        zero_raw: int = 2048,
+        seed: int = 7,
+        **settings: Any,
+    ) -> None:
+        self.clock = VirtualClock()
+        self.part = part if part is not None else Part()
+        self.sensor = SampledForce(noise_n=noise_n, delay_s=delay_s, seed=seed)
+        directions = (1, -1)[:n_servos]
+        self.motors = [ServoMotor(model) for _ in range(n_servos)]
+        for motor in self.motors:
+            motor.kt_nm_a *= 1.0 + kt_error
+            motor.friction_nm *= 1.0 + friction_error
+        mounts = [ServoMount(direction=d, zero_raw=zero_raw) for d in directions]
+        own: Linkage
+        if linkage == "parallel":
+            theirs: Any = ParallelogramLinkage(link_m=0.06)
+            own = ParallelLinkage(link_m=0.06, n_servos=n_servos)
+        else:
+            theirs = RackLinkage(pinion_radius_m=0.012)
+            own = RackPinion(pinion_radius_m=0.012, n_servos=n_servos)
+        self.mechanics = FingerMechanics(self.motors, mounts, theirs, aperture_m=aperture_m)
+        eeprom = {"baud_rate": 3, "return_delay_time": 0}
+        self.servos = [
+            SimulatedServo(i + 1, model, motor, settings=eeprom)
+            for i, motor in enumerate(self.motors)
+        ]
+        self.knobs = [
+            ServoFaultKnobs(servo, motor)
+            for servo, motor in zip(self.servos, self.motors, strict=True)
+        ]
+        self.device = ServoBusDevice(self.servos, 1_000_000)
+        self.stream = MemoryServoStream(self.device, self.clock, lost_error=PortLost)
+        self.bus = ServoBus(self.stream, baudrate=1_000_000, clock=self.clock)
+        self.settings = GripperSettings(
+            servos=tuple(
+                ServoSettings(servo_id=i + 1, model=model.name, direction=d, zero_raw=zero_raw)
+                for i, d in enumerate(directions)
+            ),
+            **settings,
+        )
+        self.linkage = own
+        self.gripper = self.new_gripper()
+        self.force_n = 0.0
+        self.peak_n = 0.0
+        self.least_n = 1e9
+        self.clock.on_advance.append(self._advance)
+        self._now_s = 0.0
+
+    def new_gripper(self) -> Gripper:
+        return Gripper(
+            self.bus, self.linkage, self.settings, clock=self.clock, force_sensor=self.sensor
+        )
+
+    def _advance(self, now_s: float) -> None:
+        dt_s = now_s - self._now_s
+        self._now_s = now_s
+        if dt_s <= 0.0:
+            return
+        first_m, second_m = self.mechanics.finger_position_m
+        stiffness = 0.5 * self.part.stiffness_n_m if self.part.present else 0.0
+        force = self.part.force_n(first_m, second_m)
+        if force[0] == 0.0:
+            stiffness = 0.0
+        self.mechanics.step(dt_s, force, (stiffness, stiffness))
+        self.device.advance_to(now_s)
+        self.force_n = self.part.force_n(*self.mechanics.finger_position_m)[0]
+        self.peak_n = max(self.peak_n, self.force_n)
+        self.least_n = min(self.least_n, self.force_n)
+        self.sensor.measure(now_s, (self.force_n, self.force_n))
+
+    def register(self, index: int, name: str) -> int:
+        return int(self.servos[index].core.get(name))
+
+
+@pytest.fixture
+def cell() -> Cell:
+    return Cell()
+
+
+@pytest.fixture
+def make_cell() -> Callable[..., Cell]:
+    return Cell
+
+
+@pytest.fixture
+def make_part() -> Callable[..., Part]:
+    return Part
+
+
+ENCODER_M = 0.06 * RAD_PER_PULSE
