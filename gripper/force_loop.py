@@ -9,8 +9,10 @@ A proportional-integral controller in this setting is a feed-forward through the
 model plus a slowly learnt bias, the low-passed difference between sensor and model at the time of
 each sample: delay and noise of the sensor do not enter the fast path, a saturated drive winds
 nothing up, and within a dead band the drive stays where it is, so that friction cannot turn a
-small error into a limit cycle. While the drive moves, a small square wave on it keeps the gearing from
-sticking: friction at rest is larger than in motion, and every breakaway would be a jump.
+small error into a limit cycle.
+
+While the force changes, a small square wave on the drive keeps the gearing from sticking: friction
+at rest is larger than in motion, and every breakaway would be a jump.
 """
 
 from collections import deque

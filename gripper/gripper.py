@@ -395,7 +395,6 @@ class Gripper:
         """Bring torque and bus watchdog into the state that a command needs."""
         servos = self._servos
         known = bool(servos.goals)
-        if self._phase is GripperPhase.RELEASING and not known and servos.torque_on():
         if releasing and not known and servos.torque_on() and not servos.verify(correct=False).ok:
             # The release was asked for: only with the torque off can the mode be corrected.
             servos.switch_off()

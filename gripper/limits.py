@@ -88,8 +88,8 @@ class GoalGuard:
         if self.force_is_too_high():
             raise LimitExceeded(
                 f"the grip force is {self.force_n():.2f} N, force_max_n is "
-                f"{settings.force_max_n} N (and {settings.force_noise_n} N for noise): the driving current is lowered and "
-                f"the part kept; clear the fault, then release it"
+                f"{settings.force_max_n} N (and {settings.force_noise_n} N for noise): the driving "
+                f"current is lowered and the part kept; clear the fault, then release it"
             )
 
     def check(self, goals: Sequence[ServoGoal], state: GripperState, now_s: float) -> None:
