@@ -14,8 +14,8 @@ from simulator.errors import SimulatorSettingsError
 from simulator.linkage import FingerLinkage
 from simulator.motor import ServoMotor
 
-STICTION_RATIO = 1.1
-"""Torque that sets an axis at rest in motion, over its Coulomb friction."""
+STICTION_RATIO = 1.05
+"""Torque that sets an axis at rest in motion, over its Coulomb friction; an assumption."""
 LONGEST_STEP_S = 1e-3
 FINGER_INERTIA_KG_M2 = 2e-4
 
@@ -55,6 +55,8 @@ class FingerMechanics:
         Distance between the pads at the start, m.
     half_opening_min_m
         Closed end stop in m, at least 0: there the fingers touch each other.
+    stiction_ratio
+        Torque that sets an axis at rest in motion, over its Coulomb friction; at least 1.
     """
 
     __slots__ = (
@@ -62,7 +64,7 @@ class FingerMechanics:
         "_driven",
         "_linkage",
         "_lower_rad",
-        "_mounts",
+        "_stiction_ratio",
         "_upper_rad",
         "motors",
     )
@@ -75,6 +77,7 @@ class FingerMechanics:
         *,
         aperture_m: float,
         half_opening_min_m: float = 0.0,
+        stiction_ratio: float = STICTION_RATIO,
     ) -> None:
         if len(motors) not in {1, 2} or len(mounts) != len(motors):
             raise SimulatorSettingsError(
@@ -86,8 +89,10 @@ class FingerMechanics:
                 f"half_opening_min_m is at least 0 and below {linkage.half_opening_max_m}, "
                 f"got {half_opening_min_m}"
             )
+        if not 1.0 <= stiction_ratio < math.inf:
+            raise SimulatorSettingsError(f"stiction_ratio is at least 1, got {stiction_ratio}")
         self.motors = tuple(motors)
-        self._mounts = tuple(mounts)
+        self._stiction_ratio = stiction_ratio
         self._linkage = linkage
         self._axes = tuple((m.direction, m.zero_raw * RAD_PER_PULSE) for m in mounts)
         self._lower_rad = linkage.angle_rad(half_opening_min_m)
@@ -194,7 +199,7 @@ class FingerMechanics:
         velocity = motor.velocity_rad_s
         friction = motor.friction_nm
         if velocity == 0.0:
-            if abs(torque) <= STICTION_RATIO * friction:
+            if abs(torque) <= self._stiction_ratio * friction:
                 return
             torque -= math.copysign(friction, torque)
         else:

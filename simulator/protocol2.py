@@ -16,7 +16,7 @@ BROADCAST_ID = 0xFE
 MAX_ID = 252
 STATUS = 0x55
 MAX_LENGTH = 1024
-"""Largest LEN that the parser takes for real; a larger one is the mark of a damaged header."""
+"""Largest LEN of a packet; the parser takes a larger one for the mark of a damaged header."""
 
 _START = HEADER + b"\x00"
 _STUFFED = HEADER + b"\xfd"

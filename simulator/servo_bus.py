@@ -12,6 +12,7 @@ from simulator.errors import SimulatorSettingsError
 from simulator.protocol2 import (
     BROADCAST_ID,
     MAX_ID,
+    MAX_LENGTH,
     STATUS,
     FastBlock,
     Instruction,
@@ -83,12 +84,23 @@ class ServoBusDevice:
         for servo in self.servos:
             servo.supervise(now_s)
 
-    def receive(self, data: bytes, now_s: float) -> None:
-        """Take bytes that the host began to send at ``now_s``."""
+    def receive(self, data: bytes, now_s: float, *, sent_after_s: float | None = None) -> None:
+        """Take bytes that the host sent.
+
+        Parameters
+        ----------
+        data
+            The bytes.
+        now_s
+            Time in s at which their transfer begins.
+        sent_after_s
+            Earliest time in s at which the host may have sent them, where an endpoint cannot know
+            better: a watchdog that ran out since then was fed in time. None = ``now_s``.
+        """
         faults = self.faults
         if faults.unplugged:
             return
-        self.advance_to(now_s)
+        self.advance_to(now_s if sent_after_s is None else min(sent_after_s, now_s))
         end_s = max(now_s, self._line_free_s) + self._wire_s(len(data))
         self._line_free_s = end_s
         if faults.echo:
@@ -190,6 +202,9 @@ class ServoBusDevice:
         """Let servos answer one after the other; the first that does not ends the chain."""
         by_id = {servo.servo_id: servo for servo in hearing}
         fast = instruction in {Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ}
+        if fast and sum(size + 4 for _, _, size in requests) >= MAX_LENGTH:
+            # The joint status would not fit into a packet.
+            return
         speakers: list[SimulatedServo] = []
         blocks: list[FastBlock] = []
         for servo_id, address, size in requests:

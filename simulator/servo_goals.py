@@ -31,6 +31,10 @@ def goal_command(
     data = registers.table.data
     mode, sign = data[11], position.sign
     pwm, current, velocity, acceleration, profile, goal = _GOALS.unpack_from(data, GOAL_START)
+    # A limit that was lowered after the goal was written still holds.
+    pwm = _bounded(pwm, data[36] | data[37] << 8)
+    current = _bounded(current, data[38] | data[39] << 8)
+    velocity = _bounded(velocity, registers.table.get(44, 4))
     duty = abs(pwm) / _PWM_COUNTS
     current_a = current * registers.model.current_unit_a
     if mode == 0:
@@ -65,6 +69,10 @@ def hold_command(registers: ServoRegisters, angle_rad: float) -> DriveCommand:
         p_gain=data[84] | data[85] << 8,
         d_gain=data[80] | data[81] << 8,
     )
+
+
+def _bounded(raw: int, limit: int) -> int:
+    return min(max(raw, -limit), limit)
 
 
 def _profile(

@@ -51,6 +51,7 @@ class ServoPty:
         self._slave_fd = -1
         self._slave_name = ""
         self._unsent = b""
+        self._polled_s: float | None = None
         self.plug_in()
 
     @property
@@ -81,6 +82,9 @@ class ServoPty:
     def poll(self, now_s: float) -> float | None:
         """Move bytes both ways without waiting; return when the next ones are due, None if never.
 
+        Bytes that are found may have waited since the last call. An owner that stalls polls before
+        it advances the servos, so that no watchdog trips over a packet that was there in time.
+
         Parameters
         ----------
         now_s
@@ -93,7 +97,8 @@ class ServoPty:
             baudrate = self.client_baudrate
             if baudrate:
                 self._device.baudrate = baudrate
-                self._device.receive(data, now_s)
+                self._device.receive(data, now_s, sent_after_s=self._polled_s)
+        self._polled_s = now_s
         self._unsent += self._device.transmit(now_s)
         if self._unsent:
             self._write()

@@ -191,6 +191,8 @@ def test_impossible_builds_are_refused():
         FingerMechanics([], [], linkage, aperture_m=0.01)
     with pytest.raises(SimulatorSettingsError, match="half_opening_min_m"):
         fingers(half_opening_min_m=-0.1)
+    with pytest.raises(SimulatorSettingsError, match="stiction_ratio"):
+        fingers(stiction_ratio=0.9)
     with pytest.raises(SimulatorSettingsError, match="direction"):
         ServoMount(direction=0)
     with pytest.raises(SimulatorSettingsError, match="link_m"):

@@ -161,6 +161,11 @@ def test_a_missing_servo_truncates_a_fast_read(bench, missing: int, length: int)
     assert len(bench.exchange(sync_read(132, 4, 1, 2, fast=True))) == length
 
 
+def test_a_fast_read_that_fits_into_no_packet_is_passed_over(bench):
+    assert bench.exchange(sync_read(0, 600, 1, 2, fast=True)) == b""
+    assert bench.exchange(sync_read(0, 0xFFFF, 1, fast=True)) == b""
+
+
 def test_fast_reads_are_not_stuffed_and_others_are(bench):
     bench.write(1, 168, 2, 102)
     for i, target in enumerate((102, 103, 104, 105, 106, 107)):

@@ -126,6 +126,15 @@ def test_current_velocity_and_pwm_modes(servo_bench, mode, goal_item, goal, show
     assert bench.motors[0].velocity_rad_s < 0.0
 
 
+def test_a_limit_lowered_afterwards_bounds_the_goal(servo_bench):
+    bench = servo_bench(settings={"operating_mode": 0})
+    bench.write(1, 102, 2, -300)
+    bench.write(1, 38, 2, 90)
+    bench.write(1, 64, 1, 1)
+    bench.clock.sleep(0.05)
+    assert bench.read(1, 126, 2, signed=True) == -90
+
+
 def test_reverse_mode_turns_the_motor_the_other_way(servo_bench):
     bench = servo_bench(settings={"operating_mode": 1, "drive_mode": 1})
     bench.write(1, 64, 1, 1)

@@ -64,6 +64,19 @@ def test_a_ping_is_answered_when_its_time_has_come(endpoint, client):
     assert len(drain(client)) == 14
 
 
+def test_a_packet_that_waited_feeds_the_watchdog(endpoint, device, client):
+    servo = device.servos[0]
+    servo.write(64, b"\x01", 1.0)
+    servo.write(98, b"\x05", 1.0)
+    endpoint.poll(1.0)
+    os.write(client, PING)
+    endpoint.poll(1.5)
+    device.advance_to(1.55)
+    assert not servo.core.watchdog_tripped
+    device.advance_to(1.61)
+    assert servo.core.watchdog_tripped
+
+
 def test_the_descriptor_becomes_readable(endpoint, client):
     assert select.select([endpoint], [], [], 0.0)[0] == []
     os.write(client, PING)
