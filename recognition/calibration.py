@@ -10,6 +10,8 @@ from scipy.special import log_softmax
 UNIFORM_SHARE = 0.002
 """Share of the uniform distribution in each answer: no taught object is ever impossible."""
 
+_LOG_TEMPERATURES = (-3.0, 7.0)
+
 
 def blocked_folds(classes: NDArray[np.int64], n_folds: int) -> list[NDArray[np.bool_]]:
     """Return for each fold a mask of the rows held out: one run in time of each class.
@@ -54,7 +56,11 @@ def fit_temperature(scores: NDArray[np.float64], classes: NDArray[np.int64]) -> 
         p = to_probability(scores, float(np.exp(log_t)))
         return -float(np.log(p[rows, classes]).mean())
 
-    found = minimize_scalar(loss, bounds=(-3.0, 6.0), method="bounded")
+    # The uniform share bounds the loss of each row, so there may be several minima.
+    grid = np.linspace(*_LOG_TEMPERATURES, 41)
+    best = float(grid[int(np.argmin([loss(float(t)) for t in grid]))])
+    step = float(grid[1] - grid[0])
+    found = minimize_scalar(loss, bounds=(best - step, best + step), method="bounded")
     return float(np.exp(found.x))
 
 

@@ -144,7 +144,7 @@ def evaluate(
         labels=recognizer.labels,
         n=len(known),
         n_untaught=len(untaught),
-        single_accuracy=float(right.mean()),
+        single_accuracy=int(right.sum()) / len(right),
         interval=wilson_interval(int(right.sum()), len(right)),
         fused_accuracy=MappingProxyType({k: _consecutive(rows, k) for k in fuse}),
         random_fused_accuracy=MappingProxyType({k: _random(rows, k, seed) for k in fuse}),

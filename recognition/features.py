@@ -1,6 +1,6 @@
 """Levels of a ramp -> one vector of numbers per grasp."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +9,7 @@ from recognition.features_aperture import aperture_features
 from recognition.features_footprint import Footprint, PadGrid, describe_footprint
 from recognition.features_growth import growth_features
 from recognition.features_profile import profile_features
+from recognition.features_surface import surface_features
 from recognition.ramp_levels import Levels
 
 FEATURE_VERSION = 1
@@ -20,10 +21,10 @@ FeatureGroups = dict[str, NDArray[np.float64]]
 def feature_groups(levels: Levels, grids: Sequence[PadGrid]) -> FeatureGroups:
     """Return the features by what they tell, each (n, F) float64.
 
-    Groups: ``patch`` (size and shape of the pressed patch, unchanged when it moves or turns on
-    the pad), ``pose`` (where and how it lies), ``pads`` (one pad against the other), ``growth``
-    ``profile`` (load per row and column of taxels) and ``aperture`` (NaN where the opening is
-    unknown).
+    Groups: ``patch`` (size and form of the pressed patch, unchanged when it moves or turns on the
+    pad), ``pose`` (where and how it lies), ``pads`` (one pad against the other), ``growth``,
+    ``profile`` (load per row and column of taxels), ``surface`` (the patch as a quadric) and
+    ``aperture`` (NaN where the opening is unknown).
     """
     n = len(levels)
     prints = [
@@ -36,18 +37,22 @@ def feature_groups(levels: Levels, grids: Sequence[PadGrid]) -> FeatureGroups:
         "patch": np.concatenate(patch, axis=1),
         "pose": np.concatenate(pose, axis=1),
         "growth": growth_features(levels, prints),
-        "profile": np.concatenate(
-            [
-                profile_features(m, levels.noise[..., p], grid)
-                for p, (m, grid) in enumerate(zip(levels.maps, grids, strict=True))
-            ],
-            axis=1,
-        ),
+        "profile": _of_each_pad(profile_features, levels, grids),
+        "surface": _of_each_pad(surface_features, levels, grids),
         "aperture": aperture_features(levels),
     }
     if len(prints) > 1:
         groups["pads"] = _differences(prints[0], prints[1], n)
     return groups
+
+
+def _of_each_pad(
+    describe: Callable[[NDArray[np.float64], NDArray[np.float64], PadGrid], NDArray[np.float64]],
+    levels: Levels,
+    grids: Sequence[PadGrid],
+) -> NDArray[np.float64]:
+    parts = [describe(m, levels.noise[..., p], grids[p]) for p, m in enumerate(levels.maps)]
+    return np.concatenate(parts, axis=1)
 
 
 def _patch(f: Footprint) -> tuple[NDArray[np.float64], ...]:

@@ -119,20 +119,15 @@ def learn_rest(grasps: Sequence[Grasp]) -> Rest:
     if not grasps:
         raise ValueError("no grasps to learn from")
     pads = grasps[0].pads
-    first = np.stack([g.counts[:_QUIET_FRAMES].mean(axis=0) for g in grasps])
-    last = np.stack([g.counts[-_QUIET_FRAMES:].mean(axis=0) for g in grasps])
     for grasp in grasps:
         if grasp.pads is not pads and not pads.same_as(grasp.pads):
             raise ValueError("the grasps were taken on different pads: teach pads one by one")
+    first = np.stack([g.counts[:_QUIET_FRAMES].mean(axis=0) for g in grasps])
+    last = np.stack([g.counts[-_QUIET_FRAMES:].mean(axis=0) for g in grasps])
     rest = np.median(first, axis=0)
     rise = [float(np.median((last - rest)[:, pads.taxels_of(p)].sum(axis=1))) for p in _pads(pads)]
     gripping = tuple(sorted(sorted(_pads(pads), key=lambda p: -rise[p])[:2]))
-    noise = np.array(
-        [
-            np.median([np.std(_early(g, pads.taxels_of(p)), axis=0).mean() for g in grasps])
-            for p in gripping
-        ]
-    )
+    noise = np.array([np.median([_spread(g, pads.taxels_of(p)) for g in grasps]) for p in gripping])
     return Rest(pads=pads, gripping=gripping, counts=rest, noise_counts=noise)
 
 
@@ -150,7 +145,7 @@ def find_ramp(grasp: Grasp, rest: Rest) -> Ramp:
     touch: list[int] = []
     for pad, noise in zip(rest.gripping, rest.noise_counts, strict=True):
         taxels = grasp.pads.taxels_of(pad)
-        rise = grasp.counts[:, taxels] - _own_rest(grasp, rest, taxels)
+        rise = grasp.counts[:, taxels] - _own_rest(grasp, rest, taxels, float(noise))
         load = rise.sum(axis=1)
         smooth = uniform_filter1d(load, smoothing, mode="nearest")
         sigma = noise * np.sqrt(len(taxels) / smoothing)
@@ -171,7 +166,9 @@ def find_ramp(grasp: Grasp, rest: Rest) -> Ramp:
     )
 
 
-def _own_rest(grasp: Grasp, rest: Rest, taxels: NDArray[np.int64]) -> NDArray[np.float64]:
+def _own_rest(
+    grasp: Grasp, rest: Rest, taxels: NDArray[np.int64], noise: float
+) -> NDArray[np.float64]:
     counts = grasp.counts[:, taxels].astype(np.float64)
     taught = rest.counts[taxels]
     totals = counts.sum(axis=1)
@@ -184,12 +181,19 @@ def _own_rest(grasp: Grasp, rest: Rest, taxels: NDArray[np.int64]) -> NDArray[np
     limit = float(totals[:quiet].max())
     above = np.flatnonzero(totals > limit + 0.02 * (float(totals.max()) - limit))
     end = max(quiet, int(above[0]) - 1 if len(above) else quiet)
-    own: NDArray[np.float64] = counts[:end].mean(axis=0)
-    return own
+    change: NDArray[np.float64] = counts[:end].mean(axis=0) - taught
+    common = float(change.mean())
+    # A taxel's own change counts as far as noise does not explain it.
+    own = change - common
+    explained = noise**2 / end
+    share = max(0.0, 1.0 - explained / max(float((own**2).mean()), 1e-12))
+    return taught + common + share * own
 
 
-def _early(grasp: Grasp, taxels: NDArray[np.int64]) -> NDArray[np.float64]:
-    return grasp.counts[: 2 * _QUIET_FRAMES, taxels].astype(np.float64)
+def _spread(grasp: Grasp, taxels: NDArray[np.int64]) -> float:
+    """Return the standard deviation of one sample while nothing is touched, in counts."""
+    early = grasp.counts[: 2 * _QUIET_FRAMES, taxels].astype(np.float64)
+    return float(np.sqrt(early.var(axis=0, ddof=min(1, len(early) - 1)).mean()))
 
 
 def _pads(pads: PadArray) -> range:

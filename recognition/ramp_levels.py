@@ -122,7 +122,8 @@ def _weights(
     weights = np.zeros(n)
     if fraction >= 1.0:
         weights[-last:] = 1.0
-        return weights / weights.sum()
+        mean: NDArray[np.float64] = weights / weights.sum()
+        return mean
     right = int(np.argmax(progress >= fraction))
     left = max(right - 1, 0)
     step = progress[right] - progress[left]

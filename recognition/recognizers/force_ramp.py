@@ -16,7 +16,7 @@ from recognition.recognizer import Posterior
 from recognition.recognizers._view import View, fit_view
 from recognition.splits import by_label
 
-_TACTILE_GROUPS = ("patch", "pose", "pads", "growth", "profile")
+_TACTILE_GROUPS = ("patch", "pose", "pads", "growth", "profile", "surface")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

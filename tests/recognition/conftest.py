@@ -1,0 +1,126 @@
+"""A small generator of grasps: soft patches of known size on two pads, pressed along a ramp."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from recognition.grasp import Grasp, PadArray
+
+MakePads = Callable[..., PadArray]
+
+
+@dataclass(frozen=True)
+class Thing:
+    label: str
+    width_mm: float
+    length_mm: float
+    sharpness: float
+    opening_mm: float
+    softness_mm: float
+
+
+THINGS = (
+    Thing("bar", 2.5, 9.0, 2.0, 12.0, 0.2),
+    Thing("block", 5.0, 6.0, 6.0, 30.0, 0.1),
+    Thing("disc", 4.5, 4.5, 4.0, 20.0, 0.3),
+    Thing("egg", 4.0, 6.0, 1.0, 45.0, 0.6),
+    Thing("pin", 2.0, 2.5, 2.0, 6.0, 0.1),
+)
+
+
+def make_pads(*, shapes: Sequence[tuple[int, int]] = ((10, 6), (10, 6)), adc_max: int = 4095):
+    xy, pad_of = [], []
+    for pad, (rows, columns) in enumerate(shapes):
+        x, y = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
+        xy.append(np.column_stack([x.ravel() - (rows - 1) / 2, y.ravel() - (columns - 1) / 2]))
+        pad_of.append(np.full(rows * columns, pad))
+    return PadArray(
+        pad_shape=np.array(shapes),
+        taxel_pad=np.concatenate(pad_of),
+        taxel_xy_m=np.concatenate(xy) * 3e-3,
+        adc_max=adc_max,
+    )
+
+
+def make_grasp(
+    thing: Thing,
+    rng: np.random.Generator,
+    *,
+    pads: PadArray,
+    gripping: tuple[int, int] = (0, 1),
+    n_before: int = 8,
+    n_ramp: int = 30,
+    load: float = 0.5,
+    noise_counts: float = 0.0,
+    start_ms: int = 0,
+) -> Grasp:
+    n = n_before + n_ramp
+    progress = np.concatenate([np.zeros(n_before), np.linspace(0.05, 1.0, n_ramp)])
+    load = load * float(rng.uniform(0.85, 1.15))
+    values = np.zeros((n, pads.n_taxels))
+    angle = float(rng.normal(0.0, 0.15))
+    centre = rng.normal(0.0, 1.5, 2)
+    for pad in gripping:
+        taxels = pads.taxels_of(pad)
+        dx, dy = (pads.taxel_xy_m[taxels] * 1e3 - centre).T
+        u = (np.cos(angle) * dx + np.sin(angle) * dy) / thing.length_mm
+        v = (np.cos(angle) * dy - np.sin(angle) * dx) / thing.width_mm
+        grown = np.sqrt(0.4 + 0.6 * progress)[:, None]
+        patch = np.exp(-(((u * u + v * v) / grown**2) ** (thing.sharpness / 2)))
+        values[:, taxels] = load * progress[:, None] * patch * float(rng.uniform(0.95, 1.05))
+    counts = values * pads.adc_max
+    if noise_counts:
+        counts += np.clip(np.abs(rng.normal(0.0, noise_counts / 2, counts.shape)), 1, noise_counts)
+    opening_mm = thing.opening_mm + float(rng.normal(0.0, 0.3)) - thing.softness_mm * progress
+    opening_mm[:n_before] += np.linspace(20.0, 1.0, n_before)
+    return Grasp(
+        pads=pads,
+        counts=np.clip(np.round(counts), 0, pads.adc_max).astype(np.uint16),
+        t_s=np.arange(n) / 30.0,
+        aperture_m=opening_mm * 1e-3,
+        force_n=np.full(n, np.nan),
+        label=thing.label,
+        start_ms=start_ms,
+    )
+
+
+def make_grasps(
+    n: int, *, seed: int, pads: PadArray, things: Sequence[Thing] = THINGS, **options
+) -> list[Grasp]:
+    rng = np.random.default_rng(seed)
+    return [
+        make_grasp(thing, rng, pads=pads, start_ms=1000 * i, **options)
+        for thing in things
+        for i in range(n)
+    ]
+
+
+class GraspFactory:
+    """What tests make grasps with."""
+
+    things = THINGS
+    pads = staticmethod(make_pads)
+    one = staticmethod(make_grasp)
+    many = staticmethod(make_grasps)
+
+
+@pytest.fixture(scope="session")
+def factory() -> GraspFactory:
+    return GraspFactory()
+
+
+@pytest.fixture(scope="session")
+def pads() -> PadArray:
+    return make_pads()
+
+
+@pytest.fixture(scope="session")
+def train(pads) -> list[Grasp]:
+    return make_grasps(8, seed=1, pads=pads)
+
+
+@pytest.fixture(scope="session")
+def fresh(pads) -> list[Grasp]:
+    return make_grasps(5, seed=2, pads=pads)

@@ -1,0 +1,115 @@
+"""What features say of a patch, and what they must not depend on."""
+
+import numpy as np
+import pytest
+
+from recognition.features import feature_groups
+from recognition.features_aperture import aperture_features
+from recognition.features_footprint import describe_footprint, pad_grid, pressed
+from recognition.features_profile import profile_features
+from recognition.features_surface import surface_features
+from recognition.ramp import learn_rest
+from recognition.ramp_levels import load_levels
+
+K = 5
+
+
+@pytest.fixture(scope="module")
+def grid(factory):
+    return pad_grid(factory.pads(shapes=((24, 24),)), 0)
+
+
+def patch(grid, *, sx=8.0, sy=5.0, turn=0.0, at=(0.0, 0.0), height=0.6):
+    dx, dy = (grid.xy_mm - np.array(at)).T
+    u = np.cos(turn) * dx + np.sin(turn) * dy
+    v = np.cos(turn) * dy - np.sin(turn) * dx
+    return np.broadcast_to(height * np.exp(-((u / sx) ** 2 + (v / sy) ** 2) / 2), (1, K, len(u)))
+
+
+QUIET = np.zeros((1, K))
+
+
+def test_pitch_comes_from_the_positions(factory):
+    assert pad_grid(factory.pads(), 1).pitch_mm == pytest.approx([3.0, 3.0])
+    assert pad_grid(factory.pads(shapes=((5, 1),)), 0).pitch_mm == pytest.approx([3.0, 1.0])
+
+
+def test_axes_are_the_widths_of_the_patch(grid):
+    found = describe_footprint(patch(grid), QUIET, grid).log_axes[0, -1]
+    assert np.exp(found[:2]) == pytest.approx([64 + 2.25, 25 + 2.25], rel=0.05)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.4, np.pi / 2])
+@pytest.mark.parametrize("at", [(0.0, 0.0), (3.0, -3.0), (1.3, 0.7)])
+def test_shape_does_not_change_when_the_patch_moves_or_turns(grid, turn, at):
+    still = describe_footprint(patch(grid), QUIET, grid)
+    moved = describe_footprint(patch(grid, turn=turn, at=at), QUIET, grid)
+    for name in ("log_load", "log_extent", "log_axes", "tails", "harmonics"):
+        assert getattr(moved, name) == pytest.approx(getattr(still, name), abs=0.12), name
+    assert surface_features(patch(grid, turn=turn, at=at), QUIET, grid) == pytest.approx(
+        surface_features(patch(grid), QUIET, grid), abs=0.06
+    )
+
+
+def test_centroid_and_direction_say_where_it_lies(grid):
+    moved = describe_footprint(patch(grid, turn=np.pi / 4, at=(3.0, -3.0)), QUIET, grid)
+    assert moved.centroid_mm[0, -1] == pytest.approx([3.0, -3.0], abs=0.1)
+    assert moved.direction[0, -1, 0] == pytest.approx(0.0, abs=0.02)
+    assert moved.direction[0, -1, 1] > 0.3
+
+
+def test_gain_moves_the_load_and_leaves_the_form(grid):
+    weak = describe_footprint(patch(grid, height=0.3), QUIET, grid)
+    strong = describe_footprint(patch(grid, height=0.6), QUIET, grid)
+    assert strong.log_load - weak.log_load == pytest.approx(np.log(2), abs=0.05)
+    assert strong.log_axes == pytest.approx(weak.log_axes, abs=0.05)
+    assert surface_features(patch(grid, height=0.3), QUIET, grid) == pytest.approx(
+        surface_features(patch(grid, height=0.6), QUIET, grid), abs=0.05
+    )
+
+
+def test_noise_below_three_sigma_is_not_a_patch():
+    maps = np.array([[[0.02, 0.05, 0.5]]])
+    assert pressed(maps, np.array([[0.01]]))[0, 0].tolist() == [0.0, 0.05, 0.5]
+
+
+def test_an_empty_pad_gives_finite_numbers(grid):
+    nothing = np.zeros((1, K, len(grid.xy_mm)))
+    f = describe_footprint(nothing, QUIET, grid)
+    for name in ("log_load", "log_extent", "log_axes", "tails", "harmonics", "profile"):
+        assert np.all(np.isfinite(getattr(f, name))), name
+    assert np.all(np.isfinite(profile_features(nothing, QUIET, grid)))
+    assert np.all(np.isfinite(surface_features(nothing, QUIET, grid)))
+
+
+def test_centred_part_of_the_profile_does_not_move_with_the_patch(grid):
+    n = grid.shape[0]
+    still = profile_features(patch(grid), QUIET, grid)[0]
+    moved = profile_features(patch(grid, at=(6.0, 0.0)), QUIET, grid)[0]
+    reach = len(still) // 2 - n
+    assert moved[n : n + reach] == pytest.approx(still[n : n + reach], abs=0.02)
+    assert moved[:n] == pytest.approx(np.roll(still[:n], 2), abs=0.02)
+
+
+def test_groups_have_a_row_for_each_grasp(train, pads):
+    rest = learn_rest(train)
+    groups = feature_groups(load_levels(train, rest), [pad_grid(pads, p) for p in rest.gripping])
+    assert set(groups) == {"patch", "pose", "pads", "growth", "profile", "surface", "aperture"}
+    for name, values in groups.items():
+        assert values.shape[0] == len(train), name
+        assert np.all(np.isfinite(values)), name
+
+
+def test_one_pad_has_no_other_to_compare_with(factory):
+    pads = factory.pads(shapes=((10, 6),))
+    grasps = factory.many(2, seed=0, pads=pads, gripping=(0,))
+    rest = learn_rest(grasps)
+    assert "pads" not in feature_groups(load_levels(grasps, rest), [pad_grid(pads, 0)])
+
+
+def test_opening_features_give_size_and_squeeze(train):
+    levels = load_levels(train, learn_rest(train))
+    features = aperture_features(levels)
+    final, touch = features[:, 0], features[:, 1]
+    assert final == pytest.approx([g.aperture_m[-1] * 1e3 for g in train], abs=0.15)
+    assert np.all(touch > final)

@@ -1,0 +1,110 @@
+"""Frames -> load above rest, touch and levels."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from recognition.ramp import Rest, find_ramp, learn_rest
+from recognition.ramp_levels import LOAD_FRACTIONS, load_levels, stack_levels
+
+
+def test_the_pads_that_rise_are_the_gripping_ones(factory):
+    pads = factory.pads(shapes=((4, 4), (10, 6), (6, 2), (10, 6)), adc_max=255)
+    grasps = factory.many(3, seed=3, pads=pads, gripping=(1, 3), noise_counts=16.0)
+    rest = learn_rest(grasps)
+    assert rest.gripping == (1, 3)
+    assert rest.noise_counts == pytest.approx([4.5, 4.5], abs=1.5)
+
+
+def test_rest_follows_an_offset_that_was_not_taught(factory, pads, train):
+    rest = learn_rest(train)
+    lifted = dataclasses.replace(train[0], counts=train[0].counts + 30)
+    assert find_ramp(lifted, rest).load == pytest.approx(find_ramp(train[0], rest).load)
+
+
+def test_touch_is_the_first_frame_of_the_lasting_contact(factory, pads, train):
+    ramp = find_ramp(train[0], learn_rest(train))
+    assert ramp.touched
+    assert ramp.start == pytest.approx(9, abs=2)
+    counts = train[0].counts.copy()
+    counts[4, :10] = 400
+    brushed = dataclasses.replace(train[0], counts=counts)
+    assert find_ramp(brushed, learn_rest(train)).start == pytest.approx(9, abs=2)
+
+
+def test_no_contact_is_not_touched(train):
+    rest = learn_rest(train)
+    empty = dataclasses.replace(train[0], counts=np.zeros_like(train[0].counts))
+    ramp = find_ramp(empty, rest)
+    assert not ramp.touched
+    assert ramp.start == empty.n_frames - 1
+
+
+def test_noise_alone_is_not_touched(factory):
+    pads = factory.pads(adc_max=255)
+    grasps = factory.many(3, seed=4, pads=pads, noise_counts=20.0)
+    rest = learn_rest(grasps)
+    rng = np.random.default_rng(0)
+    noise = np.clip(np.abs(rng.normal(0, 10, grasps[0].counts.shape)), 1, 20).astype(np.uint16)
+    assert not find_ramp(dataclasses.replace(grasps[0], counts=noise), rest).touched
+
+
+def test_a_grasp_that_begins_loaded_is_taken_against_the_taught_rest(train):
+    rest, whole = learn_rest(train), train[0]
+    tail = dataclasses.replace(
+        whole,
+        counts=whole.counts[20:],
+        t_s=whole.t_s[20:],
+        aperture_m=whole.aperture_m[20:],
+        force_n=whole.force_n[20:],
+    )
+    ramp = find_ramp(tail, rest)
+    assert ramp.start == 0
+    assert ramp.load[-1] == pytest.approx(find_ramp(whole, rest).load[-1], rel=1e-6)
+
+
+def test_levels_are_fractions_of_the_full_load(train):
+    levels = load_levels(train, learn_rest(train))
+    assert len(levels) == len(train)
+    total = sum(m.sum(axis=2) for m in levels.maps)
+    assert total / total[:, -1:] == pytest.approx(
+        np.broadcast_to(LOAD_FRACTIONS, total.shape), rel=0.15
+    )
+    assert np.all(np.diff(levels.level_time_s, axis=1) >= 0)
+    assert levels.noise == pytest.approx(0.0)
+
+
+def test_levels_of_one_grasp_are_those_among_many(train):
+    rest = learn_rest(train)
+    alone, among = load_levels(train[3:4], rest), load_levels(train, rest)
+    assert alone.maps[1][0] == pytest.approx(among.maps[1][3])
+    assert len(stack_levels([alone, among])) == 1 + len(train)
+
+
+def test_gaps_in_the_opening_are_bridged_and_a_missing_one_stays_missing(train):
+    rest = learn_rest(train)
+    holes = train[0].aperture_m.copy()
+    holes[::4] = np.nan
+    bridged = load_levels([dataclasses.replace(train[0], aperture_m=holes)], rest)
+    assert bridged.aperture_mm == pytest.approx(load_levels(train[:1], rest).aperture_mm, abs=0.2)
+    none = dataclasses.replace(train[0], aperture_m=np.full_like(holes, np.nan))
+    assert np.all(np.isnan(load_levels([none], rest).aperture_mm))
+
+
+def test_rest_refuses_what_it_cannot_learn_from(factory, train):
+    with pytest.raises(ValueError, match="no grasps"):
+        learn_rest([])
+    other = factory.many(1, seed=0, pads=factory.pads(shapes=((8, 6), (8, 6))))
+    with pytest.raises(ValueError, match="different pads"):
+        learn_rest([*train, *other])
+    with pytest.raises(ValueError, match="teach on these pads"):
+        find_ramp(other[0], learn_rest(train))
+
+
+def test_rest_comes_back_from_its_arrays(train):
+    rest = learn_rest(train)
+    again = Rest.from_arrays(rest.to_arrays())
+    again.check(train[0].pads)
+    assert again.gripping == rest.gripping
+    assert np.array_equal(again.counts, rest.counts)
