@@ -111,8 +111,9 @@ def load_mesh(path: Path, *, unit_m: float = 1e-3, roll_step_rad: float = 0.0) -
     import trimesh  # noqa: PLC0415 (an extra, needed for mesh files only)
 
     try:
-        mesh = trimesh.load_mesh(path, file_type="stl")
-    except (OSError, ValueError) as error:
+        with path.open("rb") as file:
+            mesh = trimesh.load_mesh(file, file_type="stl")
+    except (OSError, ValueError, IndexError, KeyError) as error:
         raise SimulatorSettingsError(f"{path} cannot be read as STL: {error}") from error
     triangles_m = np.asarray(mesh.triangles, dtype=np.float64) * unit_m
     if len(triangles_m) == 0 or not mesh.is_watertight:

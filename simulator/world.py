@@ -202,6 +202,10 @@ class PhysicalWorld:
                     fingers.finger_position_m, self._settings.nest_friction_n
                 )
 
+    def skip_to(self, now_s: float) -> None:
+        """Leave out the time until ``now_s`` s: nothing has happened meanwhile."""
+        self._time_s = max(self._time_s, now_s)
+
     def contact_force_n(self) -> tuple[float, float]:
         """Return the force in N with which each pad is pressed; equal up to the nest's friction."""
         return self._force_n
