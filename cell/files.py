@@ -43,7 +43,7 @@ _REFUSED = (
 
 
 def write_atomically(
-    path: Path, write: Callable[[BinaryIO], None], *, error: type[CellError], what: str
+    path: Path, write: Callable[[BinaryIO], object], *, error: type[CellError], what: str
 ) -> None:
     """Write a file beside its place and move it there when it is whole and on the disk.
 

@@ -1,16 +1,12 @@
 """Recorder: everything that a sequence sees and does, in one MCAP file."""
 
-import enum
-import json
-import math
 import time
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import fields
 from pathlib import Path
 from types import TracebackType
-from typing import TYPE_CHECKING, Any, Protocol, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from mcap.writer import CompressionType, Writer
@@ -18,13 +14,14 @@ from mcap.writer import CompressionType, Writer
 from cell import recording_schema as schema
 from cell.errors import RecordingError
 from cell.recording_file import BackgroundFile, DirectFile, RecordSink
+from cell.recording_json import cycle_values, plain_fields, to_json, to_ns
 from cell.recording_reader import Recording, read_recording, recording_grasps
+from gripper.clock import Clock
 from recognition.grasp import Grasp, PadArray
 
 if TYPE_CHECKING:
-    from gripper.gripper import Cycle
-
     from cell.pose import Pose
+    from gripper.state import Cycle
     from tactile.protocol import TactileFrame
 
 __all__ = ["Recorder", "Recording", "read_recording", "recording_grasps"]
@@ -34,15 +31,6 @@ CHUNK_BYTES = 64 << 10
 
 _NEWEST_FRAMES = 65536
 _TIME_TOLERANCE_S = 1e-6
-_ENCODE = json.JSONEncoder(separators=(",", ":"), allow_nan=False, ensure_ascii=False).encode
-
-
-class MonotonicClock(Protocol):
-    """A clock that never goes back; the standard module ``time`` is one."""
-
-    def monotonic(self) -> float:
-        """Return the time in s since an arbitrary start."""
-        ...
 
 
 class Recorder:
@@ -78,7 +66,7 @@ class Recorder:
     def __init__(
         self,
         path: Path | str,
-        clock: MonotonicClock,
+        clock: Clock,
         *,
         pads: PadArray,
         metadata: Mapping[str, str] | None = None,
@@ -128,8 +116,8 @@ class Recorder:
             **metadata,
             "format": schema.FORMAT,
             "wall_clock_start_ns": str(wall_ns),
-            "monotonic_start_ns": str(_ns(self._clock.monotonic())),
-            "pads": _ENCODE(pads),
+            "monotonic_start_ns": str(to_ns(self._clock.monotonic())),
+            "pads": to_json(pads),
         }
         self._writer.add_metadata(
             schema.METADATA, entries | {"crc32": schema.metadata_crc32(entries)}
@@ -137,7 +125,7 @@ class Recorder:
         self._channels: dict[str, int] = {}
         for topic, content in schema.SCHEMAS.items():
             number = self._writer.register_schema(
-                content["title"], "jsonschema", _ENCODE(content).encode()
+                content["title"], "jsonschema", to_json(content).encode()
             )
             self._channels[topic] = self._writer.register_channel(topic, "json", number)
 
@@ -171,29 +159,11 @@ class Recorder:
 
     def cycle(self, cycle: "Cycle") -> None:
         """Record one period of the force loop."""
-        state = cycle.state
-        values: dict[str, Any] = {"phase": cycle.phase.name}
-        values |= _known(
-            setpoint_n=cycle.setpoint_n,
-            goal_current_a=cycle.goal_current_a,
-            aperture_m=state.aperture_m,
-            aperture_velocity_m_s=state.aperture_velocity_m_s,
-            current_a=state.current_a,
-            force_from_current_n=state.force_from_current_n,
-            temperature_c=state.temperature_c,
-            voltage_v=state.voltage_v,
-        )
-        if cycle.force is not None:
-            values["force_t_s"] = round(cycle.force.t_s, 9)
-            values["force_valid"] = cycle.force.valid
-            if all(map(math.isfinite, cycle.force.force_n)):
-                values["force_n"] = [round(float(f), 7) for f in cycle.force.force_n]
-        values["servos"] = [_plain_fields(servo) for servo in state.servos]
-        self._put(schema.CYCLE, cycle.t_s, values)
+        self._put(schema.CYCLE, cycle.t_s, cycle_values(cycle))
 
     def pose(self, pose: "Pose") -> None:
         """Record the pose that the positioner reached."""
-        self._put(schema.POSE, self._clock.monotonic(), _plain_fields(pose))
+        self._put(schema.POSE, self._clock.monotonic(), plain_fields(pose))
 
     def event(self, kind: str, text: str) -> None:
         """Record that something happened: its kind, and a text for people."""
@@ -294,8 +264,8 @@ class Recorder:
         if self._fault is not None:
             self._n_dropped += 1
             return
-        stamp_ns = _ns(t_s)
-        data = _ENCODE({"t_s": round(float(t_s), 9), **values}).encode()
+        stamp_ns = to_ns(t_s)
+        data = to_json({"t_s": round(float(t_s), 9), **values}).encode()
         number = self._sequence.get(topic, 0)
         self._sequence[topic] = number + 1
         channel = self._channels[topic]
@@ -317,34 +287,3 @@ class Recorder:
             self._fault.__cause__ = cause
             if self._on_fault is not None:
                 self._on_fault(self._fault)
-
-
-def _ns(t_s: float) -> int:
-    if not (math.isfinite(t_s) and t_s >= 0):
-        raise ValueError(f"{t_s} s is no monotonic time; it must be finite and not negative")
-    return round(t_s * 1e9)
-
-
-def _known(**values: float | None) -> dict[str, float]:
-    return {
-        name: round(float(value), 7)
-        for name, value in values.items()
-        if value is not None and math.isfinite(value)
-    }
-
-
-def _plain_fields(value: Any) -> dict[str, Any]:
-    plain = ((field.name, _plain(getattr(value, field.name))) for field in fields(value))
-    return {name: item for name, item in plain if item is not None}
-
-
-def _plain(value: Any) -> Any:
-    if isinstance(value, enum.Enum):
-        return value.name
-    if isinstance(value, bool | int | str):
-        return value
-    if isinstance(value, float):
-        return round(float(value), 7) if math.isfinite(value) else None
-    if isinstance(value, Iterable):
-        return [_plain(item) for item in value]
-    return None if value is None else str(value)

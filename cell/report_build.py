@@ -4,30 +4,22 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from cell.paper import TABLE_1, TABLE_1_LABELS, TABLE_1_TRIALS
-from cell.report_data import (
-    ConfusionTable,
-    GraspTimeline,
-    HealthGroup,
-    HealthRow,
-    HealthState,
-    IdentifyStep,
-    PadView,
-    PressureLevel,
-    Window,
-)
+from cell.report_data import ConfusionTable, HealthGroup, HealthRow, HealthState, IdentifyStep
+from cell.report_grasps import GraspTimeline, PadView, PressureLevel, Window
 from recognition.fusion import fuse
 from recognition.grasp import Grasp, PadArray
 from recognition.recognizer import Posterior
 from recognition.thresholds import Levels
 
 if TYPE_CHECKING:
-    from gripper.gripper import Cycle
     from gripper.line import BusStatistics
+    from gripper.state import Cycle, LoopStatistics
     from tactile.assembler import FrameStatistics
     from tactile.layout import TaxelLayout
+    from tactile.link_settings import LinkStatistics
 
 _MAX_TIMELINE_POINTS = 1500
 
@@ -159,6 +151,18 @@ def frame_health(statistics: "FrameStatistics") -> HealthGroup:
     )
 
 
+def link_health(statistics: "LinkStatistics") -> HealthGroup:
+    """Tell how the tactile frames and the link to the control unit fared."""
+    frames = frame_health(statistics.frames)
+    rows = (
+        *frames.rows,
+        _count("late SYNC", statistics.late_syncs, note=f"of {statistics.syncs:,}"),
+        _count("malformed", statistics.malformed, note="other messages of the unit, dropped"),
+        _count("error frames", statistics.error_frames, bad=statistics.error_frames > 10),
+    )
+    return HealthGroup(title=frames.title, rows=rows)
+
+
 def servo_health(statistics: "BusStatistics") -> HealthGroup:
     """Tell how the transactions fared on the servo bus."""
     total = statistics.transactions
@@ -174,27 +178,23 @@ def servo_health(statistics: "BusStatistics") -> HealthGroup:
     )
 
 
-def loop_health(lateness_s: ArrayLike, period_s: float) -> HealthGroup:
-    """Tell how punctual the force loop was.
-
-    Parameters
-    ----------
-    lateness_s : (n_cycles,)
-        How late each period began, in s.
-    period_s
-        Length of a period in s.
-    """
-    late = np.asarray(lateness_s, dtype=np.float64)
-    rows = [HealthRow(name="periods", value=f"{late.size:,} of {period_s * 1e3:.1f} ms")]
-    if late.size:
-        for name, share in (("median", 50), ("99 %", 99), ("worst", 100)):
-            value = float(np.percentile(late, share))
-            text = f"{value * 1e3:.2f} ms"
-            rows.append(
-                HealthRow(name=f"lateness, {name}", value=text, state=_punctuality(value, period_s))
-            )
-        rows.append(_count("missed", int(np.sum(late >= period_s)), note="a whole period late"))
-    return HealthGroup(title="Force loop", rows=tuple(rows))
+def loop_health(statistics: "LoopStatistics", period_s: float) -> HealthGroup:
+    """Tell how punctual the force loop was; ``period_s`` is the length of a period in s."""
+    total, worst_s = statistics.cycles, statistics.worst_lateness_s
+    share = statistics.late / max(1, total)
+    return HealthGroup(
+        title="Force loop",
+        rows=(
+            HealthRow(name="periods", value=f"{total:,}", note=f"of {period_s * 1e3:.1f} ms"),
+            _count("late", statistics.late, bad=share > 0.01, note="by more than half a period"),
+            _count("without feedback", statistics.missed_reads, note="nothing was written in them"),
+            HealthRow(
+                name="worst lateness",
+                value=f"{worst_s * 1e3:.2f} ms",
+                state=_punctuality(worst_s, period_s),
+            ),
+        ),
+    )
 
 
 def _punctuality(lateness_s: float, period_s: float) -> HealthState:

@@ -6,7 +6,7 @@ import os
 import threading
 import time
 from dataclasses import dataclass, replace
-from enum import Enum, auto
+from enum import Enum
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,9 @@ from cell.errors import RecordingError
 from cell.pose import Pose
 from cell.recording import Recorder, read_recording, recording_grasps
 from cell.recording_file import BackgroundFile, DirectFile
+from cell.recording_json import plain_fields
 from gripper.force import ForceSample
+from gripper.state import Cycle, GripperPhase, GripperState, ServoState
 from recognition.grasp import Grasp, PadArray
 from tactile.protocol import TactileFrame
 
@@ -35,43 +37,33 @@ PADS = PadArray(
 )
 
 
-class Phase(Enum):
-    RAMPING = auto()
-    HOLDING = auto()
+def make_servo(**changes: Any) -> ServoState:
+    values: dict[str, Any] = {
+        "servo_id": 1,
+        "angle_rad": 0.123456789,
+        "velocity_rad_s": -0.02,
+        "current_a": 0.4,
+        "position_raw": 2048,
+        "temperature_c": 31.0,
+        "voltage_v": 12.1,
+        "tick_ms": 4711,
+        "alert": False,
+    }
+    return ServoState(**(values | changes))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Servo:
-    servo_id: int = 1
-    angle_rad: float = 0.123456789
-    current_a: float = 0.4
-    hardware_error: int = 0
-    torque_on: bool = True
-    phase: Phase = Phase.HOLDING
-    goals: tuple[float, ...] = (0.1, 0.2)
-    note: str | None = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class State:
-    t_s: float
-    aperture_m: float = 0.0234
-    aperture_velocity_m_s: float = -0.001
-    current_a: float = 0.4
-    force_from_current_n: float = 3.9
-    temperature_c: float = 31.0
-    voltage_v: float = 12.1
-    servos: tuple[Servo, ...] = (Servo(), Servo(servo_id=2))
-
-
-@dataclass(frozen=True, kw_only=True)
-class Period:
-    t_s: float
-    phase: Phase = Phase.RAMPING
-    state: State
-    force: ForceSample | None = None
-    setpoint_n: float = 4.0
-    goal_current_a: float = 0.41
+def make_state(t_s: float, **changes: Any) -> GripperState:
+    values: dict[str, Any] = {
+        "t_s": t_s,
+        "aperture_m": 0.0234,
+        "aperture_velocity_m_s": -0.001,
+        "current_a": 0.4,
+        "force_from_current_n": 3.9,
+        "temperature_c": 31.0,
+        "voltage_v": 12.1,
+        "servos": (make_servo(), make_servo(servo_id=2)),
+    }
+    return GripperState(**(values | changes))
 
 
 class Clock:
@@ -82,9 +74,17 @@ class Clock:
         return self.now_s
 
 
-def make_cycle(t_s: float, **changes: Any) -> Any:
-    force = ForceSample(t_s=t_s - 0.004, force_n=(3.9, 4.1))
-    return Period(**({"t_s": t_s, "state": State(t_s=t_s), "force": force} | changes))
+def make_cycle(t_s: float, **changes: Any) -> Cycle:
+    values: dict[str, Any] = {
+        "t_s": t_s,
+        "phase": GripperPhase.RAMPING,
+        "state": make_state(t_s),
+        "force": ForceSample(t_s=t_s - 0.004, force_n=(3.9, 4.1)),
+        "setpoint_n": 4.0,
+        "goal_current_a": 0.41,
+        "level": 1,
+    }
+    return Cycle(**(values | changes))
 
 
 def make_frame(t_s: float, rng: np.random.Generator, n_taxels: int = 24) -> TactileFrame:
@@ -211,25 +211,44 @@ def test_schemas_have_plain_types_only_so_that_viewers_plot_them() -> None:
 def test_unknown_values_are_left_out(tmp_path: Path) -> None:
     nan = float("nan")
     with Recorder(tmp_path / "r.mcap", Clock(), pads=PADS) as recorder:
-        recorder.cycle(make_cycle(1.0, force=None, setpoint_n=nan, goal_current_a=None))
+        recorder.cycle(make_cycle(1.0, force=None, setpoint_n=nan, level=None))
         recorder.cycle(
             make_cycle(
                 1.1,
                 force=ForceSample(t_s=1.0, force_n=(nan, 1.0), valid=False),
-                state=State(t_s=1.1, aperture_m=nan, servos=(Servo(angle_rad=nan),)),
+                state=make_state(1.1, aperture_m=nan, servos=(make_servo(angle_rad=nan),)),
             )
         )
     raw = recording_salvage.read_raw(tmp_path / "r.mcap")
     first, second = (content for _, content in raw.messages)
-    assert not {"force_n", "force_valid", "setpoint_n", "goal_current_a"} & set(first)
+    assert not {"force_n", "force_valid", "setpoint_n", "level"} & set(first)
     assert second["force_valid"] is False
     assert not {"force_n", "aperture_m"} & set(second)
-    assert set(second["servos"][0]) == {
-        "servo_id", "current_a", "hardware_error", "torque_on", "phase", "goals",
-    }  # fmt: skip
+    assert second["level"] == 1
+    assert "angle_rad" not in second["servos"][0]
+    assert second["servos"][0]["voltage_v"] == 12.1
     cycles = read_recording(tmp_path / "r.mcap").cycles
     assert np.isnan(cycles.setpoint_n[0])
     assert np.all(np.isnan(cycles.force_n))
+
+
+class Colour(Enum):
+    RED = 1
+
+
+@dataclass(frozen=True)
+class Mixed:
+    flag: bool = True
+    colour: Colour = Colour.RED
+    pair: tuple[float, ...] = (0.123456789, 2.0)
+    nothing: float | None = None
+    other: Path = Path("/x")
+
+
+def test_values_of_any_kind_become_plain_ones() -> None:
+    assert plain_fields(Mixed()) == {
+        "flag": True, "colour": "RED", "pair": [0.1234568, 2.0], "other": "/x",
+    }  # fmt: skip
 
 
 def test_recording_cut_anywhere_gives_every_whole_chunk(

@@ -1,0 +1,77 @@
+"""From values of the cell to the JSON of a recording: short, and without NaN."""
+
+import enum
+import json
+import math
+from collections.abc import Iterable
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from gripper.state import Cycle
+
+_ENCODER = json.JSONEncoder(separators=(",", ":"), allow_nan=False, ensure_ascii=False)
+
+
+def to_json(value: Any) -> str:
+    """Return compact JSON. Raises ValueError for NaN and infinity."""
+    return _ENCODER.encode(value)
+
+
+def to_ns(t_s: float) -> int:
+    """Return a monotonic time in ns. Raises ValueError where it is negative or not finite."""
+    if not (math.isfinite(t_s) and t_s >= 0):
+        raise ValueError(f"{t_s} s is no monotonic time; it must be finite and not negative")
+    return round(t_s * 1e9)
+
+
+def known(**values: float | None) -> dict[str, float]:
+    """Return the values that are known, to 1e-7 of their unit; None and NaN are left out."""
+    return {
+        name: round(float(value), 7)
+        for name, value in values.items()
+        if value is not None and math.isfinite(value)
+    }
+
+
+def cycle_values(cycle: "Cycle") -> dict[str, Any]:
+    """Return one period of the force loop as plain values; see `recording_schema`."""
+    state = cycle.state
+    values: dict[str, Any] = {"phase": cycle.phase.name}
+    if cycle.level is not None:
+        values["level"] = cycle.level
+    values |= known(
+        setpoint_n=cycle.setpoint_n,
+        goal_current_a=cycle.goal_current_a,
+        aperture_m=state.aperture_m,
+        aperture_velocity_m_s=state.aperture_velocity_m_s,
+        current_a=state.current_a,
+        force_from_current_n=state.force_from_current_n,
+        temperature_c=state.temperature_c,
+        voltage_v=state.voltage_v,
+    )
+    if cycle.force is not None:
+        values["force_t_s"] = round(cycle.force.t_s, 9)
+        values["force_valid"] = cycle.force.valid
+        if all(map(math.isfinite, cycle.force.force_n)):
+            values["force_n"] = [round(float(f), 7) for f in cycle.force.force_n]
+    values["servos"] = [plain_fields(servo) for servo in state.servos]
+    return values
+
+
+def plain_fields(value: Any) -> dict[str, Any]:
+    """Return the fields of a dataclass as plain values, leaving out what is not known."""
+    plain = ((field.name, _plain(getattr(value, field.name))) for field in fields(value))
+    return {name: item for name, item in plain if item is not None}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, enum.Enum):
+        return value.name
+    if isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, float):
+        return round(float(value), 7) if math.isfinite(value) else None
+    if isinstance(value, Iterable):
+        return [_plain(item) for item in value]
+    return None if value is None else str(value)
