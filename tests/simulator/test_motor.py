@@ -77,6 +77,24 @@ def test_the_velocity_loop_does_not_wind_up_beyond_the_stall_current():
     assert motor.current_a < XM430_W350.stall_current_a / 2
 
 
+def test_another_mode_forgets_the_integral():
+    motor = ServoMotor()
+    stall(motor, DriveCommand(DriveMode.VELOCITY, velocity_rad_s=2.0), 2.0)
+    stall(motor, DriveCommand(DriveMode.CURRENT))
+    stall(motor, DriveCommand(DriveMode.VELOCITY))
+    assert motor.current_a == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_d_gain_brakes():
+    def current_a(d_gain: int) -> float:
+        motor = ServoMotor(angle_rad=1.0)
+        motor.velocity_rad_s = 1.0
+        stall(motor, DriveCommand(DriveMode.POSITION, position_rad=1.0, d_gain=d_gain))
+        return motor.current_a
+
+    assert current_a(1000) < current_a(0) < 0.0
+
+
 def test_a_fifth_of_the_stall_current_warms_by_15_degrees():
     motor = ServoMotor()
     command = DriveCommand(DriveMode.CURRENT, current_a=0.2 * XM430_W350.stall_current_a)

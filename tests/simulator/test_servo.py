@@ -267,6 +267,25 @@ def test_old_firmware_lacks_clear_backup_and_fast_reads(servo_bench):
     assert bench.exchange(fast) == b""
 
 
+@pytest.mark.parametrize(
+    ("model", "firmware", "clear", "backup"),
+    [
+        (XM430_W350, 41, False, False),
+        (XM430_W350, 42, True, False),
+        (XM430_W350, 44, True, False),
+        (XM430_W350, 45, True, True),
+        (XL330_M288, 45, True, False),
+        (XL330_M288, 46, True, True),
+    ],
+)
+def test_firmware_from_which_on(servo_bench, model, firmware: int, clear: bool, backup: bool):
+    bench = servo_bench(model=model, firmware=firmware)
+    known = {True: 0, False: UNKNOWN}
+    assert bench.ask(1, Instruction.CLEAR, bytes.fromhex("0144584C22"))[0] == known[clear]
+    assert bench.ask(1, Instruction.BACKUP, bytes.fromhex("014354524C"))[0] == known[backup]
+    assert bench.servos[0].knows_fast_reads == backup
+
+
 def test_reboot_answers_first_then_is_deaf_and_loses_its_ram(bench):
     bench.write(1, 64, 1, 1)
     bench.write(1, 112, 4, 20)

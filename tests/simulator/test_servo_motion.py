@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import pytest
 
-from gripper.registers import RAD_S_PER_VELOCITY_UNIT, XL330_M288
+from gripper.registers import RAD_S_PER_VELOCITY_UNIT, XC330_M288, XL330_M288
 from simulator.motor import DriveMode
 from simulator.protocol2 import Instruction, encode_instruction
 from simulator.servo_core import WatchdogStop
@@ -133,6 +133,37 @@ def test_a_limit_lowered_afterwards_bounds_the_goal(servo_bench):
     bench.write(1, 64, 1, 1)
     bench.clock.sleep(0.05)
     assert bench.read(1, 126, 2, signed=True) == -90
+
+
+def test_a_pwm_limit_lowered_afterwards_bounds_the_goal(servo_bench):
+    bench = servo_bench(settings={"operating_mode": 16})
+    bench.write(1, 100, 2, -700)
+    bench.write(1, 36, 2, 300)
+    bench.write(1, 64, 1, 1)
+    bench.clock.sleep(0.05)
+    assert bench.read(1, 124, 2, signed=True) == pytest.approx(-300, abs=2)
+
+
+def test_the_gains_reach_the_motor(servo_bench):
+    bench = servo_bench(model=XC330_M288, settings={"operating_mode": 5})
+    bench.write(1, 64, 1, 1)
+    assert (bench.motors[0].command.p_gain, bench.motors[0].command.d_gain) == (1100, 500)
+    bench.write(1, 80, 2, 700)
+    bench.write(1, 84, 2, 900)
+    assert (bench.motors[0].command.p_gain, bench.motors[0].command.d_gain) == (900, 700)
+    bench.write(1, 98, 1, 1)
+    bench.clock.sleep(0.05)
+    assert (bench.motors[0].command.p_gain, bench.motors[0].command.d_gain) == (900, 700)
+
+
+@pytest.mark.parametrize(("threshold", "moving"), [(30, 1), (300, 0)])
+def test_moving_follows_its_threshold(servo_bench, threshold: int, moving: int):
+    bench = servo_bench(settings={"operating_mode": 1, "moving_threshold": threshold})
+    bench.write(1, 64, 1, 1)
+    bench.write(1, 104, 4, -100)
+    bench.clock.sleep(0.1)
+    assert bench.read(1, 122, 1) == moving
+    assert bench.servos[0].core.moving == bool(moving)
 
 
 def test_reverse_mode_turns_the_motor_the_other_way(servo_bench):
