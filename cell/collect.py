@@ -3,15 +3,15 @@
 from dataclasses import dataclass
 
 import numpy as np
-from gripper.gripper import Cycle, GraspOutcome
-from tactile.sensor import TactileReading, TactileSensor
 
 from cell.pose import Pose
 from cell.sequence import GraspStep
 from gripper.force import ForceSample
+from gripper.gripper import Cycle, GraspOutcome
 from recognition.grasp import Grasp, PadArray
 from tactile.layout import TaxelLayout
 from tactile.protocol import TactileFrame
+from tactile.sensor import TactileReading, TactileSensor
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,9 +58,13 @@ class SensorTap:
     def __init__(self, sensor: TactileSensor) -> None:
         self._sensor = sensor
         self._new: list[TactileReading] = []
+        self.running = False
+        """Whether the sensor was started; without it there is no force, and none is asked for."""
 
     def latest_force(self) -> ForceSample | None:
         """Take in what has arrived and return the newest force; see `ForceSensor`."""
+        if not self.running:
+            return None
         self._new.extend(self._sensor.poll())
         reading = self._sensor.latest
         if reading is None:

@@ -7,9 +7,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TypeVar
 
-from gripper.gripper import Cycle, GraspResult, Gripper, GripperPhase
-from tactile.sensor import TactileSensor
-
 from cell.collect import GraspCollector, GraspRecord, SensorTap, pad_array
 from cell.config import SequenceConfig
 from cell.errors import CellStateError, CellStopped, NoPartFound
@@ -21,9 +18,11 @@ from cell.sequence import GraspStep
 from cell.states import CellState, Event, next_state
 from gripper.clock import Clock
 from gripper.errors import GraspStopped, GripperError
+from gripper.gripper import Cycle, GraspResult, Gripper, GripperPhase
 from recognition.fusion import Decision, DecisionKind, StopRule, decide, fuse
 from recognition.grasp import PadArray
 from recognition.recognizer import Posterior, Recognizer
+from tactile.sensor import TactileSensor
 
 _T = TypeVar("_T")
 
@@ -128,6 +127,7 @@ class CellController:
         with self._latching_faults():
             self._gripper.start()
             self._sensor.start()
+            self._tap.running = True
             if self._gripper.state is GripperPhase.HELD_AFTER_FAULT:
                 raise CellStateError(
                     "the servos hold torque from an earlier run, a part may be in the grip; "
@@ -161,6 +161,23 @@ class CellController:
             self._gripper.release(observer=self._watch)
         self._state = following
 
+    def release_held(self) -> None:
+        """Let go of a part that an earlier run still holds, without starting the cell.
+
+        The control unit is not needed for it.
+
+        Raises
+        ------
+        CellStateError
+            If the cell is started: then `release` is the command.
+        gripper.errors.GripperError
+            If the servos do not answer.
+        """
+        if self._state is not CellState.STOPPED:
+            raise CellStateError(f"the cell is {self._state.value}; use release instead")
+        self._gripper.start()
+        self._gripper.release()
+
     def tick(self) -> None:
         """Keep both links alive and supervised while no sequence runs; call once a period."""
         if self._state in (CellState.IDLE, CellState.HELD):
@@ -172,6 +189,7 @@ class CellController:
     def shutdown(self) -> None:
         """Leave the devices in a defined state: a held part stays held. Never raises twice."""
         self._gripper.close()
+        self._tap.running = False
         self._sensor.close()
         if self._state in (CellState.IDLE, CellState.HELD):
             self._go(Event.STOP)
@@ -270,6 +288,7 @@ class CellController:
         collector = GraspCollector()
 
         def observe(cycle: Cycle) -> None:
+            self._check_cancelled()
             readings = self._tap.take()
             collector.add(cycle, readings)
             if self._recorder is not None:
@@ -295,6 +314,10 @@ class CellController:
         self._gripper.release(observer=self._watch)
         return record
 
+    def _check_cancelled(self) -> None:
+        if self._cancelled:
+            raise GraspStopped("stopped on request")
+
     def _move_to(self, pose: Pose) -> Pose:
         reached = self._patiently(lambda: self._positioner.move_to(pose))
         if self._recorder is not None:
@@ -314,6 +337,7 @@ class CellController:
             return future.result()
 
     def _watch(self, cycle: Cycle) -> None:
+        self._check_cancelled()
         self._tap.take()
         if self._recorder is not None:
             self._recorder.cycle(cycle)

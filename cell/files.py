@@ -79,6 +79,11 @@ def write_atomically(
         raise error(f"cannot write {what} to {path}: {_advice(cause, place)}{kept}") from cause
 
 
+def write_text(path: Path, text: str, *, error: type[CellError], what: str) -> None:
+    """Write a UTF-8 text file; see `write_atomically`."""
+    write_atomically(path, lambda file: file.write(text.encode()) and None, error=error, what=what)
+
+
 def _advice(cause: OSError, place: Path) -> str:
     if cause.errno in (errno.ENOSPC, errno.EDQUOT):
         return f"no space left in {place.parent}; free some or choose another place"

@@ -162,3 +162,21 @@ class CallbackPositioner:
         if reached is False:
             raise PositionerError(f"the host refused to move to {pose}")
         return reached if isinstance(reached, Pose) else replace(pose)
+
+
+class HostThenSimulated:
+    """Lets the host move first, then has the simulated cell follow: a host without a robot yet."""
+
+    blocks = False
+
+    def __init__(self, host: CallbackPositioner, simulated: SimulatedPositioner) -> None:
+        self._host = host
+        self._simulated = simulated
+
+    def present(self, label: str | None) -> None:
+        """Choose the object of the simulated cell."""
+        self._simulated.present(label)
+
+    def move_to(self, pose: Pose) -> Pose:
+        """Ask the host, then place the object where the host says it went."""
+        return self._simulated.move_to(self._host.move_to(pose))

@@ -14,7 +14,7 @@ from recognition.contact import Baseline, estimate_baseline, main_patch, noise_t
 from recognition.eigen import Reading, smallest_eigenvalue
 from recognition.errors import ContactError, QuadricError
 from recognition.grasp import Grasp, PadArray
-from recognition.quadric import fit_height_field
+from recognition.quadric import Quadric, fit_height_field
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -104,9 +104,9 @@ def frames_near(grasp: Grasp, share: float, tolerance: float) -> NDArray[np.int6
     return np.flatnonzero(distance <= max(tolerance, float(distance.min())))
 
 
-def _level_at(
+def _surfaces_at(
     grasp: Grasp, baseline: Baseline, frames: NDArray[np.int64], settings: LevelSettings
-) -> float:
+) -> list[Quadric]:
     pads = grasp.pads
     height = grasp.counts[frames].mean(axis=0) - baseline.counts
     threshold = [
@@ -124,16 +124,37 @@ def _level_at(
         except QuadricError as error:
             refused.append(f"pad {pad}: {error}")
             continue
-        smallest = smallest_eigenvalue(quadric.Q, settings.reading)
-        if smallest.degenerate:
+        if smallest_eigenvalue(quadric.Q, settings.reading).degenerate:
             refused.append(f"pad {pad}: the matrix is singular to rounding")
         else:
-            found.append(float(smallest.value))
+            found.append(quadric)
     if not found:
         raise QuadricError("no pad carries a surface: " + "; ".join(refused))
+    return found
+
+
+def _level_at(
+    grasp: Grasp, baseline: Baseline, frames: NDArray[np.int64], settings: LevelSettings
+) -> float:
+    smallest = [
+        float(smallest_eigenvalue(quadric.Q, settings.reading).value)
+        for quadric in _surfaces_at(grasp, baseline, frames, settings)
+    ]
     if settings.reading is Reading.ALGEBRAIC_MINIMUM:
-        return float(np.mean(found))
-    return float(np.exp(np.mean(np.log(found))))
+        return float(np.mean(smallest))
+    return float(np.exp(np.mean(np.log(smallest))))
+
+
+def grip_surfaces(grasp: Grasp, settings: LevelSettings = DEFAULT_LEVEL) -> tuple[Quadric, ...]:
+    """Return the surface of each gripping pad that carries one, the most loaded pad first.
+
+    Raises
+    ------
+    ContactError, QuadricError
+        As `grip_level`.
+    """
+    frames = _frames_at(grasp, settings.force_n, settings)
+    return tuple(_surfaces_at(grasp, estimate_baseline(grasp), frames, settings))
 
 
 def grip_level(grasp: Grasp, settings: LevelSettings = DEFAULT_LEVEL) -> float:

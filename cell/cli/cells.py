@@ -75,7 +75,7 @@ def run(
             recognizer=recognizer,
         )
         result.extra = {"health": cell.health()}
-    result.report = main_report(result, checked, folder / "report.html")
+        result.report = main_report(result, checked, cell, folder / "report.html")
     _print_main(result)
     write_json(json_file, result.as_json())
 
@@ -187,7 +187,7 @@ def release(
 @contextmanager
 def _cell(config: CellConfig, folder: Path) -> Iterator[Cell]:
     """Start a cell, stop it on signals, and say what is kept where if it ends early."""
-    cell = build_cell(config, folder=folder, ask=typer.prompt_plain)
+    cell = build_cell(config, folder=folder, ask=input)
     try:
         with stopping(cell.controller.cancel):
             cell.controller.start()

@@ -9,7 +9,7 @@ from cell.cli.output import say
 from cell.config import CellConfig
 from cell.config_file import config_text, load_config, schema_text
 from cell.errors import ConfigError
-from cell.files import write_text_atomically
+from cell.files import write_text
 
 
 def init(
@@ -20,8 +20,8 @@ def init(
     if path.exists() and not force:
         raise ConfigError(f"{path} exists; name another file or add --force")
     schema_path = path.parent / "tactile-cell.schema.json"
-    write_text_atomically(path, config_text(CellConfig()))
-    write_text_atomically(schema_path, schema_text())
+    write_text(path, config_text(CellConfig()), error=ConfigError, what="config")
+    write_text(schema_path, schema_text(), error=ConfigError, what="schema")
     say(f"wrote {path} and {schema_path}")
 
 
@@ -41,5 +41,5 @@ def schema(
     if output is None:
         typer.echo(schema_text(), nl=False)
     else:
-        write_text_atomically(output, schema_text())
+        write_text(output, schema_text(), error=ConfigError, what="schema")
         say(f"wrote {output}")

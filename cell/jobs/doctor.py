@@ -143,7 +143,7 @@ def _guarded(what: str, check: Callable[[], list[Finding]]) -> Iterator[Finding]
 
 
 def _servos(cell: Cell) -> list[Finding]:
-    report = cell.controller.gripper.verify()
+    report = cell.controller.gripper.inspect()
     return [
         Finding(
             what=f"servo {row.servo_id} {row.item}",
@@ -158,7 +158,7 @@ def _servos(cell: Cell) -> list[Finding]:
 def _control_unit(cell: Cell) -> list[Finding]:
     identity = cell.controller.sensor.start()
     readings = [cell.controller.sensor.read(timeout_s=1.0) for _ in range(10)]
-    statistics = cell.controller.sensor.link.statistics.frames
+    statistics = cell.link.statistics.frames
     lost = statistics.lost + statistics.torn + statistics.corrupt
     return [
         Finding(what="control unit", verdict=Verdict.PASS, found=str(identity)),

@@ -91,7 +91,7 @@ class MainResult:
                 for name, score in self.scores.items()
             },
             "grasps_per_trial": float(
-                np.mean([len(trial.found.records) for trial in self.trials] or [0.0])
+                np.mean([float(len(trial.found.records)) for trial in self.trials] or [0.0])
             ),
             "report": None if self.report is None else str(self.report),
             "recording": None if self.recording is None else str(self.recording),

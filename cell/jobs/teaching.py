@@ -1,10 +1,12 @@
 """Grasping known objects and training recognisers on the grasps."""
 
 from collections.abc import Sequence
+from pathlib import Path
 
 from cell.build import Cell
 from cell.collect import GraspRecord
 from cell.config import CellConfig
+from cell.dataset import write_dataset
 from cell.errors import CellError
 from cell.jobs.progress import Progress
 from cell.sequence import plan
@@ -45,3 +47,19 @@ def train(grasps: Sequence[Grasp], name: str, *, use_aperture: bool = True) -> R
         raise CellError(
             f"{name} cannot be trained on these {len(grasps)} grasps: {error}"
         ) from error
+
+
+def append_to_dataset(path: Path, before: Sequence[Grasp], new: Sequence[Grasp]) -> None:
+    """Write a data set anew with further grasps at its end.
+
+    Raises
+    ------
+    CellError
+        If the new grasps were taken on other pads; the file stays as it was.
+    """
+    if before and not before[0].pads.same_as(new[0].pads):
+        raise CellError(
+            f"{path} holds grasps on other pads ({before[0].pads.n_taxels} taxels, these have "
+            f"{new[0].pads.n_taxels}); choose another file"
+        )
+    write_dataset(path, [*before, *new])

@@ -1,0 +1,79 @@
+"""The simulated cell as a process of its own, with a config that is ready for its ports."""
+
+import json
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from cell.config import CellConfig
+from cell.config_file import config_text
+from cell.config_writer import SCHEMA_LINE
+from cell.dataset import read_dataset
+from cell.errors import CellError
+from cell.files import write_text
+from cell.layouts import layout_from_pads
+from cell.simulation import largest_aperture_m, simulator_settings
+from recognition.grasp import Grasp
+from simulator.errors import SimulatorError
+from simulator.process import serve
+
+
+def serve_simulated_cell(
+    config: CellConfig,
+    *,
+    frames: Path | None,
+    folder: Path | None,
+    announce: Callable[[dict[str, Any]], None],
+) -> None:
+    """Serve until SIGTERM or SIGINT.
+
+    Parameters
+    ----------
+    config
+        The cell to simulate; its ports are replaced by the simulator's.
+    frames
+        Data set to play instead of pressing objects.
+    folder
+        Where device links, socket and config are made; a temporary folder by default.
+    announce
+        Gets device paths, and the path of the ready config as ``config``, when clients can come.
+
+    Raises
+    ------
+    CellError
+        If terminals, socket or files cannot be made.
+    """
+    grasps: tuple[Grasp, ...] = read_dataset(frames) if frames is not None else ()
+    layout = layout_from_pads(grasps[0].pads) if grasps else None
+    if grasps and largest_aperture_m(grasps) > config.gripper.aperture_open_mm * 1e-3:
+        raise CellError(
+            f"{frames} opens to {largest_aperture_m(grasps) * 1e3:.1f} mm, "
+            f"gripper.aperture_open_mm is {config.gripper.aperture_open_mm:g}; "
+            "take a config that opens further, as config/pinch-13x6.yaml"
+        )
+    settings = simulator_settings(config, layout=layout, grasps=grasps)
+    with tempfile.TemporaryDirectory(prefix="tactile-cell-") as temporary:
+        place = Path(temporary) if folder is None else folder.resolve()
+        place.mkdir(parents=True, exist_ok=True)
+
+        def announce_with_config(found: dict[str, Any]) -> None:
+            path = place / "cell.yaml"
+            text = config_text(_client_config(config, found), comments=False)
+            write_text(path, text.removeprefix(SCHEMA_LINE), error=CellError, what="config")
+            announce(found | {"config": str(path)})
+
+        try:
+            serve(settings, announce_with_config, folder=place)
+        except SimulatorError as error:
+            raise CellError(str(error)) from error
+
+
+def _client_config(config: CellConfig, found: dict[str, Any]) -> CellConfig:
+    """Return the config with which another process reaches the simulated cell."""
+    data = config.model_dump(mode="json")
+    data["name"] = f"{config.name} on pseudo-terminals"[:80]
+    data["gripper"]["port"] = found["servo_port"]
+    data["tactile"] |= {"interface": found["can_interface"], "channel": found["can_channel"]}
+    data["positioner"] = {"kind": "simulated", "socket": found["positioner_socket"]}
+    return CellConfig.model_validate_json(json.dumps(data))

@@ -1,0 +1,134 @@
+"""The simulated cell as the config describes it: the one place where the simulator is wired in."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cell.config import CellConfig, ParallelLinkageConfig
+from cell.errors import ConfigError, PositionerError
+from cell.layouts import layout_from_config
+from cell.pose import Pose
+from gripper.registers import MODELS
+from recognition.grasp import Grasp
+from simulator.assembly import SimulatedCell
+from simulator.errors import SimulatorError
+from simulator.linkage import FingerLinkage, ParallelogramLinkage, RackLinkage
+from simulator.mechanics import ServoMount
+from simulator.noise import NoiseModel
+from simulator.settings import RecordedGrasp, SimulatedServoSettings, SimulatorSettings
+from simulator.shape_text import parse_shape
+from simulator.shapes import ObjectPose, Shape
+from tactile.layout import TaxelLayout
+
+_RACK_TRAVEL_M = 0.1
+_LINKAGE_MARGIN_M = 1e-3
+
+
+def simulator_settings(
+    config: CellConfig, *, layout: TaxelLayout | None = None, grasps: Sequence[Grasp] = ()
+) -> SimulatorSettings:
+    """Return the settings of the simulated cell that a config describes.
+
+    Parameters
+    ----------
+    config
+        The cell.
+    layout
+        Other taxels than the config's, for recorded grasps.
+    grasps
+        Recorded grasps to play instead of objects.
+
+    Raises
+    ------
+    ConfigError
+        If a shape is unknown, or the linkage cannot open as far as the gripper shall.
+    """
+    settings = config.simulator
+    try:
+        linkage = _linkage(config)
+        opening_m = config.gripper.aperture_open_mm * 1e-3
+        reach_m = 2.0 * linkage.half_opening_max_m - _LINKAGE_MARGIN_M
+        if opening_m > reach_m:
+            raise ConfigError(
+                f"gripper.aperture_open_mm is {opening_m * 1e3:g}, "
+                f"the linkage reaches {reach_m * 1e3:.1f} mm"
+            )
+        return SimulatorSettings(
+            layout=layout or layout_from_config(config.tactile),
+            servos=tuple(
+                SimulatedServoSettings(
+                    servo_id=servo.id,
+                    model=MODELS[servo.model],
+                    mount=ServoMount(direction=servo.direction, zero_raw=servo.zero_pulse),
+                )
+                for servo in config.gripper.servos
+            ),
+            linkage=linkage,
+            servo_baud_rate=config.gripper.baud_rate,
+            node_id=config.tactile.node_id,
+            can_bitrate=config.tactile.bitrate,
+            serial_number=1
+            if config.tactile.serial_number is None
+            else config.tactile.serial_number,
+            noise=NoiseModel(kind=settings.noise, level=settings.noise_level),
+            seed=config.seed,
+            objects=simulated_objects(config),
+            aperture_m=opening_m,
+            grasps=tuple(
+                RecordedGrasp(counts=grasp.counts, aperture_m=grasp.aperture_m, label=grasp.label)
+                for grasp in grasps
+            ),
+        )
+    except SimulatorError as error:
+        raise ConfigError(f"simulator: {error}") from error
+
+
+def simulated_objects(config: CellConfig) -> dict[str, Shape]:
+    """Return the shapes of the configured objects by their labels. Raises ConfigError."""
+    objects = {}
+    for entry in config.simulator.objects:
+        try:
+            objects[entry.label] = parse_shape(entry.shape)
+        except (SimulatorError, ImportError) as error:
+            raise ConfigError(f"simulator.objects: {entry.label}: {error}") from error
+    return objects
+
+
+class InProcessPlacer:
+    """Places objects in a simulated cell of this process; see `cell.positioner.ObjectPlacer`."""
+
+    def __init__(self, cell: SimulatedCell) -> None:
+        self._cell = cell
+
+    def place(self, label: str, pose: Pose) -> Pose:
+        """Place an object and return where it came to rest. Raises PositionerError."""
+        wanted = ObjectPose(
+            x_m=pose.x_m, y_m=pose.y_m, rotation_rad=pose.rotation_rad, roll_rad=pose.roll_rad
+        )
+        try:
+            reached = self._cell.place(label, wanted)
+        except SimulatorError as error:
+            raise PositionerError(f"{label} cannot be placed at {pose}: {error}") from error
+        return Pose(
+            x_m=reached.x_m,
+            y_m=reached.y_m,
+            rotation_rad=reached.rotation_rad,
+            roll_rad=reached.roll_rad,
+        )
+
+
+def largest_aperture_m(grasps: Sequence[Grasp]) -> float:
+    """Return the widest recorded opening in m; 0 where none is known."""
+    widest = [float(np.nanmax(g.aperture_m)) for g in grasps if np.isfinite(g.aperture_m).any()]
+    return max(widest, default=0.0)
+
+
+def _linkage(config: CellConfig) -> FingerLinkage:
+    drive = config.gripper.linkage
+    if isinstance(drive, ParallelLinkageConfig):
+        return ParallelogramLinkage(link_m=drive.link_mm * 1e-3, offset_m=drive.offset_mm * 1e-3)
+    return RackLinkage(
+        pinion_radius_m=drive.pinion_radius_mm * 1e-3,
+        offset_m=drive.offset_mm * 1e-3,
+        travel_m=_RACK_TRAVEL_M,
+    )
