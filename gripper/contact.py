@@ -11,12 +11,14 @@ from gripper.state import GripperState
 
 _STALL_SPEED_M_S = 0.002
 _STALL_CURRENT_SHARE = 0.8
-_STALL_TIME_S = 0.3
+_STALL_TIME_S = 0.5
 _LEAD_M = 0.006
 _RUNNING_SHARE = 0.8
 _SLOWED_SHARE = 0.6
 _SLOWEST_RAD_S = 4.0 * RAD_S_PER_VELOCITY_UNIT
 _PAUSE_S = 0.15
+_LARGEST_BOOST = 1.6
+_BOOST_PER_S = 2.0
 
 
 class ContactDetector:
@@ -74,7 +76,8 @@ class Approach:
     now_s
         Monotonic time in s.
     current_a
-        Goal current while closing, for the detection of a standstill.
+        Goal current while closing in A. It grows by up to 60 % while the fingers stand still
+        untouched: friction at rest differs from servo to servo.
     """
 
     def __init__(
@@ -89,6 +92,7 @@ class Approach:
         self._settings = settings
         self._linkage = linkage
         self._current_a = current_a
+        self._boost = 1.0
         self._detector = ContactDetector(settings.contact_force_n, settings.contact_samples)
         self._aperture_m = state.aperture_m
         self._waiting_rad: list[float | None] = [None] * len(state.servos)
@@ -96,6 +100,11 @@ class Approach:
         self._pauses: list[tuple[float, float] | None] = [None] * len(state.servos)
         self._deadline_s = now_s + settings.contact_timeout_s
         self._moving_s = now_s
+
+    @property
+    def current_a(self) -> float:
+        """Goal current of the servos now in A."""
+        return self._current_a * self._boost
 
     def step(
         self, now_s: float, dt_s: float, state: GripperState, sample: ForceSample | None
@@ -121,13 +130,20 @@ class Approach:
         paused = self._paused_rad(now_s, state)
         goals = list(self._linkage.angles_rad(self._aperture_m))
         for finger, servo in enumerate(state.servos):
-            if len(goals) == 2 and touched[finger] and self._waiting_rad[finger] is None:
+            if len(goals) == 1 or not touched[finger]:
+                self._waiting_rad[finger] = None
+            elif self._waiting_rad[finger] is None:
                 self._waiting_rad[finger] = servo.angle_rad
             still_rad = self._waiting_rad[finger]
             if still_rad is None:
                 still_rad = paused[finger]
             if still_rad is not None:
                 goals[finger] = still_rad
+        still = abs(state.aperture_velocity_m_s) <= _STALL_SPEED_M_S
+        if still and not any(touched) and all(rad is None for rad in paused):
+            self._boost = min(_LARGEST_BOOST, self._boost + _BOOST_PER_S * dt_s)
+        else:
+            self._boost = max(1.0, self._boost - 2.0 * _BOOST_PER_S * dt_s)
         return self._event(now_s, state, touched), goals
 
     def _paused_rad(self, now_s: float, state: GripperState) -> list[float | None]:
@@ -164,7 +180,7 @@ class Approach:
         if all(touched):
             return ApproachEvent.CONTACT
         loaded = max(abs(s.current_a) for s in state.servos) >= (
-            _STALL_CURRENT_SHARE * self._current_a
+            _STALL_CURRENT_SHARE * self.current_a
         )
         if not loaded or abs(state.aperture_velocity_m_s) > _STALL_SPEED_M_S:
             self._moving_s = now_s

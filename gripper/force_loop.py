@@ -12,7 +12,9 @@ nothing up, and within a dead band the drive stays where it is, so that friction
 small error into a limit cycle.
 
 While the force changes, a small square wave on the drive keeps the gearing from sticking: friction
-at rest is larger than in motion, and every breakaway would be a jump.
+at rest is larger than in motion, and every breakaway would be a jump. Within the band nothing
+moves and the drive crosses it fast; near the edge it creeps, because motor and part are a spring
+and a mass with little damping: a step of the drive would swing the force to twice its change.
 """
 
 from collections import deque
@@ -24,6 +26,7 @@ from gripper.settings import ForceLoopSettings
 
 _HISTORY_LENGTH = 128
 _IMPLAUSIBLE_S = 0.3
+_ANCHOR_SAMPLES = 3
 
 
 class ForceLoop:
@@ -45,13 +48,16 @@ class ForceLoop:
         self, settings: ForceLoopSettings, *, force_n: float, drive_n: float, now_s: float
     ) -> None:
         self._settings = settings
-        self._model_n = max(0.0, force_n)
+        self._model_n = force_n
         self._drive_n = drive_n
+        self._setpoint_n: float | None = None
         self._rising = True
+        self._breaking_since_s: float | None = now_s
+        self._breaking: list[float] = []
         self._dither = 0.0
         self._bias_n = 0.0
         self._history: deque[tuple[float, float]] = deque(maxlen=_HISTORY_LENGTH)
-        self._history.append((now_s, self._model_n))
+        self._history.append((now_s, force_n))
         self._sample_s = now_s
         self._implausible_since_s: float | None = None
 
@@ -105,8 +111,8 @@ class ForceLoop:
             does not see the force that the current makes.
         """
         settings = self._settings
-        self._learn(now_s, sample, setpoint_n)
-        target_n = max(0.0, setpoint_n - self._bias_n)
+        self._learn(now_s, sample, setpoint_n, friction_n)
+        target_n = setpoint_n - self._bias_n
         error_n = target_n - self._model_n
         reversal_n = max(settings.reversal_band_n, settings.reversal_band_share * setpoint_n)
         rise_n = settings.dead_band_n if self._rising else reversal_n
@@ -116,30 +122,63 @@ class ForceLoop:
         self._dither = 0.0
         if error_n > rise_n:
             self._dither = dither
-            self._rising = True
+            self._turn(now_s, rising=True)
             wanted_n = target_n + friction_n
         elif error_n < -fall_n:
             self._dither = dither
-            self._rising = False
+            self._turn(now_s, rising=False)
             wanted_n = target_n - friction_n
         elif taper and self._drive_n > self._model_n:
             wanted_n = max(self._model_n, self._drive_n - settings.taper_n_s * dt_s)
-        step_n = settings.drive_rate_n_s * dt_s
-        wanted_n = min(max(wanted_n, self._drive_n - step_n), self._drive_n + step_n)
+        wanted_n = self._approached(wanted_n, setpoint_n, friction_n, dt_s)
         self._drive_n = min(max(wanted_n, -settings.push_open_share * friction_n), drive_max_n)
         low_n, high_n = self._drive_n - friction_n, self._drive_n + friction_n
-        self._model_n = max(0.0, min(max(self._model_n, low_n), high_n))
+        model_n = min(max(self._model_n, low_n), high_n)
+        if model_n != self._model_n:
+            self._breaking_since_s = None
+        self._model_n = model_n
         self._history.append((now_s, self._model_n))
         return min(self._drive_n + self._dither * friction_n, drive_max_n)
 
-    def _learn(self, now_s: float, sample: ForceSample, setpoint_n: float) -> None:
+    def _approached(
+        self, wanted_n: float, setpoint_n: float, friction_n: float, dt_s: float
+    ) -> float:
+        """Return the drive of this period on the way to the wanted one: fast, then creeping."""
+        settings = self._settings
+        before_n = setpoint_n if self._setpoint_n is None else self._setpoint_n
+        self._setpoint_n = setpoint_n
+        creep_n = settings.creep_n_s * dt_s + 1.5 * abs(setpoint_n - before_n)
+        fast_n = settings.drive_rate_n_s * dt_s
+        inner_n = (1.0 - settings.creep_share) * friction_n
+        drive_n = self._drive_n
+        if wanted_n > drive_n:
+            free_n = max(drive_n, min(drive_n + fast_n, self._model_n + inner_n))
+            return min(wanted_n, max(free_n, drive_n + creep_n))
+        free_n = min(drive_n, max(drive_n - fast_n, self._model_n - inner_n))
+        return max(wanted_n, min(free_n, drive_n - creep_n))
+
+    def _turn(self, now_s: float, *, rising: bool) -> None:
+        if rising is not self._rising:
+            self._rising = rising
+            self._breaking_since_s = now_s
+            self._breaking.clear()
+
+    def _learn(
+        self, now_s: float, sample: ForceSample, setpoint_n: float, friction_n: float
+    ) -> None:
         settings = self._settings
         if sample.t_s > self._sample_s:
             gain = 1.0 - exp(-(sample.t_s - self._sample_s) / settings.bias_time_s)
             self._sample_s = sample.t_s
             seen_n = sample.grip_n - self._model_at(sample.t_s - settings.sensor_delay_s)
             self._bias_n += gain * (seen_n - self._bias_n)
-        limit_n = settings.bias_max_n + settings.bias_max_share * setpoint_n
+            if self._breaking_since_s is not None and sample.t_s > self._breaking_since_s:
+                self._anchor(sample.grip_n, setpoint_n, friction_n)
+        limit_n = (
+            settings.bias_max_n
+            + settings.bias_max_share * setpoint_n
+            + settings.bias_max_friction_share * friction_n
+        )
         if abs(self._bias_n) <= limit_n:
             self._implausible_since_s = None
         elif self._implausible_since_s is None:
@@ -150,6 +189,29 @@ class ForceLoop:
                 f"{limit_n:.2f} N: the sensor reads {sample.grip_n:.2f} N where the current makes "
                 f"{self._model_n:.2f} N. Check the pads, the tare and the torque figures"
             )
+
+    def _anchor(self, grip_n: float, setpoint_n: float, friction_n: float) -> None:
+        """Take the present drive for the edge of the band when the force arrives before it.
+
+        Friction smaller than the model's lets the force move although the model still waits for
+        the edge; then the sensor says where the edge was.
+        """
+        self._breaking = [*self._breaking, grip_n][-_ANCHOR_SAMPLES:]
+        mean_n = sum(self._breaking) / len(self._breaking)
+        arrived = mean_n >= setpoint_n if self._rising else mean_n <= setpoint_n
+        inner_n = (1.0 - self._settings.creep_share) * friction_n
+        inside = abs(self._drive_n - self._model_n) < inner_n
+        if len(self._breaking) < _ANCHOR_SAMPLES or not arrived or inside:
+            return
+        model_n = self._drive_n - friction_n if self._rising else self._drive_n + friction_n
+        shift_n = model_n - self._model_n
+        self._history = deque(
+            ((then_s, then_n + shift_n) for then_s, then_n in self._history),
+            maxlen=_HISTORY_LENGTH,
+        )
+        self._model_n = model_n
+        self._bias_n = mean_n - model_n
+        self._breaking_since_s = None
 
     def _model_at(self, t_s: float) -> float:
         """Return the modelled force in N at an earlier time, as far back as it is known."""

@@ -156,7 +156,7 @@ class GraspRun:
             )
             if event in (ApproachEvent.LIMIT, ApproachEvent.OBSTRUCTED):
                 angles_rad = [servo.angle_rad for servo in moment.state.servos]
-            goals = [ServoGoal(angle_rad=a, current_a=current_a) for a in angles_rad]
+            goals = [ServoGoal(angle_rad=a, current_a=approach.current_a) for a in angles_rad]
             return Action(goals=goals, done=event is not ApproachEvent.CLOSING)
 
         state = self._runner.run(GripperPhase.APPROACHING, step, observer, needs_force=True)
@@ -176,16 +176,11 @@ class GraspRun:
             paths = self._servos.transmissions(moment.state.servos)
             if control is None:
                 force_n = 0.0 if moment.sample is None else max(0.0, moment.sample.grip_n)
-                friction_n = sum(path.friction_n for path in paths) / len(paths)
-                drive_n = min(
-                    goal.current_a * path.kt_nm_a / path.radius_m
-                    for goal, path in zip(self._servos.goals, paths, strict=True)
-                )
                 control = GripControl(
                     self._settings,
                     contact,
                     force_n=force_n,
-                    drive_n=max(drive_n, force_n - friction_n),
+                    drive_n=force_n,
                     now_s=moment.now_s,
                 )
                 self.control = control

@@ -18,6 +18,7 @@ _OVERRUN_RAD = 0.6 * OPENING_MARGIN_RAD
 _PATIENCE_S = 2.0
 _FRICTION_RESERVE = 1.2
 _OPENING_FORCE_N = 3.0
+_AGAINST_REST = 1.4
 _LOST_SHARE = 0.25
 _LOST_TIME_S = 0.1
 _MEAN_SAMPLES = 3
@@ -76,7 +77,9 @@ class MoveTo:
         opening = aperture_m >= state.aperture_m
         speed_m_s = settings.open_speed_m_s if opening else settings.approach_speed_m_s
         force_n = _OPENING_FORCE_N if opening else settings.approach_force_n
-        self._current_a = motion_current_a(settings, paths, force_n)
+        self._current_a = min(
+            _AGAINST_REST * motion_current_a(settings, paths, force_n), settings.current_max_a
+        )
         self._share_per_s = speed_m_s / travel_m
         self._share = 0.0
         self._aperture_m = aperture_m

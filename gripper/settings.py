@@ -63,15 +63,18 @@ class ForceLoopSettings:
         Error in N, or as a share of the set-point if that is more, that it takes to turn the
         direction round, through twice the friction.
     drive_rate_n_s
-        Fastest change of the driving force in N/s.
+        Fastest change of the driving force in N/s, within the friction band.
+    creep_n_s, creep_share
+        Its rate in N/s, beside that of the set-point, where motion is about to begin: from this
+        share of the friction band on.
     dither_share
         Square wave on the drive while the force changes, as a share of the friction band.
     push_open_share
         How hard the motor may push the fingers open to lower the force against friction, as a
         share of the friction band.
-    bias_max_n, bias_max_share
+    bias_max_n, bias_max_share, bias_max_friction_share
         Largest plausible difference between sensor and model in N, plus a share of the
-        set-point.
+        set-point, plus a share of the friction band.
     taper_n_s
         Rate in N/s at which a long hold gives back drive that friction makes superfluous.
     """
@@ -82,23 +85,28 @@ class ForceLoopSettings:
     reversal_band_n: float = 0.2
     reversal_band_share: float = 0.04
     drive_rate_n_s: float = 150.0
+    creep_n_s: float = 4.0
+    creep_share: float = 0.6
     dither_share: float = 0.2
     push_open_share: float = 1.3
     bias_max_n: float = 2.0
     bias_max_share: float = 0.4
+    bias_max_friction_share: float = 0.6
     taper_n_s: float = 1.0
 
     def __post_init__(self) -> None:
-        for name in ("bias_time_s", "drive_rate_n_s", "bias_max_n"):
+        for name in ("bias_time_s", "drive_rate_n_s", "creep_n_s", "bias_max_n"):
             _check(name, getattr(self, name), above=0.0)
         for name in (
             "sensor_delay_s",
             "dead_band_n",
             "reversal_band_n",
             "reversal_band_share",
+            "creep_share",
             "dither_share",
             "push_open_share",
             "bias_max_share",
+            "bias_max_friction_share",
             "taper_n_s",
         ):
             _check(name, getattr(self, name), low=0.0)
@@ -162,7 +170,7 @@ class GripperSettings:
     open_speed_m_s: float = 0.06
     approach_force_n: float = 1.0
     contact_force_n: float = 0.5
-    contact_samples: int = 2
+    contact_samples: int = 3
     contact_timeout_s: float = 5.0
     force_max_n: float = HARD_FORCE_CAP_N
     force_noise_n: float = 0.5
