@@ -37,8 +37,15 @@ class BulkSlcanBus(slcanBus):
         super().__init__(
             channel, bitrate=bitrate, tty_baudrate=tty_baudrate, sleep_after_open=0.0, timeout=0.0
         )
-        with can.exceptions.error_check("the port is in use", can.CanInitializationError):
+
+    def set_bitrate(self, bitrate: int, data_bitrate: int | None = None) -> None:
+        """Lock the port, then set the bit rate in bit/s: the first that is said to the adapter."""
+        try:
             self.serialPortOrig.exclusive = True
+        except OSError:
+            self.serialPortOrig.close()
+            raise
+        super().set_bitrate(bitrate, data_bitrate)
 
     def _write(self, string: str) -> None:
         with can.exceptions.error_check("the serial port of the CAN adapter cannot be written"):
@@ -69,6 +76,13 @@ class BulkSlcanBus(slcanBus):
                 if message is not None or not self._lines:
                     return message, filtered
             timeout = 0.0
+
+    def shutdown(self) -> None:
+        """Close channel and port; the port also when the adapter is gone."""
+        try:
+            super().shutdown()
+        finally:
+            self.serialPortOrig.close()
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """Send a message; ``can.CanOperationError`` if the adapter does not take it in 0.1 s."""

@@ -5,24 +5,27 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile.filters import TouchThresholds, Values
+from tactile.filters import Values
 from tactile.protocol import TactileFrame
 from tactile.tare import TareLimits
+from tactile.touch import TouchThresholds
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorSettings:
-    """How frames become forces. Counts are given as shares of the full scale.
+    """How frames become forces.
 
     The defaults suit 50 frames/s and one-sided noise of up to 8 % of the full scale on each taxel
-    and frame.
+    and frame; the thresholds follow the noise that the tare finds.
 
     Attributes
     ----------
     mean_frames
         Frames averaged: the force follows a step completely after so many.
-    touch_start_share, touch_keep_share, touch_join_share, touch_leave_share
-        See `TouchThresholds`.
+    touch
+        When a taxel counts as touched.
+    noise_floor_share
+        Noise of a taxel is taken to be at least this share of the full scale.
     gap_s
         A longer gap between frames starts the mean anew, in s.
     frozen_s
@@ -38,10 +41,8 @@ class SensorSettings:
     """
 
     mean_frames: int = 3
-    touch_start_share: float = 8 / 255
-    touch_keep_share: float = 4 / 255
-    touch_join_share: float = 5 / 255
-    touch_leave_share: float = 0.0
+    touch: TouchThresholds = field(default_factory=TouchThresholds)
+    noise_floor_share: float = 0.002
     gap_s: float = 0.1
     frozen_s: float = 0.1
     stuck_frames: int = 25
@@ -56,19 +57,11 @@ class SensorSettings:
             ("frozen_s", 0.0),
             ("stuck_frames", 8),
             ("bad_share", 0.0),
+            ("noise_floor_share", 1e-6),
             ("poll_s", 1e-6),
         ):
             if not getattr(self, name) >= low:
                 raise ValueError(f"{name} is {getattr(self, name)}, must be at least {low:g}")
-
-    def thresholds(self, adc_max: int) -> TouchThresholds:
-        """Return the touch thresholds in counts."""
-        return TouchThresholds(
-            start=self.touch_start_share * adc_max,
-            keep=self.touch_keep_share * adc_max,
-            join=self.touch_join_share * adc_max,
-            leave=self.touch_leave_share * adc_max,
-        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

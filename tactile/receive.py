@@ -41,7 +41,7 @@ class MessageSource(Protocol):
 def interface_failed(error: Exception) -> BusOff:
     """Return the fault for an error that a CAN interface raised."""
     return BusOff(
-        f"the CAN interface failed: {error or type(error).__name__}; "
+        f"the CAN interface failed: {str(error) or type(error).__name__}; "
         "check that the adapter is plugged in and its interface is up, then start the link again"
     )
 

@@ -9,7 +9,6 @@ from tactile.calibration import Calibration
 from tactile.clock import Clock
 from tactile.errors import CalibrationError, FrameTimeout
 from tactile.filters import (
-    ActiveTaxels,
     MovingMean,
     Neighbourhood,
     fill_bad,
@@ -19,7 +18,7 @@ from tactile.link_settings import NodeIdentity
 from tactile.protocol import FrameStatus, TactileFrame
 from tactile.reading import SensorSettings, TactileReading
 from tactile.tare import TareResult, compute_tare
-
+from tactile.touch import ActiveTaxels
 
 __all__ = ["FrameSource", "SensorSettings", "TactileReading", "TactileSensor"]
 
@@ -78,15 +77,15 @@ class TactileSensor:
         self._settings = settings or SensorSettings()
         self._hood = Neighbourhood(layout)
         self._mean = MovingMean(self._settings.mean_frames)
-        self._touch = ActiveTaxels(self._hood, self._settings.thresholds(layout.adc_max))
         self._pad_starts = [layout.taxels_of(pad).start for pad in range(layout.n_pads)]
         self._grips = tuple(layout.taxels_of(pad) for pad in layout.gripping_pads)
         self._reset()
 
     def _reset(self) -> None:
         self._mean.reset()
-        self._touch.reset()
         self._tare: TareResult | None = None
+        self._tare_status = 0
+        self._touch: ActiveTaxels | None = None
         self._latest: TactileReading | None = None
         self._last: TactileFrame | None = None
         self._changed_s = 0.0
@@ -138,8 +137,11 @@ class TactileSensor:
             self._wait(deadline_s, f"no frame within {timeout_s:g} s")
         return readings[-1]
 
-    def tare(self, n_frames: int = 50, timeout_s: float = 5.0) -> TareResult:
+    def tare(self, n_frames: int = 100, timeout_s: float = 5.0) -> TareResult:
         """Take the zero from the next ``n_frames`` frames; the pads must be untouched.
+
+        The error of the zero is the noise over the square root of ``n_frames``, and enters every
+        later force on as many taxels as are touched.
 
         Raises TareRefused when they are not, when the counts drift or too many taxels are bad (the
         zero in use stays), and FrameTimeout when the frames do not come within ``timeout_s``.
@@ -160,11 +162,23 @@ class TactileSensor:
             self._hood, counts, self._settings.tare_limits, frames[n_frames - 1].t_s
         )
         self._mean.reset()
-        self._touch.reset()
         self._tare = result
+        self._tare_status = frames[n_frames - 1].status
+        self._touch = self._new_touch(result)
         self._last = None
         self._repeats[:] = 0
         return result
+
+    def _new_touch(self, tare: TareResult) -> ActiveTaxels:
+        """Judge touches by the typical noise of each pad: a single taxel's is known too poorly."""
+        noise = np.full(
+            self._layout.n_taxels, self._settings.noise_floor_share * self._layout.adc_max
+        )
+        for pad in range(self._layout.n_pads):
+            taxels = self._layout.taxels_of(pad)
+            noise[taxels] = np.maximum(noise[taxels], np.median(tare.noise_counts[taxels]))
+        noise /= np.sqrt(self._settings.mean_frames)
+        return ActiveTaxels(self._hood, self._settings.touch, noise)
 
     def _wait(self, deadline_s: float, failure: str) -> None:
         left_s = deadline_s - self._clock.monotonic()
@@ -186,7 +200,7 @@ class TactileSensor:
             if tare.health.noisy:
                 bad |= self._repeats >= self._settings.stuck_frames
         tared = self._mean.step(fill_bad(self._hood, counts, bad))
-        active = self._touch.step(tared)
+        active = np.zeros_like(bad) if self._touch is None else self._touch.step(tared)
         force_n = np.where(active, self._calibration.force_n(tared), 0.0)
         pad_force_n = np.add.reduceat(force_n, self._pad_starts)
         reason = self._objection(frame, saturated & ~bad, bad)
@@ -234,8 +248,13 @@ class TactileSensor:
             return "not tared since the start"
         if frame.status & FrameStatus.CONVERTER_FAULT:
             return "the unit's converter failed its self-test"
+        if (frame.status ^ self._tare_status) & FrameStatus.TARED:
+            return "the unit has taken or dropped a zero of its own since the tare"
         if not self._mean.full:
             return "too few frames since the tare or the last gap"
+        return self._grip_objection(saturated, bad)
+
+    def _grip_objection(self, saturated: NDArray[np.bool_], bad: NDArray[np.bool_]) -> str:
         for finger, taxels in enumerate(self._grips):
             if saturated[taxels].any():
                 return f"{np.count_nonzero(saturated[taxels])} taxels of finger {finger} saturated"

@@ -31,7 +31,7 @@ class TareLimits:
     """
 
     offset_share: float = 0.12
-    bump_share: float = 0.024
+    bump_share: float = 0.016
     drift_share: float = 0.024
     bad_share: float = 0.05
 
