@@ -184,10 +184,12 @@ def test_writing_the_mode_resets_gains_profiles_and_goals(bench):
     bench.write(1, 36, 2, 500)
     bench.write(1, 38, 2, 300)
     bench.write(1, 84, 2, 1)
+    bench.write(1, 90, 2, 7)
     bench.write(1, 112, 4, 30)
     bench.write(1, 102, 2, 20)
     assert bench.write(1, 11, 1, 5) == 0
     assert bench.read(1, 84, 2) == 800
+    assert bench.read(1, 90, 2) == 0
     assert bench.read(1, 112, 4) == 0
     assert bench.read(1, 36, 2) == bench.read(1, 100, 2) == 885
     assert bench.read(1, 102, 2) == 300

@@ -81,6 +81,10 @@ def test_bulk_write_gives_each_servo_its_own_item(bench):
     raw = bytes.fromhex("FFFFFD00FE1000930120000200A000021F00010050B768")
     assert bench.exchange(raw) == b""
     assert (bench.read(1, 32, 2), bench.read(2, 31, 1)) == (160, 80)
+    other = bytes((2, 116, 0, 4, 0, 1, 2, 0, 0, 1, 84, 0, 2, 0, 3, 1))
+    assert bench.exchange(encode_instruction(0xFE, Instruction.BULK_WRITE, other)) == b""
+    assert (bench.read(2, 116, 4), bench.read(1, 84, 2)) == (0x201, 0x103)
+    assert bench.read(1, 80, 4) == 0
 
 
 def test_a_stuffed_sync_write_arrives(servo_bench):
