@@ -111,7 +111,7 @@ def set_up(objects: ObjectAccess, settings: LinkSettings) -> None:
     """
     writes = (
         ("SYNC COB-ID", eds.SYNC_COB_ID, 0x80, 4),
-        ("SYNC window in us", eds.SYNC_WINDOW_US, round(settings.sync_window_s * 1e6), 4),
+        ("SYNC window in us", eds.SYNC_WINDOW_US, round(settings.window_s * 1e6), 4),
         ("SYNC period in us", eds.SYNC_PERIOD_US, round(settings.sync_period_s * 1e6), 4),
         ("heartbeat in ms", eds.HEARTBEAT_MS, round(settings.heartbeat_s * 1e3), 2),
         ("mode", eds.MODE, int(settings.mode), 1),

@@ -40,7 +40,8 @@ class LinkSettings:
     sync_period_s
         Period of SYNC, and so of the frames, in s.
     sync_window_s
-        The unit gives up a burst that takes longer than this, in s; at most the period.
+        The unit gives up a burst that takes longer than this, in s; at most the period. By
+        default 85 % of the period.
     heartbeat_s
         Period of the unit's heartbeat in s.
     heartbeat_factor
@@ -64,7 +65,7 @@ class LinkSettings:
     """
 
     sync_period_s: float = 0.02
-    sync_window_s: float = 0.017
+    sync_window_s: float | None = None
     heartbeat_s: float = 0.1
     heartbeat_factor: float = 1.5
     startup_timeout_s: float = 3.0
@@ -80,7 +81,7 @@ class LinkSettings:
     def __post_init__(self) -> None:
         limits = (
             ("sync_period_s", self.sync_period_s, 0.001, 1.0),
-            ("sync_window_s", self.sync_window_s, 0.0005, self.sync_period_s),
+            ("sync_window_s", self.window_s, 0.0005, self.sync_period_s),
             ("heartbeat_s", self.heartbeat_s, 0.005, 10.0),
             ("heartbeat_factor", self.heartbeat_factor, 1.0, 10.0),
             ("startup_timeout_s", self.startup_timeout_s, 0.01, 120.0),
@@ -93,6 +94,11 @@ class LinkSettings:
         for name, value, low, high in limits:
             if not low <= value <= high:
                 raise ValueError(f"{name} is {value}, must be {low:g} to {high:g}")
+
+    @property
+    def window_s(self) -> float:
+        """Synchronous window in s."""
+        return 0.85 * self.sync_period_s if self.sync_window_s is None else self.sync_window_s
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

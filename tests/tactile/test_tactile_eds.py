@@ -79,3 +79,11 @@ def test_every_index_constant_is_in_the_dictionary(dictionary: canopen.ObjectDic
     }
     assert len(indices) > 20
     assert indices <= set(dictionary)
+
+
+def test_layout_codec_and_sensor_do_not_load_the_can_libraries() -> None:
+    code = (
+        "import sys, tactile.layouts, tactile.assembler, tactile.eds, tactile.features, "
+        "tactile.emergency, tactile.sensor; sys.exit('can' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=30).returncode == 0

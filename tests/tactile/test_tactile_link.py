@@ -492,6 +492,11 @@ def test_settings_out_of_range_are_refused(change) -> None:
         LinkSettings(**change)
 
 
+def test_the_window_follows_the_period() -> None:
+    assert LinkSettings(sync_period_s=0.01).window_s == pytest.approx(0.0085)
+    assert LinkSettings(sync_window_s=0.012).window_s == 0.012
+
+
 @pytest.mark.parametrize("node_id", [0, 128])
 def test_node_id_out_of_range_is_refused(bench, node_id) -> None:
     with pytest.raises(ValueError, match="1 to 127"):
