@@ -1,1 +1,145 @@
-"""TODO."""
+"""Force-controlled two-finger gripper on DYNAMIXEL X servos.
+
+The public names of the package, loaded on first use: importing `gripper` or one of its pure
+modules (`gripper.registers`, `gripper.ramp`) loads neither a serial port nor the SDK.
+
+Commands and their values: `Gripper`, `GripperSettings`, `ServoSettings`, `ForceLoopSettings`,
+`ForceRamp`, `Cycle`, `GripperState`, `ServoState`, `GripperPhase`, `GraspOutcome`, `GraspResult`,
+`LoopStatistics`, `VerificationReport`, `VerificationRow`.
+Mechanics: `Linkage`, `ParallelLinkage`, `RackPinion`, `Transmission`.
+Force in: `ForceSample`, `ForceSensor`. Time: `Clock`.
+Bus: `ServoBus`, `BusStatistics`, `ServoIdentity`, `SerialStream`, `ByteStream`.
+Errors: `GripperError` and all below it, see `gripper.errors`.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from gripper.bus import ServoBus, ServoIdentity
+    from gripper.clock import Clock
+    from gripper.errors import (
+        BusBusy,
+        BusCorrupt,
+        BusTimeout,
+        ForceSensorStale,
+        GraspStopped,
+        GripperError,
+        GripperStateError,
+        LimitExceeded,
+        PartLost,
+        PortLost,
+        ServoFault,
+        ServoRejected,
+        VerificationFailed,
+    )
+    from gripper.force import ForceSample, ForceSensor
+    from gripper.gripper import Gripper
+    from gripper.kinematics import Linkage, ParallelLinkage, RackPinion, Transmission
+    from gripper.line import BusStatistics
+    from gripper.port import ByteStream, SerialStream
+    from gripper.ramp import ForceRamp
+    from gripper.settings import ForceLoopSettings, GripperSettings, ServoSettings
+    from gripper.state import (
+        Cycle,
+        GraspOutcome,
+        GraspResult,
+        GripperPhase,
+        GripperState,
+        LoopStatistics,
+        ServoState,
+    )
+    from gripper.verification import VerificationReport, VerificationRow
+
+_HOME = {
+    "gripper.bus": ("ServoBus", "ServoIdentity"),
+    "gripper.clock": ("Clock",),
+    "gripper.errors": (
+        "BusBusy",
+        "BusCorrupt",
+        "BusTimeout",
+        "ForceSensorStale",
+        "GraspStopped",
+        "GripperError",
+        "GripperStateError",
+        "LimitExceeded",
+        "PartLost",
+        "PortLost",
+        "ServoFault",
+        "ServoRejected",
+        "VerificationFailed",
+    ),
+    "gripper.force": ("ForceSample", "ForceSensor"),
+    "gripper.gripper": ("Gripper",),
+    "gripper.kinematics": ("Linkage", "ParallelLinkage", "RackPinion", "Transmission"),
+    "gripper.line": ("BusStatistics",),
+    "gripper.port": ("ByteStream", "SerialStream"),
+    "gripper.ramp": ("ForceRamp",),
+    "gripper.settings": ("ForceLoopSettings", "GripperSettings", "ServoSettings"),
+    "gripper.state": (
+        "Cycle",
+        "GraspOutcome",
+        "GraspResult",
+        "GripperPhase",
+        "GripperState",
+        "LoopStatistics",
+        "ServoState",
+    ),
+    "gripper.verification": ("VerificationReport", "VerificationRow"),
+}
+_MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
+
+__all__ = [
+    "BusBusy",
+    "BusCorrupt",
+    "BusStatistics",
+    "BusTimeout",
+    "ByteStream",
+    "Clock",
+    "Cycle",
+    "ForceLoopSettings",
+    "ForceRamp",
+    "ForceSample",
+    "ForceSensor",
+    "ForceSensorStale",
+    "GraspOutcome",
+    "GraspResult",
+    "GraspStopped",
+    "Gripper",
+    "GripperError",
+    "GripperPhase",
+    "GripperSettings",
+    "GripperState",
+    "GripperStateError",
+    "LimitExceeded",
+    "Linkage",
+    "LoopStatistics",
+    "ParallelLinkage",
+    "PartLost",
+    "PortLost",
+    "RackPinion",
+    "SerialStream",
+    "ServoBus",
+    "ServoFault",
+    "ServoIdentity",
+    "ServoRejected",
+    "ServoSettings",
+    "ServoState",
+    "Transmission",
+    "VerificationFailed",
+    "VerificationReport",
+    "VerificationRow",
+]
+
+
+def __getattr__(name: str) -> object:
+    """Load a public name from its module."""
+    module = _MODULE_OF.get(name)
+    if module is None:
+        raise AttributeError(f"module 'gripper' has no attribute {name!r}")
+    return getattr(import_module(module), name)
+
+
+def __dir__() -> list[str]:
+    """List the public names."""
+    return list(_MODULE_OF)

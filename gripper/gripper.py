@@ -4,17 +4,16 @@ A part is let go by `Gripper.release` alone. Faults, exceptions, `keep_grip` and
 goals and torque as they are.
 """
 
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
-
 from gripper.bus import ServoBus
 from gripper.clock import Clock
-from gripper.errors import GraspStopped, GripperError, GripperStateError, LimitExceeded, ServoFault
+from gripper.errors import GripperError, GripperStateError, LimitExceeded, ServoFault
 from gripper.force import ForceSensor
 from gripper.grasping import GraspRun
 from gripper.kinematics import Linkage
-from gripper.motion import GripControl, MoveTo, motion_current_a
+from gripper.lifecycle import Lifecycle
+from gripper.motion import GripControl, MoveTo
 from gripper.ramp import ForceRamp
+from gripper.readiness import make_ready
 from gripper.recovery import reboot_servos
 from gripper.runner import LoopRunner, Observer
 from gripper.servos import ServoGroup
@@ -43,8 +42,6 @@ __all__ = [
     "ServoSettings",
     "ServoState",
 ]
-
-_MOVING = frozenset({GripperPhase.OPENING, GripperPhase.RELEASING})
 
 
 class Gripper:
@@ -91,20 +88,17 @@ class Gripper:
         self._servos = ServoGroup(bus, linkage, settings, clock)
         self._runner = LoopRunner(self._servos, force_sensor, settings, clock)
         self._grasping = GraspRun(self._runner, self._servos, linkage, settings)
-        self._phase = GripperPhase.OFF
-        self._part_possible = False
-        self._fault: BaseException | None = None
-        self._running = False
+        self._life = Lifecycle(self._servos, self._runner)
 
     @property
     def state(self) -> GripperPhase:
         """What the gripper is doing."""
-        return self._phase
+        return self._life.phase
 
     @property
     def fault(self) -> BaseException | None:
         """The latched fault, None without one."""
-        return self._fault
+        return self._life.fault
 
     @property
     def period_s(self) -> float:
@@ -135,17 +129,16 @@ class Gripper:
         GripperStateError
             While a fault is latched or a command runs.
         """
-        self._check_ready("start")
-        held_before = self._phase is not GripperPhase.IDLE
-        if not self._servos.torque_on():
-            self._servos.goals = ()
-            self._phase = GripperPhase.OFF
-            self._part_possible = False
-            return self._servos.verify(correct=True, refuse=True)
+        self._life.check_ready("start")
+        held_before = self._life.phase is not GripperPhase.IDLE
+        if not self._servos.health.torque_on():
+            self._life.switched_off()
+            return self._servos.health.verify(correct=True, refuse=True)
         if held_before:
-            self._phase = GripperPhase.HELD_AFTER_FAULT
-            self._part_possible = True
-        return self._servos.verify(correct=False, refuse=not held_before)
+            self._life.phase = GripperPhase.HELD_AFTER_FAULT
+            self._life.part_possible = True
+            self._life.controlled = False
+        return self._servos.health.verify(correct=False, refuse=not held_before)
 
     def read_state(self) -> GripperState:
         """Read the feedback of all servos in one transaction."""
@@ -159,15 +152,15 @@ class Gripper:
         GripperError
             When the bus is lost or a servo at fault; the fault is latched, the grip kept.
         """
-        if self._running or self._phase is GripperPhase.OFF:
+        if self._life.running or self._life.phase is GripperPhase.OFF:
             return
-        if self._fault is not None:
+        if self._life.fault is not None:
             self._runner.read()
             return
-        with self._latching():
+        with self._life.latching():
             state = self._runner.read()
             if state is not None:
-                self._servos.poll_health(state, watchdog=self._part_possible)
+                self._servos.health.poll(state, watchdog=self._life.part_possible)
 
     def open(
         self, aperture_m: float | None = None, observer: Observer | None = None
@@ -179,17 +172,17 @@ class Gripper:
         GripperStateError
             While a part may be held: then `release` is the command.
         """
-        self._check_ready("open", GripperPhase.OFF, GripperPhase.IDLE)
+        self._life.check_ready("open", GripperPhase.OFF, GripperPhase.IDLE)
         target_m = self._settings.aperture_open_m if aperture_m is None else aperture_m
         if not self._settings.aperture_min_m <= target_m <= self._settings.aperture_open_m:
             raise LimitExceeded(
                 f"aperture_m is {target_m}, must be from {self._settings.aperture_min_m} to "
                 f"{self._settings.aperture_open_m}"
             )
-        with self._command(GripperPhase.OPENING):
+        with self._life.command(GripperPhase.OPENING):
             self._make_ready()
             state = self._move_to(target_m, observer)
-        self._phase = GripperPhase.IDLE
+        self._life.phase = GripperPhase.IDLE
         return state
 
     def grasp(self, ramp: ForceRamp, observer: Observer | None = None) -> GraspOutcome:
@@ -205,16 +198,16 @@ class Gripper:
         ForceSensorStale, GraspStopped, ServoFault, BusTimeout, BusCorrupt
             With the grip kept.
         """
-        self._check_ready("grasp", GripperPhase.OFF, GripperPhase.IDLE)
+        self._life.check_ready("grasp", GripperPhase.OFF, GripperPhase.IDLE)
         state = self._servos.read()
         self._grasping.check(ramp, state)
-        with self._command(GripperPhase.APPROACHING):
+        with self._life.command(GripperPhase.APPROACHING):
             self._make_ready()
-            self._part_possible = True
-            outcome = self._grasping.run(ramp, observer, self._set_phase)
+            self._life.part_possible = True
+            outcome = self._grasping.run(ramp, observer, self._life.set_phase)
         held = outcome.result in (GraspResult.FORCE_REACHED, GraspResult.FORCE_NOT_REACHED)
-        self._part_possible = held
-        self._phase = GripperPhase.HOLDING if held else GripperPhase.IDLE
+        self._life.part_possible = self._life.controlled = held
+        self._life.phase = GripperPhase.HOLDING if held else GripperPhase.IDLE
         return outcome
 
     def hold(self, duration_s: float, observer: Observer | None = None) -> GripperState:
@@ -230,10 +223,10 @@ class Gripper:
         control = self._held_control("hold")
         if not duration_s > 0.0:
             raise LimitExceeded(f"duration_s is {duration_s}, must be above 0")
-        with self._command(GripperPhase.HOLDING):
+        with self._life.command(GripperPhase.HOLDING):
             self._make_ready()
             state = self._grasping.hold(control, duration_s, observer)
-        self._phase = GripperPhase.HOLDING
+        self._life.phase = GripperPhase.HOLDING
         return state
 
     def back_off(
@@ -250,10 +243,10 @@ class Gripper:
         """
         control = self._held_control("back_off")
         ramp = self._grasping.back_off_ramp(force_n, rate_n_s)
-        with self._command(GripperPhase.BACKING_OFF):
+        with self._life.command(GripperPhase.BACKING_OFF):
             self._make_ready()
             state = self._grasping.follow_down(control, ramp, observer)
-        self._phase = GripperPhase.HOLDING
+        self._life.phase = GripperPhase.HOLDING
         return state
 
     def release(self, observer: Observer | None = None) -> GripperState:
@@ -266,13 +259,13 @@ class Gripper:
         VerificationFailed
             When torque was found on at the start and a servo is not what the settings say.
         """
-        self._check_ready("release")
-        with self._command(GripperPhase.RELEASING):
+        self._life.check_ready("release")
+        with self._life.command(GripperPhase.RELEASING):
             self._make_ready(releasing=True)
             state = self._move_to(self._settings.aperture_open_m, observer)
         self._grasping.forget()
-        self._part_possible = False
-        self._phase = GripperPhase.IDLE
+        self._life.part_possible = self._life.controlled = False
+        self._life.phase = GripperPhase.IDLE
         return state
 
     def request_stop(self) -> None:
@@ -285,9 +278,9 @@ class Gripper:
         May be called again and again. Raises when the servos cannot be reached: then their
         watchdog may still trip.
         """
-        if self._phase is GripperPhase.OFF:
+        if self._life.phase is GripperPhase.OFF:
             return
-        self._phase = self._resting_phase()
+        self._life.rest()
         self._servos.disarm_watchdog()
 
     def clear_fault(self, *, reboot: bool = False) -> None:
@@ -304,25 +297,23 @@ class Gripper:
         ServoFault
             When a servo still reports a hardware error.
         """
-        if self._running:
+        if self._life.running:
             raise GripperStateError("clear_fault is not possible while a command runs")
-        if self._fault is None:
+        if self._life.fault is None:
             return
-        faulty = self._servos.hardware_errors()
+        faulty = self._servos.health.hardware_errors()
         if faulty and not reboot:
             servo_id, bits = next(iter(faulty.items()))
             raise ServoFault(
                 servo_id, bits, "the error lasts: remove its cause, then clear it with reboot=True"
             )
         reboot_servos(self._bus, tuple(faulty), self._clock)
-        self._fault = None
+        self._life.fault = None
         self._runner.forget_stop()
-        if not self._servos.torque_on():
-            self._servos.goals = ()
-            self._part_possible = False
-            self._phase = GripperPhase.OFF
+        if not self._servos.health.torque_on():
+            self._life.switched_off()
             return
-        self._phase = self._resting_phase()
+        self._life.rest()
 
     def close(self) -> None:
         """End the work with the servos; the bus stays open for its owner.
@@ -331,49 +322,23 @@ class Gripper:
         they are and the bus watchdog is disarmed, so that the grip does not end by a trip: the
         servos then hold on without supervision until somebody releases the part.
         """
-        if self._phase is GripperPhase.OFF:
+        if self._life.phase is GripperPhase.OFF:
             return
         try:
-            if self._phase is GripperPhase.IDLE and self._fault is None:
+            if self._life.phase is GripperPhase.IDLE and self._life.fault is None:
                 self._servos.switch_off()
             else:
                 self._servos.disarm_watchdog()
         except GripperError:
             # Without a bus nothing can be changed any more; the grip stays as it is.
             return
-        if self._phase is GripperPhase.IDLE and self._fault is None:
-            self._phase = GripperPhase.OFF
+        if self._life.phase is GripperPhase.IDLE and self._life.fault is None:
+            self._life.phase = GripperPhase.OFF
 
     # Inside
 
-    def _set_phase(self, phase: GripperPhase) -> None:
-        self._phase = phase
-
-    def _resting_phase(self) -> GripperPhase:
-        if self._fault is not None:
-            return GripperPhase.HELD_AFTER_FAULT
-        if not self._part_possible:
-            return GripperPhase.IDLE
-        if self._grasping.control is None:
-            return GripperPhase.HELD_AFTER_FAULT
-        return GripperPhase.HOLDING
-
-    def _check_ready(self, command: str, *phases: GripperPhase) -> None:
-        if self._running:
-            raise GripperStateError(f"{command} is not possible while another command runs")
-        if self._fault is not None:
-            raise GripperStateError(
-                f"{command} is not possible while a fault is latched ({self._fault}): call "
-                f"clear_fault first"
-            )
-        if phases and self._phase not in phases:
-            hint = ": release the part first" if self._part_possible else ""
-            raise GripperStateError(
-                f"{command} is not possible in the state {self._phase.name}{hint}"
-            )
-
     def _held_control(self, command: str) -> GripControl:
-        self._check_ready(command, GripperPhase.HOLDING)
+        self._life.check_ready(command, GripperPhase.HOLDING)
         control = self._grasping.control
         if control is None:
             raise GripperStateError(f"{command} needs a grasp before it")
@@ -389,62 +354,12 @@ class Gripper:
             aperture_m=aperture_m,
             now_s=state.t_s,
         )
-        return self._runner.run(self._phase, move.step, observer, needs_force=False)
+        return self._runner.run(self._life.phase, move.step, observer, needs_force=False)
 
     def _make_ready(self, *, releasing: bool = False) -> None:
-        """Bring torque and bus watchdog into the state that a command needs."""
-        servos = self._servos
-        known = bool(servos.goals)
-        if releasing and not known and servos.torque_on() and not servos.verify(correct=False).ok:
-            # The release was asked for: only with the torque off can the mode be corrected.
-            servos.switch_off()
-            servos.verify(correct=True, refuse=True)
-        if not servos.torque_on():
-            state = servos.read()
-            servos.switch_on(self._motion_current_a(state))
-        elif not known or servos.watchdog_tripped():
-            if self._part_possible and not releasing:
-                raise ServoFault(
-                    self._settings.servos[0].servo_id,
-                    0,
-                    "the bus watchdog has tripped while a part was held, because nobody called "
-                    "tick; the servos have stopped, the part may still be gripped",
-                )
-            servos.restart_watchdog(self._motion_current_a(servos.read()))
-        else:
-            servos.arm_watchdog()
-
-    def _motion_current_a(self, state: GripperState) -> float:
-        paths = self._servos.transmissions(state.servos)
-        return motion_current_a(self._settings, paths, self._settings.approach_force_n)
-
-    @contextmanager
-    def _command(self, phase: GripperPhase) -> Iterator[None]:
-        self._runner.forget_stop()
-        self._phase = phase
-        self._running = True
-        try:
-            with self._latching():
-                yield
-        except GraspStopped:
-            self._phase = self._resting_phase()
-            raise
-        finally:
-            self._running = False
-
-    @contextmanager
-    def _latching(self) -> Iterator[None]:
-        """Latch whatever goes wrong as a fault and keep the grip; a stop on request is none."""
-        try:
-            yield
-        except GraspStopped:
-            raise
-        except BaseException as error:
-            self._fault = error
-            self._phase = GripperPhase.HELD_AFTER_FAULT
-            # The error that is on its way says what matters; a bus that fails again adds nothing.
-            with suppress(GripperError):
-                if self._servos.force_is_too_high():
-                    self._servos.halve_currents()
-                self._servos.disarm_watchdog()
-            raise
+        make_ready(
+            self._servos,
+            self._settings,
+            part_possible=self._life.part_possible,
+            releasing=releasing,
+        )

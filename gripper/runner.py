@@ -197,7 +197,7 @@ class LoopRunner:
         self._cycles += 1
         if self._cycles % _HEALTH_EVERY == 0 or any(servo.alert for servo in state.servos):
             try:
-                self._servos.poll_health(state)
+                self._servos.health.poll(state)
             except (BusTimeout, BusCorrupt):
                 # Feedback shows soon enough whether the bus is lost.
                 self.statistics = replace(

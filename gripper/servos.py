@@ -1,13 +1,14 @@
-"""The servos of one gripper as a group: checks, feedback, torque, watchdog and goals."""
+"""The servos of one gripper as a group: feedback, torque, watchdog and goals."""
 
 from collections.abc import Sequence
 from math import pi, tau
 
 from gripper.bus import ServoBus
 from gripper.clock import Clock
-from gripper.errors import ServoFault, VerificationFailed
+from gripper.errors import ServoFault
 from gripper.force import ForceSample
 from gripper.freshness import TickWatch
+from gripper.health import ServoHealth
 from gripper.kinematics import Linkage, Transmission
 from gripper.limits import GoalGuard, ServoGoal
 from gripper.registers import (
@@ -16,8 +17,6 @@ from gripper.registers import (
     GOAL_POSITION,
     GOAL_PWM,
     GOAL_VELOCITY,
-    HARDWARE_ERROR_STATUS,
-    MODEL_NUMBER,
     OPERATING_MODE,
     PRESENT_TEMPERATURE,
     PROFILE_ACCELERATION,
@@ -26,17 +25,15 @@ from gripper.registers import (
     RAD_PER_PULSE,
     RAD_S_PER_VELOCITY_UNIT,
     REALTIME_TICK,
-    REGISTERS,
     TORQUE_ENABLE,
     OperatingMode,
 )
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.state import GripperState, ServoState
-from gripper.verification import VerificationReport, VerificationRow, compare, requirements
 
 
 class ServoGroup:
-    """Conversion between registers and SI, and all writing to the servos.
+    """Conversion between registers and SI, and all writing to the servos that makes them move.
 
     Parameters
     ----------
@@ -54,57 +51,9 @@ class ServoGroup:
         self._clock = clock
         self._ids = [servo.servo_id for servo in settings.servos]
         self._ticks = TickWatch()
+        self.health = ServoHealth(bus, settings)
         self._last: GripperState | None = None
-        self._polls = 0
         self.goals: tuple[ServoGoal, ...] = ()
-
-    # Start
-
-    def torque_on(self) -> bool:
-        """Read whether any servo has its torque on."""
-        return any(self._bus.read(i, TORQUE_ENABLE) != 0 for i in self._ids)
-
-    def verify(self, *, correct: bool, refuse: bool = False) -> VerificationReport:
-        """Compare all servos with what they must hold.
-
-        Parameters
-        ----------
-        correct
-            True to rewrite mode, return delay and status return level where they differ; needs
-            the torque off.
-        refuse
-            True to raise VerificationFailed when a row does not agree.
-        """
-        rows: list[VerificationRow] = []
-        for servo in self._settings.servos:
-            rows += self._verify_one(servo, correct=correct)
-        if correct:
-            self._bus.return_delay_s = 0.0
-        report = VerificationReport(rows=tuple(rows), torque_was_on=not correct)
-        if refuse and not report.ok:
-            raise VerificationFailed(report, [str(row) for row in report.failed])
-        return report
-
-    def _verify_one(self, servo: ServoSettings, *, correct: bool) -> tuple[VerificationRow, ...]:
-        settings = self._settings
-        required = requirements(
-            servo.servo_model, settings.current_max_a, settings.temperature_max_c
-        )
-        corrected: set[str] = set()
-        self._bus.ping(servo.servo_id)
-        found: dict[str, int] = {}
-        for item in required:
-            register = REGISTERS[item.item]
-            raw = self._bus.read(servo.servo_id, register)
-            if correct and item.write_raw is not None and not item.met_by(raw):
-                self._bus.write(servo.servo_id, register, item.write_raw)
-                raw = self._bus.read(servo.servo_id, register)
-                corrected.add(item.item)
-            found[item.item] = raw
-            if register is MODEL_NUMBER and not item.met_by(raw):
-                # Another model: its other items may mean something else.
-                return compare(servo.servo_id, required[:1], found)
-        return compare(servo.servo_id, required, found, frozenset(corrected))
 
     # Feedback
 
@@ -123,7 +72,8 @@ class ServoGroup:
             problem = self._ticks.check(servo_id, raw[REALTIME_TICK.name], sent_s, now_s)
             if problem is not None:
                 self._bus.distrust()
-                self._check_torque(servo_id)
+                if self.goals:
+                    self.health.check_torque(servo_id)
                 raise problem
         servos = tuple(self._servo_state(s, raws[s.servo_id]) for s in self._settings.servos)
         angles = [servo.angle_rad for servo in servos]
@@ -178,58 +128,6 @@ class ServoGroup:
             ]
             self.write_goals(goals, self._last)
 
-    def poll_health(self, state: GripperState, *, watchdog: bool = True) -> None:
-        """Look at one more item of one servo; call it now and then while the torque is on.
-
-        Parameters
-        ----------
-        state
-            Newest feedback; an Alert in it is followed up at once.
-        watchdog
-            False where a tripped watchdog does no harm.
-
-        Raises
-        ------
-        ServoFault
-            When a servo reports a hardware error, has lost its torque or its watchdog tripped.
-        """
-        for servo in state.servos:
-            if servo.alert:
-                self._check_hardware(servo.servo_id)
-        index, check = divmod(self._polls, 2)
-        self._polls = (self._polls + 1) % (2 * len(self._ids))
-        if check == 0:
-            self._check_torque(self._ids[index])
-        elif watchdog and self._bus.read(self._ids[index], BUS_WATCHDOG) < 0:
-            raise ServoFault(
-                self._ids[index],
-                0,
-                "its bus watchdog has tripped because the loop fell silent; the servo has "
-                "stopped, a part may still be gripped",
-            )
-
-    def _check_hardware(self, servo_id: int) -> None:
-        bits = self._bus.read(servo_id, HARDWARE_ERROR_STATUS)
-        if bits:
-            dropped = self._bus.read(servo_id, TORQUE_ENABLE) == 0
-            detail = (
-                "it has switched its torque off, the part has possibly been dropped; after a "
-                "remedy clear the fault with a reboot"
-                if dropped
-                else "it reports a hardware error, the grip is kept"
-            )
-            raise ServoFault(servo_id, bits, detail)
-
-    def _check_torque(self, servo_id: int) -> None:
-        if self.goals and self._bus.read(servo_id, TORQUE_ENABLE) == 0:
-            bits = self._bus.read(servo_id, HARDWARE_ERROR_STATUS)
-            raise ServoFault(
-                servo_id,
-                bits,
-                "its torque is off although nobody switched it off (a reboot or a shutdown); the "
-                "part has possibly been dropped",
-            )
-
     # Torque, watchdog, goals
 
     def switch_on(self, current_a: float) -> GripperState:
@@ -264,18 +162,9 @@ class ServoGroup:
         for servo_id in self._ids:
             self._bus.write(servo_id, BUS_WATCHDOG, 0)
 
-    def hardware_errors(self) -> dict[int, int]:
-        """Read Hardware Error Status (register 70) of all servos; those with an error, by ID."""
-        bits = {servo_id: self._bus.read(servo_id, HARDWARE_ERROR_STATUS) for servo_id in self._ids}
-        return {servo_id: found for servo_id, found in bits.items() if found}
-
     def force_is_too_high(self) -> bool:
         """Say whether the last force samples are above the cap."""
         return self.guard.force_is_too_high()
-
-    def watchdog_tripped(self) -> bool:
-        """Read whether the bus watchdog of any servo has tripped."""
-        return any(self._bus.read(servo_id, BUS_WATCHDOG) < 0 for servo_id in self._ids)
 
     def _freeze_at_present(self, current_a: float) -> GripperState:
         for servo_id in self._ids:

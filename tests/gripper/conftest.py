@@ -13,7 +13,7 @@ from gripper.errors import PortLost
 from gripper.force import ForceSample
 from gripper.gripper import Gripper, GripperSettings, ServoSettings
 from gripper.kinematics import Linkage, ParallelLinkage, RackPinion
-from gripper.registers import RAD_PER_PULSE, XM430_W350, ServoModel
+from gripper.registers import REGISTERS, XM430_W350, ServoModel
 from simulator.clock import VirtualClock
 from simulator.linkage import ParallelogramLinkage, RackLinkage
 from simulator.mechanics import FingerMechanics, ServoMount
@@ -224,7 +224,7 @@ class Cell:
         self.sensor.measure(now_s, (self.force_n, self.force_n))
 
     def register(self, index: int, name: str) -> int:
-        return int(self.servos[index].core.get(name))
+        return self.bus.read(index + 1, REGISTERS[name])
 
 
 @pytest.fixture
@@ -240,6 +240,3 @@ def make_cell() -> Callable[..., Cell]:
 @pytest.fixture
 def make_part() -> Callable[..., Part]:
     return Part
-
-
-ENCODER_M = 0.06 * RAD_PER_PULSE

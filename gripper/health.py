@@ -1,0 +1,138 @@
+"""Health of the servos: what they are set to, and whether they still do what they were told."""
+
+from gripper.bus import ServoBus
+from gripper.errors import ServoFault, VerificationFailed
+from gripper.registers import (
+    BUS_WATCHDOG,
+    HARDWARE_ERROR_STATUS,
+    MODEL_NUMBER,
+    REGISTERS,
+    TORQUE_ENABLE,
+)
+from gripper.settings import GripperSettings, ServoSettings
+from gripper.state import GripperState
+from gripper.verification import VerificationReport, VerificationRow, compare, requirements
+
+
+class ServoHealth:
+    """Checks that read the servos and, at the start, correct three registers.
+
+    Parameters
+    ----------
+    bus, settings
+        Of the gripper.
+    """
+
+    def __init__(self, bus: ServoBus, settings: GripperSettings) -> None:
+        self._bus = bus
+        self._settings = settings
+        self._ids = [servo.servo_id for servo in settings.servos]
+        self._polls = 0
+
+    def torque_on(self) -> bool:
+        """Read whether any servo has its torque on."""
+        return any(self._bus.read(i, TORQUE_ENABLE) != 0 for i in self._ids)
+
+    def verify(self, *, correct: bool, refuse: bool = False) -> VerificationReport:
+        """Compare all servos with what they must hold.
+
+        Parameters
+        ----------
+        correct
+            True to rewrite mode, return delay and status return level where they differ; needs
+            the torque off.
+        refuse
+            True to raise VerificationFailed when a row does not agree.
+        """
+        rows: list[VerificationRow] = []
+        for servo in self._settings.servos:
+            rows += self._verify_one(servo, correct=correct)
+        if correct:
+            self._bus.return_delay_s = 0.0
+        report = VerificationReport(rows=tuple(rows), torque_was_on=not correct)
+        if refuse and not report.ok:
+            raise VerificationFailed(report, [str(row) for row in report.failed])
+        return report
+
+    def _verify_one(self, servo: ServoSettings, *, correct: bool) -> tuple[VerificationRow, ...]:
+        settings = self._settings
+        required = requirements(
+            servo.servo_model, settings.current_max_a, settings.temperature_max_c
+        )
+        corrected: set[str] = set()
+        self._bus.ping(servo.servo_id)
+        found: dict[str, int] = {}
+        for item in required:
+            register = REGISTERS[item.item]
+            raw = self._bus.read(servo.servo_id, register)
+            if correct and item.write_raw is not None and not item.met_by(raw):
+                self._bus.write(servo.servo_id, register, item.write_raw)
+                raw = self._bus.read(servo.servo_id, register)
+                corrected.add(item.item)
+            found[item.item] = raw
+            if register is MODEL_NUMBER and not item.met_by(raw):
+                # Another model: its other items may mean something else.
+                return compare(servo.servo_id, required[:1], found)
+        return compare(servo.servo_id, required, found, frozenset(corrected))
+
+    def poll(self, state: GripperState, *, watchdog: bool = True) -> None:
+        """Look at one more item of one servo; call it now and then while the torque is on.
+
+        Parameters
+        ----------
+        state
+            Newest feedback; an Alert in it is followed up at once.
+        watchdog
+            False where a tripped watchdog does no harm.
+
+        Raises
+        ------
+        ServoFault
+            When a servo reports a hardware error, has lost its torque or its watchdog tripped.
+        """
+        for servo in state.servos:
+            if servo.alert:
+                self._check_hardware(servo.servo_id)
+        index, check = divmod(self._polls, 2)
+        self._polls = (self._polls + 1) % (2 * len(self._ids))
+        if check == 0:
+            self.check_torque(self._ids[index])
+        elif watchdog and self._bus.read(self._ids[index], BUS_WATCHDOG) < 0:
+            raise ServoFault(
+                self._ids[index],
+                0,
+                "its bus watchdog has tripped because the loop fell silent; the servo has "
+                "stopped, a part may still be gripped",
+            )
+
+    def _check_hardware(self, servo_id: int) -> None:
+        bits = self._bus.read(servo_id, HARDWARE_ERROR_STATUS)
+        if bits:
+            dropped = self._bus.read(servo_id, TORQUE_ENABLE) == 0
+            detail = (
+                "it has switched its torque off, the part has possibly been dropped; after a "
+                "remedy clear the fault with a reboot"
+                if dropped
+                else "it reports a hardware error, the grip is kept"
+            )
+            raise ServoFault(servo_id, bits, detail)
+
+    def check_torque(self, servo_id: int) -> None:
+        """Raise ServoFault when a servo has lost the torque that it was given."""
+        if self._bus.read(servo_id, TORQUE_ENABLE) == 0:
+            bits = self._bus.read(servo_id, HARDWARE_ERROR_STATUS)
+            raise ServoFault(
+                servo_id,
+                bits,
+                "its torque is off although nobody switched it off (a reboot or a shutdown); the "
+                "part has possibly been dropped",
+            )
+
+    def hardware_errors(self) -> dict[int, int]:
+        """Read Hardware Error Status (register 70) of all servos; those with an error, by ID."""
+        bits = {servo_id: self._bus.read(servo_id, HARDWARE_ERROR_STATUS) for servo_id in self._ids}
+        return {servo_id: found for servo_id, found in bits.items() if found}
+
+    def watchdog_tripped(self) -> bool:
+        """Read whether the bus watchdog of any servo has tripped."""
+        return any(self._bus.read(servo_id, BUS_WATCHDOG) < 0 for servo_id in self._ids)
