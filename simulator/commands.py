@@ -211,7 +211,7 @@ def _like(path: str, present: Any, value: Any) -> Any:
     """Return a JSON value as the type that the knob has and in its range, or refuse it."""
     if isinstance(present, bool) and isinstance(value, bool):
         return value
-    if isinstance(present, int) and type(value) is int:
+    if type(present) is int and type(value) is int:
         return _in_range(path, value)
     if isinstance(present, float):
         return _in_range(path, _number(path, value))

@@ -28,6 +28,8 @@ PIECE_S = 0.02
 """Longest stretch in s that the world catches up between two looks at the clients."""
 FORGIVEN_S = 0.25
 """A stall longer than this in s is left out instead of caught up."""
+POWERED_BEFORE_S = 0.1
+"""The devices have had power for so long in s when clients can connect: they have booted."""
 
 Announce = Callable[[dict[str, Any]], None]
 
@@ -51,7 +53,8 @@ class RealTimeCell:
     """
 
     def __init__(self, settings: SimulatorSettings, folder: Path, now_s: float) -> None:
-        self.devices = CellDevices(settings, start_s=now_s)
+        self.devices = CellDevices(settings, start_s=now_s - POWERED_BEFORE_S)
+        self.devices.world.skip_to(now_s)
         self._world_s = now_s
         self._adapter = SlcanAdapter(
             CanLink(
@@ -77,6 +80,7 @@ class RealTimeCell:
             )
             self._server = PositionerServer(folder / "positioner.sock", commands)
             undo.pop_all()
+        self.step(now_s, [])
 
     def announcement(self) -> dict[str, Any]:
         """Return what clients need to know; plain values for JSON."""
