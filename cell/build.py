@@ -46,8 +46,6 @@ from tactile.link import (
 from tactile.sensor import TactileSensor
 
 Mover = Callable[[Pose], Pose | bool | None]
-_FRAME_SHARE = 0.85
-"""Part of the SYNC period that a burst may take before the unit gives it up."""
 
 
 @dataclass(kw_only=True)
@@ -194,15 +192,13 @@ def make_link(
     sync_period_s: float | None = None,
 ) -> TactileLink:
     """Return the link to the control unit on an open bus."""
-    period_s = config.sync_period_ms * 1e-3 if sync_period_s is None else sync_period_s
     return TactileLink(
         bus,
         node_id=config.node_id,
         layout=layout,
         clock=clock,
         settings=LinkSettings(
-            sync_period_s=period_s,
-            sync_window_s=_FRAME_SHARE * period_s,
+            sync_period_s=config.sync_period_ms * 1e-3 if sync_period_s is None else sync_period_s,
             heartbeat_s=config.heartbeat_ms * 1e-3,
             startup_timeout_s=config.startup_timeout_s,
             identity=ExpectedIdentity(serial=config.serial_number),

@@ -151,25 +151,25 @@ def _print_evaluation(result: EvaluationResult) -> None:
         f"{result.split}: {result.n_train} grasps to train, {result.n_test} to test, "
         f"{len(result.labels)} objects"
     )
-    fused = sorted({k for f in result.recognizers.values() for k in f.full.fused_accuracy})
+    fused = sorted({k for f in result.recognizers.values() for k in f.full.fused_accuracy} - {1})
     table = Table(header_style="bold")
-    table.add_column("recogniser")
-    table.add_column("one grasp (95 % interval)", justify="right")
+    table.add_column("recogniser", no_wrap=True)
+    table.add_column("one grasp (95 %)", justify="right", no_wrap=True)
     for k in fused:
-        table.add_column(f"{k} fused", justify="right")
-    table.add_column("unknown AUROC", justify="right")
+        table.add_column(f"{k} fused", justify="right", no_wrap=True)
+    table.add_column("AUROC", justify="right", no_wrap=True)
     for name, figures in result.recognizers.items():
-        for shown, evaluation in (
-            (name, figures.full),
-            ("  tactile only", figures.without_aperture),
-        ):
-            if evaluation is None:
-                continue
+        rows = [(name, figures.full)]
+        if figures.without_aperture not in (None, figures.full):
+            rows.append(("  tactile only", figures.without_aperture))
+        for shown, evaluation in rows:
+            low, high = evaluation.interval
             table.add_row(
                 shown,
-                percent(evaluation.single_accuracy, evaluation.interval),
-                *(percent(evaluation.fused_accuracy[k]) for k in fused),
+                f"{100 * evaluation.single_accuracy:.1f} ({100 * low:.1f}-{100 * high:.1f})",
+                *(f"{100 * evaluation.fused_accuracy[k]:.1f}" for k in fused),
                 f"{evaluation.unknown_auroc:.3f}",
             )
     out.print(table)
+    say("per cent right; AUROC: objects left out of teaching told from taught ones")
     say(f"{result.seconds:.1f} s")

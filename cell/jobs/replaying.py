@@ -30,6 +30,8 @@ from tactile.protocol import TactileFrame
 _SHORTEST_PERIOD_S = 0.012
 _WAIT_S = 0.001
 _BURST_SHARE = 0.9
+_OPENING_PER_RADIUS = 10.0
+"""Opening at which the pinion has turned by 2.5 rad either way: well within one turn."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -273,8 +275,12 @@ def _wide_config(grasps: Sequence[Grasp]) -> CellConfig:
     return CellConfig(
         name="replay",
         gripper=GripperConfig(
-            servos=(ServoConfig(id=1, zero_pulse=256), ServoConfig(id=2, zero_pulse=256)),
-            linkage=RackPinionConfig(kind="rack_pinion", pinion_radius_mm=20.0),
+            servos=(ServoConfig(id=1), ServoConfig(id=2)),
+            linkage=RackPinionConfig(
+                kind="rack_pinion",
+                pinion_radius_mm=opening_mm / _OPENING_PER_RADIUS,
+                offset_mm=0.25 * opening_mm,
+            ),
             aperture_open_mm=opening_mm,
         ),
     )
