@@ -27,7 +27,7 @@ class LevelSettings:
         Grip force in N to take it at; None: near the full force of the ramp. Grasps without a
         record of the force are taken near their full load.
     tolerance
-        Frames count as near a force, or load, within this part of the largest one.
+        Frames count as near a force, or load, within this part of it.
     sigmas
         Threshold of a loaded taxel in standard deviations of the noise.
     rim
@@ -182,10 +182,10 @@ def _frames_at(grasp: Grasp, force_n: float | None, settings: LevelSettings) -> 
         return frames_near(grasp, 1.0, settings.tolerance)
     largest = float(np.max(grasp.force_n[known]))
     distance = np.where(known, np.abs(grasp.force_n - force_n), np.inf)
-    frames = np.flatnonzero(distance <= settings.tolerance * largest)
+    frames = np.flatnonzero(distance <= settings.tolerance * force_n)
     if len(frames) == 0:
         raise ContactError(
-            f"no frame within {settings.tolerance * largest:.3g} N of {force_n:.3g} N; the ramp "
+            f"no frame within {settings.tolerance * force_n:.3g} N of {force_n:.3g} N; the ramp "
             f"reached {largest:.3g} N"
         )
     return frames

@@ -5,7 +5,7 @@ the fitted peak height, so objects that press alike are confused whatever their 
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
@@ -195,6 +195,15 @@ class LevelCheckRecognizer:
         return learnt
 
 
+def common_force_n(grasps: Sequence[Grasp]) -> float | None:
+    """Return the largest force in N that every grasp reached, None where one is not recorded."""
+    reached = [
+        float(np.max(g.force_n, initial=-np.inf, where=np.isfinite(g.force_n))) for g in grasps
+    ]
+    least = min(reached)
+    return least if np.isfinite(least) and least > 0.0 else None
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LevelCheckTrainer:
     """Teaches the levels.
@@ -202,7 +211,9 @@ class LevelCheckTrainer:
     Attributes
     ----------
     settings
-        How the level of a grasp is taken.
+        How the level of a grasp is taken. Without a force of its own it is taken at the largest
+        force that every taught grasp reached, because levels compare at equal force only; where
+        forces are not recorded, near the full load.
     margin
         Part of its edge by which a level's band reaches into open space, above 0, below 1.
     use_aperture
@@ -247,9 +258,12 @@ class LevelCheckTrainer:
         if not all(pads.same_as(grasp.pads) for grasp in grasps):
             raise ValueError(f"{NAME}: the grasps were taken on different pads")
         labels = tuple(sorted({grasp.label for grasp in grasps}))
+        settings = self.settings
+        if settings.force_n is None:
+            settings = replace(settings, force_n=common_force_n(grasps))
         taught: dict[str, list[float]] = {label: [] for label in labels}
         for grasp in grasps:
-            value = _level_or_none(grasp, self.settings)
+            value = _level_or_none(grasp, settings)
             if value is not None:
                 taught[grasp.label].append(value)
         values = [np.array(taught[label]) for label in labels]
@@ -258,7 +272,7 @@ class LevelCheckTrainer:
         return LevelCheckRecognizer(
             labels=labels,
             pads=pads,
-            settings=self.settings,
+            settings=settings,
             mean=mean,
             spread=spread,
             low=levels.low,
