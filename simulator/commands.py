@@ -201,10 +201,10 @@ def _number(name: str, value: Any) -> float:
 
 
 def _knobs(owner: Any) -> set[str]:
-    """Return the names of a holder of knobs; those of single servos have requests of their own."""
+    """Return the names of a holder of knobs; single servos and cables have own requests."""
     if not is_dataclass(owner):
         return set()
-    return {entry.name for entry in fields(owner)} - {"servos"}
+    return {entry.name for entry in fields(owner)} - {"servos", "unplugged"}
 
 
 def _like(path: str, present: Any, value: Any) -> Any:

@@ -52,9 +52,12 @@ class Press:
         tables: list[ForceTable] = []
         windows: list[tuple[slice, slice]] = []
         lags_m: list[NDArray[np.float64]] = []
+        seen: PadGrid | None = None
         for side, grid in enumerate(grids):
-            x_m, y_m = np.broadcast_arrays(grid.x_m, grid.y_m)
-            reach_m = posed_heights(shape, pose, x_m, y_m)[side]
+            if seen is None or not grid.same_points_as(seen):
+                heights_m = posed_heights(shape, pose, *np.broadcast_arrays(grid.x_m, grid.y_m))
+                seen = grid
+            reach_m = heights_m[side]
             covered: NDArray[np.bool_] = np.isfinite(reach_m)
             if not covered.any():
                 raise SimulatorSettingsError(

@@ -66,6 +66,10 @@ class PadGrid:
         self.y_m = y_m[np.newaxis, :]
         self.cell_area_m2 = float((x_m[1] - x_m[0]) * (y_m[1] - y_m[0]))
 
+    def same_points_as(self, other: "PadGrid") -> bool:
+        """Say whether two grids have their cells at the same points of their pads' planes."""
+        return np.array_equal(self.x_m, other.x_m) and np.array_equal(self.y_m, other.y_m)
+
     def taxel_force_n(
         self, pressure_pa: NDArray[np.float64], window: tuple[slice, slice]
     ) -> NDArray[np.float64]:

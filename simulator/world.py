@@ -85,7 +85,8 @@ class PhysicalWorld:
     """Two opposing pads, moved by servos, and a rigid object that floats between them.
 
     Nothing here commands a force: the grip is what foam and object push back with at the positions
-    that the mechanics have reached. The other pads touch nothing.
+    that the mechanics have reached. The other pads touch nothing, and the gripping pads do not
+    touch each other: the mechanics' end stop is where they would meet.
 
     Parameters
     ----------

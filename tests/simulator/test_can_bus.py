@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from simulator.can_bus import InMemoryCanBus
 from simulator.can_faults import CanLinkFaults
+from simulator.can_link import CanLink
 from simulator.can_wire import CanWire, crc15, exact_bits, mean_bits, stuff
 from simulator.clock import VirtualClock
 from simulator.control_unit import ControlUnitSettings, SendBurst, SimulatedControlUnit
@@ -406,3 +407,15 @@ def test_a_capture_marks_extended_identifiers(tmp_path: Path) -> None:
     with PcapWriter(path) as writer:
         writer(1.5, 0x123, b"\x01", extended=True)
     assert struct.unpack_from(">L", path.read_bytes(), 24 + 16)[0] == 0x8000_0123
+
+
+def test_an_adapter_that_nobody_reads_loses_messages_and_counts_them() -> None:
+    echo = Echo()
+    link = CanLink(echo, bitrate=1_000_000)
+    for _ in range(11):
+        echo.send(0.0, 0x185, [bytes(8)] * 10_000)
+    assert link.lost == 0
+    echo.send(0.0, 0x185, [bytes(8)] * 7)
+    assert link.lost == 7
+    link.clear()
+    assert link.next_event_s() == math.inf

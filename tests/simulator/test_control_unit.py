@@ -2,6 +2,8 @@ import struct
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from simulator.can_faults import ControlUnitFaults
 from simulator.control_unit import (
@@ -584,3 +586,28 @@ def test_a_unit_that_is_on_no_bus_says_so() -> None:
 def test_impossible_settings_are_refused(change: dict[str, float]) -> None:
     with pytest.raises(SimulatorSettingsError, match=next(iter(change))):
         ControlUnitSettings(**change)  # type: ignore[arg-type]
+
+
+@given(
+    messages=st.lists(
+        st.tuples(
+            st.sampled_from([NMT, SYNC, EMCY, TPDO1, SDO_IN, SDO_OUT, HEARTBEAT, 0x606, 0x7FF]),
+            st.one_of(st.binary(max_size=8), st.binary(min_size=8, max_size=8)),
+        ),
+        max_size=25,
+    )
+)
+@settings(max_examples=60, derandomize=True, deadline=None)
+def test_no_traffic_upsets_the_unit(messages: list[tuple[int, bytes]]) -> None:
+    line = Line()
+    for can_id, data in messages:
+        for answered, answer in line.tell(can_id, data):
+            assert answered in {SDO_OUT, EMCY, HEARTBEAT} or 0x181 <= answered <= 0x57F
+            assert len(answer) == (1 if answered == HEARTBEAT else 8)
+        line.wait(0.01)
+    line.unit.power_cycle()
+    line.wait(0.1)
+    line.take()
+    assert line.number(eds.IDENTITY, eds.IDENTITY_VENDOR) == eds.VENDOR_ID
+    line.start()
+    assert line.frame().counter == 0
