@@ -25,6 +25,8 @@ _TPDO2_ID = 0x280
 _TPDO3_ID = 0x380
 _SDO_RESPONSE_ID = 0x580
 _HEARTBEAT_ID = 0x700
+_LEAST_GAP = 0.9
+"""Of the period: after a late SYNC the next one waits so long, or it would cut into the burst."""
 _SYNC_EARLY_S = 1e-6
 """A caller that polls in step with SYNC must not miss it by a rounding error."""
 
@@ -204,7 +206,7 @@ class LinkSession:
         if now_s - due_s >= period_s:
             self._late_syncs += 1
             due_s = now_s
-        self._next_sync_s = due_s + period_s
+        self._next_sync_s = max(due_s + period_s, now_s + _LEAST_GAP * period_s)
 
     def _on_frame(self, frame: TactileFrame) -> None:
         self._frames.append(frame)

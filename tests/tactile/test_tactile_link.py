@@ -77,6 +77,18 @@ def test_a_slow_caller_does_not_make_up_for_syncs_and_does_not_lose_the_link(ben
     assert len(bench.run(0.2)) >= 10
 
 
+def test_after_a_late_sync_the_next_one_does_not_cut_into_the_burst(bench) -> None:
+    bench.link.start()
+    bench.run(0.1)
+    bench.clock.sleep(0.036)
+    bench.link.poll()
+    late, late_s = sync_times(bench), bench.clock.monotonic()
+    while sync_times(bench) == late:
+        bench.clock.sleep(0.001)
+        bench.link.poll()
+    assert bench.clock.monotonic() - late_s >= 0.018
+
+
 # --- start-up refusals ---------------------------------------------------------------------------
 
 
