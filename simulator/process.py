@@ -117,9 +117,10 @@ class RealTimeCell:
             self._world_s = now_s - PIECE_S
             self.devices.world.skip_to(self._world_s)
         self._world_s = min(now_s, self._world_s + PIECE_S)
-        self.devices.advance_to(self._world_s)
+        # First what clients sent while this process did not run: it came before now.
         servo_due_s = self._servo_pty.poll(now_s)
         can_due_s = self._can_pty.poll(now_s)
+        self.devices.advance_to(self._world_s)
         self._server.poll(readable)
         due_s = min(self._world_s + STEP_S, can_due_s)
         return due_s if servo_due_s is None else min(due_s, servo_due_s)

@@ -59,14 +59,28 @@ class SlcanAdapter:
         self._listen_only = False
         self._stamps = False
 
-    def receive(self, data: bytes, now_s: float) -> None:
-        """Take bytes of the client and carry out the commands that are complete."""
+    def receive(self, data: bytes, now_s: float, *, sent_after_s: float | None = None) -> None:
+        """Take bytes of the client and carry out the commands that are complete.
+
+        Parameters
+        ----------
+        data
+            The bytes.
+        now_s
+            Present time in s.
+        sent_after_s
+            Earliest time in s at which the client may have sent them, where an endpoint cannot
+            know better: commands that waited there are spread evenly from then until now, so that
+            two SYNCs that a stalled simulator reads at once are still apart. None = ``now_s``.
+        """
         self._input += data
         *lines, rest = self._input.split(b"\r")
         self._input = rest
-        for line in lines:
+        since_s = now_s if sent_after_s is None else min(sent_after_s, now_s)
+        for number, line in enumerate(lines, start=1):
             if line:
-                self._put(self._command(line, now_s))
+                at_s = since_s + (now_s - since_s) * number / len(lines)
+                self._put(self._command(line, at_s))
         if len(rest) > _LINE_LIMIT:
             self._input = bytearray()
             self._put(_REFUSED)

@@ -32,6 +32,7 @@ class SlcanPty:
         self._master_fd = -1
         self._slave_fd = -1
         self._terminal = ""
+        self._polled_s: float | None = None
         self.plug_in()
 
     @property
@@ -95,7 +96,8 @@ class SlcanPty:
         except BlockingIOError:
             data = b""
         if data:
-            self._adapter.receive(data, now_s)
+            self._adapter.receive(data, now_s, sent_after_s=self._polled_s)
+        self._polled_s = now_s
         output = self._adapter.transmit(now_s)
         if output:
             try:

@@ -201,3 +201,28 @@ def test_what_is_sent_in_text_arrives(can_id: int, data: bytes, lower: bool) -> 
     assert line.device.heard == [(can_id, data)]
     line.device.send(1.0, can_id, [data])
     assert line.say(b"", 2.0) == f"t{text}\r".encode()
+
+
+def test_syncs_that_waited_are_spread_over_the_time_in_which_they_were_sent():
+    class Listener:
+        def __init__(self):
+            self.heard = []
+
+        def connect(self, send):
+            pass
+
+        def receive(self, can_id, data, now_s):
+            self.heard.append((can_id, now_s))
+
+        def advance(self, now_s):
+            pass
+
+        def next_event_s(self):
+            return float("inf")
+
+    device = Listener()
+    adapter = SlcanAdapter(CanLink(device, bitrate=1_000_000), bitrate=1_000_000)
+    adapter.receive(b"S8\rO\r", 1.0)
+    adapter.receive(b"t0800\rt0800\r", 1.06, sent_after_s=1.02)
+    assert [can_id for can_id, _ in device.heard] == [0x80, 0x80]
+    assert [t_s for _, t_s in device.heard] == pytest.approx([1.04, 1.06])
