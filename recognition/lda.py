@@ -95,7 +95,7 @@ def fit_lda(
     if n <= n_classes or np.any(count == 0):
         raise ValueError(
             f"{n} grasps of {n_classes} objects do not show how grasps of one object vary: "
-            "teach each object at least twice"
+            "teach each object at least three times"
         )
     members = np.zeros((n_classes, n))
     members[classes, np.arange(n)] = 1.0
@@ -119,6 +119,12 @@ def fit_lda(
     # Classes live in the space spanned by their means; there a rotation makes axes independent.
     offsets = (means - mean) / scale
     lower, _ = cho_factor(covariance, lower=True)
+    if n_classes == 1:
+        # Nothing to separate from: the whole whitened space tells how far a grasp is.
+        projection = solve_triangular(np.tril(lower), np.eye(n_features), lower=True).T
+        return LinearDiscriminant(
+            mean=mean, scale=scale, projection=projection, centres=np.zeros((1, n_features))
+        )
     whitened = solve_triangular(np.tril(lower), offsets.T, lower=True)
     left, singular, _ = np.linalg.svd(whitened, full_matrices=False)
     rank = int(np.sum(singular > _RANK_TOLERANCE * max(float(singular[0]), 1e-300)))

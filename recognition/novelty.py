@@ -26,15 +26,17 @@ def novelty_signs(
     Parameters
     ----------
     distances : (n, C)
-        Squared distance of each grasp to each class.
+        Squared distance of each grasp to each class. With a single class the second sign, how
+        much nearer the best class is than the next, is 0.
     nearest_sample : (n,)
         Squared distance to the nearest taught grasp.
     second_opinion : (n, C), optional
         Squared distances seen by another discriminant: how far it finds the class that the first
         one finds nearest. An odd grasp of a taught object is far in both, a new object in one.
     """
-    two = np.partition(distances, 1, axis=1)[:, :2]
-    signs = [_log(two[:, 0]), _log(two[:, 0]) - _log(two[:, 1]), _log(nearest_sample)]
+    ordered = np.sort(distances, axis=1)
+    next_best = ordered[:, min(1, ordered.shape[1] - 1)]
+    signs = [_log(ordered[:, 0]), _log(ordered[:, 0]) - _log(next_best), _log(nearest_sample)]
     if second_opinion is not None:
         best = second_opinion[np.arange(len(distances)), np.argmin(distances, axis=1)]
         signs += [_log(best), _log(best) - _log(second_opinion.min(axis=1))]

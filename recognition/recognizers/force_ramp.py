@@ -16,6 +16,10 @@ from recognition.recognizer import Posterior
 from recognition.recognizers._view import View, fit_view
 from recognition.splits import by_label
 
+_SINGLE_GROUPS = ("surface",)
+"""With one object nothing says which features separate: few and plain ones do best."""
+MIN_GRASPS = 3
+"""Fewest grasps of an object: two to see how they vary, one to check the estimate on."""
 _TACTILE_GROUPS = ("patch", "pose", "pads", "growth", "profile", "surface")
 
 
@@ -49,10 +53,10 @@ class ForceRamp:
         if not levels.touched[0]:
             even = np.full(len(self.labels), 1.0 / len(self.labels))
             return Posterior(labels=self.labels, probability=even, unknown=1.0)
-        tactile, aperture = _features(levels, _grids(self.rest))
+        tactile, aperture = _features(levels, _grids(self.rest), len(self.labels))
         view, features = self.touch, tactile
         if self.both is not None and np.all(np.isfinite(aperture)):
-            view, features = self.both, np.concatenate([tactile, aperture], axis=1)
+            view, features = self.both, _joined(tactile, aperture, len(self.labels))
         return Posterior(
             labels=self.labels,
             probability=view.probability(features)[0],
@@ -110,8 +114,9 @@ class ForceRampTrainer:
     def fit(self, grasps: Sequence[Grasp]) -> ForceRamp:
         """Learn from labelled grasps.
 
-        Grasps that never touched both pads teach nothing and are left out. Raises ValueError where
-        fewer than two objects remain, or none of them was grasped twice.
+        Grasps that never touched both pads teach nothing and are left out. A single object is
+        taught to be told from all others. Raises ValueError where an object has fewer than
+        ``MIN_GRASPS`` grasps left.
         """
         members = by_label(grasps)
         ordered = [g for group in members.values() for g in group]
@@ -120,21 +125,24 @@ class ForceRampTrainer:
         touched = levels.touched
         names = np.array([g.label for g in ordered])
         labels, classes = np.unique(names[touched], return_inverse=True)
-        lost = sorted(set(members) - set(labels.tolist()))
-        if lost or len(labels) < 2:
+        pressed = {label: int(np.sum(names[touched] == label)) for label in members}
+        few = {label: n for label, n in pressed.items() if n < MIN_GRASPS}
+        if few or not pressed:
             raise ValueError(
-                f"{len(labels)} objects to tell apart, {lost} never touched both pads: teach at "
-                "least two objects with grasps that press them"
+                f"grasps that touched both pads, by object: {few}; each object needs at least "
+                f"{MIN_GRASPS}, or its variation is not known: teach more, and press harder"
             )
-        tactile, aperture = (part[touched] for part in _features(levels, _grids(rest)))
+        tactile, aperture = (part[touched] for part in _features(levels, _grids(rest), len(labels)))
         known = np.all(np.isfinite(aperture), axis=1)
         both = None
-        if self.use_aperture and np.all(np.bincount(classes[known], minlength=len(labels)) > 1):
+        if self.use_aperture and np.all(
+            np.bincount(classes[known], minlength=len(labels)) >= MIN_GRASPS
+        ):
             both = fit_view(
-                np.concatenate([tactile, aperture], axis=1)[known],
+                _joined(tactile, aperture, len(labels))[known],
                 classes[known],
                 len(labels),
-                n_second=tactile.shape[1],
+                n_second=tactile.shape[1] if len(labels) > 1 else None,
             )
         return ForceRamp(
             labels=tuple(labels.tolist()),
@@ -149,9 +157,17 @@ def _grids(rest: Rest) -> list[PadGrid]:
 
 
 def _features(
-    levels: Levels, grids: Sequence[PadGrid]
+    levels: Levels, grids: Sequence[PadGrid], n_labels: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return the tactile features and those of the opening, (n, F) each."""
     groups = feature_groups(levels, grids)
-    tactile = [groups[name] for name in _TACTILE_GROUPS if name in groups]
+    wanted = _TACTILE_GROUPS if n_labels > 1 else _SINGLE_GROUPS
+    tactile = [groups[name] for name in wanted if name in groups]
     return np.concatenate(tactile, axis=1), groups["aperture"]
+
+
+def _joined(
+    tactile: NDArray[np.float64], aperture: NDArray[np.float64], n_labels: int
+) -> NDArray[np.float64]:
+    """Return the features of the view that has the opening too; of one object, it alone."""
+    return np.concatenate([tactile, aperture], axis=1) if n_labels > 1 else aperture

@@ -66,9 +66,9 @@ def test_full_shrinkage_leaves_plain_scaled_distance():
 
 
 def test_too_few_rows_are_refused():
-    with pytest.raises(ValueError, match="at least twice"):
+    with pytest.raises(ValueError, match="at least three times"):
         fit_lda(np.eye(3), np.arange(3), 3)
-    with pytest.raises(ValueError, match="at least twice"):
+    with pytest.raises(ValueError, match="at least three times"):
         fit_lda(np.eye(4), np.array([0, 0, 1, 1]), 3)
 
 

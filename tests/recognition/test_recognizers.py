@@ -132,12 +132,26 @@ def test_other_pads_are_refused(taught, factory):
         taught.posterior(other[0])
 
 
-def test_too_little_to_learn_from_is_refused(name, train):
-    trainer = make_trainer(name)
+def test_too_little_to_learn_from_is_refused(train):
+    plain = make_trainer("shrinkage_lda")
     with pytest.raises(ValueError, match="two"):
-        trainer.fit([g for g in train if g.label == "pin"])
-    with pytest.raises(ValueError, match="twice"):
-        trainer.fit(train[::8])
+        plain.fit([g for g in train if g.label == "pin"])
+    with pytest.raises(ValueError, match="three times"):
+        plain.fit(train[::8])
+    with pytest.raises(ValueError, match="at least 3"):
+        make_trainer("force_ramp").fit(train[::8])
+
+
+def test_one_object_alone_is_told_from_all_others(train, fresh):
+    recognizer = make_trainer("force_ramp").fit([g for g in train if g.label == "pin"])
+    assert recognizer.labels == ("pin",)
+    answers = {True: [], False: []}
+    for grasp in fresh:
+        posterior = recognizer.posterior(grasp)
+        assert posterior.probability.tolist() == [1.0]
+        answers[grasp.label == "pin"].append(posterior.unknown > 0.5)
+    assert np.mean(answers[True]) <= 0.25
+    assert np.mean(answers[False]) >= 0.75
 
 
 def test_two_objects_suffice(name, train, fresh):
