@@ -36,7 +36,7 @@ def run(
     config: ConfigOption = None,
     objects: ObjectsOption = None,
     teach_grasps: Annotated[
-        int, typer.Option("--teach", min=2, max=1000, help="Grasps taught of each object.")
+        int, typer.Option("--teach", min=3, max=1000, help="Grasps taught of each object.")
     ] = 20,
     trials: Annotated[
         int, typer.Option("--trials", min=1, max=1000, help="Identifications of each object.")
@@ -209,11 +209,14 @@ def _print_main(result: MainResult) -> None:
     if set(result.labels) == set(TABLE_1_LABELS):
         order = [TABLE_1_LABELS.index(label) for label in result.labels]
         rows = [[TABLE_1[row][column] for column in order] for row in order]
-        out.print(confusion_table("Paper, Table 1 (per cent)", result.labels, rows))
+        say("Paper, Table 1 (per cent)")
+        out.print(confusion_table(result.labels, rows))
     for name, score in result.scores.items():
-        title = f"{name}: {percent(score.accuracy, score.interval)} of {score.n}"
-        out.print(confusion_table(title, result.labels, score.confusion))
+        say(f"{name}: {percent(score.accuracy, score.interval)} of {score.n}")
+        out.print(confusion_table(result.labels, score.confusion))
     say(f"report:    {result.report}")
     say(f"recording: {result.recording}")
-    say(f"data set:  {result.dataset}")
+    if result.dataset is not None:
+        say(f"data set:  {result.dataset}")
+        say(f"model:     {result.model}")
     say(f"{result.seconds:.1f} s")

@@ -22,12 +22,12 @@ err = Console(stderr=True, highlight=False)
 
 def say(text: str) -> None:
     """Print one line of result; square brackets stand for themselves."""
-    out.print(escape(text))
+    out.print(escape(text), soft_wrap=True)
 
 
 def complain(text: str) -> None:
     """Print one error."""
-    err.print(f"[bold red]error:[/] {escape(text)}")
+    err.print(f"[bold red]error:[/] {escape(text)}", soft_wrap=True)
 
 
 @contextmanager
@@ -57,12 +57,10 @@ class ProgressBar:
         self._bars.update(self._tasks[task], completed=done, total=total)
 
 
-def confusion_table(
-    title: str, labels: Sequence[str], confusion: Sequence[Sequence[float]], *, unit: str = ""
-) -> Table:
+def confusion_table(labels: Sequence[str], confusion: Sequence[Sequence[float]]) -> Table:
     """Return a confusion table: rows are what was held, columns the answers."""
     columns = [*labels, UNKNOWN] if len(confusion[0]) > len(labels) else list(labels)
-    table = Table(title=title, title_justify="left", header_style="bold")
+    table = Table(header_style="bold")
     table.add_column("held")
     for column in columns:
         table.add_column(escape(column), justify="right")
@@ -70,9 +68,9 @@ def confusion_table(
         table.add_row(
             escape(label),
             *(
-                f"[bold green]{value:g}{unit}[/]"
+                f"[bold green]{value:g}[/]"
                 if place == row
-                else f"[red]{value:g}{unit}[/]"
+                else f"[red]{value:g}[/]"
                 if value
                 else "[dim]0[/]"
                 for place, value in enumerate(counts)

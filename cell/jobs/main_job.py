@@ -15,6 +15,7 @@ from cell.controller import Identification
 from cell.dataset import write_dataset
 from cell.jobs.progress import Progress
 from cell.jobs.teaching import teach, train
+from cell.model import save_model
 from cell.sequence import plan
 from recognition.evaluation import wilson_interval
 from recognition.grasp import Grasp
@@ -68,6 +69,7 @@ class MainResult:
     examples: dict[str, GraspRecord]
     recognizers: dict[str, Recognizer]
     dataset: Path | None
+    model: Path | None
     recording: Path | None
     report: Path | None = None
     extra: dict[str, Any] = field(default_factory=dict)
@@ -96,6 +98,7 @@ class MainResult:
             "report": None if self.report is None else str(self.report),
             "recording": None if self.recording is None else str(self.recording),
             "dataset": None if self.dataset is None else str(self.dataset),
+            "model": None if self.model is None else str(self.model),
             **self.extra,
         }
 
@@ -111,7 +114,7 @@ def teach_and_identify(
     progress: Progress,
     recognizer: Recognizer | None = None,
 ) -> MainResult:
-    """Teach each object, train, identify each object ``n_trials`` times; write the data set.
+    """Teach each object, train, identify each object ``n_trials`` times; write data set and model.
 
     With a ``recognizer`` nothing is taught. Plans of teaching and of identifying are drawn with
     different seeds, so no pose and force is met twice.
@@ -137,12 +140,14 @@ def teach_and_identify(
         write_dataset(dataset, taught)
         progress("train", 0, 2)
         recognizers[default] = train(taught, default, use_aperture=config.recognition.use_aperture)
+        model = folder / "model.npz"
+        save_model(model, recognizers[default], trainer_name=default, pads=cell.controller.pads)
         progress("train", 1, 2)
         if default != BASELINE:
             recognizers[BASELINE] = train(taught, BASELINE)
         progress("train", 2, 2)
     else:
-        dataset = None
+        dataset = model = None
         recognizers[default] = recognizer
     trials = []
     for number, label in enumerate(labels):
@@ -161,6 +166,7 @@ def teach_and_identify(
         examples=examples or {trial.truth: trial.found.records[0] for trial in trials},
         recognizers=recognizers,
         dataset=dataset,
+        model=model,
         recording=cell.recording_path,
     )
 

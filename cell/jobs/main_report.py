@@ -92,7 +92,11 @@ def main_report(result: MainResult, config: CellConfig, cell: Cell, path: Path) 
         ),
         files=tuple(
             FileEntry(name=name, path=str(file))
-            for name, file in (("Recording", result.recording), ("Data set", result.dataset))
+            for name, file in (
+                ("Recording", result.recording),
+                ("Data set", result.dataset),
+                ("Model", result.model),
+            )
             if file is not None
         ),
         notes=_notes(config),
