@@ -75,6 +75,8 @@ class Approach:
         Feedback at the start.
     now_s
         Monotonic time in s.
+    current_max_a
+        Largest goal current in A, from the cap of the force.
     current_a
         Goal current while closing in A. It grows by up to 60 % while the fingers stand still
         untouched: friction at rest differs from servo to servo.
@@ -88,10 +90,12 @@ class Approach:
         *,
         now_s: float,
         current_a: float,
+        current_max_a: float,
     ) -> None:
         self._settings = settings
         self._linkage = linkage
         self._current_a = current_a
+        self._current_max_a = current_max_a
         self._boost = 1.0
         self._detector = ContactDetector(settings.contact_force_n, settings.contact_samples)
         self._aperture_m = state.aperture_m
@@ -104,7 +108,7 @@ class Approach:
     @property
     def current_a(self) -> float:
         """Goal current of the servos now in A."""
-        return self._current_a * self._boost
+        return min(self._current_a * self._boost, self._current_max_a)
 
     def step(
         self, now_s: float, dt_s: float, state: GripperState, sample: ForceSample | None

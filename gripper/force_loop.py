@@ -115,8 +115,10 @@ class ForceLoop:
         target_n = setpoint_n - self._bias_n
         error_n = target_n - self._model_n
         reversal_n = max(settings.reversal_band_n, settings.reversal_band_share * setpoint_n)
-        rise_n = settings.dead_band_n if self._rising else reversal_n
-        fall_n = reversal_n if self._rising else settings.dead_band_n
+        held = setpoint_n == self._setpoint_n
+        band_n = settings.hold_band_n if held else settings.dead_band_n
+        rise_n = band_n if self._rising else reversal_n
+        fall_n = reversal_n if self._rising else band_n
         wanted_n = self._drive_n
         dither = settings.dither_share if self._dither <= 0.0 else -settings.dither_share
         self._dither = 0.0

@@ -143,10 +143,20 @@ class GraspRun:
     def _approach(self, observer: Observer | None) -> tuple[ApproachEvent, GripperState]:
         settings = self._settings
         start = self._servos.read()
-        current_a = motion_current_a(
-            settings, self._servos.transmissions(start.servos), settings.approach_force_n
+        paths = self._servos.transmissions(start.servos)
+        current_max_a = min(
+            settings.current_max_a,
+            *(path.loading_current_a(settings.force_max_n) for path in paths),
         )
-        approach = Approach(settings, self._linkage, start, now_s=start.t_s, current_a=current_a)
+        current_a = min(motion_current_a(settings, paths, settings.approach_force_n), current_max_a)
+        approach = Approach(
+            settings,
+            self._linkage,
+            start,
+            now_s=start.t_s,
+            current_a=current_a,
+            current_max_a=current_max_a,
+        )
         event = ApproachEvent.CLOSING
 
         def step(moment: Moment) -> Action:

@@ -307,7 +307,10 @@ class Gripper:
             raise ServoFault(
                 servo_id, bits, "the error lasts: remove its cause, then clear it with reboot=True"
             )
-        reboot_servos(self._bus, tuple(faulty), self._clock)
+        if faulty:
+            reboot_servos(self._bus, tuple(faulty), self._clock)
+            self._servos.forget()
+            self._life.controlled = False
         self._life.fault = None
         self._runner.forget_stop()
         if not self._servos.health.torque_on():

@@ -33,6 +33,10 @@ class ServoHealth:
         """Read whether any servo has its torque on."""
         return any(self._bus.read(i, TORQUE_ENABLE) != 0 for i in self._ids)
 
+    def torque_on_everywhere(self) -> bool:
+        """Read whether all servos have their torque on."""
+        return all(self._bus.read(i, TORQUE_ENABLE) != 0 for i in self._ids)
+
     def verify(self, *, correct: bool, refuse: bool = False) -> VerificationReport:
         """Compare all servos with what they must hold.
 

@@ -56,7 +56,7 @@ class Lifecycle:
 
     def switched_off(self) -> None:
         """Note that the torque is off: nothing is held."""
-        self._servos.goals = ()
+        self._servos.forget()
         self.part_possible = False
         self.controlled = False
         self.phase = GripperPhase.OFF

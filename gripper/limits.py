@@ -112,6 +112,8 @@ class GoalGuard:
             for goal, servo in zip(goals, state.servos, strict=True)
         )
         if not lowering and not opening:
+            for index, (goal, servo) in enumerate(zip(goals, state.servos, strict=True)):
+                self._check_current_force(index, goal, servo.angle_rad)
             self._check_temperature(state)
             self.check_force()
         self._previous_a = tuple(goal.current_a for goal in goals)
@@ -147,6 +149,10 @@ class GoalGuard:
                 f"goal angle {goal.angle_rad:.4f} rad of servo {servo.servo_id} is not from "
                 f"{low_rad:.4f} to {high_rad:.4f} rad (closed to aperture_open_m)"
             )
+
+    def _check_current_force(self, index: int, goal: ServoGoal, angle_rad: float) -> None:
+        settings = self._settings
+        servo = settings.servos[index]
         path = Transmission.at(servo.servo_model, self._linkage, angle_rad)
         least_n = path.force_band_n(goal.current_a)[0]
         if least_n > settings.force_max_n:

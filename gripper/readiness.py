@@ -37,7 +37,7 @@ def make_ready(
         # The release was asked for: only with the torque off can the mode be corrected.
         servos.switch_off()
         health.verify(correct=True, refuse=True)
-    if not health.torque_on():
+    if not health.torque_on_everywhere():
         servos.switch_on(_current_a(servos, settings))
     elif not known or health.watchdog_tripped():
         if part_possible and not releasing:

@@ -88,6 +88,7 @@ class LoopRunner:
         self._clock = clock
         self._stop = threading.Event()
         self._good_s = clock.monotonic()
+        self._due_s = self._good_s
         self._cycles = 0
 
     def request_stop(self) -> None:
@@ -150,6 +151,9 @@ class LoopRunner:
         """
         period_s = self._settings.period_s
         deadline_s = self._clock.monotonic()
+        if deadline_s < self._due_s:
+            self._clock.sleep(self._due_s - deadline_s)
+            deadline_s = self._due_s
         self._good_s = deadline_s
         last_s = deadline_s - period_s
         fresh_s = deadline_s
@@ -180,6 +184,7 @@ class LoopRunner:
                 if observer is not None:
                     observer(self._cycle(phase, moment, action))
                 if action.done:
+                    self._due_s = deadline_s + period_s
                     return state
             deadline_s = self._wait(deadline_s + period_s)
 

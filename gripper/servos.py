@@ -132,6 +132,7 @@ class ServoGroup:
 
     def switch_on(self, current_a: float) -> GripperState:
         """Set the goals to the present positions, switch the torque on, arm the watchdog."""
+        self.disarm_watchdog()
         state = self._freeze_at_present(current_a)
         for servo_id in self._ids:
             self._bus.write(servo_id, TORQUE_ENABLE, 1)
@@ -151,6 +152,11 @@ class ServoGroup:
         for servo_id in self._ids:
             self._bus.write(servo_id, TORQUE_ENABLE, 0)
         self.goals = ()
+
+    def forget(self) -> None:
+        """Take nothing for granted any more that was written or read before."""
+        self.goals = ()
+        self._ticks.forget()
 
     def arm_watchdog(self) -> None:
         """Arm the bus watchdog of each servo (register 98)."""

@@ -57,8 +57,8 @@ class ForceLoopSettings:
         Time constant in s with which the difference between sensor and model is learnt.
     sensor_delay_s
         Time in s by which the sensor's filters lag behind the stamp of a sample.
-    dead_band_n
-        Error in N that is left alone while the force keeps its direction.
+    dead_band_n, hold_band_n
+        Error in N that is left alone while the force keeps its direction: on a ramp, in a hold.
     reversal_band_n, reversal_band_share
         Error in N, or as a share of the set-point if that is more, that it takes to turn the
         direction round, through twice the friction.
@@ -82,11 +82,12 @@ class ForceLoopSettings:
     bias_time_s: float = 0.25
     sensor_delay_s: float = 0.02
     dead_band_n: float = 0.05
-    reversal_band_n: float = 0.2
+    hold_band_n: float = 0.12
+    reversal_band_n: float = 0.22
     reversal_band_share: float = 0.04
     drive_rate_n_s: float = 150.0
-    creep_n_s: float = 4.0
-    creep_share: float = 0.6
+    creep_n_s: float = 5.0
+    creep_share: float = 0.8
     dither_share: float = 0.2
     push_open_share: float = 1.3
     bias_max_n: float = 2.0
@@ -100,6 +101,7 @@ class ForceLoopSettings:
         for name in (
             "sensor_delay_s",
             "dead_band_n",
+            "hold_band_n",
             "reversal_band_n",
             "reversal_band_share",
             "creep_share",

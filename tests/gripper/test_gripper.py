@@ -1,0 +1,430 @@
+"""The gripper on simulated servos with friction, inertia and an elastic part, in virtual time."""
+
+import itertools
+
+import pytest
+
+from gripper.errors import (
+    GraspStopped,
+    GripperStateError,
+    LimitExceeded,
+    PartLost,
+    VerificationFailed,
+)
+from gripper.gripper import Cycle, Gripper, GripperPhase, GripperSettings, ServoSettings
+from gripper.kinematics import ParallelLinkage
+from gripper.ramp import ForceRamp
+from gripper.registers import BUS_WATCHDOG, CURRENT_LIMIT, SHUTDOWN, TORQUE_ENABLE, XL330_M288
+from gripper.state import GraspResult
+
+RAMP = ForceRamp.linear(8.0, rate_n_s=5.0, hold_s=0.3)
+
+
+def test_start_corrects_the_mode_and_moves_nothing(cell) -> None:
+    before_m = cell.mechanics.aperture_m
+    report = cell.gripper.start()
+    assert report.ok
+    assert not report.torque_was_on
+    assert {(r.item, r.corrected) for r in report.rows if r.servo_id == 1} >= {
+        ("operating_mode", True),
+        ("return_delay_time", False),
+        ("model_number", False),
+    }
+    assert cell.gripper.state is GripperPhase.OFF
+    assert cell.mechanics.aperture_m == before_m
+    assert cell.register(0, "torque_enable") == 0
+    assert cell.register(1, "operating_mode") == 5
+    assert not any(row.corrected for row in cell.gripper.start().rows)
+
+
+def test_start_refuses_a_servo_that_is_not_as_the_settings_say(cell) -> None:
+    cell.bus.write(2, SHUTDOWN, 0)
+    cell.bus.write(1, CURRENT_LIMIT, 100)
+    with pytest.raises(VerificationFailed, match=r"servo 2 shutdown.*found 0") as refused:
+        cell.gripper.start()
+    assert [(r.servo_id, r.item) for r in refused.value.report.failed] == [
+        (1, "current_limit"),
+        (2, "shutdown"),
+    ]
+    assert cell.register(0, "torque_enable") == 0
+
+
+def test_another_model_is_named_and_nothing_of_it_is_rewritten(make_cell) -> None:
+    cell = make_cell(model=XL330_M288, current_max_a=0.3, temperature_max_c=60.0)
+    settings = GripperSettings(
+        servos=tuple(ServoSettings(servo_id=i) for i in (1, 2)), current_max_a=0.3
+    )
+    gripper = Gripper(
+        cell.bus,
+        ParallelLinkage(link_m=0.06),
+        settings,
+        clock=cell.clock,
+        force_sensor=cell.sensor,
+    )
+    with pytest.raises(VerificationFailed, match="model_number: expected 1020, found 1200"):
+        gripper.start()
+    assert cell.register(0, "operating_mode") == 3
+
+
+@pytest.mark.parametrize("n_servos", [1, 2])
+def test_one_grasp_from_start_to_close(make_cell, n_servos: int) -> None:
+    cell = make_cell(n_servos=n_servos)
+    gripper = cell.gripper
+    gripper.start()
+    opened = gripper.open()
+    assert opened.aperture_m == pytest.approx(0.03, abs=0.0008)
+    assert gripper.state is GripperPhase.IDLE
+    assert cell.register(0, "bus_watchdog") == 10
+    cycles: list[Cycle] = []
+    outcome = gripper.grasp(RAMP, cycles.append)
+    assert outcome.result is GraspResult.FORCE_REACHED
+    assert outcome.contact_aperture_m == pytest.approx(0.012, abs=0.0006)
+    assert outcome.final_force_n == pytest.approx(8.0, abs=0.6)
+    assert cell.force_n == pytest.approx(8.0, abs=0.5)
+    assert gripper.state is GripperPhase.HOLDING
+    phases = [c.phase for c in cycles]
+    assert phases == sorted(phases, key=[GripperPhase.APPROACHING, GripperPhase.RAMPING].index)
+    setpoints = [c.setpoint_n for c in cycles if c.phase is GripperPhase.RAMPING]
+    assert setpoints == sorted(setpoints)
+    assert setpoints[-1] == 8.0
+    assert cycles[-1].level == 0
+    gripper.hold(0.5)
+    released = gripper.release()
+    assert released.aperture_m == pytest.approx(0.03, abs=0.0008)
+    assert gripper.state is GripperPhase.IDLE
+    gripper.close()
+    gripper.close()
+    assert gripper.state is GripperPhase.OFF
+    assert cell.register(0, "torque_enable") == 0
+    assert cell.register(0, "bus_watchdog") == 0
+    assert gripper.statistics.late == 0
+
+
+@pytest.mark.parametrize("stiffness_n_m", [5e3, 2e4, 5e4])
+@pytest.mark.parametrize("rate_n_s", [1.0, 3.0, 10.0])
+def test_the_ramp_ends_without_overshoot_and_settles(
+    make_cell, make_part, stiffness_n_m, rate_n_s
+) -> None:
+    cell = make_cell(
+        part=make_part(stiffness_n_m=stiffness_n_m), noise_n=0.3, approach_speed_m_s=0.01
+    )
+    cell.gripper.start()
+    true_n: list[tuple[float, float]] = []
+    cell.gripper.grasp(
+        ForceRamp.linear(8.0, rate_n_s, hold_s=1.0),
+        lambda c: true_n.append((c.setpoint_n, cell.force_n)),
+    )
+    tolerance_n = 0.4
+    held = [force_n for setpoint_n, force_n in true_n if setpoint_n == 8.0]
+    assert cell.peak_n <= 8.0 + tolerance_n
+    assert all(abs(force_n - 8.0) <= tolerance_n for force_n in held[60:])
+
+
+@pytest.mark.parametrize(
+    ("kt_error", "friction_error"), [(0.1, -0.2), (0.1, 0.2), (-0.1, -0.2), (-0.1, 0.2)]
+)
+def test_wrong_torque_figures_are_made_up_for_by_the_sensor(
+    make_cell, kt_error, friction_error
+) -> None:
+    cell = make_cell(kt_error=kt_error, friction_error=friction_error, approach_speed_m_s=0.01)
+    cell.gripper.start()
+    cell.gripper.grasp(RAMP)
+    cell.gripper.hold(0.5)
+    assert cell.force_n == pytest.approx(8.0, abs=0.45)
+    assert cell.peak_n <= 8.5
+
+
+def test_the_loop_keeps_its_rate_and_the_observer_sees_what_was_written(cell) -> None:
+    cell.gripper.start()
+    cell.gripper.open()
+    cycles: list[Cycle] = []
+    written: list[int] = []
+
+    def observe(cycle: Cycle) -> None:
+        cycles.append(cycle)
+        written.append(cell.register(0, "goal_current"))
+
+    cell.gripper.grasp(RAMP, observe)
+    steps = [b.t_s - a.t_s for a, b in itertools.pairwise(cycles)]
+    assert max(abs(step_s - 0.005) for step_s in steps) < 0.003
+    assert sum(steps) / len(steps) == pytest.approx(0.005, rel=0.01)
+    for cycle, raw in zip(cycles, written, strict=True):
+        if cycle.phase is GripperPhase.APPROACHING:
+            assert raw == round(cycle.goal_current_a / 0.00269)
+
+
+def test_holding_does_not_hunt_and_gives_back_current(cell) -> None:
+    cell.gripper.start()
+    cell.gripper.grasp(RAMP)
+    cell.peak_n, cell.least_n = 0.0, 99.0
+    goals_a: list[float] = []
+    cell.gripper.hold(5.0, lambda c: goals_a.append(c.goal_current_a))
+    assert cell.peak_n - cell.least_n < 0.6
+    assert goals_a[-1] < goals_a[0] - 0.03
+
+
+def test_back_off_lowers_the_force_without_letting_go(cell) -> None:
+    cell.gripper.start()
+    cell.gripper.grasp(RAMP)
+    with pytest.raises(LimitExceeded, match="letting go is done by release"):
+        cell.gripper.back_off(0.1)
+    with pytest.raises(LimitExceeded):
+        cell.gripper.back_off(9.0)
+    cell.least_n = 99.0
+    phases: set[GripperPhase] = set()
+    cell.gripper.back_off(4.0, lambda c: phases.add(c.phase))
+    cell.gripper.hold(1.0)
+    assert phases == {GripperPhase.BACKING_OFF}
+    assert cell.force_n == pytest.approx(4.0, abs=0.6)
+    assert cell.least_n > 3.0
+    assert cell.gripper.state is GripperPhase.HOLDING
+
+
+def test_nothing_between_the_fingers_is_a_result(make_cell, make_part) -> None:
+    cell = make_cell(part=make_part(present=False), aperture_min_m=0.004)
+    cell.gripper.start()
+    outcome = cell.gripper.grasp(RAMP)
+    assert outcome.result is GraspResult.NO_CONTACT
+    assert outcome.contact_t_s is None
+    assert 0.003 < outcome.final_aperture_m <= 0.004
+    assert cell.gripper.state is GripperPhase.IDLE
+    cell.gripper.open()
+
+
+def test_a_hard_stop_beside_the_pads_is_an_obstruction(make_cell, make_part) -> None:
+    cell = make_cell(part=make_part(stiffness_n_m=50_000.0))
+    cell.sensor.gain = 0.0
+    cell.gripper.start()
+    outcome = cell.gripper.grasp(RAMP)
+    assert outcome.result is GraspResult.OBSTRUCTED
+    assert cell.peak_n < 8.0
+
+
+def test_a_part_that_is_taken_away_is_lost_not_pursued(cell) -> None:
+    cell.gripper.start()
+    cell.gripper.grasp(RAMP)
+    closed_m = cell.mechanics.aperture_m
+
+    def take(_: Cycle) -> None:
+        cell.part.present = False
+
+    with pytest.raises(PartLost):
+        cell.gripper.hold(2.0, take)
+    assert closed_m - cell.mechanics.aperture_m < 0.02
+    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
+
+
+def test_a_part_that_slips_out_during_the_ramp_is_a_result(cell) -> None:
+    cell.gripper.start()
+
+    def take(cycle: Cycle) -> None:
+        if cycle.setpoint_n > 5.0:
+            cell.part.present = False
+
+    outcome = cell.gripper.grasp(RAMP, take)
+    assert outcome.result is GraspResult.PART_LOST
+    assert cell.gripper.state is GripperPhase.IDLE
+
+
+def test_a_ramp_beyond_a_limit_is_refused_before_anything_moves(make_cell) -> None:
+    cell = make_cell(force_max_n=20.0, grasp_force_max_n=10.0, current_max_a=0.4)
+    cell.gripper.start()
+    with pytest.raises(LimitExceeded, match=r"12.* the limit is 10"):
+        cell.gripper.grasp(ForceRamp.linear(12.0, 5.0))
+    with pytest.raises(LimitExceeded, match="current_max_a"):
+        cell.gripper.grasp(ForceRamp.linear(9.5, 5.0))
+    with pytest.raises(LimitExceeded, match="could not hold"):
+        cell.gripper.grasp(ForceRamp.linear(0.2, 5.0))
+    with pytest.raises(LimitExceeded, match="aperture_m"):
+        cell.gripper.open(0.2)
+    assert cell.register(0, "torque_enable") == 0
+
+
+def test_stop_freezes_the_goals_and_keeps_the_grip(cell) -> None:
+    cell.gripper.start()
+
+    def stop(cycle: Cycle) -> None:
+        if cycle.setpoint_n > 5.0:
+            cell.gripper.request_stop()
+
+    with pytest.raises(GraspStopped):
+        cell.gripper.grasp(RAMP, stop)
+    held_n = cell.force_n
+    assert held_n > 3.5
+    assert cell.gripper.state is GripperPhase.HOLDING
+    assert cell.gripper.fault is None
+    cell.gripper.keep_grip()
+    cell.clock.sleep(3.0)
+    assert cell.force_n == pytest.approx(held_n, abs=0.4)
+    with pytest.raises(GripperStateError, match="release the part first"):
+        cell.gripper.open()
+    cell.gripper.release()
+    assert cell.force_n == 0.0
+
+
+def test_stop_during_the_approach_leaves_release_as_the_way_on(cell) -> None:
+    cell.gripper.start()
+    with pytest.raises(GraspStopped):
+        cell.gripper.grasp(RAMP, lambda _: cell.gripper.request_stop())
+    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
+    with pytest.raises(GripperStateError):
+        cell.gripper.hold(1.0)
+    cell.gripper.release()
+    assert cell.gripper.state is GripperPhase.IDLE
+
+
+def test_an_old_request_to_stop_does_not_end_a_new_command(cell) -> None:
+    cell.gripper.start()
+    cell.gripper.request_stop()
+    cell.gripper.open()
+
+
+def test_commands_out_of_turn_are_refused(cell) -> None:
+    cell.gripper.start()
+    with pytest.raises(GripperStateError, match="hold is not possible in the state OFF"):
+        cell.gripper.hold(1.0)
+
+    def reenter(_: Cycle) -> None:
+        with pytest.raises(GripperStateError, match="another command runs"):
+            cell.gripper.release()
+        with pytest.raises(GripperStateError):
+            cell.gripper.clear_fault()
+
+    cell.gripper.open(observer=reenter)
+    cell.gripper.grasp(RAMP)
+    with pytest.raises(GripperStateError):
+        cell.gripper.grasp(RAMP)
+    with pytest.raises(LimitExceeded, match="duration_s"):
+        cell.gripper.hold(0.0)
+
+
+def test_close_with_a_part_keeps_torque_and_goals_and_disarms_the_watchdog(cell) -> None:
+    cell.gripper.start()
+    cell.gripper.grasp(RAMP)
+    goal = cell.register(0, "goal_current")
+    cell.gripper.close()
+    cell.clock.sleep(5.0)
+    assert cell.force_n == pytest.approx(8.0, abs=0.6)
+    assert cell.register(0, "torque_enable") == 1
+    assert cell.register(0, "goal_current") == goal
+    assert cell.register(0, "bus_watchdog") == 0
+
+
+def test_a_part_found_held_at_the_start_is_reported_and_released_on_purpose_only(cell) -> None:
+    cell.gripper.start()
+    cell.gripper.grasp(RAMP)
+    cell.gripper.close()
+    later = cell.new_gripper()
+    report = later.start()
+    assert report.ok
+    assert report.torque_was_on
+    assert later.state is GripperPhase.HELD_AFTER_FAULT
+    assert cell.force_n == pytest.approx(8.0, abs=0.6)
+    with pytest.raises(GripperStateError):
+        later.open()
+    with pytest.raises(GripperStateError):
+        later.grasp(RAMP)
+    later.tick()
+    later.release()
+    assert later.state is GripperPhase.IDLE
+    assert cell.force_n == 0.0
+    assert later.start().torque_was_on
+    assert later.state is GripperPhase.IDLE
+
+
+def test_torque_found_on_in_another_mode_changes_nothing_before_the_release(cell) -> None:
+    for servo_id in (1, 2):
+        cell.bus.write(servo_id, TORQUE_ENABLE, 1)
+    report = cell.gripper.start()
+    assert [row.item for row in report.failed] == ["operating_mode"] * 2
+    assert cell.register(0, "operating_mode") == 3
+    assert cell.register(0, "torque_enable") == 1
+    cell.gripper.release()
+    assert cell.register(0, "operating_mode") == 5
+    assert cell.gripper.state is GripperPhase.IDLE
+
+
+def test_ticks_feed_the_watchdog_between_commands(cell) -> None:
+    cell.gripper.start()
+    cell.gripper.tick()
+    cell.gripper.grasp(RAMP)
+    for _ in range(20):
+        cell.clock.sleep(0.1)
+        cell.gripper.tick()
+    assert cell.register(0, "bus_watchdog") == 10
+    assert cell.force_n == pytest.approx(8.0, abs=0.5)
+    assert cell.gripper.read_state().aperture_m == pytest.approx(
+        cell.mechanics.aperture_m, abs=5e-4
+    )
+
+
+def test_without_ticks_and_without_a_part_the_next_command_restarts_the_watchdog(cell) -> None:
+    cell.gripper.start()
+    cell.gripper.open()
+    cell.clock.sleep(1.0)
+    assert cell.register(0, "bus_watchdog") == -1
+    cell.gripper.tick()
+    outcome = cell.gripper.grasp(RAMP)
+    assert outcome.result is GraspResult.FORCE_REACHED
+
+
+def test_a_disarmed_watchdog_is_armed_by_the_next_command(cell) -> None:
+    cell.gripper.start()
+    cell.gripper.grasp(RAMP)
+    cell.gripper.keep_grip()
+    assert cell.register(0, "bus_watchdog") == 0
+    cell.gripper.hold(0.1)
+    assert cell.register(0, "bus_watchdog") == 10
+    cell.bus.write(1, BUS_WATCHDOG, 0)
+
+
+def test_settings_and_linkage_must_agree(cell) -> None:
+    with pytest.raises(LimitExceeded, match="driven by 1"):
+        Gripper(
+            cell.bus,
+            ParallelLinkage(link_m=0.06, n_servos=1),
+            cell.settings,
+            clock=cell.clock,
+            force_sensor=cell.sensor,
+        )
+
+
+def test_zero_position_near_the_end_of_a_turn_does_not_matter(make_cell) -> None:
+    cell = make_cell(zero_raw=10)
+    cell.gripper.start()
+    cell.gripper.open()
+    assert cell.gripper.grasp(RAMP).result is GraspResult.FORCE_REACHED
+    assert cell.gripper.release().aperture_m == pytest.approx(0.03, abs=0.0008)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("force_max_n", 51.0),
+        ("force_max_n", float("nan")),
+        ("grasp_force_max_n", 50.5),
+        ("loop_rate_hz", 5.0),
+        ("aperture_min_m", 0.05),
+        ("watchdog_s", 3.0),
+        ("watchdog_s", 0.001),
+        ("current_max_a", 0.0),
+        ("settle_tolerance_n", -0.1),
+        ("contact_samples", 0),
+    ],
+)
+def test_settings_out_of_range_cannot_exist(name: str, value: float) -> None:
+    with pytest.raises(LimitExceeded, match=name[:5]):
+        GripperSettings(servos=(ServoSettings(servo_id=1),), **{name: value})
+
+
+def test_servo_settings_out_of_range_cannot_exist() -> None:
+    with pytest.raises(LimitExceeded, match="no Goal Current"):
+        ServoSettings(servo_id=1, model="XL430-W250")
+    with pytest.raises(LimitExceeded, match="direction"):
+        ServoSettings(servo_id=1, direction=0)
+    with pytest.raises(LimitExceeded, match="servo_id"):
+        ServoSettings(servo_id=253)
+    with pytest.raises(LimitExceeded, match="zero_raw"):
+        ServoSettings(servo_id=1, zero_raw=4096)
+    with pytest.raises(LimitExceeded, match=r"\[1, 1\]"):
+        GripperSettings(servos=(ServoSettings(servo_id=1), ServoSettings(servo_id=1)))

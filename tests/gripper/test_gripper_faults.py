@@ -1,0 +1,372 @@
+"""Faults: the grip is kept, the fault latched, nothing is pushed on with."""
+
+import itertools
+
+import pytest
+
+from gripper.errors import (
+    BusTimeout,
+    ForceSensorStale,
+    GripperError,
+    GripperStateError,
+    LimitExceeded,
+    PortLost,
+    ServoFault,
+)
+from gripper.freshness import TickWatch
+from gripper.gripper import Cycle, GripperPhase
+from gripper.limits import GoalGuard, ServoGoal
+from gripper.ramp import ForceRamp
+from gripper.registers import GOAL_CURRENT, TORQUE_ENABLE
+from gripper.state import GraspResult
+
+RAMP = ForceRamp.linear(8.0, rate_n_s=5.0, hold_s=0.3)
+
+
+def grasped(cell) -> None:
+    cell.gripper.start()
+    assert cell.gripper.grasp(RAMP).result is GraspResult.FORCE_REACHED
+
+
+def at(cell, setpoint_n: float, act) -> object:
+    """Return an observer that acts once when the set-point is reached."""
+    done: list[bool] = []
+
+    def observe(cycle: Cycle) -> None:
+        if cycle.setpoint_n >= setpoint_n and not done:
+            done.append(True)
+            act()
+
+    return observe
+
+
+def assert_grip_is_kept(cell, least_n: float) -> None:
+    """The fault is latched, goals stand, and nothing lets go in the time that follows."""
+    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
+    assert cell.gripper.fault is not None
+    cell.clock.sleep(3.0)
+    assert cell.force_n > least_n
+    assert cell.force_n < 9.0
+    for command in (cell.gripper.release, cell.gripper.open, cell.gripper.start):
+        with pytest.raises(GripperStateError, match="clear_fault"):
+            command()
+    cell.gripper.keep_grip()
+    cell.gripper.keep_grip()
+
+
+def test_a_stale_sensor_freezes_within_its_limit(cell) -> None:
+    cell.gripper.start()
+    times: list[float] = []
+    with pytest.raises(ForceSensorStale, match="force_stale_s"):
+        cell.gripper.grasp(
+            RAMP, at(cell, 5.0, lambda: (times.append(cell.clock.monotonic()), die(cell)))
+        )
+    assert cell.clock.monotonic() - times[0] < 0.12
+    assert_grip_is_kept(cell, 3.5)
+    cell.gripper.clear_fault()
+    cell.gripper.clear_fault()
+    assert cell.gripper.state is GripperPhase.HOLDING
+    cell.gripper.release()
+    assert cell.force_n == 0.0
+
+
+def die(cell) -> None:
+    cell.sensor.dead = True
+
+
+def test_samples_marked_invalid_are_stale(cell) -> None:
+    cell.gripper.start()
+
+    def spoil() -> None:
+        cell.sensor.valid = False
+
+    with pytest.raises(ForceSensorStale):
+        cell.gripper.grasp(RAMP, at(cell, 5.0, spoil))
+    assert_grip_is_kept(cell, 3.5)
+
+
+def test_no_sensor_no_approach(cell) -> None:
+    cell.sensor.dead = True
+    cell.gripper.start()
+    before_m = cell.mechanics.aperture_m
+    with pytest.raises(ForceSensorStale):
+        cell.gripper.grasp(RAMP)
+    assert before_m - cell.mechanics.aperture_m < 0.003
+
+
+def test_one_lost_answer_now_and_then_never_ends_a_grasp(cell) -> None:
+    cell.device.faults.drop.every = 9
+    cell.gripper.start()
+    assert cell.gripper.grasp(RAMP).result is GraspResult.FORCE_REACHED
+    assert cell.bus.statistics.timeouts > 20
+    assert cell.force_n == pytest.approx(8.0, abs=0.6)
+    assert cell.peak_n < 8.6
+
+
+def test_damaged_answers_never_become_values(cell) -> None:
+    cell.device.faults.bit_flip.every = 13
+    cell.device.faults.garbage.every = 17
+    cell.gripper.start()
+    apertures: list[float] = []
+    outcome = cell.gripper.grasp(RAMP, lambda c: apertures.append(c.state.aperture_m))
+    assert outcome.result is GraspResult.FORCE_REACHED
+    assert cell.bus.statistics.corrupt > 2
+    steps = [abs(b - a) for a, b in itertools.pairwise(apertures)]
+    assert max(steps) < 0.0008
+
+
+def test_answers_that_are_tens_of_milliseconds_late_never_pass_for_new_ones(cell) -> None:
+    cell.device.faults.delay_s = 0.03
+    cell.device.faults.delay.every = 97
+    cell.gripper.start()
+    errors: list[float] = []
+    outcome = cell.gripper.grasp(
+        RAMP, lambda c: errors.append(abs(c.state.aperture_m - cell.mechanics.aperture_m))
+    )
+    assert outcome.result is GraspResult.FORCE_REACHED
+    assert max(errors) < 0.0006
+    assert cell.bus.statistics.late > 0
+
+
+def test_a_dead_bus_is_given_up_in_bounded_time_and_the_grip_stays(cell) -> None:
+    cell.gripper.start()
+    times: list[float] = []
+
+    def silence() -> None:
+        times.append(cell.clock.monotonic())
+        cell.device.faults.silent.update({1, 2})
+
+    with pytest.raises(BusTimeout, match="no answer"):
+        cell.gripper.grasp(RAMP, at(cell, 5.0, silence))
+    assert cell.clock.monotonic() - times[0] < 0.35
+    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
+    cell.clock.sleep(2.0)
+    assert cell.force_n > 3.0
+    with pytest.raises(BusTimeout):
+        cell.gripper.keep_grip()
+    with pytest.raises(BusTimeout):
+        cell.gripper.clear_fault()
+    cell.gripper.close()
+    assert cell.force_n > 3.0
+
+
+def test_one_silent_finger_stops_the_other(cell) -> None:
+    cell.gripper.start()
+    cell.gripper.open()
+    goals: list[int] = []
+
+    def silence(cycle: Cycle) -> None:
+        if cycle.state.aperture_m < 0.02:
+            cell.device.faults.silent.add(2)
+        goals.append(len(goals))
+
+    with pytest.raises(BusTimeout, match="servo 2"):
+        cell.gripper.grasp(RAMP, silence)
+    first_m = cell.mechanics.finger_position_m[0]
+    cell.clock.sleep(2.0)
+    assert first_m - cell.mechanics.finger_position_m[0] < 0.004
+
+
+def test_an_unplugged_adapter_is_reported_and_the_grip_stays(cell) -> None:
+    cell.gripper.start()
+
+    def unplug() -> None:
+        cell.device.faults.unplugged = True
+
+    with pytest.raises(PortLost):
+        cell.gripper.grasp(RAMP, at(cell, 5.0, unplug))
+    cell.clock.sleep(2.0)
+    assert cell.force_n > 3.0
+    cell.gripper.close()
+
+
+def test_an_exception_of_the_observer_keeps_the_grip_and_passes_on(cell) -> None:
+    cell.gripper.start()
+
+    class DiskFull(Exception):
+        pass
+
+    def fail() -> None:
+        raise DiskFull
+
+    with pytest.raises(DiskFull):
+        cell.gripper.grasp(RAMP, at(cell, 5.0, fail))
+    assert_grip_is_kept(cell, 3.5)
+
+
+def test_an_interrupt_keeps_the_grip(cell) -> None:
+    cell.gripper.start()
+
+    def interrupt() -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        cell.gripper.grasp(RAMP, at(cell, 5.0, interrupt))
+    assert_grip_is_kept(cell, 3.5)
+    assert cell.register(0, "bus_watchdog") == 0
+
+
+def test_force_above_the_cap_lowers_the_current_and_keeps_the_part(make_cell) -> None:
+    cell = make_cell(force_max_n=9.0)
+    cell.gripper.start()
+
+    def misread() -> None:
+        cell.sensor.gain = 2.0
+
+    seen: list[int] = []
+    with pytest.raises(LimitExceeded, match="force_max_n is 9"):
+        cell.gripper.grasp(
+            ForceRamp.linear(8.0, 2.0),
+            at(cell, 5.5, lambda: (misread(), seen.append(cell.register(0, "goal_current")))),
+        )
+    assert cell.register(0, "goal_current") <= 0.6 * seen[0]
+    assert_grip_is_kept(cell, 1.0)
+    cell.gripper.clear_fault()
+    cell.gripper.release()
+
+
+def test_a_hot_servo_stops_the_ramp_and_can_still_be_released(cell) -> None:
+    cell.gripper.start()
+    with pytest.raises(LimitExceeded, match="temperature_max_c"):
+        cell.gripper.grasp(RAMP, at(cell, 5.0, lambda: cell.knobs[0].overheat(75.0)))
+    assert_grip_is_kept(cell, 3.5)
+    cell.gripper.clear_fault()
+    cell.gripper.release()
+    assert cell.force_n == 0.0
+
+
+def test_an_overloaded_servo_is_named_and_comes_back_by_reboot_only(cell) -> None:
+    grasped(cell)
+    with pytest.raises(ServoFault, match=r"overload.*") as fault:
+        cell.gripper.hold(1.0, at(cell, 1.0, cell.knobs[1].overload))
+    assert fault.value.bits & 32
+    assert fault.value.servo_id == 2
+    assert "possibly been dropped" in str(fault.value)
+    with pytest.raises(ServoFault, match="reboot=True"):
+        cell.gripper.clear_fault()
+    cell.gripper.clear_fault(reboot=True)
+    # The other finger still has its torque: it may press on the part.
+    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
+    assert cell.gripper.fault is None
+    assert cell.register(0, "torque_enable") == 1
+    assert cell.register(1, "torque_enable") == 0
+    cell.gripper.release()
+    assert cell.gripper.state is GripperPhase.IDLE
+
+
+def test_a_servo_that_reboots_by_itself_gets_no_torque_back(cell) -> None:
+    grasped(cell)
+    with pytest.raises(GripperError):
+        cell.gripper.hold(2.0, at(cell, 1.0, lambda: cell.knobs[0].reboot(cell.clock.monotonic())))
+    cell.clock.sleep(1.0)
+    assert cell.register(0, "torque_enable") == 0
+    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
+
+
+def test_torque_that_vanishes_is_noticed(cell) -> None:
+    grasped(cell)
+    with pytest.raises(ServoFault, match="torque is off although nobody"):
+        cell.gripper.hold(1.0, at(cell, 1.0, lambda: cell.bus.write(1, TORQUE_ENABLE, 0)))
+
+
+def test_a_watchdog_that_trips_while_a_part_is_held_is_a_fault(cell) -> None:
+    grasped(cell)
+    cell.clock.sleep(1.0)
+    assert cell.register(0, "bus_watchdog") == -1
+    with pytest.raises(ServoFault, match="nobody called tick"):
+        cell.gripper.hold(1.0)
+    assert_grip_is_kept(cell, 3.0)
+    cell.gripper.clear_fault()
+    cell.gripper.release()
+    assert cell.force_n == 0.0
+
+
+def test_a_tick_finds_a_tripped_watchdog_too(cell) -> None:
+    grasped(cell)
+    cell.clock.sleep(1.0)
+
+    def tick_for_a_while() -> None:
+        for _ in range(4):
+            cell.gripper.tick()
+
+    with pytest.raises(ServoFault, match="watchdog"):
+        tick_for_a_while()
+    cell.gripper.tick()
+    assert cell.force_n > 3.0
+
+
+def test_a_loop_that_stalls_is_stopped(make_cell) -> None:
+    cell = make_cell(stall_max_s=0.1)
+    cell.gripper.start()
+    with pytest.raises(LimitExceeded, match="late"):
+        cell.gripper.grasp(RAMP, at(cell, 5.0, lambda: cell.clock.sleep(0.16)))
+    assert_grip_is_kept(cell, 3.5)
+
+
+def test_a_late_period_is_not_caught_up(cell) -> None:
+    cell.gripper.start()
+    setpoints: list[tuple[float, float]] = []
+
+    def observe(cycle: Cycle) -> None:
+        setpoints.append((cycle.t_s, cycle.setpoint_n))
+        if len(setpoints) % 50 == 0:
+            cell.clock.sleep(0.03)
+
+    cell.gripper.grasp(RAMP, observe)
+    ramped = [(t, n) for t, n in setpoints if n > 0.0]
+    jumps = [b - a for (_, a), (_, b) in itertools.pairwise(ramped)]
+    assert max(jumps) <= 5.0 * 0.01 + 1e-9
+    gaps = [b - a for (a, _), (b, _) in itertools.pairwise(setpoints)]
+    assert min(gaps) > 0.003
+    assert cell.gripper.statistics.late >= 3
+    assert cell.gripper.statistics.worst_lateness_s == pytest.approx(0.026, abs=0.003)
+
+
+def test_a_stuck_finger_is_reported(cell, monkeypatch) -> None:
+    cell.gripper.start()
+    monkeypatch.setattr(type(cell.mechanics), "step", lambda *_, **__: None)
+    with pytest.raises(ServoFault, match="stuck"):
+        cell.gripper.open()
+
+
+def test_the_guard_stands_beside_the_write(cell) -> None:
+    cell.gripper.start()
+    state = cell.gripper.open()
+    guard = GoalGuard(cell.settings, cell.linkage)
+    angles = [servo.angle_rad for servo in state.servos]
+    good = [ServoGoal(angle_rad=angle - 0.01, current_a=0.2) for angle in angles]
+    guard.check(good, state, state.t_s)
+    with pytest.raises(LimitExceeded, match=r"goal current 0\.900"):
+        guard.check([good[0], ServoGoal(angle_rad=angles[1], current_a=0.9)], state, state.t_s)
+    with pytest.raises(LimitExceeded, match="goal angle"):
+        guard.check([good[0], ServoGoal(angle_rad=1.4, current_a=0.2)], state, state.t_s)
+    with pytest.raises(LimitExceeded, match=r"feedback is 0\.500 s old"):
+        guard.check(good, state, state.t_s + 0.5)
+    with pytest.raises(LimitExceeded, match="from 0 to"):
+        guard.check([good[0], ServoGoal(angle_rad=angles[1], current_a=-0.1)], state, state.t_s)
+    assert cell.bus.read(1, GOAL_CURRENT) >= 0
+
+
+def test_a_current_that_makes_more_than_the_cap_is_refused(make_cell) -> None:
+    cell = make_cell(force_max_n=6.0, current_max_a=0.8)
+    cell.gripper.start()
+    state = cell.gripper.open()
+    goals = [ServoGoal(angle_rad=s.angle_rad - 0.05, current_a=0.5) for s in state.servos]
+    with pytest.raises(LimitExceeded, match="force_max_n is 6"):
+        GoalGuard(cell.settings, cell.linkage).check(goals, state, state.t_s)
+
+
+def test_the_servos_own_clock_shows_old_answers_and_restarts() -> None:
+    watch = TickWatch()
+    assert watch.check(1, 32760, 0.0, 0.001) is None
+    assert watch.check(1, 2, 0.010, 0.011) is None
+    old = watch.check(1, 3, 0.040, 0.041)
+    assert old is not None
+    assert "old answer" in str(old)
+    assert watch.check(1, 33, 0.041, 0.042) is None
+    assert watch.check(1, 20000, 0.046, 0.047) is not None
+    assert watch.check(1, 20005, 0.051, 0.052) is None
+    assert watch.check(1, 1, 30.0, 30.001) is None
+    assert watch.check(1, 31000, 30.01, 30.011) is not None
+    watch.forget()
+    assert watch.check(1, 7, 30.02, 30.021) is None
