@@ -22,14 +22,14 @@ DENSE_LABELS = 12
 def label_order(data: ReportData) -> tuple[str, ...]:
     """Return all taught labels, each once: their place gives their colour on the whole page."""
     order: dict[str, None] = {}
+    for table in data.confusions:
+        order.update(dict.fromkeys(table.labels))
     if data.trajectories is not None:
         order.update(dict.fromkeys(item.label for item in data.trajectories.objects))
     order.update(dict.fromkeys(example.label for example in data.examples))
     for sequence in data.sequences:
         for step in sequence.steps:
             order.update(dict.fromkeys(step.fused.labels))
-    for table in data.confusions:
-        order.update(dict.fromkeys(table.labels))
     return tuple(order)
 
 

@@ -129,6 +129,8 @@ def teach_and_identify(
     taught: list[Grasp] = []
     examples: dict[str, GraspRecord] = {}
     recognizers: dict[str, Recognizer] = {}
+    dataset: Path | None = None
+    model: Path | None = None
     if recognizer is None:
         for number, label in enumerate(labels):
             records = teach(
@@ -147,7 +149,6 @@ def teach_and_identify(
             recognizers[BASELINE] = train(taught, BASELINE)
         progress("train", 2, 2)
     else:
-        dataset = model = None
         recognizers[default] = recognizer
     trials = []
     for number, label in enumerate(labels):
