@@ -1,0 +1,100 @@
+"""Each benchmark runs to its end and prints its ratios: a figure that is quoted can be measured.
+
+How fast anything is, is not tested here. Each benchmark itself ends with an error where its
+alternatives do not give the same.
+"""
+
+import importlib
+import pkgutil
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from threadpoolctl import threadpool_limits
+
+import benchmarks
+from benchmarks import __main__ as command
+from benchmarks import _servo_clients, frames, identify, servo_bus, sweep
+from benchmarks._measure import in_turns, ratio, same
+
+EFFORT = 0.01
+NAMES = sorted(m.name for m in pkgutil.iter_modules(benchmarks.__path__) if m.name[0] != "_")
+
+
+@pytest.fixture(autouse=True)
+def one_blas_thread() -> Iterator[None]:
+    """Do as the command does: here numpy was loaded before it could say so."""
+    with threadpool_limits(1):
+        yield
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_it_prints_its_ratios(
+    name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("TACTILE_CELL_DATA", raising=False)
+    monkeypatch.chdir(Path(benchmarks.__file__).resolve().parent.parent)
+    importlib.import_module(f"benchmarks.{name}").main(EFFORT)
+    printed = capsys.readouterr().out
+    assert printed.startswith(("compared", "408 simulated taxels"))
+    assert "  ratio" in printed
+    assert "nan" not in printed
+
+
+def test_the_command_names_what_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert {"frames", "identify", "servo_bus", "sweep"} <= set(NAMES)
+    monkeypatch.setattr(sys, "argv", ["benchmarks", "nothing"])
+    with pytest.raises(SystemExit, match="frames, identify, servo_bus, sweep"):
+        command.main()
+
+
+def test_alternatives_take_turns_and_begin_in_turn() -> None:
+    order: list[str] = []
+    found = in_turns({name: lambda n=name: order.append(n) or n for name in "abc"}, 2)
+    assert "".join(order) == "abcbca"
+    assert found == {"a": ["a", "a"], "b": ["b", "b"], "c": ["c", "c"]}
+    assert ratio([1.0, 9.0, 4.0], [1.0, 3.0, 2.0]) == 2.0
+
+
+def test_frames_that_differ_end_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    def shifted(self: frames.Sliced, payloads: list[list[bytes]]) -> list[object]:
+        return [frame + 1 for frame in frames.Assembled().decode(payloads)]
+
+    monkeypatch.setattr(frames.Sliced, "decode", shifted)
+    with pytest.raises(SystemExit, match="numpy slices gives other counts"):
+        frames.main(EFFORT)
+
+
+def test_matrices_that_differ_end_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    right = sweep.plain_matrix
+    monkeypatch.setattr(sweep, "plain_matrix", lambda a, b, c: right(1.001 * a, b, c))
+    with pytest.raises(SystemExit, match="the values differ"):
+        sweep.main(EFFORT)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "expected"), [("status", "different values"), ("goals", "did not set the goals")]
+)
+def test_servo_values_that_differ_end_it(
+    wrong: str, expected: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lies = {"status": lambda self: ({}, 0), "goals": lambda self: (0, 0)}
+    monkeypatch.setattr(_servo_clients.Sdk, wrong, lies[wrong])
+    hosts = {"ServoBus": _servo_clients.Ours, "dynamixel_sdk": _servo_clients.Sdk}
+    with _servo_clients.servos() as line_of:
+        line_of.set(paced=False)
+        with pytest.raises(SystemExit, match=expected):
+            servo_bus.compare(line_of, hosts, 1, 2)
+
+
+def test_a_recogniser_that_changes_its_mind_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = iter(range(10_000))
+    monkeypatch.setattr(identify, "label_of", lambda recognizer, one: f"{next(calls)}")
+    train, test = identify.made(2, 3, 1)
+    with pytest.raises(SystemExit, match="names the same grasps differently"):
+        identify.compare("made", train, test, 2)
+
+
+def test_equal_results_go_on() -> None:
+    same(True, "nothing")
