@@ -86,12 +86,12 @@ class GripperConfig(_Section):
     """How servo angle becomes opening."""
     loop_rate_hz: float = Field(default=200.0, ge=20.0, le=500.0)
     """Rate of the force loop in Hz, 20 to 500."""
-    aperture_open_mm: float = Field(default=24.0, gt=0.0, le=400.0)
+    aperture_open_mm: float = Field(default=18.0, gt=0.0, le=400.0)
     """Opening between the pads before a grasp in mm, up to 400; a little more than the object."""
     aperture_min_mm: float = Field(default=0.5, ge=0.0, le=400.0)
     """Smallest opening that the fingers are closed to in mm; below it there is no object."""
-    approach_speed_mm_s: float = Field(default=20.0, gt=0.0, le=200.0)
-    """Closing speed until contact in mm/s of opening, up to 200."""
+    approach_speed_mm_s: float = Field(default=12.0, gt=0.0, le=200.0)
+    """Closing speed until contact in mm/s of opening, up to 200; the impact grows with it."""
     contact_force_n: float = Field(default=0.6, gt=0.0, le=5.0)
     """Force on both pads that counts as contact in N, up to 5; well above the sensor's noise."""
     contact_timeout_s: float = Field(default=5.0, gt=0.0, le=60.0)

@@ -140,6 +140,10 @@ class Gripper:
             self._life.controlled = False
         return self._servos.health.verify(correct=False, refuse=not held_before)
 
+    def inspect(self) -> VerificationReport:
+        """Compare the servos with the settings; reads only, changes nothing."""
+        return self._servos.health.verify(correct=False)
+
     def read_state(self) -> GripperState:
         """Read the feedback of all servos in one transaction."""
         return self._servos.read()

@@ -26,6 +26,10 @@ from gripper.registers import (
 
 DRIVE_MODE_MASK = 0b1101
 STARTUP_MASK = 0b11
+CORRECTED_ITEMS = frozenset(
+    register.name for register in (RETURN_DELAY_TIME, OPERATING_MODE, STATUS_RETURN_LEVEL)
+)
+"""Registers that a start makes to agree by itself while the torque is off."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,14 +117,14 @@ class Requirement:
         return self.low <= raw & self.mask <= self.high
 
 
-def _exactly(item: str, raw: int, *, mask: int = -1, correct: bool = False) -> Requirement:
+def _exactly(item: str, raw: int, *, mask: int = -1) -> Requirement:
     return Requirement(
         item=item,
         expected=str(raw),
         low=raw,
         high=raw,
         mask=mask,
-        write_raw=raw if correct else None,
+        write_raw=raw if item in CORRECTED_ITEMS else None,
     )
 
 
@@ -166,9 +170,9 @@ def requirements(
             low=needed_raw,
             high=model.current_limit_raw,
         ),
-        _exactly(RETURN_DELAY_TIME.name, 0, correct=True),
-        _exactly(OPERATING_MODE.name, int(OperatingMode.CURRENT_BASED_POSITION), correct=True),
-        _exactly(STATUS_RETURN_LEVEL.name, 2, correct=True),
+        _exactly(RETURN_DELAY_TIME.name, 0),
+        _exactly(OPERATING_MODE.name, int(OperatingMode.CURRENT_BASED_POSITION)),
+        _exactly(STATUS_RETURN_LEVEL.name, 2),
     )
 
 

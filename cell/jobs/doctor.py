@@ -13,6 +13,7 @@ from cell.config import CellConfig
 from cell.errors import CellError
 from gripper.errors import GripperError, VerificationFailed
 from gripper.port import serial_candidates
+from gripper.verification import CORRECTED_ITEMS, VerificationRow
 from tactile.errors import TactileError
 
 
@@ -143,25 +144,41 @@ def _guarded(what: str, check: Callable[[], list[Finding]]) -> Iterator[Finding]
 
 
 def _servos(cell: Cell) -> list[Finding]:
-    report = cell.controller.gripper.inspect()
     return [
         Finding(
             what=f"servo {row.servo_id} {row.item}",
-            verdict=Verdict.PASS if row.ok else Verdict.FAIL,
+            verdict=_verdict(row),
             found=f"{row.found} (expected {row.expected})",
-            advice="" if row.ok else "correct it with the servo maker's wizard or the config",
+            advice="" if row.ok else _advice(row),
         )
-        for row in report.rows
+        for row in cell.controller.gripper.inspect().rows
     ]
+
+
+def _verdict(row: VerificationRow) -> Verdict:
+    if row.ok:
+        return Verdict.PASS
+    return Verdict.WARN if row.item in CORRECTED_ITEMS else Verdict.FAIL
+
+
+def _advice(row: VerificationRow) -> str:
+    if row.item in CORRECTED_ITEMS:
+        return "the cell sets it at its start"
+    return "correct it with the servo maker's wizard, or correct the config"
 
 
 def _control_unit(cell: Cell) -> list[Finding]:
     identity = cell.controller.sensor.start()
     readings = [cell.controller.sensor.read(timeout_s=1.0) for _ in range(10)]
+    n_saturated = int(readings[-1].saturated.sum())
     statistics = cell.link.statistics.frames
     lost = statistics.lost + statistics.torn + statistics.corrupt
     return [
-        Finding(what="control unit", verdict=Verdict.PASS, found=str(identity)),
+        Finding(
+            what="control unit",
+            verdict=Verdict.PASS,
+            found=f"{identity.name}, serial number {identity.serial}, revision {identity.revision:#x}",
+        ),
         Finding(
             what="tactile frames",
             verdict=Verdict.PASS if lost == 0 else Verdict.WARN,
@@ -170,8 +187,8 @@ def _control_unit(cell: Cell) -> list[Finding]:
         ),
         Finding(
             what="taxels at rest",
-            verdict=Verdict.PASS if readings[-1].ok else Verdict.WARN,
-            found=f"{int(readings[-1].saturated.sum())} saturated",
-            advice="" if readings[-1].ok else "is something touching the pads?",
+            verdict=Verdict.WARN if n_saturated else Verdict.PASS,
+            found=f"{n_saturated} of {len(readings[-1].saturated)} saturated",
+            advice="is something touching the pads?" if n_saturated else "",
         ),
     ]

@@ -37,6 +37,16 @@ def test_start_corrects_the_mode_and_moves_nothing(cell) -> None:
     assert not any(row.corrected for row in cell.gripper.start().rows)
 
 
+def test_inspecting_reports_what_start_would_correct_and_writes_nothing(cell) -> None:
+    report = cell.gripper.inspect()
+    assert [(row.servo_id, row.item) for row in report.failed] == [
+        (1, "operating_mode"),
+        (2, "operating_mode"),
+    ]
+    assert cell.register(1, "operating_mode") == 3
+    assert cell.gripper.state is GripperPhase.OFF
+
+
 def test_start_refuses_a_servo_that_is_not_as_the_settings_say(cell) -> None:
     cell.bus.write(2, SHUTDOWN, 0)
     cell.bus.write(1, CURRENT_LIMIT, 100)
