@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import can
-
 from cell.collect import SensorTap, pad_array
 from cell.config import CellConfig, PaperCalibrationConfig, ParallelLinkageConfig, TactileConfig
 from cell.controller import CellController
@@ -35,6 +33,7 @@ from gripper.port import ByteStream, SerialStream
 from gripper.settings import GripperSettings, ServoSettings
 from simulator.assembly import SimulatedCell
 from tactile.calibration import Calibration, FoamCalibration, LinearCalibration
+from tactile.can_bus import CanBus
 from tactile.layout import TaxelLayout
 from tactile.link import (
     ExpectedIdentity,
@@ -184,7 +183,7 @@ def build_cell(
 
 def make_link(
     config: TactileConfig,
-    bus: can.BusABC,
+    bus: CanBus,
     layout: TaxelLayout,
     clock: Clock,
     *,
@@ -255,7 +254,7 @@ def _calibration(config: TactileConfig, layout: TaxelLayout) -> Calibration:
     return LinearCalibration(adc_max=layout.adc_max, force_per_count_n=law.force_per_count_n)
 
 
-def _can_bus(config: TactileConfig, simulated: SimulatedCell | None, undo: ExitStack) -> can.BusABC:
+def _can_bus(config: TactileConfig, simulated: SimulatedCell | None, undo: ExitStack) -> CanBus:
     if simulated is not None:
         return simulated.can_bus
     bus = open_bus(config.interface, config.channel, bitrate=config.bitrate)

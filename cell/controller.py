@@ -25,6 +25,13 @@ from recognition.recognizer import Posterior, Recognizer
 from tactile.sensor import TactileSensor
 
 _T = TypeVar("_T")
+_HOLDING = (
+    GripperPhase.APPROACHING,
+    GripperPhase.RAMPING,
+    GripperPhase.HOLDING,
+    GripperPhase.BACKING_OFF,
+    GripperPhase.HELD_AFTER_FAULT,
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,8 +67,8 @@ class CellController:
 
     `cancel` may be called from any thread; everything else belongs to the thread that runs the
     sequences. A fault keeps the grip, latches, and needs `clear` and `reset`, two acts of a person
-    or host. The part is let go by `release`, and at the end of each grasp of a sequence, whose
-    purpose that is; never by a fault, by `cancel` or by `shutdown`.
+    or host. The part is let go by `release` and `release_held`, and at the end of each grasp of a
+    sequence, whose purpose that is; never by a fault, by `cancel` or by `shutdown`.
     """
 
     def __init__(
@@ -104,6 +111,11 @@ class CellController:
         return self._fault
 
     @property
+    def holding(self) -> bool:
+        """Whether a part may be in the grip."""
+        return self._gripper.state in _HOLDING
+
+    @property
     def gripper(self) -> Gripper:
         """The gripper, for statistics; commands go through the controller."""
         return self._gripper
@@ -120,6 +132,8 @@ class CellController:
         ------
         CellStateError
             If the cell is not stopped, or a part is in the grip: release it on purpose first.
+        CellStopped
+            If it was cancelled. The cell is stopped again.
         gripper.errors.GripperError, tactile.errors.TactileError
             If a device is missing, is not what the config says, or is touched while it is zeroed.
         """
@@ -135,62 +149,102 @@ class CellController:
                 )
             self._gripper.open(observer=self._watch)
             self._sensor.tare(self._tare_frames)
+            self._check_cancelled()
             self._go(Event.STARTED)
 
-    def clear(self) -> None:
-        """Acknowledge the fault. The grip stays as it is."""
+    def clear(self, *, reboot: bool = False) -> None:
+        """Acknowledge the fault. The grip stays as it is.
+
+        Parameters
+        ----------
+        reboot
+            True to restart servos that report a hardware error, the only way on after one of them
+            has switched its torque off. A part that such a servo still held would drop.
+
+        Raises
+        ------
+        gripper.errors.GripperError
+            If a servo does not answer or is still at fault; the fault stays latched.
+        """
         self._go(Event.CLEAR)
-        self._gripper.clear_fault()
+        try:
+            self._gripper.clear_fault(reboot=reboot)
+        except BaseException:
+            self._go(Event.FAULT)
+            self._go(Event.ABORTED)
+            raise
         self._fault = None
         self._go(Event.CLEARED)
 
     def reset(self) -> None:
         """Leave the cleared fault behind; the next `start` verifies everything anew."""
         self._go(Event.RESET)
+        self._close_sensor()
 
     def cancel(self) -> None:
-        """Stop the running sequence and keep the grip; safe from any thread."""
+        """Stop the running sequence, or else the next one, and keep the grip.
+
+        Safe from any thread. It counts until it was obeyed: one that comes between two parts of a
+        job is not lost.
+        """
         self._cancelled = True
         self._gripper.request_stop()
 
+    def forget_cancel(self) -> None:
+        """Withdraw a `cancel` that nothing has obeyed: what it was meant for is over."""
+        self._cancelled = False
+
     def release(self) -> None:
-        """Let the part go: the only way to open the fingers outside a sequence."""
-        following = next_state(self._state, Event.RELEASE)
-        self._note("release", "on request")
-        with self._latching_faults():
-            self._gripper.release(observer=self._watch)
-        self._state = following
-
-    def release_held(self) -> None:
-        """Let go of a part that an earlier run still holds, without starting the cell.
-
-        The control unit is not needed for it.
+        """Let the part go: the only way to open the fingers of a started cell.
 
         Raises
         ------
         CellStateError
-            If the cell is started: then `release` is the command.
+            If the cell is not started, or a fault is latched.
+        CellStopped
+            If it was cancelled on the way; the fingers stay where they are.
+        """
+        self._go(Event.RELEASE)
+        self._cancelled = False
+        self._note("release", "on request")
+        with self._latching_faults():
+            self._gripper.release(observer=self._watch)
+            self._go(Event.DONE)
+
+    def release_held(self) -> None:
+        """Let go of a part that an earlier run or a cleared fault has left in the grip.
+
+        For a cell that is not started; the control unit is not needed for it.
+
+        Raises
+        ------
+        CellStateError
+            If the cell is started, then `release` is the command; or a fault is latched.
+        CellStopped
+            If it was cancelled on the way; the fingers stay where they are.
         gripper.errors.GripperError
             If the servos do not answer.
         """
-        if self._state is not CellState.STOPPED:
-            raise CellStateError(f"the cell is {self._state.value}; use release instead")
-        self._gripper.start()
-        self._gripper.release()
+        if self._state not in (CellState.STOPPED, CellState.RESETTING):
+            advice = "clear the fault first" if self._fault else "use release instead"
+            raise CellStateError(f"the cell is {self._state.value}; {advice}")
+        self._cancelled = False
+        self._close_sensor()
+        self._note("release", "on request, before the start")
+        with self._latching_faults():
+            self._gripper.start()
+            self._gripper.release()
 
     def tick(self) -> None:
         """Keep both links alive and supervised while no sequence runs; call once a period."""
         if self._state in (CellState.IDLE, CellState.HELD):
             with self._latching_faults():
-                self._gripper.tick()
-                self._tap.latest_force()
-                self._tap.take()
+                self._supervise()
 
     def shutdown(self) -> None:
         """Leave the devices in a defined state: a held part stays held. Never raises twice."""
         self._gripper.close()
-        self._tap.running = False
-        self._sensor.close()
+        self._close_sensor()
         if self._state in (CellState.IDLE, CellState.HELD):
             self._go(Event.STOP)
 
@@ -198,7 +252,7 @@ class CellController:
 
     def present(self, label: str | None) -> None:
         """Have the positioner bring an object; None: the one to be identified."""
-        self._patiently(lambda: self._positioner.present(label))
+        self._patiently(lambda: self._positioner.present(label), self.tick)
 
     def grasp(self, step: GraspStep, *, label: str = "") -> GraspRecord:
         """Run one grasp: pose, approach, contact, ramp, hold, release.
@@ -210,12 +264,10 @@ class CellController:
         CellStopped
             If it was cancelled. The grip is kept.
         """
-        self._cancelled = False
         return self._run_grasp(step, label)
 
     def collect(self, label: str, plan: Sequence[GraspStep]) -> Iterator[GraspRecord]:
         """Grasp a known object once for each step of the plan, yielding each record."""
-        self._cancelled = False
         self.present(label)
         for step in plan:
             yield self._run_grasp(step, label)
@@ -234,7 +286,6 @@ class CellController:
         NoPartFound, CellStopped
             As `grasp`.
         """
-        self._cancelled = False
         rule = StopRule(error_rate=self._sequence.error_rate, max_grasps=len(plan))
         posteriors: list[Posterior] = []
         records: list[GraspRecord] = []
@@ -270,7 +321,8 @@ class CellController:
     # -- inside --------------------------------------------------------------------------------
 
     def _run_grasp(self, step: GraspStep, label: str) -> GraspRecord:
-        if self._cancelled:
+        if self._cancelled and self._state is CellState.IDLE:
+            self._cancelled = False
             raise CellStopped("stopped on request between two grasps; the fingers are open")
         self._go(Event.EXECUTE)
         with self._latching_faults():
@@ -309,7 +361,9 @@ class CellController:
             outcome=outcome,
             cycles=collector.cycles,
         )
-        if self._recorder is not None:
+        if outcome.result is GraspResult.NO_CONTACT:
+            self._note("no part", f"nothing touched at {reached}")
+        elif self._recorder is not None:
             self._recorder.grasp(record.grasp)
         self._gripper.release(observer=self._watch)
         return record
@@ -319,20 +373,28 @@ class CellController:
             raise GraspStopped("stopped on request")
 
     def _move_to(self, pose: Pose) -> Pose:
-        reached = self._patiently(lambda: self._positioner.move_to(pose))
+        reached = self._patiently(lambda: self._positioner.move_to(pose), self._supervise)
         if self._recorder is not None:
             self._recorder.pose(reached)
         return reached
 
-    def _patiently(self, call: Callable[[], _T]) -> _T:
+    def _supervise(self) -> None:
+        self._gripper.tick()
+        self._tap.latest_force()
+        self._tap.take()
+
+    def _close_sensor(self) -> None:
+        self._tap.running = False
+        self._sensor.close()
+
+    def _patiently(self, call: Callable[[], _T], supervise: Callable[[], None]) -> _T:
         """Wait for a positioner that blocks while both links stay alive and supervised."""
         if not self._positioner.blocks:
             return call()
         with ThreadPoolExecutor(max_workers=1, thread_name_prefix="positioner") as pool:
             future = pool.submit(call)
             while not future.done():
-                self._gripper.tick()
-                self._tap.latest_force()
+                supervise()
                 self._clock.sleep(self._gripper.period_s)
             return future.result()
 
@@ -358,14 +420,17 @@ class CellController:
     def _latching_faults(self) -> Iterator[None]:
         """Keep the grip on whatever goes wrong; a stop on request holds, all else is a fault."""
         try:
-            yield
+            try:
+                yield
+            except GraspStopped as stop:
+                self._hold(stop)
+                raise
         except GraspStopped as stop:
-            self._gripper.keep_grip()
-            self._go(Event.HOLD)
-            self._note("held", str(stop))
-            self._go(Event.HELD)
+            self._cancelled = False
             raise CellStopped(
                 "stopped on request; the grip is kept until it is released on purpose"
+                if self.holding
+                else "stopped on request; nothing is held"
             ) from stop
         except BaseException as error:
             self._fault = f"{type(error).__name__}: {error}"
@@ -377,3 +442,14 @@ class CellController:
                 self._note("fault", f"the grip could not be confirmed: {second}")
             self._go(Event.ABORTED)
             raise
+
+    def _hold(self, stop: GraspStopped) -> None:
+        """Go where a stop on request leads from the present state."""
+        self._gripper.keep_grip()
+        if self._state is CellState.STARTING:
+            self._close_sensor()
+            self._go(Event.STOP)
+        elif self._state is CellState.EXECUTE:
+            self._go(Event.HOLD)
+            self._note("held", str(stop))
+            self._go(Event.HELD)

@@ -14,12 +14,15 @@ from typing import Any, Self
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from cell.build import Cell, build_cell
+from cell.collect import pad_array
 from cell.config import CellConfig
 from cell.config_file import load_config
 from cell.errors import CellStateError, ConfigError
+from cell.layouts import layout_from_config
 from cell.model import load_model, save_model
 from cell.pose import Pose
 from cell.sequence import plan
+from cell.states import CellState
 from cell.worker import CellWorker, Job, JobOutcome, JobStatus, Report
 from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer
@@ -121,9 +124,12 @@ class TactileCellPlugin:
             )
         self._config = checked
         self._lock = threading.Lock()
+        self._starting = threading.Lock()
         self._taught: list[Grasp] = []
         self._recognizer: Recognizer | None = (
-            None if model is None else load_model(Path(model)).recognizer
+            None
+            if model is None
+            else load_model(Path(model), pad_array(layout_from_config(checked.tactile))).recognizer
         )
         self._cell: Cell = build_cell(checked, mover=mover)
         try:
@@ -175,11 +181,11 @@ class TactileCellPlugin:
         """
         checked = _goal(goal)
         if isinstance(checked, TeachGoal):
-            return self._worker.start(lambda report: self._teach(checked, report))
+            return self._accept(lambda report: self._teach(checked, report))
         if self._recognizer is None:
             raise CellStateError("nothing was taught; start a teach goal or load a model first")
         recognizer = self._recognizer
-        return self._worker.start(lambda report: self._identify(checked, recognizer, report))
+        return self._accept(lambda report: self._identify(checked, recognizer, report))
 
     def feedback(self, job: Job) -> JobStatus:
         """Say where a job stands; never waits."""
@@ -202,26 +208,47 @@ class TactileCellPlugin:
 
     def cancel(self, job: Job) -> None:
         """Stop a job; what is held stays held. Does nothing to a job that is over."""
-        if not self.feedback(job).outcome.terminal:
-            self._cell.controller.cancel()
+        with self._starting:
+            if not self.feedback(job).outcome.terminal:
+                self._cell.controller.cancel()
 
     def release(self, timeout_s: float = 30.0) -> None:
-        """Let the part go and open the fingers; the only way to do so outside a sequence."""
-        job = self._worker.start(lambda _report: self._cell.controller.release())
-        self.result(job, timeout_s)
+        """Let the part go and open the fingers; the only way to do so outside a sequence.
 
-    def clear(self, timeout_s: float = 5.0) -> None:
-        """Acknowledge a latched fault."""
-        self.result(self._worker.start(lambda _r: self._cell.controller.clear()), timeout_s)
-
-    def reset(self, timeout_s: float = 60.0) -> None:
-        """After `clear`: verify the devices anew and be ready again."""
+        After a fault: `clear`, then `release`, then `reset`.
+        """
+        controller = self._cell.controller
 
         def work(_report: Report) -> None:
-            self._cell.controller.reset()
-            self._cell.controller.start()
+            if controller.state in (CellState.RESETTING, CellState.STOPPED):
+                controller.release_held()
+            else:
+                controller.release()
 
-        self.result(self._worker.start(work), timeout_s)
+        self.result(self._accept(work), timeout_s)
+
+    def clear(self, timeout_s: float = 5.0, *, reboot: bool = False) -> None:
+        """Acknowledge a latched fault; the grip stays as it is.
+
+        With ``reboot`` servos that report a hardware error are restarted: what one of them still
+        held would drop.
+        """
+        controller = self._cell.controller
+        self.result(self._accept(lambda _report: controller.clear(reboot=reboot)), timeout_s)
+
+    def reset(self, timeout_s: float = 60.0) -> None:
+        """After `clear`: verify the devices anew and be ready again.
+
+        A part that the fault left in the grip is released first, on purpose: `release`.
+        """
+        controller = self._cell.controller
+
+        def work(_report: Report) -> None:
+            if controller.state is not CellState.STOPPED:
+                controller.reset()
+            controller.start()
+
+        self.result(self._accept(work), timeout_s)
 
     def save(self, path: Path | str) -> None:
         """Write what was taught to a model file. Raises CellStateError if nothing was."""
@@ -250,6 +277,11 @@ class TactileCellPlugin:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+    def _accept(self, work: Callable[[Report], Any]) -> Job:
+        """Start a job that no earlier `cancel` is meant for."""
+        with self._starting:
+            return self._worker.start(work, accepted=self._cell.controller.forget_cancel)
 
     # -- jobs, on the worker's thread -----------------------------------------------------------
 

@@ -83,8 +83,17 @@ class CellWorker:
         self._thread = threading.Thread(target=self._run, name="tactile-cell", daemon=True)
         self._thread.start()
 
-    def start(self, work: Callable[[Report], Any]) -> Job:
+    def start(
+        self, work: Callable[[Report], Any], *, accepted: Callable[[], None] = lambda: None
+    ) -> Job:
         """Accept a job; return at once.
+
+        Parameters
+        ----------
+        work
+            The job; it gets a function to report its progress with.
+        accepted
+            Called once no other job runs and before this one does.
 
         Raises
         ------
@@ -99,6 +108,7 @@ class CellWorker:
                 )
             if not self._thread.is_alive():
                 raise CellStateError("the cell is closed; load the plugin anew")
+            accepted()
             job = Job(next(self._numbers))
             self._status[job] = JobStatus(outcome=JobOutcome.ACCEPTED, progress={})
         self._queue.put((job, work))

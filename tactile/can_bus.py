@@ -9,6 +9,9 @@ from can.interfaces.slcan import slcanBus
 
 from tactile.errors import BusNotOpened
 
+CanBus = can.BusABC
+"""An open bus, for those who pass it on and have no business with python-can."""
+
 _SEND_TIMEOUT_S = 0.1
 _LONGEST_LINE = 32
 """The longest line of a classic message is T + 8 + 1 + 16 characters, its end and a time stamp."""

@@ -177,7 +177,7 @@ def _control_unit(cell: Cell) -> list[Finding]:
         Finding(
             what="control unit",
             verdict=Verdict.PASS,
-            found=f"{identity.name}, serial number {identity.serial}, revision {identity.revision:#x}",
+            found=f"{identity.name}, serial {identity.serial}, revision {identity.revision:#x}",
         ),
         Finding(
             what="tactile frames",
