@@ -23,7 +23,7 @@ from cell.positioner import (
     SocketPlacer,
 )
 from cell.recording import Recorder
-from cell.simulation import InProcessPlacer, simulator_settings
+from cell.simulation import InProcessPlacer, capture_traffic, simulator_settings
 from gripper.bus import ServoBus
 from gripper.clock import Clock
 from gripper.errors import PortLost
@@ -111,6 +111,7 @@ def build_cell(
     folder: Path | None = None,
     mover: Mover | None = None,
     ask: Callable[[str], str] | None = None,
+    capture: Path | None = None,
 ) -> Cell:
     """Open the buses of a config and put the cell together; nothing moves yet.
 
@@ -124,11 +125,13 @@ def build_cell(
         Moves for a positioner of kind ``callback``.
     ask
         Asks the operator for a positioner of kind ``operator``.
+    capture
+        pcap file for the CAN traffic of a simulated cell.
 
     Raises
     ------
     ConfigError
-        If the positioner's kind needs what is not given.
+        If the positioner's kind needs what is not given, or a real bus is to be captured.
     gripper.errors.PortLost, tactile.errors.LinkFault, cell.errors.PositionerError
         If a port, bus or socket cannot be opened.
     """
@@ -140,6 +143,8 @@ def build_cell(
             simulated = SimulatedCell(simulator_settings(config), lost_error=PortLost)
             undo.callback(simulated.close)
             clock = simulated.clock
+        if capture is not None:
+            capture_traffic(simulated, capture, undo)
         positioner = _positioner(config, simulated, mover, ask, undo)
         can_bus = _can_bus(config.tactile, simulated, undo)
         link = make_link(config.tactile, can_bus, layout, clock, threaded=simulated is None)

@@ -1,6 +1,8 @@
 """The simulated cell as the config describes it: the one place where the simulator is wired in."""
 
 from collections.abc import Sequence
+from contextlib import ExitStack
+from pathlib import Path
 
 import numpy as np
 
@@ -15,6 +17,7 @@ from simulator.errors import SimulatorError
 from simulator.linkage import FingerLinkage, ParallelogramLinkage, RackLinkage
 from simulator.mechanics import ServoMount
 from simulator.noise import NoiseModel
+from simulator.pcap import PcapWriter
 from simulator.settings import RecordedGrasp, SimulatedServoSettings, SimulatorSettings
 from simulator.shape_text import parse_shape
 from simulator.shapes import ObjectPose, Shape
@@ -115,6 +118,26 @@ class InProcessPlacer:
             rotation_rad=reached.rotation_rad,
             roll_rad=reached.roll_rad,
         )
+
+
+def capture_traffic(cell: SimulatedCell | None, path: Path, undo: ExitStack) -> None:
+    """Write all messages of a simulated CAN bus to a pcap file until ``undo`` is closed.
+
+    Raises
+    ------
+    ConfigError
+        If there is no simulated bus, or the file cannot be written.
+    """
+    if cell is None:
+        raise ConfigError(
+            "only a simulated bus is captured; on a real one use candump or the adapter's tools"
+        )
+    try:
+        pcap = PcapWriter(path)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be written: {error}") from error
+    undo.callback(pcap.close)
+    cell.can_bus.capture.append(pcap)
 
 
 def largest_aperture_m(grasps: Sequence[Grasp]) -> float:

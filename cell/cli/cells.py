@@ -8,7 +8,14 @@ from typing import Annotated
 import typer
 
 from cell.build import Cell, build_cell
-from cell.cli.options import ConfigOption, JsonOption, ModelOption, OutOption, SeedOption
+from cell.cli.options import (
+    CaptureOption,
+    ConfigOption,
+    JsonOption,
+    ModelOption,
+    OutOption,
+    SeedOption,
+)
 from cell.cli.output import confusion_table, out, percent, progress_bar, say, write_json
 from cell.cli.stopping import stopping
 from cell.config import CellConfig
@@ -44,6 +51,7 @@ def run(
     model: ModelOption = None,
     out_folder: OutOption = None,
     seed: SeedOption = None,
+    capture: CaptureOption = None,
     json_file: JsonOption = None,
 ) -> None:
     """Teach objects and identify them: the main job, on the configured or the simulated cell."""
@@ -63,7 +71,7 @@ def run(
         if not labels:
             raise ConfigError("name the objects that are at hand, as --object ball --object box")
     folder = job_folder(out_folder or Path(checked.recording.directory), "run")
-    with _cell(checked, folder) as cell, progress_bar() as progress:
+    with _cell(checked, folder, capture) as cell, progress_bar() as progress:
         result = teach_and_identify(
             cell,
             checked,
@@ -185,9 +193,9 @@ def release(
 
 
 @contextmanager
-def _cell(config: CellConfig, folder: Path) -> Iterator[Cell]:
+def _cell(config: CellConfig, folder: Path, capture: Path | None = None) -> Iterator[Cell]:
     """Start a cell, stop it on signals, and say what is kept where if it ends early."""
-    cell = build_cell(config, folder=folder, ask=input)
+    cell = build_cell(config, folder=folder, ask=input, capture=capture)
     try:
         with stopping(cell.controller.cancel):
             cell.controller.start()

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
-from cell.cli.options import ConfigOption, JsonOption
+from cell.cli.options import CaptureOption, ConfigOption, JsonOption
 from cell.cli.output import out, percent, progress_bar, say, write_json
 from cell.config_file import load_config
 from cell.dataset import read_dataset
@@ -39,7 +39,7 @@ def train(
 ) -> None:
     """Train a recogniser on data sets and write a model file."""
     _check_recognizer(recognizer)
-    grasps = [grasp for path in datasets for grasp in _grasps(path)]
+    grasps = [grasp for path in datasets for grasp in _labelled(path)]
     if not all(grasp.pads.same_as(grasps[0].pads) for grasp in grasps):
         raise CellError("the data sets were taken on different pads; train a model for each")
     taught = train_recognizer(grasps, recognizer, use_aperture=aperture)
@@ -76,9 +76,9 @@ def evaluate(
         _check_recognizer(name)
     with progress_bar() as progress:
         result = evaluate_recognizers(
-            _grasps(dataset),
+            _labelled(dataset),
             split=split,
-            train=None if train_on is None else _grasps(train_on),
+            train=None if train_on is None else _labelled(train_on),
             names=names,
             fuse=_numbers(fuse),
             seed=seed,
@@ -96,9 +96,7 @@ def replay(
     ] = None,
     recognizer: RecognizerOption = DEFAULT_TRAINER,
     config: ConfigOption = None,
-    capture: Annotated[
-        Path | None, typer.Option("--capture", help="Write the CAN traffic to this pcap file.")
-    ] = None,
+    capture: CaptureOption = None,
     json_file: JsonOption = None,
 ) -> None:
     """Send recorded grasps through the real protocols, receive, compare and identify them."""
@@ -129,6 +127,17 @@ def replay(
 
 def _grasps(path: Path) -> tuple[Grasp, ...]:
     return recording_grasps(path) if path.suffix == ".mcap" else read_dataset(path)
+
+
+def _labelled(path: Path) -> tuple[Grasp, ...]:
+    """Return the grasps that say what was held: others can neither teach nor test."""
+    grasps = _grasps(path)
+    labelled = tuple(grasp for grasp in grasps if grasp.label)
+    if not labelled:
+        raise CellError(f"{path}: none of its {len(grasps)} grasps has a label")
+    if len(labelled) < len(grasps):
+        say(f"{path}: {len(grasps) - len(labelled)} grasps without a label are left out")
+    return labelled
 
 
 def _check_recognizer(name: str) -> None:

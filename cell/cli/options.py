@@ -20,3 +20,7 @@ SeedOption = Annotated[
     int | None, typer.Option("--seed", help="Seed of poses and noise [default: seed].", min=0)
 ]
 ModelOption = Annotated[Path | None, typer.Option("--model", "-m", help="File of a taught model.")]
+CaptureOption = Annotated[
+    Path | None,
+    typer.Option("--capture", help="Write the simulated CAN traffic to this pcap file."),
+]

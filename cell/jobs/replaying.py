@@ -16,7 +16,7 @@ from cell.errors import CellError
 from cell.jobs.progress import Progress
 from cell.jobs.teaching import train
 from cell.layouts import layout_from_pads
-from cell.simulation import largest_aperture_m, simulator_settings
+from cell.simulation import capture_traffic, largest_aperture_m, simulator_settings
 from gripper.bus import ServoBus
 from gripper.errors import PortLost
 from gripper.force import ForceSample
@@ -24,7 +24,6 @@ from gripper.gripper import Gripper
 from recognition.evaluation import parse_split, wilson_interval
 from recognition.grasp import Grasp
 from simulator.assembly import SimulatedCell
-from simulator.pcap import PcapWriter
 from tactile.protocol import TactileFrame
 
 _SHORTEST_PERIOD_S = 0.012
@@ -175,9 +174,7 @@ class _Rig:
             )
             undo.callback(self._cell.close)
             if capture is not None:
-                pcap = PcapWriter(capture)
-                undo.callback(pcap.close)
-                self._cell.can_bus.capture.append(pcap)
+                capture_traffic(self._cell, capture, undo)
             self._period_s = max(_frame_period_s(grasps), _SHORTEST_PERIOD_S)
             self._link = make_link(
                 config.tactile,
