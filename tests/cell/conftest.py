@@ -1,0 +1,149 @@
+"""Simulated cells that several tests of the cell share."""
+
+import json
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cell.build import Cell, build_cell
+from cell.config import CellConfig
+from cell.controller import CellController
+from cell.dataset import read_dataset
+from cell.jobs.main_job import MainResult, teach_and_identify
+from cell.pose import Pose
+from cell.sequence import GraspStep
+from gripper.gripper import GripperPhase
+from recognition.grasp import Grasp
+from simulator.assembly import CellFaults, SimulatedCell
+
+MakeConfig = Callable[..., CellConfig]
+
+
+def small_config(**changes: Any) -> CellConfig:
+    """Two objects and a short zero; the rest as built in."""
+    values = CellConfig().model_dump(mode="json")
+    values["tactile"]["tare_frames"] = 25
+    values["simulator"]["objects"] = [
+        {"label": "ball", "shape": "sphere:diameter=9.5mm"},
+        {"label": "box", "shape": "box:length=15.9mm,width=10mm,height=10mm"},
+    ]
+    for path, value in changes.items():
+        owner = values
+        *way, last = path.split("__")
+        for name in way:
+            owner = owner[name]
+        owner[last] = value
+    return CellConfig.model_validate_json(json.dumps(values))
+
+
+@dataclass
+class Bench:
+    """A cell in virtual time, and what only the simulator can tell of it."""
+
+    cell: Cell
+
+    @property
+    def controller(self) -> CellController:
+        return self.cell.controller
+
+    @property
+    def simulated(self) -> SimulatedCell:
+        assert self.cell.simulated is not None
+        return self.cell.simulated
+
+    @property
+    def faults(self) -> CellFaults:
+        return self.simulated.faults
+
+    @property
+    def grip_n(self) -> float:
+        """Force on the pad that carries less."""
+        return min(self.simulated.world.contact_force_n())
+
+    def sleep(self, seconds: float) -> None:
+        self.simulated.clock.sleep(seconds)
+
+    def ready(self, label: str | None = "ball") -> "Bench":
+        self.controller.start()
+        self.controller.present(label)
+        return self
+
+    def grasp(self, force_n: float = 3.0, pose: Pose | None = None) -> Any:
+        return self.controller.grasp(GraspStep(pose=pose or Pose(), force_n=force_n))
+
+    def once_in(self, phase: GripperPhase, act: Callable[[], object], after_s: float = 0.0) -> None:
+        """Do something once, when the gripper has been in a phase for so long."""
+        since_s: list[float] = []
+        done: list[bool] = []
+
+        def look(now_s: float) -> None:
+            if not done and self.controller.gripper.state is phase:
+                since_s.append(now_s)
+                if now_s - since_s[0] >= after_s:
+                    done.append(True)
+                    act()
+
+        self.simulated.clock.on_advance.append(look)
+
+
+@pytest.fixture
+def make_config() -> MakeConfig:
+    """Return the maker of a small config; takes changes as ``tactile__node_id=7``."""
+    return small_config
+
+
+@pytest.fixture
+def make_bench() -> Iterator[Callable[..., Bench]]:
+    """Return the maker of simulated cells; takes a config and what `build_cell` takes."""
+    cells: list[Cell] = []
+
+    def make(config: CellConfig | None = None, **options: Any) -> Bench:
+        cells.append(build_cell(config or small_config(), **options))
+        return Bench(cells[-1])
+
+    yield make
+    for cell in cells:
+        cell.close()
+
+
+@pytest.fixture
+def bench(make_bench: Callable[..., Bench]) -> Bench:
+    return make_bench()
+
+
+@dataclass(frozen=True)
+class Taught:
+    """A small run of the main job, with its files."""
+
+    config: CellConfig
+    folder: Path
+    result: MainResult
+    grasps: tuple[Grasp, ...]
+    progress: tuple[tuple[str, int, int], ...]
+
+
+@pytest.fixture(scope="session")
+def taught(tmp_path_factory: pytest.TempPathFactory) -> Taught:
+    """Two objects, five grasps each, one identification of each."""
+    folder = tmp_path_factory.mktemp("taught")
+    config = small_config()
+    progress: list[tuple[str, int, int]] = []
+    cell = build_cell(config, folder=folder)
+    try:
+        cell.controller.start()
+        result = teach_and_identify(
+            cell,
+            config,
+            labels=["ball", "box"],
+            n_teach=5,
+            n_trials=1,
+            folder=folder,
+            progress=lambda *step: progress.append(step),
+        )
+    finally:
+        cell.close()
+    assert result.dataset is not None
+    return Taught(config, folder, result, read_dataset(result.dataset), tuple(progress))
