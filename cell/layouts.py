@@ -7,6 +7,7 @@ import numpy as np
 from cell.config import PadsConfig, TactileConfig
 from cell.errors import ConfigError
 from recognition.grasp import PadArray
+from tactile.errors import LayoutError
 from tactile.layout import Face, Pad, TaxelLayout
 from tactile.layouts import paper_layout, pinch_layout
 
@@ -16,7 +17,7 @@ def layout_from_config(config: TactileConfig) -> TaxelLayout:
 
     Raises
     ------
-    tactile.errors.LayoutError
+    ConfigError
         If pads of one's own do not make a layout (one inner pad for each finger).
     """
     if config.layout == "paper":
@@ -24,23 +25,26 @@ def layout_from_config(config: TactileConfig) -> TaxelLayout:
     if config.layout == "pinch":
         return pinch_layout()
     spelled: PadsConfig = config.layout
-    return TaxelLayout(
-        name=spelled.name,
-        pads=tuple(
-            Pad(
-                name=f"finger{pad.finger}.{pad.face}.{number}",
-                finger=pad.finger,
-                face=pad.face,
-                rows=pad.rows,
-                columns=pad.columns,
-                pitch_x_m=pad.pitch_x_mm * 1e-3,
-                pitch_y_m=pad.pitch_y_mm * 1e-3,
-            )
-            for number, pad in enumerate(spelled.pads)
-        ),
-        sample_bits=8 if spelled.adc_max <= 255 else 16,
-        adc_max=spelled.adc_max,
-    )
+    try:
+        return TaxelLayout(
+            name=spelled.name,
+            pads=tuple(
+                Pad(
+                    name=f"finger{pad.finger}.{pad.face}.{number}",
+                    finger=pad.finger,
+                    face=pad.face,
+                    rows=pad.rows,
+                    columns=pad.columns,
+                    pitch_x_m=pad.pitch_x_mm * 1e-3,
+                    pitch_y_m=pad.pitch_y_mm * 1e-3,
+                )
+                for number, pad in enumerate(spelled.pads)
+            ),
+            sample_bits=8 if spelled.adc_max <= 255 else 16,
+            adc_max=spelled.adc_max,
+        )
+    except LayoutError as error:
+        raise ConfigError(f"tactile.layout: {error}") from error
 
 
 def layout_from_pads(pads: PadArray) -> TaxelLayout:

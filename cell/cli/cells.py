@@ -18,6 +18,7 @@ from cell.cli.options import (
 )
 from cell.cli.output import confusion_table, out, percent, progress_bar, say, write_json
 from cell.cli.stopping import stopping
+from cell.collect import pad_array
 from cell.config import CellConfig
 from cell.config_file import load_config
 from cell.dataset import read_dataset
@@ -28,9 +29,11 @@ from cell.jobs.main_job import MainResult, teach_and_identify
 from cell.jobs.main_report import main_report
 from cell.jobs.teaching import append_to_dataset
 from cell.jobs.teaching import teach as teach_object
+from cell.layouts import layout_from_config
 from cell.model import load_model
 from cell.paper import TABLE_1, TABLE_1_LABELS
 from gripper.errors import GripperError
+from recognition.grasp import PadArray
 from tactile.errors import TactileError
 
 ObjectsOption = Annotated[
@@ -56,7 +59,10 @@ def run(
 ) -> None:
     """Teach objects and identify them: the main job, on the configured or the simulated cell."""
     checked = _seeded(load_config(config), seed)
-    recognizer = None if model is None else load_model(model).recognizer
+    loaded = None if model is None else load_model(model, _pads(checked))
+    recognizer = None if loaded is None else loaded.recognizer
+    if loaded is not None:
+        checked = _recognizing(checked, loaded.trainer_name)
     configured = [entry.label for entry in checked.simulator.objects]
     if checked.positioner.kind == "simulated":
         labels = objects or (list(recognizer.labels) if recognizer else configured)
@@ -147,7 +153,7 @@ def identify(
         write_json(json_file, {"answers": [answer.as_json() for answer in answers]})
         return
     checked = _seeded(load_config(config), seed)
-    loaded = load_model(model)
+    loaded = load_model(model, _pads(checked))
     folder = job_folder(out_folder or Path(checked.recording.directory), "identify")
     with _cell(checked, folder) as cell, progress_bar() as progress:
         found, truth = identify_on_cell(cell, checked, loaded, held=held, progress=progress)
@@ -184,7 +190,7 @@ def release(
     """Let go of a part that is still in the grip of an earlier run, and open the fingers."""
     if not confirm:
         raise ConfigError("the part may fall; add --confirm if that is meant")
-    cell = build_cell(load_config(config))
+    cell = build_cell(load_config(config), mover=lambda _pose: False, ask=input)
     try:
         cell.controller.release_held()
     finally:
@@ -203,7 +209,7 @@ def _cell(config: CellConfig, folder: Path, capture: Path | None = None) -> Iter
     except CellStopped as stop:
         raise CellError(f"{stop}. Recording so far: {cell.recording_path}") from stop
     except (CellError, GripperError, TactileError) as error:
-        grip = "the grip is kept" if cell.controller.fault else "nothing is held"
+        grip = "the grip is kept" if cell.controller.holding else "nothing is held"
         raise CellError(f"{error}\n{grip}; recording so far: {cell.recording_path}") from error
     finally:
         cell.close()
@@ -211,6 +217,16 @@ def _cell(config: CellConfig, folder: Path, capture: Path | None = None) -> Iter
 
 def _seeded(config: CellConfig, seed: int | None) -> CellConfig:
     return config if seed is None else config.model_copy(update={"seed": seed})
+
+
+def _recognizing(config: CellConfig, trainer_name: str) -> CellConfig:
+    """Return the config with the kind of recogniser that a model file holds."""
+    recognition = config.recognition.model_copy(update={"recognizer": trainer_name})
+    return config.model_copy(update={"recognition": recognition})
+
+
+def _pads(config: CellConfig) -> PadArray:
+    return pad_array(layout_from_config(config.tactile))
 
 
 def _print_main(result: MainResult) -> None:

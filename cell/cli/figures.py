@@ -126,7 +126,10 @@ def replay(
 
 
 def _grasps(path: Path) -> tuple[Grasp, ...]:
-    return recording_grasps(path) if path.suffix == ".mcap" else read_dataset(path)
+    grasps = recording_grasps(path) if path.suffix == ".mcap" else read_dataset(path)
+    if not grasps:
+        raise CellError(f"{path} holds no whole grasp")
+    return grasps
 
 
 def _labelled(path: Path) -> tuple[Grasp, ...]:
