@@ -13,6 +13,8 @@ from gripper.servos import ServoGroup
 from gripper.settings import GripperSettings
 from gripper.state import GraspOutcome, GraspResult, GripperPhase, GripperState
 
+_CONTACT_SHARE = 0.9
+"""Where in the friction band the drive is at the contact."""
 _TAPER_AFTER_S = 1.0
 
 
@@ -186,11 +188,13 @@ class GraspRun:
             paths = self._servos.transmissions(moment.state.servos)
             if control is None:
                 force_n = 0.0 if moment.sample is None else max(0.0, moment.sample.grip_n)
+                # The fingers are still closing: the drive is at the rising edge of the band.
+                friction_n = sum(path.friction_n for path in paths) / len(paths)
                 control = GripControl(
                     self._settings,
                     contact,
                     force_n=force_n,
-                    drive_n=force_n,
+                    drive_n=force_n + _CONTACT_SHARE * friction_n,
                     now_s=moment.now_s,
                 )
                 self.control = control
