@@ -205,7 +205,7 @@ class LinearRampConfig(_Section):
 
     kind: Literal["linear"] = "linear"
     """Shape of the force ramp."""
-    rate_n_s: float = Field(default=8.0, gt=0.0, le=50.0)
+    rate_n_s: float = Field(default=5.0, gt=0.0, le=50.0)
     """Growth of the force in N/s, up to 50."""
     hold_s: float = Field(default=0.3, ge=0.0, le=60.0)
     """Time at the final force in s, up to 60."""
