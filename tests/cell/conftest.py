@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from cell.build import Cell, build_cell
@@ -16,7 +17,7 @@ from cell.jobs.main_job import MainResult, teach_and_identify
 from cell.pose import Pose
 from cell.sequence import GraspStep
 from gripper.gripper import GripperPhase
-from recognition.grasp import Grasp
+from recognition.grasp import Grasp, PadArray
 from simulator.assembly import CellFaults, SimulatedCell
 
 MakeConfig = Callable[..., CellConfig]
@@ -147,3 +148,36 @@ def taught(tmp_path_factory: pytest.TempPathFactory) -> Taught:
         cell.close()
     assert result.dataset is not None
     return Taught(config, folder, result, read_dataset(result.dataset), tuple(progress))
+
+
+def plain_pads(*shapes: tuple[int, int]) -> PadArray:
+    """Pads with taxels 3 mm apart, 12 bit."""
+    return PadArray(
+        pad_shape=np.array(shapes),
+        taxel_pad=np.repeat(np.arange(len(shapes)), [rows * columns for rows, columns in shapes]),
+        taxel_xy_m=np.concatenate([np.indices(shape).reshape(2, -1).T * 3e-3 for shape in shapes]),
+        adc_max=4095,
+    )
+
+
+def plain_grasp(
+    label: str, shapes: tuple[tuple[int, int], ...] = ((4, 3), (4, 3)), **changes: Any
+) -> Grasp:
+    """Twelve frames of random counts while the fingers close from 40 to 10 mm."""
+    pads = plain_pads(*shapes)
+    n = 12
+    values: dict[str, Any] = {
+        "pads": pads,
+        "counts": np.random.default_rng(len(label)).integers(0, 4096, (n, pads.n_taxels)),
+        "t_s": np.arange(n) * 0.03,
+        "aperture_m": np.linspace(0.04, 0.01, n),
+        "force_n": np.linspace(0.0, 5.0, n),
+        "label": label,
+    }
+    return Grasp(**(values | changes))
+
+
+@pytest.fixture
+def make_grasp() -> Callable[..., Grasp]:
+    """Return the maker of grasps without meaning; takes label, pad shapes and changes."""
+    return plain_grasp

@@ -1,0 +1,216 @@
+"""From a config to a cell."""
+
+import json
+import socket
+import threading
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import cell.build
+from cell.build import build_cell, gripper_settings, make_linkage
+from cell.config import CellConfig
+from cell.errors import ConfigError, PositionerError
+from cell.pose import Pose
+from cell.positioner import (
+    CallbackPositioner,
+    HostThenSimulated,
+    OperatorPositioner,
+    SimulatedPositioner,
+    SocketPlacer,
+)
+from gripper.errors import PortLost
+from gripper.gripper import GraspResult
+from gripper.kinematics import ParallelLinkage, RackPinion
+from tactile.calibration import FoamCalibration, LinearCalibration
+from tactile.errors import BusNotOpened
+
+RACK = {"kind": "rack_pinion", "pinion_radius_mm": 8.0, "offset_mm": 10.0}
+SLOW_RACK = {"gripper__linkage": RACK, "gripper__approach_speed_mm_s": 5.0}
+REAL = {
+    "gripper__port": "/dev/serial-that-is-not-there",
+    "tactile__interface": "slcan",
+    "tactile__channel": "/dev/can-that-is-not-there",
+    "positioner__kind": "operator",
+}
+
+
+def positioner(bench: Any) -> Any:
+    return bench.controller._positioner
+
+
+def test_without_a_folder_nothing_is_recorded(make_bench: Callable[..., Any]) -> None:
+    made = make_bench().cell
+    assert made.recording_path is None
+    assert made.simulated is not None
+    assert not made.realtime
+
+
+def test_settings_are_in_si(make_config: Callable[..., CellConfig]) -> None:
+    settings = gripper_settings(
+        make_config(gripper__force_stale_ms=80.0, gripper__watchdog_ms=60.0, gripper__force_max_n=9)
+    )
+    assert settings.aperture_min_m == pytest.approx(0.5e-3)
+    assert settings.force_stale_s == pytest.approx(0.08)
+    assert settings.watchdog_s == pytest.approx(0.06)
+    assert settings.force_max_n == 9.0
+    assert [servo.servo_id for servo in settings.servos] == [1, 2]
+
+
+def test_linkages(make_config: Callable[..., CellConfig]) -> None:
+    assert isinstance(make_linkage(make_config()), ParallelLinkage)
+    rack = make_linkage(make_config(gripper__linkage=RACK, gripper__servos=[{"id": 1}]))
+    assert isinstance(rack, RackPinion)
+    assert rack.n_servos == 1
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"gripper__servos": [{"id": 3}], **SLOW_RACK},
+        SLOW_RACK,
+        {"gripper__servos": [{"id": 1, "direction": -1}, {"id": 2, "zero_pulse": 1800}]},
+        {"tactile__layout": "pinch"},
+        {"tactile__node_id": 127, "tactile__serial_number": 4711},
+        {"sequence__ramp": {"kind": "staircase"}},
+        {"sequence__ramp": {"kind": "s_curve"}},
+    ],
+    ids=["one servo, rack", "two servos, rack", "mounts", "pinch", "node", "stairs", "s-curve"],
+)
+def test_cells_of_other_make_grasp_too(
+    make_bench: Callable[..., Any], make_config: Callable[..., CellConfig], change: dict[str, Any]
+) -> None:
+    bench = make_bench(make_config(**change)).ready("box")
+    record = bench.grasp(3.0)
+    assert record.outcome.result is not GraspResult.NO_CONTACT
+    assert record.outcome.final_force_n == pytest.approx(3.0, abs=1.5)
+    assert bench.grip_n == 0.0
+
+
+def test_calibrations(make_bench: Callable[..., Any], make_config: Callable[..., Any]) -> None:
+    linear = {"kind": "linear", "force_per_count_n": 0.01}
+    benches = [
+        make_bench(make_config(tactile__calibration=law)) for law in ({"kind": "paper"}, linear)
+    ]
+    laws = [bench.controller.sensor._calibration for bench in benches]
+    assert isinstance(laws[0], FoamCalibration)
+    assert isinstance(laws[1], LinearCalibration)
+
+
+def test_positioner_of_the_simulated_cell(make_bench: Callable[..., Any]) -> None:
+    assert isinstance(positioner(make_bench()), SimulatedPositioner)
+
+
+def test_operator_needs_somebody_to_ask(
+    make_bench: Callable[..., Any], make_config: Callable[..., CellConfig]
+) -> None:
+    config = make_config(positioner__kind="operator")
+    with pytest.raises(ConfigError, match="no terminal to ask at"):
+        make_bench(config)
+    assert isinstance(positioner(make_bench(config, ask=lambda _text: "")), OperatorPositioner)
+
+
+def test_callback_needs_a_mover_and_the_simulated_cell_follows_it(
+    make_bench: Callable[..., Any], make_config: Callable[..., CellConfig]
+) -> None:
+    config = make_config(positioner__kind="callback")
+    with pytest.raises(ConfigError, match="must pass its mover"):
+        make_bench(config)
+    moved: list[Pose] = []
+
+    def move(pose: Pose) -> Pose:
+        moved.append(pose)
+        return Pose(x_m=pose.x_m + 1e-3)
+
+    bench = make_bench(config, mover=move)
+    assert isinstance(positioner(bench), HostThenSimulated)
+    record = bench.ready().grasp(3.0, Pose(x_m=5e-4))
+    assert moved == [Pose(x_m=5e-4)]
+    assert record.reached.x_m == pytest.approx(1.5e-3)
+    label, pose = bench.simulated.world.placed
+    assert label == "ball"
+    assert pose.x_m == pytest.approx(1.5e-3)
+
+
+def test_a_host_that_moves_a_real_cell_is_asked_alone(
+    make_config: Callable[..., CellConfig], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[Any] = []
+
+    def note(*arguments: Any) -> Any:
+        seen.append(original(*arguments))
+        return seen[-1]
+
+    original = cell.build._positioner
+    monkeypatch.setattr(cell.build, "_positioner", note)
+    config = make_config(**REAL | {"positioner__kind": "callback", "tactile__interface": "virtual"})
+    with pytest.raises(PortLost):
+        build_cell(config, mover=lambda _pose: True)
+    assert isinstance(seen[0], CallbackPositioner)
+
+
+def test_a_socket_is_used_where_one_is_named(
+    make_bench: Callable[..., Any], make_config: Callable[..., CellConfig], tmp_path: Path
+) -> None:
+    path = str(tmp_path / "s")
+    config = make_config(positioner__socket=path)
+    with pytest.raises(PositionerError, match="no simulated cell answers"):
+        make_bench(config)
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(path)
+        listener.listen(1)
+
+        def serve() -> None:
+            with listener.accept()[0] as peer, peer.makefile("rb") as lines:
+                asked = json.loads(lines.readline())
+                peer.sendall(json.dumps({"pose": asked["pose"]}).encode() + b"\n")
+
+        thread = threading.Thread(target=serve)
+        thread.start()
+        bench = make_bench(config)
+        assert isinstance(positioner(bench)._placer, SocketPlacer)
+        positioner(bench).present("ball")
+        assert positioner(bench).move_to(Pose(x_m=1e-3)) == Pose(x_m=1e-3)
+        thread.join(10.0)
+        bench.cell.close()
+
+
+@pytest.mark.parametrize(
+    ("change", "error", "name"),
+    [
+        ({}, BusNotOpened, "can-that-is-not-there"),
+        ({"tactile__interface": "virtual"}, PortLost, "serial-that-is-not-there"),
+        ({"tactile__interface": "nonsense"}, BusNotOpened, "nonsense"),
+    ],
+)
+def test_wrong_ports_are_named_and_nothing_stays_open(
+    make_config: Callable[..., CellConfig],
+    tmp_path: Path,
+    change: dict[str, Any],
+    error: type[Exception],
+    name: str,
+) -> None:
+    with pytest.raises(error, match=name):
+        build_cell(make_config(**REAL | change), folder=tmp_path, ask=str)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_health_counts_what_the_links_did(make_bench: Callable[..., Any], tmp_path: Path) -> None:
+    bench = make_bench(folder=tmp_path).ready()
+    bench.grasp()
+    health = bench.cell.health()
+    assert json.loads(json.dumps(health)) == health
+    assert health["tactile"]["complete"] > 50
+    assert health["tactile"]["lost"] == 0
+    assert health["servo_bus"]["transactions"] > 300
+    assert health["loop"]["cycles"] > 100
+    assert health["recording"] is None
+
+
+def test_closing_twice_is_harmless(make_bench: Callable[..., Any], tmp_path: Path) -> None:
+    bench = make_bench(folder=tmp_path).ready()
+    bench.cell.close()
+    bench.cell.close()
+    assert bench.cell.recording_path.stat().st_size > 0

@@ -1,0 +1,92 @@
+"""The simulated cell as the config describes it."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cell.config import CellConfig
+from cell.errors import ConfigError, PositionerError
+from cell.pose import Pose
+from cell.simulation import (
+    InProcessPlacer,
+    largest_aperture_m,
+    simulated_objects,
+    simulator_settings,
+)
+from simulator.assembly import SimulatedCell
+from simulator.linkage import RackLinkage
+
+RACK = {"kind": "rack_pinion", "pinion_radius_mm": 8.0, "offset_mm": 10.0}
+
+
+def test_settings_follow_the_config(make_config: Callable[..., CellConfig]) -> None:
+    settings = simulator_settings(
+        make_config(
+            seed=5,
+            tactile__node_id=9,
+            tactile__serial_number=77,
+            tactile__bitrate=500000,
+            tactile__layout="pinch",
+            gripper__servos=[{"id": 4, "model": "XL330-M288", "direction": -1}],
+            gripper__linkage=RACK,
+            simulator__noise="uniform",
+            simulator__noise_level=0.5,
+        )
+    )
+    (servo,) = settings.servos
+    assert (servo.servo_id, servo.model.name, servo.mount.direction) == (4, "XL330-M288", -1)
+    assert isinstance(settings.linkage, RackLinkage)
+    assert (settings.node_id, settings.serial_number) == (9, 77)
+    assert settings.can_bitrate == 500_000
+    assert settings.layout.n_taxels == 156
+    assert (settings.noise.kind, settings.noise.level, settings.seed) == ("uniform", 0.5, 5)
+    assert set(settings.objects) == {"ball", "box"}
+
+
+def test_the_built_in_objects_are_those_of_the_paper() -> None:
+    assert set(simulated_objects(CellConfig())) == {"oval", "cylinder", "box", "ball", "dumbbell"}
+
+
+@pytest.mark.parametrize(
+    ("change", "complaint"),
+    [
+        ({"simulator__objects": [{"label": "x", "shape": "blob"}]}, "simulator.objects: x: unkn"),
+        (
+            {"simulator__objects": [{"label": "x", "shape": "mesh:file=none.stl"}]},
+            "simulator.objects: x: ",
+        ),
+        (
+            {"gripper__aperture_open_mm": 300.0},
+            "gripper.aperture_open_mm is 300, the linkage reaches",
+        ),
+        ({"gripper__linkage": {"kind": "parallel_linkage", "offset_mm": -100.0}}, "linkage"),
+    ],
+)
+def test_a_cell_that_cannot_be_is_a_config_error(
+    make_config: Callable[..., CellConfig], change: dict[str, Any], complaint: str
+) -> None:
+    with pytest.raises(ConfigError) as caught:
+        simulator_settings(make_config(**change))
+    assert complaint in str(caught.value)
+
+
+def test_an_object_comes_to_rest_and_a_box_on_a_face(
+    make_config: Callable[..., CellConfig],
+) -> None:
+    with SimulatedCell(simulator_settings(make_config())) as cell:
+        placer = InProcessPlacer(cell)
+        assert placer.place("ball", Pose(x_m=1e-3, roll_rad=0.5)).x_m == 1e-3
+        reached = placer.place("box", Pose(roll_rad=0.2))
+        assert reached.roll_rad % (np.pi / 2) == pytest.approx(0.0, abs=1e-9)
+        with pytest.raises(PositionerError, match="nothing cannot be placed"):
+            placer.place("nothing", Pose())
+
+
+def test_the_widest_opening_of_records(make_grasp: Callable[..., Any]) -> None:
+    unknown = make_grasp("a", aperture_m=np.full(12, np.nan))
+    assert largest_aperture_m([unknown]) == 0.0
+    assert largest_aperture_m(
+        [unknown, make_grasp("a", aperture_m=np.linspace(0.06, 0.01, 12))]
+    ) == pytest.approx(0.06)
