@@ -87,13 +87,17 @@ def test_a_silent_servo_fails_and_the_control_unit_is_checked_all_the_same(
 
 def test_lost_frames_are_a_warning(altered: Callable[..., list[Finding]]) -> None:
     def disturb(simulated: Any) -> None:
-        pending = [70]
+        running_s: list[float] = []
+        dropped: list[bool] = []
 
-        def drop_one(_now_s: float) -> None:
-            if pending and simulated.unit.state == "OPERATIONAL":
-                simulated.faults.can.drop_next = pending.pop()
+        def drop(now_s: float) -> None:
+            if simulated.unit.state == "OPERATIONAL":
+                running_s.append(now_s)
+                if not dropped and now_s - running_s[0] > 0.1:
+                    simulated.faults.can.drop_next = 5
+                    dropped.append(True)
 
-        simulated.clock.on_advance.append(drop_one)
+        simulated.clock.on_advance.append(drop)
 
     finding = by_name(altered(disturb))["tactile frames"]
     assert finding.verdict is Verdict.WARN
