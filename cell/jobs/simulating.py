@@ -18,6 +18,9 @@ from recognition.grasp import Grasp
 from simulator.errors import SimulatorError
 from simulator.process import serve
 
+_OPENING_OVERSHOOT_M = 2e-3
+"""Fingers that open run past their goal by up to so much; their records show it."""
+
 
 def serve_simulated_cell(
     config: CellConfig,
@@ -46,7 +49,8 @@ def serve_simulated_cell(
     """
     grasps: tuple[Grasp, ...] = read_dataset(frames) if frames is not None else ()
     layout = layout_from_pads(grasps[0].pads) if grasps else None
-    if grasps and largest_aperture_m(grasps) > config.gripper.aperture_open_mm * 1e-3:
+    reached_m = config.gripper.aperture_open_mm * 1e-3 + _OPENING_OVERSHOOT_M
+    if grasps and largest_aperture_m(grasps) > reached_m:
         raise CellError(
             f"{frames} opens to {largest_aperture_m(grasps) * 1e3:.1f} mm, "
             f"gripper.aperture_open_mm is {config.gripper.aperture_open_mm:g}; "
