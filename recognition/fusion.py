@@ -7,12 +7,9 @@ from enum import Enum, unique
 import numpy as np
 from scipy.special import expit, log_softmax, logit, logsumexp
 
+from recognition.dependence import evidence, independent_share
 from recognition.recognizer import UNKNOWN, Posterior
 
-DEPENDENCE = 0.2
-"""Correlation of the evidence of two grasps of one object: they share its pose and the sensor."""
-
-_FLATTENING = 0.005
 _MAX_UNKNOWN_LOGIT = 4.0
 
 
@@ -94,13 +91,14 @@ class StopRule:
             )
 
 
-def fuse(posteriors: Sequence[Posterior], *, dependence: float = DEPENDENCE) -> Posterior:
+def fuse(posteriors: Sequence[Posterior], *, dependence: float | None = None) -> Posterior:
     """Fuse the posteriors of several grasps of one object.
 
     Log posteriors over the uniform prior are summed, so that the prior counts once, and the sum is
-    tempered as if n grasps were n / (1 + (n - 1) dependence) independent ones. Grasps that
-    contradict each other speak for an untaught object. The order does not matter; one posterior
-    alone comes back with its order of labels, slightly flattened.
+    tempered as if n grasps were n / (1 + (n - 1) dependence) independent ones. Without a
+    `dependence` it is the mean of what the posteriors say of theirs. Grasps that contradict each
+    other speak for an untaught object. The order does not matter; one posterior alone comes back
+    with its order of labels, slightly flattened.
 
     Raises
     ------
@@ -109,6 +107,8 @@ def fuse(posteriors: Sequence[Posterior], *, dependence: float = DEPENDENCE) -> 
     """
     if not posteriors:
         raise ValueError("no posteriors to fuse: grasp at least once")
+    if dependence is None:
+        dependence = float(np.mean(sorted(p.dependence for p in posteriors)))
     if not 0.0 <= dependence <= 1.0:
         raise ValueError(f"dependence is {dependence}, must be from 0 to 1")
     labels = posteriors[0].labels
@@ -116,16 +116,20 @@ def fuse(posteriors: Sequence[Posterior], *, dependence: float = DEPENDENCE) -> 
         if p.labels != labels:
             raise ValueError(f"posteriors speak of different labels: {labels} and {p.labels}")
     n, n_labels = len(posteriors), len(labels)
-    weight = 1.0 / (1.0 + (n - 1) * dependence)
-    flattened = (1.0 - _FLATTENING) * np.stack([p.probability for p in posteriors])
-    evidence = np.log((flattened + _FLATTENING / n_labels) * n_labels)
-    total = weight * np.sort(evidence, axis=0).sum(axis=0)
+    weight = independent_share(n, dependence)
+    told = evidence(np.stack([p.probability for p in posteriors]))
+    total = weight * np.sort(told, axis=0).sum(axis=0)
     probability = np.exp(log_softmax(total))
     limit = float(expit(_MAX_UNKNOWN_LOGIT))
     doubts = sorted(float(logit(np.clip(p.unknown, 1.0 - limit, limit))) for p in posteriors)
     agreement = float(logsumexp(total) - np.log(n_labels))
     unknown = float(expit(weight * sum(doubts) - min(agreement, 0.0)))
-    return Posterior(labels=labels, probability=probability / probability.sum(), unknown=unknown)
+    return Posterior(
+        labels=labels,
+        probability=probability / probability.sum(),
+        unknown=unknown,
+        dependence=dependence,
+    )
 
 
 def decide(posteriors: Sequence[Posterior], rule: StopRule) -> Decision:

@@ -12,6 +12,10 @@ from recognition.grasp import Grasp
 UNKNOWN = "UNKNOWN"
 """The answer for an object that was never taught, or that cannot be told from the others."""
 
+DEPENDENCE = 0.2
+"""Correlation of what two grasps of one object tell, where nothing better is known: they share the
+object, the sensor and what the recogniser has not learnt."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Posterior:
@@ -25,11 +29,14 @@ class Posterior:
         Calibrated probability of each label, given that the object was taught. Sums to 1.
     unknown : float
         Probability from 0 to 1 that the object was never taught.
+    dependence
+        How far further grasps of the object repeat this one, 0 to 1; fusion goes by it.
     """
 
     labels: tuple[str, ...]
     probability: NDArray[np.float64]
     unknown: float
+    dependence: float = DEPENDENCE
 
     def __post_init__(self) -> None:
         p = np.array(self.probability, dtype=np.float64)
@@ -39,6 +46,8 @@ class Posterior:
             raise ValueError(f"probabilities sum to {p.sum()}, not to 1")
         if not 0.0 <= self.unknown <= 1.0:
             raise ValueError(f"unknown is {self.unknown}, not from 0 to 1")
+        if not 0.0 <= self.dependence <= 1.0:
+            raise ValueError(f"dependence is {self.dependence}, not from 0 to 1")
         p.setflags(write=False)
         object.__setattr__(self, "probability", p)
 

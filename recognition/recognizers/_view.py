@@ -8,10 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recognition.calibration import blocked_folds, fit_temperature, out_of_sample, to_probability
+from recognition.dependence import fit_dependence
 from recognition.lda import LinearDiscriminant, fit_lda
 from recognition.novelty import Novelty, fit_novelty, novelty_signs
 
 _FOLDS = 6
+_BLOCKS = 3
+"""Dependence shows between grasps that lie far from all taught ones: few and large blocks."""
 _LEFT_OUT_GROUPS = 6
 _MIN_CLASSES_TO_LEAVE_OUT = 4
 
@@ -33,6 +36,8 @@ class View:
         Log odds are divided by it.
     novelty
         What is strange.
+    dependence
+        How far grasps of one object repeat each other.
     """
 
     discriminant: LinearDiscriminant
@@ -40,6 +45,7 @@ class View:
     samples: NDArray[np.float64]
     temperature: float
     novelty: Novelty
+    dependence: float
 
     def probability(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (n, C) calibrated probabilities for features (n, F)."""
@@ -56,6 +62,7 @@ class View:
         arrays = {
             f"{prefix}samples": self.samples,
             f"{prefix}temperature": np.array(self.temperature),
+            f"{prefix}dependence": np.array(self.dependence),
             f"{prefix}has_second": np.array(self.second is not None),
             **self.discriminant.to_arrays(f"{prefix}lda_"),
             **self.novelty.to_arrays(f"{prefix}novelty_"),
@@ -76,6 +83,7 @@ class View:
             samples=arrays[f"{prefix}samples"],
             temperature=float(arrays[f"{prefix}temperature"]),
             novelty=Novelty.from_arrays(arrays, f"{prefix}novelty_"),
+            dependence=float(arrays[f"{prefix}dependence"]),
         )
 
 
@@ -115,12 +123,34 @@ def fit_view(
 
     distances, scored = out_of_sample(score, folds, n_classes)
     known, left_out = _leave_out(features, classes, n_classes, n_second, folds)
+    temperature = fit_temperature(-0.5 * distances[scored], classes[scored])
     return View(
         discriminant=discriminant,
         second=second,
         samples=discriminant.project(features),
-        temperature=fit_temperature(-0.5 * distances[scored], classes[scored]),
+        temperature=temperature,
         novelty=fit_novelty(known, left_out, signs[scored]),
+        dependence=_dependence(features, classes, n_classes, temperature),
+    )
+
+
+def _dependence(
+    features: NDArray[np.float64],
+    classes: NDArray[np.int64],
+    n_classes: int,
+    temperature: float,
+) -> float:
+    """Return how far grasps repeat each other, from large blocks that were held out in turn."""
+    blocks = blocked_folds(classes, _BLOCKS)
+
+    def score(fit: NDArray[np.bool_], test: NDArray[np.bool_]) -> NDArray[np.float64]:
+        return fit_lda(features[fit], classes[fit], n_classes).distances(features[test])
+
+    distances, scored = out_of_sample(score, blocks, n_classes)
+    return fit_dependence(
+        to_probability(-0.5 * distances[scored], temperature),
+        classes[scored],
+        np.argmax(np.stack(blocks), axis=0)[scored],
     )
 
 

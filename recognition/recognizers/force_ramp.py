@@ -61,6 +61,7 @@ class ForceRamp:
             labels=self.labels,
             probability=view.probability(features)[0],
             unknown=float(view.unknown(features)[0]),
+            dependence=view.dependence,
         )
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
