@@ -19,7 +19,7 @@ from cell.errors import ModelError
 from cell.files import read_npz, savez, write_atomically
 from recognition.grasp import PadArray
 from recognition.recognizer import Recognizer
-from recognition.recognizers import TRAINERS
+from recognition.recognizers import trainer_names
 
 FORMAT = "tactile-cell-model/1"
 """First thing that a model file says of itself."""
@@ -41,7 +41,7 @@ class LoadedModel:
     recognizer
         Ready to answer.
     trainer_name
-        Name of its kind, a key of `recognition.recognizers.TRAINERS`.
+        Name of its kind, one of `recognition.recognizers.trainer_names`.
     labels
         The taught objects.
     pads
@@ -75,7 +75,7 @@ def save_model(
     recognizer
         What was taught.
     trainer_name
-        Its kind, a key of `recognition.recognizers.TRAINERS`.
+        Its kind, one of `recognition.recognizers.trainer_names`.
     pads
         The pads that it was taught on.
 
@@ -191,9 +191,9 @@ def _pads(path: Path, arrays: Mapping[str, NDArray[Any]]) -> PadArray:
 
 def _class_of(path: Path, trainer_name: str, class_name: str) -> type[Recognizer]:
     """Return a recogniser's class; a file can only name those that this program offers."""
-    if trainer_name not in TRAINERS:
+    if trainer_name not in trainer_names():
         raise ModelError(
-            f"{path} is of the kind {trainer_name!r}; there are {', '.join(sorted(TRAINERS))}"
+            f"{path} is of the kind {trainer_name!r}; there are {', '.join(trainer_names())}"
         )
     module = importlib.import_module(f"recognition.recognizers.{trainer_name}")
     found = getattr(module, class_name, None)

@@ -17,13 +17,13 @@ from cell.jobs.teaching import train as train_recognizer
 from cell.model import save_model
 from cell.recording import recording_grasps
 from recognition.grasp import Grasp
-from recognition.recognizers import DEFAULT_TRAINER, TRAINERS
+from recognition.recognizers import DEFAULT_TRAINER, TRAINERS, trainer_names
 
 SplitOption = Annotated[
     str, typer.Option("--split", help="chronological:FRACTION or shuffled:FRACTION to train on.")
 ]
 RecognizerOption = Annotated[
-    str, typer.Option("--recognizer", help=f"One of {', '.join(TRAINERS)}.")
+    str, typer.Option("--recognizer", help=f"One of {', '.join(trainer_names())}.")
 ]
 ApertureOption = Annotated[
     bool, typer.Option("--aperture/--no-aperture", help="Use the opening of the fingers too.")
@@ -65,7 +65,11 @@ def evaluate(
     fuse: Annotated[str, typer.Option("--fuse", help="Numbers of grasps to fuse.")] = "1,2,3,5",
     recognizers: Annotated[
         list[str] | None,
-        typer.Option("--recognizer", help=f"Repeat for several [default: {', '.join(TRAINERS)}]."),
+        typer.Option(
+            "--recognizer",
+            help=f"Repeat for several, of {', '.join(trainer_names())} "
+            f"[default: {', '.join(TRAINERS)}].",
+        ),
     ] = None,
     seed: Annotated[int, typer.Option("--seed", min=0)] = 0,
     json_file: JsonOption = None,
@@ -144,8 +148,10 @@ def _labelled(path: Path) -> tuple[Grasp, ...]:
 
 
 def _check_recognizer(name: str) -> None:
-    if name not in TRAINERS:
-        raise ConfigError(f"no recogniser is named {name!r}; there are {', '.join(TRAINERS)}")
+    if name not in trainer_names():
+        raise ConfigError(
+            f"no recogniser is named {name!r}; there are {', '.join(trainer_names())}"
+        )
 
 
 def _numbers(text: str) -> tuple[int, ...]:

@@ -1,5 +1,6 @@
-"""The kinds of recogniser by name: the default, a plain reference, and the paper's own."""
+"""The kinds of recogniser by name: the default, a plain reference, the paper's own, comparators."""
 
+import importlib
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
 
@@ -37,8 +38,41 @@ TRAINERS: Mapping[str, Callable[[bool], Trainer]] = MappingProxyType(
 """Name -> factory; the argument says whether the opening between the fingers is used."""
 
 
+def _comparator(name: str) -> Callable[[bool], Trainer]:
+    def make(use_aperture: bool) -> Trainer:
+        module = importlib.import_module(f"recognition.recognizers.{name}")
+        trainer: Trainer = getattr(module, f"{name}_trainer")(use_aperture)
+        return trainer
+
+    return make
+
+
+COMPARATORS: Mapping[str, Callable[[bool], Trainer]] = MappingProxyType(
+    {
+        name: _comparator(name)
+        for name in (
+            "radius_vector",
+            "contour_network",
+            "contact_invariants",
+            "extra_trees",
+            "raw_neighbours",
+        )
+    }
+)
+"""Methods that the paper names, and today's plain choices; some are taught by scikit-learn.
+
+They are made and evaluated by name, and never part of what is done without asking for them.
+"""
+
+
+def trainer_names() -> tuple[str, ...]:
+    """Return the names of all kinds that can be made."""
+    return (*TRAINERS, *COMPARATORS)
+
+
 def make_trainer(name: str, *, use_aperture: bool = True) -> Trainer:
     """Return the trainer of that name. Raises ValueError, listing the names, for an unknown one."""
-    if name not in TRAINERS:
-        raise ValueError(f"no recogniser is named {name!r}; there are {', '.join(TRAINERS)}")
-    return TRAINERS[name](use_aperture)
+    make = TRAINERS.get(name) or COMPARATORS.get(name)
+    if make is None:
+        raise ValueError(f"no recogniser is named {name!r}; there are {', '.join(trainer_names())}")
+    return make(use_aperture)
