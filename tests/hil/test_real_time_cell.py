@@ -1,0 +1,230 @@
+"""The program against a simulated cell in another process: real time, pseudo-terminals."""
+
+import contextlib
+import json
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cell.config_file import load_config
+from cell.errors import CellStateError
+from cell.plugin import TactileCellPlugin, TeachGoal
+from cell.recording import read_recording
+
+pytestmark = pytest.mark.hil
+
+LIMIT_S = 30.0
+PROGRAM = [sys.executable, "-c", "from cell.cli import main; main()"]
+CONFIG = """
+tactile: {tare_frames: 25}
+gripper: {approach_speed_mm_s: 20.0}
+sequence: {x_mm: [0, 0], y_mm: [0, 0], force_n: [3, 5], max_grasps: 1}
+"""
+
+
+def start(*arguments: object) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [*PROGRAM, *(str(a) for a in arguments)],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+
+
+def end(process: subprocess.Popen[str]) -> tuple[int, str, str]:
+    """Wait for a process; return its exit code and what it said."""
+    out, err = process.communicate(timeout=LIMIT_S)
+    return process.returncode, " ".join(out.split()), " ".join(err.split())
+
+
+class Simulator:
+    """The simulated cell in a process of its own, and its socket."""
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir()
+        (folder / "sim.yaml").write_text(CONFIG)
+        self.process = start("simulate", "--config", folder / "sim.yaml", "--out", folder)
+        assert self.process.stdout is not None
+        self.hello = json.loads(self.process.stdout.readline())
+        self.config = Path(self.hello["config"])
+
+    def ask(self, **request: Any) -> dict[str, Any]:
+        with socket.socket(socket.AF_UNIX) as client:
+            client.settimeout(LIMIT_S)
+            client.connect(self.hello["positioner_socket"])
+            client.sendall(json.dumps(request).encode() + b"\n")
+            with client.makefile("rb") as lines:
+                reply: dict[str, Any] = json.loads(lines.readline())
+        return reply
+
+    def grip_n(self) -> float:
+        return float(min(self.ask(state=True)["contact_force_n"]))
+
+    def wait_for_grip(self, least_n: float, client: subprocess.Popen[str]) -> None:
+        """Wait until the object is gripped; the client must be running."""
+        end_s = time.monotonic() + LIMIT_S
+        while self.grip_n() < least_n:
+            assert client.poll() is None, end(client)
+            assert time.monotonic() < end_s, "nothing was gripped"
+            threading.Event().wait(0.02)
+
+
+@contextlib.contextmanager
+def ending(process: subprocess.Popen[str]) -> Iterator[subprocess.Popen[str]]:
+    """End the process with the block, whatever happens."""
+    try:
+        yield process
+    finally:
+        if process.poll() is None:
+            process.kill()
+        process.communicate()
+
+
+@pytest.fixture
+def simulator(tmp_path: Path) -> Iterator[Simulator]:
+    one = Simulator(tmp_path / "sim")
+    with ending(one.process):
+        yield one
+
+
+def only(folder: Path, pattern: str) -> Path:
+    (path,) = folder.glob(pattern)
+    return path
+
+
+def test_the_program_teaches_and_identifies_over_real_ports(
+    simulator: Simulator, tmp_path: Path
+) -> None:
+    config = load_config(simulator.config)
+    assert not config.simulated
+    assert config.gripper.port == simulator.hello["servo_port"]
+    report = tmp_path / "run.json"
+    client = start(
+        *("run", "--config", simulator.config, "--object", "box", "--teach", 3, "--trials", 1),
+        *("--out", tmp_path / "out", "--json", report),
+    )
+    with ending(client):
+        code, _out, err = end(client)
+        assert code == 0, err
+    data = json.loads(report.read_text())
+    assert (data["n_taught"], data["n_trials"]) == (3, 1)
+    health = data["health"]
+    assert health["tactile"]["complete"] > 100
+    assert health["servo_bus"]["transactions"] > 500
+    assert health["recording"] is None
+    recording = read_recording(data["recording"])
+    assert recording.complete
+    assert len(recording.grasps) == 4
+    assert Path(data["report"]).is_file()
+    state = simulator.ask(state=True)
+    assert state["placed"] == "box"
+    assert min(state["contact_force_n"]) == 0.0
+
+    code, out, err = end(start("doctor", "--config", simulator.config))
+    assert code == 0, err
+    assert "fail" not in out
+    simulator.process.send_signal(signal.SIGTERM)
+    assert end(simulator.process)[0] == 0
+
+
+def test_ctrl_c_keeps_the_grip_and_the_recording_and_release_lets_go(
+    simulator: Simulator, tmp_path: Path
+) -> None:
+    client = start(
+        *("teach", "box", "-n", 50, "--config", simulator.config),
+        *("-o", tmp_path / "d.npz", "--out", tmp_path / "out"),
+    )
+    with ending(client):
+        simulator.wait_for_grip(1.0, client)
+        client.send_signal(signal.SIGINT)
+        code, _out, err = end(client)
+    assert code == 1
+    assert "the grip is kept until it is released on purpose. Recording so far: " in err
+    assert "Traceback" not in err
+    recording = read_recording(only(tmp_path / "out", "teach-*/recording.mcap"))
+    assert recording.complete
+    assert len(recording.frames) > 10
+    assert [event["kind"] for event in recording.events] == ["held"]
+    held_n = simulator.grip_n()
+    assert held_n > 0.8
+
+    code, _out, err = end(
+        start(
+            *("teach", "box", "--config", simulator.config),
+            *("-o", tmp_path / "d.npz", "--out", tmp_path / "again"),
+        )
+    )
+    assert code == 1
+    assert "a part may be in the grip; nothing was moved" in err
+    assert "tactile-cell release" in err
+    assert simulator.grip_n() == pytest.approx(held_n, abs=0.5)
+
+    code, out, err = end(start("release", "--confirm", "--config", simulator.config))
+    assert code == 0, err
+    assert "the fingers are open" in out
+    assert simulator.grip_n() == 0.0
+
+
+def test_a_killed_cell_is_named_and_what_was_recorded_can_be_read(
+    simulator: Simulator, tmp_path: Path
+) -> None:
+    client = start(
+        *("teach", "box", "-n", 50, "--config", simulator.config),
+        *("-o", tmp_path / "d.npz", "--out", tmp_path / "out"),
+    )
+    with ending(client):
+        simulator.wait_for_grip(0.5, client)
+        simulator.process.kill()
+        code, _out, err = end(client)
+    assert code == 1
+    assert "Traceback" not in err
+    assert "recording so far: " in err
+    assert any(name in err for name in ("serial port", "servo", "CAN", "control unit")), err
+    recording = read_recording(only(tmp_path / "out", "teach-*/recording.mcap"))
+    assert len(recording.frames) > 10
+    assert recording.events[0]["kind"] == "fault"
+
+
+def test_wrong_ports_are_one_with_a_clear_message(tmp_path: Path) -> None:
+    config = tmp_path / "cell.yaml"
+    config.write_text(
+        f"gripper: {{port: {tmp_path / 'servos'}}}\n"
+        f"tactile: {{interface: slcan, channel: {tmp_path / 'can'}}}\n"
+        "positioner: {kind: operator}\n"
+    )
+    code, _out, err = end(start("run", "-c", config, "-o", "box", "--out", tmp_path / "out"))
+    assert code == 1
+    assert str(tmp_path / "can") in err
+    assert "Traceback" not in err
+
+
+def test_the_plugin_runs_in_real_time(simulator: Simulator) -> None:
+    with TactileCellPlugin(simulator.config) as plugin:
+        assert not plugin.info()["simulated"]
+        job = plugin.start(TeachGoal(label="box", grasps=2))
+        end_s = time.monotonic() + LIMIT_S
+        while simulator.grip_n() < 1.0:
+            assert not plugin.feedback(job).outcome.terminal, plugin.feedback(job)
+            assert time.monotonic() < end_s, plugin.feedback(job)
+            threading.Event().wait(0.02)
+        plugin.cancel(job)
+        with pytest.raises(CellStateError, match="CANCELED"):
+            plugin.result(job, LIMIT_S)
+        assert plugin.state() == "HELD"
+        threading.Event().wait(0.5)
+        assert plugin.fault() is None
+        assert simulator.grip_n() > 0.8
+        plugin.release()
+        assert simulator.grip_n() == 0.0
+        threading.Event().wait(0.3)
+        assert plugin.fault() is None
+        assert plugin.state() == "IDLE"
