@@ -1,13 +1,14 @@
 """The paper's Algorithm 1: sweep the taught quadrics through poses, then check a level.
 
-The three loops are run as printed (scale, translation, rotation, the last innermost), in arrays
-instead of one matrix at a time. What the printed text leaves open is a setting with a default.
+The values stand in the order of the printed loops (scale, translation, rotation, the last
+innermost). What the printed text leaves open is a setting with a default. No matrix is formed: a
+pose is reduced to what its eigenvalues depend on, each distinct one is solved once, and the value
+is written wherever it belongs. `recognition.sweep_full` does without keeping the values.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
-from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -15,22 +16,23 @@ from numpy.typing import ArrayLike, NDArray
 from recognition.eigen import (
     Reading,
     SmallestEigenvalue,
-    ascending,
     check_symmetric,
     smallest_eigenvalue,
-    smallest_of,
 )
 from recognition.errors import TrajectoryError
-from recognition.thresholds import check_level, find_thresholds
-from recognition.transform import (
-    DEFAULT_ORDER,
-    check_order,
-    rotation_xyz,
-    scaling,
-    translation,
+from recognition.sweep_arrow import ArrowForm, arrow_form
+from recognition.sweep_grid import (
+    groups,
+    in_printed_order,
+    points,
+    rotates_translation,
+    scales_translation,
 )
+from recognition.sweep_roots import smallest_of_arrow
+from recognition.thresholds import check_level, find_thresholds
+from recognition.transform import DEFAULT_ORDER, check_order
 
-_BLOCK = 65_536  # matrices in memory at a time
+_BLOCK = 8_192  # matrices at a time: what the solver needs of them stays in the cache
 
 
 class Axes(StrEnum):
@@ -133,25 +135,6 @@ class Trajectory:
         return np.stack([self.value.min(axis=1), self.value.max(axis=1)], axis=1)
 
 
-def _points(values: NDArray[np.float64], axes: Axes, n_axes: int) -> NDArray[np.float64]:
-    """Return the loop's points, (n, n_axes)."""
-    if axes is Axes.SEPARATE:
-        return np.array(list(product(values, repeat=n_axes)))
-    return np.repeat(values[:, None], n_axes, axis=1)
-
-
-def _blocks(settings: SweepSettings) -> Iterator[dict[str, NDArray[np.float64]]]:
-    """Yield M^-1's factors, inverted analytically, for blocks of the grid in printed order."""
-    shift = _points(settings.translation, settings.translation_axes, 2)
-    shift = np.concatenate([shift, np.zeros((len(shift), 1))], axis=1)
-    T = translation(-shift)[:, None]
-    R = np.swapaxes(rotation_xyz(_points(settings.angle_rad, settings.rotation_axes, 3)), -1, -2)
-    step = max(1, _BLOCK // len(R))
-    for S in scaling(1.0 / settings.scale):
-        for start in range(0, len(T), step):
-            yield {"S": S, "T": T[start : start + step], "R": R}
-
-
 def sweep(D: ArrayLike, settings: SweepSettings = PAPER_SWEEP) -> Trajectory:
     """Run the training loops of Algorithm 1.
 
@@ -172,27 +155,48 @@ def sweep(D: ArrayLike, settings: SweepSettings = PAPER_SWEEP) -> Trajectory:
     D = check_symmetric(D)
     if D.ndim != 3 or D.shape[1:] != (4, 4):
         raise TrajectoryError(f"taught quadrics have shape {D.shape}, expected (n_objects, 4, 4)")
+    u = in_printed_order(
+        points(settings.translation, 2, separate=settings.translation_axes is Axes.SEPARATE),
+        points(settings.angle_rad, 3, separate=settings.rotation_axes is Axes.SEPARATE),
+        rotated=rotates_translation(settings.order),
+    )
     value = np.empty((len(D), settings.n_evaluations))
     degenerate = np.empty(value.shape, dtype=np.bool_)
     for index, Q in enumerate(D):
-        start = 0
-        for inverse in _blocks(settings):
-            found = _smallest_after(Q, inverse, settings)
-            stop = start + found.value.size
-            value[index, start:stop] = found.value.ravel()
-            degenerate[index, start:stop] = found.degenerate.ravel()
-            start = stop
+        form = arrow_form(Q)
+        features = form.features(u)
+        first, group = groups(features)
+        found = _over_scales(form, features[:, first], settings)
+        shape = (len(settings.scale), len(u))
+        np.take(found.value, group, axis=1, out=value[index].reshape(shape))
+        np.take(found.degenerate, group, axis=1, out=degenerate[index].reshape(shape))
     return Trajectory(value=value, degenerate=degenerate, settings=settings)
 
 
-def _smallest_after(
-    Q: NDArray[np.float64], inverse: dict[str, NDArray[np.float64]], settings: SweepSettings
+def _over_scales(
+    form: ArrowForm, features: NDArray[np.float64], settings: SweepSettings
 ) -> SmallestEigenvalue:
-    """Carry one quadric through a block and take its smallest eigenvalues."""
-    for letter in reversed(settings.order):
-        M_inv = inverse[letter]
-        Q = np.swapaxes(M_inv, -1, -2) @ Q @ M_inv
-    return smallest_of(ascending(Q), settings.reading)
+    """Return the smallest eigenvalues of all scales (rows) and features (columns)."""
+    shape = (len(settings.scale), features.shape[1])
+    value, degenerate = np.empty(shape), np.empty(shape, dtype=np.bool_)
+    for rows, columns in blocks(*shape):
+        arrow = form.arrow(
+            features[:, columns],
+            settings.scale[rows],
+            scaled_shift=scales_translation(settings.order),
+        )
+        found = smallest_of_arrow(arrow, settings.reading).smallest
+        value[rows, columns], degenerate[rows, columns] = found.value, found.degenerate
+    return SmallestEigenvalue(value=value, degenerate=degenerate)
+
+
+def blocks(n_rows: int, n_columns: int) -> Iterator[tuple[slice, slice]]:
+    """Yield parts of a table that fit the cache, row by row where it is wide."""
+    width = min(n_columns, _BLOCK)
+    height = max(1, _BLOCK // max(width, 1))
+    for column in range(0, n_columns, width):
+        for row in range(0, n_rows, height):
+            yield slice(row, row + height), slice(column, column + width)
 
 
 def contact_classify(
