@@ -1,6 +1,5 @@
 """The report: one HTML file that needs nothing else, no script, no font, no network."""
 
-from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -12,7 +11,7 @@ from cell.report_view import page_view
 if TYPE_CHECKING:
     from jinja2 import Template
 
-__all__ = ["ReportData", "render_report", "write_report"]
+__all__ = ["ReportData", "page_template", "render_report", "write_report"]
 
 
 def write_report(path: Path | str, data: ReportData) -> None:
@@ -36,16 +35,20 @@ def write_report(path: Path | str, data: ReportData) -> None:
 
 def render_report(data: ReportData) -> str:
     """Return the page as HTML. Raises ReportError if jinja2 or matplotlib are missing."""
-    return _template().render(page_view(data))
+    return page_template("report.html.j2").render(page_view(data))
 
 
-def _template() -> "Template":
+def page_template(name: str) -> "Template":
+    """Return a template of this package's pages. Raises ReportError if jinja2 is missing."""
     try:
-        from jinja2 import Environment, StrictUndefined  # noqa: PLC0415
+        from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415
     except ImportError as cause:
         raise ReportError("the report needs jinja2: pip install 'tactile-cell[report]'") from cause
     environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        loader=PackageLoader("cell"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
-    text = resources.files("cell").joinpath("templates", "report.html.j2").read_text("utf-8")
-    return environment.from_string(text)
+    return environment.get_template(name)

@@ -1,112 +1,26 @@
-"""Line plots of the report: drawn by matplotlib, coloured by the page's own style sheet.
+"""Line plots of the report."""
 
-Colours go through matplotlib as place-holders and become CSS variables afterwards, so that one
-picture serves light and dark themes; text stays text in the page's font.
-"""
-
-import io
-import re
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.errors import ReportError
+from cell.plots import INK, MUTED, N_COLOURS, PAPER, colour, drawing, new_figure, to_svg
 from cell.report_grasps import GraspTimeline, Trajectories
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-    from matplotlib.figure import Figure
 
-N_COLOURS = 10
-"""Colours of objects (CSS variables ``--c0`` to ``--c9``); more objects use them again."""
+__all__ = ["N_COLOURS", "colour", "levels_figure", "sweep_figure", "timeline_figure"]
 
 _MAX_BINS = 260
-_INK, _MUTED, _GRID, _PAPER = "#010101", "#010102", "#010103", "#010104"
-_COLOURS = tuple(f"#0101{16 + i:02x}" for i in range(N_COLOURS))
-_VARIABLES = {
-    _INK: "var(--ink)",
-    _MUTED: "var(--muted)",
-    _GRID: "var(--line)",
-    _PAPER: "var(--card)",
-    **{colour: f"var(--c{i})" for i, colour in enumerate(_COLOURS)},
-}
-_STYLE: Any = {
-    "svg.fonttype": "none",
-    "svg.hashsalt": "tactile-cell",
-    "font.family": "sans-serif",
-    "font.size": 9.5,
-    "text.color": _INK,
-    "axes.labelcolor": _MUTED,
-    "axes.edgecolor": _GRID,
-    "axes.facecolor": "none",
-    "figure.facecolor": "none",
-    "axes.grid": True,
-    "grid.color": _GRID,
-    "grid.linewidth": 0.6,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.axisbelow": True,
-    "xtick.color": _GRID,
-    "ytick.color": _GRID,
-    "xtick.labelcolor": _MUTED,
-    "ytick.labelcolor": _MUTED,
-    "legend.frameon": False,
-    "legend.fontsize": 9.0,
-    "legend.labelcolor": _INK,
-    "lines.linewidth": 1.6,
-    "path.simplify": True,
-    "path.simplify_threshold": 0.4,
-}
-
-
-def _figure(width_in: float, height_in: float) -> "Figure":
-    try:
-        from matplotlib.figure import Figure  # noqa: PLC0415
-    except ImportError as cause:
-        raise ReportError(
-            "the report needs matplotlib: pip install 'tactile-cell[report]'"
-        ) from cause
-    return Figure(figsize=(width_in, height_in), layout="constrained")
-
-
-def _drawing() -> Any:
-    try:
-        from matplotlib import rc_context  # noqa: PLC0415
-    except ImportError as cause:
-        raise ReportError(
-            "the report needs matplotlib: pip install 'tactile-cell[report]'"
-        ) from cause
-    return rc_context(_STYLE)
-
-
-def _svg(figure: "Figure", name: str, description: str) -> str:
-    """Return the figure as SVG that may stand in a page several times under different names."""
-    buffer = io.StringIO()
-    figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-    text = buffer.getvalue()
-    text = text[text.index("<svg") :]
-    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
-    text = re.sub(r"<style[^>]*>.*?</style>", "", text, flags=re.DOTALL)
-    text = re.sub(r"<!--.*?-->\n?", "", text, flags=re.DOTALL)
-    text = re.sub(r'\bid="', f'id="{name}-', text)
-    text = re.sub(r'(href="|url\()#', rf"\1#{name}-", text)
-    text = re.sub(r' (?:width|height)="[0-9.]+pt"', "", text, count=2)
-    text = re.sub(r"#0101[0-9a-f]{2}", lambda m: _VARIABLES.get(m.group(), m.group()), text)
-    text = re.sub(r"\n\s*", "\n", text)
-    return text.replace("<svg ", f'<svg class="plot" role="img" aria-label="{description}" ', 1)
-
-
-def colour(index: int) -> str:
-    """Return the place-holder of an object's colour."""
-    return _COLOURS[index % N_COLOURS]
 
 
 def timeline_figure(timeline: GraspTimeline, name: str) -> str:
     """Draw force against set-point, goal current and opening over time."""
-    with _drawing():
-        figure = _figure(6.4, 6.3)
+    with drawing():
+        figure = new_figure(6.4, 6.3)
         force, current, opening = figure.subplots(
             3, 1, sharex=True, gridspec_kw={"height_ratios": [2.2, 1, 1]}
         )
@@ -115,27 +29,27 @@ def timeline_figure(timeline: GraspTimeline, name: str) -> str:
             force.plot(
                 t_s,
                 timeline.force_n[:, finger],
-                color=_COLOURS[finger],
+                color=colour(finger),
                 lw=1.1,
                 alpha=0.75,
                 label=f"finger {finger}",
             )
         grip_n = timeline.force_n.mean(axis=1)
-        force.plot(t_s, grip_n, color=_COLOURS[2], lw=2.0, label="grip")
-        force.plot(t_s, timeline.setpoint_n, color=_INK, lw=1.3, ls=(0, (4, 2)), label="set-point")
+        force.plot(t_s, grip_n, color=colour(2), lw=2.0, label="grip")
+        force.plot(t_s, timeline.setpoint_n, color=INK, lw=1.3, ls=(0, (4, 2)), label="set-point")
         force.set_ylabel("force / N")
         force.set_ylim(bottom=min(0.0, _least(timeline.force_n)))
         force.legend(loc="upper left", ncols=4, handlelength=1.6, columnspacing=1.2)
         force.margins(y=0.22)
-        current.plot(t_s, timeline.goal_current_a * 1e3, color=_COLOURS[3])
+        current.plot(t_s, timeline.goal_current_a * 1e3, color=colour(3))
         current.set_ylabel("goal current / mA")
-        opening.plot(t_s, timeline.aperture_m * 1e3, color=_COLOURS[6])
+        opening.plot(t_s, timeline.aperture_m * 1e3, color=colour(6))
         opening.set_ylabel("opening / mm")
         opening.set_xlabel("time / s")
         for axes in (force, current, opening):
             axes.margins(x=0.01)
             if timeline.contact_t_s is not None:
-                axes.axvline(timeline.contact_t_s, color=_MUTED, lw=0.9, ls=":")
+                axes.axvline(timeline.contact_t_s, color=MUTED, lw=0.9, ls=":")
         if timeline.contact_t_s is not None:
             opening.annotate(
                 "contact",
@@ -144,10 +58,10 @@ def timeline_figure(timeline: GraspTimeline, name: str) -> str:
                 xytext=(4, 0),
                 textcoords="offset points",
                 va="top",
-                color=_MUTED,
+                color=MUTED,
             )
         figure.align_ylabels()
-        return _svg(figure, name, "force, current and opening over time")
+        return to_svg(figure, name, "force, current and opening over time")
 
 
 def _least(values: NDArray[np.float64]) -> float:
@@ -157,8 +71,8 @@ def _least(values: NDArray[np.float64]) -> float:
 
 def sweep_figure(trajectories: Trajectories, name: str) -> str:
     """Draw the smallest eigenvalue over the poses of Algorithm 1: median and range."""
-    with _drawing():
-        figure = _figure(6.4, 3.7)
+    with drawing():
+        figure = new_figure(6.4, 3.7)
         axes = figure.subplots()
         for index, item in enumerate(trajectories.objects):
             share, low, middle, high = _envelope(item.sweep)
@@ -169,7 +83,7 @@ def sweep_figure(trajectories: Trajectories, name: str) -> str:
         _finish_levels(axes, [item.sweep for item in trajectories.objects])
         axes.set_xlabel("pose of Algorithm 1 (scale, then translation, then rotation) / %")
         axes.set_ylabel("smallest eigenvalue")
-        return _svg(figure, name, "eigenvalue trajectories of the objects over the sweep")
+        return to_svg(figure, name, "eigenvalue trajectories of the objects over the sweep")
 
 
 def _envelope(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
@@ -187,8 +101,8 @@ def _envelope(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
 
 def levels_figure(trajectories: Trajectories, name: str) -> str:
     """Draw lambda(F) along the ramp beside the taught levels, thresholds and windows."""
-    with _drawing():
-        figure = _figure(6.4, 3.7)
+    with drawing():
+        figure = new_figure(6.4, 3.7)
         ramp, bands = figure.subplots(1, 2, sharey=True, gridspec_kw={"width_ratios": [1.5, 1]})
         values = []
         for index, item in enumerate(trajectories.objects):
@@ -204,12 +118,12 @@ def levels_figure(trajectories: Trajectories, name: str) -> str:
                 )
             if np.isfinite(item.low):
                 bands.vlines(index, item.low, item.high, color=colour(index), lw=9)
-                bands.plot(index, np.sqrt(abs(item.low * item.high)), ".", color=_PAPER, ms=4)
+                bands.plot(index, np.sqrt(abs(item.low * item.high)), ".", color=PAPER, ms=4)
         for window in trajectories.windows:
             for axes in (ramp, bands):
-                axes.axhline(window.threshold, color=_MUTED, lw=0.8, ls=(0, (4, 3)))
+                axes.axhline(window.threshold, color=MUTED, lw=0.8, ls=(0, (4, 3)))
                 if not window.closed:
-                    axes.axhspan(window.low, window.high, color=_INK, alpha=0.06, lw=0)
+                    axes.axhspan(window.low, window.high, color=INK, alpha=0.06, lw=0)
             bands.annotate(
                 window.name + (" (closed)" if window.closed else ""),
                 (1.0, window.threshold),
@@ -217,7 +131,7 @@ def levels_figure(trajectories: Trajectories, name: str) -> str:
                 xytext=(3, 0),
                 textcoords="offset points",
                 va="center",
-                color=_MUTED,
+                color=MUTED,
                 annotation_clip=False,
             )
         _finish_levels(ramp, values)
@@ -230,7 +144,7 @@ def levels_figure(trajectories: Trajectories, name: str) -> str:
         )  # fmt: skip
         bands.set_xlim(-0.7, count - 0.3)
         bands.grid(visible=False, axis="x")
-        return _svg(figure, name, "eigenvalue along the force ramp, levels and windows")
+        return to_svg(figure, name, "eigenvalue along the force ramp, levels and windows")
 
 
 def _short(label: str) -> str:
