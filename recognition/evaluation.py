@@ -1,8 +1,10 @@
 """How good a recogniser is: accuracy, fusion, calibration and rejection of untaught objects."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from types import MappingProxyType
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,7 +17,7 @@ from recognition.metrics import (
     expected_calibration_error,
     wilson_interval,
 )
-from recognition.recognizer import Posterior, Trainer
+from recognition.recognizer import Posterior, Recognizer, Trainer
 from recognition.splits import (
     by_label,
     chronological_split,
@@ -25,11 +27,14 @@ from recognition.splits import (
 
 __all__ = [
     "Evaluation",
+    "Mapper",
+    "answers",
     "auroc",
     "chronological_split",
     "confusion_matrix",
     "evaluate",
     "expected_calibration_error",
+    "one_by_one",
     "parse_split",
     "shuffled_split",
     "wilson_interval",
@@ -37,6 +42,26 @@ __all__ = [
 
 _MIN_LABELS_FOR_UNKNOWN = 4
 _RANDOM_SUBSETS = 20
+_CHUNK = 64
+"""Grasps answered in one piece of work: long enough that handing it over costs little."""
+
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
+
+
+class Mapper(Protocol):
+    """Does the same work for many items, in their order; elsewhere, if it likes."""
+
+    def __call__(
+        self, work: Callable[[_Item], _Result], items: Sequence[_Item], /
+    ) -> Iterable[_Result]:
+        """Return ``work(item)`` for each item; work and items can be pickled."""
+        ...
+
+
+def one_by_one(work: Callable[[_Item], _Result], items: Sequence[_Item], /) -> Iterable[_Result]:
+    """Do the work here, one item after the other; a `Mapper`."""
+    return map(work, items)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -96,6 +121,7 @@ def evaluate(
     seed: int = 0,
     *,
     unknown_groups: int = 6,
+    mapper: Mapper = one_by_one,
 ) -> Evaluation:
     """Teach with one part, test on the other.
 
@@ -112,6 +138,8 @@ def evaluate(
     unknown_groups
         Into how many groups the labels are dealt out; each group in turn is left out of teaching
         and must then be found unknown. That many more recognisers are taught; 0 for none.
+    mapper
+        Who does the work; the figures are the same whoever does it.
 
     Raises
     ------
@@ -126,7 +154,7 @@ def evaluate(
         raise ValueError(
             f"none of the {len(test)} tested grasps is of a taught object {sorted(taught)}"
         )
-    posteriors = [recognizer.posterior(g) for g in known]
+    posteriors = answers(recognizer, known, mapper)
     truth = [g.label for g in known]
     right = np.array([p.best == t for p, t in zip(posteriors, truth, strict=True)])
     rows = {
@@ -134,9 +162,9 @@ def evaluate(
         for label in sorted(set(truth))
     }
     known_scores = [p.unknown for p in posteriors]
-    areas, strange = _leave_out(train, known, trainer, unknown_groups)
+    areas, strange = _leave_out(train, known, trainer, unknown_groups, mapper)
     if untaught:
-        scores = [recognizer.posterior(g).unknown for g in untaught]
+        scores = [p.unknown for p in answers(recognizer, untaught, mapper)]
         areas, strange = [*areas, auroc(known_scores, scores)], [*strange, *scores]
     return Evaluation(
         trainer=trainer.name,
@@ -158,27 +186,50 @@ def evaluate(
     )
 
 
+def answers(
+    recognizer: Recognizer, grasps: Sequence[Grasp], mapper: Mapper = one_by_one
+) -> list[Posterior]:
+    """Return what the recogniser says of each grasp, in order."""
+    chunks = [grasps[i : i + _CHUNK] for i in range(0, len(grasps), _CHUNK)]
+    return [p for part in mapper(partial(_posteriors, recognizer), chunks) for p in part]
+
+
+def _posteriors(recognizer: Recognizer, grasps: Sequence[Grasp]) -> list[Posterior]:
+    return [recognizer.posterior(g) for g in grasps]
+
+
 def _leave_out(
-    train: Sequence[Grasp], test: Sequence[Grasp], trainer: Trainer, n_groups: int
+    train: Sequence[Grasp],
+    test: Sequence[Grasp],
+    trainer: Trainer,
+    n_groups: int,
+    mapper: Mapper,
 ) -> tuple[list[float], list[float]]:
     """Return the area under the curve per group of left-out labels, and their unknown scores."""
     labels = sorted({g.label for g in train})
-    areas: list[float] = []
-    strange: list[float] = []
     if len(labels) < _MIN_LABELS_FOR_UNKNOWN:
-        return areas, strange
+        return [], []
     n_groups = min(n_groups, len(labels))
-    for group in range(n_groups):
-        out = set(labels[group::n_groups])
-        if len(labels) - len(out) < 2 or not any(g.label in out for g in test):
-            continue
-        recognizer = trainer.fit([g for g in train if g.label not in out])
-        score = {True: list[float](), False: list[float]()}
-        for grasp in test:
-            score[grasp.label in out].append(recognizer.posterior(grasp).unknown)
-        areas.append(auroc(score[False], score[True]))
-        strange += score[True]
-    return areas, strange
+    groups = [frozenset(labels[group::n_groups]) for group in range(n_groups)]
+    groups = [
+        out for out in groups if len(labels) - len(out) >= 2 and any(g.label in out for g in test)
+    ]
+    scored = list(mapper(partial(_scores_without, train, test, trainer), groups))
+    return (
+        [auroc(known, strange) for known, strange in scored],
+        [score for _, strange in scored for score in strange],
+    )
+
+
+def _scores_without(
+    train: Sequence[Grasp], test: Sequence[Grasp], trainer: Trainer, out: frozenset[str]
+) -> tuple[list[float], list[float]]:
+    """Return how unknown the tested grasps of other labels and of those left out look."""
+    recognizer = trainer.fit([g for g in train if g.label not in out])
+    score = {True: list[float](), False: list[float]()}
+    for grasp in test:
+        score[grasp.label in out].append(recognizer.posterior(grasp).unknown)
+    return score[False], score[True]
 
 
 def _consecutive(rows: Mapping[str, Sequence[Posterior]], k: int) -> float:

@@ -15,6 +15,7 @@ from cell.jobs.evaluating import EvaluationResult, evaluate_recognizers
 from cell.jobs.replaying import replay_grasps
 from cell.jobs.teaching import train as train_recognizer
 from cell.model import save_model
+from cell.parallel import workers
 from cell.recording import recording_grasps
 from recognition.grasp import Grasp
 from recognition.recognizers import DEFAULT_TRAINER, TRAINERS, trainer_names
@@ -28,6 +29,9 @@ RecognizerOption = Annotated[
 ApertureOption = Annotated[
     bool, typer.Option("--aperture/--no-aperture", help="Use the opening of the fingers too.")
 ]
+
+_MANY_GRASPS = 1000
+"""From here on the processes that share the work take less time to start than they save."""
 
 
 def train(
@@ -72,20 +76,33 @@ def evaluate(
         ),
     ] = None,
     seed: Annotated[int, typer.Option("--seed", min=0)] = 0,
+    jobs: Annotated[
+        int | None,
+        typer.Option(
+            "--jobs", min=0, help="Processes, 0: one a core [default: 0 from 1000 grasps, else 1]."
+        ),
+    ] = None,
+    scheduler: Annotated[
+        str | None, typer.Option("--scheduler", help="Address of a Dask scheduler to work on.")
+    ] = None,
     json_file: JsonOption = None,
 ) -> None:
     """Measure recognisers on recorded grasps: accuracy with intervals, fusion, unknown objects."""
     names = recognizers or list(TRAINERS)
     for name in names:
         _check_recognizer(name)
-    with progress_bar() as progress:
+    grasps = _labelled(dataset)
+    if jobs is None:
+        jobs = 0 if len(grasps) >= _MANY_GRASPS else 1
+    with workers(jobs, scheduler=scheduler) as mapper, progress_bar() as progress:
         result = evaluate_recognizers(
-            _labelled(dataset),
+            grasps,
             split=split,
             train=None if train_on is None else _labelled(train_on),
             names=names,
             fuse=_numbers(fuse),
             seed=seed,
+            mapper=mapper,
             progress=progress,
         )
     _print_evaluation(result)

@@ -8,7 +8,7 @@ from typing import Any
 
 from cell.errors import CellError
 from cell.jobs.progress import Progress
-from recognition.evaluation import Evaluation, evaluate, parse_split
+from recognition.evaluation import Evaluation, Mapper, evaluate, one_by_one, parse_split
 from recognition.grasp import Grasp
 from recognition.recognizers import DEFAULT_TRAINER, make_trainer
 
@@ -62,6 +62,7 @@ def evaluate_recognizers(
     names: Sequence[str],
     fuse: Sequence[int] = (1,),
     seed: int = 0,
+    mapper: Mapper = one_by_one,
     progress: Progress,
 ) -> EvaluationResult:
     """Train and test each named recogniser.
@@ -76,6 +77,8 @@ def evaluate_recognizers(
         Grasps to train on instead of splitting.
     fuse
         Numbers of grasps to fuse.
+    mapper
+        Who does the work, as `cell.parallel.workers` yields it.
 
     Raises
     ------
@@ -102,7 +105,7 @@ def evaluate_recognizers(
         progress("evaluate", 2 * number, 2 * len(names))
         trainer = make_trainer(name, use_aperture=True)
         try:
-            full = evaluate(train_part, test_part, trainer, fuse=fuse, seed=seed)
+            full = evaluate(train_part, test_part, trainer, fuse=fuse, seed=seed, mapper=mapper)
             progress("evaluate", 2 * number + 1, 2 * len(names))
             without = (
                 evaluate(
@@ -111,6 +114,7 @@ def evaluate_recognizers(
                     make_trainer(name, use_aperture=False),
                     fuse=fuse,
                     seed=seed,
+                    mapper=mapper,
                 )
                 if trainer.uses_aperture
                 else full
