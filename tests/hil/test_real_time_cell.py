@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import os
 import signal
 import socket
 import subprocess
@@ -22,22 +23,36 @@ from cell.recording import read_recording
 pytestmark = pytest.mark.hil
 
 LIMIT_S = 30.0
+LOAD_MARGIN = 0.5
 PROGRAM = [sys.executable, "-c", "from cell.cli import main; main()"]
 CONFIG = """
-tactile: {tare_frames: 25}
-gripper: {approach_speed_mm_s: 20.0}
+tactile: {tare_frames: 25, sync_period_ms: 30.0}
+gripper:
+  loop_rate_hz: 100.0
+  approach_speed_mm_s: 20.0
+  force_stale_ms: 300.0
+  watchdog_ms: 500.0
 sequence: {x_mm: [0, 0], y_mm: [0, 0], force_n: [3, 5], max_grasps: 1}
 """
+"""Half the rate and some patience: other tests may take turns on the same processor."""
+
+
+def hurry(pid: int) -> None:
+    """Let a process go before others, where the machine permits it: it has deadlines of 3 ms."""
+    with contextlib.suppress(PermissionError):
+        os.setpriority(os.PRIO_PROCESS, pid, -10)
 
 
 def start(*arguments: object) -> subprocess.Popen[str]:
-    return subprocess.Popen(
+    process = subprocess.Popen(
         [*PROGRAM, *(str(a) for a in arguments)],
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
     )
+    hurry(process.pid)
+    return process
 
 
 def end(process: subprocess.Popen[str]) -> tuple[int, str, str]:
@@ -54,7 +69,9 @@ class Simulator:
         (folder / "sim.yaml").write_text(CONFIG)
         self.process = start("simulate", "--config", folder / "sim.yaml", "--out", folder)
         assert self.process.stdout is not None
-        self.hello = json.loads(self.process.stdout.readline())
+        line = self.process.stdout.readline()
+        assert line, end(self.process)
+        self.hello = json.loads(line)
         self.config = Path(self.hello["config"])
 
     def ask(self, **request: Any) -> dict[str, Any]:
@@ -75,7 +92,7 @@ class Simulator:
         while self.grip_n() < least_n:
             assert client.poll() is None, end(client)
             assert time.monotonic() < end_s, "nothing was gripped"
-            threading.Event().wait(0.02)
+            threading.Event().wait(0.05)
 
 
 @contextlib.contextmanager
@@ -90,7 +107,25 @@ def ending(process: subprocess.Popen[str]) -> Iterator[subprocess.Popen[str]]:
 
 
 @pytest.fixture
-def simulator(tmp_path: Path) -> Iterator[Simulator]:
+def free_machine() -> None:
+    """Skip where other programs use up the processors: then no real time can be judged."""
+    load, processors = os.getloadavg()[0], os.cpu_count() or 1
+    if load > processors + LOAD_MARGIN:
+        pytest.skip(f"load {load:.1f} on {processors} processors leaves no real time to test in")
+
+
+@pytest.fixture
+def hurried() -> Iterator[None]:
+    """Let this thread, and those that it starts, go before others."""
+    before = os.getpriority(os.PRIO_PROCESS, 0)
+    hurry(0)
+    yield
+    with contextlib.suppress(PermissionError):
+        os.setpriority(os.PRIO_PROCESS, 0, before)
+
+
+@pytest.fixture
+def simulator(free_machine: None, tmp_path: Path) -> Iterator[Simulator]:
     one = Simulator(tmp_path / "sim")
     with ending(one.process):
         yield one
@@ -207,6 +242,7 @@ def test_wrong_ports_are_one_with_a_clear_message(tmp_path: Path) -> None:
     assert "Traceback" not in err
 
 
+@pytest.mark.usefixtures("hurried")
 def test_the_plugin_runs_in_real_time(simulator: Simulator) -> None:
     with TactileCellPlugin(simulator.config) as plugin:
         assert not plugin.info()["simulated"]
@@ -215,7 +251,7 @@ def test_the_plugin_runs_in_real_time(simulator: Simulator) -> None:
         while simulator.grip_n() < 1.0:
             assert not plugin.feedback(job).outcome.terminal, plugin.feedback(job)
             assert time.monotonic() < end_s, plugin.feedback(job)
-            threading.Event().wait(0.02)
+            threading.Event().wait(0.05)
         plugin.cancel(job)
         with pytest.raises(CellStateError, match="CANCELED"):
             plugin.result(job, LIMIT_S)
