@@ -3,14 +3,15 @@
 The five objects stand as full quadrics (mm, k = -1) and in the form (7): the cap that each shows to
 a pad, in counts. A cap's height is that of a paraboloid of the object's radii pressed with 5 N into
 foam of 150 kPa and 3 mm, the ball's being 200 counts. Then equations (4) to (10) in numbers: the
-semidefinite bound against eigvalsh, and column sums against the true product M^-1 P.
+semidefinite bound against eigvalsh, and column sums against the true product M^-1 P; and the 5x5
+form of the conclusions, fitted along a force ramp.
 """
 
 import numpy as np
 
 from benchmarks._measure import line, repeats, same
 from benchmarks.sweep import OBJECTS
-from recognition.eigen import Reading
+from recognition.eigen import Reading, smallest_eigenvalue
 from recognition.errors import QuadricError
 from recognition.infimum import (
     Pencil,
@@ -24,6 +25,7 @@ from recognition.infimum import (
 from recognition.invariance import TRANSFORMATIONS, change_over
 from recognition.invariants import corrected_eigenvalue
 from recognition.quadric import height_field_matrix
+from recognition.spectrum_fifth import at_fifth, carry, fit_ramp_surface, interlacing
 from recognition.sweep_full import sweep_summary
 from recognition.sweep_grid import points
 from recognition.trajectory import PAPER_SWEEP, Axes, SweepSettings
@@ -171,6 +173,43 @@ def bounds() -> None:
             )
 
 
+def ramp_surfaces() -> np.ndarray:
+    """Return the 5x5 forms of the five caps along a ramp: indentation grows as force^(1/2)."""
+    w = np.linspace(0.1, 1.0, 10)
+    along = np.linspace(-1.5, 1.5, 5)
+    xy = np.stack(np.meshgrid(along, along, indexing="ij"), axis=-1).reshape(-1, 2)
+    x, y = xy.T
+    found = []
+    for Q in caps():
+        falls = Q[0, 0] * x**2 + Q[1, 1] * y**2
+        found.append(fit_ramp_surface(xy, w, falls + Q[3, 3] * np.sqrt(w)[:, None]))
+    return np.array(found)
+
+
+def fifth() -> None:
+    """Print lambda_5 of the form with the grip force as fifth coordinate, and how it keeps."""
+    print(f"\n{'5x5, w = part of the full force':<38}" + "".join(f"{name:>12}" for name in NAMES))
+    surfaces = ramp_surfaces()
+    same(interlacing(surfaces).min() > -1e-9, "the spectra of 5x5 and 4x4 do not interlace")
+    fives = smallest_eigenvalue(surfaces).value
+    fours = smallest_eigenvalue(np.array([at_fifth(Q, 1.0) for Q in surfaces])).value
+    print(f"  {'min |lambda| of 5x5':<36}" + "".join(f"{value:12.4g}" for value in fives))
+    print(f"  {'min |lambda| of 4x4 at w = 1':<36}" + "".join(f"{value:12.4g}" for value in fours))
+    for kind in TRANSFORMATIONS:
+        M_inv = carry(inverses(kind))
+        shown = []
+        for Q in surfaces:
+            moved = np.swapaxes(M_inv, -1, -2) @ Q @ M_inv
+            value = np.abs(np.linalg.eigvalsh(moved)).min(axis=-1)
+            factor = "scale" in kind or "loops" in kind
+            shown.append(
+                f"{value.max() / value.min():11.3f}x"
+                if factor
+                else f"{np.ptp(value) / value[0]:12.1e}"
+            )
+        print(f"  {kind:<36}" + "".join(shown))
+
+
 def main(effort: float = 1.0) -> None:
     n = repeats(2000, effort, least=30)
     line("compared", "eigenvalues of every pose of the paper's grid with those at rest")
@@ -182,6 +221,7 @@ def main(effort: float = 1.0) -> None:
     corrected(n)
     bounds()
     column_sums(n)
+    fifth()
     factor = change_over(OBJECTS[3], TRANSFORMATIONS["scale"]).factor
     line("  ratio", f"scale 1 to 4 moves the ball's min |lambda| {factor:.1f} times")
 
