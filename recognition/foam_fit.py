@@ -1,0 +1,293 @@
+"""Stiffness of the foam and gain of the sensor from grasps of one object of known shape.
+
+One grasp tells how deep a known surface was pressed in (from the opening), with which force (the
+commanded one), and what the taxels read. Fitted together over all grasps are modulus, gain, spread
+of the pressure and the offset of the opening; for each grasp its pose in the plane of the pads and
+the depth at each level of the load. Gauss-Newton steps with damping, priors on everything.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recognition.drawing import Drawing, posed
+from recognition.errors import ContactError
+from recognition.foam_model import FoamModel, PadBed
+from recognition.grasp import Grasp
+from recognition.ramp import learn_rest
+from recognition.shape_data import PressedPads, press_data
+
+Array = NDArray[np.float64]
+
+GLOBALS = ("modulus", "gain", "spread", "aperture")
+"""What is common to all grasps, in the order of `FoamFit.sd`."""
+
+_PRIOR_SD = np.array([1.0, 1.0, 0.3, 2.0])
+_POSE_SD = np.array([1.5, 1.5, 1.25])
+_DEPTH_MM, _DEPTH_SD_MM = 1.2, 1.0
+_STEP = 1e-3
+_MAX_STEPS = 25
+_APERTURE_JITTER_M = 0.08e-3
+_FORCE_SD = 0.06
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FoamFit:
+    """What the gauge told.
+
+    Attributes
+    ----------
+    foam
+        Foam and sensor.
+    sd : (4,) float64
+        Standard deviation of log modulus, log gain, log spread and of the offset in mm.
+    misfit
+        Squared residual per degree of freedom: 1 where the model fits within the noise.
+    n_grasps
+        Number of grasps that it rests on.
+    """
+
+    foam: FoamModel
+    sd: Array
+    misfit: float
+    n_grasps: int
+
+
+@dataclass(slots=True)
+class _State:
+    """Parameters: those common to all grasps, then poses and depths of each."""
+
+    common: Array
+    own: Array
+
+
+def fit_foam(grasps: Sequence[Grasp], drawing: Drawing, start: FoamModel | None = None) -> FoamFit:
+    """Calibrate foam and sensor on grasps of one known object.
+
+    Parameters
+    ----------
+    grasps
+        At least two, at different poses or forces.
+    drawing
+        The object.
+    start
+        What is thought of the foam beforehand.
+
+    Raises
+    ------
+    ContactError
+        Fewer than two of the grasps touched both pads.
+    ValueError
+        The grasps come from different pads.
+    """
+    foam = start or FoamModel()
+    rest = learn_rest(grasps)
+    data = []
+    for grasp in grasps:
+        try:
+            data.append(press_data(grasp, replace(foam, aperture_offset_m=0.0), rest))
+        except ContactError:
+            continue
+    if len(data) < 2:
+        raise ContactError(
+            f"{len(data)} of {len(grasps)} grasps of the gauge touched both pads, at least 2 are "
+            "needed: grasp it again"
+        )
+    return _Fit(data, drawing, foam, grasps[0], rest.gripping[0]).run()
+
+
+class _Fit:
+    def __init__(
+        self,
+        data: Sequence[PressedPads],
+        drawing: Drawing,
+        foam: FoamModel,
+        grasp: Grasp,
+        pad: int,
+    ) -> None:
+        self.data, self.drawing, self.foam = data, drawing, foam
+        self.pads, self.pad = grasp.pads, pad
+        self.n_levels = len(data[0].share)
+        knows_force = all(np.isfinite(d.force_n) and d.force_n > 0.0 for d in data)
+        self.common_sd = _PRIOR_SD.copy()
+        if not knows_force:
+            # Without a force only the product of modulus and gain shows.
+            self.common_sd[1] = 0.02
+        self.own_sd = np.concatenate([_POSE_SD, np.full(self.n_levels, _DEPTH_SD_MM)])
+        self.rolls = [0.0] * len(data)
+
+    def run(self) -> FoamFit:
+        state = self._start()
+        damping, cost = 1e-2, np.inf
+        blocks = self._blocks(state)
+        cost = self._cost(blocks, state)
+        for _ in range(_MAX_STEPS):
+            gain = 0.0
+            for _ in range(5):
+                trial = self._step(blocks, state, damping)
+                new_blocks = self._blocks(trial)
+                new = self._cost(new_blocks, trial)
+                if new < cost:
+                    gain, cost, state, blocks = cost - new, new, trial, new_blocks
+                    damping = max(0.2 * damping, 1e-6)
+                    break
+                damping *= 8.0
+            if gain < 0.05:
+                break
+        normal, _ = self._normal(blocks, state)
+        n_data = sum(len(r) for r, _ in blocks)
+        misfit = sum(float(r @ r) for r, _ in blocks) / max(1, n_data - len(normal))
+        covariance = np.linalg.inv(normal)
+        return FoamFit(
+            foam=self._foam(state.common),
+            sd=np.sqrt(max(1.0, misfit) * np.diag(covariance)[: len(GLOBALS)]),
+            misfit=misfit,
+            n_grasps=len(self.data),
+        )
+
+    def _foam(self, common: Array) -> FoamModel:
+        return replace(
+            self.foam,
+            modulus_pa=self.foam.modulus_pa * float(np.exp(common[0])),
+            gain=self.foam.gain * float(np.exp(common[1])),
+            spread_m=self.foam.spread_m * float(np.exp(common[2])),
+            aperture_offset_m=1e-3 * float(common[3]),
+        )
+
+    def _start(self) -> _State:
+        common = np.zeros(len(GLOBALS))
+        common[3] = 1e3 * self.foam.aperture_offset_m
+        bed = self._bed(common)
+        rows = []
+        for i, data in enumerate(self.data):
+            _, axes = np.linalg.eigh(data.spread_m2)
+            turn = float(np.arctan2(axes[1, 1], axes[0, 1]))
+            step_rad = self.drawing.roll_step_rad
+            rolls = step_rad * np.arange(round(np.pi / step_rad)) if step_rad else np.zeros(1)
+            best = np.inf
+            for roll in rolls:
+                self.rolls[i] = float(roll)
+                for angle in turn + np.pi * np.array([0.0, 0.5, 0.25, -0.25]):
+                    own = np.array([*(1e3 * data.centre_m), angle, *[_DEPTH_MM] * self.n_levels])
+                    own[3:] = self._depths(i, bed, own)
+                    residuals = self._residuals(i, bed, common, own, self._reach(i, own, bed))
+                    if float(residuals @ residuals) < best:
+                        best, chosen, roll_chosen = float(residuals @ residuals), own, float(roll)
+            self.rolls[i] = roll_chosen
+            rows.append(chosen)
+        self._own_mean = np.array(rows)
+        self._own_mean[:, 3:] = _DEPTH_MM
+        return _State(common, np.array(rows))
+
+    def _bed(self, common: Array) -> PadBed:
+        spread_m = self.foam.spread_m * float(np.exp(common[2]))
+        return PadBed(self.pads, self.pad, spread_m, cell_m=0.75e-3)
+
+    def _reach(self, i: int, own: Array, bed: PadBed) -> tuple[Array, float]:
+        """Return how far the surface lies below its top in m, and the thickness in m."""
+        near, far = posed(
+            self.drawing,
+            bed.x_m,
+            bed.y_m,
+            at_m=(1e-3 * float(own[0]), 1e-3 * float(own[1])),
+            rotation_rad=float(own[2]),
+            roll_rad=self.rolls[i],
+        )
+        thick_m = float(near.max() + far.max())
+        lag_m = np.where(np.isfinite(near), near.max() - near, 1.0)
+        return lag_m, thick_m if np.isfinite(thick_m) else 0.0
+
+    def _forces_n(self, bed: PadBed, lag_m: Array, depth_mm: Array, modulus_pa: float) -> Array:
+        near = lag_m < self.foam.thickness_m
+        rows, columns = near.any(axis=1), near.any(axis=0)
+        part = lag_m[np.ix_(rows, columns)]
+        pressure = self.foam.relative_pressure(1e-3 * depth_mm[:, None, None] - part)
+        forces = bed.along[:, rows] @ (pressure @ bed.across[:, columns].T)
+        forces_n: Array = modulus_pa * bed.cell_area_m2 * forces.reshape(len(depth_mm), -1)
+        return forces_n
+
+    def _depths(self, i: int, bed: PadBed, own: Array) -> Array:
+        trial = np.linspace(0.05, 2.7, 12)
+        forces = self._forces_n(bed, self._reach(i, own, bed)[0], trial, self.foam.modulus_pa)
+        load = self.foam.response(forces).sum(axis=1)
+        depths_mm: Array = np.interp(self.data[i].share.sum(axis=1), load, trial)
+        return depths_mm
+
+    def _residuals(
+        self, i: int, bed: PadBed, common: Array, own: Array, reach: tuple[Array, float]
+    ) -> Array:
+        data = self.data[i]
+        lag_m, thick_m = reach
+        modulus_pa = self.foam.modulus_pa * float(np.exp(common[0]))
+        forces_n = self._forces_n(bed, lag_m, own[3:], modulus_pa)
+        share = self.foam.response(forces_n * float(np.exp(common[1])))
+        parts = [((share - data.share) / data.sd).ravel()]
+        if np.isfinite(data.aperture_m).all():
+            shown_m = thick_m - 2e-3 * own[3:] + 1e-3 * common[3]
+            parts.append((shown_m - data.aperture_m) / _APERTURE_JITTER_M)
+        if np.isfinite(data.force_n) and data.force_n > 0.0:
+            total_n = float(forces_n[-1].sum())
+            parts.append(np.array([(total_n - data.force_n) / (_FORCE_SD * data.force_n + 0.15)]))
+        return np.concatenate(parts)
+
+    def _blocks(self, state: _State) -> list[tuple[Array, Array]]:
+        """Return residuals and Jacobian (over common, then own parameters) of each grasp."""
+        common = state.common
+        bed = self._bed(common)
+        wider = common + _STEP * np.eye(len(GLOBALS))
+        wide_bed = self._bed(wider[2])
+        blocks = []
+        for i, own in enumerate(state.own):
+            reach = self._reach(i, own, bed)
+            base = self._residuals(i, bed, common, own, reach)
+            columns = [
+                self._residuals(i, wide_bed if k == 2 else bed, wider[k], own, reach)
+                for k in range(len(GLOBALS))
+            ]
+            for k in range(len(own)):
+                moved = own.copy()
+                moved[k] += _STEP
+                there = self._reach(i, moved, bed) if k < 3 else reach
+                columns.append(self._residuals(i, bed, common, moved, there))
+            blocks.append((base, (np.array(columns) - base).T / _STEP))
+        return blocks
+
+    def _normal(self, blocks: list[tuple[Array, Array]], state: _State) -> tuple[Array, Array]:
+        n_common, n_own = len(GLOBALS), state.own.shape[1]
+        n = n_common + n_own * len(blocks)
+        normal, gradient = np.zeros((n, n)), np.zeros(n)
+        start = np.zeros(n_common)
+        start[3] = 1e3 * self.foam.aperture_offset_m
+        normal[range(n_common), range(n_common)] = self.common_sd**-2
+        gradient[:n_common] = (state.common - start) / self.common_sd**2
+        for i, (residuals, jacobian) in enumerate(blocks):
+            own = slice(n_common + i * n_own, n_common + (i + 1) * n_own)
+            where = np.r_[0:n_common, own]
+            normal[np.ix_(where, where)] += jacobian.T @ jacobian
+            gradient[where] += jacobian.T @ residuals
+            normal[range(own.start, own.stop), range(own.start, own.stop)] += self.own_sd**-2
+            gradient[own] += (state.own[i] - self._own_mean[i]) / self.own_sd**2
+        return normal, gradient
+
+    def _step(self, blocks: list[tuple[Array, Array]], state: _State, damping: float) -> _State:
+        normal, gradient = self._normal(blocks, state)
+        step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
+        step = np.clip(step, -0.7, 0.7)
+        n_common = len(GLOBALS)
+        return _State(
+            state.common + step[:n_common],
+            state.own + step[n_common:].reshape(state.own.shape),
+        )
+
+    def _cost(self, blocks: list[tuple[Array, Array]], state: _State) -> float:
+        start = np.zeros(len(GLOBALS))
+        start[3] = 1e3 * self.foam.aperture_offset_m
+        away = np.concatenate(
+            [
+                (state.common - start) / self.common_sd,
+                ((state.own - self._own_mean) / self.own_sd).ravel(),
+            ]
+        )
+        return sum(float(r @ r) for r, _ in blocks) + float(away @ away)
