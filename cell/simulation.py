@@ -1,10 +1,11 @@
 """The simulated cell as the config describes it: the one place where the simulator is wired in."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cell.config import CellConfig, ParallelLinkageConfig
 from cell.errors import ConfigError, PositionerError
@@ -22,6 +23,8 @@ from simulator.settings import RecordedGrasp, SimulatedServoSettings, SimulatorS
 from simulator.shape_text import parse_shape
 from simulator.shapes import ObjectPose, Shape
 from tactile.layout import TaxelLayout
+
+Counts = NDArray[np.float64]
 
 _RACK_TRAVEL_M = 0.1
 _LINKAGE_MARGIN_M = 1e-3
@@ -95,6 +98,28 @@ def simulated_objects(config: CellConfig) -> dict[str, Shape]:
         except (SimulatorError, ImportError) as error:
             raise ConfigError(f"simulator.objects: {entry.label}: {error}") from error
     return objects
+
+
+def drawn_shape(text: str) -> Shape:
+    """Return the shape that a text describes, as ``cylinder:diameter=6mm,length=20mm``.
+
+    Raises
+    ------
+    ConfigError
+        If the text is no shape, or a mesh file cannot be read.
+    """
+    try:
+        return parse_shape(text)
+    except (SimulatorError, ImportError) as error:
+        raise ConfigError(f"shape {text!r}: {error}") from error
+
+
+def converter_noise(config: CellConfig) -> Callable[[np.random.Generator, int], Counts]:
+    """Return the noise of the simulated converter: (generator, number of samples) -> counts."""
+    settings = config.simulator
+    noise = NoiseModel(kind=settings.noise, level=settings.noise_level)
+    adc_max = layout_from_config(config.tactile).adc_max
+    return lambda rng, n: noise.sample(rng, n, adc_max)
 
 
 class InProcessPlacer:

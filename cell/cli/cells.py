@@ -8,6 +8,15 @@ from typing import Annotated
 import typer
 
 from cell.build import Cell, build_cell
+from cell.cli.drawings import (
+    GaugeOption,
+    GaugeShapeOption,
+    MeshOption,
+    ShapeOption,
+    pad_knowledge,
+    shape_texts,
+    teach_from_drawing,
+)
 from cell.cli.options import (
     CaptureOption,
     ConfigOption,
@@ -97,19 +106,41 @@ def run(
 def teach(
     label: Annotated[str, typer.Argument(help="Name of the object.")],
     dataset: Annotated[Path, typer.Option("--output", "-o", help="Data set to write or extend.")],
-    grasps: Annotated[int, typer.Option("--grasps", "-n", min=1, max=1000)] = 20,
+    grasps: Annotated[
+        int | None,
+        typer.Option("--grasps", "-n", min=1, max=1000, help="[default: 20, of a drawing 60]"),
+    ] = None,
+    shape: ShapeOption = None,
+    mesh: MeshOption = None,
+    gauge: GaugeOption = None,
+    gauge_shape: GaugeShapeOption = None,
     config: ConfigOption = None,
     out_folder: OutOption = None,
     seed: SeedOption = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Grasp a known object several times and add the grasps to a data set."""
+    """Grasp a known object several times, or a drawing of it, and add that to a data set."""
     checked = _seeded(load_config(config), seed)
+    if shape is not None or mesh is not None:
+        teach_from_drawing(
+            checked,
+            label,
+            dataset,
+            shape=shape,
+            mesh=mesh,
+            n_grasps=grasps,
+            gauge=gauge,
+            gauge_text=gauge_shape,
+            json_file=json_file,
+        )
+        return
+    if gauge is not None or gauge_shape is not None:
+        raise ConfigError("a gauge serves drawings: add --shape or --mesh")
     before = read_dataset(dataset) if dataset.exists() else ()
     folder = job_folder(out_folder or Path(checked.recording.directory), "teach")
     with _cell(checked, folder) as cell, progress_bar() as progress:
         records = teach_object(
-            cell, checked, label, grasps, seed=checked.seed + len(before), progress=progress
+            cell, checked, label, grasps or 20, seed=checked.seed + len(before), progress=progress
         )
         recording = cell.recording_path
     append_to_dataset(dataset, before, [record.grasp for record in records])
@@ -134,34 +165,45 @@ def identify(
     held: Annotated[
         str | None, typer.Option("--object", help="Object that the simulated cell shall hold.")
     ] = None,
+    gauge: GaugeOption = None,
+    gauge_shape: GaugeShapeOption = None,
     config: ConfigOption = None,
     out_folder: OutOption = None,
     seed: SeedOption = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Name the object in the grip, or the objects of recorded grasps."""
+    """Name the object in the grip, or the objects of recorded grasps; say shape and size."""
     if model is None:
         raise ConfigError("--model is missing; `tactile-cell train` makes one")
+    checked = _seeded(load_config(config), seed)
+    known = pad_knowledge(checked, gauge, gauge_shape)
     if dataset is not None:
         loaded = load_model(model)
-        answers = identify_recorded(loaded, read_dataset(dataset))
-        for answer in answers:
+        recorded = read_dataset(dataset)
+        answers = identify_recorded(loaded, recorded)
+        texts, shapes = shape_texts(recorded, known)
+        for answer, text in zip(answers, texts, strict=True):
             say(
-                f"grasp {answer.number:4d}: {answer.label:<24} {percent(answer.probability)}"
+                f"grasp {answer.number:4d}: {answer.label:<24} {percent(answer.probability)}   "
+                + text
                 + (f"   (was {answer.truth})" if answer.truth else "")
             )
-        write_json(json_file, {"answers": [answer.as_json() for answer in answers]})
+        both = zip(answers, shapes, strict=True)
+        write_json(
+            json_file,
+            {"answers": [answer.as_json() | {"shape": shape} for answer, shape in both]},
+        )
         return
-    checked = _seeded(load_config(config), seed)
     loaded = load_model(model, _pads(checked))
     folder = job_folder(out_folder or Path(checked.recording.directory), "identify")
     with _cell(checked, folder) as cell, progress_bar() as progress:
         found, truth = identify_on_cell(cell, checked, loaded, held=held, progress=progress)
         recording = cell.recording_path
-    for number, posterior in enumerate(found.posteriors, start=1):
+    texts, shapes = shape_texts([record.grasp for record in found.records], known)
+    for number, (posterior, text) in enumerate(zip(found.posteriors, texts, strict=True), start=1):
         say(
             f"grasp {number}: {posterior.best} {percent(float(posterior.probability.max()))}, "
-            f"untaught {percent(posterior.unknown)}"
+            f"untaught {percent(posterior.unknown)}; {text}"
         )
     was = f" (it was {truth})" if truth else ""
     say(f"answer: {found.label} {percent(found.probability)}{was}")
@@ -175,6 +217,7 @@ def identify(
             ),
             "unknown": found.fused.unknown,
             "n_grasps": len(found.posteriors),
+            "shapes": shapes,
             "held": truth,
             "recording": str(recording),
         },

@@ -1,0 +1,255 @@
+"""Teaching from a drawing, calibrating on a gauge object, naming shape and size."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.collect import pad_array
+from cell.config import CellConfig, ParallelLinkageConfig
+from cell.errors import CellError
+from cell.jobs.progress import Progress, silent
+from cell.layouts import layout_from_config
+from cell.ramps import force_ramp
+from cell.sequence import plan
+from cell.simulation import converter_noise, drawn_shape
+from cell.virtual_grasps import Course, Noise, VirtualPads
+from recognition.drawing import Drawing
+from recognition.errors import ContactError
+from recognition.foam_fit import FoamFit, fit_foam
+from recognition.foam_model import FoamModel
+from recognition.grasp import Grasp, PadArray
+from recognition.ramp import find_ramp, learn_rest
+from recognition.shape_answer import ShapeAnswer, shape_of
+from recognition.shape_fit import Trust
+
+_PULSES = 4096
+_UNKNOWN_SD = 0.1
+_LEAST_SD = 0.03
+_MIN_QUIET = 5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PadKnowledge:
+    """What is known of foam and sensor: from a gauge, or what is usual.
+
+    Attributes
+    ----------
+    foam
+        Foam and sensor.
+    modulus_sd, gain_sd, spread_sd
+        Relative standard deviations.
+    aperture_sd_m
+        Standard deviation in m of the measured opening.
+    rest : (n, n_taxels) uint16 or None
+        Frames of the untouched pads; None without a gauge.
+    fit
+        The calibration; None without a gauge.
+    """
+
+    foam: FoamModel
+    modulus_sd: float = _UNKNOWN_SD
+    gain_sd: float = _UNKNOWN_SD
+    spread_sd: float = _UNKNOWN_SD
+    aperture_sd_m: float = 0.2e-3
+    rest: NDArray[np.uint16] | None = None
+    fit: FoamFit | None = None
+
+    @property
+    def trust(self) -> Trust:
+        """How well foam and sensor are known, for fits of shapes."""
+        return Trust(modulus=self.modulus_sd, gain=self.gain_sd, aperture_m=self.aperture_sd_m)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain data, units in the names."""
+        values: dict[str, Any] = {"foam": self.foam.as_dict()}
+        if self.fit is not None:
+            values |= {
+                "n_grasps": self.fit.n_grasps,
+                "misfit": self.fit.misfit,
+                "modulus_sd": float(self.fit.sd[0]),
+                "gain_sd": float(self.fit.sd[1]),
+                "aperture_sd_mm": float(self.fit.sd[3]),
+            }
+        return values
+
+    def __str__(self) -> str:
+        foam = self.foam
+        text = (
+            f"foam {1e-3 * foam.modulus_pa:.0f} kPa, spread {1e3 * foam.spread_m:.2f} mm, "
+            f"sensor gain {foam.gain:.3f}, opening {1e3 * foam.aperture_offset_m:+.2f} mm"
+        )
+        if self.fit is None:
+            return f"{text}: not calibrated, add --gauge"
+        modulus, gain, _, aperture = self.fit.sd
+        return (
+            f"{text} (modulus and gain within {100 * modulus:.0f} and {100 * gain:.0f} %, opening "
+            f"within {aperture:.2f} mm), from {self.fit.n_grasps} grasps, misfit "
+            f"{self.fit.misfit:.1f}"
+        )
+
+
+def gauge_shape(grasps: Sequence[Grasp], text: str | None, config: CellConfig) -> Drawing:
+    """Return the shape of the gauge: as given, else the configured object of the grasps' label.
+
+    Raises
+    ------
+    CellError
+        If the grasps are of several objects, or their shape is not known.
+    """
+    if text is not None:
+        return drawn_shape(text)
+    labels = sorted({grasp.label for grasp in grasps})
+    if len(labels) != 1:
+        raise CellError(f"a gauge is one object, these grasps are of {', '.join(labels) or 'none'}")
+    for entry in config.simulator.objects:
+        if entry.label == labels[0]:
+            return drawn_shape(entry.shape)
+    raise CellError(f"the shape of the gauge {labels[0]!r} is not known: add --gauge-shape")
+
+
+def calibrate_on_gauge(grasps: Sequence[Grasp], drawing: Drawing, pads: PadArray) -> PadKnowledge:
+    """Fit stiffness and gain to grasps of a known object.
+
+    Raises
+    ------
+    CellError
+        If the grasps were taken on other pads, or do not suffice.
+    """
+    if not grasps[0].pads.same_as(pads):
+        raise CellError(
+            f"the gauge was grasped on {grasps[0].pads.n_taxels} taxels, this cell has "
+            f"{pads.n_taxels}: grasp it on this cell"
+        )
+    try:
+        fit = fit_foam(grasps, drawing)
+    except ContactError as error:
+        raise CellError(f"the gauge tells nothing: {error}") from error
+    modulus_sd, gain_sd, spread_sd, aperture_sd_mm = (float(sd) for sd in fit.sd)
+    return PadKnowledge(
+        foam=fit.foam,
+        modulus_sd=max(modulus_sd, _LEAST_SD),
+        gain_sd=max(gain_sd, _LEAST_SD),
+        spread_sd=max(spread_sd, _LEAST_SD),
+        aperture_sd_m=max(0.2e-3, 1e-3 * aperture_sd_mm),
+        rest=_rest_frames(grasps),
+        fit=fit,
+    )
+
+
+def teach_drawing(
+    config: CellConfig,
+    label: str,
+    drawing: Drawing,
+    n_grasps: int,
+    *,
+    kind: str = "",
+    known: PadKnowledge | None = None,
+    seed: int = 0,
+    start_ms: int = 0,
+    progress: Progress = silent,
+) -> list[Grasp]:
+    """Grasp a drawing ``n_grasps`` times as the cell would, at the poses and forces of its plan.
+
+    Parameters
+    ----------
+    config
+        The cell: pads, speeds, ramp, plan.
+    label, drawing, kind
+        Name, shape and class of shape of the object.
+    known
+        What is known of foam and sensor; what is usual by default.
+    seed
+        Of poses, forces, noise and all that is not known exactly.
+    start_ms
+        Time of the first grasp; each next one counts a second more.
+
+    Raises
+    ------
+    CellError
+        If the object does not fit between the open pads, or lies beside them.
+    """
+    known = known or PadKnowledge(foam=FoamModel())
+    layout = layout_from_config(config.tactile)
+    pads = pad_array(layout)
+    first, second = layout.gripping_pads
+    virtual = VirtualPads(
+        pads,
+        (first, second),
+        foam=known.foam,
+        course=course_of(config, known),
+        noise=_noise(config, pads, known.rest),
+    )
+    rng = np.random.default_rng([seed, 1])
+    grasps = []
+    for number, step in enumerate(plan(config.sequence, n_grasps, seed=seed)):
+        try:
+            grasp = virtual.grasp(
+                drawing,
+                step,
+                force_ramp(config.sequence.ramp, step.force_n),
+                rng,
+                label=label,
+                shape=kind,
+                start_ms=start_ms + 1000 * number,
+            )
+        except ValueError as error:
+            raise CellError(f"{label} cannot be grasped: {error}") from error
+        grasps.append(grasp)
+        progress(f"draw {label}", len(grasps), n_grasps)
+    return grasps
+
+
+def course_of(config: CellConfig, known: PadKnowledge) -> Course:
+    """Return how the configured cell moves."""
+    drive = config.gripper.linkage
+    arm_mm = drive.link_mm if isinstance(drive, ParallelLinkageConfig) else drive.pinion_radius_mm
+    step_mm = arm_mm * math.tau / _PULSES * (2 if len(config.gripper.servos) == 1 else 1)
+    return Course(
+        period_s=1e-3 * config.tactile.sync_period_ms,
+        aperture_open_m=1e-3 * config.gripper.aperture_open_mm,
+        approach_speed_m_s=1e-3 * config.gripper.approach_speed_mm_s,
+        aperture_step_m=1e-3 * step_mm,
+        aperture_sd_m=known.aperture_sd_m,
+        impact_n=(config.gripper.contact_force_n + 0.2, config.gripper.contact_force_n + 1.1),
+        modulus_sd=known.modulus_sd,
+        gain_sd=known.gain_sd,
+        spread_sd=known.spread_sd,
+    )
+
+
+def shapes_of(
+    grasps: Sequence[Grasp], known: PadKnowledge | None = None
+) -> list[ShapeAnswer | None]:
+    """Say shape and size of each grasp; None where its pads do not tell."""
+    known = known or PadKnowledge(foam=FoamModel())
+    answers: list[ShapeAnswer | None] = []
+    for grasp in grasps:
+        try:
+            answers.append(shape_of(grasp, foam=known.foam, trust=known.trust))
+        except ContactError:
+            answers.append(None)
+    return answers
+
+
+def _noise(config: CellConfig, pads: PadArray, rest: NDArray[np.uint16] | None) -> Noise:
+    """Return the noise: frames of the gauge's untouched pads, else that of the simulated cell."""
+    if rest is not None:
+        frames = rest.astype(np.float64)
+        return lambda rng, n_frames: frames[rng.integers(len(frames), size=n_frames)]
+    converter = converter_noise(config)
+    return lambda rng, n_frames: converter(rng, n_frames * pads.n_taxels).reshape(n_frames, -1)
+
+
+def _rest_frames(grasps: Sequence[Grasp]) -> NDArray[np.uint16] | None:
+    """Return the frames before the touch of all grasps, None where there are too few."""
+    rest = learn_rest(grasps)
+    parts = []
+    for grasp in grasps:
+        ramp = find_ramp(grasp, rest)
+        parts.append(grasp.counts[: max(0, int(ramp.touch.min()) - ramp.smoothing)])
+    frames: NDArray[np.uint16] = np.concatenate(parts)
+    return frames if len(frames) >= _MIN_QUIET else None
