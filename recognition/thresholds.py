@@ -115,6 +115,68 @@ def find_thresholds(
     )
 
 
+def with_noise(levels: Levels, noise_share: float) -> Levels:
+    """Adjust bands and windows to the noise seen, as the paper's windows A to D are to be.
+
+    Parameters
+    ----------
+    levels
+        Bands without noise.
+    noise_share
+        Part of its value by which a level is uncertain now, see `noise_seen`.
+
+    Returns
+    -------
+    Levels
+        Every band reaches that much further, every window is as much narrower, and closed where
+        nothing is left of it. The margin grows to the noise where that is larger.
+
+    Raises
+    ------
+    TrajectoryError
+        Where ``noise_share`` is not from 0 below 1.
+    """
+    if not 0.0 <= noise_share < 1.0:
+        raise TrajectoryError(f"noise_share is {noise_share}, must be from 0 below 1")
+    low = levels.low - noise_share * np.abs(levels.low)
+    high = levels.high + noise_share * np.abs(levels.high)
+    below, above = levels.order[:-1], levels.order[1:]
+    return Levels(
+        low=low,
+        high=high,
+        order=levels.order,
+        threshold=0.5 * (high[below] + low[above]),
+        window=low[above] - high[below],
+        margin=max(levels.margin, noise_share),
+    )
+
+
+def noise_seen(values: ArrayLike, *, sigmas: float = 2.0) -> float:
+    """Return the part of its value by which a level is uncertain, from repeated measurements.
+
+    Parameters
+    ----------
+    values
+        The same level from several frames or grasps at one force; NaN is left out.
+    sigmas
+        Standard deviations that count as uncertain, taken from the median absolute deviation.
+
+    Raises
+    ------
+    TrajectoryError
+        Where fewer than two values are left, or their median is 0.
+    """
+    usable = np.asarray(values, dtype=np.float64).ravel()
+    usable = usable[np.isfinite(usable)]
+    middle = float(np.median(usable)) if len(usable) else 0.0
+    if len(usable) < 2 or middle == 0.0:
+        raise TrajectoryError(
+            f"{len(usable)} usable values about {middle} do not tell the noise of a level"
+        )
+    deviation = 1.4826 * float(np.median(np.abs(usable - middle)))
+    return sigmas * deviation / abs(middle)
+
+
 def check_level(levels: Levels, value: float) -> int | None:
     """Name the object whose level a value has.
 

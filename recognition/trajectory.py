@@ -29,7 +29,7 @@ from recognition.sweep_grid import (
     scales_translation,
 )
 from recognition.sweep_roots import smallest_of_arrow
-from recognition.thresholds import check_level, find_thresholds
+from recognition.thresholds import check_level, find_thresholds, with_noise
 from recognition.transform import DEFAULT_ORDER, check_order
 
 _BLOCK = 8_192  # matrices at a time: what the solver needs of them stays in the cache
@@ -203,6 +203,8 @@ def contact_classify(
     D: ArrayLike,
     unknown: ArrayLike,
     settings: SweepSettings = PAPER_SWEEP,
+    *,
+    noise_share: float = 0.0,
 ) -> int | None:
     """Run Algorithm 1, Contact-Classify: name the taught object that a matrix belongs to.
 
@@ -214,6 +216,9 @@ def contact_classify(
         Property matrix of the object to be named (I in the paper).
     settings
         Grid and readings.
+    noise_share
+        Part of its value by which the level of ``unknown`` is uncertain, which widens the bands
+        and narrows the windows (`recognition.thresholds.with_noise`).
 
     Returns
     -------
@@ -223,7 +228,7 @@ def contact_classify(
     """
     trajectory = sweep(D, settings)
     usable = np.where(trajectory.degenerate, np.nan, trajectory.value)
-    levels = find_thresholds(list(usable))
+    levels = with_noise(find_thresholds(list(usable)), noise_share)
     smallest = smallest_eigenvalue(unknown, settings.reading)
     if smallest.degenerate:
         return None

@@ -4,7 +4,6 @@ All functions are batched: leading dimensions are broadcast, the last two hold o
 Angles are in rad; lengths are in the unit of the quadric's coordinates.
 """
 
-from collections.abc import Sequence
 from functools import reduce
 
 import numpy as np
@@ -159,8 +158,3 @@ def by_inverse(Q: NDArray[np.float64], M_inv: NDArray[np.float64]) -> NDArray[np
     """Apply `congruence` where M^-1 is already known and good."""
     out: NDArray[np.float64] = np.swapaxes(M_inv, -1, -2) @ Q @ M_inv
     return 0.5 * (out + np.swapaxes(out, -1, -2))
-
-
-def chain(Q: NDArray[np.float64], M_inv: Sequence[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Apply several congruences, the first of the list first; small batches grow by broadcast."""
-    return reduce(by_inverse, M_inv, Q)

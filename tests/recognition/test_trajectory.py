@@ -7,7 +7,13 @@ from recognition import transform
 from recognition.eigen import Reading
 from recognition.errors import QuadricError, TrajectoryError
 from recognition.quadric import height_field_matrix
-from recognition.thresholds import check_level, find_thresholds, ramp_thresholds
+from recognition.thresholds import (
+    check_level,
+    find_thresholds,
+    noise_seen,
+    ramp_thresholds,
+    with_noise,
+)
 from recognition.trajectory import PAPER_SWEEP, Axes, SweepSettings, contact_classify, sweep
 
 # the paper's objects as full quadrics in mm, k = -1
@@ -248,3 +254,37 @@ def test_ramp_thresholds_work_step_by_step():
     assert both.threshold == pytest.approx([3.6])
     with pytest.raises(TrajectoryError, match="steps"):
         ramp_thresholds([first, [[1.0]]])
+
+
+def test_windows_narrow_with_the_noise_seen_until_they_close():
+    levels = find_thresholds([[1.0, 1.1], [1.3, 1.4], [3.0, 3.3]])
+    assert with_noise(levels, 0.0).window == pytest.approx(levels.window)
+    a_little = with_noise(levels, 0.05)
+    assert a_little.window == pytest.approx([1.3 * 0.95 - 1.1 * 1.05, 3.0 * 0.95 - 1.4 * 1.05])
+    assert a_little.closed == ()
+    assert check_level(a_little, 1.14) == 0
+    much = with_noise(levels, 0.2)
+    assert much.closed == ((0, 1),)
+    # what both may have caused is told no more, the other object still is
+    assert [check_level(levels, value) for value in (1.15, 3.1)] == [0, 2]
+    assert [check_level(much, value) for value in (1.15, 3.1)] == [None, 2]
+    with pytest.raises(TrajectoryError, match="noise_share is 1"):
+        with_noise(levels, 1.0)
+
+
+def test_contact_classify_is_silent_where_the_noise_closes_the_window():
+    grid = SweepSettings(scale=np.ones(1))
+    close = np.array([height_field_matrix(a=-4.0, b=-4.0, k=peak) for peak in (100.0, 125.0)])
+    seen = height_field_matrix(a=-4.0, b=-4.0, k=108.0)
+    assert contact_classify(close, seen, grid) == 0
+    assert contact_classify(close, seen, grid, noise_share=0.2) is None
+
+
+def test_the_noise_of_a_level_is_that_of_its_repetitions():
+    rng = np.random.default_rng(5)
+    values = 2e-3 * (1 + 0.03 * rng.normal(size=4000))
+    assert noise_seen([*values, np.nan]) == pytest.approx(0.06, rel=0.05)
+    assert noise_seen([*values, 100.0]) < 0.065  # one stray value does not move it
+    for useless in ([1.0], [np.nan, 1.0], [0.0, 0.0, 1.0]):
+        with pytest.raises(TrajectoryError, match="do not tell the noise"):
+            noise_seen(useless)

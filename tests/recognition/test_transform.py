@@ -80,13 +80,6 @@ def test_congruence_keeps_the_value_at_the_moved_point(values, offset, angle, sc
     assert transform.congruence(moved, np.linalg.inv(M)) == pytest.approx(Q, abs=1e-8)
 
 
-def test_chain_is_the_congruence_of_the_product():
-    first, second = transform.rotation_x(0.4), transform.translation([1.0, -2.0, 0.5])
-    at_once = transform.congruence(BALL, second @ first)
-    steps = transform.chain(BALL, [np.linalg.inv(first), np.linalg.inv(second)])
-    assert steps == pytest.approx(at_once)
-
-
 @pytest.mark.parametrize(
     ("call", "message"),
     [
