@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from recognition.ramp_levels import Levels
 
 _YIELD_SCALE_MM = 1 / 3
+_N_SIZES = 2
 
 
 def aperture_features(levels: Levels) -> NDArray[np.float64]:
@@ -15,13 +16,12 @@ def aperture_features(levels: Levels) -> NDArray[np.float64]:
     """
     final = levels.aperture_mm[:, -1:]
     both = levels.touch_aperture_mm.min(axis=1, keepdims=True)
+    # Only the first four change with the zero of the opening.
     first = levels.touch_aperture_mm[:, :1] - levels.touch_aperture_mm[:, -1:]
     squeeze = both - final
-    sizes = np.concatenate([final, both], axis=1)
     return np.concatenate(
         [
-            sizes,
-            np.log(np.maximum(sizes, 0.0) + 3.0),
+            _sizes(np.concatenate([final, both], axis=1)),
             first,
             squeeze,
             np.arcsinh(squeeze / _YIELD_SCALE_MM),
@@ -30,3 +30,18 @@ def aperture_features(levels: Levels) -> NDArray[np.float64]:
         ],
         axis=1,
     )
+
+
+def undo_offsets(
+    features: NDArray[np.float64], offsets_mm: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return (n, O, F): `aperture_features` (n, F) had the opening read less by each offset."""
+    n, n_features = features.shape
+    moved = np.broadcast_to(features[:, None], (n, len(offsets_mm), n_features)).copy()
+    moved[..., : 2 * _N_SIZES] = _sizes(features[:, None, :_N_SIZES] - offsets_mm[:, None])
+    return moved
+
+
+def _sizes(sizes_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (..., 2 k) for (..., k): the sizes, and their logarithms from 3 mm on."""
+    return np.concatenate([sizes_mm, np.log(np.maximum(sizes_mm, 0.0) + 3.0)], axis=-1)

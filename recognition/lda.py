@@ -68,6 +68,7 @@ def fit_lda(
     *,
     shrinkage: float | None = None,
     n_independent: int | None = None,
+    weight: NDArray[np.float64] | None = None,
 ) -> LinearDiscriminant:
     """Fit to labelled rows.
 
@@ -84,6 +85,8 @@ def fit_lda(
         shrinkage (Chen et al. 2010, eq. 23).
     n_independent
         Number of independent rows where others are variations of them; None for all.
+    weight : (n,)
+        How much each row counts, above 0; None for all alike.
 
     Raises
     ------
@@ -97,12 +100,14 @@ def fit_lda(
             f"{n} grasps of {n_classes} objects do not show how grasps of one object vary: "
             "teach each object at least three times"
         )
+    if weight is None:
+        weight = np.ones(n)
     members = np.zeros((n_classes, n))
-    members[classes, np.arange(n)] = 1.0
-    means = (members @ features) / count[:, None]
-    within = features - means[classes]
+    members[classes, np.arange(n)] = weight
+    means = (members @ features) / members.sum(axis=1)[:, None]
+    within = (features - means[classes]) * np.sqrt(weight)[:, None]
     mean = means.mean(axis=0)
-    freedom = float(n - n_classes)
+    freedom = float(weight.sum()) * (1.0 - n_classes / n)
     spread = np.sqrt((within**2).sum(axis=0) / freedom)
     overall = features.std(axis=0)
     scale = np.sqrt(spread**2 + (1e-2 * overall) ** 2)

@@ -61,6 +61,21 @@ class Levels:
     def __len__(self) -> int:
         return len(self.force_n)
 
+    def take(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> "Levels":
+        """Return some of the grasps, by their indices or by a mask."""
+        return Levels(
+            maps=tuple(m[rows] for m in self.maps),
+            noise=self.noise[rows],
+            aperture_mm=self.aperture_mm[rows],
+            touch_aperture_mm=self.touch_aperture_mm[rows],
+            timed_load=self.timed_load[rows],
+            timed_aperture_mm=self.timed_aperture_mm[rows],
+            level_time_s=self.level_time_s[rows],
+            touch_delay_s=self.touch_delay_s[rows],
+            force_n=self.force_n[rows],
+            touched=self.touched[rows],
+        )
+
 
 def load_levels(grasps: Sequence[Grasp], rest: Rest) -> Levels:
     """Reduce grasps to levels. Raises ValueError for pads other than the taught ones."""

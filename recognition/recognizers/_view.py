@@ -1,6 +1,6 @@
-"""One way to look at a grasp: a discriminant, its temperature and its sense of the strange."""
+"""One way to look at a grasp: its classes, their temperature and the sense of the strange."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 
 from recognition.calibration import blocked_folds, fit_temperature, out_of_sample, to_probability
 from recognition.dependence import fit_dependence
-from recognition.lda import LinearDiscriminant, fit_lda
-from recognition.novelty import Novelty, fit_novelty, novelty_signs
+from recognition.drift import DriftGrid
+from recognition.novelty import Novelty, fit_novelty
+from recognition.recognizers._evidence import Evidence, Rows, fit_evidence
 
-_FOLDS = 6
 _BLOCKS = 3
-"""Dependence shows between grasps that lie far from all taught ones: few and large blocks."""
+"""Grasps in use lie far in time from all taught ones, so few and large blocks are held out."""
 _LEFT_OUT_GROUPS = 6
 _MIN_CLASSES_TO_LEAVE_OUT = 4
 
@@ -25,13 +25,8 @@ class View:
 
     Attributes
     ----------
-    discriminant
+    evidence
         The classes.
-    second
-        Another discriminant that gives a second opinion on strangeness, on features that are the
-        first ones of the view's; None for none.
-    samples : (n, r) float64
-        The taught grasps in the discriminant space.
     temperature
         Log odds are divided by it.
     novelty
@@ -40,162 +35,127 @@ class View:
         How far grasps of one object repeat each other.
     """
 
-    discriminant: LinearDiscriminant
-    second: LinearDiscriminant | None
-    samples: NDArray[np.float64]
+    evidence: Evidence
     temperature: float
     novelty: Novelty
     dependence: float
 
-    def probability(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return (n, C) calibrated probabilities for features (n, F)."""
-        return to_probability(-0.5 * self.discriminant.distances(features), self.temperature)
-
-    def unknown(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return (n,) probabilities that the object was never taught."""
-        return self.novelty.probability(
-            _signs(self.discriminant, self.second, self.samples, features)
+    def answer(
+        self, rows: Rows, grid: DriftGrid
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return calibrated probabilities (n, C), and (n,) that the object was never taught."""
+        told = self.evidence.tell(rows, grid.log_prior)
+        return (
+            to_probability(told.scores, self.temperature),
+            self.novelty.probability(told.signs),
         )
 
     def to_arrays(self, prefix: str) -> dict[str, NDArray[Any]]:
         """Return everything as plain arrays under names that begin with the prefix."""
-        arrays = {
-            f"{prefix}samples": self.samples,
+        return {
             f"{prefix}temperature": np.array(self.temperature),
             f"{prefix}dependence": np.array(self.dependence),
-            f"{prefix}has_second": np.array(self.second is not None),
-            **self.discriminant.to_arrays(f"{prefix}lda_"),
+            **self.evidence.to_arrays(prefix),
             **self.novelty.to_arrays(f"{prefix}novelty_"),
         }
-        if self.second is not None:
-            arrays |= self.second.to_arrays(f"{prefix}second_")
-        return arrays
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], prefix: str) -> Self:
         """Rebuild from `to_arrays`; KeyError where an array is missing."""
-        second = None
-        if bool(arrays[f"{prefix}has_second"]):
-            second = LinearDiscriminant.from_arrays(arrays, f"{prefix}second_")
         return cls(
-            discriminant=LinearDiscriminant.from_arrays(arrays, f"{prefix}lda_"),
-            second=second,
-            samples=arrays[f"{prefix}samples"],
+            evidence=Evidence.from_arrays(arrays, prefix),
             temperature=float(arrays[f"{prefix}temperature"]),
             novelty=Novelty.from_arrays(arrays, f"{prefix}novelty_"),
             dependence=float(arrays[f"{prefix}dependence"]),
         )
 
 
-def fit_view(
-    features: NDArray[np.float64],
-    classes: NDArray[np.int64],
-    n_classes: int,
-    *,
-    n_second: int | None = None,
-) -> View:
-    """Teach a view.
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Lesson:
+    """What a view is taught with.
 
-    Parameters
+    Attributes
     ----------
-    features : (n, F)
-        Finite features; rows of one class in the order of time.
-    classes : (n,)
+    features : (n, F) float64
+        Finite features as they were recorded; rows of one class in the order of time.
+    virtual : (n, F) float64 or None
+        Features of a virtual grasp for each row.
+    rows
+        The same grasps under each drift of the grid.
+    classes : (n,) int64
         Class of each row.
     n_classes
         Number of classes.
     n_second
         How many of the first features the second opinion goes by; None for no second opinion.
-
-    Raises
-    ------
-    ValueError
-        The rows do not show how grasps of one class vary.
+    grid
+        What the drift may be.
     """
-    discriminant, second = _pair(features, classes, n_classes, n_second)
-    folds = blocked_folds(classes, _FOLDS)
-    signs = np.full((len(classes), 3 if n_second is None else 5), np.nan)
 
-    def score(fit: NDArray[np.bool_], test: NDArray[np.bool_]) -> NDArray[np.float64]:
-        lda, other = _pair(features[fit], classes[fit], n_classes, n_second)
-        signs[test] = _signs(lda, other, lda.project(features[fit]), features[test])
-        return lda.distances(features[test])
+    features: NDArray[np.float64]
+    virtual: NDArray[np.float64] | None
+    rows: Rows
+    classes: NDArray[np.int64]
+    n_classes: int
+    n_second: int | None
+    grid: DriftGrid
 
-    distances, scored = out_of_sample(score, folds, n_classes)
-    known, left_out = _leave_out(features, classes, n_classes, n_second, folds)
-    temperature = fit_temperature(-0.5 * distances[scored], classes[scored])
-    return View(
-        discriminant=discriminant,
-        second=second,
-        samples=discriminant.project(features),
-        temperature=temperature,
-        novelty=fit_novelty(known, left_out, signs[scored]),
-        dependence=_dependence(features, classes, n_classes, temperature),
-    )
+    def fit(self, taught: NDArray[np.bool_] | None = None) -> Evidence:
+        """Teach with some of the rows; classes without any are left out, the rest renumbered."""
+        mask = np.ones(len(self.classes), dtype=np.bool_) if taught is None else taught
+        remaining, renumbered = np.unique(self.classes[mask], return_inverse=True)
+        return fit_evidence(
+            self.features[mask],
+            renumbered,
+            len(remaining),
+            virtual=None if self.virtual is None else self.virtual[mask],
+            n_second=self.n_second,
+        )
 
 
-def _dependence(
-    features: NDArray[np.float64],
-    classes: NDArray[np.int64],
-    n_classes: int,
-    temperature: float,
-) -> float:
-    """Return how far grasps repeat each other, from large blocks that were held out in turn."""
+def fit_view(lesson: Lesson) -> View:
+    """Teach a view. Raises ValueError where the rows do not show how grasps of a class vary."""
+    evidence = lesson.fit()
+    classes, prior = lesson.classes, lesson.grid.log_prior
     blocks = blocked_folds(classes, _BLOCKS)
+    signs = np.full((len(classes), evidence.n_signs), np.nan)
 
     def score(fit: NDArray[np.bool_], test: NDArray[np.bool_]) -> NDArray[np.float64]:
-        return fit_lda(features[fit], classes[fit], n_classes).distances(features[test])
+        told = lesson.fit(fit).tell(lesson.rows.take(test), prior)
+        signs[test] = told.signs
+        return told.scores
 
-    distances, scored = out_of_sample(score, blocks, n_classes)
-    return fit_dependence(
-        to_probability(-0.5 * distances[scored], temperature),
-        classes[scored],
-        np.argmax(np.stack(blocks), axis=0)[scored],
+    scores, scored = out_of_sample(score, blocks, lesson.n_classes)
+    scores, signs, classes = scores[scored], signs[scored], classes[scored]
+    known, left_out = _leave_out(lesson, blocks, evidence.n_signs)
+    temperature = fit_temperature(scores, classes)
+    return View(
+        evidence=evidence,
+        temperature=temperature,
+        novelty=fit_novelty(known, left_out, signs),
+        dependence=fit_dependence(
+            to_probability(scores, temperature),
+            classes,
+            np.argmax(np.stack(blocks), axis=0)[scored],
+        ),
     )
-
-
-def _pair(
-    features: NDArray[np.float64],
-    classes: NDArray[np.int64],
-    n_classes: int,
-    n_second: int | None,
-) -> tuple[LinearDiscriminant, LinearDiscriminant | None]:
-    first = fit_lda(features, classes, n_classes)
-    if n_second is None:
-        return first, None
-    return first, fit_lda(features[:, :n_second], classes, n_classes)
 
 
 def _leave_out(
-    features: NDArray[np.float64],
-    classes: NDArray[np.int64],
-    n_classes: int,
-    n_second: int | None,
-    folds: list[NDArray[np.bool_]],
+    lesson: Lesson, blocks: Sequence[NDArray[np.bool_]], n_signs: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return signs of held-out grasps of taught classes, and of grasps of left-out classes."""
-    n_signs = 3 if n_second is None else 5
     known, left_out = [np.zeros((0, n_signs))], [np.zeros((0, n_signs))]
-    n_groups = min(_LEFT_OUT_GROUPS, n_classes) if n_classes >= _MIN_CLASSES_TO_LEAVE_OUT else 0
+    n_groups = (
+        min(_LEFT_OUT_GROUPS, lesson.n_classes)
+        if lesson.n_classes >= _MIN_CLASSES_TO_LEAVE_OUT
+        else 0
+    )
     for group in range(n_groups):
-        out = classes % n_groups == group
-        held_out = folds[group % len(folds)]
-        fit = ~out & ~held_out
-        remaining, renumbered = np.unique(classes[fit], return_inverse=True)
-        lda, other = _pair(features[fit], renumbered, len(remaining), n_second)
-        samples = lda.project(features[fit])
-        known.append(_signs(lda, other, samples, features[~out & held_out]))
-        left_out.append(_signs(lda, other, samples, features[out]))
+        out = lesson.classes % n_groups == group
+        held_out = blocks[group % len(blocks)]
+        evidence = lesson.fit(~out & ~held_out)
+        for mask, signs in ((~out & held_out, known), (out, left_out)):
+            if np.any(mask):
+                signs.append(evidence.tell(lesson.rows.take(mask), lesson.grid.log_prior).signs)
     return np.concatenate(known), np.concatenate(left_out)
-
-
-def _signs(
-    lda: LinearDiscriminant,
-    second: LinearDiscriminant | None,
-    samples: NDArray[np.float64],
-    features: NDArray[np.float64],
-) -> NDArray[np.float64]:
-    z = lda.project(features)
-    squared = ((z**2).sum(axis=1)[:, None] + (samples**2).sum(axis=1)) - 2.0 * z @ samples.T
-    opinion = None if second is None else second.distances(features[:, : len(second.mean)])
-    return novelty_signs(lda.distances(features), np.maximum(squared, 0.0).min(axis=1), opinion)

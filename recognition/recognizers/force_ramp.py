@@ -1,26 +1,34 @@
 """The default recogniser: shape of the patches, their growth along the ramp, and the opening."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from recognition.drift import CERTAIN, DriftGrid, drift_grid, undo_gains
 from recognition.features import FEATURE_VERSION, feature_groups
+from recognition.features_aperture import aperture_features, undo_offsets
 from recognition.features_footprint import PadGrid, pad_grid
+from recognition.gauge import Gauged, estimate_drift
 from recognition.grasp import Grasp
 from recognition.ramp import Rest, learn_rest
 from recognition.ramp_levels import Levels, load_levels
 from recognition.recognizer import Posterior
-from recognition.recognizers._view import View, fit_view
+from recognition.recognizers._evidence import Rows
+from recognition.recognizers._view import Lesson, View, fit_view
 from recognition.splits import by_label
+from recognition.virtual import can_change_sides, change_sides, turn
 
 _SINGLE_GROUPS = ("surface",)
 """With one object nothing says which features separate: few and plain ones do best."""
 MIN_GRASPS = 3
 """Fewest grasps of an object: two to see how they vary, one to check the estimate on."""
 _TACTILE_GROUPS = ("patch", "pose", "pads", "growth", "profile", "surface")
+_GAUGED_SHARE = 0.1
+_GAUGED_LOG_GAIN_SD = 0.1
+_GAUGED_OFFSET_SD_MM = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -37,12 +45,15 @@ class ForceRamp:
         The view of touch alone, for grasps whose opening is unknown.
     both
         The view of touch and opening; None where the opening is not used or was never known.
+    grid
+        What the sensors may have drifted since teaching.
     """
 
     labels: tuple[str, ...]
     rest: Rest
     touch: View
     both: View | None
+    grid: DriftGrid
 
     def posterior(self, grasp: Grasp) -> Posterior:
         """Say what the grasp tells; ValueError for pads other than the taught ones.
@@ -53,16 +64,56 @@ class ForceRamp:
         if not levels.touched[0]:
             even = np.full(len(self.labels), 1.0 / len(self.labels))
             return Posterior(labels=self.labels, probability=even, unknown=1.0)
-        tactile, aperture = _features(levels, _grids(self.rest), len(self.labels))
-        view, features = self.touch, tactile
-        if self.both is not None and np.all(np.isfinite(aperture)):
-            view, features = self.both, _joined(tactile, aperture, len(self.labels))
+        view, grid = self._view(levels)
+        rows = _rows(levels, _grids(self.rest), len(self.labels), grid, opening=view is self.both)
+        probability, unknown = view.answer(rows, grid)
         return Posterior(
             labels=self.labels,
-            probability=view.probability(features)[0],
-            unknown=float(view.unknown(features)[0]),
+            probability=probability[0],
+            unknown=float(unknown[0]),
             dependence=view.dependence,
         )
+
+    def gauge(self, label: str, grasps: Sequence[Grasp]) -> Gauged:
+        """Say what drifted since teaching, from a few grasps of one taught object.
+
+        Raises ValueError where the object was not taught, or no grasp touched both pads.
+        """
+        if label not in self.labels:
+            raise ValueError(
+                f"{label!r} was not taught: gauge with one of {', '.join(self.labels)}"
+            )
+        if not grasps:
+            raise ValueError("no gauge grasps: grasp the gauge object about three times")
+        levels = load_levels(grasps, self.rest)
+        levels = levels.take(levels.touched)
+        if len(levels) == 0:
+            raise ValueError("no gauge grasp touched both pads: grasp the gauge object again")
+        grid = drift_grid(share=1.0)
+        view, grid = self._view(levels, grid)
+        rows = _rows(levels, _grids(self.rest), len(self.labels), grid, opening=view is self.both)
+        column = self.labels.index(label)
+        likelihood = [
+            view.evidence.log_likelihood(tactile, aperture)[..., column]
+            for tactile, aperture in zip(rows.tactile, rows.aperture, strict=True)
+        ]
+        return estimate_drift(np.array(likelihood), grid)
+
+    def gauged(self, found: Gauged) -> "ForceRamp":
+        """Return a copy that expects the drift that was found, and little more of it."""
+        grid = drift_grid(
+            found.drift,
+            share=_GAUGED_SHARE,
+            log_gain_sd=max(_GAUGED_LOG_GAIN_SD, found.log_gain_sd),
+            offset_sd_mm=max(_GAUGED_OFFSET_SD_MM, found.offset_sd_m * 1e3),
+        )
+        return replace(self, grid=grid)
+
+    def _view(self, levels: Levels, grid: DriftGrid | None = None) -> tuple[View, DriftGrid]:
+        grid = self.grid if grid is None else grid
+        if self.both is not None and np.all(np.isfinite(aperture_features(levels))):
+            return self.both, grid
+        return self.touch, grid.gain_only
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Return all that was learnt as plain arrays."""
@@ -71,6 +122,7 @@ class ForceRamp:
             "labels": np.array(self.labels),
             "has_both": np.array(self.both is not None),
             **self.rest.to_arrays(),
+            **self.grid.to_arrays("drift_"),
             **self.touch.to_arrays("touch_"),
         }
         if self.both is not None:
@@ -89,6 +141,7 @@ class ForceRamp:
             return cls(
                 labels=tuple(str(label) for label in arrays["labels"]),
                 rest=Rest.from_arrays(arrays),
+                grid=DriftGrid.from_arrays(arrays, "drift_"),
                 touch=View.from_arrays(arrays, "touch_"),
                 both=View.from_arrays(arrays, "both_") if bool(arrays["has_both"]) else None,
             )
@@ -133,23 +186,20 @@ class ForceRampTrainer:
                 f"grasps that touched both pads, by object: {few}; each object needs at least "
                 f"{MIN_GRASPS}, or its variation is not known: teach more, and press harder"
             )
-        tactile, aperture = (part[touched] for part in _features(levels, _grids(rest), len(labels)))
-        known = np.all(np.isfinite(aperture), axis=1)
+        levels, grids, n = levels.take(touched), _grids(rest), len(labels)
+        known = np.all(np.isfinite(aperture_features(levels)), axis=1)
+        grid = drift_grid() if n > 1 else CERTAIN
         both = None
-        if self.use_aperture and np.all(
-            np.bincount(classes[known], minlength=len(labels)) >= MIN_GRASPS
-        ):
+        if self.use_aperture and np.all(np.bincount(classes[known], minlength=n) >= MIN_GRASPS):
             both = fit_view(
-                _joined(tactile, aperture, len(labels))[known],
-                classes[known],
-                len(labels),
-                n_second=tactile.shape[1] if len(labels) > 1 else None,
+                _lesson(levels.take(known), grids, classes[known], n, grid=grid, opening=True)
             )
         return ForceRamp(
             labels=tuple(labels.tolist()),
             rest=rest,
-            touch=fit_view(tactile, classes, len(labels)),
+            touch=fit_view(_lesson(levels, grids, classes, n, grid=grid.gain_only, opening=False)),
             both=both,
+            grid=grid,
         )
 
 
@@ -157,18 +207,62 @@ def _grids(rest: Rest) -> list[PadGrid]:
     return [pad_grid(rest.pads, pad) for pad in rest.gripping]
 
 
+def _lesson(
+    levels: Levels,
+    grids: Sequence[PadGrid],
+    classes: NDArray[np.int64],
+    n_classes: int,
+    *,
+    grid: DriftGrid,
+    opening: bool,
+) -> Lesson:
+    virtual = None
+    if n_classes > 1 and can_change_sides(grids):
+        # The opening tells the objects apart already; where each patch lies then helps more than
+        # patches that are turned hurt.
+        turned = change_sides(levels if opening else turn(levels))
+        virtual = _features(turned, grids, n_classes, opening=opening)
+    both = opening and n_classes > 1
+    return Lesson(
+        features=_features(levels, grids, n_classes, opening=opening),
+        virtual=virtual,
+        rows=_rows(levels, grids, n_classes, grid, opening=opening),
+        classes=classes,
+        n_classes=n_classes,
+        n_second=_tactile(levels, grids, n_classes).shape[1] if both else None,
+        grid=grid,
+    )
+
+
 def _features(
-    levels: Levels, grids: Sequence[PadGrid], n_labels: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return the tactile features and those of the opening, (n, F) each."""
-    groups = feature_groups(levels, grids)
-    wanted = _TACTILE_GROUPS if n_labels > 1 else _SINGLE_GROUPS
-    tactile = [groups[name] for name in wanted if name in groups]
-    return np.concatenate(tactile, axis=1), groups["aperture"]
-
-
-def _joined(
-    tactile: NDArray[np.float64], aperture: NDArray[np.float64], n_labels: int
+    levels: Levels, grids: Sequence[PadGrid], n_classes: int, *, opening: bool
 ) -> NDArray[np.float64]:
-    """Return the features of the view that has the opening too; of one object, it alone."""
-    return np.concatenate([tactile, aperture], axis=1) if n_labels > 1 else aperture
+    """Return the features of a view, (n, F); of one object, touch or the opening alone."""
+    if not opening:
+        return _tactile(levels, grids, n_classes)
+    aperture = aperture_features(levels)
+    if n_classes == 1:
+        return aperture
+    return np.concatenate([_tactile(levels, grids, n_classes), aperture], axis=1)
+
+
+def _rows(
+    levels: Levels, grids: Sequence[PadGrid], n_classes: int, grid: DriftGrid, *, opening: bool
+) -> Rows:
+    """Return the features of a view under each drift of the grid."""
+    n, n_gains = len(levels), len(grid.gains)
+    if opening and n_classes == 1:
+        tactile = np.zeros((n, n_gains, 0))
+    else:
+        tactile = _tactile(undo_gains(levels, grid.gains), grids, n_classes)
+        tactile = tactile.reshape(n, n_gains, -1)
+    aperture = np.zeros((n, len(grid.offsets_mm), 0))
+    if opening:
+        aperture = undo_offsets(aperture_features(levels), grid.offsets_mm)
+    return Rows(tactile=tactile, aperture=aperture)
+
+
+def _tactile(levels: Levels, grids: Sequence[PadGrid], n_classes: int) -> NDArray[np.float64]:
+    groups = feature_groups(levels, grids)
+    wanted = _TACTILE_GROUPS if n_classes > 1 else _SINGLE_GROUPS
+    return np.concatenate([groups[name] for name in wanted if name in groups], axis=1)

@@ -1,0 +1,245 @@
+"""What one look at a grasp tells of each class, summed over what the drift may be.
+
+The likelihood of a class has heavy tails (multivariate t): grasps of another minute lie further
+out than those that taught, and a normal density would then rather believe in a large drift than in
+such a grasp. It is the geometric mean of two: around the centre of the class, and around its taught
+grasps.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from recognition.lda import LinearDiscriminant, fit_lda
+from recognition.novelty import novelty_signs
+
+_FREEDOM = 3.0
+_VIRTUAL_WEIGHT = 0.3
+_MAX_HYPOTHESES = 24
+"""Drifts that the taught grasps are compared under: the likeliest ones; others hardly count."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Rows:
+    """Features of grasps under each drift that they may have had.
+
+    Attributes
+    ----------
+    tactile : (n, G, Ft) float64
+        Features of touch, each of the gains undone.
+    aperture : (n, O, Fa) float64
+        Features of the opening, each of the offsets undone; Fa is 0 where it is not used.
+    """
+
+    tactile: NDArray[np.float64]
+    aperture: NDArray[np.float64]
+
+    def take(self, rows: NDArray[np.bool_]) -> "Rows":
+        """Return some of the grasps."""
+        return Rows(tactile=self.tactile[rows], aperture=self.aperture[rows])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Telling:
+    """What n grasps tell.
+
+    Attributes
+    ----------
+    scores : (n, C) float64
+        Logarithm of the likelihood of each class, up to a constant of the grasp.
+    signs : (n, S) float64
+        Logarithms of distances under the expected drift, for the sense of the strange: of what
+        looks strange, a drift can explain too much.
+    """
+
+    scores: NDArray[np.float64]
+    signs: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Evidence:
+    """Taught classes.
+
+    Attributes
+    ----------
+    discriminant
+        The classes, by the features of touch and then those of the opening.
+    second
+        Another discriminant that gives a second opinion on strangeness, by touch alone; None for
+        none.
+    samples : (m, r) float64
+        The taught grasps in the discriminant space, and virtual ones, sorted by class.
+    sample_class : (m,) int64
+        Their classes.
+    log_weight : (m,) float64
+        Logarithm of how much each of them counts; those of a class sum to 1.
+    """
+
+    discriminant: LinearDiscriminant
+    second: LinearDiscriminant | None
+    samples: NDArray[np.float64]
+    sample_class: NDArray[np.int64]
+    log_weight: NDArray[np.float64]
+
+    @property
+    def n_signs(self) -> int:
+        """Number of signs of strangeness."""
+        return 3 if self.second is None else 5
+
+    def log_likelihood(
+        self, tactile: NDArray[np.float64], aperture: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return (G, O, C): of one grasp around the centres, up to a constant."""
+        distance = self._distances(self._project(tactile, aperture))
+        shape = (len(tactile), len(aperture), distance.shape[1])
+        likelihood: NDArray[np.float64] = -self._exponent * np.log1p(distance / self._rank)
+        return likelihood.reshape(shape)
+
+    def tell(self, rows: Rows, log_prior: NDArray[np.float64]) -> Telling:
+        """Say what grasps tell when drifts have the prior (G, O)."""
+        found = [
+            self._tell_one(tactile, aperture, log_prior.ravel())
+            for tactile, aperture in zip(rows.tactile, rows.aperture, strict=True)
+        ]
+        return Telling(
+            scores=np.array([scores for scores, _ in found]),
+            signs=np.array([signs for _, signs in found]),
+        )
+
+    def _tell_one(
+        self,
+        tactile: NDArray[np.float64],
+        aperture: NDArray[np.float64],
+        log_prior: NDArray[np.float64],
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        z = self._project(tactile, aperture)
+        distance = self._distances(z)
+        centre = -self._exponent * np.log1p(distance / self._rank)
+        expected = int(np.argmax(log_prior))
+        order = np.argsort(-(log_prior + centre.max(axis=1)))[:_MAX_HYPOTHESES]
+        order = np.append(order[order != expected], expected)
+        z, distance, centre, log_prior = z[order], distance[order], centre[order], log_prior[order]
+        squared = (z**2).sum(axis=1)[:, None] + (self.samples**2).sum(axis=1)
+        squared = np.maximum(squared - 2.0 * z @ self.samples.T, 0.0)
+        near = self._near(squared)
+        together = log_prior[:, None] + 0.5 * (centre + near)
+        opinion = None
+        if self.second is not None:
+            opinion = self.second.distances(tactile[[expected // len(aperture)]])
+        signs = novelty_signs(distance[-1:], squared[-1:].min(axis=1), opinion)[0]
+        return np.asarray(logsumexp(together, axis=0), dtype=np.float64), signs
+
+    def _near(self, squared: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (h, C) logarithms of the likelihood around the taught grasps of each class."""
+        density = self.log_weight - self._exponent * np.log1p(squared / self._rank)
+        top = density.max(axis=1, keepdims=True)
+        first = np.flatnonzero(np.diff(self.sample_class, prepend=-1))
+        # Far classes underflow to nothing; their centre still tells them apart.
+        share = np.add.reduceat(np.exp(density - top), first, axis=1)
+        near: NDArray[np.float64] = np.log(share + 1e-30) + top
+        return near
+
+    def _project(
+        self, tactile: NDArray[np.float64], aperture: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return (G * O, r): all pairs of gain and offset in the discriminant space."""
+        lda, n = self.discriminant, tactile.shape[1]
+        touch = ((tactile - lda.mean[:n]) / lda.scale[:n]) @ lda.projection[:n]
+        opening = ((aperture - lda.mean[n:]) / lda.scale[n:]) @ lda.projection[n:]
+        return (touch[:, None] + opening).reshape(-1, touch.shape[1])
+
+    def _distances(self, z: NDArray[np.float64]) -> NDArray[np.float64]:
+        centres = self.discriminant.centres
+        squared = (z**2).sum(axis=1)[:, None] + (centres**2).sum(axis=1) - 2.0 * z @ centres.T
+        return np.asarray(np.maximum(squared, 0.0), dtype=np.float64)
+
+    @property
+    def _rank(self) -> float:
+        return float(self.samples.shape[1])
+
+    @property
+    def _exponent(self) -> float:
+        return 0.5 * (self._rank + _FREEDOM)
+
+    def to_arrays(self, prefix: str) -> dict[str, NDArray[Any]]:
+        """Return everything as plain arrays under names that begin with the prefix."""
+        arrays = {
+            f"{prefix}samples": self.samples,
+            f"{prefix}sample_class": self.sample_class,
+            f"{prefix}log_weight": self.log_weight,
+            f"{prefix}has_second": np.array(self.second is not None),
+            **self.discriminant.to_arrays(f"{prefix}lda_"),
+        }
+        if self.second is not None:
+            arrays |= self.second.to_arrays(f"{prefix}second_")
+        return arrays
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], prefix: str) -> Self:
+        """Rebuild from `to_arrays`; KeyError where an array is missing."""
+        second = None
+        if bool(arrays[f"{prefix}has_second"]):
+            second = LinearDiscriminant.from_arrays(arrays, f"{prefix}second_")
+        return cls(
+            discriminant=LinearDiscriminant.from_arrays(arrays, f"{prefix}lda_"),
+            second=second,
+            samples=arrays[f"{prefix}samples"],
+            sample_class=arrays[f"{prefix}sample_class"],
+            log_weight=arrays[f"{prefix}log_weight"],
+        )
+
+
+def fit_evidence(
+    features: NDArray[np.float64],
+    classes: NDArray[np.int64],
+    n_classes: int,
+    *,
+    virtual: NDArray[np.float64] | None = None,
+    n_second: int | None = None,
+) -> Evidence:
+    """Teach classes.
+
+    Parameters
+    ----------
+    features : (n, F)
+        Finite features.
+    classes : (n,)
+        Class of each row.
+    n_classes
+        Number of classes.
+    virtual : (n, F), optional
+        Features of a virtual grasp for each row; it counts 0.3 of a real one.
+    n_second
+        How many of the first features the second opinion goes by; None for no second opinion.
+
+    Raises
+    ------
+    ValueError
+        The rows do not show how grasps of one class vary.
+    """
+    n = len(features)
+    rows, labels, weight = features, classes, np.ones(n)
+    if virtual is not None:
+        rows = np.concatenate([features, virtual])
+        labels = np.concatenate([classes, classes])
+        weight = np.concatenate([weight, np.full(n, _VIRTUAL_WEIGHT)])
+    if n <= n_classes:
+        rows, labels, weight = features, classes, np.ones(n)
+    first = fit_lda(rows, labels, n_classes, n_independent=n, weight=weight)
+    second = None
+    if n_second is not None:
+        second = fit_lda(rows[:, :n_second], labels, n_classes, n_independent=n, weight=weight)
+    order = np.argsort(labels, kind="stable")
+    labels, weight = labels[order], weight[order]
+    total = np.bincount(labels, weights=weight, minlength=n_classes)
+    return Evidence(
+        discriminant=first,
+        second=second,
+        samples=first.project(rows[order]),
+        sample_class=labels,
+        log_weight=np.log(weight / total[labels]),
+    )
