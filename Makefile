@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PYTEST_ARGS ?=
 
-.PHONY: run test check format bench clean distclean
+.PHONY: run test check format bench paper clean distclean
 
 run: $(STAMP)  ## teach and identify the paper's five objects on the simulated cell
 	$(BIN)/tactile-cell run
@@ -25,6 +25,9 @@ format: $(STAMP)
 
 bench: $(STAMP)  ## each figure that README and docs quote
 	$(BIN)/python -m benchmarks
+
+paper: $(STAMP)  ## the paper's figures and Table 1 beside ours: out/paper/paper.html
+	$(BIN)/python -m benchmarks paper
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "tactile-cell needs Python 3.11 or newer; call make PYTHON=python3.12")'

@@ -17,3 +17,6 @@ The paper prints the errors only; the diagonal is what they leave of each row's 
 
 TABLE_1_TRIALS = 10
 """Trials of each object behind Table 1."""
+
+FIGURE_2 = ((2.0, 650.0), (4.0, 250.0), (6.0, 100.0), (8.0, 50.0))
+"""Points of figure 2: force in N and resistance in kOhm."""

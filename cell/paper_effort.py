@@ -1,0 +1,67 @@
+"""How many trials the page about the paper rests on, and how they are spread over processes."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+Spread = Callable[[Callable[[Any], Any], list[Any]], list[Any]]
+"""Does a piece of work for each task of a list, in order, in one process or in several."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Effort:
+    """How many trials.
+
+    Attributes
+    ----------
+    n_taught
+        Grasps that teach each object.
+    table_lessons, table_tested
+        Teachings behind Table 1, and trials of each object in each.
+    curve_lessons, curve_tested
+        The same for each noise of the accuracy curve.
+    repeats
+        Trials of each object in which nothing but the noise is new.
+    other_lessons, other_tested
+        As for Table 1, for the recognisers that are put beside it.
+    iterations
+        Recordings of each touch at each noise of figure 4: the paper's ten.
+    every
+        1 for all noise levels of figure 4 and of the accuracy curve, n for every n-th.
+    seed
+        Of all that is random.
+    """
+
+    n_taught: int = 20
+    table_lessons: int = 10
+    table_tested: int = 100
+    curve_lessons: int = 4
+    curve_tested: int = 50
+    repeats: int = 1000
+    other_lessons: int = 3
+    other_tested: int = 100
+    iterations: int = 10
+    every: int = 1
+    seed: int = 2008
+
+    def scaled(self, effort: float) -> "Effort":
+        """Return the same with fewer trials for an effort below 1."""
+        if effort >= 1.0:
+            return self
+
+        def some(full: int, least: int) -> int:
+            return max(least, round(full * effort))
+
+        return replace(
+            self,
+            n_taught=some(self.n_taught, 4),
+            table_lessons=some(self.table_lessons, 1),
+            table_tested=some(self.table_tested, 4),
+            curve_lessons=some(self.curve_lessons, 1),
+            curve_tested=some(self.curve_tested, 3),
+            repeats=some(self.repeats, 10),
+            other_lessons=some(self.other_lessons, 1),
+            other_tested=some(self.other_tested, 4),
+            iterations=some(self.iterations, 4),
+            every=4,
+        )
