@@ -21,6 +21,7 @@ _FREEDOM = 3.0
 _VIRTUAL_WEIGHT = 0.3
 _MAX_HYPOTHESES = 24
 """Drifts that the taught grasps are compared under: the likeliest ones; others hardly count."""
+_PARTS = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -94,7 +95,7 @@ class Evidence:
         self, tactile: NDArray[np.float64], aperture: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Return (G, O, C): of one grasp around the centres, up to a constant."""
-        distance = self._distances(self._project(tactile, aperture))
+        distance = self._distances(*self._project(tactile, aperture))
         shape = (len(tactile), len(aperture), distance.shape[1])
         likelihood: NDArray[np.float64] = -self._exponent * np.log1p(distance / self._rank)
         return likelihood.reshape(shape)
@@ -116,15 +117,15 @@ class Evidence:
         aperture: NDArray[np.float64],
         log_prior: NDArray[np.float64],
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        z = self._project(tactile, aperture)
-        distance = self._distances(z)
+        touch, opening = self._project(tactile, aperture)
+        distance = self._distances(touch, opening)
         centre = -self._exponent * np.log1p(distance / self._rank)
         expected = int(np.argmax(log_prior))
         order = np.argsort(-(log_prior + centre.max(axis=1)))[:_MAX_HYPOTHESES]
         order = np.append(order[order != expected], expected)
-        z, distance, centre, log_prior = z[order], distance[order], centre[order], log_prior[order]
-        squared = (z**2).sum(axis=1)[:, None] + (self.samples**2).sum(axis=1)
-        squared = np.maximum(squared - 2.0 * z @ self.samples.T, 0.0)
+        distance, centre, log_prior = distance[order], centre[order], log_prior[order]
+        gain, offset = np.divmod(order, len(aperture))
+        squared = self._to_samples(touch[gain] + opening[offset])
         near = self._near(squared)
         together = log_prior[:, None] + 0.5 * (centre + near)
         opinion = None
@@ -145,17 +146,32 @@ class Evidence:
 
     def _project(
         self, tactile: NDArray[np.float64], aperture: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Return (G * O, r): all pairs of gain and offset in the discriminant space."""
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return (G, r) and (O, r), which add up to a grasp in the discriminant space."""
         lda, n = self.discriminant, tactile.shape[1]
         touch = ((tactile - lda.mean[:n]) / lda.scale[:n]) @ lda.projection[:n]
         opening = ((aperture - lda.mean[n:]) / lda.scale[n:]) @ lda.projection[n:]
-        return (touch[:, None] + opening).reshape(-1, touch.shape[1])
+        return touch, opening
 
-    def _distances(self, z: NDArray[np.float64]) -> NDArray[np.float64]:
+    def _distances(
+        self, touch: NDArray[np.float64], opening: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return (G * O, C) squared distances of all pairs of gain and offset to the centres."""
         centres = self.discriminant.centres
-        squared = (z**2).sum(axis=1)[:, None] + (centres**2).sum(axis=1) - 2.0 * z @ centres.T
-        return np.asarray(np.maximum(squared, 0.0), dtype=np.float64)
+        from_touch = (touch**2).sum(axis=1)[:, None] - 2.0 * touch @ centres.T
+        from_opening = (opening**2).sum(axis=1)[:, None] - 2.0 * opening @ centres.T
+        squared = from_touch[:, None] + from_opening + (centres**2).sum(axis=1)
+        squared += 2.0 * (touch @ opening.T)[..., None]
+        return np.asarray(np.maximum(squared, 0.0), dtype=np.float64).reshape(-1, len(centres))
+
+    def _to_samples(self, z: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (h, m) squared distances to the taught grasps.
+
+        In parts: products this small take longer where a library shares them among threads.
+        """
+        parts = [part @ self.samples.T for part in np.array_split(z, _PARTS)]
+        own = (z**2).sum(axis=1)[:, None] + (self.samples**2).sum(axis=1)
+        return np.asarray(np.maximum(own - 2.0 * np.concatenate(parts), 0.0), dtype=np.float64)
 
     @property
     def _rank(self) -> float:
