@@ -1,0 +1,213 @@
+"""Teaching from a drawing, the gauge, and shape and size on the command line."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cell.cli.app import app
+from cell.collect import pad_array
+from cell.config import CellConfig
+from cell.dataset import read_dataset, write_dataset
+from cell.errors import CellError, ConfigError
+from cell.jobs.drawing import (
+    PadKnowledge,
+    calibrate_on_gauge,
+    course_of,
+    gauge_shape,
+    shapes_of,
+    teach_drawing,
+)
+from cell.layouts import layout_from_config
+from cell.simulation import drawn_shape
+from recognition.foam_model import FoamModel
+from recognition.ramp import find_ramp, learn_rest
+
+BALL = "sphere:diameter=9.5mm"
+BOX = "box:length=15.9mm,width=10mm,height=10mm"
+CYLINDER = "cylinder:diameter=6mm,length=20mm"
+RATE_N_S, FRAME_S = 5.0, 0.02
+
+
+def call(*arguments: object) -> str:
+    result = CliRunner().invoke(app, [str(a) for a in arguments], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+def refused(*arguments: object) -> str:
+    result = CliRunner().invoke(app, [str(a) for a in arguments])
+    assert result.exit_code != 0
+    return str(result.exception)
+
+
+def test_a_virtual_grasp_looks_like_the_cells_own(taught: Any) -> None:
+    config = taught.config
+    own = [g for g in taught.grasps if g.label == "ball"]
+    drawn = teach_drawing(config, "ball", drawn_shape(BALL), 40, kind="sphere")
+    first = drawn[0]
+    assert first.pads.same_as(own[0].pads)
+    assert first.source == "drawing"
+    assert first.shape == "sphere"
+    assert np.allclose(np.diff(first.t_s), np.median(np.diff(own[0].t_s)), atol=1e-6)
+    rest = learn_rest([*own, *drawn])
+    for quantity, tolerance in (
+        (lambda g: g.n_frames - g.force_n[-1] / RATE_N_S / FRAME_S, 0.2),
+        (lambda g: g.counts[:5].mean(), 0.1),
+        (lambda g: g.aperture_m[0], 0.05),
+        (lambda g: g.aperture_m[-1], 0.1),
+        (lambda g: find_ramp(g, rest).load[-5:].mean() / g.force_n[-1], 0.15),
+    ):
+        real = np.median([quantity(g) for g in own])
+        assert np.median([quantity(g) for g in drawn]) == pytest.approx(real, rel=tolerance)
+
+
+def test_the_set_point_begins_with_the_touch_and_ends_at_the_planned_force(taught: Any) -> None:
+    low_n, high_n = taught.config.sequence.force_n
+    for grasp in teach_drawing(taught.config, "box", drawn_shape(BOX), 5):
+        force_n = grasp.force_n
+        assert low_n <= force_n[-1] <= high_n
+        assert np.all(np.diff(force_n) >= -1e-9)
+        assert force_n[0] == 0.0
+        assert np.all(grasp.aperture_m[-5:] < 10e-3)
+
+
+def test_the_same_seed_gives_the_same_grasps() -> None:
+    config, ball = CellConfig(), drawn_shape(BALL)
+    one, same, other = (teach_drawing(config, "b", ball, 2, seed=s) for s in (3, 3, 4))
+    assert np.array_equal(one[1].counts, same[1].counts)
+    assert one[1].start_ms == 1000
+    assert one[1].n_frames != other[1].n_frames or not np.array_equal(
+        one[1].counts, other[1].counts
+    )
+
+
+def test_drawings_alone_name_what_the_cell_grasps(taught: Any, tmp_path: Path) -> None:
+    drawings, model, own = (tmp_path / name for name in ("d.npz", "m.npz", "own.npz"))
+    for label, text in (("ball", BALL), ("box", BOX), ("cylinder", CYLINDER)):
+        printed = call("teach", label, "--shape", text, "-o", drawings, "-n", 15)
+        assert f"15 virtual grasps of {label}" in printed
+        assert "not calibrated" in printed
+    assert {g.source for g in read_dataset(drawings)} == {"drawing"}
+    call("train", drawings, "-o", model)
+    write_dataset(own, taught.grasps)
+    found = tmp_path / "found.json"
+    printed = call("identify", own, "--model", model, "--json", found)
+    answers = json.loads(found.read_text())["answers"]
+    assert [a["label"] for a in answers] == [g.label for g in taught.grasps]
+    sizes_mm = {"ball": 9.5, "box": 10.0}
+    kinds = {"ball": "sphere", "box": "flat"}
+    right = 0
+    for answer in answers:
+        low, high = answer["shape"]["interval_mm"]
+        assert low < sizes_mm[answer["truth"]] < high
+        right += answer["shape"]["kind"] == kinds[answer["truth"]]
+    assert right >= len(answers) - 1
+    assert "sphere, 9." in printed
+    assert "flat, " in printed
+
+
+def test_a_gauge_calibrates_and_is_printed(taught: Any, tmp_path: Path) -> None:
+    gauge, drawings, facts = (tmp_path / name for name in ("g.npz", "d.npz", "f.json"))
+    write_dataset(gauge, [g for g in taught.grasps if g.label == "ball"])
+    printed = call(
+        *("teach", "cube", "--shape", "box:length=8mm,width=8mm,height=8mm", "-n", 4),
+        *("--gauge", gauge, "-o", drawings, "--json", facts),
+    )
+    assert "from 5 grasps" in printed
+    pads = json.loads(facts.read_text())["pads"]
+    foam = pads["foam"]
+    assert abs(np.log(foam["modulus_pa"] / 150e3)) < 3 * pads["modulus_sd"] + 0.05
+    assert foam["gain"] == pytest.approx(1.0, abs=0.15)
+    own_noise = np.concatenate([g.counts[:5] for g in taught.grasps]).mean()
+    assert read_dataset(drawings)[0].counts[:5].mean() == pytest.approx(own_noise, rel=0.15)
+
+
+def test_the_calibration_follows_another_foam() -> None:
+    config = CellConfig()
+    pads = pad_array(layout_from_config(config.tactile))
+    true = PadKnowledge(
+        foam=FoamModel(modulus_pa=210e3, gain=0.85),
+        modulus_sd=1e-6,
+        gain_sd=1e-6,
+        spread_sd=1e-6,
+        aperture_sd_m=1e-9,
+    )
+    ball = drawn_shape(BALL)
+    known = calibrate_on_gauge(teach_drawing(config, "b", ball, 8, known=true), ball, pads)
+    assert known.foam.gain == pytest.approx(0.85, abs=0.07)
+    assert abs(np.log(known.foam.modulus_pa / 210e3)) < 3 * known.modulus_sd
+    assert known.rest is not None
+    assert known.trust.modulus == known.modulus_sd
+
+
+def test_a_mesh_is_a_drawing(tmp_path: Path) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    mesh, drawings = tmp_path / "cube.stl", tmp_path / "d.npz"
+    trimesh.creation.box((8.0, 8.0, 8.0)).export(mesh)
+    call("teach", "cube", "--mesh", mesh, "-n", 3, "-o", drawings)
+    grasps = read_dataset(drawings)
+    assert len(grasps) == 3
+    assert grasps[0].shape == "mesh"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--shape", "cone:height=3mm"), "unknown shape"),
+        (("--shape", BALL, "--mesh", "x.stl"), "two drawings"),
+        (("--mesh", "missing.stl"), "cannot be read"),
+        (("--shape", BALL, "--gauge-shape", BALL), "name its grasps with --gauge"),
+        (("--gauge", "g.npz"), "add --shape or --mesh"),
+        (("--shape", "sphere:diameter=30mm"), "open it further"),
+    ],
+)
+def test_wrong_drawings_are_refused(tmp_path: Path, options: tuple[str, ...], message: str) -> None:
+    assert message in refused("teach", "part", "-o", tmp_path / "d.npz", *options)
+    assert not (tmp_path / "d.npz").exists()
+
+
+def test_an_object_beside_the_pads_is_refused() -> None:
+    config = CellConfig()
+    sequence = config.sequence.model_copy(update={"x_mm": (60.0, 61.0)})
+    with pytest.raises(CellError, match="beside the pads"):
+        teach_drawing(config.model_copy(update={"sequence": sequence}), "b", drawn_shape(BALL), 1)
+
+
+def test_what_a_gauge_must_be(taught: Any, make_grasp: Callable[..., Any]) -> None:
+    config, ball = taught.config, drawn_shape(BALL)
+    pads = taught.grasps[0].pads
+    with pytest.raises(CellError, match="a gauge is one object, these grasps are of ball, box"):
+        gauge_shape(taught.grasps, None, config)
+    with pytest.raises(CellError, match="'thing' is not known: add --gauge-shape"):
+        gauge_shape([make_grasp("thing")], None, config)
+    with pytest.raises(ConfigError, match="unknown shape"):
+        gauge_shape([make_grasp("thing")], "thing", config)
+    with pytest.raises(CellError, match="on 24 taxels, this cell has 408"):
+        calibrate_on_gauge([make_grasp("thing")], ball, pads)
+    with pytest.raises(CellError, match="the gauge tells nothing"):
+        calibrate_on_gauge(taught.grasps[:1], ball, pads)
+
+
+def test_untouched_pads_have_no_shape(taught: Any) -> None:
+    grasp = taught.grasps[0]
+    still = replace(grasp, counts=np.repeat(grasp.counts[:1], grasp.n_frames, axis=0))
+    known, none = shapes_of([grasp, still])
+    assert none is None
+    assert known is not None
+    assert known.kind == "sphere"
+
+
+def test_one_servo_moves_both_fingers_in_larger_steps() -> None:
+    config = CellConfig()
+    known = PadKnowledge(foam=FoamModel())
+    alone = config.gripper.model_copy(update={"servos": config.gripper.servos[:1]})
+    both_m = course_of(config, known).aperture_step_m
+    one_m = course_of(config.model_copy(update={"gripper": alone}), known).aperture_step_m
+    assert one_m == pytest.approx(2 * both_m)
+    assert both_m == pytest.approx(60e-3 * 2 * np.pi / 4096)
