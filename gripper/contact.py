@@ -1,11 +1,13 @@
 """Approach: closing at a steady speed until both pads confirm the contact."""
 
+from collections import deque
 from collections.abc import Sequence
 from enum import Enum
 
 from gripper.force import ForceSample
 from gripper.kinematics import Linkage
 from gripper.registers import RAD_S_PER_VELOCITY_UNIT
+from gripper.runner import Moment
 from gripper.settings import GripperSettings
 from gripper.state import GripperState
 
@@ -19,6 +21,7 @@ _SLOWEST_RAD_S = 4.0 * RAD_S_PER_VELOCITY_UNIT
 _PAUSE_S = 0.15
 _LARGEST_BOOST = 1.6
 _BOOST_PER_S = 2.0
+_REST_SAMPLES = 4
 
 
 class ContactDetector:
@@ -50,6 +53,35 @@ class ContactDetector:
             for finger, force_n in enumerate(sample.force_n):
                 above = force_n >= self._threshold_n
                 self._counts[finger] = self._counts[finger] + 1 if above else 0
+
+
+class ContactRest:
+    """Fingers at rest on the part, until the pads have said with what force.
+
+    Parameters
+    ----------
+    until_s
+        Monotonic time in s at which the rest ends.
+    """
+
+    def __init__(self, until_s: float) -> None:
+        self._until_s = until_s
+        self._samples: deque[ForceSample] = deque(maxlen=_REST_SAMPLES)
+
+    @property
+    def force_n(self) -> float:
+        """Mean grip force in N of the last samples, at least 0; 0 without any."""
+        if not self._samples:
+            return 0.0
+        return max(0.0, sum(sample.grip_n for sample in self._samples) / len(self._samples))
+
+    def goes_on(self, moment: Moment) -> bool:
+        """Take the newest sample and say whether the fingers still rest."""
+        sample = moment.sample
+        new = not self._samples or (sample is not None and sample.t_s > self._samples[-1].t_s)
+        if sample is not None and sample.valid and new:
+            self._samples.append(sample)
+        return moment.now_s < self._until_s
 
 
 class ApproachEvent(Enum):
@@ -99,6 +131,7 @@ class Approach:
         self._boost = 1.0
         self._detector = ContactDetector(settings.contact_force_n, settings.contact_samples)
         self._aperture_m = state.aperture_m
+        self._was_touched = False
         self._waiting_rad: list[float | None] = [None] * len(state.servos)
         self._was_running = [False] * len(state.servos)
         self._pauses: list[tuple[float, float] | None] = [None] * len(state.servos)
@@ -109,6 +142,18 @@ class Approach:
     def current_a(self) -> float:
         """Goal current of the servos now in A."""
         return min(self._current_a * self._boost, self._current_max_a)
+
+    def runs_freely(self, state: GripperState) -> bool:
+        """Say whether all fingers close steadily and no pad has been touched so far."""
+        nominal_rad_s = self._nominal_rad_s(state)
+        return not self._was_touched and all(
+            _RUNNING_SHARE <= -servo.velocity_rad_s / nominal_rad_s <= 1.0 / _RUNNING_SHARE
+            for servo in state.servos
+        )
+
+    def _nominal_rad_s(self, state: GripperState) -> float:
+        reach_m = sum(self._linkage.opening_per_rad_m(servo.angle_rad) for servo in state.servos)
+        return self._settings.approach_speed_m_s / reach_m
 
     def step(
         self, now_s: float, dt_s: float, state: GripperState, sample: ForceSample | None
@@ -125,6 +170,7 @@ class Approach:
         settings = self._settings
         if sample is not None and sample.valid:
             self._detector.push(sample)
+            self._was_touched |= max(sample.force_n) >= self._settings.contact_force_n
         touched = self._detector.touched
         # The goal runs ahead of the fingers by a little only: that is how far they would go on
         # if nobody wrote a new one.
@@ -156,8 +202,7 @@ class Approach:
         The fingers feel a part tens of milliseconds before the pads report it. Whether it is
         one the pads say; without a word from them the finger goes on, now from rest.
         """
-        reach_m = sum(self._linkage.opening_per_rad_m(servo.angle_rad) for servo in state.servos)
-        nominal_rad_s = self._settings.approach_speed_m_s / reach_m
+        nominal_rad_s = self._nominal_rad_s(state)
         for finger, servo in enumerate(state.servos):
             closing_rad_s = -servo.velocity_rad_s
             pause = self._pauses[finger]

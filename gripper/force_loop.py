@@ -4,6 +4,7 @@ The gearing holds a load by friction: at a driving force u (torque constant time
 effective radius) the grip force may be anywhere from u - phi to u + phi, phi being the friction
 band. While the force rises it is u - phi, while it falls u + phi. The loop follows this with a
 model of play (hysteresis without rate): the modelled force moves only when the band pushes it.
+Each edge of the band has its own bias, kept while the force goes the other way.
 
 A proportional-integral controller in this setting is a feed-forward through the inverse of the
 model plus a slowly learnt bias, the low-passed difference between sensor and model at the time of
@@ -18,7 +19,7 @@ and a mass with little damping: a step of the drive would swing the force to twi
 """
 
 from collections import deque
-from math import exp
+from math import sqrt
 
 from gripper.errors import LimitExceeded
 from gripper.force import ForceSample
@@ -27,6 +28,7 @@ from gripper.settings import ForceLoopSettings
 _HISTORY_LENGTH = 128
 _IMPLAUSIBLE_S = 0.3
 _ANCHOR_SAMPLES = 3
+_CATCH_UP_S = 0.2
 
 
 class ForceLoop:
@@ -56,6 +58,8 @@ class ForceLoop:
         self._breaking: list[float] = []
         self._dither = 0.0
         self._bias_n = 0.0
+        self._edge_bias_n = {True: 0.0, False: 0.0}
+        self._doubt_n2 = settings.start_doubt_n**2
         self._history: deque[tuple[float, float]] = deque(maxlen=_HISTORY_LENGTH)
         self._history.append((now_s, force_n))
         self._sample_s = now_s
@@ -76,6 +80,11 @@ class ForceLoop:
         """Learnt difference between sensor and model in N."""
         return self._bias_n
 
+    @property
+    def doubt_n(self) -> float:
+        """Standard deviation in N of what has been learnt."""
+        return sqrt(self._doubt_n2)
+
     def step(
         self,
         now_s: float,
@@ -85,6 +94,8 @@ class ForceLoop:
         *,
         friction_n: float,
         drive_max_n: float,
+        braking_n: float = 0.0,
+        motion_n: float = 0.0,
         taper: bool = False,
     ) -> float:
         """Advance by one period and return the driving force in N.
@@ -101,6 +112,10 @@ class ForceLoop:
             Half the width of the friction band as grip force.
         drive_max_n
             Largest driving force, from the cap of the current.
+        braking_n
+            Driving force in N to leave out now, because the fingers are too fast.
+        motion_n
+            How wrong the model is by the motion of the fingers now, in N.
         taper
             True during a long hold: give back what friction makes superfluous.
 
@@ -111,36 +126,53 @@ class ForceLoop:
             does not see the force that the current makes.
         """
         settings = self._settings
-        self._learn(now_s, sample, setpoint_n, friction_n)
+        rate_n_s = 0.0
+        if self._setpoint_n is not None and dt_s > 0.0:
+            rate_n_s = (setpoint_n - self._setpoint_n) / dt_s
+        self._learn(
+            now_s,
+            sample,
+            setpoint_n=setpoint_n,
+            friction_n=friction_n,
+            rate_n_s=abs(rate_n_s),
+            motion_n=motion_n,
+        )
         target_n = setpoint_n - self._bias_n
+        if self._rising:
+            # What is not known well is approached from below: the way back is twice the friction.
+            target_n -= settings.caution * max(0.0, self.doubt_n - settings.settled_doubt_n)
         error_n = target_n - self._model_n
         reversal_n = max(settings.reversal_band_n, settings.reversal_band_share * setpoint_n)
         held = setpoint_n == self._setpoint_n
         band_n = settings.hold_band_n if held else settings.dead_band_n
-        rise_n = band_n if self._rising else reversal_n
-        fall_n = reversal_n if self._rising else band_n
+        # A set-point on its way catches up with the force by itself.
+        rise_n = band_n if self._rising else reversal_n + _CATCH_UP_S * max(0.0, -rate_n_s)
+        fall_n = band_n if not self._rising else reversal_n + _CATCH_UP_S * max(0.0, rate_n_s)
         wanted_n = self._drive_n
         dither = settings.dither_share if self._dither <= 0.0 else -settings.dither_share
         self._dither = 0.0
         if error_n > rise_n:
             self._dither = dither
+            target_n += self._bias_n
             self._turn(now_s, rising=True)
-            wanted_n = target_n + friction_n
+            wanted_n = target_n - self._bias_n + friction_n
         elif error_n < -fall_n:
             self._dither = dither
             self._turn(now_s, rising=False)
-            wanted_n = target_n - friction_n
+            wanted_n = setpoint_n - self._bias_n - friction_n
         elif taper and self._drive_n > self._model_n:
             wanted_n = max(self._model_n, self._drive_n - settings.taper_n_s * dt_s)
         wanted_n = self._approached(wanted_n, setpoint_n, friction_n, dt_s)
         self._drive_n = min(max(wanted_n, -settings.push_open_share * friction_n), drive_max_n)
+        applied_n = self._drive_n - braking_n
         low_n, high_n = self._drive_n - friction_n, self._drive_n + friction_n
         model_n = min(max(self._model_n, low_n), high_n)
-        if model_n != self._model_n:
+        if model_n != self._model_n and self._breaking_since_s is not None:
             self._breaking_since_s = None
+            self._doubt_n2 += (settings.friction_doubt * friction_n) ** 2
         self._model_n = model_n
         self._history.append((now_s, self._model_n))
-        return min(self._drive_n + self._dither * friction_n, drive_max_n)
+        return min(applied_n + self._dither * friction_n, drive_max_n)
 
     def _approached(
         self, wanted_n: float, setpoint_n: float, friction_n: float, dt_s: float
@@ -160,21 +192,39 @@ class ForceLoop:
         return max(wanted_n, min(free_n, drive_n - creep_n))
 
     def _turn(self, now_s: float, *, rising: bool) -> None:
+        """Turn round at the force that is there: each edge of the band has its own bias."""
         if rising is not self._rising:
+            self._edge_bias_n[self._rising] = self._bias_n
+            known_n = self._edge_bias_n[rising]
+            self._shift_model(self._bias_n - known_n)
+            self._bias_n = known_n
             self._rising = rising
             self._breaking_since_s = now_s
             self._breaking.clear()
 
     def _learn(
-        self, now_s: float, sample: ForceSample, setpoint_n: float, friction_n: float
+        self,
+        now_s: float,
+        sample: ForceSample,
+        *,
+        setpoint_n: float,
+        friction_n: float,
+        rate_n_s: float,
+        motion_n: float,
     ) -> None:
         settings = self._settings
         if sample.t_s > self._sample_s:
-            gain = 1.0 - exp(-(sample.t_s - self._sample_s) / settings.bias_time_s)
+            step_s = sample.t_s - self._sample_s
+            share = step_s / settings.bias_time_s * (1.0 + rate_n_s / settings.bias_rate_n_s)
+            noise_n2 = settings.sample_noise_n**2
+            self._doubt_n2 += noise_n2 * share * share
+            gain = self._doubt_n2 / (self._doubt_n2 + noise_n2 + motion_n * motion_n)
+            self._doubt_n2 *= 1.0 - gain
             self._sample_s = sample.t_s
             seen_n = sample.grip_n - self._model_at(sample.t_s - settings.sensor_delay_s)
             self._bias_n += gain * (seen_n - self._bias_n)
-            if self._breaking_since_s is not None and sample.t_s > self._breaking_since_s:
+            since_s = self._breaking_since_s
+            if not self._rising and since_s is not None and sample.t_s > since_s:
                 self._anchor(sample.grip_n, setpoint_n, friction_n)
         limit_n = (
             settings.bias_max_n
@@ -193,27 +243,28 @@ class ForceLoop:
             )
 
     def _anchor(self, grip_n: float, setpoint_n: float, friction_n: float) -> None:
-        """Take the present drive for the edge of the band when the force arrives before it.
+        """On the way down, take the present drive for the band's edge when the force gets there.
 
-        Friction smaller than the model's lets the force move although the model still waits for
+        Friction smaller than the model's lets the force fall although the model still waits for
         the edge; then the sensor says where the edge was.
         """
         self._breaking = [*self._breaking, grip_n][-_ANCHOR_SAMPLES:]
         mean_n = sum(self._breaking) / len(self._breaking)
-        arrived = mean_n >= setpoint_n if self._rising else mean_n <= setpoint_n
-        inner_n = (1.0 - self._settings.creep_share) * friction_n
-        inside = abs(self._drive_n - self._model_n) < inner_n
-        if len(self._breaking) < _ANCHOR_SAMPLES or not arrived or inside:
+        inside = self._model_n - self._drive_n < (1.0 - self._settings.creep_share) * friction_n
+        if len(self._breaking) < _ANCHOR_SAMPLES or mean_n > setpoint_n or inside:
             return
-        model_n = self._drive_n - friction_n if self._rising else self._drive_n + friction_n
-        shift_n = model_n - self._model_n
+        model_n = self._drive_n + friction_n
+        self._shift_model(model_n - self._model_n)
+        self._bias_n = mean_n - model_n
+        self._breaking_since_s = None
+
+    def _shift_model(self, shift_n: float) -> None:
+        """Correct the modelled force, now and in what is remembered of it."""
         self._history = deque(
             ((then_s, then_n + shift_n) for then_s, then_n in self._history),
             maxlen=_HISTORY_LENGTH,
         )
-        self._model_n = model_n
-        self._bias_n = mean_n - model_n
-        self._breaking_since_s = None
+        self._model_n += shift_n
 
     def _model_at(self, t_s: float) -> float:
         """Return the modelled force in N at an earlier time, as far back as it is known."""

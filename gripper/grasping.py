@@ -2,20 +2,23 @@
 
 from collections.abc import Callable
 
-from gripper.contact import Approach, ApproachEvent
+from gripper.contact import Approach, ApproachEvent, ContactRest
 from gripper.errors import LimitExceeded, PartLost
+from gripper.free_running import FreeRunning
 from gripper.kinematics import Linkage
 from gripper.limits import ServoGoal
-from gripper.motion import GripControl, motion_current_a
+from gripper.motion import GripControl, motion_current_a, new_compliance
 from gripper.ramp import ForceRamp
 from gripper.runner import Action, LoopRunner, Moment, Observer
 from gripper.servos import ServoGroup
 from gripper.settings import GripperSettings
 from gripper.state import GraspOutcome, GraspResult, GripperPhase, GripperState
 
-_CONTACT_SHARE = 0.9
+_CONTACT_SHARE = 0.97
 """Where in the friction band the drive is at the contact."""
 _TAPER_AFTER_S = 1.0
+_REST_S = 0.08
+"""How long the fingers rest at the contact, so that the ramp begins at the force that is there."""
 
 
 class GraspRun:
@@ -39,6 +42,8 @@ class GraspRun:
         self._linkage = linkage
         self._settings = settings
         self._setpoint_n = 0.0
+        self._compliance = new_compliance(settings)
+        self._free = FreeRunning()
         self.control: GripControl | None = None
 
     def forget(self) -> None:
@@ -134,7 +139,10 @@ class GraspRun:
             self._check_part(control, moment)
             self._setpoint_n = ramp.setpoint_n(elapsed_s)
             goals = control.goals(
-                moment, self._servos.transmissions(moment.state.servos), self._setpoint_n
+                moment,
+                self._servos.transmissions(moment.state.servos),
+                self._setpoint_n,
+                arrival_n=ramp.arrival_n(elapsed_s),
             )
             done = self._settled(ramp, elapsed_s, control)
             return Action(goals=goals, setpoint_n=self._setpoint_n, done=done)
@@ -161,8 +169,18 @@ class GraspRun:
         )
         event = ApproachEvent.CLOSING
 
+        self._compliance = new_compliance(settings)
+        self._free = FreeRunning()
+
         def step(moment: Moment) -> Action:
             nonlocal event
+            self._compliance.push(moment.now_s, moment.state.aperture_m, moment.sample)
+            self._free.push(
+                moment.now_s,
+                moment.state,
+                self._servos.transmissions(moment.state.servos),
+                running=approach.runs_freely(moment.state),
+            )
             event, angles_rad = approach.step(
                 moment.now_s, moment.dt_s, moment.state, moment.sample
             )
@@ -182,27 +200,36 @@ class GraspRun:
         elapsed_s = 0.0
         peak_n = 0.0
         lost = False
+        rest = ContactRest(contact.t_s + _REST_S)
 
         def step(moment: Moment) -> Action:
             nonlocal control, actual, elapsed_s, peak_n, lost
             paths = self._servos.transmissions(moment.state.servos)
+            self._compliance.push(moment.now_s, moment.state.aperture_m, moment.sample)
+            if rest.goes_on(moment):
+                return Action()
             if control is None:
-                force_n = 0.0 if moment.sample is None else max(0.0, moment.sample.grip_n)
+                force_n = rest.force_n
                 # The fingers are still closing: the drive is at the rising edge of the band.
-                friction_n = sum(path.friction_n for path in paths) / len(paths)
+                share = self._free.friction_share()
+                friction_n = share * sum(path.friction_n for path in paths) / len(paths)
                 control = GripControl(
                     self._settings,
                     contact,
                     force_n=force_n,
                     drive_n=force_n + _CONTACT_SHARE * friction_n,
                     now_s=moment.now_s,
+                    compliance=self._compliance,
+                    friction_share=share,
                 )
                 self.control = control
                 actual = ramp.starting_from(force_n)
             else:
                 elapsed_s += moment.dt_s
             self._setpoint_n = actual.setpoint_n(elapsed_s)
-            goals = control.goals(moment, paths, self._setpoint_n)
+            goals = control.goals(
+                moment, paths, self._setpoint_n, arrival_n=actual.arrival_n(elapsed_s)
+            )
             peak_n = max(peak_n, control.force_n)
             lost = control.part_lost(moment)
             if lost:

@@ -3,11 +3,13 @@
 from collections import deque
 from collections.abc import Sequence
 
+from gripper.compliance import Compliance
 from gripper.errors import LimitExceeded, ServoFault
 from gripper.force import ForceSample
 from gripper.force_loop import ForceLoop
 from gripper.kinematics import Linkage, Transmission
 from gripper.limits import OPENING_MARGIN_RAD, ServoGoal, closing_margin_rad
+from gripper.reference import Reference
 from gripper.registers import RAD_PER_PULSE
 from gripper.runner import Action, Moment
 from gripper.settings import GripperSettings
@@ -116,6 +118,14 @@ class MoveTo:
         return Action(goals=goals, done=arrived)
 
 
+def new_compliance(settings: GripperSettings) -> Compliance:
+    """Return a learner of the part's stiffness that has seen nothing yet."""
+    return Compliance(
+        touch_n=0.3 * settings.contact_force_n,
+        sensor_delay_s=settings.force_loop.sensor_delay_s,
+    )
+
+
 class GripControl:
     """Turns the set-point of the grip force into goals of the servos, for one grasp.
 
@@ -142,8 +152,14 @@ class GripControl:
         force_n: float,
         drive_n: float,
         now_s: float,
+        compliance: Compliance | None = None,
+        friction_share: float = 1.0,
     ) -> None:
+        tuning = settings.force_loop
         self._settings = settings
+        self._friction_share = friction_share
+        self._reference = Reference(force_n, tuning.end_time_s)
+        self._compliance = compliance or new_compliance(settings)
         self._contact_rad = [servo.angle_rad for servo in state.servos]
         self._loop = ForceLoop(settings.force_loop, force_n=force_n, drive_n=drive_n, now_s=now_s)
         self._drive_n = drive_n
@@ -179,6 +195,7 @@ class GripControl:
         paths: Sequence[Transmission],
         setpoint_n: float,
         *,
+        arrival_n: float | None = None,
         taper: bool = False,
     ) -> tuple[ServoGoal, ...]:
         """Return the goals of one period.
@@ -191,6 +208,8 @@ class GripControl:
             Transmission of each servo at its present angle.
         setpoint_n
             Grip force that is asked for in N.
+        arrival_n
+            Where the present change of force ends in N; None where it is not changing.
         taper
             True during a long hold.
         """
@@ -202,18 +221,32 @@ class GripControl:
             # A sample that is young enough was there before: nothing new to go by.
             return self._drive(moment.state.servos, paths)
         self._note(moment.now_s, sample)
+        reference_n = self._reference.step(
+            moment.dt_s, setpoint_n, setpoint_n if arrival_n is None else arrival_n
+        )
+        tuning = self._settings.force_loop
+        braking_n = self._braking_n(moment.state)
         self._drive_n = self._loop.step(
             moment.now_s,
             moment.dt_s,
-            setpoint_n,
+            reference_n,
             sample,
-            friction_n=sum(path.friction_n for path in paths) / len(paths),
+            friction_n=self._friction_share * sum(path.friction_n for path in paths) / len(paths),
+            braking_n=braking_n,
+            motion_n=tuning.motion_doubt_n_s_m * 0.5 * abs(moment.state.aperture_velocity_m_s),
             drive_max_n=min(
                 self._settings.current_max_a * path.kt_nm_a / path.radius_m for path in paths
             ),
             taper=taper,
         )
         return self._drive(moment.state.servos, paths)
+
+    def _braking_n(self, state: GripperState) -> float:
+        """Return what the drive is lowered by, in N, because the fingers run ahead."""
+        stiffness_n_m = self._compliance.stiffness_n_m
+        wanted_m_s = 0.0 if stiffness_n_m is None else self._reference.rate_n_s / stiffness_n_m
+        ahead_m_s = -state.aperture_velocity_m_s - wanted_m_s
+        return self._settings.force_loop.damping_n_s_m * 0.5 * ahead_m_s
 
     def _note(self, now_s: float, sample: ForceSample) -> None:
         if not self._samples or sample.t_s > self._samples[-1].t_s:

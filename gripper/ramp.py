@@ -168,6 +168,10 @@ class ForceRamp:
         segment, within_s = self._at(elapsed_s)
         return segment.force_n(within_s)
 
+    def arrival_n(self, elapsed_s: float) -> float:
+        """Return the force in N at which the present piece ends."""
+        return self._at(elapsed_s)[0].end_n
+
     def level_at(self, elapsed_s: float) -> int | None:
         """Return the index of the level held at that time, None while the force changes."""
         return self._at(elapsed_s)[0].level

@@ -53,8 +53,24 @@ class ForceLoopSettings:
 
     Attributes
     ----------
-    bias_time_s
-        Time constant in s with which the difference between sensor and model is learnt.
+    bias_time_s, bias_rate_n_s
+        Time constant in s with which the difference between sensor and model is learnt once the
+        first samples are in; it halves where the set-point moves at ``bias_rate_n_s``.
+    sample_noise_n
+        Standard deviation of one sample in N; with it the first samples count for more.
+    start_doubt_n, friction_doubt
+        How uncertain the model is at the contact, in N, and by how much more where the force
+        begins to move, as a share of the friction band.
+    caution, settled_doubt_n
+        A rising force stays below the set-point by ``caution`` times the doubt that is beyond
+        ``settled_doubt_n`` in N: what is not known yet is approached from below.
+    damping_n_s_m
+        Drive in N taken away for each m/s that a finger is faster than the ramp needs.
+    motion_doubt_n_s_m
+        Noise in N added to a sample for each m/s of a finger: inertia makes the model wrong.
+    end_time_s
+        Time constant in s with which the force arrives at the end of a change; see
+        `gripper.reference.Reference`.
     sensor_delay_s
         Time in s by which the sensor's filters lag behind the stamp of a sample.
     dead_band_n, hold_band_n
@@ -79,7 +95,16 @@ class ForceLoopSettings:
         Rate in N/s at which a long hold gives back drive that friction makes superfluous.
     """
 
-    bias_time_s: float = 0.25
+    bias_time_s: float = 0.3
+    bias_rate_n_s: float = 5.0
+    sample_noise_n: float = 0.3
+    start_doubt_n: float = 0.1
+    friction_doubt: float = 0.1
+    caution: float = 1.0
+    settled_doubt_n: float = 0.1
+    damping_n_s_m: float = 70.0
+    motion_doubt_n_s_m: float = 100.0
+    end_time_s: float = 0.1
     sensor_delay_s: float = 0.02
     dead_band_n: float = 0.05
     hold_band_n: float = 0.12
@@ -87,7 +112,7 @@ class ForceLoopSettings:
     reversal_band_share: float = 0.04
     drive_rate_n_s: float = 150.0
     creep_n_s: float = 5.0
-    creep_share: float = 0.8
+    creep_share: float = 0.5
     dither_share: float = 0.2
     push_open_share: float = 1.3
     bias_max_n: float = 2.0
@@ -96,9 +121,23 @@ class ForceLoopSettings:
     taper_n_s: float = 1.0
 
     def __post_init__(self) -> None:
-        for name in ("bias_time_s", "drive_rate_n_s", "creep_n_s", "bias_max_n"):
+        for name in (
+            "bias_time_s",
+            "bias_rate_n_s",
+            "sample_noise_n",
+            "drive_rate_n_s",
+            "creep_n_s",
+            "bias_max_n",
+        ):
             _check(name, getattr(self, name), above=0.0)
         for name in (
+            "start_doubt_n",
+            "friction_doubt",
+            "caution",
+            "settled_doubt_n",
+            "damping_n_s_m",
+            "motion_doubt_n_s_m",
+            "end_time_s",
             "sensor_delay_s",
             "dead_band_n",
             "hold_band_n",

@@ -96,11 +96,12 @@ def test_the_way_down_turns_round_through_twice_the_friction() -> None:
     loop, finger = new_loop(), Finger(FRICTION_N)
     follow(loop, finger, ramp(5.0, 10.0, 0.5))
     loaded_n = loop.drive_n
-    forces_n = follow(loop, finger, ramp(5.0, 5.0, 1.5, start_n=10.0), start_s=3.0)
-    assert forces_n[-1] == pytest.approx(5.0, abs=0.4)
-    assert min(forces_n) >= 4.4
+    forces_n = follow(loop, finger, ramp(5.0, 5.0, 0.1, start_n=10.0), start_s=3.0)
     assert loaded_n - loop.drive_n > 2 * FRICTION_N
     assert loop.drive_n < 5.0
+    forces_n += follow(loop, finger, [5.0] * 300, start_s=6.0)
+    assert forces_n[-1] == pytest.approx(5.0, abs=0.3)
+    assert min(forces_n) >= 4.4
 
 
 def test_less_friction_than_modelled_is_noticed_while_turning_round() -> None:
@@ -145,10 +146,12 @@ def test_a_sensor_that_does_not_see_the_force_is_a_fault_not_a_reason_to_push() 
 
 
 def test_the_same_sample_teaches_only_once() -> None:
-    loop = new_loop()
-    sample = ForceSample(t_s=0.1, force_n=(3.0, 3.0))
-    for i in range(50):
-        loop.step(0.1 + i * PERIOD_S, PERIOD_S, 1.0, sample, friction_n=3.7, drive_max_n=40.0)
-    once = 2.0 * (1.0 - 2.718281828 ** (-0.1 / 0.25))
-    assert loop.bias_n == pytest.approx(once, rel=1e-3)
-    assert loop.model_n == pytest.approx(1.0, abs=0.4)
+    sample = ForceSample(t_s=0.1, force_n=(1.15, 1.15))
+    biases_n = []
+    for steps in (1, 50):
+        loop = new_loop()
+        for i in range(steps):
+            loop.step(0.1 + i * PERIOD_S, PERIOD_S, 1.0, sample, friction_n=3.7, drive_max_n=40.0)
+        biases_n.append(loop.bias_n)
+    assert biases_n[0] == biases_n[1]
+    assert 0.0 < biases_n[0] < 0.15
