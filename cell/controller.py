@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 from cell.collect import GraspCollector, GraspRecord, SensorTap, pad_array
 from cell.config import SequenceConfig
@@ -60,6 +60,14 @@ class Identification:
     posteriors: tuple[Posterior, ...]
     fused: Posterior
     records: tuple[GraspRecord, ...]
+
+
+class StepChooser(Protocol):
+    """Says which grasp comes next, given what the grasps so far have told."""
+
+    def next_step(self, posteriors: Sequence[Posterior], planned: GraspStep, /) -> GraspStep:
+        """Return the step to take: the planned one, or another within the cell's limits."""
+        ...
 
 
 class CellController:
@@ -277,9 +285,12 @@ class CellController:
         recognizer: Recognizer,
         plan: Sequence[GraspStep],
         *,
+        chooser: StepChooser | None = None,
         on_grasp: Callable[[int, GraspRecord, Posterior], None] | None = None,
     ) -> Identification:
         """Grasp and classify until the stop rule is satisfied or the plan is at its end.
+
+        With a ``chooser`` each step of the plan is a proposal that it may replace.
 
         Raises
         ------
@@ -290,7 +301,8 @@ class CellController:
         posteriors: list[Posterior] = []
         records: list[GraspRecord] = []
         for number, step in enumerate(plan, start=1):
-            record = self._run_grasp(step, "")
+            chosen = step if chooser is None else chooser.next_step(posteriors, step)
+            record = self._run_grasp(chosen, "")
             posterior = recognizer.posterior(record.grasp)
             records.append(record)
             posteriors.append(posterior)

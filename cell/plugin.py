@@ -14,7 +14,8 @@ from typing import Any, Self
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from cell.build import Cell, build_cell
-from cell.collect import pad_array
+from cell.choosing import ActiveChooser, check_active, remember_records
+from cell.collect import GraspRecord, pad_array
 from cell.config import CellConfig
 from cell.config_file import load_config
 from cell.errors import CellStateError, ConfigError
@@ -24,7 +25,7 @@ from cell.pose import Pose
 from cell.sequence import plan
 from cell.states import CellState
 from cell.worker import CellWorker, Job, JobOutcome, JobStatus, Report
-from recognition.grasp import Grasp
+from recognition.next_pose import PoseMemory
 from recognition.recognizer import Recognizer
 from recognition.recognizers import make_trainer
 
@@ -125,7 +126,9 @@ class TactileCellPlugin:
         self._config = checked
         self._lock = threading.Lock()
         self._starting = threading.Lock()
-        self._taught: list[Grasp] = []
+        check_active(checked.sequence, taught=model is None)
+        self._taught: list[GraspRecord] = []
+        self._memory: PoseMemory | None = None
         self._recognizer: Recognizer | None = (
             None
             if model is None
@@ -289,7 +292,7 @@ class TactileCellPlugin:
         steps = plan(self._config.sequence, goal.grasps, seed=goal.seed)
         taught = []
         for record in self._cell.controller.collect(goal.label, steps):
-            taught.append(record.grasp)
+            taught.append(record)
             report({"task": "teach", "label": goal.label, "grasps": len(taught), "of": len(steps)})
         with self._lock:
             self._taught.extend(taught)
@@ -297,7 +300,9 @@ class TactileCellPlugin:
                 self._config.recognition.recognizer,
                 use_aperture=self._config.recognition.use_aperture,
             )
-            self._recognizer = trainer.fit(self._taught)
+            self._recognizer = trainer.fit([record.grasp for record in self._taught])
+            if self._config.sequence.kind == "active":
+                self._memory = remember_records(trainer, self._taught)
         return len(taught)
 
     def _identify(self, goal: IdentifyGoal, recognizer: Recognizer, report: Report) -> Answer:
@@ -306,6 +311,9 @@ class TactileCellPlugin:
         found = self._cell.controller.identify(
             recognizer,
             plan(self._config.sequence, n_grasps, seed=goal.seed),
+            chooser=None
+            if self._memory is None
+            else ActiveChooser(self._memory, self._config.sequence, seed=goal.seed),
             on_grasp=lambda number, record, posterior: report(
                 {
                     "task": "identify",

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from cell.build import Cell
+from cell.choosing import check_active
 from cell.config import CellConfig
 from cell.controller import Identification
 from cell.errors import ModelError
@@ -75,6 +76,7 @@ def identify_on_cell(
     A simulated cell that is not told what to hold draws one of its objects.
     """
     check_pads(model, cell.controller.pads)
+    check_active(config.sequence, taught=False)
     if held is None and config.positioner.kind == "simulated":
         objects = [entry.label for entry in config.simulator.objects]
         held = str(np.random.default_rng(config.seed).choice(objects))

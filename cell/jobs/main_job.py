@@ -9,17 +9,21 @@ from typing import Any
 import numpy as np
 
 from cell.build import Cell
+from cell.choosing import ActiveChooser, check_active, remember_records
 from cell.collect import GraspRecord
 from cell.config import CellConfig
 from cell.controller import Identification
 from cell.dataset import write_dataset
+from cell.errors import CellError
 from cell.jobs.progress import Progress
 from cell.jobs.teaching import teach, train
 from cell.model import save_model
 from cell.sequence import plan
 from recognition.evaluation import wilson_interval
 from recognition.grasp import Grasp
+from recognition.next_pose import PoseMemory
 from recognition.recognizer import UNKNOWN, Posterior, Recognizer
+from recognition.recognizers import make_trainer
 
 BASELINE = "level_check"
 """The paper's own classifier, told from one grasp, as in its Table 1."""
@@ -126,7 +130,10 @@ def teach_and_identify(
     """
     started_s = time.monotonic()
     default = config.recognition.recognizer
+    check_active(config.sequence, taught=recognizer is None)
+    memory: PoseMemory | None = None
     taught: list[Grasp] = []
+    taught_records: list[GraspRecord] = []
     examples: dict[str, GraspRecord] = {}
     recognizers: dict[str, Recognizer] = {}
     dataset: Path | None = None
@@ -137,6 +144,7 @@ def teach_and_identify(
                 cell, config, label, n_teach, seed=_seed(config, 0, number), progress=progress
             )
             taught += [record.grasp for record in records]
+            taught_records += records
             examples[label] = max(records, key=lambda record: record.step.force_n)
         dataset = folder / "taught.npz"
         write_dataset(dataset, taught)
@@ -147,6 +155,8 @@ def teach_and_identify(
         progress("train", 1, 2)
         if default != BASELINE:
             recognizers[BASELINE] = train(taught, BASELINE)
+        if config.sequence.kind == "active":
+            memory = _remember(config, taught_records)
         progress("train", 2, 2)
     else:
         recognizers[default] = recognizer
@@ -154,7 +164,14 @@ def teach_and_identify(
     for number, label in enumerate(labels):
         for repeat in range(n_trials):
             trials.append(
-                _trial(cell, config, recognizers, label, _seed(config, 1 + repeat, number))
+                _trial(
+                    cell,
+                    config,
+                    recognizers,
+                    memory,
+                    label=label,
+                    seed=_seed(config, 1 + repeat, number),
+                )
             )
             progress(f"identify {label}", repeat + 1, n_trials)
     return MainResult(
@@ -177,13 +194,34 @@ def _seed(config: CellConfig, use: int, number: int) -> int:
     return int(np.random.SeedSequence([config.seed, use, number]).generate_state(1)[0])
 
 
+def _remember(config: CellConfig, records: Sequence[GraspRecord]) -> PoseMemory:
+    trainer = make_trainer(
+        config.recognition.recognizer, use_aperture=config.recognition.use_aperture
+    )
+    try:
+        return remember_records(trainer, records)
+    except ValueError as error:
+        raise CellError(
+            f"{len(records)} taught grasps do not suffice for an active sequence: {error}; "
+            "teach more grasps of each object, or choose random, grid or list"
+        ) from error
+
+
 def _trial(
-    cell: Cell, config: CellConfig, recognizers: dict[str, Recognizer], label: str, seed: int
+    cell: Cell,
+    config: CellConfig,
+    recognizers: dict[str, Recognizer],
+    memory: PoseMemory | None,
+    *,
+    label: str,
+    seed: int,
 ) -> Trial:
     default = config.recognition.recognizer
     cell.controller.present(label)
     found = cell.controller.identify(
-        recognizers[default], plan(config.sequence, config.sequence.max_grasps, seed=seed)
+        recognizers[default],
+        plan(config.sequence, config.sequence.max_grasps, seed=seed),
+        chooser=None if memory is None else ActiveChooser(memory, config.sequence, seed=seed),
     )
     first = found.records[0].grasp
     return Trial(
