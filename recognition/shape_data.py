@@ -14,6 +14,9 @@ from recognition.ramp_levels import LOAD_FRACTIONS, load_levels
 LEVELS = (0.3, 0.7, 1.0)
 """Levels of the load that are fitted, of `recognition.ramp_levels.LOAD_FRACTIONS`."""
 
+SPREAD_STEP = 0.05
+"""Logarithm of the factor between the two spreads of `PressedPads`."""
+
 _WINDOW_M = 13e-3
 _CELL_M = 0.75e-3
 _TOUCHED_SHARE = 0.25
@@ -30,6 +33,8 @@ class PressedPads:
     ----------
     bed
         The pad, cropped to what can be pressed.
+    wider
+        The same with the spread of the pressure e^`SPREAD_STEP` times as wide.
     share : (K, n_taxels) float64
         Mean rise of both pads' taxels as a share of the full scale.
     sd : (K, n_taxels) float64
@@ -45,6 +50,7 @@ class PressedPads:
     """
 
     bed: PadBed
+    wider: PadBed
     share: NDArray[np.float64]
     sd: NDArray[np.float64]
     aperture_m: NDArray[np.float64]
@@ -114,9 +120,13 @@ def press_data(grasp: Grasp, foam: FoamModel, rest: Rest | None = None) -> Press
     load = load / load.sum()
     centre_m = load @ xy_m
     away_m = xy_m - centre_m
-    bed = PadBed(pads, first, foam.spread_m, cell_m=_CELL_M).cropped(centre_m, _WINDOW_M)
+    bed, wider = (
+        PadBed(pads, first, foam.spread_m * factor, cell_m=_CELL_M).cropped(centre_m, _WINDOW_M)
+        for factor in (1.0, float(np.exp(SPREAD_STEP)))
+    )
     return PressedPads(
         bed=bed,
+        wider=wider,
         share=share,
         sd=sd,
         aperture_m=levels.aperture_mm[0, chosen] * 1e-3 - foam.aperture_offset_m,

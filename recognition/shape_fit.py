@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recognition.foam_model import FoamModel
-from recognition.shape_data import PressedPads
+from recognition.shape_data import SPREAD_STEP, PressedPads
 from recognition.shape_models import ShapeModel
 
 Array = NDArray[np.float64]
@@ -28,7 +28,7 @@ class Trust:
 
     Attributes
     ----------
-    modulus, gain
+    modulus, gain, spread
         Standard deviation of the logarithm.
     aperture_m
         Standard deviation in m of the opening, the same over one grasp.
@@ -40,6 +40,7 @@ class Trust:
 
     modulus: float = 0.1
     gain: float = 0.1
+    spread: float = 0.05
     aperture_m: float = 0.2e-3
     aperture_jitter_m: float = 0.06e-3
     force: float = 0.06
@@ -118,7 +119,7 @@ class _Problem:
         self.pose = model.n_own
         self.depth = self.pose + 2 + int(model.turns)
         self.rest = self.depth + self.n_levels
-        self.n = self.rest + 3
+        self.n = self.rest + 4
         n_turn = int(model.turns)
         self.mean = np.array(
             [
@@ -126,9 +127,7 @@ class _Problem:
                 *(1e3 * data.centre_m),
                 *[0.0] * n_turn,
                 *[1.2] * self.n_levels,
-                0.0,
-                0.0,
-                0.0,
+                *[0.0] * 4,
             ]
         )
         self.sd = np.array(
@@ -140,9 +139,12 @@ class _Problem:
                 *[1.0] * self.n_levels,
                 trust.modulus,
                 trust.gain,
+                trust.spread,
                 1e3 * trust.aperture_m,
             ]
         )
+        self._along_step = (data.wider.along - data.bed.along) / SPREAD_STEP
+        self._across_step = (data.wider.across - data.bed.across) / SPREAD_STEP
         self._knows_aperture = bool(np.isfinite(data.aperture_m).all())
         self._knows_force = bool(np.isfinite(data.force_n)) and data.force_n > 0.0
         cells = data.bed.x_m[:, 0]
@@ -163,8 +165,14 @@ class _Problem:
         depth_m = 1e-3 * at[:, depths or slice(self.depth, self.rest)]
         pressure = self.foam.relative_pressure(depth_m - lag_m[:, None])
         pressure *= covered[:, None]
-        modulus_pa = self.foam.modulus_pa * np.exp(theta[:, self.rest])
-        return bed.taxel_force_n(pressure) * modulus_pa[:, None, None]
+        # The spread enters linearly: it is never far from what it is thought to be.
+        spread = at[:, self.rest + 2]
+        along = bed.along + spread * self._along_step
+        across = bed.across + spread * self._across_step
+        forces = along[:, None] @ (pressure @ across.transpose(0, 2, 1)[:, None])
+        scale_n = bed.cell_area_m2 * self.foam.modulus_pa * np.exp(theta[:, self.rest])
+        forces_n: Array = forces.reshape(*forces.shape[:2], -1) * scale_n[:, None, None]
+        return forces_n
 
     def residuals(self, theta: Array) -> Array:
         """Return residuals (B, n_data) of the data over their standard deviations."""

@@ -61,7 +61,12 @@ class PadKnowledge:
     @property
     def trust(self) -> Trust:
         """How well foam and sensor are known, for fits of shapes."""
-        return Trust(modulus=self.modulus_sd, gain=self.gain_sd, aperture_m=self.aperture_sd_m)
+        return Trust(
+            modulus=self.modulus_sd,
+            gain=self.gain_sd,
+            spread=self.spread_sd,
+            aperture_m=self.aperture_sd_m,
+        )
 
     def as_dict(self) -> dict[str, Any]:
         """Return plain data, units in the names."""
