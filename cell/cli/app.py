@@ -4,7 +4,7 @@ import sys
 
 import typer
 
-from cell.cli import cells, configs, figures, simulated
+from cell.cli import cells, configs, figures, gauging, simulated
 from cell.cli.output import complain
 from cell.errors import CellError, ConfigError
 from gripper.errors import GripperError
@@ -24,6 +24,7 @@ app.command()(cells.run)
 app.command()(cells.teach)
 app.command()(figures.train)
 app.command()(cells.identify)
+app.command()(gauging.calibrate)
 app.command()(cells.release)
 app.command()(figures.evaluate)
 app.command()(figures.replay)

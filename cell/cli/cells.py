@@ -1,13 +1,11 @@
 """Commands that move a cell: run, teach, identify, release."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from cell.build import Cell, build_cell
+from cell.build import build_cell
 from cell.cli.drawings import (
     GaugeOption,
     GaugeShapeOption,
@@ -26,24 +24,19 @@ from cell.cli.options import (
     SeedOption,
 )
 from cell.cli.output import confusion_table, out, percent, progress_bar, say, write_json
-from cell.cli.stopping import stopping
-from cell.collect import pad_array
+from cell.cli.running import pads_of, running_cell, seeded
 from cell.config import CellConfig
 from cell.config_file import load_config
 from cell.dataset import read_dataset
-from cell.errors import CellError, CellStopped, ConfigError
+from cell.errors import ConfigError
 from cell.jobs.files import job_folder
 from cell.jobs.identifying import identify_on_cell, identify_recorded
 from cell.jobs.main_job import MainResult, teach_and_identify
 from cell.jobs.main_report import main_report
 from cell.jobs.teaching import append_to_dataset
 from cell.jobs.teaching import teach as teach_object
-from cell.layouts import layout_from_config
 from cell.model import load_model
 from cell.paper import TABLE_1, TABLE_1_LABELS
-from gripper.errors import GripperError
-from recognition.grasp import PadArray
-from tactile.errors import TactileError
 
 ObjectsOption = Annotated[
     list[str] | None,
@@ -67,8 +60,8 @@ def run(
     json_file: JsonOption = None,
 ) -> None:
     """Teach objects and identify them: the main job, on the configured or the simulated cell."""
-    checked = _seeded(load_config(config), seed)
-    loaded = None if model is None else load_model(model, _pads(checked))
+    checked = seeded(load_config(config), seed)
+    loaded = None if model is None else load_model(model, pads_of(checked))
     recognizer = None if loaded is None else loaded.recognizer
     if loaded is not None:
         checked = _recognizing(checked, loaded.trainer_name)
@@ -86,7 +79,7 @@ def run(
         if not labels:
             raise ConfigError("name the objects that are at hand, as --object ball --object box")
     folder = job_folder(out_folder or Path(checked.recording.directory), "run")
-    with _cell(checked, folder, capture) as cell, progress_bar() as progress:
+    with running_cell(checked, folder, capture) as cell, progress_bar() as progress:
         result = teach_and_identify(
             cell,
             checked,
@@ -120,7 +113,7 @@ def teach(
     json_file: JsonOption = None,
 ) -> None:
     """Grasp a known object several times, or a drawing of it, and add that to a data set."""
-    checked = _seeded(load_config(config), seed)
+    checked = seeded(load_config(config), seed)
     if shape is not None or mesh is not None:
         teach_from_drawing(
             checked,
@@ -138,7 +131,7 @@ def teach(
         raise ConfigError("a gauge serves drawings: add --shape or --mesh")
     before = read_dataset(dataset) if dataset.exists() else ()
     folder = job_folder(out_folder or Path(checked.recording.directory), "teach")
-    with _cell(checked, folder) as cell, progress_bar() as progress:
+    with running_cell(checked, folder) as cell, progress_bar() as progress:
         records = teach_object(
             cell, checked, label, grasps or 20, seed=checked.seed + len(before), progress=progress
         )
@@ -175,7 +168,7 @@ def identify(
     """Name the object in the grip, or the objects of recorded grasps; say shape and size."""
     if model is None:
         raise ConfigError("--model is missing; `tactile-cell train` makes one")
-    checked = _seeded(load_config(config), seed)
+    checked = seeded(load_config(config), seed)
     known = pad_knowledge(checked, gauge, gauge_shape)
     if dataset is not None:
         loaded = load_model(model)
@@ -194,9 +187,9 @@ def identify(
             {"answers": [answer.as_json() | {"shape": shape} for answer, shape in both]},
         )
         return
-    loaded = load_model(model, _pads(checked))
+    loaded = load_model(model, pads_of(checked))
     folder = job_folder(out_folder or Path(checked.recording.directory), "identify")
-    with _cell(checked, folder) as cell, progress_bar() as progress:
+    with running_cell(checked, folder) as cell, progress_bar() as progress:
         found, truth = identify_on_cell(cell, checked, loaded, held=held, progress=progress)
         recording = cell.recording_path
     texts, shapes = shape_texts([record.grasp for record in found.records], known)
@@ -241,35 +234,10 @@ def release(
     say("released; the fingers are open")
 
 
-@contextmanager
-def _cell(config: CellConfig, folder: Path, capture: Path | None = None) -> Iterator[Cell]:
-    """Start a cell, stop it on signals, and say what is kept where if it ends early."""
-    cell = build_cell(config, folder=folder, ask=input, capture=capture)
-    try:
-        with stopping(cell.controller.cancel):
-            cell.controller.start()
-            yield cell
-    except CellStopped as stop:
-        raise CellError(f"{stop}. Recording so far: {cell.recording_path}") from stop
-    except (CellError, GripperError, TactileError) as error:
-        grip = "the grip is kept" if cell.controller.holding else "nothing is held"
-        raise CellError(f"{error}\n{grip}; recording so far: {cell.recording_path}") from error
-    finally:
-        cell.close()
-
-
-def _seeded(config: CellConfig, seed: int | None) -> CellConfig:
-    return config if seed is None else config.model_copy(update={"seed": seed})
-
-
 def _recognizing(config: CellConfig, trainer_name: str) -> CellConfig:
     """Return the config with the kind of recogniser that a model file holds."""
     recognition = config.recognition.model_copy(update={"recognizer": trainer_name})
     return config.model_copy(update={"recognition": recognition})
-
-
-def _pads(config: CellConfig) -> PadArray:
-    return pad_array(layout_from_config(config.tactile))
 
 
 def _print_main(result: MainResult) -> None:

@@ -17,6 +17,7 @@ from cell.jobs.teaching import train as train_recognizer
 from cell.model import save_model
 from cell.parallel import workers
 from cell.recording import recording_grasps
+from recognition.drift import NO_DRIFT, Drift, parse_drift
 from recognition.grasp import Grasp
 from recognition.recognizers import DEFAULT_TRAINER, TRAINERS, trainer_names
 
@@ -75,6 +76,14 @@ def evaluate(
             f"[default: {', '.join(TRAINERS)}].",
         ),
     ] = None,
+    drift: Annotated[
+        str | None,
+        typer.Option("--drift", help="Drift of the tested grasps, as gain=0.7,aperture_mm=-4."),
+    ] = None,
+    gauge: Annotated[
+        str | None,
+        typer.Option("--gauge", help="Find the drift from the first 3 tested grasps of LABEL."),
+    ] = None,
     seed: Annotated[int, typer.Option("--seed", min=0)] = 0,
     jobs: Annotated[
         int | None,
@@ -103,6 +112,8 @@ def evaluate(
             fuse=_numbers(fuse),
             seed=seed,
             mapper=mapper,
+            drift=_drift(drift),
+            gauge=gauge,
             progress=progress,
         )
     _print_evaluation(result)
@@ -181,11 +192,29 @@ def _numbers(text: str) -> tuple[int, ...]:
     return numbers
 
 
+def _in_words(drift: Drift) -> str:
+    return f"gain {drift.gain:.2f}, opening {drift.aperture_offset_m * 1e3:+.1f} mm"
+
+
+def _drift(text: str | None) -> Drift:
+    if text is None:
+        return NO_DRIFT
+    try:
+        return parse_drift(text)
+    except ValueError as error:
+        raise ConfigError(f"--drift: {error}") from error
+
+
 def _print_evaluation(result: EvaluationResult) -> None:
     say(
         f"{result.split}: {result.n_train} grasps to train, {result.n_test} to test, "
         f"{len(result.labels)} objects"
     )
+    if result.drift != NO_DRIFT:
+        say(f"drift of the tested grasps: {_in_words(result.drift)}")
+    if result.gauged is not None:
+        found = _in_words(result.gauged.drift)
+        say(f"gauged with {result.gauged.n_grasps} grasps of {result.gauge}: {found}")
     fused = sorted({k for f in result.recognizers.values() for k in f.full.fused_accuracy} - {1})
     table = Table(header_style="bold")
     table.add_column("recogniser", no_wrap=True)

@@ -7,10 +7,14 @@ from dataclasses import dataclass
 from typing import Any
 
 from cell.errors import CellError
+from cell.jobs.calibrating import GAUGE_GRASPS
 from cell.jobs.progress import Progress
+from recognition.drift import NO_DRIFT, Drift
 from recognition.evaluation import Evaluation, Mapper, evaluate, one_by_one, parse_split
+from recognition.gauge import Gauged
 from recognition.grasp import Grasp
 from recognition.recognizers import DEFAULT_TRAINER, make_trainer
+from recognition.recognizers.force_ramp import ForceRampTrainer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,6 +36,9 @@ class EvaluationResult:
     seconds: float
     default: str
     recognizers: Mapping[str, RecognizerFigures]
+    drift: Drift = NO_DRIFT
+    gauge: str | None = None
+    gauged: Gauged | None = None
 
     def as_json(self) -> dict[str, Any]:
         """Return what ``--json`` writes."""
@@ -42,6 +49,14 @@ class EvaluationResult:
             "labels": list(self.labels),
             "seconds": round(self.seconds, 2),
             "default": self.default,
+            "drift": _drift(self.drift),
+            "gauge": None
+            if self.gauged is None
+            else {
+                "label": self.gauge,
+                "n_grasps": self.gauged.n_grasps,
+                **_drift(self.gauged.drift),
+            },
             "recognizers": {
                 name: _figures(figures.full)
                 | {
@@ -63,6 +78,8 @@ def evaluate_recognizers(
     fuse: Sequence[int] = (1,),
     seed: int = 0,
     mapper: Mapper = one_by_one,
+    drift: Drift = NO_DRIFT,
+    gauge: str | None = None,
     progress: Progress,
 ) -> EvaluationResult:
     """Train and test each named recogniser.
@@ -79,6 +96,11 @@ def evaluate_recognizers(
         Numbers of grasps to fuse.
     mapper
         Who does the work, as `cell.parallel.workers` yields it.
+    drift
+        Applied to the tested grasps.
+    gauge
+        An object whose first tested grasps show the drift instead of being tested; it is then
+        taken off all others, for every recogniser alike.
 
     Raises
     ------
@@ -100,6 +122,11 @@ def evaluate_recognizers(
         )
     if not train_part[0].pads.same_as(test_part[0].pads):
         raise CellError("the grasps to train and to test were taken on different pads")
+    if drift != NO_DRIFT:
+        test_part = tuple(drift.apply(grasp) for grasp in test_part)
+    gauged = None
+    if gauge is not None:
+        gauged, test_part = _gauge(train_part, test_part, gauge)
     figures = {}
     for number, name in enumerate(names):
         progress("evaluate", 2 * number, 2 * len(names))
@@ -131,7 +158,30 @@ def evaluate_recognizers(
         seconds=time.monotonic() - started_s,
         default=DEFAULT_TRAINER,
         recognizers=figures,
+        drift=drift,
+        gauge=gauge,
+        gauged=gauged,
     )
+
+
+def _gauge(
+    train: Sequence[Grasp], test: Sequence[Grasp], label: str
+) -> tuple[Gauged, tuple[Grasp, ...]]:
+    """Return what the first tested grasps of the object show, and the others corrected for it."""
+    of_label = sorted((grasp for grasp in test if grasp.label == label), key=lambda g: g.start_ms)
+    taken = of_label[:GAUGE_GRASPS]
+    others = [grasp for grasp in test if not any(grasp is one for one in taken)]
+    if not others:
+        raise CellError(f"with {len(taken)} gauge grasps of {label!r} none is left to test")
+    try:
+        found = ForceRampTrainer().fit(train).gauge(label, taken)
+    except ValueError as error:
+        raise CellError(f"cannot gauge: {error}") from error
+    return found, tuple(found.drift.undo(grasp) for grasp in others)
+
+
+def _drift(drift: Drift) -> dict[str, float]:
+    return {"gain": drift.gain, "aperture_mm": drift.aperture_offset_m * 1e3}
 
 
 def _figures(evaluation: Evaluation) -> dict[str, Any]:

@@ -91,15 +91,6 @@ class Evidence:
         """Number of signs of strangeness."""
         return 3 if self.second is None else 5
 
-    def log_likelihood(
-        self, tactile: NDArray[np.float64], aperture: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Return (G, O, C): of one grasp around the centres, up to a constant."""
-        distance = self._distances(*self._project(tactile, aperture))
-        shape = (len(tactile), len(aperture), distance.shape[1])
-        likelihood: NDArray[np.float64] = -self._exponent * np.log1p(distance / self._rank)
-        return likelihood.reshape(shape)
-
     def tell(self, rows: Rows, log_prior: NDArray[np.float64]) -> Telling:
         """Say what grasps tell when drifts have the prior (G, O)."""
         found = [

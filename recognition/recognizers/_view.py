@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from recognition.calibration import blocked_folds, fit_temperature, out_of_sample, to_probability
 from recognition.dependence import fit_dependence
 from recognition.drift import DriftGrid
+from recognition.drift_sense import DriftSense, fit_drift_sense
 from recognition.novelty import Novelty, fit_novelty
 from recognition.recognizers._evidence import Evidence, Rows, fit_evidence
 
@@ -33,12 +34,15 @@ class View:
         What is strange.
     dependence
         How far grasps of one object repeat each other.
+    drift_sense
+        What shows a drift; None where a single object was taught.
     """
 
     evidence: Evidence
     temperature: float
     novelty: Novelty
     dependence: float
+    drift_sense: DriftSense | None
 
     def answer(
         self, rows: Rows, grid: DriftGrid
@@ -52,17 +56,25 @@ class View:
 
     def to_arrays(self, prefix: str) -> dict[str, NDArray[Any]]:
         """Return everything as plain arrays under names that begin with the prefix."""
-        return {
+        arrays = {
             f"{prefix}temperature": np.array(self.temperature),
             f"{prefix}dependence": np.array(self.dependence),
+            f"{prefix}senses_drift": np.array(self.drift_sense is not None),
             **self.evidence.to_arrays(prefix),
             **self.novelty.to_arrays(f"{prefix}novelty_"),
         }
+        if self.drift_sense is not None:
+            arrays |= self.drift_sense.to_arrays(f"{prefix}drift_")
+        return arrays
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], prefix: str) -> Self:
         """Rebuild from `to_arrays`; KeyError where an array is missing."""
+        sense = None
+        if bool(arrays[f"{prefix}senses_drift"]):
+            sense = DriftSense.from_arrays(arrays, f"{prefix}drift_")
         return cls(
+            drift_sense=sense,
             evidence=Evidence.from_arrays(arrays, prefix),
             temperature=float(arrays[f"{prefix}temperature"]),
             novelty=Novelty.from_arrays(arrays, f"{prefix}novelty_"),
@@ -138,7 +150,20 @@ def fit_view(lesson: Lesson) -> View:
             classes,
             np.argmax(np.stack(blocks), axis=0)[scored],
         ),
+        drift_sense=_drift_sense(lesson),
     )
+
+
+def _drift_sense(lesson: Lesson) -> DriftSense | None:
+    """Teach what shows a drift, by gains and offsets half way to the end of the grid."""
+    rows, (n_gains, n_offsets) = lesson.rows, lesson.grid.log_prior.shape
+    gain, offset = n_gains // 2, n_offsets // 2
+    pairs = [(gain + step, offset) for step in (-(gain // 2), gain // 2) if step]
+    pairs += [(gain, offset + step) for step in (-(offset // 2), offset // 2) if step]
+    if not pairs:
+        return None
+    drifted = [np.concatenate([rows.tactile[:, g], rows.aperture[:, o]], axis=1) for g, o in pairs]
+    return fit_drift_sense(lesson.features, np.stack(drifted), lesson.classes, lesson.n_classes)
 
 
 def _leave_out(

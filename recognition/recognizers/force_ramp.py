@@ -92,9 +92,11 @@ class ForceRamp:
         grid = drift_grid(share=1.0)
         view, grid = self._view(levels, grid)
         rows = _rows(levels, _grids(self.rest), len(self.labels), grid, opening=view is self.both)
+        if view.drift_sense is None:
+            raise ValueError("one object alone does not show what a drift is: teach another one")
         column = self.labels.index(label)
         likelihood = [
-            view.evidence.log_likelihood(tactile, aperture)[..., column]
+            view.drift_sense.log_likelihood(tactile, aperture, column)
             for tactile, aperture in zip(rows.tactile, rows.aperture, strict=True)
         ]
         return estimate_drift(np.array(likelihood), grid)

@@ -1,0 +1,66 @@
+"""The command that takes the drift of the sensors off a model: calibrate."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cell.cli.options import ConfigOption, JsonOption, ModelOption, OutOption, SeedOption
+from cell.cli.output import progress_bar, say, write_json
+from cell.cli.running import pads_of, running_cell, seeded
+from cell.config_file import load_config
+from cell.dataset import read_dataset
+from cell.errors import ConfigError
+from cell.jobs.calibrating import GAUGE_GRASPS, calibrate_model
+from cell.jobs.files import job_folder
+from cell.jobs.teaching import teach as teach_object
+from cell.model import load_model, save_model
+
+
+def calibrate(
+    gauge: Annotated[str, typer.Option("--gauge", help="The known object: one that was taught.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help="Corrected model to write.")],
+    dataset: Annotated[
+        Path | None, typer.Argument(help="Recorded gauge grasps; without them, the cell grasps.")
+    ] = None,
+    model: ModelOption = None,
+    grasps: Annotated[int, typer.Option("--grasps", "-n", min=1, max=100)] = GAUGE_GRASPS,
+    config: ConfigOption = None,
+    out_folder: OutOption = None,
+    seed: SeedOption = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Correct a model for drift since teaching, by a few grasps of one known object."""
+    if model is None:
+        raise ConfigError("--model is missing; `tactile-cell train` makes one")
+    if dataset is not None:
+        loaded = load_model(model)
+        taken = [grasp for grasp in read_dataset(dataset) if grasp.label in {gauge, ""}]
+    else:
+        checked = seeded(load_config(config), seed)
+        loaded = load_model(model, pads_of(checked))
+        folder = job_folder(out_folder or Path(checked.recording.directory), "calibrate")
+        with running_cell(checked, folder) as cell, progress_bar() as progress:
+            records = teach_object(
+                cell, checked, gauge, grasps, seed=checked.seed, progress=progress
+            )
+        taken = [record.grasp for record in records]
+    corrected, found = calibrate_model(loaded, gauge, taken)
+    save_model(output, corrected, trainer_name=loaded.trainer_name, pads=loaded.pads)
+    gain, offset_mm = found.drift.gain, found.drift.aperture_offset_m * 1e3
+    say(
+        f"{found.n_grasps} grasps of {gauge}: gain {gain:.2f} (+-{100 * found.log_gain_sd:.0f} %), "
+        f"opening {offset_mm:+.1f} mm (+-{found.offset_sd_m * 1e3:.1f}): {output}"
+    )
+    write_json(
+        json_file,
+        {
+            "model": str(output),
+            "gauge": gauge,
+            "n_grasps": found.n_grasps,
+            "gain": gain,
+            "aperture_mm": offset_mm,
+            "log_gain_sd": found.log_gain_sd,
+            "aperture_sd_mm": found.offset_sd_m * 1e3,
+        },
+    )

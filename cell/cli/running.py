@@ -1,0 +1,42 @@
+"""What the commands that move a cell share: its start, and the grip that outlasts an early end."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from cell.build import Cell, build_cell
+from cell.cli.stopping import stopping
+from cell.collect import pad_array
+from cell.config import CellConfig
+from cell.errors import CellError, CellStopped
+from cell.layouts import layout_from_config
+from gripper.errors import GripperError
+from recognition.grasp import PadArray
+from tactile.errors import TactileError
+
+
+@contextmanager
+def running_cell(config: CellConfig, folder: Path, capture: Path | None = None) -> Iterator[Cell]:
+    """Start a cell, stop it on signals, and say what is kept where if it ends early."""
+    cell = build_cell(config, folder=folder, ask=input, capture=capture)
+    try:
+        with stopping(cell.controller.cancel):
+            cell.controller.start()
+            yield cell
+    except CellStopped as stop:
+        raise CellError(f"{stop}. Recording so far: {cell.recording_path}") from stop
+    except (CellError, GripperError, TactileError) as error:
+        grip = "the grip is kept" if cell.controller.holding else "nothing is held"
+        raise CellError(f"{error}\n{grip}; recording so far: {cell.recording_path}") from error
+    finally:
+        cell.close()
+
+
+def seeded(config: CellConfig, seed: int | None) -> CellConfig:
+    """Return the config with another seed, where one is given."""
+    return config if seed is None else config.model_copy(update={"seed": seed})
+
+
+def pads_of(config: CellConfig) -> PadArray:
+    """Return where the taxels of the configured pads are."""
+    return pad_array(layout_from_config(config.tactile))
