@@ -44,6 +44,7 @@ class CheckedPacketHandler(Protocol2PacketHandler):  # type: ignore[misc]
     def __init__(self) -> None:
         super().__init__()
         self.dropped_bytes = 0
+        self._following = bytearray()
 
     def send(self, port: SdkPort, servo_id: int, instruction: int, params: bytes) -> None:
         """Send one instruction packet; BusBusy while the port waits for another answer."""
@@ -55,7 +56,8 @@ class CheckedPacketHandler(Protocol2PacketHandler):  # type: ignore[misc]
     def receive(self, port: SdkPort) -> StatusPacket | None:
         """Return the next status packet whose CRC is right, None at the port's time-out."""
         self.dropped_bytes = 0
-        buffer = bytearray()
+        # A damaged length had more bytes read than one packet: the next one may be among them.
+        buffer, self._following = self._following, bytearray()
         while True:
             missing = self._missing(buffer)
             if missing == 0:
@@ -63,6 +65,7 @@ class CheckedPacketHandler(Protocol2PacketHandler):  # type: ignore[misc]
                 packet = bytes(buffer[:whole])
                 status = parse_status(packet) if self._crc_is_right(packet) else None
                 if status is not None:
+                    self._following = buffer[whole:]
                     return status
                 self._skip(buffer)
                 continue
@@ -83,6 +86,7 @@ class CheckedPacketHandler(Protocol2PacketHandler):  # type: ignore[misc]
         length = len(body) + 2
         packet = HEADER + bytes([0, txpacket[4], length & 0xFF, length >> 8]) + body
         packet += self.updateCRC(0, packet, len(packet)).to_bytes(2, "little")
+        self._following.clear()
         port.clearPort()
         port.writePort(packet)
         return int(COMM_SUCCESS)
