@@ -14,6 +14,11 @@ from tactile.receive import interface_failed
 
 _ABORTED = 0x80
 _SDO_BYTES = 8
+_ABORT_OUT_OF_MEMORY = 0x0504_0005
+_SEGMENT_BYTES = 7
+
+MAX_OBJECT_BYTES = 1 << 15
+"""Longest object that is read; a unit's longest is its last frame: 413 bytes for 408 taxels."""
 
 
 class PolledSdoClient(SdoClient):
@@ -52,6 +57,27 @@ class PolledSdoClient(SdoClient):
         self._service = service
         self._wait = wait
         self._timeout_s = timeout_s
+
+    def upload(self, index: int, subindex: int) -> bytes:
+        """Return an object's bytes; SdoCommunicationError for one that is endless or incomplete.
+
+        canopen's own method reads segments for as long as the server says that there are more.
+        """
+        with self.open(index, subindex, buffering=0) as stream:  # type: ignore[no-untyped-call]
+            size: int | None = stream.size
+            data = bytearray()
+            while piece := stream.read(_SEGMENT_BYTES):
+                data += piece
+                if len(data) > MAX_OBJECT_BYTES:
+                    self.abort(_ABORT_OUT_OF_MEMORY)  # type: ignore[no-untyped-call]
+                    raise SdoCommunicationError(f"more than {MAX_OBJECT_BYTES} bytes")
+        if size is not None and len(data) != size:
+            raise SdoCommunicationError(f"{len(data)} bytes came, {size} were announced")
+        variable = self.od.get_variable(index, subindex)
+        if variable is None or not variable.fixed_size:
+            return bytes(data)
+        # Units may fill up four bytes where the object has fewer.
+        return bytes(data[: len(variable) // 8])
 
     def on_response(self, can_id: int, data: bytes | bytearray, timestamp: float) -> None:
         """Take a message of COB-ID 0x580 + node; one that is not of 8 bytes is no response."""
