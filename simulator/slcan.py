@@ -45,6 +45,7 @@ class SlcanAdapter:
         "_open",
         "_output",
         "_overflow",
+        "_passing_over",
         "_stamps",
     )
 
@@ -55,6 +56,7 @@ class SlcanAdapter:
         self._input = bytearray()
         self._output = bytearray()
         self._overflow = False
+        self._passing_over = False
         self._open = False
         self._listen_only = False
         self._stamps = False
@@ -76,13 +78,19 @@ class SlcanAdapter:
         self._input += data
         *lines, rest = self._input.split(b"\r")
         self._input = rest
+        if lines and self._passing_over:
+            del lines[0]  # the end of a line that was refused for its length
+            self._passing_over = False
         since_s = now_s if sent_after_s is None else min(sent_after_s, now_s)
         for number, line in enumerate(lines, start=1):
             if line:
                 at_s = since_s + (now_s - since_s) * number / len(lines)
                 self._put(self._command(line, at_s))
-        if len(rest) > _LINE_LIMIT:
+        if self._passing_over:
             self._input = bytearray()
+        elif len(rest) > _LINE_LIMIT:
+            self._input = bytearray()
+            self._passing_over = True
             self._put(_REFUSED)
 
     def transmit(self, now_s: float) -> bytes:
@@ -110,6 +118,7 @@ class SlcanAdapter:
         self._output.clear()
         self._link.clear()
         self._open = self._listen_only = self._stamps = self._overflow = False
+        self._passing_over = False
         self._chosen = self._bitrate
 
     def _put(self, data: bytes) -> None:

@@ -1,5 +1,6 @@
 """Opens and closes CAN buses, with the traps of the adapters' drivers closed."""
 
+import re
 import select
 from collections import deque
 from typing import Any
@@ -15,6 +16,25 @@ CanBus = can.BusABC
 _SEND_TIMEOUT_S = 0.1
 _LONGEST_LINE = 32
 """The longest line of a classic message is T + 8 + 1 + 16 characters, its end and a time stamp."""
+_MESSAGE = re.compile(
+    "(?:[tr][0-7][0-9A-Fa-f]{2}|[TR][01][0-9A-Fa-f]{7})([0-8])((?:[0-9A-Fa-f]{2})*)"
+)
+_STAMP_DIGITS = 4
+_MESSAGE_KINDS = frozenset("tTrRdDbBx")
+"""First letters of what the driver takes for messages; d, D, b, B are CAN FD, x is not standard."""
+
+
+def _is_whole(line: str) -> bool:
+    """Say whether a line is one message whose data are as long as it says; a time stamp may follow.
+
+    python-can's own parsing takes signs, blanks and underscores in numbers, identifiers beyond
+    29 bits, and data that are shorter than their length.
+    """
+    match = _MESSAGE.fullmatch(line)
+    if match is None:
+        return False
+    digits = 0 if line[0] in "rR" else 2 * int(match[1])
+    return len(match[2]) in (digits, digits + _STAMP_DIGITS)
 
 
 class BulkSlcanBus(slcanBus):
@@ -36,6 +56,7 @@ class BulkSlcanBus(slcanBus):
 
     def __init__(self, channel: str, *, bitrate: int, tty_baudrate: int) -> None:
         self._lines: deque[str] = deque()
+        self._passing_over = False
         self.bad_lines = 0
         super().__init__(
             channel, bitrate=bitrate, tty_baudrate=tty_baudrate, sleep_after_open=0.0, timeout=0.0
@@ -60,14 +81,26 @@ class BulkSlcanBus(slcanBus):
                 if select.select([self.serialPortOrig.fileno()], [], [], timeout)[0]:
                     # Zero bytes on a readable port mean that its other end is gone: raises.
                     self._buffer += self.serialPortOrig.read(self.serialPortOrig.in_waiting or 1)
-            *lines, rest = self._buffer.replace(b"\a", b"\r").split(b"\r")
-            self._buffer = bytearray(rest)
-            if len(rest) > _LONGEST_LINE:
-                self._buffer.clear()
-                self.bad_lines += 1
-            # Empty lines acknowledge commands.
-            self._lines.extend(line.decode("ascii", errors="replace") for line in lines if line)
+            self._split()
         return self._lines.popleft() if self._lines else None
+
+    def _split(self) -> None:
+        """Take the whole lines out of what was read; of an overlong line the end, too, is bad."""
+        *lines, rest = self._buffer.replace(b"\a", b"\r").split(b"\r")
+        self._buffer = bytearray(rest)
+        if lines and self._passing_over:
+            del lines[0]
+            self._passing_over = False
+        if len(rest) > _LONGEST_LINE or self._passing_over:
+            self.bad_lines += not self._passing_over
+            self._buffer.clear()
+            self._passing_over = True
+        for line in lines:
+            text = line.decode("ascii", errors="replace")
+            if text[:1] in _MESSAGE_KINDS and not _is_whole(text):
+                self.bad_lines += 1
+            elif text:  # empty lines acknowledge commands
+                self._lines.append(text)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         while True:

@@ -149,7 +149,7 @@ def test_commands_may_come_in_pieces() -> None:
 def test_a_line_without_an_end_is_dropped() -> None:
     line = Line(b"O")
     assert line.say(b"t" * 1000) == b"\a"
-    assert line.say(b"V\r") == b"V1013\r"
+    assert line.say(b"\rV\r") == b"V1013\r"
 
 
 def test_a_client_that_does_not_read_loses_messages_and_is_told() -> None:

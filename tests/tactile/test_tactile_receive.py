@@ -252,15 +252,15 @@ def test_slcan_reads_a_burst_whole(adapter: Adapter, slcan: BulkSlcanBus) -> Non
 def test_slcan_survives_damaged_lines_and_counts_them(
     adapter: Adapter, slcan: BulkSlcanBus
 ) -> None:
-    bad = [b"t1812ZZZZ", b"t1812\xff\xff", b"tZZZ0", b"t1"]
-    good = [b"t1812AABB", b"T000000102FF1F", b"t1818112233"]
+    bad = [b"t1812ZZZZ", b"t1812\xff\xff", b"tZZZ0", b"t1818112233"]
+    good = [b"t1812AABB", b"T000000102FF1F", b"t1813112233"]
     adapter.write(
         b"".join(line + b"\r" for pair in zip(bad, [*good, b"z"], strict=True) for line in pair)
     )
     assert [(m.arbitration_id, m.dlc, bytes(m.data)) for m in received(slcan)] == [
         (0x181, 2, b"\xaa\xbb"),
         (0x10, 2, b"\xff\x1f"),
-        (0x181, 8, b"\x11\x22\x33"),
+        (0x181, 3, b"\x11\x22\x33"),
     ]
     assert slcan.bad_lines == len(bad)
     adapter.write(b"x" * 100)
