@@ -195,9 +195,15 @@ def _is_true(request: dict[str, Any], name: str) -> None:
 
 
 def _number(name: str, value: Any) -> float:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        raise SimulatorSettingsError(f"{name} is {value!r}, must be a finite number")
-    return float(value)
+    number = math.nan
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        try:
+            number = float(value)
+        except OverflowError:  # JSON has integers beyond any float
+            number = math.inf
+    if not math.isfinite(number):
+        raise SimulatorSettingsError(f"{name} is {value!r:.40}, must be a finite number")
+    return number
 
 
 def _knobs(owner: Any) -> set[str]:
