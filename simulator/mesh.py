@@ -1,6 +1,7 @@
 """Objects from STL files: triangles seen along the closing axis."""
 
 import math
+import re
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -12,6 +13,19 @@ from simulator.shapes import Heights
 
 MAX_FACES = 200_000
 """More triangles than this are refused: a placement would take minutes."""
+_MAX_BYTES = 300 * MAX_FACES
+_LARGEST = 1e6
+"""Largest coordinate of a corner in units of the file: a kilometre in mm."""
+_HEAD_BYTES = 84
+_FACE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_NUMBER = rb"[+-]?(?:[0-9]{1,20}(?:\.[0-9]{0,30})?|\.[0-9]{1,30})(?:[eE][+-]?[0-9]{1,3})?"
+_VERTEX = re.compile(rb"vertex[ \t]+(%b)[ \t]+(%b)[ \t]+(%b)" % (_NUMBER, _NUMBER, _NUMBER))
+_CORNER = rb"\s+vertex(?:[ \t]+%b){3}" % _NUMBER
+_TEXT = re.compile(
+    rb"\s*solid[^\r\n]*(?:\s+facet\s+normal(?:[ \t]+%b){3}\s+outer\s+loop(?:%b){3}"
+    rb"\s+endloop\s+endfacet)+\s+endsolid[^\r\n]*\s*" % (_NUMBER, _CORNER)
+)
+"""An STL text file as its format is defined: one solid of triangles."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -95,7 +109,7 @@ def load_mesh(path: Path, *, unit_m: float = 1e-3, roll_step_rad: float = 0.0) -
     Parameters
     ----------
     path
-        The STL file.
+        The STL file, binary or text.
     unit_m
         Length of one unit of the file in m; STL has none, mm is what most programs write.
     roll_step_rad
@@ -104,22 +118,54 @@ def load_mesh(path: Path, *, unit_m: float = 1e-3, roll_step_rad: float = 0.0) -
     Raises
     ------
     SimulatorSettingsError
-        If the file cannot be read as a closed surface.
+        If the file is no STL, too large, or no closed surface.
     ModuleNotFoundError
         If the extra ``mesh`` is not installed.
     """
     import trimesh  # noqa: PLC0415 (an extra, needed for mesh files only)
 
-    try:
-        with path.open("rb") as file:
-            mesh = trimesh.load_mesh(file, file_type="stl")
-    except (OSError, ValueError, IndexError, KeyError) as error:
-        raise SimulatorSettingsError(f"{path} cannot be read as STL: {error}") from error
-    triangles_m = np.asarray(mesh.triangles, dtype=np.float64) * unit_m
-    if len(triangles_m) == 0 or not mesh.is_watertight:
+    triangles_m = unit_m * _triangles(path)
+    mesh = trimesh.Trimesh(
+        vertices=triangles_m.reshape(-1, 3) / unit_m,
+        faces=np.arange(3 * len(triangles_m)).reshape(-1, 3),
+    )
+    if not mesh.is_watertight:
         raise SimulatorSettingsError(
             f"{path} holds no closed surface; repair the mesh and export it again"
         )
     corners_m = triangles_m.reshape(-1, 3)
     centre_m = 0.5 * (corners_m.min(axis=0) + corners_m.max(axis=0))
     return MeshShape(triangles_m=triangles_m - centre_m, roll_step_rad=roll_step_rad)
+
+
+def _triangles(path: Path) -> NDArray[np.float64]:
+    """Return the corners of an STL file in its units, (n, 3, 3); sizes are checked before."""
+    try:
+        if not path.is_file():
+            raise SimulatorSettingsError(f"{path} is no file; check the path")
+        size = path.stat().st_size
+        if size > _MAX_BYTES:
+            raise SimulatorSettingsError(f"{path} has {size} bytes, at most {_MAX_BYTES} are read")
+        data = path.read_bytes()
+    except (OSError, ValueError) as error:
+        raise SimulatorSettingsError(f"{path} cannot be read: {error}") from error
+    n_faces = int.from_bytes(data[80:84], "little")
+    if len(data) == _HEAD_BYTES + n_faces * _FACE.itemsize:
+        faces = np.frombuffer(data, dtype=_FACE, offset=_HEAD_BYTES)
+        with np.errstate(invalid="ignore"):  # what is no number is refused below
+            corners = faces["corners"].astype(np.float64)
+    elif _TEXT.fullmatch(data):
+        numbers = [float(number) for line in _VERTEX.findall(data) for number in line]
+        corners = np.array(numbers, dtype=np.float64).reshape(-1, 3, 3)
+    else:
+        raise SimulatorSettingsError(f"{path} cannot be read as STL, neither binary nor text")
+    if not 1 <= len(corners) <= MAX_FACES:
+        raise SimulatorSettingsError(
+            f"{path} has {len(corners)} triangles, must have 1 to {MAX_FACES}"
+        )
+    largest = float(np.abs(corners).max())
+    if not largest <= _LARGEST:
+        raise SimulatorSettingsError(
+            f"{path} has a corner at {largest:g}, must be finite and at most {_LARGEST:g}"
+        )
+    return corners
