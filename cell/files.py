@@ -24,6 +24,9 @@ MAX_MEMBERS = 512
 MAX_HEADER_BYTES = 4096
 """Length that the header of one array may have."""
 
+_END_BYTES = 22
+"""End of central directory of a zip archive without its comment; members are counted at 10."""
+_PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _MAGIC = b"\x93NUMPY"
 _PLAIN_DTYPE = re.compile(r"[<>|=]?(?:[iu][1248]|f[248]|b1|\?|[US][0-9]{1,6})\Z")
 _REFUSED = (
@@ -123,8 +126,9 @@ def read_npz(
     if path.exists() and not path.is_file():
         raise error(f"cannot read {what} {path}: not a plain file; check the path")
     try:
-        with zipfile.ZipFile(path) as archive:
+        with path.open("rb") as file, zipfile.ZipFile(file) as archive:
             members = archive.infolist()
+            _check_directory(file, len(archive.comment), len(members))
             _check_sizes(members, path, error, limit_bytes)
             return {m.filename[:-4]: _read_member(archive, m, path, error) for m in members}
     except error:
@@ -138,6 +142,14 @@ def read_npz(
         ) from cause
 
 
+def _check_directory(file: BinaryIO, n_comment: int, n_members: int) -> None:
+    """Refuse a damaged list of members: zipfile passes over entries that it cannot tell apart."""
+    file.seek(-_END_BYTES - n_comment, os.SEEK_END)
+    stated = int.from_bytes(file.read(_END_BYTES)[10:12], "little")
+    if stated != n_members:
+        raise zipfile.BadZipFile(f"{n_members} arrays found, {stated} stated")
+
+
 def _check_sizes(
     members: list[zipfile.ZipInfo], path: Path, error: type[CellError], limit_bytes: int
 ) -> None:
@@ -146,9 +158,13 @@ def _check_sizes(
     names = [member.filename for member in members]
     if len(set(names)) != len(names):
         raise error(f"{path} holds an array twice: {sorted(names)}")
-    for name in names:
+    for member in members:
+        name = member.filename
         if not name.endswith(".npy"):
             raise error(f"{path} holds {name!r}, which is no array (.npy)")
+        if member.compress_type not in _PACKINGS:
+            # zipfile unpacks these without a bound, whatever size the archive states.
+            raise error(f"{path}, array {name}: packed by method {member.compress_type}, not zlib")
     total = sum(member.file_size for member in members)
     if total > limit_bytes:
         raise error(f"{path} unpacks to {total} bytes, the limit is {limit_bytes} bytes")
@@ -189,7 +205,8 @@ def _read_member(
             f"{path}, array {name}: {len(data) - body} bytes do not fill shape {shape} of {dtype}"
         )
     if dtype.itemsize == 0:
-        return np.zeros(shape, dtype=dtype)
+        # No byte of the file stands for these texts: any number of them would fit.
+        raise error(f"{path}, array {name}: type {descr!r} has no size")
     flat = np.frombuffer(data, dtype=dtype, offset=body, count=count)
     if dtype.kind == "U" and count:
         codes = flat.view(np.dtype(np.uint32).newbyteorder(dtype.byteorder))
