@@ -12,10 +12,12 @@ from ruamel.yaml.nodes import MappingNode, Node, SequenceNode
 from cell.config import CellConfig
 from cell.errors import ConfigError
 
-MAX_BYTES = 1_000_000
-"""Largest config file that is read."""
+MAX_BYTES = 1 << 16
+"""Largest config that is read: YAML in pure Python takes seconds for more."""
 _MAX_DEPTH = 20
-_MAX_VALUES = 100_000
+_MAX_BRACKETS = 100
+_MAX_VALUES = 4000
+_MAX_COMPLAINTS = 20
 
 
 def load_config(path: Path | None) -> CellConfig:
@@ -47,6 +49,9 @@ def parse_config(text: str, *, source: str) -> CellConfig:
     ConfigError
         As `load_config`.
     """
+    if len(text) > MAX_BYTES:
+        raise ConfigError(f"{source}: {len(text)} characters; a config has at most {MAX_BYTES}")
+    _refuse_brackets(text, source)
     try:
         root = YAML(typ="safe", pure=True).compose(text)
         if root is not None:
@@ -61,6 +66,8 @@ def parse_config(text: str, *, source: str) -> CellConfig:
         raise ConfigError(f"{source}:1: a config is a mapping of sections, not a {kind}")
     try:
         return CellConfig.model_validate_json(json.dumps(data, default=str))
+    except TypeError as error:
+        raise ConfigError(f"{source}: a key that is no plain text: {error}") from error
     except ValidationError as error:
         raise ConfigError(_complaints(error, root, source)) from error
 
@@ -85,6 +92,16 @@ def config_text(config: CellConfig, *, comments: bool = True) -> str:
     return write_yaml(config, comments=comments)
 
 
+def _refuse_brackets(text: str, source: str) -> None:
+    """Refuse brackets nested so deep that the YAML library would take seconds to give up."""
+    depth = 0
+    for line, content in enumerate(text.splitlines(), start=1):
+        for sign in content:
+            depth += (sign in "[{") - (sign in "]}")
+            if depth > _MAX_BRACKETS:
+                raise ConfigError(f"{source}:{line}: more than {_MAX_BRACKETS} open brackets")
+
+
 def _refuse_bombs(root: Node, source: str) -> None:
     seen: set[int] = set()
     stack = [(root, 1)]
@@ -107,7 +124,8 @@ def _refuse_bombs(root: Node, source: str) -> None:
 
 def _complaints(error: ValidationError, root: Node | None, source: str) -> str:
     lines = []
-    for item in error.errors(include_url=False):
+    found = error.errors(include_url=False)
+    for item in found[:_MAX_COMPLAINTS]:
         line, key = _locate(root, item["loc"])
         given = item.get("input")
         shown = "" if isinstance(given, dict | list) else f" (found: {given!r})"
@@ -115,6 +133,8 @@ def _complaints(error: ValidationError, root: Node | None, source: str) -> str:
         if item["type"] == "extra_forbidden":
             message = "unknown key; `tactile-cell config schema` lists the keys"
         lines.append(f"{source}:{line}: {key or 'config'}: {message}{shown}")
+    if len(found) > len(lines):
+        lines.append(f"{source}: {len(found) - len(lines)} more complaints")
     return "\n".join(lines)
 
 
