@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from cell.errors import ModelError
 from cell.files import read_npz, savez, write_atomically
-from recognition.grasp import PadArray
+from recognition.errors import RecognitionError
+from recognition.grasp import Grasp, PadArray
 from recognition.recognizer import Recognizer
 from recognition.recognizers import trainer_names
 
@@ -27,6 +28,19 @@ FORMAT = "tactile-cell-model/1"
 DEFAULT_LIMIT_BYTES = 256 << 20
 """Unpacked size of a model file that is read."""
 
+_UNSUITABLE = (
+    ValueError,
+    KeyError,
+    TypeError,
+    IndexError,
+    AttributeError,
+    ArithmeticError,
+    MemoryError,
+    RecursionError,
+)
+_FARTHEST_M = 10.0
+_REHEARSED_FRAMES = 40
+_REHEARSED_FORCE_N = 8.0
 _HEADER = "model"
 _PREFIX = "learnt."
 _PADS = "pads."
@@ -142,15 +156,42 @@ def load_model(path: Path | str, expected_pads: PadArray | None = None) -> Loade
         if name.startswith(_PREFIX)
     }
     try:
-        recognizer = kind.from_arrays(learnt)
-        labels = tuple(recognizer.labels)
-    except (ValueError, KeyError, TypeError, IndexError, ArithmeticError) as cause:
+        with np.errstate(divide="raise", over="raise", invalid="raise"):
+            recognizer = kind.from_arrays(learnt)
+            labels = tuple(recognizer.labels)
+            _rehearse(recognizer, pads)
+    except _UNSUITABLE as cause:
         raise ModelError(
             f"{path} does not suit this program ({type(cause).__name__}: {cause}); train it again"
         ) from cause
     if list(labels) != header.get("labels"):
         raise ModelError(f"{path} names other labels in its header than in its arrays")
     return LoadedModel(recognizer=recognizer, trainer_name=trainer_name, labels=labels, pads=pads)
+
+
+def _rehearse(recognizer: Recognizer, pads: PadArray) -> None:
+    """Ask about a made-up grasp, so that arrays that do not fit fail now and not over a held part.
+
+    A recogniser that refuses the grasp for what it is raises a RecognitionError; that is no fault.
+    """
+    share = np.linspace(0.0, 1.0, _REHEARSED_FRAMES)
+    offset_m = pads.taxel_xy_m - pads.taxel_xy_m.mean(axis=0)
+    extent_m = max(float(np.abs(offset_m).max()), 1e-6)
+    print_ = np.maximum(0.0, 1.0 - np.sum((offset_m / (0.6 * extent_m)) ** 2, axis=1))
+    grasp = Grasp(
+        pads=pads,
+        counts=(0.6 * pads.adc_max * share[:, None] * print_).astype(np.uint16),
+        t_s=np.linspace(0.0, 2.0, _REHEARSED_FRAMES),
+        aperture_m=np.linspace(0.03, 0.02, _REHEARSED_FRAMES),
+        force_n=_REHEARSED_FORCE_N * share,
+        label="",
+    )
+    try:
+        posterior = recognizer.posterior(grasp)
+    except RecognitionError:
+        return
+    if not np.all(np.isfinite(posterior.probability)) or not np.isfinite(posterior.unknown):
+        raise ValueError("its probabilities are not finite")
 
 
 def _header(path: Path, arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
@@ -179,13 +220,17 @@ def _digest(arrays: Mapping[str, NDArray[Any]]) -> str:
 
 def _pads(path: Path, arrays: Mapping[str, NDArray[Any]]) -> PadArray:
     try:
-        return PadArray(
-            pad_shape=arrays[f"{_PADS}shape"],
-            taxel_pad=arrays[f"{_PADS}taxel_pad"],
-            taxel_xy_m=arrays[f"{_PADS}taxel_xy_m"],
-            adc_max=int(arrays[f"{_PADS}adc_max"]),
-        )
-    except (KeyError, ValueError, TypeError, IndexError) as cause:
+        places_m = arrays[f"{_PADS}taxel_xy_m"]
+        if places_m.dtype.kind != "f" or not np.all(np.abs(places_m) <= _FARTHEST_M):
+            raise ValueError(f"a place is no number up to {_FARTHEST_M:g} m")
+        with np.errstate(invalid="raise"):
+            return PadArray(
+                pad_shape=arrays[f"{_PADS}shape"],
+                taxel_pad=arrays[f"{_PADS}taxel_pad"],
+                taxel_xy_m=places_m,
+                adc_max=int(arrays[f"{_PADS}adc_max"]),
+            )
+    except (KeyError, ValueError, TypeError, IndexError, ArithmeticError, MemoryError) as cause:
         raise ModelError(f"{path}: its pads cannot be read ({cause})") from cause
 
 
