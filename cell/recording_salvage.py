@@ -11,7 +11,7 @@ from typing import Any
 
 import zstandard
 from mcap.exceptions import McapError
-from mcap.records import Channel, Chunk, Message, Metadata
+from mcap.records import Channel, Chunk, DataEnd, Message, Metadata
 from mcap.stream_reader import StreamReader, breakup_chunk
 
 from cell.errors import RecordingError
@@ -76,8 +76,14 @@ def read_raw(path: Path) -> RawRecording:
     raw = RawRecording()
     channels: dict[int, Channel] = {}
     messages: list[Message] = []
+    ended = False
     for record in _records(data, raw):
-        if isinstance(record, Metadata):
+        if isinstance(record, DataEnd):
+            ended = True
+        elif ended and isinstance(record, Chunk | Metadata):
+            # The checksum of the data does not reach so far.
+            raw.lose("a piece of it stands behind its end")
+        elif isinstance(record, Metadata):
             raw.metadata.setdefault(record.name, record.metadata)
         elif isinstance(record, Channel):
             channels.setdefault(record.id, record)
@@ -87,12 +93,9 @@ def read_raw(path: Path) -> RawRecording:
                     channels.setdefault(inner.id, inner)
                 elif isinstance(inner, Message):
                     messages.append(inner)
-    for message in messages:
-        channel = channels.get(message.channel_id)
-        if channel is None:
-            raw.lose(f"channel {message.channel_id} is not described")
-        elif channel.message_encoding == "json":
-            _decode(channel.topic, message.data, raw)
+    if not ended:
+        raw.lose("its end is missing")
+    _decode_all(messages, channels, raw)
     return raw
 
 
@@ -153,6 +156,15 @@ def _decompress(chunk: Chunk) -> bytes:
     return zstandard.ZstdDecompressor(max_window_size=MAX_CHUNK_BYTES).decompress(
         chunk.data, max_output_size=chunk.uncompressed_size
     )
+
+
+def _decode_all(messages: list[Message], channels: dict[int, Channel], raw: RawRecording) -> None:
+    for message in messages:
+        channel = channels.get(message.channel_id)
+        if channel is None:
+            raw.lose(f"channel {message.channel_id} is not described")
+        elif channel.message_encoding == "json":
+            _decode(channel.topic, message.data, raw)
 
 
 def _decode(topic: str, data: bytes, raw: RawRecording) -> None:
