@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PYTEST_ARGS ?=
 
-.PHONY: run test check format bench paper clean distclean
+.PHONY: run test check format bench paper campaign clean distclean
 
 run: $(STAMP)  ## teach and identify the paper's five objects on the simulated cell
 	$(BIN)/tactile-cell run
@@ -25,6 +25,9 @@ format: $(STAMP)
 
 bench: $(STAMP)  ## each figure that README and docs quote
 	$(BIN)/python -m benchmarks
+
+campaign: $(STAMP)  ## bad input for every parser, a million each: hours; SECONDS=40 for a look
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.fuzz --count 1000000 --seconds $(or $(SECONDS),1e9)
 
 paper: $(STAMP)  ## the paper's figures and Table 1 beside ours: out/paper/paper.html
 	$(BIN)/python -m benchmarks paper

@@ -1,4 +1,7 @@
-"""Run every benchmark, or those named: python -m benchmarks [NAME ...]."""
+"""Run every benchmark, or those named: python -m benchmarks [NAME ...].
+
+`benchmarks.fuzz` measures nothing and has its own command (`make campaign`).
+"""
 
 import importlib
 import pkgutil
@@ -9,7 +12,9 @@ import benchmarks
 
 def main() -> None:
     names = sorted(
-        module.name for module in pkgutil.iter_modules(benchmarks.__path__) if module.name[0] != "_"
+        module.name
+        for module in pkgutil.iter_modules(benchmarks.__path__)
+        if module.name[0] != "_" and module.name != "fuzz"
     )
     wanted = sys.argv[1:] or names
     for name in wanted:

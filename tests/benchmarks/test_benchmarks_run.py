@@ -19,7 +19,11 @@ from benchmarks import _servo_clients, frames, identify, servo_bus, sweep
 from benchmarks._measure import in_turns, ratio, same
 
 EFFORT = 0.01
-NAMES = sorted(m.name for m in pkgutil.iter_modules(benchmarks.__path__) if m.name[0] != "_")
+NAMES = sorted(
+    m.name
+    for m in pkgutil.iter_modules(benchmarks.__path__)
+    if m.name[0] != "_" and m.name != "fuzz"
+)
 
 
 @pytest.fixture(autouse=True)
