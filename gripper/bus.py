@@ -5,7 +5,8 @@ transaction either returns what was asked for or raises; it never returns a valu
 has sent.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -34,10 +35,10 @@ class ServoIdentity:
 class ServoBus:
     """Transactions with servos on one line; safe to use from several threads.
 
-    A lost answer is asked for once more. Before that, a ping shows that everything that the
-    servo still owed has arrived, so that a late answer is never taken for the new one. Where the
-    ping stays unanswered too, the next transaction first waits until the line has been quiet
-    for ``late_guard_s``.
+    A lost answer is asked for once more, patiently outside of `in_loop`. Before that, a ping
+    shows that everything that the servo still owed has arrived, so that a late answer is never
+    taken for the new one. Where the ping stays unanswered too, the next transaction first waits
+    until the line has been quiet for ``late_guard_s``.
 
     Parameters
     ----------
@@ -72,6 +73,7 @@ class ServoBus:
         lock_timeout_s: float = 1.0,
     ) -> None:
         self.period_s = period_s
+        self._in_loop = False
         self._line = ServoLine(
             stream,
             baudrate=baudrate,
@@ -81,6 +83,19 @@ class ServoBus:
             late_guard_s=late_guard_s,
             lock_timeout_s=lock_timeout_s,
         )
+
+    @contextmanager
+    def in_loop(self) -> Iterator[None]:
+        """Within the block no transaction waits longer than a period of the loop may take.
+
+        Outside of it a retry waits for ``late_guard_s``: at a start or between commands a servo,
+        or the machine that simulates it, may be slow once without being at fault.
+        """
+        before, self._in_loop = self._in_loop, True
+        try:
+            yield
+        finally:
+            self._in_loop = before
 
     @property
     def statistics(self) -> BusStatistics:
@@ -244,8 +259,10 @@ class ServoBus:
             except NoAnswerError as failure:
                 self._line.count(retries=1)
                 try:
-                    self._line.clear(servo_id, None)
-                    status = self._line.request(servo_id, instruction, params, size)
+                    self._line.clear(servo_id, None, patient=not self._in_loop)
+                    status = self._line.request(
+                        servo_id, instruction, params, size, patient=not self._in_loop
+                    )
                 except NoAnswerError:
                     self._line.suspect = True
                     raise _give_up(failure, action, servo_id) from None

@@ -125,15 +125,27 @@ class ServoLine:
         self._handler.send(self.port, servo_id, instruction, params)
 
     def request(
-        self, servo_id: int, instruction: Instruction, params: bytes, size: int
+        self,
+        servo_id: int,
+        instruction: Instruction,
+        params: bytes,
+        size: int,
+        *,
+        patient: bool = False,
     ) -> StatusPacket:
-        """Send a request to one servo and return its answer with ``size`` bytes of data."""
-        self.send(servo_id, instruction, params)
-        return self.receive(servo_id, size)
+        """Send a request to one servo and return its answer with ``size`` bytes of data.
 
-    def receive(self, servo_id: int, size: int) -> StatusPacket:
+        With ``patient`` the answer may take as long as anything late is expected.
+        """
+        self.send(servo_id, instruction, params)
+        return self.receive(servo_id, size, patience_s=self._late_guard_s if patient else 0.0)
+
+    def receive(self, servo_id: int, size: int, *, patience_s: float = 0.0) -> StatusPacket:
         """Wait for one answer; what is damaged, late or of another servo is dropped."""
-        self.port.setPacketTimeout(STATUS_OVERHEAD + size)
+        if patience_s > 0.0:
+            self.port.setPacketTimeoutMillis(1000.0 * patience_s)
+        else:
+            self.port.setPacketTimeout(STATUS_OVERHEAD + size)
         damaged = False
         while True:
             status = self._handler.receive(self.port)
@@ -160,11 +172,11 @@ class ServoLine:
         self.suspect = True
         self._owed += 1
 
-    def clear(self, servo_id: int, deadline_s: float | None) -> None:
+    def clear(self, servo_id: int, deadline_s: float | None, *, patient: bool = False) -> None:
         """Ping a servo: answers come in order, so after this one nothing old can arrive."""
         if deadline_s is not None and self.clock.monotonic() >= deadline_s:
             raise NoAnswerError(damaged=False)
-        self.request(servo_id, Instruction.PING, b"", 3)
+        self.request(servo_id, Instruction.PING, b"", 3, patient=patient)
         self._owed = 0
 
     def _wait_until_quiet(self) -> None:

@@ -152,11 +152,25 @@ def test_a_lost_answer_of_a_sync_read_costs_less_than_a_period(script, bus, cloc
 def test_a_silent_servo_is_a_timeout_within_a_bounded_time(script, bus, clock) -> None:
     script.expect(READ_132)
     script.expect(PING_1)
-    with pytest.raises(BusTimeout, match="no answer of servo 1, twice"):
+    with bus.in_loop(), pytest.raises(BusTimeout, match="no answer of servo 1, twice"):
         bus.read(1, PRESENT_POSITION)
     assert clock.monotonic() < 0.006
     assert bus.misses(1) == 2
     assert isinstance(BusTimeout("x"), TimeoutError)
+
+
+def test_outside_of_the_loop_a_retry_waits_for_a_slow_servo(script, bus, clock) -> None:
+    script.expect(READ_132)
+    script.expect(PING_1, (0.03, PONG_1))
+    script.expect(READ_132, (0.03, IS_166))
+    assert bus.read(1, PRESENT_POSITION) == 166
+    assert bus.statistics.retries == 1
+    script.expect(READ_132)
+    script.expect(PING_1)
+    before_s = clock.monotonic()
+    with pytest.raises(BusTimeout):
+        bus.read(1, PRESENT_POSITION)
+    assert clock.monotonic() - before_s < 0.06
 
 
 def test_both_servos_silent_gives_up_within_the_period(script, bus, clock) -> None:
