@@ -26,8 +26,8 @@ format: $(STAMP)
 bench: $(STAMP)  ## each figure that README and docs quote
 	$(BIN)/python -m benchmarks
 
-campaign: $(STAMP)  ## bad input for every parser, a million each: hours; SECONDS=40 for a look
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.fuzz --count 1000000 --seconds $(or $(SECONDS),1e9)
+campaign: $(STAMP)  ## bad input for every parser, a million each: hours; FUZZ_SECONDS=40 for a look
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.fuzz --count 1000000 --seconds $(or $(FUZZ_SECONDS),1e9)
 
 paper: $(STAMP)  ## the paper's figures and Table 1 beside ours: out/paper/paper.html
 	$(BIN)/python -m benchmarks paper
