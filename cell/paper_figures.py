@@ -61,6 +61,8 @@ def resistance_figure(indentation: Indentation) -> str:
             label="paper, Fig. 2",
         )
         axes.set_yscale("log")
+        axes.set_yticks([50, 100, 250, 650, 1579], ["50", "100", "250", "650", "1579"])
+        axes.minorticks_off()
         axes.set_xlim(-0.1, 9.1)
         axes.set_xlabel("force / N")
         axes.set_ylabel("resistance / kOhm")
@@ -85,6 +87,8 @@ def sweep_figure(study: PaperStudy) -> str:
             whole.plot(at, 1e3 * middle, color=colour(index), lw=1.2)
             part.plot(1e3 * values[:n_part], color=colour(index), lw=0.7)
         whole.set_yscale("log")
+        whole.set_yticks([0.2, 0.5, 1.0, 2.0, 5.0], ["0.2", "0.5", "1", "2", "5"])
+        whole.minorticks_off()
         whole.set_xlabel("evaluation: scale 1 to 4, then translation, then rotation")
         whole.set_ylabel("min |λ| / 10⁻³")
         whole.set_title("the whole printed grid", loc="left", fontsize=9.5)
@@ -107,6 +111,10 @@ def noise_figure(study: PaperStudy) -> str:
             axes.set_xlabel("largest noise / % of full scale")
             name = "noise filter (frames near the force averaged)" if filtered else "one frame"
             axes.set_title(name, loc="left", fontsize=9.5)
+        # A single touch that hardly carries a surface any more must not squeeze all the others.
+        places = [condition_index(force_n=COMMON_N, filtered=f) for f in (False, True)]
+        middle = 1e3 * np.nanmedian(study.noise_trails[..., places], axis=2)
+        panels[0].set_ylim(0.75 * np.nanmin(middle), 1.2 * np.nanmax(middle))
         panels[0].set_ylabel(f"min |λ| at {COMMON_N:g} N / 10⁻³")
         return to_svg(figure, "fig4", "levels of five touches under rising noise")
 

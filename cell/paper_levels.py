@@ -16,7 +16,7 @@ from cell.paper_physics import COMMON_N, PAPER_NOISE, REST_FRAMES, Touch, random
 from recognition.eigen import Reading, smallest_eigenvalue
 from recognition.errors import ContactError, QuadricError
 from recognition.grasp import Grasp
-from recognition.level import DEFAULT_LEVEL, grip_surfaces
+from recognition.level import DEFAULT_LEVEL, grip_level, grip_surfaces
 from recognition.thresholds import Levels, check_level, find_thresholds
 
 LABELS = TABLE_1_LABELS
@@ -134,6 +134,31 @@ def repeated_levels(task: tuple[Touch, float, int, int]) -> NDArray[np.float64]:
     touch, noise_share, n, seed = task
     rng = np.random.default_rng([seed, round(1e4 * noise_share), LABELS.index(touch.label)])
     return np.array([levels_of(record(touch, rng, noise_share)) for _ in range(n)])
+
+
+def held_patch_levels(task: tuple[Touch, float, int, int]) -> NDArray[np.float64]:
+    """Return min |λ| (n, forces) of averaged frames on the patch that one frame would show.
+
+    The level check lowers its threshold of a loaded taxel as more frames are averaged, so that
+    taxels at the edge come and go. Here the threshold stays that of one frame: what is left is the
+    filter's own effect. The task is that of `repeated_levels`.
+    """
+    touch, noise_share, n, seed = task
+    rng = np.random.default_rng([seed, round(1e4 * noise_share), LABELS.index(touch.label)])
+    values = np.full((n, len(FORCES)), np.nan)
+    for row in values:
+        grasp = record(touch, rng, noise_share)
+        for place, force_n in enumerate(FORCES):
+            at_n = float(np.max(grasp.force_n)) if force_n is None else force_n
+            near = np.abs(grasp.force_n - at_n) <= DEFAULT_LEVEL.tolerance * at_n
+            sigmas = DEFAULT_LEVEL.sigmas * float(np.sqrt(near.sum()))
+            try:
+                row[place] = grip_level(
+                    grasp, replace(DEFAULT_LEVEL, force_n=force_n, sigmas=sigmas)
+                )
+            except (ContactError, QuadricError):
+                continue  # documented: no level
+    return values
 
 
 def name_by_threshold(levels: Levels, values: NDArray[np.float64]) -> NDArray[np.int64]:

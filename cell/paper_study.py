@@ -13,11 +13,13 @@ from cell.paper_contenders import Contender, contenders
 from cell.paper_effort import Effort, Spread
 from cell.paper_levels import (
     CONDITIONS,
+    FORCES,
     LABELS,
     READINGS,
     Lesson,
     Outcome,
     classify,
+    held_patch_levels,
     lesson_levels,
     repeated_levels,
 )
@@ -89,6 +91,8 @@ class PaperStudy:
         Outcomes at the paper's noise by condition.
     repeated
         Outcomes by condition where only the noise is new.
+    held_patch
+        The same by force for averaged frames on the patch that one frame shows, min |λ|.
     curve
         Accuracy over noise.
     contenders
@@ -104,6 +108,7 @@ class PaperStudy:
     trail_shares: tuple[float, ...]
     tables: Mapping[int, Outcome]
     repeated: Mapping[int, Outcome]
+    held_patch: Mapping[float | None, Outcome]
     curve: tuple[NoisePoint, ...]
     contenders: tuple[Contender, ...]
 
@@ -147,6 +152,7 @@ def _study(effort: Effort, spread: Spread) -> PaperStudy:
         ),
         tables=_tables(effort, spread),
         repeated=_repeated(effort, spread, touches),
+        held_patch=held_patch(effort, spread, touches),
         curve=_curve(effort, spread),
         contenders=contenders(effort, spread),
     )
@@ -209,6 +215,19 @@ def _repeated(effort: Effort, spread: Spread, touches: list[Touch]) -> dict[int,
     )
     together = [np.array(found)]
     return {c: _outcome(together, together, effort.n_taught, c) for c in range(len(CONDITIONS))}
+
+
+def held_patch(effort: Effort, spread: Spread, touches: list[Touch]) -> dict[float | None, Outcome]:
+    """Return the outcomes of `held_patch_levels` by force, only the noise new."""
+    n = effort.n_taught + effort.repeats
+    found = spread(
+        held_patch_levels, [(touch, PAPER_NOISE, n, effort.seed + 500) for touch in touches]
+    )
+    together = [np.array(found)]
+    return {
+        force_n: _outcome(together, together, effort.n_taught, place)
+        for place, force_n in enumerate(FORCES)
+    }
 
 
 def _curve(effort: Effort, spread: Spread) -> tuple[NoisePoint, ...]:

@@ -98,12 +98,16 @@ def _tables(study: PaperStudy) -> list[ConfusionTable]:
                 else f"(b) at a common force of {condition.force_n:g} N"
             )
             tables.append(_table(f"{_READING[condition.reading]}, {at}", outcome))
-    for filtered, name in ((False, "one frame"), (True, "filtered")):
-        place = condition_index(force_n=COMMON_N, filtered=filtered)
-        tables.append(
-            _table(f"min |λ|, the same touch again, only the noise new, {name}",
-                   study.repeated[place])
-        )  # fmt: skip
+    again = "min |λ|, the same touch again at full force, only the noise new"
+    for name, outcome in (
+        ("one frame", study.repeated[condition_index(force_n=None, filtered=False)]),
+        ("filtered, same patch", study.held_patch[None]),
+        (
+            "filtered, patch by the lower noise",
+            study.repeated[condition_index(force_n=None, filtered=True)],
+        ),
+    ):
+        tables.append(_table(f"{again}, {name}", outcome))
     return tables
 
 
