@@ -5,7 +5,7 @@ modules (`gripper.registers`, `gripper.ramp`) loads neither a serial port nor th
 
 Commands and their values: `Gripper`, `GripperSettings`, `ServoSettings`, `ForceLoopSettings`,
 `ForceRamp`, `Cycle`, `GripperState`, `ServoState`, `GripperPhase`, `GraspOutcome`, `GraspResult`,
-`LoopStatistics`, `VerificationReport`, `VerificationRow`.
+`LoopStatistics`, `VerificationReport`, `VerificationRow`, `WatchdogProof`.
 Mechanics: `Linkage`, `ParallelLinkage`, `RackPinion`, `Transmission`.
 Force in: `ForceSample`, `ForceSensor`. Time: `Clock`.
 Bus: `ServoBus`, `BusStatistics`, `ServoIdentity`, `SerialStream`, `ByteStream`.
@@ -22,16 +22,19 @@ if TYPE_CHECKING:
         BusBusy,
         BusCorrupt,
         BusTimeout,
+        ForceImbalance,
         ForceSensorStale,
         GraspStopped,
         GripperError,
         GripperStateError,
         LimitExceeded,
         PartLost,
+        PartSlipped,
         PortLost,
         ServoFault,
         ServoRejected,
         VerificationFailed,
+        WatchdogUnproven,
     )
     from gripper.force import ForceSample, ForceSensor
     from gripper.gripper import Gripper
@@ -50,6 +53,7 @@ if TYPE_CHECKING:
         ServoState,
     )
     from gripper.verification import VerificationReport, VerificationRow
+    from gripper.watchdog_test import WatchdogProof
 
 _HOME = {
     "gripper.bus": ("ServoBus", "ServoIdentity"),
@@ -58,16 +62,19 @@ _HOME = {
         "BusBusy",
         "BusCorrupt",
         "BusTimeout",
+        "ForceImbalance",
         "ForceSensorStale",
         "GraspStopped",
         "GripperError",
         "GripperStateError",
         "LimitExceeded",
         "PartLost",
+        "PartSlipped",
         "PortLost",
         "ServoFault",
         "ServoRejected",
         "VerificationFailed",
+        "WatchdogUnproven",
     ),
     "gripper.force": ("ForceSample", "ForceSensor"),
     "gripper.gripper": ("Gripper",),
@@ -86,6 +93,7 @@ _HOME = {
         "ServoState",
     ),
     "gripper.verification": ("VerificationReport", "VerificationRow"),
+    "gripper.watchdog_test": ("WatchdogProof",),
 }
 _MODULE_OF = {name: module for module, names in _HOME.items() for name in names}
 
@@ -97,6 +105,7 @@ __all__ = [
     "ByteStream",
     "Clock",
     "Cycle",
+    "ForceImbalance",
     "ForceLoopSettings",
     "ForceRamp",
     "ForceSample",
@@ -116,6 +125,7 @@ __all__ = [
     "LoopStatistics",
     "ParallelLinkage",
     "PartLost",
+    "PartSlipped",
     "PortLost",
     "RackPinion",
     "SerialStream",
@@ -129,6 +139,8 @@ __all__ = [
     "VerificationFailed",
     "VerificationReport",
     "VerificationRow",
+    "WatchdogProof",
+    "WatchdogUnproven",
 ]
 
 

@@ -124,5 +124,17 @@ class PartLost(GripperError):
     """Both pads are empty although a part was held; the fingers stand still."""
 
 
+class PartSlipped(GripperError):
+    """A held part slips; the goals are frozen, nothing grips again by itself."""
+
+
+class ForceImbalance(GripperError):
+    """The fingers press with different forces for too long: one of them pushes alone."""
+
+
+class WatchdogUnproven(GripperError):
+    """The self-test of the bus watchdog failed: it does not stop a motor."""
+
+
 class GraspStopped(GripperError):
     """The running command was stopped by ``request_stop``; the grip is kept."""

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 
 from gripper.contact import Approach, ApproachEvent, ContactRest
-from gripper.errors import LimitExceeded, PartLost
+from gripper.errors import LimitExceeded, PartLost, PartSlipped
 from gripper.free_running import FreeRunning
 from gripper.kinematics import Linkage
 from gripper.limits import ServoGoal
@@ -12,6 +12,7 @@ from gripper.ramp import ForceRamp
 from gripper.runner import Action, LoopRunner, Moment, Observer
 from gripper.servos import ServoGroup
 from gripper.settings import GripperSettings
+from gripper.slip import SlipWatch
 from gripper.state import GraspOutcome, GraspResult, GripperPhase, GripperState
 
 _CONTACT_SHARE = 0.97
@@ -100,11 +101,18 @@ class GraspRun:
     ) -> GripperState:
         """Control the force at its last set-point for a time in s."""
         elapsed_s = 0.0
+        slip = SlipWatch(self._settings)
 
         def step(moment: Moment) -> Action:
             nonlocal elapsed_s
             elapsed_s += moment.dt_s
             self._check_part(control, moment)
+            sign = slip.check(moment.now_s, moment.state.aperture_m, moment.sample)
+            if sign is not None:
+                raise PartSlipped(
+                    f"the held part slips: {sign}; the goals are frozen, nothing grips again by "
+                    f"itself: release it, or clear the fault and go on"
+                )
             goals = control.goals(
                 moment,
                 self._servos.transmissions(moment.state.servos),

@@ -28,6 +28,7 @@ from gripper.state import (
     ServoState,
 )
 from gripper.verification import VerificationReport
+from gripper.watchdog_test import WatchdogProof, prove_watchdog
 
 __all__ = [
     "Cycle",
@@ -89,6 +90,7 @@ class Gripper:
         self._runner = LoopRunner(self._servos, force_sensor, settings, clock)
         self._grasping = GraspRun(self._runner, self._servos, linkage, settings)
         self._life = Lifecycle(self._servos, self._runner)
+        self._watchdog_proofs: tuple[WatchdogProof, ...] = ()
 
     @property
     def state(self) -> GripperPhase:
@@ -109,6 +111,11 @@ class Gripper:
     def settings(self) -> GripperSettings:
         """Limits and tuning."""
         return self._settings
+
+    @property
+    def watchdog_proofs(self) -> tuple[WatchdogProof, ...]:
+        """What the self-test of the bus watchdog found, one for each servo; empty before it."""
+        return self._watchdog_proofs
 
     @property
     def statistics(self) -> LoopStatistics:
@@ -171,8 +178,13 @@ class Gripper:
     ) -> GripperState:
         """Move the empty fingers to an opening in m, by default aperture_open_m.
 
+        With the setting ``watchdog_self_test`` the first opening ends with that test: the fingers
+        close by a few mm, stand until the watchdog has tripped, and open again.
+
         Raises
         ------
+        WatchdogUnproven
+            When the bus watchdog does not stop the motors.
         GripperStateError
             While a part may be held: then `release` is the command.
         """
@@ -186,6 +198,11 @@ class Gripper:
         with self._life.command(GripperPhase.OPENING):
             self._make_ready()
             state = self._move_to(target_m, observer)
+            if self._settings.watchdog_self_test and not self._watchdog_proofs:
+                self._watchdog_proofs = prove_watchdog(
+                    self._servos, self._linkage, self._settings, self._clock
+                )
+                state = self._move_to(target_m, observer)
         self._life.phase = GripperPhase.IDLE
         return state
 
@@ -203,6 +220,11 @@ class Gripper:
             With the grip kept.
         """
         self._life.check_ready("grasp", GripperPhase.OFF, GripperPhase.IDLE)
+        if self._settings.watchdog_self_test and not self._watchdog_proofs:
+            raise GripperStateError(
+                "grasp is not possible before the bus watchdog has proven to stop the motors: "
+                "open the gripper, its self-test follows (watchdog_self_test is on)"
+            )
         state = self._servos.read()
         self._grasping.check(ramp, state)
         with self._life.command(GripperPhase.APPROACHING):
@@ -223,6 +245,8 @@ class Gripper:
         ------
         PartLost
             When both pads become empty.
+        PartSlipped
+            When the force falls at once or the fingers close after the part.
         """
         control = self._held_control("hold")
         if not duration_s > 0.0:

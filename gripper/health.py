@@ -137,6 +137,10 @@ class ServoHealth:
         bits = {servo_id: self._bus.read(servo_id, HARDWARE_ERROR_STATUS) for servo_id in self._ids}
         return {servo_id: found for servo_id, found in bits.items() if found}
 
+    def watchdogs_tripped(self) -> frozenset[int]:
+        """Read the bus watchdogs (register 98); the IDs of the servos whose one has tripped."""
+        return frozenset(i for i in self._ids if self._bus.read(i, BUS_WATCHDOG) < 0)
+
     def watchdog_tripped(self) -> bool:
         """Read whether the bus watchdog of any servo has tripped."""
-        return any(self._bus.read(servo_id, BUS_WATCHDOG) < 0 for servo_id in self._ids)
+        return bool(self.watchdogs_tripped())

@@ -104,6 +104,6 @@ class Lifecycle:
             # The error that is on its way says what matters; a bus that fails again adds nothing.
             with suppress(GripperError):
                 if self._servos.guard.force_is_too_high():
-                    self._servos.halve_currents()
+                    self._servos.lower_currents()
                 self._servos.disarm_watchdog()
             raise

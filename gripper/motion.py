@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Sequence
 
 from gripper.compliance import Compliance
-from gripper.errors import LimitExceeded, ServoFault
+from gripper.errors import ForceImbalance, LimitExceeded, ServoFault
 from gripper.force import ForceSample
 from gripper.force_loop import ForceLoop
 from gripper.kinematics import Linkage, Transmission
@@ -165,6 +165,7 @@ class GripControl:
         self._drive_n = drive_n
         self._samples: deque[ForceSample] = deque(maxlen=_MEAN_SAMPLES)
         self._held_s = now_s
+        self._balanced_s = now_s
         self._paused = False
 
     @property
@@ -216,15 +217,17 @@ class GripControl:
         sample = moment.sample
         if self._paused:
             self._paused = False
-            self._held_s = moment.now_s
+            self._held_s = self._balanced_s = moment.now_s
         if sample is None or not sample.valid:
             # A sample that is young enough was there before: nothing new to go by.
             return self._drive(moment.state.servos, paths)
         self._note(moment.now_s, sample)
+        self._check_balance(moment.now_s)
         reference_n = self._reference.step(
             moment.dt_s, setpoint_n, setpoint_n if arrival_n is None else arrival_n
         )
         tuning = self._settings.force_loop
+        cap_a = self._settings.current_cap_a(moment.state.temperature_c)
         braking_n = self._braking_n(moment.state)
         self._drive_n = self._loop.step(
             moment.now_s,
@@ -234,9 +237,7 @@ class GripControl:
             friction_n=self._friction_share * sum(path.friction_n for path in paths) / len(paths),
             braking_n=braking_n,
             motion_n=tuning.motion_doubt_n_s_m * 0.5 * abs(moment.state.aperture_velocity_m_s),
-            drive_max_n=min(
-                self._settings.current_max_a * path.kt_nm_a / path.radius_m for path in paths
-            ),
+            drive_max_n=min(cap_a * path.kt_nm_a / path.radius_m for path in paths),
             taper=taper,
         )
         return self._drive(moment.state.servos, paths)
@@ -252,9 +253,28 @@ class GripControl:
         if not self._samples or sample.t_s > self._samples[-1].t_s:
             self._samples.append(sample)
         empty_n = _LOST_SHARE * self._settings.contact_force_n
-        means_n = [sum(s.force_n[f] for s in self._samples) / len(self._samples) for f in (0, 1)]
-        if max(means_n) >= empty_n:
+        if max(self._finger_means_n()) >= empty_n:
             self._held_s = now_s
+
+    def _check_balance(self, now_s: float) -> None:
+        settings = self._settings
+        first_n, second_n = self._finger_means_n()
+        allowed_n = max(settings.imbalance_n, settings.imbalance_share * 0.5 * (first_n + second_n))
+        if abs(first_n - second_n) <= allowed_n:
+            self._balanced_s = now_s
+        elif now_s - self._balanced_s > settings.imbalance_s:
+            raise ForceImbalance(
+                f"the fingers press with {first_n:.2f} and {second_n:.2f} N, a difference of "
+                f"{allowed_n:.2f} N is allowed for {settings.imbalance_s} s: both are frozen; "
+                f"check whether a finger is blocked or a pad is blind"
+            )
+
+    def _finger_means_n(self) -> tuple[float, float]:
+        n = len(self._samples)
+        return (
+            sum(sample.force_n[0] for sample in self._samples) / n,
+            sum(sample.force_n[1] for sample in self._samples) / n,
+        )
 
     def _drive(
         self, servos: Sequence[ServoState], paths: Sequence[Transmission]

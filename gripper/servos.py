@@ -1,6 +1,7 @@
 """The servos of one gripper as a group: feedback, torque, watchdog and goals."""
 
 from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from math import pi, tau
 
 from gripper.bus import ServoBus
@@ -56,6 +57,10 @@ class ServoGroup:
         self.goals: tuple[ServoGoal, ...] = ()
 
     # Feedback
+
+    def in_loop(self) -> AbstractContextManager[None]:
+        """Let no transaction within the block wait longer than the loop may; see `ServoBus`."""
+        return self._bus.in_loop()
 
     def read(self) -> GripperState:
         """Read the feedback of all servos in one transaction.
@@ -119,11 +124,15 @@ class ServoGroup:
             for settings, servo in zip(self._settings.servos, servos, strict=True)
         )
 
-    def halve_currents(self) -> None:
-        """Write the last goals again with half their currents, as the way out of too much force."""
+    def lower_currents(self) -> None:
+        """Write the last goals again with ``over_force_share`` of their currents, in one step.
+
+        The way out of too much force.
+        """
         if self._last is not None and self.goals:
+            share = self._settings.over_force_share
             goals = [
-                ServoGoal(angle_rad=goal.angle_rad, current_a=0.5 * goal.current_a)
+                ServoGoal(angle_rad=goal.angle_rad, current_a=share * goal.current_a)
                 for goal in self.goals
             ]
             self.write_goals(goals, self._last)
@@ -197,7 +206,9 @@ class ServoGroup:
         """Let the guard of the goals know the newest force."""
         self.guard.note_force(sample)
 
-    def write_goals(self, goals: Sequence[ServoGoal], state: GripperState) -> None:
+    def write_goals(
+        self, goals: Sequence[ServoGoal], state: GripperState, *, profile_velocity_raw: int = 0
+    ) -> None:
         """Write goal current and goal position of all servos at once, if no limit is against it.
 
         The only place that writes goals.
@@ -208,6 +219,8 @@ class ServoGroup:
             One for each servo.
         state
             Newest feedback: the goals are reached from there.
+        profile_velocity_raw
+            Profile Velocity (register 112) in raw units; 0 is no limit.
         """
         self.guard.check(goals, state, self._clock.monotonic())
         values: dict[int, list[int]] = {}
@@ -218,7 +231,7 @@ class ServoGroup:
                 settings.servo_model.current_raw(goal.current_a),
                 0,
                 0,
-                0,
+                profile_velocity_raw,
                 servo.position_raw + round(delta_rad / RAD_PER_PULSE),
             ]
         self._bus.sync_write(

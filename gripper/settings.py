@@ -1,11 +1,13 @@
 """Settings of a gripper; an object that exists is valid."""
 
 from dataclasses import dataclass, field
-from math import isfinite
 
 from gripper.errors import LimitExceeded
+from gripper.loop_settings import ForceLoopSettings, check_number
 from gripper.registers import PULSES_PER_TURN, WATCHDOG_UNIT_S
 from gripper.servo_models import ServoModel, require_current_control
+
+__all__ = ["HARD_FORCE_CAP_N", "ForceLoopSettings", "GripperSettings", "ServoSettings"]
 
 HARD_FORCE_CAP_N = 50.0
 """No setting allows more grip force in N; it is no safety function, see the documentation."""
@@ -48,112 +50,6 @@ class ServoSettings:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ForceLoopSettings:
-    """Tuning of the force loop; the defaults suit foam pads and a sensor at 50 Hz.
-
-    Attributes
-    ----------
-    bias_time_s, bias_rate_n_s
-        Time constant in s with which the difference between sensor and model is learnt once the
-        first samples are in; it halves where the set-point moves at ``bias_rate_n_s``.
-    sample_noise_n
-        Standard deviation of one sample in N; with it the first samples count for more.
-    start_doubt_n, friction_doubt
-        How uncertain the model is at the contact, in N, and by how much more where the force
-        begins to move, as a share of the friction band.
-    caution, settled_doubt_n
-        A rising force stays below the set-point by ``caution`` times the doubt that is beyond
-        ``settled_doubt_n`` in N: what is not known yet is approached from below.
-    damping_n_s_m
-        Drive in N taken away for each m/s that a finger is faster than the ramp needs.
-    motion_doubt_n_s_m
-        Noise in N added to a sample for each m/s of a finger: inertia makes the model wrong.
-    end_time_s
-        Time constant in s with which the force arrives at the end of a change; see
-        `gripper.reference.Reference`.
-    sensor_delay_s
-        Time in s by which the sensor's filters lag behind the stamp of a sample.
-    dead_band_n, hold_band_n
-        Error in N that is left alone while the force keeps its direction: on a ramp, in a hold.
-    reversal_band_n, reversal_band_share
-        Error in N, or as a share of the set-point if that is more, that it takes to turn the
-        direction round, through twice the friction.
-    drive_rate_n_s
-        Fastest change of the driving force in N/s, within the friction band.
-    creep_n_s, creep_share
-        Its rate in N/s, beside that of the set-point, where motion is about to begin: from this
-        share of the friction band on.
-    dither_share
-        Square wave on the drive while the force changes, as a share of the friction band.
-    push_open_share
-        How hard the motor may push the fingers open to lower the force against friction, as a
-        share of the friction band.
-    bias_max_n, bias_max_share, bias_max_friction_share
-        Largest plausible difference between sensor and model in N, plus a share of the
-        set-point, plus a share of the friction band.
-    taper_n_s
-        Rate in N/s at which a long hold gives back drive that friction makes superfluous.
-    """
-
-    bias_time_s: float = 0.3
-    bias_rate_n_s: float = 5.0
-    sample_noise_n: float = 0.3
-    start_doubt_n: float = 0.1
-    friction_doubt: float = 0.1
-    caution: float = 1.0
-    settled_doubt_n: float = 0.1
-    damping_n_s_m: float = 70.0
-    motion_doubt_n_s_m: float = 100.0
-    end_time_s: float = 0.1
-    sensor_delay_s: float = 0.02
-    dead_band_n: float = 0.05
-    hold_band_n: float = 0.12
-    reversal_band_n: float = 0.22
-    reversal_band_share: float = 0.04
-    drive_rate_n_s: float = 150.0
-    creep_n_s: float = 5.0
-    creep_share: float = 0.5
-    dither_share: float = 0.2
-    push_open_share: float = 1.3
-    bias_max_n: float = 2.0
-    bias_max_share: float = 0.4
-    bias_max_friction_share: float = 0.6
-    taper_n_s: float = 1.0
-
-    def __post_init__(self) -> None:
-        for name in (
-            "bias_time_s",
-            "bias_rate_n_s",
-            "sample_noise_n",
-            "drive_rate_n_s",
-            "creep_n_s",
-            "bias_max_n",
-        ):
-            _check(name, getattr(self, name), above=0.0)
-        for name in (
-            "start_doubt_n",
-            "friction_doubt",
-            "caution",
-            "settled_doubt_n",
-            "damping_n_s_m",
-            "motion_doubt_n_s_m",
-            "end_time_s",
-            "sensor_delay_s",
-            "dead_band_n",
-            "hold_band_n",
-            "reversal_band_n",
-            "reversal_band_share",
-            "creep_share",
-            "dither_share",
-            "push_open_share",
-            "bias_max_share",
-            "bias_max_friction_share",
-            "taper_n_s",
-        ):
-            _check(name, getattr(self, name), low=0.0)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class GripperSettings:
     """All that a gripper needs to know beside its linkage.
 
@@ -187,6 +83,8 @@ class GripperSettings:
         Cap of the goal current in A.
     temperature_max_c
         Warmest servo in degrees Celsius at which goals are still written.
+    temperature_derate_k
+        So many degrees below it the cap of the current begins to fall, to half at the maximum.
     force_stale_s
         Oldest force sample in s that may be used.
     bus_loss_s
@@ -195,6 +93,17 @@ class GripperSettings:
         Lateness of a period in s after which the loop counts as stalled.
     watchdog_s
         Bus watchdog of the servos in s, 0.02 to 2.54 in steps of 0.02.
+    watchdog_self_test
+        True to prove after the first opening that the bus watchdog stops the motors, by a motion
+        of a few mm; without the proof no grasp is begun.
+    over_force_share
+        Share of the goal currents that is left, in one step, when the force exceeds its cap.
+    imbalance_n, imbalance_share, imbalance_s
+        The fingers' forces may differ by so much in N, or by a share of the grip force if that is
+        more, for so long in s.
+    slip_drop_n, slip_drop_share, slip_travel_m
+        A drop of the held force in N, or as a share if that is more, or closing in m while
+        holding, that is reported as a slip.
     settle_timeout_s
         Time in s after a ramp's end in which its force must be reached.
     settle_tolerance_n, settle_tolerance_share
@@ -218,10 +127,19 @@ class GripperSettings:
     grasp_force_max_n: float | None = None
     current_max_a: float = 0.8
     temperature_max_c: float = 70.0
+    temperature_derate_k: float = 10.0
     force_stale_s: float = 0.1
     bus_loss_s: float = 0.1
     stall_max_s: float = 0.25
     watchdog_s: float = 0.2
+    watchdog_self_test: bool = False
+    over_force_share: float = 0.5
+    imbalance_n: float = 2.0
+    imbalance_share: float = 0.5
+    imbalance_s: float = 0.2
+    slip_drop_n: float = 0.8
+    slip_drop_share: float = 0.15
+    slip_travel_m: float = 0.0015
     settle_timeout_s: float = 0.5
     settle_tolerance_n: float = 0.3
     settle_tolerance_share: float = 0.07
@@ -244,15 +162,29 @@ class GripperSettings:
             "bus_loss_s",
             "stall_max_s",
             "settle_timeout_s",
+            "imbalance_n",
+            "imbalance_s",
+            "slip_drop_n",
+            "slip_travel_m",
         ):
-            _check(name, getattr(self, name), above=0.0)
-        for name in ("force_noise_n", "settle_tolerance_n", "settle_tolerance_share"):
-            _check(name, getattr(self, name), low=0.0)
-        _check("loop_rate_hz", self.loop_rate_hz, low=10.0, high=1000.0)
-        _check("force_max_n", self.force_max_n, above=0.0, high=HARD_FORCE_CAP_N)
-        _check("grasp_force_limit_n", self.grasp_force_limit_n, above=0.0, high=self.force_max_n)
-        _check("aperture_min_m", self.aperture_min_m, low=0.0, high=self.aperture_open_m)
-        _check("watchdog_s", self.watchdog_s, low=WATCHDOG_UNIT_S, high=127 * WATCHDOG_UNIT_S)
+            check_number(name, getattr(self, name), above=0.0)
+        for name in (
+            "force_noise_n",
+            "settle_tolerance_n",
+            "settle_tolerance_share",
+            "temperature_derate_k",
+            "imbalance_share",
+            "slip_drop_share",
+        ):
+            check_number(name, getattr(self, name), low=0.0)
+        check_number("over_force_share", self.over_force_share, low=0.0, high=1.0)
+        check_number("loop_rate_hz", self.loop_rate_hz, low=10.0, high=1000.0)
+        check_number("force_max_n", self.force_max_n, above=0.0, high=HARD_FORCE_CAP_N)
+        check_number(
+            "grasp_force_limit_n", self.grasp_force_limit_n, above=0.0, high=self.force_max_n
+        )
+        check_number("aperture_min_m", self.aperture_min_m, low=0.0, high=self.aperture_open_m)
+        check_number("watchdog_s", self.watchdog_s, low=WATCHDOG_UNIT_S, high=127 * WATCHDOG_UNIT_S)
         if self.contact_samples < 1:
             raise LimitExceeded(f"contact_samples is {self.contact_samples}, must be at least 1")
 
@@ -271,24 +203,15 @@ class GripperSettings:
         """Content of Bus Watchdog (register 98) in units of 20 ms, rounded up."""
         return max(1, min(127, round(self.watchdog_s / WATCHDOG_UNIT_S + 0.49)))
 
+    def current_cap_a(self, temperature_c: float) -> float:
+        """Return the cap of the goal current in A at the warmest servo's temperature."""
+        over_k = temperature_c - (self.temperature_max_c - self.temperature_derate_k)
+        if over_k <= 0.0:
+            return self.current_max_a
+        return self.current_max_a * max(
+            0.5, 1.0 - 0.5 * over_k / max(self.temperature_derate_k, 1e-9)
+        )
+
     def settle_tolerance_at_n(self, force_n: float) -> float:
         """Return the error in N that counts as reached at a force."""
         return max(self.settle_tolerance_n, self.settle_tolerance_share * force_n)
-
-
-def _check(
-    name: str,
-    value: float,
-    *,
-    low: float | None = None,
-    above: float | None = None,
-    high: float | None = None,
-) -> None:
-    wanted = [
-        (low is None or value >= low, f"at least {low}"),
-        (above is None or value > above, f"above {above}"),
-        (high is None or value <= high, f"at most {high}"),
-    ]
-    if not isfinite(value) or not all(ok for ok, _ in wanted):
-        broken = " and ".join(text for ok, text in wanted if not ok) or "a number"
-        raise LimitExceeded(f"{name} is {value}, must be finite and {broken}")

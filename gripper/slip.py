@@ -1,0 +1,66 @@
+"""A held part that slips: its force falls at once, or the fingers close after it."""
+
+from collections import deque
+from math import exp
+
+from gripper.force import ForceSample
+from gripper.settings import GripperSettings
+
+_SETTLING_S = 0.3
+_USUAL_TIME_S = 0.6
+_RECENT_SAMPLES = 4
+
+
+class SlipWatch:
+    """Watches one hold at a steady set-point.
+
+    Parameters
+    ----------
+    settings
+        Of the gripper.
+    """
+
+    def __init__(self, settings: GripperSettings) -> None:
+        self._settings = settings
+        self._recent: deque[ForceSample] = deque(maxlen=_RECENT_SAMPLES)
+        self._usual_n: float | None = None
+        self._aperture_m: float | None = None
+        self._since_s: float | None = None
+
+    def check(self, now_s: float, aperture_m: float, sample: ForceSample | None) -> str | None:
+        """Take one period and return what shows a slip, None without one.
+
+        Parameters
+        ----------
+        now_s
+            Monotonic time in s.
+        aperture_m
+            Opening in m.
+        sample
+            Newest sample, which may be the same as before.
+        """
+        if self._since_s is None:
+            self._since_s = now_s
+        if now_s - self._since_s < _SETTLING_S:
+            return None
+        if self._aperture_m is None:
+            self._aperture_m = aperture_m
+        settings = self._settings
+        closed_m = self._aperture_m - aperture_m
+        if closed_m > settings.slip_travel_m:
+            return f"the fingers have closed by {closed_m * 1e3:.2f} mm at a steady force"
+        last_s = self._recent[-1].t_s if self._recent else None
+        if sample is None or not sample.valid or sample.t_s == last_s:
+            return None
+        if len(self._recent) == _RECENT_SAMPLES:
+            oldest = self._recent[0]
+            share = 1.0 - exp(-(self._recent[1].t_s - oldest.t_s) / _USUAL_TIME_S)
+            usual_n = oldest.grip_n if self._usual_n is None else self._usual_n
+            self._usual_n = usual_n + share * (oldest.grip_n - usual_n)
+        self._recent.append(sample)
+        if self._usual_n is None:
+            return None
+        drop_n = self._usual_n - sum(s.grip_n for s in self._recent) / len(self._recent)
+        if drop_n > max(settings.slip_drop_n, settings.slip_drop_share * self._usual_n):
+            return f"the grip force fell by {drop_n:.2f} N from {self._usual_n:.2f} N"
+        return None
