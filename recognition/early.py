@@ -133,26 +133,32 @@ class EarlyTrainer:
     def fit(self, grasps: Sequence[Grasp]) -> EarlyRecognizer:
         """Learn from labelled grasps; ramps that end below a load are taught whole.
 
-        Each recogniser calibrates its probabilities on ramps cut like those that it will meet.
-        Raises ValueError as the base trainer does.
+        Each recogniser calibrates its probabilities on ramps cut like those that it will meet. A
+        load at which the cut ramps do not suffice to teach, because in the noise too few of them
+        show a touch, is not looked at. Raises ValueError where whole ramps do not suffice.
         """
+        whole = self.base.fit(grasps)
         rest = learn_rest(grasps)
         loads = [load_so_far(g, rest) for g in grasps]
         full = float(np.median([load[-1] for load in loads]))
         levels = full * np.array(self.shares)
-        heads = []
-        for level in levels:
+        heads: list[Recognizer] = []
+        taught: list[float] = []
+        for level in levels.tolist():
             ends = [np.flatnonzero(load >= level) for load in loads]
-            heads.append(
-                self.base.fit(
-                    [
-                        cut(g, int(end[0]) + 1) if len(end) else g
-                        for g, end in zip(grasps, ends, strict=True)
-                    ]
-                )
-            )
+            parts = [
+                cut(g, int(end[0]) + 1) if len(end) else g
+                for g, end in zip(grasps, ends, strict=True)
+            ]
+            try:
+                head = self.base.fit(parts)
+            except ValueError:
+                continue
+            if head.labels == whole.labels:
+                heads.append(head)
+                taught.append(level)
         return EarlyRecognizer(
-            rest=rest, load_counts=levels, heads=tuple(heads), whole=self.base.fit(grasps)
+            rest=rest, load_counts=np.array(taught), heads=tuple(heads), whole=whole
         )
 
 
