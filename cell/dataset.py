@@ -166,7 +166,8 @@ class _Checker:
         return array.astype(np.int64)
 
     def _floats(self, name: str, shape: tuple[int, ...], *, nan: bool) -> NDArray[np.float64]:
-        array = self._take(name, "f", shape).astype(np.float64)
+        with np.errstate(invalid="ignore"):  # signalling NaN; what is no number is looked for below
+            array = self._take(name, "f", shape).astype(np.float64)
         bad = np.isinf(array) if nan else ~np.isfinite(array)
         if np.any(bad):
             where = int(np.argmax(bad.ravel()))

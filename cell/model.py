@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
+from warnings import catch_warnings, simplefilter
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,7 @@ _UNSUITABLE = (
     ArithmeticError,
     MemoryError,
     RecursionError,
+    RuntimeWarning,
 )
 _FARTHEST_M = 10.0
 _REHEARSED_FRAMES = 40
@@ -156,7 +158,8 @@ def load_model(path: Path | str, expected_pads: PadArray | None = None) -> Loade
         if name.startswith(_PREFIX)
     }
     try:
-        with np.errstate(divide="raise", over="raise", invalid="raise"):
+        with np.errstate(divide="raise", over="raise", invalid="raise"), catch_warnings():
+            simplefilter("error", RuntimeWarning)
             recognizer = kind.from_arrays(learnt)
             labels = tuple(recognizer.labels)
             _rehearse(recognizer, pads)

@@ -13,6 +13,7 @@ from simulator.shapes import ObjectPose
 _POSE_FIELDS = tuple(entry.name for entry in fields(ObjectPose))
 _LARGEST = 1e5
 _LONGEST_S = 60.0
+_FARTHEST = 100.0
 Plugs = Mapping[str, tuple[Callable[[], None], Callable[[], None]]]
 """Name of a cable -> how to pull it, how to plug it in again."""
 
@@ -85,7 +86,11 @@ class CellCommands:
             raise SimulatorSettingsError(
                 f"a pose has {', '.join(_POSE_FIELDS)}; got {', '.join(sorted(unknown))}"
             )
-        pose = ObjectPose(**{name: _number(name, value) for name, value in wanted.items()})
+        numbers = {name: _number(name, value) for name, value in wanted.items()}
+        for name, number in numbers.items():
+            if abs(number) > _FARTHEST:
+                raise SimulatorSettingsError(f"{name} is {number:g}, limit {_FARTHEST:g} m or rad")
+        pose = ObjectPose(**numbers)
         reached = self._devices.physical.place(label, pose)
         return {"pose": {name: getattr(reached, name) for name in _POSE_FIELDS}}
 

@@ -150,6 +150,12 @@ def test_an_integer_beyond_any_float_is_refused() -> None:
         commands({"fault": "servo_wire.delay_s", "value": 10**400})
 
 
+def test_a_pose_beyond_the_cell_is_refused() -> None:
+    commands = CellCommands(CellDevices(SimulatorSettings()), {}, lambda: 0.0)
+    with pytest.raises(SimulatorSettingsError, match="y_m is 1e\\+308, limit 100 m"):
+        commands({"place": "ball", "pose": {"y_m": 1e308}})
+
+
 @pytest.mark.parametrize("text", ["? [1, 2]\n: 3\n", "2001-01-01: 3\n"])
 def test_keys_that_are_no_text_are_refused(text: str) -> None:
     with pytest.raises(ConfigError, match="no plain text"):
