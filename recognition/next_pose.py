@@ -16,6 +16,8 @@ from recognition.recognizer import Posterior, Trainer
 _FOLDS = 4
 _RIDGE = 100.0
 """Grasps that it takes to believe a slope as much as that there is none."""
+_SURE = 2.5
+"""Standard errors by which a slope must differ from none: chance must not choose the pose."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -56,8 +58,9 @@ class PoseMemory:
         held; each is fused with the grasps so far, and minus the logarithm of the probability that
         the label then has is its loss. A ridge regression of these losses on the settings and
         their squares, each label counted as probable as it is now, says where in the ranges of
-        pose and force they are small. Loss goes by what is true, not by how sure the answer is: a
-        pose in which the recogniser errs with confidence is avoided.
+        pose and force they are small; slopes that may be chance count as none. Loss goes by what is
+        true, not by how sure the answer is: a pose in which the recogniser errs with confidence is
+        avoided. Without any slope all candidates are equal.
 
         Parameters
         ----------
@@ -116,8 +119,11 @@ class PoseMemory:
         centred = loss - (member.T @ loss)[self.classes]
         weight = (now / count)[self.classes] * len(loss)
         normal = basis.T @ (weight[:, None] * basis) + _RIDGE * np.eye(basis.shape[1])
-        slopes: NDArray[np.float64] = np.linalg.solve(normal, basis.T @ (weight * centred))
-        return slopes
+        inverse = np.linalg.inv(normal)
+        slopes: NDArray[np.float64] = inverse @ (basis.T @ (weight * centred))
+        left = weight * (centred - basis @ slopes)
+        error = np.sqrt(np.diag(inverse @ (basis.T @ (left[:, None] ** 2 * basis)) @ inverse))
+        return np.where(np.abs(slopes) > _SURE * error, slopes, 0.0)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Return everything as plain arrays."""
