@@ -29,6 +29,7 @@ _HISTORY_LENGTH = 128
 _IMPLAUSIBLE_S = 0.3
 _ANCHOR_SAMPLES = 3
 _CATCH_UP_S = 0.2
+_LONGEST_MEAN = 5.0
 
 
 class ForceLoop:
@@ -63,6 +64,7 @@ class ForceLoop:
         self._history: deque[tuple[float, float]] = deque(maxlen=_HISTORY_LENGTH)
         self._history.append((now_s, force_n))
         self._sample_s = now_s
+        self._held_since_s = now_s
         self._implausible_since_s: float | None = None
 
     @property
@@ -144,6 +146,8 @@ class ForceLoop:
         error_n = target_n - self._model_n
         reversal_n = max(settings.reversal_band_n, settings.reversal_band_share * setpoint_n)
         held = setpoint_n == self._setpoint_n
+        if not held:
+            self._held_since_s = now_s
         band_n = settings.hold_band_n if held else settings.dead_band_n
         # A set-point on its way catches up with the force by itself.
         rise_n = band_n if self._rising else reversal_n + _CATCH_UP_S * max(0.0, -rate_n_s)
@@ -216,6 +220,8 @@ class ForceLoop:
         if sample.t_s > self._sample_s:
             step_s = sample.t_s - self._sample_s
             share = step_s / settings.bias_time_s * (1.0 + rate_n_s / settings.bias_rate_n_s)
+            # At rest the mean goes back farther and farther, lest noise ratchets the force up.
+            share /= 1.0 + min((now_s - self._held_since_s) / settings.bias_time_s, _LONGEST_MEAN)
             noise_n2 = settings.sample_noise_n**2
             self._doubt_n2 += noise_n2 * share * share
             gain = self._doubt_n2 / (self._doubt_n2 + noise_n2 + motion_n * motion_n)

@@ -86,6 +86,8 @@ class Lifecycle:
             with self.latching():
                 yield
         except GraspStopped:
+            with suppress(GripperError):
+                self._servos.calm()
             self.rest()
             raise
         finally:
@@ -105,5 +107,7 @@ class Lifecycle:
             with suppress(GripperError):
                 if self._servos.guard.force_is_too_high():
                     self._servos.lower_currents()
+                else:
+                    self._servos.calm()
                 self._servos.disarm_watchdog()
             raise

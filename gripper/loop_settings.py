@@ -80,12 +80,12 @@ class ForceLoopSettings:
     friction_doubt: float = 0.1
     caution: float = 1.0
     settled_doubt_n: float = 0.1
-    damping_n_s_m: float = 70.0
-    motion_doubt_n_s_m: float = 100.0
-    end_time_s: float = 0.1
+    damping_n_s_m: float = 100.0
+    motion_doubt_n_s_m: float = 140.0
+    end_time_s: float = 0.11
     sensor_delay_s: float = 0.02
-    dead_band_n: float = 0.05
-    hold_band_n: float = 0.12
+    dead_band_n: float = 0.03
+    hold_band_n: float = 0.04
     reversal_band_n: float = 0.22
     reversal_band_share: float = 0.04
     drive_rate_n_s: float = 150.0

@@ -55,6 +55,7 @@ class ServoGroup:
         self.health = ServoHealth(bus, settings)
         self._last: GripperState | None = None
         self.goals: tuple[ServoGoal, ...] = ()
+        self._earlier: tuple[ServoGoal, ...] = ()
 
     # Feedback
 
@@ -134,6 +135,20 @@ class ServoGroup:
             goals = [
                 ServoGoal(angle_rad=goal.angle_rad, current_a=share * goal.current_a)
                 for goal in self.goals
+            ]
+            self.write_goals(goals, self._last)
+
+    def calm(self) -> None:
+        """Write the last goals again, with the lower current of the last two periods.
+
+        While the force changes a square wave is on the drive: its crest must not stay.
+        """
+        if self._last is not None and len(self._earlier) == len(self.goals) > 0:
+            goals = [
+                ServoGoal(
+                    angle_rad=goal.angle_rad, current_a=min(goal.current_a, earlier.current_a)
+                )
+                for goal, earlier in zip(self.goals, self._earlier, strict=True)
             ]
             self.write_goals(goals, self._last)
 
@@ -242,4 +257,4 @@ class ServoGroup:
             PROFILE_VELOCITY,
             GOAL_POSITION,
         )
-        self.goals = tuple(goals)
+        self._earlier, self.goals = self.goals, tuple(goals)
