@@ -13,6 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 import cell.cli.cells
+import cell.cli.running
 import cell.cli.simulated
 from cell.cli import main
 from cell.cli.app import app
@@ -514,14 +515,14 @@ def meddle(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[Any], None]],
 
     def arrange(act: Callable[[Any], None]) -> list[Any]:
         built: list[Any] = []
-        original = cell.cli.cells.build_cell
+        original = cell.cli.running.build_cell
 
         def build(*arguments: Any, **options: Any) -> Any:
             built.append(original(*arguments, **options))
             act(built[-1])
             return built[-1]
 
-        monkeypatch.setattr(cell.cli.cells, "build_cell", build)
+        monkeypatch.setattr(cell.cli.running, "build_cell", build)
         return built
 
     return arrange
