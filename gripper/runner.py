@@ -202,7 +202,8 @@ class LoopRunner:
         self._cycles += 1
         if self._cycles % _HEALTH_EVERY == 0 or any(servo.alert for servo in state.servos):
             try:
-                self._servos.health.poll(state)
+                with self._servos.in_loop():
+                    self._servos.health.poll(state)
             except (BusTimeout, BusCorrupt):
                 # Feedback shows soon enough whether the bus is lost.
                 self.statistics = replace(
