@@ -1,8 +1,10 @@
 """Work spread over the cores of this machine, or over a Dask cluster: joblib does both."""
 
+import socket
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TypeVar
+from urllib.parse import urlsplit
 
 import joblib
 
@@ -61,6 +63,7 @@ def _cluster(scheduler: str) -> Iterator[None]:
             "--scheduler needs Dask: pip install 'tactile-cell[cluster]' here and on all workers"
         ) from missing
     try:
+        _knock(scheduler)
         client = Client(  # type: ignore[no-untyped-call]
             scheduler, timeout=CONNECT_TIMEOUT_S, set_as_default=False
         )
@@ -77,3 +80,14 @@ def _cluster(scheduler: str) -> Iterator[None]:
             yield
     finally:
         client.close()  # type: ignore[no-untyped-call]
+
+
+def _knock(scheduler: str) -> None:
+    """See whether anything listens: a Dask client that finds nobody may wait without end.
+
+    Raises OSError where nobody does, ValueError for an address without host or port.
+    """
+    address = urlsplit(scheduler if "://" in scheduler else f"tcp://{scheduler}")
+    if not address.hostname or address.port is None:
+        raise ValueError("an address is written tcp://HOST:PORT")
+    socket.create_connection((address.hostname, address.port), CONNECT_TIMEOUT_S).close()
