@@ -88,6 +88,8 @@ def _knock(scheduler: str) -> None:
     Raises OSError where nobody does, ValueError for an address without host or port.
     """
     address = urlsplit(scheduler if "://" in scheduler else f"tcp://{scheduler}")
+    if address.scheme not in ("tcp", "tls"):
+        return
     if not address.hostname or address.port is None:
         raise ValueError("an address is written tcp://HOST:PORT")
     socket.create_connection((address.hostname, address.port), CONNECT_TIMEOUT_S).close()
