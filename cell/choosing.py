@@ -53,7 +53,7 @@ def check_active(config: SequenceConfig, *, taught: bool) -> None:
 class ActiveChooser:
     """Draws candidates from the ranges of a sequence and takes the one that tells most.
 
-    Implements `cell.controller.StepChooser`.
+    Implements `cell.identification.StepChooser`.
 
     Parameters
     ----------

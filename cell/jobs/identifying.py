@@ -9,8 +9,8 @@ import numpy as np
 from cell.build import Cell
 from cell.choosing import check_active
 from cell.config import CellConfig
-from cell.controller import Identification
 from cell.errors import ModelError
+from cell.identification import Identification
 from cell.jobs.progress import Progress
 from cell.model import LoadedModel
 from cell.sequence import plan

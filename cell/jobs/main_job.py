@@ -12,9 +12,9 @@ from cell.build import Cell
 from cell.choosing import ActiveChooser, check_active, remember_records
 from cell.collect import GraspRecord
 from cell.config import CellConfig
-from cell.controller import Identification
 from cell.dataset import write_dataset
 from cell.errors import CellError
+from cell.identification import Identification
 from cell.jobs.progress import Progress
 from cell.jobs.teaching import teach, train
 from cell.model import save_model

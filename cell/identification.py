@@ -1,0 +1,95 @@
+"""One grasp-then-classify sequence: grasp, ask the recogniser, stop or go on."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from cell.collect import GraspRecord
+from cell.sequence import GraspStep
+from recognition.fusion import Decision, DecisionKind, StopRule, decide, fuse
+from recognition.recognizer import Posterior, Recognizer
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Identification:
+    """The answer of one grasp-then-classify sequence.
+
+    Attributes
+    ----------
+    label
+        A taught label, or ``UNKNOWN``.
+    probability
+        Probability of the label after all grasps.
+    decision
+        Why the sequence ended.
+    posteriors
+        What each grasp told by itself, in order.
+    fused
+        What all grasps tell together.
+    records
+        The grasps.
+    """
+
+    label: str
+    probability: float
+    decision: Decision
+    posteriors: tuple[Posterior, ...]
+    fused: Posterior
+    records: tuple[GraspRecord, ...]
+
+
+class StepChooser(Protocol):
+    """Says which grasp comes next, given what the grasps so far have told."""
+
+    def next_step(self, posteriors: Sequence[Posterior], planned: GraspStep, /) -> GraspStep:
+        """Return the step to take: the planned one, or another within the cell's limits."""
+        ...
+
+
+OnGrasp = Callable[[int, GraspRecord, Posterior], None]
+"""Told after each grasp: its number from 1, its record and what it tells by itself."""
+
+
+def grasp_and_classify(
+    grasp: Callable[[GraspStep], GraspRecord],
+    recognizer: Recognizer,
+    plan: Sequence[GraspStep],
+    *,
+    error_rate: float,
+    chooser: StepChooser | None = None,
+    on_grasp: OnGrasp | None = None,
+) -> Identification:
+    """Grasp until the stop rule is satisfied or the plan is at its end.
+
+    Parameters
+    ----------
+    grasp
+        Carries one step out.
+    recognizer
+        Says what a grasp tells.
+    plan
+        Steps in order, at least one; with a ``chooser`` each is a proposal that it may replace.
+    error_rate
+        Wanted rate of wrong answers at which the sequence stops early.
+    """
+    rule = StopRule(error_rate=error_rate, max_grasps=len(plan))
+    posteriors: list[Posterior] = []
+    records: list[GraspRecord] = []
+    for number, step in enumerate(plan, start=1):
+        record = grasp(step if chooser is None else chooser.next_step(posteriors, step))
+        posterior = recognizer.posterior(record.grasp)
+        records.append(record)
+        posteriors.append(posterior)
+        if on_grasp is not None:
+            on_grasp(number, record, posterior)
+        decision = decide(posteriors, rule)
+        if decision.kind is not DecisionKind.CONTINUE:
+            break
+    return Identification(
+        label=decision.label,
+        probability=decision.probability,
+        decision=decision,
+        posteriors=tuple(posteriors),
+        fused=fuse(posteriors),
+        records=tuple(records),
+    )

@@ -1,0 +1,125 @@
+"""State, latched fault and requested stop of a cell, and what each does to the grip."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from cell.errors import CellStateError, CellStopped
+from cell.states import CellState, Event, next_state
+from gripper.errors import GraspStopped, GripperError
+from gripper.gripper import Gripper, GripperPhase
+
+_HOLDING = (
+    GripperPhase.APPROACHING,
+    GripperPhase.RAMPING,
+    GripperPhase.HOLDING,
+    GripperPhase.BACKING_OFF,
+    GripperPhase.HELD_AFTER_FAULT,
+)
+
+
+class CellLifecycle:
+    """Goes from state to state as `cell.states` allows; keeps the grip on whatever goes wrong.
+
+    Parameters
+    ----------
+    gripper
+        Whose grip it is.
+    note
+        Told of stops and faults: kind and text.
+    close_sensor
+        Ends the tactile link when a start is given up.
+
+    Attributes
+    ----------
+    fault
+        What went wrong, while a fault is latched.
+    cancelled
+        Whether a stop was requested and nothing has obeyed it yet.
+    """
+
+    def __init__(
+        self,
+        gripper: Gripper,
+        *,
+        note: Callable[[str, str], None],
+        close_sensor: Callable[[], None],
+    ) -> None:
+        self._gripper = gripper
+        self._note = note
+        self._close_sensor = close_sensor
+        self._state = CellState.STOPPED
+        self.fault: str | None = None
+        self.cancelled = False
+
+    @property
+    def state(self) -> CellState:
+        """The present state."""
+        return self._state
+
+    @property
+    def holding(self) -> bool:
+        """Whether a part may be in the grip."""
+        return self._gripper.state in _HOLDING
+
+    def go(self, event: Event) -> None:
+        """Go to the state that follows. Raises CellStateError if the event is not allowed now."""
+        try:
+            self._state = next_state(self._state, event)
+        except ValueError as error:
+            hint = f"; fault: {self.fault}" if self.fault else ""
+            raise CellStateError(f"{error}{hint}") from None
+
+    def check_cancelled(self) -> None:
+        """Raise GraspStopped if a stop was requested."""
+        if self.cancelled:
+            raise GraspStopped("stopped on request")
+
+    def clear(self, *, reboot: bool) -> None:
+        """Acknowledge the fault; see `CellController.clear`."""
+        self.go(Event.CLEAR)
+        try:
+            self._gripper.clear_fault(reboot=reboot)
+        except BaseException:
+            self.go(Event.FAULT)
+            self.go(Event.ABORTED)
+            raise
+        self.fault = None
+        self.go(Event.CLEARED)
+
+    @contextmanager
+    def latching_faults(self) -> Iterator[None]:
+        """Keep the grip on whatever goes wrong; a stop on request holds, all else is a fault."""
+        try:
+            try:
+                yield
+            except GraspStopped as stop:
+                self._hold(stop)
+                raise
+        except GraspStopped as stop:
+            self.cancelled = False
+            raise CellStopped(
+                "stopped on request; the grip is kept until it is released on purpose"
+                if self.holding
+                else "stopped on request; nothing is held"
+            ) from stop
+        except BaseException as error:
+            self.fault = f"{type(error).__name__}: {error}"
+            self.go(Event.FAULT)
+            self._note("fault", self.fault)
+            try:
+                self._gripper.keep_grip()
+            except GripperError as second:
+                self._note("fault", f"the grip could not be confirmed: {second}")
+            self.go(Event.ABORTED)
+            raise
+
+    def _hold(self, stop: GraspStopped) -> None:
+        """Go where a stop on request leads from the present state."""
+        self._gripper.keep_grip()
+        if self._state is CellState.STARTING:
+            self._close_sensor()
+            self.go(Event.STOP)
+        elif self._state is CellState.EXECUTE:
+            self.go(Event.HOLD)
+            self._note("held", str(stop))
+            self.go(Event.HELD)
