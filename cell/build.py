@@ -249,6 +249,7 @@ def gripper_settings(config: CellConfig) -> GripperSettings:
         temperature_max_c=wanted.temperature_max_c,
         force_stale_s=wanted.force_stale_ms * 1e-3,
         watchdog_s=wanted.watchdog_ms * 1e-3,
+        watchdog_self_test=wanted.watchdog_self_test,
     )
 
 

@@ -106,6 +106,8 @@ class GripperConfig(_Section):
     """Oldest tactile force that control may use in ms, 10 to 1000."""
     watchdog_ms: float = Field(default=100.0, ge=20.0, le=2540.0)
     """Bus watchdog of the servos in ms, 20 to 2540 in steps of 20; armed while torque is on."""
+    watchdog_self_test: bool = False
+    """Whether the first opening proves for each servo that its watchdog stops the motor."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
