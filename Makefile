@@ -10,8 +10,10 @@ PYTEST_ARGS ?=
 run: $(STAMP)  ## teach and identify the paper's five objects on the simulated cell
 	$(BIN)/tactile-cell run
 
-test: $(STAMP)  ## all tests, with coverage
-	$(BIN)/python -m pytest --cov --cov-report=term --cov-fail-under=90 $(PYTEST_ARGS)
+test: $(STAMP)  ## all tests, with coverage; those in real time first, while the machine is quiet
+	$(BIN)/python -m pytest -m hil --cov --cov-report= $(PYTEST_ARGS)
+	$(BIN)/python -m pytest -m "not hil" -n auto --cov --cov-append --cov-report=term \
+		--cov-fail-under=90 $(PYTEST_ARGS)
 
 check: $(STAMP)  ## lint, format, types, layers
 	$(BIN)/ruff check .
