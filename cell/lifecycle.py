@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from cell.errors import CellStateError, CellStopped
+from cell.errors import CellStateError, CellStopped, PositionerError
 from cell.states import CellState, Event, next_state
 from gripper.errors import GraspStopped, GripperError
 from gripper.gripper import Gripper, GripperPhase
@@ -102,16 +102,28 @@ class CellLifecycle:
                 if self.holding
                 else "stopped on request; nothing is held"
             ) from stop
-        except BaseException as error:
-            self.fault = f"{type(error).__name__}: {error}"
-            self.go(Event.FAULT)
-            self._note("fault", self.fault)
-            try:
-                self._gripper.keep_grip()
-            except GripperError as second:
-                self._note("fault", f"the grip could not be confirmed: {second}")
-            self.go(Event.ABORTED)
+        except PositionerError as error:
+            # A pose that is not reached is no fault of the cell: its fingers are open and empty.
+            if self._state is not CellState.EXECUTE or self.holding:
+                self._latch(error)
+            else:
+                self._note("positioner", str(error))
+                self.go(Event.DONE)
             raise
+        except BaseException as error:
+            self._latch(error)
+            raise
+
+    def _latch(self, error: BaseException) -> None:
+        """Keep the grip and go where a fault leads; what is seen last does not hide the first."""
+        self.fault = f"{type(error).__name__}: {error}"
+        self.go(Event.FAULT)
+        self._note("fault", self.fault)
+        try:
+            self._gripper.keep_grip()
+        except GripperError as second:
+            self._note("fault", f"the grip could not be confirmed: {second}")
+        self.go(Event.ABORTED)
 
     def _hold(self, stop: GraspStopped) -> None:
         """Go where a stop on request leads from the present state."""

@@ -180,10 +180,17 @@ class TactileCellPlugin:
         ConfigError
             If the goal has unknown fields or values out of range.
         CellStateError
-            If another job runs, or nothing was taught yet.
+            If another job runs, nothing was taught yet, or a model was loaded whose grasps are not
+            at hand: teaching would forget its objects.
         """
         checked = _goal(goal)
         if isinstance(checked, TeachGoal):
+            if self._recognizer is not None and not self._taught:
+                raise CellStateError(
+                    f"the loaded model knows {', '.join(self.labels)}, but their grasps are not in "
+                    "it; teaching here would forget them: load the plugin without a model, or "
+                    "extend the data set and train anew"
+                )
             return self._accept(lambda report: self._teach(checked, report))
         if self._recognizer is None:
             raise CellStateError("nothing was taught; start a teach goal or load a model first")

@@ -316,11 +316,19 @@ def test_the_host_moves_and_may_veto(make_plugin: Callable[..., Any]) -> None:
     job = plugin.start(IdentifyGoal())
     with pytest.raises(CellStateError, match="ABORTED: PositionerError: the host refused to move"):
         plugin.result(job, LIMIT_S)
-    assert plugin.state() == "ABORTED"
-    assert not plugin._cell.controller.holding
-    plugin.clear()
-    plugin.reset(LIMIT_S)
     assert plugin.state() == "IDLE"
+    assert plugin.fault() is None
+    assert not plugin._cell.controller.holding
+    answers.append(None)
+    assert plugin.result(plugin.start(IdentifyGoal(max_grasps=1)), LIMIT_S).n_grasps == 1
+
+
+def test_teaching_beside_a_loaded_model_is_refused_because_it_would_forget(
+    make_plugin: Callable[..., Any], taught: Any
+) -> None:
+    plugin = make_plugin(model=taught.result.model)
+    with pytest.raises(CellStateError, match="teaching here would forget them"):
+        plugin.start({"task": "teach", "label": "ball"})
 
 
 # -- goals and models --------------------------------------------------------------------------
