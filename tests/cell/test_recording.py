@@ -4,7 +4,6 @@ import errno
 import json
 import os
 import threading
-import time
 from dataclasses import dataclass, replace
 from enum import Enum
 from pathlib import Path
@@ -540,7 +539,7 @@ def test_disk_that_fails_in_the_thread_is_reported(
         recorder.close()
 
 
-def test_long_sequence_is_written_in_little_time_and_space(tmp_path: Path) -> None:
+def test_long_sequence_is_written_in_little_space(tmp_path: Path) -> None:
     pads = PadArray(
         pad_shape=np.array([[51, 8]]),
         taxel_pad=np.zeros(408),
@@ -550,7 +549,6 @@ def test_long_sequence_is_written_in_little_time_and_space(tmp_path: Path) -> No
     rng = np.random.default_rng(0)
     counts = np.clip(np.abs(rng.normal(0, 10, (8, 80, 408))), 1, 20).astype(np.uint16)
     clock = Clock()
-    start = time.process_time()
     n_grasps = 15
     with Recorder(tmp_path / "r.mcap", clock, pads=pads) as recorder:
         for i in range(n_grasps):
@@ -566,7 +564,5 @@ def test_long_sequence_is_written_in_little_time_and_space(tmp_path: Path) -> No
                 Grasp(pads=pads, counts=counts[i % 8], t_s=t_s - t_s[0], aperture_m=unknown,
                       force_n=unknown)
             )  # fmt: skip
-    spent_s = time.process_time() - start
-    assert spent_s < 2 * 6.0 * n_grasps / 150  # a busy machine counts double
     assert (tmp_path / "r.mcap").stat().st_size < 400_000 * n_grasps
     assert len(recording_grasps(tmp_path / "r.mcap")) == n_grasps
