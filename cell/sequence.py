@@ -2,7 +2,6 @@
 
 import itertools
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,11 +85,6 @@ def plan(config: SequenceConfig, n_grasps: int, *, seed: int) -> tuple[GraspStep
     if config.kind == "list":
         return plan_list(config, n_grasps)
     return plan_random(config, n_grasps, seed=seed)
-
-
-def distinct_poses(steps: Sequence[GraspStep]) -> int:
-    """Count the poses of a plan that differ."""
-    return len({step.pose for step in steps})
 
 
 def _step(

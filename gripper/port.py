@@ -50,6 +50,23 @@ def serial_candidates() -> tuple[str, ...]:
     return tuple(sorted(port.device for port in list_ports.comports()))
 
 
+def latency_timer_file(path: str) -> Path:
+    """Return where the system keeps the latency timer of a USB adapter, if it has one."""
+    name = Path(os.path.realpath(path)).name
+    return Path(f"/sys/bus/usb-serial/devices/{name}/latency_timer")
+
+
+def latency_timer_ms(path: str) -> int | None:
+    """Return the latency timer of a port's USB adapter in ms, None where the system shows none.
+
+    More than 1 ms makes each answer wait that long (FTDI adapters start with 16 ms).
+    """
+    try:
+        return int(latency_timer_file(path).read_text("ascii"))
+    except OSError:
+        return None
+
+
 class SerialStream:
     """A serial port of the operating system, held alone.
 
@@ -124,18 +141,6 @@ class SerialStream:
             pass
         finally:
             self._unlock()
-
-    def latency_timer_ms(self) -> int | None:
-        """Return the latency timer of a USB adapter in ms, None where the system shows none.
-
-        More than 1 ms makes each answer wait that long (FTDI adapters start with 16 ms).
-        """
-        name = Path(os.path.realpath(self.path)).name
-        try:
-            text = Path(f"/sys/bus/usb-serial/devices/{name}/latency_timer").read_text("ascii")
-        except OSError:
-            return None
-        return int(text)
 
     def _request_low_latency(self) -> bool:
         """Ask the driver to hand bytes on at once; not every driver can."""

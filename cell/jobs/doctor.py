@@ -12,7 +12,7 @@ from cell.build import Cell, build_cell
 from cell.config import CellConfig
 from cell.errors import CellError
 from gripper.errors import GripperError, VerificationFailed
-from gripper.port import serial_candidates
+from gripper.port import latency_timer_file, latency_timer_ms, serial_candidates
 from gripper.verification import CORRECTED_ITEMS, VerificationRow
 from tactile.errors import TactileError
 
@@ -97,14 +97,14 @@ def _ports(config: CellConfig) -> Iterator[Finding]:
         )
         return
     yield Finding(what="servo port", verdict=Verdict.PASS, found=str(port))
-    latency = Path(f"/sys/bus/usb-serial/devices/{port.resolve().name}/latency_timer")
-    if latency.exists():
-        timer_ms = int(latency.read_text())
+    timer_ms = latency_timer_ms(config.gripper.port)
+    if timer_ms is not None:
+        place = latency_timer_file(config.gripper.port)
         yield Finding(
             what="USB latency timer",
             verdict=Verdict.PASS if timer_ms <= 1 else Verdict.WARN,
             found=f"{timer_ms} ms",
-            advice="" if timer_ms <= 1 else f"echo 1 > {latency} (a udev rule keeps it)",
+            advice="" if timer_ms <= 1 else f"echo 1 > {place} (a udev rule keeps it)",
         )
 
 

@@ -5,7 +5,11 @@ import pytest
 from cell.config import LinearRampConfig, SCurveRampConfig, SequenceConfig, StaircaseRampConfig
 from cell.pose import Pose
 from cell.ramps import force_ramp
-from cell.sequence import distinct_poses, plan
+from cell.sequence import GraspStep, plan
+
+
+def distinct_poses(steps: tuple[GraspStep, ...]) -> int:
+    return len({step.pose for step in steps})
 
 
 def test_random_plan_stays_in_its_ranges_and_repeats_with_its_seed() -> None:
