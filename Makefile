@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PYTEST_ARGS ?=
 
-.PHONY: run test check format bench paper campaign clean distclean
+.PHONY: run test check format bench paper campaign soak clean distclean
 
 run: $(STAMP)  ## teach and identify the paper's five objects on the simulated cell
 	$(BIN)/tactile-cell run
@@ -30,6 +30,9 @@ bench: $(STAMP)  ## each figure that README and docs quote
 
 campaign: $(STAMP)  ## bad input for every parser, a million each: hours; FUZZ_SECONDS=40 for a look
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.fuzz --count 1000000 --seconds $(or $(FUZZ_SECONDS),1e9)
+
+soak: $(STAMP)  ## 10,000 grasps in virtual time, an hour: memory, files and threads stay flat
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.soak --grasps $(or $(GRASPS),10000)
 
 paper: $(STAMP)  ## the paper's figures and Table 1 beside ours: out/paper/paper.html
 	$(BIN)/python -m benchmarks paper

@@ -1,6 +1,7 @@
 """Run every benchmark, or those named: python -m benchmarks [NAME ...].
 
-`benchmarks.fuzz` measures nothing and has its own command (`make campaign`).
+`benchmarks.fuzz` measures nothing and `benchmarks.soak` takes an hour: they have commands of their
+own (`make campaign`, `make soak`).
 """
 
 import importlib
@@ -9,12 +10,14 @@ import sys
 
 import benchmarks
 
+OWN_COMMAND = ("fuzz", "soak")
+
 
 def main() -> None:
     names = sorted(
         module.name
         for module in pkgutil.iter_modules(benchmarks.__path__)
-        if module.name[0] != "_" and module.name != "fuzz"
+        if module.name[0] != "_" and module.name not in OWN_COMMAND
     )
     wanted = sys.argv[1:] or names
     for name in wanted:

@@ -22,7 +22,7 @@ EFFORT = 0.01
 NAMES = sorted(
     m.name
     for m in pkgutil.iter_modules(benchmarks.__path__)
-    if m.name[0] != "_" and m.name != "fuzz"
+    if m.name[0] != "_" and m.name not in command.OWN_COMMAND
 )
 
 

@@ -1,0 +1,71 @@
+"""A short soak: what leaks with each grasp or each cell shows after three blocks."""
+
+import os
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from threadpoolctl import threadpool_limits
+
+from benchmarks import soak
+from cell.config import CellConfig
+
+
+@pytest.fixture(autouse=True)
+def one_blas_thread() -> Iterator[None]:
+    with threadpool_limits(1):
+        yield
+
+
+def quick_config() -> CellConfig:
+    """Two objects and a short zero."""
+    config = CellConfig()
+    simulator = config.simulator.model_copy(update={"objects": config.simulator.objects[2:4]})
+    tactile = config.tactile.model_copy(update={"tare_frames": 25})
+    return config.model_copy(update={"simulator": simulator, "tactile": tactile})
+
+
+def test_sixty_grasps_leave_no_file_no_thread_and_few_objects() -> None:
+    samples = list(soak.soak(60, quick_config()))
+    first, *_, last = samples
+    assert last.grasps >= 60 > samples[-2].grasps
+    assert last.virtual_s > first.virtual_s + 60.0
+    assert (last.descriptors, last.threads) == (first.descriptors, first.threads)
+    assert last.objects - first.objects < 1.0 * (last.grasps - first.grasps) + 50
+
+
+def made(n: int, **growth: float) -> list[soak.Sample]:
+    still = soak.Sample(
+        grasps=0, virtual_s=0.0, rss_kib=100_000, objects=80_000, descriptors=9, threads=1
+    )
+    rows = []
+    for i in range(1, n + 1):
+        changed = {name: getattr(still, name) + int(20 * i * by) for name, by in growth.items()}
+        rows.append(replace(still, grasps=20 * i, virtual_s=50.0 * i, **changed))
+    return rows
+
+
+@pytest.mark.parametrize(
+    ("name", "leak"),
+    [("rss_kib", 1.5), ("objects", 1.0), ("descriptors", 0.05), ("threads", 0.05)],
+)
+def test_each_kind_of_leak_is_found(name: str, leak: float) -> None:
+    assert soak.grown(made(50)) == []
+    (told,) = soak.grown(made(50, **{name: leak}))
+    assert told.startswith(f"{name} grow by {leak:.4f} a grasp")
+
+
+def test_one_step_of_the_allocator_is_no_leak() -> None:
+    samples = made(50)
+    stepped = [*samples[:20], *(replace(s, rss_kib=s.rss_kib + 2000) for s in samples[20:])]
+    assert soak.grown(stepped) == []
+
+
+def test_a_sample_counts_what_is_open() -> None:
+    before = soak.look(1, 0.0)
+    with Path(os.devnull).open("rb"):
+        assert soak.look(1, 0.0).descriptors == before.descriptors + 1
+    assert before.rss_kib > 1000
+    with pytest.raises(ValueError, match="too few for a slope"):
+        soak.slopes([before])
