@@ -8,6 +8,7 @@ from typing import TypeVar
 from cell.collect import GraspCollector, GraspRecord, SensorTap, pad_array
 from cell.config import SequenceConfig
 from cell.errors import CellStateError, CellStopped, NoPartFound
+from cell.grasp_states import GraspState
 from cell.identification import Identification, OnGrasp, StepChooser, grasp_and_classify
 from cell.lifecycle import CellLifecycle
 from cell.pose import Pose
@@ -56,7 +57,13 @@ class CellController:
         self._clock = clock
         self._recorder = recorder
         self._wall_ms = wall_ms
-        self._life = CellLifecycle(gripper, note=self._note, close_sensor=self._close_sensor)
+        self._life = CellLifecycle(
+            gripper,
+            note=self._note,
+            close_sensor=self._close_sensor,
+            changed=self._record_state,
+        )
+        self._recorded: tuple[CellState, GraspState] | None = None
         self.pads: PadArray = pad_array(sensor.layout)
 
     # -- state ---------------------------------------------------------------------------------
@@ -65,6 +72,11 @@ class CellController:
     def state(self) -> CellState:
         """The present state."""
         return self._life.state
+
+    @property
+    def grasp_state(self) -> GraspState:
+        """The state of the grip, beside that of the cell."""
+        return self._life.grasp_state
 
     @property
     def fault(self) -> str | None:
@@ -111,7 +123,7 @@ class CellController:
             self._gripper.open(observer=self._watch)
             self._sensor.tare(self._tare_frames)
             self._life.check_cancelled()
-            self._life.go(Event.STARTED)
+            self._life.complete()
 
     def clear(self, *, reboot: bool = False) -> None:
         """Acknowledge the fault. The grip stays as it is.
@@ -162,7 +174,8 @@ class CellController:
         self._note("release", "on request")
         with self._life.latching_faults():
             self._gripper.release(observer=self._watch)
-            self._life.go(Event.DONE)
+            self._life.result = None
+            self._life.complete()
 
     def release_held(self) -> None:
         """Let go of a part that an earlier run or a cleared fault has left in the grip.
@@ -178,15 +191,17 @@ class CellController:
         gripper.errors.GripperError
             If the servos do not answer.
         """
-        if self._life.state not in (CellState.STOPPED, CellState.RESETTING):
+        if not self._life.allows(Event.RELEASE_HELD):
             advice = "clear the fault first" if self._life.fault else "use release instead"
             raise CellStateError(f"the cell is {self._life.state.value}; {advice}")
+        self._life.go(Event.RELEASE_HELD)
         self._life.cancelled = False
         self._close_sensor()
         self._note("release", "on request, before the start")
         with self._life.latching_faults():
             self._gripper.start()
             self._gripper.release()
+            self._life.complete()
 
     def tick(self) -> None:
         """Keep both links alive and supervised while no sequence runs; call once a period."""
@@ -195,11 +210,26 @@ class CellController:
                 self._supervise()
 
     def shutdown(self) -> None:
-        """Leave the devices in a defined state: a held part stays held. Never raises twice."""
-        self._gripper.close()
-        self._close_sensor()
-        if self._life.state in (CellState.IDLE, CellState.HELD):
+        """Leave the devices in a defined state: a held part stays held, a fault latched.
+
+        Raises
+        ------
+        CellStateError
+            While a command runs: cancel it first.
+        """
+        if self._life.state.acting:
+            raise CellStateError(
+                f"the cell is {self._life.state.value}; cancel what runs and wait for its end"
+            )
+        stopping = self._life.allows(Event.STOP)
+        if stopping:
             self._life.go(Event.STOP)
+        try:
+            self._gripper.close()
+            self._close_sensor()
+        finally:
+            if stopping:
+                self._life.complete()
 
     # -- sequences -----------------------------------------------------------------------------
 
@@ -223,7 +253,7 @@ class CellController:
         self._life.go(Event.EXECUTE)
         with self._life.latching_faults():
             record = self._grasp(step, label)
-            self._life.go(Event.DONE)
+            self._life.complete()
         if record.outcome.result is GraspResult.NO_CONTACT:
             raise NoPartFound(
                 f"no contact at pose {step.pose} down to an opening of "
@@ -281,6 +311,7 @@ class CellController:
 
         def observe(cycle: Cycle) -> None:
             self._life.check_cancelled()
+            self._record_state()
             readings = self._tap.take()
             collector.add(cycle, readings)
             if self._recorder is not None:
@@ -294,6 +325,7 @@ class CellController:
         outcome = self._gripper.grasp(
             force_ramp(self._sequence.ramp, step.force_n), observer=observe
         )
+        self._life.result = outcome.result
         record = GraspRecord(
             grasp=collector.grasp(self.pads, label=label, source="tactile-cell", start_ms=start_ms),
             step=step,
@@ -336,9 +368,17 @@ class CellController:
 
     def _watch(self, cycle: Cycle) -> None:
         self._life.check_cancelled()
+        self._record_state()
         self._tap.take()
         if self._recorder is not None:
             self._recorder.cycle(cycle)
+
+    def _record_state(self) -> None:
+        """Record both states where one of them has changed."""
+        now = (self._life.state, self._life.grasp_state)
+        if self._recorder is not None and now != self._recorded:
+            self._recorder.state(*now)
+        self._recorded = now
 
     def _note(self, kind: str, text: str) -> None:
         if self._recorder is not None:

@@ -4,9 +4,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 from cell.errors import CellStateError, CellStopped, PositionerError
-from cell.states import CellState, Event, next_state
-from gripper.errors import GraspStopped, GripperError
-from gripper.gripper import Gripper, GripperPhase
+from cell.grasp_states import GraspState, grasp_state
+from cell.states import COMPLETIONS, TRANSITIONS, CellState, Event, next_state
+from gripper.errors import GraspStopped, GripperError, PartLost
+from gripper.gripper import GraspResult, Gripper, GripperPhase
 
 _HOLDING = (
     GripperPhase.APPROACHING,
@@ -28,9 +29,13 @@ class CellLifecycle:
         Told of stops and faults: kind and text.
     close_sensor
         Ends the tactile link when a start is given up.
+    changed
+        Called after each change of state.
 
     Attributes
     ----------
+    result
+        How the last grasp ended; None before the first one and after a release.
     fault
         What went wrong, while a fault is latched.
     cancelled
@@ -43,11 +48,15 @@ class CellLifecycle:
         *,
         note: Callable[[str, str], None],
         close_sensor: Callable[[], None],
+        changed: Callable[[], None],
     ) -> None:
         self._gripper = gripper
         self._note = note
         self._close_sensor = close_sensor
+        self._changed = changed
         self._state = CellState.STOPPED
+        self._part_lost = False
+        self.result: GraspResult | None = None
         self.fault: str | None = None
         self.cancelled = False
 
@@ -61,6 +70,20 @@ class CellLifecycle:
         """Whether a part may be in the grip."""
         return self._gripper.state in _HOLDING
 
+    @property
+    def grasp_state(self) -> GraspState:
+        """State of the grip, beside that of the cell."""
+        return grasp_state(
+            self._gripper.state,
+            result=self.result,
+            fault=self.fault is not None,
+            part_lost=self._part_lost,
+        )
+
+    def allows(self, event: Event) -> bool:
+        """Whether the event is allowed in the present state."""
+        return (self._state, event) in TRANSITIONS
+
     def go(self, event: Event) -> None:
         """Go to the state that follows. Raises CellStateError if the event is not allowed now."""
         try:
@@ -68,6 +91,11 @@ class CellLifecycle:
         except ValueError as error:
             hint = f"; fault: {self.fault}" if self.fault else ""
             raise CellStateError(f"{error}{hint}") from None
+        self._changed()
+
+    def complete(self) -> None:
+        """Leave the acting state with the event with which it ends when all goes well."""
+        self.go(COMPLETIONS[self._state])
 
     def check_cancelled(self) -> None:
         """Raise GraspStopped if a stop was requested."""
@@ -84,7 +112,8 @@ class CellLifecycle:
             self.go(Event.ABORTED)
             raise
         self.fault = None
-        self.go(Event.CLEARED)
+        self._part_lost = False
+        self.complete()
 
     @contextmanager
     def latching_faults(self) -> Iterator[None]:
@@ -117,21 +146,26 @@ class CellLifecycle:
     def _latch(self, error: BaseException) -> None:
         """Keep the grip and go where a fault leads; what is seen last does not hide the first."""
         self.fault = f"{type(error).__name__}: {error}"
+        self._part_lost = isinstance(error, PartLost)
         self.go(Event.FAULT)
-        self._note("fault", self.fault)
         try:
+            self._note("fault", self.fault)
             self._gripper.keep_grip()
         except GripperError as second:
             self._note("fault", f"the grip could not be confirmed: {second}")
-        self.go(Event.ABORTED)
+        finally:
+            self.complete()
 
     def _hold(self, stop: GraspStopped) -> None:
         """Go where a stop on request leads from the present state."""
         self._gripper.keep_grip()
         if self._state is CellState.STARTING:
-            self._close_sensor()
             self.go(Event.STOP)
+            self._close_sensor()
+            self.complete()
         elif self._state is CellState.EXECUTE:
             self.go(Event.HOLD)
             self._note("held", str(stop))
-            self.go(Event.HELD)
+            self.complete()
+        elif self._state.acting:
+            self.complete()

@@ -20,7 +20,9 @@ from gripper.clock import Clock
 from recognition.grasp import Grasp, PadArray
 
 if TYPE_CHECKING:
+    from cell.grasp_states import GraspState
     from cell.pose import Pose
+    from cell.states import CellState
     from gripper.state import Cycle
     from tactile.protocol import TactileFrame
 
@@ -55,7 +57,8 @@ class Recorder:
     background
         Write from a thread of its own, for real time; in virtual time leave it off.
     wall_clock_ns
-        Wall clock in ns since 1970, read once.
+        Wall clock in ns since 1970, read at the start and with each change of state; it is kept
+        for people and orders nothing.
 
     Raises
     ------
@@ -78,6 +81,7 @@ class Recorder:
         self._clock = clock
         self._pads = pads
         self._on_fault = on_fault
+        self._wall_clock_ns = wall_clock_ns
         self._fault: RecordingError | None = None
         self._closed = False
         self._n_frames = 0
@@ -168,6 +172,20 @@ class Recorder:
     def event(self, kind: str, text: str) -> None:
         """Record that something happened: its kind, and a text for people."""
         self._put(schema.EVENT, self._clock.monotonic(), {"kind": kind, "text": text})
+
+    def state(self, state: "CellState", grasp: "GraspState") -> None:
+        """Record that the state of the cell or of the grip has changed, with both clocks."""
+        self._put(
+            schema.STATE,
+            self._clock.monotonic(),
+            {
+                "state": state.value,
+                "state_number": state.number,
+                "grasp": grasp.value,
+                "grasp_number": grasp.number,
+                "wall_ns": self._wall_clock_ns(),
+            },
+        )
 
     def grasp(self, grasp: Grasp) -> None:
         """Record that the newest frames make up this grasp.

@@ -80,7 +80,7 @@ class Recording:
         Both clocks at the start in ns.
     frames, cycles
         As arrays.
-    poses, events, results
+    poses, events, results, states
         Messages as plain objects, fields as in `recording_schema`.
     grasps
         The grasps of which every frame is there.
@@ -102,6 +102,7 @@ class Recording:
     poses: tuple[dict[str, Any], ...] = ()
     events: tuple[dict[str, Any], ...] = ()
     results: tuple[dict[str, Any], ...] = ()
+    states: tuple[dict[str, Any], ...] = ()
     grasps: tuple[Grasp, ...] = ()
     n_broken_grasps: int = 0
     complete: bool = True
@@ -186,6 +187,7 @@ class _Builder:
             poses=tuple(self.by_topic.get(schema.POSE, ())),
             events=tuple(self.by_topic.get(schema.EVENT, ())),
             results=tuple(self.by_topic.get(schema.RESULT, ())),
+            states=tuple(self.by_topic.get(schema.STATE, ())),
             grasps=grasps,
             n_broken_grasps=n_broken,
             complete=not self.raw.lost_reason,

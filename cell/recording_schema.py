@@ -27,6 +27,7 @@ CYCLE: Final = "/gripper/cycle"
 POSE: Final = "/sequence/pose"
 EVENT: Final = "/sequence/event"
 GRASP: Final = "/sequence/grasp"
+STATE: Final = "/cell/state"
 RESULT: Final = "/result"
 
 
@@ -116,6 +117,16 @@ SCHEMAS: Final[Mapping[str, Mapping[str, Any]]] = {
         t_s=_number("monotonic time, s"),
         kind=_text("kind of the event"),
         text=_text("what happened, for people"),
+    ),
+    STATE: _schema(
+        "tactile_cell.State",
+        ("t_s", "state", "state_number", "grasp", "grasp_number", "wall_ns"),
+        t_s=_number("monotonic time at which one of the two states changed, s"),
+        state=_text("state of the cell (PackML)"),
+        state_number=_integer("its number in OPC 30060, StateEnumeration"),
+        grasp=_text("state of the grip"),
+        grasp_number=_integer("its number, 0 to 7"),
+        wall_ns={"type": "integer", "description": "wall clock, ns since 1970; for people only"},
     ),
     GRASP: _schema(
         "tactile_cell.Grasp",

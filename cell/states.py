@@ -1,5 +1,10 @@
-"""States of the cell, named as in PackML, and the one table of what may follow what."""
+"""States of the cell, and the one table of what may follow what and what a host may command.
 
+Names are those of PackML, numbers those of its enumeration in OPC UA (OPC 30060, table 203). The
+lifecycle walks this table; the page ``docs/states.md`` and the tests are made from it.
+"""
+
+from dataclasses import dataclass
 from enum import StrEnum
 
 
@@ -12,10 +17,21 @@ class CellState(StrEnum):
     EXECUTE = "EXECUTE"
     HOLDING = "HOLDING"
     HELD = "HELD"
+    STOPPING = "STOPPING"
     ABORTING = "ABORTING"
     ABORTED = "ABORTED"
     CLEARING = "CLEARING"
     RESETTING = "RESETTING"
+
+    @property
+    def number(self) -> int:
+        """Number of the state for hosts: StateEnumeration of OPC 30060."""
+        return _NUMBERS[self]
+
+    @property
+    def acting(self) -> bool:
+        """Whether the state is left by itself, because a command runs or a fault is handled."""
+        return self in COMPLETIONS
 
 
 class Event(StrEnum):
@@ -28,31 +44,72 @@ class Event(StrEnum):
     HOLD = "hold"
     HELD = "held"
     RELEASE = "release"
+    RELEASE_HELD = "release_held"
     FAULT = "fault"
     ABORTED = "aborted"
     CLEAR = "clear"
     CLEARED = "cleared"
     RESET = "reset"
     STOP = "stop"
+    STOPPED = "stopped"
 
+
+class Command(StrEnum):
+    """What a person or host may ask of the cell, named as the methods of `CellController`."""
+
+    START = "start"
+    GRASP = "grasp"
+    CANCEL = "cancel"
+    RELEASE = "release"
+    RELEASE_HELD = "release_held"
+    CLEAR = "clear"
+    RESET = "reset"
+    SHUTDOWN = "shutdown"
+
+
+_NUMBERS = {
+    CellState.STOPPED: 0,
+    CellState.RESETTING: 1,
+    CellState.IDLE: 2,
+    CellState.STARTING: 3,
+    CellState.EXECUTE: 4,
+    CellState.ABORTING: 7,
+    CellState.ABORTED: 8,
+    CellState.STOPPING: 9,
+    CellState.CLEARING: 10,
+    CellState.HOLDING: 14,
+    CellState.HELD: 15,
+}
+
+COMPLETIONS: dict[CellState, Event] = {
+    CellState.STARTING: Event.STARTED,
+    CellState.EXECUTE: Event.DONE,
+    CellState.HOLDING: Event.HELD,
+    CellState.STOPPING: Event.STOPPED,
+    CellState.ABORTING: Event.ABORTED,
+    CellState.CLEARING: Event.CLEARED,
+}
+"""The event with which each acting state ends when all goes well."""
 
 TRANSITIONS: dict[tuple[CellState, Event], CellState] = {
     (CellState.STOPPED, Event.START): CellState.STARTING,
+    (CellState.STOPPED, Event.RELEASE_HELD): CellState.STOPPING,
     (CellState.STARTING, Event.STARTED): CellState.IDLE,
-    (CellState.STARTING, Event.STOP): CellState.STOPPED,
+    (CellState.STARTING, Event.STOP): CellState.STOPPING,
     (CellState.IDLE, Event.EXECUTE): CellState.EXECUTE,
+    (CellState.IDLE, Event.RELEASE): CellState.EXECUTE,
+    (CellState.IDLE, Event.STOP): CellState.STOPPING,
     (CellState.EXECUTE, Event.DONE): CellState.IDLE,
     (CellState.EXECUTE, Event.HOLD): CellState.HOLDING,
     (CellState.HOLDING, Event.HELD): CellState.HELD,
     (CellState.HELD, Event.RELEASE): CellState.EXECUTE,
-    (CellState.IDLE, Event.RELEASE): CellState.EXECUTE,
+    (CellState.HELD, Event.STOP): CellState.STOPPING,
+    (CellState.STOPPING, Event.STOPPED): CellState.STOPPED,
     (CellState.ABORTING, Event.ABORTED): CellState.ABORTED,
     (CellState.ABORTED, Event.CLEAR): CellState.CLEARING,
     (CellState.CLEARING, Event.CLEARED): CellState.RESETTING,
+    (CellState.RESETTING, Event.RELEASE_HELD): CellState.CLEARING,
     (CellState.RESETTING, Event.RESET): CellState.STOPPED,
-    (CellState.IDLE, Event.STOP): CellState.STOPPED,
-    (CellState.HELD, Event.STOP): CellState.STOPPED,
-    (CellState.STOPPED, Event.STOP): CellState.STOPPED,
     **{
         (state, Event.FAULT): CellState.ABORTING
         for state in CellState
@@ -60,6 +117,34 @@ TRANSITIONS: dict[tuple[CellState, Event], CellState] = {
     },
 }
 """Every transition there is; a pair that is not listed is refused."""
+
+_EVENT_OF = {
+    Command.START: Event.START,
+    Command.GRASP: Event.EXECUTE,
+    Command.RELEASE: Event.RELEASE,
+    Command.RELEASE_HELD: Event.RELEASE_HELD,
+    Command.CLEAR: Event.CLEAR,
+    Command.RESET: Event.RESET,
+}
+
+_CANCELLED = {CellState.EXECUTE: Event.HOLD, CellState.STARTING: Event.STOP}
+"""What a cancel of the running command leads to; other acting states end as they would."""
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """What a command does in a state when nothing goes wrong.
+
+    Attributes
+    ----------
+    accepted
+        False: the command raises CellStateError and changes nothing.
+    path
+        States that the cell goes through to the one it stays in; empty where it stays as it is.
+    """
+
+    accepted: bool
+    path: tuple[CellState, ...] = ()
 
 
 def next_state(state: CellState, event: Event) -> CellState:
@@ -78,3 +163,26 @@ def next_state(state: CellState, event: Event) -> CellState:
             f"{event.value!r} is not allowed while the cell is {state.value}; "
             f"allowed: {', '.join(allowed) or 'nothing'}"
         ) from None
+
+
+def answer(state: CellState, command: Command) -> Answer:
+    """Return what a command does in a state: one cell of the table of commands."""
+    if command is Command.CANCEL:
+        # One that nothing obeys now counts for the next command: it is not lost.
+        return Answer(True, _path(state, _CANCELLED[state]) if state in _CANCELLED else ())
+    if command is Command.SHUTDOWN:
+        if state.acting:
+            return Answer(False)
+        stops = (state, Event.STOP) in TRANSITIONS
+        return Answer(True, _path(state, Event.STOP) if stops else ())
+    event = _EVENT_OF[command]
+    if (state, event) not in TRANSITIONS:
+        return Answer(False)
+    return Answer(True, _path(state, event))
+
+
+def _path(state: CellState, event: Event) -> tuple[CellState, ...]:
+    path = [next_state(state, event)]
+    while path[-1].acting:
+        path.append(next_state(path[-1], COMPLETIONS[path[-1]]))
+    return tuple(path)

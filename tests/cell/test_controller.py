@@ -461,10 +461,10 @@ def test_a_touched_sensor_refuses_the_start(bench: Any) -> None:
 def test_commands_in_the_wrong_state_say_what_is_allowed(bench: Any) -> None:
     controller = bench.controller
     for command, allowed in (
-        (bench.grasp, "start, stop"),
-        (controller.release, "start, stop"),
-        (controller.clear, "start, stop"),
-        (controller.reset, "start, stop"),
+        (bench.grasp, "release_held, start"),
+        (controller.release, "release_held, start"),
+        (controller.clear, "release_held, start"),
+        (controller.reset, "release_held, start"),
     ):
         with pytest.raises(CellStateError, match=f"while the cell is STOPPED; allowed: {allowed}"):
             command()

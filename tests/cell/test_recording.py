@@ -19,10 +19,12 @@ from mcap.writer import CompressionType, Writer
 
 from cell import recording_file, recording_salvage, recording_schema
 from cell.errors import RecordingError
+from cell.grasp_states import GraspState
 from cell.pose import Pose
 from cell.recording import Recorder, read_recording, recording_grasps
 from cell.recording_file import BackgroundFile, DirectFile
 from cell.recording_json import plain_fields
+from cell.states import CellState
 from gripper.force import ForceSample
 from gripper.state import Cycle, GripperPhase, GripperState, ServoState
 from recognition.grasp import Grasp, PadArray
@@ -122,6 +124,7 @@ def record(path: Path, n_grasps: int = 6) -> list[Grasp]:
     with Recorder(
         path, clock, pads=PADS, metadata={"config": "abc"}, wall_clock_ns=lambda: 1_700 * 10**9
     ) as recorder:
+        recorder.state(CellState.HELD, GraspState.NO_PART_FOUND)
         grasps = [record_grasp(recorder, clock, f"object {i}") for i in range(n_grasps)]
         recorder.result(
             label="object 1",
@@ -175,6 +178,16 @@ def test_recording_holds_all_that_happened(whole: tuple[Path, list[Grasp]]) -> N
     assert [pose["rotation_rad"] for pose in recording.poses] == [0.3] * 6
     assert recording.events[0] == {"t_s": 100.0, "kind": "state", "text": "EXECUTE"}
     assert recording.results[0]["true_label"] == "object 1"
+    assert recording.states == (
+        {
+            "t_s": 100.0,
+            "state": "HELD",
+            "state_number": 15,
+            "grasp": "NO PART FOUND",
+            "grasp_number": 2,
+            "wall_ns": 1_700 * 10**9,
+        },
+    )
     assert recording.metadata["config"] == "abc"
     assert recording.wall_clock_start_ns == 1_700 * 10**9
     assert recording.monotonic_start_ns == 100 * 10**9
