@@ -2,7 +2,7 @@
 
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from gripper.clock import Clock
 from gripper.errors import (
@@ -16,7 +16,8 @@ from gripper.force import ForceSample, ForceSensor
 from gripper.limits import ServoGoal
 from gripper.servos import ServoGroup
 from gripper.settings import GripperSettings
-from gripper.state import Cycle, GripperPhase, GripperState, LoopStatistics
+from gripper.state import Cycle, GripperPhase, GripperState
+from gripper.timing import LoopStatistics, LoopTimer
 
 _HEALTH_EVERY = 4
 
@@ -81,15 +82,20 @@ class LoopRunner:
         settings: GripperSettings,
         clock: Clock,
     ) -> None:
-        self.statistics = LoopStatistics()
         self._servos = servos
         self._sensor = sensor
         self._settings = settings
         self._clock = clock
+        self._timer = LoopTimer(settings.period_s)
         self._stop = threading.Event()
         self._good_s = clock.monotonic()
         self._due_s = self._good_s
         self._cycles = 0
+
+    @property
+    def statistics(self) -> LoopStatistics:
+        """Timing since the runner was made."""
+        return self._timer.statistics()
 
     def request_stop(self) -> None:
         """Let the running command end with GraspStopped; safe from any thread."""
@@ -107,15 +113,15 @@ class LoopRunner:
         BusTimeout, BusCorrupt
             When there was no feedback for ``bus_loss_s``.
         """
+        asked_s = self._clock.monotonic()
         try:
             state = self._servos.read()
         except (BusTimeout, BusCorrupt):
-            self.statistics = replace(
-                self.statistics, missed_reads=self.statistics.missed_reads + 1
-            )
+            self._timer.missed_reads += 1
             if self._clock.monotonic() - self._good_s > self._settings.bus_loss_s:
                 raise
             return None
+        self._timer.transaction(state.t_s - asked_s)
         self._good_s = state.t_s
         return state
 
@@ -165,6 +171,8 @@ class LoopRunner:
             state = self.read()
             sample = self._sensor.latest_force()
             if state is not None:
+                if sample is not None:
+                    self._timer.sensor_age(self._clock.monotonic() - sample.t_s)
                 if sample is not None and sample.valid:
                     fresh_s = max(fresh_s, sample.t_s)
                     self._servos.note_force(sample)
@@ -186,7 +194,7 @@ class LoopRunner:
                 if action.done:
                     self._due_s = deadline_s + period_s
                     return state
-            deadline_s = self._wait(deadline_s + period_s)
+            deadline_s = self._wait(deadline_s + period_s, answered=state is not None)
 
     def _check_force(self, now_s: float, fresh_s: float) -> None:
         age_s = now_s - fresh_s
@@ -206,9 +214,7 @@ class LoopRunner:
                     self._servos.health.poll(state)
             except (BusTimeout, BusCorrupt):
                 # Feedback shows soon enough whether the bus is lost.
-                self.statistics = replace(
-                    self.statistics, missed_reads=self.statistics.missed_reads + 1
-                )
+                self._timer.missed_reads += 1
 
     def _cycle(self, phase: GripperPhase, moment: Moment, action: Action) -> Cycle:
         goals = self._servos.goals
@@ -222,23 +228,28 @@ class LoopRunner:
             level=action.level,
         )
 
-    def _wait(self, deadline_s: float) -> float:
+    def _wait(self, deadline_s: float, *, answered: bool) -> float:
         """Wait for the next period and return its begin; a late one moves all that follow."""
-        statistics = self.statistics
+        timer, settings = self._timer, self._settings
         now_s = self._clock.monotonic()
         late_s = max(0.0, now_s - deadline_s)
-        self.statistics = replace(
-            statistics,
-            cycles=statistics.cycles + 1,
-            late=statistics.late + (late_s > 0.5 * self._settings.period_s),
-            worst_lateness_s=max(statistics.worst_lateness_s, late_s),
-        )
-        if late_s > self._settings.stall_max_s:
+        timer.work_done(late_s, counts=answered)
+        if late_s > settings.stall_max_s:
+            timer.began(late_s)
             raise LimitExceeded(
-                f"the loop was {late_s:.3f} s late, stall_max_s is {self._settings.stall_max_s} "
+                f"the loop was {late_s:.3f} s late, stall_max_s is {settings.stall_max_s} "
                 f"s: take slow work out of its observer and its process"
             )
-        if now_s >= deadline_s:
+        if timer.overruns_in_row >= settings.overruns_max:
+            timer.began(late_s)
+            raise LimitExceeded(
+                f"the work of {timer.overruns_in_row} periods in a row took longer than "
+                f"{1e3 * settings.period_s:.1f} ms, overruns_max is {settings.overruns_max}: the "
+                f"loop does not keep its rate; lower loop_rate_hz, or free the processor"
+            )
+        if late_s > 0.0:
+            timer.began(late_s)
             return now_s
         self._clock.sleep(deadline_s - now_s)
+        timer.began(max(0.0, self._clock.monotonic() - deadline_s))
         return deadline_s

@@ -91,6 +91,8 @@ class GripperSettings:
         Time without feedback in s after which the bus counts as lost.
     stall_max_s
         Lateness of a period in s after which the loop counts as stalled.
+    overruns_max
+        So many periods in a row whose work took too long end the command; the grip is kept.
     watchdog_s
         Bus watchdog of the servos in s, 0.02 to 2.54 in steps of 0.02.
     watchdog_self_test
@@ -131,6 +133,7 @@ class GripperSettings:
     force_stale_s: float = 0.1
     bus_loss_s: float = 0.1
     stall_max_s: float = 0.25
+    overruns_max: int = 10
     watchdog_s: float = 0.2
     watchdog_self_test: bool = False
     over_force_share: float = 0.5
@@ -185,6 +188,8 @@ class GripperSettings:
         )
         check_number("aperture_min_m", self.aperture_min_m, low=0.0, high=self.aperture_open_m)
         check_number("watchdog_s", self.watchdog_s, low=WATCHDOG_UNIT_S, high=127 * WATCHDOG_UNIT_S)
+        if self.overruns_max < 1:
+            raise LimitExceeded(f"overruns_max is {self.overruns_max}, must be at least 1")
         if self.contact_samples < 1:
             raise LimitExceeded(f"contact_samples is {self.contact_samples}, must be at least 1")
 

@@ -4,6 +4,17 @@ from dataclasses import dataclass
 from enum import Enum
 
 from gripper.force import ForceSample
+from gripper.timing import LoopStatistics
+
+__all__ = [
+    "Cycle",
+    "GraspOutcome",
+    "GraspResult",
+    "GripperPhase",
+    "GripperState",
+    "LoopStatistics",
+    "ServoState",
+]
 
 
 class GripperPhase(Enum):
@@ -159,25 +170,3 @@ class GraspOutcome:
     final_aperture_m: float
     final_force_n: float
     overshoot_n: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LoopStatistics:
-    """Timing of the loop since the gripper was made.
-
-    Attributes
-    ----------
-    cycles
-        Periods that were run.
-    late
-        Periods that began more than half a period late.
-    missed_reads
-        Periods without feedback; nothing was written in them.
-    worst_lateness_s
-        Largest lateness in s.
-    """
-
-    cycles: int = 0
-    late: int = 0
-    missed_reads: int = 0
-    worst_lateness_s: float = 0.0
