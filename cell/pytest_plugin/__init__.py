@@ -1,0 +1,42 @@
+"""pytest plugin for those who test cells: simulated cells, real buses, faults.
+
+pytest finds it through the entry point ``tactile_cell`` of the group ``pytest11``. It costs other
+test runs nothing: simulator, drivers and numpy are imported when a fixture is asked for. Start at
+`cell.pytest_plugin.fixtures`; docs/testing-cells.md shows how to use it.
+"""
+
+from cell.pytest_plugin.fixtures import (
+    can_bus,
+    can_clock,
+    cell_bench,
+    cell_config,
+    cell_faults,
+    cell_process,
+    inject_fault,
+    servo_bus,
+    servo_clock,
+    servo_stream,
+    simulated_cell,
+)
+from cell.pytest_plugin.options import (
+    pytest_addoption,
+    pytest_configure,
+    pytest_report_header,
+)
+
+__all__ = [
+    "can_bus",
+    "can_clock",
+    "cell_bench",
+    "cell_config",
+    "cell_faults",
+    "cell_process",
+    "inject_fault",
+    "pytest_addoption",
+    "pytest_configure",
+    "pytest_report_header",
+    "servo_bus",
+    "servo_clock",
+    "servo_stream",
+    "simulated_cell",
+]

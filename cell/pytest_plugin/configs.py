@@ -1,0 +1,121 @@
+"""The config of a test: from a file, with the values that options or the test itself change."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pydantic import ValidationError
+
+from cell.config import SIMULATED, CellConfig
+from cell.config_file import load_config
+from cell.errors import ConfigError
+from cell.pytest_plugin.options import HardwareOptions
+
+ConfigSource = CellConfig | Path | str | None
+
+
+def changed_config(config: CellConfig, changes: Mapping[str, Any]) -> CellConfig:
+    """Return a config with some values changed.
+
+    Parameters
+    ----------
+    config
+        The config.
+    changes
+        New values by dotted path, as ``{"tactile.tare_frames": 25}``.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such value, or the result is no valid config.
+    """
+    values = config.model_dump(mode="json")
+    for path, value in changes.items():
+        owner: Any = values
+        *way, last = path.split(".")
+        for name in way:
+            owner = owner.get(name) if isinstance(owner, dict) else None
+        if not isinstance(owner, dict) or last not in owner:
+            raise ConfigError(f"the config has no value {path!r}")
+        owner[last] = value
+    try:
+        return CellConfig.model_validate_json(json.dumps(values))
+    except ValidationError as error:
+        complaints = "; ".join(
+            f"{'.'.join(map(str, item['loc'])) or 'config'}: {item['msg']}"
+            for item in error.errors(include_url=False)
+        )
+        raise ConfigError(f"the changed config is not valid: {complaints}") from error
+
+
+def config_under_test(path: Path | None, options: HardwareOptions) -> CellConfig:
+    """Return the config of the file with what the command line says about servos and node.
+
+    Raises
+    ------
+    ConfigError
+        If the file or the result is not valid.
+    """
+    config = load_config(path)
+    changes: dict[str, Any] = {}
+    if options.servo_baud_rate is not None:
+        changes["gripper.baud_rate"] = options.servo_baud_rate
+    if options.servo_ids is not None:
+        known = {servo.id: servo.model_dump(mode="json") for servo in config.gripper.servos}
+        changes["gripper.servos"] = [known.get(i, {"id": i}) for i in options.servo_ids]
+    if options.can_bitrate is not None:
+        changes["tactile.bitrate"] = options.can_bitrate
+    if options.node_id is not None:
+        changes["tactile.node_id"] = options.node_id
+    return changed_config(config, changes)
+
+
+def simulated_config(
+    config: CellConfig,
+    *,
+    objects: Mapping[str, str] | None = None,
+    seed: int | None = None,
+    changes: Mapping[str, Any] | None = None,
+    callback: bool = False,
+) -> CellConfig:
+    """Return a config whose ports are the simulated ones; everything else stays.
+
+    Parameters
+    ----------
+    config
+        The config, of a real cell or a simulated one.
+    objects
+        Shapes by label instead of the config's objects.
+    seed
+        Seed instead of the config's.
+    changes
+        Further values by dotted path.
+    callback
+        Whether a mover of the test moves; else the simulated cell places the object.
+
+    Raises
+    ------
+    ConfigError
+        If the result is not valid.
+    """
+    ours: dict[str, Any] = {
+        "gripper.port": SIMULATED,
+        "tactile.interface": SIMULATED,
+        "tactile.channel": "",
+        "positioner": {"kind": "callback" if callback else "simulated"},
+    }
+    if objects is not None:
+        ours["simulator.objects"] = [
+            {"label": label, "shape": shape} for label, shape in objects.items()
+        ]
+    if seed is not None:
+        ours["seed"] = seed
+    return changed_config(config, {**(changes or {}), **ours})
+
+
+def given_config(source: ConfigSource, default: CellConfig) -> CellConfig:
+    """Return the config that a test names by value or file, or else the default one."""
+    if source is None:
+        return default
+    return source if isinstance(source, CellConfig) else load_config(Path(source))

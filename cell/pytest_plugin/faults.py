@@ -1,0 +1,88 @@
+"""Which simulated cells a test has, and the faults that it put into them."""
+
+from typing import Protocol
+
+import pytest
+
+
+class Fault(Protocol):
+    """An injected fault."""
+
+    @property
+    def began_s(self) -> float | None:
+        """Time of the cell in s at which the fault began, None before."""
+        ...
+
+    def clear(self) -> None:
+        """End the fault; ending it again changes nothing."""
+        ...
+
+
+class FaultTarget(Protocol):
+    """A simulated cell that takes faults as text, as ``can.loss=0.05@2s``."""
+
+    def inject(self, text: str) -> Fault:
+        """Put a fault in; refuses one that it does not know with the list of what there is."""
+        ...
+
+
+class FaultRegistry:
+    """Finds the cell that a fault is meant for; faults are for simulated cells only."""
+
+    def __init__(self) -> None:
+        self._targets: list[FaultTarget] = []
+        self._hardware: list[str] = []
+        self._faults: list[Fault] = []
+
+    def add(self, target: FaultTarget) -> None:
+        """Take in a simulated cell of this test."""
+        self._targets.append(target)
+
+    def add_hardware(self, name: str) -> None:
+        """Note that this test uses real hardware: from now on every fault is refused."""
+        self._hardware.append(name)
+
+    def inject(self, text: str, *, into: FaultTarget | None = None) -> Fault:
+        """Put a fault into the simulated cell of this test.
+
+        Parameters
+        ----------
+        text
+            The fault, as ``servo1.off@contact+0.5s``.
+        into
+            The cell, where the test has several.
+
+        Raises
+        ------
+        pytest.fail.Exception
+            If the test uses hardware, has no simulated cell, or has several and names none.
+        """
+        if self._hardware:
+            pytest.fail(
+                f"fault {text!r} refused: this test runs on hardware ({', '.join(self._hardware)}) "
+                "and faults are injected into simulated cells only; skip it there, or leave the "
+                "options out that name the hardware",
+                pytrace=False,
+            )
+        if into is None:
+            if len(self._targets) != 1:
+                pytest.fail(
+                    f"fault {text!r}: this test has {len(self._targets)} simulated cells"
+                    + (
+                        "; say which with inject_fault(text, into=cell)"
+                        if self._targets
+                        else " so far; make one first, as cell = simulated_cell()"
+                    ),
+                    pytrace=False,
+                )
+            into = self._targets[0]
+        elif into not in self._targets:
+            pytest.fail(f"fault {text!r}: {into!r} is no simulated cell of this test")
+        fault = into.inject(text)
+        self._faults.append(fault)
+        return fault
+
+    def clear(self) -> None:
+        """End all faults, the last one first."""
+        while self._faults:
+            self._faults.pop().clear()

@@ -1,0 +1,271 @@
+"""The fixtures. Everything heavy is imported inside them, when a test asks for one."""
+
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol
+
+import pytest
+
+from cell.pytest_plugin.faults import Fault, FaultRegistry, FaultTarget
+from cell.pytest_plugin.options import HardwareOptions, config_path
+
+if TYPE_CHECKING:
+    from cell.build import Mover
+    from cell.config import CellConfig
+    from cell.pytest_plugin.bench import LinkBench
+    from cell.pytest_plugin.process import CellProcess
+    from cell.pytest_plugin.virtual import VirtualCell
+    from gripper.bus import ServoBus
+    from gripper.clock import Clock
+    from gripper.port import ByteStream
+    from tactile.can_bus import CanBus
+
+
+class MakeSimulatedCell(Protocol):
+    """Makes a simulated cell in virtual time."""
+
+    def __call__(
+        self,
+        config: "CellConfig | Path | str | None" = None,
+        *,
+        objects: Mapping[str, str] | None = None,
+        seed: int | None = None,
+        mover: "Mover | None" = None,
+        changes: Mapping[str, Any] | None = None,
+        folder: Path | None = None,
+    ) -> "VirtualCell":
+        """Return a cell that is made but not started.
+
+        Parameters
+        ----------
+        config
+            Config or its file; by default `cell_config`. Its ports are replaced by simulated ones.
+        objects
+            Shapes by label, as ``{"pin": "cylinder:diameter=6mm,length=20mm"}``.
+        seed
+            Seed of noise and poses.
+        mover
+            Moves instead of the simulated positioner: called with each pose, as a host program's.
+        changes
+            Other values of the config by dotted path, as ``{"tactile.tare_frames": 25}``.
+        folder
+            Where a recording is made; None makes none.
+
+        Raises
+        ------
+        cell.errors.ConfigError
+            If the config that results is not valid.
+        """
+        ...
+
+
+class MakeCellProcess(Protocol):
+    """Starts a simulated cell in a process of its own."""
+
+    def __call__(
+        self,
+        config: "CellConfig | Path | str | None" = None,
+        *,
+        objects: Mapping[str, str] | None = None,
+        seed: int | None = None,
+        changes: Mapping[str, Any] | None = None,
+    ) -> "CellProcess":
+        """Return a running cell; arguments as `MakeSimulatedCell`.
+
+        Raises
+        ------
+        cell.errors.CellError
+            If the config is not valid, or the process does not start; its log is in the message.
+        """
+        ...
+
+
+class InjectFault(Protocol):
+    """Puts faults into the simulated cell of the test."""
+
+    def __call__(self, text: str, *, into: FaultTarget | None = None) -> Fault:
+        """Put a fault in; ``into`` names the cell where the test has several."""
+        ...
+
+
+@pytest.fixture
+def cell_config(request: pytest.FixtureRequest) -> "CellConfig":
+    """Config of the cell under test: from --cell-config or the ini option cell_config.
+
+    Without either: the built-in simulated cell. Servo IDs, rates and node of the command line
+    are in it. A project can override this fixture in its conftest.py.
+    """
+    from cell.errors import ConfigError
+    from cell.pytest_plugin.configs import config_under_test
+
+    try:
+        return config_under_test(config_path(request.config), HardwareOptions.of(request.config))
+    except ConfigError as error:
+        pytest.fail(str(error), pytrace=False)
+
+
+@pytest.fixture
+def cell_faults() -> Iterator[FaultRegistry]:
+    """Keep the simulated cells of this test and the faults in them; tests use inject_fault."""
+    registry = FaultRegistry()
+    yield registry
+    registry.clear()
+
+
+@pytest.fixture
+def cell_bench(
+    request: pytest.FixtureRequest, cell_config: "CellConfig", cell_faults: FaultRegistry
+) -> "Iterator[LinkBench]":
+    """Both links of a cell without a controller, opened when asked for.
+
+    What servo_bus, servo_stream and can_bus are taken from: ``cell_bench.simulated`` has the
+    simulated devices behind them.
+    """
+    from cell.pytest_plugin.bench import LinkBench
+
+    bench = LinkBench(cell_config, HardwareOptions.of(request.config), cell_faults)
+    yield bench
+    cell_faults.clear()
+    bench.close()
+
+
+@pytest.fixture
+def simulated_cell(
+    cell_config: "CellConfig", cell_faults: FaultRegistry
+) -> Iterator[MakeSimulatedCell]:
+    """Make simulated cells in virtual time: ``cell = simulated_cell(objects=..., seed=...)``.
+
+    Each has a CellController, the simulated devices and their clock; time passes only while
+    somebody waits, so a grasp takes a fraction of a second. Never touches hardware: the ports of
+    the config are replaced. Settings: config, objects, seed, mover, changes, folder.
+
+        def test_grip(simulated_cell):
+            cell = simulated_cell(objects={"pin": "cylinder:diameter=6mm,length=20mm"})
+            record = cell.start("pin").grasp(force_n=3.0)
+            assert record.outcome.final_force_n == pytest.approx(3.0, abs=0.5)
+    """
+    from contextlib import ExitStack
+
+    from cell.build import build_cell
+    from cell.pytest_plugin.configs import given_config, simulated_config
+    from cell.pytest_plugin.virtual import VirtualCell
+
+    with ExitStack() as closing:
+
+        def make(
+            config: "CellConfig | Path | str | None" = None,
+            *,
+            objects: Mapping[str, str] | None = None,
+            seed: int | None = None,
+            mover: "Mover | None" = None,
+            changes: Mapping[str, Any] | None = None,
+            folder: Path | None = None,
+        ) -> VirtualCell:
+            checked = simulated_config(
+                given_config(config, cell_config),
+                objects=objects,
+                seed=seed,
+                changes=changes,
+                callback=mover is not None,
+            )
+            cell = build_cell(checked, mover=mover, folder=folder)
+            closing.callback(cell.close)
+            if cell.simulated is None:
+                raise AssertionError("a config with simulated ports gave a cell with real ones")
+            made = VirtualCell(config=checked, cell=cell, simulated=cell.simulated)
+            cell_faults.add(made)
+            return made
+
+        yield make
+        cell_faults.clear()
+
+
+@pytest.fixture
+def servo_bus(cell_bench: "LinkBench") -> "ServoBus":
+    """ServoBus on the simulated servos in virtual time, or on real ones with --servo-port.
+
+    Nothing is written to the servos when it opens or closes. ``servo_clock`` is its time,
+    ``cell_config.gripper.servos`` has the IDs.
+    """
+    return cell_bench.servos().bus
+
+
+@pytest.fixture
+def servo_stream(cell_bench: "LinkBench") -> "ByteStream":
+    """Bytes of the servo line, for tests below the level of servo_bus; the same line."""
+    return cell_bench.servos().stream
+
+
+@pytest.fixture
+def servo_clock(cell_bench: "LinkBench") -> "Clock":
+    """Time that passes for servo_bus: virtual, or the module time with --servo-port."""
+    return cell_bench.servos().clock
+
+
+@pytest.fixture
+def can_bus(cell_bench: "LinkBench") -> "CanBus":
+    """python-can bus with the simulated control unit, or a real one with --can-interface.
+
+    Waiting in ``recv`` moves the virtual time. ``can_clock`` is its time,
+    ``cell_config.tactile.node_id`` the unit's node.
+    """
+    return cell_bench.can().bus
+
+
+@pytest.fixture
+def can_clock(cell_bench: "LinkBench") -> "Clock":
+    """Time that passes for can_bus: virtual, or the module time with --can-interface."""
+    return cell_bench.can().clock
+
+
+@pytest.fixture
+def cell_process(
+    request: pytest.FixtureRequest, cell_config: "CellConfig", cell_faults: FaultRegistry
+) -> Iterator[MakeCellProcess]:
+    """Start ``tactile-cell simulate`` in real time: ``cell = cell_process(objects=..., seed=...)``.
+
+    Servos and CAN adapter are on pseudo-terminals. The result has servo_port, can_channel,
+    config_path (a config for any program), positioner_socket, ask(), wait_for_grip(), kill().
+    What was started is ended with the test, and nothing else; a process that died by itself
+    fails the test with its log.
+    """
+    from contextlib import ExitStack
+
+    from cell.pytest_plugin.configs import given_config, simulated_config
+    from cell.pytest_plugin.process import CellProcess
+
+    with ExitStack() as closing:
+
+        def make(
+            config: "CellConfig | Path | str | None" = None,
+            *,
+            objects: Mapping[str, str] | None = None,
+            seed: int | None = None,
+            changes: Mapping[str, Any] | None = None,
+        ) -> CellProcess:
+            checked = simulated_config(
+                given_config(config, cell_config), objects=objects, seed=seed, changes=changes
+            )
+            cell = CellProcess(checked)
+            closing.callback(cell.end)
+            closing.callback(
+                lambda: request.node.add_report_section(
+                    "teardown", f"tactile-cell simulate {cell.pid}", cell.log
+                )
+            )
+            cell_faults.add(cell)
+            return cell
+
+        yield make
+        cell_faults.clear()
+
+
+@pytest.fixture
+def inject_fault(cell_faults: FaultRegistry) -> InjectFault:
+    """Put faults into the simulated cell of the test: ``inject_fault("can.loss=0.05@2s")``.
+
+    For cells of simulated_cell and cell_process and for the devices behind servo_bus and can_bus;
+    refused where the test runs on hardware. Returns the fault with clear(); all that is left is
+    cleared at the end of the test. `tactile-cell simulate --list-faults` lists the vocabulary.
+    """
+    return cell_faults.inject

@@ -1,0 +1,122 @@
+"""Options of the plugin: which config, and which real ports if any."""
+
+from argparse import ArgumentTypeError
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+_HIGHEST_SERVO_ID = 252
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HardwareOptions:
+    """What the command line says about real hardware; None where it says nothing.
+
+    Attributes
+    ----------
+    servo_port, can_interface, can_channel
+        Ports. A link without one is simulated.
+    servo_baud_rate, can_bitrate
+        Rates in bit/s.
+    servo_ids, node_id
+        Who is asked.
+    allow_motion
+        Whether tests may switch torque on and move real servos.
+    """
+
+    servo_port: str | None = None
+    servo_baud_rate: int | None = None
+    servo_ids: tuple[int, ...] | None = None
+    can_interface: str | None = None
+    can_channel: str | None = None
+    can_bitrate: int | None = None
+    node_id: int | None = None
+    allow_motion: bool = False
+
+    @classmethod
+    def of(cls, config: pytest.Config) -> "HardwareOptions":
+        """Return the options of a test run."""
+        return cls(**{name: config.getoption(name) for name in cls.__dataclass_fields__})
+
+
+def config_path(config: pytest.Config) -> Path | None:
+    """Return the config of the cell under test: ``--cell-config``, else the ini option, else None.
+
+    The ini option is relative to the file that it stands in.
+    """
+    given: str | None = config.getoption("cell_config")
+    if given is not None:
+        return Path(given)
+    ini: str = config.getini("cell_config")
+    if not ini:
+        return None
+    return (config.inipath or config.rootpath / "-").parent / ini
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the options of the group ``tactile-cell``."""
+    group = parser.getgroup(
+        "tactile-cell", "tactile-cell: what is under test; without a port, the simulated cell is"
+    )
+    group.addoption(
+        "--cell-config",
+        metavar="FILE",
+        help="config of the cell under test (also ini option cell_config); its ports are not used",
+    )
+    group.addoption(
+        "--servo-port", metavar="PATH", help="real servos on this serial port, as /dev/ttyUSB0"
+    )
+    group.addoption(
+        "--servo-baud-rate", metavar="RATE", type=int, help="baud rate of the servo bus in bit/s"
+    )
+    group.addoption("--servo-ids", metavar="IDS", type=_servo_ids, help="IDs of the servos, as 1,2")
+    group.addoption(
+        "--can-interface",
+        metavar="NAME",
+        help="real control unit on this python-can interface, as socketcan or slcan",
+    )
+    group.addoption("--can-channel", metavar="NAME", help="channel of the interface, as can0")
+    group.addoption(
+        "--can-bitrate", metavar="RATE", type=int, help="bit rate of the CAN bus in bit/s"
+    )
+    group.addoption("--node-id", metavar="ID", type=int, help="CANopen node id, 1 to 127")
+    group.addoption(
+        "--allow-motion",
+        action="store_true",
+        help="let tests switch on the torque of real servos; nothing may be in the grip",
+    )
+    parser.addini("cell_config", "config of the cell under test", type="string", default="")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Refuse options that do not go together."""
+    options = HardwareOptions.of(config)
+    if (options.can_interface is None) != (options.can_channel is None):
+        raise pytest.UsageError("--can-interface and --can-channel go together: name both")
+
+
+def pytest_report_header(config: pytest.Config) -> list[str]:
+    """Name the hardware under test; say nothing where all is simulated."""
+    options = HardwareOptions.of(config)
+    found = []
+    if options.servo_port is not None:
+        found.append(f"servos at {options.servo_port}")
+    if options.can_interface is not None:
+        found.append(f"control unit at {options.can_interface} {options.can_channel}")
+    if not found:
+        return []
+    motion = "may move" if options.allow_motion else "must not move (no --allow-motion)"
+    return [f"tactile-cell: REAL HARDWARE: {', '.join(found)}; servos {motion}"]
+
+
+def _servo_ids(text: str) -> tuple[int, ...]:
+    try:
+        ids = tuple(int(part) for part in text.split(","))
+    except ValueError:
+        ids = ()
+    if not ids or not all(0 <= servo_id <= _HIGHEST_SERVO_ID for servo_id in ids):
+        raise ArgumentTypeError(
+            f"{text!r} is no list of servo IDs from 0 to {_HIGHEST_SERVO_ID}, as 1,2"
+        )
+    return ids

@@ -1,0 +1,237 @@
+"""A simulated cell in a process of its own: real time, pseudo-terminals, one socket."""
+
+import contextlib
+import json
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from cell.config import CellConfig
+from cell.config_file import config_text
+from cell.errors import CellError
+
+_PROGRAM = "from cell.cli import main; main()"
+_START_S = 60.0
+_REPLY_S = 10.0
+_END_S = 5.0
+_LOG_BYTES = 4000
+
+
+class CellProcessError(CellError):
+    """The simulated cell did not start, died, or refused a request; its log is in the message."""
+
+
+class ProcessFault:
+    """A fault in the cell of another process.
+
+    Attributes
+    ----------
+    text
+        As it was injected.
+    """
+
+    began_s: float | None = None
+    """Not known here: the time of the cell is that of its process."""
+
+    def __init__(self, cell: "CellProcess", text: str) -> None:
+        self.text = text
+        self._cell: CellProcess | None = cell
+
+    def clear(self) -> None:
+        """End the fault; one in a process that is over is over with it."""
+        cell, self._cell = self._cell, None
+        if cell is not None and cell.running:
+            cell.ask(clear=self.text)
+
+
+class CellProcess:
+    """``tactile-cell simulate``, started here and ended here.
+
+    Parameters
+    ----------
+    config
+        The cell to simulate; its ports do not matter.
+
+    Attributes
+    ----------
+    servo_port, servo_baud_rate, servo_ids
+        The pseudo-terminal with the servos, its rate in bit/s, their IDs.
+    can_interface, can_channel, can_bitrate, node_id
+        The pseudo-terminal with the CAN adapter, for python-can, and the control unit's node.
+    positioner_socket
+        Unix socket that takes requests as JSON lines; `ask` does it.
+    config_path
+        Config with which any program reaches this cell: ``tactile-cell run --config ...``.
+    pid
+        The process.
+
+    Raises
+    ------
+    CellProcessError
+        If it does not start.
+    """
+
+    def __init__(self, config: CellConfig) -> None:
+        # The socket's path must be short, so the test's own folder does not do.
+        self._folder = tempfile.TemporaryDirectory(prefix="cell-")
+        folder = Path(self._folder.name)
+        wanted = folder / "simulate.yaml"
+        wanted.write_text(config_text(config, comments=False), encoding="utf-8")
+        self._log_path = folder / "simulate.log"
+        with self._log_path.open("wb") as log:
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", _PROGRAM, "simulate", "-c", wanted, "--out", folder],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=log,
+            )
+        self._ended_by_us = False
+        try:
+            found = self._announcement()
+            self.servo_port: str = found["servo_port"]
+            self.servo_baud_rate: int = found["servo_baud_rate"]
+            self.servo_ids: tuple[int, ...] = tuple(found["servo_ids"])
+            self.can_interface: str = found["can_interface"]
+            self.can_channel: str = found["can_channel"]
+            self.can_bitrate: int = found["can_bitrate"]
+            self.node_id: int = found["node_id"]
+            self.positioner_socket: str = found["positioner_socket"]
+            self.config_path = Path(found["config"])
+        except BaseException:
+            self.end()
+            raise
+
+    @property
+    def pid(self) -> int:
+        """Number of the process."""
+        return self._process.pid
+
+    @property
+    def running(self) -> bool:
+        """Whether the process is still there."""
+        return self._process.poll() is None
+
+    @property
+    def log(self) -> str:
+        """The end of what the process wrote to its standard error."""
+        with contextlib.suppress(OSError):
+            return self._log_path.read_bytes()[-_LOG_BYTES:].decode(errors="replace")
+        return ""
+
+    def ask(self, **request: Any) -> dict[str, Any]:
+        """Send one request, as ``place="ball"`` or ``state=True``, and return the reply.
+
+        Raises
+        ------
+        CellProcessError
+            If it is refused, or the process is gone or does not answer.
+        """
+        try:
+            with socket.socket(socket.AF_UNIX) as client:
+                client.settimeout(_REPLY_S)
+                client.connect(self.positioner_socket)
+                client.sendall(json.dumps(request).encode() + b"\n")
+                with client.makefile("rb") as lines:
+                    reply = json.loads(lines.readline())
+        except (OSError, ValueError) as error:
+            raise CellProcessError(
+                f"the simulated cell does not answer {request} ({error}). {self._state()}"
+            ) from error
+        if not isinstance(reply, dict) or "error" in reply:
+            raise CellProcessError(f"the simulated cell refused {request}: {reply}")
+        return reply
+
+    def inject(self, text: str) -> ProcessFault:
+        """Put a fault in, as ``can.loss=0.05@2s``. Raises CellProcessError if it is refused."""
+        self.ask(inject=text)
+        return ProcessFault(self, text)
+
+    def grip_n(self) -> float:
+        """Return the true force in N on the pad that carries less."""
+        return float(min(self.ask(state=True)["contact_force_n"]))
+
+    def wait_for_grip(self, least_n: float, *, timeout_s: float = 30.0) -> float:
+        """Wait until both pads carry ``least_n`` N, and return the force.
+
+        Raises
+        ------
+        TimeoutError
+            If they do not within ``timeout_s`` s.
+        CellProcessError
+            If the process is gone.
+        """
+        end_s = time.monotonic() + timeout_s
+        while (grip_n := self.grip_n()) < least_n:
+            if time.monotonic() > end_s:
+                raise TimeoutError(f"{grip_n:.2f} N after {timeout_s:g} s, expected {least_n:g} N")
+            time.sleep(0.02)
+        return grip_n
+
+    def kill(self) -> None:
+        """Let the process die at once (SIGKILL), as after a loss of power."""
+        self._ended_by_us = True
+        self._process.kill()
+        self._process.wait()
+
+    def end(self) -> None:
+        """End the process and remove its files.
+
+        Raises
+        ------
+        CellProcessError
+            If it had ended by itself before; the message has its exit code and log.
+        """
+        died, log = not self.running and not self._ended_by_us, self.log
+        if self.running:
+            self._ended_by_us = True
+            os.kill(self.pid, signal.SIGCONT)  # in case that the test has stopped it
+            self._process.terminate()
+            try:
+                self._process.wait(_END_S)
+            except subprocess.TimeoutExpired:
+                self._process.kill()
+                self._process.wait()
+        if self._process.stdout is not None:
+            self._process.stdout.close()
+        self._folder.cleanup()
+        if died:
+            raise CellProcessError(
+                f"the simulated cell (process {self.pid}) ended by itself during the test with "
+                f"exit code {self._process.returncode}; if the test means it to die, let it call "
+                f"kill(). Its log:\n{log or '(empty)'}"
+            )
+
+    def _announcement(self) -> dict[str, Any]:
+        """Wait for the line of JSON that says that clients can come."""
+        pipe = self._process.stdout
+        if pipe is None:
+            raise CellProcessError("the simulated cell has no standard output")
+        line, end_s = b"", time.monotonic() + _START_S
+        while not line.endswith(b"\n"):
+            left_s = end_s - time.monotonic()
+            if left_s <= 0.0 or not select.select([pipe], [], [], left_s)[0]:
+                raise CellProcessError(
+                    f"the simulated cell was not ready after {_START_S:g} s. {self._state()}"
+                )
+            piece = os.read(pipe.fileno(), 65536)
+            if not piece:
+                self._process.wait(_END_S)
+                self._ended_by_us = True
+                raise CellProcessError(f"the simulated cell did not start. {self._state()}")
+            line += piece
+        found = json.loads(line)
+        if not isinstance(found, dict):
+            raise CellProcessError(f"the simulated cell announced {line!r}")
+        return found
+
+    def _state(self) -> str:
+        code = self._process.poll()
+        state = "It runs" if code is None else f"It ended with exit code {code}"
+        return f"{state} (process {self.pid}). Its log:\n{self.log or '(empty)'}"

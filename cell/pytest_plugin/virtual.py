@@ -1,0 +1,133 @@
+"""A whole cell in virtual time, as a test sees it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from cell.build import Cell
+from cell.collect import GraspRecord
+from cell.config import CellConfig
+from cell.controller import CellController
+from cell.identification import Identification
+from cell.jobs.teaching import teach, train
+from cell.pose import Pose
+from cell.sequence import GraspStep, plan
+from recognition.recognizer import Recognizer
+from simulator.assembly import SimulatedCell
+from simulator.clock import VirtualClock
+from simulator.faults import InjectedFault
+
+
+@dataclass(frozen=True, kw_only=True)
+class VirtualCell:
+    """A simulated cell in virtual time: time passes only while somebody waits.
+
+    Attributes
+    ----------
+    config
+        What it was made from.
+    cell
+        Controller and both links, as `cell.build.build_cell` makes them for every cell.
+    simulated
+        The simulated devices, and what only a simulator can tell.
+    """
+
+    config: CellConfig
+    cell: Cell
+    simulated: SimulatedCell
+
+    @property
+    def controller(self) -> CellController:
+        """Runs the sequences."""
+        return self.cell.controller
+
+    @property
+    def clock(self) -> VirtualClock:
+        """The time of everything in this cell."""
+        return self.simulated.clock
+
+    @property
+    def grip_n(self) -> float:
+        """True force in N on the pad that carries less; 0 while nothing is held."""
+        return min(self.simulated.world.contact_force_n())
+
+    @property
+    def aperture_m(self) -> float:
+        """True opening between the pads in m."""
+        return self.simulated.devices.mechanics.aperture_m
+
+    def inject(self, text: str) -> InjectedFault:
+        """Put a fault in, as ``can.loss=0.05@2s``; tests take `inject_fault`, which clears it.
+
+        Raises
+        ------
+        simulator.errors.SimulatorSettingsError
+            If it does not exist or cannot be; the message lists what there is.
+        """
+        return self.simulated.inject(text)
+
+    def start(self, present: str | None = None) -> "VirtualCell":
+        """Start the cell, and have an object brought if one is named; returns itself.
+
+        Raises
+        ------
+        cell.errors.CellError, gripper.errors.GripperError, tactile.errors.TactileError
+            As `CellController.start`.
+        """
+        self.controller.start()
+        if present is not None:
+            self.controller.present(present)
+        return self
+
+    def sleep(self, seconds: float) -> None:
+        """Let time pass in s while the controller does nothing; it does not wait really."""
+        self.clock.sleep(seconds)
+
+    def idle(self, seconds: float) -> None:
+        """Let time pass in s as in a program between two jobs: links alive, supervised.
+
+        Raises
+        ------
+        gripper.errors.GripperError, tactile.errors.TactileError
+            The fault that the controller sees meanwhile.
+        """
+        end_s = self.clock.monotonic() + seconds
+        while self.clock.monotonic() < end_s:
+            self.controller.tick()
+            self.clock.sleep(self.controller.gripper.period_s)
+
+    def grasp(self, force_n: float = 3.0, pose: Pose | None = None) -> GraspRecord:
+        """Run one grasp up to a force in N; see `CellController.grasp` for what it raises."""
+        return self.controller.grasp(GraspStep(pose=pose or Pose(), force_n=force_n))
+
+    def teach(self, labels: Sequence[str], grasps: int = 6, *, seed: int = 0) -> Recognizer:
+        """Grasp each object several times and train the config's recogniser on it.
+
+        Raises
+        ------
+        cell.errors.CellError
+            If the grasps do not suffice for training, or as `CellController.grasp`.
+        """
+        records = [
+            record
+            for number, label in enumerate(labels)
+            for record in teach(
+                self.cell,
+                self.config,
+                label,
+                grasps,
+                seed=seed + number,
+                progress=lambda *_step: None,
+            )
+        ]
+        wanted = self.config.recognition
+        return train(
+            [record.grasp for record in records],
+            wanted.recognizer,
+            use_aperture=wanted.use_aperture,
+        )
+
+    def identify(self, recognizer: Recognizer, present: str, *, seed: int = 1) -> Identification:
+        """Have an object brought and identify it; ``present`` is known to the simulator alone."""
+        self.controller.present(present)
+        sequence = self.config.sequence
+        return self.controller.identify(recognizer, plan(sequence, sequence.max_grasps, seed=seed))
