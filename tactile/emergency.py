@@ -59,6 +59,11 @@ _GROUPS = {
 }
 
 
+def known_codes() -> dict[int, str]:
+    """Return the codes whose meaning is exactly known."""
+    return dict(_TEXTS)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Emergency:
     """An emergency message.

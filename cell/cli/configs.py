@@ -5,11 +5,14 @@ from typing import Annotated
 
 import typer
 
+from cell.cli.options import ConfigOption
 from cell.cli.output import say
 from cell.config import CellConfig
 from cell.config_file import config_text, load_config, schema_text
 from cell.errors import ConfigError
 from cell.files import write_text
+from cell.layouts import layout_from_config
+from tactile.dbc import dbc_text
 
 
 def init(
@@ -42,4 +45,25 @@ def schema(
         typer.echo(schema_text(), nl=False)
     else:
         write_text(output, schema_text(), error=ConfigError, what="schema")
+        say(f"wrote {output}")
+
+
+def dbc(
+    config: ConfigOption = None,
+    output: Annotated[
+        Path | None, typer.Option("--output", "-o", help="File to write instead of printing.")
+    ] = None,
+) -> None:
+    """Write the cell's CAN traffic as a DBC file, for cantools, SavvyCAN, CANalyzer and others."""
+    tactile = (CellConfig() if config is None else load_config(config)).tactile
+    text = dbc_text(
+        layout_from_config(tactile),
+        node_id=tactile.node_id,
+        sync_period_ms=round(tactile.sync_period_ms),
+        heartbeat_ms=round(tactile.heartbeat_ms),
+    )
+    if output is None:
+        typer.echo(text, nl=False)
+    else:
+        write_text(output, text, error=ConfigError, what="DBC file")
         say(f"wrote {output}")
