@@ -157,15 +157,13 @@ class CellLifecycle:
             self.complete()
 
     def _hold(self, stop: GraspStopped) -> None:
-        """Go where a stop on request leads from the present state."""
-        self._gripper.keep_grip()
+        """Go where a stop on request leads from the present state, and keep the grip."""
         if self._state is CellState.STARTING:
             self.go(Event.STOP)
             self._close_sensor()
-            self.complete()
         elif self._state is CellState.EXECUTE:
             self.go(Event.HOLD)
             self._note("held", str(stop))
-            self.complete()
-        elif self._state.acting:
+        self._gripper.keep_grip()
+        if self._state.acting:
             self.complete()
