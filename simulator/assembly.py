@@ -1,169 +1,22 @@
 """The simulated cell: one world, the devices in it, and the ends of their buses in memory."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
 from simulator.can_bus import InMemoryCanBus
-from simulator.can_faults import CanLinkFaults, ControlUnitFaults
 from simulator.clock import VirtualClock
-from simulator.control_unit import ControlUnitSettings, SimulatedControlUnit
-from simulator.errors import PortUnplugged, SimulatorSettingsError, SimulatorStateError
-from simulator.mechanics import FingerMechanics
-from simulator.motor import ServoMotor
+from simulator.control_unit import SimulatedControlUnit
+from simulator.devices import CellDevices, CellFaults
+from simulator.errors import PortUnplugged
+from simulator.faults import InjectedFault
 from simulator.recorded import RecordedWorld
-from simulator.servo import BAUD_RATES, SimulatedServo
-from simulator.servo_bus import ServoBusDevice
-from simulator.servo_faults import ServoFaultKnobs, WireFaults
 from simulator.servo_stream import MemoryServoStream
 from simulator.settings import SimulatorSettings
 from simulator.shapes import ObjectPose
-from simulator.world import PhysicalWorld, WorldSettings
+from simulator.world import PhysicalWorld
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CellFaults:
-    """All fault knobs of a simulated cell; all are off until they are turned.
-
-    Attributes
-    ----------
-    servo_wire
-        The line between host and servos.
-    servos
-        The servos by their ID.
-    can
-        The way between control unit and host.
-    unit
-        The control unit.
-    """
-
-    servo_wire: WireFaults
-    servos: dict[int, ServoFaultKnobs]
-    can: CanLinkFaults
-    unit: ControlUnitFaults
-
-
-class CellDevices:
-    """World and devices, without the ends of the buses: what both kinds of time share.
-
-    Parameters
-    ----------
-    settings
-        What the cell is made of.
-    start_s
-        Time at the start in s.
-
-    Attributes
-    ----------
-    mechanics
-        The fingers.
-    world
-        What is between them.
-    servo_bus
-        The servos on their line.
-    unit
-        The control unit.
-    faults
-        The knobs.
-    """
-
-    __slots__ = ("faults", "mechanics", "servo_bus", "settings", "unit", "world")
-
-    def __init__(self, settings: SimulatorSettings, *, start_s: float = 0.0) -> None:
-        self.settings = settings
-        motors = [ServoMotor(servo.model) for servo in settings.servos]
-        self.mechanics = FingerMechanics(
-            motors,
-            [servo.mount for servo in settings.servos],
-            settings.linkage,
-            aperture_m=settings.aperture_m,
-        )
-        self.world = self._make_world(start_s)
-        if settings.servo_baud_rate not in BAUD_RATES:
-            raise SimulatorSettingsError(
-                f"servo_baud_rate is {settings.servo_baud_rate}, must be one of {BAUD_RATES}"
-            )
-        eeprom = {
-            "baud_rate": BAUD_RATES.index(settings.servo_baud_rate),
-            "return_delay_time": 0,
-        }
-        servos = [
-            SimulatedServo(entry.servo_id, entry.model, motor, settings=eeprom)
-            for entry, motor in zip(settings.servos, motors, strict=True)
-        ]
-        self.servo_bus = ServoBusDevice(servos, settings.servo_baud_rate)
-        self.servo_bus.faults.seed = settings.seed
-        unit_faults = ControlUnitFaults()
-        self.unit = SimulatedControlUnit(
-            self.world,
-            settings.layout,
-            ControlUnitSettings(
-                node_id=settings.node_id,
-                bitrate=settings.can_bitrate,
-                serial_number=settings.serial_number,
-            ),
-            faults=unit_faults,
-            start_s=start_s,
-        )
-        self.faults = CellFaults(
-            servo_wire=self.servo_bus.faults,
-            servos={
-                servo.servo_id: ServoFaultKnobs(servo, motor)
-                for servo, motor in zip(servos, motors, strict=True)
-            },
-            can=CanLinkFaults(),
-            unit=unit_faults,
-        )
-
-    def _make_world(self, start_s: float) -> PhysicalWorld | RecordedWorld:
-        settings = self.settings
-        if settings.grasps:
-            return RecordedWorld(settings.layout, self.mechanics, start_s=start_s)
-        return PhysicalWorld(
-            settings.layout,
-            self.mechanics,
-            WorldSettings(
-                foam=settings.foam,
-                noise=settings.noise,
-                seed=settings.seed,
-                objects=settings.objects,
-            ),
-            start_s=start_s,
-        )
-
-    @property
-    def physical(self) -> PhysicalWorld:
-        """The world with objects; SimulatorStateError in a cell that plays recorded grasps."""
-        if isinstance(self.world, PhysicalWorld):
-            return self.world
-        raise SimulatorStateError("this cell plays recorded grasps: it has no objects to place")
-
-    @property
-    def recorded(self) -> RecordedWorld:
-        """The world that plays grasps; SimulatorStateError in a cell with objects."""
-        if isinstance(self.world, RecordedWorld):
-            return self.world
-        raise SimulatorStateError("this cell presses objects into foam: it has no grasps to play")
-
-    def play(self, index: int) -> int:
-        """Load one of the settings' grasps; returns the number of its frames.
-
-        Raises
-        ------
-        SimulatorSettingsError
-            If there is no such grasp, or it does not fit the layout.
-        """
-        recorded, grasps = self.recorded, self.settings.grasps
-        if not 0 <= index < len(grasps):
-            raise SimulatorSettingsError(f"grasp {index} does not exist, there are {len(grasps)}")
-        recorded.load(grasps[index].counts, grasps[index].aperture_m)
-        return recorded.remaining
-
-    def advance_to(self, now_s: float) -> None:
-        """Let the time pass for fingers, object and servos until ``now_s`` s."""
-        self.world.advance_to(now_s)
-        self.servo_bus.advance_to(now_s)
+__all__ = ["CellDevices", "CellFaults", "SimulatedCell"]
 
 
 class SimulatedCell:
@@ -205,7 +58,7 @@ class SimulatedCell:
             self.devices.servo_bus, self.clock, lost_error=lost_error
         )
         self.can_bus = InMemoryCanBus(
-            self.devices.unit,
+            self.devices.can_devices,
             self.clock,
             bitrate=self.settings.can_bitrate,
             faults=self.devices.faults.can,
@@ -231,6 +84,20 @@ class SimulatedCell:
     def faults(self) -> CellFaults:
         """The fault knobs."""
         return self.devices.faults
+
+    def inject(self, text: str) -> InjectedFault:
+        """Inject a fault by its text, as ``can.loss=0.05@contact+0.5s``.
+
+        Its times count from now. See `simulator.faults.VOCABULARY` for what there is.
+
+        Raises
+        ------
+        SimulatorSettingsError
+            If the vocabulary has no such fault, or its value does not fit this cell.
+        SimulatorStateError
+            If a fault on the same knob is there at that time.
+        """
+        return self.devices.inject(text)
 
     def place(self, label: str, pose: ObjectPose | None = None) -> ObjectPose:
         """Put an object between the open pads; see `PhysicalWorld.place`."""

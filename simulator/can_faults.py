@@ -9,7 +9,14 @@ from numpy.typing import NDArray
 
 from simulator.errors import SimulatorSettingsError
 
-_RATES = ("drop_rate", "duplicate_rate", "swap_rate", "corrupt_rate", "truncate_rate")
+_RATES = (
+    "drop_rate",
+    "duplicate_rate",
+    "swap_rate",
+    "corrupt_rate",
+    "truncate_rate",
+    "wrong_dlc_rate",
+)
 
 
 @dataclass(slots=True, kw_only=True)
@@ -22,6 +29,8 @@ class CanLinkFaults:
         Probability from 0 to 1 that a message to the host is lost, comes twice, comes after its
         successor, has one bit turned after the CAN checksum, or has fewer bytes than its length
         code says (as an adapter on a serial line makes them).
+    wrong_dlc_rate
+        Probability that a message comes with fewer bytes and a length code that says so.
     drop_next
         So many of the next messages to the host are lost.
     delay_s
@@ -41,6 +50,7 @@ class CanLinkFaults:
     swap_rate: float = 0.0
     corrupt_rate: float = 0.0
     truncate_rate: float = 0.0
+    wrong_dlc_rate: float = 0.0
     drop_next: int = 0
     delay_s: float = 0.0
     flood_hz: float = 0.0
@@ -60,6 +70,7 @@ class CanLinkFaults:
             or self.swap_rate
             or self.corrupt_rate
             or self.truncate_rate
+            or self.wrong_dlc_rate
         )
 
     def check(self) -> None:
@@ -96,6 +107,11 @@ class ControlUnitFaults:
         Drift that is added to all taxels.
     gain
         Factor on all taxels before the offset.
+    late_s
+        The burst of a frame begins so long after its SYNC, in s.
+    pads_swapped
+        The connectors of the two fingers are exchanged: each half of a scan stands where the
+        other belongs.
     """
 
     dead: bool = False
@@ -106,9 +122,13 @@ class ControlUnitFaults:
     dead_taxels: set[int] = field(default_factory=set)
     offset_counts: float = 0.0
     gain: float = 1.0
+    late_s: float = 0.0
+    pads_swapped: bool = False
 
     def apply(self, counts: NDArray[np.uint16], adc_max: int) -> NDArray[np.uint16]:
         """Return what the unit makes of converted counts (n_taxels,); IndexError for no taxel."""
+        if self.pads_swapped:
+            counts = np.roll(counts, counts.size // 2)
         if self.offset_counts or self.gain != 1.0:
             shifted = np.rint(self.gain * counts + self.offset_counts)
             counts = np.clip(shifted, 0, adc_max).astype(np.uint16)
@@ -134,8 +154,8 @@ class Disturber:
     faults: CanLinkFaults
     rng: np.random.Generator
 
-    def pass_on(self, t_s: float, data: bytes) -> Iterable[tuple[float, bytes]]:
-        """Return what becomes of one message: any number of (arrival in s, data)."""
+    def pass_on(self, t_s: float, data: bytes) -> Iterable[tuple[float, int, bytes]]:
+        """Return what becomes of one message: any number of (arrival in s, length code, data)."""
         faults = self.faults
         faults.check()
         if faults.bus_off:
@@ -154,8 +174,11 @@ class Disturber:
             turned = bytearray(data)
             turned[bit // 8] ^= 1 << bit % 8
             data = bytes(turned)
+        if data and faults.wrong_dlc_rate and self.rng.random() < faults.wrong_dlc_rate:
+            data = data[: int(self.rng.integers(len(data)))]
+        code = len(data)
         if data and chance[3] < faults.truncate_rate:
             data = data[: int(self.rng.integers(len(data)))]
-        yield t_s, data
+        yield t_s, code, data
         if chance[4] < faults.duplicate_rate:
-            yield t_s, data
+            yield t_s, code, data

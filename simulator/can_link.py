@@ -153,8 +153,8 @@ class CanLink:
             if not disturbs:
                 inbox.append(can.Message(through_s, can_id, False, data=data))
                 continue
-            for arrival_s, changed in self._disturber.pass_on(through_s, data):
-                message = can.Message(arrival_s, can_id, False, dlc=len(data), data=changed)
+            for arrival_s, code, changed in self._disturber.pass_on(through_s, data):
+                message = can.Message(arrival_s, can_id, False, dlc=code, data=changed)
                 bisect.insort(inbox, message, key=_arrival_s)
         return through_s
 

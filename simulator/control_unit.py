@@ -89,12 +89,16 @@ class SimulatedControlUnit:
         Knobs that may be turned at any time.
     start_s
         Time of power-on in s.
+
+    Attributes
+    ----------
+    dictionary
+        Its objects.
     """
 
     __slots__ = (
         "_boot_due_s",
         "_burst_end_s",
-        "_dictionary",
         "_gate",
         "_layout",
         "_network",
@@ -103,6 +107,7 @@ class SimulatedControlUnit:
         "_send",
         "_sync_count",
         "_sync_id",
+        "dictionary",
         "faults",
         "settings",
     )
@@ -127,7 +132,7 @@ class SimulatedControlUnit:
         self._node = _local_node(node_id)
         self._network = DeviceNetwork(self._emit, start_s)
         self._node.associate_network(self._network)
-        self._dictionary = UnitDictionary(
+        self.dictionary = UnitDictionary(
             self._node,
             layout,
             self._scanner,
@@ -181,7 +186,7 @@ class SimulatedControlUnit:
             self._sync()
         elif can_id == self._node.sdo.rx_cobid:
             self._gate.request(data)
-            self._sync_id = self._dictionary.number(eds.SYNC_COB_ID) & 0x7FF
+            self._sync_id = self.dictionary.number(eds.SYNC_COB_ID) & 0x7FF
 
     def emergency(self, code: int, *, register: int = REGISTER_GENERIC, data: bytes = b"") -> None:
         """Report an error: EMCY, error register and history; code 0 reports that all are gone.
@@ -195,7 +200,7 @@ class SimulatedControlUnit:
         data
             Up to 5 bytes that tell more.
         """
-        dictionary = self._dictionary
+        dictionary = self.dictionary
         if code == 0:
             dictionary.error_register = 0
         else:
@@ -212,10 +217,10 @@ class SimulatedControlUnit:
     def _reset(self, *, everything: bool) -> None:
         self._node.nmt.stop_heartbeat()
         self._gate.reset()
-        self._dictionary.reset(self._layout, everything=everything)
+        self.dictionary.reset(self._layout, everything=everything)
         if everything:
             self._scanner.reset()
-        self._sync_id = self._dictionary.number(eds.SYNC_COB_ID) & 0x7FF
+        self._sync_id = self.dictionary.number(eds.SYNC_COB_ID) & 0x7FF
         self._sync_count = 0
         self._burst_end_s = -math.inf
         self._boot_due_s = self._network.now_s + self.settings.boot_s
@@ -235,16 +240,16 @@ class SimulatedControlUnit:
         if now_s < self._burst_end_s:
             self._passed_over(EMCY_OVERRUN)
             return
-        kind = self._dictionary.number(eds.TPDO1_PARAMETER, 2)
+        kind = self.dictionary.number(eds.TPDO1_PARAMETER, 2)
         self._sync_count += 1
         if 1 < kind <= 240 and self._sync_count % kind:
             return
         self._scanner.latch()
-        mode = self._dictionary.number(eds.MODE)
+        mode = self.dictionary.number(eds.MODE)
         if mode & TransmissionMode.RAW:
             self._send_frame(now_s)
         if mode & TransmissionMode.FEATURES:
-            touch = self._dictionary.number(eds.THRESHOLDS, eds.THRESHOLD_TOUCH)
+            touch = self.dictionary.number(eds.THRESHOLDS, eds.THRESHOLD_TOUCH)
             firsts, seconds = self._scanner.feature_messages(touch)
             for first, second in zip(firsts, seconds, strict=True):
                 self._send_pdo(2, now_s, [first])
@@ -252,7 +257,7 @@ class SimulatedControlUnit:
 
     def _send_frame(self, now_s: float) -> None:
         messages = self._scanner.frame_messages()
-        window_s = 1e-6 * self._dictionary.number(eds.SYNC_WINDOW_US)
+        window_s = 1e-6 * self.dictionary.number(eds.SYNC_WINDOW_US)
         bit_s = 1.0 / self.settings.bitrate
         if window_s and len(messages) * _WORST_BITS * bit_s > window_s:
             used_s, fitting = 0.0, 0
@@ -269,13 +274,13 @@ class SimulatedControlUnit:
     def _passed_over(self, code: int) -> None:
         """Mark the next frame, and say once in an EMCY what goes wrong again and again."""
         self._scanner.overrun = True
-        if code not in self._dictionary.errors:
+        if code not in self.dictionary.errors:
             self.emergency(code, register=REGISTER_MANUFACTURER)
 
     def _send_pdo(self, pdo: int, now_s: float, messages: list[bytes]) -> None:
-        can_id = self._dictionary.pdo_cob_id(pdo)
+        can_id = self.dictionary.pdo_cob_id(pdo)
         if can_id is not None and messages and self._send is not None:
-            self._burst_end_s = self._send(now_s, can_id, messages)
+            self._burst_end_s = self._send(now_s + self.faults.late_s, can_id, messages)
 
     def _emit(self, t_s: float, can_id: int, data: bytes) -> None:
         if can_id == self._node.sdo.tx_cobid:

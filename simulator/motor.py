@@ -101,6 +101,8 @@ class ServoMotor:
         Integrated overload, trips at `OVERLOAD_BUDGET_S`.
     stuck_at_rad
         Angle at which the encoder is stuck, None when it works.
+    encoder_offset_rad
+        How much more than the true angle the encoder reports.
     """
 
     __slots__ = (
@@ -116,6 +118,7 @@ class ServoMotor:
         "command",
         "current_a",
         "duty",
+        "encoder_offset_rad",
         "friction_nm",
         "inertia_kg_m2",
         "kt_nm_a",
@@ -160,12 +163,14 @@ class ServoMotor:
         self.reference_velocity_rad_s = 0.0
         self.load_excess_s = 0.0
         self.stuck_at_rad: float | None = None
+        self.encoder_offset_rad = 0.0
         self.command = DriveCommand()
 
     @property
     def sensed_rad(self) -> float:
         """Angle that the encoder reports, rad."""
-        return self.angle_rad if self.stuck_at_rad is None else self.stuck_at_rad
+        true_rad = self.angle_rad if self.stuck_at_rad is None else self.stuck_at_rad
+        return true_rad + self.encoder_offset_rad
 
     @property
     def sensed_velocity_rad_s(self) -> float:

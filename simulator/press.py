@@ -34,6 +34,8 @@ class Press:
     ----------
     z_m
         Offset of the object along the closing axis in m, towards finger 1.
+    swell_m
+        How much more than its shape the object reaches towards each finger in m.
 
     Raises
     ------
@@ -41,12 +43,13 @@ class Press:
         If the object lies beside a pad.
     """
 
-    __slots__ = ("_foam", "_grids", "_lag_m", "_tables", "_windows", "z_m")
+    __slots__ = ("_foam", "_grids", "_lag_m", "_tables", "_windows", "swell_m", "z_m")
 
     def __init__(
         self, shape: Shape, pose: ObjectPose, grids: tuple[PadGrid, ...], foam: Foam
     ) -> None:
         self.z_m = pose.z_m
+        self.swell_m = 0.0
         self._foam = foam
         self._grids = grids
         tables: list[ForceTable] = []
@@ -81,8 +84,8 @@ class Press:
     def _depths_m(self, position_m: tuple[float, float]) -> tuple[float, float]:
         near, far = self._tables
         return (
-            near.reach_max_m - self.z_m - position_m[0],
-            far.reach_max_m + self.z_m - position_m[1],
+            near.reach_max_m + self.swell_m - self.z_m - position_m[0],
+            far.reach_max_m + self.swell_m + self.z_m - position_m[1],
         )
 
     def settle(

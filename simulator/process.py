@@ -58,7 +58,7 @@ class RealTimeCell:
         self._world_s = now_s
         self._adapter = SlcanAdapter(
             CanLink(
-                self.devices.unit,
+                self.devices.can_devices,
                 bitrate=settings.can_bitrate,
                 faults=self.devices.faults.can,
                 seed=settings.seed,
@@ -70,12 +70,13 @@ class RealTimeCell:
             undo.callback(self._servo_pty.close)
             self._can_pty = SlcanPty(self._adapter, folder / "can")
             undo.callback(self._can_pty.close)
+            self.devices.plugs |= {
+                "servos": (self._servo_pty.unplug, self._servo_pty.plug_in),
+                "can": (self._can_pty.unplug, self._can_pty.plug_in),
+            }
             commands = CellCommands(
                 self.devices,
-                {
-                    "servos": (self._servo_pty.unplug, self._servo_pty.plug_in),
-                    "can": (self._can_pty.unplug, self._can_pty.plug_in),
-                },
+                self.devices.plugs,
                 lambda: self._world_s,
             )
             self._server = PositionerServer(folder / "positioner.sock", commands)

@@ -232,8 +232,13 @@ class ServoFaultKnobs:
         """Let the encoder report its present angle for ever, or work again."""
         self._motor.stuck_at_rad = self._motor.angle_rad if stuck else None
 
+    def jump_encoder(self, angle_rad: float) -> None:
+        """Let the encoder report so many rad more from now on, until it is cleared."""
+        self._motor.encoder_offset_rad += angle_rad
+
     def clear(self) -> None:
         """Turn every knob of the servo back; latched errors stay until a reboot."""
         self.supply()
         self.hardware_error(0)
         self.stick_encoder(stuck=False)
+        self._motor.encoder_offset_rad = 0.0

@@ -52,9 +52,10 @@ class ServoRegisters:
         self._backup: bytes | None = None
         self.load_factory()
         for name, value in settings.items():
-            self._configure(name, value)
+            self.configure(name, value)
 
-    def _configure(self, name: str, value: int) -> None:
+    def configure(self, name: str, value: int) -> None:
+        """Set an EEPROM item; SimulatorSettingsError for another item or a value out of range."""
         register = REGISTERS.get(name)
         if register is None or not register.eeprom:
             raise SimulatorSettingsError(f"{name!r} is not an EEPROM item of the control table")

@@ -99,6 +99,17 @@ class UnitDictionary:
         node.add_write_callback(self._check)
         node.add_write_callback(self._act)
 
+    def pretend(
+        self, index: int, subindex: int, value: int | str | bytes | None
+    ) -> int | str | bytes | None:
+        """Let a constant read as another value; returns what it was, None for the EDS's own."""
+        before = self._constants.get((index, subindex))
+        if value is None:
+            self._constants.pop((index, subindex), None)
+        else:
+            self._constants[index, subindex] = value
+        return before
+
     def reset(self, layout: TaxelLayout, *, everything: bool) -> None:
         """Go back to the defaults: the communication profile, or all objects."""
         for index in list(self._node.data_store):

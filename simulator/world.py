@@ -2,13 +2,13 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.errors import SimulatorStateError
+from simulator.errors import SimulatorSettingsError, SimulatorStateError
 from simulator.foam import Foam
 from simulator.noise import NoiseModel
 from simulator.press import Press
@@ -191,6 +191,29 @@ class PhysicalWorld:
         self._press = None
         self._placed = None
         self._force_n = self._stiffness_n_m = (0.0, 0.0)
+
+    def slide(self, along_m: float) -> None:
+        """Move the object along the fingers by so many m, in the grip or not; off the pads it goes.
+
+        Without an object nothing changes.
+        """
+        if self._placed is None or self._press is None:
+            return
+        label, pose = self._placed
+        pose = replace(pose, x_m=pose.x_m + along_m, z_m=self._press.z_m)
+        shape = self._settings.objects.get(label) or parse_shape(label)
+        try:
+            press = Press(shape, pose, self._grids, self._settings.foam)
+        except SimulatorSettingsError:
+            self.remove()
+            return
+        press.swell_m = self._press.swell_m
+        self._press, self._placed = press, (label, pose)
+
+    def swell(self, thickness_m: float) -> None:
+        """Let the object reach so many m further, half towards each finger; 0 ends it."""
+        if self._press is not None:
+            self._press.swell_m = 0.5 * thickness_m
 
     def advance_to(self, now_s: float) -> None:
         """Step the fingers and the object until ``now_s`` s; a rest below a step waits."""

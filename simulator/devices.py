@@ -1,0 +1,212 @@
+"""World and devices of a simulated cell, without the ends of the buses."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+from simulator.can_devices import CanDevices
+from simulator.can_faults import CanLinkFaults, ControlUnitFaults
+from simulator.control_unit import ControlUnitSettings, SimulatedControlUnit
+from simulator.errors import SimulatorSettingsError, SimulatorStateError
+from simulator.faults import FaultInjector, InjectedFault
+from simulator.mechanics import FingerMechanics
+from simulator.motor import ServoMotor
+from simulator.recorded import RecordedWorld
+from simulator.servo import BAUD_RATES, SimulatedServo
+from simulator.servo_bus import ServoBusDevice
+from simulator.servo_faults import ServoFaultKnobs, WireFaults
+from simulator.settings import SimulatorSettings
+from simulator.world import PhysicalWorld, WorldSettings
+
+Plug = tuple[Callable[[], None], Callable[[], None]]
+"""How to pull a cable, and how to plug it in again."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CellFaults:
+    """All fault knobs of a simulated cell; all are off until they are turned.
+
+    Attributes
+    ----------
+    servo_wire
+        The line between host and servos.
+    servos
+        The servos by their ID.
+    can
+        The way between control unit and host.
+    unit
+        The control unit.
+    """
+
+    servo_wire: WireFaults
+    servos: dict[int, ServoFaultKnobs]
+    can: CanLinkFaults
+    unit: ControlUnitFaults
+
+
+class CellDevices:
+    """World and devices, without the ends of the buses: what both kinds of time share.
+
+    Parameters
+    ----------
+    settings
+        What the cell is made of.
+    start_s
+        Time at the start in s.
+
+    Attributes
+    ----------
+    mechanics
+        The fingers.
+    world
+        What is between them.
+    servo_bus
+        The servos on their line.
+    unit
+        The control unit.
+    can_devices
+        The control unit, and who joins it on its bus.
+    faults
+        The knobs.
+    injector
+        Faults by name.
+    plugs
+        Cables by name: how to pull one, how to plug it in again.
+    """
+
+    __slots__ = (
+        "can_devices",
+        "faults",
+        "injector",
+        "mechanics",
+        "plugs",
+        "servo_bus",
+        "settings",
+        "unit",
+        "world",
+    )
+
+    def __init__(self, settings: SimulatorSettings, *, start_s: float = 0.0) -> None:
+        self.settings = settings
+        motors = [ServoMotor(servo.model) for servo in settings.servos]
+        self.mechanics = FingerMechanics(
+            motors,
+            [servo.mount for servo in settings.servos],
+            settings.linkage,
+            aperture_m=settings.aperture_m,
+        )
+        self.world = self._make_world(start_s)
+        if settings.servo_baud_rate not in BAUD_RATES:
+            raise SimulatorSettingsError(
+                f"servo_baud_rate is {settings.servo_baud_rate}, must be one of {BAUD_RATES}"
+            )
+        eeprom = {
+            "baud_rate": BAUD_RATES.index(settings.servo_baud_rate),
+            "return_delay_time": 0,
+        }
+        servos = [
+            SimulatedServo(entry.servo_id, entry.model, motor, settings=eeprom)
+            for entry, motor in zip(settings.servos, motors, strict=True)
+        ]
+        self.servo_bus = ServoBusDevice(servos, settings.servo_baud_rate)
+        self.servo_bus.faults.seed = settings.seed
+        unit_faults = ControlUnitFaults()
+        self.unit = SimulatedControlUnit(
+            self.world,
+            settings.layout,
+            ControlUnitSettings(
+                node_id=settings.node_id,
+                bitrate=settings.can_bitrate,
+                serial_number=settings.serial_number,
+            ),
+            faults=unit_faults,
+            start_s=start_s,
+        )
+        self.faults = CellFaults(
+            servo_wire=self.servo_bus.faults,
+            servos={
+                servo.servo_id: ServoFaultKnobs(servo, motor)
+                for servo, motor in zip(servos, motors, strict=True)
+            },
+            can=CanLinkFaults(),
+            unit=unit_faults,
+        )
+        self.can_devices = CanDevices(self.unit)
+        self.injector = FaultInjector(self, start_s)
+        self.plugs: dict[str, Plug] = {
+            "can": _plug(self.faults.can),
+            "servos": _plug(self.faults.servo_wire),
+        }
+
+    def inject(self, text: str) -> InjectedFault:
+        """Inject a fault by its text; see `simulator.faults.FaultInjector.inject`."""
+        return self.injector.inject(text)
+
+    def second_unit(self, now_s: float) -> SimulatedControlUnit:
+        """Return another control unit with the same node id, switched on at ``now_s`` s."""
+        own = self.unit.settings
+        return SimulatedControlUnit(
+            self.world,
+            self.settings.layout,
+            replace(own, serial_number=own.serial_number + 1),
+            start_s=now_s,
+        )
+
+    def _make_world(self, start_s: float) -> PhysicalWorld | RecordedWorld:
+        settings = self.settings
+        if settings.grasps:
+            return RecordedWorld(settings.layout, self.mechanics, start_s=start_s)
+        return PhysicalWorld(
+            settings.layout,
+            self.mechanics,
+            WorldSettings(
+                foam=settings.foam,
+                noise=settings.noise,
+                seed=settings.seed,
+                objects=settings.objects,
+            ),
+            start_s=start_s,
+        )
+
+    @property
+    def physical(self) -> PhysicalWorld:
+        """The world with objects; SimulatorStateError in a cell that plays recorded grasps."""
+        if isinstance(self.world, PhysicalWorld):
+            return self.world
+        raise SimulatorStateError("this cell plays recorded grasps: it has no objects to place")
+
+    @property
+    def recorded(self) -> RecordedWorld:
+        """The world that plays grasps; SimulatorStateError in a cell with objects."""
+        if isinstance(self.world, RecordedWorld):
+            return self.world
+        raise SimulatorStateError("this cell presses objects into foam: it has no grasps to play")
+
+    def play(self, index: int) -> int:
+        """Load one of the settings' grasps; returns the number of its frames.
+
+        Raises
+        ------
+        SimulatorSettingsError
+            If there is no such grasp, or it does not fit the layout.
+        """
+        recorded, grasps = self.recorded, self.settings.grasps
+        if not 0 <= index < len(grasps):
+            raise SimulatorSettingsError(f"grasp {index} does not exist, there are {len(grasps)}")
+        recorded.load(grasps[index].counts, grasps[index].aperture_m)
+        return recorded.remaining
+
+    def advance_to(self, now_s: float) -> None:
+        """Let the time pass for fingers, object and servos until ``now_s`` s."""
+        self.world.advance_to(now_s)
+        self.servo_bus.advance_to(now_s)
+        self.injector.advance(now_s)
+
+
+def _plug(knobs: CanLinkFaults | WireFaults) -> Plug:
+    def pull() -> None:
+        knobs.unplugged = True
+
+    def plug_in() -> None:
+        knobs.unplugged = False
+
+    return pull, plug_in

@@ -1,0 +1,56 @@
+"""Named faults of the object between the fingers."""
+
+from simulator.faults_entry import Effect, FaultEntry, FaultKind, Number, Target, nothing
+
+_SLIDE_M = 1e-4
+
+
+def _gone(target: Target) -> Effect:
+    target.devices.physical.remove()
+    return Effect(undo=nothing)
+
+
+def _slips(target: Target) -> Effect:
+    world, speed_m_s, last_s = target.devices.physical, 1e-3 * target.number, target.now_s
+
+    def act(now_s: float) -> None:
+        nonlocal last_s
+        way_m = (now_s - last_s) * speed_m_s
+        if way_m >= _SLIDE_M:
+            world.slide(way_m)
+            last_s = now_s
+
+    return Effect(undo=nothing, act=act)
+
+
+def _trapped(target: Target) -> Effect:
+    world = target.devices.physical
+    world.swell(1e-3 * target.number)
+    return Effect(undo=lambda: world.swell(0.0))
+
+
+OBJECT = (
+    FaultEntry(
+        name="object.gone",
+        kind=FaultKind.OFF,
+        meaning="the part is taken out of the fingers",
+        apply=_gone,
+        moment=True,
+    ),
+    FaultEntry(
+        name="object.slips",
+        kind=FaultKind.WRONG,
+        meaning="the part slides along the pads until it has left them",
+        value=Number(unit="mm/s", low=0.1, high=1000.0, default=20.0),
+        apply=_slips,
+        knob="slips",
+    ),
+    FaultEntry(
+        name="object.trapped",
+        kind=FaultKind.WRONG,
+        meaning="something is trapped beside the part: it grows by so much and pushes back",
+        value=Number(unit="mm", low=0.0, high=10.0, default=3.0),
+        apply=_trapped,
+        knob="trapped",
+    ),
+)

@@ -1,0 +1,272 @@
+"""Named faults of the servo bus and of single servos."""
+
+from collections.abc import Callable
+
+from gripper.registers import REGISTERS
+from simulator.errors import SimulatorSettingsError
+from simulator.faults_entry import (
+    Effect,
+    FaultEntry,
+    FaultKind,
+    Number,
+    Setting,
+    Target,
+    nothing,
+    turned,
+)
+from simulator.motor import AMBIENT_C
+from simulator.servo_core import WatchdogStop
+from simulator.servo_faults import ServoFaultKnobs, Trigger
+from simulator.servo_registers import EEPROM_END
+
+_SHARE = Number(unit="share", low=0.0, high=1.0, default=0.05)
+_LATE = Number(unit="s", low=0.0, high=1.0, default=0.04)
+
+Apply = Callable[[Target], Effect]
+
+
+def _wire(knob: str) -> Apply:
+    def apply(target: Target) -> Effect:
+        trigger = Trigger(probability=target.number)
+        return Effect(undo=turned(target.devices.faults.servo_wire, knob, trigger))
+
+    return apply
+
+
+def _late(target: Target, servo_ids: frozenset[int] | None) -> Effect:
+    wire = target.devices.faults.servo_wire
+    time_back = turned(wire, "delay_s", target.number)
+    trigger_back = turned(wire, "delay", Trigger(probability=1.0, servo_ids=servo_ids))
+
+    def undo() -> None:
+        trigger_back()
+        time_back()
+
+    return Effect(undo=undo)
+
+
+def _silence(target: Target, servo_ids: list[int]) -> Effect:
+    silent = target.devices.faults.servo_wire.silent
+    added = [servo_id for servo_id in servo_ids if servo_id not in silent]
+    silent.update(added)
+    return Effect(undo=lambda: silent.difference_update(added))
+
+
+def _all_silent(target: Target) -> Effect:
+    return _silence(target, [servo.servo_id for servo in target.devices.settings.servos])
+
+
+def _unplugged(target: Target) -> Effect:
+    pull, plug_in = target.devices.plugs["servos"]
+    pull()
+    return Effect(undo=plug_in)
+
+
+def _echo(target: Target) -> Effect:
+    return Effect(undo=turned(target.devices.faults.servo_wire, "echo", True))
+
+
+def _id(target: Target) -> int:
+    return target.devices.settings.servos[target.servo].servo_id
+
+
+def _knobs(target: Target) -> ServoFaultKnobs:
+    return target.devices.faults.servos[_id(target)]
+
+
+def _reboot(target: Target) -> Effect:
+    _knobs(target).reboot(target.now_s)
+    return Effect(undo=nothing)
+
+
+def _overload(target: Target) -> Effect:
+    _knobs(target).overload()
+    return Effect(undo=nothing)
+
+
+def _overheat(target: Target) -> Effect:
+    knobs = _knobs(target)
+    knobs.overheat(target.number)
+    return Effect(undo=lambda: knobs.overheat(AMBIENT_C))
+
+
+def _stuck(target: Target) -> Effect:
+    knobs = _knobs(target)
+    knobs.stick_encoder()
+    return Effect(undo=lambda: knobs.stick_encoder(stuck=False))
+
+
+def _jump(target: Target) -> Effect:
+    _knobs(target).jump_encoder(target.number)
+    return Effect(undo=nothing)
+
+
+def _supply(target: Target) -> Effect:
+    knobs = _knobs(target)
+    knobs.supply(target.number)
+    return Effect(undo=knobs.supply)
+
+
+def _error(target: Target) -> Effect:
+    knobs = _knobs(target)
+    knobs.hardware_error(int(target.number))
+    return Effect(undo=lambda: knobs.hardware_error(0))
+
+
+def _watchdog_off(target: Target) -> Effect:
+    core = target.devices.servo_bus.servos[target.servo].core
+    return Effect(undo=turned(core, "watchdog_stop", WatchdogStop.KEEPS_TURNING))
+
+
+def _check_register(target: Target) -> None:
+    name, number = target.setting
+    register = REGISTERS.get(name)
+    if register is None or register.address >= EEPROM_END:
+        raise SimulatorSettingsError(f"{name!r} is no EEPROM register, as current_limit is")
+    if register.writable:
+        registers = target.devices.servo_bus.servos[target.servo].core.registers
+        before = registers.get(name)
+        registers.configure(name, number)
+        registers.put(name, before)
+    elif not 0 <= number < 256**register.size:
+        raise SimulatorSettingsError(f"{name} = {number} does not fit into {register.size} bytes")
+
+
+def _wrong(target: Target) -> Effect:
+    name, number = target.setting
+    registers = target.devices.servo_bus.servos[target.servo].core.registers
+    before = registers.get(name)
+    registers.put(name, number)
+    return Effect(undo=lambda: registers.put(name, before))
+
+
+def _share(name: str, kind: FaultKind, meaning: str, knob: str) -> FaultEntry:
+    return FaultEntry(
+        name=name, kind=kind, meaning=meaning, value=_SHARE, apply=_wire(knob), knob=knob
+    )
+
+
+SERVOS = (
+    _share("servos.loss", FaultKind.INTERMITTENT, "answers are lost", "drop"),
+    _share("servos.lost_requests", FaultKind.INTERMITTENT, "requests are lost", "lose_request"),
+    _share("servos.corrupt", FaultKind.GARBAGE, "one bit of an answer turns", "bit_flip"),
+    _share("servos.garbage", FaultKind.GARBAGE, "noise comes before an answer", "garbage"),
+    _share("servos.truncated", FaultKind.GARBAGE, "answers lack their end", "truncate"),
+    _share("servos.wrong_id", FaultKind.WRONG, "answers name another servo", "wrong_id"),
+    FaultEntry(
+        name="servos.delayed",
+        kind=FaultKind.DELAYED,
+        meaning="all answers come late",
+        value=_LATE,
+        apply=lambda target: _late(target, None),
+        knob="delay",
+    ),
+    FaultEntry(
+        name="servos.off",
+        kind=FaultKind.OFF,
+        meaning="no servo hears or answers",
+        apply=_all_silent,
+        knob="silent",
+    ),
+    FaultEntry(
+        name="servos.echo",
+        kind=FaultKind.WRONG,
+        meaning="the host hears its own bytes",
+        apply=_echo,
+        knob="echo",
+    ),
+    FaultEntry(
+        name="servos.unplugged",
+        kind=FaultKind.UNPLUGGED,
+        meaning="the adapter of the servo bus is gone",
+        apply=_unplugged,
+        knob="servo_plug",
+    ),
+)
+
+SERVO = (
+    FaultEntry(
+        name="servoN.off",
+        kind=FaultKind.OFF,
+        meaning="the servo neither hears nor answers; its torque stays as it is",
+        apply=lambda target: _silence(target, [_id(target)]),
+        knob="silent",
+    ),
+    FaultEntry(
+        name="servoN.slow",
+        kind=FaultKind.SLOW,
+        meaning="its answers come late",
+        value=_LATE,
+        apply=lambda target: _late(target, frozenset({_id(target)})),
+        knob="delay",
+    ),
+    FaultEntry(
+        name="servoN.reboot",
+        kind=FaultKind.REBOOT,
+        meaning="it reboots by itself: torque off, RAM at its defaults",
+        apply=_reboot,
+        moment=True,
+    ),
+    FaultEntry(
+        name="servoN.overload",
+        kind=FaultKind.OFF,
+        meaning="its overload protection latches and switches the torque off",
+        apply=_overload,
+        moment=True,
+    ),
+    FaultEntry(
+        name="servoN.overheat",
+        kind=FaultKind.WRONG,
+        meaning="its inside has this temperature, and cools down slowly",
+        value=Number(unit="degC", low=-20.0, high=150.0, default=90.0),
+        apply=_overheat,
+        knob="temperature",
+    ),
+    FaultEntry(
+        name="servoN.supply",
+        kind=FaultKind.WRONG,
+        meaning="its supply has this voltage",
+        value=Number(unit="V", low=0.0, high=30.0, default=6.0),
+        apply=_supply,
+        knob="supply",
+    ),
+    FaultEntry(
+        name="servoN.error",
+        kind=FaultKind.WRONG,
+        meaning="these bits of Hardware Error Status (16 shock, 8 encoder)",
+        value=Number(unit="bits", low=1, high=63, default=16, whole=True),
+        apply=_error,
+        knob="error",
+    ),
+    FaultEntry(
+        name="servoN.stuck",
+        kind=FaultKind.STUCK,
+        meaning="its encoder reports the same angle for ever",
+        apply=_stuck,
+        knob="stuck",
+    ),
+    FaultEntry(
+        name="servoN.jump",
+        kind=FaultKind.WRONG,
+        meaning="its encoder reports so much more from one moment to the next",
+        value=Number(unit="rad", low=-6.3, high=6.3, default=0.5),
+        apply=_jump,
+        moment=True,
+    ),
+    FaultEntry(
+        name="servoN.watchdog_off",
+        kind=FaultKind.WRONG,
+        meaning="its bus watchdog trips and the motor goes on (330 size)",
+        apply=_watchdog_off,
+        knob="watchdog",
+    ),
+    FaultEntry(
+        name="servoN.wrong",
+        kind=FaultKind.WRONG,
+        meaning="an EEPROM register is not what the config says",
+        value=Setting(unit="register:number", default="current_limit:100"),
+        apply=_wrong,
+        check=_check_register,
+        knob="eeprom",
+    ),
+)
