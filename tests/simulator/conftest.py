@@ -1,6 +1,10 @@
 """Benches that several tests of the simulator share."""
 
-from collections.abc import Callable, Mapping
+import select
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from pathlib import Path
 
 import pytest
 
@@ -13,6 +17,7 @@ from simulator.protocol2 import Instruction, PacketParser, encode_instruction
 from simulator.servo import SimulatedServo
 from simulator.servo_bus import ServoBusDevice
 from simulator.servo_core import WatchdogStop
+from simulator.servo_pty import ServoPty
 from simulator.servo_stream import MemoryServoStream
 
 
@@ -107,3 +112,43 @@ class ServoBench:
 def servo_bench() -> Callable[..., ServoBench]:
     """Return the maker of a bench with servos; takes what `ServoBench` takes."""
     return ServoBench
+
+
+class Driver:
+    """Serves a servo terminal from a thread until it is stopped."""
+
+    def __init__(self, bench: ServoBench, link_path: Path) -> None:
+        self.bench = bench
+        self.endpoint = ServoPty(bench.device, link_path)
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._serve)
+        self._thread.start()
+
+    def _serve(self) -> None:
+        due_s: float | None = None
+        while not self._stop.is_set():
+            now_s = time.monotonic()
+            wait_s = 0.05 if due_s is None else min(max(due_s - now_s, 0.0), 0.05)
+            select.select([self.endpoint], [], [], wait_s)
+            due_s = self.endpoint.poll(time.monotonic())
+
+    def stop(self) -> None:
+        self._stop.set()
+        self._thread.join()
+        self.endpoint.close()
+
+
+@pytest.fixture
+def serve(
+    servo_bench: Callable[..., ServoBench], tmp_path: Path
+) -> Iterator[Callable[..., Driver]]:
+    """Return what puts a bench on a pseudo-terminal; takes what `ServoBench` takes."""
+    drivers: list[Driver] = []
+
+    def make(**options: object) -> Driver:
+        drivers.append(Driver(servo_bench(**options), tmp_path / "servos"))
+        return drivers[-1]
+
+    yield make
+    for driver in drivers:
+        driver.stop()

@@ -1,15 +1,12 @@
 """Clients written by others talk to the simulated servos over a real pseudo-terminal."""
 
-import select
-import threading
 import time
-from collections.abc import Callable, Iterator
+from typing import Any
 
 import dynamixel_sdk
 import pytest
 
 from gripper.registers import XL330_M288
-from simulator.servo_pty import ServoPty
 
 rustypot = pytest.importorskip("rustypot")
 pytestmark = pytest.mark.hil
@@ -17,45 +14,8 @@ pytestmark = pytest.mark.hil
 TIMEOUT_S = 0.5
 
 
-class Driver:
-    """Serves a servo terminal from a thread until it is stopped."""
-
-    def __init__(self, bench, link_path) -> None:
-        self.bench = bench
-        self.endpoint = ServoPty(bench.device, link_path)
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._serve)
-        self._thread.start()
-
-    def _serve(self) -> None:
-        due_s: float | None = None
-        while not self._stop.is_set():
-            now_s = time.monotonic()
-            wait_s = 0.05 if due_s is None else min(max(due_s - now_s, 0.0), 0.05)
-            select.select([self.endpoint], [], [], wait_s)
-            due_s = self.endpoint.poll(time.monotonic())
-
-    def stop(self) -> None:
-        self._stop.set()
-        self._thread.join()
-        self.endpoint.close()
-
-
 @pytest.fixture
-def serve(servo_bench, tmp_path) -> Iterator[Callable[..., Driver]]:
-    drivers = []
-
-    def make(**options) -> Driver:
-        drivers.append(Driver(servo_bench(**options), tmp_path / "servos"))
-        return drivers[-1]
-
-    yield make
-    for driver in drivers:
-        driver.stop()
-
-
-@pytest.fixture
-def driver(serve) -> Driver:
+def driver(serve) -> Any:
     return serve(settings={"operating_mode": 5})
 
 
@@ -66,11 +26,11 @@ def client(driver):
     controller.close()
 
 
-def present(driver: Driver, servo_id: int) -> int:
+def present(driver: Any, servo_id: int) -> int:
     return driver.bench.servos[servo_id - 1].core.position.present_raw()
 
 
-def registers(driver: Driver, servo_id: int):
+def registers(driver: Any, servo_id: int):
     return driver.bench.servos[servo_id - 1].core.registers
 
 
