@@ -89,7 +89,10 @@ class ServoBus:
         """Within the block no transaction waits longer than a period of the loop may take.
 
         Outside of it a retry waits for ``late_guard_s``: at a start or between commands a servo,
-        or the machine that simulates it, may be slow once without being at fault.
+        or the machine that simulates it, may be slow once without being at fault. Within it a
+        `sync_read` does not wait until the line is quiet: whoever uses it there reads Realtime
+        Tick (register 120) along, which shows an old answer. A servo that was silent is asked
+        last, so that it cannot hide one that is not.
         """
         before, self._in_loop = self._in_loop, True
         try:
@@ -118,6 +121,11 @@ class ServoBus:
     def misses(self, servo_id: int) -> int:
         """Return how many answers of a servo have been lost in a row."""
         return self._line.misses.get(servo_id, 0)
+
+    @property
+    def suspect(self) -> bool:
+        """Whether an old answer may still be on its way."""
+        return self._line.suspect
 
     def distrust(self) -> None:
         """Let the next transaction wait until the line is quiet: an answer came out of turn."""
@@ -180,7 +188,9 @@ class ServoBus:
         action = f"reading {first.name} to {last.name} of servos {list(ids)}"
         for servo_id in ids:
             _check_id(servo_id)
-        with self._line.transaction():
+        if self._in_loop:
+            ids = sorted(ids, key=self.misses)
+        with self._line.transaction(quiet=not self._in_loop):
             deadline_s = self._line.clock.monotonic() + self.period_s
             found, failure = self._chain(ids, first, size)
             for servo_id in ids:
@@ -193,7 +203,7 @@ class ServoBus:
                         servo_id, Instruction.READ, _words(first.address, size), size
                     )
                 except NoAnswerError as again:
-                    self._line.suspect = True
+                    self._line.give_up()
                     raise _give_up(failure or again, action, servo_id) from None
             for servo_id in ids:
                 _check_error(found[servo_id], action)
@@ -223,7 +233,8 @@ class ServoBus:
             listed = (raws,) if isinstance(raws, int) else tuple(raws)
             params += bytes([servo_id])
             params += b"".join(r.encode(v) for r, v in zip(registers, listed, strict=True))
-        with self._line.transaction():
+        # Nobody answers a sync write: an old answer can do no harm.
+        with self._line.transaction(quiet=False):
             self._line.send(BROADCAST_ID, Instruction.SYNC_WRITE, params)
 
     def reboot(self, servo_id: int) -> None:
@@ -237,7 +248,7 @@ class ServoBus:
             try:
                 status = self._line.request(servo_id, Instruction.REBOOT, b"", 0)
             except NoAnswerError as failure:
-                self._line.suspect = True
+                self._line.give_up()
                 raise _give_up(failure, action, servo_id) from None
             self._line.alerts.discard(servo_id)
             _check_error(status, action)
@@ -251,8 +262,11 @@ class ServoBus:
     ) -> StatusPacket:
         """Send a request and return the checked answer; once more when it is lost."""
         _check_id(servo_id)
-        with self._line.transaction():
+        with self._line.transaction(quiet=not self._in_loop):
             try:
+                if self._line.suspect:
+                    # There is no time to wait: answers come in order, and a ping shows where.
+                    self._line.clear(servo_id, None)
                 status = self._line.request(servo_id, instruction, params, size)
                 if status.error == _CRC_REFUSED:
                     raise NoAnswerError(damaged=True)
@@ -264,7 +278,7 @@ class ServoBus:
                         servo_id, instruction, params, size, patient=not self._in_loop
                     )
                 except NoAnswerError:
-                    self._line.suspect = True
+                    self._line.give_up()
                     raise _give_up(failure, action, servo_id) from None
         _check_error(status, action)
         return status

@@ -44,6 +44,14 @@ class BusTimeout(GripperError, TimeoutError):
     """A servo did not answer in time, nor to the retry."""
 
 
+class FingerSilent(BusTimeout):
+    """One servo has fallen silent while the other answers; the living finger stands still."""
+
+
+class LinkTooSlow(GripperError):
+    """Servos answer, but too late for the rate of the loop; nothing has moved."""
+
+
 class BusCorrupt(GripperError):
     """Answers arrived damaged, of the wrong length or from the wrong servo."""
 
@@ -79,15 +87,18 @@ class ServoFault(GripperError):
         The servo at fault.
     bits
         Hardware Error Status (register 70); 0 where the fault is not one of its bits.
+    torque_lost
+        True when the servo has no torque any more: the other finger must not push alone.
     """
 
-    def __init__(self, servo_id: int, bits: int, detail: str) -> None:
+    def __init__(self, servo_id: int, bits: int, detail: str, *, torque_lost: bool = False) -> None:
         names = ", ".join(hardware_error_names(bits)) or "no hardware error bit"
         super().__init__(
             f"servo {servo_id}: {detail} (Hardware Error Status 0x{bits:02X}: {names})"
         )
         self.servo_id = servo_id
         self.bits = bits
+        self.torque_lost = torque_lost
 
 
 class VerificationFailed(GripperError):
@@ -110,6 +121,14 @@ class VerificationFailed(GripperError):
 
 class LimitExceeded(GripperError, ValueError):
     """A command or a measured value is outside a limit of the settings."""
+
+
+class ForceAboveCap(LimitExceeded):
+    """The measured grip force is above its cap; the settings say what is done about it."""
+
+
+class FeedbackImplausible(GripperError):
+    """A servo reports what cannot be: where its finger is, is unknown; the torque goes off."""
 
 
 class GripperStateError(GripperError):

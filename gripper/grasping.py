@@ -7,7 +7,8 @@ from gripper.errors import LimitExceeded, PartLost, PartSlipped
 from gripper.free_running import FreeRunning
 from gripper.kinematics import Linkage
 from gripper.limits import ServoGoal
-from gripper.motion import GripControl, motion_current_a, new_compliance
+from gripper.motion import GripControl, new_compliance
+from gripper.motion_current import motion_current_a
 from gripper.ramp import ForceRamp
 from gripper.runner import Action, LoopRunner, Moment, Observer
 from gripper.servos import ServoGroup

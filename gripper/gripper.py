@@ -13,6 +13,7 @@ from gripper.kinematics import Linkage
 from gripper.lifecycle import Lifecycle
 from gripper.motion import GripControl, MoveTo
 from gripper.ramp import ForceRamp
+from gripper.reactions import bus_is_lost
 from gripper.readiness import make_ready
 from gripper.recovery import reboot_servos
 from gripper.runner import LoopRunner, Observer
@@ -89,7 +90,7 @@ class Gripper:
         self._servos = ServoGroup(bus, linkage, settings, clock)
         self._runner = LoopRunner(self._servos, force_sensor, settings, clock)
         self._grasping = GraspRun(self._runner, self._servos, linkage, settings)
-        self._life = Lifecycle(self._servos, self._runner)
+        self._life = Lifecycle(self._servos, self._runner, settings)
         self._watchdog_proofs: tuple[WatchdogProof, ...] = ()
 
     @property
@@ -304,9 +305,9 @@ class Gripper:
         """Freeze in any state: no new goals, torque as it is, bus watchdog disarmed.
 
         May be called again and again. Raises when the servos cannot be reached: then their
-        watchdog may still trip.
+        watchdog may still trip. After the loss of the bus nothing is written any more.
         """
-        if self._life.phase is GripperPhase.OFF:
+        if self._life.phase is GripperPhase.OFF or bus_is_lost(self._life.fault):
             return
         self._life.rest()
         self._servos.disarm_watchdog()

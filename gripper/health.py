@@ -119,7 +119,7 @@ class ServoHealth:
                 if dropped
                 else "it reports a hardware error, the grip is kept"
             )
-            raise ServoFault(servo_id, bits, detail)
+            raise ServoFault(servo_id, bits, detail, torque_lost=dropped)
 
     def check_torque(self, servo_id: int) -> None:
         """Raise ServoFault when a servo has lost the torque that it was given."""
@@ -130,6 +130,7 @@ class ServoHealth:
                 bits,
                 "its torque is off although nobody switched it off (a reboot or a shutdown); the "
                 "part has possibly been dropped",
+                torque_lost=True,
             )
 
     def hardware_errors(self) -> dict[int, int]:

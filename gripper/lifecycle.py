@@ -4,8 +4,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
 from gripper.errors import GraspStopped, GripperError, GripperStateError
+from gripper.reactions import react
 from gripper.runner import LoopRunner
 from gripper.servos import ServoGroup
+from gripper.settings import GripperSettings
 from gripper.state import GripperPhase
 
 
@@ -14,7 +16,7 @@ class Lifecycle:
 
     Parameters
     ----------
-    servos, runner
+    servos, runner, settings
         Of the gripper.
 
     Attributes
@@ -31,13 +33,14 @@ class Lifecycle:
         True while a command runs.
     """
 
-    def __init__(self, servos: ServoGroup, runner: LoopRunner) -> None:
+    def __init__(self, servos: ServoGroup, runner: LoopRunner, settings: GripperSettings) -> None:
         self.phase = GripperPhase.OFF
         self.part_possible = False
         self.controlled = False
         self.fault: BaseException | None = None
         self.running = False
         self._servos = servos
+        self._settings = settings
         self._runner = runner
 
     def set_phase(self, phase: GripperPhase) -> None:
@@ -105,9 +108,5 @@ class Lifecycle:
             self.phase = GripperPhase.HELD_AFTER_FAULT
             # The error that is on its way says what matters; a bus that fails again adds nothing.
             with suppress(GripperError):
-                if self._servos.guard.force_is_too_high():
-                    self._servos.lower_currents()
-                else:
-                    self._servos.calm()
-                self._servos.disarm_watchdog()
+                react(error, self._servos, self._settings)
             raise

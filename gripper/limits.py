@@ -8,15 +8,21 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from gripper.errors import LimitExceeded
+from gripper.errors import ForceAboveCap, LimitExceeded
 from gripper.force import ForceSample
 from gripper.kinematics import Linkage, Transmission
 from gripper.registers import RAD_PER_PULSE
-from gripper.settings import GripperSettings
+from gripper.settings import GripperSettings, OverForce
 from gripper.state import GripperState
 
 _FORCE_SAMPLES = 3
 _ROUNDING_A = 0.005
+_SINGLE_SAMPLE = 3.0
+_OVER_FORCE = {
+    OverForce.LOWER: "the driving current is lowered in one step and the part kept",
+    OverForce.OPEN: "the fingers open by one small step",
+    OverForce.LIMP: "the torque is switched off, a held part possibly dropped",
+}
 
 OPENING_MARGIN_RAD = 0.05
 """How far beyond an opening its goal may lie, so that friction does not stop short of it."""
@@ -78,18 +84,28 @@ class GoalGuard:
         )
 
     def force_is_too_high(self) -> bool:
-        """Say whether the measured force is above the cap by more than noise."""
+        """Say whether the measured force is above the cap by more than noise.
+
+        A single sample counts when it is above it by three times that.
+        """
         settings = self._settings
-        return self.force_n() > settings.force_max_n + settings.force_noise_n
+        newest_n = max(self._forces[-1].force_n) if self._forces else 0.0
+        return (
+            self.force_n() > settings.force_max_n + settings.force_noise_n
+            or newest_n > settings.force_max_n + _SINGLE_SAMPLE * settings.force_noise_n
+        )
+
+    def _highest_n(self) -> float:
+        return max(self.force_n(), max(self._forces[-1].force_n) if self._forces else 0.0)
 
     def check_force(self) -> None:
         """Raise LimitExceeded while the measured force is above the cap."""
         settings = self._settings
         if self.force_is_too_high():
-            raise LimitExceeded(
-                f"the grip force is {self.force_n():.2f} N, force_max_n is "
-                f"{settings.force_max_n} N (and {settings.force_noise_n} N for noise): the driving "
-                f"current is lowered and the part kept; clear the fault, then release it"
+            raise ForceAboveCap(
+                f"the grip force is {self._highest_n():.2f} N, force_max_n is "
+                f"{settings.force_max_n} N (and {settings.force_noise_n} N for noise): "
+                f"{_OVER_FORCE[settings.over_force]}; clear the fault, then release the part"
             )
 
     def check(self, goals: Sequence[ServoGoal], state: GripperState, now_s: float) -> None:

@@ -94,6 +94,7 @@ class ServoLine:
         self.alerts: set[int] = set()
         self.misses: dict[int, int] = {}
         self.suspect = False
+        self._suspect_since_s = 0.0
         self._handler = CheckedPacketHandler()
         self._late_guard_s = late_guard_s
         self._lock_timeout_s = lock_timeout_s
@@ -102,8 +103,12 @@ class ServoLine:
         self._closed = False
 
     @contextmanager
-    def transaction(self) -> Iterator[None]:
-        """Hold the line for one exchange; BusBusy, PortLost when it cannot be had."""
+    def transaction(self, *, quiet: bool = True) -> Iterator[None]:
+        """Hold the line for one exchange; BusBusy, PortLost when it cannot be had.
+
+        With ``quiet`` the line falls silent first where an old answer may still be on its way;
+        without it whoever asks must tell an old answer by its length or content.
+        """
         if not self._lock.acquire(timeout=self._lock_timeout_s):
             raise BusBusy(
                 f"another thread holds the servo bus for more than {self._lock_timeout_s} s"
@@ -112,8 +117,11 @@ class ServoLine:
             if self._closed:
                 raise PortLost("the servo bus is closed: open it again")
             self.count(transactions=1)
-            if self.suspect:
+            if self.suspect and quiet:
                 self._wait_until_quiet()
+            elif self.suspect and self._suspicion_lapsed():
+                self.suspect = False
+                self._owed = 0
             yield
         finally:
             self.port.is_using = False
@@ -169,8 +177,16 @@ class ServoLine:
 
     def distrust(self) -> None:
         """Take it that an answer is still on its way."""
-        self.suspect = True
+        self.give_up()
         self._owed += 1
+
+    def give_up(self) -> None:
+        """Note that an answer that was asked for did not come: it may come later."""
+        self.suspect = True
+        self._suspect_since_s = self.clock.monotonic()
+
+    def _suspicion_lapsed(self) -> bool:
+        return self.clock.monotonic() - self._suspect_since_s > self._late_guard_s
 
     def clear(self, servo_id: int, deadline_s: float | None, *, patient: bool = False) -> None:
         """Ping a servo: answers come in order, so after this one nothing old can arrive."""

@@ -4,11 +4,12 @@ from collections import deque
 from collections.abc import Sequence
 
 from gripper.compliance import Compliance
-from gripper.errors import ForceImbalance, LimitExceeded, ServoFault
+from gripper.errors import ForceImbalance, ServoFault
 from gripper.force import ForceSample
 from gripper.force_loop import ForceLoop
 from gripper.kinematics import Linkage, Transmission
 from gripper.limits import OPENING_MARGIN_RAD, ServoGoal, closing_margin_rad
+from gripper.motion_current import motion_current_a
 from gripper.reference import Reference
 from gripper.registers import RAD_PER_PULSE
 from gripper.runner import Action, Moment
@@ -18,32 +19,12 @@ from gripper.state import GripperState, ServoState
 _REACHED_RAD = 2.0 * RAD_PER_PULSE
 _OVERRUN_RAD = 0.6 * OPENING_MARGIN_RAD
 _PATIENCE_S = 2.0
-_FRICTION_RESERVE = 1.2
 _OPENING_FORCE_N = 3.0
 _AGAINST_REST = 1.4
 _LOST_SHARE = 0.25
 _LOST_TIME_S = 0.1
 _MEAN_SAMPLES = 3
 _GIVE_RAD = 0.03
-
-
-def motion_current_a(
-    settings: GripperSettings, paths: Sequence[Transmission], force_n: float
-) -> float:
-    """Return the current in A that moves the fingers freely and presses with ``force_n`` at most.
-
-    Friction enters with a reserve for breaking away; LimitExceeded when the cap of the current
-    does not allow it.
-    """
-    current_a = max(
-        (force_n * p.radius_m + _FRICTION_RESERVE * p.friction_nm) / p.kt_nm_a for p in paths
-    )
-    if current_a > settings.current_max_a:
-        raise LimitExceeded(
-            f"moving the fingers takes {current_a:.3f} A, current_max_a is "
-            f"{settings.current_max_a} A: raise it"
-        )
-    return current_a
 
 
 class MoveTo:

@@ -1,7 +1,7 @@
 """Torque and bus watchdog as a command needs them before it begins."""
 
 from gripper.errors import ServoFault
-from gripper.motion import motion_current_a
+from gripper.motion_current import motion_current_a
 from gripper.servos import ServoGroup
 from gripper.settings import GripperSettings
 

@@ -14,6 +14,7 @@ from gripper.errors import (
 )
 from gripper.force import ForceSample, ForceSensor
 from gripper.limits import ServoGoal
+from gripper.missed import MissedReads
 from gripper.servos import ServoGroup
 from gripper.settings import GripperSettings
 from gripper.state import Cycle, GripperPhase, GripperState
@@ -88,8 +89,8 @@ class LoopRunner:
         self._clock = clock
         self._timer = LoopTimer(settings.period_s)
         self._stop = threading.Event()
-        self._good_s = clock.monotonic()
-        self._due_s = self._good_s
+        self._due_s = clock.monotonic()
+        self._missed = MissedReads(servos, settings, self._due_s)
         self._cycles = 0
 
     @property
@@ -111,18 +112,17 @@ class LoopRunner:
         Raises
         ------
         BusTimeout, BusCorrupt
-            When there was no feedback for ``bus_loss_s``.
+            When there was no feedback for ``bus_loss_s``, or none of one servo for three periods.
         """
         asked_s = self._clock.monotonic()
         try:
             state = self._servos.read()
-        except (BusTimeout, BusCorrupt):
+        except (BusTimeout, BusCorrupt) as error:
             self._timer.missed_reads += 1
-            if self._clock.monotonic() - self._good_s > self._settings.bus_loss_s:
-                raise
+            self._missed.missed(error, self._clock.monotonic())
             return None
         self._timer.transaction(state.t_s - asked_s)
-        self._good_s = state.t_s
+        self._missed.answered(state.t_s)
         return state
 
     def run(
@@ -160,7 +160,7 @@ class LoopRunner:
         if deadline_s < self._due_s:
             self._clock.sleep(self._due_s - deadline_s)
             deadline_s = self._due_s
-        self._good_s = deadline_s
+        self._missed.answered(deadline_s)
         last_s = deadline_s - period_s
         fresh_s = deadline_s
         while True:
@@ -168,7 +168,10 @@ class LoopRunner:
                 raise GraspStopped(
                     "stopped on request: goals are frozen, a held part stays held until release"
                 )
-            state = self.read()
+            with self._servos.in_loop():
+                state = self.read()
+                if state is None:
+                    self._missed.keep_still(phase)
             sample = self._sensor.latest_force()
             if state is not None:
                 if sample is not None:

@@ -1,17 +1,19 @@
 """The servos of one gripper as a group: feedback, torque, watchdog and goals."""
 
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, suppress
 from math import pi, tau
 
 from gripper.bus import ServoBus
 from gripper.clock import Clock
-from gripper.errors import ServoFault
+from gripper.errors import GripperError, ServoFault
 from gripper.force import ForceSample
 from gripper.freshness import TickWatch
 from gripper.health import ServoHealth
 from gripper.kinematics import Linkage, Transmission
 from gripper.limits import GoalGuard, ServoGoal
+from gripper.motion_current import motion_current_a
+from gripper.plausibility import FeedbackCheck
 from gripper.registers import (
     BUS_WATCHDOG,
     GOAL_CURRENT,
@@ -52,6 +54,7 @@ class ServoGroup:
         self._clock = clock
         self._ids = [servo.servo_id for servo in settings.servos]
         self._ticks = TickWatch()
+        self._feedback = FeedbackCheck(settings, linkage)
         self.health = ServoHealth(bus, settings)
         self._last: GripperState | None = None
         self.goals: tuple[ServoGoal, ...] = ()
@@ -70,6 +73,10 @@ class ServoGroup:
         ------
         BusTimeout, BusCorrupt
             When an answer is missing, damaged or older than the request.
+        ServoFault
+            When a servo has restarted under torque.
+        FeedbackImplausible
+            When a servo under torque reports what cannot be.
         """
         sent_s = self._clock.monotonic()
         raws = self._bus.sync_read(self._ids, REALTIME_TICK, PRESENT_TEMPERATURE)
@@ -77,11 +84,16 @@ class ServoGroup:
         for servo_id, raw in raws.items():
             problem = self._ticks.check(servo_id, raw[REALTIME_TICK.name], sent_s, now_s)
             if problem is not None:
-                self._bus.distrust()
-                if self.goals:
-                    self.health.check_torque(servo_id)
+                try:
+                    # An old answer has another length: it cannot pass for this one.
+                    if self.goals:
+                        self.health.check_torque(servo_id)
+                finally:
+                    self._bus.distrust()
                 raise problem
         servos = tuple(self._servo_state(s, raws[s.servo_id]) for s in self._settings.servos)
+        if self.goals:
+            self._feedback.check(servos, now_s)
         angles = [servo.angle_rad for servo in servos]
         current_a = sum(abs(servo.current_a) for servo in servos) / len(servos)
         forces_n = [
@@ -152,6 +164,43 @@ class ServoGroup:
             ]
             self.write_goals(goals, self._last)
 
+    def stand_still(self) -> None:
+        """Set the goals to the last known positions: the fingers hold where they are.
+
+        None pushes on, and none yields by more than the servos' position control does.
+        """
+        if self._last is not None and self.goals:
+            earlier = self._earlier if len(self._earlier) == len(self.goals) else self.goals
+            goals = [
+                ServoGoal(
+                    angle_rad=servo.angle_rad, current_a=min(goal.current_a, before.current_a)
+                )
+                for goal, before, servo in zip(self.goals, earlier, self._last.servos, strict=True)
+            ]
+            self.write_goals(goals, self._last)
+
+    def open_a_step(self) -> None:
+        """Open by ``over_force_open_m`` from where the fingers are, once."""
+        if self._last is None or not self.goals:
+            return
+        paths = self.transmissions(self._last.servos)
+        step_m = self._settings.over_force_open_m
+        current_a = motion_current_a(self._settings, paths, self._settings.approach_force_n)
+        goals = [
+            ServoGoal(
+                angle_rad=servo.angle_rad
+                + step_m / (len(self._ids) * self._linkage.opening_per_rad_m(servo.angle_rad)),
+                current_a=current_a,
+            )
+            for servo in self._last.servos
+        ]
+        self.write_goals(goals, self._last)
+
+    def silent_and_living(self) -> tuple[list[int], list[int]]:
+        """Return the IDs of the servos that did not answer last, and of those that did."""
+        silent = [servo_id for servo_id in self._ids if self._bus.misses(servo_id)]
+        return silent, [servo_id for servo_id in self._ids if servo_id not in silent]
+
     # Torque, watchdog, goals
 
     def switch_on(self, current_a: float) -> GripperState:
@@ -177,10 +226,19 @@ class ServoGroup:
             self._bus.write(servo_id, TORQUE_ENABLE, 0)
         self.goals = ()
 
+    def go_limp(self) -> None:
+        """Switch the torque of every servo off that answers: position or force are unknown."""
+        self.goals = ()
+        for servo_id in self._ids:
+            with suppress(GripperError):
+                self._bus.write(servo_id, TORQUE_ENABLE, 0)
+        self.disarm_each()
+
     def forget(self) -> None:
         """Take nothing for granted any more that was written or read before."""
         self.goals = ()
         self._ticks.forget()
+        self._feedback.forget()
 
     def arm_watchdog(self) -> None:
         """Arm the bus watchdog of each servo (register 98)."""
@@ -191,6 +249,12 @@ class ServoGroup:
         """Disarm, or clear after a trip, the bus watchdog of each servo."""
         for servo_id in self._ids:
             self._bus.write(servo_id, BUS_WATCHDOG, 0)
+
+    def disarm_each(self) -> None:
+        """Disarm the bus watchdog of every servo that answers."""
+        for servo_id in self._ids:
+            with suppress(GripperError):
+                self._bus.write(servo_id, BUS_WATCHDOG, 0)
 
     def force_is_too_high(self) -> bool:
         """Say whether the last force samples are above the cap."""

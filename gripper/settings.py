@@ -1,16 +1,34 @@
 """Settings of a gripper; an object that exists is valid."""
 
 from dataclasses import dataclass, field
+from enum import StrEnum
 
 from gripper.errors import LimitExceeded
 from gripper.loop_settings import ForceLoopSettings, check_number
 from gripper.registers import PULSES_PER_TURN, WATCHDOG_UNIT_S
 from gripper.servo_models import ServoModel, require_current_control
 
-__all__ = ["HARD_FORCE_CAP_N", "ForceLoopSettings", "GripperSettings", "ServoSettings"]
+__all__ = [
+    "HARD_FORCE_CAP_N",
+    "ForceLoopSettings",
+    "GripperSettings",
+    "OverForce",
+    "ServoSettings",
+]
 
 HARD_FORCE_CAP_N = 50.0
 """No setting allows more grip force in N; it is no safety function, see the documentation."""
+
+
+class OverForce(StrEnum):
+    """What is done once when the force exceeds its cap; nothing ever pushes on.
+
+    LOWER leaves a share of the currents, OPEN opens by a small step, LIMP switches the torque off.
+    """
+
+    LOWER = "lower"
+    OPEN = "open"
+    LIMP = "limp"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -98,14 +116,21 @@ class GripperSettings:
     watchdog_self_test
         True to prove after the first opening that the bus watchdog stops the motors, by a motion
         of a few mm; without the proof no grasp is begun.
+    over_force
+        What is done when the force exceeds its cap.
     over_force_share
-        Share of the goal currents that is left, in one step, when the force exceeds its cap.
+        Share of the goal currents that `OverForce.LOWER` leaves, in one step.
+    over_force_open_m
+        Opening in m by which `OverForce.OPEN` opens, in one step.
     imbalance_n, imbalance_share, imbalance_s
         The fingers' forces may differ by so much in N, or by a share of the grip force if that is
         more, for so long in s.
     slip_drop_n, slip_drop_share, slip_travel_m
         A drop of the held force in N, or as a share if that is more, or closing in m while
         holding, that is reported as a slip.
+    runaway_speed_m_s, runaway_travel_m
+        Fingers that close faster than the force loop wants by so much in m/s, over so far in m,
+        have lost the part.
     settle_timeout_s
         Time in s after a ramp's end in which its force must be reached.
     settle_tolerance_n, settle_tolerance_share
@@ -131,18 +156,22 @@ class GripperSettings:
     temperature_max_c: float = 70.0
     temperature_derate_k: float = 10.0
     force_stale_s: float = 0.1
-    bus_loss_s: float = 0.1
+    bus_loss_s: float = 0.07
     stall_max_s: float = 0.25
     overruns_max: int = 10
     watchdog_s: float = 0.2
     watchdog_self_test: bool = False
+    over_force: OverForce = OverForce.LOWER
     over_force_share: float = 0.5
+    over_force_open_m: float = 0.0005
     imbalance_n: float = 2.0
     imbalance_share: float = 0.5
     imbalance_s: float = 0.2
     slip_drop_n: float = 0.8
     slip_drop_share: float = 0.15
     slip_travel_m: float = 0.0015
+    runaway_speed_m_s: float = 0.02
+    runaway_travel_m: float = 0.0005
     settle_timeout_s: float = 0.5
     settle_tolerance_n: float = 0.3
     settle_tolerance_share: float = 0.07
@@ -165,10 +194,13 @@ class GripperSettings:
             "bus_loss_s",
             "stall_max_s",
             "settle_timeout_s",
+            "over_force_open_m",
             "imbalance_n",
             "imbalance_s",
             "slip_drop_n",
             "slip_travel_m",
+            "runaway_speed_m_s",
+            "runaway_travel_m",
         ):
             check_number(name, getattr(self, name), above=0.0)
         for name in (

@@ -11,7 +11,7 @@ from gripper.clock import Clock
 from gripper.errors import LimitExceeded, WatchdogUnproven
 from gripper.kinematics import Linkage
 from gripper.limits import ServoGoal
-from gripper.motion import motion_current_a
+from gripper.motion_current import motion_current_a
 from gripper.registers import RAD_PER_PULSE, RAD_S_PER_VELOCITY_UNIT
 from gripper.servos import ServoGroup
 from gripper.settings import GripperSettings

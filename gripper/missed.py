@@ -1,0 +1,73 @@
+"""Periods without feedback: passed over, then the fingers stand still, then the bus is given up."""
+
+from contextlib import suppress
+
+from gripper.errors import BusCorrupt, BusTimeout, FingerSilent, GripperError
+from gripper.servos import ServoGroup
+from gripper.settings import GripperSettings
+from gripper.state import GripperPhase
+
+_FREEZE_AT = 2
+_ONE_SIDED_PERIODS = 3
+_LEAST_PERIODS = 3
+_FREE = frozenset({GripperPhase.OPENING, GripperPhase.APPROACHING, GripperPhase.RELEASING})
+
+
+class MissedReads:
+    """Counts the periods in a row in which an answer was missing.
+
+    Parameters
+    ----------
+    servos, settings
+        Of the gripper.
+    now_s
+        Monotonic time in s.
+    """
+
+    def __init__(self, servos: ServoGroup, settings: GripperSettings, now_s: float) -> None:
+        self._servos = servos
+        self._settings = settings
+        self._good_s = now_s
+        self._in_row = 0
+        self._one_sided = 0
+
+    def answered(self, now_s: float) -> None:
+        """Note that all servos have answered."""
+        self._good_s = now_s
+        self._in_row = self._one_sided = 0
+
+    def missed(self, error: BusTimeout | BusCorrupt, now_s: float) -> None:
+        """Note that an answer was missing, its repetition too.
+
+        Raises
+        ------
+        FingerSilent
+            In the third period in a row in which one servo is silent and the other one is not.
+        BusTimeout, BusCorrupt
+            When nothing was heard for ``bus_loss_s``.
+        """
+        self._in_row += 1
+        silent, living = self._servos.silent_and_living()
+        self._one_sided = self._one_sided + 1 if silent and living else 0
+        if self._one_sided >= _ONE_SIDED_PERIODS:
+            raise FingerSilent(
+                f"servo {silent[0]} is silent while servo {living[0]} answers ({error}): it may "
+                f"have lost its supply or be restarting. The living finger stands still, the part "
+                f"may still be gripped or have been dropped; check cable and supply of servo "
+                f"{silent[0]}"
+            ) from error
+        if self._in_row >= _LEAST_PERIODS and now_s - self._good_s > self._settings.bus_loss_s:
+            raise type(error)(
+                f"{error}. The bus was lost for {now_s - self._good_s:.3f} s, bus_loss_s is "
+                f"{self._settings.bus_loss_s} s: nothing more is written, the servos' own "
+                f"watchdog acts; a part may still be gripped"
+            ) from error
+
+    def keep_still(self, phase: GripperPhase) -> None:
+        """Write once, in the second period in a row, that nothing goes on: no one pushes alone."""
+        if self._in_row == _FREEZE_AT:
+            with suppress(GripperError):
+                if phase in _FREE:
+                    self._servos.stand_still()
+                else:
+                    self._servos.calm()
