@@ -90,7 +90,7 @@ class UnitDictionary:
             eds.ERROR_REGISTER: lambda _subindex: self.error_register,
             eds.ERROR_HISTORY: self._read_history,
             eds.LAST_FRAME: self._read_frame,
-            eds.LAST_FRAME_COUNTER: lambda _subindex: scanner.counter,
+            eds.LAST_FRAME_COUNTER: lambda _subindex: scanner.read_counter,
             eds.TARE: self._read_tare,
         }
         # The EDS gives thresholds for 8 bit; a unit with a finer converter scales them.

@@ -38,6 +38,8 @@ class Scanner:
         How frames are cut into messages.
     counter
         Number of the last scan, modulo 65536.
+    read_counter
+        Number of the scan that `last_frame` last returned.
     tare_result, tare_largest
         Objects 0x2130:02 and 0x2130:04.
     overrun
@@ -55,6 +57,7 @@ class Scanner:
         "counter",
         "frame_format",
         "overrun",
+        "read_counter",
         "tare_largest",
         "tare_result",
     )
@@ -69,6 +72,7 @@ class Scanner:
     def reset(self) -> None:
         """Go back to what a unit is after power-on: no zero, no frame, counter at 0."""
         self.counter = 0xFFFF
+        self.read_counter = 0
         self.overrun = False
         self.tare_result = TareResult.NONE
         self.tare_largest = 0
@@ -113,9 +117,13 @@ class Scanner:
         return [first for first, _ in pairs], [second for _, second in pairs]
 
     def last_frame(self) -> bytes | None:
-        """Return the samples of the last frame as they go over the bus, None before the first."""
+        """Return the samples of the last frame as they go over the bus, None before the first.
+
+        Scans go on while the samples are uploaded: ``read_counter`` stays at this frame's.
+        """
         if self._counts is None:
             return None
+        self.read_counter = self.counter
         return self._counts.astype("<u1" if self._layout.sample_bytes == 1 else "<u2").tobytes()
 
     def start_tare(self, n_frames: int, touch_counts: int, spread_counts: int) -> None:

@@ -1,0 +1,236 @@
+"""The ends of both links for tests that hold for simulated and real devices alike.
+
+Without options the tests run on the simulator, and those on hardware are skipped:
+
+    pytest tests/contract --servo-port /dev/ttyUSB0 --servo-ids 1,2
+    pytest tests/contract --can-interface socketcan --can-channel can0 --node-id 5
+
+Nothing moves and no torque is switched on without --allow-motion; EEPROM is left as it was found.
+"""
+
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+
+import can
+import pytest
+
+from cell.config import CellConfig
+from cell.layouts import layout_from_config
+from cell.pytest_plugin.bench import LinkBench
+from cell.pytest_plugin.faults import FaultRegistry
+from cell.pytest_plugin.options import HardwareOptions
+from gripper.bus import ServoBus
+from gripper.clock import Clock
+from gripper.port import ByteStream
+from gripper.registers import REGISTERS, TORQUE_ENABLE, Register
+from tactile import eds
+from tactile.can_bus import CanBus
+from tactile.link import LinkSettings, TactileLink
+
+ANSWER_S = 0.05
+BOOT_S = 3.0
+POWER_UP_S = 0.2
+"""The simulated unit has just got power and hears nothing before its first boot-up."""
+NMT_RESET_COMMUNICATION = 130
+EEPROM = [register for register in REGISTERS.values() if register.eeprom]
+
+
+def crc16(data: bytes) -> int:
+    """CRC of Protocol 2.0 bit by bit, as the manual defines it: polynomial 8005, from 0."""
+    value = 0
+    for byte in data:
+        value ^= byte << 8
+        for _ in range(8):
+            value = (value << 1 ^ 0x8005 if value & 0x8000 else value << 1) & 0xFFFF
+    return value
+
+
+@dataclass(frozen=True, kw_only=True)
+class Servos:
+    """Servos at the host's end of their line; nothing moves unless ``may_move``."""
+
+    bus: ServoBus
+    stream: ByteStream
+    clock: Clock
+    ids: tuple[int, ...]
+    may_move: bool
+
+    @property
+    def one(self) -> int:
+        return self.ids[0]
+
+    @property
+    def nobody(self) -> int:
+        """An ID that no servo has."""
+        return next(i for i in range(252, 0, -1) if i not in self.ids)
+
+    def exchange(self, instruction: int, params: bytes, *, damage: int = 0) -> bytes | None:
+        """Send one packet as it stands and return the status packet, None without an answer."""
+        body = struct.pack("<BHB", self.one, len(params) + 3, instruction) + params
+        packet = b"\xff\xff\xfd\x00" + body
+        packet += struct.pack("<H", crc16(packet) ^ damage)
+        self.stream.drop_input()
+        self.stream.write(packet)
+        answer, end_s = b"", self.clock.monotonic() + ANSWER_S
+        while (left_s := end_s - self.clock.monotonic()) > 0:
+            answer += self.stream.read(64, left_s)
+            if len(answer) >= 7 and len(answer) >= 7 + int.from_bytes(answer[5:7], "little"):
+                break
+        return answer or None
+
+    @contextmanager
+    def restoring(self, *registers: Register) -> Iterator[None]:
+        """Write back at the end what the registers held before."""
+        before = {(i, r): self.bus.read(i, r) for i in self.ids for r in registers}
+        try:
+            yield
+        finally:
+            for (servo_id, register), raw in before.items():
+                self.bus.write(servo_id, register, raw)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unit:
+    """The control unit at the host's end of its bus."""
+
+    bus: CanBus
+    clock: Clock
+    node_id: int
+    link: TactileLink
+
+    def frames(self, seconds: float) -> list:
+        """Poll for so long and return the frames that came."""
+        found, end_s = [], self.clock.monotonic() + seconds
+        while self.clock.monotonic() < end_s:
+            found += self.link.poll()
+            self.clock.sleep(0.001)
+        return found
+
+    def send(self, cob_id: int, data: bytes) -> None:
+        self.bus.send(can.Message(arbitration_id=cob_id, data=data, is_extended_id=False))
+
+    def receive(self, cob_id: int, timeout_s: float = 1.0) -> tuple[float, bytes] | None:
+        """Return time and data of the next message with this COB-ID, None without one."""
+        end_s = self.clock.monotonic() + timeout_s
+        while (left_s := end_s - self.clock.monotonic()) > 0:
+            message = self.bus.recv(left_s)
+            if message is not None and message.arbitration_id == cob_id:
+                return self.clock.monotonic(), bytes(message.data)
+        return None
+
+    def sdo(self, request: bytes) -> bytes:
+        """Send 8 bytes to the SDO server and return its 8 bytes."""
+        self.send(0x600 + self.node_id, request)
+        answer = self.receive(0x580 + self.node_id)
+        assert answer is not None, "the SDO server is silent"
+        return answer[1]
+
+    def forget_tare(self) -> None:
+        """Let the unit send raw counts again, while the link runs."""
+        objects = self.link._session.objects
+        objects.write_unsigned(eds.TARE, eds.TARE_COMMAND, eds.TARE_CLEAR_SIGNATURE, 4)
+
+    def reset(self) -> None:
+        """Let the unit boot, so that it forgets what was set up, and wait until it says so."""
+        while self.bus.recv(0) is not None:
+            pass  # an earlier boot-up is not this one
+        self.send(0, bytes((NMT_RESET_COMMUNICATION, self.node_id)))
+        end_s = self.clock.monotonic() + BOOT_S
+        while (left_s := end_s - self.clock.monotonic()) > 0:
+            found = self.receive(0x700 + self.node_id, left_s)
+            if found is not None and found[1] == b"\0":
+                return
+        pytest.fail(f"control unit {self.node_id} sends no boot-up within {BOOT_S} s after a reset")
+
+
+def _bench(
+    request: pytest.FixtureRequest, config: CellConfig, registry: FaultRegistry
+) -> LinkBench:
+    options = HardwareOptions.of(request.config)
+    if request.param == "simulator":
+        options = replace(options, servo_port=None, can_interface=None, can_channel=None)
+    return LinkBench(config, options, registry)
+
+
+def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    """Run each test on the simulator, and on hardware where an option names it."""
+    for fixture, port in (("servos", "servo_port"), ("unit", "can_interface")):
+        if fixture in metafunc.fixturenames:
+            reason = f"no hardware named: --{port.replace('_', '-')}"
+            missing = metafunc.config.getoption(port) is None
+            marks = [pytest.mark.skip(reason=reason)] if missing else []
+            real = pytest.param("hardware", marks=marks)
+            metafunc.parametrize(fixture, ["simulator", real], indirect=True)
+
+
+@pytest.fixture
+def servos(
+    request: pytest.FixtureRequest, cell_config: CellConfig, cell_faults: FaultRegistry
+) -> Iterator[Servos]:
+    bench = _bench(request, cell_config, cell_faults)
+    try:
+        end = bench.servos()
+        found = Servos(
+            bus=end.bus,
+            stream=end.stream,
+            clock=end.clock,
+            ids=tuple(servo.id for servo in cell_config.gripper.servos),
+            may_move=request.param == "simulator" or bench.options.allow_motion,
+        )
+        for servo_id in found.ids:
+            if end.bus.read(servo_id, TORQUE_ENABLE):
+                pytest.fail(
+                    f"servo {servo_id} holds torque, a part may be in the grip: nothing was "
+                    "written. Release it on purpose (tactile-cell release --confirm), then "
+                    "switch the torque off",
+                    pytrace=False,
+                )
+        before = {i: [end.bus.read(i, r) for r in EEPROM] for i in found.ids}
+        yield found
+        assert {i: [end.bus.read(i, r) for r in EEPROM] for i in found.ids} == before
+        assert not any(end.bus.read(i, TORQUE_ENABLE) for i in found.ids)
+    finally:
+        bench.close()
+
+
+@pytest.fixture
+def moving_servos(servos: Servos) -> Iterator[Servos]:
+    """Servos whose torque may be switched on; it is off again at the end."""
+    if not servos.may_move:
+        pytest.skip("needs torque: --allow-motion")
+    try:
+        yield servos
+    finally:
+        for servo_id in servos.ids:
+            servos.bus.write(servo_id, TORQUE_ENABLE, 0)
+
+
+@pytest.fixture
+def unit(
+    request: pytest.FixtureRequest, cell_config: CellConfig, cell_faults: FaultRegistry
+) -> Iterator[Unit]:
+    bench = _bench(request, cell_config, cell_faults)
+    wanted = cell_config.tactile
+    try:
+        end = bench.can()
+        link = TactileLink(
+            end.bus,
+            node_id=wanted.node_id,
+            layout=layout_from_config(wanted),
+            clock=end.clock,
+            settings=LinkSettings(
+                sync_period_s=wanted.sync_period_ms * 1e-3,
+                heartbeat_s=wanted.heartbeat_ms * 1e-3,
+                threaded=request.param == "hardware",
+            ),
+        )
+        found = Unit(bus=end.bus, clock=end.clock, node_id=wanted.node_id, link=link)
+        found.clock.sleep(POWER_UP_S)
+        found.reset()
+        yield found
+        link.close()
+        found.reset()
+    finally:
+        bench.close()
