@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from cell.collect import SensorTap, pad_array
-from cell.config import CellConfig, PaperCalibrationConfig, ParallelLinkageConfig, TactileConfig
+from cell.collect import pad_array
+from cell.config import CellConfig
 from cell.controller import CellController
 from cell.errors import ConfigError
-from cell.layouts import layout_from_config
+from cell.hand import Hand
+from cell.hand_build import make_hand, open_hand
 from cell.pose import Pose
 from cell.positioner import (
     CallbackPositioner,
@@ -27,22 +28,10 @@ from cell.simulation import InProcessPlacer, capture_traffic, simulator_settings
 from gripper.bus import ServoBus
 from gripper.clock import Clock
 from gripper.errors import PortLost
-from gripper.gripper import Gripper
-from gripper.kinematics import Linkage, ParallelLinkage, RackPinion
-from gripper.port import ByteStream, SerialStream
-from gripper.settings import GripperSettings, ServoSettings
 from simulator.assembly import SimulatedCell
-from tactile.calibration import Calibration, FoamCalibration, LinearCalibration
-from tactile.can_bus import CanBus
-from tactile.layout import TaxelLayout
 from tactile.link import (
-    ExpectedIdentity,
-    LinkSettings,
     TactileLink,
-    close_bus,
-    open_bus,
 )
-from tactile.sensor import TactileSensor
 
 Mover = Callable[[Pose], Pose | bool | None]
 
@@ -55,8 +44,6 @@ class Cell:
     ----------
     controller
         Runs the sequences.
-    link, bus
-        The two links, for statistics.
     realtime
         Whether time passes by itself; in a simulated cell it passes while somebody waits.
     simulated
@@ -64,8 +51,6 @@ class Cell:
     """
 
     controller: CellController
-    link: TactileLink
-    bus: ServoBus
     realtime: bool
     simulated: SimulatedCell | None
     _recorder: Recorder | None
@@ -76,10 +61,20 @@ class Cell:
         """The recording, if one is made."""
         return None if self._recorder is None else self._recorder.path
 
+    @property
+    def link(self) -> TactileLink:
+        """The link to the control unit, of a cell whose loop runs in this process, for tests."""
+        return self.controller.local_hand.link
+
+    @property
+    def bus(self) -> ServoBus:
+        """The servo bus, of a cell whose loop runs in this process, for tests."""
+        return self.controller.local_hand.bus
+
     def health(self) -> dict[str, Any]:
         """Return the counters of both links and the loop."""
-        frames, servos = self.link.statistics.frames, self.bus.statistics
-        loop = self.controller.gripper.statistics
+        statistics = self.controller.hand.statistics
+        frames, servos, loop = statistics.link.frames, statistics.servo_bus, statistics.loop
         return {
             "tactile": {
                 name: getattr(frames, name)
@@ -135,7 +130,6 @@ def build_cell(
     gripper.errors.PortLost, tactile.errors.LinkFault, cell.errors.PositionerError
         If a port, bus or socket cannot be opened.
     """
-    layout = layout_from_config(config.tactile)
     with ExitStack() as undo:
         simulated: SimulatedCell | None = None
         clock: Clock = time
@@ -146,28 +140,20 @@ def build_cell(
         if capture is not None:
             capture_traffic(simulated, capture, undo)
         positioner = _positioner(config, simulated, mover, ask, undo)
-        can_bus = _can_bus(config.tactile, simulated, undo)
-        link = make_link(config.tactile, can_bus, layout, clock, threaded=simulated is None)
-        sensor = TactileSensor(link, layout, _calibration(config.tactile, layout), clock=clock)
-        tap = SensorTap(sensor)
-        bus = _servo_bus(config, simulated, clock, undo)
-        gripper = Gripper(
-            bus, make_linkage(config), gripper_settings(config), clock=clock, force_sensor=tap
-        )
+        hand = _hand(config, simulated)
+        undo.callback(hand.close)
         recorder = None
         if folder is not None:
             recorder = Recorder(
                 folder / "recording.mcap",
                 clock,
-                pads=pad_array(layout),
+                pads=pad_array(hand.layout),
                 metadata={"cell": config.name, "config": config.model_dump_json()},
                 background=simulated is None,
             )
             undo.callback(recorder.close)
         controller = CellController(
-            gripper=gripper,
-            sensor=sensor,
-            tap=tap,
+            hand=hand,
             positioner=positioner,
             sequence=config.sequence,
             tare_frames=config.tactile.tare_frames,
@@ -177,8 +163,6 @@ def build_cell(
         undo.callback(controller.shutdown)
         return Cell(
             controller=controller,
-            link=link,
-            bus=bus,
             realtime=simulated is None,
             simulated=simulated,
             _recorder=recorder,
@@ -186,102 +170,16 @@ def build_cell(
         )
 
 
-def make_link(
-    config: TactileConfig,
-    bus: CanBus,
-    layout: TaxelLayout,
-    clock: Clock,
-    *,
-    threaded: bool,
-    sync_period_s: float | None = None,
-) -> TactileLink:
-    """Return the link to the control unit on an open bus."""
-    return TactileLink(
-        bus,
-        node_id=config.node_id,
-        layout=layout,
-        clock=clock,
-        settings=LinkSettings(
-            sync_period_s=config.sync_period_ms * 1e-3 if sync_period_s is None else sync_period_s,
-            heartbeat_s=config.heartbeat_ms * 1e-3,
-            startup_timeout_s=config.startup_timeout_s,
-            identity=ExpectedIdentity(serial=config.serial_number),
-            threaded=threaded,
-        ),
-    )
-
-
-def make_linkage(config: CellConfig) -> Linkage:
-    """Return the linkage of a config."""
-    drive, n_servos = config.gripper.linkage, len(config.gripper.servos)
-    if isinstance(drive, ParallelLinkageConfig):
-        return ParallelLinkage(
-            link_m=drive.link_mm * 1e-3, offset_m=drive.offset_mm * 1e-3, n_servos=n_servos
-        )
-    return RackPinion(
-        pinion_radius_m=drive.pinion_radius_mm * 1e-3,
-        offset_m=drive.offset_mm * 1e-3,
-        n_servos=n_servos,
-    )
-
-
-def gripper_settings(config: CellConfig) -> GripperSettings:
-    """Return the limits and tuning of a config. Raises gripper.errors.LimitExceeded."""
-    wanted = config.gripper
-    return GripperSettings(
-        servos=tuple(
-            ServoSettings(
-                servo_id=servo.id,
-                model=servo.model,
-                direction=servo.direction,
-                zero_raw=servo.zero_pulse,
-            )
-            for servo in wanted.servos
-        ),
-        loop_rate_hz=wanted.loop_rate_hz,
-        aperture_open_m=wanted.aperture_open_mm * 1e-3,
-        aperture_min_m=wanted.aperture_min_mm * 1e-3,
-        approach_speed_m_s=wanted.approach_speed_mm_s * 1e-3,
-        contact_force_n=wanted.contact_force_n,
-        contact_timeout_s=wanted.contact_timeout_s,
-        force_max_n=wanted.force_max_n,
-        current_max_a=wanted.current_max_a,
-        temperature_max_c=wanted.temperature_max_c,
-        force_stale_s=wanted.force_stale_ms * 1e-3,
-        watchdog_s=wanted.watchdog_ms * 1e-3,
-        watchdog_self_test=wanted.watchdog_self_test,
-    )
-
-
-def _calibration(config: TactileConfig, layout: TaxelLayout) -> Calibration:
-    law = config.calibration
-    if isinstance(law, PaperCalibrationConfig):
-        return FoamCalibration(adc_max=layout.adc_max, gain=law.gain)
-    return LinearCalibration(adc_max=layout.adc_max, force_per_count_n=law.force_per_count_n)
-
-
-def _can_bus(config: TactileConfig, simulated: SimulatedCell | None, undo: ExitStack) -> CanBus:
-    if simulated is not None:
-        return simulated.can_bus
-    bus = open_bus(config.interface, config.channel, bitrate=config.bitrate)
-    undo.callback(close_bus, bus)
-    return bus
-
-
-def _servo_bus(
-    config: CellConfig, simulated: SimulatedCell | None, clock: Clock, undo: ExitStack
-) -> ServoBus:
-    stream: ByteStream
-    if simulated is not None:
-        stream = simulated.servo_stream
-    else:
-        stream = SerialStream(config.gripper.port, config.gripper.baud_rate)
-        undo.callback(stream.close)
-    return ServoBus(
-        stream,
-        baudrate=config.gripper.baud_rate,
-        clock=clock,
-        period_s=1.0 / config.gripper.loop_rate_hz,
+def _hand(config: CellConfig, simulated: SimulatedCell | None) -> Hand:
+    if simulated is None:
+        return open_hand(config, time)
+    return make_hand(
+        config,
+        clock=simulated.clock,
+        stream=simulated.servo_stream,
+        can_bus=simulated.can_bus,
+        threaded=False,
+        close_links=lambda: None,
     )
 
 

@@ -1,17 +1,16 @@
 """From the force loop's cycles and the sensor's frames to the record of one grasp."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from cell.pose import Pose
 from cell.sequence import GraspStep
-from gripper.force import ForceSample
 from gripper.gripper import Cycle, GraspOutcome
 from recognition.grasp import Grasp, PadArray
 from tactile.layout import TaxelLayout
 from tactile.protocol import TactileFrame
-from tactile.sensor import TactileReading, TactileSensor
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,37 +48,6 @@ def pad_array(layout: TaxelLayout) -> PadArray:
     )
 
 
-class SensorTap:
-    """The force sensor that the gripper asks each period; keeps what passes for the recording.
-
-    Implements `gripper.force.ForceSensor` on a `TactileSensor`.
-    """
-
-    def __init__(self, sensor: TactileSensor) -> None:
-        self._sensor = sensor
-        self._new: list[TactileReading] = []
-        self.running = False
-        """Whether the sensor was started; without it there is no force, and none is asked for."""
-
-    def latest_force(self) -> ForceSample | None:
-        """Take in what has arrived and return the newest force; see `ForceSensor`."""
-        if not self.running:
-            return None
-        self._new.extend(self._sensor.poll())
-        reading = self._sensor.latest
-        if reading is None:
-            return None
-        left, right = reading.finger_force_n
-        return ForceSample(
-            t_s=reading.frame.t_s, force_n=(float(left), float(right)), valid=reading.ok
-        )
-
-    def take(self) -> list[TactileReading]:
-        """Return the readings since the last call, oldest first."""
-        taken, self._new = self._new, []
-        return taken
-
-
 class GraspCollector:
     """Collects one grasp: each frame with the opening and set-point of the period it came in."""
 
@@ -89,11 +57,11 @@ class GraspCollector:
         self._forces_n: list[float] = []
         self._cycles: list[Cycle] = []
 
-    def add(self, cycle: Cycle, readings: list[TactileReading]) -> None:
-        """Take one period of the force loop and the readings that arrived in it."""
+    def add(self, cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
+        """Take one period of the force loop and the frames that arrived in it."""
         self._cycles.append(cycle)
-        for reading in readings:
-            self._frames.append(reading.frame)
+        for frame in frames:
+            self._frames.append(frame)
             self._apertures_m.append(cycle.state.aperture_m)
             self._forces_n.append(cycle.setpoint_n)
 

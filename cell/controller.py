@@ -2,25 +2,29 @@
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
-from cell.collect import GraspCollector, GraspRecord, SensorTap, pad_array
+from cell.collect import GraspCollector, GraspRecord, pad_array
 from cell.config import SequenceConfig
 from cell.errors import CellStateError, CellStopped, NoPartFound
 from cell.grasp_states import GraspState
+from cell.hand import Hand
+from cell.hand_local import LocalHand
 from cell.identification import Identification, OnGrasp, StepChooser, grasp_and_classify
+from cell.journal import Journal
 from cell.lifecycle import CellLifecycle
 from cell.pose import Pose
-from cell.positioner import Positioner
+from cell.positioner import Positioner, wait_patiently
 from cell.ramps import force_ramp
 from cell.recording import Recorder
 from cell.sequence import GraspStep
 from cell.states import CellState, Event
 from gripper.clock import Clock
-from gripper.gripper import Cycle, GraspResult, Gripper, GripperPhase
+from gripper.gripper import Gripper
+from gripper.state import Cycle, GraspResult, GripperPhase
 from recognition.grasp import PadArray
 from recognition.recognizer import Recognizer
+from tactile.protocol import TactileFrame
 from tactile.sensor import TactileSensor
 
 _T = TypeVar("_T")
@@ -38,9 +42,7 @@ class CellController:
     def __init__(
         self,
         *,
-        gripper: Gripper,
-        sensor: TactileSensor,
-        tap: SensorTap,
+        hand: Hand,
         positioner: Positioner,
         sequence: SequenceConfig,
         tare_frames: int,
@@ -48,23 +50,20 @@ class CellController:
         recorder: Recorder | None = None,
         wall_ms: Callable[[], int] = lambda: time.time_ns() // 1_000_000,
     ) -> None:
-        self._gripper = gripper
-        self._sensor = sensor
-        self._tap = tap
+        self._hand = hand
         self._positioner = positioner
         self._sequence = sequence
         self._tare_frames = tare_frames
         self._clock = clock
-        self._recorder = recorder
+        self._journal = Journal(recorder)
         self._wall_ms = wall_ms
         self._life = CellLifecycle(
-            gripper,
-            note=self._note,
-            close_sensor=self._close_sensor,
+            hand,
+            note=self._journal.note,
+            close_sensor=hand.close_sensor,
             changed=self._record_state,
         )
-        self._recorded: tuple[CellState, GraspState] | None = None
-        self.pads: PadArray = pad_array(sensor.layout)
+        self.pads: PadArray = pad_array(hand.layout)
 
     # -- state ---------------------------------------------------------------------------------
 
@@ -89,14 +88,26 @@ class CellController:
         return self._life.holding
 
     @property
+    def hand(self) -> Hand:
+        """Gripper and sensor, for statistics; commands go through the controller."""
+        return self._hand
+
+    @property
     def gripper(self) -> Gripper:
-        """The gripper, for statistics; commands go through the controller."""
-        return self._gripper
+        """The gripper, as `local_hand`."""
+        return self.local_hand.gripper
 
     @property
     def sensor(self) -> TactileSensor:
-        """The tactile sensor, for statistics."""
-        return self._sensor
+        """The tactile sensor, as `local_hand`."""
+        return self.local_hand.sensor
+
+    @property
+    def local_hand(self) -> LocalHand:
+        """The hand of a cell whose loop runs in this process, for tests; else CellStateError."""
+        if not isinstance(self._hand, LocalHand):
+            raise CellStateError("the force loop runs in a process of its own; see `hand`")
+        return self._hand
 
     def start(self) -> None:
         """Verify servos and control unit, open the fingers, take the zero of the taxels.
@@ -112,16 +123,15 @@ class CellController:
         """
         self._life.go(Event.START)
         with self._life.latching_faults():
-            self._gripper.start()
-            self._sensor.start()
-            self._tap.running = True
-            if self._gripper.state is GripperPhase.HELD_AFTER_FAULT:
+            self._hand.start()
+            self._hand.start_sensor()
+            if self._hand.phase is GripperPhase.HELD_AFTER_FAULT:
                 raise CellStateError(
                     "the servos hold torque from an earlier run, a part may be in the grip; "
                     "nothing was moved. Release it on purpose: `tactile-cell release`"
                 )
-            self._gripper.open(observer=self._watch)
-            self._sensor.tare(self._tare_frames)
+            self._hand.open(self._watch)
+            self._hand.tare(self._tare_frames)
             self._life.check_cancelled()
             self._life.complete()
 
@@ -144,7 +154,7 @@ class CellController:
     def reset(self) -> None:
         """Leave the cleared fault behind; the next `start` verifies everything anew."""
         self._life.go(Event.RESET)
-        self._close_sensor()
+        self._hand.close_sensor()
 
     def cancel(self) -> None:
         """Stop the running sequence, or else the next one, and keep the grip.
@@ -153,7 +163,7 @@ class CellController:
         job is not lost.
         """
         self._life.cancelled = True
-        self._gripper.request_stop()
+        self._hand.request_stop()
 
     def forget_cancel(self) -> None:
         """Withdraw a `cancel` that nothing has obeyed: what it was meant for is over."""
@@ -171,9 +181,9 @@ class CellController:
         """
         self._life.go(Event.RELEASE)
         self._life.cancelled = False
-        self._note("release", "on request")
+        self._journal.note("release", "on request")
         with self._life.latching_faults():
-            self._gripper.release(observer=self._watch)
+            self._hand.release(self._watch)
             self._life.result = None
             self._life.complete()
 
@@ -196,18 +206,18 @@ class CellController:
             raise CellStateError(f"the cell is {self._life.state.value}; {advice}")
         self._life.go(Event.RELEASE_HELD)
         self._life.cancelled = False
-        self._close_sensor()
-        self._note("release", "on request, before the start")
+        self._hand.close_sensor()
+        self._journal.note("release", "on request, before the start")
         with self._life.latching_faults():
-            self._gripper.start()
-            self._gripper.release()
+            self._hand.start()
+            self._hand.release()
             self._life.complete()
 
     def tick(self) -> None:
         """Keep both links alive and supervised while no sequence runs; call once a period."""
         if self._life.state in (CellState.IDLE, CellState.HELD):
             with self._life.latching_faults():
-                self._supervise()
+                self._hand.tick()
 
     def shutdown(self) -> None:
         """Leave the devices in a defined state: a held part stays held, a fault latched.
@@ -225,8 +235,7 @@ class CellController:
         if stopping:
             self._life.go(Event.STOP)
         try:
-            self._gripper.close()
-            self._close_sensor()
+            self._hand.shutdown()
         finally:
             if stopping:
                 self._life.complete()
@@ -292,15 +301,7 @@ class CellController:
             chooser=chooser,
             on_grasp=on_grasp,
         )
-        if self._recorder is not None:
-            self._recorder.result(
-                label=result.label,
-                probability=result.probability,
-                labels=result.fused.labels,
-                probabilities=[float(p) for p in result.fused.probability],
-                unknown=result.fused.unknown,
-                n_grasps=len(result.records),
-            )
+        self._journal.result(result)
         return result
 
     # -- inside --------------------------------------------------------------------------------
@@ -309,22 +310,15 @@ class CellController:
         reached = self._move_to(step.pose)
         collector = GraspCollector()
 
-        def observe(cycle: Cycle) -> None:
+        def watch(cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
             self._life.check_cancelled()
             self._record_state()
-            readings = self._tap.take()
-            collector.add(cycle, readings)
-            if self._recorder is not None:
-                self._recorder.cycle(cycle)
-                for reading in readings:
-                    self._recorder.frame(reading.frame)
+            collector.add(cycle, frames)
+            self._journal.cycle(cycle, frames)
 
-        self._gripper.open(observer=self._watch)
-        self._tap.take()
+        self._hand.open(self._watch)
         start_ms = self._wall_ms()
-        outcome = self._gripper.grasp(
-            force_ramp(self._sequence.ramp, step.force_n), observer=observe
-        )
+        outcome = self._hand.grasp(force_ramp(self._sequence.ramp, step.force_n), watch)
         self._life.result = outcome.result
         record = GraspRecord(
             grasp=collector.grasp(self.pads, label=label, source="tactile-cell", start_ms=start_ms),
@@ -334,52 +328,27 @@ class CellController:
             cycles=collector.cycles,
         )
         if outcome.result is GraspResult.NO_CONTACT:
-            self._note("no part", f"nothing touched at {reached}")
-        elif self._recorder is not None:
-            self._recorder.grasp(record.grasp)
-        self._gripper.release(observer=self._watch)
+            self._journal.note("no part", f"nothing touched at {reached}")
+        else:
+            self._journal.grasp(record.grasp)
+        self._hand.release(self._watch)
         return record
 
     def _move_to(self, pose: Pose) -> Pose:
-        reached = self._patiently(lambda: self._positioner.move_to(pose), self._supervise)
-        if self._recorder is not None:
-            self._recorder.pose(reached)
+        reached = self._patiently(lambda: self._positioner.move_to(pose), self._hand.tick)
+        self._journal.pose(reached)
         return reached
 
-    def _supervise(self) -> None:
-        self._gripper.tick()
-        self._tap.latest_force()
-        self._tap.take()
-
-    def _close_sensor(self) -> None:
-        self._tap.running = False
-        self._sensor.close()
-
     def _patiently(self, call: Callable[[], _T], supervise: Callable[[], None]) -> _T:
-        """Wait for a positioner that blocks while both links stay alive and supervised."""
+        """Wait for the positioner while both links stay alive and supervised."""
         if not self._positioner.blocks:
             return call()
-        with ThreadPoolExecutor(max_workers=1, thread_name_prefix="positioner") as pool:
-            future = pool.submit(call)
-            while not future.done():
-                supervise()
-                self._clock.sleep(self._gripper.period_s)
-            return future.result()
+        return wait_patiently(call, supervise, clock=self._clock, period_s=self._hand.period_s)
 
-    def _watch(self, cycle: Cycle) -> None:
+    def _watch(self, cycle: Cycle, _frames: Sequence[TactileFrame]) -> None:
         self._life.check_cancelled()
         self._record_state()
-        self._tap.take()
-        if self._recorder is not None:
-            self._recorder.cycle(cycle)
+        self._journal.cycle(cycle)
 
     def _record_state(self) -> None:
-        """Record both states where one of them has changed."""
-        now = (self._life.state, self._life.grasp_state)
-        if self._recorder is not None and now != self._recorded:
-            self._recorder.state(*now)
-        self._recorded = now
-
-    def _note(self, kind: str, text: str) -> None:
-        if self._recorder is not None:
-            self._recorder.event(kind, text)
+        self._journal.states(self._life.state, self._life.grasp_state)

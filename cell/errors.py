@@ -29,6 +29,10 @@ class CellStateError(CellError):
     """The command is not allowed in the state that the cell is in."""
 
 
+class HandLost(CellError):
+    """The process of the force loop is gone or does not answer; a part may still be gripped."""
+
+
 class PositionerError(CellError):
     """A pose was not reached, or an object is not to be had."""
 

@@ -3,11 +3,12 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from cell.errors import CellStateError, CellStopped, PositionerError
+from cell.errors import CellStateError, CellStopped, HandLost, PositionerError
 from cell.grasp_states import GraspState, grasp_state
+from cell.hand import Hand
 from cell.states import COMPLETIONS, TRANSITIONS, CellState, Event, next_state
 from gripper.errors import GraspStopped, GripperError, PartLost
-from gripper.gripper import GraspResult, Gripper, GripperPhase
+from gripper.state import GraspResult, GripperPhase
 
 _HOLDING = (
     GripperPhase.APPROACHING,
@@ -23,7 +24,7 @@ class CellLifecycle:
 
     Parameters
     ----------
-    gripper
+    hand
         Whose grip it is.
     note
         Told of stops and faults: kind and text.
@@ -44,13 +45,13 @@ class CellLifecycle:
 
     def __init__(
         self,
-        gripper: Gripper,
+        hand: Hand,
         *,
         note: Callable[[str, str], None],
         close_sensor: Callable[[], None],
         changed: Callable[[], None],
     ) -> None:
-        self._gripper = gripper
+        self._hand = hand
         self._note = note
         self._close_sensor = close_sensor
         self._changed = changed
@@ -68,13 +69,13 @@ class CellLifecycle:
     @property
     def holding(self) -> bool:
         """Whether a part may be in the grip."""
-        return self._gripper.state in _HOLDING
+        return self._hand.phase in _HOLDING
 
     @property
     def grasp_state(self) -> GraspState:
         """State of the grip, beside that of the cell."""
         return grasp_state(
-            self._gripper.state,
+            self._hand.phase,
             result=self.result,
             fault=self.fault is not None,
             part_lost=self._part_lost,
@@ -106,7 +107,7 @@ class CellLifecycle:
         """Acknowledge the fault; see `CellController.clear`."""
         self.go(Event.CLEAR)
         try:
-            self._gripper.clear_fault(reboot=reboot)
+            self._hand.clear_fault(reboot=reboot)
         except BaseException:
             self.go(Event.FAULT)
             self.go(Event.ABORTED)
@@ -150,8 +151,8 @@ class CellLifecycle:
         self.go(Event.FAULT)
         try:
             self._note("fault", self.fault)
-            self._gripper.keep_grip()
-        except GripperError as second:
+            self._hand.keep_grip()
+        except (GripperError, HandLost) as second:
             self._note("fault", f"the grip could not be confirmed: {second}")
         finally:
             self.complete()
@@ -164,6 +165,6 @@ class CellLifecycle:
         elif self._state is CellState.EXECUTE:
             self.go(Event.HOLD)
             self._note("held", str(stop))
-        self._gripper.keep_grip()
+        self._hand.keep_grip()
         if self._state.acting:
             self.complete()

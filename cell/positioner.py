@@ -4,11 +4,15 @@ import json
 import math
 import socket
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeVar
 
 from cell.errors import PositionerError
 from cell.pose import Pose
+from gripper.clock import Clock
+
+_T = TypeVar("_T")
 
 
 class Positioner(Protocol):
@@ -32,6 +36,21 @@ class Positioner(Protocol):
         Raises PositionerError if it cannot be reached.
         """
         ...
+
+
+def wait_patiently(
+    call: Callable[[], _T], supervise: Callable[[], None], *, clock: Clock, period_s: float
+) -> _T:
+    """Make a call that blocks on a thread of its own; supervise the cell once a period meanwhile.
+
+    What the supervision raises is raised once the call has ended.
+    """
+    with ThreadPoolExecutor(max_workers=1, thread_name_prefix="positioner") as pool:
+        future = pool.submit(call)
+        while not future.done():
+            supervise()
+            clock.sleep(period_s)
+        return future.result()
 
 
 class ObjectPlacer(Protocol):

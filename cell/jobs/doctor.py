@@ -151,7 +151,7 @@ def _servos(cell: Cell) -> list[Finding]:
             found=f"{row.found} (expected {row.expected})",
             advice="" if row.ok else _advice(row),
         )
-        for row in cell.controller.gripper.inspect().rows
+        for row in cell.controller.hand.inspect().rows
     ]
 
 
@@ -168,10 +168,11 @@ def _advice(row: VerificationRow) -> str:
 
 
 def _control_unit(cell: Cell) -> list[Finding]:
-    identity = cell.controller.sensor.start()
-    readings = [cell.controller.sensor.read(timeout_s=1.0) for _ in range(10)]
+    hand = cell.controller.hand
+    identity = hand.start_sensor()
+    readings = [hand.read_sensor(timeout_s=1.0) for _ in range(10)]
     n_saturated = int(readings[-1].saturated.sum())
-    statistics = cell.link.statistics.frames
+    statistics = hand.statistics.link.frames
     lost = statistics.lost + statistics.torn + statistics.corrupt
     return [
         Finding(

@@ -72,6 +72,8 @@ def main_report(result: MainResult, config: CellConfig, cell: Cell, path: Path) 
         )
     per_trial = np.mean([len(trial.found.records) for trial in result.trials])
     figures.append(KeyFigure(value=f"{per_trial:.1f}", caption="grasps until sure"))
+    hand = cell.controller.hand
+    statistics = hand.statistics
     data = ReportData(
         title="What the cell held",
         subtitle=f"{config.name}: {result.n_taught} grasps taught, "
@@ -80,15 +82,15 @@ def main_report(result: MainResult, config: CellConfig, cell: Cell, path: Path) 
         key_figures=tuple(figures),
         facts=_facts(config, cell),
         examples=tuple(
-            _example(label, record, cell.link.layout) for label, record in result.examples.items()
+            _example(label, record, hand.layout) for label, record in result.examples.items()
         ),
         trajectories=_trajectories(result),
         sequences=_sequences(result),
         confusions=_confusions(result),
         health=(
-            link_health(cell.link.statistics),
-            servo_health(cell.bus.statistics),
-            loop_health(cell.controller.gripper.statistics, cell.controller.gripper.period_s),
+            link_health(statistics.link),
+            servo_health(statistics.servo_bus),
+            loop_health(statistics.loop, hand.period_s),
         ),
         files=tuple(
             FileEntry(name=name, path=str(file))
@@ -106,14 +108,14 @@ def main_report(result: MainResult, config: CellConfig, cell: Cell, path: Path) 
 
 
 def _facts(config: CellConfig, cell: Cell) -> tuple[tuple[str, str], ...]:
-    sequence = config.sequence
+    sequence, layout = config.sequence, cell.controller.hand.layout
     return facts(
         {
             "Servos": ", ".join(
                 f"{servo.model} (id {servo.id})" for servo in config.gripper.servos
             ),
             "Servo bus": f"{config.gripper.port}, {config.gripper.baud_rate:,} baud",
-            "Sensor": f"{cell.link.layout.n_taxels} taxels on {cell.link.layout.n_pads} pads",
+            "Sensor": f"{layout.n_taxels} taxels on {layout.n_pads} pads",
             "CAN": f"{config.tactile.interface} {config.tactile.channel}".strip()
             + f", {config.tactile.bitrate:,} bit/s, node {config.tactile.node_id}",
             "Force": f"{sequence.force_n[0]:g} to {sequence.force_n[1]:g} N",

@@ -10,9 +10,9 @@ from typing import Any, Self
 
 import numpy as np
 
-from cell.build import gripper_settings, make_link, make_linkage
 from cell.config import CellConfig, GripperConfig, RackPinionConfig, ServoConfig
 from cell.errors import CellError
+from cell.hand_build import gripper_settings, make_link, make_linkage
 from cell.jobs.progress import Progress
 from cell.jobs.teaching import train
 from cell.layouts import layout_from_pads

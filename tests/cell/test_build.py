@@ -10,9 +10,10 @@ from typing import Any
 import pytest
 
 import cell.build
-from cell.build import build_cell, gripper_settings, make_linkage
+from cell.build import build_cell
 from cell.config import CellConfig
 from cell.errors import ConfigError, PositionerError
+from cell.hand_build import gripper_settings, make_linkage
 from cell.pose import Pose
 from cell.positioner import (
     CallbackPositioner,

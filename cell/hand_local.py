@@ -1,0 +1,193 @@
+"""The hand in this process: its loop runs in the thread that commands it."""
+
+from collections.abc import Callable
+
+from cell.hand import HandStatistics, Watch
+from gripper.bus import ServoBus
+from gripper.force import ForceSample
+from gripper.gripper import Cycle, Gripper
+from gripper.ramp import ForceRamp
+from gripper.state import GraspOutcome, GripperPhase, GripperState
+from gripper.verification import VerificationReport
+from tactile.layout import TaxelLayout
+from tactile.link import TactileLink
+from tactile.link_settings import NodeIdentity
+from tactile.protocol import TactileFrame
+from tactile.reading import TactileReading
+from tactile.sensor import TactileSensor
+from tactile.tare import TareResult
+
+
+class SensorTap:
+    """The force sensor that the gripper asks each period; keeps what passes for the recording.
+
+    Implements `gripper.force.ForceSensor` on a `TactileSensor`.
+    """
+
+    def __init__(self, sensor: TactileSensor) -> None:
+        self._sensor = sensor
+        self._new: list[TactileReading] = []
+        self.running = False
+        """Whether the sensor was started; without it there is no force, and none is asked for."""
+
+    def latest_force(self) -> ForceSample | None:
+        """Take in what has arrived and return the newest force; see `ForceSensor`."""
+        if not self.running:
+            return None
+        self._new.extend(self._sensor.poll())
+        reading = self._sensor.latest
+        if reading is None:
+            return None
+        left, right = reading.finger_force_n
+        return ForceSample(
+            t_s=reading.frame.t_s, force_n=(float(left), float(right)), valid=reading.ok
+        )
+
+    def take(self) -> list[TactileFrame]:
+        """Return the frames since the last call, oldest first."""
+        taken, self._new = self._new, []
+        return [reading.frame for reading in taken]
+
+
+class LocalHand:
+    """Implements `cell.hand.Hand` in the caller's thread.
+
+    Parameters
+    ----------
+    gripper, sensor, tap
+        Gripper, sensor, and the tap through which the one asks the other.
+    bus, link
+        Their links, for statistics.
+    close_links
+        Closes both ports.
+
+    Attributes
+    ----------
+    gripper, sensor, bus, link
+        The parts, for tests and benchmarks; commands go through the hand.
+    """
+
+    notes: tuple[str, ...] = ()
+
+    def __init__(
+        self,
+        *,
+        gripper: Gripper,
+        sensor: TactileSensor,
+        tap: SensorTap,
+        bus: ServoBus,
+        link: TactileLink,
+        close_links: Callable[[], None],
+    ) -> None:
+        self.gripper = gripper
+        self.sensor = sensor
+        self.bus = bus
+        self.link = link
+        self._tap = tap
+        self._close_links = close_links
+
+    @property
+    def layout(self) -> TaxelLayout:
+        """The taxels."""
+        return self.sensor.layout
+
+    @property
+    def period_s(self) -> float:
+        """Period of the loop in s."""
+        return self.gripper.period_s
+
+    @property
+    def phase(self) -> GripperPhase:
+        """What the gripper is doing."""
+        return self.gripper.state
+
+    @property
+    def sensing(self) -> bool:
+        """Whether the tactile link was started."""
+        return self._tap.running
+
+    @property
+    def statistics(self) -> HandStatistics:
+        """Counters of loop and links."""
+        return HandStatistics(
+            loop=self.gripper.statistics,
+            servo_bus=self.bus.statistics,
+            link=self.link.statistics,
+        )
+
+    def start(self) -> VerificationReport:
+        """Verify the servos; see `Hand`."""
+        return self.gripper.start()
+
+    def start_sensor(self) -> NodeIdentity:
+        """Start the tactile link; see `Hand`."""
+        identity = self.sensor.start()
+        self._tap.running = True
+        return identity
+
+    def close_sensor(self) -> None:
+        """End the tactile link."""
+        self._tap.running = False
+        self.sensor.close()
+
+    def open(self, watch: Watch) -> None:
+        """Open the empty fingers; see `Hand`."""
+        self.gripper.open(observer=self._observer(watch))
+
+    def tare(self, n_frames: int) -> TareResult:
+        """Take the zero of the taxels; see `Hand`."""
+        return self.sensor.tare(n_frames)
+
+    def grasp(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
+        """Close and follow the ramp; see `Hand`."""
+        self._tap.take()
+        return self.gripper.grasp(ramp, observer=self._observer(watch))
+
+    def release(self, watch: Watch | None = None) -> None:
+        """Let go; see `Hand`."""
+        self.gripper.release(observer=None if watch is None else self._observer(watch))
+
+    def inspect(self) -> VerificationReport:
+        """Compare the servos with the settings; reads only."""
+        return self.gripper.inspect()
+
+    def read_state(self) -> GripperState:
+        """Read the feedback of the servos once."""
+        return self.gripper.read_state()
+
+    def read_sensor(self, timeout_s: float) -> TactileReading:
+        """Wait for a new reading of the taxels."""
+        return self.sensor.read(timeout_s=timeout_s)
+
+    def tick(self) -> None:
+        """Keep both links alive and supervised; see `Hand`."""
+        self.gripper.tick()
+        self._tap.latest_force()
+        self._tap.take()
+
+    def keep_grip(self) -> None:
+        """Freeze in any state; see `Gripper.keep_grip`."""
+        self.gripper.keep_grip()
+
+    def clear_fault(self, *, reboot: bool) -> None:
+        """Acknowledge a fault of the servos; see `Gripper.clear_fault`."""
+        self.gripper.clear_fault(reboot=reboot)
+
+    def request_stop(self) -> None:
+        """Let the running command end with GraspStopped."""
+        self.gripper.request_stop()
+
+    def shutdown(self) -> None:
+        """Leave servos and sensor in a defined state; see `Hand`."""
+        self.gripper.close()
+        self.close_sensor()
+
+    def close(self) -> None:
+        """Give the ports back."""
+        self._close_links()
+
+    def _observer(self, watch: Watch) -> Callable[[Cycle], None]:
+        def observe(cycle: Cycle) -> None:
+            watch(cycle, self._tap.take())
+
+        return observe

@@ -1,0 +1,67 @@
+"""What a cell tells its recording, where it makes one."""
+
+from collections.abc import Sequence
+
+from cell.grasp_states import GraspState
+from cell.identification import Identification
+from cell.pose import Pose
+from cell.recording import Recorder
+from cell.states import CellState
+from gripper.state import Cycle
+from recognition.grasp import Grasp
+from tactile.protocol import TactileFrame
+
+
+class Journal:
+    """Passes on to a recorder what happens; without one, nothing.
+
+    Parameters
+    ----------
+    recorder
+        The recording; None makes none.
+    """
+
+    def __init__(self, recorder: Recorder | None) -> None:
+        self._recorder = recorder
+        self._states: tuple[CellState, GraspState] | None = None
+
+    def note(self, kind: str, text: str) -> None:
+        """Record that something happened."""
+        if self._recorder is not None:
+            self._recorder.event(kind, text)
+
+    def states(self, state: CellState, grasp: GraspState) -> None:
+        """Record both states where one of them has changed."""
+        now = (state, grasp)
+        if self._recorder is not None and now != self._states:
+            self._recorder.state(*now)
+        self._states = now
+
+    def cycle(self, cycle: Cycle, frames: Sequence[TactileFrame] = ()) -> None:
+        """Record one period of the loop and the frames that came in it."""
+        if self._recorder is not None:
+            self._recorder.cycle(cycle)
+            for frame in frames:
+                self._recorder.frame(frame)
+
+    def pose(self, pose: Pose) -> None:
+        """Record the pose that was reached."""
+        if self._recorder is not None:
+            self._recorder.pose(pose)
+
+    def grasp(self, grasp: Grasp) -> None:
+        """Record that the newest frames make up this grasp."""
+        if self._recorder is not None:
+            self._recorder.grasp(grasp)
+
+    def result(self, found: Identification) -> None:
+        """Record the answer of a sequence."""
+        if self._recorder is not None:
+            self._recorder.result(
+                label=found.label,
+                probability=found.probability,
+                labels=found.fused.labels,
+                probabilities=[float(p) for p in found.fused.probability],
+                unknown=found.fused.unknown,
+                n_grasps=len(found.records),
+            )
