@@ -1,0 +1,9 @@
+"""The fault campaign: every row of the table of faults on the simulated cell.
+
+``python -m benchmarks fault_campaign`` runs all rows and writes docs/fault-campaign.md.
+"""
+
+from benchmarks.fault_campaign.row import FaultRow, Observed
+from benchmarks.fault_campaign.rows import ROWS
+
+__all__ = ["ROWS", "FaultRow", "Observed"]

@@ -1,0 +1,212 @@
+"""What must hold whatever happens to a cell: watched at each step of the simulated time."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from cell.build import Cell
+from cell.controller import CellController
+from cell.states import CellState
+from gripper.gripper import GripperPhase
+from simulator.assembly import SimulatedCell
+
+CONTACT_N = 0.02
+"""Force in N above which a pad touches the part."""
+TOLERANCE = 0.02
+"""Share of the cap by which numbers may differ."""
+_TORQUE, _ERROR = 64, 70
+_LETTING_GO = (GripperPhase.RELEASING, GripperPhase.OPENING)
+_FAULTED = (CellState.ABORTING, CellState.ABORTED, CellState.CLEARING, CellState.RESETTING)
+
+
+class InvariantBroken(AssertionError):
+    """A cell did what none may ever do; the message says what and when."""
+
+
+class Overrun(BaseException):
+    """A command did not end within its time; no `Exception`, so that nothing catches it."""
+
+
+class InvariantMonitor:
+    """Watches a simulated cell and its controller from outside.
+
+    - Force: no pad is pressed with more than ``gripper.force_max_n`` unless the world does it.
+    - Release: while a part is held, neither do the fingers leave it nor is torque switched off,
+      but by a grasp's own end or a release that was asked for.
+    - Torque: none is switched on between a fault and the reset, but for a release asked for.
+    - End: a command is over within its time, in a state that is none in passing.
+
+    Parameters
+    ----------
+    simulated
+        The cell's hardware.
+    force_max_n
+        The cap in N.
+
+    Attributes
+    ----------
+    broken
+        What was broken so far.
+    latched_s
+        When a fault was latched first since `watch_from`, in s; None before.
+    noted_s
+        When a counter of the links moved first since `watch_from`, in s; None before.
+    states
+        States of the cell that were seen since `watch_from`.
+    world_pushes
+        Whether something in the world presses, so that the force is not the gripper's.
+    limp_allowed
+        Whether torque may go off with a part in the grip: the force or the position is unknown.
+    """
+
+    def __init__(self, simulated: SimulatedCell, force_max_n: float) -> None:
+        self.broken: list[str] = []
+        self.latched_s: float | None = None
+        self.noted_s: float | None = None
+        self.states: set[CellState] = set()
+        self.world_pushes = False
+        self.limp_allowed = False
+        self._simulated = simulated
+        self._force_max_n = force_max_n
+        self._cell: Cell | None = None
+        self._asked = False
+        self._deadline_s = float("inf")
+        self._counters: dict[str, object] | None = None
+        self._torque = self._torques()
+        self._blame = self._self_inflicted()
+        self._touching = False
+        simulated.clock.on_advance.append(self._look)
+
+    def attach(self, cell: Cell | None) -> None:
+        """Watch this host from now on; None while no host program runs."""
+        self._cell = cell
+
+    def watch_from(self) -> None:
+        """Take times from now on, and look for counters that move and states passed through."""
+        self.latched_s = self.noted_s = None
+        self.states = set() if self._cell is None else {self._cell.controller.state}
+        self._counters = None if self._cell is None else self._cell.health()
+
+    @contextmanager
+    def release_asked(self) -> Iterator[None]:
+        """Allow the fingers to let go: somebody asked for it."""
+        self._asked = True
+        try:
+            yield
+        finally:
+            self._asked = False
+
+    @contextmanager
+    def bounded(self, seconds: float) -> Iterator[None]:
+        """Break off what lasts longer than so many s of simulated time, with `Overrun`."""
+        self._deadline_s = self._simulated.clock.monotonic() + seconds
+        try:
+            yield
+        finally:
+            self._deadline_s = float("inf")
+        cell = self._cell
+        if cell is not None and cell.controller.state.acting:
+            self._break(f"a command is over and the cell is still {cell.controller.state.value}")
+
+    def check(self) -> None:
+        """Raise InvariantBroken if anything was broken."""
+        if self.broken:
+            raise InvariantBroken("; ".join(self.broken[:3]))
+
+    def close(self) -> None:
+        """Watch no longer."""
+        if self._look in self._simulated.clock.on_advance:
+            self._simulated.clock.on_advance.remove(self._look)
+
+    # Inside
+
+    def _break(self, text: str) -> None:
+        self.broken.append(f"at {self._simulated.clock.monotonic():.3f} s: {text}")
+
+    def _torques(self) -> tuple[bool, ...]:
+        return tuple(s.core.torque_on for s in self._simulated.devices.servo_bus.servos)
+
+    def _self_inflicted(self) -> tuple[object, ...]:
+        """Return what changes when a servo switches its torque off by itself."""
+        return tuple(
+            (s.core.table.data[_ERROR], s.core.silent_until_s)
+            for s in self._simulated.devices.servo_bus.servos
+        )
+
+    def _look(self, now_s: float) -> None:
+        force_n = self._simulated.world.contact_force_n()
+        controller = None if self._cell is None else self._cell.controller
+        if max(force_n) > self._force_max_n * (1.0 + TOLERANCE) and not self.world_pushes:
+            self._break(f"force {max(force_n):.2f} N, the cap is {self._force_max_n:g} N")
+        touching = min(force_n) > CONTACT_N
+        torque, blame = self._torques(), self._self_inflicted()
+        if torque != self._torque:
+            self._torque_changed(torque, blame, controller)
+        elif self._touching and not touching:
+            self._contact_lost(controller)
+        self._torque, self._blame, self._touching = torque, blame, touching
+        if controller is not None:
+            self._tell_time(now_s, controller)
+        if now_s > self._deadline_s:
+            self._break("a command did not end within its time")
+            self._deadline_s = float("inf")
+            raise Overrun(self.broken[-1])
+
+    def _torque_changed(
+        self,
+        torque: tuple[bool, ...],
+        blame: tuple[object, ...],
+        controller: CellController | None,
+    ) -> None:
+        state = None if controller is None else controller.state
+        for number, (before, after) in enumerate(zip(self._torque, torque, strict=True)):
+            if after and not before and not self._asked and (state is None or state in _FAULTED):
+                self._break(f"torque of servo {number + 1} on while {state}, without a reset")
+            by_itself = blame[number] != self._blame[number]
+            if (
+                before
+                and not after
+                and self._touching
+                and not (by_itself or self._asked or self.limp_allowed or self._letting_go())
+            ):
+                self._break(f"torque of servo {number + 1} off with a part in the grip")
+
+    def _contact_lost(self, controller: CellController | None) -> None:
+        """Judge that the fingers have left the part, while all torque is as it was."""
+        if self._asked or self.limp_allowed or not all(self._torque) or self._letting_go():
+            return
+        if controller is None or self._part_gone():
+            return
+        if self._phase() is GripperPhase.APPROACHING:
+            return
+        self._break(f"the part was let go while {controller.state}, {self._phase()}")
+
+    def _part_gone(self) -> bool:
+        faults = self._simulated.devices.injector.faults
+        return self._simulated.devices.physical.placed is None or any(
+            fault.entry.name == "object.slips" for fault in faults
+        )
+
+    def _phase(self) -> GripperPhase | None:
+        return None if self._cell is None else self._cell.controller.hand.phase
+
+    def _letting_go(self) -> bool:
+        return self._phase() in _LETTING_GO
+
+    def _tell_time(self, now_s: float, controller: CellController) -> None:
+        self.states.add(controller.state)
+        if self.latched_s is None and controller.fault is not None:
+            self.latched_s = now_s
+        if self.noted_s is not None or self._counters is None or self._cell is None:
+            return
+        if _counted(self._cell.health()) != _counted(self._counters):
+            self.noted_s = now_s
+
+
+def _counted(health: dict[str, object]) -> list[object]:
+    """Return the counters of the links that move only when something is wrong."""
+    found: list[object] = []
+    for section in ("tactile", "servo_bus"):
+        counters = health.get(section)
+        if isinstance(counters, dict):
+            found += [v for k, v in counters.items() if k not in {"complete", "transactions"}]
+    return found
