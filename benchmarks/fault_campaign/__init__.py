@@ -3,7 +3,8 @@
 ``python -m benchmarks fault_campaign`` runs all rows and writes docs/fault-campaign.md.
 """
 
+from benchmarks.fault_campaign.page import main
 from benchmarks.fault_campaign.row import FaultRow, Observed
 from benchmarks.fault_campaign.rows import ROWS
 
-__all__ = ["ROWS", "FaultRow", "Observed"]
+__all__ = ["ROWS", "FaultRow", "Observed", "main"]

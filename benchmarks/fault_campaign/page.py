@@ -1,0 +1,72 @@
+"""docs/fault-campaign.md: run every row and write what was seen."""
+
+import logging
+from collections.abc import Sequence
+from pathlib import Path
+
+from benchmarks.fault_campaign.rows import ROWS
+from benchmarks.fault_campaign.table import Result, rows_table, run_row, totals, vocabulary_table
+
+PAGE = Path(__file__).parents[2] / "docs" / "fault-campaign.md"
+BEGIN, END = "<!-- vocabulary: begin -->", "<!-- vocabulary: end -->"
+
+_HEAD = """# Fault campaign
+
+Written by `python -m benchmarks fault_campaign`. Each fault is brought about on the simulated cell
+while it does its job; what the cell did about it is compared with what it has to do. While a row
+runs, these hold or the row is broken: the force on a pad stays below the cap, no part is let go
+without being asked, no torque comes on after a fault without a reset, every command ends in time.
+
+"""
+_REACTIONS = """
+| reaction | meaning |
+|---|---|
+| REJECT | the start is refused, cause and remedy are named |
+| NOTE | counted and kept in the record; the job goes on |
+| HOLD | the ramp stops, goals stay at their last values, the grip is kept; clear and reset needed |
+| LIMP | torque off: position or force of the fingers is not known, or the force is over the cap |
+| ABORT | as HOLD, and a servo has lost its torque by itself: the part is possibly dropped |
+| UNKNOWN | the job ends with the answer unknown, never with a label |
+"""
+
+
+def vocabulary_section() -> str:
+    """Return the part of the page that is made from the vocabulary alone."""
+    return f"""{BEGIN}
+## Faults by name
+
+`COMPONENT.FAULT[=VALUE][@START[..END]]`, as `can.loss=0.05@2s`, `servo1.reboot@contact+0.5s` or
+`unit.off@moving..3s`. Times count from the injection; `contact` is the first time after it that
+both pads touch the object, `moving` that a finger moves. Without an end a fault lasts until it is
+cleared. `servoN` is `servo1`, `servo2`: their order in the config.
+
+- Command line: `tactile-cell simulate --fault can.loss=0.05@2s`, `tactile-cell run --fault ...`,
+  repeatable; `tactile-cell simulate --list-faults` prints this table.
+- Config: `simulator.faults`, a list of such texts.
+- Python: `SimulatedCell.inject("can.loss=0.05@2s")`, `.clear()` on what it returns.
+- Socket of a running `simulate`: `{{"inject": "can.off"}}`, `{{"clear": "can.off"}}`.
+
+They exist in the simulator only: with real ports in the config a fault is refused.
+
+{vocabulary_table()}
+{END}
+"""
+
+
+def page(results: Sequence[Result], machine: str) -> str:
+    """Return the page in Markdown."""
+    return (
+        f"{_HEAD}{totals(results)}\n\n{machine}\n{_REACTIONS}\n## Rows\n\n"
+        f"{rows_table(results)}\n\n{vocabulary_section()}"
+    )
+
+
+def main() -> None:
+    logging.disable(logging.CRITICAL)
+    results = []
+    for row in ROWS:
+        results.append(run_row(row))
+        print(f"{row.name}: {results[-1].verdict} ({results[-1].seconds:.1f} s)", flush=True)
+    PAGE.write_text(page(results, ""), encoding="utf-8")
+    print(totals(results))
+    print(f"written: {PAGE}")
