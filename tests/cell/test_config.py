@@ -111,6 +111,38 @@ def test_complaints_name_line_key_and_limit(text: str, parts: list[str]) -> None
         assert part in message
 
 
+@pytest.mark.parametrize(
+    ("text", "begin"),
+    [
+        ("gripper:\n  force_max_n: 99\n", "cell.yaml:2:3: gripper.force_max_n: "),
+        ("gripper:\n  forc_max_n: 3\n", "cell.yaml:2:3: gripper.forc_max_n: unknown key; is "),
+        (
+            "gripper:\n  servos:\n    - {id: 1, modl: x}\n",
+            "cell.yaml:3:15: gripper.servos.0.modl: unknown key; is model meant? ",
+        ),
+        ("name: a\nname: b\n", "cell.yaml:2:1: not YAML 1.2: "),
+        ("gripper:\n\tport: x\n", "cell.yaml:2:1: not YAML 1.2: "),
+        ("name: a\nseed: \0\n", "cell.yaml:2:7: not YAML 1.2: "),
+        ("a: &x [1]\nb: *x\n", "cell.yaml:1:4: aliases are not allowed"),
+        ("[" * 200, "cell.yaml:1:101: more than 100 open brackets"),
+        ("- 1\n", "cell.yaml:1:1: a config is a mapping"),
+    ],
+)
+def test_each_complaint_begins_with_its_place(text: str, begin: str) -> None:
+    assert complaint(text).startswith(begin)
+
+
+def test_a_file_that_was_cut_off_within_a_line_is_refused(tmp_path: Path) -> None:
+    whole = "gripper:\n  force_max_n: 12.5\n"
+    path = tmp_path / "cell.yaml"
+    for end in range(len("gripper:\n") + 1, len(whole)):
+        path.write_text(whole[:end])
+        with pytest.raises(ConfigError, match=rf"cell.yaml:2:{end - 8}: .*may be cut off"):
+            load_config(path)
+    path.write_text(whole)
+    assert load_config(path).gripper.force_max_n == 12.5
+
+
 def test_all_complaints_come_at_once() -> None:
     message = complaint("gripper:\n  baud_rate: 1\nseed: -1\n")
     assert message.count("\n") == 1
