@@ -327,6 +327,21 @@ class RecordingConfig(_Section):
     """Folder of recordings, data sets and reports; made when missing."""
 
 
+class LoopConfig(_Section):
+    """How the force loop runs where the ports are real; what the system refuses is told loudly."""
+
+    own_process: bool = True
+    """Whether the loop has a process of its own, which recognition and files cannot hold up."""
+    priority: int = Field(default=50, ge=0, le=99)
+    """Real-time priority (SCHED_FIFO) of that process, 1 to 99; 0: scheduled as all others."""
+    lock_memory: bool = True
+    """Whether the memory of that process is locked, so that paging cannot hold it up."""
+    cpu: int | None = Field(default=None, ge=0, le=1023)
+    """Processor that the process is bound to; none: any."""
+    overruns_max: int = Field(default=10, ge=1, le=1000)
+    """Periods in a row whose work took too long after which the grip is frozen, 1 to 1000."""
+
+
 class SimulatedObjectConfig(_Section):
     """One object of the simulated cell."""
 
@@ -383,6 +398,8 @@ class CellConfig(_Section):
     """Recogniser and what it may use."""
     recording: RecordingConfig = RecordingConfig()
     """Where results go."""
+    loop: LoopConfig = LoopConfig()
+    """Process of the force loop."""
     simulator: SimulatorConfig = SimulatorConfig()
     """The simulated cell."""
 

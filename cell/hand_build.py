@@ -155,6 +155,7 @@ def gripper_settings(config: CellConfig) -> GripperSettings:
         force_stale_s=wanted.force_stale_ms * 1e-3,
         watchdog_s=wanted.watchdog_ms * 1e-3,
         watchdog_self_test=wanted.watchdog_self_test,
+        overruns_max=config.loop.overruns_max,
     )
 
 

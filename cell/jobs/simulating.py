@@ -25,6 +25,7 @@ _PATIENCE = (
     ("tactile", "heartbeat_ms", 400),
     ("gripper", "force_stale_ms", 300.0),
     ("gripper", "watchdog_ms", 500.0),
+    ("loop", "overruns_max", 40),
 )
 """Section, key and least value of what a client on the same machine waits for."""
 
