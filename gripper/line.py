@@ -8,7 +8,7 @@ that is answered shows that nothing older is still on its way.
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from gripper.clock import Clock
 from gripper.errors import BusBusy, PortLost
@@ -90,7 +90,7 @@ class ServoLine:
             return_delay_s=return_delay_s,
             allowance_s=allowance_s,
         )
-        self.statistics = BusStatistics()
+        self._counts = dict.fromkeys(BusStatistics.__slots__, 0)
         self.alerts: set[int] = set()
         self.misses: dict[int, int] = {}
         self.suspect = False
@@ -212,10 +212,15 @@ class ServoLine:
         self._owed = 0
         self.suspect = False
 
+    @property
+    def statistics(self) -> BusStatistics:
+        """Counts since the bus was opened."""
+        return BusStatistics(**self._counts)
+
     def count(self, **more: int) -> None:
         """Add to the statistics."""
-        now = {name: getattr(self.statistics, name) + n for name, n in more.items()}
-        self.statistics = replace(self.statistics, **now)
+        for name, n in more.items():
+            self._counts[name] += n
 
     def close(self) -> None:
         """Close the stream; every later transaction raises PortLost."""

@@ -17,6 +17,11 @@ from gripper.packets import (
 )
 from gripper.port import SdkPort
 
+_READ_AHEAD = 256
+"""Bytes asked for at once: answers that came together are fetched together."""
+_CRC_TABLE = tuple(Protocol2PacketHandler().updateCRC(0, (byte,), 1) for byte in range(256))
+"""The SDK's own table; its method makes it anew with every call."""
+
 
 class Instruction(IntEnum):
     """Instructions of Protocol 2.0 that the bus uses."""
@@ -56,7 +61,7 @@ class CheckedPacketHandler(Protocol2PacketHandler):  # type: ignore[misc]
     def receive(self, port: SdkPort) -> StatusPacket | None:
         """Return the next status packet whose CRC is right, None at the port's time-out."""
         self.dropped_bytes = 0
-        # A damaged length had more bytes read than one packet: the next one may be among them.
+        # More bytes than one packet may have been read: the next one is among them.
         buffer, self._following = self._following, bytearray()
         while True:
             missing = self._missing(buffer)
@@ -69,7 +74,7 @@ class CheckedPacketHandler(Protocol2PacketHandler):  # type: ignore[misc]
                     return status
                 self._skip(buffer)
                 continue
-            data = port.readPort(missing)
+            data = port.readPort(max(missing, _READ_AHEAD))
             buffer += data
             if not data and port.isPacketTimeout():
                 if not buffer:
@@ -90,6 +95,15 @@ class CheckedPacketHandler(Protocol2PacketHandler):  # type: ignore[misc]
         port.clearPort()
         port.writePort(packet)
         return int(COMM_SUCCESS)
+
+    def updateCRC(  # noqa: N802
+        self, crc_accum: int, data_blk_ptr: Sequence[int], data_blk_size: int
+    ) -> int:
+        """Return the CRC of the first bytes, continued from ``crc_accum``."""
+        crc = crc_accum
+        for byte in data_blk_ptr[:data_blk_size]:
+            crc = (crc << 8 & 0xFFFF) ^ _CRC_TABLE[crc >> 8 ^ byte]
+        return crc
 
     def rxPacket(self, port: SdkPort, fast_option: bool) -> tuple[list[int], int]:  # noqa: N802
         """Receive for the SDK's own methods; fast reads are not used."""

@@ -6,6 +6,7 @@ Source: ROBOTIS e-Manual, pages of XM430-W350, XM430-W210, XL330-M288 and XC330-
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 from math import tau
 from types import MappingProxyType
@@ -197,6 +198,7 @@ REGISTERS: Mapping[str, Register] = _table(tuple(globals().values()))
 """All items by name, in the order of their addresses."""
 
 
+@cache
 def registers_between(first: Register, last: Register) -> tuple[Register, ...]:
     """Return the items from ``first`` to ``last``; LimitExceeded when bytes between are undefined.
 
