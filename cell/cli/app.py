@@ -4,7 +4,7 @@ import sys
 
 import typer
 
-from cell.cli import cells, configs, figures, gauging, simulated
+from cell.cli import cells, configs, figures, gauging, recordings, simulated
 from cell.cli.output import complain
 from cell.errors import CellError, ConfigError
 from gripper.errors import GripperError
@@ -28,6 +28,7 @@ app.command()(gauging.calibrate)
 app.command()(cells.release)
 app.command()(figures.evaluate)
 app.command()(figures.replay)
+app.command()(recordings.recover)
 app.command()(simulated.simulate)
 app.command()(simulated.doctor)
 app.command()(configs.dbc)

@@ -1,0 +1,39 @@
+"""Commands for recordings."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cell.cli.options import JsonOption
+from cell.cli.output import say, write_json
+from cell.recording_recover import recover_recording
+
+
+def recover(
+    recording: Annotated[Path, typer.Argument(help="Recording that was cut off or damaged.")],
+    output: Annotated[
+        Path | None,
+        typer.Option("--output", "-o", help="File to write [default: NAME-recovered.mcap beside]."),
+    ] = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Take all that is whole out of a damaged recording; say what is lost."""
+    target = output or recording.with_name(f"{recording.stem}-recovered.mcap")
+    found = recover_recording(recording, target)
+    say(f"{recording}: {found.lost_reason or 'complete, nothing is lost'}")
+    say(
+        f"{found.path}: {found.n_frames} frames, {found.n_cycles} periods of the loop, "
+        f"{found.n_grasps} whole grasps; {found.n_broken_grasps} broken ones are left out"
+    )
+    write_json(
+        json_file,
+        {
+            "recording": str(found.path),
+            "n_frames": found.n_frames,
+            "n_cycles": found.n_cycles,
+            "n_grasps": found.n_grasps,
+            "n_broken_grasps": found.n_broken_grasps,
+            "lost_reason": found.lost_reason,
+        },
+    )
