@@ -64,6 +64,8 @@ class SimulatedCell:
             faults=self.devices.faults.can,
             seed=self.settings.seed,
         )
+        for text in self.settings.faults:
+            self.inject(text)
 
     @property
     def world(self) -> PhysicalWorld | RecordedWorld:

@@ -26,7 +26,9 @@ class CellCommands:
     - ``{"place": label, "pose": {"x_m": ..}}``: ``{"pose": {..}}``, where it came to rest
     - ``{"remove": true}``: ``{"removed": true}``
     - ``{"play": index}``: ``{"frames": n}`` of that recorded grasp
-    - ``{"state": true}``: what is placed, forces, opening, frames left
+    - ``{"state": true}``: what is placed, forces, opening, frames left, faults
+    - ``{"inject": "can.loss=0.05@2s"}``: the same back; see `simulator.faults`
+    - ``{"clear": "can.loss"}``: ``{"cleared": n}``; by the whole text or by the name
     - ``{"fault": "can.drop_rate", "value": 0.01}``: the same back
     - ``{"servo": id, "do": "overload" | .., "value": ..}``: ``{"servo": id}``
     - ``{"emergency": code}``: the same back
@@ -52,6 +54,8 @@ class CellCommands:
             "remove": self._remove,
             "play": self._play,
             "state": self._state,
+            "inject": self._inject,
+            "clear": self._clear,
             "fault": self._fault,
             "servo": self._servo,
             "emergency": self._emergency,
@@ -116,7 +120,15 @@ class CellCommands:
             "aperture_m": devices.mechanics.aperture_m,
             "frames_left": devices.recorded.remaining if plays else 0,
             "control_unit": devices.unit.state,
+            "faults": {fault.text: fault.began_s for fault in devices.injector.faults},
         }
+
+    def _inject(self, request: dict[str, Any]) -> dict[str, Any]:
+        self._devices.inject(_text(request, "inject"))
+        return {"inject": request["inject"]}
+
+    def _clear(self, request: dict[str, Any]) -> dict[str, Any]:
+        return {"cleared": self._devices.injector.clear(_text(request, "clear"))}
 
     def _fault(self, request: dict[str, Any]) -> dict[str, Any]:
         path = request["fault"]
@@ -197,6 +209,12 @@ class CellCommands:
 def _is_true(request: dict[str, Any], name: str) -> None:
     if request[name] is not True:
         raise SimulatorSettingsError(f"{name} takes true, got {request[name]!r}")
+
+
+def _text(request: dict[str, Any], name: str) -> str:
+    if not isinstance(request[name], str):
+        raise SimulatorSettingsError(f"{name} takes the text of a fault, got {request[name]!r:.40}")
+    return str(request[name])
 
 
 def _number(name: str, value: Any) -> float:

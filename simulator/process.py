@@ -80,8 +80,11 @@ class RealTimeCell:
                 lambda: self._world_s,
             )
             self._server = PositionerServer(folder / "positioner.sock", commands)
+            undo.callback(self._server.close)
+            self.step(now_s, [])
+            for text in settings.faults:
+                self.devices.inject(text)
             undo.pop_all()
-        self.step(now_s, [])
 
     def announcement(self) -> dict[str, Any]:
         """Return what clients need to know; plain values for JSON."""

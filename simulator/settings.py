@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from gripper.registers import XM430_W350, ServoModel
 from simulator.errors import SimulatorSettingsError
+from simulator.faults import check_fault
 from simulator.foam import Foam
 from simulator.linkage import FingerLinkage, ParallelogramLinkage
 from simulator.mechanics import ServoMount
@@ -79,6 +80,8 @@ class SimulatorSettings:
         Opening between the pads at the start in m.
     grasps
         With any, the cell plays these grasps instead of pressing objects into foam.
+    faults
+        Faults that are injected as the cell comes to be, as ``can.loss=0.05@2s``.
     """
 
     layout: TaxelLayout = field(default_factory=paper_layout)
@@ -97,8 +100,11 @@ class SimulatorSettings:
     objects: Mapping[str, Shape] = field(default_factory=lambda: PAPER_OBJECTS)
     aperture_m: float = 0.03
     grasps: tuple[RecordedGrasp, ...] = ()
+    faults: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        for text in self.faults:
+            check_fault(text, len(self.servos))
         reach_m = 2.0 * self.linkage.half_opening_max_m
         if not 0.0 <= self.aperture_m <= reach_m:
             raise SimulatorSettingsError(

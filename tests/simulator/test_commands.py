@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simulator.assembly import CellDevices
+from simulator.assembly import CellDevices, SimulatedCell
 from simulator.commands import CellCommands
 from simulator.errors import EndpointError, SimulatorError, SimulatorSettingsError
 from simulator.positioner_server import CLIENT_LIMIT, LINE_LIMIT, PositionerServer
@@ -282,3 +282,27 @@ def test_a_socket_that_cannot_be_made_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(EndpointError, match="no socket"):
         Served(tmp_path / "s")
     assert (tmp_path / "s").read_text() == "a file of somebody else"
+
+
+def test_faults_are_injected_and_cleared_by_their_text(
+    commands: CellCommands, devices: CellDevices
+) -> None:
+    assert commands({"inject": "can.loss=0.5@50ms"}) == {"inject": "can.loss=0.5@50ms"}
+    assert commands({"state": True})["faults"] == {"can.loss=0.5@50ms": None}
+    devices.advance_to(0.2)
+    assert devices.faults.can.drop_rate == 0.5
+    began_s = commands({"state": True})["faults"]["can.loss=0.5@50ms"]
+    assert began_s == pytest.approx(0.2)
+    assert commands({"clear": "can.loss"}) == {"cleared": 1}
+    assert devices.faults.can.drop_rate == 0.0
+    for request in ({"inject": "can.lost"}, {"clear": "can.loss"}, {"inject": 5}, {"clear": None}):
+        with pytest.raises(SimulatorError):
+            commands(request)
+
+
+def test_the_settings_bring_their_faults_along() -> None:
+    with SimulatedCell(SimulatorSettings(faults=("can.loss=0.5@50ms", "unit.off"))) as cell:
+        assert cell.faults.unit.dead
+        assert [fault.began_s for fault in cell.devices.injector.faults] == [0.0, None]
+    with pytest.raises(SimulatorSettingsError, match=r"no fault 'can.lost'"):
+        SimulatorSettings(faults=("can.lost",))
