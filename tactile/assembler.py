@@ -112,6 +112,11 @@ class FrameAssembler:
             corrupt=self._corrupt,
         )
 
+    @property
+    def n_short(self) -> int:
+        """Messages that were not of 8 bytes; see `FrameStatistics.short`."""
+        return self._short
+
     def push(self, data: bytes | bytearray, dlc: int, t_s: float) -> TactileFrame | None:
         """Take one message and return the frame that it completes, if any.
 

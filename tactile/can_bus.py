@@ -2,6 +2,7 @@
 
 import re
 import select
+import time
 from collections import deque
 from typing import Any
 
@@ -9,6 +10,7 @@ import can
 from can.interfaces.slcan import slcanBus
 
 from tactile.errors import BusNotOpened
+from tactile.socketcand_bus import open_socketcand
 
 CanBus = can.BusABC
 """An open bus, for those who pass it on and have no business with python-can."""
@@ -20,6 +22,13 @@ _MESSAGE = re.compile(
     "(?:[tr][0-7][0-9A-Fa-f]{2}|[TR][01][0-9A-Fa-f]{7})([0-8])((?:[0-9A-Fa-f]{2})*)"
 )
 _STAMP_DIGITS = 4
+_FLAGS = re.compile("F([0-9A-Fa-f]{2})")
+_FLAG_PASSIVE = 0x20
+_FLAGS_EVERY_S = 0.05
+_FLAGS_UNANSWERED = 10
+"""An adapter that has not told its flags so often does not know the command."""
+_ERROR_CONTROLLER, _PASSIVE, _ACTIVE = 0x04, 0x30, 0x40
+"""Error frame as SocketCAN makes it: class of the identifier, and data byte 1."""
 _MESSAGE_KINDS = frozenset("tTrRdDbBx")
 """First letters of what the driver takes for messages; d, D, b, B are CAN FD, x is not standard."""
 
@@ -42,7 +51,9 @@ class BulkSlcanBus(slcanBus):
 
     The driver it derives from reads byte by byte (92 µs a message), waits 2 s after opening, waits
     without end for the adapter to take its output, and raises for ever on one bad character. Here
-    bad lines are dropped and counted; a failing port still raises ``can.CanOperationError``.
+    bad lines are dropped and counted; a failing port still raises ``can.CanOperationError``. A
+    serial adapter has no error frames: it is asked for its flags 20 times a second, and one that
+    becomes error-passive, or active again, gives an error frame as SocketCAN does.
 
     Parameters
     ----------
@@ -56,7 +67,11 @@ class BulkSlcanBus(slcanBus):
 
     def __init__(self, channel: str, *, bitrate: int, tty_baudrate: int) -> None:
         self._lines: deque[str] = deque()
+        self._changes: deque[can.Message] = deque()
         self._passing_over = False
+        self._passive = False
+        self._flags_due_s = time.monotonic()
+        self._flags_unanswered = 0
         self.bad_lines = 0
         super().__init__(
             channel, bitrate=bitrate, tty_baudrate=tty_baudrate, sleep_after_open=0.0, timeout=0.0
@@ -97,21 +112,49 @@ class BulkSlcanBus(slcanBus):
             self._passing_over = True
         for line in lines:
             text = line.decode("ascii", errors="replace")
-            if text[:1] in _MESSAGE_KINDS and not _is_whole(text):
+            if flags := _FLAGS.fullmatch(text):
+                self._take_flags(int(flags[1], 16))
+            elif text[:1] in _MESSAGE_KINDS and not _is_whole(text):
                 self.bad_lines += 1
             elif text:  # empty lines acknowledge commands
                 self._lines.append(text)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        self._ask_for_flags()
         while True:
+            if self._changes:
+                return self._changes.popleft(), False
             try:
                 message, filtered = super()._recv_internal(timeout)
             except (ValueError, IndexError, KeyError):
                 self.bad_lines += 1
             else:
-                if message is not None or not self._lines:
+                if message is not None or not (self._lines or self._changes):
                     return message, filtered
             timeout = 0.0
+
+    def _ask_for_flags(self) -> None:
+        now_s = time.monotonic()
+        if now_s >= self._flags_due_s and self._flags_unanswered < _FLAGS_UNANSWERED:
+            self._flags_due_s = now_s + _FLAGS_EVERY_S
+            self._flags_unanswered += 1
+            self._write("F")
+
+    def _take_flags(self, flags: int) -> None:
+        """Make an error frame if the controller became error-passive or active again."""
+        self._flags_unanswered = 0
+        passive = bool(flags & _FLAG_PASSIVE)
+        if passive == self._passive:
+            return
+        self._passive = passive
+        state = _PASSIVE if passive else _ACTIVE
+        frame = can.Message(
+            arbitration_id=_ERROR_CONTROLLER,
+            is_extended_id=False,
+            is_error_frame=True,
+            data=bytes((0, state, 0, 0, 0, 0, 0, 0)),
+        )
+        self._changes.append(frame)
 
     def shutdown(self) -> None:
         """Close channel and port; the port also when the adapter is gone."""
@@ -157,9 +200,7 @@ def open_bus(
         if interface == "socketcan":
             options = {}
         elif interface == "socketcand":
-            address, _, channel = channel.partition("/")
-            host, _, port = address.rpartition(":")
-            options = {"host": host, "port": int(port), "tcp_tune": True}
+            return open_socketcand(channel)
         return can.Bus(channel, interface=interface, ignore_config=True, **options)
     except (can.CanError, OSError, ValueError, NotImplementedError, ImportError) as error:
         cause = error.__cause__ or error
@@ -176,6 +217,11 @@ _ADVICE = {
     "(ip link set CHANNEL up type can bitrate RATE)",
     "socketcand": "Check that the server runs and that the channel is written HOST:PORT/CHANNEL",
 }
+
+
+def bad_lines(bus: can.BusABC) -> int:
+    """Return how many damaged lines a bus behind a serial adapter has dropped; 0 for others."""
+    return bus.bad_lines if isinstance(bus, BulkSlcanBus) else 0
 
 
 def close_bus(bus: can.BusABC) -> None:

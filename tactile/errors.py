@@ -21,6 +21,10 @@ class TareRefused(TactileError):
     """The zero was not taken: touched, drifting or noisy taxels, or too few frames."""
 
 
+class ZeroDrifted(TactileError):
+    """The zero of the taxels has moved since it was taken: forces and shapes are wrong by it."""
+
+
 class LinkStateError(TactileError):
     """A call that the link does not allow in the state it is in."""
 
@@ -39,6 +43,14 @@ class IdentityMismatch(LinkFault):
 
 class HeartbeatLost(LinkFault):
     """The control unit's heartbeat stayed away."""
+
+
+class DuplicateNode(LinkFault):
+    """Two units answer under one node-ID; neither can be told from the other."""
+
+
+class BusDisturbed(LinkFault):
+    """More foreign or damaged messages come than the link is allowed to pass over."""
 
 
 class NodeRebooted(LinkFault):

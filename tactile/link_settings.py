@@ -54,6 +54,12 @@ class LinkSettings:
         So many SYNCs without a whole frame are a fault.
     max_loss_rate, loss_window_frames
         A larger share of frames lost among so many is a fault.
+    late_periods
+        Frames that come so many periods later than before are a fault.
+    max_foreign_hz
+        So many messages of other nodes or unknown COB-IDs may come every second.
+    max_malformed_hz
+        So many damaged or unusable messages may come every second.
     error_passive_s
         The host's CAN controller may be error-passive for this long, in s.
     identity
@@ -71,8 +77,11 @@ class LinkSettings:
     startup_timeout_s: float = 3.0
     sdo_timeout_s: float = 0.3
     frame_timeout_periods: int = 3
-    max_loss_rate: float = 0.1
+    max_loss_rate: float = 0.05
     loss_window_frames: int = 50
+    late_periods: int = 2
+    max_foreign_hz: float = 2000.0
+    max_malformed_hz: float = 20.0
     error_passive_s: float = 0.5
     identity: ExpectedIdentity = field(default_factory=ExpectedIdentity)
     mode: TransmissionMode = TransmissionMode.RAW
@@ -89,6 +98,9 @@ class LinkSettings:
             ("frame_timeout_periods", self.frame_timeout_periods, 1, 1000),
             ("max_loss_rate", self.max_loss_rate, 0.0, 1.0),
             ("loss_window_frames", self.loss_window_frames, 1, 10_000),
+            ("late_periods", self.late_periods, 1, 1000),
+            ("max_foreign_hz", self.max_foreign_hz, 0.0, 1e5),
+            ("max_malformed_hz", self.max_malformed_hz, 0.0, 1e5),
             ("error_passive_s", self.error_passive_s, 0.0, 10.0),
         )
         for name, value, low, high in limits:
@@ -118,7 +130,8 @@ class LinkStatistics:
     foreign
         Messages of other nodes or of unknown COB-IDs.
     malformed
-        Emergencies, features and remote or extended messages that cannot be used.
+        Emergencies, features and remote or extended messages that cannot be used, and lines of a
+        serial adapter that are none.
     error_frames
         Error frames of the host's CAN controller.
     """

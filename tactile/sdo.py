@@ -57,6 +57,17 @@ class PolledSdoClient(SdoClient):
         self._service = service
         self._wait = wait
         self._timeout_s = timeout_s
+        self._requests = self._answers = 0
+
+    @property
+    def surplus(self) -> int:
+        """Answers that came beyond those that were asked for: of a second server, or client."""
+        return self._answers - self._requests
+
+    def send_request(self, request: bytes | bytearray) -> None:
+        """Send a request."""
+        self._requests += 1
+        super().send_request(request)  # type: ignore[no-untyped-call]
 
     def upload(self, index: int, subindex: int) -> bytes:
         """Return an object's bytes; SdoCommunicationError for one that is endless or incomplete.
@@ -82,6 +93,7 @@ class PolledSdoClient(SdoClient):
     def on_response(self, can_id: int, data: bytes | bytearray, timestamp: float) -> None:
         """Take a message of COB-ID 0x580 + node; one that is not of 8 bytes is no response."""
         if len(data) == _SDO_BYTES:
+            self._answers += 1
             super().on_response(can_id, data, timestamp)  # type: ignore[no-untyped-call]
 
     def read_response(self) -> bytes:

@@ -7,8 +7,9 @@ import canopen
 
 from tactile import eds
 from tactile.assembler import FrameAssembler
+from tactile.can_bus import bad_lines
 from tactile.clock import Clock
-from tactile.errors import NodeMissing
+from tactile.errors import DuplicateNode, NodeMissing
 from tactile.features import FeatureCollector
 from tactile.frame_flow import FrameFlow
 from tactile.layout import TaxelLayout
@@ -17,6 +18,7 @@ from tactile.protocol import FrameFormat, TactileFrame
 from tactile.receive import MessageSource, interface_failed
 from tactile.sdo import ObjectAccess, PolledSdoClient
 from tactile.supervision import NodeSupervisor, SupervisionLimits
+from tactile.traffic import TrafficLimit
 
 _SYNC_ID = 0x080
 _EMCY_ID = 0x080
@@ -25,6 +27,11 @@ _TPDO2_ID = 0x280
 _TPDO3_ID = 0x380
 _SDO_RESPONSE_ID = 0x580
 _HEARTBEAT_ID = 0x700
+_SURPLUS_ANSWERS = 3
+"""So many SDO answers more than requests are those of a second unit, not a message doubled once."""
+_BURST_S = 0.05
+_LEAST_BURST = 10.0
+"""Foreign or damaged messages of so many seconds, and at least so many, may come at once."""
 _LEAST_GAP = 0.9
 """Of the period: after a late SYNC the next one waits so long, or it would cut into the burst."""
 _SYNC_EARLY_S = 1e-6
@@ -65,6 +72,7 @@ class LinkSession:
         self._node_id = node_id
         self._clock = clock
         self._settings = settings
+        self._bus = bus
         self._network = canopen.Network(bus)
         self._client = PolledSdoClient(
             node_id=node_id,
@@ -84,12 +92,27 @@ class LinkSession:
                 passive_s=settings.error_passive_s,
             ),
         )
-        self._assembler = FrameAssembler(FrameFormat.of(layout))
+        frame_format = FrameFormat.of(layout)
+        self._assembler = FrameAssembler(frame_format)
         self._flow = FrameFlow(
             self.name,
             timeout_periods=settings.frame_timeout_periods,
             max_loss_rate=settings.max_loss_rate,
             window_frames=settings.loss_window_frames,
+            late_periods=settings.late_periods,
+            burst_messages=frame_format.n_messages
+            if settings.mode & eds.TransmissionMode.RAW
+            else 0,
+        )
+        self._foreign_limit = _limit(
+            "messages of other nodes or unknown COB-IDs",
+            "find out who sends them, or raise tactile.foreign_max_hz where they belong there",
+            settings.max_foreign_hz,
+        )
+        self._malformed_limit = _limit(
+            "damaged messages",
+            "check cable, termination, bit rate and adapter",
+            settings.max_malformed_hz,
         )
         self.features = FeatureCollector()
         self.last_frame_s: float | None = None
@@ -97,6 +120,8 @@ class LinkSession:
         self._nodes_heard: set[int] = set()
         self._next_sync_s: float | None = None
         self._syncs = self._late_syncs = self._foreign = self._malformed = 0
+        self._bad_lines = bad_lines(bus)
+        self._unusable = 0
         self._handlers: dict[int, Callable[[bytes, float], None]] = {
             _EMCY_ID + node_id: self._on_emergency,
             _TPDO2_ID + node_id: self._on_features_first,
@@ -114,7 +139,7 @@ class LinkSession:
             syncs=self._syncs,
             late_syncs=self._late_syncs,
             foreign=self._foreign,
-            malformed=self._malformed + self.features.malformed + self.supervisor.short_emergencies,
+            malformed=self._unusable_now(),
             error_frames=self.supervisor.error_frames,
         )
 
@@ -142,18 +167,24 @@ class LinkSession:
         """Take in what was received, look at the deadlines, send SYNC when due."""
         frame_id = _TPDO1_ID + self._node_id
         push = self._assembler.push
+        n_frame_messages = 0
         for t_s, message in self._source.drain():
             if message.is_error_frame:
                 self.supervisor.on_error_frame(message.arbitration_id, message.data, t_s)
             elif message.is_remote_frame or message.is_extended_id:
                 self._malformed += 1
             elif message.arbitration_id == frame_id:
+                n_frame_messages += 1
                 frame = push(message.data, message.dlc, t_s)
                 if frame is not None:
                     self._on_frame(frame)
             else:
                 self._dispatch(message, t_s)
+        self._flow.messages(n_frame_messages)
         now_s = self._clock.monotonic()
+        self._check_unusable(now_s)
+        if self._next_sync_s is None:
+            self._check_answers()
         self.supervisor.check(now_s)
         if self._next_sync_s is not None and now_s >= self._next_sync_s - _SYNC_EARLY_S:
             self._sync(now_s, self._next_sync_s)
@@ -193,10 +224,36 @@ class LinkSession:
         handler = self._handlers.get(cob_id)
         if handler is None:
             self._foreign += 1
+            self._foreign_limit.add(t_s)
         elif len(message.data) != message.dlc:
             self._malformed += 1
         else:
             handler(bytes(message.data), t_s)
+
+    def _unusable_now(self) -> int:
+        """Return how many messages could not be used, damaged frame messages left out."""
+        return (
+            self._malformed
+            + self.features.malformed
+            + self.supervisor.short_emergencies
+            + bad_lines(self._bus)
+            - self._bad_lines
+        )
+
+    def _check_unusable(self, now_s: float) -> None:
+        unusable = self._unusable_now() + self._assembler.n_short
+        if unusable > self._unusable:
+            new, self._unusable = unusable - self._unusable, unusable
+            self._malformed_limit.add(now_s, new)
+
+    def _check_answers(self) -> None:
+        """Refuse a unit that gave more answers than it was asked for; DuplicateNode."""
+        if self._client.surplus >= _SURPLUS_ANSWERS:
+            raise DuplicateNode(
+                f"{self._client.surplus} SDO answers more came from {self.name} than were asked "
+                "for: a second unit has the same node-ID, or another program talks to the unit; "
+                "leave one of them on the bus, then start the link again"
+            )
 
     def _sync(self, now_s: float, due_s: float) -> None:
         self._flow.before_sync()
@@ -227,3 +284,8 @@ class LinkSession:
 
     def _on_sdo_response(self, data: bytes, t_s: float) -> None:
         self._client.on_response(_SDO_RESPONSE_ID + self._node_id, data, t_s)
+
+
+def _limit(what: str, advice: str, rate_hz: float) -> TrafficLimit:
+    burst = max(_LEAST_BURST, _BURST_S * rate_hz)
+    return TrafficLimit(what, advice, rate_hz=rate_hz, burst=burst)

@@ -5,12 +5,14 @@ boot-ups and drops error frames. Every method raises a `LinkFault` at once when 
 one.
 """
 
+from collections import deque
 from dataclasses import dataclass
 
 from tactile.emergency import ERROR_RESET, decode_emergency
 from tactile.errors import (
     BusErrorPassive,
     BusOff,
+    DuplicateNode,
     HeartbeatLost,
     NodeEmergency,
     NodeRebooted,
@@ -27,6 +29,11 @@ NMT_STATES = {
     OPERATIONAL: "operational",
     PRE_OPERATIONAL: "pre-operational",
 }
+
+_DOUBLED_BEATS = 16
+_DOUBLED_PERIODS = 10.0
+"""So many heartbeats within so many periods are those of two units; a host that stalls for a third
+of that time sees fewer."""
 
 # Error frames as SocketCAN puts them (linux/can/error.h): classes in the identifier, and the
 # controller's state in data byte 1.
@@ -72,6 +79,7 @@ class NodeSupervisor:
         self._limits = limits
         self._in_operation = False
         self._heartbeat_at_s: float | None = None
+        self._beats: deque[float] = deque(maxlen=_DOUBLED_BEATS)
         self._passive_since_s: float | None = None
         self.state: int | None = None
         self.boot_ups = 0
@@ -102,6 +110,18 @@ class NodeSupervisor:
             raise NodeStateChanged(
                 f"{self._name} is {found}, expected operational: another NMT master, or an error "
                 "in the unit (object 0x1029); start the link again"
+            )
+        elif self._in_operation:
+            self._count_beat(t_s)
+
+    def _count_beat(self, t_s: float) -> None:
+        self._beats.append(t_s)
+        limit_s = _DOUBLED_PERIODS * self._limits.heartbeat_s
+        if len(self._beats) == _DOUBLED_BEATS and t_s - self._beats[0] < limit_s:
+            raise DuplicateNode(
+                f"{_DOUBLED_BEATS} heartbeats came from {self._name} within "
+                f"{t_s - self._beats[0]:.2f} s, its period is {self._limits.heartbeat_s:g} s: a "
+                "second unit has the same node-ID; leave one on the bus, then start the link again"
             )
 
     def on_emergency(self, data: bytes) -> None:

@@ -1,7 +1,9 @@
 """Buses and receivers: slcan over a pseudo-terminal, the receive thread and its ends."""
 
+import contextlib
 import os
 import queue
+import socket
 import threading
 import time
 import tty
@@ -182,7 +184,10 @@ class Adapter:
         os.write(self.master, data)
 
     def read(self) -> bytes:
-        return os.read(self.master, 4096)
+        """Return what comes, but for questions after the flags."""
+        while not (data := os.read(self.master, 4096).replace(b"F\r", b"")):
+            pass
+        return data
 
     def unplug(self) -> None:
         os.close(self.master)
@@ -220,12 +225,16 @@ def test_slcan_opens_with_bit_rate_and_without_waiting(adapter: Adapter) -> None
     start_s = time.monotonic()
     bus = open_bus("slcan", adapter.path, bitrate=500_000)
     assert time.monotonic() - start_s < 1.0
-    sent = adapter.read()
+    sent = b""
+    while not sent.endswith(b"O\r"):
+        sent += adapter.read()
     assert b"S6\r" in sent
-    assert sent.endswith(b"O\r")
     bus.send(can.Message(arbitration_id=0x80, is_extended_id=False))
     bus.send(can.Message(arbitration_id=0x605, data=b"\x40\x18", is_extended_id=False))
-    assert adapter.read() == b"t0800\rt60524018\r"
+    sent = adapter.read()
+    while len(sent) < 17:
+        sent += adapter.read()
+    assert sent == b"t0800\rt60524018\r"
     close_bus(bus)
     assert adapter.read() == b"C\r"
 
@@ -288,6 +297,24 @@ def test_one_port_is_opened_once_only(adapter: Adapter, slcan: BulkSlcanBus) -> 
     assert adapter.read() == b"t0800\r"
 
 
+def test_an_adapter_that_is_error_passive_gives_an_error_frame_once(
+    adapter: Adapter, slcan: BulkSlcanBus
+) -> None:
+    adapter.write(b"F00\rF20\rt1811AA\rF20\rF04\r")
+    messages = received(slcan)
+    assert sorted(m.is_error_frame for m in messages) == [False, True, True]
+    changes = [(m.arbitration_id, m.data[1]) for m in messages if m.is_error_frame]
+    assert changes == [(0x04, 0x30), (0x04, 0x40)]
+
+
+def test_an_adapter_that_does_not_know_its_flags_is_left_in_peace(adapter: Adapter) -> None:
+    bus = open_bus("slcan", adapter.path)
+    for _ in range(14):
+        bus.recv(0.051)
+    assert os.read(adapter.master, 4096).count(b"F\r") == 10
+    close_bus(bus)
+
+
 @pytest.mark.parametrize(
     ("interface", "channel", "says"),
     [
@@ -313,3 +340,81 @@ def test_a_bit_rate_that_slcan_does_not_know_is_refused(adapter: Adapter) -> Non
 def test_other_interfaces_are_opened_by_python_can() -> None:
     bus = open_bus("virtual", "tactile-test")
     bus.shutdown()
+
+
+# --- socketcand ----------------------------------------------------------------------------------
+
+
+class Server:
+    """A socketcand server on the loopback that plays its part as far as it is told to."""
+
+    def __init__(self, greeting: bytes = b"< hi >") -> None:
+        self.socket = socket.create_server(("127.0.0.1", 0))
+        self.address = f"127.0.0.1:{self.socket.getsockname()[1]}/can0"
+        self.greeting = greeting
+        self.clients: list[socket.socket] = []
+        self.connected = threading.Event()
+        self.thread = threading.Thread(target=self.run, daemon=True)
+        self.thread.start()
+
+    def run(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                client, _ = self.socket.accept()
+                self.clients.append(client)
+                client.sendall(self.greeting)
+                for _ in range(2):
+                    if not client.recv(100):
+                        break
+                    client.sendall(b"< ok >")
+                else:
+                    self.connected.set()
+
+    @property
+    def client(self) -> socket.socket:
+        """The connection that the driver uses."""
+        return self.clients[-1]
+
+    def close(self) -> None:
+        self.socket.shutdown(socket.SHUT_RDWR)
+        self.socket.close()
+        self.thread.join(5.0)
+        for client in self.clients:
+            client.close()
+
+
+@pytest.fixture
+def server() -> Iterator[Server]:
+    one = Server()
+    yield one
+    one.close()
+
+
+def test_a_socketcand_server_that_goes_away_is_noticed(server: Server) -> None:
+    bus = open_bus("socketcand", server.address)
+    assert server.connected.wait(5.0)
+    server.client.sendall(b"< frame 185 23.424242 0102 >")
+    message = bus.recv(2.0)
+    assert message is not None
+    assert (message.arbitration_id, bytes(message.data)) == (0x185, b"\1\2")
+    assert bus.recv(0.01) is None
+    receiver = ThreadedReceiver(bus, time)
+    receiver.start()
+    server.client.close()
+    thread = next(t for t in threading.enumerate() if t.name == "tactile-receive")
+    thread.join(0.5)
+    with pytest.raises(BusOff, match="server has closed the connection"):
+        receiver.drain()
+    receiver.close()
+    close_bus(bus)
+
+
+def test_a_socketcand_server_that_refuses_or_speaks_otherwise_is_named_at_once() -> None:
+    server = Server(b"HTTP/1")
+    with pytest.raises(BusNotOpened, match=r"does not speak socketcand.*server runs"):
+        open_bus("socketcand", server.address)
+    server.close()
+    start_s = time.monotonic()
+    with pytest.raises(BusNotOpened, match="refused"):
+        open_bus("socketcand", server.address)
+    assert time.monotonic() - start_s < 1.0
