@@ -24,10 +24,9 @@ from cell.positioner import (
     SocketPlacer,
 )
 from cell.recording import Recorder
-from cell.simulation import InProcessPlacer, capture_traffic, simulator_settings
+from cell.simulation import InProcessPlacer, capture_traffic, simulated_cell
 from gripper.bus import ServoBus
 from gripper.clock import Clock
-from gripper.errors import PortLost
 from simulator.assembly import SimulatedCell
 from tactile.link import (
     TactileLink,
@@ -134,7 +133,7 @@ def build_cell(
         simulated: SimulatedCell | None = None
         clock: Clock = time
         if config.simulated:
-            simulated = SimulatedCell(simulator_settings(config), lost_error=PortLost)
+            simulated = simulated_cell(config)
             undo.callback(simulated.close)
             clock = simulated.clock
         if capture is not None:

@@ -370,6 +370,10 @@ class SimulatorConfig(_Section):
     """Noise of each taxel and frame; the paper's is a normal value clipped to 1 to 20 of 255."""
     noise_level: float = Field(default=1.0, ge=0.0, le=4.0)
     """Factor on the noise, 0 to 4; 1 is the paper's."""
+    faults: tuple[Annotated[str, Field(min_length=1, max_length=200)], ...] = Field(
+        default=(), max_length=100
+    )
+    """Faults to inject, as `can.loss=0.05@2s`; `tactile-cell simulate --list-faults` lists all."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -416,6 +420,11 @@ class CellConfig(_Section):
             raise ValueError(
                 "gripper.port and tactile.interface must both be `simulated` or both be real: "
                 "one simulated object cannot be touched by a real gripper"
+            )
+        if self.simulator.faults and not simulated[0]:
+            raise ValueError(
+                "simulator.faults are for the simulated cell, and this one has real ports: "
+                "take them out"
             )
         if not simulated[0] and self.tactile.channel == "":
             raise ValueError("tactile.channel is empty; name the channel of the CAN interface")

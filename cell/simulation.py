@@ -11,10 +11,12 @@ from cell.config import CellConfig, ParallelLinkageConfig
 from cell.errors import ConfigError, PositionerError
 from cell.layouts import layout_from_config
 from cell.pose import Pose
+from gripper.errors import PortLost
 from gripper.registers import MODELS
 from recognition.grasp import Grasp
 from simulator.assembly import SimulatedCell
 from simulator.errors import SimulatorError
+from simulator.faults import VOCABULARY
 from simulator.linkage import FingerLinkage, ParallelogramLinkage, RackLinkage
 from simulator.mechanics import ServoMount
 from simulator.noise import NoiseModel
@@ -84,9 +86,38 @@ def simulator_settings(
                 RecordedGrasp(counts=grasp.counts, aperture_m=grasp.aperture_m, label=grasp.label)
                 for grasp in grasps
             ),
+            faults=settings.faults,
         )
     except SimulatorError as error:
         raise ConfigError(f"simulator: {error}") from error
+
+
+def simulated_cell(config: CellConfig) -> SimulatedCell:
+    """Return the simulated cell of a config, with its faults injected; in virtual time.
+
+    Raises
+    ------
+    ConfigError
+        If the config describes no cell, or one of its faults does not fit it.
+    """
+    settings = simulator_settings(config)
+    try:
+        return SimulatedCell(settings, lost_error=PortLost)
+    except SimulatorError as error:
+        raise ConfigError(f"simulator: {error}") from error
+
+
+def fault_table() -> list[tuple[str, str, str, str]]:
+    """Return name, kind, value and meaning of each fault that can be injected."""
+    return [
+        (
+            entry.name,
+            entry.kind.value,
+            "" if entry.value is None else entry.value.text,
+            entry.meaning + (" (a moment, without end)" if entry.moment else ""),
+        )
+        for entry in VOCABULARY.values()
+    ]
 
 
 def simulated_objects(config: CellConfig) -> dict[str, Shape]:

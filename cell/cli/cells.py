@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from cell.build import build_cell
+from cell.cli.asking import ask
 from cell.cli.drawings import (
     GaugeOption,
     GaugeShapeOption,
@@ -18,13 +19,14 @@ from cell.cli.drawings import (
 from cell.cli.options import (
     CaptureOption,
     ConfigOption,
+    FaultOption,
     JsonOption,
     ModelOption,
     OutOption,
     SeedOption,
 )
 from cell.cli.output import confusion_table, out, percent, progress_bar, say, write_json
-from cell.cli.running import pads_of, running_cell, seeded
+from cell.cli.running import faulted, pads_of, running_cell, seeded
 from cell.config import CellConfig
 from cell.config_file import load_config
 from cell.dataset import read_dataset
@@ -57,10 +59,11 @@ def run(
     out_folder: OutOption = None,
     seed: SeedOption = None,
     capture: CaptureOption = None,
+    faults: FaultOption = None,
     json_file: JsonOption = None,
 ) -> None:
     """Teach objects and identify them: the main job, on the configured or the simulated cell."""
-    checked = seeded(load_config(config), seed)
+    checked = faulted(seeded(load_config(config), seed), faults)
     loaded = None if model is None else load_model(model, pads_of(checked))
     recognizer = None if loaded is None else loaded.recognizer
     if loaded is not None:
@@ -110,11 +113,14 @@ def teach(
     config: ConfigOption = None,
     out_folder: OutOption = None,
     seed: SeedOption = None,
+    faults: FaultOption = None,
     json_file: JsonOption = None,
 ) -> None:
     """Grasp a known object several times, or a drawing of it, and add that to a data set."""
-    checked = seeded(load_config(config), seed)
+    checked = faulted(seeded(load_config(config), seed), faults)
     if shape is not None or mesh is not None:
+        if faults:
+            raise ConfigError("--fault is for the simulated cell; a drawing has no faults")
         teach_from_drawing(
             checked,
             label,
@@ -163,14 +169,19 @@ def identify(
     config: ConfigOption = None,
     out_folder: OutOption = None,
     seed: SeedOption = None,
+    faults: FaultOption = None,
     json_file: JsonOption = None,
 ) -> None:
     """Name the object in the grip, or the objects of recorded grasps; say shape and size."""
     if model is None:
         raise ConfigError("--model is missing; `tactile-cell train` makes one")
-    checked = seeded(load_config(config), seed)
+    checked = faulted(seeded(load_config(config), seed), faults)
     known = pad_knowledge(checked, gauge, gauge_shape)
     if dataset is not None:
+        if faults:
+            raise ConfigError(
+                "--fault is for the simulated cell; recorded grasps are what they are"
+            )
         loaded = load_model(model)
         recorded = read_dataset(dataset)
         answers = identify_recorded(loaded, recorded)
@@ -226,9 +237,10 @@ def release(
     """Let go of a part that is still in the grip of an earlier run, and open the fingers."""
     if not confirm:
         raise ConfigError("the part may fall; add --confirm if that is meant")
-    cell = build_cell(load_config(config), mover=lambda _pose: False, ask=input)
+    cell = build_cell(load_config(config), mover=lambda _pose: False, ask=ask)
     try:
-        cell.controller.release_held()
+        with stopping(cell.controller.cancel):
+            cell.controller.release_held()
     finally:
         cell.close()
     say("released; the fingers are open")

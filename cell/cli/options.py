@@ -20,6 +20,15 @@ SeedOption = Annotated[
     int | None, typer.Option("--seed", help="Seed of poses and noise [default: seed].", min=0)
 ]
 ModelOption = Annotated[Path | None, typer.Option("--model", "-m", help="File of a taught model.")]
+FaultOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--fault",
+        metavar="FAULT",
+        help="Fault of the simulated cell, as can.loss=0.05@2s; repeat for several "
+        "(simulate --list-faults).",
+    ),
+]
 CaptureOption = Annotated[
     Path | None,
     typer.Option("--capture", help="Write the simulated CAN traffic to this pcap file."),

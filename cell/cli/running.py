@@ -1,14 +1,15 @@
 """What the commands that move a cell share: its start, and the grip that outlasts an early end."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
 from cell.build import Cell, build_cell
+from cell.cli.asking import ask
 from cell.cli.stopping import stopping
 from cell.collect import pad_array
 from cell.config import CellConfig
-from cell.errors import CellError, CellStopped
+from cell.errors import CellError, CellStopped, ConfigError
 from cell.layouts import layout_from_config
 from gripper.errors import GripperError
 from recognition.grasp import PadArray
@@ -18,7 +19,7 @@ from tactile.errors import TactileError
 @contextmanager
 def running_cell(config: CellConfig, folder: Path, capture: Path | None = None) -> Iterator[Cell]:
     """Start a cell, stop it on signals, and say what is kept where if it ends early."""
-    cell = build_cell(config, folder=folder, ask=input, capture=capture)
+    cell = build_cell(config, folder=folder, ask=ask, capture=capture)
     try:
         with stopping(cell.controller.cancel):
             cell.controller.start()
@@ -35,6 +36,25 @@ def running_cell(config: CellConfig, folder: Path, capture: Path | None = None) 
 def seeded(config: CellConfig, seed: int | None) -> CellConfig:
     """Return the config with another seed, where one is given."""
     return config if seed is None else config.model_copy(update={"seed": seed})
+
+
+def faulted(config: CellConfig, faults: Sequence[str] | None) -> CellConfig:
+    """Return the config with faults of the simulated cell added to its own.
+
+    Raises
+    ------
+    ConfigError
+        If the config has real ports: nothing is injected into real hardware.
+    """
+    if not faults:
+        return config
+    if not config.simulated:
+        raise ConfigError(
+            f"--fault {faults[0]} is for the simulated cell, and {config.name} has real ports: "
+            "give it to `tactile-cell simulate`, or leave it out"
+        )
+    simulator = config.simulator.model_copy(update={"faults": (*config.simulator.faults, *faults)})
+    return config.model_copy(update={"simulator": simulator})
 
 
 def pads_of(config: CellConfig) -> PadArray:

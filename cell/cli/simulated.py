@@ -6,12 +6,14 @@ from typing import Annotated
 
 import typer
 
-from cell.cli.options import ConfigOption, JsonOption, SeedOption
+from cell.cli.options import ConfigOption, FaultOption, JsonOption, SeedOption
 from cell.cli.output import out, say, write_json
+from cell.cli.running import seeded
 from cell.config_file import load_config
 from cell.errors import CellError
 from cell.jobs.doctor import Verdict, examine
 from cell.jobs.simulating import serve_simulated_cell
+from cell.simulation import fault_table
 
 _COLOURS = {Verdict.PASS: "green", Verdict.WARN: "yellow", Verdict.FAIL: "bold red"}
 
@@ -25,11 +27,21 @@ def simulate(
         Path | None, typer.Option("--out", help="Folder for device links and the ready config.")
     ] = None,
     seed: SeedOption = None,
+    faults: FaultOption = None,
+    list_faults: Annotated[
+        bool, typer.Option("--list-faults", help="Print every fault that there is, and end.")
+    ] = False,
 ) -> None:
     """Run the simulated cell for other programs; prints one JSON line with its device paths."""
-    checked = load_config(config)
-    if seed is not None:
-        checked = checked.model_copy(update={"seed": seed})
+    if list_faults:
+        for name, kind, value, meaning in fault_table():
+            say(f"{name:<22} {kind:<13} {meaning}" + (f" [{value}]" if value else ""))
+        return
+    checked = seeded(load_config(config), seed)
+    if faults:
+        simulator = checked.simulator
+        update = {"faults": (*simulator.faults, *faults)}
+        checked = checked.model_copy(update={"simulator": simulator.model_copy(update=update)})
     serve_simulated_cell(
         checked, frames=frames, folder=folder, announce=lambda line: typer.echo(json.dumps(line))
     )

@@ -1,16 +1,23 @@
-"""Ctrl-C and termination signals: stop the sequence, keep the grip; a second one ends at once."""
+"""Signals and the death of the parent: stop the sequence, keep the grip; a second signal ends."""
 
+import os
 import signal
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_LOOK_S = 0.1
 
 
 @contextmanager
 def stopping(cancel: Callable[[], None]) -> Iterator[None]:
-    """Within the block the first signal calls ``cancel``; a second raises KeyboardInterrupt."""
+    """Within the block the first signal calls ``cancel``; a second raises KeyboardInterrupt.
+
+    The death of the process that started this one counts as a signal. A program that was started
+    with SIGHUP ignored (``nohup``) is meant to outlive terminal and parent, and does.
+    """
     seen = 0
 
     def on_signal(_number: int, _frame: FrameType | None) -> None:
@@ -20,9 +27,26 @@ def stopping(cancel: Callable[[], None]) -> Iterator[None]:
             raise KeyboardInterrupt
         cancel()
 
-    before = {number: signal.signal(number, on_signal) for number in _SIGNALS}
+    outlives = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    watched = [number for number in _SIGNALS if not (outlives and number is signal.SIGHUP)]
+    before = {number: signal.signal(number, on_signal) for number in watched}
+    over = threading.Event()
+    if not outlives:
+        threading.Thread(
+            target=_watch_parent, args=(cancel, over), name="parent", daemon=True
+        ).start()
     try:
         yield
     finally:
+        over.set()
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+def _watch_parent(cancel: Callable[[], None], over: threading.Event) -> None:
+    """Call ``cancel`` once when another process has become the parent of this one."""
+    parent = os.getppid()
+    while not over.wait(_LOOK_S):
+        if os.getppid() != parent:
+            cancel()
+            return

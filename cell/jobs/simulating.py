@@ -10,12 +10,12 @@ from cell.config import CellConfig
 from cell.config_file import config_text
 from cell.config_writer import SCHEMA_LINE
 from cell.dataset import read_dataset
-from cell.errors import CellError
+from cell.errors import CellError, ConfigError
 from cell.files import write_text
 from cell.layouts import layout_from_pads
 from cell.simulation import largest_aperture_m, simulator_settings
 from recognition.grasp import Grasp
-from simulator.errors import SimulatorError
+from simulator.errors import SimulatorError, SimulatorSettingsError
 from simulator.process import serve
 
 _OPENING_OVERSHOOT_M = 2e-3
@@ -77,6 +77,8 @@ def serve_simulated_cell(
 
         try:
             serve(settings, announce_with_config, folder=place)
+        except SimulatorSettingsError as error:
+            raise ConfigError(f"simulator: {error}") from error
         except SimulatorError as error:
             raise CellError(str(error)) from error
 
@@ -87,6 +89,7 @@ def _client_config(config: CellConfig, found: dict[str, Any]) -> CellConfig:
     data["name"] = f"{config.name} on pseudo-terminals"[:80]
     data["gripper"]["port"] = found["servo_port"]
     data["tactile"] |= {"interface": found["can_interface"], "channel": found["can_channel"]}
+    data["simulator"]["faults"] = []
     data["positioner"] = {"kind": "simulated", "socket": found["positioner_socket"]}
     # The simulated cell shares the processors with its client and with everything else: what a
     # device of its own answers in time may come late here, and is no fault.
