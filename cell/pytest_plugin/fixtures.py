@@ -101,7 +101,8 @@ def cell_config(request: pytest.FixtureRequest) -> "CellConfig":
     try:
         return config_under_test(config_path(request.config), HardwareOptions.of(request.config))
     except ConfigError as error:
-        pytest.fail(str(error), pytrace=False)
+        complaint = str(error)
+    pytest.fail(complaint, pytrace=False)
 
 
 @pytest.fixture
