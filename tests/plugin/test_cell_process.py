@@ -48,9 +48,9 @@ def test_a_process_serves_both_ports_and_takes_faults(cell_process: Any, inject_
     assert config.positioner.socket == cell.positioner_socket
     assert cell.ask(place="pin")["pose"]["x_m"] == 0.0
     assert cell.grip_n() == 0.0
-    with pytest.raises(CellProcessError, match="refused.*nothing-known"):
+    with pytest.raises(CellProcessError, match=r"refused.*nothing-known"):
         cell.ask(place="nothing-known")
-    with pytest.raises(CellProcessError, match="refused.*there is no fault"):
+    with pytest.raises(CellProcessError, match=r"refused.*there is no fault"):
         inject_fault("can.nothing")
     with pytest.raises(TimeoutError, match=r"0\.00 N after 0\.1 s, expected 1 N"):
         cell.wait_for_grip(1.0, timeout_s=0.1)
