@@ -73,6 +73,8 @@ class ServoBus:
         lock_timeout_s: float = 1.0,
     ) -> None:
         self.period_s = period_s
+        self.baudrate = baudrate
+        self._least_allowance_s = allowance_s
         self._in_loop = False
         self._line = ServoLine(
             stream,
@@ -139,6 +141,38 @@ class ServoBus:
             model_number=int.from_bytes(status.data[:2], "little"),
             firmware=status.data[2],
         )
+
+    def scan(self, ids: Sequence[int] = range(_HIGHEST_ID + 1)) -> tuple[ServoIdentity, ...]:
+        """Ask each ID once, without patience, and return who answers; for finding a mistake."""
+        found = []
+        with self._line.transaction():
+            for servo_id in ids:
+                try:
+                    data = self._line.request(servo_id, Instruction.PING, b"", 3).data
+                except NoAnswerError:
+                    continue
+                number = int.from_bytes(data[:2], "little")
+                found.append(
+                    ServoIdentity(servo_id=servo_id, model_number=number, firmware=data[2])
+                )
+            self._line.give_up()
+        return tuple(found)
+
+    def round_trip_s(self, servo_id: int) -> float:
+        """Return the time in s that a ping takes, however late its answer comes."""
+        _check_id(servo_id)
+        with self._line.transaction():
+            sent_s = self._line.clock.monotonic()
+            try:
+                self._line.request(servo_id, Instruction.PING, b"", 3, patient=True)
+            except NoAnswerError as failure:
+                self._line.give_up()
+                raise _give_up(failure, f"ping of servo {servo_id}", servo_id) from None
+            return self._line.clock.monotonic() - sent_s
+
+    def fit_allowance(self, wanted_s: float, most_s: float) -> None:
+        """Set the time for adapter and operating system in a time-out; never below the usual."""
+        self._line.port.allowance_s = max(self._least_allowance_s, min(wanted_s, most_s))
 
     def read(self, servo_id: int, register: Register) -> int:
         """Return the raw value of an item, sign-extended."""

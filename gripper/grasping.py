@@ -18,7 +18,6 @@ from gripper.state import GraspOutcome, GraspResult, GripperPhase, GripperState
 
 _CONTACT_SHARE = 0.97
 """Where in the friction band the drive is at the contact."""
-_TAPER_AFTER_S = 1.0
 _REST_S = 0.08
 """How long the fingers rest at the contact, so that the ramp begins at the force that is there."""
 
@@ -118,7 +117,7 @@ class GraspRun:
                 moment,
                 self._servos.transmissions(moment.state.servos),
                 self._setpoint_n,
-                taper=elapsed_s > _TAPER_AFTER_S,
+                taper=elapsed_s > self._settings.taper_after_s,
             )
             done = elapsed_s >= duration_s - 1e-9
             return Action(goals=goals, setpoint_n=self._setpoint_n, done=done)

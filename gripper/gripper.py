@@ -11,6 +11,7 @@ from gripper.force import ForceSensor
 from gripper.grasping import GraspRun
 from gripper.kinematics import Linkage
 from gripper.lifecycle import Lifecycle
+from gripper.link_check import LinkTiming, check_link
 from gripper.motion import GripControl, MoveTo
 from gripper.ramp import ForceRamp
 from gripper.reactions import bus_is_lost
@@ -92,6 +93,12 @@ class Gripper:
         self._grasping = GraspRun(self._runner, self._servos, linkage, settings)
         self._life = Lifecycle(self._servos, self._runner, settings)
         self._watchdog_proofs: tuple[WatchdogProof, ...] = ()
+        self._link_timing: LinkTiming | None = None
+
+    @property
+    def link_timing(self) -> LinkTiming | None:
+        """Round trips on the bus as the last start has measured them; None before one."""
+        return self._link_timing
 
     @property
     def state(self) -> GripperPhase:
@@ -133,20 +140,18 @@ class Gripper:
         Raises
         ------
         VerificationFailed
-            When a servo with its torque off is not what the settings say.
+            When a servo is missing, or with its torque off not what the settings say.
+        LinkTooSlow
+            When the answers come too late for the rate of the loop.
         GripperStateError
             While a fault is latched or a command runs.
         """
         self._life.check_ready("start")
-        held_before = self._life.phase is not GripperPhase.IDLE
-        if not self._servos.health.torque_on():
-            self._life.switched_off()
-            return self._servos.health.verify(correct=True, refuse=True)
-        if held_before:
-            self._life.phase = GripperPhase.HELD_AFTER_FAULT
-            self._life.part_possible = True
-            self._life.controlled = False
-        return self._servos.health.verify(correct=False, refuse=not held_before)
+        self._servos.health.require_present()
+        report = self._verify()
+        ids = [servo.servo_id for servo in self._settings.servos]
+        self._link_timing = check_link(self._bus, ids, self.period_s)
+        return report
 
     def inspect(self) -> VerificationReport:
         """Compare the servos with the settings; reads only, changes nothing."""
@@ -368,6 +373,17 @@ class Gripper:
             self._life.phase = GripperPhase.OFF
 
     # Inside
+
+    def _verify(self) -> VerificationReport:
+        held_before = self._life.phase is not GripperPhase.IDLE
+        if not self._servos.health.torque_on():
+            self._life.switched_off()
+            return self._servos.health.verify(correct=True, refuse=True)
+        if held_before:
+            self._life.phase = GripperPhase.HELD_AFTER_FAULT
+            self._life.part_possible = True
+            self._life.controlled = False
+        return self._servos.health.verify(correct=False, refuse=not held_before)
 
     def _held_control(self, command: str) -> GripControl:
         self._life.check_ready(command, GripperPhase.HOLDING)

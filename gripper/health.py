@@ -1,7 +1,7 @@
 """Health of the servos: what they are set to, and whether they still do what they were told."""
 
 from gripper.bus import ServoBus
-from gripper.errors import ServoFault, VerificationFailed
+from gripper.errors import BusCorrupt, BusTimeout, ServoFault, VerificationFailed
 from gripper.registers import (
     BUS_WATCHDOG,
     HARDWARE_ERROR_STATUS,
@@ -9,6 +9,7 @@ from gripper.registers import (
     REGISTERS,
     TORQUE_ENABLE,
 )
+from gripper.servo_models import MODELS
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.state import GripperState
 from gripper.verification import VerificationReport, VerificationRow, compare, requirements
@@ -28,6 +29,7 @@ class ServoHealth:
         self._settings = settings
         self._ids = [servo.servo_id for servo in settings.servos]
         self._polls = 0
+        self._kept = 0
 
     def torque_on(self) -> bool:
         """Read whether any servo has its torque on."""
@@ -36,6 +38,43 @@ class ServoHealth:
     def torque_on_everywhere(self) -> bool:
         """Read whether all servos have their torque on."""
         return all(self._bus.read(i, TORQUE_ENABLE) != 0 for i in self._ids)
+
+    def require_present(self) -> None:
+        """Ask every servo who it is. Raises VerificationFailed that names who answers instead."""
+        silent: dict[int, BusTimeout | BusCorrupt] = {}
+        for servo_id in self._ids:
+            try:
+                self._bus.ping(servo_id)
+            except (BusTimeout, BusCorrupt) as error:
+                silent[servo_id] = error
+        if not silent:
+            return
+        others = [one for one in self._bus.scan() if one.servo_id not in self._ids]
+        names = {model.number: model.name for model in MODELS.values()}
+        listed = ", ".join(
+            f"{one.servo_id} ({names.get(one.model_number, f'model {one.model_number}')})"
+            for one in others
+        )
+        rows = tuple(
+            VerificationRow(
+                servo_id=servo_id,
+                item="ping",
+                expected=f"an answer at {self._bus.baudrate} baud",
+                found=("no right answer" if servo_id in silent else "an answer")
+                + (f"; other IDs that answer: {listed}" if listed else ""),
+                ok=servo_id not in silent,
+            )
+            for servo_id in self._ids
+        )
+        report = VerificationReport(rows=rows)
+        advice = (
+            "give the servo its ID, or name the right one in the settings"
+            if others
+            else "check supply, cable, baud rate and that no two servos share an ID"
+        )
+        raise VerificationFailed(report, [*(str(row) for row in report.failed), advice]) from next(
+            iter(silent.values())
+        )
 
     def verify(self, *, correct: bool, refuse: bool = False) -> VerificationReport:
         """Compare all servos with what they must hold.
@@ -61,7 +100,10 @@ class ServoHealth:
     def _verify_one(self, servo: ServoSettings, *, correct: bool) -> tuple[VerificationRow, ...]:
         settings = self._settings
         required = requirements(
-            servo.servo_model, settings.current_max_a, settings.temperature_max_c
+            servo.servo_model,
+            settings.current_max_a,
+            settings.temperature_max_c,
+            settings.corrected_registers,
         )
         corrected: set[str] = set()
         self._bus.ping(servo.servo_id)
@@ -97,16 +139,38 @@ class ServoHealth:
         for servo in state.servos:
             if servo.alert:
                 self._check_hardware(servo.servo_id)
-        index, check = divmod(self._polls, 2)
-        self._polls = (self._polls + 1) % (2 * len(self._ids))
+        index, check = divmod(self._polls, 3)
+        self._polls = (self._polls + 1) % (3 * len(self._ids))
         if check == 0:
             self.check_torque(self._ids[index])
+        elif check == 1:
+            self._check_kept(index)
         elif watchdog and self._bus.read(self._ids[index], BUS_WATCHDOG) < 0:
             raise ServoFault(
                 self._ids[index],
                 0,
                 "its bus watchdog has tripped because the loop fell silent; the servo has "
                 "stopped, a part may still be gripped",
+            )
+
+    def _check_kept(self, index: int) -> None:
+        """Read the next register that the start has verified; all of them in turn."""
+        servo, settings = self._settings.servos[index], self._settings
+        required = requirements(
+            servo.servo_model, settings.current_max_a, settings.temperature_max_c
+        )
+        item = required[self._kept // len(self._ids) % len(required)]
+        self._kept += 1
+        if item.item == HARDWARE_ERROR_STATUS.name:
+            return
+        raw = self._bus.read(servo.servo_id, REGISTERS[item.item])
+        if not item.met_by(raw):
+            raise ServoFault(
+                servo.servo_id,
+                0,
+                f"its register {item.item} has changed since the start: expected "
+                f"{item.expected}, found {raw}. Somebody else writes to this servo, or it has "
+                f"restarted; the goals are frozen",
             )
 
     def _check_hardware(self, servo_id: int) -> None:

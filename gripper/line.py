@@ -169,6 +169,7 @@ class ServoLine:
                 # A servo that refuses answers without data; any other length answers another
                 # request.
                 damaged = True
+                self._owed = max(0, self._owed - 1)
                 self.count(late=1)
             else:
                 self.misses[servo_id] = 0
@@ -189,10 +190,16 @@ class ServoLine:
         return self.clock.monotonic() - self._suspect_since_s > self._late_guard_s
 
     def clear(self, servo_id: int, deadline_s: float | None, *, patient: bool = False) -> None:
-        """Ping a servo: answers come in order, so after this one nothing old can arrive."""
+        """Ping a servo: its answers come in order, so after this one nothing old should arrive.
+
+        With ``patient`` the line is watched for what did not come before it.
+        """
         if deadline_s is not None and self.clock.monotonic() >= deadline_s:
             raise NoAnswerError(damaged=False)
         self.request(servo_id, Instruction.PING, b"", 3, patient=patient)
+        if patient and self._owed > 0:
+            # The ping may have overtaken what is owed: where there is time, wait for that too.
+            self._wait_until_quiet()
         self._owed = 0
 
     def _wait_until_quiet(self) -> None:

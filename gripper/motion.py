@@ -23,6 +23,7 @@ _OPENING_FORCE_N = 3.0
 _AGAINST_REST = 1.4
 _LOST_SHARE = 0.25
 _LOST_TIME_S = 0.1
+_SUDDEN_RATIO = 8.0
 _MEAN_SAMPLES = 3
 _GIVE_RAD = 0.03
 
@@ -148,6 +149,8 @@ class GripControl:
         self._held_s = now_s
         self._balanced_s = now_s
         self._paused = False
+        self._runaway_m: float | None = None
+        self._force_before_n = 0.0
 
     @property
     def loop(self) -> ForceLoop:
@@ -167,9 +170,37 @@ class GripControl:
         self._paused = True
 
     def part_lost(self, moment: Moment) -> bool:
-        """Say whether both pads have been empty for some time, or the fingers closed fully."""
+        """Say whether the part is gone.
+
+        Both pads have been empty for some time, or said so at once where much force was; or the
+        fingers have closed fully, or run together as nothing holds them apart.
+        """
         closed = moment.state.aperture_m < self._settings.aperture_min_m
-        return closed or moment.now_s - self._held_s > _LOST_TIME_S
+        empty = moment.now_s - self._held_s > _LOST_TIME_S
+        return closed or empty or self._suddenly_empty(moment) or self._runs_away(moment.state)
+
+    def _suddenly_empty(self, moment: Moment) -> bool:
+        """Say whether the newest sample shows next to nothing where much force was asked for."""
+        sample = moment.sample
+        if sample is None or not sample.valid or self._paused:
+            return False
+        empty_n = _LOST_SHARE * self._settings.contact_force_n
+        much = min(self._reference.force_n, self._force_before_n) > _SUDDEN_RATIO * empty_n
+        return much and max(sample.force_n) < empty_n
+
+    def _runs_away(self, state: GripperState) -> bool:
+        stiffness_n_m = self._compliance.stiffness_n_m
+        rate_n_s = self._reference.rate_n_s
+        if stiffness_n_m is None and rate_n_s != 0.0:
+            return False
+        wanted_m_s = 0.0 if stiffness_n_m is None else max(0.0, rate_n_s / stiffness_n_m)
+        closing_m_s = -state.aperture_velocity_m_s
+        if closing_m_s <= self._settings.runaway_speed_m_s + 2.0 * wanted_m_s:
+            self._runaway_m = None
+            return False
+        if self._runaway_m is None:
+            self._runaway_m = state.aperture_m
+        return self._runaway_m - state.aperture_m >= self._settings.runaway_travel_m
 
     def goals(
         self,
@@ -232,6 +263,7 @@ class GripControl:
 
     def _note(self, now_s: float, sample: ForceSample) -> None:
         if not self._samples or sample.t_s > self._samples[-1].t_s:
+            self._force_before_n = self.force_n if self._samples else 0.0
             self._samples.append(sample)
         empty_n = _LOST_SHARE * self._settings.contact_force_n
         if max(self._finger_means_n()) >= empty_n:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from enum import StrEnum
 
+from gripper.correctable import CORRECTABLE
 from gripper.errors import LimitExceeded
 from gripper.loop_settings import ForceLoopSettings, check_number
 from gripper.registers import PULSES_PER_TURN, WATCHDOG_UNIT_S
@@ -135,6 +136,10 @@ class GripperSettings:
         Time in s after a ramp's end in which its force must be reached.
     settle_tolerance_n, settle_tolerance_share
         What counts as reached: in N, or as a share of the force if that is more.
+    taper_after_s
+        Time in s after which a hold begins to give back current that friction makes superfluous.
+    corrected_registers
+        Registers that a start makes to agree while the torque is off; the others are compared.
     force_loop
         Tuning of the force loop.
     """
@@ -175,6 +180,8 @@ class GripperSettings:
     settle_timeout_s: float = 0.5
     settle_tolerance_n: float = 0.3
     settle_tolerance_share: float = 0.07
+    taper_after_s: float = 1.0
+    corrected_registers: frozenset[str] = CORRECTABLE
     force_loop: ForceLoopSettings = field(default_factory=ForceLoopSettings)
 
     def __post_init__(self) -> None:
@@ -210,6 +217,7 @@ class GripperSettings:
             "temperature_derate_k",
             "imbalance_share",
             "slip_drop_share",
+            "taper_after_s",
         ):
             check_number(name, getattr(self, name), low=0.0)
         check_number("over_force_share", self.over_force_share, low=0.0, high=1.0)
@@ -222,6 +230,11 @@ class GripperSettings:
         check_number("watchdog_s", self.watchdog_s, low=WATCHDOG_UNIT_S, high=127 * WATCHDOG_UNIT_S)
         if self.overruns_max < 1:
             raise LimitExceeded(f"overruns_max is {self.overruns_max}, must be at least 1")
+        if not self.corrected_registers <= CORRECTABLE:
+            raise LimitExceeded(
+                f"corrected_registers names {sorted(self.corrected_registers - CORRECTABLE)}, only "
+                f"{', '.join(sorted(CORRECTABLE))} can be corrected"
+            )
         if self.contact_samples < 1:
             raise LimitExceeded(f"contact_samples is {self.contact_samples}, must be at least 1")
 

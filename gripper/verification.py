@@ -1,8 +1,10 @@
 """What a servo must be set to before it may move, and the report of the comparison."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from math import ceil
 
+from gripper.correctable import CORRECTABLE
 from gripper.errors import LimitExceeded
 from gripper.registers import (
     CURRENT_LIMIT,
@@ -10,11 +12,15 @@ from gripper.registers import (
     FIRMWARE_VERSION,
     HARDWARE_ERROR_STATUS,
     HOMING_OFFSET,
+    MIN_VOLTAGE_LIMIT,
     MODEL_NUMBER,
     OPERATING_MODE,
+    POSITION_P_GAIN,
     PROTOCOL_TYPE,
+    PWM_LIMIT,
     REGISTERS,
     RETURN_DELAY_TIME,
+    SECONDARY_ID,
     SHUTDOWN,
     STARTUP_CONFIGURATION,
     STATUS_RETURN_LEVEL,
@@ -26,9 +32,10 @@ from gripper.registers import (
 
 DRIVE_MODE_MASK = 0b1101
 STARTUP_MASK = 0b11
-CORRECTED_ITEMS = frozenset(
-    register.name for register in (RETURN_DELAY_TIME, OPERATING_MODE, STATUS_RETURN_LEVEL)
-)
+_WHOLE_PWM = 885
+_PWM_RESERVE = 1.2
+_NO_SECOND_ID = 255
+CORRECTED_ITEMS = CORRECTABLE
 """Registers that a start makes to agree by itself while the torque is off."""
 
 
@@ -129,19 +136,33 @@ def _exactly(item: str, raw: int, *, mask: int = -1) -> Requirement:
 
 
 def requirements(
-    model: ServoModel, current_max_a: float, temperature_max_c: float
+    model: ServoModel,
+    current_max_a: float,
+    temperature_max_c: float,
+    corrected: frozenset[str] = CORRECTABLE,
 ) -> tuple[Requirement, ...]:
     """Return what a servo must hold so that this package may drive it.
 
-    Operating mode, return delay and status return level are made to agree; what changes the
-    mechanics or the protection of the servo is the user's decision and is only compared.
+    Operating mode, return delay, status return level and position gain are made to agree where
+    ``corrected`` names them; what changes the mechanics or the protection of the servo is the
+    user's decision and is only compared.
     """
+    found = _requirements(model, current_max_a, temperature_max_c)
+    return tuple(r if r.item in corrected else replace(r, write_raw=None) for r in found)
+
+
+def _requirements(
+    model: ServoModel, current_max_a: float, temperature_max_c: float
+) -> tuple[Requirement, ...]:
     if current_max_a > model.current_a(model.current_limit_raw):
         raise LimitExceeded(
             f"current_max_a is {current_max_a} A, a {model.name} allows at most "
             f"{model.current_a(model.current_limit_raw):.3f} A"
         )
     needed_raw = model.current_raw(current_max_a)
+    needed_pwm = min(
+        _WHOLE_PWM, ceil(_PWM_RESERVE * _WHOLE_PWM * current_max_a / model.stall_current_a)
+    )
     protection = int(HardwareError.OVERHEATING | HardwareError.OVERLOAD)
     return (
         _exactly(MODEL_NUMBER.name, model.number),
@@ -170,9 +191,24 @@ def requirements(
             low=needed_raw,
             high=model.current_limit_raw,
         ),
+        Requirement(
+            item=MIN_VOLTAGE_LIMIT.name,
+            expected=f"{model.min_voltage_raw} or more",
+            low=model.min_voltage_raw,
+            high=model.max_voltage_raw,
+        ),
+        Requirement(
+            item=PWM_LIMIT.name,
+            expected=f"{needed_pwm} to {_WHOLE_PWM}",
+            low=needed_pwm,
+            high=_WHOLE_PWM,
+        ),
+        _exactly(SECONDARY_ID.name, _NO_SECOND_ID),
         _exactly(RETURN_DELAY_TIME.name, 0),
         _exactly(OPERATING_MODE.name, int(OperatingMode.CURRENT_BASED_POSITION)),
         _exactly(STATUS_RETURN_LEVEL.name, 2),
+        # After the mode, which sets the gains to its defaults.
+        _exactly(POSITION_P_GAIN.name, model.position_gains[2]),
     )
 
 

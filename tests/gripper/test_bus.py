@@ -132,7 +132,8 @@ def test_a_lost_answer_is_asked_for_again_behind_a_ping(script, bus, clock) -> N
     script.expect(READ_132)
     script.expect(PING_1, (0.0003, PONG_1))
     script.expect(READ_132, (0.0003, IS_166))
-    assert bus.read(1, PRESENT_POSITION) == 166
+    with bus.in_loop():
+        assert bus.read(1, PRESENT_POSITION) == 166
     assert clock.monotonic() < 0.005
     assert (bus.statistics.timeouts, bus.statistics.retries) == (1, 1)
     assert bus.misses(1) == 0
@@ -171,6 +172,17 @@ def test_outside_of_the_loop_a_retry_waits_for_a_slow_servo(script, bus, clock) 
     with pytest.raises(BusTimeout):
         bus.read(1, PRESENT_POSITION)
     assert clock.monotonic() - before_s < 0.06
+
+
+def test_where_there_is_time_a_ping_that_overtakes_a_late_answer_proves_nothing(
+    script, bus
+) -> None:
+    script.expect(READ_132, (0.030, IS_166))
+    script.expect(PING_1, (0.0003, PONG_1))
+    newer = "FFFFFD00 01 0800 55 00 1F080000"
+    script.expect(READ_132, (0.0003, newer + crc_of(newer)))
+    assert bus.read(1, PRESENT_POSITION) == 2079
+    assert bus.statistics.late == 1
 
 
 def test_both_servos_silent_gives_up_within_the_period(script, bus, clock) -> None:

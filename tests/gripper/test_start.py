@@ -1,0 +1,130 @@
+"""The start: who is there, what the servos are set to, and whether the link keeps up."""
+
+import pytest
+
+from gripper.errors import (
+    FeedbackImplausible,
+    LimitExceeded,
+    LinkTooSlow,
+    ServoFault,
+    VerificationFailed,
+)
+from gripper.gripper import GripperPhase, GripperSettings, ServoSettings
+from gripper.ramp import ForceRamp
+from gripper.registers import REGISTERS
+from gripper.state import GraspResult
+
+
+def test_a_servo_with_another_id_is_named_in_the_table(make_cell) -> None:
+    cell = make_cell()
+    cell.servos[1].core.table.data[7] = 5
+    with pytest.raises(VerificationFailed, match=r"other IDs that answer: 5 \(XM430-W350\)") as bad:
+        cell.gripper.start()
+    (row,) = bad.value.report.failed
+    assert (row.servo_id, row.item, row.expected) == (2, "ping", "an answer at 1000000 baud")
+    assert cell.gripper.state is GripperPhase.OFF
+    assert cell.servos[0].core.torque_on is False
+
+
+def test_a_wrong_baud_rate_is_a_silent_bus_and_the_advice_says_so(cell) -> None:
+    cell.device.baudrate = 57600
+    before_s = cell.clock.monotonic()
+    with pytest.raises(VerificationFailed, match="check supply, cable, baud rate") as bad:
+        cell.gripper.start()
+    assert len(bad.value.report.failed) == 2
+    assert cell.clock.monotonic() - before_s < 2.0
+
+
+@pytest.mark.parametrize(
+    ("name", "raw"),
+    [
+        ("secondary_id", 2),
+        ("min_voltage_limit", 60),
+        ("pwm_limit", 100),
+        ("shutdown", 0),
+        ("current_limit", 100),
+        ("drive_mode", 1),
+    ],
+)
+def test_a_changed_eeprom_register_is_shown_expected_against_found(cell, name, raw) -> None:
+    cell.servos[1].core.registers.put(name, raw)
+    with pytest.raises(VerificationFailed) as bad:
+        cell.gripper.start()
+    (row,) = bad.value.report.failed
+    assert (row.servo_id, row.item, row.found) == (2, name, str(raw))
+
+
+def test_what_may_be_corrected_is_a_setting(make_cell) -> None:
+    cell = make_cell(corrected_registers=frozenset({"status_return_level"}))
+    with pytest.raises(VerificationFailed, match=r"operating_mode: expected 5, found 3"):
+        cell.gripper.start()
+    with pytest.raises(LimitExceeded, match="drive_mode"):
+        GripperSettings(
+            servos=(ServoSettings(servo_id=1),), corrected_registers=frozenset({"drive_mode"})
+        )
+
+
+def test_the_gain_that_the_goals_count_on_is_put_right(cell) -> None:
+    cell.bus.write(1, REGISTERS["position_p_gain"], 100)
+    report = cell.gripper.start()
+    assert cell.register(0, "position_p_gain") == 800
+    assert {row.item for row in report.rows if row.corrected} >= {"operating_mode"}
+
+
+def test_the_round_trip_is_measured_at_each_start(cell) -> None:
+    assert cell.gripper.link_timing is None
+    cell.gripper.start()
+    timing = cell.gripper.link_timing
+    assert timing is not None
+    assert timing.median_s == pytest.approx(24e-5, rel=0.05)
+    assert timing.slow_share == 0.0
+    assert timing.work_s < 0.002
+
+
+def test_an_adapter_with_a_latency_of_16_ms_is_refused_with_the_remedy(make_cell) -> None:
+    cell = make_cell()
+    late(cell, 0.016)
+    with pytest.raises(LinkTooSlow, match=r"latency timer.*loop_rate_hz to 4\d"):
+        cell.gripper.start()
+    assert cell.gripper.state is GripperPhase.OFF
+
+
+def late(cell, delay_s: float) -> None:
+    cell.device.faults.delay_s = delay_s
+    cell.device.faults.delay.probability = 1.0
+
+
+def test_a_latency_of_2_ms_only_makes_the_time_outs_longer(make_cell) -> None:
+    cell = make_cell()
+    late(cell, 0.002)
+    cell.gripper.start()
+    outcome = cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=5.0))
+    assert outcome.result is GraspResult.FORCE_REACHED
+    assert cell.gripper.statistics.missed_reads == 0
+
+
+def test_a_machine_that_is_too_busy_is_refused(make_cell) -> None:
+    cell = make_cell()
+    cell.device.faults.delay_s = 0.02
+    cell.device.faults.delay.every = 3
+    with pytest.raises(LinkTooSlow, match="too busy"):
+        cell.gripper.start()
+
+
+@pytest.mark.parametrize(("name", "raw"), [("current_limit", 2000), ("homing_offset", 77)])
+def test_a_register_that_changes_while_a_part_is_held_is_found_and_the_grip_kept(
+    cell, name, raw
+) -> None:
+    cell.gripper.start()
+    cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=5.0))
+    changed_s: list[float] = []
+
+    def change(cycle) -> None:
+        if not changed_s:
+            changed_s.append(cycle.t_s)
+            cell.servos[1].core.registers.put(name, raw)
+
+    with pytest.raises((ServoFault, FeedbackImplausible), match=f"{name} has changed|leapt"):
+        cell.gripper.hold(5.0, change)
+    assert cell.clock.monotonic() - changed_s[0] < 2.5
+    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
