@@ -14,7 +14,7 @@ from cell.identification import Identification, OnGrasp, StepChooser, grasp_and_
 from cell.journal import Journal
 from cell.lifecycle import CellLifecycle
 from cell.pose import Pose
-from cell.positioner import Positioner, wait_patiently
+from cell.positioner import PatientCaller, Positioner
 from cell.ramps import force_ramp
 from cell.recording import Recorder
 from cell.sequence import GraspStep
@@ -57,6 +57,7 @@ class CellController:
         self._clock = clock
         self._journal = Journal(recorder)
         self._wall_ms = wall_ms
+        self._patient = PatientCaller(clock, hand.period_s)
         self._life = CellLifecycle(
             hand,
             note=self._journal.note,
@@ -243,8 +244,19 @@ class CellController:
     # -- sequences -----------------------------------------------------------------------------
 
     def present(self, label: str | None) -> None:
-        """Have the positioner bring an object; None: the one to be identified."""
-        self._patiently(lambda: self._positioner.present(label), self.tick)
+        """Have the positioner bring an object; None: the one to be identified.
+
+        Raises
+        ------
+        CellStopped
+            If it was cancelled while somebody was asked to bring it.
+        """
+
+        def supervise() -> None:
+            self._check_cancelled_between()
+            self.tick()
+
+        self._patiently(lambda: self._positioner.present(label), supervise)
 
     def grasp(self, step: GraspStep, *, label: str = "") -> GraspRecord:
         """Run one grasp: pose, approach, contact, ramp, hold, release.
@@ -256,9 +268,7 @@ class CellController:
         CellStopped
             If it was cancelled. The grip is kept.
         """
-        if self._life.cancelled and self._life.state is CellState.IDLE:
-            self._life.cancelled = False
-            raise CellStopped("stopped on request between two grasps; the fingers are open")
+        self._check_cancelled_between()
         self._life.go(Event.EXECUTE)
         with self._life.latching_faults():
             record = self._grasp(step, label)
@@ -306,6 +316,11 @@ class CellController:
 
     # -- inside --------------------------------------------------------------------------------
 
+    def _check_cancelled_between(self) -> None:
+        if self._life.cancelled and self._life.state is CellState.IDLE:
+            self._life.cancelled = False
+            raise CellStopped("stopped on request between two grasps; the fingers are open")
+
     def _grasp(self, step: GraspStep, label: str) -> GraspRecord:
         reached = self._move_to(step.pose)
         collector = GraspCollector()
@@ -335,7 +350,11 @@ class CellController:
         return record
 
     def _move_to(self, pose: Pose) -> Pose:
-        reached = self._patiently(lambda: self._positioner.move_to(pose), self._hand.tick)
+        def supervise() -> None:
+            self._life.check_cancelled()
+            self._hand.tick()
+
+        reached = self._patiently(lambda: self._positioner.move_to(pose), supervise)
         self._journal.pose(reached)
         return reached
 
@@ -343,7 +362,7 @@ class CellController:
         """Wait for the positioner while both links stay alive and supervised."""
         if not self._positioner.blocks:
             return call()
-        return wait_patiently(call, supervise, clock=self._clock, period_s=self._hand.period_s)
+        return self._patient.call(call, supervise)
 
     def _watch(self, cycle: Cycle, _frames: Sequence[TactileFrame]) -> None:
         self._life.check_cancelled()

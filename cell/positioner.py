@@ -3,8 +3,9 @@
 import json
 import math
 import socket
+import threading
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future
 from dataclasses import replace
 from typing import Any, Protocol, TypeVar
 
@@ -38,18 +39,49 @@ class Positioner(Protocol):
         ...
 
 
-def wait_patiently(
-    call: Callable[[], _T], supervise: Callable[[], None], *, clock: Clock, period_s: float
-) -> _T:
-    """Make a call that blocks on a thread of its own; supervise the cell once a period meanwhile.
+class PatientCaller:
+    """Makes calls that block on threads of their own, while the cell stays supervised.
 
-    What the supervision raises is raised once the call has ended.
+    Parameters
+    ----------
+    clock, period_s
+        Between two looks at the cell so much time passes.
     """
-    with ThreadPoolExecutor(max_workers=1, thread_name_prefix="positioner") as pool:
-        future = pool.submit(call)
+
+    def __init__(self, clock: Clock, period_s: float) -> None:
+        self._clock = clock
+        self._period_s = period_s
+        self._thread: threading.Thread | None = None
+
+    def call(self, call: Callable[[], _T], supervise: Callable[[], None]) -> _T:
+        """Make a call and return what it returns; ``supervise`` is called meanwhile.
+
+        What the supervision raises is raised at once: nobody has to answer a question first whose
+        answer no longer matters. The call then goes on by itself.
+
+        Raises
+        ------
+        PositionerError
+            If an earlier call still goes on: two must never move at once.
+        """
+        if self._thread is not None and self._thread.is_alive():
+            raise PositionerError(
+                "the last move was given up and has not ended yet; end it, then go on"
+            )
+        future: Future[_T] = Future()
+
+        def run() -> None:
+            try:
+                future.set_result(call())
+            except BaseException as error:
+                future.set_exception(error)
+
+        self._thread = threading.Thread(target=run, name="positioner", daemon=True)
+        self._thread.start()
         while not future.done():
             supervise()
-            clock.sleep(period_s)
+            self._clock.sleep(self._period_s)
+        self._thread.join()
         return future.result()
 
 

@@ -12,12 +12,13 @@ def ask(text: str) -> str:
     From a pipe it is read past Python's buffer: a program that ends while somebody still waits in
     the buffer is ended by an abort.
     """
-    if sys.stdin is not sys.__stdin__ or sys.stdin.isatty():
+    stdin = sys.__stdin__
+    if stdin is None or sys.stdin is not stdin or stdin.isatty():
         return input(text)
     typer.echo(text, nl=False)
     line = bytearray()
     while not line.endswith(b"\n"):
-        read = os.read(sys.stdin.fileno(), 1)
+        read = os.read(stdin.fileno(), 1)
         if not read:
             raise EOFError
         line += read

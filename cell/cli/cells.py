@@ -27,6 +27,7 @@ from cell.cli.options import (
 )
 from cell.cli.output import confusion_table, out, percent, progress_bar, say, write_json
 from cell.cli.running import faulted, pads_of, running_cell, seeded
+from cell.cli.stopping import stopping
 from cell.config import CellConfig
 from cell.config_file import load_config
 from cell.dataset import read_dataset
