@@ -106,6 +106,7 @@ def build_cell(
     mover: Mover | None = None,
     ask: Callable[[str], str] | None = None,
     capture: Path | None = None,
+    simulated: SimulatedCell | None = None,
 ) -> Cell:
     """Open the buses of a config and put the cell together; nothing moves yet.
 
@@ -121,6 +122,8 @@ def build_cell(
         Asks the operator for a positioner of kind ``operator``.
     capture
         pcap file for the CAN traffic of a simulated cell.
+    simulated
+        A simulated cell that is there already and outlives this one; by default a new one.
 
     Raises
     ------
@@ -130,11 +133,13 @@ def build_cell(
         If a port, bus or socket cannot be opened.
     """
     with ExitStack() as undo:
-        simulated: SimulatedCell | None = None
         clock: Clock = time
-        if config.simulated:
+        if config.simulated and simulated is None:
             simulated = simulated_cell(config)
             undo.callback(simulated.close)
+        if simulated is not None:
+            if not config.simulated:
+                raise ConfigError(f"{config.name} has real ports: it takes no simulated cell")
             clock = simulated.clock
         if capture is not None:
             capture_traffic(simulated, capture, undo)

@@ -54,16 +54,9 @@ class SimulatedCell:
         self.clock = clock or VirtualClock()
         self.devices = CellDevices(self.settings, start_s=self.clock.monotonic())
         self.clock.on_advance.append(self.devices.advance_to)
-        self.servo_stream = MemoryServoStream(
-            self.devices.servo_bus, self.clock, lost_error=lost_error
-        )
-        self.can_bus = InMemoryCanBus(
-            self.devices.can_devices,
-            self.clock,
-            bitrate=self.settings.can_bitrate,
-            faults=self.devices.faults.can,
-            seed=self.settings.seed,
-        )
+        self._lost_error = lost_error
+        self.servo_stream = self._new_stream()
+        self.can_bus = self._new_bus()
         for text in self.settings.faults:
             self.inject(text)
 
@@ -112,6 +105,28 @@ class SimulatedCell:
     def play(self, index: int) -> int:
         """Load one of the settings' grasps; see `CellDevices.play`."""
         return self.devices.play(index)
+
+    def replace_host(self) -> None:
+        """Cut the host off as if its process were killed, and make ends for the next one.
+
+        The old ends fail from now on; nothing is said to the devices.
+        """
+        self.servo_stream.close()
+        self.can_bus.shutdown()
+        self.servo_stream = self._new_stream()
+        self.can_bus = self._new_bus()
+
+    def _new_stream(self) -> MemoryServoStream:
+        return MemoryServoStream(self.devices.servo_bus, self.clock, lost_error=self._lost_error)
+
+    def _new_bus(self) -> InMemoryCanBus:
+        return InMemoryCanBus(
+            self.devices.can_devices,
+            self.clock,
+            bitrate=self.settings.can_bitrate,
+            faults=self.devices.faults.can,
+            seed=self.settings.seed,
+        )
 
     def close(self) -> None:
         """Give both buses back; the cell cannot be used afterwards."""

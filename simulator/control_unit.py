@@ -92,8 +92,8 @@ class SimulatedControlUnit:
 
     Attributes
     ----------
-    dictionary
-        Its objects.
+    dictionary, scanner
+        Its objects, and what it makes of a scan.
     """
 
     __slots__ = (
@@ -103,12 +103,12 @@ class SimulatedControlUnit:
         "_layout",
         "_network",
         "_node",
-        "_scanner",
         "_send",
         "_sync_count",
         "_sync_id",
         "dictionary",
         "faults",
+        "scanner",
         "settings",
     )
 
@@ -127,7 +127,7 @@ class SimulatedControlUnit:
         self._send: SendBurst | None = None
         self._boot_due_s = math.inf
         self._sync_id = 0
-        self._scanner = Scanner(world, layout, self.faults)
+        self.scanner = Scanner(world, layout, self.faults)
         node_id = self.settings.node_id
         self._node = _local_node(node_id)
         self._network = DeviceNetwork(self._emit, start_s)
@@ -135,7 +135,7 @@ class SimulatedControlUnit:
         self.dictionary = UnitDictionary(
             self._node,
             layout,
-            self._scanner,
+            self.scanner,
             serial_number=self.settings.serial_number,
             identity=self.settings.identity,
         )
@@ -219,7 +219,7 @@ class SimulatedControlUnit:
         self._gate.reset()
         self.dictionary.reset(self._layout, everything=everything)
         if everything:
-            self._scanner.reset()
+            self.scanner.reset()
         self._sync_id = self.dictionary.number(eds.SYNC_COB_ID) & 0x7FF
         self._sync_count = 0
         self._burst_end_s = -math.inf
@@ -244,19 +244,19 @@ class SimulatedControlUnit:
         self._sync_count += 1
         if 1 < kind <= 240 and self._sync_count % kind:
             return
-        self._scanner.latch()
+        self.scanner.latch()
         mode = self.dictionary.number(eds.MODE)
         if mode & TransmissionMode.RAW:
             self._send_frame(now_s)
         if mode & TransmissionMode.FEATURES:
             touch = self.dictionary.number(eds.THRESHOLDS, eds.THRESHOLD_TOUCH)
-            firsts, seconds = self._scanner.feature_messages(touch)
+            firsts, seconds = self.scanner.feature_messages(touch)
             for first, second in zip(firsts, seconds, strict=True):
                 self._send_pdo(2, now_s, [first])
                 self._send_pdo(3, now_s, [second])
 
     def _send_frame(self, now_s: float) -> None:
-        messages = self._scanner.frame_messages()
+        messages = self.scanner.frame_messages()
         window_s = 1e-6 * self.dictionary.number(eds.SYNC_WINDOW_US)
         bit_s = 1.0 / self.settings.bitrate
         if window_s and len(messages) * _WORST_BITS * bit_s > window_s:
@@ -273,7 +273,7 @@ class SimulatedControlUnit:
 
     def _passed_over(self, code: int) -> None:
         """Mark the next frame, and say once in an EMCY what goes wrong again and again."""
-        self._scanner.overrun = True
+        self.scanner.overrun = True
         if code not in self.dictionary.errors:
             self.emergency(code, register=REGISTER_MANUFACTURER)
 
