@@ -7,20 +7,20 @@ An invalid `CellConfig` cannot exist.
 
 from typing import Annotated, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, model_validator
+from pydantic import Field, model_validator
+
+from cell.config_grip import (
+    ContactConfig,
+    ImbalanceConfig,
+    OverForceConfig,
+    ServoCareConfig,
+    SettleConfig,
+    SlipConfig,
+)
+from cell.config_section import Section as _Section
 
 SIMULATED = "simulated"
 """Port or interface name that wires in the simulated cell; nothing else ever does."""
-
-
-class _Section(BaseModel):
-    model_config = ConfigDict(
-        strict=True,
-        extra="forbid",
-        frozen=True,
-        allow_inf_nan=False,
-        use_attribute_docstrings=True,
-    )
 
 
 Range = tuple[float, float]
@@ -92,6 +92,8 @@ class GripperConfig(_Section):
     """Smallest opening that the fingers are closed to in mm; below it there is no object."""
     approach_speed_mm_s: float = Field(default=12.0, gt=0.0, le=200.0)
     """Closing speed until contact in mm/s of opening, up to 200; the impact grows with it."""
+    open_speed_mm_s: float = Field(default=60.0, gt=0.0, le=200.0)
+    """Opening speed in mm/s of opening, up to 200."""
     contact_force_n: float = Field(default=0.6, gt=0.0, le=5.0)
     """Force on both pads that counts as contact in N, up to 5; well above the sensor's noise."""
     contact_timeout_s: float = Field(default=5.0, gt=0.0, le=60.0)
@@ -104,10 +106,26 @@ class GripperConfig(_Section):
     """Servo temperature above which no ramp is started and a running one held, C, 30 to 80."""
     force_stale_ms: float = Field(default=100.0, ge=10.0, le=1000.0)
     """Oldest tactile force that control may use in ms, 10 to 1000."""
+    bus_loss_ms: float = Field(default=70.0, ge=20.0, le=2000.0)
+    """Time without answers of the servos after which their bus is given up in ms, 20 to 2000."""
+    stall_max_ms: float = Field(default=250.0, ge=10.0, le=5000.0)
+    """Lateness of one period after which the loop counts as stalled in ms, 10 to 5000."""
     watchdog_ms: float = Field(default=100.0, ge=20.0, le=2540.0)
     """Bus watchdog of the servos in ms, 20 to 2540 in steps of 20; armed while torque is on."""
     watchdog_self_test: bool = False
     """Whether the first opening proves for each servo that its watchdog stops the motor."""
+    contact: ContactConfig = ContactConfig()
+    """Approach and contact."""
+    settle: SettleConfig = SettleConfig()
+    """When a ramp's force counts as reached."""
+    slip: SlipConfig = SlipConfig()
+    """When a held part slips or is lost."""
+    imbalance: ImbalanceConfig = ImbalanceConfig()
+    """How different the fingers' forces may be."""
+    over_force: OverForceConfig = OverForceConfig()
+    """What is done with too much force."""
+    servo_care: ServoCareConfig = ServoCareConfig()
+    """Heat of the servos, and what a start may rewrite."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

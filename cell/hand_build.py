@@ -11,7 +11,7 @@ from gripper.clock import Clock
 from gripper.gripper import Gripper
 from gripper.kinematics import Linkage, ParallelLinkage, RackPinion
 from gripper.port import ByteStream, SerialStream
-from gripper.settings import GripperSettings, ServoSettings
+from gripper.settings import ForceLoopSettings, GripperSettings, OverForce, ServoSettings
 from tactile.calibration import Calibration, FoamCalibration, LinearCalibration
 from tactile.can_bus import CanBus
 from tactile.layout import TaxelLayout
@@ -24,9 +24,24 @@ from tactile.link import (
 )
 from tactile.sensor import TactileSensor
 
+SHARED_PROCESS = (
+    "the force loop shares its process with all other work, which may hold it up: set "
+    "loop.own_process to true"
+)
+"""Note of a real cell whose loop has no process of its own."""
 
-def open_hand(config: CellConfig, clock: Clock) -> LocalHand:
+
+def open_hand(config: CellConfig, clock: Clock, *, notes: tuple[str, ...] = ()) -> LocalHand:
     """Open the real ports of a config; nothing moves yet.
+
+    Parameters
+    ----------
+    config
+        The cell.
+    clock
+        Real time.
+    notes
+        Of the hand.
 
     Raises
     ------
@@ -46,6 +61,7 @@ def open_hand(config: CellConfig, clock: Clock) -> LocalHand:
             can_bus=can_bus,
             threaded=True,
             close_links=undo.pop_all().close,
+            notes=notes,
         )
 
 
@@ -57,6 +73,7 @@ def make_hand(
     can_bus: CanBus,
     threaded: bool,
     close_links: Callable[[], None],
+    notes: tuple[str, ...] = (),
 ) -> LocalHand:
     """Put gripper and sensor together on open links.
 
@@ -72,6 +89,8 @@ def make_hand(
         Whether a thread receives from the bus: True in real time.
     close_links
         Closes both; the hand calls it at its end.
+    notes
+        Of the hand.
     """
     layout = layout_from_config(config.tactile)
     link = make_link(config.tactile, can_bus, layout, clock, threaded=threaded)
@@ -87,7 +106,13 @@ def make_hand(
         bus, make_linkage(config), gripper_settings(config), clock=clock, force_sensor=tap
     )
     return LocalHand(
-        gripper=gripper, sensor=sensor, tap=tap, bus=bus, link=link, close_links=close_links
+        gripper=gripper,
+        sensor=sensor,
+        tap=tap,
+        bus=bus,
+        link=link,
+        close_links=close_links,
+        notes=notes,
     )
 
 
@@ -153,9 +178,33 @@ def gripper_settings(config: CellConfig) -> GripperSettings:
         current_max_a=wanted.current_max_a,
         temperature_max_c=wanted.temperature_max_c,
         force_stale_s=wanted.force_stale_ms * 1e-3,
+        bus_loss_s=wanted.bus_loss_ms * 1e-3,
+        stall_max_s=wanted.stall_max_ms * 1e-3,
         watchdog_s=wanted.watchdog_ms * 1e-3,
         watchdog_self_test=wanted.watchdog_self_test,
         overruns_max=config.loop.overruns_max,
+        open_speed_m_s=wanted.open_speed_mm_s * 1e-3,
+        approach_force_n=wanted.contact.approach_force_n,
+        contact_samples=wanted.contact.samples,
+        settle_timeout_s=wanted.settle.timeout_s,
+        settle_tolerance_n=wanted.settle.tolerance_n,
+        settle_tolerance_share=wanted.settle.tolerance_share,
+        slip_drop_n=wanted.slip.drop_n,
+        slip_drop_share=wanted.slip.drop_share,
+        slip_travel_m=wanted.slip.travel_mm * 1e-3,
+        runaway_speed_m_s=wanted.slip.runaway_mm_s * 1e-3,
+        runaway_travel_m=wanted.slip.runaway_mm * 1e-3,
+        imbalance_n=wanted.imbalance.difference_n,
+        imbalance_share=wanted.imbalance.difference_share,
+        imbalance_s=wanted.imbalance.time_s,
+        over_force=OverForce(wanted.over_force.reaction),
+        force_noise_n=wanted.over_force.noise_n,
+        over_force_share=wanted.over_force.left_share,
+        over_force_open_m=wanted.over_force.open_mm * 1e-3,
+        temperature_derate_k=wanted.servo_care.derate_c,
+        taper_after_s=wanted.servo_care.taper_after_s,
+        corrected_registers=frozenset(wanted.servo_care.corrected_registers),
+        force_loop=ForceLoopSettings(taper_n_s=wanted.servo_care.taper_n_s),
     )
 
 

@@ -24,6 +24,7 @@ _OPENING_OVERSHOOT_M = 2e-3
 _PATIENCE = (
     ("tactile", "heartbeat_ms", 400),
     ("gripper", "force_stale_ms", 300.0),
+    ("gripper", "bus_loss_ms", 250.0),
     ("gripper", "watchdog_ms", 500.0),
     ("loop", "overruns_max", 40),
 )
