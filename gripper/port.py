@@ -165,8 +165,13 @@ class SerialStream:
 def _lock(device: str) -> int:
     """Take the lock file of a device; the operating system drops it when the program ends."""
     digest = hashlib.sha256(device.encode()).hexdigest()[:16]
-    path = Path(tempfile.gettempdir()) / f"servo-port-{digest}.lock"
-    lock_fd = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW, 0o666)
+    path = Path(tempfile.gettempdir()) / f"serial-port-{digest}.lock"
+    flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW
+    try:
+        # Without O_CREAT the file of another user can be opened, too.
+        lock_fd = os.open(path, flags)
+    except FileNotFoundError:
+        lock_fd = os.open(path, flags | os.O_CREAT, 0o644)
     try:
         fcntl.flock(lock_fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BaseException:

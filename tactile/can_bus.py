@@ -9,6 +9,7 @@ from typing import Any
 import can
 from can.interfaces.slcan import slcanBus
 
+from tactile.bus_lock import BusLock
 from tactile.errors import BusNotOpened
 from tactile.socketcand_bus import open_socketcand
 
@@ -194,20 +195,49 @@ def open_bus(
         When the bus cannot be opened; the message says what to check.
     """
     try:
-        if interface == "slcan":
-            return BulkSlcanBus(channel, bitrate=bitrate, tty_baudrate=tty_baudrate)
-        options: dict[str, Any] = {"bitrate": bitrate}
-        if interface == "socketcan":
-            options = {}
-        elif interface == "socketcand":
-            return open_socketcand(channel)
-        return can.Bus(channel, interface=interface, ignore_config=True, **options)
+        lock = BusLock(interface, channel)
+        try:
+            bus = _open(interface, channel, bitrate=bitrate, tty_baudrate=tty_baudrate)
+        except BaseException:
+            lock.release()
+            raise
+        return _holding(bus, lock)
+    except BlockingIOError as error:
+        raise BusNotOpened(
+            f"CAN interface {interface!r}, channel {channel!r}, is used by another program of this "
+            "kind: end that program first"
+        ) from error
     except (can.CanError, OSError, ValueError, NotImplementedError, ImportError) as error:
         cause = error.__cause__ or error
         raise BusNotOpened(
             f"CAN interface {interface!r}, channel {channel!r}, cannot be opened: {cause}. "
             f"{_ADVICE.get(interface, 'Check the names of interface and channel')}"
         ) from error
+
+
+def _open(interface: str, channel: str, *, bitrate: int, tty_baudrate: int) -> can.BusABC:
+    if interface == "slcan":
+        return BulkSlcanBus(channel, bitrate=bitrate, tty_baudrate=tty_baudrate)
+    options: dict[str, Any] = {"bitrate": bitrate}
+    if interface == "socketcan":
+        options = {}
+    elif interface == "socketcand":
+        return open_socketcand(channel)
+    return can.Bus(channel, interface=interface, ignore_config=True, **options)
+
+
+def _holding(bus: can.BusABC, lock: BusLock) -> can.BusABC:
+    """Have the bus give its lock back when it is shut down."""
+    shutdown = bus.shutdown
+
+    def shut_down_and_release() -> None:
+        try:
+            shutdown()
+        finally:
+            lock.release()
+
+    bus.shutdown = shut_down_and_release  # type: ignore[method-assign]
+    return bus
 
 
 _ADVICE = {
