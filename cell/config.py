@@ -343,6 +343,8 @@ class RecordingConfig(_Section):
 
     directory: str = Field(default="out", min_length=1, max_length=500)
     """Folder of recordings, data sets and reports; made when missing."""
+    when_lost: Literal["finish", "hold"] = "finish"
+    """When the disk refuses the recording: finish the grasps without it, or hold (a fault)."""
 
 
 class LoopConfig(_Section):
@@ -408,6 +410,8 @@ class CellConfig(_Section):
     """Name of the cell, for reports."""
     seed: int = Field(default=2008, ge=0, le=2**32 - 1)
     """Seed of everything random: poses, noise of the simulated cell."""
+    host_timeout_s: float | None = Field(default=None, ge=0.05, le=3600.0)
+    """Longest silence of the host program during a job in s, 0.05 to 3600; none: any."""
     gripper: GripperConfig = GripperConfig()
     """Servos, linkage and limits."""
     tactile: TactileConfig = TactileConfig()
