@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from tactile.filters import Values
 from tactile.protocol import TactileFrame
+from tactile.quality import QualityLimits
 from tactile.tare import TareLimits
 from tactile.touch import TouchThresholds
 
@@ -28,10 +29,8 @@ class SensorSettings:
         Noise of a taxel is taken to be at least this share of the full scale.
     gap_s
         A longer gap between frames starts the mean anew, in s.
-    frozen_s
-        Samples that stay identical for this long are a fault, if the tare has seen noise, in s.
-    stuck_frames
-        A taxel that repeats itself so often while others do not is bad.
+    quality
+        When samples are not believed any more.
     bad_share
         Forces are not ok with a larger share of bad taxels on a gripping pad.
     poll_s
@@ -44,8 +43,7 @@ class SensorSettings:
     touch: TouchThresholds = field(default_factory=TouchThresholds)
     noise_floor_share: float = 0.002
     gap_s: float = 0.1
-    frozen_s: float = 0.1
-    stuck_frames: int = 25
+    quality: QualityLimits = field(default_factory=QualityLimits)
     bad_share: float = 0.05
     poll_s: float = 0.001
     tare_limits: TareLimits = field(default_factory=TareLimits)
@@ -54,8 +52,6 @@ class SensorSettings:
         for name, low in (
             ("mean_frames", 1),
             ("gap_s", 0.0),
-            ("frozen_s", 0.0),
-            ("stuck_frames", 8),
             ("bad_share", 0.0),
             ("noise_floor_share", 1e-6),
             ("poll_s", 1e-6),
@@ -80,8 +76,9 @@ class TactileReading:
         Sum over each pad in N.
     finger_force_n
         Force on the gripping pad of finger 0 and of finger 1 in N.
-    active, saturated : (n_taxels,) bool
-        Touched taxels; taxels at full scale in this frame.
+    active, saturated, bad : (n_taxels,) bool
+        Touched taxels; taxels at full scale in this frame; taxels that do not measure: dead,
+        stuck or constantly at full scale, filled from their neighbours.
     ok
         Whether the finger forces may be used for control.
     reason
@@ -95,6 +92,7 @@ class TactileReading:
     finger_force_n: tuple[float, float]
     active: NDArray[np.bool_]
     saturated: NDArray[np.bool_]
+    bad: NDArray[np.bool_]
     ok: bool
     reason: str
 

@@ -7,15 +7,17 @@ from numpy.typing import NDArray
 
 from tactile.calibration import Calibration
 from tactile.clock import Clock
-from tactile.errors import CalibrationError, FrameTimeout
+from tactile.errors import CalibrationError, FrameTimeout, ZeroDrifted
 from tactile.filters import (
     MovingMean,
     Neighbourhood,
+    Values,
     fill_bad,
 )
 from tactile.layout import TaxelLayout
 from tactile.link_settings import NodeIdentity
 from tactile.protocol import FrameStatus, TactileFrame
+from tactile.quality import QualityWatch
 from tactile.reading import SensorSettings, TactileReading
 from tactile.tare import TareResult, compute_tare
 from tactile.touch import ActiveTaxels
@@ -77,6 +79,7 @@ class TactileSensor:
         self._settings = settings or SensorSettings()
         self._hood = Neighbourhood(layout)
         self._mean = MovingMean(self._settings.mean_frames)
+        self._quality = QualityWatch(self._hood, self._settings.quality, self._settings.mean_frames)
         self._pad_starts = [layout.taxels_of(pad).start for pad in range(layout.n_pads)]
         self._grips = tuple(layout.taxels_of(pad) for pad in layout.gripping_pads)
         self._reset()
@@ -87,10 +90,9 @@ class TactileSensor:
         self._tare_status = 0
         self._touch: ActiveTaxels | None = None
         self._latest: TactileReading | None = None
-        self._last: TactileFrame | None = None
-        self._changed_s = 0.0
+        self._last_s: float | None = None
         self._frozen: FrameTimeout | None = None
-        self._repeats = np.zeros(self._layout.n_taxels, dtype=np.int64)
+        self._quality.begin(None)
 
     @property
     def layout(self) -> TaxelLayout:
@@ -165,9 +167,31 @@ class TactileSensor:
         self._tare = result
         self._tare_status = frames[n_frames - 1].status
         self._touch = self._new_touch(result)
-        self._last = None
-        self._repeats[:] = 0
+        self._last_s = None
+        self._quality.begin(result)
         return result
+
+    def aim(self, force_n: float, aperture_m: float) -> None:
+        """Tell which force is wanted in N and how far the pads are apart in m.
+
+        A sensor without noise can only be seen to be frozen by samples that do not follow these.
+        """
+        self._quality.aim(force_n, aperture_m)
+
+    def check_zero(self) -> None:
+        """Compare the newest reading of untouched pads with the zero.
+
+        Before the first tare, and before the first reading after it, there is nothing to compare.
+
+        Raises
+        ------
+        ZeroDrifted
+            When a pad as a whole has moved: forces and shapes measured with this zero are wrong.
+        """
+        if self._latest is not None and self._mean.full:
+            drift = self._quality.drift_anywhere(self._latest.tared_counts)
+            if drift:
+                raise ZeroDrifted(drift)
 
     def _new_touch(self, tare: TareResult) -> ActiveTaxels:
         """Judge touches by the typical noise of each pad: a single taxel's is known too poorly."""
@@ -193,18 +217,15 @@ class TactileSensor:
         saturated = frame.counts >= self._layout.adc_max
         tare = self._tare
         counts = frame.counts.astype(np.float64)
-        bad = np.zeros(self._layout.n_taxels, dtype=np.bool_)
+        bad = self._quality.bad
         if tare is not None:
             counts -= tare.offset_counts
-            bad |= tare.health.bad
-            if tare.health.noisy:
-                bad |= self._repeats >= self._settings.stuck_frames
         tared = self._mean.step(fill_bad(self._hood, counts, bad))
         active = np.zeros_like(bad) if self._touch is None else self._touch.step(tared)
         force_n = np.where(active, self._calibration.force_n(tared), 0.0)
         pad_force_n = np.add.reduceat(force_n, self._pad_starts)
-        reason = self._objection(frame, saturated & ~bad, bad)
-        for array in (tared, active, force_n, pad_force_n, saturated):
+        reason = self._objection(frame, saturated & ~bad, bad, tared)
+        for array in (tared, active, force_n, pad_force_n, saturated, bad):
             array.setflags(write=False)
         first, second = self._layout.gripping_pads
         return TactileReading(
@@ -215,34 +236,28 @@ class TactileSensor:
             finger_force_n=(float(pad_force_n[first]), float(pad_force_n[second])),
             active=active,
             saturated=saturated,
+            bad=bad,
             ok=not reason,
             reason=reason,
         )
 
     def _watch_changes(self, frame: TactileFrame) -> None:
-        last, self._last = self._last, frame
-        if last is None:
-            self._changed_s = frame.t_s
-            return
-        same = frame.counts == last.counts
-        saturated = frame.counts >= self._layout.adc_max
-        self._repeats = np.where(same & ~saturated, self._repeats + 1, 0)
-        if frame.t_s - last.t_s > self._settings.gap_s:
+        last_s, self._last_s = self._last_s, frame.t_s
+        if last_s is not None and frame.t_s - last_s > self._settings.gap_s:
             self._mean.reset()
-        if self._tare is None or not self._tare.health.noisy or not same.all():
-            self._changed_s = frame.t_s
-            return
-        frozen_s = frame.t_s - self._changed_s
-        if frozen_s >= self._settings.frozen_s:
-            self._frozen = FrameTimeout(
-                f"all samples have been identical for {frozen_s:.3f} s, allowed are "
-                f"{self._settings.frozen_s:g} s: the unit sends frames but measures nothing; "
-                "restart it, then close and start the sensor and tare again"
-            )
-            raise self._frozen
+        latest = self._latest
+        try:
+            self._quality.step(frame, touched=latest is not None and bool(latest.active.any()))
+        except FrameTimeout as fault:
+            self._frozen = fault
+            raise
 
     def _objection(
-        self, frame: TactileFrame, saturated: NDArray[np.bool_], bad: NDArray[np.bool_]
+        self,
+        frame: TactileFrame,
+        saturated: NDArray[np.bool_],
+        bad: NDArray[np.bool_],
+        tared: Values,
     ) -> str:
         if self._tare is None:
             return "not tared since the start"
@@ -252,7 +267,7 @@ class TactileSensor:
             return "the unit has taken or dropped a zero of its own since the tare"
         if not self._mean.full:
             return "too few frames since the tare or the last gap"
-        return self._grip_objection(saturated, bad)
+        return self._grip_objection(saturated, bad) or self._quality.drift_beside(tared)
 
     def _grip_objection(self, saturated: NDArray[np.bool_], bad: NDArray[np.bool_]) -> str:
         for finger, taxels in enumerate(self._grips):

@@ -24,6 +24,9 @@ class TareLimits:
         No healthy taxel's mean may exceed this: pressed, or out of order.
     bump_share
         No region, smoothed over 3 x 3 taxels, may stand out of its pad's median by more.
+    pad_share
+        No gripping pad's median may stand out of that of the pads that nothing grips by more:
+        something large presses it evenly. Not judged where a layout has no such pads.
     drift_share
         No region may differ by more between the first and the second half of the frames.
     bad_share
@@ -32,11 +35,12 @@ class TareLimits:
 
     offset_share: float = 0.12
     bump_share: float = 0.016
+    pad_share: float = 0.016
     drift_share: float = 0.024
     bad_share: float = 0.05
 
     def __post_init__(self) -> None:
-        for name in ("offset_share", "bump_share", "drift_share", "bad_share"):
+        for name in ("offset_share", "bump_share", "pad_share", "drift_share", "bad_share"):
             value = getattr(self, name)
             if not 0.0 < value <= 1.0:
                 raise ValueError(f"{name} is {value}, must be above 0 and at most 1")
@@ -84,6 +88,7 @@ def compute_tare(
             )
     offset = fill_bad(hood, frames.mean(axis=0, dtype=np.float64), health.bad)
     _refuse_touch(hood, offset, limits)
+    _refuse_pressed_pad(hood, offset, limits)
     half = len(frames) // 2
     change = frames[half:].mean(axis=0) - frames[:half].mean(axis=0)
     drift = np.abs(spatial_mean(hood, fill_bad(hood, change, health.bad)))
@@ -129,4 +134,24 @@ def _refuse_touch(hood: Neighbourhood, offset: Values, limits: TareLimits) -> No
                 f"{_place(hood, taxels.start + highest)} stands {bump[highest]:.1f} counts out of "
                 f"its pad, allowed are {limit:.1f}: something touches the pad; clear it and try "
                 "again"
+            )
+
+
+def _refuse_pressed_pad(hood: Neighbourhood, offset: Values, limits: TareLimits) -> None:
+    layout = hood.layout
+    beside = [
+        np.median(offset[layout.taxels_of(pad)])
+        for pad in range(layout.n_pads)
+        if pad not in layout.gripping_pads
+    ]
+    if not beside:
+        return
+    limit = limits.pad_share * layout.adc_max
+    for pad in layout.gripping_pads:
+        excess = float(np.median(offset[layout.taxels_of(pad)])) - float(np.median(beside))
+        if excess > limit:
+            raise TareRefused(
+                f"pad {layout.pads[pad].name} reads {excess:.1f} counts more than the pads that "
+                f"nothing grips, allowed are {limit:.1f}: something presses on all of it; clear "
+                "it and try again"
             )

@@ -6,12 +6,19 @@ import numpy as np
 import pytest
 
 from tactile.calibration import FoamCalibration, LinearCalibration
-from tactile.errors import CalibrationError, FrameTimeout, NodeRebooted, TareRefused
+from tactile.errors import (
+    CalibrationError,
+    FrameTimeout,
+    NodeRebooted,
+    TareRefused,
+    ZeroDrifted,
+)
 from tactile.filters import Neighbourhood
 from tactile.health import assess_health
 from tactile.layouts import paper_layout, pinch_layout
 from tactile.link_settings import NodeIdentity
 from tactile.protocol import FrameStatus, TactileFrame
+from tactile.quality import QualityLimits
 from tactile.sensor import SensorSettings, TactileSensor
 from tactile.tare import TareLimits, compute_tare
 
@@ -281,6 +288,127 @@ def test_a_sensor_without_noise_may_repeat_itself() -> None:
     assert readings(sensor, frames, 60)[-1].finger_force_n[0] == pytest.approx(2.0, rel=0.02)
 
 
+def noiseless() -> tuple[TactileSensor, Frames]:
+    frames = Frames()
+    frames.noise = False
+    sensor = TactileSensor(frames, LAYOUT, CALIBRATION, clock=frames)
+    sensor.start()
+    sensor.tare(10)
+    return sensor, frames
+
+
+def test_without_noise_samples_are_frozen_when_the_wanted_force_changes_and_they_do_not() -> None:
+    sensor, frames = noiseless()
+    frames.press(2.0)
+    sensor.aim(2.0, 0.01)
+    readings(sensor, frames, 60)
+    sensor.aim(2.9, 0.01)
+    readings(sensor, frames, 20)
+    sensor.aim(3.1, 0.01)
+    with pytest.raises(FrameTimeout, match=r"while the force changed by 1\.1 N"):
+        readings(sensor, frames, 2)
+
+
+def test_without_noise_the_width_counts_only_while_something_is_touched() -> None:
+    sensor, frames = noiseless()
+    sensor.aim(0.0, 0.018)
+    readings(sensor, frames, 10)
+    sensor.aim(0.0, 0.010)
+    assert readings(sensor, frames, 20)[-1].ok
+    frames.press(2.0)
+    readings(sensor, frames, 10)
+    sensor.aim(0.0, 0.0094)
+    with pytest.raises(FrameTimeout, match=r"the width by 0\.6 mm"):
+        readings(sensor, frames, 2)
+
+
+@pytest.mark.parametrize(("stuck", "pressed"), [(255, 24), (255, 41), (0, 33)])
+def test_a_taxel_that_jumps_beside_calm_neighbours_is_masked_at_once(
+    stuck: int, pressed: int
+) -> None:
+    sensor, frames = tared()
+    frames.press(3.0)
+    before = readings(sensor, frames, 5)[-1]
+
+    def stick(counts: np.ndarray) -> None:
+        counts[pressed] = stuck
+
+    frames.alter = stick
+    after = readings(sensor, frames, 5)
+    assert all(r.ok for r in after)
+    assert [np.flatnonzero(r.bad).tolist() for r in after] == [[pressed]] * 5
+    assert after[-1].finger_force_n[0] == pytest.approx(before.finger_force_n[0], abs=0.8)
+
+
+def test_a_hard_touch_is_no_broken_taxel() -> None:
+    sensor, frames = tared()
+    forces = np.zeros(408)
+    forces[33], forces[[29, 32, 34, 37]] = 20.0, 1.0
+    frames.base = CALIBRATION.counts(forces)
+    reading = readings(sensor, frames, 4)[-1]
+    assert not reading.bad.any()
+    assert reading.reason == "1 taxels of finger 0 saturated"
+
+
+def test_more_broken_taxels_than_allowed_make_the_force_invalid() -> None:
+    sensor, frames = tared()
+
+    def stick(counts: np.ndarray) -> None:
+        counts[[0, 12, 27, 61]] = 255
+
+    frames.alter = stick
+    reading = readings(sensor, frames, 4)[-1]
+    assert (reading.ok, reading.reason) == (False, "4 taxels of finger 0 bad")
+
+
+# --- drift ---------------------------------------------------------------------------------------
+
+
+def test_pads_that_nothing_grips_show_a_drift_while_gripping() -> None:
+    sensor, frames = tared()
+    frames.press(4.0)
+    assert readings(sensor, frames, 10)[-1].ok
+    frames.base = frames.base + 4.0
+    drifted = readings(sensor, frames, 5)[-1]
+    assert not drifted.ok
+    assert "drifted by +" in drifted.reason
+    assert "new zero" in drifted.reason
+    frames.base = frames.base - 3.0
+    assert readings(sensor, frames, 5)[-1].ok
+
+
+def test_the_zero_of_open_pads_is_checked_pad_by_pad() -> None:
+    sensor, frames = tared()
+    sensor.check_zero()
+    readings(sensor, frames, 5)
+    frames.press(6.0)
+    readings(sensor, frames, 5)
+    sensor.check_zero()
+    frames.base[:] = 0.0
+    frames.base[LAYOUT.taxels_of(5)] = 5.0
+    readings(sensor, frames, 5)
+    with pytest.raises(ZeroDrifted, match=r"finger1\.inner has drifted by \+"):
+        sensor.check_zero()
+
+
+def test_noise_alone_is_no_drift() -> None:
+    sensor, frames = tared(seed=3)
+    for _ in range(200):
+        assert readings(sensor, frames, 1)
+        sensor.check_zero()
+
+
+def test_without_pads_beside_the_grip_only_open_pads_are_judged() -> None:
+    frames = Frames(n_taxels=156, adc_max=4095)
+    sensor = TactileSensor(frames, pinch_layout(), LinearCalibration(0.001, 4095), clock=frames)
+    sensor.start()
+    sensor.tare(20)
+    frames.base[:] = 50.0
+    assert readings(sensor, frames, 5)[-1].ok
+    with pytest.raises(ZeroDrifted, match=r"\+50"):
+        sensor.check_zero()
+
+
 # --- life cycle ----------------------------------------------------------------------------------
 
 
@@ -323,11 +451,19 @@ def test_a_calibration_for_another_converter_is_refused() -> None:
 
 @pytest.mark.parametrize(
     "change",
-    [{"mean_frames": 0}, {"gap_s": -1.0}, {"frozen_s": float("nan")}, {"stuck_frames": 3}],
+    [{"mean_frames": 0}, {"gap_s": -1.0}, {"poll_s": 0.0}, {"bad_share": float("nan")}],
 )
 def test_settings_out_of_range_are_refused(change: dict) -> None:
     with pytest.raises(ValueError, match=f"{next(iter(change))} is"):
         SensorSettings(**change)
+
+
+@pytest.mark.parametrize(
+    "change", [{"frozen_s": float("nan")}, {"stuck_frames": 3}, {"drift_share": -0.1}]
+)
+def test_quality_limits_out_of_range_are_refused(change: dict) -> None:
+    with pytest.raises(ValueError, match=f"{next(iter(change))} is"):
+        QualityLimits(**change)
 
 
 # --- tare ----------------------------------------------------------------------------------------
@@ -350,6 +486,10 @@ def test_tare_finds_the_mean_of_the_noise() -> None:
         (lambda frames: frames.press(0.4), r"stands .* out of its pad.*something touches"),
         (lambda frames: frames.press(4.0, "flat"), r"reads .* counts, allowed are 30\.6"),
         (lambda frames: frames.base.__setitem__(slice(0, 64), 60.0), "finger0.inner, row"),
+        (
+            lambda frames: frames.base.__setitem__(slice(0, 64), 6.0),
+            r"finger0\.inner reads .* more than the pads that nothing grips, allowed are 4\.1",
+        ),
         (
             lambda frames: setattr(
                 frames, "alter", lambda counts: counts.__setitem__(slice(0, 10), 0)
@@ -417,7 +557,9 @@ def test_without_noise_dead_taxels_cannot_be_told() -> None:
         assess_health(frames[:5], 255)
 
 
-@pytest.mark.parametrize("name", ["offset_share", "bump_share", "drift_share", "bad_share"])
+@pytest.mark.parametrize(
+    "name", ["offset_share", "bump_share", "pad_share", "drift_share", "bad_share"]
+)
 def test_tare_limits_out_of_range_are_refused(name: str) -> None:
     with pytest.raises(ValueError, match=name):
         TareLimits(**{name: 0.0})
