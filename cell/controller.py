@@ -12,7 +12,7 @@ from cell.hand import Hand
 from cell.hand_local import LocalHand
 from cell.identification import Identification, OnGrasp, StepChooser, grasp_and_classify
 from cell.journal import Journal
-from cell.lifecycle import CellLifecycle
+from cell.lifecycle import ON_REQUEST, CellLifecycle
 from cell.pose import Pose
 from cell.positioner import PatientCaller, Positioner
 from cell.ramps import force_ramp
@@ -28,6 +28,13 @@ from tactile.protocol import TactileFrame
 from tactile.sensor import TactileSensor
 
 _T = TypeVar("_T")
+
+_NOTHING_HELD = {
+    GraspResult.NO_CONTACT: "no contact",
+    GraspResult.OBSTRUCTED: "the way of the fingers is obstructed, the pads felt nothing",
+    GraspResult.PART_LOST: "the part was lost while the fingers pressed",
+}
+"""Results of a grasp after which nothing is held and nothing can be learnt."""
 
 
 class CellController:
@@ -157,12 +164,13 @@ class CellController:
         self._life.go(Event.RESET)
         self._hand.close_sensor()
 
-    def cancel(self) -> None:
+    def cancel(self, reason: str = ON_REQUEST) -> None:
         """Stop the running sequence, or else the next one, and keep the grip.
 
         Safe from any thread. It counts until it was obeyed: one that comes between two parts of a
-        job is not lost.
+        job is not lost. The ``reason`` is told with it.
         """
+        self._life.stop_reason = reason
         self._life.cancelled = True
         self._hand.request_stop()
 
@@ -264,7 +272,8 @@ class CellController:
         Raises
         ------
         NoPartFound
-            If the fingers closed to their limit and touched nothing. The fingers are open again.
+            If the fingers closed to their limit and touched nothing, did not get through, or lost
+            the part while they pressed. The fingers are open again, and nothing is classified.
         CellStopped
             If it was cancelled. The grip is kept.
         """
@@ -273,9 +282,10 @@ class CellController:
         with self._life.latching_faults():
             record = self._grasp(step, label)
             self._life.complete()
-        if record.outcome.result is GraspResult.NO_CONTACT:
+        missing = _NOTHING_HELD.get(record.outcome.result)
+        if missing is not None:
             raise NoPartFound(
-                f"no contact at pose {step.pose} down to an opening of "
+                f"{missing} at pose {step.pose}, at an opening of "
                 f"{record.outcome.final_aperture_m * 1e3:.1f} mm; is the object in place?"
             )
         return record
@@ -319,7 +329,9 @@ class CellController:
     def _check_cancelled_between(self) -> None:
         if self._life.cancelled and self._life.state is CellState.IDLE:
             self._life.cancelled = False
-            raise CellStopped("stopped on request between two grasps; the fingers are open")
+            raise CellStopped(
+                f"stopped {self._life.stop_reason} between two grasps; the fingers are open"
+            )
 
     def _grasp(self, step: GraspStep, label: str) -> GraspRecord:
         reached = self._move_to(step.pose)
@@ -342,8 +354,9 @@ class CellController:
             outcome=outcome,
             cycles=collector.cycles,
         )
-        if outcome.result is GraspResult.NO_CONTACT:
-            self._journal.note("no part", f"nothing touched at {reached}")
+        missing = _NOTHING_HELD.get(outcome.result)
+        if missing is not None:
+            self._journal.note("no part", f"{missing} at {reached}")
         else:
             self._journal.grasp(record.grasp)
         self._hand.release(self._watch)

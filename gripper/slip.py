@@ -3,7 +3,9 @@
 from collections import deque
 from math import exp
 
+from gripper.errors import PartSlipped
 from gripper.force import ForceSample
+from gripper.runner import Moment
 from gripper.settings import GripperSettings
 
 _SETTLING_S = 0.3
@@ -64,3 +66,31 @@ class SlipWatch:
         if drop_n > max(settings.slip_drop_n, settings.slip_drop_share * self._usual_n):
             return f"the grip force fell by {drop_n:.2f} N from {self._usual_n:.2f} N"
         return None
+
+
+class LevelSlip:
+    """A `SlipWatch` for each level at which the force is held.
+
+    Parameters
+    ----------
+    settings
+        Of the gripper.
+    """
+
+    def __init__(self, settings: GripperSettings) -> None:
+        self._settings = settings
+        self._level: int | None = None
+        self._watch = SlipWatch(settings)
+
+    def check(self, moment: Moment, level: int | None) -> None:
+        """Take one period at a level, or on the way to the next. Raises PartSlipped."""
+        if level != self._level:
+            self._level, self._watch = level, SlipWatch(self._settings)
+        if level is None:
+            return
+        sign = self._watch.check(moment.now_s, moment.state.aperture_m, moment.sample)
+        if sign is not None:
+            raise PartSlipped(
+                f"the held part slips: {sign}; the goals are frozen, nothing grips again by "
+                f"itself: release it, or clear the fault and go on"
+            )
