@@ -119,6 +119,10 @@ class VerificationFailed(GripperError):
         self.report = report
 
 
+class ServoMissing(VerificationFailed, BusTimeout):
+    """A servo of the settings does not answer at the start; the report names who does."""
+
+
 class LimitExceeded(GripperError, ValueError):
     """A command or a measured value is outside a limit of the settings."""
 

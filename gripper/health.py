@@ -1,7 +1,7 @@
 """Health of the servos: what they are set to, and whether they still do what they were told."""
 
 from gripper.bus import ServoBus
-from gripper.errors import BusCorrupt, BusTimeout, ServoFault, VerificationFailed
+from gripper.errors import BusCorrupt, BusTimeout, ServoFault, ServoMissing, VerificationFailed
 from gripper.registers import (
     BUS_WATCHDOG,
     HARDWARE_ERROR_STATUS,
@@ -40,7 +40,7 @@ class ServoHealth:
         return all(self._bus.read(i, TORQUE_ENABLE) != 0 for i in self._ids)
 
     def require_present(self) -> None:
-        """Ask every servo who it is. Raises VerificationFailed that names who answers instead."""
+        """Ask every servo who it is. Raises ServoMissing that names who answers instead."""
         silent: dict[int, BusTimeout | BusCorrupt] = {}
         for servo_id in self._ids:
             try:
