@@ -12,7 +12,8 @@ from cell.config import CellConfig
 from cell.controller import CellController
 from cell.errors import ConfigError
 from cell.hand import Hand
-from cell.hand_build import make_hand, open_hand
+from cell.hand_build import SHARED_PROCESS, make_hand, open_hand
+from cell.hand_process import HandProcess
 from cell.pose import Pose
 from cell.positioner import (
     CallbackPositioner,
@@ -69,6 +70,11 @@ class Cell:
     def bus(self) -> ServoBus:
         """The servo bus, of a cell whose loop runs in this process, for tests."""
         return self.controller.local_hand.bus
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the operator should know of how the force loop runs."""
+        return self.controller.hand.notes
 
     def health(self) -> dict[str, Any]:
         """Return the counters of both links and the loop."""
@@ -153,9 +159,12 @@ def build_cell(
                 clock,
                 pads=pad_array(hand.layout),
                 metadata={"cell": config.name, "config": config.model_dump_json()},
+                vital=config.recording.when_lost == "hold",
                 background=simulated is None,
             )
             undo.callback(recorder.close)
+            for note in hand.notes:
+                recorder.event("note", note)
         controller = CellController(
             hand=hand,
             positioner=positioner,
@@ -176,7 +185,9 @@ def build_cell(
 
 def _hand(config: CellConfig, simulated: SimulatedCell | None) -> Hand:
     if simulated is None:
-        return open_hand(config, time)
+        if config.loop.own_process:
+            return HandProcess(config)
+        return open_hand(config, time, notes=(SHARED_PROCESS,))
     return make_hand(
         config,
         clock=simulated.clock,

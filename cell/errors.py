@@ -33,6 +33,10 @@ class HandLost(CellError):
     """The process of the force loop is gone or does not answer; a part may still be gripped."""
 
 
+class HostSilent(CellError):
+    """The program took nothing from its force loop for too long; the grip is kept."""
+
+
 class PositionerError(CellError):
     """A pose was not reached, or an object is not to be had."""
 

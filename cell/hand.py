@@ -10,14 +10,13 @@ from typing import Protocol
 
 from gripper.line import BusStatistics
 from gripper.ramp import ForceRamp
-from gripper.state import Cycle, GraspOutcome, GripperPhase, GripperState
+from gripper.state import Cycle, GraspOutcome, GripperPhase
 from gripper.timing import LoopStatistics
 from gripper.verification import VerificationReport
 from tactile.layout import TaxelLayout
 from tactile.link_settings import LinkStatistics, NodeIdentity
 from tactile.protocol import TactileFrame
 from tactile.reading import TactileReading
-from tactile.tare import TareResult
 
 Watch = Callable[[Cycle, Sequence[TactileFrame]], None]
 """Told of each period of a command, in order, with the tactile frames that came in it.
@@ -96,7 +95,7 @@ class Hand(Protocol):
         """Open the empty fingers."""
         ...
 
-    def tare(self, n_frames: int) -> TareResult:
+    def tare(self, n_frames: int) -> None:
         """Take the zero of the taxels from so many frames."""
         ...
 
@@ -110,10 +109,6 @@ class Hand(Protocol):
 
     def inspect(self) -> VerificationReport:
         """Compare the servos with the settings; reads only."""
-        ...
-
-    def read_state(self) -> GripperState:
-        """Read the feedback of the servos once."""
         ...
 
     def read_sensor(self, timeout_s: float) -> TactileReading:
@@ -140,7 +135,7 @@ class Hand(Protocol):
         ...
 
     def shutdown(self) -> None:
-        """Leave servos and sensor in a defined state, as `Gripper.close` does; never raises."""
+        """Leave servos and sensor in a defined state, as `Gripper.close` does."""
         ...
 
     def close(self) -> None:

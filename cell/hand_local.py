@@ -7,7 +7,7 @@ from gripper.bus import ServoBus
 from gripper.force import ForceSample
 from gripper.gripper import Cycle, Gripper
 from gripper.ramp import ForceRamp
-from gripper.state import GraspOutcome, GripperPhase, GripperState
+from gripper.state import GraspOutcome, GripperPhase
 from gripper.verification import VerificationReport
 from tactile.layout import TaxelLayout
 from tactile.link import TactileLink
@@ -15,7 +15,6 @@ from tactile.link_settings import NodeIdentity
 from tactile.protocol import TactileFrame
 from tactile.reading import TactileReading
 from tactile.sensor import TactileSensor
-from tactile.tare import TareResult
 
 
 class SensorTap:
@@ -60,14 +59,14 @@ class LocalHand:
         Their links, for statistics.
     close_links
         Closes both ports.
+    notes
+        What the operator should know of how the loop runs.
 
     Attributes
     ----------
     gripper, sensor, bus, link
         The parts, for tests and benchmarks; commands go through the hand.
     """
-
-    notes: tuple[str, ...] = ()
 
     def __init__(
         self,
@@ -78,11 +77,13 @@ class LocalHand:
         bus: ServoBus,
         link: TactileLink,
         close_links: Callable[[], None],
+        notes: tuple[str, ...] = (),
     ) -> None:
         self.gripper = gripper
         self.sensor = sensor
         self.bus = bus
         self.link = link
+        self.notes = notes
         self._tap = tap
         self._close_links = close_links
 
@@ -134,9 +135,9 @@ class LocalHand:
         """Open the empty fingers; see `Hand`."""
         self.gripper.open(observer=self._observer(watch))
 
-    def tare(self, n_frames: int) -> TareResult:
+    def tare(self, n_frames: int) -> None:
         """Take the zero of the taxels; see `Hand`."""
-        return self.sensor.tare(n_frames)
+        self.sensor.tare(n_frames)
 
     def grasp(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
         """Close and follow the ramp; see `Hand`."""
@@ -150,10 +151,6 @@ class LocalHand:
     def inspect(self) -> VerificationReport:
         """Compare the servos with the settings; reads only."""
         return self.gripper.inspect()
-
-    def read_state(self) -> GripperState:
-        """Read the feedback of the servos once."""
-        return self.gripper.read_state()
 
     def read_sensor(self, timeout_s: float) -> TactileReading:
         """Wait for a new reading of the taxels."""

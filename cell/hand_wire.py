@@ -73,11 +73,6 @@ class Inspect:
     """`Hand.inspect`."""
 
 
-@dataclass(frozen=True, slots=True)
-class ReadState:
-    """`Hand.read_state`."""
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReadSensor:
     """`Hand.read_sensor`."""
@@ -98,11 +93,6 @@ class ClearFault:
 
 
 @dataclass(frozen=True, slots=True)
-class Report:
-    """Nothing but the counters."""
-
-
-@dataclass(frozen=True, slots=True)
 class Shutdown:
     """`Hand.shutdown`."""
 
@@ -116,11 +106,9 @@ Command = (
     | GraspUnder
     | Release
     | Inspect
-    | ReadState
     | ReadSensor
     | KeepGrip
     | ClearFault
-    | Report
     | Shutdown
 )
 
@@ -141,6 +129,7 @@ class Ready:
     """The ports are open; `notes` say what the operator should know of the process."""
 
     notes: tuple[str, ...]
+    statistics: HandStatistics
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
