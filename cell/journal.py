@@ -38,11 +38,19 @@ class Journal:
         self._states = now
 
     def cycle(self, cycle: Cycle, frames: Sequence[TactileFrame] = ()) -> None:
-        """Record one period of the loop and the frames that came in it."""
+        """Record one period of the loop and the frames that came in it.
+
+        Raises
+        ------
+        RecordingError
+            If the recording has stopped and the config wants the cell to hold then.
+        """
         if self._recorder is not None:
             self._recorder.cycle(cycle)
             for frame in frames:
                 self._recorder.frame(frame)
+            if self._recorder.vital and self._recorder.fault is not None:
+                raise self._recorder.fault
 
     def pose(self, pose: Pose) -> None:
         """Record the pose that was reached."""

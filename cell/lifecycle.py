@@ -19,6 +19,10 @@ _HOLDING = (
 )
 
 
+ON_REQUEST = "on request"
+"""Reason of a stop that a person or host asked for."""
+
+
 class CellLifecycle:
     """Goes from state to state as `cell.states` allows; keeps the grip on whatever goes wrong.
 
@@ -41,6 +45,8 @@ class CellLifecycle:
         What went wrong, while a fault is latched.
     cancelled
         Whether a stop was requested and nothing has obeyed it yet.
+    stop_reason
+        Who or what requested the last stop.
     """
 
     def __init__(
@@ -60,6 +66,7 @@ class CellLifecycle:
         self.result: GraspResult | None = None
         self.fault: str | None = None
         self.cancelled = False
+        self.stop_reason = ON_REQUEST
 
     @property
     def state(self) -> CellState:
@@ -122,15 +129,15 @@ class CellLifecycle:
         try:
             try:
                 yield
-            except GraspStopped as stop:
-                self._hold(stop)
+            except GraspStopped:
+                self._hold()
                 raise
         except GraspStopped as stop:
             self.cancelled = False
             raise CellStopped(
-                "stopped on request; the grip is kept until it is released on purpose"
+                f"stopped {self.stop_reason}; the grip is kept until it is released on purpose"
                 if self.holding
-                else "stopped on request; nothing is held"
+                else f"stopped {self.stop_reason}; nothing is held"
             ) from stop
         except PositionerError as error:
             # A pose that is not reached is no fault of the cell: its fingers are open and empty.
@@ -157,14 +164,14 @@ class CellLifecycle:
         finally:
             self.complete()
 
-    def _hold(self, stop: GraspStopped) -> None:
+    def _hold(self) -> None:
         """Go where a stop on request leads from the present state, and keep the grip."""
         if self._state is CellState.STARTING:
             self.go(Event.STOP)
             self._close_sensor()
         elif self._state is CellState.EXECUTE:
             self.go(Event.HOLD)
-            self._note("held", str(stop))
+            self._note("held", f"stopped {self.stop_reason}")
         self._hand.keep_grip()
         if self._state.acting:
             self.complete()

@@ -6,6 +6,7 @@ the plugin grasps and tells what it held.
 
 import threading
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import TracebackType
@@ -19,6 +20,7 @@ from cell.collect import GraspRecord, pad_array
 from cell.config import CellConfig
 from cell.config_file import load_config
 from cell.errors import CellStateError, ConfigError
+from cell.host_watch import HostWatch
 from cell.layouts import layout_from_config
 from cell.model import load_model, save_model
 from cell.pose import Pose
@@ -57,6 +59,30 @@ class IdentifyGoal(_Goal):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class CellStatus:
+    """State of cell and grip, for hosts that show or forward it; see docs/states.md.
+
+    Attributes
+    ----------
+    state, state_number
+        PackML name, and number in OPC 30060, StateEnumeration.
+    grasp, grasp_number
+        State of the grip, and its number.
+    holding
+        Whether a part may be in the grip.
+    fault
+        What is wrong, while a fault is latched.
+    """
+
+    state: str
+    state_number: int
+    grasp: str
+    grasp_number: int
+    holding: bool
+    fault: str | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
     """What an identification says.
 
@@ -86,6 +112,9 @@ class TactileCellPlugin:
 
     Calls return at once, but for `result`, `release` and `close`, which wait as long as they are
     told. A fault or a cancelled job keeps the grip; `release` is the only way to let go.
+
+    With ``host_timeout_s`` in the config a host that makes no call for so long while a job runs
+    has the job stopped, with the grip kept. Any call counts, `alive` too; a job keeps its result.
     """
 
     def __init__(
@@ -144,6 +173,15 @@ class TactileCellPlugin:
             idle=self._cell.controller.tick,
             idle_period_s=1.0 / checked.gripper.loop_rate_hz if self._cell.realtime else None,
         )
+        self._watch: HostWatch | None = None
+        if checked.host_timeout_s is not None:
+            self._watch = HostWatch(
+                checked.host_timeout_s,
+                running=lambda: self._worker.running,
+                silent=lambda silent_s: self._cell.controller.cancel(
+                    f"because the host was silent for {silent_s:.2f} s"
+                ),
+            )
 
     # -- what a host asks ----------------------------------------------------------------------
 
@@ -163,11 +201,32 @@ class TactileCellPlugin:
 
     def state(self) -> str:
         """Return the state of the cell, a PackML name."""
-        return self._cell.controller.state.value
+        with self._calling():
+            return self._cell.controller.state.value
+
+    def status(self) -> CellStatus:
+        """Return the states of cell and grip, with their numbers."""
+        with self._calling():
+            controller = self._cell.controller
+            state, grasp = controller.state, controller.grasp_state
+            return CellStatus(
+                state=state.value,
+                state_number=state.number,
+                grasp=grasp.value,
+                grasp_number=grasp.number,
+                holding=controller.holding,
+                fault=controller.fault,
+            )
 
     def fault(self) -> str | None:
         """Return what is wrong, while a fault is latched."""
-        return self._cell.controller.fault
+        with self._calling():
+            return self._cell.controller.fault
+
+    def alive(self) -> None:
+        """Say that the host is there, and nothing else; see ``host_timeout_s``."""
+        with self._calling():
+            return
 
     def start(self, goal: TeachGoal | IdentifyGoal | Mapping[str, Any]) -> Job:
         """Start a job and return its handle at once.
@@ -199,7 +258,8 @@ class TactileCellPlugin:
 
     def feedback(self, job: Job) -> JobStatus:
         """Say where a job stands; never waits."""
-        return self._worker.status(job)
+        with self._calling():
+            return self._worker.status(job)
 
     def result(self, job: Job, timeout_s: float) -> Any:
         """Wait for a job and return its `Answer`, or the number of grasps taught.
@@ -211,7 +271,8 @@ class TactileCellPlugin:
         CellStateError
             If it was cancelled or aborted, with the reason.
         """
-        status = self._worker.wait(job, timeout_s)
+        with self._calling():
+            status = self._worker.wait(job, timeout_s)
         if status.outcome is not JobOutcome.SUCCEEDED:
             raise CellStateError(f"job {job.number} {status.outcome.value}: {status.error}")
         return status.value
@@ -273,6 +334,8 @@ class TactileCellPlugin:
 
     def close(self, timeout_s: float = 30.0) -> None:
         """Stop what runs and disconnect; a held part stays held."""
+        if self._watch is not None:
+            self._watch.close()
         self._cell.controller.cancel()
         self._worker.close(timeout_s)
         self._cell.close()
@@ -290,8 +353,11 @@ class TactileCellPlugin:
 
     def _accept(self, work: Callable[[Report], Any]) -> Job:
         """Start a job that no earlier `cancel` is meant for."""
-        with self._starting:
+        with self._calling(), self._starting:
             return self._worker.start(work, accepted=self._cell.controller.forget_cancel)
+
+    def _calling(self) -> AbstractContextManager[None]:
+        return nullcontext() if self._watch is None else self._watch.calling()
 
     # -- jobs, on the worker's thread -----------------------------------------------------------
 

@@ -56,6 +56,8 @@ class Recorder:
         Called once with the error when the recording stops.
     background
         Write from a thread of its own, for real time; in virtual time leave it off.
+    vital
+        Whether a grasp must not go on without its recording; `cell.journal` looks after that.
     wall_clock_ns
         Wall clock in ns since 1970, read at the start and with each change of state; it is kept
         for people and orders nothing.
@@ -75,9 +77,11 @@ class Recorder:
         metadata: Mapping[str, str] | None = None,
         on_fault: Callable[[RecordingError], None] | None = None,
         background: bool = False,
+        vital: bool = False,
         wall_clock_ns: Callable[[], int] = time.time_ns,
     ) -> None:
         self.path = Path(path)
+        self.vital = vital
         self._clock = clock
         self._pads = pads
         self._on_fault = on_fault

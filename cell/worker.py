@@ -131,6 +131,12 @@ class CellWorker:
             return self._status[job]
 
     @property
+    def running(self) -> bool:
+        """Whether a job is not over yet."""
+        with self._changed:
+            return any(not status.outcome.terminal for status in self._status.values())
+
+    @property
     def idle_error(self) -> Exception | None:
         """What went wrong while no job ran."""
         return self._idle_error

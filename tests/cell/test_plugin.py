@@ -14,7 +14,7 @@ from cell.errors import CellStateError, ConfigError, ModelError
 from cell.plugin import Answer, IdentifyGoal, TeachGoal
 from cell.pose import Pose
 from cell.worker import Job, JobOutcome
-from gripper.errors import BusTimeout
+from gripper.errors import VerificationFailed
 from gripper.gripper import GripperPhase
 from recognition.recognizer import UNKNOWN
 from tactile.errors import NodeMissing
@@ -268,7 +268,7 @@ def test_an_overloaded_servo_is_restarted_on_purpose(plugin: Any) -> None:
     ("spoil", "error"),
     [
         (lambda faults: setattr(faults.unit, "dead", True), NodeMissing),
-        (lambda faults: faults.servo_wire.silent.add(1), BusTimeout),
+        (lambda faults: faults.servo_wire.silent.add(1), VerificationFailed),
     ],
 )
 def test_a_device_that_is_missing_at_the_start_is_an_error_of_the_constructor(
