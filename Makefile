@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PYTEST_ARGS ?=
 
-.PHONY: run test check format bench paper campaign soak clean distclean
+.PHONY: run test wheel-test check format bench paper campaign soak clean distclean
 
 run: $(STAMP)  ## teach and identify the paper's five objects on the simulated cell
 	$(BIN)/tactile-cell run
@@ -14,6 +14,9 @@ test: $(STAMP)  ## all tests, with coverage; those in real time first, while the
 	$(BIN)/python -m pytest -m hil --cov --cov-report= $(PYTEST_ARGS)
 	$(BIN)/python -m pytest -m "not hil" -n auto --cov --cov-append --cov-report=term \
 		--cov-fail-under=90 $(PYTEST_ARGS)
+
+wheel-test: $(STAMP)  ## a project that uses the built wheel runs its tests in a fresh environment
+	.ci/wheel-test
 
 check: $(STAMP)  ## lint, format, types, layers
 	$(BIN)/ruff check .

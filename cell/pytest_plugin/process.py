@@ -87,7 +87,7 @@ class CellProcess:
         self._log_path = folder / "simulate.log"
         with self._log_path.open("wb") as log:
             self._process = subprocess.Popen(
-                [sys.executable, "-c", _PROGRAM, "simulate", "-c", wanted, "--out", folder],
+                [sys.executable, "-P", "-c", _PROGRAM, "simulate", "-c", wanted, "--out", folder],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=log,
