@@ -28,6 +28,8 @@ class Identification:
         What all grasps tell together.
     records
         The grasps.
+    complaints
+        What went wrong in whoever was told of the grasps; the answer is not touched by it.
     """
 
     label: str
@@ -36,6 +38,7 @@ class Identification:
     posteriors: tuple[Posterior, ...]
     fused: Posterior
     records: tuple[GraspRecord, ...]
+    complaints: tuple[str, ...] = ()
 
 
 class StepChooser(Protocol):
@@ -47,7 +50,11 @@ class StepChooser(Protocol):
 
 
 OnGrasp = Callable[[int, GraspRecord, Posterior], None]
-"""Told after each grasp: its number from 1, its record and what it tells by itself."""
+"""Told after each grasp: its number from 1, its record and what it tells by itself.
+
+What it raises does not end the sequence, whose answer does not depend on it; it is kept among the
+`Identification.complaints`.
+"""
 
 
 def grasp_and_classify(
@@ -75,13 +82,17 @@ def grasp_and_classify(
     rule = StopRule(error_rate=error_rate, max_grasps=len(plan))
     posteriors: list[Posterior] = []
     records: list[GraspRecord] = []
+    complaints: list[str] = []
     for number, step in enumerate(plan, start=1):
         record = grasp(step if chooser is None else chooser.next_step(posteriors, step))
         posterior = recognizer.posterior(record.grasp)
         records.append(record)
         posteriors.append(posterior)
         if on_grasp is not None:
-            on_grasp(number, record, posterior)
+            try:
+                on_grasp(number, record, posterior)
+            except Exception as error:
+                complaints.append(f"after grasp {number}: {type(error).__name__}: {error}")
         decision = decide(posteriors, rule)
         if decision.kind is not DecisionKind.CONTINUE:
             break
@@ -92,4 +103,5 @@ def grasp_and_classify(
         posteriors=tuple(posteriors),
         fused=fuse(posteriors),
         records=tuple(records),
+        complaints=tuple(complaints),
     )

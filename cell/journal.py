@@ -63,7 +63,9 @@ class Journal:
             self._recorder.grasp(grasp)
 
     def result(self, found: Identification) -> None:
-        """Record the answer of a sequence."""
+        """Record the answer of a sequence, and what went wrong in whoever was told of it."""
+        for text in found.complaints:
+            self.note("callback", text)
         if self._recorder is not None:
             self._recorder.result(
                 label=found.label,

@@ -138,6 +138,29 @@ def test_identifying_ends_as_soon_as_it_is_sure(bench: Any) -> None:
     assert found.probability > 0.98
 
 
+def test_whoever_is_told_of_the_grasps_cannot_spoil_the_answer(
+    make_bench: Callable[..., Any], tmp_path: Path
+) -> None:
+    bench = make_bench(folder=tmp_path).ready()
+
+    def broken(_number: int, _record: Any, _posterior: Any) -> None:
+        raise RuntimeError("window closed")
+
+    found = bench.controller.identify(
+        Sure(2), plan(bench.controller._sequence, 3, seed=1), on_grasp=broken
+    )
+    assert found.label == "ball"
+    assert found.complaints == (
+        "after grasp 1: RuntimeError: window closed",
+        "after grasp 2: RuntimeError: window closed",
+    )
+    bench.cell.close()
+    events = read_recording(tmp_path / "recording.mcap").events
+    assert [event["text"] for event in events if event["kind"] == "callback"] == list(
+        found.complaints
+    )
+
+
 def test_identifying_ends_with_its_plan(bench: Any) -> None:
     bench.ready()
     found = bench.controller.identify(Sure(99), plan(bench.controller._sequence, 2, seed=1))
