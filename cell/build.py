@@ -14,6 +14,7 @@ from cell.errors import ConfigError
 from cell.hand import Hand
 from cell.hand_build import SHARED_PROCESS, make_hand, open_hand
 from cell.hand_process import HandProcess
+from cell.loop_values import loop_values
 from cell.pose import Pose
 from cell.positioner import (
     CallbackPositioner,
@@ -89,12 +90,7 @@ class Cell:
                 name: getattr(servos, name)
                 for name in ("transactions", "retries", "timeouts", "corrupt", "late")
             },
-            "loop": {
-                "cycles": loop.cycles,
-                "late": loop.late,
-                "missed_reads": loop.missed_reads,
-                "worst_lateness_s": loop.worst_lateness_s,
-            },
+            "loop": loop_values(loop) | {"undelivered": statistics.undelivered},
             "recording": None
             if self._recorder is None or self._recorder.fault is None
             else str(self._recorder.fault),

@@ -83,7 +83,10 @@ def run(
         if not labels:
             raise ConfigError("name the objects that are at hand, as --object ball --object box")
     folder = job_folder(out_folder or Path(checked.recording.directory), "run")
-    with running_cell(checked, folder, capture) as cell, progress_bar() as progress:
+    with (
+        running_cell(checked, folder, capture, json_file=json_file) as cell,
+        progress_bar() as progress,
+    ):
         result = teach_and_identify(
             cell,
             checked,
@@ -138,7 +141,7 @@ def teach(
         raise ConfigError("a gauge serves drawings: add --shape or --mesh")
     before = read_dataset(dataset) if dataset.exists() else ()
     folder = job_folder(out_folder or Path(checked.recording.directory), "teach")
-    with running_cell(checked, folder) as cell, progress_bar() as progress:
+    with running_cell(checked, folder, json_file=json_file) as cell, progress_bar() as progress:
         records = teach_object(
             cell, checked, label, grasps or 20, seed=checked.seed + len(before), progress=progress
         )
@@ -201,7 +204,7 @@ def identify(
         return
     loaded = load_model(model, pads_of(checked))
     folder = job_folder(out_folder or Path(checked.recording.directory), "identify")
-    with running_cell(checked, folder) as cell, progress_bar() as progress:
+    with running_cell(checked, folder, json_file=json_file) as cell, progress_bar() as progress:
         found, truth = identify_on_cell(cell, checked, loaded, held=held, progress=progress)
         recording = cell.recording_path
     texts, shapes = shape_texts([record.grasp for record in found.records], known)

@@ -30,6 +30,11 @@ def complain(text: str) -> None:
     err.print(f"[bold red]error:[/] {escape(text)}", soft_wrap=True)
 
 
+def warn(text: str) -> None:
+    """Print one note that the operator should not miss."""
+    err.print(f"[bold yellow]NOTE:[/] {escape(text)}", soft_wrap=True)
+
+
 @contextmanager
 def progress_bar() -> Iterator["ProgressBar"]:
     """Draw a bar on standard error for each task that a job names."""

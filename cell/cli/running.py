@@ -6,31 +6,68 @@ from pathlib import Path
 
 from cell.build import Cell, build_cell
 from cell.cli.asking import ask
+from cell.cli.output import say, warn, write_json
 from cell.cli.stopping import stopping
 from cell.collect import pad_array
 from cell.config import CellConfig
 from cell.errors import CellError, CellStopped, ConfigError
 from cell.layouts import layout_from_config
+from cell.loop_values import loop_line
 from gripper.errors import GripperError
 from recognition.grasp import PadArray
 from tactile.errors import TactileError
 
 
 @contextmanager
-def running_cell(config: CellConfig, folder: Path, capture: Path | None = None) -> Iterator[Cell]:
-    """Start a cell, stop it on signals, and say what is kept where if it ends early."""
+def running_cell(
+    config: CellConfig, folder: Path, capture: Path | None = None, *, json_file: Path | None = None
+) -> Iterator[Cell]:
+    """Start a cell, stop it on signals, and say what is kept where if it ends early.
+
+    How punctual the force loop was is said in each case; a run that ends early writes why, and the
+    health of loop and links, to ``json_file``.
+    """
     cell = build_cell(config, folder=folder, ask=ask, capture=capture)
+    for note in cell.notes:
+        warn(note)
     try:
-        with stopping(cell.controller.cancel):
+        with _closing(cell), stopping(cell.controller.cancel):
             cell.controller.start()
             yield cell
     except CellStopped as stop:
-        raise CellError(f"{stop}. Recording so far: {cell.recording_path}") from stop
+        text = f"{stop}. Recording so far: {cell.recording_path}"
+        _write_end(json_file, cell, text)
+        raise CellError(text) from stop
     except (CellError, GripperError, TactileError) as error:
         grip = "the grip is kept" if cell.controller.holding else "nothing is held"
-        raise CellError(f"{error}\n{grip}; recording so far: {cell.recording_path}") from error
+        text = f"{error}\n{grip}; recording so far: {cell.recording_path}"
+        _write_end(json_file, cell, text)
+        raise CellError(text) from error
+
+
+@contextmanager
+def _closing(cell: Cell) -> Iterator[None]:
+    """Close the cell at the end, and say how its loop did: after Ctrl-C, too."""
+    try:
+        yield
     finally:
-        cell.close()
+        try:
+            cell.close()
+        finally:
+            if cell.realtime:
+                hand = cell.controller.hand
+                say(loop_line(hand.statistics.loop, hand.period_s))
+
+
+def _write_end(json_file: Path | None, cell: Cell, text: str) -> None:
+    write_json(
+        json_file,
+        {
+            "ended_early": text,
+            "recording": None if cell.recording_path is None else str(cell.recording_path),
+            "health": cell.health(),
+        },
+    )
 
 
 def seeded(config: CellConfig, seed: int | None) -> CellConfig:

@@ -119,11 +119,21 @@ def _devices(config: CellConfig) -> Iterator[Finding]:
             advice="check cabling, power and the names in the config",
         )
         return
+    yield from _loop(cell)
     try:
         yield from _guarded("servos", lambda: _servos(cell))
         yield from _guarded("control unit", lambda: _control_unit(cell))
     finally:
         cell.close()
+
+
+def _loop(cell: Cell) -> Iterator[Finding]:
+    """Say what the system has not granted to the force loop."""
+    if cell.realtime and not cell.notes:
+        yield Finding(what="force loop", verdict=Verdict.PASS, found="real time as configured")
+    for note in cell.notes:
+        found, _, advice = note.partition(": ")
+        yield Finding(what="force loop", verdict=Verdict.WARN, found=found, advice=advice)
 
 
 def _guarded(what: str, check: Callable[[], list[Finding]]) -> Iterator[Finding]:
