@@ -31,6 +31,9 @@ def simulate(
     list_faults: Annotated[
         bool, typer.Option("--list-faults", help="Print every fault that there is, and end.")
     ] = False,
+    with_parent: Annotated[
+        bool, typer.Option("--with-parent", help="End with the program that started this one.")
+    ] = False,
 ) -> None:
     """Run the simulated cell for other programs; prints one JSON line with its device paths."""
     if list_faults:
@@ -43,7 +46,11 @@ def simulate(
         update = {"faults": (*simulator.faults, *faults)}
         checked = checked.model_copy(update={"simulator": simulator.model_copy(update=update)})
     serve_simulated_cell(
-        checked, frames=frames, folder=folder, announce=lambda line: typer.echo(json.dumps(line))
+        checked,
+        frames=frames,
+        folder=folder,
+        announce=lambda line: typer.echo(json.dumps(line)),
+        until_parent_ends=with_parent,
     )
 
 

@@ -37,6 +37,7 @@ def serve_simulated_cell(
     frames: Path | None,
     folder: Path | None,
     announce: Callable[[dict[str, Any]], None],
+    until_parent_ends: bool = False,
 ) -> None:
     """Serve until SIGTERM or SIGINT.
 
@@ -50,6 +51,8 @@ def serve_simulated_cell(
         Where device links, socket and config are made; a temporary folder by default.
     announce
         Gets device paths, and the path of the ready config as ``config``, when clients can come.
+    until_parent_ends
+        Also end when the process that started this one is gone.
 
     Raises
     ------
@@ -77,7 +80,12 @@ def serve_simulated_cell(
             announce(found | {"config": str(path)})
 
         try:
-            serve(settings, announce_with_config, folder=place)
+            serve(
+                settings,
+                announce_with_config,
+                folder=place,
+                until_parent_ends=until_parent_ends,
+            )
         except SimulatorSettingsError as error:
             raise ConfigError(f"simulator: {error}") from error
         except SimulatorError as error:

@@ -18,6 +18,7 @@ from cell.config_file import config_text
 from cell.errors import CellError
 
 _PROGRAM = "from cell.cli import main; main()"
+_SIMULATE = (sys.executable, "-P", "-c", _PROGRAM, "simulate", "--with-parent")
 _START_S = 60.0
 _REPLY_S = 10.0
 _END_S = 5.0
@@ -87,7 +88,7 @@ class CellProcess:
         self._log_path = folder / "simulate.log"
         with self._log_path.open("wb") as log:
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-c", _PROGRAM, "simulate", "-c", wanted, "--out", folder],
+                [*_SIMULATE, "-c", wanted, "--out", folder],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=log,

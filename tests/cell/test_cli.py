@@ -354,8 +354,15 @@ def test_simulate_announces_one_line_and_a_ready_config(
 
     served: list[Any] = []
 
-    def serve(settings: Any, announce: Callable[[dict[str, Any]], None], *, folder: Path) -> None:
+    def serve(
+        settings: Any,
+        announce: Callable[[dict[str, Any]], None],
+        *,
+        folder: Path,
+        until_parent_ends: bool,
+    ) -> None:
         served.append(settings)
+        assert not until_parent_ends
         announce(
             {
                 "servo_port": "/dev/pts/7",

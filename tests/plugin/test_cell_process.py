@@ -123,6 +123,24 @@ def test_processes_end_with_the_test_and_a_dead_one_shows_its_log(
         assert not Path(folder).exists(), name
 
 
+def test_a_process_does_not_outlive_a_test_run_that_is_killed(pytester: pytest.Pytester) -> None:
+    pytester.makepyfile(
+        """
+        import os, pathlib, signal
+
+        def test_is_killed(cell_process):
+            pathlib.Path("pid").write_text(str(cell_process().pid))
+            os.kill(os.getpid(), signal.SIGKILL)
+        """
+    )
+    result = pytester.runpytest_subprocess("-p", "no:cacheprovider")
+    assert result.ret == -9
+    pid, end_s = int((pytester.path / "pid").read_text()), time.monotonic() + 10.0
+    while not gone(pid) and time.monotonic() < end_s:
+        time.sleep(0.02)
+    assert gone(pid)
+
+
 @pytest.mark.usefixtures("free_machine")
 def test_the_contract_holds_over_real_ports_and_never_touches_a_held_part(
     cell_process: Any,
