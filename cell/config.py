@@ -191,6 +191,9 @@ class LinearCalibrationConfig(_Section):
     """Force of one count on one taxel in N, up to 1."""
 
 
+BoardSerial = Annotated[int, Field(ge=0, le=4294967295)]
+
+
 class TactileConfig(_Section):
     """The tactile control unit and its CAN bus."""
 
@@ -218,6 +221,17 @@ class TactileConfig(_Section):
     """Longest time to wait for the control unit at the start in s, up to 60."""
     tare_frames: int = Field(default=100, ge=5, le=1000)
     """Frames averaged for the zero of each taxel, 5 to 1000; nothing may touch the pads."""
+    board_serial_numbers: tuple[BoardSerial, BoardSerial] | None = None
+    """Serial numbers (object 2103h) of the pads' boards on finger 0 and 1; none: any. With them
+    pads that were exchanged are refused at the start."""
+    loss_max_share: float = Field(default=0.05, ge=0.0, le=0.5)
+    """Share of the last 50 frames that may be lost before the grip is held, 0 to 0.5."""
+    foreign_max_hz: float = Field(default=2000.0, ge=0.0, le=100000.0)
+    """Messages of other nodes that may come every second; more are taken for a flood."""
+    bad_taxels_max_share: float = Field(default=0.05, ge=0.0, le=0.5)
+    """Share of a pad's taxels that may be dead or stuck; they are masked, 0 to 0.5."""
+    drift_max_share: float = Field(default=0.01, gt=0.0, le=0.2)
+    """Share of the full scale by which a pad's zero may drift before a new one is needed."""
 
 
 class LinearRampConfig(_Section):

@@ -22,7 +22,9 @@ from tactile.link import (
     close_bus,
     open_bus,
 )
-from tactile.sensor import TactileSensor
+from tactile.quality import QualityLimits
+from tactile.sensor import SensorSettings, TactileSensor
+from tactile.tare import TareLimits
 
 SHARED_PROCESS = (
     "the force loop shares its process with all other work, which may hold it up: set "
@@ -94,7 +96,13 @@ def make_hand(
     """
     layout = layout_from_config(config.tactile)
     link = make_link(config.tactile, can_bus, layout, clock, threaded=threaded)
-    sensor = TactileSensor(link, layout, _calibration(config.tactile, layout), clock=clock)
+    sensor = TactileSensor(
+        link,
+        layout,
+        _calibration(config.tactile, layout),
+        clock=clock,
+        settings=_sensor_settings(config.tactile),
+    )
     tap = SensorTap(sensor)
     bus = ServoBus(
         stream,
@@ -135,9 +143,21 @@ def make_link(
             sync_period_s=config.sync_period_ms * 1e-3 if sync_period_s is None else sync_period_s,
             heartbeat_s=config.heartbeat_ms * 1e-3,
             startup_timeout_s=config.startup_timeout_s,
-            identity=ExpectedIdentity(serial=config.serial_number),
+            max_loss_rate=config.loss_max_share,
+            max_foreign_hz=config.foreign_max_hz,
+            identity=ExpectedIdentity(
+                serial=config.serial_number, boards=config.board_serial_numbers
+            ),
             threaded=threaded,
         ),
+    )
+
+
+def _sensor_settings(config: TactileConfig) -> SensorSettings:
+    return SensorSettings(
+        bad_share=config.bad_taxels_max_share,
+        quality=QualityLimits(drift_share=config.drift_max_share),
+        tare_limits=TareLimits(bad_share=max(1e-6, config.bad_taxels_max_share)),
     )
 
 

@@ -141,12 +141,14 @@ class LocalHand:
 
     def grasp(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
         """Close and follow the ramp; see `Hand`."""
+        self._check_zero()
         self._tap.take()
         return self.gripper.grasp(ramp, observer=self._observer(watch))
 
     def release(self, watch: Watch | None = None) -> None:
         """Let go; see `Hand`."""
         self.gripper.release(observer=None if watch is None else self._observer(watch))
+        self._check_zero()
 
     def inspect(self) -> VerificationReport:
         """Compare the servos with the settings; reads only."""
@@ -185,6 +187,12 @@ class LocalHand:
 
     def _observer(self, watch: Watch) -> Callable[[Cycle], None]:
         def observe(cycle: Cycle) -> None:
+            self.sensor.aim(cycle.setpoint_n, cycle.state.aperture_m)
             watch(cycle, self._tap.take())
 
         return observe
+
+    def _check_zero(self) -> None:
+        """Refuse to measure with a zero that has moved; the fingers are open now."""
+        if self._tap.running:
+            self.sensor.check_zero()

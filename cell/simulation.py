@@ -78,6 +78,7 @@ def simulator_settings(
             serial_number=1
             if config.tactile.serial_number is None
             else config.tactile.serial_number,
+            board_serial_numbers=config.tactile.board_serial_numbers or (1, 2),
             noise=NoiseModel(kind=settings.noise, level=settings.noise_level),
             seed=config.seed,
             objects=simulated_objects(config),

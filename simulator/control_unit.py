@@ -55,6 +55,8 @@ class ControlUnitSettings:
         Object 0x1018:04.
     identity
         Other sub-indices of 0x1018 that differ from the EDS, to stand for a wrong device.
+    boards
+        Object 0x2103: serial numbers of the pads' boards on finger 0 and finger 1.
     boot_s
         Time in s from power-on or reset to the boot-up message.
     """
@@ -63,6 +65,7 @@ class ControlUnitSettings:
     bitrate: int = 1_000_000
     serial_number: int = 1
     identity: Mapping[int, int] = field(default_factory=dict)
+    boards: tuple[int, int] = (1, 2)
     boot_s: float = 0.02
 
     def __post_init__(self) -> None:
@@ -138,6 +141,7 @@ class SimulatedControlUnit:
             self.scanner,
             serial_number=self.settings.serial_number,
             identity=self.settings.identity,
+            boards=self._boards,
         )
         sdo = self._node.sdo
         self._gate = SdoGate(
@@ -213,6 +217,10 @@ class SimulatedControlUnit:
     def power_cycle(self) -> None:
         """Lose power and come back: all values at their defaults, one boot-up after the boot."""
         self._reset(everything=True)
+
+    def _boards(self) -> tuple[int, int]:
+        first, second = self.settings.boards
+        return (second, first) if self.faults.pads_swapped else (first, second)
 
     def _reset(self, *, everything: bool) -> None:
         self._node.nmt.stop_heartbeat()

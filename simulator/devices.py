@@ -117,6 +117,7 @@ class CellDevices:
                 node_id=settings.node_id,
                 bitrate=settings.can_bitrate,
                 serial_number=settings.serial_number,
+                boards=settings.board_serial_numbers,
             ),
             faults=unit_faults,
             start_s=start_s,

@@ -72,6 +72,8 @@ class SimulatorSettings:
         Baud rate that the servos are set to.
     node_id, can_bitrate, serial_number
         Node id, bit rate in bit/s and serial number of the control unit.
+    board_serial_numbers
+        Those of the pads' boards on finger 0 and finger 1.
     foam, noise, seed
         The pads, the converter's noise, the seed of everything that comes by chance.
     objects
@@ -94,6 +96,7 @@ class SimulatorSettings:
     node_id: int = 5
     can_bitrate: int = 1_000_000
     serial_number: int = 1
+    board_serial_numbers: tuple[int, int] = (1, 2)
     foam: Foam = field(default_factory=Foam)
     noise: NoiseModel = field(default_factory=NoiseModel)
     seed: int = 0

@@ -45,6 +45,8 @@ class UnitDictionary:
         Object 0x1018:04.
     identity
         Other sub-indices of 0x1018 that differ from the EDS.
+    boards
+        Returns object 0x2103: the serial numbers of the pads' boards as they are plugged in.
 
     Attributes
     ----------
@@ -64,6 +66,7 @@ class UnitDictionary:
         *,
         serial_number: int,
         identity: Mapping[int, int] | None = None,
+        boards: Callable[[], tuple[int, int]] = lambda: (0, 0),
     ) -> None:
         self._node: Any = node
         self._scanner = scanner
@@ -92,6 +95,7 @@ class UnitDictionary:
             eds.LAST_FRAME: self._read_frame,
             eds.LAST_FRAME_COUNTER: lambda _subindex: scanner.read_counter,
             eds.TARE: self._read_tare,
+            eds.BOARDS: lambda subindex: boards()[subindex - 1] if subindex else None,
         }
         # The EDS gives thresholds for 8 bit; a unit with a finer converter scales them.
         self._defaults(scale)

@@ -35,6 +35,7 @@ def read_identity(objects: ObjectAccess) -> NodeIdentity:
         revision=objects.read_unsigned(eds.IDENTITY, eds.IDENTITY_REVISION),
         serial=objects.read_unsigned(eds.IDENTITY, eds.IDENTITY_SERIAL),
         name=objects.read_text(eds.DEVICE_NAME),
+        boards=(objects.read_unsigned(eds.BOARDS, 1), objects.read_unsigned(eds.BOARDS, 2)),
     )
 
 
@@ -46,7 +47,27 @@ def identity_checks(identity: NodeIdentity, expected: ExpectedIdentity) -> list[
         Check(what="product code", expected=expected.product_code, found=identity.product_code),
         Check(what="major revision", expected=major, found=identity.revision >> 16),
         Check(what="serial number", expected=expected.serial, found=identity.serial),
+        *(
+            Check(
+                what=f"pads' board of finger {finger}",
+                expected=None if expected.boards is None else expected.boards[finger],
+                found=identity.boards[finger],
+            )
+            for finger in (0, 1)
+        ),
     ]
+
+
+def refuse_swapped_boards(identity: NodeIdentity, expected: ExpectedIdentity, name: str) -> None:
+    """Raise IdentityMismatch if each finger has the pads of the other one."""
+    boards = expected.boards
+    if boards is not None and boards[0] != boards[1] and identity.boards == boards[::-1]:
+        raise IdentityMismatch(
+            f"the pads of the two fingers are exchanged at {name}: the board of finger 0 is "
+            f"{identity.boards[0]}, expected {boards[0]}, that of finger 1 is "
+            f"{identity.boards[1]}, expected {boards[1]}. Exchange their cables at the unit, or "
+            "correct tactile.board_serial_numbers"
+        )
 
 
 def layout_checks(objects: ObjectAccess, layout: TaxelLayout, node_id: int) -> list[Check]:

@@ -18,6 +18,7 @@ from tactile.commissioning import (
     layout_checks,
     read_identity,
     refuse_mismatch,
+    refuse_swapped_boards,
     set_up,
 )
 from tactile.errors import LinkFault, LinkStateError, NodeMissing
@@ -150,6 +151,7 @@ class TactileLink:
         session.command(_NMT_RESET_COMMUNICATION)
         session.wait_for(lambda: supervisor.boot_ups > 0, "did not boot")
         identity = read_identity(session.objects)
+        refuse_swapped_boards(identity, self._settings.identity, session.name)
         refuse_mismatch(identity_checks(identity, self._settings.identity), session.name)
         checks = layout_checks(session.objects, self._layout, self._node_id)
         refuse_mismatch(checks, session.name)

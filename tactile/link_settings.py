@@ -16,6 +16,8 @@ class NodeIdentity:
     revision: int
     serial: int
     name: str = ""
+    boards: tuple[int, int] = (0, 0)
+    """Serial numbers of the pads' boards on finger 0 and finger 1; 0 where a board has none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,6 +31,8 @@ class ExpectedIdentity:
     product_code: int | None = eds.PRODUCT_CODE
     revision: int | None = eds.REVISION
     serial: int | None = None
+    boards: tuple[int, int] | None = None
+    """Serial numbers of the pads' boards on finger 0 and finger 1."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

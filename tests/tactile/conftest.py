@@ -105,6 +105,8 @@ class ScriptedUnit:
             (eds.IDENTITY, 2): struct.pack("<L", eds.PRODUCT_CODE),
             (eds.IDENTITY, 3): struct.pack("<L", eds.REVISION + 7),
             (eds.IDENTITY, 4): struct.pack("<L", 4711),
+            (eds.BOARDS, 1): struct.pack("<L", 31),
+            (eds.BOARDS, 2): struct.pack("<L", 32),
             (eds.LAYOUT, 2): struct.pack("<H", layout.n_taxels),
             (eds.LAYOUT, 3): layout.layout_hash.encode(),
             (eds.LAYOUT, 4): struct.pack("<H", layout.adc_max),

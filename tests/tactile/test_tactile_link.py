@@ -164,6 +164,14 @@ def test_the_serial_number_tells_swapped_units_apart(make_bench) -> None:
         bench.link.start()
 
 
+def test_exchanged_pads_are_refused_by_the_serial_numbers_of_their_boards(make_bench) -> None:
+    assert make_bench(identity=ExpectedIdentity(boards=(31, 32))).link.start().boards == (31, 32)
+    with pytest.raises(IdentityMismatch, match="pads of the two fingers are exchanged"):
+        make_bench(identity=ExpectedIdentity(boards=(32, 31))).link.start()
+    with pytest.raises(IdentityMismatch, match=r"board of finger 1: expected 33 .* found 32"):
+        make_bench(identity=ExpectedIdentity(boards=(31, 33))).link.start()
+
+
 def test_a_unit_that_does_not_keep_its_set_up_is_refused(bench) -> None:
     def forget(index: int, sub: int, value: int, size: int) -> bytes:
         bench.unit.objects[index, sub] = (value // 2).to_bytes(size, "little")
