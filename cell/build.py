@@ -90,7 +90,7 @@ class Cell:
                 name: getattr(servos, name)
                 for name in ("transactions", "retries", "timeouts", "corrupt", "late")
             },
-            "loop": loop_values(loop) | {"undelivered": statistics.undelivered},
+            "loop": loop_values(loop, undelivered=statistics.undelivered),
             "recording": None
             if self._recorder is None or self._recorder.fault is None
             else str(self._recorder.fault),

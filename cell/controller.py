@@ -246,6 +246,7 @@ class CellController:
         try:
             self._hand.shutdown()
         finally:
+            self._journal.loop(self._hand.statistics)
             if stopping:
                 self._life.complete()
 
@@ -279,9 +280,12 @@ class CellController:
         """
         self._check_cancelled_between()
         self._life.go(Event.EXECUTE)
-        with self._life.latching_faults():
-            record = self._grasp(step, label)
-            self._life.complete()
+        try:
+            with self._life.latching_faults():
+                record = self._grasp(step, label)
+                self._life.complete()
+        finally:
+            self._journal.loop(self._hand.statistics)
         missing = _NOTHING_HELD.get(record.outcome.result)
         if missing is not None:
             raise NoPartFound(

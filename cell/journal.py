@@ -3,7 +3,9 @@
 from collections.abc import Sequence
 
 from cell.grasp_states import GraspState
+from cell.hand import HandStatistics
 from cell.identification import Identification
+from cell.loop_values import loop_values
 from cell.pose import Pose
 from cell.recording import Recorder
 from cell.states import CellState
@@ -61,6 +63,11 @@ class Journal:
         """Record that the newest frames make up this grasp."""
         if self._recorder is not None:
             self._recorder.grasp(grasp)
+
+    def loop(self, statistics: HandStatistics) -> None:
+        """Record how punctual the force loop was so far."""
+        if self._recorder is not None:
+            self._recorder.loop(loop_values(statistics.loop, undelivered=statistics.undelivered))
 
     def result(self, found: Identification) -> None:
         """Record the answer of a sequence, and what went wrong in whoever was told of it."""

@@ -5,12 +5,13 @@ from gripper.timing import Distribution, LoopStatistics
 DISTRIBUTIONS = ("lateness", "transaction", "sensor_age")
 
 
-def loop_values(statistics: LoopStatistics) -> dict[str, float]:
+def loop_values(statistics: LoopStatistics, *, undelivered: int = 0) -> dict[str, float]:
     """Return counts, and p50, p99, p99.9 and maximum of each duration in s, under flat names."""
     values: dict[str, float] = {
         name: getattr(statistics, name)
         for name in ("cycles", "overruns", "late", "missed_reads", "worst_lateness_s")
     }
+    values["undelivered"] = undelivered
     for name in DISTRIBUTIONS:
         found: Distribution = getattr(statistics, name)
         for quantile in ("p50_s", "p99_s", "p999_s", "max_s"):

@@ -191,6 +191,10 @@ class Recorder:
             },
         )
 
+    def loop(self, values: Mapping[str, float]) -> None:
+        """Record how punctual the loop was so far; see `cell.loop_values`."""
+        self._put(schema.LOOP, self._clock.monotonic(), dict(values))
+
     def grasp(self, grasp: Grasp) -> None:
         """Record that the newest frames make up this grasp.
 

@@ -80,7 +80,7 @@ class Recording:
         Both clocks at the start in ns.
     frames, cycles
         As arrays.
-    poses, events, results, states
+    poses, events, results, states, statistics
         Messages as plain objects, fields as in `recording_schema`.
     grasps
         The grasps of which every frame is there.
@@ -103,6 +103,7 @@ class Recording:
     events: tuple[dict[str, Any], ...] = ()
     results: tuple[dict[str, Any], ...] = ()
     states: tuple[dict[str, Any], ...] = ()
+    statistics: tuple[dict[str, Any], ...] = ()
     grasps: tuple[Grasp, ...] = ()
     n_broken_grasps: int = 0
     complete: bool = True
@@ -188,6 +189,7 @@ class _Builder:
             events=tuple(self.by_topic.get(schema.EVENT, ())),
             results=tuple(self.by_topic.get(schema.RESULT, ())),
             states=tuple(self.by_topic.get(schema.STATE, ())),
+            statistics=tuple(self.by_topic.get(schema.LOOP, ())),
             grasps=grasps,
             n_broken_grasps=n_broken,
             complete=not self.raw.lost_reason,

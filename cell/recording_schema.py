@@ -28,6 +28,7 @@ POSE: Final = "/sequence/pose"
 EVENT: Final = "/sequence/event"
 GRASP: Final = "/sequence/grasp"
 STATE: Final = "/cell/state"
+LOOP: Final = "/loop/statistics"
 RESULT: Final = "/result"
 
 
@@ -56,6 +57,15 @@ def _text(text: str) -> dict[str, Any]:
 
 def _numbers(text: str, item: str = "number") -> dict[str, Any]:
     return {"type": "array", "items": {"type": item}, "description": text}
+
+
+def _durations(name: str, text: str) -> dict[str, dict[str, Any]]:
+    """Return the four figures of a distribution of durations."""
+    shares = {"p50_s": "50 % at most", "p99_s": "99 % at most", "p999_s": "99.9 % at most"}
+    return {
+        f"{name}_{key}": _number(f"{text}, s: {share}")
+        for key, share in (shares | {"max_s": "the longest"}).items()
+    }
 
 
 def _schema(title: str, required: tuple[str, ...], **properties: Any) -> dict[str, Any]:
@@ -127,6 +137,20 @@ SCHEMAS: Final[Mapping[str, Mapping[str, Any]]] = {
         grasp=_text("state of the grip"),
         grasp_number=_integer("its number, 0 to 7"),
         wall_ns={"type": "integer", "description": "wall clock, ns since 1970; for people only"},
+    ),
+    LOOP: _schema(
+        "tactile_cell.LoopStatistics",
+        ("t_s", "cycles", "overruns", "late", "missed_reads", "undelivered"),
+        t_s=_number("monotonic time; all counts are since the loop was made, s"),
+        cycles=_integer("periods of the force loop"),
+        overruns=_integer("periods whose work was not done when the next one was due"),
+        late=_integer("periods that began more than half a period late"),
+        missed_reads=_integer("periods without feedback"),
+        undelivered=_integer("periods that did not reach the recording"),
+        worst_lateness_s=_number("largest lateness, s"),
+        **_durations("lateness", "how late periods began"),
+        **_durations("transaction", "time to read the servos"),
+        **_durations("sensor_age", "age of the force when it was used"),
     ),
     GRASP: _schema(
         "tactile_cell.Grasp",

@@ -174,7 +174,7 @@ class LoopRunner:
                     self._missed.keep_still(phase)
             sample = self._sensor.latest_force()
             if state is not None:
-                if sample is not None:
+                if needs_force and sample is not None:
                     self._timer.sensor_age(self._clock.monotonic() - sample.t_s)
                 if sample is not None and sample.valid:
                     fresh_s = max(fresh_s, sample.t_s)
@@ -191,6 +191,8 @@ class LoopRunner:
                 action = step(moment)
                 if action.goals is not None:
                     self._servos.write_goals(action.goals, state)
+                if self._settings.derates(state.temperature_c):
+                    self._timer.derated += 1
                 self._look_after_health(state)
                 if observer is not None:
                     observer(self._cycle(phase, moment, action))

@@ -182,6 +182,12 @@ def test_the_recording_holds_what_happened(make_bench: Callable[..., Any], tmp_p
     np.testing.assert_allclose(grasp.aperture_m, record.grasp.aperture_m, atol=1e-8)
     assert len(recording.poses) == 1
     assert [result["label"] for result in recording.results] == ["ball"]
+    assert [loop["overruns"] for loop in recording.statistics] == [0, 0]
+    after_grasp, at_end = recording.statistics
+    assert 100 < after_grasp["cycles"] <= at_end["cycles"]
+    assert after_grasp["lateness_max_s"] < 1e-6
+    assert 2e-4 < after_grasp["transaction_p50_s"] < 5e-3
+    assert 1e-3 < after_grasp["sensor_age_max_s"] < 0.1
     assert set(recording.cycles.phase) == {"OPENING", "APPROACHING", "RAMPING", "RELEASING"}
 
 

@@ -20,6 +20,7 @@ from mcap.writer import CompressionType, Writer
 from cell import recording_file, recording_salvage, recording_schema
 from cell.errors import RecordingError
 from cell.grasp_states import GraspState
+from cell.loop_values import loop_values
 from cell.pose import Pose
 from cell.recording import Recorder, read_recording, recording_grasps
 from cell.recording_file import BackgroundFile, DirectFile
@@ -27,6 +28,7 @@ from cell.recording_json import plain_fields
 from cell.states import CellState
 from gripper.force import ForceSample
 from gripper.state import Cycle, GripperPhase, GripperState, ServoState
+from gripper.timing import LoopStatistics
 from recognition.grasp import Grasp, PadArray
 from tactile.protocol import TactileFrame
 
@@ -125,6 +127,7 @@ def record(path: Path, n_grasps: int = 6) -> list[Grasp]:
         path, clock, pads=PADS, metadata={"config": "abc"}, wall_clock_ns=lambda: 1_700 * 10**9
     ) as recorder:
         recorder.state(CellState.HELD, GraspState.NO_PART_FOUND)
+        recorder.loop(loop_values(LoopStatistics(cycles=7, worst_lateness_s=0.5)))
         grasps = [record_grasp(recorder, clock, f"object {i}") for i in range(n_grasps)]
         recorder.result(
             label="object 1",
