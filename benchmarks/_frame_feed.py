@@ -28,9 +28,12 @@ def made_counts(n_frames: int) -> np.ndarray:
     return np.rint(np.clip(noise, 1.0, 20.0)).astype(np.uint16)
 
 
-def bursts(counts: np.ndarray) -> list[list[bytes]]:
+def bursts(counts: np.ndarray, first_counter: int = 0) -> list[list[bytes]]:
     """Return the payloads of each frame's messages."""
-    return [encode_frame(FORMAT, frame, number & 0xFFFF, 0) for number, frame in enumerate(counts)]
+    return [
+        encode_frame(FORMAT, frame, number & 0xFFFF, 0)
+        for number, frame in enumerate(counts, start=first_counter)
+    ]
 
 
 def messages_of(payloads: Sequence[Sequence[bytes]]) -> list[list[can.Message]]:
