@@ -12,7 +12,7 @@ from recognition.features_profile import profile_features
 from recognition.features_surface import surface_features
 from recognition.ramp_levels import Levels
 
-FEATURE_VERSION = 2
+FEATURE_VERSION = 3
 """Changes with every change of a feature: models of another version are refused."""
 
 FeatureGroups = dict[str, NDArray[np.float64]]

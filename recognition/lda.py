@@ -67,6 +67,7 @@ def fit_lda(
     n_classes: int,
     *,
     shrinkage: float | None = None,
+    min_shrinkage: float = 0.0,
     n_independent: int | None = None,
     weight: NDArray[np.float64] | None = None,
 ) -> LinearDiscriminant:
@@ -83,6 +84,8 @@ def fit_lda(
     shrinkage
         Share of the identity in the correlation matrix, 0 to 1; None for the oracle approximating
         shrinkage (Chen et al. 2010, eq. 23).
+    min_shrinkage
+        The least share where it is not given.
     n_independent
         Number of independent rows where others are variations of them; None for all.
     weight : (n,)
@@ -115,9 +118,10 @@ def fit_lda(
     within = within / scale
     covariance = within.T @ within / freedom
     independent = n if n_independent is None else n_independent
-    rho = (
-        _oas(covariance, max(1, independent - n_classes)) if shrinkage is None else float(shrinkage)
-    )
+    if shrinkage is None:
+        rho = max(min_shrinkage, _oas(covariance, max(1, independent - n_classes)))
+    else:
+        rho = float(shrinkage)
     level = float(np.trace(covariance)) / n_features
     covariance *= 1.0 - rho
     covariance[np.diag_indices(n_features)] += rho * level + 1e-9

@@ -2,12 +2,13 @@
 
 The likelihood of a class has heavy tails (multivariate t): grasps of another minute lie further
 out than those that taught, and a normal density would then rather believe in a large drift than in
-such a grasp. It is the geometric mean of two: around the centre of the class, and around its taught
-grasps.
+such a grasp. It is the geometric mean of two: around the centre of the class, with a covariance of
+its own, and around its taught grasps.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Self
 
 import numpy as np
@@ -16,12 +17,17 @@ from scipy.special import logsumexp
 
 from recognition.lda import LinearDiscriminant, fit_lda
 from recognition.novelty import novelty_signs
+from recognition.recognizers._class_spread import ClassSpread, fit_spread
 
 _FREEDOM = 3.0
 _VIRTUAL_WEIGHT = 0.3
 _MAX_HYPOTHESES = 24
 """Drifts that the taught grasps are compared under: the likeliest ones; others hardly count."""
 _PARTS = 4
+_DOUBT = 2.0
+"""The likelihood of a drift is taken to this root: features are not as independent as it says."""
+_MIN_SHRINKAGE = 0.15
+"""Grasps of another placing vary in other directions than the taught ones do."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -78,6 +84,8 @@ class Evidence:
         Their classes.
     log_weight : (m,) float64
         Logarithm of how much each of them counts; those of a class sum to 1.
+    spread
+        How the grasps of each class vary in that space.
     """
 
     discriminant: LinearDiscriminant
@@ -85,6 +93,7 @@ class Evidence:
     samples: NDArray[np.float64]
     sample_class: NDArray[np.int64]
     log_weight: NDArray[np.float64]
+    spread: ClassSpread
 
     @property
     def n_signs(self) -> int:
@@ -102,6 +111,16 @@ class Evidence:
             signs=np.array([signs for _, signs in found]),
         )
 
+    def under_drifts(self, rows: Rows) -> NDArray[np.float64]:
+        """Return (n, G, O): log likelihood of each drift, whatever was held, up to a constant."""
+        shape = rows.tactile.shape[1], rows.aperture.shape[1]
+        found = []
+        for tactile, aperture in zip(rows.tactile, rows.aperture, strict=True):
+            distance = self._distances(*self._project(tactile, aperture))
+            told = -self._exponent * np.log1p(distance / self._rank)
+            found.append(logsumexp(told / _DOUBT, axis=1).reshape(shape))
+        return np.array(found)
+
     def _tell_one(
         self,
         tactile: NDArray[np.float64],
@@ -114,16 +133,23 @@ class Evidence:
         expected = int(np.argmax(log_prior))
         order = np.argsort(-(log_prior + centre.max(axis=1)))[:_MAX_HYPOTHESES]
         order = np.append(order[order != expected], expected)
-        distance, centre, log_prior = distance[order], centre[order], log_prior[order]
+        distance, log_prior = distance[order], log_prior[order]
         gain, offset = np.divmod(order, len(aperture))
-        squared = self._to_samples(touch[gain] + opening[offset])
-        near = self._near(squared)
-        together = log_prior[:, None] + 0.5 * (centre + near)
+        z = touch[gain] + opening[offset]
+        squared = self._to_samples(z)
+        around = self._around(z, distance)
+        together = log_prior[:, None] + 0.5 * (around + self._near(squared))
         opinion = None
         if self.second is not None:
             opinion = self.second.distances(tactile[[expected // len(aperture)]])
         signs = novelty_signs(distance[-1:], squared[-1:].min(axis=1), opinion)[0]
         return np.asarray(logsumexp(together, axis=0), dtype=np.float64), signs
+
+    def _around(self, z: NDArray[np.float64], distance: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (h, C) logarithms of the likelihood around the centre of each class."""
+        own = self.spread.distances(z, distance) / self._rank
+        around: NDArray[np.float64] = -self._exponent * np.log1p(own) - self.spread.log_volume
+        return around
 
     def _near(self, squared: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (h, C) logarithms of the likelihood around the taught grasps of each class."""
@@ -180,6 +206,7 @@ class Evidence:
             f"{prefix}log_weight": self.log_weight,
             f"{prefix}has_second": np.array(self.second is not None),
             **self.discriminant.to_arrays(f"{prefix}lda_"),
+            **self.spread.to_arrays(f"{prefix}spread_"),
         }
         if self.second is not None:
             arrays |= self.second.to_arrays(f"{prefix}second_")
@@ -197,6 +224,7 @@ class Evidence:
             samples=arrays[f"{prefix}samples"],
             sample_class=arrays[f"{prefix}sample_class"],
             log_weight=arrays[f"{prefix}log_weight"],
+            spread=ClassSpread.from_arrays(arrays, f"{prefix}spread_"),
         )
 
 
@@ -236,17 +264,25 @@ def fit_evidence(
         weight = np.concatenate([weight, np.full(n, _VIRTUAL_WEIGHT)])
     if n <= n_classes:
         rows, labels, weight = features, classes, np.ones(n)
-    first = fit_lda(rows, labels, n_classes, n_independent=n, weight=weight)
-    second = None
-    if n_second is not None:
-        second = fit_lda(rows[:, :n_second], labels, n_classes, n_independent=n, weight=weight)
+    teach = partial(
+        fit_lda,
+        classes=labels,
+        n_classes=n_classes,
+        min_shrinkage=_MIN_SHRINKAGE,
+        n_independent=n,
+        weight=weight,
+    )
+    first = teach(rows)
+    second = None if n_second is None else teach(rows[:, :n_second])
     order = np.argsort(labels, kind="stable")
     labels, weight = labels[order], weight[order]
     total = np.bincount(labels, weights=weight, minlength=n_classes)
+    samples = first.project(rows[order])
     return Evidence(
         discriminant=first,
         second=second,
-        samples=first.project(rows[order]),
+        samples=samples,
         sample_class=labels,
         log_weight=np.log(weight / total[labels]),
+        spread=fit_spread(samples, labels, weight, first.centres),
     )

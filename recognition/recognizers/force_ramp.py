@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recognition.drift import CERTAIN, DriftGrid, drift_grid, undo_gains
+from recognition.drift_following import follow
 from recognition.features import FEATURE_VERSION, feature_groups
 from recognition.features_aperture import aperture_features, undo_offsets
 from recognition.features_footprint import PadGrid, pad_grid
@@ -19,6 +20,7 @@ from recognition.recognizer import Posterior
 from recognition.recognizers._evidence import Rows
 from recognition.recognizers._view import Lesson, View, fit_view
 from recognition.splits import by_label
+from recognition.taxel_gain import TaxelGains, learn_taxel_gains
 from recognition.virtual import can_change_sides, change_sides, turn
 
 _SINGLE_GROUPS = ("surface",)
@@ -41,6 +43,8 @@ class ForceRamp:
         The taught objects, sorted.
     rest
         The untouched pads.
+    taxel_gains
+        How strongly each taxel answers beside its neighbours.
     touch
         The view of touch alone, for grasps whose opening is unknown.
     both
@@ -51,6 +55,7 @@ class ForceRamp:
 
     labels: tuple[str, ...]
     rest: Rest
+    taxel_gains: TaxelGains
     touch: View
     both: View | None
     grid: DriftGrid
@@ -60,7 +65,7 @@ class ForceRamp:
 
         A grasp that never touched both pads tells nothing: even probabilities, surely unknown.
         """
-        levels = load_levels([grasp], self.rest)
+        levels = self.taxel_gains.undo(load_levels([grasp], self.rest))
         if not levels.touched[0]:
             even = np.full(len(self.labels), 1.0 / len(self.labels))
             return Posterior(labels=self.labels, probability=even, unknown=1.0)
@@ -85,7 +90,7 @@ class ForceRamp:
             )
         if not grasps:
             raise ValueError("no gauge grasps: grasp the gauge object about three times")
-        levels = load_levels(grasps, self.rest)
+        levels = self.taxel_gains.undo(load_levels(grasps, self.rest))
         levels = levels.take(levels.touched)
         if len(levels) == 0:
             raise ValueError("no gauge grasp touched both pads: grasp the gauge object again")
@@ -111,6 +116,21 @@ class ForceRamp:
         )
         return replace(self, grid=grid)
 
+    def following(self, grasps: Sequence[Grasp]) -> "ForceRamp":
+        """Return a copy that has learnt of the drift from grasps of one object, whatever it was.
+
+        Several objects in turn show the drift together. Grasps that missed tell nothing. Raises
+        ValueError for pads other than the taught ones.
+        """
+        levels = self.taxel_gains.undo(load_levels(grasps, self.rest)) if grasps else None
+        if levels is None or not np.any(levels.touched) or len(self.labels) == 1:
+            return self
+        levels = levels.take(levels.touched)
+        view, grid = self._view(levels)
+        rows = _rows(levels, _grids(self.rest), len(self.labels), grid, opening=view is self.both)
+        told = view.evidence.under_drifts(rows)
+        return replace(self, grid=follow(self.grid, told, view.drift_bias))
+
     def _view(self, levels: Levels, grid: DriftGrid | None = None) -> tuple[View, DriftGrid]:
         grid = self.grid if grid is None else grid
         if self.both is not None and np.all(np.isfinite(aperture_features(levels))):
@@ -124,6 +144,7 @@ class ForceRamp:
             "labels": np.array(self.labels),
             "has_both": np.array(self.both is not None),
             **self.rest.to_arrays(),
+            **self.taxel_gains.to_arrays(),
             **self.grid.to_arrays("drift_"),
             **self.touch.to_arrays("touch_"),
         }
@@ -140,9 +161,11 @@ class ForceRamp:
                     f"the model has features of version {int(arrays['feature_version'])}, "
                     f"here is {FEATURE_VERSION}: train again"
                 )
+            rest = Rest.from_arrays(arrays)
             return cls(
                 labels=tuple(str(label) for label in arrays["labels"]),
-                rest=Rest.from_arrays(arrays),
+                rest=rest,
+                taxel_gains=TaxelGains.from_arrays(arrays, len(rest.gripping)),
                 grid=DriftGrid.from_arrays(arrays, "drift_"),
                 touch=View.from_arrays(arrays, "touch_"),
                 both=View.from_arrays(arrays, "both_") if bool(arrays["has_both"]) else None,
@@ -189,6 +212,8 @@ class ForceRampTrainer:
                 f"{MIN_GRASPS}, or its variation is not known: teach more, and press harder"
             )
         levels, grids, n = levels.take(touched), _grids(rest), len(labels)
+        taxel_gains = learn_taxel_gains(levels, grids)
+        levels = taxel_gains.undo(levels)
         known = np.all(np.isfinite(aperture_features(levels)), axis=1)
         grid = drift_grid() if n > 1 else CERTAIN
         both = None
@@ -199,6 +224,7 @@ class ForceRampTrainer:
         return ForceRamp(
             labels=tuple(labels.tolist()),
             rest=rest,
+            taxel_gains=taxel_gains,
             touch=fit_view(_lesson(levels, grids, classes, n, grid=grid.gain_only, opening=False)),
             both=both,
             grid=grid,
