@@ -215,10 +215,14 @@ def send_error(error: BaseException) -> SentError:
     """Return what the other process makes the same error of."""
     kind = type(error)
     known = (kind.__module__, kind.__name__) in _CLASSES
+    args = tuple(error.args)
+    if isinstance(error, OSError) and error.filename is not None:
+        # The file is no argument any more, but its place is known.
+        args = (*args[:2], error.filename)
     return SentError(
         tree=kind.__module__,
         name=kind.__name__,
-        args=tuple(error.args) if known else (str(error),),
+        args=args if known else (str(error),),
         attributes=dict(vars(error)) if known else {},
         trace="" if known else "".join(traceback.format_exception(error)),
     )
@@ -233,7 +237,8 @@ def received_error(sent: SentError) -> BaseException:
         return unknown
     # The class's own __init__ makes a text of other arguments than those that the error holds.
     error = kind.__new__(kind, *sent.args)
-    error.args = sent.args
+    if not (isinstance(error, OSError) and error.filename is not None):
+        error.args = sent.args
     for name, value in sent.attributes.items():
         setattr(error, name, value)
     return error
