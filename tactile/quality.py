@@ -24,6 +24,7 @@ _CALM_SHARE = 0.1
 is no touch, the foam spreads every force over them."""
 _LEAST_CALM = 2
 _CONSECUTIVE = 2
+_ROUNDING_S = 1e-3
 _DRIFT_SIGMA = 6.0
 _MEDIAN_SPREAD = 1.25
 """Standard deviation of a median over that of a mean, for normal noise."""
@@ -46,7 +47,7 @@ class QualityLimits:
         Of the full scale: so far the untouched pads may be from their zero.
     """
 
-    frozen_s: float = 0.1
+    frozen_s: float = 0.08
     stuck_frames: int = 25
     force_step_n: float = 1.0
     width_step_m: float = 5e-4
@@ -136,7 +137,7 @@ class QualityWatch:
 
     def _check_frozen(self, frozen_s: float, *, touched: bool) -> None:
         limits = self._limits
-        if frozen_s < limits.frozen_s:
+        if frozen_s < limits.frozen_s - _ROUNDING_S:
             return
         if self._tare is not None and self._tare.health.noisy:
             why = f"allowed are {limits.frozen_s:g} s"
@@ -168,21 +169,21 @@ class QualityWatch:
         calm = (most < _CALM_SHARE * full) & (others.sum(axis=1) >= _LEAST_CALM)
         self._broken[np.flatnonzero(odd)[calm]] = True
 
-    def drift_beside(self, tared: Values) -> str:
+    def drift_beside(self, tared: Values, void: Mask) -> str:
         """Say how far the pads that no grasp presses are from their zero; empty within the limit.
 
         Parameters
         ----------
         tared : (n_taxels,) float64
             Tared counts, averaged.
+        void : (n_taxels,) bool
+            Taxels that are bad or at full scale and say nothing of the zero.
         """
-        if self._tare is None or not len(self._beside):
+        if self._tare is None:
             return ""
-        drift = float(np.median(tared[self._beside]))
-        limit = self._drift_limit(self._beside)
-        return "" if abs(drift) <= limit else _drifted("the pads beside the grip", drift, limit)
+        return self._drift_of(self._beside, "the pads beside the grip", tared, void)
 
-    def drift_anywhere(self, tared: Values) -> str:
+    def drift_anywhere(self, tared: Values, void: Mask) -> str:
         """Say which pad is from its zero while nothing grips; empty within the limit.
 
         Half of a pad's taxels may be touched. Parameters as `drift_beside`.
@@ -191,10 +192,23 @@ class QualityWatch:
             return ""
         for index, pad in enumerate(self._layout.pads):
             taxels = np.arange(self._layout.n_taxels)[self._layout.taxels_of(index)]
-            drift, limit = float(np.median(tared[taxels])), self._drift_limit(taxels)
-            if abs(drift) > limit:
-                return _drifted(f"pad {pad.name}", drift, limit)
+            drifted = self._drift_of(taxels, f"pad {pad.name}", tared, void)
+            if drifted:
+                return drifted
         return ""
+
+    def _drift_of(self, taxels: NDArray[np.int64], what: str, tared: Values, void: Mask) -> str:
+        good = taxels[~void[taxels]]
+        if 2 * len(good) <= len(taxels):
+            return ""
+        drift, limit = float(np.median(tared[good])), self._drift_limit(good)
+        if abs(drift) <= limit:
+            return ""
+        return (
+            f"the zero of {what} has drifted by {drift:+.1f} counts, allowed are {limit:.1f}: let "
+            "the sensor come to an even temperature, clear the pads, then start the cell to take "
+            "a new zero"
+        )
 
     def _drift_limit(self, taxels: NDArray[np.int64]) -> float:
         """Return the allowed drift in counts: the limit, or what noise alone may do."""
@@ -205,10 +219,3 @@ class QualityWatch:
         share = np.sqrt((1.0 / self._mean_frames + 1.0 / tare.n_frames) / len(taxels))
         by_chance = _DRIFT_SIGMA * _MEDIAN_SPREAD * noise * float(share)
         return max(self._limits.drift_share * self._layout.adc_max, by_chance)
-
-
-def _drifted(what: str, drift: float, limit: float) -> str:
-    return (
-        f"the zero of {what} has drifted by {drift:+.1f} counts, allowed are {limit:.1f}: let the "
-        "sensor come to an even temperature, clear the pads, then start the cell to take a new zero"
-    )

@@ -19,7 +19,7 @@ from tactile.link_settings import NodeIdentity
 from tactile.protocol import FrameStatus, TactileFrame
 from tactile.quality import QualityWatch
 from tactile.reading import SensorSettings, TactileReading
-from tactile.tare import TareResult, compute_tare
+from tactile.tare import TareResult, compute_tare, too_many_bad
 from tactile.touch import ActiveTaxels
 
 __all__ = ["FrameSource", "SensorSettings", "TactileReading", "TactileSensor"]
@@ -189,7 +189,8 @@ class TactileSensor:
             When a pad as a whole has moved: forces and shapes measured with this zero are wrong.
         """
         if self._latest is not None and self._mean.full:
-            drift = self._quality.drift_anywhere(self._latest.tared_counts)
+            latest = self._latest
+            drift = self._quality.drift_anywhere(latest.tared_counts, latest.bad | latest.saturated)
             if drift:
                 raise ZeroDrifted(drift)
 
@@ -267,12 +268,14 @@ class TactileSensor:
             return "the unit has taken or dropped a zero of its own since the tare"
         if not self._mean.full:
             return "too few frames since the tare or the last gap"
-        return self._grip_objection(saturated, bad) or self._quality.drift_beside(tared)
+        grip = self._grip_objection(saturated, bad)
+        return grip or self._quality.drift_beside(tared, bad | saturated)
 
     def _grip_objection(self, saturated: NDArray[np.bool_], bad: NDArray[np.bool_]) -> str:
         for finger, taxels in enumerate(self._grips):
             if saturated[taxels].any():
                 return f"{np.count_nonzero(saturated[taxels])} taxels of finger {finger} saturated"
-            if float(np.mean(bad[taxels])) > self._settings.bad_share:
+            n_bad = int(np.count_nonzero(bad[taxels]))
+            if too_many_bad(n_bad, taxels.stop - taxels.start, self._settings.bad_share):
                 return f"{np.count_nonzero(bad[taxels])} taxels of finger {finger} bad"
         return ""

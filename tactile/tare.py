@@ -30,7 +30,8 @@ class TareLimits:
     drift_share
         No region may differ by more between the first and the second half of the frames.
     bad_share
-        At most this share of the taxels of any pad may be bad.
+        At most this share of the taxels of any pad may be bad; one of a pad always may, unless
+        the share is 0.
     """
 
     offset_share: float = 0.12
@@ -42,7 +43,7 @@ class TareLimits:
     def __post_init__(self) -> None:
         for name in ("offset_share", "bump_share", "pad_share", "drift_share", "bad_share"):
             value = getattr(self, name)
-            if not 0.0 < value <= 1.0:
+            if not (0.0 < value <= 1.0 or (name == "bad_share" and value == 0.0)):
                 raise ValueError(f"{name} is {value}, must be above 0 and at most 1")
 
 
@@ -71,6 +72,11 @@ class TareResult:
     t_s: float
 
 
+def too_many_bad(n_bad: int, n_taxels: int, share: float) -> bool:
+    """Say whether more taxels of a pad are bad than a share allows; 1 of a small pad may be."""
+    return n_bad > (max(1.0, share * n_taxels) if share > 0.0 else 0.0)
+
+
 def compute_tare(
     hood: Neighbourhood, frames: NDArray[np.uint16], limits: TareLimits, t_s: float
 ) -> TareResult:
@@ -80,11 +86,11 @@ def compute_tare(
         raise TareRefused(f"a tare of {len(frames)} frames, at least {LEAST_FRAMES} are needed")
     health = assess_health(frames, layout.adc_max)
     for index, pad in enumerate(layout.pads):
-        share = float(np.mean(health.bad[layout.taxels_of(index)]))
-        if share > limits.bad_share:
+        n_bad = int(np.count_nonzero(health.bad[layout.taxels_of(index)]))
+        if too_many_bad(n_bad, pad.n_taxels, limits.bad_share):
             raise TareRefused(
-                f"{share:.0%} of the taxels of pad {pad.name} are bad ({health.summary()} on all "
-                f"pads), allowed are {limits.bad_share:.0%}: check its cable, or replace it"
+                f"{n_bad / pad.n_taxels:.0%} of the taxels of pad {pad.name} are bad "
+                f"({health.summary()} on all pads), allowed are {limits.bad_share:.0%}: check its cable, or replace it"
             )
     offset = fill_bad(hood, frames.mean(axis=0, dtype=np.float64), health.bad)
     _refuse_touch(hood, offset, limits)
