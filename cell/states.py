@@ -158,10 +158,11 @@ def next_state(state: CellState, event: Event) -> CellState:
     try:
         return TRANSITIONS[state, event]
     except KeyError:
-        allowed = sorted(e.value for s, e in TRANSITIONS if s is state and e is not Event.FAULT)
+        asked = {*_EVENT_OF.values(), Event.STOP}
+        allowed = sorted(e.value for s, e in TRANSITIONS if s is state and e in asked)
         raise ValueError(
             f"{event.value!r} is not allowed while the cell is {state.value}; "
-            f"allowed: {', '.join(allowed) or 'nothing'}"
+            f"allowed: {', '.join(allowed) or 'cancel'}"
         ) from None
 
 
