@@ -15,6 +15,7 @@ TOLERANCE = 0.02
 """Share of the cap by which numbers may differ."""
 _TORQUE, _ERROR = 64, 70
 _LETTING_GO = (GripperPhase.RELEASING, GripperPhase.OPENING)
+_MOTIONS = (*_LETTING_GO, GripperPhase.APPROACHING, GripperPhase.RAMPING)
 _FAULTED = (CellState.ABORTING, CellState.ABORTED, CellState.CLEARING, CellState.RESETTING)
 
 
@@ -68,7 +69,8 @@ class InvariantMonitor:
         self._simulated = simulated
         self._force_max_n = force_max_n
         self._cell: Cell | None = None
-        self._asked = False
+        self._asked = self._torque_asked = False
+        self._motion: GripperPhase | None = None
         self._deadline_s = float("inf")
         self._counters: dict[str, object] | None = None
         self._torque = self._torques()
@@ -87,13 +89,13 @@ class InvariantMonitor:
         self._counters = None if self._cell is None else self._cell.health()
 
     @contextmanager
-    def release_asked(self) -> Iterator[None]:
-        """Allow the fingers to let go: somebody asked for it."""
-        self._asked = True
+    def release_asked(self, *, motion: bool = True) -> Iterator[None]:
+        """Allow the fingers to let go: somebody asked for it, by a motion or by a reboot."""
+        self._asked, self._torque_asked = True, motion
         try:
             yield
         finally:
-            self._asked = False
+            self._asked = self._torque_asked = False
 
     @contextmanager
     def bounded(self, seconds: float) -> Iterator[None]:
@@ -135,6 +137,9 @@ class InvariantMonitor:
     def _look(self, now_s: float) -> None:
         force_n = self._simulated.world.contact_force_n()
         controller = None if self._cell is None else self._cell.controller
+        phase = self._phase()
+        if phase in _MOTIONS:
+            self._motion = phase
         if max(force_n) > self._force_max_n * (1.0 + TOLERANCE) and not self.world_pushes:
             self._break(f"force {max(force_n):.2f} N, the cap is {self._force_max_n:g} N")
         touching = min(force_n) > CONTACT_N
@@ -159,7 +164,8 @@ class InvariantMonitor:
     ) -> None:
         state = None if controller is None else controller.state
         for number, (before, after) in enumerate(zip(self._torque, torque, strict=True)):
-            if after and not before and not self._asked and (state is None or state in _FAULTED):
+            faulted = state is None or state in _FAULTED
+            if after and not before and faulted and not self._torque_asked:
                 self._break(f"torque of servo {number + 1} on while {state}, without a reset")
             by_itself = blame[number] != self._blame[number]
             if (
@@ -190,7 +196,8 @@ class InvariantMonitor:
         return None if self._cell is None else self._cell.controller.hand.phase
 
     def _letting_go(self) -> bool:
-        return self._phase() in _LETTING_GO
+        """Return whether the last motion was one that lets go: a fault then stops it half-way."""
+        return self._motion in _LETTING_GO
 
     def _tell_time(self, now_s: float, controller: CellController) -> None:
         self.states.add(controller.state)

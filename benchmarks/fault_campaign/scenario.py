@@ -55,6 +55,20 @@ def campaign_config(**changes: Any) -> CellConfig:
     return CellConfig.model_validate_json(json.dumps(values))
 
 
+def machine_config(*, self_test: bool) -> CellConfig:
+    """Return a config whose commands take little time: coarse pads, a slow loop, short ways."""
+    return campaign_config(
+        tactile__layout=COARSE_PADS,
+        gripper__loop_rate_hz=100.0,
+        gripper__aperture_open_mm=12.0,
+        gripper__approach_speed_mm_s=20.0,
+        gripper__watchdog_self_test=self_test,
+        gripper__contact_timeout_s=2.0,
+        sequence__ramp={"kind": "linear", "rate_n_s": 20.0, "hold_s": 0.05},
+        sequence__max_grasps=2,
+    )
+
+
 @dataclass(kw_only=True)
 class CampaignCell:
     """A simulated cell, its controller, and who watches both.

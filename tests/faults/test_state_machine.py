@@ -1,0 +1,142 @@
+"""Random commands and faults: after each step all invariants hold; 10,000 steps in all."""
+
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+
+from benchmarks.fault_campaign import driver, machine
+from benchmarks.fault_campaign.driver import Driver
+from benchmarks.fault_campaign.invariants import InvariantBroken
+from benchmarks.fault_campaign.machine import run_all, run_machine
+from benchmarks.fault_campaign.texts import fault_texts
+from gripper.gripper import Gripper
+from gripper.registers import REGISTERS
+from simulator.faults import check_fault
+
+PIECES = 10
+STEPS = 1000
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("number", range(1, PIECES + 1))
+def test_whatever_is_asked_and_whatever_fails_all_invariants_hold(number: int) -> None:
+    outcome = run_machine(STEPS, number)
+    assert not outcome.defect, outcome.defect
+    assert outcome.steps >= STEPS
+
+
+@given(fault_texts())
+@settings(derandomize=True, max_examples=200, deadline=None)
+def test_the_machine_draws_faults_that_there_are(text: str) -> None:
+    check_fault(text)
+
+
+# What the machine is for: each of these defects, put in on purpose, is found.
+
+
+def drive(*, fault: str = "can.off@contact+100ms") -> None:
+    """Fail in a grasp, clear it, and go on."""
+    cell = Driver(self_test=False)
+    try:
+        cell.start()
+        cell.inject(fault)
+        cell.grasp(0.0, 3.0, 0.0)
+        cell.wait(0.1)
+        cell.recover()
+        cell.identify(3.0)
+    finally:
+        cell.close()
+
+
+def test_nothing_is_broken_as_it_is() -> None:
+    drive()
+
+
+def test_a_grip_that_a_fault_opens_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    keep = Gripper.keep_grip
+
+    def open_instead(gripper: Gripper) -> None:
+        keep(gripper)
+        for servo in gripper._settings.servos:
+            gripper._bus.write(servo.servo_id, REGISTERS["torque_enable"], 0)
+
+    monkeypatch.setattr(Gripper, "keep_grip", open_instead)
+    with pytest.raises(InvariantBroken, match="torque of servo 1 off with a part in the grip"):
+        drive()
+
+
+def test_torque_that_comes_back_by_itself_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    clear = Gripper.clear_fault
+
+    def clear_and_restart(gripper: Gripper, *, reboot: bool) -> None:
+        clear(gripper, reboot=reboot)
+        for servo in gripper._settings.servos:
+            gripper._bus.write(servo.servo_id, REGISTERS["torque_enable"], 1)
+
+    monkeypatch.setattr(Gripper, "clear_fault", clear_and_restart)
+    complaint = r"torque of servo . on while CLEARING, without a reset"
+    with pytest.raises(InvariantBroken, match=complaint):
+        drive(fault="servo1.overload@contact+50ms")
+
+
+def test_a_force_above_the_cap_is_found() -> None:
+    cell = Driver(self_test=False)
+    cell.start()
+    cell.grasp(0.0, 3.0, 0.0)
+    cell.monitor._force_max_n = 2.0
+    with pytest.raises(InvariantBroken, match="the cap is 2 N"):
+        cell.grasp(0.0, 3.0, 0.0)
+    cell.monitor.broken.clear()
+    cell.close()
+
+
+def test_frames_that_nobody_scanned_are_found() -> None:
+    cell = Driver(self_test=False)
+    cell.start()
+    cell._watch_scans = lambda _now_s: None  # type: ignore[method-assign]
+    cell._scanned.clear()
+    cell.simulated.clock.on_advance.pop()
+    with pytest.raises(InvariantBroken, match="never scanned"):
+        cell.identify(3.0)
+    cell.monitor.broken.clear()
+    cell.close()
+
+
+def test_an_error_without_a_type_and_a_command_without_an_end_are_found() -> None:
+    cell = Driver(self_test=False)
+
+    def fail() -> None:
+        raise KeyError("nobody expects it")
+
+    def hang() -> None:
+        while True:
+            cell.simulated.clock.sleep(0.1)
+
+    for call, complaint in ((fail, "ended with KeyError"), (hang, "did not end within its time")):
+        with pytest.raises(InvariantBroken, match=complaint):
+            cell.command("x", call)
+        cell.monitor.broken.clear()
+    cell.close()
+
+
+def test_the_campaign_runs_pieces_until_steps_or_time_are_over(monkeypatch: Any) -> None:
+    told: list[str] = []
+    outcome = run_all(60, first_seed=3, jobs=1, progress=told.append)
+    assert outcome.steps >= 60
+    assert not outcome.defect
+    assert told == [f"state machine: {outcome.steps:,} of 60 steps"]
+    monkeypatch.setattr(
+        machine,
+        "run_all",
+        lambda *_a, **_k: machine.Outcome(steps=5, seconds=1.0, defect="seed 1: x"),
+    )
+    assert machine.main(["--steps", "5"]) == 1
+
+
+def test_a_hypothesis_run_tells_its_seed_and_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(driver.Driver, "wait", lambda self, _s: self.monitor.broken.append("so"))
+    outcome = run_machine(400, 1)
+    assert outcome.defect.startswith("seed 100")
+    assert "InvariantBroken: so" in outcome.defect
+    assert "\nafter\n" in outcome.defect
