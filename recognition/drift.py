@@ -123,6 +123,14 @@ class DriftGrid:
     log_prior: NDArray[np.float64]
 
     @property
+    def likeliest(self) -> Drift:
+        """The drift that is likeliest."""
+        gain, offset = np.unravel_index(int(np.argmax(self.log_prior)), self.log_prior.shape)
+        return Drift(
+            gain=float(self.gains[gain]), aperture_offset_m=float(self.offsets_mm[offset]) * 1e-3
+        )
+
+    @property
     def gain_only(self) -> "DriftGrid":
         """The same without the opening."""
         prior = np.asarray(logsumexp(self.log_prior, axis=1, keepdims=True), dtype=np.float64)

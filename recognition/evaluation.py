@@ -18,6 +18,7 @@ from recognition.metrics import (
     wilson_interval,
 )
 from recognition.recognizer import Posterior, Recognizer, Trainer
+from recognition.shift import ShiftFigures, evaluate_shift
 from recognition.splits import (
     by_label,
     chronological_split,
@@ -95,6 +96,8 @@ class Evaluation:
         Share of grasps of left-out objects with ``unknown`` above 0.5; NaN where not measured.
     confusion : (C, C) int64
         Row = what it was, column = the likeliest label.
+    shift
+        The same grasps in a mixed order, followed; None for a recogniser that does not follow.
     """
 
     trainer: str
@@ -111,6 +114,7 @@ class Evaluation:
     unknown_auroc: float
     unknown_rejected: float
     confusion: NDArray[np.int64]
+    shift: ShiftFigures | None = None
 
 
 def evaluate(
@@ -183,6 +187,7 @@ def evaluate(
         unknown_auroc=float(np.mean(areas)) if areas else float("nan"),
         unknown_rejected=float(np.mean(np.array(strange) > 0.5)) if strange else float("nan"),
         confusion=confusion_matrix(truth, [p.best for p in posteriors], recognizer.labels),
+        shift=evaluate_shift(recognizer, known, seed),
     )
 
 

@@ -236,4 +236,12 @@ def _print_evaluation(result: EvaluationResult) -> None:
             )
     out.print(table)
     say("per cent right; AUROC: objects left out of teaching told from taught ones")
+    for name, figures in result.recognizers.items():
+        shift = figures.full.shift
+        if shift is not None:
+            say(
+                f"{name} in a shift of mixed objects, after its first {shift.before} grasps: "
+                f"{percent(shift.accuracy, shift.interval)}, "
+                f"{100 * shift.known_rejected:.1f} % called UNKNOWN"
+            )
     say(f"{result.seconds:.1f} s")

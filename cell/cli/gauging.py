@@ -11,17 +11,24 @@ from cell.cli.running import pads_of, running_cell, seeded
 from cell.config_file import load_config
 from cell.dataset import read_dataset
 from cell.errors import ConfigError
-from cell.jobs.calibrating import GAUGE_GRASPS, calibrate_model
+from cell.jobs.calibrating import GAUGE_GRASPS, calibrate_model, follow_shift
 from cell.jobs.files import job_folder
 from cell.jobs.teaching import teach as teach_object
-from cell.model import load_model, save_model
+from cell.model import LoadedModel, load_model, save_model
 
 
 def calibrate(
-    gauge: Annotated[str, typer.Option("--gauge", help="The known object: one that was taught.")],
     output: Annotated[Path, typer.Option("--output", "-o", help="Corrected model to write.")],
     dataset: Annotated[
-        Path | None, typer.Argument(help="Recorded gauge grasps; without them, the cell grasps.")
+        Path | None, typer.Argument(help="Recorded grasps; without them, the cell grasps.")
+    ] = None,
+    gauge: Annotated[
+        str | None,
+        typer.Option(
+            "--gauge",
+            help="The known object: one that was taught. Without it DATASET holds any grasps of a "
+            "shift, most of them of taught objects.",
+        ),
     ] = None,
     model: ModelOption = None,
     grasps: Annotated[int, typer.Option("--grasps", "-n", min=1, max=100)] = GAUGE_GRASPS,
@@ -30,9 +37,14 @@ def calibrate(
     seed: SeedOption = None,
     json_file: JsonOption = None,
 ) -> None:
-    """Correct a model for drift since teaching, by a few grasps of one known object."""
+    """Correct a model for drift since teaching, by a known object or by any grasps of a shift."""
     if model is None:
         raise ConfigError("--model is missing; `tactile-cell train` makes one")
+    if gauge is None:
+        if dataset is None:
+            raise ConfigError("name the gauge object with --gauge, or give the grasps of a shift")
+        _by_shift(load_model(model), dataset, output, json_file)
+        return
     if dataset is not None:
         loaded = load_model(model)
         taken = [grasp for grasp in read_dataset(dataset) if grasp.label in {gauge, ""}]
@@ -62,5 +74,26 @@ def calibrate(
             "aperture_mm": offset_mm,
             "log_gain_sd": found.log_gain_sd,
             "aperture_sd_mm": found.offset_sd_m * 1e3,
+        },
+    )
+
+
+def _by_shift(loaded: LoadedModel, dataset: Path, output: Path, json_file: Path | None) -> None:
+    taken = read_dataset(dataset)
+    corrected, drift = follow_shift(loaded, taken)
+    save_model(output, corrected, trainer_name=loaded.trainer_name, pads=loaded.pads)
+    offset_mm = drift.aperture_offset_m * 1e3
+    say(
+        f"{len(taken)} grasps of a shift: gain {drift.gain:.2f}, opening {offset_mm:+.1f} mm: "
+        f"{output}"
+    )
+    write_json(
+        json_file,
+        {
+            "model": str(output),
+            "gauge": None,
+            "n_grasps": len(taken),
+            "gain": drift.gain,
+            "aperture_mm": offset_mm,
         },
     )

@@ -1,16 +1,21 @@
-"""Correcting a taught model for what drifted since, by a few grasps of one known object."""
+"""Correcting a taught model for what drifted since, by a known object or by any grasps of a day."""
 
 from collections.abc import Sequence
+from itertools import groupby
 
 from cell.errors import CellError, ModelError
 from cell.jobs.identifying import check_pads
 from cell.model import LoadedModel
+from recognition.drift import Drift
 from recognition.gauge import Gauged
 from recognition.grasp import Grasp
 from recognition.recognizers.force_ramp import ForceRamp
 
 GAUGE_GRASPS = 3
 """Grasps of the gauge object at the start of a shift."""
+
+MIN_OBJECTS = 5
+"""Objects in turn that show a drift when none of them is named."""
 
 
 def calibrate_model(
@@ -34,14 +39,49 @@ def calibrate_model(
     CellError
         If the object was not taught, or no grasp touched both pads.
     """
+    recognizer = _recognizer(model, grasps)
+    try:
+        found = recognizer.gauge(label, grasps)
+    except ValueError as error:
+        raise CellError(f"cannot calibrate: {error}") from error
+    return recognizer.gauged(found), found
+
+
+def follow_shift(model: LoadedModel, grasps: Sequence[Grasp]) -> tuple[ForceRamp, Drift]:
+    """Return a copy that expects the drift which a shift's grasps show, and the likeliest drift.
+
+    Most of the objects must have been taught; which one each grasp held need not be known. Grasps
+    that follow each other with the same label count as one object, those without a label by
+    themselves.
+
+    Raises
+    ------
+    ModelError
+        If the model is of a kind that cannot be gauged, or was taught on other pads.
+    CellError
+        If there are fewer objects in turn than show a drift.
+    """
+    recognizer = _recognizer(model, grasps)
+    ordered = sorted(grasps, key=lambda grasp: grasp.start_ms)
+    runs = [
+        list(run)
+        for _, run in groupby(enumerate(ordered), key=lambda at: at[1].label or f"\n{at[0]}")
+    ]
+    if len(runs) < MIN_OBJECTS:
+        raise CellError(
+            f"{len(runs)} objects in turn do not show a drift: give grasps of {MIN_OBJECTS} or "
+            "more, or name the object with --gauge"
+        )
+    for run in runs:
+        recognizer = recognizer.following([grasp for _, grasp in run])
+    return recognizer, recognizer.grid.likeliest
+
+
+def _recognizer(model: LoadedModel, grasps: Sequence[Grasp]) -> ForceRamp:
     if not isinstance(model.recognizer, ForceRamp):
         raise ModelError(
             f"a model of {model.trainer_name} cannot be gauged; train one of force_ramp"
         )
     if grasps:
         check_pads(model, grasps[0].pads)
-    try:
-        found = model.recognizer.gauge(label, grasps)
-    except ValueError as error:
-        raise CellError(f"cannot calibrate: {error}") from error
-    return model.recognizer.gauged(found), found
+    return model.recognizer

@@ -3,7 +3,7 @@
 import math
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from cell.errors import CellError
@@ -198,6 +198,7 @@ def _figures(evaluation: Evaluation) -> dict[str, Any]:
         "calibration_error": evaluation.calibration_error,
         "labels": list(evaluation.labels),
         "confusion": [list(map(int, row)) for row in evaluation.confusion],
+        "shift": None if evaluation.shift is None else asdict(evaluation.shift),
     }
 
 

@@ -91,6 +91,32 @@ def test_calibrate_writes_a_model_that_expects_the_drift(
     assert all(recognizer.posterior(grasp).decision() == grasp.label for grasp in grasps[::2])
 
 
+def test_calibrate_follows_grasps_that_nobody_named(taught: Any, tmp_path: Path) -> None:
+    unnamed = tmp_path / "shift.npz"
+    drift = Drift(gain=0.7, aperture_offset_m=-3e-3)
+    grasps = [drift.apply(grasp) for grasp in taught.grasps]
+    mixed = [grasp for k in range(5) for grasp in (grasps[k], grasps[k + 5])]
+    write_dataset(unnamed, [replace(g, label="", start_ms=k) for k, g in enumerate(mixed)])
+    new = tmp_path / "followed.npz"
+    text = call(
+        *("calibrate", unnamed, "-m", taught.result.model, "-o", new),
+        *("--json", tmp_path / "c.json"),
+    )
+    assert "10 grasps of a shift: gain" in text
+    found = json.loads((tmp_path / "c.json").read_text(encoding="utf-8"))
+    assert found["gauge"] is None
+    assert found["aperture_mm"] == pytest.approx(-3.0, abs=0.6)
+    recognizer = load_model(new).recognizer
+    assert all(recognizer.posterior(grasp).best == grasp.label for grasp in grasps)
+
+
+def test_what_cannot_be_followed_says_why(taught: Any, drifted: Path, tmp_path: Path) -> None:
+    with pytest.raises(CellError, match="2 objects in turn do not show a drift"):
+        call("calibrate", drifted, "-m", taught.result.model, "-o", tmp_path / "m.npz")
+    with pytest.raises(ConfigError, match="--gauge"):
+        call("calibrate", "-m", taught.result.model, "-o", tmp_path / "m.npz")
+
+
 def test_calibrate_on_the_cell_finds_that_nothing_drifted(taught: Any, tmp_path: Path) -> None:
     recording = taught.config.recording.model_copy(update={"directory": str(tmp_path / "out")})
     config = tmp_path / "cell.yaml"

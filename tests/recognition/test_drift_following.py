@@ -8,6 +8,7 @@ import pytest
 from recognition.drift import Drift, drift_grid
 from recognition.drift_following import follow
 from recognition.recognizers import make_trainer
+from recognition.shift import evaluate_shift
 
 DRIFT = Drift(gain=0.7, aperture_offset_m=-4e-3)
 
@@ -18,9 +19,8 @@ def taught(train):
 
 
 def expected(recognizer):
-    grid = recognizer.grid
-    gain, offset = np.unravel_index(np.argmax(grid.log_prior), grid.log_prior.shape)
-    return float(grid.gains[gain]), float(grid.offsets_mm[offset])
+    drift = recognizer.grid.likeliest
+    return drift.gain, drift.aperture_offset_m * 1e3
 
 
 def mixed(grasps):
@@ -79,6 +79,16 @@ def test_touch_alone_learns_the_gain_and_nothing_of_the_opening(taught, fresh):
     gain, offset_mm = expected(after(taught, quieter))
     assert gain < 0.9
     assert offset_mm == 0.0
+
+
+def test_a_shift_is_evaluated_from_its_eleventh_grasp(taught, train, fresh):
+    found = evaluate_shift(taught, [DRIFT.apply(g) for g in fresh], seed=0)
+    assert (found.before, found.n) == (10, len(fresh) - 10)
+    assert found.accuracy >= 0.9
+    assert found.interval[0] < found.accuracy <= found.interval[1]
+    assert found.known_rejected <= 0.2
+    assert evaluate_shift(taught, fresh[:10], seed=0) is None
+    assert evaluate_shift(make_trainer("shrinkage_lda").fit(train), fresh, seed=0) is None
 
 
 def test_grasps_that_tell_nothing_change_nothing(taught, train, fresh):
