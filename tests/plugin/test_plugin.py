@@ -1,8 +1,10 @@
 """The plugin as pytest sees it: options, docs, failures, and what it costs others."""
 
+import re
 import subprocess
 import sys
 from importlib.metadata import entry_points
+from pathlib import Path
 
 import pytest
 
@@ -147,3 +149,13 @@ def test_faults_end_with_the_test_whatever_the_order_of_fixtures(
         """
     )
     run(pytester).assert_outcomes(passed=2, failed=1)
+
+
+def test_what_the_docs_show_works(pytester: pytest.Pytester) -> None:
+    page = (Path(__file__).parents[2] / "docs" / "testing-cells.md").read_text()
+    (code,) = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
+    (mark,) = re.findall(r"`(pytest\.mark\.skipif\(.*?\))`", page)
+    pytester.makepyfile(f"{code}\n\n@{mark}\ndef test_of_the_simulator(): pass\n")
+    run(pytester).assert_outcomes(passed=2)
+    result = run(pytester, "--servo-port", "/dev/not-there", "-k", "of_the_simulator")
+    result.assert_outcomes(skipped=1, deselected=1)
