@@ -90,7 +90,8 @@ def compute_tare(
         if too_many_bad(n_bad, pad.n_taxels, limits.bad_share):
             raise TareRefused(
                 f"{n_bad / pad.n_taxels:.0%} of the taxels of pad {pad.name} are bad "
-                f"({health.summary()} on all pads), allowed are {limits.bad_share:.0%}: check its cable, or replace it"
+                f"({health.summary()} on all pads), allowed are {limits.bad_share:.0%}: "
+                "check its cable, or replace it"
             )
     offset = fill_bad(hood, frames.mean(axis=0, dtype=np.float64), health.bad)
     _refuse_touch(hood, offset, limits)
