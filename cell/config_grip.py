@@ -36,6 +36,9 @@ class SlipConfig(Section):
     """The same as a share of the held force, 0 to 1; the larger of the two counts."""
     travel_mm: float = Field(default=1.5, gt=0.0, le=50.0)
     """Closing at a steady force that is a slip in mm of opening, up to 50."""
+    slide_mm: float = Field(default=1.5, gt=0.0, le=50.0)
+    """Way along both pads that the centre of a force of 4 N may move in mm, up to 50; more at less
+    force."""
     runaway_mm_s: float = Field(default=20.0, gt=0.0, le=500.0)
     """Closing speed beyond what the ramp needs at which the part is gone, in mm/s, up to 500."""
     runaway_mm: float = Field(default=0.5, gt=0.0, le=50.0)

@@ -157,7 +157,7 @@ def _sensor_settings(config: TactileConfig) -> SensorSettings:
     return SensorSettings(
         bad_share=config.bad_taxels_max_share,
         quality=QualityLimits(drift_share=config.drift_max_share),
-        tare_limits=TareLimits(bad_share=max(1e-6, config.bad_taxels_max_share)),
+        tare_limits=TareLimits(bad_share=config.bad_taxels_max_share),
     )
 
 
@@ -212,6 +212,7 @@ def gripper_settings(config: CellConfig) -> GripperSettings:
         slip_drop_n=wanted.slip.drop_n,
         slip_drop_share=wanted.slip.drop_share,
         slip_travel_m=wanted.slip.travel_mm * 1e-3,
+        slide_m=wanted.slip.slide_mm * 1e-3,
         runaway_speed_m_s=wanted.slip.runaway_mm_s * 1e-3,
         runaway_travel_m=wanted.slip.runaway_mm * 1e-3,
         imbalance_n=wanted.imbalance.difference_n,

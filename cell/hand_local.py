@@ -9,6 +9,7 @@ from gripper.gripper import Cycle, Gripper
 from gripper.ramp import ForceRamp
 from gripper.state import GraspOutcome, GripperPhase
 from gripper.verification import VerificationReport
+from tactile.centre import ForceCentres
 from tactile.layout import TaxelLayout
 from tactile.link import TactileLink
 from tactile.link_settings import NodeIdentity
@@ -26,6 +27,8 @@ class SensorTap:
     def __init__(self, sensor: TactileSensor) -> None:
         self._sensor = sensor
         self._new: list[TactileReading] = []
+        self._centres = ForceCentres(sensor.layout)
+        self._sample: ForceSample | None = None
         self.running = False
         """Whether the sensor was started; without it there is no force, and none is asked for."""
 
@@ -37,10 +40,15 @@ class SensorTap:
         reading = self._sensor.latest
         if reading is None:
             return None
-        left, right = reading.finger_force_n
-        return ForceSample(
-            t_s=reading.frame.t_s, force_n=(float(left), float(right)), valid=reading.ok
-        )
+        if self._sample is None or reading.frame.t_s != self._sample.t_s:
+            left, right = reading.finger_force_n
+            self._sample = ForceSample(
+                t_s=reading.frame.t_s,
+                force_n=(float(left), float(right)),
+                valid=reading.ok,
+                centre_m=self._centres.of(reading.force_n),
+            )
+        return self._sample
 
     def take(self) -> list[TactileFrame]:
         """Return the frames since the last call, oldest first."""

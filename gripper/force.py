@@ -17,11 +17,15 @@ class ForceSample:
     valid
         False when the sensor says that the value must not be used for control (saturated pad,
         too many bad taxels).
+    centre_m
+        Centre of the force on each finger's pad in m, along the finger and across it; None where
+        the sensor does not tell, or nothing touches.
     """
 
     t_s: float
     force_n: tuple[float, float]
     valid: bool = True
+    centre_m: tuple[tuple[float, float], tuple[float, float]] | None = None
 
     @property
     def grip_n(self) -> float:

@@ -72,7 +72,7 @@ class ServoHealth:
             if others
             else "check supply, cable, baud rate and that no two servos share an ID"
         )
-        raise VerificationFailed(report, [*(str(row) for row in report.failed), advice]) from next(
+        raise ServoMissing(report, [*(str(row) for row in report.failed), advice]) from next(
             iter(silent.values())
         )
 

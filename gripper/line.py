@@ -30,7 +30,7 @@ class BusStatistics:
     timeouts
         Answers that did not come in time.
     corrupt
-        Answers that came damaged or with the wrong length.
+        Answers that came damaged, or behind bytes that are none.
     late
         Answers to an earlier request, or of another servo; dropped.
     """
@@ -172,6 +172,8 @@ class ServoLine:
                 self._owed = max(0, self._owed - 1)
                 self.count(late=1)
             else:
+                if self._handler.dropped_bytes:
+                    self.count(corrupt=1)
                 self.misses[servo_id] = 0
                 (self.alerts.add if status.alert else self.alerts.discard)(servo_id)
                 return status

@@ -51,16 +51,16 @@ class MissedReads:
         self._one_sided = self._one_sided + 1 if silent and living else 0
         if self._one_sided >= _ONE_SIDED_PERIODS:
             raise FingerSilent(
-                f"servo {silent[0]} is silent while servo {living[0]} answers ({error}): it may "
-                f"have lost its supply or be restarting. The living finger stands still, the part "
-                f"may still be gripped or have been dropped; check cable and supply of servo "
-                f"{silent[0]}"
+                f"servo {silent[0]} is silent while servo {living[0]} answers: the living finger "
+                f"stands still, the part may still be gripped or have been dropped. Servo "
+                f"{silent[0]} may have lost its supply or be restarting: check both, and its cable "
+                f"({error})"
             ) from error
         if self._in_row >= _LEAST_PERIODS and now_s - self._good_s > self._settings.bus_loss_s:
             raise type(error)(
-                f"{error}. The bus was lost for {now_s - self._good_s:.3f} s, bus_loss_s is "
-                f"{self._settings.bus_loss_s} s: nothing more is written, the servos' own "
-                f"watchdog acts; a part may still be gripped"
+                f"the servo bus was lost for {now_s - self._good_s:.3f} s (bus_loss_s is "
+                f"{self._settings.bus_loss_s} s): a part may still be gripped; nothing more is "
+                f"written, the servos' own watchdog acts. {error}"
             ) from error
 
     def keep_still(self, phase: GripperPhase) -> None:

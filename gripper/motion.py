@@ -23,7 +23,8 @@ _OPENING_FORCE_N = 3.0
 _AGAINST_REST = 1.4
 _LOST_SHARE = 0.25
 _LOST_TIME_S = 0.1
-_SUDDEN_RATIO = 8.0
+_SUDDEN_RATIO = 6.0
+_RECENT_SAMPLES = 5
 _MEAN_SAMPLES = 3
 _GIVE_RAD = 0.03
 
@@ -150,7 +151,7 @@ class GripControl:
         self._balanced_s = now_s
         self._paused = False
         self._runaway_m: float | None = None
-        self._force_before_n = 0.0
+        self._recent_n: deque[float] = deque(maxlen=_RECENT_SAMPLES)
 
     @property
     def loop(self) -> ForceLoop:
@@ -185,7 +186,8 @@ class GripControl:
         if sample is None or not sample.valid or self._paused:
             return False
         empty_n = _LOST_SHARE * self._settings.contact_force_n
-        much = min(self._reference.force_n, self._force_before_n) > _SUDDEN_RATIO * empty_n
+        recent_n = max((grip_n for grip_n in self._recent_n), default=0.0)
+        much = min(self._reference.force_n, recent_n) > _SUDDEN_RATIO * empty_n
         return much and max(sample.force_n) < empty_n
 
     def _runs_away(self, state: GripperState) -> bool:
@@ -249,7 +251,14 @@ class GripControl:
             friction_n=self._friction_share * sum(path.friction_n for path in paths) / len(paths),
             braking_n=braking_n,
             motion_n=tuning.motion_doubt_n_s_m * 0.5 * abs(moment.state.aperture_velocity_m_s),
-            drive_max_n=min(cap_a * path.kt_nm_a / path.radius_m for path in paths),
+            # Whatever pushes the fingers open: the cap of the force is none to push on beyond.
+            drive_max_n=min(
+                min(
+                    cap_a * path.kt_nm_a / path.radius_m,
+                    self._settings.force_max_n + path.friction_n,
+                )
+                for path in paths
+            ),
             taper=taper,
         )
         return self._drive(moment.state.servos, paths)
@@ -263,7 +272,7 @@ class GripControl:
 
     def _note(self, now_s: float, sample: ForceSample) -> None:
         if not self._samples or sample.t_s > self._samples[-1].t_s:
-            self._force_before_n = self.force_n if self._samples else 0.0
+            self._recent_n.append(sample.grip_n)
             self._samples.append(sample)
         empty_n = _LOST_SHARE * self._settings.contact_force_n
         if max(self._finger_means_n()) >= empty_n:

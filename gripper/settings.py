@@ -129,6 +129,9 @@ class GripperSettings:
     slip_drop_n, slip_drop_share, slip_travel_m
         A drop of the held force in N, or as a share if that is more, or closing in m while
         holding, that is reported as a slip.
+    slide_m
+        Way in m along both pads by which the centre of a held force may move, at 4 N and more; in
+        inverse proportion below.
     runaway_speed_m_s, runaway_travel_m
         Fingers that close faster than the force loop wants by so much in m/s, over so far in m,
         have lost the part.
@@ -175,6 +178,7 @@ class GripperSettings:
     slip_drop_n: float = 0.8
     slip_drop_share: float = 0.15
     slip_travel_m: float = 0.0015
+    slide_m: float = 0.0015
     runaway_speed_m_s: float = 0.02
     runaway_travel_m: float = 0.0005
     settle_timeout_s: float = 0.5
@@ -206,6 +210,7 @@ class GripperSettings:
             "imbalance_s",
             "slip_drop_n",
             "slip_travel_m",
+            "slide_m",
             "runaway_speed_m_s",
             "runaway_travel_m",
         ):
@@ -261,6 +266,10 @@ class GripperSettings:
         return self.current_max_a * max(
             0.5, 1.0 - 0.5 * over_k / max(self.temperature_derate_k, 1e-9)
         )
+
+    def derates(self, temperature_c: float) -> bool:
+        """Say whether the warmest servo's temperature lowers the cap of the current."""
+        return temperature_c > self.temperature_max_c - self.temperature_derate_k
 
     def settle_tolerance_at_n(self, force_n: float) -> float:
         """Return the error in N that counts as reached at a force."""

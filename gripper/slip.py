@@ -1,7 +1,8 @@
 """A held part that slips: its force falls at once, or the fingers close after it."""
 
 from collections import deque
-from math import exp
+from collections.abc import Collection
+from math import exp, hypot
 
 from gripper.errors import PartSlipped
 from gripper.force import ForceSample
@@ -11,6 +12,10 @@ from gripper.settings import GripperSettings
 _SETTLING_S = 0.3
 _USUAL_TIME_S = 0.6
 _RECENT_SAMPLES = 4
+_SLIDE_SETTLING_S = 0.1
+_SLIDE_FIRST = 4
+_SLIDE_RECENT = 2
+_SLIDE_FORCE_N = 4.0
 
 
 class SlipWatch:
@@ -28,6 +33,7 @@ class SlipWatch:
         self._usual_n: float | None = None
         self._aperture_m: float | None = None
         self._since_s: float | None = None
+        self._slide = SlideWatch(settings)
 
     def check(self, now_s: float, aperture_m: float, sample: ForceSample | None) -> str | None:
         """Take one period and return what shows a slip, None without one.
@@ -43,8 +49,9 @@ class SlipWatch:
         """
         if self._since_s is None:
             self._since_s = now_s
-        if now_s - self._since_s < _SETTLING_S:
-            return None
+        slide = self._slide.check(now_s - self._since_s, sample)
+        if slide is not None or now_s - self._since_s < _SETTLING_S:
+            return slide
         if self._aperture_m is None:
             self._aperture_m = aperture_m
         settings = self._settings
@@ -66,6 +73,57 @@ class SlipWatch:
         if drop_n > max(settings.slip_drop_n, settings.slip_drop_share * self._usual_n):
             return f"the grip force fell by {drop_n:.2f} N from {self._usual_n:.2f} N"
         return None
+
+
+class SlideWatch:
+    """Watches where on the pads a held part presses: one that slides takes its force along.
+
+    Parameters
+    ----------
+    settings
+        Of the gripper.
+    """
+
+    def __init__(self, settings: GripperSettings) -> None:
+        self._settings = settings
+        self._first: list[tuple[float, ...]] = []
+        self._recent: deque[tuple[float, ...]] = deque(maxlen=_SLIDE_RECENT)
+        self._last_s: float | None = None
+
+    def check(self, held_s: float, sample: ForceSample | None) -> str | None:
+        """Take the newest sample and return what shows a slide, None without one.
+
+        Parameters
+        ----------
+        held_s
+            For how long the force has been steady, in s.
+        sample
+            Newest sample, which may be the same as before.
+        """
+        if sample is None or not sample.valid or sample.centre_m is None:
+            return None
+        if held_s < _SLIDE_SETTLING_S or sample.t_s == self._last_s:
+            return None
+        self._last_s = sample.t_s
+        place = (*sample.centre_m[0], *sample.centre_m[1])
+        if len(self._first) < _SLIDE_FIRST:
+            self._first.append(place)
+            return None
+        self._recent.append(place)
+        if len(self._recent) < _SLIDE_RECENT:
+            return None
+        usual, now = _mean(self._first), _mean(self._recent)
+        # Both pads must agree: what one pad alone sees is its noise, or the part tilts.
+        along_m = [hypot(now[i] - usual[i], now[i + 1] - usual[i + 1]) for i in (0, 2)]
+        # The weaker the force, the less its centre is worth.
+        allowed_m = self._settings.slide_m * max(1.0, _SLIDE_FORCE_N / max(sample.grip_n, 0.1))
+        if min(along_m) <= allowed_m:
+            return None
+        return f"it has slid along the pads by {1e3 * min(along_m):.2f} mm"
+
+
+def _mean(places: Collection[tuple[float, ...]]) -> list[float]:
+    return [sum(values) / len(places) for values in zip(*places, strict=True)]
 
 
 class LevelSlip:

@@ -85,6 +85,8 @@ class LoopStatistics:
         Periods that began more than half a period late.
     missed_reads
         Periods without feedback; nothing was written in them.
+    derated
+        Periods in which a warm servo lowered the cap of the current.
     worst_lateness_s
         Largest lateness in s.
     lateness
@@ -99,6 +101,7 @@ class LoopStatistics:
     overruns: int = 0
     late: int = 0
     missed_reads: int = 0
+    derated: int = 0
     worst_lateness_s: float = 0.0
     lateness: Distribution = field(default_factory=Distribution)
     transaction: Distribution = field(default_factory=Distribution)
@@ -115,7 +118,7 @@ class LoopTimer:
 
     Attributes
     ----------
-    missed_reads
+    missed_reads, derated
         As in `LoopStatistics`.
     overruns_in_row
         Overruns since the last period whose work was done in time.
@@ -131,6 +134,7 @@ class LoopTimer:
         self._late = 0
         self._worst_s = 0.0
         self.missed_reads = 0
+        self.derated = 0
         self.overruns_in_row = 0
 
     def transaction(self, duration_s: float) -> None:
@@ -172,6 +176,7 @@ class LoopTimer:
             overruns=self._overruns,
             late=self._late,
             missed_reads=self.missed_reads,
+            derated=self.derated,
             worst_lateness_s=self._worst_s,
             lateness=self._lateness.distribution(),
             transaction=self._transaction.distribution(),

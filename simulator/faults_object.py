@@ -3,6 +3,7 @@
 from simulator.faults_entry import Effect, FaultEntry, FaultKind, Number, Target, nothing
 
 _SLIDE_M = 1e-4
+_SWELLING_M_S = 0.02
 
 
 def _gone(target: Target) -> Effect:
@@ -24,9 +25,13 @@ def _slips(target: Target) -> Effect:
 
 
 def _trapped(target: Target) -> Effect:
-    world = target.devices.physical
-    world.swell(1e-3 * target.number)
-    return Effect(undo=lambda: world.swell(0.0))
+    world, began_s = target.devices.physical, target.now_s
+
+    def act(now_s: float) -> None:
+        grown_m = (now_s - began_s) * _SWELLING_M_S
+        world.swell(min(grown_m, 1e-3 * target.number))
+
+    return Effect(undo=lambda: world.swell(0.0), act=act)
 
 
 OBJECT = (
@@ -48,7 +53,7 @@ OBJECT = (
     FaultEntry(
         name="object.trapped",
         kind=FaultKind.WRONG,
-        meaning="something is trapped beside the part: it grows by so much and pushes back",
+        meaning="something trapped beside the part grows by so much at 20 mm/s and pushes back",
         value=Number(unit="mm", low=0.0, high=10.0, default=3.0),
         apply=_trapped,
         knob="trapped",

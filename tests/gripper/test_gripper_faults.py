@@ -137,7 +137,7 @@ def test_a_dead_bus_is_given_up_in_bounded_time_and_the_grip_stays(cell) -> None
         times.append(cell.clock.monotonic())
         cell.device.faults.silent.update({1, 2})
 
-    with pytest.raises(BusTimeout, match=r"no answer.*a part may still be gripped"):
+    with pytest.raises(BusTimeout, match=r"a part may still be gripped.*no answer"):
         cell.gripper.grasp(RAMP, at(cell, 5.0, silence))
     assert 0.06 < cell.clock.monotonic() - times[0] < 0.1
     assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT

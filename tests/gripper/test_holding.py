@@ -127,3 +127,60 @@ def test_the_reference_arrives_without_a_knee_and_never_passes_the_set_point() -
     down = [reference.step(0.005, max(2.0, 4.0 - 0.05 * i), 2.0) for i in range(200)]
     assert down == sorted(down, reverse=True)
     assert down[-1] == 2.0
+
+
+def pressed(t_s: float, x_m: float, *, force_n: float = 5.0, second: bool = True) -> ForceSample:
+    first = (x_m, 0.0)
+    return ForceSample(
+        t_s=t_s,
+        force_n=(force_n, force_n),
+        centre_m=(first, first if second else (0.0, 0.0)),
+    )
+
+
+@pytest.mark.parametrize(("force_n", "at_least_m"), [(5.0, 0.0015), (2.0, 0.003)])
+def test_a_part_that_slides_along_the_pads_is_a_slip(force_n, at_least_m) -> None:
+    watch = SlipWatch(SETTINGS)
+    found: list[float] = []
+    for i in range(200):
+        t_s = 0.02 * i
+        x_m = 0.02 * max(0.0, t_s - 1.0)
+        if not found and watch.check(t_s, 0.01, pressed(t_s, x_m, force_n=force_n)):
+            found.append(x_m)
+    assert at_least_m < found[0] < at_least_m + 0.0009
+
+
+def test_what_one_pad_sees_alone_is_no_slide() -> None:
+    watch = SlipWatch(SETTINGS)
+    for i in range(200):
+        t_s = 0.02 * i
+        assert watch.check(t_s, 0.01, pressed(t_s, 0.01 * (i > 50), second=False)) is None
+
+
+def test_a_part_taken_away_in_the_ramp_is_lost_with_the_third_frame(cell) -> None:
+    cell.gripper.start()
+    taken_s: list[float] = []
+
+    def take(cycle) -> None:
+        if cycle.setpoint_n > 3.0 and not taken_s:
+            taken_s.append(cycle.t_s)
+            cell.part.present = False
+
+    outcome = cell.gripper.grasp(ForceRamp.linear(8.0, rate_n_s=5.0), take)
+    assert outcome.result is GraspResult.PART_LOST
+    assert cell.clock.monotonic() - taken_s[0] < 0.07
+    stopped_m = cell.mechanics.aperture_m
+    cell.clock.sleep(1.0)
+    assert stopped_m - cell.mechanics.aperture_m < 0.003
+
+
+def test_a_long_hold_at_a_level_of_the_ramp_is_watched_too(cell) -> None:
+    cell.gripper.start()
+
+    def slip(cycle) -> None:
+        if cycle.level is not None:
+            cell.part.width_m -= 1e-5
+
+    with pytest.raises(PartSlipped):
+        cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=5.0), slip)
+    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
