@@ -31,8 +31,9 @@ format: $(STAMP)
 bench: $(STAMP)  ## each figure that README and docs quote
 	$(BIN)/python -m benchmarks
 
-campaign: $(STAMP)  ## bad input for every parser, a million each: hours; FUZZ_SECONDS=40 for a look
+campaign: $(STAMP)  ## bad input, a million for each parser; every fault; a million random steps: hours. FUZZ_SECONDS=40 for a look
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.fuzz --count 1000000 --seconds $(or $(FUZZ_SECONDS),1e9)
+	STATE_STEPS=1000000 STATE_SECONDS=$(or $(FUZZ_SECONDS),1e9) $(BIN)/python -m benchmarks fault_campaign
 
 soak: $(STAMP)  ## 10,000 grasps in virtual time, an hour: memory, files and threads stay flat
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.soak --grasps $(or $(GRASPS),10000)

@@ -7,6 +7,9 @@ from dataclasses import dataclass
 from benchmarks.fault_campaign.row import FaultRow, Observed
 from simulator.faults import VOCABULARY
 
+AS_REQUIRED = "as required"
+"""Verdict on a row whose reaction came within its limit."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Result:
@@ -35,7 +38,7 @@ class Result:
         if self.observed is None:
             return f"**broken**: {self.failure}"
         complaint = complaint_of(self.row, self.observed)
-        return f"**differs**: {complaint}" if complaint else "as required"
+        return f"**differs**: {complaint}" if complaint else AS_REQUIRED
 
 
 def complaint_of(row: FaultRow, observed: Observed) -> str:
@@ -63,7 +66,7 @@ def run_row(row: FaultRow) -> Result:
 
 def totals(results: Sequence[Result]) -> str:
     """Return one line: how many faults, how many reactions as required."""
-    good = sum(result.verdict == "as required" for result in results)
+    good = sum(result.verdict == AS_REQUIRED for result in results)
     numbers = {result.row.row for result in results}
     return (
         f"{len(results)} faults of {len(numbers)} of the 42 rows: {good} with the required "
