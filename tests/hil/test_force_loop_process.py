@@ -1,0 +1,283 @@
+"""The force loop in a process of its own, over pseudo-terminals: its end, the program's end."""
+
+import contextlib
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cell.build import Cell, build_cell
+from cell.config_file import load_config
+from cell.errors import CellStateError, CellStopped, HandLost
+from cell.hand_process import HandProcess
+from cell.pose import Pose
+from cell.recording import read_recording
+from cell.sequence import GraspStep
+from cell.states import CellState
+from gripper.errors import LimitExceeded
+from gripper.gripper import GraspResult, GripperPhase
+from gripper.ramp import ForceRamp
+
+pytestmark = pytest.mark.hil
+
+LIMIT_S = 30.0
+LOAD_MARGIN = 0.5
+PROGRAM = [sys.executable, "-c", "from cell.cli import main; main()"]
+CONFIG = """
+tactile: {tare_frames: 25, sync_period_ms: 30.0}
+gripper: {loop_rate_hz: 100.0, approach_speed_mm_s: 20.0}
+sequence: {x_mm: [0, 0], y_mm: [0, 0], force_n: [3, 5], max_grasps: 1}
+"""
+STEP = GraspStep(pose=Pose(), force_n=6.0)
+
+
+def first(pid: int) -> None:
+    """Let the simulated cell go before others, where permitted: real servos wait for nobody."""
+    with contextlib.suppress(OSError):
+        os.sched_setscheduler(pid, os.SCHED_FIFO, os.sched_param(40))
+
+
+class Simulator:
+    """The simulated cell in a process of its own."""
+
+    def __init__(self, folder: Path) -> None:
+        folder.mkdir()
+        (folder / "sim.yaml").write_text(CONFIG)
+        self.process = subprocess.Popen(
+            [*PROGRAM, "simulate", "--config", str(folder / "sim.yaml"), "--out", str(folder)],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            text=True,
+        )
+        first(self.process.pid)
+        assert self.process.stdout is not None
+        self.hello = json.loads(self.process.stdout.readline())
+        self.config = load_config(Path(self.hello["config"]))
+
+    def grip_n(self) -> float:
+        with socket.socket(socket.AF_UNIX) as client:
+            client.settimeout(LIMIT_S)
+            client.connect(self.hello["positioner_socket"])
+            client.sendall(b'{"state": true}\n')
+            with client.makefile("rb") as lines:
+                return float(min(json.loads(lines.readline())["contact_force_n"]))
+
+    def close(self) -> None:
+        self.process.kill()
+        self.process.communicate()
+
+
+@pytest.fixture(scope="module")
+def simulator(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Simulator]:
+    load, processors = os.getloadavg()[0], os.cpu_count() or 1
+    if load > processors + LOAD_MARGIN:
+        pytest.skip(f"load {load:.1f} on {processors} processors leaves no real time to test in")
+    one = Simulator(tmp_path_factory.mktemp("rt") / "sim")
+    yield one
+    one.close()
+
+
+@pytest.fixture
+def make_cell(simulator: Simulator, tmp_path: Path) -> Iterator[Callable[[], Cell]]:
+    """Return the maker of a cell with its loop in a process; what it holds is let go at last."""
+    cells: list[Cell] = []
+
+    def make() -> Cell:
+        folder = tmp_path / f"run{len(cells)}"
+        folder.mkdir()
+        cells.append(build_cell(simulator.config, folder=folder))
+        return cells[-1]
+
+    yield make
+    for cell in cells:
+        with contextlib.suppress(HandLost):
+            cell.close()
+    with contextlib.closing(HandProcess(simulator.config)) as hand:
+        hand.start()
+        if hand.phase is not GripperPhase.OFF:
+            hand.release()
+        hand.shutdown()
+
+
+def hand_of(cell: Cell) -> HandProcess:
+    hand = cell.controller.hand
+    assert isinstance(hand, HandProcess)
+    return hand
+
+
+def gone(pid: int) -> bool:
+    """Whether a process is gone and was waited for."""
+    return not Path(f"/proc/{pid}").exists()
+
+
+def wait_for(what: Callable[[], bool]) -> None:
+    end_s = time.monotonic() + LIMIT_S
+    while not what():
+        assert time.monotonic() < end_s
+        threading.Event().wait(0.01)
+
+
+def in_a_grasp(cell: Cell, simulator: Simulator, then: Callable[[], Any]) -> threading.Thread:
+    """Start a thread that does something once the part is gripped."""
+
+    def wait() -> None:
+        wait_for(lambda: simulator.grip_n() > 1.5)
+        then()
+
+    thread = threading.Thread(target=wait)
+    thread.start()
+    return thread
+
+
+def test_a_job_a_stop_and_the_release(make_cell: Any, simulator: Simulator) -> None:
+    cell = make_cell()
+    controller, hand = cell.controller, hand_of(cell)
+    pid = hand.pid
+    with pytest.raises(CellStateError, match="process of its own"):
+        _ = controller.local_hand
+    controller.start()
+    controller.present("box")
+    record = controller.grasp(GraspStep(pose=Pose(), force_n=3.0), label="box")
+    assert record.outcome.result is GraspResult.FORCE_REACHED
+    assert record.grasp.n_frames > 20
+    assert not record.grasp.counts.flags.writeable
+    assert len(record.cycles) > 60
+
+    told_s: list[float] = []
+
+    def cancel() -> None:
+        told_s.append(time.monotonic())
+        controller.cancel()
+
+    thread = in_a_grasp(cell, simulator, cancel)
+    with pytest.raises(CellStopped, match="grip is kept"):
+        controller.grasp(STEP)
+    thread.join()
+    assert time.monotonic() - told_s[0] < 0.2
+    assert controller.state is CellState.HELD
+    assert controller.holding
+    # The program sleeps: the loop ticks by itself, beyond the servos' watchdog of 0.5 s.
+    threading.Event().wait(0.8)
+    controller.tick()
+    assert simulator.grip_n() > 0.8
+    controller.release()
+    assert simulator.grip_n() == 0.0
+    with pytest.raises(LimitExceeded, match="the limit is 15"):
+        hand.grasp(ForceRamp.linear(49.0, 5.0), lambda _cycle, _frames: None)
+
+    recording = cell.recording_path
+    cell.close()
+    assert gone(pid)
+    loop = cell.health()["loop"]
+    assert loop["cycles"] > 100
+    assert 0.0 < loop["lateness_p50_s"] <= loop["lateness_p99_s"] <= loop["lateness_max_s"]
+    assert 5e-4 < loop["transaction_p50_s"] < 0.01
+    assert 1e-3 < loop["sensor_age_max_s"] < 0.3
+    assert loop["undelivered"] == 0
+    kept = read_recording(recording)
+    assert kept.complete
+    assert len(kept.grasps) == 1
+    assert len(kept.statistics) == 3
+    assert kept.statistics[-1]["cycles"] == loop["cycles"]
+
+
+def test_a_killed_loop_is_a_fault_that_says_so(make_cell: Any, simulator: Simulator) -> None:
+    cell = make_cell()
+    controller, hand = cell.controller, hand_of(cell)
+    controller.start()
+    controller.present("box")
+    pid = hand.pid
+    thread = in_a_grasp(cell, simulator, lambda: os.kill(pid, signal.SIGKILL))
+    with pytest.raises(HandLost, match=rf"pid {pid}\) was ended by SIGKILL; a part may still be"):
+        controller.grasp(STEP)
+    thread.join()
+    assert gone(pid)
+    assert controller.state is CellState.ABORTED
+    assert controller.holding
+    assert "watchdog acts after 500 ms" in str(controller.fault)
+    with pytest.raises(CellStateError, match="fault"):
+        controller.release()
+
+    controller.clear()
+    assert hand.pid != pid
+    controller.reset()
+    controller.release_held()
+    assert simulator.grip_n() == 0.0
+
+
+def test_a_loop_that_hangs_is_lost_and_sigterm_keeps_the_grip(
+    make_cell: Any, simulator: Simulator
+) -> None:
+    cell = make_cell()
+    controller, hand = cell.controller, hand_of(cell)
+    controller.start()
+    controller.present("box")
+    thread = in_a_grasp(cell, simulator, lambda: os.kill(hand.pid, signal.SIGTERM))
+    with pytest.raises(HandLost, match=r"told to end \(SIGTERM\); a held part stays held"):
+        controller.grasp(STEP)
+    thread.join()
+    assert simulator.grip_n() > 0.8
+    controller.clear()
+    controller.reset()
+    controller.release_held()
+
+    hand._silence_s = 0.5
+    os.kill(hand.pid, signal.SIGSTOP)
+    stopped = hand.pid
+    begin_s = time.monotonic()
+    with pytest.raises(HandLost, match=r"has told nothing for 0\.5 s"):
+        hand.release()
+    assert time.monotonic() - begin_s < 8.0
+    assert gone(stopped)
+
+
+CLIENT = """
+import sys, threading
+from pathlib import Path
+from cell.build import build_cell
+from cell.config_file import load_config
+from cell.pose import Pose
+from cell.sequence import GraspStep
+
+cell = build_cell(load_config(Path(sys.argv[1])))
+cell.controller.start()
+cell.controller.present("box")
+print(cell.controller.hand.pid, flush=True)
+cell.controller.grasp(GraspStep(pose=Pose(), force_n=14.0))
+"""
+"""A program of a host, without `if __name__ == "__main__"`: the loop's process does not run it."""
+
+
+def test_a_killed_program_leaves_the_part_held_and_no_process(
+    make_cell: Any, simulator: Simulator, tmp_path: Path
+) -> None:
+    (tmp_path / "client.py").write_text(CLIENT)
+    client = subprocess.Popen(
+        [sys.executable, str(tmp_path / "client.py"), simulator.hello["config"]],
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    with client:
+        try:
+            assert client.stdout is not None
+            pid = int(client.stdout.readline())
+            wait_for(lambda: simulator.grip_n() > 2.0)
+            os.kill(pid, signal.SIGINT)
+            threading.Event().wait(0.1)
+            assert not gone(pid)
+        finally:
+            client.kill()
+    wait_for(lambda: gone(pid))
+    held_n = simulator.grip_n()
+    assert 1.5 < held_n < 13.0
+    threading.Event().wait(0.7)
+    assert simulator.grip_n() == pytest.approx(held_n, abs=0.5)
