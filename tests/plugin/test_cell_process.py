@@ -40,6 +40,7 @@ def free_machine() -> None:
         pytest.skip(f"load {load:.1f} on {processors} processors leaves no real time to test in")
 
 
+@pytest.mark.usefixtures("free_machine")
 def test_a_process_serves_both_ports_and_takes_faults(cell_process: Any, inject_fault: Any) -> None:
     cell = cell_process(objects={"pin": "cylinder:diameter=6mm,length=20mm"}, seed=3)
     config = load_config(cell.config_path)

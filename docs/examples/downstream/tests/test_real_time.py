@@ -16,7 +16,7 @@ UNHURRIED = {
 """Simulator, program and test take turns on the processors of this machine."""
 
 
-@pytest.fixture
+@pytest.fixture(autouse=True)
 def free_machine():
     """Skip where other programs use up the processors: then no real time can be judged."""
     load, processors = os.getloadavg()[0], os.cpu_count() or 1
@@ -36,7 +36,6 @@ def test_the_system_check_finds_all_devices(cell_process):
     assert "fail" not in found.stdout
 
 
-@pytest.mark.usefixtures("free_machine")
 def test_a_part_is_grasped_over_the_ports_and_let_go(cell_process, tmp_path):
     cell = cell_process(changes=UNHURRIED)
     taught = tactile_cell(
