@@ -97,6 +97,11 @@ class InjectedFault:
         )
 
     @property
+    def value(self) -> float:
+        """Its value where that is a number, else NaN."""
+        return self._value if isinstance(self._value, float) else math.nan
+
+    @property
     def over(self) -> bool:
         """Whether it has ended or, as a moment, has happened."""
         return self.ended_s is not None

@@ -8,7 +8,7 @@ from typing import Any
 
 from benchmarks.fault_campaign.invariants import InvariantBroken, InvariantMonitor, Overrun
 from benchmarks.fault_campaign.scenario import PRODUCT_ERRORS, machine_config
-from benchmarks.fault_campaign.witness import FrameWitness, recording_faults
+from benchmarks.fault_campaign.witness import FrameWitness, recording_faults, spoiling
 from cell.build import Cell, build_cell
 from cell.controller import CellController
 from cell.pose import Pose
@@ -58,8 +58,6 @@ class Driver:
         """The product."""
         return self.cell.controller
 
-    # Commands
-
     def command(
         self, name: str, call: Callable[[], Any], *, release: bool = False, reboot: bool = False
     ) -> bool:
@@ -97,7 +95,12 @@ class Driver:
     def identify(self, force_n: float) -> bool:
         """Grasp and classify, with a recogniser that looks at its frames."""
         step = GraspStep(pose=Pose(), force_n=force_n)
-        witness = FrameWitness(lambda: self._scanned)
+        witness = FrameWitness(
+            lambda: self._scanned,
+            lambda: spoiling(
+                self.simulated.devices.injector.faults, self.simulated.clock.monotonic()
+            ),
+        )
         return self.command(
             f"identify {force_n} N", lambda: self.controller.identify(witness, [step])
         )
@@ -153,8 +156,6 @@ class Driver:
 
         self.command(f"wait {seconds} s", idle)
 
-    # Hosts
-
     def restart(self) -> None:
         """End the host program in order, and start another one."""
         self._begin("restart the host")
@@ -196,8 +197,6 @@ class Driver:
         if recording is not None:
             self.monitor.broken += recording_faults(recording, whole=True)
             shutil.rmtree(recording.parent)
-
-    # World
 
     def inject(self, text: str) -> None:
         """Inject a fault; one that is refused changes nothing."""
@@ -269,8 +268,6 @@ class Driver:
         if self.monitor.broken:
             steps = "\n  ".join(self.log)
             raise InvariantBroken(f"{'; '.join(self.monitor.broken[:3])}\nafter\n  {steps}")
-
-    # Inside
 
     def _begin(self, name: str) -> None:
         now_s = self.simulated.clock.monotonic()

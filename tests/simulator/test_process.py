@@ -16,7 +16,7 @@ import can
 import pytest
 import serial
 
-from simulator.errors import EndpointError, SimulatorStateError
+from simulator.errors import EndpointError, SimulatorSettingsError, SimulatorStateError
 from simulator.process import FORGIVEN_S, PIECE_S, RealTimeCell, serve
 from simulator.protocol2 import Instruction, encode_instruction
 from simulator.settings import SimulatorSettings
@@ -44,9 +44,9 @@ LIMIT_S = 10.0
 class Stepped:
     """A cell of real terminals in a time that the test makes."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, settings: SimulatorSettings | None = None) -> None:
         self.now_s = 100.0
-        self.cell = RealTimeCell(SimulatorSettings(), folder, self.now_s)
+        self.cell = RealTimeCell(settings or SimulatorSettings(), folder, self.now_s)
         self.hello = self.cell.announcement()
 
     def run(self, seconds: float) -> None:
@@ -141,6 +141,33 @@ def test_pulling_and_plugging_the_cables_is_felt(stepped: Stepped) -> None:
         os.write(line, b"V\r")
         stepped.run(0.005)
         assert received(line) == b"V1013\r"
+
+
+def test_faults_of_the_settings_come_and_go_at_their_times(tmp_path: Path) -> None:
+    faults = ("can.unplugged@100ms..200ms", "servos.unplugged@150ms..250ms", "unit.off@1s")
+    stepped = Stepped(tmp_path, SimulatorSettings(faults=faults))
+    with stepped.cell:
+        stepped.run(0.025)
+        seen = []
+        for _ in range(6):
+            seen.append((stepped.cell._can_pty.plugged_in, stepped.cell._servo_pty.plugged_in))
+            stepped.run(0.05)
+        there, can_out, both_out, servos_out = (
+            (True, True),
+            (False, True),
+            (False, False),
+            (True, False),
+        )
+        assert seen == [there, there, can_out, both_out, servos_out, there]
+        assert not stepped.cell.devices.faults.unit.dead
+        stepped.run(0.75)
+        assert stepped.cell.devices.faults.unit.dead
+
+
+def test_a_cell_with_a_fault_that_does_not_fit_leaves_nothing_behind(tmp_path: Path) -> None:
+    with pytest.raises(SimulatorSettingsError, match="pads are 0 to 9"):
+        RealTimeCell(SimulatorSettings(faults=("taxels.saturated=10",)), tmp_path, 0.0)
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_stall_is_caught_up_in_pieces_or_left_out(stepped: Stepped) -> None:
