@@ -1,9 +1,14 @@
 """Each row of the fault campaign: the required reaction, within its limit, no invariant broken."""
 
+import os
+
 import pytest
 
 from benchmarks.fault_campaign import ROWS, FaultRow, Observed
 from benchmarks.fault_campaign.table import Result, complaint_of, rows_table, totals
+
+
+LOAD_MARGIN = 0.5
 
 
 def _parameter(row: FaultRow) -> object:
@@ -13,6 +18,9 @@ def _parameter(row: FaultRow) -> object:
 
 @pytest.mark.parametrize("row", [_parameter(row) for row in ROWS])
 def test_a_fault_has_its_reaction_within_its_limit(row: FaultRow) -> None:
+    load, processors = os.getloadavg()[0], os.cpu_count() or 1
+    if row.real_time and load > processors + LOAD_MARGIN:
+        pytest.skip(f"load {load:.1f} on {processors} processors leaves no real time to test in")
     observed = row.run()
     assert not complaint_of(row, observed), observed.outcome
 
