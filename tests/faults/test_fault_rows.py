@@ -7,7 +7,6 @@ import pytest
 from benchmarks.fault_campaign import ROWS, FaultRow, Observed
 from benchmarks.fault_campaign.table import Result, complaint_of, rows_table, totals
 
-
 LOAD_MARGIN = 0.5
 
 
