@@ -10,6 +10,7 @@ from benchmarks.fault_campaign.driver import Driver
 from benchmarks.fault_campaign.invariants import InvariantBroken
 from benchmarks.fault_campaign.machine import run_all, run_machine
 from benchmarks.fault_campaign.texts import fault_texts
+from cell.controller import CellController
 from gripper.gripper import Gripper
 from gripper.registers import REGISTERS
 from simulator.faults import check_fault
@@ -78,6 +79,31 @@ def test_torque_that_comes_back_by_itself_is_found(monkeypatch: pytest.MonkeyPat
     complaint = r"torque of servo . on while CLEARING, without a reset"
     with pytest.raises(InvariantBroken, match=complaint):
         drive(fault="servo1.overload@contact+50ms")
+
+
+def test_a_push_after_a_fault_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    tick = CellController.tick
+
+    def tick_and_push(controller: CellController) -> None:
+        tick(controller)
+        if controller.fault is not None:
+            gripper = controller.gripper
+            for servo in gripper._settings.servos:
+                gripper._bus.write(servo.servo_id, REGISTERS["goal_current"], 200)
+
+    monkeypatch.setattr(CellController, "tick", tick_and_push)
+    with pytest.raises(InvariantBroken, match=r"goal currents from .* to \[200, .* while ABORTED"):
+        drive()
+
+
+def test_a_label_from_spoiled_taxels_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    cell = Driver(self_test=False)
+    cell.start()
+    monkeypatch.setattr(driver, "spoiling", lambda _faults, _now_s: ["taxels.off=0.9"])
+    with pytest.raises(InvariantBroken, match=r"a label in spite of taxels.off=0.9"):
+        cell.identify(3.0)
+    cell.monitor.broken.clear()
+    cell.close()
 
 
 def test_a_force_above_the_cap_is_found() -> None:
