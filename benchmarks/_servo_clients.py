@@ -89,7 +89,7 @@ class Ours:
 
     def status(self) -> tuple[Block, int]:
         before = self._bus.statistics.retries
-        with _giving_up(BusTimeout, BusCorrupt):
+        with self._bus.in_loop(), _giving_up(BusTimeout, BusCorrupt):
             found = self._bus.sync_read(SERVO_IDS, STATUS[0], STATUS[-1])
         block = {i: tuple(found[i][register.name] for register in STATUS) for i in SERVO_IDS}
         return block, self._bus.statistics.retries - before

@@ -21,6 +21,7 @@ from gripper.registers import Register, registers_between
 BROADCAST_ID = 0xFE
 _HIGHEST_ID = 252
 _CRC_REFUSED = 3
+_PATIENT_REPETITIONS = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -35,7 +36,8 @@ class ServoIdentity:
 class ServoBus:
     """Transactions with servos on one line; safe to use from several threads.
 
-    A lost answer is asked for once more, patiently outside of `in_loop`. Before that, a ping
+    A lost answer is asked for once more, outside of `in_loop` up to three times and patiently.
+    Before that, a ping
     shows that everything that the servo still owed has arrived, so that a late answer is never
     taken for the new one. Where the ping stays unanswered too, the next transaction first waits
     until the line has been quiet for ``late_guard_s``.
@@ -210,7 +212,7 @@ class ServoBus:
     ) -> dict[int, dict[str, int]]:
         """Return one contiguous block of items of several servos as raw values by name.
 
-        A servo whose answer is missing is asked alone, as long as the period allows.
+        A servo whose answer is missing is asked alone, `in_loop` as long as the period allows.
 
         Raises
         ------
@@ -230,15 +232,12 @@ class ServoBus:
             for servo_id in ids:
                 if servo_id in found:
                     continue
-                try:
-                    self._line.clear(servo_id, deadline_s)
-                    self._line.count(retries=1)
-                    found[servo_id] = self._line.request(
-                        servo_id, Instruction.READ, _words(first.address, size), size
-                    )
-                except NoAnswerError as again:
-                    self._line.give_up()
-                    raise _give_up(failure or again, action, servo_id) from None
+                again = self._repeat(
+                    servo_id, Instruction.READ, _words(first.address, size), size, deadline_s
+                )
+                if again is None:
+                    raise _give_up(failure or NoAnswerError(False), action, servo_id) from None
+                found[servo_id] = again
             for servo_id in ids:
                 _check_error(found[servo_id], action)
         return {servo_id: _decode(block, found[servo_id].data) for servo_id in ids}
@@ -305,17 +304,32 @@ class ServoBus:
                 if status.error == _CRC_REFUSED:
                     raise NoAnswerError(damaged=True)
             except NoAnswerError as failure:
-                self._line.count(retries=1)
-                try:
-                    self._line.clear(servo_id, None, patient=not self._in_loop)
-                    status = self._line.request(
-                        servo_id, instruction, params, size, patient=not self._in_loop
-                    )
-                except NoAnswerError:
-                    self._line.give_up()
+                again = self._repeat(servo_id, instruction, params, size, None)
+                if again is None:
                     raise _give_up(failure, action, servo_id) from None
+                status = again
         _check_error(status, action)
         return status
+
+    def _repeat(
+        self,
+        servo_id: int,
+        instruction: Instruction,
+        params: bytes,
+        size: int,
+        deadline_s: float | None,
+    ) -> StatusPacket | None:
+        """Ask again behind a ping, several times where there is time; None without an answer."""
+        patient = not self._in_loop
+        for _ in range(_PATIENT_REPETITIONS if patient else 1):
+            try:
+                self._line.clear(servo_id, None if patient else deadline_s, patient=patient)
+                self._line.count(retries=1)
+                return self._line.request(servo_id, instruction, params, size, patient=patient)
+            except NoAnswerError:
+                continue
+        self._line.give_up()
+        return None
 
     def _chain(
         self, ids: Sequence[int], first: Register, size: int

@@ -172,10 +172,12 @@ class Gripper:
         if self._life.running or self._life.phase is GripperPhase.OFF:
             return
         if self._life.fault is not None:
-            self._runner.read()
+            with self._servos.in_loop():
+                self._runner.read()
             return
         with self._life.latching():
-            state = self._runner.read()
+            with self._servos.in_loop():
+                state = self._runner.read()
             if state is not None:
                 self._servos.health.poll(state, watchdog=self._life.part_possible)
 

@@ -145,7 +145,8 @@ def test_a_lost_answer_of_a_sync_read_costs_less_than_a_period(script, bus, cloc
     script.expect(SYNC_132, (0.0003, IS_166))
     script.expect("FFFFFD00 02 0300 01 2B4E".replace("2B4E", ping_crc(2)), (0.0003, PONG_2))
     script.expect(read_132(2), (0.0003, TWO_IS_2079))
-    read = bus.sync_read([1, 2], PRESENT_POSITION, PRESENT_POSITION)
+    with bus.in_loop():
+        read = bus.sync_read([1, 2], PRESENT_POSITION, PRESENT_POSITION)
     assert read[2]["present_position"] == 2079
     assert clock.monotonic() < 0.004
 
@@ -167,11 +168,12 @@ def test_outside_of_the_loop_a_retry_waits_for_a_slow_servo(script, bus, clock) 
     assert bus.read(1, PRESENT_POSITION) == 166
     assert bus.statistics.retries == 1
     script.expect(READ_132)
-    script.expect(PING_1)
+    for _ in range(3):
+        script.expect(PING_1)
     before_s = clock.monotonic()
     with pytest.raises(BusTimeout):
         bus.read(1, PRESENT_POSITION)
-    assert clock.monotonic() - before_s < 0.06
+    assert clock.monotonic() - before_s < 0.16
 
 
 def test_where_there_is_time_a_ping_that_overtakes_a_late_answer_proves_nothing(
@@ -188,7 +190,7 @@ def test_where_there_is_time_a_ping_that_overtakes_a_late_answer_proves_nothing(
 def test_both_servos_silent_gives_up_within_the_period(script, bus, clock) -> None:
     script.expect(SYNC_132)
     script.expect(PING_1)
-    with pytest.raises(BusTimeout):
+    with bus.in_loop(), pytest.raises(BusTimeout):
         bus.sync_read([1, 2], PRESENT_POSITION, PRESENT_POSITION)
     assert clock.monotonic() < 0.0055
 
@@ -196,7 +198,7 @@ def test_both_servos_silent_gives_up_within_the_period(script, bus, clock) -> No
 def test_no_time_left_in_the_period_means_no_retry(script, clock) -> None:
     bus = ServoBus(script, baudrate=1_000_000, clock=clock, period_s=0.001)
     script.expect(SYNC_132)
-    with pytest.raises(BusTimeout):
+    with bus.in_loop(), pytest.raises(BusTimeout):
         bus.sync_read([1, 2], PRESENT_POSITION, PRESENT_POSITION)
 
 
@@ -204,7 +206,7 @@ def test_a_late_answer_is_never_taken_for_the_next_one(script, bus) -> None:
     late = "FFFFFD00 01 0800 55 00 A6000000 8CC0"
     script.expect(READ_132, (0.030, late))
     script.expect(PING_1)
-    with pytest.raises(BusTimeout):
+    with bus.in_loop(), pytest.raises(BusTimeout):
         bus.read(1, PRESENT_POSITION)
     script.expect(
         SYNC_132,
@@ -235,7 +237,7 @@ def test_an_answer_late_by_less_than_the_ping_is_dropped(script, bus) -> None:
 def test_the_line_is_quiet_before_the_next_request_after_a_failure(script, bus, clock) -> None:
     script.expect(READ_132)
     script.expect(PING_1)
-    with pytest.raises(BusTimeout):
+    with bus.in_loop(), pytest.raises(BusTimeout):
         bus.read(1, PRESENT_POSITION)
     before_s = clock.monotonic()
     script.expect(READ_132, IS_166)
@@ -273,7 +275,7 @@ def test_a_false_long_length_hides_no_answer(script, bus) -> None:
 def test_twice_damaged_is_corrupt(script, bus) -> None:
     script.expect(READ_132, "FFFFFD00 01 0800 55 00 A6000001 8CC0")
     script.expect(PING_1)
-    with pytest.raises(BusCorrupt, match="damaged"):
+    with bus.in_loop(), pytest.raises(BusCorrupt, match="damaged"):
         bus.read(1, PRESENT_POSITION)
     assert bus.statistics.corrupt == 1
 
