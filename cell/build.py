@@ -83,8 +83,14 @@ class Cell:
         frames, servos, loop = statistics.link.frames, statistics.servo_bus, statistics.loop
         return {
             "tactile": {
-                name: getattr(frames, name)
-                for name in ("complete", "lost", "torn", "duplicate", "stale", "short", "corrupt")
+                name: getattr(owner, name)
+                for owner, names in (
+                    (frames, ("complete", "lost", "torn", "duplicate", "reordered", "stale")),
+                    (frames, ("short", "corrupt")),
+                    (statistics.link, ("foreign", "malformed", "error_frames")),
+                    (statistics.sensor, ("bad_taxels", "saturated_frames", "void_frames")),
+                )
+                for name in names
             },
             "servo_bus": {
                 name: getattr(servos, name)

@@ -5,7 +5,7 @@ tests. `cell.hand_process.HandProcess` runs it in a process of its own: real tim
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from gripper.line import BusStatistics
@@ -16,7 +16,7 @@ from gripper.verification import VerificationReport
 from tactile.layout import TaxelLayout
 from tactile.link_settings import LinkStatistics, NodeIdentity
 from tactile.protocol import TactileFrame
-from tactile.reading import TactileReading
+from tactile.reading import SensorStatistics, TactileReading
 
 Watch = Callable[[Cycle, Sequence[TactileFrame]], None]
 """Told of each period of a command, in order, with the tactile frames that came in it.
@@ -37,6 +37,8 @@ class HandStatistics:
         Since the servos' port was opened.
     link
         Since the last start of the tactile link.
+    sensor
+        Since the last start of the tactile sensor.
     undelivered
         Periods that did not reach this process because it took nothing for too long.
     """
@@ -44,6 +46,7 @@ class HandStatistics:
     loop: LoopStatistics
     servo_bus: BusStatistics
     link: LinkStatistics
+    sensor: SensorStatistics = field(default_factory=SensorStatistics)
     undelivered: int = 0
 
 

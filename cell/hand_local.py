@@ -46,6 +46,7 @@ class SensorTap:
                 t_s=reading.frame.t_s,
                 force_n=(float(left), float(right)),
                 valid=reading.ok,
+                reason=reading.reason,
                 centre_m=self._centres.of(reading.force_n),
             )
         return self._sample
@@ -122,6 +123,7 @@ class LocalHand:
             loop=self.gripper.statistics,
             servo_bus=self.bus.statistics,
             link=self.link.statistics,
+            sensor=self.sensor.statistics,
         )
 
     def start(self) -> VerificationReport:

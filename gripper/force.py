@@ -17,6 +17,8 @@ class ForceSample:
     valid
         False when the sensor says that the value must not be used for control (saturated pad,
         too many bad taxels).
+    reason
+        Why it is not valid; empty where it is.
     centre_m
         Centre of the force on each finger's pad in m, along the finger and across it; None where
         the sensor does not tell, or nothing touches.
@@ -25,6 +27,7 @@ class ForceSample:
     t_s: float
     force_n: tuple[float, float]
     valid: bool = True
+    reason: str = ""
     centre_m: tuple[tuple[float, float], tuple[float, float]] | None = None
 
     @property

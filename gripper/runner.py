@@ -180,7 +180,7 @@ class LoopRunner:
                     fresh_s = max(fresh_s, sample.t_s)
                     self._servos.note_force(sample)
                 if needs_force:
-                    self._check_force(state.t_s, fresh_s)
+                    self._check_force(state.t_s, fresh_s, sample)
                 moment = Moment(
                     now_s=state.t_s,
                     dt_s=min(max(state.t_s - last_s, 0.0), 2.0 * period_s),
@@ -201,11 +201,12 @@ class LoopRunner:
                     return state
             deadline_s = self._wait(deadline_s + period_s, answered=state is not None)
 
-    def _check_force(self, now_s: float, fresh_s: float) -> None:
+    def _check_force(self, now_s: float, fresh_s: float, sample: ForceSample | None) -> None:
         age_s = now_s - fresh_s
         if age_s > self._settings.force_stale_s:
+            why = f" ({sample.reason})" if sample is not None and sample.reason else ""
             raise ForceSensorStale(
-                f"no valid force sample for {age_s:.3f} s, force_stale_s is "
+                f"no valid force sample for {age_s:.3f} s{why}, force_stale_s is "
                 f"{self._settings.force_stale_s} s: the goals are frozen, the grip is kept; "
                 f"check the tactile sensor, then clear the fault"
             )

@@ -60,6 +60,25 @@ class SensorSettings:
                 raise ValueError(f"{name} is {getattr(self, name)}, must be at least {low:g}")
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorStatistics:
+    """What the sensor noted since its start.
+
+    Attributes
+    ----------
+    bad_taxels
+        Taxels that do not measure now; masked and filled from their neighbours.
+    saturated_frames
+        Frames with healthy taxels at full scale.
+    void_frames
+        Frames after the tare whose finger forces were not fit for control.
+    """
+
+    bad_taxels: int = 0
+    saturated_frames: int = 0
+    void_frames: int = 0
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TactileReading:
     """One frame and what it says in newtons. Arrays are read-only.

@@ -18,7 +18,7 @@ from tactile.layout import TaxelLayout
 from tactile.link_settings import NodeIdentity
 from tactile.protocol import FrameStatus, TactileFrame
 from tactile.quality import QualityWatch
-from tactile.reading import SensorSettings, TactileReading
+from tactile.reading import SensorSettings, SensorStatistics, TactileReading
 from tactile.tare import TareResult, compute_tare, too_many_bad
 from tactile.touch import ActiveTaxels
 
@@ -92,6 +92,7 @@ class TactileSensor:
         self._latest: TactileReading | None = None
         self._last_s: float | None = None
         self._frozen: FrameTimeout | None = None
+        self._saturated_frames = self._void_frames = 0
         self._quality.begin(None)
 
     @property
@@ -103,6 +104,15 @@ class TactileSensor:
     def latest(self) -> TactileReading | None:
         """The newest reading that `poll` has given, None before; its age is in its ``t_s``."""
         return self._latest
+
+    @property
+    def statistics(self) -> SensorStatistics:
+        """What was noted since the start."""
+        return SensorStatistics(
+            bad_taxels=int(np.count_nonzero(self._quality.bad)),
+            saturated_frames=self._saturated_frames,
+            void_frames=self._void_frames,
+        )
 
     @property
     def tare_result(self) -> TareResult | None:
@@ -228,6 +238,8 @@ class TactileSensor:
         reason = self._objection(frame, saturated & ~bad, bad, tared)
         for array in (tared, active, force_n, pad_force_n, saturated, bad):
             array.setflags(write=False)
+        self._saturated_frames += bool((saturated & ~bad).any())
+        self._void_frames += bool(reason) and self._mean.full
         first, second = self._layout.gripping_pads
         return TactileReading(
             frame=frame,

@@ -19,6 +19,7 @@ from tactile.layouts import paper_layout, pinch_layout
 from tactile.link_settings import NodeIdentity
 from tactile.protocol import FrameStatus, TactileFrame
 from tactile.quality import QualityLimits
+from tactile.reading import SensorStatistics
 from tactile.sensor import SensorSettings, TactileSensor
 from tactile.tare import TareLimits, compute_tare
 
@@ -359,6 +360,7 @@ def test_more_broken_taxels_than_allowed_make_the_force_invalid() -> None:
     frames.alter = stick
     reading = readings(sensor, frames, 4)[-1]
     assert (reading.ok, reading.reason) == (False, "4 taxels of finger 0 bad")
+    assert sensor.statistics == SensorStatistics(bad_taxels=4, void_frames=2)
 
 
 def test_a_saturated_pad_beside_the_grip_is_noted_only() -> None:
@@ -367,6 +369,7 @@ def test_a_saturated_pad_beside_the_grip_is_noted_only() -> None:
     reading = readings(sensor, frames, 5)[-1]
     assert reading.ok
     assert reading.saturated[LAYOUT.taxels_of(1)].all()
+    assert (sensor.statistics.saturated_frames, sensor.statistics.void_frames) == (5, 0)
     sensor.check_zero()
 
 
