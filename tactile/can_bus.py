@@ -2,6 +2,7 @@
 
 import re
 import select
+import socket
 import time
 from collections import deque
 from typing import Any
@@ -220,6 +221,8 @@ def _open(interface: str, channel: str, *, bitrate: int, tty_baudrate: int) -> c
         return BulkSlcanBus(channel, bitrate=bitrate, tty_baudrate=tty_baudrate)
     options: dict[str, Any] = {"bitrate": bitrate}
     if interface == "socketcan":
+        # The driver would leave a socket open where there is no such interface.
+        socket.if_nametoindex(channel)
         options = {}
     elif interface == "socketcand":
         return open_socketcand(channel)
