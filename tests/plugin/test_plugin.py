@@ -29,7 +29,9 @@ HEAVY = ("numpy", "scipy", "pydantic", "can", "canopen", "serial", "simulator", 
 
 
 def run(pytester: pytest.Pytester, *arguments: str) -> pytest.RunResult:
-    return pytester.runpytest_inprocess("-p", "no:cacheprovider", "-p", "no:xdist", *arguments)
+    # Each run would import hypothesis anew, which takes longer than the run.
+    quick = ("-p", "no:cacheprovider", "-p", "no:xdist", "-p", "no:hypothesispytest")
+    return pytester.runpytest_inprocess(*quick, *arguments)
 
 
 def test_pytest_finds_the_plugin_and_pays_nothing_for_it() -> None:
