@@ -219,8 +219,8 @@ class TactileConfig(_Section):
     """Heartbeat period of the control unit in ms, 10 to 5000."""
     startup_timeout_s: float = Field(default=3.0, gt=0.0, le=60.0)
     """Longest time to wait for the control unit at the start in s, up to 60."""
-    tare_frames: int = Field(default=100, ge=5, le=1000)
-    """Frames averaged for the zero of each taxel, 5 to 1000; nothing may touch the pads."""
+    tare_frames: int = Field(default=100, ge=8, le=1000)
+    """Frames averaged for the zero of each taxel, 8 to 1000; nothing may touch the pads."""
     board_serial_numbers: tuple[BoardSerial, BoardSerial] | None = None
     """Serial numbers (object 2103h) of the pads' boards on finger 0 and 1; none: any. With them
     pads that were exchanged are refused at the start."""
