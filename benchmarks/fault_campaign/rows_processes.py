@@ -39,8 +39,8 @@ HOG_S = 0.5
 _ATTEMPTS = 5
 _TRIPPED = -1
 _WATCHDOG_MARGIN_S = 0.06
-_INTERRUPTED = (1, 130)
-"""Exit codes: after the first signal, or by the second."""
+_INTERRUPTED = (1, 130, -signal.SIGALRM)
+"""Exit codes: after the first signal, by the second, or cut off because closing took too long."""
 _PROGRAM = (sys.executable, "-P", "-c", "from cell.cli import main; main()")
 _MIDDLE = "import subprocess, sys; subprocess.Popen(sys.argv[1:], start_new_session=True).wait()"
 _STEP = GraspStep(pose=Pose(), force_n=4.0)

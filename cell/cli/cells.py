@@ -27,7 +27,7 @@ from cell.cli.options import (
 )
 from cell.cli.output import confusion_table, out, percent, progress_bar, say, write_json
 from cell.cli.running import faulted, pads_of, running_cell, seeded
-from cell.cli.stopping import stopping
+from cell.cli.stopping import END_WITHIN_S, stopping
 from cell.config import CellConfig
 from cell.config_file import load_config
 from cell.dataset import read_dataset
@@ -243,7 +243,7 @@ def release(
         raise ConfigError("the part may fall; add --confirm if that is meant")
     cell = build_cell(load_config(config), mover=lambda _pose: False, ask=ask)
     try:
-        with stopping(cell.controller.cancel):
+        with stopping(cell.controller.cancel, end_within_s=END_WITHIN_S):
             cell.controller.release_held()
     finally:
         cell.close()

@@ -7,7 +7,7 @@ from pathlib import Path
 from cell.build import Cell, build_cell
 from cell.cli.asking import ask
 from cell.cli.output import say, warn, write_json
-from cell.cli.stopping import stopping
+from cell.cli.stopping import END_WITHIN_S, stopping
 from cell.collect import pad_array
 from cell.config import CellConfig
 from cell.errors import CellError, CellStopped, ConfigError
@@ -31,7 +31,7 @@ def running_cell(
     for note in cell.notes:
         warn(note)
     try:
-        with _closing(cell), stopping(cell.controller.cancel):
+        with _closing(cell), stopping(cell.controller.cancel, end_within_s=END_WITHIN_S):
             cell.controller.start()
             yield cell
     except CellStopped as stop:

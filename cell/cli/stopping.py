@@ -10,10 +10,16 @@ from types import FrameType
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _LOOK_S = 0.1
 
+END_WITHIN_S = 0.4
+"""Time that a second signal leaves for closing files; what takes longer is cut off."""
+
 
 @contextmanager
-def stopping(cancel: Callable[[], None]) -> Iterator[None]:
+def stopping(cancel: Callable[[], None], *, end_within_s: float | None = None) -> Iterator[None]:
     """Within the block the first signal calls ``cancel``; a second raises KeyboardInterrupt.
+
+    With ``end_within_s`` the system ends this program so long after the second signal (SIGALRM),
+    whatever it does then; what was recorded can be recovered, and the grip is kept.
 
     The death of the process that started this one counts as a signal. A program that was started
     with SIGHUP ignored (``nohup``) is meant to outlive terminal and parent, and does.
@@ -24,6 +30,8 @@ def stopping(cancel: Callable[[], None]) -> Iterator[None]:
         nonlocal seen
         seen += 1
         if seen > 1:
+            if end_within_s is not None:
+                signal.setitimer(signal.ITIMER_REAL, end_within_s)
             raise KeyboardInterrupt
         cancel()
 

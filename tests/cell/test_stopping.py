@@ -2,6 +2,8 @@
 
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -53,6 +55,24 @@ def test_a_program_under_nohup_outlives_terminal_and_parent(
         signal.raise_signal(signal.SIGTERM)
         assert calls == [1]
     assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+
+
+def test_a_second_signal_leaves_little_time_to_close_files() -> None:
+    program = (
+        "import os, signal, time\n"
+        "from cell.cli.stopping import stopping\n"
+        "with stopping(lambda: None, end_within_s=0.05):\n"
+        "    try:\n"
+        "        os.kill(os.getpid(), signal.SIGTERM)\n"
+        "        os.kill(os.getpid(), signal.SIGTERM)\n"
+        "    except KeyboardInterrupt:\n"
+        "        print('closing', flush=True)\n"
+        "        time.sleep(60)\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, timeout=LIMIT_S, check=False
+    )
+    assert (ended.returncode, ended.stdout) == (-signal.SIGALRM, b"closing\n")
 
 
 def test_a_stop_does_not_wait_for_whoever_moves_the_object(
