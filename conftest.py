@@ -1,3 +1,10 @@
-"""The package's own plugin, loaded after pytest-cov has started; users get it as an entry point."""
+"""The package's own plugin, loaded after pytest-cov has started.
 
-pytest_plugins = ["cell.pytest_plugin", "pytester"]
+Users get it as an entry point, which pytest imports before; `addopts` in pyproject.toml blocks that
+here. A run that overrides `addopts` has it already.
+"""
+
+import sys
+
+_NAME = "cell.pytest_plugin"
+pytest_plugins = ["pytester", *([] if _NAME in sys.modules else [_NAME])]
