@@ -155,7 +155,7 @@ class GraspRun:
 
     def _approach(self, observer: Observer | None) -> tuple[ApproachEvent, GripperState]:
         settings = self._settings
-        start = self._servos.read()
+        start = self._servos.read_patiently()
         paths = self._servos.transmissions(start.servos)
         current_max_a = min(
             settings.current_max_a,

@@ -159,7 +159,7 @@ class Gripper:
 
     def read_state(self) -> GripperState:
         """Read the feedback of all servos in one transaction."""
-        return self._servos.read()
+        return self._servos.read_patiently()
 
     def tick(self) -> None:
         """Feed the bus watchdog and look after the servos between commands.
@@ -233,7 +233,7 @@ class Gripper:
                 "grasp is not possible before the bus watchdog has proven to stop the motors: "
                 "open the gripper, its self-test follows (watchdog_self_test is on)"
             )
-        state = self._servos.read()
+        state = self._servos.read_patiently()
         self._grasping.check(ramp, state)
         with self._life.command(GripperPhase.APPROACHING):
             self._make_ready()
@@ -395,7 +395,7 @@ class Gripper:
         return control
 
     def _move_to(self, aperture_m: float, observer: Observer | None) -> GripperState:
-        state = self._servos.read()
+        state = self._servos.read_patiently()
         move = MoveTo(
             self._settings,
             self._linkage,

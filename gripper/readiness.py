@@ -53,5 +53,5 @@ def make_ready(
 
 
 def _current_a(servos: ServoGroup, settings: GripperSettings) -> float:
-    paths = servos.transmissions(servos.read().servos)
+    paths = servos.transmissions(servos.read_patiently().servos)
     return motion_current_a(settings, paths, settings.approach_force_n)

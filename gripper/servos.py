@@ -6,7 +6,7 @@ from math import pi, tau
 
 from gripper.bus import ServoBus
 from gripper.clock import Clock
-from gripper.errors import GripperError, ServoFault
+from gripper.errors import BusCorrupt, BusTimeout, GripperError, ServoFault
 from gripper.force import ForceSample
 from gripper.freshness import TickWatch
 from gripper.health import ServoHealth
@@ -33,6 +33,8 @@ from gripper.registers import (
 )
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.state import GripperState, ServoState
+
+_PATIENT_READS = 3
 
 
 class ServoGroup:
@@ -114,6 +116,15 @@ class ServoGroup:
             servos=servos,
         )
         return self._last
+
+    def read_patiently(self) -> GripperState:
+        """Read as `read` does, again where an answer was lost or old; for use between commands."""
+        for _ in range(_PATIENT_READS - 1):
+            try:
+                return self.read()
+            except (BusTimeout, BusCorrupt):
+                continue
+        return self.read()
 
     def _servo_state(self, servo: ServoSettings, raw: dict[str, int]) -> ServoState:
         turned = (raw["present_position"] - servo.zero_raw) * RAD_PER_PULSE * servo.direction
@@ -268,7 +279,7 @@ class ServoGroup:
                 )
             # The goals of the other modes limit this one too.
             self._bus.write(servo_id, GOAL_PWM, self._bus.read(servo_id, PWM_LIMIT))
-        state = self.read()
+        state = self.read_patiently()
         goals = [ServoGoal(angle_rad=s.angle_rad, current_a=current_a) for s in state.servos]
         self.write_goals(goals, state)
         for servo in state.servos:
