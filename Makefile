@@ -5,7 +5,7 @@ BIN := $(VENV)/bin
 STAMP := $(VENV)/.installed
 PYTEST_ARGS ?=
 
-.PHONY: run test wheel-test check format bench paper campaign soak clean distclean
+.PHONY: run test wheel-test check format bench paper campaign soak vcan clean distclean
 
 run: $(STAMP)  ## teach and identify the paper's five objects on the simulated cell
 	$(BIN)/tactile-cell run
@@ -37,6 +37,9 @@ campaign: $(STAMP)  ## bad input, a million for each parser; every fault; a mill
 
 soak: $(STAMP)  ## 10,000 grasps in virtual time, an hour: memory, files and threads stay flat
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.soak --grasps $(or $(GRASPS),10000)
+
+vcan: $(STAMP)  ## the CAN link on a real SocketCAN interface, in a virtual machine (qemu)
+	.ci/vcan
 
 paper: $(STAMP)  ## the paper's figures and Table 1 beside ours: out/paper/paper.html
 	$(BIN)/python -m benchmarks paper

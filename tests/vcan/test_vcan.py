@@ -1,0 +1,115 @@
+"""The link on a real SocketCAN interface; in a virtual machine by `make vcan`, elsewhere skipped.
+
+The control unit is a process of its own on the same interface.
+"""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tactile.can_bus import close_bus, open_bus
+from tactile.errors import BusNotOpened, FrameTimeout, HeartbeatLost, NodeMissing
+from tactile.layouts import paper_layout
+from tactile.link import LinkSettings, TactileLink
+
+CHANNEL = os.environ.get("TACTILE_CELL_VCAN", "")
+pytestmark = [
+    pytest.mark.hil,
+    pytest.mark.skipif(not CHANNEL, reason="needs SocketCAN: make vcan"),
+]
+LAYOUT = paper_layout()
+NODE = 5
+# The emulated processor is slow: few frames a second, long patience.
+SETTINGS = LinkSettings(
+    sync_period_s=0.25, heartbeat_s=0.5, startup_timeout_s=60.0, sdo_timeout_s=5.0
+)
+
+
+@pytest.fixture
+def unit() -> Iterator["subprocess.Popen[str]"]:
+    script = Path(__file__).with_name("unit_on_socketcan.py")
+    with subprocess.Popen(
+        [sys.executable, str(script), CHANNEL, str(NODE)], stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "ready\n"
+        yield process
+        process.kill()
+
+
+@pytest.fixture
+def link() -> Iterator[TactileLink]:
+    bus = open_bus("socketcan", CHANNEL)
+    made = TactileLink(bus, node_id=NODE, layout=LAYOUT, clock=time, settings=SETTINGS)
+    yield made
+    made.close()
+    close_bus(bus)
+
+
+def frames(link: TactileLink, n: int) -> list[np.ndarray]:
+    found: list[np.ndarray] = []
+    deadline_s = time.monotonic() + 60.0
+    while len(found) < n:
+        found += [frame.counts for frame in link.poll()]
+        assert time.monotonic() < deadline_s, f"{len(found)} of {n} frames came"
+        time.sleep(0.005)
+    return found
+
+
+def test_whole_frames_and_the_same_by_sdo(link: TactileLink, unit: "subprocess.Popen[str]") -> None:
+    identity = link.start()
+    assert (identity.serial, identity.product_code) == (77, 0x408)
+    counts = frames(link, 12)
+    statistics = link.statistics
+    assert statistics.frames.lost == statistics.frames.torn == statistics.frames.corrupt == 0
+    assert all(one.shape == (408,) for one in counts)
+    assert any((a != b).any() for a, b in pairwise(counts))
+    counter, last = link.read_last_frame()
+    assert counter >= 11
+    assert last.shape == (408,)
+
+
+def test_a_unit_that_dies_is_noticed(link: TactileLink, unit: "subprocess.Popen[str]") -> None:
+    link.start()
+    frames(link, 2)
+    unit.kill()
+    died_s = time.monotonic()
+    with pytest.raises((HeartbeatLost, FrameTimeout)) as caught:
+        frames(link, 100)
+    assert time.monotonic() - died_s < 5.0
+    with pytest.raises(type(caught.value)):
+        link.poll()
+
+
+def test_nobody_there_is_said_so() -> None:
+    quick = LinkSettings(startup_timeout_s=1.0)
+    bus = open_bus("socketcan", CHANNEL)
+    lonely = TactileLink(bus, node_id=9, layout=LAYOUT, clock=time, settings=quick)
+    with pytest.raises(NodeMissing, match="did not boot within 1 s"):
+        lonely.start()
+    lonely.close()
+    close_bus(bus)
+
+
+def test_an_interface_that_is_not_there_is_said_so() -> None:
+    with pytest.raises(BusNotOpened, match=r"vcan7.*ip link"):
+        open_bus("socketcan", "vcan7")
+
+
+def test_a_silent_unit_is_a_lost_heartbeat_or_frame(
+    link: TactileLink, unit: "subprocess.Popen[str]"
+) -> None:
+    link.start()
+    frames(link, 2)
+    unit.send_signal(signal.SIGSTOP)
+    with pytest.raises((HeartbeatLost, FrameTimeout)):
+        frames(link, 100)
+    unit.send_signal(signal.SIGCONT)

@@ -1,0 +1,50 @@
+"""A simulated control unit on a SocketCAN interface: python unit_on_socketcan.py CHANNEL NODE."""
+
+import sys
+import time
+
+import can
+import numpy as np
+
+from simulator.control_unit import ControlUnitSettings, SimulatedControlUnit
+from tactile.layouts import paper_layout
+
+LAYOUT = paper_layout()
+
+
+class Noise:
+    """A world in which nothing is touched."""
+
+    def __init__(self) -> None:
+        self._rng = np.random.default_rng(3)
+
+    def advance_to(self, now_s: float) -> None:
+        """Nothing moves."""
+
+    def scan(self) -> np.ndarray:
+        return self._rng.integers(1, 20, LAYOUT.n_taxels).astype(np.uint16)
+
+
+def main() -> None:
+    bus = can.Bus(sys.argv[1], interface="socketcan")
+    settings = ControlUnitSettings(node_id=int(sys.argv[2]), serial_number=77)
+    unit = SimulatedControlUnit(Noise(), LAYOUT, settings, start_s=time.monotonic())
+
+    def send(ready_s: float, can_id: int, burst: list[bytes]) -> float:
+        for data in burst:
+            bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False), 1.0)
+        return ready_s
+
+    unit.connect(send)
+    sys.stdout.write("ready\n")
+    sys.stdout.flush()
+    while True:
+        now_s = time.monotonic()
+        unit.advance(now_s)
+        message = bus.recv(min(0.02, max(0.0, unit.next_event_s() - now_s)))
+        if message is not None:
+            unit.receive(message.arbitration_id, bytes(message.data), time.monotonic())
+
+
+if __name__ == "__main__":
+    main()
