@@ -184,6 +184,26 @@ def _in_the_loop() -> Observed:
         )
 
 
+def _mover() -> Observed:
+    def broken(_pose: Pose) -> None:
+        raise ZeroDivisionError("robot driver")
+
+    with TactileCellPlugin(campaign_config(), mover=broken) as plugin:
+        job = plugin.start(TeachGoal(label="ball", grasps=3))
+        try:
+            plugin.result(job, 30.0)
+            told = "it was taught"
+        except CellStateError as error:
+            told = str(error)
+        status = plugin.status()
+        latched = status.state == CellState.ABORTED and status.fault is not None
+        return Observed(
+            reaction="HOLD" if latched else "NOTHING",
+            detected_after_s=0.0,
+            outcome=f"{told}; {status.state}, the fingers are open and empty",
+        )
+
+
 # -- 35: the host is silent ------------------------------------------------------------------
 
 
@@ -365,6 +385,7 @@ def _rows() -> list[FaultRow]:
                 lambda: _after_grasp(_Sure(ValueError("no such feature"))),
             ),
             ("sink", "what collects the periods of the loop raises", "HOLD", _in_the_loop),
+            ("mover", "the host's callback that moves the robot raises", "HOLD", _mover),
         )
     ]
     rows += [

@@ -2,6 +2,7 @@
 
 import atexit
 import contextlib
+import gc
 import os
 import signal
 import subprocess
@@ -61,8 +62,15 @@ def _simulator() -> CellProcess:
         sequence__force_n=[4, 5],
     )
     process = CellProcess(config)
+    _hurry(process.pid)
     atexit.register(process.end)
     return process
+
+
+def _hurry(pid: int) -> None:
+    """Let a process go before others, where the machine permits it: it has deadlines of ms."""
+    with contextlib.suppress(PermissionError, ProcessLookupError):
+        os.setpriority(os.PRIO_PROCESS, pid, -15)
 
 
 def _config() -> CellConfig:
@@ -128,6 +136,7 @@ def _gripping(*, middle: bool = False) -> Iterator[_Client]:
             start_new_session=True,
         )
         pid = process.pid
+        _hurry(pid)
         try:
             _wait_for_grip(process)
             pid = _child_of(process.pid) if middle else process.pid
@@ -202,6 +211,7 @@ def _hogged() -> Observed:
         def hog() -> None:
             while not over.is_set():
                 sum(range(int(HOG_S * 4e7)))
+                gc.collect()
 
         thread = threading.Thread(target=hog)
         before = cell.health()["loop"]
@@ -348,8 +358,9 @@ ROWS: tuple[FaultRow, ...] = (
     FaultRow(
         row=31,
         variant="interpreter lock hogged",
-        fault=f"a thread of the host program holds Python's lock for {HOG_S:g} s, again and again",
-        injected="sum() over a long range beside a grasp, real time",
+        fault=f"a thread of the host program holds Python's lock for {HOG_S:g} s and collects "
+        "garbage, again and again",
+        injected="sum() over a long range and gc.collect() beside a grasp, real time",
         reaction="NOTHING",
         limit_s=None,
         run=_hogged,
