@@ -18,7 +18,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -87,10 +87,10 @@ def middle(runs: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def compare(duration_s: float, rounds: int) -> tuple[str, ...]:
+def compare(rates_hz: Sequence[int], duration_s: float, rounds: int) -> tuple[str, ...]:
     """Print both loops on one machine as it is now; return what was refused to ours."""
     notes: tuple[str, ...] = ()
-    for rate_hz in _RATES_HZ:
+    for rate_hz in rates_hz:
         runs = in_turns(
             {
                 name: partial(worker, kind, rate_hz, duration_s)
@@ -181,21 +181,22 @@ def main(effort: float = 1.0) -> None:
     processors = os.cpu_count() or 1
     rounds = repeats(3, effort)
     duration_s = max(0.2, 10.0 * effort)
+    short = effort < 0.1
+    rates_hz = _RATES_HZ[:1] if short else _RATES_HZ
     begin_s = time.monotonic()
     line("compared", f"{rounds} rounds in turns of {duration_s:g} s each, {processors} processors")
     line("load before", f"{os.getloadavg()[0]:.1f} (others' programs count as well)")
     line("machine as it is", "")
-    notes = compare(duration_s, rounds)
+    notes = compare(rates_hz, duration_s, rounds)
     with busy(processors):
         line(f"{processors} busy processes beside", "")
-        compare(duration_s, rounds)
+        compare(rates_hz, duration_s, rounds)
     for note in notes:
         line("  NOTE", note)
     line("over pseudo-terminals", "our process against the simulated cell in another")
-    short = effort < 0.1
     for n_busy in (0,) if short else (0, processors):
         with busy(n_busy):
-            for rate_hz in _RATES_HZ[:1] if short else _RATES_HZ:
+            for rate_hz in rates_hz:
                 line(f"  {rate_hz} Hz, {n_busy} busy", whole_path(rate_hz, duration_s))
     line("seconds", f"{time.monotonic() - begin_s:.0f}")
 

@@ -2,39 +2,27 @@
 
 import time
 from collections.abc import Callable, Iterator, Sequence
-from typing import TypeVar
 
-from cell.collect import GraspCollector, GraspRecord, pad_array
+from cell.collect import GraspRecord
 from cell.config import SequenceConfig
 from cell.errors import CellStateError, CellStopped, NoPartFound
 from cell.grasp_states import GraspState
+from cell.grasping import NOTHING_HELD, Grasper
 from cell.hand import Hand
 from cell.hand_local import LocalHand
 from cell.identification import Identification, OnGrasp, StepChooser, grasp_and_classify
 from cell.journal import Journal
 from cell.lifecycle import ON_REQUEST, CellLifecycle
-from cell.pose import Pose
-from cell.positioner import PatientCaller, Positioner
-from cell.ramps import force_ramp
+from cell.positioner import Positioner
 from cell.recording import Recorder
 from cell.sequence import GraspStep
 from cell.states import CellState, Event
 from gripper.clock import Clock
 from gripper.gripper import Gripper
-from gripper.state import Cycle, GraspResult, GripperPhase
+from gripper.state import GripperPhase
 from recognition.grasp import PadArray
 from recognition.recognizer import Recognizer
-from tactile.protocol import TactileFrame
 from tactile.sensor import TactileSensor
-
-_T = TypeVar("_T")
-
-_NOTHING_HELD = {
-    GraspResult.NO_CONTACT: "no contact",
-    GraspResult.OBSTRUCTED: "the way of the fingers is obstructed, the pads felt nothing",
-    GraspResult.PART_LOST: "the part was lost while the fingers pressed",
-}
-"""Results of a grasp after which nothing is held and nothing can be learnt."""
 
 
 class CellController:
@@ -61,17 +49,23 @@ class CellController:
         self._positioner = positioner
         self._sequence = sequence
         self._tare_frames = tare_frames
-        self._clock = clock
         self._journal = Journal(recorder)
-        self._wall_ms = wall_ms
-        self._patient = PatientCaller(clock, hand.period_s)
         self._life = CellLifecycle(
             hand,
             note=self._journal.note,
             close_sensor=hand.close_sensor,
             changed=self._record_state,
         )
-        self.pads: PadArray = pad_array(hand.layout)
+        self._grasper = Grasper(
+            hand,
+            positioner,
+            life=self._life,
+            journal=self._journal,
+            sequence=sequence,
+            clock=clock,
+            wall_ms=wall_ms,
+        )
+        self.pads: PadArray = self._grasper.pads
 
     # -- state ---------------------------------------------------------------------------------
 
@@ -138,7 +132,7 @@ class CellController:
                     "the servos hold torque from an earlier run, a part may be in the grip; "
                     "nothing was moved. Release it on purpose: `tactile-cell release`"
                 )
-            self._hand.open(self._watch)
+            self._hand.open(self._grasper.watch)
             self._hand.tare(self._tare_frames)
             self._life.check_cancelled()
             self._life.complete()
@@ -192,7 +186,7 @@ class CellController:
         self._life.cancelled = False
         self._journal.note("release", "on request")
         with self._life.latching_faults():
-            self._hand.release(self._watch)
+            self._hand.release(self._grasper.watch)
             self._life.result = None
             self._life.complete()
 
@@ -265,7 +259,7 @@ class CellController:
             self._check_cancelled_between()
             self.tick()
 
-        self._patiently(lambda: self._positioner.present(label), supervise)
+        self._grasper.patiently(lambda: self._positioner.present(label), supervise)
 
     def grasp(self, step: GraspStep, *, label: str = "") -> GraspRecord:
         """Run one grasp: pose, approach, contact, ramp, hold, release.
@@ -282,11 +276,11 @@ class CellController:
         self._life.go(Event.EXECUTE)
         try:
             with self._life.latching_faults():
-                record = self._grasp(step, label)
+                record = self._grasper.grasp(step, label)
                 self._life.complete()
         finally:
             self._journal.loop(self._hand.statistics)
-        missing = _NOTHING_HELD.get(record.outcome.result)
+        missing = NOTHING_HELD.get(record.outcome.result)
         if missing is not None:
             raise NoPartFound(
                 f"{missing} at pose {step.pose}, at an opening of "
@@ -336,55 +330,6 @@ class CellController:
             raise CellStopped(
                 f"stopped {self._life.stop_reason} between two grasps; the fingers are open"
             )
-
-    def _grasp(self, step: GraspStep, label: str) -> GraspRecord:
-        reached = self._move_to(step.pose)
-        collector = GraspCollector()
-
-        def watch(cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
-            self._life.check_cancelled()
-            self._record_state()
-            collector.add(cycle, frames)
-            self._journal.cycle(cycle, frames)
-
-        self._hand.open(self._watch)
-        start_ms = self._wall_ms()
-        outcome = self._hand.grasp(force_ramp(self._sequence.ramp, step.force_n), watch)
-        self._life.result = outcome.result
-        record = GraspRecord(
-            grasp=collector.grasp(self.pads, label=label, source="tactile-cell", start_ms=start_ms),
-            step=step,
-            reached=reached,
-            outcome=outcome,
-            cycles=collector.cycles,
-        )
-        missing = _NOTHING_HELD.get(outcome.result)
-        if missing is not None:
-            self._journal.note("no part", f"{missing} at {reached}")
-        else:
-            self._journal.grasp(record.grasp)
-        self._hand.release(self._watch)
-        return record
-
-    def _move_to(self, pose: Pose) -> Pose:
-        def supervise() -> None:
-            self._life.check_cancelled()
-            self._hand.tick()
-
-        reached = self._patiently(lambda: self._positioner.move_to(pose), supervise)
-        self._journal.pose(reached)
-        return reached
-
-    def _patiently(self, call: Callable[[], _T], supervise: Callable[[], None]) -> _T:
-        """Wait for the positioner while both links stay alive and supervised."""
-        if not self._positioner.blocks:
-            return call()
-        return self._patient.call(call, supervise)
-
-    def _watch(self, cycle: Cycle, _frames: Sequence[TactileFrame]) -> None:
-        self._life.check_cancelled()
-        self._record_state()
-        self._journal.cycle(cycle)
 
     def _record_state(self) -> None:
         self._journal.states(self._life.state, self._life.grasp_state)

@@ -38,7 +38,9 @@ class SensorTap:
             return None
         self._new.extend(self._sensor.poll())
         reading = self._sensor.latest
-        if reading is None:
+        zero = self._sensor.tare_result
+        if reading is None or (zero is not None and reading.frame.t_s <= zero.t_s):
+            # What was measured against an earlier zero is no force of this one.
             return None
         if self._sample is None or reading.frame.t_s != self._sample.t_s:
             left, right = reading.finger_force_n

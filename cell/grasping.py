@@ -1,0 +1,117 @@
+"""One grasp of a sequence: the way to its pose, the grasp itself, its record, the release."""
+
+from collections.abc import Callable, Sequence
+from typing import TypeVar
+
+from cell.collect import GraspCollector, GraspRecord, pad_array
+from cell.config import SequenceConfig
+from cell.hand import Hand
+from cell.journal import Journal
+from cell.lifecycle import CellLifecycle
+from cell.pose import Pose
+from cell.positioner import PatientCaller, Positioner
+from cell.ramps import force_ramp
+from cell.sequence import GraspStep
+from gripper.clock import Clock
+from gripper.state import Cycle, GraspResult
+from recognition.grasp import PadArray
+from tactile.protocol import TactileFrame
+
+_T = TypeVar("_T")
+
+NOTHING_HELD = {
+    GraspResult.NO_CONTACT: "no contact",
+    GraspResult.OBSTRUCTED: "the way of the fingers is obstructed, the pads felt nothing",
+    GraspResult.PART_LOST: "the part was lost while the fingers pressed",
+}
+"""Results of a grasp after which nothing is held and nothing can be learnt."""
+
+
+class Grasper:
+    """Takes hand and positioner through one grasp after the other, and records them.
+
+    Parameters
+    ----------
+    hand, positioner
+        Who grasps, and who moves the object in between.
+    life
+        Says whether a stop was requested, and which state to record.
+    journal
+        Gets what happens.
+    sequence
+        How the force grows.
+    clock, wall_ms
+        Monotonic time, and the time that people read in ms since 1970.
+    """
+
+    def __init__(
+        self,
+        hand: Hand,
+        positioner: Positioner,
+        *,
+        life: CellLifecycle,
+        journal: Journal,
+        sequence: SequenceConfig,
+        clock: Clock,
+        wall_ms: Callable[[], int],
+    ) -> None:
+        self._hand = hand
+        self._positioner = positioner
+        self._life = life
+        self._journal = journal
+        self._sequence = sequence
+        self._wall_ms = wall_ms
+        self._patient = PatientCaller(clock, hand.period_s)
+        self.pads: PadArray = pad_array(hand.layout)
+
+    def grasp(self, step: GraspStep, label: str) -> GraspRecord:
+        """Go to the pose, grasp, record, let go."""
+        reached = self._move_to(step.pose)
+        collector = GraspCollector()
+
+        def watch(cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
+            self._look(cycle, frames)
+            collector.add(cycle, frames)
+
+        self._hand.open(self.watch)
+        start_ms = self._wall_ms()
+        outcome = self._hand.grasp(force_ramp(self._sequence.ramp, step.force_n), watch)
+        self._life.result = outcome.result
+        record = GraspRecord(
+            grasp=collector.grasp(self.pads, label=label, source="tactile-cell", start_ms=start_ms),
+            step=step,
+            reached=reached,
+            outcome=outcome,
+            cycles=collector.cycles,
+        )
+        missing = NOTHING_HELD.get(outcome.result)
+        if missing is not None:
+            self._journal.note("no part", f"{missing} at {reached}")
+        else:
+            self._journal.grasp(record.grasp)
+        self._hand.release(self.watch)
+        return record
+
+    def watch(self, cycle: Cycle, _frames: Sequence[TactileFrame]) -> None:
+        """Record one period of a motion, in which no frame matters; obey a stop."""
+        self._look(cycle, ())
+
+    def patiently(self, call: Callable[[], _T], supervise: Callable[[], None]) -> _T:
+        """Wait for the positioner while both links stay alive and supervised."""
+        if not self._positioner.blocks:
+            return call()
+        return self._patient.call(call, supervise)
+
+    def _look(self, cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
+        self._life.check_cancelled()
+        self._journal.states(self._life.state, self._life.grasp_state)
+        self._journal.cycle(cycle, frames)
+
+    def _move_to(self, pose: Pose) -> Pose:
+        def supervise() -> None:
+            self._life.check_cancelled()
+            self._hand.tick()
+
+        reached = self.patiently(lambda: self._positioner.move_to(pose), supervise)
+        self._journal.pose(reached)
+        return reached
