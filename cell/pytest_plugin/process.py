@@ -38,12 +38,17 @@ class ProcessFault:
         As it was injected.
     """
 
-    began_s: float | None = None
-    """Not known here: the time of the cell is that of its process."""
-
     def __init__(self, cell: "CellProcess", text: str) -> None:
-        self.text = text
+        self.text = text.strip()
         self._cell: CellProcess | None = cell
+
+    @property
+    def began_s(self) -> float | None:
+        """Monotonic time of this machine in s at which it began; None before and after it."""
+        if self._cell is None or not self._cell.running:
+            return None
+        began_s: float | None = self._cell.ask(state=True)["faults"].get(self.text)
+        return began_s
 
     def clear(self) -> None:
         """End the fault; one in a process that is over is over with it."""

@@ -77,7 +77,7 @@ def test_processes_end_with_the_test_and_a_dead_one_shows_its_log(
 ) -> None:
     pytester.makepyfile(
         """
-        import os, pathlib, signal
+        import os, pathlib, signal, time
         import pytest
         from cell.pytest_plugin.process import CellProcessError
 
@@ -87,8 +87,14 @@ def test_processes_end_with_the_test_and_a_dead_one_shows_its_log(
         def test_killed_on_purpose(cell_process, inject_fault):
             cell = cell_process()
             note(cell, "killed")
-            inject_fault("can.loss=0.05@2s")
+            lost = inject_fault("can.loss=0.05")
+            before_s = time.monotonic()
+            while lost.began_s is None:
+                assert time.monotonic() < before_s + 10.0
+            assert abs(lost.began_s - before_s) < 10.0
+            assert inject_fault("can.duplicate@100s").began_s is None
             cell.kill()
+            assert lost.began_s is None
             with pytest.raises(CellProcessError, match="ended with exit code -9"):
                 cell.ask(state=True)
 
