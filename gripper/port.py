@@ -17,6 +17,7 @@ from serial.tools import list_ports
 from gripper.clock import Clock
 from gripper.errors import LimitExceeded, PortLost
 
+_WRITE_TIMEOUT_S = 0.1
 _TIMER_GRAIN_MS = 1e-3
 
 _PORT_ERRORS = (serial.SerialException, OSError, termios.error)
@@ -106,11 +107,25 @@ class SerialStream:
         self.low_latency = self._request_low_latency()
 
     def write(self, data: bytes, /) -> None:
-        """Send all bytes; PortLost when the line is gone."""
+        """Send all bytes; PortLost when the line is gone, or takes no more for 0.1 s.
+
+        pyserial's own method waits after each write, without an end, until it could write again.
+        """
         try:
-            self._serial.write(data)
+            left = data[self._write_some(data) :]
+            while left:
+                if not select.select([], [self._serial.fileno()], [], _WRITE_TIMEOUT_S)[1]:
+                    raise self._lost("it takes no data")
+                left = left[self._write_some(left) :]
         except _PORT_ERRORS as error:
             raise self._lost(error) from error
+
+    def _write_some(self, data: bytes) -> int:
+        """Send what the port takes at once, and return how many bytes that were."""
+        try:
+            return os.write(self._serial.fileno(), data)
+        except BlockingIOError:
+            return 0
 
     def read(self, size: int, timeout_s: float, /) -> bytes:
         """Return 1 to ``size`` bytes as soon as any is there, b"" after ``timeout_s`` s."""

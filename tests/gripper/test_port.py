@@ -2,6 +2,7 @@
 
 import os
 import pty
+import threading
 import tty
 from collections.abc import Iterator
 from contextlib import suppress
@@ -82,6 +83,26 @@ def test_an_unplugged_adapter_is_a_lost_port(terminal) -> None:
         stream.write(b"x")
     with pytest.raises(PortLost):
         stream.drop_input()
+    stream.close()
+
+
+def test_a_long_write_goes_through_and_an_adapter_that_takes_nothing_is_lost(terminal) -> None:
+    master, path = terminal
+    stream = SerialStream(path)
+    data = bytes(range(256)) * 1200
+    arrived = bytearray()
+
+    def fetch() -> None:
+        while len(arrived) < len(data):
+            arrived.extend(os.read(master, 65536))
+
+    reader = threading.Thread(target=fetch)
+    reader.start()
+    stream.write(data)
+    reader.join(20.0)
+    assert arrived == data
+    with pytest.raises(PortLost, match="it takes no data"):
+        stream.write(data)
     stream.close()
 
 
