@@ -238,7 +238,9 @@ class CellController:
         if stopping:
             self._life.go(Event.STOP)
         try:
-            self._hand.shutdown()
+            found = self._hand.shutdown()
+            if found:
+                self._journal.note("fault", found)
         finally:
             self._journal.loop(self._hand.statistics)
             if stopping:

@@ -137,8 +137,12 @@ class Hand(Protocol):
         """Let the running command end with GraspStopped; safe from any thread and in signals."""
         ...
 
-    def shutdown(self) -> None:
-        """Leave servos and sensor in a defined state, as `Gripper.close` does."""
+    def shutdown(self) -> str:
+        """Leave servos and sensor in a defined state, as `Gripper.close` does.
+
+        Returns what was found wrong since the last command, for the record: no command needs a
+        sound hand any more. Empty where nothing was.
+        """
         ...
 
     def close(self) -> None:

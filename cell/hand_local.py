@@ -188,10 +188,11 @@ class LocalHand:
         """Let the running command end with GraspStopped."""
         self.gripper.request_stop()
 
-    def shutdown(self) -> None:
+    def shutdown(self) -> str:
         """Leave servos and sensor in a defined state; see `Hand`."""
         self.gripper.close()
         self.close_sensor()
+        return ""
 
     def close(self) -> None:
         """Give the ports back."""

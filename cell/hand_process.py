@@ -27,9 +27,11 @@ from cell.hand_wire import (
     received_error,
 )
 from cell.layouts import layout_from_config
+from gripper.errors import GripperError
 from gripper.ramp import ForceRamp
 from gripper.state import GraspOutcome, GripperPhase
 from gripper.verification import VerificationReport
+from tactile.errors import TactileError
 from tactile.layout import TaxelLayout
 from tactile.link_settings import NodeIdentity
 from tactile.reading import TactileReading
@@ -170,10 +172,18 @@ class HandProcess:
         """Let the running command end with GraspStopped."""
         self._loop.stop()
 
-    def shutdown(self) -> None:
-        """Leave servos and sensor in a defined state; HandLost if the process died unnoticed."""
+    def shutdown(self) -> str:
+        """Leave servos and sensor in a defined state; see `Hand`.
+
+        Raises HandLost if the process died unnoticed.
+        """
+        found = ""
         if self._loop.lost is None:
-            self._call(Shutdown())
+            try:
+                self._call(Shutdown(), unasked=True)
+            except (GripperError, TactileError) as error:
+                found = f"{type(error).__name__}: {error}"
+        return found
 
     def close(self) -> None:
         """End the process and wait for its end; a held part stays held."""
@@ -181,9 +191,13 @@ class HandProcess:
 
     # -- inside --------------------------------------------------------------------------------
 
-    def _call(self, command: Command, watch: Watch | None = None) -> Any:
-        """Have a command carried out; what goes wrong here stops it and is raised at its end."""
-        self.tick()
+    def _call(self, command: Command, watch: Watch | None = None, *, unasked: bool = False) -> Any:
+        """Have a command carried out; what goes wrong here stops it and is raised at its end.
+
+        With ``unasked`` it is carried out although a fault waits to be told.
+        """
+        if not unasked:
+            self.tick()
         self._number += 1
         self._loop.send(Request(number=self._number, command=command))
         runs_loop = isinstance(command, Open | GraspUnder | Release)

@@ -182,17 +182,27 @@ def loop_health(statistics: "LoopStatistics", period_s: float) -> HealthGroup:
     """Tell how punctual the force loop was; ``period_s`` is the length of a period in s."""
     total, worst_s = statistics.cycles, statistics.worst_lateness_s
     share = statistics.late / max(1, total)
+    late, read, age = statistics.lateness, statistics.transaction, statistics.sensor_age
     return HealthGroup(
         title="Force loop",
         rows=(
             HealthRow(name="periods", value=f"{total:,}", note=f"of {period_s * 1e3:.1f} ms"),
             _count("late", statistics.late, bad=share > 0.01, note="by more than half a period"),
+            _count("overruns", statistics.overruns, note="work not done when the next was due"),
             _count("without feedback", statistics.missed_reads, note="nothing was written in them"),
             HealthRow(
                 name="worst lateness",
                 value=f"{worst_s * 1e3:.2f} ms",
                 state=_punctuality(worst_s, period_s),
+                note=f"p50 {late.p50_s * 1e3:.2f}, p99 {late.p99_s * 1e3:.2f}, "
+                f"p99.9 {late.p999_s * 1e3:.2f} ms",
             ),
+            HealthRow(
+                name="reading the servos",
+                value=f"{read.p50_s * 1e3:.2f} ms",
+                note=f"median; p99 {read.p99_s * 1e3:.2f} ms",
+            ),
+            HealthRow(name="oldest force used", value=f"{age.max_s * 1e3:.0f} ms"),
         ),
     )
 

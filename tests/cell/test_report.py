@@ -514,7 +514,8 @@ def test_health_marks_what_is_wrong() -> None:
     assert (bus["transactions"], bus["retries"], bus["time-outs"]) == ("ok", "warn", "bad")
     loop = loop_health(LoopStatistics(cycles=1000, late=2, worst_lateness_s=0.011), 0.005)
     assert states(loop) == {
-        "periods": "plain", "late": "warn", "without feedback": "ok", "worst lateness": "bad",
+        "periods": "plain", "late": "warn", "overruns": "ok", "without feedback": "ok",
+        "worst lateness": "bad", "reading the servos": "plain", "oldest force used": "plain",
     }  # fmt: skip
     assert states(loop_health(LoopStatistics(cycles=10, late=1), 0.005))["late"] == "bad"
     assert (
