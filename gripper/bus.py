@@ -22,6 +22,7 @@ BROADCAST_ID = 0xFE
 _HIGHEST_ID = 252
 _CRC_REFUSED = 3
 _PATIENT_REPETITIONS = 3
+_PILED_UP = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -226,7 +227,9 @@ class ServoBus:
             _check_id(servo_id)
         if self._in_loop:
             ids = sorted(ids, key=self.misses)
-        with self._line.transaction(quiet=not self._in_loop):
+        # Where nobody answers for some periods, requests must not pile up before a slow machine.
+        all_silent = min(self.misses(servo_id) for servo_id in ids) >= _PILED_UP
+        with self._line.transaction(quiet=not self._in_loop or all_silent):
             deadline_s = self._line.clock.monotonic() + self.period_s
             found, failure = self._chain(ids, first, size)
             for servo_id in ids:
@@ -325,9 +328,11 @@ class ServoBus:
             try:
                 self._line.clear(servo_id, None if patient else deadline_s, patient=patient)
                 self._line.count(retries=1)
-                return self._line.request(servo_id, instruction, params, size, patient=patient)
+                status = self._line.request(servo_id, instruction, params, size, patient=patient)
             except NoAnswerError:
                 continue
+            if status.error != _CRC_REFUSED:
+                return status
         self._line.give_up()
         return None
 
@@ -341,7 +346,11 @@ class ServoBus:
         found: dict[int, StatusPacket] = {}
         for servo_id in ids:
             try:
-                found[servo_id] = self._line.receive(servo_id, size)
+                status = self._line.receive(servo_id, size)
+                if status.error == _CRC_REFUSED:
+                    # The request arrived damaged, as an answer may: it is asked for again.
+                    raise NoAnswerError(damaged=True)
+                found[servo_id] = status
             except NoAnswerError as failure:
                 return found, failure
         return found, None

@@ -20,24 +20,28 @@ class MissedReads:
     ----------
     servos, settings
         Of the gripper.
-    now_s
-        Monotonic time in s.
     """
 
-    def __init__(self, servos: ServoGroup, settings: GripperSettings, now_s: float) -> None:
+    def __init__(self, servos: ServoGroup, settings: GripperSettings) -> None:
         self._servos = servos
         self._settings = settings
-        self._good_s = now_s
+        self._since_s = 0.0
         self._in_row = 0
         self._one_sided = 0
 
-    def answered(self, now_s: float) -> None:
-        """Note that all servos have answered."""
-        self._good_s = now_s
+    def answered(self) -> None:
+        """Note that all servos have answered, or that nobody asked for a while."""
         self._in_row = self._one_sided = 0
 
-    def missed(self, error: BusTimeout | BusCorrupt, now_s: float) -> None:
+    def missed(self, error: BusTimeout | BusCorrupt, asked_s: float, now_s: float) -> None:
         """Note that an answer was missing, its repetition too.
+
+        Parameters
+        ----------
+        error
+            What the bus says of it.
+        asked_s, now_s
+            Monotonic time before the request and now in s.
 
         Raises
         ------
@@ -46,7 +50,10 @@ class MissedReads:
         BusTimeout, BusCorrupt
             When nothing was heard for ``bus_loss_s``.
         """
+        if self._in_row == 0:
+            self._since_s = asked_s
         self._in_row += 1
+        lost_s = now_s - self._since_s
         silent, living = self._servos.silent_and_living()
         self._one_sided = self._one_sided + 1 if silent and living else 0
         if self._one_sided >= _ONE_SIDED_PERIODS:
@@ -56,9 +63,9 @@ class MissedReads:
                 f"{silent[0]} may have lost its supply or be restarting: check both, and its cable "
                 f"({error})"
             ) from error
-        if self._in_row >= _LEAST_PERIODS and now_s - self._good_s > self._settings.bus_loss_s:
+        if self._in_row >= _LEAST_PERIODS and lost_s > self._settings.bus_loss_s:
             raise type(error)(
-                f"the servo bus was lost for {now_s - self._good_s:.3f} s (bus_loss_s is "
+                f"the servo bus was lost for {lost_s:.3f} s (bus_loss_s is "
                 f"{self._settings.bus_loss_s} s): a part may still be gripped; nothing more is "
                 f"written, the servos' own watchdog acts. {error}"
             ) from error

@@ -90,7 +90,7 @@ class LoopRunner:
         self._timer = LoopTimer(settings.period_s)
         self._stop = threading.Event()
         self._due_s = clock.monotonic()
-        self._missed = MissedReads(servos, settings, self._due_s)
+        self._missed = MissedReads(servos, settings)
         self._cycles = 0
 
     @property
@@ -119,10 +119,10 @@ class LoopRunner:
             state = self._servos.read()
         except (BusTimeout, BusCorrupt) as error:
             self._timer.missed_reads += 1
-            self._missed.missed(error, self._clock.monotonic())
+            self._missed.missed(error, asked_s, self._clock.monotonic())
             return None
         self._timer.transaction(state.t_s - asked_s)
-        self._missed.answered(state.t_s)
+        self._missed.answered()
         return state
 
     def run(
@@ -160,7 +160,7 @@ class LoopRunner:
         if deadline_s < self._due_s:
             self._clock.sleep(self._due_s - deadline_s)
             deadline_s = self._due_s
-        self._missed.answered(deadline_s)
+        self._missed.answered()
         last_s = deadline_s - period_s
         fresh_s = deadline_s
         while True:

@@ -151,6 +151,23 @@ def test_a_lost_answer_of_a_sync_read_costs_less_than_a_period(script, bus, cloc
     assert clock.monotonic() < 0.004
 
 
+def test_a_request_that_arrives_damaged_is_sent_again(script, bus) -> None:
+    refused = "FFFFFD00 01 0400 55 03 AB0C"
+    pong = "FFFFFD00 01 0700 55 00 060426 655D"
+    script.expect(SYNC_132, (0.0003, refused), (0.0006, "FFFFFD00 02 0400 55 03" + crc_of_two()))
+    script.expect(PING_1, (0.0003, pong))
+    script.expect(READ_132, (0.0003, IS_166))
+    script.expect("FFFFFD00 02 0300 01" + ping_crc(2), (0.0003, PONG_2))
+    script.expect(read_132(2), (0.0003, TWO_IS_2079))
+    with bus.in_loop():
+        read = bus.sync_read([1, 2], PRESENT_POSITION, PRESENT_POSITION)
+    assert [read[i]["present_position"] for i in (1, 2)] == [166, 2079]
+
+
+def crc_of_two() -> str:
+    return crc_of("FFFFFD00 02 0400 55 03")
+
+
 def test_a_silent_servo_is_a_timeout_within_a_bounded_time(script, bus, clock) -> None:
     script.expect(READ_132)
     script.expect(PING_1)
