@@ -46,6 +46,15 @@ _INTERRUPTED = (1, 130, -signal.SIGALRM)
 """Exit codes: after the first signal, by the second, or cut off because closing took too long."""
 _PROGRAM = (sys.executable, "-P", "-c", "from cell.cli import main; main()")
 _MIDDLE = "import subprocess, sys; subprocess.Popen(sys.argv[1:], start_new_session=True).wait()"
+_HOST = """
+import sys
+from cell.plugin import TactileCellPlugin
+plugin = TactileCellPlugin(sys.argv[1])
+plugin.start({"task": "teach", "label": "box", "grasps": 50})
+sys.stdin.readline()
+raise RuntimeError("the host's own error")
+"""
+"""A host program that ends by an error of its own while a job runs, and closes nothing."""
 _STEP = GraspStep(pose=Pose(), force_n=4.0)
 
 
@@ -119,8 +128,11 @@ class _Client:
 
 
 @contextlib.contextmanager
-def _gripping(*, middle: bool = False) -> Iterator[_Client]:
-    """Start a client that teaches, and wait until it presses; afterwards the part is let go."""
+def _gripping(*, middle: bool = False, host: bool = False) -> Iterator[_Client]:
+    """Start a client that teaches, and wait until it presses; afterwards the part is let go.
+
+    It is the program, below another process where ``middle``, or else a host program.
+    """
     simulator = _simulator()
     if simulator.grip_n() > 0.0:
         raise CellError("the part of the row before is still gripped")
@@ -131,9 +143,11 @@ def _gripping(*, middle: bool = False) -> Iterator[_Client]:
             *("teach", "box", "-n", "50", "-c", str(simulator.config_path)),
             *("-o", str(folder / "d.npz"), "--out", str(folder / "out")),
         ]
+        if host:
+            command = [sys.executable, "-P", "-c", _HOST, str(simulator.config_path)]
         process = subprocess.Popen(
             [sys.executable, "-c", _MIDDLE, *command] if middle else command,
-            stdin=subprocess.DEVNULL,
+            stdin=subprocess.PIPE,
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             start_new_session=True,
@@ -148,8 +162,9 @@ def _gripping(*, middle: bool = False) -> Iterator[_Client]:
                 with contextlib.suppress(ProcessLookupError):
                     os.killpg(group, signal.SIGKILL)
             process.wait()
-            if process.stderr is not None:
-                process.stderr.close()
+            for pipe in (process.stdin, process.stderr):
+                if pipe is not None:
+                    pipe.close()
             _let_go()
 
 
@@ -297,6 +312,23 @@ def _parent_dies() -> Observed:
         return _held(client, began_s, "the orphan stops its sequence and ends")
 
 
+def _host_ends() -> Observed:
+    with _gripping(host=True) as client:
+        loop = _child_of(client.pid)
+        assert client.process.stdin is not None
+        client.process.stdin.close()
+        _wait_for_end(client.pid)
+        began_s = time.monotonic()
+        after_s = _wait_for_end(loop) - began_s
+        grip_n = _simulator().grip_n()
+        return Observed(
+            reaction="HOLD" if grip_n > KEPT_N else "LOST",
+            detected_after_s=after_s,
+            outcome="nothing was closed; the process of the force loop freezes the goals and ends; "
+            f"the grip is kept ({grip_n:.1f} N)",
+        )
+
+
 # -- 34: SIGKILL -----------------------------------------------------------------------------
 
 
@@ -398,6 +430,16 @@ ROWS: tuple[FaultRow, ...] = (
         reaction="HOLD",
         limit_s=SIGNAL_LIMIT_S,
         run=_parent_dies,
+        real_time=True,
+    ),
+    FaultRow(
+        row=33,
+        variant="uncaught error",
+        fault="a host program ends by an error of its own mid-job and closes nothing",
+        injected="an exception in the main thread, real time",
+        reaction="HOLD",
+        limit_s=SIGNAL_LIMIT_S,
+        run=_host_ends,
         real_time=True,
     ),
     FaultRow(
