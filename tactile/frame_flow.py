@@ -10,6 +10,8 @@ from tactile.errors import DuplicateNode, FrameTimeout
 _COUNTER_MASK = 0xFFFF
 _LAG_FRAMES = 250
 """Frames after which the least lag seen before is forgotten, once or twice."""
+_LATE_FRAMES = 3
+"""So many late frames in a row: after a stall of the host some come late, then they catch up."""
 _SURPLUS_SHARE = 1.5
 _SURPLUS_LIMIT = 0.9
 _SURPLUS_SUSPECT = 0.4
@@ -31,7 +33,7 @@ class FrameFlow:
     max_loss_rate, window_frames
         A larger share of frames lost among the last so many is a fault.
     late_periods
-        Frames that come so many periods later than they did before are a fault.
+        Three frames in a row that come so many periods later than before are a fault.
     burst_messages
         Messages that one unit sends after each SYNC; 0 where they are not counted.
     """
@@ -60,6 +62,7 @@ class FrameFlow:
         self._least: int | None = None
         self._least_before: int | None = None
         self._lag_frames = 0
+        self._late_frames = 0
         self._messages = 0
         self._surplus = 0.0
 
@@ -120,7 +123,8 @@ class FrameFlow:
         before = self._least if self._least_before is None else self._least_before
         known = [least for least in (before, self._least) if least is not None]
         late = self._ahead - min(known, default=self._ahead)
-        if late >= self._late_periods:
+        self._late_frames = self._late_frames + 1 if late >= self._late_periods else 0
+        if self._late_frames >= _LATE_FRAMES:
             raise FrameTimeout(
                 f"the frames of {self._name} come {late} periods later than before, allowed are "
                 f"{self._late_periods - 1}: the adapter or the host holds messages back, or SYNCs "

@@ -22,7 +22,6 @@ _DROP_SHARE = 0.25
 _CALM_SHARE = 0.1
 """Of the full scale: what one taxel does from one frame to the next while its neighbours stay calm
 is no touch, the foam spreads every force over them."""
-_LEAST_CALM = 2
 _CONSECUTIVE = 2
 _ROUNDING_S = 1e-3
 _DRIFT_SIGMA = 6.0
@@ -91,12 +90,12 @@ class QualityWatch:
         self._aim = (0.0, 0.0)
         self.begin(None)
 
-    def begin(self, tare: TareResult | None) -> None:
-        """Start anew with a zero, or without one."""
+    def begin(self, tare: TareResult | None, last: TactileFrame | None = None) -> None:
+        """Start anew with a zero and the last frame of it, or without."""
         n = self._layout.n_taxels
         self._tare = tare
-        self._last: TactileFrame | None = None
-        self._changed_s = 0.0
+        self._last = last
+        self._changed_s = 0.0 if last is None else last.t_s
         self._aim_at_change = self._aim
         self._repeats = np.zeros(n, dtype=np.int64)
         self._broken = np.zeros(n, dtype=np.bool_)
@@ -162,12 +161,11 @@ class QualityWatch:
         odd = jumped | dropped
         if not odd.any():
             return
-        change = np.abs(now.astype(np.int64) - before)
+        change = np.append(np.abs(now.astype(np.int64) - before), 0)
         neighbours = np.delete(self._hood.index[odd], _MIDDLE, axis=1)
-        others = np.append(~odd, False)[neighbours]
-        most = np.where(others, np.append(change, 0)[neighbours], 0).max(axis=1)
-        calm = (most < _CALM_SHARE * full) & (others.sum(axis=1) >= _LEAST_CALM)
-        self._broken[np.flatnonzero(odd)[calm]] = True
+        alone = ~np.append(odd, False)[neighbours].any(axis=1)
+        calm = change[neighbours].max(axis=1) < _CALM_SHARE * full
+        self._broken[np.flatnonzero(odd)[alone & calm]] = True
 
     def drift_beside(self, tared: Values, void: Mask) -> str:
         """Say how far the pads that no grasp presses are from their zero; empty within the limit.

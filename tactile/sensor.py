@@ -178,7 +178,7 @@ class TactileSensor:
         self._tare_status = frames[n_frames - 1].status
         self._touch = self._new_touch(result)
         self._last_s = None
-        self._quality.begin(result)
+        self._quality.begin(result, frames[n_frames - 1])
         return result
 
     def aim(self, force_n: float, aperture_m: float) -> None:

@@ -95,7 +95,6 @@ def compute_tare(
             )
     offset = fill_bad(hood, frames.mean(axis=0, dtype=np.float64), health.bad)
     _refuse_touch(hood, offset, limits)
-    _refuse_pressed_pad(hood, offset, limits)
     half = len(frames) // 2
     change = frames[half:].mean(axis=0) - frames[:half].mean(axis=0)
     drift = np.abs(spatial_mean(hood, fill_bad(hood, change, health.bad)))
@@ -106,6 +105,7 @@ def compute_tare(
             f"taken, allowed are {limits.drift_share * layout.adc_max:.1f}: keep the fingers still "
             "and untouched, let the sensor warm up, and try again"
         )
+    _refuse_pressed_pad(hood, offset, limits)
     noise = frames.std(axis=0, dtype=np.float64)
     for array in (offset, noise):
         array.setflags(write=False)

@@ -149,8 +149,9 @@ ROWS: tuple[FaultRow, ...] = (
         4,
         "late by 45 ms",
         "can.delayed=0.045@contact+0.1s",
-        "messages held back for 45 ms: fewer than three sets are missing, all others too old",
-    )("HOLD", _HOLD_S + PERIOD_S),
+        "messages held back for 45 ms: fewer than three sets are missing; the third that is too "
+        "old is one too many",
+    )("HOLD", 0.045 + BURST_S + 3 * PERIOD_S + LOOP_S),
     plain(
         5,
         "corrupt payload",

@@ -338,7 +338,8 @@ def test_a_taxel_that_jumps_beside_calm_neighbours_is_masked_at_once(
     after = readings(sensor, frames, 5)
     assert all(r.ok for r in after)
     assert [np.flatnonzero(r.bad).tolist() for r in after] == [[pressed]] * 5
-    assert after[-1].finger_force_n[0] == pytest.approx(before.finger_force_n[0], abs=0.8)
+    lost_n = 1.2 if pressed == 33 else 0.5  # 33 is the middle: its neighbours know half of it
+    assert after[-1].finger_force_n[0] == pytest.approx(before.finger_force_n[0], abs=lost_n)
 
 
 def test_a_hard_touch_is_no_broken_taxel() -> None:
