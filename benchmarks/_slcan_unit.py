@@ -2,7 +2,8 @@
 
 A process of its own with a pseudo-terminal. It knows nothing but made frames, encoded beforehand,
 so that it is never what is measured. It prints the terminal's path when it is ready; each line
-``{"counter": N}`` on its standard input says with which counter it goes on. It ends with its input.
+``{"counter": N, "frames": M}`` on its standard input says with which counter it goes on, and how
+many frames it makes, which it then repeats. It ends with its input.
 """
 
 import json
@@ -14,18 +15,17 @@ import tty
 
 from benchmarks._frame_feed import FRAME_ID, NODE_ID, bursts, made_counts
 
-N_FRAMES = 4096
 _HEARTBEAT = b"t%03X105\r" % (0x700 + NODE_ID)
 _HEARTBEAT_S = 0.1
 _SYNC = b"t0800"
 
 
-def encoded(first_counter: int) -> list[bytes]:
+def encoded(first_counter: int, n_frames: int) -> list[bytes]:
     """Return what the adapter sends for each frame: its messages as lines of the slcan protocol."""
     head = b"t%03X8" % FRAME_ID
     return [
         b"".join(head + data.hex().upper().encode() + b"\r" for data in burst)
-        for burst in bursts(made_counts(N_FRAMES), first_counter)
+        for burst in bursts(made_counts(n_frames), first_counter)
     ]
 
 
@@ -50,7 +50,8 @@ def main() -> None:
             text = sys.stdin.readline()
             if not text:
                 return
-            frames, sent = encoded(json.loads(text)["counter"]), 0
+            wish = json.loads(text)
+            frames, sent = encoded(wish["counter"], wish["frames"]), 0
             print("{}", flush=True)
         if time.monotonic() >= beat_s and frames:
             beat_s = max(beat_s, time.monotonic() - _HEARTBEAT_S) + _HEARTBEAT_S
@@ -59,7 +60,7 @@ def main() -> None:
             *lines, rest = (rest + os.read(master, 4096)).split(b"\r")
             for line in lines:
                 if line == _SYNC and frames:
-                    _write(master, frames[sent % N_FRAMES])
+                    _write(master, frames[sent % len(frames)])
                     sent += 1
 
 

@@ -129,9 +129,10 @@ class Unit:
             raise RuntimeError("the process of the control unit has ended")
         return text
 
-    def go_on_from(self, counter: int) -> None:
-        """Choose the counter of its next frame; returns when the frames are made."""
-        print(json.dumps({"counter": counter}), file=self._process.stdin, flush=True)
+    def go_on_from(self, counter: int, n_frames: int) -> None:
+        """Choose the counter of its next frame; returns when so many frames are made."""
+        wish = {"counter": counter, "frames": n_frames}
+        print(json.dumps(wish), file=self._process.stdin, flush=True)
         self._line()
 
 
