@@ -192,8 +192,8 @@ def main(effort: float = 1.0) -> None:
     line(
         "  aim",
         f"below 10 % of a core at the limit: {100 * in_memory:.1f} % from messages to forces, "
-        f"{'met' if in_memory < 0.1 else 'MISSED'} (with the adapter's text, the receive thread and "
-        f"polling four times a period {100 * at_limit:.1f} %)",
+        f"{'met' if in_memory < 0.1 else 'MISSED'} (with the adapter's text, the receive thread "
+        f"and polling four times a period {100 * at_limit:.1f} %)",
     )
     line("  aim", f"five times the limit without loss: {'met' if best >= 5 else 'MISSED'}")
 
