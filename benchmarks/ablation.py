@@ -1,7 +1,7 @@
 """What each group of features and each part of the recogniser adds.
 
-The groups: a plain discriminant with all of them, and without each. The parts, by touch alone: the
-recogniser as it is, and with taxels as they read, one covariance for all objects or no virtual
+The groups: a plain discriminant with all of them, and without each. The parts: the recogniser as it
+is, and with taxels as they read, one covariance for all objects or no virtual
 grasps. These are tested on places too: taught with the 60 per cent of each object's grasps that lie
 nearest to one end or side of the pads, and tested on the others.
 
@@ -39,8 +39,10 @@ def parts(
     grids: Sequence[PadGrid],
     classes: NDArray[np.int64],
     ways: Mapping[str, Sequence[NDArray[np.bool_]]],
+    *,
+    opening: bool,
 ) -> None:
-    """Print how many held-out grasps the recogniser names by touch without each of its parts."""
+    """Print how many held-out grasps the recogniser names without each of its parts."""
     n_classes = int(classes.max()) + 1
 
     def right(*, gains: bool = True, spread: bool = True, virtual: bool = True) -> str:
@@ -53,7 +55,9 @@ def parts(
         evened = levels
         if gains:
             evened = learn_taxel_gains(levels.take(~held_out), grids).undo(levels)
-        rows, turned = _touch(evened, grids), _touch(change_sides(turn(evened)), grids)
+        rows = _rows(evened, grids, opening=opening)
+        other = change_sides(evened if opening else turn(evened))
+        turned = _rows(other, grids, opening=opening)
         taught = fit_evidence(
             rows[~held_out],
             classes[~held_out],
@@ -98,9 +102,10 @@ def _share(count: int, masks: Sequence[NDArray[np.bool_]]) -> str:
     return f"{100 * count / n:.1f} % ({100 * low:.1f}-{100 * high:.1f})"
 
 
-def _touch(levels: Levels, grids: Sequence[PadGrid]) -> NDArray[np.float64]:
+def _rows(levels: Levels, grids: Sequence[PadGrid], *, opening: bool) -> NDArray[np.float64]:
     groups = feature_groups(levels, grids)
-    return np.concatenate([rows for name, rows in groups.items() if name != "aperture"], axis=1)
+    names = [name for name in groups if opening or name != "aperture"]
+    return np.concatenate([groups[name] for name in names], axis=1)
 
 
 def _shared(spread: ClassSpread, n_classes: int) -> ClassSpread:
@@ -149,7 +154,9 @@ def main(effort: float = 1.0) -> None:
             figures = f"without it {100 * without / n:.1f} %, alone {100 * alone / n:.1f} %"
             line(f"    {name}", f"{figures}; {groups[name].shape[1]} features")
     ways = {"blocks": folds, "places": places(levels, grids, classes)}
-    parts(levels, grids, classes, ways)
+    for title, opening in (("parts, touch", False), ("parts, touch and opening", True)):
+        line(f"  {title}", "")
+        parts(levels, grids, classes, ways, opening=opening)
     wrong = n - right([name for name in touch if name != "surface"])
     times = max(wrong, 0.5) / max(n - right(touch), 0.5)
     line("  ratio", f"touch errs {times:.2f} times as often without the quadric surfaces")
