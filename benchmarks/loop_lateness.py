@@ -34,7 +34,6 @@ from gripper.ramp import ForceRamp
 from tactile.errors import TactileError
 
 _RATES_HZ = (200, 500)
-_SIMULATOR_PRIORITY = 40
 _PROGRAM = (sys.executable, "-c", "from cell.cli import main; main()")
 
 
@@ -132,8 +131,6 @@ def simulated_cell() -> Iterator[dict[str, Any]]:
             stdout=subprocess.PIPE,
             text=True,
         )
-        with contextlib.suppress(PermissionError):
-            os.sched_setscheduler(process.pid, os.SCHED_FIFO, os.sched_param(_SIMULATOR_PRIORITY))
         try:
             assert process.stdout is not None
             yield json.loads(process.stdout.readline())
@@ -180,7 +177,7 @@ def whole_path(rate_hz: int, hold_s: float) -> str:
 def main(effort: float = 1.0) -> None:
     processors = os.cpu_count() or 1
     rounds = repeats(3, effort)
-    duration_s = max(0.2, 10.0 * effort)
+    duration_s = max(0.2, 5.0 * effort)
     short = effort < 0.1
     rates_hz = _RATES_HZ[:1] if short else _RATES_HZ
     begin_s = time.monotonic()

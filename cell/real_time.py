@@ -4,7 +4,8 @@ import ctypes
 import gc
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 
 from cell.config import LoopConfig
 
@@ -61,6 +62,26 @@ def lock_memory() -> None:
     if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
         number = ctypes.get_errno()
         raise OSError(number, os.strerror(number))
+
+
+@contextmanager
+def raised_priority(priority: int) -> Iterator[None]:
+    """Run the block with a real-time priority where the system grants it; 0 asks for none.
+
+    For a simulated device, which takes the place of one that waits for no processor. Nothing is
+    said where it is refused: it then answers late now and then.
+    """
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
+    granted = False
+    if priority > 0:
+        with suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+            granted = True
+    try:
+        yield
+    finally:
+        if granted:
+            os.sched_setscheduler(0, *before)
 
 
 def stop_collecting() -> None:

@@ -13,6 +13,7 @@ from cell.dataset import read_dataset
 from cell.errors import CellError, ConfigError
 from cell.files import write_text
 from cell.layouts import layout_from_pads
+from cell.real_time import raised_priority
 from cell.simulation import largest_aperture_m, simulator_settings
 from recognition.grasp import Grasp
 from simulator.errors import SimulatorError, SimulatorSettingsError
@@ -79,13 +80,16 @@ def serve_simulated_cell(
             write_text(path, text.removeprefix(SCHEMA_LINE), error=CellError, what="config")
             announce(found | {"config": str(path)})
 
+        # The loop of a client may have real-time priority: devices that wait for a processor while
+        # it does not would seem to be silent.
         try:
-            serve(
-                settings,
-                announce_with_config,
-                folder=place,
-                until_parent_ends=until_parent_ends,
-            )
+            with raised_priority(config.loop.priority - 1):
+                serve(
+                    settings,
+                    announce_with_config,
+                    folder=place,
+                    until_parent_ends=until_parent_ends,
+                )
         except SimulatorSettingsError as error:
             raise ConfigError(f"simulator: {error}") from error
         except SimulatorError as error:

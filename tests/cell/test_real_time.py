@@ -100,3 +100,18 @@ def test_one_line_says_how_punctual_the_loop_was() -> None:
     assert loop_line(LoopStatistics(), 0.005) == "force loop: no period was run"
     values = loop_values(statistics, undelivered=2)
     assert (values["lateness_p999_s"], values["undelivered"]) == (9e-4, 2)
+
+
+@pytest.mark.parametrize(("priority", "granted"), [(0, True), (49, True), (49, False)])
+def test_a_simulated_device_gets_priority_where_granted_and_gives_it_back(
+    monkeypatch: pytest.MonkeyPatch, priority: int, granted: bool
+) -> None:
+    calls: list[Any] = []
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
+    monkeypatch.setattr(
+        os, "sched_setscheduler", lambda *a: calls.append(a[1:]) if granted else refuse()
+    )
+    with real_time.raised_priority(priority):
+        calls.append("served")
+    fifo = (os.SCHED_FIFO, os.sched_param(49))
+    assert calls == ([fifo, "served", before] if granted and priority else ["served"])

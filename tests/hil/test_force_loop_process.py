@@ -40,12 +40,6 @@ sequence: {x_mm: [0, 0], y_mm: [0, 0], force_n: [3, 5], max_grasps: 1}
 STEP = GraspStep(pose=Pose(), force_n=6.0)
 
 
-def first(pid: int) -> None:
-    """Let the simulated cell go before others, where permitted: real servos wait for nobody."""
-    with contextlib.suppress(OSError):
-        os.sched_setscheduler(pid, os.SCHED_FIFO, os.sched_param(40))
-
-
 class Simulator:
     """The simulated cell in a process of its own."""
 
@@ -58,7 +52,6 @@ class Simulator:
             stdout=subprocess.PIPE,
             text=True,
         )
-        first(self.process.pid)
         assert self.process.stdout is not None
         self.hello = json.loads(self.process.stdout.readline())
         self.config = load_config(Path(self.hello["config"]))

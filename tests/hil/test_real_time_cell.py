@@ -43,12 +43,6 @@ def hurry(pid: int) -> None:
         os.setpriority(os.PRIO_PROCESS, pid, -10)
 
 
-def first(pid: int) -> None:
-    """Let the simulated cell go before all others, where permitted: real servos wait for nobody."""
-    with contextlib.suppress(OSError):
-        os.sched_setscheduler(pid, os.SCHED_FIFO, os.sched_param(40))
-
-
 def start(*arguments: object) -> subprocess.Popen[str]:
     process = subprocess.Popen(
         [*PROGRAM, *(str(a) for a in arguments)],
@@ -74,7 +68,6 @@ class Simulator:
         folder.mkdir()
         (folder / "sim.yaml").write_text(CONFIG)
         self.process = start("simulate", "--config", folder / "sim.yaml", "--out", folder)
-        first(self.process.pid)
         assert self.process.stdout is not None
         line = self.process.stdout.readline()
         assert line, end(self.process)
