@@ -39,6 +39,7 @@ _REACTIONS = """
 | HOLD | the ramp stops, goals stay at their last values, the grip is kept; clear and reset needed |
 | LIMP | torque off: position or force of the fingers is not known, or the force is over the cap |
 | ABORT | as HOLD, and a servo has lost its torque by itself: the part is possibly dropped |
+| NO PART FOUND, PART LOST | the fingers stop and open again, nothing is learnt or classified |
 | UNKNOWN | the job ends with the answer unknown, never with a label |
 """
 
