@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
 
+import numpy as np
+
 from cell.build import Cell, build_cell
 from cell.config import CellConfig
 from cell.errors import CellError
@@ -15,6 +17,7 @@ from gripper.errors import GripperError, VerificationFailed
 from gripper.port import latency_timer_file, latency_timer_ms, serial_candidates
 from gripper.verification import CORRECTED_ITEMS, VerificationRow
 from tactile.errors import TactileError
+from tactile.protocol import TactileFrame
 
 
 class Verdict(StrEnum):
@@ -122,7 +125,7 @@ def _devices(config: CellConfig) -> Iterator[Finding]:
     yield from _loop(cell)
     try:
         yield from _guarded("servos", lambda: _servos(cell))
-        yield from _guarded("control unit", lambda: _control_unit(cell))
+        yield from _guarded("control unit", lambda: _control_unit(cell, config))
     finally:
         cell.close()
 
@@ -177,7 +180,7 @@ def _advice(row: VerificationRow) -> str:
     return "correct it with the servo maker's wizard, or correct the config"
 
 
-def _control_unit(cell: Cell) -> list[Finding]:
+def _control_unit(cell: Cell, config: CellConfig) -> list[Finding]:
     hand = cell.controller.hand
     identity = hand.start_sensor()
     readings = [hand.read_sensor(timeout_s=1.0) for _ in range(10)]
@@ -202,4 +205,37 @@ def _control_unit(cell: Cell) -> list[Finding]:
             found=f"{n_saturated} of {len(readings[-1].saturated)} saturated",
             advice="is something touching the pads?" if n_saturated else "",
         ),
+        _noise([reading.frame for reading in readings]),
+        _boards(identity.boards, config),
     ]
+
+
+def _noise(frames: list[TactileFrame]) -> Finding:
+    """Say whether the samples move at rest: else frozen and dead ones are not told from good."""
+    moving = int(np.count_nonzero(np.ptp([frame.counts for frame in frames], axis=0)))
+    still = moving < len(frames[0].counts) // 2
+    return Finding(
+        what="noise of the taxels",
+        verdict=Verdict.WARN if still else Verdict.PASS,
+        found=f"{moving} of {len(frames[0].counts)} change at rest",
+        advice="without noise, frozen, dead and stuck taxels show only while the force changes: "
+        "press each pad once and look whether its force follows"
+        if still
+        else "",
+    )
+
+
+def _boards(boards: tuple[int, int], config: CellConfig) -> Finding:
+    """Say whether pads that were exchanged would be noticed: forces and labels hang on it."""
+    found = f"serial {boards[0]} on finger 0, {boards[1]} on finger 1"
+    if config.tactile.board_serial_numbers is not None or config.simulated:
+        return Finding(what="pads' boards", verdict=Verdict.PASS, found=found)
+    return Finding(
+        what="pads' boards",
+        verdict=Verdict.WARN,
+        found=f"{found}; tactile.board_serial_numbers names none: exchanged pads are not noticed",
+        advice=f"press each pad to see that its finger is right, then write [{boards[0]}, "
+        f"{boards[1]}] into the config"
+        if boards[0] != boards[1]
+        else "these boards cannot be told apart: press each pad after every work on the cables",
+    )

@@ -9,7 +9,7 @@ import pytest
 
 import cell.jobs.doctor
 from cell.config import CellConfig
-from cell.jobs.doctor import Finding, Verdict, examine
+from cell.jobs.doctor import Finding, Verdict, _boards, examine
 
 REAL = {
     "gripper__port": "/dev/serial-that-is-not-there",
@@ -31,7 +31,38 @@ def test_the_simulated_cell_is_well() -> None:
     assert "serial 1" in findings["control unit"].found
     assert findings["tactile frames"].found.endswith(" 0 lost or damaged")
     assert findings["taxels at rest"].found.startswith("0 of 408")
+    assert findings["noise of the taxels"].verdict is Verdict.PASS
+    assert findings["pads' boards"].found == "serial 1 on finger 0, 2 on finger 1"
     assert "servo port" not in findings
+
+
+def test_samples_that_never_move_are_a_warning(altered: Callable[..., list[Finding]]) -> None:
+    def freeze(simulated: Any) -> None:
+        simulated.faults.unit.frozen = True
+
+    finding = by_name(altered(freeze))["noise of the taxels"]
+    assert (finding.verdict, finding.found) == (Verdict.WARN, "0 of 408 change at rest")
+
+
+@pytest.mark.parametrize(
+    ("boards", "named", "verdict", "advice"),
+    [
+        ((7, 8), [7, 8], Verdict.PASS, ""),
+        ((7, 8), None, Verdict.WARN, "write [7, 8] into the config"),
+        ((0, 0), None, Verdict.WARN, "cannot be told apart"),
+    ],
+)
+def test_pads_that_could_be_exchanged_unnoticed_are_a_warning(
+    make_config: Callable[..., CellConfig],
+    boards: tuple[int, int],
+    named: list[int] | None,
+    verdict: Verdict,
+    advice: str,
+) -> None:
+    config = make_config(tactile__board_serial_numbers=named, **REAL)
+    finding = _boards(boards, config)
+    assert finding.verdict is verdict
+    assert advice in finding.advice
 
 
 @pytest.fixture
