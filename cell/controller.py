@@ -6,10 +6,8 @@ from collections.abc import Callable, Iterator, Sequence
 from cell.collect import GraspRecord
 from cell.config import SequenceConfig
 from cell.errors import CellStateError, CellStopped, NoPartFound
-from cell.grasp_states import GraspState
 from cell.grasping import NOTHING_HELD, Grasper
 from cell.hand import Hand
-from cell.hand_local import LocalHand
 from cell.identification import Identification, OnGrasp, StepChooser, grasp_and_classify
 from cell.journal import Journal
 from cell.lifecycle import ON_REQUEST, CellLifecycle
@@ -17,15 +15,14 @@ from cell.positioner import Positioner
 from cell.recording import Recorder
 from cell.sequence import GraspStep
 from cell.states import CellState, Event
+from cell.view import CellView
 from gripper.clock import Clock
-from gripper.gripper import Gripper
 from gripper.state import GripperPhase
 from recognition.grasp import PadArray
 from recognition.recognizer import Recognizer
-from tactile.sensor import TactileSensor
 
 
-class CellController:
+class CellController(CellView):
     """One cell: gripper, tactile sensor and positioner, driven from one thread.
 
     `cancel` may be called from any thread; everything else belongs to the thread that runs the
@@ -45,17 +42,17 @@ class CellController:
         recorder: Recorder | None = None,
         wall_ms: Callable[[], int] = lambda: time.time_ns() // 1_000_000,
     ) -> None:
-        self._hand = hand
         self._positioner = positioner
         self._sequence = sequence
         self._tare_frames = tare_frames
         self._journal = Journal(recorder)
-        self._life = CellLifecycle(
+        life = CellLifecycle(
             hand,
             note=self._journal.note,
             close_sensor=hand.close_sensor,
             changed=self._record_state,
         )
+        super().__init__(hand, life)
         self._grasper = Grasper(
             hand,
             positioner,
@@ -67,49 +64,7 @@ class CellController:
         )
         self.pads: PadArray = self._grasper.pads
 
-    # -- state ---------------------------------------------------------------------------------
-
-    @property
-    def state(self) -> CellState:
-        """The present state."""
-        return self._life.state
-
-    @property
-    def grasp_state(self) -> GraspState:
-        """The state of the grip, beside that of the cell."""
-        return self._life.grasp_state
-
-    @property
-    def fault(self) -> str | None:
-        """What went wrong, while a fault is latched."""
-        return self._life.fault
-
-    @property
-    def holding(self) -> bool:
-        """Whether a part may be in the grip."""
-        return self._life.holding
-
-    @property
-    def hand(self) -> Hand:
-        """Gripper and sensor, for statistics; commands go through the controller."""
-        return self._hand
-
-    @property
-    def gripper(self) -> Gripper:
-        """The gripper, as `local_hand`."""
-        return self.local_hand.gripper
-
-    @property
-    def sensor(self) -> TactileSensor:
-        """The tactile sensor, as `local_hand`."""
-        return self.local_hand.sensor
-
-    @property
-    def local_hand(self) -> LocalHand:
-        """The hand of a cell whose loop runs in this process, for tests; else CellStateError."""
-        if not isinstance(self._hand, LocalHand):
-            raise CellStateError("the force loop runs in a process of its own; see `hand`")
-        return self._hand
+    # -- commands ------------------------------------------------------------------------------
 
     def start(self) -> None:
         """Verify servos and control unit, open the fingers, take the zero of the taxels.
