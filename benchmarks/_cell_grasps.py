@@ -34,7 +34,7 @@ def cell_grasps(
     def settings(config: CellConfig, **others):
         return replace(simulator_settings(config, **others), foam=foam or Foam())
 
-    with patch("cell.build.simulator_settings", settings):
+    with patch("cell.simulation.simulator_settings", settings):
         cell = build_cell(config)
     try:
         cell.controller.start()
