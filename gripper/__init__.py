@@ -3,12 +3,12 @@
 The public names of the package, loaded on first use: importing `gripper` or one of its pure
 modules (`gripper.registers`, `gripper.ramp`) loads neither a serial port nor the SDK.
 
-Commands and their values: `Gripper`, `GripperSettings`, `ServoSettings`, `ForceLoopSettings`,
+Commands and their values: `Gripper`, `GripperSettings`, `ServoSettings`, `ForceLoopSettings`, `OverForce`,
 `ForceRamp`, `Cycle`, `GripperState`, `ServoState`, `GripperPhase`, `GraspOutcome`, `GraspResult`,
 `LoopStatistics`, `VerificationReport`, `VerificationRow`, `WatchdogProof`.
 Mechanics: `Linkage`, `ParallelLinkage`, `RackPinion`, `Transmission`.
 Force in: `ForceSample`, `ForceSensor`. Time: `Clock`.
-Bus: `ServoBus`, `BusStatistics`, `ServoIdentity`, `SerialStream`, `ByteStream`.
+Bus: `ServoBus`, `BusStatistics`, `ServoIdentity`, `LinkTiming`, `SerialStream`, `ByteStream`.
 Errors: `GripperError` and all below it, see `gripper.errors`.
 """
 
@@ -22,16 +22,21 @@ if TYPE_CHECKING:
         BusBusy,
         BusCorrupt,
         BusTimeout,
+        FeedbackImplausible,
+        FingerSilent,
+        ForceAboveCap,
         ForceImbalance,
         ForceSensorStale,
         GraspStopped,
         GripperError,
         GripperStateError,
         LimitExceeded,
+        LinkTooSlow,
         PartLost,
         PartSlipped,
         PortLost,
         ServoFault,
+        ServoMissing,
         ServoRejected,
         VerificationFailed,
         WatchdogUnproven,
@@ -40,9 +45,10 @@ if TYPE_CHECKING:
     from gripper.gripper import Gripper
     from gripper.kinematics import Linkage, ParallelLinkage, RackPinion, Transmission
     from gripper.line import BusStatistics
+    from gripper.link_check import LinkTiming
     from gripper.port import ByteStream, SerialStream
     from gripper.ramp import ForceRamp
-    from gripper.settings import ForceLoopSettings, GripperSettings, ServoSettings
+    from gripper.settings import ForceLoopSettings, GripperSettings, OverForce, ServoSettings
     from gripper.state import (
         Cycle,
         GraspOutcome,
@@ -62,16 +68,21 @@ _HOME = {
         "BusBusy",
         "BusCorrupt",
         "BusTimeout",
+        "FeedbackImplausible",
+        "FingerSilent",
+        "ForceAboveCap",
         "ForceImbalance",
         "ForceSensorStale",
         "GraspStopped",
         "GripperError",
         "GripperStateError",
         "LimitExceeded",
+        "LinkTooSlow",
         "PartLost",
         "PartSlipped",
         "PortLost",
         "ServoFault",
+        "ServoMissing",
         "ServoRejected",
         "VerificationFailed",
         "WatchdogUnproven",
@@ -82,7 +93,8 @@ _HOME = {
     "gripper.line": ("BusStatistics",),
     "gripper.port": ("ByteStream", "SerialStream"),
     "gripper.ramp": ("ForceRamp",),
-    "gripper.settings": ("ForceLoopSettings", "GripperSettings", "ServoSettings"),
+    "gripper.link_check": ("LinkTiming",),
+    "gripper.settings": ("ForceLoopSettings", "GripperSettings", "OverForce", "ServoSettings"),
     "gripper.state": (
         "Cycle",
         "GraspOutcome",
@@ -105,6 +117,9 @@ __all__ = [
     "ByteStream",
     "Clock",
     "Cycle",
+    "FeedbackImplausible",
+    "FingerSilent",
+    "ForceAboveCap",
     "ForceImbalance",
     "ForceLoopSettings",
     "ForceRamp",
@@ -121,8 +136,11 @@ __all__ = [
     "GripperState",
     "GripperStateError",
     "LimitExceeded",
+    "LinkTiming",
+    "LinkTooSlow",
     "Linkage",
     "LoopStatistics",
+    "OverForce",
     "ParallelLinkage",
     "PartLost",
     "PartSlipped",
@@ -132,6 +150,7 @@ __all__ = [
     "ServoBus",
     "ServoFault",
     "ServoIdentity",
+    "ServoMissing",
     "ServoRejected",
     "ServoSettings",
     "ServoState",
