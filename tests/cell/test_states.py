@@ -12,6 +12,7 @@ from cell.grasp_states import OF_PHASE, GraspState, grasp_state
 from cell.recording import read_recording
 from cell.states import COMPLETIONS, TRANSITIONS, CellState, Command, Event, answer, next_state
 from cell.states_page import DOES, GRASP_DOES, states_page
+from gripper.errors import GripperError
 from gripper.gripper import GraspResult, GripperPhase
 from tactile.errors import BusOff
 
@@ -243,6 +244,32 @@ def test_cancelling_twice_is_cancelling_once(bench: Any) -> None:
     assert bench.grip_n > LEAST_N
     bench.controller.release()
     assert bench.grasp().outcome.result is GraspResult.FORCE_REACHED
+
+
+def test_no_torque_comes_on_by_itself(bench: Any) -> None:
+    bench.ready()
+    servos = [servo.core for servo in bench.simulated.devices.servo_bus.servos]
+    bench.simulated.inject("servo1.reboot@contact+0.2s")
+    with pytest.raises(GripperError):
+        bench.grasp(6.0)
+    assert bench.controller.state is CellState.ABORTED
+    before = [servo.torque_on for servo in servos]
+    assert not all(before)
+    came_on: list[float] = []
+
+    def look(now_s: float) -> None:
+        if any(servo.torque_on and not was for servo, was in zip(servos, before, strict=True)):
+            came_on.append(now_s)
+
+    bench.simulated.clock.on_advance.append(look)
+    for act in (bench.controller.tick, bench.controller.clear, bench.controller.reset):
+        act()
+        bench.sleep(1.0)
+    with pytest.raises(CellStateError, match="a part may be in the grip; nothing was moved"):
+        bench.controller.start()
+    bench.sleep(1.0)
+    assert came_on == []
+    assert [servo.torque_on for servo in servos] == before
 
 
 # -- the grip --------------------------------------------------------------------------------
