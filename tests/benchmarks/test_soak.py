@@ -26,10 +26,11 @@ def quick_config() -> CellConfig:
     return config.model_copy(update={"simulator": simulator, "tactile": tactile})
 
 
-def test_sixty_grasps_leave_no_file_no_thread_and_few_objects() -> None:
-    samples = list(soak.soak(60, quick_config()))
+@pytest.mark.timeout(600)
+def test_some_fifty_grasps_leave_no_file_no_thread_and_few_objects() -> None:
+    samples = list(soak.soak(50, quick_config()))
     first, *_, last = samples
-    assert last.grasps >= 60 > samples[-2].grasps
+    assert last.grasps >= 50 > samples[-2].grasps
     assert last.virtual_s > first.virtual_s + 60.0
     assert (last.descriptors, last.threads) == (first.descriptors, first.threads)
     assert last.objects - first.objects < 1.0 * (last.grasps - first.grasps) + 50
