@@ -4,8 +4,8 @@ The public names of the package, loaded on first use: importing `gripper` or one
 modules (`gripper.registers`, `gripper.ramp`) loads neither a serial port nor the SDK.
 
 Commands and their values: `Gripper`, `GripperSettings`, `ServoSettings`, `ForceLoopSettings`,
-`OverForce`, `ForceRamp`, `Cycle`, `GripperState`, `ServoState`, `GripperPhase`, `GraspOutcome`, `GraspResult`,
-`LoopStatistics`, `VerificationReport`, `VerificationRow`, `WatchdogProof`.
+`OverForce`, `ForceRamp`, `Cycle`, `GripperState`, `ServoState`, `GripperPhase`, `GraspOutcome`,
+`GraspResult`, `LoopStatistics`, `VerificationReport`, `VerificationRow`, `WatchdogProof`.
 Mechanics: `Linkage`, `ParallelLinkage`, `RackPinion`, `Transmission`.
 Force in: `ForceSample`, `ForceSensor`. Time: `Clock`.
 Bus: `ServoBus`, `BusStatistics`, `ServoIdentity`, `LinkTiming`, `SerialStream`, `ByteStream`.
