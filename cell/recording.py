@@ -14,7 +14,7 @@ from mcap.writer import CompressionType, Writer
 from cell import recording_schema as schema
 from cell.errors import RecordingError
 from cell.recording_file import BackgroundFile, DirectFile, RecordSink
-from cell.recording_json import cycle_values, plain_fields, to_json, to_ns
+from cell.recording_json import cycle_values, grasp_values, plain_fields, to_json, to_ns
 from cell.recording_reader import Recording, read_recording, recording_grasps
 from gripper.clock import Clock
 from recognition.grasp import Grasp, PadArray
@@ -179,17 +179,14 @@ class Recorder:
 
     def state(self, state: "CellState", grasp: "GraspState") -> None:
         """Record that the state of the cell or of the grip has changed, with both clocks."""
-        self._put(
-            schema.STATE,
-            self._clock.monotonic(),
-            {
-                "state": state.value,
-                "state_number": state.number,
-                "grasp": grasp.value,
-                "grasp_number": grasp.number,
-                "wall_ns": self._wall_clock_ns(),
-            },
-        )
+        values = {
+            "state": state.value,
+            "state_number": state.number,
+            "grasp": grasp.value,
+            "grasp_number": grasp.number,
+            "wall_ns": self._wall_clock_ns(),
+        }
+        self._put(schema.STATE, self._clock.monotonic(), values)
 
     def loop(self, values: Mapping[str, float]) -> None:
         """Record how punctual the loop was so far; see `cell.loop_values`."""
@@ -214,20 +211,7 @@ class Recorder:
             )
         if schema.counts_crc32(grasp.counts[-1]) != newest[-1][1]:
             raise ValueError("the counts of the grasp are not the raw counts that were recorded")
-        values: dict[str, Any] = {
-            "label": grasp.label,
-            "shape": grasp.shape,
-            "source": grasp.source,
-            "start_ms": grasp.start_ms,
-            "first_frame": self._n_frames - grasp.n_frames,
-            "n_frames": grasp.n_frames,
-            "frame_t_s": grasp.t_s.round(9).tolist(),
-            "counts_crc32": schema.counts_crc32(grasp.counts),
-        }
-        for name in ("aperture_m", "force_n"):
-            array = getattr(grasp, name)
-            if np.all(np.isfinite(array)):
-                values[name] = array.round(9).tolist()
+        values = grasp_values(grasp, first_frame=self._n_frames - grasp.n_frames)
         self._put(schema.GRASP, float(stamps_s[0]), values)
 
     def result(

@@ -7,8 +7,13 @@ from collections.abc import Iterable
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from cell.recording_schema import counts_crc32
+
 if TYPE_CHECKING:
     from gripper.state import Cycle
+    from recognition.grasp import Grasp
 
 _ENCODER = json.JSONEncoder(separators=(",", ":"), allow_nan=False, ensure_ascii=False)
 
@@ -56,6 +61,25 @@ def cycle_values(cycle: "Cycle") -> dict[str, Any]:
         if all(map(math.isfinite, cycle.force.force_n)):
             values["force_n"] = [round(float(f), 7) for f in cycle.force.force_n]
     values["servos"] = [plain_fields(servo) for servo in state.servos]
+    return values
+
+
+def grasp_values(grasp: "Grasp", *, first_frame: int) -> dict[str, Any]:
+    """Return what is kept of a grasp beside its frames, the first of which has that number."""
+    values: dict[str, Any] = {
+        "label": grasp.label,
+        "shape": grasp.shape,
+        "source": grasp.source,
+        "start_ms": grasp.start_ms,
+        "first_frame": first_frame,
+        "n_frames": grasp.n_frames,
+        "frame_t_s": grasp.t_s.round(9).tolist(),
+        "counts_crc32": counts_crc32(grasp.counts),
+    }
+    for name in ("aperture_m", "force_n"):
+        array = getattr(grasp, name)
+        if np.all(np.isfinite(array)):
+            values[name] = array.round(9).tolist()
     return values
 
 
