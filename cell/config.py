@@ -367,7 +367,8 @@ class LoopConfig(_Section):
     own_process: bool = True
     """Whether the loop has a process of its own, which recognition and files cannot hold up."""
     priority: int = Field(default=50, ge=0, le=99)
-    """Real-time priority (SCHED_FIFO) of that process, 1 to 99; 0: scheduled as all others."""
+    """Real-time priority (SCHED_FIFO) of that process, 1 to 99; 0: scheduled as all others. The
+    simulated cell of `simulate` takes one less."""
     lock_memory: bool = True
     """Whether the memory of that process is locked, so that paging cannot hold it up."""
     cpu: int | None = Field(default=None, ge=0, le=1023)
