@@ -283,9 +283,6 @@ class Driver:
 
     def _trust(self) -> None:
         self.monitor.limp_allowed = self._untrusted
-        self.monitor.world_pushes = any(
-            fault.entry.name == "object.trapped" for fault in self.simulated.devices.injector.faults
-        )
 
     def _watch_scans(self, _now_s: float) -> None:
         scanner = self.simulated.unit.scanner

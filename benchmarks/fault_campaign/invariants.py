@@ -1,5 +1,6 @@
 """What must hold whatever happens to a cell: watched at each step of the simulated time."""
 
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 
@@ -13,7 +14,8 @@ CONTACT_N = 0.02
 """Force in N above which a pad touches the part."""
 TOLERANCE = 0.05
 """Share of the cap by which a ramp may overshoot it, what the sensor is wrong by included."""
-_TORQUE, _ERROR = 64, 70
+_FALL_S = 0.5
+_ERROR = 70
 _LETTING_GO = (GripperPhase.RELEASING, GripperPhase.OPENING)
 _MOTIONS = (*_LETTING_GO, GripperPhase.APPROACHING, GripperPhase.RAMPING)
 _FAULTED = (CellState.ABORTING, CellState.ABORTED, CellState.CLEARING, CellState.RESETTING)
@@ -73,6 +75,7 @@ class InvariantMonitor:
         self._asked = self._torque_asked = False
         self._motion: GripperPhase | None = None
         self._frozen_raw: list[int] | None = None
+        self._pushed_s = -math.inf
         self._deadline_s = float("inf")
         self._counters: dict[str, object] | None = None
         self._torque = self._torques()
@@ -142,7 +145,8 @@ class InvariantMonitor:
         phase = self._phase()
         if phase in _MOTIONS:
             self._motion = phase
-        if max(force_n) > self._force_max_n * (1.0 + TOLERANCE) and not self.world_pushes:
+        pushed = self._world_pushes(now_s)
+        if max(force_n) > self._force_max_n * (1.0 + TOLERANCE) and not pushed:
             self._break(f"force {max(force_n):.2f} N, the cap is {self._force_max_n:g} N")
         touching = min(force_n) > CONTACT_N
         torque, blame = self._torques(), self._self_inflicted()
@@ -158,6 +162,13 @@ class InvariantMonitor:
             self._break("a command did not end within its time")
             self._deadline_s = float("inf")
             raise Overrun(self.broken[-1])
+
+    def _world_pushes(self, now_s: float) -> bool:
+        """Return whether something trapped presses, or has just gone and let the fingers fall."""
+        for fault in self._simulated.devices.injector.faults:
+            if fault.entry.name == "object.trapped" and fault.began_s is not None:
+                self._pushed_s = now_s
+        return self.world_pushes or now_s - self._pushed_s < _FALL_S
 
     def _look_at_goals(self, controller: CellController) -> None:
         """Judge that nothing pushes harder while a fault is latched."""
