@@ -10,8 +10,8 @@ from tactile.errors import DuplicateNode, FrameTimeout
 _COUNTER_MASK = 0xFFFF
 _LAG_FRAMES = 250
 """Frames after which the least lag seen before is forgotten, once or twice."""
-_LATE_FRAMES = 3
-"""So many late frames in a row: after a stall of the host some come late, then they catch up."""
+_LATE_SYNCS = 3
+"""Frames are late if they are before so many SYNCs in a row: after a stall they catch up."""
 _SURPLUS_SHARE = 1.5
 _SURPLUS_LIMIT = 0.9
 _SURPLUS_SUSPECT = 0.4
@@ -33,7 +33,7 @@ class FrameFlow:
     max_loss_rate, window_frames
         A larger share of frames lost among the last so many is a fault.
     late_periods
-        Three frames in a row that come so many periods later than before are a fault.
+        Frames that come so many periods later than before, three times, are a fault.
     burst_messages
         Messages that one unit sends after each SYNC; 0 where they are not counted.
     """
@@ -62,7 +62,7 @@ class FrameFlow:
         self._least: int | None = None
         self._least_before: int | None = None
         self._lag_frames = 0
-        self._late_frames = 0
+        self._late_syncs = 0
         self._messages = 0
         self._surplus = 0.0
 
@@ -74,7 +74,8 @@ class FrameFlow:
     def before_sync(self) -> None:
         """Tell that the next SYNC is due.
 
-        Raises FrameTimeout if too many had no answer, DuplicateNode if they had two.
+        Raises FrameTimeout if too many had no answer or all have it late, DuplicateNode if they
+        had two.
         """
         n = self._weigh_messages()
         out = self._unanswered >= self._timeout_periods
@@ -89,6 +90,7 @@ class FrameFlow:
                 f"no whole frame from {self._name} after {self._unanswered} SYNCs: check bus "
                 "load, cable and the unit's mode, then start the link again"
             )
+        self._check_late()
         self._unanswered += 1
         self._ahead += 1
 
@@ -101,7 +103,7 @@ class FrameFlow:
         self._unanswered = 0
 
     def on_frame(self, counter: int) -> None:
-        """Take the counter of a whole frame; FrameTimeout if too many were lost or all are late."""
+        """Take the counter of a whole frame; FrameTimeout if too many before it were lost."""
         self._unanswered = 0
         step = 1
         if self._last_counter is not None:
@@ -117,19 +119,28 @@ class FrameFlow:
                 f"lost, allowed are {self._max_loss_rate:.0%}: check bus load, cable and "
                 "termination, then start the link again"
             )
-        self._check_lag()
+        self._note_lag()
 
-    def _check_lag(self) -> None:
+    @property
+    def _late(self) -> int:
+        """SYNCs whose frames are still to come, beyond what was usual lately."""
         before = self._least if self._least_before is None else self._least_before
         known = [least for least in (before, self._least) if least is not None]
-        late = self._ahead - min(known, default=self._ahead)
-        self._late_frames = self._late_frames + 1 if late >= self._late_periods else 0
-        if self._late_frames >= _LATE_FRAMES:
+        return max(0, self._ahead - min(known, default=0))
+
+    def _check_late(self) -> None:
+        if self._last_counter is None:
+            return
+        late = self._late
+        self._late_syncs = self._late_syncs + 1 if late >= self._late_periods else 0
+        if self._late_syncs >= _LATE_SYNCS:
             raise FrameTimeout(
                 f"the frames of {self._name} come {late} periods later than before, allowed are "
                 f"{self._late_periods - 1}: the adapter or the host holds messages back, or SYNCs "
                 "do not reach the unit; check both, then start the link again"
             )
+
+    def _note_lag(self) -> None:
         self._lag_frames += 1
         if self._least is None or self._ahead < self._least:
             self._least = self._ahead
@@ -140,5 +151,6 @@ class FrameFlow:
         n, self._messages = self._messages, 0
         if self._burst_messages:
             surplus = self._surplus + n / self._burst_messages - _SURPLUS_SHARE
-            self._surplus = max(surplus, -_DEFICIT_LIMIT)
+            # What is late is still to come, all of it at once.
+            self._surplus = max(surplus, -_DEFICIT_LIMIT - _SURPLUS_SHARE * self._late)
         return n

@@ -59,7 +59,7 @@ class LinkSettings:
     max_loss_rate, loss_window_frames
         A larger share of frames lost among so many is a fault.
     late_periods
-        Three frames in a row that come so many periods later than before are a fault.
+        Frames that come so many periods later than before, three times, are a fault.
     max_foreign_hz
         So many messages of other nodes or unknown COB-IDs may come every second.
     max_malformed_hz

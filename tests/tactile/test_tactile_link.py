@@ -24,6 +24,7 @@ from tactile.errors import (
     TareRefused,
 )
 from tactile.features import encode_features, pad_features
+from tactile.frame_flow import FrameFlow
 from tactile.layouts import paper_layout, pinch_layout
 from tactile.link import ExpectedIdentity, LinkSettings, TactileLink
 
@@ -490,6 +491,27 @@ def test_two_bursts_after_each_sync_are_a_second_unit(bench, other_content) -> N
     with pytest.raises(DuplicateNode, match=r"118 frame messages .* sends 59: a second unit"):
         bench.run(1.0)
     assert bench.clock.now_s - start_s <= 0.105
+
+
+def test_bursts_that_pile_up_behind_a_stall_are_no_second_unit() -> None:
+    flow = FrameFlow(
+        "the unit",
+        timeout_periods=100,
+        max_loss_rate=0.05,
+        window_frames=50,
+        late_periods=100,
+        burst_messages=59,
+    )
+    rng, waiting, counter = np.random.default_rng(4), 0, 0
+    for _ in range(2000):
+        flow.before_sync()
+        waiting += 1
+        if rng.random() < 0.5:
+            flow.messages(59 * waiting)
+            for _ in range(waiting):
+                flow.on_frame(counter)
+                counter += 1
+            waiting = 0
 
 
 def test_every_third_message_twice_is_noted_only(bench) -> None:
