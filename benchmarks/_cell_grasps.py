@@ -7,7 +7,8 @@ from unittest.mock import patch
 import numpy as np
 
 from cell.build import build_cell
-from cell.config import CellConfig, SimulatedObjectConfig
+from cell.config import CellConfig
+from cell.config_simulator import SimulatedObjectConfig
 from cell.jobs.progress import silent
 from cell.jobs.teaching import teach
 from cell.simulation import simulator_settings

@@ -4,7 +4,7 @@ import math
 from collections.abc import Sequence
 
 from cell.collect import GraspRecord
-from cell.config import SequenceConfig
+from cell.config_sequence import SequenceConfig
 from cell.errors import CellError
 from cell.sequence import GraspStep, plan_random
 from recognition.next_pose import PoseMemory, remember

@@ -2,6 +2,9 @@
 
 from pydantic import BaseModel, ConfigDict
 
+SIMULATED = "simulated"
+"""Port or interface name that wires in the simulated cell; nothing else ever does."""
+
 
 class Section(BaseModel):
     """A part of the configuration: strict, frozen, finite numbers, no unknown keys."""

@@ -4,7 +4,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 
 from cell.collect import GraspRecord
-from cell.config import SequenceConfig
+from cell.config_sequence import SequenceConfig
 from cell.errors import CellStateError, CellStopped, NoPartFound
 from cell.grasping import NOTHING_HELD, Grasper
 from cell.hand import Hand

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from typing import TypeVar
 
 from cell.collect import GraspCollector, GraspRecord, pad_array
-from cell.config import SequenceConfig
+from cell.config_sequence import SequenceConfig
 from cell.hand import Hand
 from cell.journal import Journal
 from cell.lifecycle import CellLifecycle

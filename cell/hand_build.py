@@ -3,7 +3,9 @@
 from collections.abc import Callable
 from contextlib import ExitStack
 
-from cell.config import CellConfig, PaperCalibrationConfig, ParallelLinkageConfig, TactileConfig
+from cell.config import CellConfig
+from cell.config_gripper import ParallelLinkageConfig
+from cell.config_tactile import PaperCalibrationConfig, TactileConfig
 from cell.hand_local import LocalHand, SensorTap
 from cell.layouts import layout_from_config
 from gripper.bus import ServoBus

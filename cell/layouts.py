@@ -4,7 +4,7 @@ from typing import get_args
 
 import numpy as np
 
-from cell.config import PadsConfig, TactileConfig
+from cell.config_tactile import PadsConfig, TactileConfig
 from cell.errors import ConfigError
 from recognition.grasp import PadArray
 from tactile.errors import LayoutError

@@ -1,6 +1,6 @@
 """From the config's ramp to the gripper's force ramp."""
 
-from cell.config import LinearRampConfig, SCurveRampConfig, StaircaseRampConfig
+from cell.config_sequence import LinearRampConfig, SCurveRampConfig, StaircaseRampConfig
 from gripper.ramp import ForceRamp
 
 

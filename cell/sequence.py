@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from cell.config import SequenceConfig
+from cell.config_sequence import SequenceConfig
 from cell.pose import Pose
 
 

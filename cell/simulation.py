@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.config import CellConfig, ParallelLinkageConfig
+from cell.config import CellConfig
+from cell.config_gripper import ParallelLinkageConfig
 from cell.errors import ConfigError, PositionerError
 from cell.layouts import layout_from_config
 from cell.pose import Pose

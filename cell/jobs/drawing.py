@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.collect import pad_array
-from cell.config import CellConfig, ParallelLinkageConfig
+from cell.config import CellConfig
+from cell.config_gripper import ParallelLinkageConfig
 from cell.errors import CellError
 from cell.jobs.progress import Progress, silent
 from cell.layouts import layout_from_config

@@ -10,7 +10,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from cell.config import CellConfig, GripperConfig, RackPinionConfig, ServoConfig
+from cell.config import CellConfig
+from cell.config_gripper import GripperConfig, RackPinionConfig, ServoConfig
 from cell.errors import CellError
 from cell.hand_build import gripper_settings, make_link, make_linkage
 from cell.jobs.progress import Progress

@@ -7,8 +7,9 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from cell.config import SIMULATED, CellConfig
+from cell.config import CellConfig
 from cell.config_file import load_config
+from cell.config_section import SIMULATED
 from cell.errors import ConfigError
 from cell.pytest_plugin.options import HardwareOptions
 

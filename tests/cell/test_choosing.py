@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cell.choosing import ActiveChooser, check_active, step_settings
-from cell.config import SequenceConfig
+from cell.config_sequence import SequenceConfig
 from cell.errors import CellError
 from cell.pose import Pose
 from cell.sequence import GraspStep, plan

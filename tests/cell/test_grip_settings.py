@@ -1,7 +1,8 @@
 """What the config says of slips, heat and too much force is what the gripper goes by."""
 
-from cell.config import CellConfig, GripperConfig
+from cell.config import CellConfig
 from cell.config_file import parse_config
+from cell.config_gripper import GripperConfig
 from cell.hand_build import gripper_settings
 from gripper.settings import GripperSettings, OverForce, ServoSettings
 
@@ -13,7 +14,8 @@ gripper:
   contact: {samples: 5, approach_force_n: 1.5}
   settle: {timeout_s: 0.7, tolerance_n: 0.2, tolerance_share: 0.05}
   slip:
-    {drop_n: 0.9, drop_share: 0.2, travel_mm: 2.0, slide_mm: 3.0, runaway_mm_s: 30.0, runaway_mm: 0.7}
+    {drop_n: 0.9, drop_share: 0.2, travel_mm: 2.0, slide_mm: 3.0,
+     runaway_mm_s: 30.0, runaway_mm: 0.7}
   imbalance: {difference_n: 3.0, difference_share: 0.4, time_s: 0.3}
   over_force: {reaction: limp, noise_n: 0.4, left_share: 0.3, open_mm: 1.0}
   servo_care:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cell.collect import pad_array
-from cell.config import PadConfig, PadsConfig, TactileConfig
+from cell.config_tactile import PadConfig, PadsConfig, TactileConfig
 from cell.errors import ConfigError
 from cell.layouts import layout_from_config, layout_from_pads
 from recognition.grasp import PadArray

@@ -2,7 +2,12 @@ import math
 
 import pytest
 
-from cell.config import LinearRampConfig, SCurveRampConfig, SequenceConfig, StaircaseRampConfig
+from cell.config_sequence import (
+    LinearRampConfig,
+    SCurveRampConfig,
+    SequenceConfig,
+    StaircaseRampConfig,
+)
 from cell.pose import Pose
 from cell.ramps import force_ramp
 from cell.sequence import GraspStep, plan

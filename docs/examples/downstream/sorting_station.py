@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from cell.config import SequenceConfig
+from cell.config_sequence import SequenceConfig
 from cell.controller import CellController
 from cell.pose import Pose
 from cell.sequence import plan
