@@ -107,7 +107,7 @@ class GraspRun:
             nonlocal elapsed_s
             elapsed_s += moment.dt_s
             self._check_part(control, moment)
-            slip.check(moment, 0)
+            slip.check(moment, 0, setpoint_n=self._setpoint_n)
             goals = control.goals(
                 moment,
                 self._servos.transmissions(moment.state.servos),
@@ -237,7 +237,7 @@ class GraspRun:
             peak_n = max(peak_n, control.force_n)
             lost = control.part_lost(moment)
             if not lost:
-                slip.check(moment, actual.level_at(elapsed_s))
+                slip.check(moment, actual.level_at(elapsed_s), setpoint_n=self._setpoint_n)
             if lost:
                 goals = tuple(
                     ServoGoal(angle_rad=servo.angle_rad, current_a=goal.current_a)

@@ -147,8 +147,8 @@ class GripControl:
         self._loop = ForceLoop(settings.force_loop, force_n=force_n, drive_n=drive_n, now_s=now_s)
         self._drive_n = drive_n
         self._samples: deque[ForceSample] = deque(maxlen=_MEAN_SAMPLES)
-        self._held_s = now_s
-        self._balanced_s = now_s
+        self._empty_s = 0.0
+        self._uneven_s = 0.0
         self._paused = False
         self._runaway_m: float | None = None
         self._recent_n: deque[float] = deque(maxlen=_RECENT_SAMPLES)
@@ -173,11 +173,12 @@ class GripControl:
     def part_lost(self, moment: Moment) -> bool:
         """Say whether the part is gone.
 
-        Both pads have been empty for some time, or said so at once where much force was; or the
-        fingers have closed fully, or run together as nothing holds them apart.
+        Both pads have said for some time that they are empty, or said so at once where much force
+        was; or the fingers have closed fully, or run together as nothing holds them apart. Time in
+        which the pads said nothing, as in a stall, shows nothing.
         """
         closed = moment.state.aperture_m < self._settings.aperture_min_m
-        empty = moment.now_s - self._held_s > _LOST_TIME_S
+        empty = self._empty_s > _LOST_TIME_S
         return closed or empty or self._suddenly_empty(moment) or self._runs_away(moment.state)
 
     def _suddenly_empty(self, moment: Moment) -> bool:
@@ -231,12 +232,12 @@ class GripControl:
         sample = moment.sample
         if self._paused:
             self._paused = False
-            self._held_s = self._balanced_s = moment.now_s
+            self._empty_s = self._uneven_s = 0.0
         if sample is None or not sample.valid:
             # A sample that is young enough was there before: nothing new to go by.
             return self._drive(moment.state.servos, paths)
-        self._note(moment.now_s, sample)
-        self._check_balance(moment.now_s)
+        self._note(moment.dt_s, sample)
+        self._check_balance(moment.dt_s)
         reference_n = self._reference.step(
             moment.dt_s, setpoint_n, setpoint_n if arrival_n is None else arrival_n
         )
@@ -270,21 +271,23 @@ class GripControl:
         ahead_m_s = -state.aperture_velocity_m_s - wanted_m_s
         return self._settings.force_loop.damping_n_s_m * 0.5 * ahead_m_s
 
-    def _note(self, now_s: float, sample: ForceSample) -> None:
+    def _note(self, dt_s: float, sample: ForceSample) -> None:
         if not self._samples or sample.t_s > self._samples[-1].t_s:
             self._recent_n.append(sample.grip_n)
             self._samples.append(sample)
         empty_n = _LOST_SHARE * self._settings.contact_force_n
-        if max(self._finger_means_n()) >= empty_n:
-            self._held_s = now_s
+        empty = max(self._finger_means_n()) < empty_n
+        self._empty_s = self._empty_s + dt_s if empty else 0.0
 
-    def _check_balance(self, now_s: float) -> None:
+    def _check_balance(self, dt_s: float) -> None:
         settings = self._settings
         first_n, second_n = self._finger_means_n()
         allowed_n = max(settings.imbalance_n, settings.imbalance_share * 0.5 * (first_n + second_n))
         if abs(first_n - second_n) <= allowed_n:
-            self._balanced_s = now_s
-        elif now_s - self._balanced_s > settings.imbalance_s:
+            self._uneven_s = 0.0
+            return
+        self._uneven_s += dt_s
+        if self._uneven_s > settings.imbalance_s:
             raise ForceImbalance(
                 f"the fingers press with {first_n:.2f} and {second_n:.2f} N, a difference of "
                 f"{allowed_n:.2f} N is allowed for {settings.imbalance_s} s: both are frozen; "

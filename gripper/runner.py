@@ -165,9 +165,7 @@ class LoopRunner:
         fresh_s = deadline_s
         while True:
             if self._stop.is_set():
-                raise GraspStopped(
-                    "stopped on request: goals are frozen, a held part stays held until release"
-                )
+                raise GraspStopped("stopped on request")
             with self._servos.in_loop():
                 state = self.read()
                 if state is None:
@@ -242,10 +240,7 @@ class LoopRunner:
         timer.work_done(late_s, counts=answered)
         if late_s > settings.stall_max_s:
             timer.began(late_s)
-            raise LimitExceeded(
-                f"the loop was {late_s:.3f} s late, stall_max_s is {settings.stall_max_s} "
-                f"s: take slow work out of its observer and its process"
-            )
+            raise self._stalled(late_s)
         if timer.overruns_in_row >= settings.overruns_max:
             timer.began(late_s)
             raise LimitExceeded(
@@ -257,5 +252,15 @@ class LoopRunner:
             timer.began(late_s)
             return now_s
         self._clock.sleep(deadline_s - now_s)
-        timer.began(max(0.0, self._clock.monotonic() - deadline_s))
+        late_s = max(0.0, self._clock.monotonic() - deadline_s)
+        timer.began(late_s)
+        if late_s > settings.stall_max_s:
+            raise self._stalled(late_s)
         return deadline_s
+
+    def _stalled(self, late_s: float) -> LimitExceeded:
+        return LimitExceeded(
+            f"the loop was {late_s:.3f} s late, stall_max_s is {self._settings.stall_max_s} s: the "
+            f"goals are frozen, the grip is kept; find out what stopped its process, or take slow "
+            f"work out of its observer and its process, then clear the fault"
+        )

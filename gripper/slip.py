@@ -35,7 +35,9 @@ class SlipWatch:
         self._since_s: float | None = None
         self._slide = SlideWatch(settings)
 
-    def check(self, now_s: float, aperture_m: float, sample: ForceSample | None) -> str | None:
+    def check(
+        self, now_s: float, aperture_m: float, sample: ForceSample | None, *, setpoint_n: float
+    ) -> str | None:
         """Take one period and return what shows a slip, None without one.
 
         Parameters
@@ -46,6 +48,9 @@ class SlipWatch:
             Opening in m.
         sample
             Newest sample, which may be the same as before.
+        setpoint_n
+            Force that is asked for in N: what is more than that, as after a stall in the ramp, is
+            given back by the force loop and slips nowhere.
         """
         if self._since_s is None:
             self._since_s = now_s
@@ -69,9 +74,10 @@ class SlipWatch:
         self._recent.append(sample)
         if self._usual_n is None:
             return None
-        drop_n = self._usual_n - sum(s.grip_n for s in self._recent) / len(self._recent)
-        if drop_n > max(settings.slip_drop_n, settings.slip_drop_share * self._usual_n):
-            return f"the grip force fell by {drop_n:.2f} N from {self._usual_n:.2f} N"
+        held_n = min(self._usual_n, setpoint_n + settings.settle_tolerance_at_n(setpoint_n))
+        drop_n = held_n - sum(s.grip_n for s in self._recent) / len(self._recent)
+        if drop_n > max(settings.slip_drop_n, settings.slip_drop_share * held_n):
+            return f"the grip force fell by {drop_n:.2f} N from {held_n:.2f} N"
         return None
 
 
@@ -140,13 +146,15 @@ class LevelSlip:
         self._level: int | None = None
         self._watch = SlipWatch(settings)
 
-    def check(self, moment: Moment, level: int | None) -> None:
+    def check(self, moment: Moment, level: int | None, *, setpoint_n: float) -> None:
         """Take one period at a level, or on the way to the next. Raises PartSlipped."""
         if level != self._level:
             self._level, self._watch = level, SlipWatch(self._settings)
         if level is None:
             return
-        sign = self._watch.check(moment.now_s, moment.state.aperture_m, moment.sample)
+        sign = self._watch.check(
+            moment.now_s, moment.state.aperture_m, moment.sample, setpoint_n=setpoint_n
+        )
         if sign is not None:
             raise PartSlipped(
                 f"the held part slips: {sign}; the goals are frozen, nothing grips again by "

@@ -55,7 +55,7 @@ def test_a_sudden_drop_is_a_slip_within_a_tenth_of_a_second() -> None:
         t_s = 0.005 * i
         force_n = 4.0 if t_s < 1.0 else 3.0
         sample = ForceSample(t_s=0.02 * (i // 4), force_n=(force_n, force_n))
-        if found_s is None and watch.check(t_s, 0.01, sample) is not None:
+        if found_s is None and watch.check(t_s, 0.01, sample, setpoint_n=4.0) is not None:
             found_s = t_s
     assert found_s is not None
     assert 1.0 < found_s < 1.1
@@ -64,7 +64,12 @@ def test_a_sudden_drop_is_a_slip_within_a_tenth_of_a_second() -> None:
 def test_fingers_that_close_after_the_part_show_a_slip() -> None:
     watch = SlipWatch(SETTINGS)
     told = [
-        watch.check(0.005 * i, 0.01 - 4e-6 * i, ForceSample(t_s=0.005 * i, force_n=(4.0, 4.0)))
+        watch.check(
+            0.005 * i,
+            0.01 - 4e-6 * i,
+            ForceSample(t_s=0.005 * i, force_n=(4.0, 4.0)),
+            setpoint_n=4.0,
+        )
         for i in range(600)
     ]
     first = next(i for i, text in enumerate(told) if text)
@@ -145,7 +150,9 @@ def test_a_part_that_slides_along_the_pads_is_a_slip(force_n, at_least_m) -> Non
     for i in range(200):
         t_s = 0.02 * i
         x_m = 0.02 * max(0.0, t_s - 1.0)
-        if not found and watch.check(t_s, 0.01, pressed(t_s, x_m, force_n=force_n)):
+        if not found and watch.check(
+            t_s, 0.01, pressed(t_s, x_m, force_n=force_n), setpoint_n=force_n
+        ):
             found.append(x_m)
     assert at_least_m < found[0] < at_least_m + 0.0009
 
@@ -154,7 +161,8 @@ def test_what_one_pad_sees_alone_is_no_slide() -> None:
     watch = SlipWatch(SETTINGS)
     for i in range(200):
         t_s = 0.02 * i
-        assert watch.check(t_s, 0.01, pressed(t_s, 0.01 * (i > 50), second=False)) is None
+        sample = pressed(t_s, 0.01 * (i > 50), second=False)
+        assert watch.check(t_s, 0.01, sample, setpoint_n=4.0) is None
 
 
 def test_a_part_taken_away_in_the_ramp_is_lost_with_the_third_frame(cell) -> None:
@@ -184,3 +192,39 @@ def test_a_long_hold_at_a_level_of_the_ramp_is_watched_too(cell) -> None:
     with pytest.raises(PartSlipped):
         cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=5.0), slip)
     assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
+
+
+def test_force_beyond_the_set_point_that_is_given_back_is_no_slip() -> None:
+    watch = SlipWatch(SETTINGS)
+    for i in range(400):
+        t_s = 0.005 * i
+        sample = ForceSample(t_s=0.02 * (i // 4), force_n=(4.4, 4.4) if t_s < 1.0 else (3.1, 3.1))
+        assert watch.check(t_s, 0.01, sample, setpoint_n=3.0) is None
+
+
+@pytest.mark.parametrize("stalls_s", [0.05, 0.15, 0.2])
+def test_a_part_is_not_lost_because_the_loop_stalls(make_cell, stalls_s) -> None:
+    cell = make_cell(force_stale_s=0.3, stall_max_s=0.25, watchdog_s=0.5, bus_loss_s=0.3)
+    cell.gripper.start()
+    periods = 0
+
+    def stall(cycle) -> None:
+        nonlocal periods
+        periods += 1
+        if periods % 40 == 0:
+            cell.clock.sleep(stalls_s)
+
+    assert cell.gripper.grasp(RAMP, stall).result is GraspResult.FORCE_REACHED
+    cell.gripper.hold(1.5, stall)
+    assert cell.force_n == pytest.approx(4.0, abs=0.5)
+
+
+def test_a_part_is_not_lost_because_the_pads_say_nothing(make_cell) -> None:
+    cell = make_cell(force_stale_s=0.3, watchdog_s=0.5)
+    cell.gripper.start()
+
+    def silence(cycle) -> None:
+        cell.sensor.valid = not 2.0 < cycle.setpoint_n < 3.0
+
+    outcome = cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=5.0), silence)
+    assert outcome.result is GraspResult.FORCE_REACHED
