@@ -37,9 +37,7 @@ class LinearDiscriminant:
 
     def distances(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (n, C): squared distance of each row to each class, in standard deviations."""
-        z = self.project(features)
-        d = ((z[:, None, :] - self.centres[None]) ** 2).sum(axis=2)
-        return np.asarray(d, dtype=np.float64)
+        return squared_distances(self.project(features), self.centres)
 
     def to_arrays(self, prefix: str) -> dict[str, NDArray[Any]]:
         """Return everything as plain arrays under names that begin with the prefix."""
@@ -61,6 +59,15 @@ class LinearDiscriminant:
         )
 
 
+def squared_distances(
+    points: NDArray[np.float64], others: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return (n, m) squared distances between points (n, r) and others (m, r)."""
+    squared = (points**2).sum(axis=1)[:, None] + (others**2).sum(axis=1)
+    squared -= 2.0 * (points @ others.T)
+    return np.asarray(np.maximum(squared, 0.0, out=squared), dtype=np.float64)
+
+
 def fit_lda(
     features: NDArray[np.float64],
     classes: NDArray[np.int64],
@@ -70,6 +77,7 @@ def fit_lda(
     min_shrinkage: float = 0.0,
     n_independent: int | None = None,
     weight: NDArray[np.float64] | None = None,
+    max_rank: int | None = None,
 ) -> LinearDiscriminant:
     """Fit to labelled rows.
 
@@ -90,6 +98,9 @@ def fit_lda(
         Number of independent rows where others are variations of them; None for all.
     weight : (n,)
         How much each row counts, above 0; None for all alike.
+    max_rank
+        The most axes r of the discriminant space, those that separate best; None for as many as
+        the means of the classes span. A single class keeps all.
 
     Raises
     ------
@@ -137,7 +148,7 @@ def fit_lda(
     whitened = solve_triangular(np.tril(lower), offsets.T, lower=True)
     left, singular, _ = np.linalg.svd(whitened, full_matrices=False)
     rank = int(np.sum(singular > _RANK_TOLERANCE * max(float(singular[0]), 1e-300)))
-    axes = left[:, :rank]
+    axes = left[:, : rank if max_rank is None else min(rank, max_rank)]
     projection = solve_triangular(np.tril(lower), axes, lower=True, trans="T")
     return LinearDiscriminant(
         mean=mean, scale=scale, projection=projection, centres=offsets @ projection

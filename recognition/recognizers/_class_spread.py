@@ -45,7 +45,9 @@ class ClassSpread:
 
         `z` (h, r) are the points, `plain` (h, C) their squared distances by the shared covariance.
         """
-        along = (z @ self.axes.T - self.origin) ** 2
+        along = z @ self.axes.T
+        along -= self.origin
+        along *= along
         less = np.add.reduceat(along, self.first, axis=1)
         return np.asarray(np.maximum(plain * self.across - less, 0.0), dtype=np.float64)
 

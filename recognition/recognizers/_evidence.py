@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from recognition.lda import LinearDiscriminant, fit_lda
+from recognition.lda import LinearDiscriminant, fit_lda, squared_distances
 from recognition.novelty import novelty_signs
 from recognition.recognizers._class_spread import ClassSpread, fit_spread
+from recognition.recognizers._telling import Rows, Telling
 
 _FREEDOM = 3.0
 _VIRTUAL_WEIGHT = 0.3
@@ -26,45 +27,11 @@ _MAX_HYPOTHESES = 24
 _PARTS = 4
 _DOUBT = 2.0
 """The likelihood of a drift is taken to this root: features are not as independent as it says."""
+_MOST_AXES = 48
+"""Beyond these, means of many classes differ by little else than the few grasps of each."""
+_ROWS_AT_ONCE = 256
 _MIN_SHRINKAGE = 0.15
 """Grasps of another placing vary in other directions than the taught ones do."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Rows:
-    """Features of grasps under each drift that they may have had.
-
-    Attributes
-    ----------
-    tactile : (n, G, Ft) float64
-        Features of touch, each of the gains undone.
-    aperture : (n, O, Fa) float64
-        Features of the opening, each of the offsets undone; Fa is 0 where it is not used.
-    """
-
-    tactile: NDArray[np.float64]
-    aperture: NDArray[np.float64]
-
-    def take(self, rows: NDArray[np.bool_]) -> "Rows":
-        """Return some of the grasps."""
-        return Rows(tactile=self.tactile[rows], aperture=self.aperture[rows])
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Telling:
-    """What n grasps tell.
-
-    Attributes
-    ----------
-    scores : (n, C) float64
-        Logarithm of the likelihood of each class, up to a constant of the grasp.
-    signs : (n, S) float64
-        Logarithms of distances under the expected drift, for the sense of the strange: of what
-        looks strange, a drift can explain too much.
-    """
-
-    scores: NDArray[np.float64]
-    signs: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -111,6 +78,24 @@ class Evidence:
             signs=np.array([signs for _, signs in found]),
         )
 
+    def signs(self, rows: Rows, log_prior: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the (n, S) signs alone that `tell` gives, which takes far less time."""
+        gain, offset = np.unravel_index(int(np.argmax(log_prior)), log_prior.shape)
+        found = [np.zeros((0, self.n_signs))]
+        for start in range(0, len(rows.tactile), _ROWS_AT_ONCE):
+            part = slice(start, start + _ROWS_AT_ONCE)
+            tactile = rows.tactile[part, gain]
+            touch, opening = self._project(tactile, rows.aperture[part, offset])
+            z = touch + opening
+            found.append(
+                novelty_signs(
+                    squared_distances(z, self.discriminant.centres),
+                    squared_distances(z, self.samples).min(axis=1),
+                    None if self.second is None else self.second.distances(tactile),
+                )
+            )
+        return np.concatenate(found)
+
     def under_drifts(self, rows: Rows) -> NDArray[np.float64]:
         """Return (n, G, O): log likelihood of each drift, whatever was held, up to a constant."""
         shape = rows.tactile.shape[1], rows.aperture.shape[1]
@@ -128,17 +113,21 @@ class Evidence:
         log_prior: NDArray[np.float64],
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         touch, opening = self._project(tactile, aperture)
-        distance = self._distances(touch, opening)
-        centre = -self._exponent * np.log1p(distance / self._rank)
+        from_touch, from_opening, both = self._distance_parts(touch, opening)
+        # Gain by gain: the array of all pairs and classes would leave the processor's cache.
+        least = np.array([(one + from_opening).min(axis=1) for one in from_touch])
+        nearest = np.maximum(least + both, 0.0).ravel()
+        centre = -self._exponent * np.log1p(nearest / self._rank)
         expected = int(np.argmax(log_prior))
-        order = np.argsort(-(log_prior + centre.max(axis=1)))[:_MAX_HYPOTHESES]
+        order = np.argsort(-(log_prior + centre))[:_MAX_HYPOTHESES]
         order = np.append(order[order != expected], expected)
-        distance, log_prior = distance[order], log_prior[order]
         gain, offset = np.divmod(order, len(aperture))
+        distance = from_touch[gain] + from_opening[offset] + both[gain, offset, None]
+        distance = np.maximum(distance, 0.0, out=distance)
         z = touch[gain] + opening[offset]
         squared = self._to_samples(z)
         around = self._around(z, distance)
-        together = log_prior[:, None] + 0.5 * (around + self._near(squared))
+        together = log_prior[order, None] + 0.5 * (around + self._near(squared))
         opinion = None
         if self.second is not None:
             opinion = self.second.distances(tactile[[expected // len(aperture)]])
@@ -153,11 +142,16 @@ class Evidence:
 
     def _near(self, squared: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (h, C) logarithms of the likelihood around the taught grasps of each class."""
-        density = self.log_weight - self._exponent * np.log1p(squared / self._rank)
+        # In place: of many taught grasps, new memory takes as long as the arithmetic.
+        density = squared / self._rank
+        np.log1p(density, out=density)
+        density *= -self._exponent
+        density += self.log_weight
         top = density.max(axis=1, keepdims=True)
+        density -= top
         first = np.flatnonzero(np.diff(self.sample_class, prepend=-1))
         # Far classes underflow to nothing; their centre still tells them apart.
-        share = np.add.reduceat(np.exp(density - top), first, axis=1)
+        share = np.add.reduceat(np.exp(density, out=density), first, axis=1)
         near: NDArray[np.float64] = np.log(share + 1e-30) + top
         return near
 
@@ -174,21 +168,35 @@ class Evidence:
         self, touch: NDArray[np.float64], opening: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Return (G * O, C) squared distances of all pairs of gain and offset to the centres."""
+        from_touch, from_opening, both = self._distance_parts(touch, opening)
+        squared = from_touch[:, None] + from_opening
+        squared += both[..., None]
+        return np.maximum(squared, 0.0, out=squared).reshape(-1, squared.shape[2])
+
+    def _distance_parts(
+        self, touch: NDArray[np.float64], opening: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return (G, C), (O, C) and (G, O), whose sum is the squared distance to the centres."""
         centres = self.discriminant.centres
         from_touch = (touch**2).sum(axis=1)[:, None] - 2.0 * touch @ centres.T
         from_opening = (opening**2).sum(axis=1)[:, None] - 2.0 * opening @ centres.T
-        squared = from_touch[:, None] + from_opening + (centres**2).sum(axis=1)
-        squared += 2.0 * (touch @ opening.T)[..., None]
-        return np.asarray(np.maximum(squared, 0.0), dtype=np.float64).reshape(-1, len(centres))
+        from_opening += (centres**2).sum(axis=1)
+        return from_touch, from_opening, 2.0 * (touch @ opening.T)
 
     def _to_samples(self, z: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (h, m) squared distances to the taught grasps.
 
         In parts: products this small take longer where a library shares them among threads.
         """
-        parts = [part @ self.samples.T for part in np.array_split(z, _PARTS)]
-        own = (z**2).sum(axis=1)[:, None] + (self.samples**2).sum(axis=1)
-        return np.asarray(np.maximum(own - 2.0 * np.concatenate(parts), 0.0), dtype=np.float64)
+        squared = np.empty((len(z), len(self.samples)))
+        for rows in np.array_split(np.arange(len(z)), _PARTS):
+            if len(rows):
+                part = slice(rows[0], rows[-1] + 1)
+                np.matmul(z[part], self.samples.T, out=squared[part])
+        squared *= -2.0
+        squared += (self.samples**2).sum(axis=1)
+        squared += (z**2).sum(axis=1)[:, None]
+        return np.asarray(np.maximum(squared, 0.0, out=squared), dtype=np.float64)
 
     @property
     def _rank(self) -> float:
@@ -271,6 +279,7 @@ def fit_evidence(
         min_shrinkage=_MIN_SHRINKAGE,
         n_independent=n,
         weight=weight,
+        max_rank=_MOST_AXES,
     )
     first = teach(rows)
     second = None if n_second is None else teach(rows[:, :n_second])

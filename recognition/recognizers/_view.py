@@ -12,7 +12,8 @@ from recognition.dependence import fit_dependence
 from recognition.drift import DriftGrid
 from recognition.drift_sense import DriftSense, fit_drift_sense
 from recognition.novelty import Novelty, fit_novelty
-from recognition.recognizers._evidence import Evidence, Rows, fit_evidence
+from recognition.recognizers._evidence import Evidence, fit_evidence
+from recognition.recognizers._telling import Rows
 
 _BLOCKS = 3
 """Grasps in use lie far in time from all taught ones, so few and large blocks are held out."""
@@ -195,5 +196,5 @@ def _leave_out(
         evidence = lesson.fit(~out & ~held_out)
         for mask, signs in ((~out & held_out, known), (out, left_out)):
             if np.any(mask):
-                signs.append(evidence.tell(lesson.rows.take(mask), lesson.grid.log_prior).signs)
+                signs.append(evidence.signs(lesson.rows.take(mask), lesson.grid.log_prior))
     return np.concatenate(known), np.concatenate(left_out)

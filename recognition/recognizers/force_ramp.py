@@ -7,27 +7,23 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from recognition.drift import CERTAIN, DriftGrid, drift_grid, undo_gains
+from recognition.drift import CERTAIN, DriftGrid, drift_grid
 from recognition.drift_following import follow
-from recognition.features import FEATURE_VERSION, feature_groups
-from recognition.features_aperture import aperture_features, undo_offsets
-from recognition.features_footprint import PadGrid, pad_grid
+from recognition.features import FEATURE_VERSION
+from recognition.features_aperture import aperture_features
 from recognition.gauge import Gauged, estimate_drift
 from recognition.grasp import Grasp
 from recognition.ramp import Rest, learn_rest
 from recognition.ramp_levels import Levels, load_levels
 from recognition.recognizer import Posterior
-from recognition.recognizers._evidence import Rows
-from recognition.recognizers._view import Lesson, View, fit_view
+from recognition.recognizers._lesson import make_lesson, make_rows, pad_grids, undone_gains
+from recognition.recognizers._telling import Rows
+from recognition.recognizers._view import View, fit_view
 from recognition.splits import by_label
 from recognition.taxel_gain import TaxelGains, learn_taxel_gains
-from recognition.virtual import can_change_sides, change_sides, turn
 
-_SINGLE_GROUPS = ("surface",)
-"""With one object nothing says which features separate: few and plain ones do best."""
 MIN_GRASPS = 3
 """Fewest grasps of an object: two to see how they vary, one to check the estimate on."""
-_TACTILE_GROUPS = ("patch", "pose", "pads", "growth", "profile", "surface")
 _GAUGED_SHARE = 0.1
 _GAUGED_LOG_GAIN_SD = 0.1
 _GAUGED_OFFSET_SD_MM = 1.0
@@ -70,7 +66,7 @@ class ForceRamp:
             even = np.full(len(self.labels), 1.0 / len(self.labels))
             return Posterior(labels=self.labels, probability=even, unknown=1.0)
         view, grid = self._view(levels)
-        rows = _rows(levels, _grids(self.rest), len(self.labels), grid, opening=view is self.both)
+        rows = self._rows(levels, view, grid)
         probability, unknown = view.answer(rows, grid)
         return Posterior(
             labels=self.labels,
@@ -96,7 +92,7 @@ class ForceRamp:
             raise ValueError("no gauge grasp touched both pads: grasp the gauge object again")
         grid = drift_grid(share=1.0)
         view, grid = self._view(levels, grid)
-        rows = _rows(levels, _grids(self.rest), len(self.labels), grid, opening=view is self.both)
+        rows = self._rows(levels, view, grid)
         if view.drift_sense is None:
             raise ValueError("one object alone does not show what a drift is: teach another one")
         column = self.labels.index(label)
@@ -127,9 +123,14 @@ class ForceRamp:
             return self
         levels = levels.take(levels.touched)
         view, grid = self._view(levels)
-        rows = _rows(levels, _grids(self.rest), len(self.labels), grid, opening=view is self.both)
+        rows = self._rows(levels, view, grid)
         told = view.evidence.under_drifts(rows)
         return replace(self, grid=follow(self.grid, told, view.drift_bias))
+
+    def _rows(self, levels: Levels, view: View, grid: DriftGrid) -> Rows:
+        n, opening = len(self.labels), view is self.both
+        undone = undone_gains(levels, pad_grids(self.rest), n, grid)
+        return make_rows(undone, levels, n, grid, opening=opening)
 
     def _view(self, levels: Levels, grid: DriftGrid | None = None) -> tuple[View, DriftGrid]:
         grid = self.grid if grid is None else grid
@@ -211,86 +212,31 @@ class ForceRampTrainer:
                 f"grasps that touched both pads, by object: {few}; each object needs at least "
                 f"{MIN_GRASPS}, or its variation is not known: teach more, and press harder"
             )
-        levels, grids, n = levels.take(touched), _grids(rest), len(labels)
+        levels, grids, n = levels.take(touched), pad_grids(rest), len(labels)
         taxel_gains = learn_taxel_gains(levels, grids)
         levels = taxel_gains.undo(levels)
         known = np.all(np.isfinite(aperture_features(levels)), axis=1)
         grid = drift_grid() if n > 1 else CERTAIN
+        undone = undone_gains(levels, grids, n, grid)
         both = None
         if self.use_aperture and np.all(np.bincount(classes[known], minlength=n) >= MIN_GRASPS):
             both = fit_view(
-                _lesson(levels.take(known), grids, classes[known], n, grid=grid, opening=True)
+                make_lesson(
+                    levels.take(known),
+                    undone[known],
+                    grids,
+                    classes[known],
+                    grid=grid,
+                    opening=True,
+                )
             )
         return ForceRamp(
             labels=tuple(labels.tolist()),
             rest=rest,
             taxel_gains=taxel_gains,
-            touch=fit_view(_lesson(levels, grids, classes, n, grid=grid.gain_only, opening=False)),
+            touch=fit_view(
+                make_lesson(levels, undone, grids, classes, grid=grid.gain_only, opening=False)
+            ),
             both=both,
             grid=grid,
         )
-
-
-def _grids(rest: Rest) -> list[PadGrid]:
-    return [pad_grid(rest.pads, pad) for pad in rest.gripping]
-
-
-def _lesson(
-    levels: Levels,
-    grids: Sequence[PadGrid],
-    classes: NDArray[np.int64],
-    n_classes: int,
-    *,
-    grid: DriftGrid,
-    opening: bool,
-) -> Lesson:
-    virtual = None
-    if n_classes > 1 and can_change_sides(grids):
-        # The opening tells the objects apart already; where each patch lies then helps more than
-        # patches that are turned hurt.
-        turned = change_sides(levels if opening else turn(levels))
-        virtual = _features(turned, grids, n_classes, opening=opening)
-    both = opening and n_classes > 1
-    return Lesson(
-        features=_features(levels, grids, n_classes, opening=opening),
-        virtual=virtual,
-        rows=_rows(levels, grids, n_classes, grid, opening=opening),
-        classes=classes,
-        n_classes=n_classes,
-        n_second=_tactile(levels, grids, n_classes).shape[1] if both else None,
-        grid=grid,
-    )
-
-
-def _features(
-    levels: Levels, grids: Sequence[PadGrid], n_classes: int, *, opening: bool
-) -> NDArray[np.float64]:
-    """Return the features of a view, (n, F); of one object, touch or the opening alone."""
-    if not opening:
-        return _tactile(levels, grids, n_classes)
-    aperture = aperture_features(levels)
-    if n_classes == 1:
-        return aperture
-    return np.concatenate([_tactile(levels, grids, n_classes), aperture], axis=1)
-
-
-def _rows(
-    levels: Levels, grids: Sequence[PadGrid], n_classes: int, grid: DriftGrid, *, opening: bool
-) -> Rows:
-    """Return the features of a view under each drift of the grid."""
-    n, n_gains = len(levels), len(grid.gains)
-    if opening and n_classes == 1:
-        tactile = np.zeros((n, n_gains, 0))
-    else:
-        tactile = _tactile(undo_gains(levels, grid.gains), grids, n_classes)
-        tactile = tactile.reshape(n, n_gains, -1)
-    aperture = np.zeros((n, len(grid.offsets_mm), 0))
-    if opening:
-        aperture = undo_offsets(aperture_features(levels), grid.offsets_mm)
-    return Rows(tactile=tactile, aperture=aperture)
-
-
-def _tactile(levels: Levels, grids: Sequence[PadGrid], n_classes: int) -> NDArray[np.float64]:
-    groups = feature_groups(levels, grids)
-    wanted = _TACTILE_GROUPS if n_classes > 1 else _SINGLE_GROUPS
-    return np.concatenate([groups[name] for name in wanted if name in groups], axis=1)

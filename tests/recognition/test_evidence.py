@@ -1,0 +1,96 @@
+"""What a grasp tells of many classes under drifts: the quick way against the plain formulas."""
+
+import numpy as np
+import pytest
+from scipy.special import logsumexp
+from scipy.stats import ortho_group
+
+from recognition.drift import drift_grid
+from recognition.lda import fit_lda
+from recognition.recognizers._evidence import fit_evidence
+from recognition.recognizers._telling import Rows
+
+N_CLASSES = 70
+FEATURES = 90
+
+
+@pytest.fixture(scope="module")
+def many():
+    """Return evidence of more classes than axes, and grasps under each drift of a coarse grid."""
+    rng = np.random.default_rng(5)
+    centres = rng.normal(0.0, 3.0, (N_CLASSES, FEATURES))
+    classes = np.repeat(np.arange(N_CLASSES), 5)
+    taught = centres[classes] + rng.normal(size=(len(classes), FEATURES))
+    evidence = fit_evidence(
+        taught, classes, N_CLASSES, virtual=taught + rng.normal(size=taught.shape), n_second=80
+    )
+    grid = drift_grid()
+    by_gain = rng.normal(0.0, 2.0, 80) * np.log(grid.gains)[:, None]
+    by_offset = rng.normal(0.0, 0.5, 10) * grid.offsets_mm[:, None]
+    seen = centres[::6] + rng.normal(size=(len(centres[::6]), FEATURES))
+    rows = Rows(tactile=seen[:, None, :80] + by_gain, aperture=seen[:, None, 80:] + by_offset)
+    return evidence, rows, grid.log_prior
+
+
+def plain_scores(evidence, tactile, aperture, log_prior):
+    """Return scores (C,) of one grasp by whole matrices and without shortcuts."""
+    lda = evidence.discriminant
+    rank = evidence.samples.shape[1]
+    pairs = [(g, o) for g in range(len(tactile)) for o in range(len(aperture))]
+    z = lda.project(np.array([np.concatenate([tactile[g], aperture[o]]) for g, o in pairs]))
+    apart = ((z[:, None] - lda.centres) ** 2).sum(axis=2)
+    exponent = 0.5 * (rank + 3.0)
+    likely = log_prior.ravel() - exponent * np.log1p(apart.min(axis=1) / rank)
+    chosen = set(np.argsort(-likely)[:24].tolist()) | {int(np.argmax(log_prior))}
+    parts = []
+    for pair in chosen:
+        own = evidence.spread.distances(z[[pair]], apart[[pair]])[0]
+        around = -exponent * np.log1p(own / rank) - evidence.spread.log_volume
+        squared = ((z[pair] - evidence.samples) ** 2).sum(axis=1)
+        density = evidence.log_weight - exponent * np.log1p(squared / rank)
+        near = [logsumexp(density[evidence.sample_class == c]) for c in range(len(around))]
+        near = np.logaddexp(near, density.max() + np.log(1e-30))
+        parts.append(log_prior.ravel()[pair] + 0.5 * (around + near))
+    return logsumexp(parts, axis=0)
+
+
+def test_scores_are_those_of_the_plain_formulas(many):
+    evidence, rows, log_prior = many
+    told = evidence.tell(rows, log_prior)
+    for n in range(0, len(told.scores), 3):
+        plain = plain_scores(evidence, rows.tactile[n], rows.aperture[n], log_prior)
+        assert told.scores[n] == pytest.approx(plain, abs=1e-6)
+
+
+def test_signs_alone_are_those_of_a_full_answer(many):
+    evidence, rows, log_prior = many
+    signs = evidence.signs(rows, log_prior)
+    assert signs.shape == (len(rows.tactile), evidence.n_signs)
+    assert signs == pytest.approx(evidence.tell(rows, log_prior).signs, abs=1e-6)
+
+
+def test_many_classes_share_a_bounded_number_of_axes_and_are_still_told_apart(many):
+    evidence, rows, log_prior = many
+    assert evidence.samples.shape[1] < N_CLASSES - 1
+    found = evidence.tell(rows, log_prior).scores.argmax(axis=1)
+    assert np.mean(found == np.arange(N_CLASSES)[::6]) > 0.9
+
+
+def test_few_classes_keep_all_their_axes():
+    rng = np.random.default_rng(6)
+    classes = np.repeat(np.arange(36), 4)
+    rows = rng.normal(0.0, 5.0, (36, 60))[classes] + rng.normal(size=(144, 60))
+    assert fit_evidence(rows, classes, 36).samples.shape[1] == 35
+
+
+def test_the_axes_kept_are_those_that_separate_best():
+    rng = np.random.default_rng(7)
+    turn = ortho_group.rvs(6, random_state=7)
+    centres = rng.normal(size=(8, 6)) * np.array([9.0, 6.0, 0.1, 0.1, 0.1, 0.1]) @ turn
+    classes = np.repeat(np.arange(8), 30)
+    rows = centres[classes] + rng.normal(size=(240, 6))
+    whole, few = fit_lda(rows, classes, 8), fit_lda(rows, classes, 8, max_rank=2)
+    assert few.projection.shape == (6, 2)
+    assert few.projection == pytest.approx(whole.projection[:, :2])
+    same = few.distances(rows).argmin(axis=1) == whole.distances(rows).argmin(axis=1)
+    assert np.mean(same) > 0.95
