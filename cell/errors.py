@@ -1,5 +1,13 @@
 """What can go wrong in the cell: one tree, each message says cause, value, limit and next step."""
 
+from gripper.errors import fingers_left
+
+
+def told(error: BaseException) -> str:
+    """Return an error as a host or operator is told it: kind, message, and the fingers' place."""
+    left = fingers_left(error)
+    return f"{type(error).__name__}: {error}" + (f"; {left}" if left else "")
+
 
 class CellError(Exception):
     """Base of all errors that the package raises on purpose."""

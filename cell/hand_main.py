@@ -44,7 +44,7 @@ from cell.hand_wire import (
     send_error,
 )
 from cell.real_time import collect_now, enter_real_time, stop_collecting
-from gripper.errors import GraspStopped, GripperError
+from gripper.errors import GraspStopped, GripperError, copy_fingers
 from gripper.state import Cycle, GripperPhase
 from tactile.protocol import TactileFrame
 
@@ -162,9 +162,9 @@ class HandServer:
             if self._outbox.dropped > dropped:
                 failure = HostSilent(
                     f"the program took nothing from its force loop for {WAITING_PERIODS} periods: "
-                    f"the goals are frozen, the grip is kept; "
-                    f"{self._outbox.dropped - dropped} periods are lost"
+                    f"the goals are frozen; {self._outbox.dropped - dropped} periods are lost"
                 )
+                copy_fingers(stop, failure)
         except Exception as error:
             failure = error
             self._stand_by()

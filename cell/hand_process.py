@@ -27,7 +27,7 @@ from cell.hand_wire import (
     received_error,
 )
 from cell.layouts import layout_from_config
-from gripper.errors import GripperError
+from gripper.errors import GripperError, copy_fingers
 from gripper.ramp import ForceRamp
 from gripper.state import GraspOutcome, GripperPhase
 from gripper.verification import VerificationReport
@@ -224,6 +224,9 @@ class HandProcess:
                 break
         self._phase, self._statistics = event.phase, event.statistics
         if failure is not None:
+            if event.error is not None:
+                # The process that moves the fingers knows how it has left them.
+                copy_fingers(received_error(event.error), failure)
             raise failure
         if event.error is not None:
             raise received_error(event.error)

@@ -3,11 +3,11 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from cell.errors import CellStateError, CellStopped, HandLost, PositionerError
+from cell.errors import CellStateError, CellStopped, HandLost, PositionerError, told
 from cell.grasp_states import GraspState, grasp_state
 from cell.hand import Hand
 from cell.states import COMPLETIONS, TRANSITIONS, CellState, Event, next_state
-from gripper.errors import GraspStopped, GripperError, PartLost
+from gripper.errors import GraspStopped, GripperError, PartLost, fingers_left
 from gripper.state import GraspResult, GripperPhase
 
 _HOLDING = (
@@ -134,11 +134,7 @@ class CellLifecycle:
                 raise
         except GraspStopped as stop:
             self.cancelled = False
-            raise CellStopped(
-                f"stopped {self.stop_reason}; the grip is kept until it is released on purpose"
-                if self.holding
-                else f"stopped {self.stop_reason}; nothing is held"
-            ) from stop
+            raise CellStopped(f"stopped {self.stop_reason}; {self._left(stop)}") from stop
         except PositionerError as error:
             # A pose that is not reached is no fault of the cell: its fingers are open and empty.
             if self._state is not CellState.EXECUTE or self.holding:
@@ -153,7 +149,7 @@ class CellLifecycle:
 
     def _latch(self, error: BaseException) -> None:
         """Keep the grip and go where a fault leads; what is seen last does not hide the first."""
-        self.fault = f"{type(error).__name__}: {error}"
+        self.fault = told(error)
         self._part_lost = isinstance(error, PartLost)
         self.go(Event.FAULT)
         try:
@@ -163,6 +159,15 @@ class CellLifecycle:
             self._note("fault", f"the grip could not be confirmed: {second}")
         finally:
             self.complete()
+
+    def _left(self, stop: GraspStopped) -> str:
+        """Say what a stop has left: fingers on their way, a grip, or nothing held."""
+        moved = fingers_left(stop)
+        if not self.holding:
+            return moved or "nothing is held"
+        if moved:
+            return f"{moved} until it is released on purpose"
+        return "the grip is kept until it is released on purpose"
 
     def _hold(self) -> None:
         """Go where a stop on request leads from the present state, and keep the grip."""

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
 
-from cell.errors import CellStateError, CellStopped
+from cell.errors import CellStateError, CellStopped, told
 
 
 class JobOutcome(StrEnum):
@@ -175,7 +175,7 @@ class CellWorker:
         except CellStopped as stop:
             self._end(job, JobOutcome.CANCELED, error=str(stop))
         except BaseException as error:
-            self._end(job, JobOutcome.ABORTED, error=f"{type(error).__name__}: {error}")
+            self._end(job, JobOutcome.ABORTED, error=told(error))
         else:
             self._end(job, JobOutcome.SUCCEEDED, value=value)
 

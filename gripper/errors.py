@@ -25,6 +25,27 @@ _HARDWARE_ERROR_BITS = {
 }
 
 
+_FINGERS = "the fingers "
+
+
+def note_fingers(error: BaseException, left: str) -> None:
+    """Note on an error how it left the fingers; the note goes with it from process to process."""
+    error.add_note(_FINGERS + left)
+
+
+def fingers_left(error: BaseException) -> str:
+    """Return what was noted of the fingers; empty where an error ended no motion of them."""
+    notes: list[str] = getattr(error, "__notes__", [])
+    return next((note for note in notes if note.startswith(_FINGERS)), "")
+
+
+def copy_fingers(source: BaseException, target: BaseException) -> None:
+    """Note on another error what was noted of the fingers on the first, if anything was."""
+    left = fingers_left(source)
+    if left and not fingers_left(target):
+        target.add_note(left)
+
+
 def hardware_error_names(bits: int) -> tuple[str, ...]:
     """Name the bits of Hardware Error Status (register 70), lowest bit first."""
     return tuple(
@@ -160,4 +181,4 @@ class WatchdogUnproven(GripperError):
 
 
 class GraspStopped(GripperError):
-    """The running command was stopped by ``request_stop``; the grip is kept."""
+    """The running command was stopped by ``request_stop``; nothing opens or closes any more."""

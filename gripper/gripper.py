@@ -288,6 +288,8 @@ class Gripper:
     def release(self, observer: Observer | None = None) -> GripperState:
         """Let go: open to aperture_open_m. The only command that lets a part go.
 
+        Stopped or at fault on the way the fingers stand still; the error's note says where.
+
         Raises
         ------
         GripperStateError
@@ -298,14 +300,19 @@ class Gripper:
         self._life.check_ready("release")
         with self._life.command(GripperPhase.RELEASING):
             self._make_ready(releasing=True)
+            # A part that a stop leaves half held is none whose force can be controlled.
+            self._grasping.forget()
+            self._life.controlled = False
             state = self._move_to(self._settings.aperture_open_m, observer)
-        self._grasping.forget()
-        self._life.part_possible = self._life.controlled = False
+        self._life.part_possible = False
         self._life.phase = GripperPhase.IDLE
         return state
 
     def request_stop(self) -> None:
-        """Let the running command end with GraspStopped, goals frozen; safe from any thread."""
+        """Let the running command end with GraspStopped; safe from any thread.
+
+        Goals of a grip are frozen, fingers on their way stop where they are.
+        """
         self._runner.request_stop()
 
     def keep_grip(self) -> None:

@@ -181,7 +181,7 @@ class ServoHealth:
                 "it has switched its torque off, the part has possibly been dropped; after a "
                 "remedy clear the fault with a reboot"
                 if dropped
-                else "it reports a hardware error, the grip is kept"
+                else "it reports a hardware error and still has its torque"
             )
             raise ServoFault(servo_id, bits, detail, torque_lost=dropped)
 

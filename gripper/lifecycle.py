@@ -3,12 +3,18 @@
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-from gripper.errors import GraspStopped, GripperError, GripperStateError
-from gripper.reactions import react
+from gripper.errors import GraspStopped, GripperError, GripperStateError, note_fingers
+from gripper.reactions import Left, react
 from gripper.runner import LoopRunner
 from gripper.servos import ServoGroup
 from gripper.settings import GripperSettings
 from gripper.state import GripperPhase
+
+_DOING = {
+    GripperPhase.OPENING: "opening",
+    GripperPhase.APPROACHING: "closing",
+    GripperPhase.RELEASING: "letting go",
+}
 
 
 class Lifecycle:
@@ -81,16 +87,15 @@ class Lifecycle:
 
     @contextmanager
     def command(self, phase: GripperPhase) -> Iterator[None]:
-        """Run one command in its phase; on a stop the goals stay frozen."""
+        """Run one command in its phase; a stop freezes the goals, or halts fingers on their way."""
         self._runner.forget_stop()
         self.phase = phase
         self.running = True
         try:
             with self.latching():
                 yield
-        except GraspStopped:
-            with suppress(GripperError):
-                self._servos.calm()
+        except GraspStopped as stop:
+            self._stop(stop)
             self.rest()
             raise
         finally:
@@ -105,8 +110,34 @@ class Lifecycle:
             raise
         except BaseException as error:
             self.fault = error
-            self.phase = GripperPhase.HELD_AFTER_FAULT
+            phase, self.phase = self.phase, GripperPhase.HELD_AFTER_FAULT
+            left = Left.ALONE
             # The error that is on its way says what matters; a bus that fails again adds nothing.
             with suppress(GripperError):
-                react(error, self._servos, self._settings)
+                left = react(error, self._servos, self._settings, moving=phase.moving)
+            self._tell(error, phase, left)
             raise
+
+    def _stop(self, stop: GraspStopped) -> None:
+        if not self.phase.moving:
+            with suppress(GripperError):
+                self._servos.calm()
+            return
+        with self._servos.in_loop():
+            halted = self._servos.halt()
+        self._tell(stop, self.phase, Left.STILL if halted else Left.ALONE)
+
+    def _tell(self, error: BaseException, phase: GripperPhase, left: Left) -> None:
+        """Note on what ends a motion where it has left the fingers, and what they may hold."""
+        if not phase.moving:
+            return
+        aperture_m = self._servos.aperture_m
+        where = "" if aperture_m is None else f", at an opening of {aperture_m * 1e3:.1f} mm"
+        alone = "; the servos' bus watchdog stops them" if left is Left.ALONE else ""
+        if not self.part_possible:
+            part = "nothing is held"
+        elif phase is GripperPhase.RELEASING:
+            part = "a part may be half held"
+        else:
+            part = "a part may be touched"
+        note_fingers(error, f"{left} while {_DOING[phase]}{where}{alone}; {part}")

@@ -10,7 +10,6 @@ from gripper.state import GripperPhase
 _FREEZE_AT = 2
 _ONE_SIDED_PERIODS = 3
 _LEAST_PERIODS = 3
-_FREE = frozenset({GripperPhase.OPENING, GripperPhase.APPROACHING, GripperPhase.RELEASING})
 
 
 class MissedReads:
@@ -74,7 +73,7 @@ class MissedReads:
         """Write once, in the second period in a row, that nothing goes on: no one pushes alone."""
         if self._in_row == _FREEZE_AT:
             with suppress(GripperError):
-                if phase in _FREE:
+                if phase.moving:
                     self._servos.stand_still()
                 else:
                     self._servos.calm()

@@ -175,6 +175,23 @@ class ServoGroup:
             ]
             self.write_goals(goals, self._last)
 
+    @property
+    def aperture_m(self) -> float | None:
+        """The opening in m as it was read last; None before the first reading."""
+        return None if self._last is None else self._last.aperture_m
+
+    def halt(self) -> bool:
+        """End a motion where the fingers are now; say whether that could be written."""
+        if not any(map(self._bus.misses, self._ids)):
+            # They may have gone on since the last reading, as in a stall of the loop.
+            with suppress(GripperError):
+                self.read()
+        try:
+            self.stand_still()
+        except GripperError:
+            return False
+        return True
+
     def stand_still(self) -> None:
         """Set the goals to the last known positions: the fingers hold where they are.
 

@@ -34,6 +34,15 @@ class GripperPhase(Enum):
     RELEASING = "releasing"
     HELD_AFTER_FAULT = "held_after_fault"
 
+    @property
+    def moving(self) -> bool:
+        """Whether the fingers are on their way, with nothing in their grip yet or any more."""
+        return self in (
+            GripperPhase.OPENING,
+            GripperPhase.APPROACHING,
+            GripperPhase.RELEASING,
+        )
+
 
 class GraspResult(Enum):
     """How a grasp ended."""

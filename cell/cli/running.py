@@ -13,7 +13,7 @@ from cell.config import CellConfig
 from cell.errors import CellError, CellStopped, ConfigError
 from cell.layouts import layout_from_config
 from cell.loop_values import loop_line
-from gripper.errors import GripperError
+from gripper.errors import GripperError, fingers_left
 from recognition.grasp import PadArray
 from tactile.errors import TactileError
 
@@ -39,7 +39,9 @@ def running_cell(
         _write_end(json_file, cell, text)
         raise CellError(text) from stop
     except (CellError, GripperError, TactileError) as error:
-        grip = "the grip is kept" if cell.controller.holding else "nothing is held"
+        grip = fingers_left(error) or (
+            "the grip is kept" if cell.controller.holding else "nothing is held"
+        )
         text = f"{error}\n{grip}; recording so far: {cell.recording_path}"
         _write_end(json_file, cell, text)
         raise CellError(text) from error

@@ -1,12 +1,22 @@
 """What each kind of fault does to torque and goals: hold, stand still, open a step, go limp."""
 
+import re
+from contextlib import suppress
+
 import pytest
 
 from gripper.errors import (
+    BusTimeout,
     FeedbackImplausible,
     FingerSilent,
     ForceAboveCap,
+    GraspStopped,
+    GripperStateError,
+    LimitExceeded,
     ServoFault,
+    copy_fingers,
+    fingers_left,
+    note_fingers,
 )
 from gripper.gripper import GripperPhase
 from gripper.ramp import ForceRamp
@@ -164,3 +174,112 @@ def test_a_restart_too_short_to_be_silent_is_seen_by_the_servos_clock(cell) -> N
     assert cell.clock.monotonic() - done_s[0] < 0.015
     cell.clock.sleep(1.0)
     assert torques(cell) == [0, 1]
+
+
+# Fingers on their way stop where they are.
+
+
+class Fails(Exception):
+    """What an observer may raise."""
+
+
+def in_the_way(cell, how: str):
+    """Return an observer that stops, fails, stalls or silences while the fingers open fast."""
+
+    def observe(cycle) -> None:
+        if cycle.phase.moving and cycle.state.aperture_velocity_m_s > 0.03:
+            if how == "stop":
+                cell.gripper.request_stop()
+            elif how == "fail":
+                raise Fails("the disk is full")
+            elif how == "stall":
+                cell.clock.sleep(0.3)
+            elif how == "silent":
+                cell.device.faults.silent.add(1)
+            else:
+                cell.device.faults.silent.update((1, 2))
+
+    return observe
+
+
+@pytest.mark.parametrize(
+    ("how", "error", "left"),
+    [
+        ("stop", GraspStopped, "stopped"),
+        ("fail", Fails, "stopped"),
+        ("stall", LimitExceeded, "stopped"),
+        ("silent", FingerSilent, "stopped"),
+        ("dead", BusTimeout, "were seen last"),
+    ],
+)
+@pytest.mark.parametrize("command", ["release", "open"])
+def test_fingers_on_their_way_stop_where_they_are(make_cell, command, how, error, left) -> None:
+    cell = make_cell(aperture_open_m=0.04)
+    if command == "release":
+        held(cell)
+    else:
+        cell.gripper.start()
+    with pytest.raises(error) as caught:
+        getattr(cell.gripper, command)(observer=in_the_way(cell, how))
+    told = fingers_left(caught.value)
+    doing = "letting go" if command == "release" else "opening"
+    assert told.startswith(f"the fingers {left} while {doing}, at an opening of ")
+    assert ("half held" in told) == (command == "release")
+    assert ("watchdog" in told) == (how == "dead")
+    cell.clock.sleep(0.15)
+    stood_m = cell.mechanics.aperture_m
+    assert stood_m < 0.036
+    if how == "stop":
+        with suppress(BusTimeout):
+            cell.gripper.keep_grip()
+    cell.clock.sleep(2.0)
+    assert cell.mechanics.aperture_m == pytest.approx(stood_m, abs=3e-4)
+    if how in {"stop", "fail"}:
+        said_mm = float(re.findall(r"([\d.]+) mm", told)[0])
+        assert said_mm == pytest.approx(stood_m * 1e3, abs=1.0)
+    if how == "stop":
+        expected = GripperPhase.HELD_AFTER_FAULT if command == "release" else GripperPhase.IDLE
+        assert cell.gripper.state is expected
+        getattr(cell.gripper, command)()
+        assert cell.mechanics.aperture_m == pytest.approx(0.04, abs=1e-3)
+
+
+def test_a_stop_at_the_begin_of_a_release_lets_nothing_fall(cell) -> None:
+    held(cell)
+    with pytest.raises(GraspStopped):
+        cell.gripper.release(lambda _: cell.gripper.request_stop())
+    cell.clock.sleep(1.0)
+    assert cell.force_n > 0.5
+    with pytest.raises(GripperStateError):
+        cell.gripper.hold(0.1)
+    cell.gripper.release()
+    assert cell.force_n == 0.0
+
+
+def test_a_stop_in_the_approach_goes_no_farther(make_cell, make_part) -> None:
+    cell = make_cell(part=make_part(present=False), approach_speed_m_s=0.02)
+    cell.gripper.start()
+
+    def stop(cycle) -> None:
+        if cycle.state.aperture_m < 0.012:
+            cell.gripper.request_stop()
+
+    with pytest.raises(GraspStopped) as caught:
+        cell.gripper.grasp(RAMP, stop)
+    assert "closing, at an opening of 1" in fingers_left(caught.value)
+    cell.clock.sleep(1.0)
+    assert cell.mechanics.aperture_m > 0.0115
+
+
+def test_no_note_is_made_where_fingers_hold(cell) -> None:
+    held(cell)
+    with pytest.raises(GraspStopped) as caught:
+        cell.gripper.hold(1.0, lambda _: cell.gripper.request_stop())
+    assert fingers_left(caught.value) == ""
+    other = Fails("x")
+    copy_fingers(caught.value, other)
+    assert fingers_left(other) == ""
+    note_fingers(caught.value, "stopped")
+    copy_fingers(caught.value, other)
+    copy_fingers(caught.value, other)
+    assert other.__notes__ == ["the fingers stopped"]
