@@ -55,8 +55,12 @@ class Course:
         Largest lag in N behind the set-point before the fingers move on.
     force_sd
         Relative standard deviation of the force at the end of the ramp.
-    modulus_sd, gain_sd, spread_sd
+    modulus_sd, gain_sd, spread_sd, densification_sd, thickness_sd
         Relative standard deviations of what is known of foam and sensor; drawn for each grasp.
+    pad_gain_sd, taxel_gain_sd
+        Relative standard deviations of the gains of the two pads, and of single taxels.
+    tilt_rad
+        Standard deviation in rad by which an object lies aslant between the pads, about x and y.
     imbalance_n
         Largest difference in N between the forces on both pads: the object is held a little.
     """
@@ -72,6 +76,11 @@ class Course:
     modulus_sd: float = 0.05
     gain_sd: float = 0.05
     spread_sd: float = 0.05
+    densification_sd: float = 0.1
+    thickness_sd: float = 0.03
+    pad_gain_sd: float = 0.05
+    taxel_gain_sd: float = 0.08
+    tilt_rad: float = 0.01
     imbalance_n: float = 0.05
 
 
@@ -149,13 +158,17 @@ class VirtualPads:
                 | {
                     "modulus_pa": self._foam.modulus_pa * rng.lognormal(0.0, course.modulus_sd),
                     "gain": self._foam.gain * rng.lognormal(0.0, course.gain_sd),
+                    "densification": self._foam.densification
+                    * rng.lognormal(0.0, course.densification_sd),
+                    "thickness_m": self._foam.thickness_m * rng.lognormal(0.0, course.thickness_sd),
                 }
             )
         )
         beds = self._beds[int(rng.integers(len(self._beds)))]
+        aslant = rng.normal(0.0, course.tilt_rad, 2)
         presses = [
             press(bed, reach_m, foam)
-            for bed, reach_m in zip(beds, reaches_m(drawing, step.pose, beds), strict=True)
+            for bed, reach_m in zip(beds, reaches_m(drawing, step.pose, beds, aslant), strict=True)
         ]
         touch_m = sum(p.reach_max_m for p in presses)
         if touch_m >= course.aperture_open_m:
@@ -186,7 +199,10 @@ class VirtualPads:
             here_n = np.where(force_n > 0.0, np.maximum(force_n + sign * slack_n, 0.0), 0.0)
             depth_m = np.interp(here_n, pressed.force_n, pressed.depth_m)
             depths_m.append(depth_m)
-            share = foam.response(pressed.taxel_force_n(depth_m))
+            gains = rng.lognormal(0.0, course.pad_gain_sd) * np.exp(
+                rng.normal(0.0, course.taxel_gain_sd, len(bed.taxels))
+            )
+            share = foam.response(pressed.taxel_force_n(depth_m) * gains)
             counts[:, bed.taxels] += self._pads.adc_max * share
         aperture_m[n_closing:] = touch_m - (depths_m[0] + depths_m[1])[n_closing:]
         return Grasp(

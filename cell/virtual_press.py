@@ -45,8 +45,16 @@ class Press:
         return force_n
 
 
-def reaches_m(drawing: Drawing, pose: Pose, beds: Sequence[PadBed]) -> list[NDArray[np.float64]]:
+def reaches_m(
+    drawing: Drawing,
+    pose: Pose,
+    beds: Sequence[PadBed],
+    aslant_rad: NDArray[np.float64] | None = None,
+) -> list[NDArray[np.float64]]:
     """Return how far a posed object reaches towards each pad in m, over the grids of the pads.
+
+    Tilted by the small angles ``aslant_rad`` (2,) it reaches as much further towards one pad as
+    less far towards the other, in proportion to the way from its centre along x and along y.
 
     Raises ValueError where it lies beside a pad.
     """
@@ -63,7 +71,11 @@ def reaches_m(drawing: Drawing, pose: Pose, beds: Sequence[PadBed]) -> list[NDAr
             )
         if not np.isfinite(heights_m[side]).any():
             raise ValueError(f"the object lies beside the pads at {pose}")
-        both.append(heights_m[side])
+        if aslant_rad is None:
+            both.append(heights_m[side])
+        else:
+            lever_m = aslant_rad[0] * (bed.x_m - pose.x_m) + aslant_rad[1] * (bed.y_m - pose.y_m)
+            both.append(heights_m[side] + (lever_m if side == 0 else -lever_m))
     return both
 
 

@@ -30,6 +30,7 @@ from recognition.shape_fit import Trust
 _PULSES = 4096
 _UNKNOWN_SD = 0.1
 _LEAST_SD = 0.03
+_OTHER_FOAMS = 2.5
 _MIN_QUIET = 5
 
 
@@ -41,8 +42,12 @@ class PadKnowledge:
     ----------
     foam
         Foam and sensor.
-    modulus_sd, gain_sd, spread_sd
+    modulus_sd, gain_sd, spread_sd, densification_sd, thickness_sd
         Relative standard deviations.
+    other_foams
+        Virtual grasps are drawn with this many times these deviations. Shape and size are read
+        under the likeliest foam; but a name that was taught without a gauge has to hold on
+        whatever foam it will meet, and a grasp on another foam is no unknown object.
     aperture_sd_m
         Standard deviation in m of the measured opening.
     rest : (n, n_taxels) uint16 or None
@@ -55,6 +60,9 @@ class PadKnowledge:
     modulus_sd: float = _UNKNOWN_SD
     gain_sd: float = _UNKNOWN_SD
     spread_sd: float = _UNKNOWN_SD
+    densification_sd: float = 1.2 * _UNKNOWN_SD
+    thickness_sd: float = 0.6 * _UNKNOWN_SD
+    other_foams: float = _OTHER_FOAMS
     aperture_sd_m: float = 0.2e-3
     rest: NDArray[np.uint16] | None = None
     fit: FoamFit | None = None
@@ -140,6 +148,9 @@ def calibrate_on_gauge(grasps: Sequence[Grasp], drawing: Drawing, pads: PadArray
         modulus_sd=max(modulus_sd, _LEAST_SD),
         gain_sd=max(gain_sd, _LEAST_SD),
         spread_sd=max(spread_sd, _LEAST_SD),
+        densification_sd=2.0 * _LEAST_SD,
+        thickness_sd=_LEAST_SD,
+        other_foams=1.0,
         aperture_sd_m=max(0.2e-3, 1e-3 * aperture_sd_mm),
         rest=_rest_frames(grasps),
         fit=fit,
@@ -221,9 +232,11 @@ def course_of(config: CellConfig, known: PadKnowledge) -> Course:
         aperture_step_m=1e-3 * step_mm,
         aperture_sd_m=known.aperture_sd_m,
         impact_n=(config.gripper.contact_force_n + 0.2, config.gripper.contact_force_n + 1.1),
-        modulus_sd=known.modulus_sd,
-        gain_sd=known.gain_sd,
-        spread_sd=known.spread_sd,
+        modulus_sd=known.other_foams * known.modulus_sd,
+        gain_sd=known.other_foams * known.gain_sd,
+        spread_sd=known.other_foams * known.spread_sd,
+        densification_sd=known.other_foams * known.densification_sd,
+        thickness_sd=known.other_foams * known.thickness_sd,
     )
 
 

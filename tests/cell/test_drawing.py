@@ -24,9 +24,12 @@ from cell.jobs.drawing import (
     teach_drawing,
 )
 from cell.layouts import layout_from_config
+from cell.pose import Pose
 from cell.simulation import drawn_shape
-from recognition.foam_model import FoamModel
+from cell.virtual_press import reaches_m
+from recognition.foam_model import FoamModel, PadBed
 from recognition.ramp import find_ramp, learn_rest
+from recognition.recognizers import make_trainer
 
 BALL = "sphere:diameter=9.5mm"
 BOX = "box:length=15.9mm,width=10mm,height=10mm"
@@ -49,7 +52,8 @@ def refused(*arguments: object) -> str:
 def test_a_virtual_grasp_looks_like_the_cells_own(taught: Any) -> None:
     config = taught.config
     own = [g for g in taught.grasps if g.label == "ball"]
-    drawn = teach_drawing(config, "ball", drawn_shape(BALL), 40, kind="sphere")
+    known = PadKnowledge(foam=FoamModel(), other_foams=1.0)
+    drawn = teach_drawing(config, "ball", drawn_shape(BALL), 40, kind="sphere", known=known)
     first = drawn[0]
     assert first.pads.same_as(own[0].pads)
     assert first.source == "drawing"
@@ -60,11 +64,14 @@ def test_a_virtual_grasp_looks_like_the_cells_own(taught: Any) -> None:
         (lambda g: g.n_frames - g.force_n[-1] / RATE_N_S / FRAME_S, 0.2),
         (lambda g: g.counts[:5].mean(), 0.1),
         (lambda g: g.aperture_m[0], 0.05),
-        (lambda g: g.aperture_m[-1], 0.1),
         (lambda g: find_ramp(g, rest).load[-5:].mean() / g.force_n[-1], 0.15),
     ):
         real = np.median([quantity(g) for g in own])
         assert np.median([quantity(g) for g in drawn]) == pytest.approx(real, rel=tolerance)
+    # The opening at the end depends on the force, which differs from grasp to grasp.
+    curve = np.polyfit(*np.array([(g.force_n[-1], g.aperture_m[-1]) for g in drawn]).T, 2)
+    off_m = [g.aperture_m[-1] - np.polyval(curve, g.force_n[-1]) for g in own]
+    assert np.mean(off_m) == pytest.approx(0.0, abs=0.3e-3)
 
 
 def test_the_set_point_begins_with_the_touch_and_ends_at_the_planned_force(taught: Any) -> None:
@@ -136,6 +143,8 @@ def test_the_calibration_follows_another_foam() -> None:
         modulus_sd=1e-6,
         gain_sd=1e-6,
         spread_sd=1e-6,
+        densification_sd=1e-6,
+        thickness_sd=1e-6,
         aperture_sd_m=1e-9,
     )
     ball = drawn_shape(BALL)
@@ -144,6 +153,47 @@ def test_the_calibration_follows_another_foam() -> None:
     assert abs(np.log(known.foam.modulus_pa / 210e3)) < 3 * known.modulus_sd
     assert known.rest is not None
     assert known.trust.modulus == known.modulus_sd
+    assert known.other_foams == 1.0
+
+
+def test_names_taught_without_a_gauge_hold_on_another_foam() -> None:
+    config = CellConfig()
+    things = {"ball": BALL, "box": BOX, "cylinder": CYLINDER}
+    other = PadKnowledge(
+        foam=FoamModel(modulus_pa=215e3, spread_m=1.1e-3, densification=0.7, thickness_m=2.7e-3),
+        modulus_sd=1e-6,
+        gain_sd=1e-6,
+        spread_sd=1e-6,
+    )
+    taught, met = (
+        [
+            grasp
+            for number, (label, text) in enumerate(things.items())
+            for grasp in teach_drawing(
+                config, label, drawn_shape(text), n, known=known, seed=seed + number
+            )
+        ]
+        for n, known, seed in ((30, None, 0), (12, other, 100))
+    )
+    recognizer = make_trainer("force_ramp").fit(taught)
+    answers = [recognizer.posterior(grasp) for grasp in met]
+    labels = [answer.labels[int(np.argmax(answer.probability))] for answer in answers]
+    assert labels == [grasp.label for grasp in met]
+    assert sum(answer.unknown > 0.5 for answer in answers) <= 4
+
+
+def test_an_object_aslant_reaches_further_towards_one_pad() -> None:
+    config = CellConfig()
+    layout = layout_from_config(config.tactile)
+    beds = [PadBed(pad_array(layout), pad, 1.5e-3) for pad in layout.gripping_pads]
+    pose = Pose(x_m=1e-3)
+    flat = reaches_m(drawn_shape(BOX), pose, beds)
+    tilted = reaches_m(drawn_shape(BOX), pose, beds, np.array([0.02, 0.0]))
+    inside = np.isfinite(flat[0])
+    lever_m = np.broadcast_to(0.02 * (beds[0].x_m - 1e-3), inside.shape)[inside]
+    assert np.allclose(tilted[0][inside] - flat[0][inside], lever_m)
+    assert np.allclose(tilted[1][inside] - flat[1][inside], -lever_m)
+    assert np.array_equal(np.isfinite(tilted[1]), inside)
 
 
 def test_a_mesh_is_a_drawing(tmp_path: Path) -> None:
