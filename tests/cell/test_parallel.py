@@ -45,7 +45,9 @@ def assert_same(a: Evaluation, b: Evaluation) -> None:
             assert x == y
         elif hasattr(x, "items"):
             assert dict(x) == pytest.approx(dict(y))
-        elif not isinstance(x, str):
+        elif x is None or isinstance(x, str):
+            assert x == y
+        else:
             np.testing.assert_allclose(x, y)
 
 
