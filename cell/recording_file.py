@@ -1,5 +1,6 @@
 """Where the bytes of a recording go: a file that ends at a record's end even on a full disk."""
 
+import errno
 import os
 import threading
 from collections import deque
@@ -62,12 +63,17 @@ class DirectFile:
         """Nothing is held back."""
 
     def close(self) -> None:
-        """Bring the file to the disk and close it; once closed, nothing happens."""
+        """Bring the file to the disk and close it; once closed, nothing happens.
+
+        Raises OSError where that fails, and where the file is not at its place any more.
+        """
         if not self._open:
             return
         self._open = False
         try:
             os.fsync(self._handle)
+            if os.fstat(self._handle).st_nlink == 0:
+                raise FileNotFoundError(errno.ENOENT, "the file was removed while it was written")
         finally:
             os.close(self._handle)
 

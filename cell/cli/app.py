@@ -5,7 +5,8 @@ import sys
 import typer
 
 from cell.cli import cells, configs, figures, gauging, recordings, simulated
-from cell.cli.output import complain
+from cell.cli.output import complain, give_up_output
+from cell.cli.stopping import INTERRUPTED
 from cell.errors import CellError, ConfigError
 from gripper.errors import GripperError
 from tactile.errors import TactileError
@@ -48,6 +49,11 @@ def main() -> None:
     except (CellError, GripperError, TactileError) as error:
         complain(str(error))
         sys.exit(1)
+    except OSError as error:
+        # A full disk behind the output, no more open files: the system's word is all there is.
+        complain(f"{error.strerror or error}{f': {error.filename}' if error.filename else ''}")
+        give_up_output()
+        sys.exit(1)
     except KeyboardInterrupt:
-        complain("interrupted; nothing was let go")
+        complain(INTERRUPTED)
         sys.exit(1)

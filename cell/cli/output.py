@@ -1,10 +1,12 @@
 """How the command line speaks: progress, tables, errors, JSON files."""
 
 import json
+import os
+import sys
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
+from typing import IO, Any, cast
 
 from rich.console import Console
 from rich.markup import escape
@@ -14,9 +16,42 @@ from rich.table import Table
 from cell.errors import CellError
 from recognition.recognizer import UNKNOWN
 
+
+class _Unheard:
+    """A stream that nobody may listen to any more: what it does not take is lost."""
+
+    def __init__(self, stream: IO[str]) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        with suppress(OSError):
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with suppress(OSError):
+            self._stream.flush()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+class _Aside(Console):
+    """A console for what no job depends on: it goes on when the terminal is gone, or full."""
+
+    @property
+    def file(self) -> IO[str]:
+        """Standard error, whether or not it takes anything."""
+        return cast("IO[str]", _Unheard(super().file))
+
+    @file.setter
+    def file(self, new_file: IO[str]) -> None:
+        self._file = new_file
+
+
 out = Console(highlight=False)
 """Results."""
-err = Console(stderr=True, highlight=False)
+err = _Aside(stderr=True, highlight=False)
 """Progress and complaints."""
 
 
@@ -28,6 +63,22 @@ def say(text: str) -> None:
 def complain(text: str) -> None:
     """Print one error."""
     err.print(f"[bold red]error:[/] {escape(text)}", soft_wrap=True)
+
+
+def give_up_output() -> None:
+    """Let nothing more be written to standard output or standard error where they take nothing.
+
+    Else the interpreter would try again at its end, and complain in its own words.
+    """
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for number, stream in ((1, sys.stdout), (2, sys.stderr)):
+        try:
+            # A program that was started without them has none.
+            if stream is not None:
+                stream.flush()
+        except OSError:
+            os.dup2(nowhere, number)
+    os.close(nowhere)
 
 
 def warn(text: str) -> None:

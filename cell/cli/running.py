@@ -38,7 +38,7 @@ def running_cell(
         text = f"{stop}. Recording so far: {cell.recording_path}"
         _write_end(json_file, cell, text)
         raise CellError(text) from stop
-    except (CellError, GripperError, TactileError) as error:
+    except (CellError, GripperError, TactileError, OSError) as error:
         grip = fingers_left(error) or (
             "the grip is kept" if cell.controller.holding else "nothing is held"
         )

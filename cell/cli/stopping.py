@@ -4,12 +4,13 @@ import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 _LOOK_S = 0.1
 
+INTERRUPTED = "interrupted; nothing was let go"
 END_WITHIN_S = 0.4
 """Time that a second signal leaves for closing files; what takes longer is cut off."""
 
@@ -18,8 +19,9 @@ END_WITHIN_S = 0.4
 def stopping(cancel: Callable[[], None], *, end_within_s: float | None = None) -> Iterator[None]:
     """Within the block the first signal calls ``cancel``; a second raises KeyboardInterrupt.
 
-    With ``end_within_s`` the system ends this program so long after the second signal (SIGALRM),
-    whatever it does then; what was recorded can be recovered, and the grip is kept.
+    With ``end_within_s`` the second signal is answered at once on standard error, and the system
+    ends this program so long after it (SIGALRM), whatever it does then; further signals change
+    nothing. What was recorded can be recovered, and the grip is kept.
 
     The death of the process that started this one counts as a signal. A program that was started
     with SIGHUP ignored (``nohup``) is meant to outlive terminal and parent, and does.
@@ -31,7 +33,11 @@ def stopping(cancel: Callable[[], None], *, end_within_s: float | None = None) -
         seen += 1
         if seen > 1:
             if end_within_s is not None:
+                for number in watched:
+                    signal.signal(number, signal.SIG_IGN)
                 signal.setitimer(signal.ITIMER_REAL, end_within_s)
+                with suppress(OSError):
+                    os.write(2, f"\nerror: {INTERRUPTED}\n".encode())
             raise KeyboardInterrupt
         cancel()
 
@@ -47,8 +53,10 @@ def stopping(cancel: Callable[[], None], *, end_within_s: float | None = None) -
         yield
     finally:
         over.set()
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        # A program that ends by the clock is not held up by a third signal.
+        if seen < 2 or end_within_s is None:
+            for number, handler in before.items():
+                signal.signal(number, handler)
 
 
 def _watch_parent(cancel: Callable[[], None], over: threading.Event) -> None:

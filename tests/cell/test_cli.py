@@ -1,8 +1,10 @@
 """The command line: each command on the simulated cell, what it writes, and its exit codes."""
 
+import contextlib
 import json
 import os
 import signal
+import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -17,7 +19,7 @@ import cell.cli.running
 import cell.cli.simulated
 from cell.cli import main
 from cell.cli.app import app
-from cell.cli.output import confusion_table
+from cell.cli.output import complain, confusion_table, progress_bar
 from cell.cli.stopping import stopping
 from cell.config import CellConfig
 from cell.config_file import config_text, load_config
@@ -627,3 +629,28 @@ def test_tables_have_a_column_for_unknown_where_there_is_one() -> None:
     assert len(confusion_table(["a", "b"], [[1, 0], [0, 1]]).columns) == 3
     table = confusion_table(["a", "b"], [[1, 0, 2], [0, 1, 0]])
     assert [column.header for column in table.columns] == ["held", "a", "b", UNKNOWN]
+
+
+def test_output_that_nobody_takes_is_an_error_in_plain_words() -> None:
+    program = [sys.executable, "-c", "from cell.cli import main; main()", "simulate"]
+    with open("/dev/full", "w") as full:
+        ended = subprocess.run(
+            [*program, "--list-faults"], stdout=full, stderr=subprocess.PIPE, check=False
+        )
+        assert (ended.returncode, ended.stderr) == (1, b"error: No space left on device\n")
+        both = subprocess.run([*program, "--list-faults"], stdout=full, stderr=full, check=False)
+        assert both.returncode == 1
+
+
+def test_progress_and_complaints_end_no_job_when_the_terminal_is_gone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with open("/dev/full", "w", buffering=1) as full:
+        monkeypatch.setattr(sys, "stderr", full)
+        complain("unheard")
+        with progress_bar() as progress:
+            for done in range(3):
+                progress("task", done, 2)
+        monkeypatch.undo()
+        with contextlib.suppress(OSError):
+            full.close()

@@ -582,3 +582,14 @@ def test_long_sequence_is_written_in_little_space(tmp_path: Path) -> None:
             )  # fmt: skip
     assert (tmp_path / "r.mcap").stat().st_size < 400_000 * n_grasps
     assert len(recording_grasps(tmp_path / "r.mcap")) == n_grasps
+
+
+@pytest.mark.parametrize("background", [False, True])
+def test_a_recording_that_was_removed_meanwhile_is_told_at_its_end(
+    tmp_path: Path, background: bool
+) -> None:
+    path = tmp_path / "r.mcap"
+    recorder = Recorder(path, Clock(), pads=PADS, background=background)
+    path.unlink()
+    with pytest.raises(RecordingError, match="removed while it was written"):
+        recorder.close()

@@ -73,6 +73,29 @@ def test_a_second_signal_leaves_little_time_to_close_files() -> None:
         [sys.executable, "-c", program], capture_output=True, timeout=LIMIT_S, check=False
     )
     assert (ended.returncode, ended.stdout) == (-signal.SIGALRM, b"closing\n")
+    assert b"interrupted; nothing was let go" in ended.stderr
+
+
+def test_a_third_signal_does_not_cut_off_what_the_second_leaves_time_for() -> None:
+    program = (
+        "import os, signal, time\n"
+        "from cell.cli.stopping import stopping\n"
+        "try:\n"
+        "    with stopping(lambda: None, end_within_s=30.0):\n"
+        "        try:\n"
+        "            os.kill(os.getpid(), signal.SIGINT)\n"
+        "            os.kill(os.getpid(), signal.SIGINT)\n"
+        "        finally:\n"
+        "            os.kill(os.getpid(), signal.SIGTERM)\n"
+        "            print('closed', flush=True)\n"
+        "except KeyboardInterrupt:\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+        "    print('told', flush=True)\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, timeout=LIMIT_S, check=False
+    )
+    assert (ended.returncode, ended.stdout) == (0, b"closed\ntold\n")
 
 
 def test_a_stop_does_not_wait_for_whoever_moves_the_object(
