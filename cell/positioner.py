@@ -4,6 +4,7 @@ import json
 import math
 import socket
 import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace
@@ -14,6 +15,7 @@ from cell.pose import Pose
 from gripper.clock import Clock
 
 _T = TypeVar("_T")
+_LONGEST_REPLY = 65536
 
 
 class Positioner(Protocol):
@@ -126,6 +128,7 @@ class SocketPlacer:
 
     def __init__(self, path: str, *, timeout_s: float = 5.0) -> None:
         self._path = path
+        self._timeout_s = timeout_s
         self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         self._socket.settimeout(timeout_s)
         try:
@@ -135,30 +138,53 @@ class SocketPlacer:
             raise PositionerError(
                 f"no simulated cell answers at {path} ({error}); is it running?"
             ) from error
-        self._replies = self._socket.makefile("rb")
+        self._received = bytearray()
 
     def place(self, label: str, pose: Pose) -> Pose:
         """Place an object in the other process; see `ObjectPlacer`."""
-        reached = self._ask({"place": label, "pose": pose.as_dict()})["pose"]
-        return Pose(**{name: float(reached[name]) for name in pose.as_dict()})
+        reply = self._ask({"place": label, "pose": pose.as_dict()})
+        try:
+            reached = {name: float(reply["pose"][name]) for name in pose.as_dict()}
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            raise PositionerError(f"the simulated cell at {self._path} tells no pose") from error
+        if not all(map(math.isfinite, reached.values())):
+            raise PositionerError(f"the simulated cell at {self._path} tells no pose: {reached}")
+        return Pose(**reached)
 
     def close(self) -> None:
         """Close the connection; the object stays where it is."""
-        self._replies.close()
         self._socket.close()
 
     def _ask(self, request: dict[str, Any]) -> dict[str, Any]:
         try:
             self._socket.sendall(json.dumps(request).encode() + b"\n")
-            line = self._replies.readline(65536)
+            line = self._line()
             reply = json.loads(line) if line else None
-        except (OSError, ValueError) as error:
+        except (OSError, ValueError, RecursionError) as error:
+            # An answer that comes later must not pass for that of the next request.
+            self._socket.close()
             raise PositionerError(f"the simulated cell at {self._path} is gone: {error}") from error
         if not isinstance(reply, dict):
             raise PositionerError(f"the simulated cell at {self._path} closed the connection")
         if "error" in reply:
             raise PositionerError(f"the simulated cell refused: {reply['error']}")
         return reply
+
+    def _line(self) -> bytes:
+        """Return the next line, empty at the end; TimeoutError where it does not come whole."""
+        end_s = time.monotonic() + self._timeout_s
+        while b"\n" not in self._received and len(self._received) < _LONGEST_REPLY:
+            left_s = end_s - time.monotonic()
+            if left_s <= 0.0:
+                raise TimeoutError(f"no answer within {self._timeout_s:g} s")
+            self._socket.settimeout(left_s)
+            data = self._socket.recv(4096)
+            if not data:
+                return b""
+            self._received += data
+        line, _, rest = self._received.partition(b"\n")
+        self._received = rest
+        return bytes(line)
 
 
 class OperatorPositioner:

@@ -118,3 +118,34 @@ def test_socket_placer_speaks_json_lines(serve: Callable[[list[bytes]], str]) ->
 def test_socket_without_a_simulator_is_a_clear_error(tmp_path: Path) -> None:
     with pytest.raises(PositionerError, match="no simulated cell answers"):
         SocketPlacer(str(tmp_path / "none"))
+
+
+@pytest.mark.parametrize(
+    "reply",
+    [
+        b'{"ok": true}\n',
+        b'{"pose": [1, 2]}\n',
+        b'{"pose": {"x_m": "far"}}\n',
+        b'{"pose": {"x_m": NaN, "y_m": 0, "rotation_rad": 0, "roll_rad": 0}}\n',
+        b"[" * 20_000 + b"\n",
+        b"x" * 70_000,
+        b"\xff\xfe\n",
+    ],
+)
+def test_a_reply_that_is_none_is_refused(serve: Callable[[list[bytes]], str], reply: bytes) -> None:
+    placer = SocketPlacer(serve([reply]))
+    with pytest.raises(PositionerError, match="simulated cell at"):
+        placer.place("ball", POSE)
+    placer.close()
+
+
+def test_a_reply_that_does_not_end_is_not_waited_for(tmp_path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(tmp_path / "s"))
+        listener.listen(1)
+        placer = SocketPlacer(str(tmp_path / "s"), timeout_s=0.05)
+        with listener.accept()[0] as peer:
+            peer.sendall(b"{")
+            for _ in range(2):
+                with pytest.raises(PositionerError, match="is gone"):
+                    placer.place("ball", POSE)
