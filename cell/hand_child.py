@@ -72,7 +72,7 @@ class LoopProcess:
             if isinstance(event, Fault):
                 raise received_error(event.error)
             if not isinstance(event, Ready):
-                self._lose(f"says {type(event).__name__} instead of being ready")
+                self.lose(f"says {type(event).__name__} instead of being ready")
         except BaseException:
             self.close()
             raise
@@ -101,7 +101,7 @@ class LoopProcess:
         """Wait for the next event; a process that tells nothing for so long is lost."""
         self.check()
         if not self._connection.poll(patience_s):
-            self._lose(f"has told nothing for {patience_s:g} s")
+            self.lose(f"has told nothing for {patience_s:g} s")
         try:
             event: Event = self._connection.recv()
         except (EOFError, OSError):
@@ -139,17 +139,7 @@ class LoopProcess:
             self._process.kill()
             self._process.wait()
 
-    def _lose_gone(self) -> NoReturn:
-        with suppress(subprocess.TimeoutExpired):
-            self._process.wait(_END_S)
-        code = self._process.returncode
-        if code is None:
-            self._lose("closed its connection and does not end")
-        if code < 0:
-            self._lose(f"was ended by {signal.Signals(-code).name}")
-        self._lose(f"has ended with exit code {code}")
-
-    def _lose(self, what: str) -> NoReturn:
+    def lose(self, what: str) -> NoReturn:
         """Latch that the process is lost, and say what that means for a part."""
         lost = HandLost(
             f"the process of the force loop (pid {self.pid}) {what}; a part may still be gripped, "
@@ -158,3 +148,13 @@ class LoopProcess:
         )
         self.abandon(lost)
         raise lost
+
+    def _lose_gone(self) -> NoReturn:
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(_END_S)
+        code = self._process.returncode
+        if code is None:
+            self.lose("closed its connection and does not end")
+        if code < 0:
+            self.lose(f"was ended by {signal.Signals(-code).name}")
+        self.lose(f"has ended with exit code {code}")

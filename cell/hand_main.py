@@ -22,6 +22,7 @@ from cell.hand_build import open_hand
 from cell.hand_local import LocalHand
 from cell.hand_outbox import Outbox
 from cell.hand_wire import (
+    Alive,
     Answer,
     Boot,
     ClearFault,
@@ -51,6 +52,7 @@ from tactile.protocol import TactileFrame
 WAITING_PERIODS = 1000
 """Periods that wait for a program that takes nothing, before the grip is frozen."""
 _LAST_WORDS_S = 0.5
+_ALIVE_EVERY_S = 0.5
 
 
 def main(connection_fd: int, stop_fd: int, parent: int) -> None:
@@ -110,6 +112,7 @@ class HandServer:
         self._parent = parent
         self._ending = ""
         self._supervised = True
+        self._alive_due_s = 0.0
 
     def terminate(self, _number: int, _frame: FrameType | None) -> None:
         """Freeze and end: SIGTERM."""
@@ -220,6 +223,10 @@ class HandServer:
 
     def _supervise(self) -> None:
         self._outbox.flush()
+        now_s = time.monotonic()
+        if now_s >= self._alive_due_s and self._outbox.empty:
+            self._alive_due_s = now_s + _ALIVE_EVERY_S
+            self._outbox.post(Alive())
         self._look_for_parent()
         if not self._supervised:
             return

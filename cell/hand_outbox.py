@@ -41,6 +41,11 @@ class Outbox:
         """Whether the next period would be dropped."""
         return len(self._waiting) >= self._limit
 
+    @property
+    def empty(self) -> bool:
+        """Whether the other end has taken everything."""
+        return not self._waiting
+
     def post(self, event: Event) -> None:
         """Send now or later; a period that finds no room is dropped."""
         if isinstance(event, Progress) and self.full:

@@ -1,5 +1,6 @@
 """The hand in a process of its own: this end asks, `cell.hand_main` carries out."""
 
+import time
 from typing import Any, NoReturn
 
 from cell.config import CellConfig
@@ -71,6 +72,7 @@ class HandProcess:
         self._phase = GripperPhase.OFF
         self._loop = LoopProcess(config)
         self._statistics = self._loop.ready.statistics
+        self._heard_s = time.monotonic()
 
     # -- what is known here --------------------------------------------------------------------
 
@@ -151,11 +153,18 @@ class HandProcess:
         return reading
 
     def tick(self) -> None:
-        """Raise what went wrong since the last command; the process ticks by itself."""
+        """Raise what went wrong since the last command; the process ticks by itself.
+
+        Raises HandLost also where it has said nothing since an earlier look, too long ago.
+        """
+        now_s = time.monotonic()
         while self._loop.waiting():
             event = self._loop.next(0.0)
+            self._heard_s = now_s
             if isinstance(event, Fault):
                 self._raise(event)
+        if now_s - self._heard_s > self._silence_s:
+            self._loop.lose(f"has told nothing for {now_s - self._heard_s:.1f} s")
 
     def keep_grip(self) -> None:
         """Freeze in any state; see `Gripper.keep_grip`."""
@@ -165,6 +174,7 @@ class HandProcess:
         """Acknowledge a fault; where the process is gone, start another, which moves nothing."""
         if self._loop.lost is not None:
             self._loop = LoopProcess(self._config)
+            self._heard_s = time.monotonic()
             return
         self._call(ClearFault(reboot=reboot))
 
@@ -222,6 +232,7 @@ class HandProcess:
                 continue
             if isinstance(event, Answer) and event.number == self._number:
                 break
+        self._heard_s = time.monotonic()
         self._phase, self._statistics = event.phase, event.statistics
         if failure is not None:
             if event.error is not None:

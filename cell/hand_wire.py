@@ -192,7 +192,12 @@ class Fault:
     phase: GripperPhase
 
 
-Event = Ready | Progress | Answer | Fault
+@dataclass(frozen=True, slots=True)
+class Alive:
+    """Said now and then between commands: the process looks after the hand."""
+
+
+Event = Ready | Progress | Answer | Fault | Alive
 
 
 # -- errors --------------------------------------------------------------------------------------

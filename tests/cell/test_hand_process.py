@@ -1,6 +1,8 @@
 """The program's side of the process of the force loop, with the process played by the test."""
 
+import time
 from collections import deque
+from types import SimpleNamespace
 from typing import Any, ClassVar
 
 import pytest
@@ -10,7 +12,7 @@ from cell.config import CellConfig
 from cell.errors import HandLost
 from cell.hand import HandStatistics
 from cell.hand_process import HandProcess
-from cell.hand_wire import Answer, Fault, GraspUnder, Progress, Ready, Shutdown, send_error
+from cell.hand_wire import Alive, Answer, Fault, GraspUnder, Progress, Ready, Shutdown, send_error
 from gripper.errors import BusTimeout, GraspStopped
 from gripper.line import BusStatistics
 from gripper.ramp import ForceRamp
@@ -92,6 +94,10 @@ class FakeLoop:
     def check(self) -> None:
         if self.lost is not None:
             raise self.lost
+
+    def lose(self, what: str) -> None:
+        self.abandon(HandLost(what))
+        self.check()
 
     def abandon(self, lost: HandLost) -> None:
         self.lost = lost
@@ -227,3 +233,22 @@ def test_a_signal_while_waiting_stops_first_and_a_second_ends_at_once(
         hand.grasp(RAMP, nothing)
     assert loop.stops == 1
     assert bool(loop.coming) is again
+
+
+def test_a_process_that_says_nothing_between_commands_is_lost(
+    hand: HandProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = time.monotonic()
+    monkeypatch.setattr(hand_process, "time", SimpleNamespace(monotonic=lambda: now_s))
+    loop = FakeLoop.made[0]
+    # The program was busy for long: what came meanwhile shows that somebody was there.
+    now_s += 60.0
+    loop.coming.append(Alive())
+    hand.tick()
+    now_s += 4.0
+    hand.tick()
+    now_s += 1.5
+    with pytest.raises(HandLost, match=r"nothing for 5\.5 s"):
+        hand.tick()
+    hand.clear_fault(reboot=False)
+    hand.tick()

@@ -8,19 +8,21 @@ import socket
 import time
 from collections.abc import Iterator
 from multiprocessing.connection import Connection
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from cell import errors as cell_errors
-from cell import hand_wire
+from cell import hand_main, hand_wire
 from cell.config import CellConfig
 from cell.errors import CellStopped, HostSilent
 from cell.hand import HandStatistics
 from cell.hand_main import HandServer
 from cell.hand_outbox import Outbox
 from cell.hand_wire import (
+    Alive,
     Answer,
     Boot,
     ClearFault,
@@ -136,6 +138,7 @@ EVENTS = [
     Ready(notes=("the memory is not locked",), statistics=statistics()),
     ANSWER,
     Fault(error=send_error(BusTimeout("no answer")), phase=GripperPhase.OFF),
+    Alive(),
 ]
 
 
@@ -261,6 +264,7 @@ class Line:
         self.near = Connection(os.dup(self.socket.fileno()))
         self.far = Connection(theirs.detach())
         self.hand = FakeHand()
+        self.alive = 0
         self.outbox = Outbox(self.far, limit=limit)
         self.server = HandServer(
             self.hand,  # type: ignore[arg-type]
@@ -287,7 +291,8 @@ class Line:
             except EOFError:
                 break
             self.outbox.flush()
-        return found
+        self.alive = sum(isinstance(event, Alive) for event in found)
+        return [event for event in found if not isinstance(event, Alive)]
 
     def close(self) -> None:
         self.near.close()
@@ -379,3 +384,24 @@ def test_a_message_that_finds_nobody_is_given_up_at_once(line: Line) -> None:
     assert line.outbox.broken
     assert time.monotonic() - begin_s < 1.0
     line.server.serve()
+
+
+def test_between_commands_the_process_says_now_and_then_that_it_is_there(
+    line: Line, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = 100.0
+    monkeypatch.setattr(hand_main, "time", SimpleNamespace(monotonic=lambda: now_s))
+    line.hand.tick_error = BusTimeout("cable out")
+    for _ in range(20):
+        now_s += 0.2
+        line.server._supervise()
+    line.events()
+    assert line.alive == 7
+    # To a program that takes nothing it says nothing more: the socket is for what matters.
+    for _ in range(100_000):
+        now_s += 1.0
+        line.server._supervise()
+        if not line.outbox.empty:
+            break
+    line.server._supervise()
+    assert len(line.outbox._waiting) == 1
