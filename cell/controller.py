@@ -135,7 +135,7 @@ class CellController(CellView):
         CellStateError
             If the cell is not started, or a fault is latched.
         CellStopped
-            If it was cancelled on the way; the fingers stay where they are.
+            If it was cancelled on the way; the fingers stand still, the message says where.
         """
         self._life.go(Event.RELEASE)
         self._life.cancelled = False
@@ -155,7 +155,7 @@ class CellController(CellView):
         CellStateError
             If the cell is started, then `release` is the command; or a fault is latched.
         CellStopped
-            If it was cancelled on the way; the fingers stay where they are.
+            If it was cancelled on the way; the fingers stand still, the message says where.
         gripper.errors.GripperError
             If the servos do not answer.
         """

@@ -319,9 +319,12 @@ class Gripper:
         """Freeze in any state: no new goals, torque as it is, bus watchdog disarmed.
 
         May be called again and again. Raises when the servos cannot be reached: then their
-        watchdog may still trip. After the loss of the bus nothing is written any more.
+        watchdog may still trip. After the loss of the bus, and while a servo has not taken the goal
+        to stand still, nothing is written any more.
         """
         if self._life.phase is GripperPhase.OFF or bus_is_lost(self._life.fault):
+            return
+        if self._life.left_alone:
             return
         self._life.rest()
         self._servos.disarm_watchdog()
@@ -355,6 +358,7 @@ class Gripper:
             self._servos.forget()
             self._life.controlled = False
         self._life.fault = None
+        self._life.left_alone = False
         self._runner.forget_stop()
         if not self._servos.health.torque_on():
             self._life.switched_off()

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 
-from gripper.errors import GraspStopped, GripperError, GripperStateError, note_fingers
+from gripper.errors import GraspStopped, GripperError, GripperStateError, ServoFault, note_fingers
 from gripper.reactions import Left, react
 from gripper.runner import LoopRunner
 from gripper.servos import ServoGroup
@@ -37,6 +37,8 @@ class Lifecycle:
         The latched fault, None without one.
     running
         True while a command runs.
+    left_alone
+        True after a fault in a motion that nothing but a servo's bus watchdog ends.
     """
 
     def __init__(self, servos: ServoGroup, runner: LoopRunner, settings: GripperSettings) -> None:
@@ -45,6 +47,7 @@ class Lifecycle:
         self.controlled = False
         self.fault: BaseException | None = None
         self.running = False
+        self.left_alone = False
         self._servos = servos
         self._settings = settings
         self._runner = runner
@@ -116,6 +119,7 @@ class Lifecycle:
             with suppress(GripperError):
                 left = react(error, self._servos, self._settings, moving=phase.moving)
             self._tell(error, phase, left)
+            self.left_alone = phase.moving and left is Left.ALONE
             raise
 
     def _stop(self, stop: GraspStopped) -> None:
@@ -124,8 +128,15 @@ class Lifecycle:
                 self._servos.calm()
             return
         with self._servos.in_loop():
-            halted = self._servos.halt()
-        self._tell(stop, self.phase, Left.STILL if halted else Left.ALONE)
+            alone = self._servos.halt()
+        if not alone:
+            self._tell(stop, self.phase, Left.STILL)
+            return
+        error = ServoFault(alone[0], 0, "it did not take the goal to stand still")
+        self._tell(error, self.phase, Left.ALONE)
+        self.fault, self.left_alone = error, True
+        self.phase = GripperPhase.HELD_AFTER_FAULT
+        raise error from stop
 
     def _tell(self, error: BaseException, phase: GripperPhase, left: Left) -> None:
         """Note on what ends a motion where it has left the fingers, and what they may hold."""

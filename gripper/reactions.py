@@ -63,8 +63,7 @@ def react(
             return Left.LIMP
         opens = over_force and settings.over_force is OverForce.OPEN
         halts = moving and not opens
-        if halts and not servos.halt():
-            return Left.ALONE
+        alone = servos.halt() if halts else []
         with suppress(GripperError):
             if opens:
                 servos.open_a_step()
@@ -76,9 +75,5 @@ def react(
                 servos.stand_still()
             elif not halts:
                 servos.calm()
-        servos.disarm_each()
-        if halts:
-            with suppress(GripperError):
-                # A watchdog that had tripped has taken no goals before.
-                servos.stand_still()
-    return Left.STILL
+        servos.disarm_each(but=alone)
+    return Left.ALONE if alone else Left.STILL

@@ -35,6 +35,7 @@ from gripper.settings import GripperSettings, ServoSettings
 from gripper.state import GripperState, ServoState
 
 _PATIENT_READS = 3
+_HALT_TRIES = 3
 
 
 class ServoGroup:
@@ -180,17 +181,43 @@ class ServoGroup:
         """The opening in m as it was read last; None before the first reading."""
         return None if self._last is None else self._last.aperture_m
 
-    def halt(self) -> bool:
-        """End a motion where the fingers are now; say whether that could be written."""
-        if not any(map(self._bus.misses, self._ids)):
-            # They may have gone on since the last reading, as in a stall of the loop.
+    def halt(self) -> list[int]:
+        """End a motion where the fingers are now; return the servos not known to obey.
+
+        No servo answers to the write of all goals at once, so that they are read back.
+        """
+        age_s = 0.0 if self._last is None else self._clock.monotonic() - self._last.t_s
+        if age_s > 2.0 * self._settings.period_s and not any(map(self._bus.misses, self._ids)):
+            # They have gone on since the last reading: the loop has stalled.
             with suppress(GripperError):
                 self.read()
-        try:
-            self.stand_still()
-        except GripperError:
+        left: list[int] = []
+        for _ in range(_HALT_TRIES):
+            try:
+                self.stand_still()
+            except GripperError:
+                return list(self._ids)
+            left = [servo_id for servo_id in self._ids if not self._obeys(servo_id)]
+            if not left:
+                break
+        return left
+
+    def _obeys(self, servo_id: int) -> bool:
+        """Read whether a servo has its last goal; clear a watchdog that keeps it from taking one.
+
+        One that has just not answered is not waited for.
+        """
+        if self._last is None or not self.goals:
+            return True
+        if self._bus.misses(servo_id):
             return False
-        return True
+        with suppress(GripperError):
+            wanted_raw = self._last.servos[self._ids.index(servo_id)].position_raw
+            if self._bus.read(servo_id, GOAL_POSITION) == wanted_raw:
+                return True
+            if self._bus.read(servo_id, BUS_WATCHDOG) < 0:
+                self._bus.write(servo_id, BUS_WATCHDOG, 0)
+        return False
 
     def stand_still(self) -> None:
         """Set the goals to the last known positions: the fingers hold where they are.
@@ -278,11 +305,12 @@ class ServoGroup:
         for servo_id in self._ids:
             self._bus.write(servo_id, BUS_WATCHDOG, 0)
 
-    def disarm_each(self) -> None:
-        """Disarm the bus watchdog of every servo that answers."""
+    def disarm_each(self, *, but: Sequence[int] = ()) -> None:
+        """Disarm the bus watchdog of every servo that answers, with exceptions."""
         for servo_id in self._ids:
-            with suppress(GripperError):
-                self._bus.write(servo_id, BUS_WATCHDOG, 0)
+            if servo_id not in but:
+                with suppress(GripperError):
+                    self._bus.write(servo_id, BUS_WATCHDOG, 0)
 
     def force_is_too_high(self) -> bool:
         """Say whether the last force samples are above the cap."""

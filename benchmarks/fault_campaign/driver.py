@@ -43,7 +43,7 @@ class Driver:
         self._folder = Path(tempfile.mkdtemp(prefix="tactile-cell-machine-"))
         self.simulated = simulated_cell(self._config)
         self.simulated.place("ball")
-        self.monitor = InvariantMonitor(self.simulated, self._config.gripper.force_max_n)
+        self.monitor = InvariantMonitor(self.simulated, self._config.gripper)
         self.steps = 0
         self.log: list[str] = []
         self._hosts = 0

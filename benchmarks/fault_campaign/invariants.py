@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from cell.build import Cell
+from cell.config_gripper import GripperConfig
 from cell.controller import CellController
 from cell.states import CellState
 from gripper.gripper import GripperPhase
@@ -17,7 +18,15 @@ TOLERANCE = 0.05
 _FALL_S = 0.5
 _ERROR = 70
 _LETTING_GO = (GripperPhase.RELEASING, GripperPhase.OPENING)
-_MOTIONS = (*_LETTING_GO, GripperPhase.APPROACHING, GripperPhase.RAMPING)
+_RESTING = (GripperPhase.IDLE, GripperPhase.HOLDING, GripperPhase.HELD_AFTER_FAULT)
+_BRAKING_M = 0.001
+"""How far in m fingers may open after the gripper has ended a motion: their inertia, one period."""
+_BRAKING_S = 0.1
+"""How long that may take, in s."""
+_WATCHDOG_S = 0.02
+"""What a servo's bus watchdog may take longer than it is set to, in s."""
+_SILENT = ("PortLost", "BusTimeout", "BusCorrupt", "FingerSilent", "did not take the goal")
+"""Words of faults in which a servo hears nothing: its bus watchdog alone stops it."""
 _FAULTED = (CellState.ABORTING, CellState.ABORTED, CellState.CLEARING, CellState.RESETTING)
 
 
@@ -35,6 +44,8 @@ class InvariantMonitor:
     - Force: no pad is pressed with more than ``gripper.force_max_n`` unless the world does it.
     - Release: while a part is held, neither do the fingers leave it nor is torque switched off,
       but by a grasp's own end or a release that was asked for.
+    - Stop: fingers that a fault or a cancel stops open no farther than it takes to brake them, or
+      their bus watchdog to trip where they hear nothing.
     - Torque: none is switched on between a fault and the reset, but for a release asked for.
     - Push: while a fault is latched no servo under torque gets a higher goal current.
     - End: a command is over within its time, in a state that is none in passing.
@@ -43,8 +54,8 @@ class InvariantMonitor:
     ----------
     simulated
         The cell's hardware.
-    force_max_n
-        The cap in N.
+    gripper
+        Its config: the cap of the force, the bus watchdog.
 
     Attributes
     ----------
@@ -62,7 +73,7 @@ class InvariantMonitor:
         Whether torque may go off with a part in the grip: the force or the position is unknown.
     """
 
-    def __init__(self, simulated: SimulatedCell, force_max_n: float) -> None:
+    def __init__(self, simulated: SimulatedCell, gripper: GripperConfig) -> None:
         self.broken: list[str] = []
         self.latched_s: float | None = None
         self.noted_s: float | None = None
@@ -70,10 +81,13 @@ class InvariantMonitor:
         self.world_pushes = False
         self.limp_allowed = False
         self._simulated = simulated
-        self._force_max_n = force_max_n
+        self._force_max_n = gripper.force_max_n
+        self._watchdog_s = 1e-3 * gripper.watchdog_ms + _WATCHDOG_S
+        self._open_speed_m_s = 1e-3 * gripper.open_speed_mm_s
         self._cell: Cell | None = None
         self._asked = self._torque_asked = False
-        self._motion: GripperPhase | None = None
+        self._moving_s, self._motion = -math.inf, GripperPhase.OFF
+        self._stood_m: float | None = None
         self._frozen_raw: list[int] | None = None
         self._pushed_s = -math.inf
         self._deadline_s = float("inf")
@@ -85,6 +99,9 @@ class InvariantMonitor:
 
     def attach(self, cell: Cell | None) -> None:
         """Watch this host from now on; None while no host program runs."""
+        if cell is None and self._on_their_way():
+            # Nobody stops the fingers of a host that was killed but the servos' watchdogs.
+            self._moving_s = self._simulated.clock.monotonic() + self._watchdog_s
         self._cell = cell
 
     def watch_from(self) -> None:
@@ -143,8 +160,8 @@ class InvariantMonitor:
         force_n = self._simulated.world.contact_force_n()
         controller = None if self._cell is None else self._cell.controller
         phase = self._phase()
-        if phase in _MOTIONS:
-            self._motion = phase
+        if phase is not None and phase.moving:
+            self._moving_s, self._motion = now_s, phase
         pushed = self._world_pushes(now_s)
         if max(force_n) > self._force_max_n * (1.0 + TOLERANCE) and not pushed:
             self._break(f"force {max(force_n):.2f} N, the cap is {self._force_max_n:g} N")
@@ -158,6 +175,7 @@ class InvariantMonitor:
         if controller is not None:
             self._tell_time(now_s, controller)
             self._look_at_goals(controller)
+            self._look_at_rest(controller, disturbed=pushed)
         if now_s > self._deadline_s:
             self._break("a command did not end within its time")
             self._deadline_s = float("inf")
@@ -200,32 +218,59 @@ class InvariantMonitor:
                 before
                 and not after
                 and self._touching
-                and not (by_itself or self._asked or self.limp_allowed or self._letting_go())
+                and not (by_itself or self._asked or self.limp_allowed)
+                and not (self._on_their_way() and self._motion in _LETTING_GO)
             ):
                 self._break(f"torque of servo {number + 1} off with a part in the grip")
 
     def _contact_lost(self, controller: CellController | None) -> None:
         """Judge that the fingers have left the part, while all torque is as it was."""
-        if self._asked or self.limp_allowed or not all(self._torque) or self._letting_go():
+        if self._asked or self.limp_allowed or not all(self._torque) or self._on_their_way():
             return
         if controller is None or self._part_gone():
-            return
-        if self._phase() is GripperPhase.APPROACHING:
             return
         self._break(f"the part was let go while {controller.state}, {self._phase()}")
 
     def _part_gone(self) -> bool:
-        faults = self._simulated.devices.injector.faults
-        return self._simulated.devices.physical.placed is None or any(
-            fault.entry.name == "object.slips" for fault in faults
-        )
+        return self._simulated.devices.physical.placed is None or self._has_fault("object.slips")
+
+    def _has_fault(self, name: str) -> bool:
+        return any(fault.entry.name == name for fault in self._simulated.devices.injector.faults)
 
     def _phase(self) -> GripperPhase | None:
         return None if self._cell is None else self._cell.controller.hand.phase
 
-    def _letting_go(self) -> bool:
-        """Return whether the last motion was one that lets go: a fault then stops it half-way."""
-        return self._motion in _LETTING_GO
+    def _on_their_way(self) -> bool:
+        """Return whether the fingers move, or were stopped just now and may touch the part."""
+        patience_s = _BRAKING_S + (self._watchdog_s if self._hears_nothing() else 0.0)
+        return self._simulated.clock.monotonic() <= self._moving_s + patience_s
+
+    def _hears_nothing(self) -> bool:
+        """Return whether a servo hears nothing, so that its watchdog alone stops it."""
+        fault = None if self._cell is None else self._cell.controller.fault
+        return any(word in (fault or "") for word in _SILENT)
+
+    def _look_at_rest(self, controller: CellController, *, disturbed: bool) -> None:
+        """Judge that fingers at rest stay where they were when their motion ended."""
+        phase = controller.hand.phase
+        silent = self._hears_nothing()
+        free = disturbed or self.limp_allowed or self._asked or not all(self._torque)
+        free = free or (silent and self._has_fault("servoN.watchdog_off"))
+        if free or phase not in _RESTING:
+            self._stood_m = None
+            return
+        opening_m = self._simulated.devices.mechanics.aperture_m
+        if self._stood_m is None:
+            self._stood_m = opening_m
+        allowed_m = _BRAKING_M
+        if silent:
+            allowed_m += self._open_speed_m_s * self._watchdog_s
+        if opening_m > self._stood_m + allowed_m:
+            self._break(
+                f"the fingers went on from {1e3 * self._stood_m:.2f} to {1e3 * opening_m:.2f} mm "
+                f"after their stop, {controller.state}, {phase}"
+            )
+            self._stood_m = opening_m
 
     def _tell_time(self, now_s: float, controller: CellController) -> None:
         self.states.add(controller.state)

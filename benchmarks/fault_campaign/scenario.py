@@ -135,7 +135,7 @@ def campaign_cell(*, folder: Path | None = None, **changes: Any) -> Iterator[Cam
     config = campaign_config(**changes)
     cell = build_cell(config, folder=folder)
     assert cell.simulated is not None
-    monitor = InvariantMonitor(cell.simulated, config.gripper.force_max_n)
+    monitor = InvariantMonitor(cell.simulated, config.gripper)
     monitor.attach(cell)
     try:
         yield CampaignCell(cell=cell, monitor=monitor)

@@ -11,8 +11,9 @@ from benchmarks.fault_campaign.invariants import InvariantBroken
 from benchmarks.fault_campaign.machine import run_all, run_machine
 from benchmarks.fault_campaign.texts import fault_texts
 from cell.controller import CellController
-from gripper.gripper import Gripper
+from gripper.gripper import Gripper, GripperPhase
 from gripper.registers import REGISTERS
+from gripper.servos import ServoGroup
 from simulator.faults import check_fault
 
 PIECES = 10
@@ -65,6 +66,31 @@ def test_a_grip_that_a_fault_opens_is_found(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(Gripper, "keep_grip", open_instead)
     with pytest.raises(InvariantBroken, match="torque of servo 1 off with a part in the grip"):
         drive()
+
+
+def test_fingers_that_a_cancel_does_not_stop_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    def letting_go() -> None:
+        cell = Driver(self_test=False)
+        done: list[float] = []
+
+        def cancel(now_s: float) -> None:
+            fast = cell.simulated.devices.mechanics.aperture_m > 0.008
+            if cell.controller.hand.phase is GripperPhase.RELEASING and fast and not done:
+                done.append(now_s)
+                cell.controller.cancel()
+
+        cell.start()
+        cell.simulated.clock.on_advance.append(cancel)
+        try:
+            cell.grasp(0.0, 3.0, 0.0)
+            cell.wait(0.2)
+        finally:
+            cell.close()
+
+    letting_go()
+    monkeypatch.setattr(ServoGroup, "halt", lambda _servos: [])
+    with pytest.raises(InvariantBroken, match=r"the fingers went on from .* after their stop"):
+        letting_go()
 
 
 def test_torque_that_comes_back_by_itself_is_found(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -194,6 +194,9 @@ def in_the_way(cell, how: str):
                 raise Fails("the disk is full")
             elif how == "stall":
                 cell.clock.sleep(0.3)
+            elif how == "deaf":
+                cell.gripper.request_stop()
+                cell.gripper._bus.sync_write = lambda *_a, **_k: None
             elif how == "silent":
                 cell.device.faults.silent.add(1)
             else:
@@ -208,7 +211,8 @@ def in_the_way(cell, how: str):
         ("stop", GraspStopped, "stopped"),
         ("fail", Fails, "stopped"),
         ("stall", LimitExceeded, "stopped"),
-        ("silent", FingerSilent, "stopped"),
+        ("silent", FingerSilent, "were seen last"),
+        ("deaf", ServoFault, "were seen last"),
         ("dead", BusTimeout, "were seen last"),
     ],
 )
@@ -225,13 +229,12 @@ def test_fingers_on_their_way_stop_where_they_are(make_cell, command, how, error
     doing = "letting go" if command == "release" else "opening"
     assert told.startswith(f"the fingers {left} while {doing}, at an opening of ")
     assert ("half held" in told) == (command == "release")
-    assert ("watchdog" in told) == (how == "dead")
-    cell.clock.sleep(0.15)
+    assert ("watchdog" in told) == (left != "stopped")
+    cell.clock.sleep(0.25)
     stood_m = cell.mechanics.aperture_m
     assert stood_m < 0.036
-    if how == "stop":
-        with suppress(BusTimeout):
-            cell.gripper.keep_grip()
+    with suppress(BusTimeout):
+        cell.gripper.keep_grip()
     cell.clock.sleep(2.0)
     assert cell.mechanics.aperture_m == pytest.approx(stood_m, abs=3e-4)
     if how in {"stop", "fail"}:
