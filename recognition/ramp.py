@@ -1,7 +1,7 @@
 """Raw frames of a grasp -> load above rest on the gripping pads, and where the touch begins."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
@@ -9,13 +9,20 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from recognition.grasp import Grasp, PadArray
+from recognition.taxel_faults import (
+    QUIET_FRAMES,
+    mended,
+    starts_loaded,
+    stuck_taxels,
+    without_spikes,
+)
 
-_QUIET_FRAMES = 3
 _TOUCH_FRACTION = 0.06
 _TOUCH_SIGMAS = 4.0
-_STARTS_TOUCHED = 0.25
 _SMOOTHING_FRACTION = 0.06
 _MAX_SMOOTHING_FRAMES = 15
+_LET_GO_SHARE = 0.5
+_HELD_SHARE = 0.8
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -122,10 +129,12 @@ def learn_rest(grasps: Sequence[Grasp]) -> Rest:
     for grasp in grasps:
         if grasp.pads is not pads and not pads.same_as(grasp.pads):
             raise ValueError("the grasps were taken on different pads: teach pads one by one")
-    first = np.stack([g.counts[:_QUIET_FRAMES].mean(axis=0) for g in grasps])
-    last = np.stack([g.counts[-_QUIET_FRAMES:].mean(axis=0) for g in grasps])
+    first = np.stack([g.counts[:QUIET_FRAMES].mean(axis=0) for g in grasps])
     rest = np.median(first, axis=0)
-    rise = [float(np.median((last - rest)[:, pads.taxels_of(p)].sum(axis=1))) for p in _pads(pads)]
+    rise = [
+        float(np.median([_highest(g.counts[:, t]) for g in grasps]) - rest[t].sum())
+        for t in map(pads.taxels_of, _pads(pads))
+    ]
     gripping = tuple(sorted(sorted(_pads(pads), key=lambda p: -rise[p])[:2]))
     noise = np.array([np.median([_spread(g, pads.taxels_of(p)) for g in grasps]) for p in gripping])
     return Rest(pads=pads, gripping=gripping, counts=rest, noise_counts=noise)
@@ -145,7 +154,10 @@ def find_ramp(grasp: Grasp, rest: Rest) -> Ramp:
     touch: list[int] = []
     for pad, noise in zip(rest.gripping, rest.noise_counts, strict=True):
         taxels = grasp.pads.taxels_of(pad)
-        rise = grasp.counts[:, taxels] - _own_rest(grasp, rest, taxels, float(noise))
+        counts = without_spikes(grasp.counts[:, taxels].astype(np.float64), rest.pads.adc_max)
+        stuck = stuck_taxels(counts, rest.counts[taxels], float(noise), rest.pads.adc_max)
+        own = _own_rest(counts, rest.counts[taxels], float(noise), stuck)
+        rise = mended(counts - own, stuck, rest.pads.pad_shape[pad])
         load = rise.sum(axis=1)
         smooth = uniform_filter1d(load, smoothing, mode="nearest")
         sigma = noise * np.sqrt(len(taxels) / smoothing)
@@ -166,33 +178,60 @@ def find_ramp(grasp: Grasp, rest: Rest) -> Ramp:
     )
 
 
+def until_release(grasp: Grasp, rest: Rest) -> Grasp:
+    """Return a grasp without what came after the object was let go or lost.
+
+    A grasp that ends under load is returned as it is. Raises ValueError for other pads.
+    """
+    ramp = find_ramp(grasp, rest)
+    total = uniform_filter1d(ramp.load.sum(axis=1), ramp.smoothing, mode="nearest")
+    highest = float(total.max())
+    if not ramp.touched or total[-ramp.smoothing :].mean() >= _LET_GO_SHARE * highest:
+        return grasp
+    # The running mean falls before the load does.
+    held = np.flatnonzero(total >= _HELD_SHARE * highest)
+    end = max(int(held[-1]) + 1, int(ramp.start) + 1)
+    return replace(
+        grasp,
+        counts=grasp.counts[:end],
+        t_s=grasp.t_s[:end],
+        aperture_m=grasp.aperture_m[:end],
+        force_n=grasp.force_n[:end],
+    )
+
+
 def _own_rest(
-    grasp: Grasp, rest: Rest, taxels: NDArray[np.int64], noise: float
+    counts: NDArray[np.float64],
+    taught: NDArray[np.float64],
+    noise: float,
+    stuck: NDArray[np.bool_],
 ) -> NDArray[np.float64]:
-    counts = grasp.counts[:, taxels].astype(np.float64)
-    taught = rest.counts[taxels]
-    totals = counts.sum(axis=1)
-    quiet = min(_QUIET_FRAMES, grasp.n_frames)
-    first = float(totals[:quiet].mean() - taught.sum())
-    largest = float(totals.max() - taught.sum())
-    if grasp.n_frames < 2 * _QUIET_FRAMES or first > _STARTS_TOUCHED * largest:
+    if starts_loaded(counts, taught, stuck):
         return taught
     # Every frame as low as the first ones is untouched: more of them, less noise.
-    limit = float(totals[:quiet].max())
+    totals = counts[:, ~stuck].sum(axis=1)
+    limit = float(totals[:QUIET_FRAMES].max())
     above = np.flatnonzero(totals > limit + 0.02 * (float(totals.max()) - limit))
-    end = max(quiet, int(above[0]) - 1 if len(above) else quiet)
+    end = max(QUIET_FRAMES, int(above[0]) - 1 if len(above) else QUIET_FRAMES)
     change: NDArray[np.float64] = counts[:end].mean(axis=0) - taught
-    common = float(change.mean())
+    common = float(change[~stuck].mean())
     # A taxel's own change counts as far as noise does not explain it.
     own = change - common
     explained = noise**2 / end
-    share = max(0.0, 1.0 - explained / max(float((own**2).mean()), 1e-12))
-    return taught + common + share * own
+    share = max(0.0, 1.0 - explained / max(float((own[~stuck] ** 2).mean()), 1e-12))
+    rest: NDArray[np.float64] = taught + common + share * own
+    return rest
+
+
+def _highest(counts: NDArray[np.uint16]) -> float:
+    """Return the mean load in counts of a pad over its highest frames."""
+    totals = np.sort(counts.sum(axis=1, dtype=np.float64))
+    return float(totals[-QUIET_FRAMES:].mean())
 
 
 def _spread(grasp: Grasp, taxels: NDArray[np.int64]) -> float:
     """Return the standard deviation of one sample while nothing is touched, in counts."""
-    early = grasp.counts[: 2 * _QUIET_FRAMES, taxels].astype(np.float64)
+    early = grasp.counts[: 2 * QUIET_FRAMES, taxels].astype(np.float64)
     return float(np.sqrt(early.var(axis=0, ddof=min(1, len(early) - 1)).mean()))
 
 

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import uniform_filter1d
 
 from recognition.grasp import Grasp
-from recognition.ramp import Ramp, Rest, find_ramp
+from recognition.ramp import Ramp, Rest, find_ramp, until_release
 
 LOAD_FRACTIONS = (0.3, 0.5, 0.7, 0.85, 1.0)
 """Levels at which footprints are taken, as fractions of the full load."""
@@ -79,7 +79,8 @@ class Levels:
 
 def load_levels(grasps: Sequence[Grasp], rest: Rest) -> Levels:
     """Reduce grasps to levels. Raises ValueError for pads other than the taught ones."""
-    return stack_levels([_reduce(g, find_ramp(g, rest)) for g in grasps])
+    held = [until_release(g, rest) for g in grasps]
+    return stack_levels([_reduce(g, find_ramp(g, rest)) for g in held])
 
 
 def stack_levels(parts: Sequence[Levels]) -> Levels:

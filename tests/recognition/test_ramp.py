@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from recognition.ramp import Rest, find_ramp, learn_rest
+from recognition.ramp import Rest, find_ramp, learn_rest, until_release
 from recognition.ramp_levels import LOAD_FRACTIONS, load_levels, stack_levels
 
 
@@ -108,3 +108,78 @@ def test_rest_comes_back_from_its_arrays(train):
     again.check(train[0].pads)
     assert again.gripping == rest.gripping
     assert np.array_equal(again.counts, rest.counts)
+
+
+def _cut(grasp, frames):
+    return dataclasses.replace(
+        grasp,
+        counts=grasp.counts[frames],
+        t_s=0.02 * np.arange(len(frames)),
+        aperture_m=grasp.aperture_m[frames],
+        force_n=grasp.force_n[frames],
+    )
+
+
+def test_a_drift_of_all_taxels_is_no_load_however_large(factory):
+    pads = factory.pads(adc_max=255)
+    grasps = factory.many(3, seed=4, pads=pads, noise_counts=16.0)
+    rest = learn_rest(grasps)
+    whole = find_ramp(grasps[0], rest)
+    lifted = dataclasses.replace(grasps[0], counts=np.minimum(grasps[0].counts + 25, 255))
+    shifted = find_ramp(lifted, rest)
+    assert shifted.start == whole.start
+    assert shifted.load[-5:].mean() == pytest.approx(whole.load[-5:].mean(), rel=0.1)
+
+
+def test_what_follows_the_release_is_left_out(train):
+    rest, whole = learn_rest(train), train[0]
+    n = whole.n_frames
+    assert until_release(whole, rest) is whole
+    let_go = _cut(whole, np.r_[0:n, n - 1 : -1 : -1])
+    held = until_release(let_go, rest)
+    assert n - 2 <= held.n_frames <= n + n // 4
+    before, after = (load_levels([g], rest) for g in (whole, let_go))
+    for one, other in zip(before.maps, after.maps, strict=True):
+        assert other[0, -1] == pytest.approx(one[0, -1], abs=0.1 * one.max())
+    assert learn_rest([_cut(g, np.r_[0:n, n - 1 : -1 : -1]) for g in train]).gripping == (
+        rest.gripping
+    )
+
+
+def test_a_spike_of_one_frame_is_no_load(train):
+    rest = learn_rest(train)
+    counts = train[0].counts.copy()
+    counts[25, 3] = train[0].pads.adc_max
+    counts[30, 40] = train[0].pads.adc_max
+    spiky = find_ramp(dataclasses.replace(train[0], counts=counts), rest)
+    clean = find_ramp(train[0], rest)
+    limit = 0.2 * train[0].pads.adc_max
+    assert np.abs(spiky.load - clean.load).max() < limit
+
+
+def test_a_taxel_that_sticks_reads_as_those_beside_it(factory):
+    pads = factory.pads(shapes=((10, 6), (10, 6)), adc_max=255)
+    grasps = factory.many(3, seed=3, pads=pads, noise_counts=16.0)
+    rest = learn_rest(grasps)
+    clean = find_ramp(grasps[0], rest)
+    top = int(np.argmax(clean.rise[0][-5:].mean(axis=0)))
+    counts = grasps[0].counts.copy()
+    counts[:, [0, top]] = 255
+    ramp = find_ramp(dataclasses.replace(grasps[0], counts=counts), rest)
+    assert ramp.start == clean.start
+    assert abs(ramp.rise[0][-5:, 0].mean()) < 12
+    row, column = divmod(top, 6)
+    beside = [
+        r * 6 + c
+        for r, c in ((row - 1, column), (row + 1, column), (row, column - 1), (row, column + 1))
+        if 0 <= r < 10 and 0 <= c < 6
+    ]
+    assert ramp.rise[0][:, top] == pytest.approx(ramp.rise[0][:, beside].mean(axis=1))
+
+
+def test_a_load_that_is_held_all_the_time_is_not_stuck(train):
+    rest, whole = learn_rest(train), train[0]
+    held = _cut(whole, np.full(20, whole.n_frames - 1))
+    assert find_ramp(held, rest).load[-1] == pytest.approx(
+        (whole.counts[-1] - rest.counts).reshape(2, -1).sum(axis=1)
+    )
