@@ -144,12 +144,11 @@ class SocketPlacer:
         """Place an object in the other process; see `ObjectPlacer`."""
         reply = self._ask({"place": label, "pose": pose.as_dict()})
         try:
-            reached = {name: float(reply["pose"][name]) for name in pose.as_dict()}
+            return Pose(**{name: float(reply["pose"][name]) for name in pose.as_dict()})
         except (KeyError, TypeError, ValueError, OverflowError) as error:
-            raise PositionerError(f"the simulated cell at {self._path} tells no pose") from error
-        if not all(map(math.isfinite, reached.values())):
-            raise PositionerError(f"the simulated cell at {self._path} tells no pose: {reached}")
-        return Pose(**reached)
+            raise PositionerError(
+                f"the simulated cell at {self._path} tells no pose: {error}"
+            ) from error
 
     def close(self) -> None:
         """Close the connection; the object stays where it is."""
@@ -238,7 +237,15 @@ class CallbackPositioner:
         reached = self._move(pose)
         if reached is False:
             raise PositionerError(f"the host refused to move to {pose}")
-        return reached if isinstance(reached, Pose) else replace(pose)
+        if isinstance(reached, Pose):
+            return reached
+        if reached is not None and reached is not True:
+            # An error code, say: whether the object is there, nobody knows.
+            raise PositionerError(
+                f"the host answered {reached!r} to a pose: return None or True when it is "
+                "reached, False to refuse, or the Pose reached instead"
+            )
+        return replace(pose)
 
 
 class HostThenSimulated:

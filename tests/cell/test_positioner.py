@@ -77,6 +77,12 @@ def test_host_can_refuse() -> None:
         CallbackPositioner(lambda _pose: False).move_to(POSE)
 
 
+@pytest.mark.parametrize("answer", [0, 1, "yes"])
+def test_an_answer_of_the_host_that_is_none_moves_nothing(answer: object) -> None:
+    with pytest.raises(PositionerError, match="the host"):
+        CallbackPositioner(lambda _pose: answer).move_to(POSE)  # type: ignore[arg-type, return-value]
+
+
 @pytest.fixture
 def serve(tmp_path: Path) -> Iterator[Callable[[list[bytes]], str]]:
     threads: list[threading.Thread] = []
