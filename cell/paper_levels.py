@@ -136,12 +136,12 @@ def repeated_levels(task: tuple[Touch, float, int, int]) -> NDArray[np.float64]:
     return np.array([levels_of(record(touch, rng, noise_share)) for _ in range(n)])
 
 
-def held_patch_levels(task: tuple[Touch, float, int, int]) -> NDArray[np.float64]:
-    """Return min |λ| (n, forces) of averaged frames on the patch that one frame would show.
+def noise_patch_levels(task: tuple[Touch, float, int, int]) -> NDArray[np.float64]:
+    """Return min |λ| (n, forces) of averaged frames on the patch of all taxels above the noise.
 
-    The level check lowers its threshold of a loaded taxel as more frames are averaged, so that
-    taxels at the edge come and go. Here the threshold stays that of one frame: what is left is the
-    filter's own effect. The task is that of `repeated_levels`.
+    The level check counts a taxel as loaded from a part of the largest height on. Here the noise
+    alone is its threshold, and falls as more frames are averaged, so that taxels at the edge come
+    and go. The task is that of `repeated_levels`.
     """
     touch, noise_share, n, seed = task
     rng = np.random.default_rng([seed, round(1e4 * noise_share), LABELS.index(touch.label)])
@@ -149,13 +149,9 @@ def held_patch_levels(task: tuple[Touch, float, int, int]) -> NDArray[np.float64
     for row in values:
         grasp = record(touch, rng, noise_share)
         for place, force_n in enumerate(FORCES):
-            at_n = float(np.max(grasp.force_n)) if force_n is None else force_n
-            near = np.abs(grasp.force_n - at_n) <= DEFAULT_LEVEL.tolerance * at_n
-            sigmas = DEFAULT_LEVEL.sigmas * float(np.sqrt(near.sum()))
+            settings = replace(DEFAULT_LEVEL, force_n=force_n, peak_share=0.0)
             try:
-                row[place] = grip_level(
-                    grasp, replace(DEFAULT_LEVEL, force_n=force_n, sigmas=sigmas)
-                )
+                row[place] = grip_level(grasp, settings)
             except (ContactError, QuadricError):
                 continue  # documented: no level
     return values

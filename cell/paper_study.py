@@ -19,8 +19,8 @@ from cell.paper_levels import (
     Lesson,
     Outcome,
     classify,
-    held_patch_levels,
     lesson_levels,
+    noise_patch_levels,
     repeated_levels,
 )
 from cell.paper_physics import PAPER_NOISE, Indentation, Touch, indent, press, record
@@ -91,8 +91,8 @@ class PaperStudy:
         Outcomes at the paper's noise by condition.
     repeated
         Outcomes by condition where only the noise is new.
-    held_patch
-        The same by force for averaged frames on the patch that one frame shows, min |λ|.
+    noise_patch
+        The same by force for averaged frames on the patch of all taxels above the noise, min |λ|.
     curve
         Accuracy over noise.
     contenders
@@ -108,7 +108,7 @@ class PaperStudy:
     trail_shares: tuple[float, ...]
     tables: Mapping[int, Outcome]
     repeated: Mapping[int, Outcome]
-    held_patch: Mapping[float | None, Outcome]
+    noise_patch: Mapping[float | None, Outcome]
     curve: tuple[NoisePoint, ...]
     contenders: tuple[Contender, ...]
 
@@ -152,7 +152,7 @@ def _study(effort: Effort, spread: Spread) -> PaperStudy:
         ),
         tables=_tables(effort, spread),
         repeated=_repeated(effort, spread, touches),
-        held_patch=held_patch(effort, spread, touches),
+        noise_patch=noise_patch(effort, spread, touches),
         curve=_curve(effort, spread),
         contenders=contenders(effort, spread),
     )
@@ -217,11 +217,13 @@ def _repeated(effort: Effort, spread: Spread, touches: list[Touch]) -> dict[int,
     return {c: _outcome(together, together, effort.n_taught, c) for c in range(len(CONDITIONS))}
 
 
-def held_patch(effort: Effort, spread: Spread, touches: list[Touch]) -> dict[float | None, Outcome]:
-    """Return the outcomes of `held_patch_levels` by force, only the noise new."""
+def noise_patch(
+    effort: Effort, spread: Spread, touches: list[Touch]
+) -> dict[float | None, Outcome]:
+    """Return the outcomes of `noise_patch_levels` by force, only the noise new."""
     n = effort.n_taught + effort.repeats
     found = spread(
-        held_patch_levels, [(touch, PAPER_NOISE, n, effort.seed + 500) for touch in touches]
+        noise_patch_levels, [(touch, PAPER_NOISE, n, effort.seed + 500) for touch in touches]
     )
     together = [np.array(found)]
     return {

@@ -101,11 +101,8 @@ def _tables(study: PaperStudy) -> list[ConfusionTable]:
     again = "min |λ|, the same touch again at full force, only the noise new"
     for name, outcome in (
         ("one frame", study.repeated[condition_index(force_n=None, filtered=False)]),
-        ("filtered, same patch", study.held_patch[None]),
-        (
-            "filtered, patch by the lower noise",
-            study.repeated[condition_index(force_n=None, filtered=True)],
-        ),
+        ("filtered", study.repeated[condition_index(force_n=None, filtered=True)]),
+        ("filtered, patch of all taxels above the noise", study.noise_patch[None]),
     ):
         tables.append(_table(f"{again}, {name}", outcome))
     return tables

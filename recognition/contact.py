@@ -103,8 +103,10 @@ def estimate_baseline(grasp: Grasp) -> Baseline:
     """Estimate baseline and noise of each pad from the frames of one grasp.
 
     Frames before contact are those at the start during which a pad's total stays within the
-    noise of its least value among them. The noise is that of the differences between frames, which
-    the slow rise of a ramp hardly touches; with one frame it is the spread over the pad.
+    noise of its least value among them. Where the commanded force is known they end before it rises
+    above 0: the noise of a whole pad hides the first taxels that are touched. The noise is that of
+    the differences between frames, which the slow rise of a ramp hardly touches; with one frame it
+    is the spread over the pad.
 
     Parameters
     ----------
@@ -115,6 +117,9 @@ def estimate_baseline(grasp: Grasp) -> Baseline:
     baseline = np.empty(pads.n_taxels)
     noise = np.empty(pads.n_pads)
     quiet = np.zeros(pads.n_pads, dtype=np.int64)
+    forced = np.flatnonzero(grasp.force_n > 0.0)
+    known = len(forced) and forced[0] >= MIN_QUIET_FRAMES
+    unforced = int(forced[0]) if known else grasp.n_frames
     for pad in range(pads.n_pads):
         taxels = pads.taxels_of(pad)
         counts = grasp.counts[:, taxels].astype(np.float64)
@@ -124,7 +129,7 @@ def estimate_baseline(grasp: Grasp) -> Baseline:
         else:
             noise[pad] = robust_noise(counts)
         limit = 5.0 * noise[pad] * np.sqrt(len(taxels)) + 0.002 * pads.adc_max
-        n_quiet = _quiet_frames(counts.sum(axis=1), limit)
+        n_quiet = min(_quiet_frames(counts.sum(axis=1), limit), unforced)
         if n_quiet >= MIN_QUIET_FRAMES:
             quiet[pad] = n_quiet
             baseline[taxels] = np.mean(counts[:n_quiet], axis=0)

@@ -4,8 +4,9 @@ The number is close to j^2 over the fitted peak height in counts. It moves with 
 it is comparable only at equal force: near the end of the ramp, at one force, or along its steps.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,6 +31,10 @@ class LevelSettings:
         Frames count as near a force, or load, within this part of it.
     sigmas
         Threshold of a loaded taxel in standard deviations of the noise.
+    peak_share
+        Least height of a loaded taxel as a part of the pad's largest. Without it the threshold
+        falls as more frames are averaged, and taxels at the edge of the patch come and go with
+        what is left of the noise, the fitted surface with them.
     rim
         Rings of unloaded taxels that the fit takes along.
     reading
@@ -39,8 +44,33 @@ class LevelSettings:
     force_n: float | None = None
     tolerance: float = 0.1
     sigmas: float = 4.0
+    peak_share: float = 0.4
     rim: int = 1
     reading: Reading = Reading.SMALLEST_MAGNITUDE
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return everything as plain arrays."""
+        return {
+            "force_n": np.array(np.nan if self.force_n is None else self.force_n),
+            "tolerance": np.array(self.tolerance),
+            "sigmas": np.array(self.sigmas),
+            "peak_share": np.array(self.peak_share),
+            "rim": np.array(self.rim),
+            "reading": np.array(str(self.reading)),
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """Rebuild from `to_arrays`; KeyError where an array is missing."""
+        force_n = float(arrays["force_n"])
+        return cls(
+            force_n=None if np.isnan(force_n) else force_n,
+            tolerance=float(arrays["tolerance"]),
+            sigmas=float(arrays["sigmas"]),
+            peak_share=float(arrays["peak_share"]),
+            rim=int(arrays["rim"]),
+            reading=Reading(str(arrays["reading"])),
+        )
 
 
 DEFAULT_LEVEL = LevelSettings()
@@ -105,10 +135,14 @@ def frames_near(grasp: Grasp, share: float, tolerance: float) -> NDArray[np.int6
 
 
 def _surfaces_at(
-    grasp: Grasp, baseline: Baseline, frames: NDArray[np.int64], settings: LevelSettings
+    grasp: Grasp,
+    baseline: Baseline,
+    frames: NDArray[np.int64],
+    settings: LevelSettings,
+    disturbance: ArrayLike = 0.0,
 ) -> list[Quadric]:
     pads = grasp.pads
-    height = grasp.counts[frames].mean(axis=0) - baseline.counts
+    height = grasp.counts[frames].mean(axis=0) - baseline.counts + np.asarray(disturbance)
     threshold = [
         noise_threshold(float(noise), len(frames), pads.adc_max, settings.sigmas)
         for noise in baseline.noise_counts
@@ -118,7 +152,8 @@ def _surfaces_at(
     to_8_bit = FULL_SCALE_COUNTS / pads.adc_max
     found, refused = [], []
     for pad in gripping_pads(load, pads):
-        patch = main_patch(height, pads, pad, threshold[pad], rim=settings.rim)
+        least = settings.peak_share * float(height[pads.taxels_of(pad)].max())
+        patch = main_patch(height, pads, pad, max(threshold[pad], least), rim=settings.rim)
         try:
             quadric = fit_height_field(patch.xy_m, to_8_bit * patch.height, patch.weight)
         except QuadricError as error:
@@ -134,11 +169,15 @@ def _surfaces_at(
 
 
 def _level_at(
-    grasp: Grasp, baseline: Baseline, frames: NDArray[np.int64], settings: LevelSettings
+    grasp: Grasp,
+    baseline: Baseline,
+    frames: NDArray[np.int64],
+    settings: LevelSettings,
+    disturbance: ArrayLike = 0.0,
 ) -> float:
     smallest = [
         float(smallest_eigenvalue(quadric.Q, settings.reading).value)
-        for quadric in _surfaces_at(grasp, baseline, frames, settings)
+        for quadric in _surfaces_at(grasp, baseline, frames, settings, disturbance)
     ]
     if settings.reading is Reading.ALGEBRAIC_MINIMUM:
         return float(np.mean(smallest))
@@ -153,7 +192,7 @@ def grip_surfaces(grasp: Grasp, settings: LevelSettings = DEFAULT_LEVEL) -> tupl
     ContactError, QuadricError
         As `grip_level`.
     """
-    frames = _frames_at(grasp, settings.force_n, settings)
+    frames = frames_at(grasp, settings.force_n, settings)
     return tuple(_surfaces_at(grasp, estimate_baseline(grasp), frames, settings))
 
 
@@ -171,12 +210,31 @@ def grip_level(grasp: Grasp, settings: LevelSettings = DEFAULT_LEVEL) -> float:
     QuadricError
         Where no gripping pad carries a surface.
     """
-    return _level_at(
-        grasp, estimate_baseline(grasp), _frames_at(grasp, settings.force_n, settings), settings
+    frames = frames_at(grasp, settings.force_n, settings)
+    return _level_at(grasp, estimate_baseline(grasp), frames, settings)
+
+
+def disturbed_levels(
+    grasp: Grasp, disturbances: NDArray[np.float64], settings: LevelSettings = DEFAULT_LEVEL
+) -> NDArray[np.float64]:
+    """Return the levels (n,) of a grasp with each of n disturbances of its mean frame.
+
+    `disturbances` (n, n_taxels) are in counts: this shows how far noise moves the level. Raises as
+    `grip_level`.
+    """
+    frames = frames_at(grasp, settings.force_n, settings)
+    baseline = estimate_baseline(grasp)
+    return np.array(
+        [_level_at(grasp, baseline, frames, settings, one) for one in disturbances],
+        dtype=np.float64,
     )
 
 
-def _frames_at(grasp: Grasp, force_n: float | None, settings: LevelSettings) -> NDArray[np.int64]:
+def frames_at(grasp: Grasp, force_n: float | None, settings: LevelSettings) -> NDArray[np.int64]:
+    """Return the frames near a force in N, near the full force for None.
+
+    Raises ContactError where the ramp never came near it.
+    """
     known = np.isfinite(grasp.force_n)
     if force_n is None or not known.any():
         return frames_near(grasp, 1.0, settings.tolerance)

@@ -87,9 +87,9 @@ def as_json(found: PaperStudy, seconds: float) -> dict[str, Any]:
         ],
         "tables": {_name(place): _outcome(one) for place, one in found.tables.items()},
         "repeated": {_name(place): _outcome(one) for place, one in found.repeated.items()},
-        "held_patch": {
+        "noise_patch": {
             "own force" if force_n is None else f"{force_n:g} N": _outcome(one)
-            for force_n, one in found.held_patch.items()
+            for force_n, one in found.noise_patch.items()
         },
         "curve": [
             {

@@ -11,19 +11,24 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from recognition.eigen import Reading
-from recognition.errors import ContactError, QuadricError, TrajectoryError
+from recognition.errors import TrajectoryError
 from recognition.grasp import Grasp, PadArray
-from recognition.level import DEFAULT_LEVEL, LevelSettings, grip_level
+from recognition.level import DEFAULT_LEVEL, LevelSettings
+from recognition.level_statistics import (
+    averaged_noise,
+    common_force_n,
+    level_or_none,
+    log_statistics,
+    strangeness,
+    usual_noise,
+)
 from recognition.recognizer import UNKNOWN, Posterior
-from recognition.thresholds import Levels, check_level, find_thresholds
+from recognition.thresholds import Levels, check_level, find_thresholds, with_noise
 
 NAME = "level_check"
-_VERSION = 1
+_VERSION = 2
+_BAND_SIGMAS = 2.0  # standard deviations of more noise than taught that bands are widened by
 _FLATTEN = 0.01  # uniform part of every posterior: one scalar is never certain
-_PRIOR_GRASPS = 4.0  # weight, in grasps, of the pooled spread against an object's own
-_LEAST_SPREAD = 0.02  # standard deviation of a level's logarithm that no teaching goes below
-_DEFAULT_SPREAD = 0.08  # pooled spread where every object was touched once: the paper's noise
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -45,6 +50,10 @@ class LevelCheckRecognizer:
         Least and largest taught level; NaN likewise.
     margin
         Part of its edge by which a level's band reaches into open space.
+    noise_counts
+        Noise of the taught grasps, see `recognition.level_statistics.averaged_noise`.
+    noise_per_count
+        Part of a level by which noise moves it, for each count.
     """
 
     labels: tuple[str, ...]
@@ -55,6 +64,8 @@ class LevelCheckRecognizer:
     low: NDArray[np.float64]
     high: NDArray[np.float64]
     margin: float
+    noise_counts: float
+    noise_per_count: float
 
     def __post_init__(self) -> None:
         for name in ("mean", "spread", "low", "high"):
@@ -88,46 +99,58 @@ class LevelCheckRecognizer:
                 f"up to {grasp.pads.adc_max}; taught were {self.pads.n_pads} with "
                 f"{self.pads.n_taxels} up to {self.pads.adc_max}, or other places; teach again"
             )
-        return _level_or_none(grasp, self.settings)
+        return level_or_none(grasp, self.settings)
+
+    def more_noise(self, grasp: Grasp) -> float:
+        """Return the part of its level by which a grasp is less certain than the taught ones.
+
+        It is a standard deviation, 0 where the grasp has no more noise than those. Raises
+        ContactError where the ramp never came near the force that levels are taken at.
+        """
+        counts = averaged_noise(grasp, self.settings)
+        return self.noise_per_count * float(np.sqrt(max(counts**2 - self.noise_counts**2, 0.0)))
 
     def check(self, grasp: Grasp) -> str:
-        """Name the object by the paper's rule alone; closed windows are unknown too."""
+        """Name the object by the paper's rule, adjusted to the noise; closed windows: unknown."""
         value = self.level(grasp)
-        index = None if value is None else check_level(self.levels, value)
+        adjusted = None if value is None else self._adjusted(self.more_noise(grasp))
+        if value is None or adjusted is None:
+            return UNKNOWN
+        index = check_level(adjusted, value)
         return UNKNOWN if index is None else self.labels[index]
 
     def posterior(self, grasp: Grasp) -> Posterior:
         """Say what the level of a grasp tells; see `recognition.recognizer.Recognizer`.
 
         ``unknown`` is 0 inside a band, 1/2 at the edge of its margin and goes to 1 beyond; a grasp
-        without a surface gives a uniform posterior and unknown 1. A closed window is no reason for
-        unknown: there the probability is shared.
+        without a surface, or with too much noise, gives a uniform posterior and unknown 1. In a
+        closed window the probability is shared. More noise than taught widens spreads and bands.
         """
         n = len(self.labels)
         uniform = np.full(n, 1.0 / n)
         value = self.level(grasp)
-        if value is None:
+        more = 0.0 if value is None else self.more_noise(grasp)
+        adjusted = self._adjusted(more)
+        if value is None or adjusted is None:
             return Posterior(labels=self.labels, probability=uniform, unknown=1.0)
-        z = (np.log(abs(value)) - self.mean) / self.spread
-        log_density = np.where(np.isnan(z), -np.inf, -0.5 * z**2 - np.log(self.spread))
+        spread = np.hypot(self.spread, more)
+        z = (np.log(abs(value)) - self.mean) / spread
+        log_density = np.where(np.isnan(z), -np.inf, -0.5 * z**2 - np.log(spread))
         density = np.exp(log_density - log_density.max())
         probability = (1.0 - _FLATTEN) * density / density.sum() + _FLATTEN * uniform
         return Posterior(
             labels=self.labels,
             probability=probability / probability.sum(),
-            unknown=self._unknown(value),
+            unknown=strangeness(adjusted, value),
         )
 
-    def _unknown(self, value: float) -> float:
-        edge = np.where(value < self.low, np.abs(self.low), np.abs(self.high))
-        distance = np.maximum(np.maximum(self.low - value, value - self.high), 0.0)
-        outside = distance / (self.margin * edge)
-        nearest = float(np.nanmin(outside))
-        return nearest**2 / (1.0 + nearest**2)
+    def _adjusted(self, more_noise: float) -> Levels | None:
+        """Return the bands for a grasp; None where nothing would be outside of them."""
+        share = _BAND_SIGMAS * more_noise
+        return with_noise(self.levels, share) if share < 1.0 else None
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Return all that was learnt as plain arrays."""
-        force_n = np.nan if self.settings.force_n is None else self.settings.force_n
         return {
             "level_check_version": np.array(_VERSION),
             "labels": np.array(self.labels, dtype=np.str_),
@@ -135,16 +158,14 @@ class LevelCheckRecognizer:
             "taxel_pad": self.pads.taxel_pad,
             "taxel_xy_m": self.pads.taxel_xy_m,
             "adc_max": np.array(self.pads.adc_max),
-            "force_n": np.array(force_n),
-            "tolerance": np.array(self.settings.tolerance),
-            "sigmas": np.array(self.settings.sigmas),
-            "rim": np.array(self.settings.rim),
-            "reading": np.array(str(self.settings.reading)),
+            **self.settings.to_arrays(),
             "mean": self.mean,
             "spread": self.spread,
             "low": self.low,
             "high": self.high,
             "margin": np.array(self.margin),
+            "noise_counts": np.array(self.noise_counts),
+            "noise_per_count": np.array(self.noise_per_count),
         }
 
     @classmethod
@@ -159,7 +180,10 @@ class LevelCheckRecognizer:
         version = int(get("level_check_version"))
         if version != _VERSION:
             raise ValueError(f"{NAME}: version {version}, this program reads {_VERSION}")
-        force_n = float(get("force_n"))
+        try:
+            settings = LevelSettings.from_arrays(arrays)
+        except KeyError as missing:
+            raise ValueError(f"{NAME}: array {missing} is missing") from missing
         learnt = cls(
             labels=tuple(str(label) for label in get("labels")),
             pads=PadArray(
@@ -168,18 +192,14 @@ class LevelCheckRecognizer:
                 taxel_xy_m=get("taxel_xy_m"),
                 adc_max=int(get("adc_max")),
             ),
-            settings=LevelSettings(
-                force_n=None if np.isnan(force_n) else force_n,
-                tolerance=float(get("tolerance")),
-                sigmas=float(get("sigmas")),
-                rim=int(get("rim")),
-                reading=Reading(str(get("reading"))),
-            ),
+            settings=settings,
             mean=get("mean"),
             spread=get("spread"),
             low=get("low"),
             high=get("high"),
             margin=float(get("margin")),
+            noise_counts=float(get("noise_counts")),
+            noise_per_count=float(get("noise_per_count")),
         )
         usable = np.isfinite(learnt.low)
         numbers = np.stack([learnt.mean, learnt.spread, learnt.high])[:, usable]
@@ -189,19 +209,12 @@ class LevelCheckRecognizer:
             and (numbers[1] > 0).all()
             and (learnt.low[usable] <= learnt.high[usable]).all()
             and 0.0 < learnt.margin < 1.0
+            and 0.0 <= learnt.noise_counts < np.inf
+            and 0.0 <= learnt.noise_per_count < np.inf
         )
         if not sound:
-            raise ValueError(f"{NAME}: mean, spread, low, high and margin make no levels")
+            raise ValueError(f"{NAME}: mean, spread, low, high, margin and noise make no levels")
         return learnt
-
-
-def common_force_n(grasps: Sequence[Grasp]) -> float | None:
-    """Return the largest force in N that every grasp reached, None where one is not recorded."""
-    reached = [
-        float(np.max(g.force_n, initial=-np.inf, where=np.isfinite(g.force_n))) for g in grasps
-    ]
-    least = min(reached)
-    return least if np.isfinite(least) and least > 0.0 else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -263,12 +276,13 @@ class LevelCheckTrainer:
             settings = replace(settings, force_n=common_force_n(grasps))
         taught: dict[str, list[float]] = {label: [] for label in labels}
         for grasp in grasps:
-            value = _level_or_none(grasp, settings)
+            value = level_or_none(grasp, settings)
             if value is not None:
                 taught[grasp.label].append(value)
         values = [np.array(taught[label]) for label in labels]
         levels = find_thresholds(values, margin=self.margin)
-        mean, spread = _log_statistics(values)
+        mean, spread = log_statistics(values)
+        noise_counts, noise_per_count = usual_noise(grasps, settings)
         return LevelCheckRecognizer(
             labels=labels,
             pads=pads,
@@ -278,29 +292,6 @@ class LevelCheckTrainer:
             low=levels.low,
             high=levels.high,
             margin=self.margin,
+            noise_counts=noise_counts,
+            noise_per_count=noise_per_count,
         )
-
-
-def _level_or_none(grasp: Grasp, settings: LevelSettings) -> float | None:
-    try:
-        value = grip_level(grasp, settings)
-    except (ContactError, QuadricError):
-        return None  # the caller answers unknown, or leaves the grasp out of the teaching
-    return value if value != 0.0 else None
-
-
-def _log_statistics(
-    values: Sequence[NDArray[np.float64]],
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return mean and spread of log|level|; each spread is drawn towards the pooled one."""
-    logs = [np.log(np.abs(one)) for one in values]
-    counts = np.array([len(one) for one in logs])
-    mean = np.array([one.mean() if len(one) else np.nan for one in logs])
-    squares = np.array([np.sum((one - one.mean()) ** 2) if len(one) else 0.0 for one in logs])
-    freedom = np.maximum(counts - 1, 0)
-    pooled = float(squares.sum() / freedom.sum()) if freedom.sum() else _DEFAULT_SPREAD**2
-    variance = (squares + _PRIOR_GRASPS * pooled) / (freedom + _PRIOR_GRASPS)
-    # the mean itself is known from a few grasps only
-    variance = variance * (1.0 + 1.0 / np.maximum(counts, 1))
-    spread = np.sqrt(np.maximum(variance, _LEAST_SPREAD**2))
-    return mean, np.where(counts > 0, spread, np.nan)

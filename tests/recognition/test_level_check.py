@@ -7,6 +7,7 @@ from recognition.eigen import Reading
 from recognition.errors import ContactError, QuadricError, RecognitionError
 from recognition.grasp import Grasp, PadArray
 from recognition.level import LevelSettings, frames_near, grip_level, gripping_pads, ramp_levels
+from recognition.level_statistics import usual_noise
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers.level_check import LevelCheckRecognizer, LevelCheckTrainer
 from recognition.thresholds import check_level, ramp_thresholds
@@ -289,3 +290,70 @@ def test_levels_are_taken_at_the_force_that_every_taught_grasp_reached():
     assert LevelCheckTrainer().fit(unknown_force).settings.force_n is None
     wanted = LevelSettings(force_n=3.0)
     assert LevelCheckTrainer(settings=wanted).fit(taught).settings.force_n == 3.0
+
+
+def _held(pads, peak, rng, noise, n_frames):
+    """A step of force: quiet frames, then as many under load, noise either way."""
+    load = np.concatenate([np.zeros(12), np.ones(n_frames)])
+    cap = np.maximum(1 - np.sum((pads.taxel_xy_m / 0.006) ** 2, axis=1), 0) * peak
+    values = load[:, None] * cap + 0.2 + rng.normal(scale=noise, size=(len(load), pads.n_taxels))
+    return Grasp(
+        pads=pads,
+        counts=np.clip(np.round(values * pads.adc_max), 0, pads.adc_max),
+        t_s=np.arange(len(load)) * 0.02,
+        aperture_m=np.full(len(load), np.nan),
+        force_n=8.0 * load,
+    )
+
+
+def test_the_patch_does_not_grow_with_the_number_of_frames_averaged():
+    pads = _pads(*LAYOUTS["two inner pads"])
+    few, many = (_held(pads, 0.5, np.random.default_rng(3), 0.01, n) for n in (2, 40))
+
+    def spread_over(settings):
+        return abs(np.log(grip_level(few, settings) / grip_level(many, settings)))
+
+    assert spread_over(LevelSettings()) < 0.05
+    assert spread_over(LevelSettings(peak_share=0.0)) > 2 * spread_over(LevelSettings())
+
+
+def test_noise_of_the_whole_pad_does_not_hide_the_first_touch_in_the_baseline():
+    pads = _pads(*LAYOUTS["paper"])
+    quiet = grip_level(_grasp(pads, 0.6, np.random.default_rng(4), noise=0.0))
+    loud = [grip_level(_grasp(pads, 0.6, np.random.default_rng(4), noise=0.04)) for _ in range(3)]
+    assert np.mean(loud) == pytest.approx(quiet, rel=0.06)
+
+
+def test_more_noise_than_taught_is_seen_and_widens_bands_and_probabilities():
+    pads = _pads(*LAYOUTS["paper"])
+    rng = np.random.default_rng(6)
+    taught = LevelCheckTrainer().fit(_taught(pads, rng))
+    calm, loud = (_grasp(pads, 0.4, np.random.default_rng(7), noise=n) for n in (0.005, 0.1))
+    assert taught.more_noise(calm) == 0.0
+    assert 0.005 < taught.more_noise(loud) < 0.5
+    deaf = dataclasses.replace(taught, noise_per_count=0.0)
+    assert taught.posterior(calm).probability == pytest.approx(deaf.posterior(calm).probability)
+    assert taught.posterior(loud).probability.max() < deaf.posterior(loud).probability.max()
+    assert taught.posterior(loud).unknown <= deaf.posterior(loud).unknown
+    hopeless = dataclasses.replace(taught, noise_per_count=1e3)
+    assert hopeless.check(loud) == UNKNOWN
+    assert hopeless.posterior(loud).unknown == 1.0
+
+
+def test_noise_predicts_how_far_levels_of_one_touch_vary():
+    pads = _pads(*LAYOUTS["two inner pads"])
+    rng = np.random.default_rng(8)
+    grasps = [_held(pads, 0.5, rng, 0.03, 20) for _ in range(60)]
+    seen = np.std(np.log([grip_level(grasp) for grasp in grasps]))
+    counts, per_count = usual_noise(grasps, LevelSettings())
+    assert counts * per_count == pytest.approx(seen, rel=0.4)
+    assert counts == pytest.approx(0.03 * 255 * np.sqrt(1 / 20 + 1 / 12), rel=0.15)
+
+
+def test_taught_noise_that_is_no_number_is_refused():
+    pads = _pads(*LAYOUTS["pinch"])
+    arrays = LevelCheckTrainer().fit(_taught(pads, np.random.default_rng(9))).to_arrays()
+    with pytest.raises(ValueError, match="noise make no levels"):
+        LevelCheckRecognizer.from_arrays({**arrays, "noise_counts": np.array(np.nan)})
+    with pytest.raises(ValueError, match="'peak_share' is missing"):
+        LevelCheckRecognizer.from_arrays({k: v for k, v in arrays.items() if k != "peak_share"})
