@@ -87,11 +87,18 @@ class CellConfig(Section):
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
-        if self.sequence.largest_force_n > self.gripper.force_max_n:
+        least_n, most_n = self.sequence.forces_n
+        allowed_n = self.gripper.ramp_force_max_n
+        if most_n > allowed_n:
             raise ValueError(
-                f"sequence asks for {self.sequence.largest_force_n:g} N, "
-                f"gripper.force_max_n is {self.gripper.force_max_n:g} N; lower the one or raise "
-                "the other after a risk assessment"
+                f"sequence asks for {most_n:g} N, gripper.force_max_n is "
+                f"{self.gripper.force_max_n:g} N, which allows ramps up to {allowed_n:.2f} N; "
+                "lower the one or raise the other after a risk assessment"
+            )
+        if least_n < self.gripper.contact_force_n:
+            raise ValueError(
+                f"sequence asks for {least_n:g} N, gripper.contact_force_n is "
+                f"{self.gripper.contact_force_n:g} N: less could not hold a part"
             )
         simulated = (self.gripper.port == SIMULATED, self.tactile.interface == SIMULATED)
         if simulated[0] != simulated[1]:

@@ -13,6 +13,7 @@ from cell.config_grip import (
     SlipConfig,
 )
 from cell.config_section import SIMULATED, Section
+from gripper.settings import largest_setpoint_n
 
 
 class ServoConfig(Section):
@@ -80,7 +81,8 @@ class GripperConfig(Section):
     contact_timeout_s: float = Field(default=5.0, gt=0.0, le=60.0)
     """Longest time to look for contact in s, up to 60."""
     force_max_n: float = Field(default=15.0, gt=0.0, le=50.0)
-    """Cap of the grip force in N; 50 is the hard limit here. Set it per risk assessment."""
+    """Cap of the grip force in N, up to 50; set it per risk assessment. A ramp may ask for so much
+    that its overshoot, 0.2 N or 5 %, stays below it."""
     current_max_a: float = Field(default=0.8, gt=0.0, le=2.3)
     """Cap of the goal current of each servo in A, up to 2.3."""
     temperature_max_c: float = Field(default=70.0, ge=30.0, le=80.0)
@@ -108,6 +110,11 @@ class GripperConfig(Section):
     servo_care: ServoCareConfig = ServoCareConfig()
     """Heat of the servos, and what a start may rewrite."""
 
+    @property
+    def ramp_force_max_n(self) -> float:
+        """Largest force of a ramp in N: with its overshoot it stays below the cap."""
+        return largest_setpoint_n(self.force_max_n)
+
     @model_validator(mode="after")
     def _consistent(self) -> Self:
         ids = [servo.id for servo in self.servos]
@@ -118,9 +125,10 @@ class GripperConfig(Section):
                 f"aperture_min_mm {self.aperture_min_mm:g} must be below "
                 f"aperture_open_mm {self.aperture_open_mm:g}"
             )
-        if self.contact_force_n >= self.force_max_n:
+        if self.contact_force_n > self.ramp_force_max_n:
             raise ValueError(
-                f"contact_force_n {self.contact_force_n:g} must be below "
+                f"contact_force_n {self.contact_force_n:g} must be at most "
+                f"{self.ramp_force_max_n:.2f}, what a ramp may reach under "
                 f"force_max_n {self.force_max_n:g}"
             )
         return self

@@ -110,8 +110,9 @@ class SequenceConfig(Section):
         return self
 
     @property
-    def largest_force_n(self) -> float:
-        """The largest force that the sequence asks for in N."""
+    def forces_n(self) -> Range:
+        """The smallest and the largest force that the sequence asks for in N."""
         if self.kind == "list":
-            return max(pose.force_n for pose in self.poses)
-        return self.force_n[1]
+            listed = [pose.force_n for pose in self.poses]
+            return min(listed), max(listed)
+        return self.force_n

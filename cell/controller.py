@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 from cell.collect import GraspRecord
 from cell.config_sequence import SequenceConfig
-from cell.errors import CellStateError, CellStopped, NoPartFound
+from cell.errors import CellStateError, CellStopped, NoPartFound, PlanRefused
 from cell.grasping import NOTHING_HELD, Grasper
 from cell.hand import Hand
 from cell.identification import Identification, OnGrasp, StepChooser, grasp_and_classify
@@ -228,8 +228,11 @@ class CellController(CellView):
             the part while they pressed. The fingers are open again, and nothing is classified.
         CellStopped
             If it was cancelled. The grip is kept.
+        PlanRefused, gripper.errors.LimitExceeded
+            If the step cannot be carried out; nothing has moved, and no fault is latched.
         """
         self._check_cancelled_between()
+        self._grasper.check(step, label)
         self._life.go(Event.EXECUTE)
         try:
             with self._life.latching_faults():
@@ -246,10 +249,21 @@ class CellController(CellView):
         return record
 
     def collect(self, label: str, plan: Sequence[GraspStep]) -> Iterator[GraspRecord]:
-        """Grasp a known object once for each step of the plan, yielding each record."""
-        self.present(label)
-        for step in plan:
-            yield self.grasp(step, label=label)
+        """Grasp a known object once for each step of the plan, yielding each record.
+
+        Raises
+        ------
+        PlanRefused, gripper.errors.LimitExceeded
+            At once, if the plan is empty or one of its steps cannot be carried out.
+        """
+        steps = self._checked(plan, label)
+
+        def grasps() -> Iterator[GraspRecord]:
+            self.present(label)
+            for step in steps:
+                yield self.grasp(step, label=label)
+
+        return grasps()
 
     def identify(
         self,
@@ -267,11 +281,14 @@ class CellController(CellView):
         ------
         NoPartFound, CellStopped
             As `grasp`.
+        PlanRefused, gripper.errors.LimitExceeded
+            If the plan is empty or one of its steps cannot be carried out; nothing has moved.
         """
+        steps = self._checked(plan)
         result = grasp_and_classify(
             self.grasp,
             recognizer,
-            plan,
+            steps,
             error_rate=self._sequence.error_rate,
             chooser=chooser,
             on_grasp=on_grasp,
@@ -280,6 +297,15 @@ class CellController(CellView):
         return result
 
     # -- inside --------------------------------------------------------------------------------
+
+    def _checked(self, plan: Sequence[GraspStep], label: str = "") -> tuple[GraspStep, ...]:
+        """Return the steps of a plan. Raises where one of them, or the plan, is refused."""
+        steps = tuple(plan)
+        if not steps:
+            raise PlanRefused("the plan is empty; give at least one step")
+        for step in steps:
+            self._grasper.check(step, label)
+        return steps
 
     def _check_cancelled_between(self) -> None:
         if self._life.cancelled and self._life.state is CellState.IDLE:

@@ -37,6 +37,10 @@ class CellStateError(CellError):
     """The command is not allowed in the state that the cell is in."""
 
 
+class PlanRefused(CellError, ValueError):
+    """A grasp or plan that cannot be carried out was asked for; nothing has moved."""
+
+
 class HandLost(CellError):
     """The process of the force loop is gone or does not answer; a part may still be gripped."""
 

@@ -5,6 +5,7 @@ from typing import TypeVar
 
 from cell.collect import GraspCollector, GraspRecord, pad_array
 from cell.config_sequence import SequenceConfig
+from cell.errors import PlanRefused
 from cell.hand import Hand
 from cell.journal import Journal
 from cell.lifecycle import CellLifecycle
@@ -13,6 +14,7 @@ from cell.positioner import PatientCaller, Positioner
 from cell.ramps import force_ramp
 from cell.sequence import GraspStep
 from gripper.clock import Clock
+from gripper.ramp import ForceRamp
 from gripper.state import Cycle, GraspResult
 from recognition.grasp import PadArray
 from tactile.protocol import TactileFrame
@@ -64,6 +66,27 @@ class Grasper:
         self._patient = PatientCaller(clock, hand.period_s)
         self.pads: PadArray = pad_array(hand.layout)
 
+    def check(self, step: GraspStep, label: str = "") -> None:
+        """Refuse a step that cannot be carried out, before anything moves.
+
+        Raises
+        ------
+        PlanRefused
+            If it is no step, or the label no text.
+        gripper.errors.LimitExceeded
+            If its force is no number or beyond a limit.
+        """
+        if not (isinstance(step, GraspStep) and isinstance(step.pose, Pose)):
+            raise PlanRefused(
+                f"{step!r} is no step of a plan; give GraspStep(pose=..., force_n=...)"
+            )
+        if not isinstance(label, str):
+            raise PlanRefused(f"{label!r} is no label; give a text")
+        self._hand.check_ramp(self._ramp(step))
+
+    def _ramp(self, step: GraspStep) -> ForceRamp:
+        return force_ramp(self._sequence.ramp, step.force_n)
+
     def grasp(self, step: GraspStep, label: str) -> GraspRecord:
         """Go to the pose, grasp, record, let go."""
         reached = self._move_to(step.pose)
@@ -75,7 +98,7 @@ class Grasper:
 
         self._hand.open(self.watch)
         start_ms = self._wall_ms()
-        outcome = self._hand.grasp(force_ramp(self._sequence.ramp, step.force_n), watch)
+        outcome = self._hand.grasp(self._ramp(step), watch)
         self._life.result = outcome.result
         record = GraspRecord(
             grasp=collector.grasp(self.pads, label=label, source="tactile-cell", start_ms=start_ms),

@@ -102,6 +102,10 @@ class Hand(Protocol):
         """Take the zero of the taxels from so many frames."""
         ...
 
+    def check_ramp(self, ramp: ForceRamp) -> None:
+        """Raise LimitExceeded for a ramp that `grasp` would refuse; no device is asked."""
+        ...
+
     def grasp(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
         """Close until both pads touch, follow the ramp; return while holding."""
         ...

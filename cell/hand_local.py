@@ -151,6 +151,10 @@ class LocalHand:
         """Take the zero of the taxels; see `Hand`."""
         self.sensor.tare(n_frames)
 
+    def check_ramp(self, ramp: ForceRamp) -> None:
+        """Refuse a ramp beyond the limits; see `Hand`."""
+        self.gripper.check_ramp(ramp)
+
     def grasp(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
         """Close and follow the ramp; see `Hand`."""
         self._check_zero()

@@ -6,6 +6,7 @@ from typing import Any, NoReturn
 from cell.config import CellConfig
 from cell.errors import HandLost
 from cell.hand import HandStatistics, Watch
+from cell.hand_build import gripper_settings, make_linkage
 from cell.hand_child import LoopProcess
 from cell.hand_wire import (
     Answer,
@@ -30,6 +31,7 @@ from cell.hand_wire import (
 from cell.layouts import layout_from_config
 from gripper.errors import GripperError, copy_fingers
 from gripper.ramp import ForceRamp
+from gripper.ramp_limits import check_ramp
 from gripper.state import GraspOutcome, GripperPhase
 from gripper.verification import VerificationReport
 from tactile.errors import TactileError
@@ -132,6 +134,10 @@ class HandProcess:
     def tare(self, n_frames: int) -> None:
         """Take the zero of the taxels; see `Hand`."""
         self._call(Tare(n_frames=n_frames))
+
+    def check_ramp(self, ramp: ForceRamp) -> None:
+        """Refuse a ramp beyond the limits; see `Hand`."""
+        check_ramp(ramp, gripper_settings(self._config), make_linkage(self._config))
 
     def grasp(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
         """Close and follow the ramp; see `Hand`."""

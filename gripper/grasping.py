@@ -52,28 +52,6 @@ class GraspRun:
         self.control = None
         self._setpoint_n = 0.0
 
-    def check(self, ramp: ForceRamp, state: GripperState) -> None:
-        """Refuse a ramp beyond the limits with LimitExceeded, before anything moves."""
-        settings = self._settings
-        largest_n = max(ramp.start_n, ramp.final_n)
-        if largest_n > settings.grasp_force_limit_n:
-            raise LimitExceeded(
-                f"the ramp asks for {largest_n} N, the limit is {settings.grasp_force_limit_n} N"
-            )
-        if ramp.final_n < settings.contact_force_n:
-            raise LimitExceeded(
-                f"the ramp ends at {ramp.final_n} N, below contact_force_n = "
-                f"{settings.contact_force_n} N: it could not hold a part"
-            )
-        needed_a = max(
-            path.loading_current_a(largest_n) for path in self._servos.transmissions(state.servos)
-        )
-        if needed_a > settings.current_max_a:
-            raise LimitExceeded(
-                f"{largest_n} N take {needed_a:.3f} A, current_max_a is {settings.current_max_a} "
-                f"A: lower the force or raise the cap"
-            )
-
     def run(
         self,
         ramp: ForceRamp,

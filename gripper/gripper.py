@@ -14,6 +14,7 @@ from gripper.lifecycle import Lifecycle
 from gripper.link_check import LinkTiming, check_link
 from gripper.motion import GripControl, MoveTo
 from gripper.ramp import ForceRamp
+from gripper.ramp_limits import check_ramp
 from gripper.reactions import bus_is_lost
 from gripper.readiness import make_ready
 from gripper.recovery import reboot_servos
@@ -214,6 +215,10 @@ class Gripper:
         self._life.phase = GripperPhase.IDLE
         return state
 
+    def check_ramp(self, ramp: ForceRamp) -> None:
+        """Raise LimitExceeded when `grasp` would refuse a ramp; nothing is asked of the servos."""
+        check_ramp(ramp, self._settings, self._linkage)
+
     def grasp(self, ramp: ForceRamp, observer: Observer | None = None) -> GraspOutcome:
         """Close until both pads touch, follow the ramp to its end, return while holding.
 
@@ -233,8 +238,7 @@ class Gripper:
                 "grasp is not possible before the bus watchdog has proven to stop the motors: "
                 "open the gripper, its self-test follows (watchdog_self_test is on)"
             )
-        state = self._servos.read_patiently()
-        self._grasping.check(ramp, state)
+        self.check_ramp(ramp)
         with self._life.command(GripperPhase.APPROACHING):
             self._make_ready()
             self._life.part_possible = True

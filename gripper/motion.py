@@ -27,6 +27,8 @@ _SUDDEN_RATIO = 6.0
 _RECENT_SAMPLES = 5
 _MEAN_SAMPLES = 3
 _GIVE_RAD = 0.03
+_TORQUE_DOUBT = 0.02
+"""Share of the cap of the force that the drive leaves free: torque of the servos, their inertia."""
 
 
 class MoveTo:
@@ -256,7 +258,8 @@ class GripControl:
             drive_max_n=min(
                 min(
                     cap_a * path.kt_nm_a / path.radius_m,
-                    self._settings.force_max_n + path.friction_n,
+                    self._settings.force_max_n * (1.0 - _TORQUE_DOUBT)
+                    + min(1.0, self._friction_share) * path.friction_n,
                 )
                 for path in paths
             ),

@@ -15,10 +15,22 @@ __all__ = [
     "GripperSettings",
     "OverForce",
     "ServoSettings",
+    "largest_setpoint_n",
 ]
 
 HARD_FORCE_CAP_N = 50.0
 """No setting allows more grip force in N; it is no safety function, see the documentation."""
+
+
+_OVERSHOOT_N, _OVERSHOOT_SHARE = 0.2, 0.05
+
+
+def largest_setpoint_n(force_max_n: float) -> float:
+    """Return the largest force in N that a ramp may ask for under a cap of the force.
+
+    A ramp overshoots by at most 0.2 N, or 5 % where that is more; with it the cap holds.
+    """
+    return min(force_max_n - _OVERSHOOT_N, force_max_n / (1.0 + _OVERSHOOT_SHARE))
 
 
 class OverForce(StrEnum):
@@ -97,7 +109,8 @@ class GripperSettings:
     force_noise_n
         What the mean of three samples may exceed the cap by, in N, because of noise.
     grasp_force_max_n
-        Largest force in N that a ramp may ask for; None: force_max_n.
+        Largest force in N that a ramp may ask for; None, or what is more than `largest_setpoint_n`
+        of the cap: that.
     current_max_a
         Cap of the goal current in A.
     temperature_max_c
@@ -228,9 +241,11 @@ class GripperSettings:
         check_number("over_force_share", self.over_force_share, low=0.0, high=1.0)
         check_number("loop_rate_hz", self.loop_rate_hz, low=10.0, high=1000.0)
         check_number("force_max_n", self.force_max_n, above=0.0, high=HARD_FORCE_CAP_N)
-        check_number(
-            "grasp_force_limit_n", self.grasp_force_limit_n, above=0.0, high=self.force_max_n
-        )
+        if self.grasp_force_max_n is not None:
+            check_number(
+                "grasp_force_max_n", self.grasp_force_max_n, above=0.0, high=self.force_max_n
+            )
+        check_number("the largest force of a ramp under it", self.grasp_force_limit_n, above=0.0)
         check_number("aperture_min_m", self.aperture_min_m, low=0.0, high=self.aperture_open_m)
         check_number("watchdog_s", self.watchdog_s, low=WATCHDOG_UNIT_S, high=127 * WATCHDOG_UNIT_S)
         if self.overruns_max < 1:
@@ -250,8 +265,11 @@ class GripperSettings:
 
     @property
     def grasp_force_limit_n(self) -> float:
-        """Largest force in N that a ramp may ask for."""
-        return self.force_max_n if self.grasp_force_max_n is None else self.grasp_force_max_n
+        """Largest force in N that a ramp may ask for: its overshoot stays below the cap."""
+        largest_n = largest_setpoint_n(self.force_max_n)
+        return (
+            largest_n if self.grasp_force_max_n is None else min(largest_n, self.grasp_force_max_n)
+        )
 
     @property
     def watchdog_raw(self) -> int:

@@ -13,11 +13,10 @@ from simulator.assembly import SimulatedCell
 
 CONTACT_N = 0.02
 """Force in N above which a pad touches the part."""
-TOLERANCE = 0.05
-"""Share of the cap by which a ramp may overshoot it, what the sensor is wrong by included."""
+TOLERANCE = 0.01
+"""Share of the cap by which the true force may exceed it."""
 _FALL_S = 0.5
 _ERROR = 70
-_LETTING_GO = (GripperPhase.RELEASING, GripperPhase.OPENING)
 _RESTING = (GripperPhase.IDLE, GripperPhase.HOLDING, GripperPhase.HELD_AFTER_FAULT)
 _BRAKING_M = 0.001
 """How far in m fingers may open after the gripper has ended a motion: their inertia, one period."""
@@ -219,7 +218,7 @@ class InvariantMonitor:
                 and not after
                 and self._touching
                 and not (by_itself or self._asked or self.limp_allowed)
-                and not (self._on_their_way() and self._motion in _LETTING_GO)
+                and not self._was_letting_go()
             ):
                 self._break(f"torque of servo {number + 1} off with a part in the grip")
 
@@ -244,6 +243,12 @@ class InvariantMonitor:
         """Return whether the fingers move, or were stopped just now and may touch the part."""
         patience_s = _BRAKING_S + (self._watchdog_s if self._hears_nothing() else 0.0)
         return self._simulated.clock.monotonic() <= self._moving_s + patience_s
+
+    def _was_letting_go(self) -> bool:
+        """Return whether a release has just ended, or the last motion opened empty fingers."""
+        if self._motion is GripperPhase.RELEASING:
+            return self._on_their_way()
+        return self._motion is GripperPhase.OPENING
 
     def _hears_nothing(self) -> bool:
         """Return whether a servo hears nothing, so that its watchdog alone stops it."""

@@ -81,6 +81,8 @@ def test_written_config_reads_back_equal() -> None:
         ("gripper:\n  aperture_min_mm: 50\n", ["below", "aperture_open_mm"]),
         ("gripper:\n  contact_force_n: 4\n  force_max_n: 3\n", ["contact_force_n", "force_max_n"]),
         ("gripper:\n  force_max_n: 5\n", ["sequence asks for 8 N", "force_max_n is 5 N"]),
+        ("gripper:\n  force_max_n: 8.2\n", ["sequence asks for 8 N", "ramps up to 7.81 N"]),
+        ("gripper:\n  contact_force_n: 2.5\n", ["asks for 2 N", "contact_force_n is 2.5 N"]),
         ("gripper:\n  force_max_n: 51\n", ["gripper.force_max_n", "50"]),
         ("sequence:\n  x_mm: [3, 1]\n", ["x_mm", "[3, 1]", "low"]),
         ("sequence:\n  kind: list\n", ["poses"]),

@@ -11,12 +11,12 @@ import pytest
 
 from cell.collect import GraspCollector
 from cell.config import CellConfig
-from cell.errors import CellStateError, CellStopped, NoPartFound, PositionerError
+from cell.errors import CellStateError, CellStopped, NoPartFound, PlanRefused, PositionerError
 from cell.pose import Pose
 from cell.recording import read_recording
 from cell.sequence import GraspStep, plan
 from cell.states import CellState
-from gripper.errors import BusTimeout, GripperError, PortLost, ServoFault
+from gripper.errors import BusTimeout, GripperError, LimitExceeded, PortLost, ServoFault
 from gripper.gripper import GraspResult, GripperPhase
 from recognition.fusion import DecisionKind
 from tactile.errors import BusOff, LinkFault, TareRefused
@@ -190,6 +190,54 @@ def test_the_recording_holds_what_happened(make_bench: Callable[..., Any], tmp_p
     assert 2e-4 < after_grasp["transaction_p50_s"] < 5e-3
     assert 1e-3 < after_grasp["sensor_age_max_s"] < 0.1
     assert set(recording.cycles.phase) == {"OPENING", "APPROACHING", "RAMPING", "RELEASING"}
+
+
+@pytest.mark.parametrize(
+    ("force_n", "complaint"),
+    [
+        (40.0, r"asks for 40.* the limit is 14\.29 N"),
+        (14.9, r"14\.29 N, so that its overshoot stays below force_max_n = 15"),
+        (0.1, "could not hold a part"),
+        (-3.0, "must be finite"),
+        (float("nan"), "must be finite"),
+        (float("inf"), "must be finite"),
+    ],
+)
+def test_a_force_that_is_not_allowed_is_refused_before_anything_moves(
+    bench: Any, force_n: float, complaint: str
+) -> None:
+    bench.ready()
+    bad = GraspStep(pose=Pose(), force_n=force_n)
+    began_s = bench.simulated.clock.monotonic()
+    for ask in (
+        lambda: bench.controller.grasp(bad),
+        lambda: bench.controller.collect("ball", [GraspStep(pose=Pose(), force_n=3.0), bad]),
+        lambda: bench.controller.identify(Sure(2), [GraspStep(pose=Pose(), force_n=3.0), bad]),
+    ):
+        with pytest.raises(LimitExceeded, match=complaint):
+            ask()
+    assert bench.simulated.clock.monotonic() == began_s
+    assert bench.controller.state is CellState.IDLE
+    assert bench.controller.fault is None
+    assert bench.grasp().outcome.result is GraspResult.FORCE_REACHED
+
+
+def test_what_is_no_plan_is_refused_before_anything_moves(bench: Any) -> None:
+    bench.ready()
+    step = GraspStep(pose=Pose(), force_n=3.0)
+    nothing: Any = None
+    for ask, complaint in (
+        (lambda: bench.controller.grasp(nothing), "None is no step"),
+        (lambda: bench.controller.grasp(GraspStep(pose=nothing, force_n=3.0)), "is no step"),
+        (lambda: bench.controller.grasp(step, label=nothing), "None is no label"),
+        (lambda: bench.controller.collect("ball", []), "the plan is empty"),
+        (lambda: bench.controller.collect(nothing, [step]), "None is no label"),
+        (lambda: bench.controller.identify(Sure(1), []), "the plan is empty"),
+    ):
+        with pytest.raises(PlanRefused, match=complaint):
+            ask()
+    assert bench.controller.state is CellState.IDLE
+    assert bench.controller.fault is None
 
 
 # -- stopping --------------------------------------------------------------------------------

@@ -13,7 +13,7 @@ from cell.errors import HandLost
 from cell.hand import HandStatistics
 from cell.hand_process import HandProcess
 from cell.hand_wire import Alive, Answer, Fault, GraspUnder, Progress, Ready, Shutdown, send_error
-from gripper.errors import BusTimeout, GraspStopped
+from gripper.errors import BusTimeout, GraspStopped, LimitExceeded, fingers_left, note_fingers
 from gripper.line import BusStatistics
 from gripper.ramp import ForceRamp
 from gripper.state import Cycle, GripperPhase, GripperState
@@ -143,6 +143,24 @@ def test_periods_reach_the_watch_and_the_answer_is_returned(hand: HandProcess) -
     assert loop_of(hand).sent == [GraspUnder(ramp=RAMP)]
     assert hand.notes == ("a note",)
     assert hand.statistics.loop.cycles == 5
+
+
+def test_a_ramp_beyond_a_limit_is_refused_without_asking_the_process(hand: HandProcess) -> None:
+    hand.check_ramp(RAMP)
+    with pytest.raises(LimitExceeded, match="the limit is 14"):
+        hand.check_ramp(ForceRamp.linear(14.9, 5.0))
+
+
+def test_where_the_fingers_stopped_comes_with_what_stopped_them(hand: HandProcess) -> None:
+    def fail(_cycle: Any, _frames: Any) -> None:
+        raise OSError("the disk is full")
+
+    stopped = GraspStopped("stopped on request")
+    note_fingers(stopped, "stopped while letting go")
+    loop_of(hand).script.append([period(), answer(1, stopped)])
+    with pytest.raises(OSError, match="disk is full") as caught:
+        hand.release(fail)
+    assert fingers_left(caught.value) == "the fingers stopped while letting go"
 
 
 def test_what_the_watch_raises_stops_the_command_and_comes_at_its_end(hand: HandProcess) -> None:

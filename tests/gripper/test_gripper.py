@@ -1,6 +1,7 @@
 """The gripper on simulated servos with friction, inertia and an elastic part, in virtual time."""
 
 import itertools
+from contextlib import suppress
 
 import pytest
 
@@ -248,6 +249,28 @@ def test_a_ramp_beyond_a_limit_is_refused_before_anything_moves(make_cell) -> No
     with pytest.raises(LimitExceeded, match="aperture_m"):
         cell.gripper.open(0.2)
     assert cell.register(0, "torque_enable") == 0
+
+
+def test_a_ramp_so_near_to_the_cap_that_it_may_overshoot_it_is_refused(make_cell) -> None:
+    cell = make_cell(force_max_n=15.0)
+    with pytest.raises(LimitExceeded, match=r"14\.9 N, the limit is 14\.29 N, so that its over"):
+        cell.gripper.check_ramp(ForceRamp.linear(14.9, 5.0))
+    assert make_cell(force_max_n=2.0).settings.grasp_force_limit_n == pytest.approx(1.8)
+    with pytest.raises(LimitExceeded, match="largest force of a ramp"):
+        make_cell(force_max_n=0.2)
+
+
+@pytest.mark.parametrize("gain", [1.0, 0.3])
+@pytest.mark.parametrize("friction_error", [0.0, -0.2])
+def test_the_drive_alone_keeps_the_true_force_below_the_cap(
+    make_cell, gain: float, friction_error: float
+) -> None:
+    cell = make_cell(force_max_n=8.0, friction_error=friction_error)
+    cell.sensor.gain = gain
+    cell.gripper.start()
+    with suppress(LimitExceeded):
+        cell.gripper.grasp(ForceRamp.linear(7.6, 5.0, hold_s=1.0))
+    assert cell.peak_n <= 8.0 * 1.01
 
 
 def test_stop_freezes_the_goals_and_keeps_the_grip(cell) -> None:
