@@ -32,6 +32,8 @@ _UNKNOWN_SD = 0.1
 _LEAST_SD = 0.03
 _OTHER_FOAMS = 2.5
 _MIN_QUIET = 5
+_BAD_MISFIT = 4.0
+_BAD_FIT = " where 1 is the noise: is this the gauge's shape? These pads are not understood"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -102,7 +104,7 @@ class PadKnowledge:
         return (
             f"{text} (modulus and gain within {100 * modulus:.0f} and {100 * gain:.0f} %, opening "
             f"within {aperture:.2f} mm), from {self.fit.n_grasps} grasps, misfit "
-            f"{self.fit.misfit:.1f}"
+            f"{self.fit.misfit:.1f}" + (_BAD_FIT if self.fit.misfit > _BAD_MISFIT else "")
         )
 
 
@@ -114,11 +116,11 @@ def gauge_shape(grasps: Sequence[Grasp], text: str | None, config: CellConfig) -
     CellError
         If the grasps are of several objects, or their shape is not known.
     """
+    labels = sorted({grasp.label for grasp in grasps})
+    if len(labels) > 1:
+        raise CellError(f"a gauge is one object, these grasps are of {', '.join(labels)}")
     if text is not None:
         return drawn_shape(text)
-    labels = sorted({grasp.label for grasp in grasps})
-    if len(labels) != 1:
-        raise CellError(f"a gauge is one object, these grasps are of {', '.join(labels) or 'none'}")
     for entry in config.simulator.objects:
         if entry.label == labels[0]:
             return drawn_shape(entry.shape)

@@ -15,6 +15,7 @@ from cell.jobs.progress import Progress
 from cell.model import LoadedModel
 from cell.sequence import plan
 from recognition.grasp import Grasp, PadArray
+from recognition.recognizer import UNKNOWN
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,11 +57,14 @@ def identify_recorded(model: LoadedModel, grasps: Sequence[Grasp]) -> list[Recor
     answers = []
     for number, grasp in enumerate(grasps):
         posterior = model.recognizer.posterior(grasp)
+        label = posterior.decision()
         answers.append(
             RecordedAnswer(
                 number=number,
-                label=posterior.decision(),
-                probability=float(posterior.probability.max()),
+                label=label,
+                probability=posterior.unknown
+                if label == UNKNOWN
+                else float(posterior.probability.max()),
                 unknown=posterior.unknown,
                 truth=grasp.label,
             )
@@ -95,5 +99,15 @@ def check_pads(model: LoadedModel, pads: PadArray) -> None:
     if not model.pads.same_as(pads):
         raise ModelError(
             f"the model was taught on {model.pads.n_taxels} taxels in {model.pads.n_pads} pads, "
-            f"these grasps have {pads.n_taxels} in {pads.n_pads}; teach on these pads"
+            f"these grasps have {pads.n_taxels} in {pads.n_pads}{_what_differs(model.pads, pads)}; "
+            "teach on these pads"
         )
+
+
+def _what_differs(taught: PadArray, pads: PadArray) -> str:
+    """Say what differs between pads of which there are as many."""
+    if (taught.n_taxels, taught.n_pads) != (pads.n_taxels, pads.n_pads):
+        return ""
+    if taught.adc_max != pads.adc_max:
+        return f", but a full scale of {pads.adc_max} instead of {taught.adc_max}"
+    return " at other places"

@@ -234,6 +234,10 @@ def test_what_a_gauge_must_be(taught: Any, make_grasp: Callable[..., Any]) -> No
     pads = taught.grasps[0].pads
     with pytest.raises(CellError, match="a gauge is one object, these grasps are of ball, box"):
         gauge_shape(taught.grasps, None, config)
+    with pytest.raises(CellError, match="a gauge is one object, these grasps are of ball, box"):
+        gauge_shape(taught.grasps, BALL, config)
+    wrong = calibrate_on_gauge([g for g in taught.grasps if g.label == "box"], ball, pads)
+    assert "is this the gauge's shape?" in str(wrong)
     with pytest.raises(CellError, match="'thing' is not known: add --gauge-shape"):
         gauge_shape([make_grasp("thing")], None, config)
     with pytest.raises(ConfigError, match="unknown shape"):

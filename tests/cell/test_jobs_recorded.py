@@ -15,6 +15,7 @@ from cell.jobs.identifying import identify_on_cell, identify_recorded
 from cell.jobs.progress import silent
 from cell.jobs.replaying import replay_grasps
 from cell.model import LoadedModel
+from recognition.grasp import PadArray
 from recognition.recognizers import DEFAULT_TRAINER, TRAINERS
 
 SPLIT = "chronological:0.6"
@@ -251,3 +252,30 @@ def test_a_model_of_other_pads_is_refused_before_the_object_is_asked_for(
     bench = make_bench(config)
     with pytest.raises(ModelError, match="teach on these pads"):
         identify_on_cell(bench.cell, config, loaded(taught), held="box", progress=silent)
+
+
+def test_an_unknown_object_has_the_probability_of_being_unknown(taught: Any) -> None:
+    grasp = taught.grasps[0]
+    untouched = replace(grasp, counts=np.repeat(grasp.counts[:1], grasp.n_frames, 0))
+    (answer,) = identify_recorded(loaded(taught), [untouched])
+    assert (answer.label, answer.probability, answer.unknown) == ("UNKNOWN", 1.0, 1.0)
+
+
+def test_pads_that_differ_in_full_scale_or_place_are_told_apart(taught: Any) -> None:
+    grasp = taught.grasps[0]
+    pads = grasp.pads
+    finer = PadArray(
+        pad_shape=pads.pad_shape,
+        taxel_pad=pads.taxel_pad,
+        taxel_xy_m=pads.taxel_xy_m,
+        adc_max=4095,
+    )
+    moved = PadArray(
+        pad_shape=pads.pad_shape,
+        taxel_pad=pads.taxel_pad,
+        taxel_xy_m=1.1 * pads.taxel_xy_m,
+        adc_max=pads.adc_max,
+    )
+    for other, text in ((finer, "a full scale of 4095 instead of 255"), (moved, "at other places")):
+        with pytest.raises(ModelError, match=text):
+            identify_recorded(loaded(taught), [replace(grasp, pads=other)])
