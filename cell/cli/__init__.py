@@ -1,6 +1,7 @@
 """The command line: arguments and printing, no logic."""
 
 import os
+import signal
 import sys
 
 # Matrices here are small: a second BLAS thread gains nothing alone and spins against the force loop
@@ -16,6 +17,7 @@ def main() -> None:
         # Loading takes a second: what is pressed meanwhile interrupts no job.
         from cell.cli.app import main as run  # noqa: PLC0415
     except KeyboardInterrupt:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
         sys.stderr.write("error: interrupted before anything began\n")
         sys.exit(1)
     run()

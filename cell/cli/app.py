@@ -1,6 +1,8 @@
 """The commands and how errors become exit codes: 0 done, 1 the job failed, 2 wrong use."""
 
+import signal
 import sys
+from typing import NoReturn
 
 import typer
 
@@ -44,16 +46,20 @@ def main() -> None:
     try:
         app()
     except ConfigError as error:
-        complain(str(error))
-        sys.exit(2)
+        _end(str(error), 2)
     except (CellError, GripperError, TactileError) as error:
-        complain(str(error))
-        sys.exit(1)
+        _end(str(error), 1)
     except OSError as error:
         # A full disk behind the output, no more open files: the system's word is all there is.
-        complain(f"{error.strerror or error}{f': {error.filename}' if error.filename else ''}")
-        give_up_output()
-        sys.exit(1)
+        _end(f"{error.strerror or error}{f': {error.filename}' if error.filename else ''}", 1)
     except KeyboardInterrupt:
-        complain(INTERRUPTED)
-        sys.exit(1)
+        _end(INTERRUPTED, 1)
+
+
+def _end(text: str, code: int) -> NoReturn:
+    """Say why, and end; whoever presses Ctrl-C once more is told the same."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    complain(text)
+    give_up_output()
+    signal.signal(signal.SIGINT, before)
+    sys.exit(code)

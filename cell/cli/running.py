@@ -31,7 +31,7 @@ def running_cell(
     for note in cell.notes:
         warn(note)
     try:
-        with _closing(cell), stopping(cell.controller.cancel, end_within_s=END_WITHIN_S):
+        with stopping(cell.controller.cancel, end_within_s=END_WITHIN_S), _closing(cell):
             cell.controller.start()
             yield cell
     except CellStopped as stop:
