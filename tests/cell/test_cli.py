@@ -541,7 +541,7 @@ def when_pressed(made: Any, act: Callable[[], None]) -> None:
     done: list[bool] = []
 
     def look(_now_s: float) -> None:
-        if not done and min(made.simulated.world.contact_force_n()) > 1.0:
+        if not done and min(made.simulated.world.contact_force_n()) > 2.0:
             done.append(True)
             act()
 

@@ -95,7 +95,7 @@ def test_a_fault_is_no_part_of_recorded_grasps_or_drawings(run: Any, tmp_path: P
 def test_a_job_with_a_fault_ends_with_the_grip_kept(run: Any, tmp_path: Path) -> None:
     code, said = run(
         *("teach", "ball", "--output", tmp_path / "set.npz", "--grasps", 1),
-        *("--config", small(tmp_path), "--out", tmp_path, "--fault", "servos.off@contact+0.1s"),
+        *("--config", small(tmp_path), "--out", tmp_path, "--fault", "servos.off@contact+0.3s"),
     )
     assert code == 1
     assert "the grip is kept" in said
