@@ -78,6 +78,8 @@ its own beside it, named and numbered as on Weiss WSG grippers. A host reads bot
 - A fault latches. `clear` and `reset` are two acts of a person or host; none follows by itself.
 - No torque comes on by itself. The fingers open by `start` (empty ones), by `release` and
   `release_held`, and at the planned end of a grasp; never by a fault, a stop, a signal or an end.
+- Fingers that a fault or a stop meets on their way, letting go too, stand still where they are; the
+  message says at which opening. Where they hear nothing their bus watchdog stops them.
 - A command that is not allowed raises `CellStateError`, says what is, and changes nothing.
 - After a restart the cell is STOPPED. `start` reads what is there; torque found on is a fault.
 """

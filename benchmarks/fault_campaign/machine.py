@@ -34,7 +34,7 @@ _STEPS_OF_ROUNDS = 75
 """About so many steps are driven by them: a grasp with a fault is two, a recovery seven."""
 _CHUNK_STEPS = 2000
 _FAULTS = fault_texts()
-_FORCE = st.sampled_from((0.7, 1.0, 3.0, 3.0, 5.0, 8.0, 14.9, 40.0))
+_FORCE = st.sampled_from((0.7, 1.0, 3.0, 3.0, 5.0, 8.0, 14.2, 14.9, 40.0))
 _TURN_RAD = st.sampled_from((0.0, 0.7, 1.57))
 _READY = st.sampled_from(("as it is", "start", "recover", "recover "))
 _X_MM = st.sampled_from((0.0, 1.0, -2.0, 4.0, 40.0))
