@@ -7,7 +7,14 @@ from dataclasses import dataclass
 
 from gripper.bus import ServoBus
 from gripper.force import ForceSample
-from gripper.gripper import Cycle, Gripper, GripperPhase, GripperSettings, ServoSettings
+from gripper.gripper import (
+    Cycle,
+    GraspResult,
+    Gripper,
+    GripperPhase,
+    GripperSettings,
+    ServoSettings,
+)
 from gripper.kinematics import ParallelLinkage
 from gripper.loop_settings import ForceLoopSettings
 from gripper.ramp import ForceRamp
@@ -161,9 +168,12 @@ class Rig:
 
         self.gripper.start()
         outcome = self.gripper.grasp(ForceRamp.linear(final_n, rate_n_s), observe)
-        self.gripper.hold(_HOLD_S, observe)
         if outcome.contact_t_s is None:
             raise SystemExit(f"the fingers did not find the part: {outcome}")
+        if outcome.result is GraspResult.PART_LOST:
+            # The fingers ran as after a part that slips away: a law that does this holds nothing.
+            return Quality(overshoot_n=0.0, settling_s=_HOLD_S, holding_n=final_n)
+        self.gripper.hold(_HOLD_S, observe)
         tolerance_n = max(0.2, 0.05 * final_n)
         ramped = [entry for entry in self._trace if entry[0] >= outcome.contact_t_s]
         after = [(t_s - ends_s[0], n - final_n) for t_s, n in ramped if t_s >= ends_s[0]]
