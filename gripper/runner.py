@@ -205,8 +205,8 @@ class LoopRunner:
             why = f" ({sample.reason})" if sample is not None and sample.reason else ""
             raise ForceSensorStale(
                 f"no valid force sample for {age_s:.3f} s{why}, force_stale_s is "
-                f"{self._settings.force_stale_s} s: the goals are frozen, the grip is kept; "
-                f"check the tactile sensor, then clear the fault"
+                f"{self._settings.force_stale_s} s: the goals are frozen; check the tactile "
+                f"sensor, then clear the fault"
             )
         self._servos.guard.check_force()
 
