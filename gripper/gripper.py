@@ -374,9 +374,10 @@ class Gripper:
 
         With nothing held the torque goes off. With a part possibly held torque and goals stay as
         they are and the bus watchdog is disarmed, so that the grip does not end by a trip: the
-        servos then hold on without supervision until somebody releases the part.
+        servos then hold on without supervision until somebody releases the part. The watchdog stays
+        armed where it alone stops fingers on their way.
         """
-        if self._life.phase is GripperPhase.OFF:
+        if self._life.phase is GripperPhase.OFF or self._life.left_alone:
             return
         try:
             if self._life.phase is GripperPhase.IDLE and self._life.fault is None:

@@ -230,6 +230,9 @@ def test_fingers_on_their_way_stop_where_they_are(make_cell, command, how, error
     assert told.startswith(f"the fingers {left} while {doing}, at an opening of ")
     assert ("half held" in told) == (command == "release")
     assert ("watchdog" in told) == (left != "stopped")
+    if left != "stopped":
+        cell.gripper.keep_grip()
+        cell.gripper.close()
     cell.clock.sleep(0.25)
     stood_m = cell.mechanics.aperture_m
     assert stood_m < 0.036
