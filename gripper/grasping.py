@@ -88,7 +88,7 @@ class GraspRun:
             slip.check(moment, 0, setpoint_n=self._setpoint_n)
             goals = control.goals(
                 moment,
-                self._servos.transmissions(moment.state.servos),
+                self._servos.feedback.transmissions(moment.state.servos),
                 self._setpoint_n,
                 taper=elapsed_s > self._settings.taper_after_s,
             )
@@ -121,7 +121,7 @@ class GraspRun:
             self._setpoint_n = ramp.setpoint_n(elapsed_s)
             goals = control.goals(
                 moment,
-                self._servos.transmissions(moment.state.servos),
+                self._servos.feedback.transmissions(moment.state.servos),
                 self._setpoint_n,
                 arrival_n=ramp.arrival_n(elapsed_s),
             )
@@ -133,8 +133,8 @@ class GraspRun:
 
     def _approach(self, observer: Observer | None) -> tuple[ApproachEvent, GripperState]:
         settings = self._settings
-        start = self._servos.read_patiently()
-        paths = self._servos.transmissions(start.servos)
+        start = self._servos.feedback.read_patiently()
+        paths = self._servos.feedback.transmissions(start.servos)
         current_max_a = min(
             settings.current_max_a,
             *(path.loading_current_a(settings.force_max_n) for path in paths),
@@ -159,7 +159,7 @@ class GraspRun:
             self._free.push(
                 moment.now_s,
                 moment.state,
-                self._servos.transmissions(moment.state.servos),
+                self._servos.feedback.transmissions(moment.state.servos),
                 running=approach.runs_freely(moment.state),
             )
             event, angles_rad = approach.step(
@@ -186,7 +186,7 @@ class GraspRun:
 
         def step(moment: Moment) -> Action:
             nonlocal control, actual, elapsed_s, peak_n, lost
-            paths = self._servos.transmissions(moment.state.servos)
+            paths = self._servos.feedback.transmissions(moment.state.servos)
             self._compliance.push(moment.now_s, moment.state.aperture_m, moment.sample)
             if rest.goes_on(moment):
                 return Action()

@@ -160,7 +160,7 @@ class Gripper:
 
     def read_state(self) -> GripperState:
         """Read the feedback of all servos in one transaction."""
-        return self._servos.read_patiently()
+        return self._servos.feedback.read_patiently()
 
     def tick(self) -> None:
         """Feed the bus watchdog and look after the servos between commands.
@@ -411,12 +411,12 @@ class Gripper:
         return control
 
     def _move_to(self, aperture_m: float, observer: Observer | None) -> GripperState:
-        state = self._servos.read_patiently()
+        state = self._servos.feedback.read_patiently()
         move = MoveTo(
             self._settings,
             self._linkage,
             state,
-            self._servos.transmissions(state.servos),
+            self._servos.feedback.transmissions(state.servos),
             aperture_m=aperture_m,
             now_s=state.t_s,
         )

@@ -125,10 +125,10 @@ class Lifecycle:
     def _stop(self, stop: GraspStopped) -> None:
         if not self.phase.moving:
             with suppress(GripperError):
-                self._servos.calm()
+                self._servos.standstill.calm()
             return
         with self._servos.in_loop():
-            alone = self._servos.halt()
+            alone = self._servos.standstill.halt()
         if not alone:
             self._tell(stop, self.phase, Left.STILL)
             return
@@ -142,7 +142,7 @@ class Lifecycle:
         """Note on what ends a motion where it has left the fingers, and what they may hold."""
         if not phase.moving:
             return
-        aperture_m = self._servos.aperture_m
+        aperture_m = self._servos.feedback.aperture_m
         where = "" if aperture_m is None else f", at an opening of {aperture_m * 1e3:.1f} mm"
         alone = "; the servos' bus watchdog stops them" if left is Left.ALONE else ""
         if not self.part_possible:

@@ -74,6 +74,6 @@ class MissedReads:
         if self._in_row == _FREEZE_AT:
             with suppress(GripperError):
                 if phase.moving:
-                    self._servos.stand_still()
+                    self._servos.standstill.stand_still()
                 else:
-                    self._servos.calm()
+                    self._servos.standstill.calm()

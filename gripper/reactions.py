@@ -56,24 +56,24 @@ def react(
         return Left.ALONE
     # No patience here: a servo that does not answer must not hold up the others.
     with servos.in_loop():
-        over_force = isinstance(error, ForceAboveCap) or servos.force_is_too_high()
+        over_force = isinstance(error, ForceAboveCap) or servos.goals.guard.force_is_too_high()
         limp = over_force and settings.over_force is OverForce.LIMP
         if limp or isinstance(error, FeedbackImplausible):
             servos.go_limp()
             return Left.LIMP
         opens = over_force and settings.over_force is OverForce.OPEN
         halts = moving and not opens
-        alone = servos.halt() if halts else []
+        alone = servos.standstill.halt() if halts else []
         with suppress(GripperError):
             if opens:
-                servos.open_a_step()
+                servos.standstill.open_a_step()
             elif over_force:
-                servos.lower_currents()
+                servos.standstill.lower_currents()
             elif isinstance(error, FingerSilent) or (
                 isinstance(error, ServoFault) and error.torque_lost
             ):
-                servos.stand_still()
+                servos.standstill.stand_still()
             elif not halts:
-                servos.calm()
+                servos.standstill.calm()
         servos.disarm_each(but=alone)
     return Left.ALONE if alone else Left.STILL

@@ -32,7 +32,7 @@ def make_ready(
         When a servo to be released is not what the settings say.
     """
     health = servos.health
-    known = bool(servos.goals)
+    known = bool(servos.goals.last)
     if releasing and not known and health.torque_on() and not health.verify(correct=False).ok:
         # The release was asked for: only with the torque off can the mode be corrected.
         servos.switch_off()
@@ -53,5 +53,5 @@ def make_ready(
 
 
 def _current_a(servos: ServoGroup, settings: GripperSettings) -> float:
-    paths = servos.transmissions(servos.read_patiently().servos)
+    paths = servos.feedback.transmissions(servos.feedback.read_patiently().servos)
     return motion_current_a(settings, paths, settings.approach_force_n)

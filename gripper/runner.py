@@ -116,7 +116,7 @@ class LoopRunner:
         """
         asked_s = self._clock.monotonic()
         try:
-            state = self._servos.read()
+            state = self._servos.feedback.read()
         except (BusTimeout, BusCorrupt) as error:
             self._timer.missed_reads += 1
             self._missed.missed(error, asked_s, self._clock.monotonic())
@@ -176,7 +176,7 @@ class LoopRunner:
                     self._timer.sensor_age(self._clock.monotonic() - sample.t_s)
                 if sample is not None and sample.valid:
                     fresh_s = max(fresh_s, sample.t_s)
-                    self._servos.note_force(sample)
+                    self._servos.goals.guard.note_force(sample)
                 if needs_force:
                     self._check_force(state.t_s, fresh_s, sample)
                 moment = Moment(
@@ -188,7 +188,7 @@ class LoopRunner:
                 last_s = state.t_s
                 action = step(moment)
                 if action.goals is not None:
-                    self._servos.write_goals(action.goals, state)
+                    self._servos.goals.write(action.goals, state)
                 if self._settings.derates(state.temperature_c):
                     self._timer.derated += 1
                 self._look_after_health(state)
@@ -208,7 +208,7 @@ class LoopRunner:
                 f"{self._settings.force_stale_s} s: the goals are frozen; check the tactile "
                 f"sensor, then clear the fault"
             )
-        self._servos.guard.check_force()
+        self._servos.goals.guard.check_force()
 
     def _look_after_health(self, state: GripperState) -> None:
         self._cycles += 1
@@ -221,7 +221,7 @@ class LoopRunner:
                 self._timer.missed_reads += 1
 
     def _cycle(self, phase: GripperPhase, moment: Moment, action: Action) -> Cycle:
-        goals = self._servos.goals
+        goals = self._servos.goals.last
         return Cycle(
             t_s=moment.now_s,
             phase=phase,

@@ -99,16 +99,16 @@ def prove_watchdog(
             f"watchdog_s is {settings.watchdog_s} s: its self-test would move the fingers by "
             f"{way_rad:.2f} rad, at most {_LONGEST_RAD} rad are allowed; shorten watchdog_s"
         )
-    begin = servos.read()
+    begin = servos.feedback.read()
     goals_rad = [servo.angle_rad - way_rad for servo in begin.servos]
     if linkage.aperture_m(goals_rad) < settings.aperture_min_m:
         raise LimitExceeded(
             f"the fingers stand at {begin.aperture_m * 1e3:.1f} mm, too closed for the self-test "
             f"of the watchdog: open them first"
         )
-    paths = servos.transmissions(begin.servos)
+    paths = servos.feedback.transmissions(begin.servos)
     current_a = motion_current_a(settings, paths, _FORCE_N)
-    servos.write_goals(
+    servos.goals.write(
         [ServoGoal(angle_rad=angle, current_a=current_a) for angle in goals_rad],
         begin,
         profile_velocity_raw=_SPEED_RAW,
@@ -117,11 +117,11 @@ def prove_watchdog(
     before = begin
     while before.t_s - begin.t_s < _START_S:
         clock.sleep(_FEED_S)
-        before = servos.read()
+        before = servos.feedback.read()
     clock.sleep(_SILENT_SHARE * settings.watchdog_s + _SILENT_MORE_S)
-    stopped = servos.read()
+    stopped = servos.feedback.read()
     clock.sleep(_REST_S)
-    later = servos.read()
+    later = servos.feedback.read()
     tripped = servos.health.watchdogs_tripped()
     servos.restart_watchdog(current_a)
     proofs = tuple(

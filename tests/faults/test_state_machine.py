@@ -13,7 +13,7 @@ from benchmarks.fault_campaign.texts import fault_texts
 from cell.controller import CellController
 from gripper.gripper import Gripper, GripperPhase
 from gripper.registers import REGISTERS
-from gripper.servos import ServoGroup
+from gripper.standstill import Standstill
 from simulator.faults import check_fault
 
 PIECES = 10
@@ -88,7 +88,7 @@ def test_fingers_that_a_cancel_does_not_stop_are_found(monkeypatch: pytest.Monke
             cell.close()
 
     letting_go()
-    monkeypatch.setattr(ServoGroup, "halt", lambda _servos: [])
+    monkeypatch.setattr(Standstill, "halt", lambda _standstill: [])
     with pytest.raises(InvariantBroken, match=r"the fingers went on from .* after their stop"):
         letting_go()
 
