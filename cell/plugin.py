@@ -7,55 +7,27 @@ the plugin grasps and tells what it held.
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
-
 from cell.build import Cell, build_cell
-from cell.choosing import ActiveChooser, check_active, remember_records
-from cell.collect import GraspRecord, pad_array
+from cell.choosing import check_active
+from cell.collect import pad_array
 from cell.config import CellConfig
 from cell.config_file import load_config
-from cell.errors import CellStateError, ConfigError
+from cell.errors import CellStateError
+from cell.goals import IdentifyGoal, TeachGoal, checked_goal
 from cell.host_watch import HostWatch
 from cell.layouts import layout_from_config
 from cell.model import load_model, save_model
 from cell.pose import Pose
-from cell.sequence import plan
 from cell.states import CellState
+from cell.taught import Answer, TaughtObjects
 from cell.worker import CellWorker, Job, JobOutcome, JobStatus, Report
-from recognition.next_pose import PoseMemory
-from recognition.recognizer import Recognizer
-from recognition.recognizers import make_trainer
 
-
-class _Goal(BaseModel):
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
-
-
-class TeachGoal(_Goal):
-    """Grasp a known object."""
-
-    label: str = Field(min_length=1, max_length=60)
-    """Name of the object."""
-    grasps: int = Field(default=10, ge=1, le=1000)
-    """How many times it is grasped, 1 to 1000."""
-    seed: int = Field(default=0, ge=0)
-    """Seed of the plan of poses and forces."""
-
-
-class IdentifyGoal(_Goal):
-    """Grasp and classify an unknown object until its name is sure enough."""
-
-    max_grasps: int | None = Field(default=None, ge=1, le=100)
-    """Most grasps; none: as the config says."""
-    seed: int = Field(default=1, ge=0)
-    """Seed of the plan of poses and forces."""
-    present: str | None = None
-    """Object to place first, where the positioner can do so (simulated cell)."""
+__all__ = ["Answer", "CellStatus", "IdentifyGoal", "TactileCellPlugin", "TeachGoal"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,31 +52,6 @@ class CellStatus:
     grasp_number: int
     holding: bool
     fault: str | None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Answer:
-    """What an identification says.
-
-    Attributes
-    ----------
-    label
-        A taught label, or ``UNKNOWN``.
-    probability
-        Probability of the label.
-    probabilities
-        Probability of each taught label, given that the object was taught.
-    unknown
-        Probability that the object was never taught.
-    n_grasps
-        Grasps that it took.
-    """
-
-    label: str
-    probability: float
-    probabilities: Mapping[str, float] = field(hash=False)
-    unknown: float
-    n_grasps: int
 
 
 class TactileCellPlugin:
@@ -153,15 +100,13 @@ class TactileCellPlugin:
                 update={"positioner": checked.positioner.model_copy(update={"kind": "callback"})}
             )
         self._config = checked
-        self._lock = threading.Lock()
         self._starting = threading.Lock()
         check_active(checked.sequence, taught=model is None)
-        self._taught: list[GraspRecord] = []
-        self._memory: PoseMemory | None = None
-        self._recognizer: Recognizer | None = (
+        self._taught = TaughtObjects(
+            checked,
             None
             if model is None
-            else load_model(Path(model), pad_array(layout_from_config(checked.tactile))).recognizer
+            else load_model(Path(model), pad_array(layout_from_config(checked.tactile))).recognizer,
         )
         self._cell: Cell = build_cell(checked, mover=mover)
         try:
@@ -197,7 +142,7 @@ class TactileCellPlugin:
     @property
     def labels(self) -> tuple[str, ...]:
         """The taught objects."""
-        return self._recognizer.labels if self._recognizer is not None else ()
+        return self._taught.labels
 
     def state(self) -> str:
         """Return the state of the cell, a PackML name."""
@@ -242,19 +187,21 @@ class TactileCellPlugin:
             If another job runs, nothing was taught yet, or a model was loaded whose grasps are not
             at hand: teaching would forget its objects.
         """
-        checked = _goal(goal)
+        checked = checked_goal(goal)
+        controller, recognizer = self._cell.controller, self._taught.recognizer
         if isinstance(checked, TeachGoal):
-            if self._recognizer is not None and not self._taught:
+            if self._taught.loaded:
                 raise CellStateError(
                     f"the loaded model knows {', '.join(self.labels)}, but their grasps are not in "
                     "it; teaching here would forget them: load the plugin without a model, or "
                     "extend the data set and train anew"
                 )
-            return self._accept(lambda report: self._teach(checked, report))
-        if self._recognizer is None:
+            return self._accept(lambda report: self._taught.teach(controller, checked, report))
+        if recognizer is None:
             raise CellStateError("nothing was taught; start a teach goal or load a model first")
-        recognizer = self._recognizer
-        return self._accept(lambda report: self._identify(checked, recognizer, report))
+        return self._accept(
+            lambda report: self._taught.identify(controller, checked, recognizer, report)
+        )
 
     def feedback(self, job: Job) -> JobStatus:
         """Say where a job stands; never waits."""
@@ -323,11 +270,11 @@ class TactileCellPlugin:
 
     def save(self, path: Path | str) -> None:
         """Write what was taught to a model file. Raises CellStateError if nothing was."""
-        if self._recognizer is None:
+        if self._taught.recognizer is None:
             raise CellStateError("nothing was taught, there is no model to save")
         save_model(
             Path(path),
-            self._recognizer,
+            self._taught.recognizer,
             trainer_name=self._config.recognition.recognizer,
             pads=self._cell.controller.pads,
         )
@@ -358,74 +305,3 @@ class TactileCellPlugin:
 
     def _calling(self) -> AbstractContextManager[None]:
         return nullcontext() if self._watch is None else self._watch.calling()
-
-    # -- jobs, on the worker's thread -----------------------------------------------------------
-
-    def _teach(self, goal: TeachGoal, report: Report) -> int:
-        steps = plan(self._config.sequence, goal.grasps, seed=goal.seed)
-        taught = []
-        for record in self._cell.controller.collect(goal.label, steps):
-            taught.append(record)
-            report({"task": "teach", "label": goal.label, "grasps": len(taught), "of": len(steps)})
-        with self._lock:
-            self._taught.extend(taught)
-            trainer = make_trainer(
-                self._config.recognition.recognizer,
-                use_aperture=self._config.recognition.use_aperture,
-            )
-            self._recognizer = trainer.fit([record.grasp for record in self._taught])
-            if self._config.sequence.kind == "active":
-                self._memory = remember_records(trainer, self._taught)
-        return len(taught)
-
-    def _identify(self, goal: IdentifyGoal, recognizer: Recognizer, report: Report) -> Answer:
-        self._cell.controller.present(goal.present)
-        n_grasps = goal.max_grasps or self._config.sequence.max_grasps
-        found = self._cell.controller.identify(
-            recognizer,
-            plan(self._config.sequence, n_grasps, seed=goal.seed),
-            chooser=None
-            if self._memory is None
-            else ActiveChooser(self._memory, self._config.sequence, seed=goal.seed),
-            on_grasp=lambda number, record, posterior: report(
-                {
-                    "task": "identify",
-                    "grasps": number,
-                    "of": n_grasps,
-                    "best": posterior.best,
-                    "probability": float(posterior.probability.max()),
-                    "force_n": record.step.force_n,
-                }
-            ),
-        )
-        return Answer(
-            label=found.label,
-            probability=found.probability,
-            probabilities=dict(
-                zip(found.fused.labels, map(float, found.fused.probability), strict=True)
-            ),
-            unknown=found.fused.unknown,
-            n_grasps=len(found.records),
-        )
-
-
-_TASKS: dict[str, TypeAdapter[TeachGoal] | TypeAdapter[IdentifyGoal]] = {
-    "teach": TypeAdapter(TeachGoal),
-    "identify": TypeAdapter(IdentifyGoal),
-}
-
-
-def _goal(goal: TeachGoal | IdentifyGoal | Mapping[str, Any]) -> TeachGoal | IdentifyGoal:
-    if isinstance(goal, TeachGoal | IdentifyGoal):
-        return goal
-    fields = dict(goal)
-    task = fields.pop("task", None)
-    if task not in _TASKS:
-        raise ConfigError(f"goal has task {task!r}; write one of {', '.join(_TASKS)}")
-    try:
-        return _TASKS[task].validate_python(fields)
-    except ValidationError as error:
-        complaints = "; ".join(
-            f"{'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors()
-        )
-        raise ConfigError(f"goal {task}: {complaints}") from error

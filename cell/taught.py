@@ -1,0 +1,130 @@
+"""The objects that a cell was taught: grasped to be learnt, and told apart by touch."""
+
+import threading
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from cell.choosing import ActiveChooser, remember_records
+from cell.collect import GraspRecord
+from cell.config import CellConfig
+from cell.controller import CellController
+from cell.goals import IdentifyGoal, TeachGoal
+from cell.sequence import plan
+from cell.worker import Report
+from recognition.next_pose import PoseMemory
+from recognition.recognizer import Recognizer
+from recognition.recognizers import make_trainer
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answer:
+    """What an identification says.
+
+    Attributes
+    ----------
+    label
+        A taught label, or ``UNKNOWN``.
+    probability
+        Probability of the label.
+    probabilities
+        Probability of each taught label, given that the object was taught.
+    unknown
+        Probability that the object was never taught.
+    n_grasps
+        Grasps that it took.
+    """
+
+    label: str
+    probability: float
+    probabilities: Mapping[str, float] = field(hash=False)
+    unknown: float
+    n_grasps: int
+
+
+class TaughtObjects:
+    """Recognizer of the taught objects, and the grasps that it was trained with.
+
+    Parameters
+    ----------
+    config
+        Of the cell.
+    recognizer
+        As a model file has it, without its grasps; None when nothing was taught yet.
+
+    Attributes
+    ----------
+    recognizer
+        The present one; None when nothing was taught yet.
+    """
+
+    def __init__(self, config: CellConfig, recognizer: Recognizer | None) -> None:
+        self.recognizer = recognizer
+        self._config = config
+        self._lock = threading.Lock()
+        self._taught: list[GraspRecord] = []
+        self._memory: PoseMemory | None = None
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The taught objects."""
+        return self.recognizer.labels if self.recognizer is not None else ()
+
+    @property
+    def loaded(self) -> bool:
+        """Whether the recognizer is a loaded one, whose grasps are not at hand."""
+        return self.recognizer is not None and not self._taught
+
+    def teach(self, controller: CellController, goal: TeachGoal, report: Report) -> int:
+        """Grasp an object as the goal says, train anew, and return the number of grasps."""
+        steps = plan(self._config.sequence, goal.grasps, seed=goal.seed)
+        taught = []
+        for record in controller.collect(goal.label, steps):
+            taught.append(record)
+            report({"task": "teach", "label": goal.label, "grasps": len(taught), "of": len(steps)})
+        with self._lock:
+            self._taught.extend(taught)
+            trainer = make_trainer(
+                self._config.recognition.recognizer,
+                use_aperture=self._config.recognition.use_aperture,
+            )
+            self.recognizer = trainer.fit([record.grasp for record in self._taught])
+            if self._config.sequence.kind == "active":
+                self._memory = remember_records(trainer, self._taught)
+        return len(taught)
+
+    def identify(
+        self,
+        controller: CellController,
+        goal: IdentifyGoal,
+        recognizer: Recognizer,
+        report: Report,
+    ) -> Answer:
+        """Grasp an object until its name is sure enough, and return the answer."""
+        controller.present(goal.present)
+        n_grasps = goal.max_grasps or self._config.sequence.max_grasps
+        found = controller.identify(
+            recognizer,
+            plan(self._config.sequence, n_grasps, seed=goal.seed),
+            chooser=None
+            if self._memory is None
+            else ActiveChooser(self._memory, self._config.sequence, seed=goal.seed),
+            on_grasp=lambda number, record, posterior: report(
+                {
+                    "task": "identify",
+                    "grasps": number,
+                    "of": n_grasps,
+                    "best": posterior.best,
+                    "probability": float(posterior.probability.max()),
+                    "force_n": record.step.force_n,
+                }
+            ),
+        )
+        return Answer(
+            label=found.label,
+            probability=found.probability,
+            probabilities=dict(
+                zip(found.fused.labels, map(float, found.fused.probability), strict=True)
+            ),
+            unknown=found.fused.unknown,
+            n_grasps=len(found.records),
+        )
