@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from cell.config import CellConfig
 from cell.config_gripper import ParallelLinkageConfig
+from cell.config_tactile import LinearCalibrationConfig
 from cell.errors import ConfigError, PositionerError
 from cell.layouts import layout_from_config
 from cell.pose import Pose
@@ -25,6 +26,7 @@ from simulator.pcap import PcapWriter
 from simulator.settings import RecordedGrasp, SimulatedServoSettings, SimulatorSettings
 from simulator.shape_text import parse_shape
 from simulator.shapes import ObjectPose, Shape
+from simulator.taxels import SensorLaw
 from tactile.layout import TaxelLayout
 
 Counts = NDArray[np.float64]
@@ -80,6 +82,7 @@ def simulator_settings(
             if config.tactile.serial_number is None
             else config.tactile.serial_number,
             board_serial_numbers=config.tactile.board_serial_numbers or (1, 2),
+            law=sensor_law(config),
             noise=NoiseModel(kind=settings.noise, level=settings.noise_level),
             seed=config.seed,
             objects=simulated_objects(config),
@@ -153,6 +156,15 @@ def converter_noise(config: CellConfig) -> Callable[[np.random.Generator, int], 
     noise = NoiseModel(kind=settings.noise, level=settings.noise_level)
     adc_max = layout_from_config(config.tactile).adc_max
     return lambda rng, n: noise.sample(rng, n, adc_max)
+
+
+def sensor_law(config: CellConfig) -> SensorLaw:
+    """Return how force becomes counts on a sensor for which the config's calibration is right."""
+    law = config.tactile.calibration
+    if isinstance(law, LinearCalibrationConfig):
+        adc_max = layout_from_config(config.tactile).adc_max
+        return SensorLaw(full_scale_n=adc_max * law.force_per_count_n)
+    return SensorLaw(gain=1.0 / law.gain)
 
 
 class InProcessPlacer:

@@ -4,7 +4,8 @@ The foam is a bed of columns side by side. A column that is pressed in to the st
 pressure E e (1 + d (e / (1 - e))^2), beyond a largest strain along the tangent. On its way through
 the sheet the pressure spreads as a Gaussian, mirrored at the rims of the pad, so that no force is
 lost. A taxel that carries F newtons reads the share 1 - exp(-0.449 gain F) of the full scale:
-equation (11) of the paper under constant current, inverted.
+equation (11) of the paper under constant current, inverted. A linear sensor reads gain F over the
+force of its full scale.
 """
 
 from collections.abc import Mapping
@@ -40,9 +41,11 @@ class FoamModel:
     spread_m
         Standard deviation in m by which the pressure spreads.
     gain
-        Factor on the force that a taxel feels; 1 is equation (11).
+        Factor on the force that a taxel feels; 1 is equation (11), or the force of the full scale.
     aperture_offset_m
         What is added to the true opening when it is measured, in m.
+    full_scale_n
+        Force on a taxel in N at which a linear sensor reads its full scale; None: equation (11).
 
     Raises
     ------
@@ -57,6 +60,7 @@ class FoamModel:
     spread_m: float = 1.5e-3
     gain: float = 1.0
     aperture_offset_m: float = 0.0
+    full_scale_n: float | None = None
 
     def __post_init__(self) -> None:
         for name in ("thickness_m", "modulus_pa", "spread_m", "gain"):
@@ -69,6 +73,9 @@ class FoamModel:
             raise ValueError(f"foam: limit_strain is {self.limit_strain}, must be within (0, 1)")
         if not np.isfinite(self.aperture_offset_m):
             raise ValueError(f"foam: aperture_offset_m is {self.aperture_offset_m}, not finite")
+        full_n = self.full_scale_n
+        if full_n is not None and not (np.isfinite(full_n) and full_n > 0.0):
+            raise ValueError(f"foam: full_scale_n is {full_n}, must be positive and finite")
 
     def relative_pressure(self, indentation_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return pressure over modulus of columns, elementwise; 0 where nothing is pressed in."""
@@ -84,17 +91,24 @@ class FoamModel:
 
     def response(self, force_n: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return the reading of taxels under ``force_n`` N as a share of the full scale."""
-        return -np.expm1(-DECAY_PER_N * self.gain * force_n)
+        felt_n = self.gain * force_n
+        if self.full_scale_n is not None:
+            return np.minimum(felt_n / self.full_scale_n, 1.0)
+        return -np.expm1(-DECAY_PER_N * felt_n)
 
     def force_of(self, share: ArrayLike) -> NDArray[np.float64]:
         """Return the force in N behind readings given as a share of the full scale."""
-        open_share = np.maximum(1.0 - np.asarray(share, dtype=np.float64), 1e-3)
+        read = np.asarray(share, dtype=np.float64)
+        if self.full_scale_n is not None:
+            return np.asarray(read * (self.full_scale_n / self.gain), dtype=np.float64)
+        open_share = np.maximum(1.0 - read, 1e-3)
         force_n: NDArray[np.float64] = -np.log(open_share) / (DECAY_PER_N * self.gain)
         return force_n
 
     def as_dict(self) -> dict[str, float]:
-        """Return all values by their names, units in the names."""
-        return {name: float(getattr(self, name)) for name in self.__slots__}
+        """Return all values that are set by their names, units in the names."""
+        values = {name: getattr(self, name) for name in self.__slots__}
+        return {name: float(value) for name, value in values.items() if value is not None}
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Self:

@@ -161,6 +161,7 @@ class CellDevices:
             self.mechanics,
             WorldSettings(
                 foam=settings.foam,
+                law=settings.law,
                 noise=settings.noise,
                 seed=settings.seed,
                 objects=settings.objects,

@@ -14,6 +14,7 @@ from simulator.linkage import FingerLinkage, ParallelogramLinkage
 from simulator.mechanics import ServoMount
 from simulator.noise import NoiseModel
 from simulator.shapes import PAPER_OBJECTS, Shape
+from simulator.taxels import EQUATION_11, SensorLaw
 from tactile.layout import TaxelLayout
 from tactile.layouts import paper_layout
 
@@ -74,8 +75,9 @@ class SimulatorSettings:
         Node id, bit rate in bit/s and serial number of the control unit.
     board_serial_numbers
         Those of the pads' boards on finger 0 and finger 1.
-    foam, noise, seed
-        The pads, the converter's noise, the seed of everything that comes by chance.
+    foam, law, noise, seed
+        The pads, how force becomes counts, the converter's noise, the seed of everything that
+        comes by chance.
     objects
         Objects that can be placed by their name.
     aperture_m
@@ -98,6 +100,7 @@ class SimulatorSettings:
     serial_number: int = 1
     board_serial_numbers: tuple[int, int] = (1, 2)
     foam: Foam = field(default_factory=Foam)
+    law: SensorLaw = EQUATION_11
     noise: NoiseModel = field(default_factory=NoiseModel)
     seed: int = 0
     objects: Mapping[str, Shape] = field(default_factory=lambda: PAPER_OBJECTS)

@@ -1,6 +1,7 @@
 """From the pressure on a pad to the counts of its taxels."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,12 +29,35 @@ def resistance_mohm(force_n: NDArray[np.float64]) -> NDArray[np.float64]:
     return resistance
 
 
-def ideal_counts(force_n: NDArray[np.float64], adc_max: int) -> NDArray[np.float64]:
-    """Return what the converter reads under ``force_n`` N, before noise and rounding.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorLaw:
+    """How the converter reads force; without force it reads 0 counts.
 
-    Constant current and an inverting stage: 0 counts at rest, ``adc_max`` at no resistance.
+    Attributes
+    ----------
+    gain
+        Factor on the force that a taxel feels.
+    full_scale_n
+        Force in N that reads the full scale of a sensor whose counts are proportional to the
+        force; None: equation (11), constant current and an inverting stage.
     """
-    return adc_max * (1.0 - resistance_mohm(force_n) / RESISTANCE_AT_REST_MOHM)
+
+    gain: float = 1.0
+    full_scale_n: float | None = None
+
+
+EQUATION_11 = SensorLaw()
+"""The sensor of the paper."""
+
+
+def ideal_counts(
+    force_n: NDArray[np.float64], adc_max: int, law: SensorLaw = EQUATION_11
+) -> NDArray[np.float64]:
+    """Return what the converter reads under ``force_n`` N, before noise, limits and rounding."""
+    felt_n = law.gain * force_n
+    if law.full_scale_n is not None:
+        return adc_max * (felt_n / law.full_scale_n)
+    return adc_max * (1.0 - resistance_mohm(felt_n) / RESISTANCE_AT_REST_MOHM)
 
 
 class PadGrid:

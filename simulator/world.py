@@ -14,7 +14,7 @@ from simulator.noise import NoiseModel
 from simulator.press import Press
 from simulator.shape_text import parse_shape
 from simulator.shapes import PAPER_OBJECTS, ObjectPose, Shape, resting_pose
-from simulator.taxels import PadGrid, ideal_counts
+from simulator.taxels import EQUATION_11, PadGrid, SensorLaw, ideal_counts
 from tactile.layout import TaxelLayout
 
 STEP_S = 1e-3
@@ -63,6 +63,8 @@ class WorldSettings:
     ----------
     foam
         The sheet on each inner pad.
+    law
+        How force becomes counts.
     noise
         Noise of the converter.
     seed
@@ -75,6 +77,7 @@ class WorldSettings:
     """
 
     foam: Foam = field(default_factory=Foam)
+    law: SensorLaw = EQUATION_11
     noise: NoiseModel = field(default_factory=NoiseModel)
     seed: int = 0
     nest_friction_n: float = 0.05
@@ -244,9 +247,9 @@ class PhysicalWorld:
         return force_n
 
     def scan(self) -> NDArray[np.uint16]:
-        """Convert all taxels: equation (11), new noise, rounding; counts (n_taxels,)."""
+        """Convert all taxels: the sensor's law, new noise, rounding; counts (n_taxels,)."""
         adc_max = self._layout.adc_max
-        counts = ideal_counts(self.taxel_force_n(), adc_max)
+        counts = ideal_counts(self.taxel_force_n(), adc_max, self._settings.law)
         counts += self._settings.noise.sample(self._rng, self._layout.n_taxels, adc_max)
         converted: NDArray[np.uint16] = np.rint(np.clip(counts, 0.0, adc_max)).astype(np.uint16)
         return converted

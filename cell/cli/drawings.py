@@ -17,11 +17,11 @@ from cell.jobs.drawing import (
     gauge_shape,
     shapes_of,
     teach_drawing,
+    usual_foam,
 )
 from cell.jobs.teaching import append_to_dataset
 from cell.layouts import layout_from_config
 from cell.simulation import drawn_shape
-from recognition.foam_model import FoamModel
 from recognition.grasp import Grasp
 from recognition.shape_answer import ShapeAnswer
 
@@ -53,13 +53,15 @@ GaugeShapeOption = Annotated[
 
 def pad_knowledge(config: CellConfig, gauge: Path | None, gauge_text: str | None) -> PadKnowledge:
     """Return what a gauge tells of foam and sensor, or what is usual without one."""
+    foam = usual_foam(config)
     if gauge is None:
         if gauge_text is not None:
             raise ConfigError("--gauge-shape describes the gauge; name its grasps with --gauge")
-        return PadKnowledge(foam=FoamModel())
+        return PadKnowledge(foam=foam)
     grasps = read_dataset(gauge)
     drawing = gauge_shape(grasps, gauge_text, config)
-    return calibrate_on_gauge(grasps, drawing, pad_array(layout_from_config(config.tactile)))
+    pads = pad_array(layout_from_config(config.tactile))
+    return calibrate_on_gauge(grasps, drawing, pads, foam)
 
 
 def teach_from_drawing(

@@ -16,7 +16,7 @@ from cell.jobs.progress import Progress, silent
 from cell.layouts import layout_from_config
 from cell.ramps import force_ramp
 from cell.sequence import plan
-from cell.simulation import converter_noise, drawn_shape
+from cell.simulation import converter_noise, drawn_shape, sensor_law
 from cell.virtual_grasps import Course, Noise, VirtualPads
 from recognition.drawing import Drawing
 from recognition.errors import ContactError
@@ -98,6 +98,8 @@ class PadKnowledge:
             f"foam {1e-3 * foam.modulus_pa:.0f} kPa, spread {1e3 * foam.spread_m:.2f} mm, "
             f"sensor gain {foam.gain:.3f}, opening {1e3 * foam.aperture_offset_m:+.2f} mm"
         )
+        if foam.full_scale_n is not None:
+            text += f", linear up to {foam.full_scale_n:.3g} N a taxel"
         if self.fit is None:
             return f"{text}: not calibrated, add --gauge"
         modulus, gain, _, aperture = self.fit.sd
@@ -106,6 +108,12 @@ class PadKnowledge:
             f"within {aperture:.2f} mm), from {self.fit.n_grasps} grasps, misfit "
             f"{self.fit.misfit:.1f}" + (_BAD_FIT if self.fit.misfit > _BAD_MISFIT else "")
         )
+
+
+def usual_foam(config: CellConfig) -> FoamModel:
+    """Return the usual foam on a sensor that follows the config's law from force to counts."""
+    law = sensor_law(config)
+    return FoamModel(gain=law.gain, full_scale_n=law.full_scale_n)
 
 
 def gauge_shape(grasps: Sequence[Grasp], text: str | None, config: CellConfig) -> Drawing:
@@ -127,8 +135,19 @@ def gauge_shape(grasps: Sequence[Grasp], text: str | None, config: CellConfig) -
     raise CellError(f"the shape of the gauge {labels[0]!r} is not known: add --gauge-shape")
 
 
-def calibrate_on_gauge(grasps: Sequence[Grasp], drawing: Drawing, pads: PadArray) -> PadKnowledge:
+def calibrate_on_gauge(
+    grasps: Sequence[Grasp], drawing: Drawing, pads: PadArray, foam: FoamModel | None = None
+) -> PadKnowledge:
     """Fit stiffness and gain to grasps of a known object.
+
+    Parameters
+    ----------
+    grasps, drawing
+        The grasps and the shape of the object.
+    pads
+        Those of the cell.
+    foam
+        What is thought of foam and sensor beforehand; equation (11) by default.
 
     Raises
     ------
@@ -141,7 +160,7 @@ def calibrate_on_gauge(grasps: Sequence[Grasp], drawing: Drawing, pads: PadArray
             f"{pads.n_taxels}: grasp it on this cell"
         )
     try:
-        fit = fit_foam(grasps, drawing)
+        fit = fit_foam(grasps, drawing, foam)
     except ContactError as error:
         raise CellError(f"the gauge tells nothing: {error}") from error
     modulus_sd, gain_sd, spread_sd, aperture_sd_mm = (float(sd) for sd in fit.sd)
@@ -180,7 +199,7 @@ def teach_drawing(
     label, drawing, kind
         Name, shape and class of shape of the object.
     known
-        What is known of foam and sensor; what is usual by default.
+        What is known of foam and sensor; by default what is usual, under the config's law.
     seed
         Of poses, forces, noise and all that is not known exactly.
     start_ms
@@ -191,7 +210,7 @@ def teach_drawing(
     CellError
         If the object does not fit between the open pads, or lies beside them.
     """
-    known = known or PadKnowledge(foam=FoamModel())
+    known = known or PadKnowledge(foam=usual_foam(config))
     layout = layout_from_config(config.tactile)
     pads = pad_array(layout)
     first, second = layout.gripping_pads

@@ -13,8 +13,10 @@ from typer.testing import CliRunner
 from cell.cli.app import app
 from cell.collect import pad_array
 from cell.config import CellConfig
+from cell.config_file import config_text
 from cell.dataset import read_dataset, write_dataset
 from cell.errors import CellError, ConfigError
+from cell.hand_build import _calibration as calibration_of
 from cell.jobs.drawing import (
     PadKnowledge,
     calibrate_on_gauge,
@@ -22,14 +24,16 @@ from cell.jobs.drawing import (
     gauge_shape,
     shapes_of,
     teach_drawing,
+    usual_foam,
 )
 from cell.layouts import layout_from_config
 from cell.pose import Pose
-from cell.simulation import drawn_shape
+from cell.simulation import drawn_shape, simulator_settings
 from cell.virtual_press import reaches_m
 from recognition.foam_model import FoamModel, PadBed
 from recognition.ramp import find_ramp, learn_rest
 from recognition.recognizers import make_trainer
+from simulator.taxels import ideal_counts
 
 BALL = "sphere:diameter=9.5mm"
 BOX = "box:length=15.9mm,width=10mm,height=10mm"
@@ -154,6 +158,61 @@ def test_the_calibration_follows_another_foam() -> None:
     assert known.rest is not None
     assert known.trust.modulus == known.modulus_sd
     assert known.other_foams == 1.0
+
+
+EXACT = {f"{name}_sd": 1e-6 for name in ("modulus", "gain", "spread", "densification", "thickness")}
+LINEAR = {"layout": "pinch", "calibration": {"kind": "linear", "force_per_count_n": 0.001}}
+
+
+def linear_config() -> CellConfig:
+    return CellConfig.model_validate({"tactile": LINEAR, "simulator": {"noise": "none"}})
+
+
+@pytest.mark.parametrize(
+    "tactile",
+    [LINEAR, {"calibration": {"kind": "paper", "gain": 1.3}}],
+    ids=["linear", "paper with a gain"],
+)
+def test_simulated_and_virtual_pads_read_as_the_config_says(
+    tactile: dict[str, Any],
+) -> None:
+    config = CellConfig.model_validate({"tactile": tactile})
+    layout = layout_from_config(config.tactile)
+    force_n = np.linspace(0.0, 4.0, 9)
+    counts = calibration_of(config.tactile, layout).counts(force_n)
+    law = simulator_settings(config).law
+    assert ideal_counts(force_n, layout.adc_max, law) == pytest.approx(counts)
+    assert layout.adc_max * usual_foam(config).response(force_n) == pytest.approx(counts)
+
+
+def test_virtual_grasps_follow_a_linear_sensor() -> None:
+    config = linear_config()
+    known = PadKnowledge(foam=usual_foam(config), **EXACT)
+    grasps = teach_drawing(config, "ball", drawn_shape(BALL), 4, known=known)
+    for grasp in grasps:
+        for pad in (0, 1):
+            pad_n = 0.001 * grasp.counts[-3:, grasp.pads.taxels_of(pad)].sum(axis=1).mean()
+            assert pad_n == pytest.approx(grasp.force_n[-1], rel=0.2)
+    for answer in shapes_of(grasps, PadKnowledge(foam=usual_foam(config))):
+        assert answer is not None
+        assert 1e3 * answer.size_m == pytest.approx(9.5, abs=0.8)
+
+
+def test_a_gauge_keeps_the_law_of_the_config(tmp_path: Path) -> None:
+    config = linear_config()
+    path, gauge, drawings = (tmp_path / name for name in ("c.yaml", "g.npz", "d.npz"))
+    path.write_text(config_text(config), encoding="utf-8")
+    true = PadKnowledge(foam=replace(usual_foam(config), gain=0.85), **EXACT)
+    write_dataset(gauge, teach_drawing(config, "b", drawn_shape(BALL), 8, known=true))
+    facts = tmp_path / "f.json"
+    printed = call(
+        *("teach", "cube", "--shape", BOX, "-n", 3, "-o", drawings, "-c", path),
+        *("--gauge", gauge, "--gauge-shape", BALL, "--json", facts),
+    )
+    assert "linear up to 4.09 N a taxel" in printed
+    foam = json.loads(facts.read_text())["pads"]["foam"]
+    assert foam["full_scale_n"] == pytest.approx(4.095)
+    assert foam["gain"] == pytest.approx(0.85, abs=0.09)
 
 
 def test_names_taught_without_a_gauge_hold_on_another_foam() -> None:

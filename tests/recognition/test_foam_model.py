@@ -28,9 +28,18 @@ def test_the_response_is_equation_11_and_has_an_inverse() -> None:
     assert foam.force_of(foam.response(force_n)) == pytest.approx(force_n)
 
 
+def test_a_linear_sensor_reads_in_proportion_up_to_its_full_scale() -> None:
+    foam = FoamModel(gain=0.5, full_scale_n=4.0)
+    assert foam.response(np.array([0.0, 2.0, 8.0, 50.0])) == pytest.approx([0.0, 0.25, 1.0, 1.0])
+    force_n = np.array([-0.1, 0.0, 0.3, 7.0])
+    assert foam.force_of(foam.response(force_n)) == pytest.approx(force_n)
+
+
 @pytest.mark.parametrize(
     ("values", "message"),
     [
+        ({"full_scale_n": 0.0}, "full_scale_n is 0.0"),
+        ({"full_scale_n": float("inf")}, "full_scale_n is inf"),
         ({"modulus_pa": 0.0}, "modulus_pa is 0.0"),
         ({"gain": float("nan")}, "gain is nan"),
         ({"densification": -1.0}, "densification is -1.0"),
@@ -46,6 +55,9 @@ def test_values_out_of_range_are_named(values: dict[str, float], message: str) -
 def test_it_survives_a_dictionary() -> None:
     foam = FoamModel(modulus_pa=2e5, gain=0.9)
     assert FoamModel.from_dict(foam.as_dict()) == foam
+    assert "full_scale_n" not in foam.as_dict()
+    linear = FoamModel(full_scale_n=2.5)
+    assert FoamModel.from_dict(linear.as_dict()) == linear
     with pytest.raises(ValueError, match="unknown values colour"):
         FoamModel.from_dict({"colour": 1.0})
     with pytest.raises(ValueError, match="gain is 'x'"):

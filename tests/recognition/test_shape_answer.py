@@ -100,6 +100,17 @@ def test_an_untaught_object_is_named_and_measured(pads: PadArray, kind: str) -> 
         assert sum(answer.probability.values()) == pytest.approx(1.0)
 
 
+@pytest.mark.parametrize("kind", ["sphere", "cylinder", "flat"])
+def test_a_linear_sensor_is_read_under_its_own_law(pads: PadArray, kind: str) -> None:
+    linear = FoamModel(full_scale_n=4.0)
+    grasp = pressed(pads, Body(kind, SIZES_MM[kind]), seed=3, foam=linear, noise=0.004)
+    answer, wrong = shape_of(grasp, foam=linear), shape_of(grasp)
+    assert answer.kind == kind
+    assert 1e3 * answer.size_m == pytest.approx(SIZES_MM[kind], abs=0.3)
+    assert answer.misfit < 2.0
+    assert answer.misfit < wrong.misfit
+
+
 def test_a_length_is_found_too(pads: PadArray) -> None:
     answer = shape_of(pressed(pads, Body("cylinder", 7.0), seed=4))
     assert 1e3 * answer.dimensions_m["length"] == pytest.approx(17.5, abs=1.0)
@@ -171,6 +182,17 @@ def test_pads_that_do_not_face_each_other_are_refused(factory) -> None:
     grasp = factory.one(factory.things[0], np.random.default_rng(0), pads=uneven)
     with pytest.raises(ContactError, match="do not face each other"):
         shape_of(grasp)
+
+
+def test_a_gauge_finds_stiffness_and_gain_of_a_linear_sensor(pads: PadArray) -> None:
+    true = FoamModel(modulus_pa=220e3, gain=0.8, full_scale_n=4.0)
+    body = Body("sphere", 9.0)
+    grasps = [pressed(pads, body, seed=s, foam=true) for s in range(6)]
+    fit = fit_foam(grasps, body, FoamModel(full_scale_n=4.0))
+    assert fit.foam.full_scale_n == 4.0
+    assert fit.foam.gain == pytest.approx(0.8, rel=0.1)
+    assert fit.foam.modulus_pa == pytest.approx(220e3, rel=0.15)
+    assert abs(fit_foam(grasps, body).foam.modulus_pa / 220e3 - 1.0) > 0.3
 
 
 @pytest.mark.parametrize("kind", ["sphere", "cylinder"])

@@ -6,7 +6,7 @@ import pytest
 from simulator.errors import SimulatorSettingsError
 from simulator.foam import Foam
 from simulator.noise import NoiseKind, NoiseModel
-from simulator.taxels import CELL_M, PadGrid, ideal_counts, resistance_mohm
+from simulator.taxels import CELL_M, PadGrid, SensorLaw, ideal_counts, resistance_mohm
 from tactile.layouts import paper_layout, pinch_layout
 
 ALL = (slice(None), slice(None))
@@ -26,6 +26,11 @@ def test_counts_grow_from_zero_towards_full_scale() -> None:
     assert counts[2] == pytest.approx(255 * (1 - 0.643 / 1.579), abs=0.1)
     assert counts[-1] == pytest.approx(255.0)
     assert ideal_counts(np.array([2.0]), 4095)[0] == pytest.approx(counts[2] * 4095 / 255)
+
+
+def test_a_linear_sensor_counts_in_proportion() -> None:
+    law = SensorLaw(gain=0.5, full_scale_n=2.0)
+    assert ideal_counts(np.array([0.0, 1.0, 4.0]), 4095, law) == pytest.approx([0, 1023.75, 4095])
 
 
 @pytest.mark.parametrize("pad", [paper_layout().pads[0], pinch_layout().pads[1]])
