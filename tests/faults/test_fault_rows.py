@@ -1,25 +1,19 @@
 """Each row of the fault campaign: the required reaction, within its limit, no invariant broken."""
 
-import os
-
 import pytest
 
 from benchmarks.fault_campaign import ROWS, FaultRow, Observed
 from benchmarks.fault_campaign.table import Result, complaint_of, rows_table, totals
 
-LOAD_MARGIN = 0.5
-
 
 def _parameter(row: FaultRow) -> object:
-    marks = [pytest.mark.hil] if row.real_time else []
+    real_time = [pytest.mark.hil, pytest.mark.usefixtures("free_machine")]
+    marks = real_time if row.real_time else []
     return pytest.param(row, id=row.name, marks=marks)
 
 
 @pytest.mark.parametrize("row", [_parameter(row) for row in ROWS])
 def test_a_fault_has_its_reaction_within_its_limit(row: FaultRow) -> None:
-    load, processors = os.getloadavg()[0], os.cpu_count() or 1
-    if row.real_time and load > processors + LOAD_MARGIN:
-        pytest.skip(f"load {load:.1f} on {processors} processors leaves no real time to test in")
     observed = row.run()
     assert not complaint_of(row, observed), observed.outcome
 

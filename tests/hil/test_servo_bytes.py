@@ -27,7 +27,6 @@ from gripper.gripper import GraspResult, GripperPhase
 
 pytestmark = pytest.mark.hil
 
-LOAD_MARGIN = 0.5
 PROGRAM = [sys.executable, "-c", "from cell.cli import main; main()"]
 RELAY = Path(__file__).parent / "servo_relay.py"
 CONFIG = """
@@ -109,10 +108,7 @@ class Line:
 
 
 @pytest.fixture
-def line(tmp_path: Path) -> Iterator[Line]:
-    load, processors = os.getloadavg()[0], os.cpu_count() or 1
-    if load > processors + LOAD_MARGIN:
-        pytest.skip(f"load {load:.1f} on {processors} processors leaves no real time to test in")
+def line(tmp_path: Path, free_machine: None) -> Iterator[Line]:
     with contextlib.closing(Line(tmp_path)) as one:
         yield one
 
