@@ -5,24 +5,18 @@ transaction either returns what was asked for or raises; it never returns a valu
 has sent.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from itertools import pairwise
 
+from gripper.asking import BROADCAST_ID, HIGHEST_ID, Asking, check_error, check_id, given_up
 from gripper.clock import Clock
-from gripper.errors import BusCorrupt, BusTimeout, LimitExceeded, ServoRejected
+from gripper.errors import LimitExceeded
 from gripper.line import BusStatistics, NoAnswerError, ServoLine
 from gripper.packet_handler import Instruction
-from gripper.packets import StatusPacket
 from gripper.port import ByteStream
 from gripper.registers import Register, registers_between
-
-BROADCAST_ID = 0xFE
-_HIGHEST_ID = 252
-_CRC_REFUSED = 3
-_PATIENT_REPETITIONS = 3
-_PILED_UP = 3
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -75,10 +69,8 @@ class ServoBus:
         late_guard_s: float = 0.05,
         lock_timeout_s: float = 1.0,
     ) -> None:
-        self.period_s = period_s
         self.baudrate = baudrate
         self._least_allowance_s = allowance_s
-        self._in_loop = False
         self._line = ServoLine(
             stream,
             baudrate=baudrate,
@@ -88,9 +80,9 @@ class ServoBus:
             late_guard_s=late_guard_s,
             lock_timeout_s=lock_timeout_s,
         )
+        self._asking = Asking(self._line, period_s)
 
-    @contextmanager
-    def in_loop(self) -> Iterator[None]:
+    def in_loop(self) -> AbstractContextManager[None]:
         """Within the block no transaction waits longer than a period of the loop may take.
 
         Outside of it a retry waits for ``late_guard_s``: at a start or between commands a servo,
@@ -99,11 +91,7 @@ class ServoBus:
         Tick (register 120) along, which shows an old answer. A servo that was silent is asked
         last, so that it cannot hide one that is not.
         """
-        before, self._in_loop = self._in_loop, True
-        try:
-            yield
-        finally:
-            self._in_loop = before
+        return self._asking.hurried()
 
     @property
     def statistics(self) -> BusStatistics:
@@ -138,14 +126,14 @@ class ServoBus:
 
     def ping(self, servo_id: int) -> ServoIdentity:
         """Ask a servo who it is; BusTimeout when none has that ID."""
-        status = self._ask(servo_id, Instruction.PING, b"", 3, f"ping of servo {servo_id}")
+        status = self._asking.ask(servo_id, Instruction.PING, b"", 3, f"ping of servo {servo_id}")
         return ServoIdentity(
             servo_id=servo_id,
             model_number=int.from_bytes(status.data[:2], "little"),
             firmware=status.data[2],
         )
 
-    def scan(self, ids: Sequence[int] = range(_HIGHEST_ID + 1)) -> tuple[ServoIdentity, ...]:
+    def scan(self, ids: Sequence[int] = range(HIGHEST_ID + 1)) -> tuple[ServoIdentity, ...]:
         """Ask each ID once, without patience, and return who answers; for finding a mistake."""
         found = []
         with self._line.transaction():
@@ -163,14 +151,14 @@ class ServoBus:
 
     def round_trip_s(self, servo_id: int) -> float:
         """Return the time in s that a ping takes, however late its answer comes."""
-        _check_id(servo_id)
+        check_id(servo_id)
         with self._line.transaction():
             sent_s = self._line.clock.monotonic()
             try:
                 self._line.request(servo_id, Instruction.PING, b"", 3, patient=True)
             except NoAnswerError as failure:
                 self._line.give_up()
-                raise _give_up(failure, f"ping of servo {servo_id}", servo_id) from None
+                raise given_up(failure, f"ping of servo {servo_id}", servo_id) from None
             return self._line.clock.monotonic() - sent_s
 
     def fit_allowance(self, wanted_s: float, most_s: float) -> None:
@@ -179,7 +167,7 @@ class ServoBus:
 
     def read(self, servo_id: int, register: Register) -> int:
         """Return the raw value of an item, sign-extended."""
-        status = self._ask(
+        status = self._asking.ask(
             servo_id,
             Instruction.READ,
             _words(register.address, register.size),
@@ -200,7 +188,7 @@ class ServoBus:
         """
         if not register.writable:
             raise LimitExceeded(f"{register.name} is read-only")
-        self._ask(
+        self._asking.ask(
             servo_id,
             Instruction.WRITE,
             _words(register.address) + register.encode(raw),
@@ -223,27 +211,8 @@ class ServoBus:
         block = registers_between(first, last)
         size = last.end - first.address
         action = f"reading {first.name} to {last.name} of servos {list(ids)}"
-        for servo_id in ids:
-            _check_id(servo_id)
-        if self._in_loop:
-            ids = sorted(ids, key=self.misses)
-        # Where nobody answers for some periods, requests must not pile up before a slow machine.
-        all_silent = min(self.misses(servo_id) for servo_id in ids) >= _PILED_UP
-        with self._line.transaction(quiet=not self._in_loop or all_silent):
-            deadline_s = self._line.clock.monotonic() + self.period_s
-            found, failure = self._chain(ids, first, size)
-            for servo_id in ids:
-                if servo_id in found:
-                    continue
-                again = self._repeat(
-                    servo_id, Instruction.READ, _words(first.address, size), size, deadline_s
-                )
-                if again is None:
-                    raise _give_up(failure or NoAnswerError(False), action, servo_id) from None
-                found[servo_id] = again
-            for servo_id in ids:
-                _check_error(found[servo_id], action)
-        return {servo_id: _decode(block, found[servo_id].data) for servo_id in ids}
+        found = self._asking.ask_all(ids, _words(first.address, size), size, action)
+        return {servo_id: _decode(block, status.data) for servo_id, status in found.items()}
 
     def sync_write(self, values: Mapping[int, int | Sequence[int]], *registers: Register) -> None:
         """Write one item, or several contiguous ones, to several servos at once.
@@ -265,7 +234,7 @@ class ServoBus:
             raise LimitExceeded(f"{', '.join(r.name for r in registers)}: not all are writable")
         params = _words(registers[0].address, registers[-1].end - registers[0].address)
         for servo_id, raws in values.items():
-            _check_id(servo_id)
+            check_id(servo_id)
             listed = (raws,) if isinstance(raws, int) else tuple(raws)
             params += bytes([servo_id])
             params += b"".join(r.encode(v) for r, v in zip(registers, listed, strict=True))
@@ -280,108 +249,24 @@ class ServoBus:
         """
         with self._line.transaction():
             action = f"reboot of servo {servo_id}"
-            _check_id(servo_id)
+            check_id(servo_id)
             try:
                 status = self._line.request(servo_id, Instruction.REBOOT, b"", 0)
             except NoAnswerError as failure:
                 self._line.give_up()
-                raise _give_up(failure, action, servo_id) from None
+                raise given_up(failure, action, servo_id) from None
             self._line.alerts.discard(servo_id)
-            _check_error(status, action)
+            check_error(status, action)
 
     def close(self) -> None:
         """Close the line; the servos keep doing what they were told last."""
         self._line.close()
-
-    def _ask(
-        self, servo_id: int, instruction: Instruction, params: bytes, size: int, action: str
-    ) -> StatusPacket:
-        """Send a request and return the checked answer; once more when it is lost."""
-        _check_id(servo_id)
-        with self._line.transaction(quiet=not self._in_loop):
-            try:
-                if self._line.suspect:
-                    # There is no time to wait: answers come in order, and a ping shows where.
-                    self._line.clear(servo_id, None)
-                status = self._line.request(servo_id, instruction, params, size)
-                if status.error == _CRC_REFUSED:
-                    raise NoAnswerError(damaged=True)
-            except NoAnswerError as failure:
-                again = self._repeat(servo_id, instruction, params, size, None)
-                if again is None:
-                    raise _give_up(failure, action, servo_id) from None
-                status = again
-        _check_error(status, action)
-        return status
-
-    def _repeat(
-        self,
-        servo_id: int,
-        instruction: Instruction,
-        params: bytes,
-        size: int,
-        deadline_s: float | None,
-    ) -> StatusPacket | None:
-        """Ask again behind a ping, several times where there is time; None without an answer."""
-        patient = not self._in_loop
-        for _ in range(_PATIENT_REPETITIONS if patient else 1):
-            try:
-                self._line.clear(servo_id, None if patient else deadline_s, patient=patient)
-                self._line.count(retries=1)
-                status = self._line.request(servo_id, instruction, params, size, patient=patient)
-            except NoAnswerError:
-                continue
-            if status.error != _CRC_REFUSED:
-                return status
-        self._line.give_up()
-        return None
-
-    def _chain(
-        self, ids: Sequence[int], first: Register, size: int
-    ) -> tuple[dict[int, StatusPacket], NoAnswerError | None]:
-        """Send a sync read and collect the answers; a servo is silent after a missing one."""
-        self._line.send(
-            BROADCAST_ID, Instruction.SYNC_READ, _words(first.address, size) + bytes(ids)
-        )
-        found: dict[int, StatusPacket] = {}
-        for servo_id in ids:
-            try:
-                status = self._line.receive(servo_id, size)
-                if status.error == _CRC_REFUSED:
-                    # The request arrived damaged, as an answer may: it is asked for again.
-                    raise NoAnswerError(damaged=True)
-                found[servo_id] = status
-            except NoAnswerError as failure:
-                return found, failure
-        return found, None
 
 
 def _words(*values: int) -> bytes:
     return b"".join(value.to_bytes(2, "little") for value in values)
 
 
-def _check_id(servo_id: int) -> None:
-    if not 0 <= servo_id <= _HIGHEST_ID:
-        raise LimitExceeded(f"servo ID {servo_id} is not from 0 to {_HIGHEST_ID}")
-
-
-def _check_error(status: StatusPacket, action: str) -> None:
-    if status.error:
-        raise ServoRejected(status.servo_id, status.error, action)
-
-
 def _decode(block: Sequence[Register], data: bytes) -> dict[str, int]:
     start = block[0].address
     return {r.name: r.decode(data[r.address - start : r.end - start]) for r in block}
-
-
-def _give_up(failure: NoAnswerError, action: str, servo_id: int) -> BusTimeout | BusCorrupt:
-    if failure.damaged:
-        return BusCorrupt(
-            f"{action}: the answers of servo {servo_id} arrive damaged, twice in a row: check "
-            f"cable, termination and that no two servos share the ID"
-        )
-    return BusTimeout(
-        f"{action}: no answer of servo {servo_id}, twice in a row: check its supply, cable, ID "
-        f"and baud rate"
-    )
