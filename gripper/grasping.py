@@ -5,9 +5,9 @@ from collections.abc import Callable
 from gripper.contact import Approach, ApproachEvent, ContactRest
 from gripper.errors import LimitExceeded, PartLost
 from gripper.free_running import FreeRunning
+from gripper.grip_control import GripControl, new_compliance
 from gripper.kinematics import Linkage
 from gripper.limits import ServoGoal
-from gripper.motion import GripControl, new_compliance
 from gripper.motion_current import motion_current_a
 from gripper.ramp import ForceRamp
 from gripper.runner import Action, LoopRunner, Moment, Observer

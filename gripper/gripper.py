@@ -9,10 +9,11 @@ from gripper.clock import Clock
 from gripper.errors import GripperError, GripperStateError, LimitExceeded, ServoFault
 from gripper.force import ForceSensor
 from gripper.grasping import GraspRun
+from gripper.grip_control import GripControl
 from gripper.kinematics import Linkage
 from gripper.lifecycle import Lifecycle
 from gripper.link_check import LinkTiming, check_link
-from gripper.motion import GripControl, MoveTo
+from gripper.motion import MoveTo
 from gripper.ramp import ForceRamp
 from gripper.ramp_limits import check_ramp
 from gripper.reactions import bus_is_lost
