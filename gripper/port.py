@@ -1,11 +1,8 @@
 """Serial port under the servo bus: a stream of bytes that blocks instead of spinning."""
 
 import errno
-import fcntl
-import hashlib
 import os
 import select
-import tempfile
 import termios
 from pathlib import Path
 from typing import Protocol
@@ -16,6 +13,7 @@ from serial.tools import list_ports
 
 from gripper.clock import Clock
 from gripper.errors import LimitExceeded, PortLost
+from gripper.port_lock import lock_device
 
 _WRITE_TIMEOUT_S = 0.1
 _TIMER_GRAIN_MS = 1e-3
@@ -99,7 +97,7 @@ class SerialStream:
         try:
             # The lock follows the device, not the link that names it.
             device = os.path.realpath(path, strict=True)
-            self._lock_fd = _lock(device)
+            self._lock_fd = lock_device(device)
             self._serial = serial.Serial(path, baudrate, timeout=0, exclusive=True)
         except _PORT_ERRORS as error:
             self._unlock()
@@ -175,24 +173,6 @@ class SerialStream:
         if self._lock_fd is not None:
             os.close(self._lock_fd)
             self._lock_fd = None
-
-
-def _lock(device: str) -> int:
-    """Take the lock file of a device; the operating system drops it when the program ends."""
-    digest = hashlib.sha256(device.encode()).hexdigest()[:16]
-    path = Path(tempfile.gettempdir()) / f"serial-port-{digest}.lock"
-    flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW
-    try:
-        # Without O_CREAT the file of another user can be opened, too.
-        lock_fd = os.open(path, flags)
-    except FileNotFoundError:
-        lock_fd = os.open(path, flags | os.O_CREAT, 0o644)
-    try:
-        fcntl.flock(lock_fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BaseException:
-        os.close(lock_fd)
-        raise
-    return lock_fd
 
 
 def _opening_failed(path: str, error: Exception) -> str:
