@@ -98,6 +98,12 @@ def teach_from_drawing(
     append_to_dataset(dataset, before, grasps)
     say(f"{len(grasps)} virtual grasps of {label} added to {dataset} ({len(before)} were there)")
     say(f"{known}")
+    if known.rest is None:
+        noise = config.simulator
+        say(
+            f"noise of the config (simulator.noise: {noise.noise}, level {noise.noise_level:g}); a "
+            "sensor with more will take taught objects for unknown: --gauge brings its own noise"
+        )
     write_json(
         json_file,
         {

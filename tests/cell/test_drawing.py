@@ -104,6 +104,7 @@ def test_drawings_alone_name_what_the_cell_grasps(taught: Any, tmp_path: Path) -
         printed = call("teach", label, "--shape", text, "-o", drawings, "-n", 15)
         assert f"15 virtual grasps of {label}" in printed
         assert "not calibrated" in printed
+        assert "simulator.noise: clipped_normal, level 1" in printed
     assert {g.source for g in read_dataset(drawings)} == {"drawing"}
     call("train", drawings, "-o", model)
     write_dataset(own, taught.grasps)
@@ -131,6 +132,7 @@ def test_a_gauge_calibrates_and_is_printed(taught: Any, tmp_path: Path) -> None:
         *("--gauge", gauge, "-o", drawings, "--json", facts),
     )
     assert "from 5 grasps" in printed
+    assert "simulator.noise" not in printed
     pads = json.loads(facts.read_text())["pads"]
     foam = pads["foam"]
     assert abs(np.log(foam["modulus_pa"] / 150e3)) < 3 * pads["modulus_sd"] + 0.05
