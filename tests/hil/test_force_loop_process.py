@@ -119,7 +119,7 @@ def in_a_grasp(cell: Cell, simulator: Simulator, then: Callable[[], Any]) -> thr
     """Start a thread that does something once the part is gripped."""
 
     def wait() -> None:
-        wait_for(lambda: simulator.grip_n() > 1.5)
+        wait_for(lambda: simulator.grip_n() > 2.4)
         then()
 
     thread = threading.Thread(target=wait)
@@ -160,7 +160,7 @@ def test_a_job_a_stop_and_the_release(make_cell: Any, simulator: Simulator) -> N
     assert simulator.grip_n() > 0.8
     controller.release()
     assert simulator.grip_n() == 0.0
-    with pytest.raises(LimitExceeded, match="the limit is 15"):
+    with pytest.raises(LimitExceeded, match="the limit is 14.29 N"):
         hand.grasp(ForceRamp.linear(49.0, 5.0), lambda _cycle, _frames: None)
 
     recording = cell.recording_path

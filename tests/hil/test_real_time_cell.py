@@ -171,7 +171,7 @@ def test_ctrl_c_keeps_the_grip_and_the_recording_and_release_lets_go(
         *("-o", tmp_path / "d.npz", "--out", tmp_path / "out"),
     )
     with ending(client):
-        simulator.wait_for_grip(1.0, client)
+        simulator.wait_for_grip(2.4, client)
         client.send_signal(signal.SIGINT)
         code, out, err = end(client)
     assert code == 1
