@@ -160,7 +160,7 @@ def test_a_job_a_stop_and_the_release(make_cell: Any, simulator: Simulator) -> N
     assert simulator.grip_n() > 0.8
     controller.release()
     assert simulator.grip_n() == 0.0
-    with pytest.raises(LimitExceeded, match="the limit is 14[.]29 N"):
+    with pytest.raises(LimitExceeded, match=r"the limit is 14\.29 N"):
         hand.grasp(ForceRamp.linear(49.0, 5.0), lambda _cycle, _frames: None)
 
     recording = cell.recording_path
