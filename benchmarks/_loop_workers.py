@@ -34,31 +34,35 @@ _SERVO = ServoState(
 )
 
 
-class NullServos:
-    """Servos that answer at once and take everything: what is left is the loop itself."""
+_GOALS = (ServoGoal(angle_rad=0.1, current_a=0.1),)
 
-    goals = (ServoGoal(angle_rad=0.1, current_a=0.1),)
 
-    def __init__(self) -> None:
-        self.health = SimpleNamespace(poll=lambda _state: None)
+def _state() -> GripperState:
+    return GripperState(
+        t_s=time.monotonic(),
+        aperture_m=0.01,
+        aperture_velocity_m_s=0.0,
+        current_a=0.1,
+        force_from_current_n=1.0,
+        temperature_c=30.0,
+        voltage_v=12.0,
+        servos=(_SERVO, _SERVO),
+    )
 
-    def read(self) -> GripperState:
-        return GripperState(
-            t_s=time.monotonic(),
-            aperture_m=0.01,
-            aperture_velocity_m_s=0.0,
-            current_a=0.1,
-            force_from_current_n=1.0,
-            temperature_c=30.0,
-            voltage_v=12.0,
-            servos=(_SERVO, _SERVO),
-        )
 
-    def write_goals(self, *_anything: Any) -> None:
-        """Take the goals."""
+def _ignore(*_anything: Any) -> None:
+    pass
 
-    def in_loop(self) -> Any:
-        return nullcontext()
+
+def null_servos() -> Any:
+    """Return servos that answer at once and take everything: what is left is the loop itself."""
+    guard = SimpleNamespace(note_force=_ignore, check_force=_ignore)
+    return SimpleNamespace(
+        feedback=SimpleNamespace(read=_state),
+        goals=SimpleNamespace(guard=guard, write=_ignore, last=_GOALS),
+        health=SimpleNamespace(poll=_ignore),
+        in_loop=nullcontext,
+    )
 
 
 def ours(rate_hz: float, duration_s: float) -> dict[str, Any]:
@@ -71,13 +75,12 @@ def ours(rate_hz: float, duration_s: float) -> dict[str, Any]:
         overruns_max=10_000,
     )
     sensor = SimpleNamespace(latest_force=lambda: None)
-    servos: Any = NullServos()
-    runner = LoopRunner(servos, sensor, settings, time)  # type: ignore[arg-type]
+    runner = LoopRunner(null_servos(), sensor, settings, time)  # type: ignore[arg-type]
     stop_collecting()
     end_s = time.monotonic() + duration_s
 
     def step(moment: Moment) -> Action:
-        return Action(goals=NullServos.goals, done=moment.now_s >= end_s)
+        return Action(goals=_GOALS, done=moment.now_s >= end_s)
 
     runner.run(GripperPhase.HOLDING, step, None, needs_force=False)
     statistics = runner.statistics

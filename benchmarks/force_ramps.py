@@ -15,7 +15,7 @@ from unittest import mock
 
 from benchmarks._force_plant import Part, PlainFeedForward, PlainPi, Quality, Rig, Truth
 from benchmarks._measure import in_turns, line, repeats
-from gripper import motion
+from gripper import grip_control
 from gripper.loop_settings import ForceLoopSettings
 
 PARTS = {
@@ -47,7 +47,7 @@ def _law(law: type[Any] | None) -> Iterator[ForceLoopSettings]:
     if law is None:
         yield ForceLoopSettings()
         return
-    with mock.patch.object(motion, "ForceLoop", law):
+    with mock.patch.object(grip_control, "ForceLoop", law):
         yield _PLAIN
 
 
