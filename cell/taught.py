@@ -8,6 +8,7 @@ from cell.choosing import ActiveChooser, remember_records
 from cell.collect import GraspRecord
 from cell.config import CellConfig
 from cell.controller import CellController
+from cell.errors import CellError
 from cell.goals import IdentifyGoal, TeachGoal
 from cell.sequence import plan
 from cell.worker import Report
@@ -75,7 +76,14 @@ class TaughtObjects:
         return self.recognizer is not None and not self._taught
 
     def teach(self, controller: CellController, goal: TeachGoal, report: Report) -> int:
-        """Grasp an object as the goal says, train anew, and return the number of grasps."""
+        """Grasp an object as the goal says, train anew, and return the number of grasps.
+
+        Raises
+        ------
+        CellError
+            If all taught grasps together are too few to train with; they are kept for the next
+            time.
+        """
         steps = plan(self._config.sequence, goal.grasps, seed=goal.seed)
         taught = []
         for record in controller.collect(goal.label, steps):
@@ -87,7 +95,12 @@ class TaughtObjects:
                 self._config.recognition.recognizer,
                 use_aperture=self._config.recognition.use_aperture,
             )
-            self.recognizer = trainer.fit([record.grasp for record in self._taught])
+            try:
+                self.recognizer = trainer.fit([record.grasp for record in self._taught])
+            except ValueError as error:
+                raise CellError(
+                    f"the taught grasps make no recogniser yet, and are kept: {error}"
+                ) from error
             if self._config.sequence.kind == "active":
                 self._memory = remember_records(trainer, self._taught)
         return len(taught)
