@@ -1,6 +1,5 @@
 """A cell in virtual time for the campaign, a job with a fault, and what the cell did about it."""
 
-import json
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from benchmarks.fault_campaign.invariants import InvariantMonitor
 from benchmarks.fault_campaign.row import Observed
 from cell.build import Cell, build_cell
 from cell.config import CellConfig
+from cell.config_changes import changed_config
 from cell.controller import CellController
 from cell.errors import CellError
 from cell.pose import Pose
@@ -37,22 +37,18 @@ PRODUCT_ERRORS = (CellError, GripperError, TactileError)
 
 def campaign_config(**changes: Any) -> CellConfig:
     """Return a config with short jobs; changes as ``tactile__layout=COARSE_PADS``."""
-    values = CellConfig().model_dump(mode="json")
-    values["gripper"]["aperture_open_mm"] = 16.0
-    values["tactile"]["tare_frames"] = 10
-    values["sequence"]["ramp"] = {"kind": "linear", "rate_n_s": 10.0, "hold_s": 0.3}
-    values["simulator"]["objects"] = [
-        {"label": "ball", "shape": "sphere:diameter=9.5mm"},
-        {"label": "box", "shape": "box:length=15.9mm,width=10mm,height=10mm"},
-    ]
-    values["simulator"]["noise_level"] = 0.5
-    for path, value in changes.items():
-        owner = values
-        *way, last = path.split("__")
-        for name in way:
-            owner = owner[name]
-        owner[last] = value
-    return CellConfig.model_validate_json(json.dumps(values))
+    short_jobs = {
+        "gripper.aperture_open_mm": 16.0,
+        "tactile.tare_frames": 10,
+        "sequence.ramp": {"kind": "linear", "rate_n_s": 10.0, "hold_s": 0.3},
+        "simulator.objects": [
+            {"label": "ball", "shape": "sphere:diameter=9.5mm"},
+            {"label": "box", "shape": "box:length=15.9mm,width=10mm,height=10mm"},
+        ],
+        "simulator.noise_level": 0.5,
+    }
+    wanted = {path.replace("__", "."): value for path, value in changes.items()}
+    return changed_config(CellConfig(), short_jobs | wanted)
 
 
 def machine_config(*, self_test: bool) -> CellConfig:

@@ -1,12 +1,12 @@
 """The simulated cell as a process of its own, with a config that is ready for its ports."""
 
-import json
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from cell.config import CellConfig
+from cell.config_changes import changed_config
 from cell.config_file import config_text
 from cell.config_writer import SCHEMA_LINE
 from cell.dataset import read_dataset
@@ -98,14 +98,18 @@ def serve_simulated_cell(
 
 def _client_config(config: CellConfig, found: dict[str, Any]) -> CellConfig:
     """Return the config with which another process reaches the simulated cell."""
-    data = config.model_dump(mode="json")
-    data["name"] = f"{config.name} on pseudo-terminals"[:80]
-    data["gripper"]["port"] = found["servo_port"]
-    data["tactile"] |= {"interface": found["can_interface"], "channel": found["can_channel"]}
-    data["simulator"]["faults"] = []
-    data["positioner"] = {"kind": "simulated", "socket": found["positioner_socket"]}
     # The simulated cell shares the processors with its client and with everything else: what a
     # device of its own answers in time may come late here, and is no fault.
-    for section, key, least in _PATIENCE:
-        data[section][key] = max(data[section][key], least)
-    return CellConfig.model_validate_json(json.dumps(data))
+    patience = {
+        f"{section}.{key}": max(getattr(getattr(config, section), key), least)
+        for section, key, least in _PATIENCE
+    }
+    ports = {
+        "name": f"{config.name} on pseudo-terminals"[:80],
+        "gripper.port": found["servo_port"],
+        "tactile.interface": found["can_interface"],
+        "tactile.channel": found["can_channel"],
+        "simulator.faults": [],
+        "positioner": {"kind": "simulated", "socket": found["positioner_socket"]},
+    }
+    return changed_config(config, ports | patience)

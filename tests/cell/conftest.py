@@ -1,6 +1,5 @@
 """Simulated cells that several tests of the cell share."""
 
-import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,6 +10,7 @@ import pytest
 
 from cell.build import Cell, build_cell
 from cell.config import CellConfig
+from cell.config_changes import changed_config
 from cell.controller import CellController
 from cell.dataset import read_dataset
 from cell.jobs.main_job import MainResult, teach_and_identify
@@ -25,19 +25,15 @@ MakeConfig = Callable[..., CellConfig]
 
 def small_config(**changes: Any) -> CellConfig:
     """Two objects and a short zero; the rest as built in."""
-    values = CellConfig().model_dump(mode="json")
-    values["tactile"]["tare_frames"] = 25
-    values["simulator"]["objects"] = [
-        {"label": "ball", "shape": "sphere:diameter=9.5mm"},
-        {"label": "box", "shape": "box:length=15.9mm,width=10mm,height=10mm"},
-    ]
-    for path, value in changes.items():
-        owner = values
-        *way, last = path.split("__")
-        for name in way:
-            owner = owner[name]
-        owner[last] = value
-    return CellConfig.model_validate_json(json.dumps(values))
+    small = {
+        "tactile.tare_frames": 25,
+        "simulator.objects": [
+            {"label": "ball", "shape": "sphere:diameter=9.5mm"},
+            {"label": "box", "shape": "box:length=15.9mm,width=10mm,height=10mm"},
+        ],
+    }
+    wanted = {path.replace("__", "."): value for path, value in changes.items()}
+    return changed_config(CellConfig(), small | wanted)
 
 
 @dataclass
