@@ -7,10 +7,10 @@ its format, its pads or the version of its features are not those of this progra
 import hashlib
 import importlib
 import json
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeVar, cast
 from warnings import catch_warnings, simplefilter
 
 import numpy as np
@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 from cell.errors import ModelError
 from cell.files import read_npz, savez, write_atomically
-from recognition.errors import RecognitionError
-from recognition.grasp import Grasp, PadArray
+from cell.model_rehearsal import rehearse
+from recognition.grasp import PadArray
 from recognition.recognizer import Recognizer
 from recognition.recognizers import trainer_names
 
@@ -29,6 +29,10 @@ FORMAT = "tactile-cell-model/1"
 DEFAULT_LIMIT_BYTES = 256 << 20
 """Unpacked size of a model file that is read."""
 
+Arrays = Mapping[str, NDArray[Any]]
+"""Plain arrays by name."""
+
+_T = TypeVar("_T")
 _UNSUITABLE = (
     ValueError,
     KeyError,
@@ -41,11 +45,10 @@ _UNSUITABLE = (
     RuntimeWarning,
 )
 _FARTHEST_M = 10.0
-_REHEARSED_FRAMES = 40
-_REHEARSED_FORCE_N = 8.0
 _HEADER = "model"
 _PREFIX = "learnt."
 _PADS = "pads."
+_OWN_SECTIONS = ("model", "learnt", "pads")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,12 +65,29 @@ class LoadedModel:
         The taught objects.
     pads
         The pads that it was taught on.
+    path
+        The file.
+    sections
+        What else the file holds, by the name of the section; see `section`.
     """
 
     recognizer: Recognizer
     trainer_name: str
     labels: tuple[str, ...]
     pads: PadArray
+    path: Path = Path()
+    sections: Mapping[str, Arrays] = field(default_factory=dict)
+
+    def section(self, name: str, build: Callable[[Arrays], _T]) -> _T | None:
+        """Return what ``build`` makes of a section's arrays; None where there is no such section.
+
+        Raises
+        ------
+        ModelError
+            If the arrays are not what ``build`` takes.
+        """
+        arrays = self.sections.get(name)
+        return None if arrays is None else _built(self.path, lambda: build(arrays))
 
 
 def layout_hash(pads: PadArray) -> str:
@@ -80,7 +100,12 @@ def layout_hash(pads: PadArray) -> str:
 
 
 def save_model(
-    path: Path | str, recognizer: Recognizer, *, trainer_name: str, pads: PadArray
+    path: Path | str,
+    recognizer: Recognizer,
+    *,
+    trainer_name: str,
+    pads: PadArray,
+    sections: Mapping[str, Arrays] | None = None,
 ) -> None:
     """Write a taught recogniser, whole or not at all.
 
@@ -94,11 +119,16 @@ def save_model(
         Its kind, one of `recognition.recognizers.trainer_names`.
     pads
         The pads that it was taught on.
+    sections
+        Further arrays, by the name of a section and their own; a program that does not know a
+        section leaves it alone.
 
     Raises
     ------
     ModelError
         If the kind is unknown or the disk refuses.
+    ValueError
+        If a section has no name of its own.
     """
     path = Path(path)
     kind = type(recognizer)
@@ -112,6 +142,10 @@ def save_model(
         f"{_PADS}adc_max": np.array(pads.adc_max, dtype=np.int64),
         **{_PREFIX + name: np.asarray(array) for name, array in learnt.items()},
     }
+    for section, content in (sections or {}).items():
+        if not section.isidentifier() or section in _OWN_SECTIONS:
+            raise ValueError(f"{section!r} is no name of a section")
+        arrays |= {f"{section}.{name}": np.asarray(array) for name, array in content.items()}
     header = {
         "format": FORMAT,
         "trainer": trainer_name,
@@ -152,49 +186,45 @@ def load_model(path: Path | str, expected_pads: PadArray | None = None) -> Loade
         )
     trainer_name = str(header.get("trainer"))
     kind = _class_of(path, trainer_name, str(header.get("class")))
-    learnt = {
-        name.removeprefix(_PREFIX): array
+    learnt = _section(arrays, _PREFIX)
+
+    def rehearsed() -> tuple[Recognizer, tuple[str, ...]]:
+        recognizer = kind.from_arrays(learnt)
+        rehearse(recognizer, pads)
+        return recognizer, tuple(recognizer.labels)
+
+    recognizer, labels = _built(path, rehearsed)
+    if list(labels) != header.get("labels"):
+        raise ModelError(f"{path} names other labels in its header than in its arrays")
+    names = {name.partition(".")[0] for name in arrays if "." in name}
+    return LoadedModel(
+        recognizer=recognizer,
+        trainer_name=trainer_name,
+        labels=labels,
+        pads=pads,
+        path=path,
+        sections={n: _section(arrays, f"{n}.") for n in sorted(names.difference(_OWN_SECTIONS))},
+    )
+
+
+def _section(arrays: Arrays, prefix: str) -> dict[str, NDArray[Any]]:
+    return {
+        name.removeprefix(prefix): array
         for name, array in arrays.items()
-        if name.startswith(_PREFIX)
+        if name.startswith(prefix)
     }
+
+
+def _built(path: Path, build: Callable[[], _T]) -> _T:
+    """Return what is built of a file's arrays. Raises ModelError where they do not suit."""
     try:
         with np.errstate(divide="raise", over="raise", invalid="raise"), catch_warnings():
             simplefilter("error", RuntimeWarning)
-            recognizer = kind.from_arrays(learnt)
-            labels = tuple(recognizer.labels)
-            _rehearse(recognizer, pads)
+            return build()
     except _UNSUITABLE as cause:
         raise ModelError(
             f"{path} does not suit this program ({type(cause).__name__}: {cause}); train it again"
         ) from cause
-    if list(labels) != header.get("labels"):
-        raise ModelError(f"{path} names other labels in its header than in its arrays")
-    return LoadedModel(recognizer=recognizer, trainer_name=trainer_name, labels=labels, pads=pads)
-
-
-def _rehearse(recognizer: Recognizer, pads: PadArray) -> None:
-    """Ask about a made-up grasp, so that arrays that do not fit fail now and not over a held part.
-
-    A recogniser that refuses the grasp for what it is raises a RecognitionError; that is no fault.
-    """
-    share = np.linspace(0.0, 1.0, _REHEARSED_FRAMES)
-    offset_m = pads.taxel_xy_m - pads.taxel_xy_m.mean(axis=0)
-    extent_m = max(float(np.abs(offset_m).max()), 1e-6)
-    print_ = np.maximum(0.0, 1.0 - np.sum((offset_m / (0.6 * extent_m)) ** 2, axis=1))
-    grasp = Grasp(
-        pads=pads,
-        counts=(0.6 * pads.adc_max * share[:, None] * print_).astype(np.uint16),
-        t_s=np.linspace(0.0, 2.0, _REHEARSED_FRAMES),
-        aperture_m=np.linspace(0.03, 0.02, _REHEARSED_FRAMES),
-        force_n=_REHEARSED_FORCE_N * share,
-        label="",
-    )
-    try:
-        posterior = recognizer.posterior(grasp)
-    except RecognitionError:
-        return
-    if not np.all(np.isfinite(posterior.probability)) or not np.isfinite(posterior.unknown):
-        raise ValueError("its probabilities are not finite")
 
 
 def _header(path: Path, arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:

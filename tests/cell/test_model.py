@@ -69,6 +69,23 @@ def test_loaded_model_answers_like_the_taught_one(taught: LevelCheckRecognizer, 
         assert now.unknown == was.unknown
 
 
+def test_sections_come_back_and_are_built_or_refused(
+    taught: LevelCheckRecognizer, good: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "more.npz"
+    more = {"memory": {"a": np.arange(3), "b.c": np.ones(2)}, "other": {"a": np.zeros(1)}}
+    save_model(path, taught, trainer_name="level_check", pads=PADS, sections=more)
+    loaded = load_model(path, PADS)
+    assert loaded.section("memory", lambda arrays: arrays["b.c"].tolist()) == [1.0, 1.0]
+    assert loaded.section("none", dict) is None
+    assert load_model(good).section("memory", dict) is None
+    with pytest.raises(ModelError, match=r"more\.npz does not suit this program .*KeyError"):
+        loaded.section("other", lambda arrays: arrays["b.c"])
+    for name in ("learnt", "a.b"):
+        with pytest.raises(ValueError, match="no name of a section"):
+            save_model(path, taught, trainer_name="level_check", pads=PADS, sections={name: {}})
+
+
 def test_file_is_plain_arrays_and_json(good: Path) -> None:
     with np.load(good, allow_pickle=False) as archive:
         header = json.loads(str(archive["model"]))
