@@ -57,13 +57,8 @@ def check_fault(text: str, n_servos: int = 2) -> tuple[FaultText, FaultEntry, in
         if parsed.value is not None:
             raise SimulatorSettingsError(f"fault {parsed.name} takes no value")
         return parsed, entry, servo, None
-    if parsed.value is None:
-        default = entry.value.default
-        written = default if isinstance(default, str) else repr(default)
-        if isinstance(default, float | int):
-            return parsed, entry, servo, float(default)
-        return parsed, entry, servo, entry.value.read(parsed.name, written)
-    return parsed, entry, servo, entry.value.read(parsed.name, parsed.value)
+    written = str(entry.value.default) if parsed.value is None else parsed.value
+    return parsed, entry, servo, entry.value.read(parsed.name, written)
 
 
 class InjectedFault:

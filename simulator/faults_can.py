@@ -1,28 +1,21 @@
 """Named faults of the CAN link."""
 
-from collections.abc import Callable
-
-from simulator.faults_entry import Effect, FaultEntry, FaultKind, Number, Target, nothing, turned
+from simulator.faults_entry import (
+    Effect,
+    FaultEntry,
+    FaultKind,
+    Number,
+    Target,
+    nothing,
+    share_fault,
+    switching,
+    turned,
+    turning,
+    unplugging,
+)
 
 _BURST_PERIOD_S = 0.5
 _EMERGENCY_BASE = 0x80
-_SHARE = Number(unit="share", low=0.0, high=1.0, default=0.05)
-
-Apply = Callable[[Target], Effect]
-
-
-def _can(knob: str) -> Apply:
-    return lambda target: Effect(undo=turned(target.devices.faults.can, knob, target.number))
-
-
-def _can_on(knob: str) -> Apply:
-    return lambda target: Effect(undo=turned(target.devices.faults.can, knob, True))
-
-
-def _unplugged(target: Target) -> Effect:
-    pull, plug_in = target.devices.plugs["can"]
-    pull()
-    return Effect(undo=plug_in)
 
 
 def _bursts(target: Target) -> Effect:
@@ -44,9 +37,7 @@ def _short_emergency(target: Target) -> Effect:
 
 
 def _share(name: str, kind: FaultKind, meaning: str, knob: str) -> FaultEntry:
-    return FaultEntry(
-        name=name, kind=kind, meaning=meaning, value=_SHARE, apply=_can(knob), knob=knob
-    )
+    return share_fault(name, kind, meaning, knob, turning("can", knob))
 
 
 def _hertz(default: float) -> Number:
@@ -73,7 +64,7 @@ CAN = (
         kind=FaultKind.DELAYED,
         meaning="messages to the host come late",
         value=Number(unit="s", low=0.0, high=60.0, default=0.1),
-        apply=_can("delay_s"),
+        apply=turning("can", "delay_s"),
         knob="delay_s",
     ),
     FaultEntry(
@@ -81,7 +72,7 @@ CAN = (
         kind=FaultKind.GARBAGE,
         meaning="messages of an unknown identifier with random content fill the bus",
         value=_hertz(8000.0),
-        apply=_can("flood_hz"),
+        apply=turning("can", "flood_hz"),
         knob="flood_hz",
     ),
     FaultEntry(
@@ -89,7 +80,7 @@ CAN = (
         kind=FaultKind.WRONG,
         meaning="now and then a message of an unknown identifier",
         value=_hertz(20.0),
-        apply=_can("flood_hz"),
+        apply=turning("can", "flood_hz"),
         knob="flood_hz",
     ),
     FaultEntry(
@@ -103,21 +94,21 @@ CAN = (
         name="can.passive",
         kind=FaultKind.SLOW,
         meaning="the host's controller is error-passive",
-        apply=_can_on("error_passive"),
+        apply=switching("can", "error_passive"),
         knob="error_passive",
     ),
     FaultEntry(
         name="can.off",
         kind=FaultKind.OFF,
         meaning="the host's controller is bus-off: nothing passes",
-        apply=_can_on("bus_off"),
+        apply=switching("can", "bus_off"),
         knob="bus_off",
     ),
     FaultEntry(
         name="can.unplugged",
         kind=FaultKind.UNPLUGGED,
         meaning="the host's adapter is gone",
-        apply=_unplugged,
+        apply=unplugging("can"),
         knob="can_plug",
     ),
 )

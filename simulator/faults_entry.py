@@ -194,6 +194,12 @@ class FaultEntry:
     knob: str = ""
 
 
+Apply = Callable[[Target], Effect]
+
+SHARE = Number(unit="share", low=0.0, high=1.0, default=0.05)
+"""How much of the traffic, or of the taxels, a fault meets."""
+
+
 def turned(owner: object, name: str, value: object) -> Undo:
     """Turn one knob; return what turns it back to where it was."""
     before = getattr(owner, name)
@@ -203,3 +209,43 @@ def turned(owner: object, name: str, value: object) -> Undo:
 
 def nothing() -> None:
     """Take nothing back."""
+
+
+def turning(
+    part: str, knob: str, value: Callable[[Target], object] = lambda target: target.number
+) -> Apply:
+    """Return what turns a knob of one part of the cell, to the number of the fault by default.
+
+    Parameters
+    ----------
+    part
+        ``can``, ``unit`` or ``servo_wire``.
+    knob
+        Name of the knob.
+    value
+        What to turn it to.
+    """
+    return lambda target: Effect(
+        undo=turned(getattr(target.devices.faults, part), knob, value(target))
+    )
+
+
+def switching(part: str, knob: str) -> Apply:
+    """Return what switches a knob of one part of the cell on."""
+    return turning(part, knob, lambda target: True)
+
+
+def unplugging(plug: str) -> Apply:
+    """Return what pulls a plug: ``can`` or ``servos``."""
+
+    def apply(target: Target) -> Effect:
+        pull, plug_in = target.devices.plugs[plug]
+        pull()
+        return Effect(undo=plug_in)
+
+    return apply
+
+
+def share_fault(name: str, kind: FaultKind, meaning: str, knob: str, apply: Apply) -> FaultEntry:
+    """Return a fault that meets a share of what passes."""
+    return FaultEntry(name=name, kind=kind, meaning=meaning, value=SHARE, apply=apply, knob=knob)

@@ -1,7 +1,5 @@
 """Named faults of the servo bus and of single servos."""
 
-from collections.abc import Callable
-
 from gripper.registers import REGISTERS
 from simulator.errors import SimulatorSettingsError
 from simulator.faults_entry import (
@@ -12,25 +10,18 @@ from simulator.faults_entry import (
     Setting,
     Target,
     nothing,
+    share_fault,
+    switching,
     turned,
+    turning,
+    unplugging,
 )
 from simulator.motor import AMBIENT_C
 from simulator.servo_core import WatchdogStop
 from simulator.servo_faults import ServoFaultKnobs, Trigger
 from simulator.servo_registers import EEPROM_END
 
-_SHARE = Number(unit="share", low=0.0, high=1.0, default=0.05)
 _LATE = Number(unit="s", low=0.0, high=1.0, default=0.04)
-
-Apply = Callable[[Target], Effect]
-
-
-def _wire(knob: str) -> Apply:
-    def apply(target: Target) -> Effect:
-        trigger = Trigger(probability=target.number)
-        return Effect(undo=turned(target.devices.faults.servo_wire, knob, trigger))
-
-    return apply
 
 
 def _late(target: Target, servo_ids: frozenset[int] | None) -> Effect:
@@ -54,16 +45,6 @@ def _silence(target: Target, servo_ids: list[int]) -> Effect:
 
 def _all_silent(target: Target) -> Effect:
     return _silence(target, [servo.servo_id for servo in target.devices.settings.servos])
-
-
-def _unplugged(target: Target) -> Effect:
-    pull, plug_in = target.devices.plugs["servos"]
-    pull()
-    return Effect(undo=plug_in)
-
-
-def _echo(target: Target) -> Effect:
-    return Effect(undo=turned(target.devices.faults.servo_wire, "echo", True))
 
 
 def _id(target: Target) -> int:
@@ -141,9 +122,10 @@ def _wrong(target: Target) -> Effect:
 
 
 def _share(name: str, kind: FaultKind, meaning: str, knob: str) -> FaultEntry:
-    return FaultEntry(
-        name=name, kind=kind, meaning=meaning, value=_SHARE, apply=_wire(knob), knob=knob
-    )
+    def trigger(target: Target) -> Trigger:
+        return Trigger(probability=target.number)
+
+    return share_fault(name, kind, meaning, knob, turning("servo_wire", knob, trigger))
 
 
 SERVOS = (
@@ -172,14 +154,14 @@ SERVOS = (
         name="servos.echo",
         kind=FaultKind.WRONG,
         meaning="the host hears its own bytes",
-        apply=_echo,
+        apply=switching("servo_wire", "echo"),
         knob="echo",
     ),
     FaultEntry(
         name="servos.unplugged",
         kind=FaultKind.UNPLUGGED,
         meaning="the adapter of the servo bus is gone",
-        apply=_unplugged,
+        apply=unplugging("servos"),
         knob="servo_plug",
     ),
 )

@@ -1,11 +1,10 @@
 """Named faults of the control unit and its taxels."""
 
-from collections.abc import Callable
-
 import numpy as np
 
 from simulator.errors import SimulatorSettingsError
 from simulator.faults_entry import (
+    SHARE,
     Effect,
     FaultEntry,
     FaultKind,
@@ -13,7 +12,9 @@ from simulator.faults_entry import (
     Setting,
     Target,
     nothing,
+    switching,
     turned,
+    turning,
 )
 from tactile import eds
 
@@ -26,17 +27,6 @@ _IDENTITY = {
     "taxels": (eds.LAYOUT, eds.LAYOUT_TAXELS),
     "pads": (eds.LAYOUT, eds.LAYOUT_PADS),
 }
-_SHARE = Number(unit="share", low=0.0, high=1.0, default=0.05)
-
-Apply = Callable[[Target], Effect]
-
-
-def _unit(knob: str) -> Apply:
-    return lambda target: Effect(undo=turned(target.devices.faults.unit, knob, target.number))
-
-
-def _unit_on(knob: str) -> Apply:
-    return lambda target: Effect(undo=turned(target.devices.faults.unit, knob, True))
 
 
 def _emergency(target: Target) -> Effect:
@@ -118,21 +108,21 @@ UNIT = (
         name="unit.off",
         kind=FaultKind.OFF,
         meaning="the control unit neither hears nor says anything",
-        apply=_unit_on("dead"),
+        apply=switching("unit", "dead"),
         knob="dead",
     ),
     FaultEntry(
         name="unit.heartbeat_off",
         kind=FaultKind.OFF,
         meaning="the heartbeat stops, all else goes on",
-        apply=_unit_on("heartbeat_off"),
+        apply=switching("unit", "heartbeat_off"),
         knob="heartbeat_off",
     ),
     FaultEntry(
         name="unit.stuck",
         kind=FaultKind.STUCK,
         meaning="valid frames with the counts of the last scan for ever",
-        apply=_unit_on("frozen"),
+        apply=switching("unit", "frozen"),
         knob="frozen",
     ),
     FaultEntry(
@@ -140,7 +130,7 @@ UNIT = (
         kind=FaultKind.SLOW,
         meaning="the burst of a frame begins late after its SYNC",
         value=Number(unit="s", low=0.0, high=1.0, default=0.008),
-        apply=_unit("late_s"),
+        apply=turning("unit", "late_s"),
         knob="late_s",
     ),
     FaultEntry(
@@ -185,7 +175,7 @@ UNIT = (
         name="unit.pads_swapped",
         kind=FaultKind.WRONG,
         meaning="the pads of the two fingers are exchanged at the unit",
-        apply=_unit_on("pads_swapped"),
+        apply=switching("unit", "pads_swapped"),
         knob="pads_swapped",
     ),
 )
@@ -195,7 +185,7 @@ TAXELS = (
         name="taxels.stuck",
         kind=FaultKind.STUCK,
         meaning="this share of the taxels reads full scale",
-        value=_SHARE,
+        value=SHARE,
         apply=_stuck_taxels,
         knob="stuck_counts",
     ),
@@ -203,7 +193,7 @@ TAXELS = (
         name="taxels.off",
         kind=FaultKind.OFF,
         meaning="this share of the taxels reads 0",
-        value=_SHARE,
+        value=SHARE,
         apply=_dead_taxels,
         knob="dead_taxels",
     ),
@@ -221,7 +211,7 @@ TAXELS = (
         kind=FaultKind.WRONG,
         meaning="so many counts come on top of each taxel",
         value=Number(unit="counts", low=-65_535.0, high=65_535.0, default=20.0),
-        apply=_unit("offset_counts"),
+        apply=turning("unit", "offset_counts"),
         knob="offset_counts",
     ),
     FaultEntry(
@@ -229,7 +219,7 @@ TAXELS = (
         kind=FaultKind.WRONG,
         meaning="each taxel reads so many times its counts",
         value=Number(unit="factor", low=0.0, high=100.0, default=0.5),
-        apply=_unit("gain"),
+        apply=turning("unit", "gain"),
         knob="gain",
     ),
 )
