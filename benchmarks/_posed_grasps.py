@@ -7,6 +7,7 @@ import numpy as np
 
 from cell.collect import pad_array
 from recognition.grasp import Grasp
+from recognition.placing import Placing
 from simulator.foam import Foam
 from simulator.noise import NoiseModel
 from simulator.press import Press
@@ -25,17 +26,6 @@ _LAYOUT = paper_layout()
 _FOAM = Foam()
 _GRIDS = tuple(PadGrid(_LAYOUT.pads[pad], _FOAM) for pad in _LAYOUT.gripping_pads)
 PADS = pad_array(_LAYOUT)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Placing:
-    """Where and how hard one grasp is: offsets in m, angles in rad, force in N."""
-
-    x_m: float = 0.0
-    y_m: float = 0.0
-    rotation_rad: float = 0.0
-    roll_rad: float = 0.0
-    force_n: float = 8.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -108,6 +98,7 @@ def posed_grasp(
         force_n=force_n,
         label=label,
         start_ms=seed,
+        placing=placing,
     )
 
 

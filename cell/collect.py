@@ -9,6 +9,7 @@ from cell.pose import Pose
 from cell.sequence import GraspStep
 from gripper.gripper import Cycle, GraspOutcome
 from recognition.grasp import Grasp, PadArray
+from recognition.placing import Placing
 from tactile.layout import TaxelLayout
 from tactile.protocol import TactileFrame
 
@@ -76,7 +77,14 @@ class GraspCollector:
         return tuple(self._cycles)
 
     def grasp(
-        self, pads: PadArray, *, label: str = "", shape: str = "", source: str = "", start_ms: int
+        self,
+        pads: PadArray,
+        *,
+        label: str = "",
+        shape: str = "",
+        source: str = "",
+        start_ms: int,
+        placing: Placing | None = None,
     ) -> Grasp:
         """Return what was collected. Raises ValueError if no frame came."""
         if not self._frames:
@@ -92,4 +100,5 @@ class GraspCollector:
             shape=shape,
             source=source,
             start_ms=start_ms,
+            placing=placing,
         )

@@ -17,6 +17,8 @@ label          str (n_grasps,)            what was grasped; empty where unknown
 shape          str (n_grasps,)            class of shape; optional
 start_ms       int64 (n_grasps,)          time of the grasp's first frame
 source         str (n_grasps,)            where it came from; optional
+pose           float64 (n_grasps, 5)      pose and force asked for: ``recognition.placing.COLUMNS``;
+                                          a row of NaN where unknown; optional
 ============== ========================== ======================================================
 """
 
@@ -31,6 +33,7 @@ from numpy.typing import NDArray
 from cell.errors import DatasetError
 from cell.files import read_npz, savez, write_atomically
 from recognition.grasp import Grasp, PadArray
+from recognition.placing import COLUMNS, Placing
 
 FORMAT = "grasp-dataset/1"
 """First thing that a data set says of itself."""
@@ -51,7 +54,7 @@ _REQUIRED = (
     "label",
     "start_ms",
 )
-_OPTIONAL = ("force_n", "shape", "source")
+_OPTIONAL = ("force_n", "shape", "source", "pose")
 _MAX_TEXT = 200
 _MAX_TAXELS = 1 << 16
 
@@ -128,6 +131,9 @@ def _arrays_of(path: Path, grasps: Sequence[Grasp]) -> dict[str, NDArray[Any]]:
         texts = [getattr(grasp, name) for grasp in grasps]
         if any(texts):
             arrays[name] = np.array(texts, dtype=np.str_)
+    if any(grasp.placing for grasp in grasps):
+        unknown = (np.nan,) * len(COLUMNS)
+        arrays["pose"] = np.array([g.placing.values if g.placing else unknown for g in grasps])
     return arrays
 
 
@@ -186,6 +192,15 @@ class _Checker:
                 raise self._refuse(name, f"text {text!r} is not printable")
         return texts
 
+    def _placings(self, n_grasps: int) -> list[Placing | None]:
+        if "pose" not in self._arrays:
+            return [None] * n_grasps
+        rows = self._floats("pose", (n_grasps, len(COLUMNS)), nan=True)
+        unknown = np.isnan(rows)
+        if np.any(unknown.any(axis=1) != unknown.all(axis=1)):
+            raise self._refuse("pose", "has a row that is known in part; write it or NaN alone")
+        return [None if np.isnan(row[0]) else Placing.of(row) for row in rows]
+
     def _pads(self) -> PadArray:
         adc_max = int(self._ints("adc_max", ()))
         if not 1 <= adc_max <= np.iinfo(np.uint16).max:
@@ -240,6 +255,7 @@ class _Checker:
         )
         start_ms = self._ints("start_ms", (n_grasps,))
         texts = [self._texts(name, n_grasps) for name in ("label", "shape", "source")]
+        placings = self._placings(n_grasps)
         return tuple(
             Grasp(
                 pads=pads,
@@ -251,6 +267,7 @@ class _Checker:
                 shape=texts[1][i],
                 source=texts[2][i],
                 start_ms=int(start_ms[i]),
+                placing=placings[i],
             )
             for i, (first, last) in enumerate(itertools.pairwise(offsets))
         )

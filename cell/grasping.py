@@ -101,7 +101,13 @@ class Grasper:
         outcome = self._hand.grasp(self._ramp(step), watch)
         self._life.result = outcome.result
         record = GraspRecord(
-            grasp=collector.grasp(self.pads, label=label, source="tactile-cell", start_ms=start_ms),
+            grasp=collector.grasp(
+                self.pads,
+                label=label,
+                source="tactile-cell",
+                start_ms=start_ms,
+                placing=step.placing,
+            ),
             step=step,
             reached=reached,
             outcome=outcome,

@@ -80,6 +80,8 @@ def grasp_values(grasp: "Grasp", *, first_frame: int) -> dict[str, Any]:
         array = getattr(grasp, name)
         if np.all(np.isfinite(array)):
             values[name] = array.round(9).tolist()
+    if grasp.placing is not None:
+        values["asked"] = [round(value, 9) for value in grasp.placing.values]
     return values
 
 

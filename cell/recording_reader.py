@@ -12,6 +12,7 @@ from cell import recording_schema as schema
 from cell.errors import RecordingError
 from cell.recording_salvage import RawRecording, read_raw
 from recognition.grasp import Grasp, PadArray
+from recognition.placing import Placing
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -248,6 +249,7 @@ class _Builder:
                     shape=str(row["shape"]),
                     source=str(row["source"]),
                     start_ms=int(row["start_ms"]),
+                    placing=Placing.of(row["asked"]) if "asked" in row else None,
                 )
             )
         return tuple(grasps), len(rows) - len(grasps)

@@ -16,6 +16,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from recognition.placing import COLUMNS
+
 FORMAT: Final = "tactile-cell-recording/1"
 """First thing that a recording says of itself, in its metadata."""
 
@@ -175,6 +177,7 @@ SCHEMAS: Final[Mapping[str, Mapping[str, Any]]] = {
         frame_t_s=_numbers("time of each frame since the first, s"),
         aperture_m=_numbers("opening at each frame, m; left out unless known for each"),
         force_n=_numbers("commanded grip force at each frame, N; left out unless known for each"),
+        asked=_numbers("pose and force asked for: " + ", ".join(COLUMNS)),
         counts_crc32=_integer("CRC-32 over the counts of all frames as uint16, little endian"),
     ),
     RESULT: _schema(

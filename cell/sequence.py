@@ -8,6 +8,7 @@ import numpy as np
 
 from cell.config_sequence import SequenceConfig
 from cell.pose import Pose
+from recognition.placing import Placing
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -24,6 +25,11 @@ class GraspStep:
 
     pose: Pose
     force_n: float
+
+    @property
+    def placing(self) -> Placing:
+        """Pose and force as a grasp keeps them."""
+        return Placing(**self.pose.as_dict(), force_n=self.force_n)
 
 
 def _levels(low: float, high: float, count: int) -> list[float]:

@@ -215,6 +215,7 @@ class VirtualPads:
             shape=shape,
             source=SOURCE,
             start_ms=start_ms,
+            placing=step.placing,
         )
 
     def _approach(

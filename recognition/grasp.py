@@ -6,6 +6,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
+from recognition.placing import Placing
+
 
 def _frozen(values: ArrayLike, dtype: DTypeLike, shape: tuple[int, ...], name: str) -> NDArray[Any]:
     array: NDArray[Any] = np.array(values, dtype=dtype)
@@ -103,6 +105,8 @@ class Grasp:
         What was grasped, its class of shape, where the record came from; empty where unknown.
     start_ms
         Time of the first frame in ms: sorts the grasps of a label.
+    placing
+        Pose and force that were asked for; None where unknown. Recognisers do not look at it.
     """
 
     pads: PadArray
@@ -114,6 +118,7 @@ class Grasp:
     shape: str = ""
     source: str = ""
     start_ms: int = 0
+    placing: Placing | None = None
 
     def __post_init__(self) -> None:
         n_frames = len(self.counts)

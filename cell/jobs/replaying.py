@@ -251,6 +251,7 @@ class _Rig:
             shape=grasp.shape,
             source=grasp.source,
             start_ms=grasp.start_ms,
+            placing=grasp.placing,
         )
 
     def _wait_for_frame(self) -> None:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from cell.dataset import read_dataset, write_dataset
 from cell.errors import CellError, DatasetError
 from recognition.grasp import Grasp, PadArray
+from recognition.placing import Placing
 
 PADS = PadArray(
     pad_shape=np.array([[3, 2], [2, 2]]),
@@ -116,6 +117,14 @@ def test_recorded_grasps_load_and_round_trip(tmp_path: Path) -> None:
             np.testing.assert_array_equal(now[name], array)
 
 
+def test_placings_come_back_and_files_without_them_stay_valid(good: Path, tmp_path: Path) -> None:
+    asked = Placing(x_m=1e-3, y_m=-2e-3, rotation_rad=0.5, roll_rad=6.0, force_n=4.0)
+    write_dataset(tmp_path / "d.npz", [make_grasp(0), make_grasp(1, placing=asked)])
+    assert [grasp.placing for grasp in read_dataset(tmp_path / "d.npz")] == [None, asked]
+    assert "pose" not in arrays_of(good)
+    assert [grasp.placing for grasp in read_dataset(good)] == [None] * 3
+
+
 Change = Callable[[dict[str, NDArray[Any]]], Any]
 
 DAMAGE: dict[str, tuple[Change, str]] = {
@@ -145,6 +154,12 @@ DAMAGE: dict[str, tuple[Change, str]] = {
         "no text",
     ),
     "label too few": (lambda a: a.update(label=a["label"][:2]), "shape"),
+    "pose with too few numbers": (lambda a: a.update(pose=np.zeros((3, 4))), "shape"),
+    "pose known in part": (
+        lambda a: a.update(pose=np.where(np.eye(3, 5), np.nan, 1.0)),
+        "known in part",
+    ),
+    "infinite pose": (lambda a: a.update(pose=np.full((3, 5), np.inf)), "not finite"),
     "start beyond 64 bits": (
         lambda a: a.update(start_ms=np.full(3, 2**64 - 1, dtype=np.uint64)),
         "64 bits",

@@ -45,6 +45,9 @@ def test_what_was_taught_is_written(taught: Any) -> None:
     assert len(recording.results) == 2
     for was, now in zip(taught.grasps, recording.grasps, strict=False):
         np.testing.assert_array_equal(was.counts, now.counts)
+        assert was.placing and now.placing
+        assert was.placing.values == pytest.approx(now.placing.values)
+    assert len({grasp.placing for grasp in taught.grasps}) == 10
 
 
 def test_no_pose_of_teaching_is_met_again(taught: Any) -> None:

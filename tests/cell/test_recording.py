@@ -30,6 +30,7 @@ from gripper.force import ForceSample
 from gripper.state import Cycle, GripperPhase, GripperState, ServoState
 from gripper.timing import LoopStatistics
 from recognition.grasp import Grasp, PadArray
+from recognition.placing import Placing
 from tactile.protocol import TactileFrame
 
 PADS = PadArray(
@@ -116,6 +117,9 @@ def record_grasp(recorder: Recorder, clock: Clock, label: str, n_frames: int = 2
         label=label,
         source="test",
         start_ms=1_700_000_000_000,
+        placing=Placing(x_m=1e-3, y_m=0.0, rotation_rad=0.3, roll_rad=0.0, force_n=8.0)
+        if label.endswith("1")
+        else None,
     )
     recorder.grasp(grasp)
     return grasp
@@ -155,6 +159,7 @@ def same(was: Grasp, now: Grasp) -> bool:
         and np.allclose(was.force_n, now.force_n, atol=2e-9, equal_nan=True)
         and (was.label, was.shape, was.source) == (now.label, now.shape, now.source)
         and was.start_ms == now.start_ms
+        and was.placing == now.placing
         and was.pads.same_as(now.pads)
     )
 
