@@ -10,6 +10,7 @@ from gripper.kinematics import Linkage
 from gripper.limits import ServoGoal
 from gripper.motion_current import motion_current_a
 from gripper.ramp import ForceRamp
+from gripper.ramp_end import RampEnd
 from gripper.runner import Action, LoopRunner, Moment, Observer
 from gripper.servos import ServoGroup
 from gripper.settings import GripperSettings
@@ -45,6 +46,7 @@ class GraspRun:
         self._setpoint_n = 0.0
         self._compliance = new_compliance(settings)
         self._free = FreeRunning()
+        self._end = RampEnd()
         self.control: GripControl | None = None
 
     def forget(self) -> None:
@@ -52,13 +54,17 @@ class GraspRun:
         self.control = None
         self._setpoint_n = 0.0
 
+    def end_ramp(self) -> None:
+        """End the running ramp at its present set-point; see `Gripper.end_ramp`."""
+        self._end.request()
+
     def run(
         self,
         ramp: ForceRamp,
         observer: Observer | None,
         set_phase: Callable[[GripperPhase], None],
     ) -> GraspOutcome:
-        """Approach, then follow the ramp to its end."""
+        """Approach, then follow the ramp to its end, or until it is ended on request."""
         self.forget()
         event, state = self._approach(observer)
         if event is not ApproachEvent.CONTACT:
@@ -72,7 +78,8 @@ class GraspRun:
                 overshoot_n=0.0,
             )
         set_phase(GripperPhase.RAMPING)
-        return self._follow(ramp, state, observer)
+        with self._end.counting():
+            return self._follow(ramp, state, observer)
 
     def hold(
         self, control: GripControl, duration_s: float, observer: Observer | None
@@ -180,12 +187,12 @@ class GraspRun:
         actual = ramp
         elapsed_s = 0.0
         peak_n = 0.0
-        lost = False
+        lost = ended = False
         slip = LevelSlip(self._settings)
         rest = ContactRest(contact.t_s + _REST_S)
 
         def step(moment: Moment) -> Action:
-            nonlocal control, actual, elapsed_s, peak_n, lost
+            nonlocal control, actual, elapsed_s, peak_n, lost, ended
             paths = self._servos.feedback.transmissions(moment.state.servos)
             self._compliance.push(moment.now_s, moment.state.aperture_m, moment.sample)
             if rest.goes_on(moment):
@@ -206,6 +213,8 @@ class GraspRun:
                 )
                 self.control = control
                 actual = ramp.starting_from(force_n)
+            elif not ended and self._ends_early(actual, elapsed_s):
+                actual, elapsed_s, ended = actual.ended_at(elapsed_s), 0.0, True
             else:
                 elapsed_s += moment.dt_s
             self._setpoint_n = actual.setpoint_n(elapsed_s)
@@ -230,8 +239,8 @@ class GraspRun:
 
         state = self._runner.run(GripperPhase.RAMPING, step, observer, needs_force=True)
         final_n = 0.0 if control is None else control.force_n
-        tolerance_n = self._settings.settle_tolerance_at_n(ramp.final_n)
-        reached = abs(final_n - ramp.final_n) <= tolerance_n
+        tolerance_n = self._settings.settle_tolerance_at_n(actual.final_n)
+        reached = abs(final_n - actual.final_n) <= tolerance_n
         if lost:
             self.forget()
             result = GraspResult.PART_LOST
@@ -243,7 +252,16 @@ class GraspRun:
             contact_aperture_m=contact.aperture_m,
             final_aperture_m=state.aperture_m,
             final_force_n=final_n,
-            overshoot_n=max(0.0, peak_n - ramp.final_n),
+            overshoot_n=max(0.0, peak_n - actual.final_n),
+            ended_early=ended,
+        )
+
+    def _ends_early(self, ramp: ForceRamp, elapsed_s: float) -> bool:
+        """Say whether the ramp is to end now: wanted, not over, and enough to hold a part."""
+        return (
+            self._end.requested
+            and ramp.duration_s - elapsed_s > 1e-9
+            and ramp.setpoint_n(elapsed_s) >= self._settings.contact_force_n
         )
 
     def _settled(self, ramp: ForceRamp, elapsed_s: float, control: GripControl) -> bool:

@@ -313,6 +313,17 @@ class Gripper:
         self._life.phase = GripperPhase.IDLE
         return state
 
+    def end_ramp(self) -> None:
+        """Let the running ramp end at its present set-point, as if it had no more; from any thread.
+
+        The force settles there without a further hold, and `grasp` returns as usual, with
+        `GraspOutcome.ended_early`: the part is held, all supervision goes on. A set-point that
+        could not hold a part yet grows to contact_force_n first. Without effect before the contact
+        and after the ramp: such a request is not kept for the next grasp. A stop, a fault and the
+        loss of the part come first.
+        """
+        self._grasping.end_ramp()
+
     def request_stop(self) -> None:
         """Let the running command end with GraspStopped; safe from any thread.
 

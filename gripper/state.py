@@ -171,6 +171,9 @@ class GraspOutcome:
         Grip force at the end in N, mean of the last samples; 0 without contact.
     overshoot_n
         Largest mean of three samples minus the end of the ramp in N, at least 0.
+    ended_early
+        Whether the ramp was ended on request, before its usual end: the force that was reached or
+        not is then the set-point at that time.
     """
 
     result: GraspResult
@@ -179,3 +182,4 @@ class GraspOutcome:
     final_aperture_m: float
     final_force_n: float
     overshoot_n: float
+    ended_early: bool = False

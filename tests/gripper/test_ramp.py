@@ -122,3 +122,14 @@ def test_ramps_that_jump_or_turn_round_cannot_exist() -> None:
         )
     with pytest.raises(LimitExceeded, match="above 0"):
         ForceRamp(segments=(RampSegment(duration_s=0.0, start_n=0.0, end_n=1.0),))
+
+
+def test_an_ended_ramp_stays_at_its_force_and_names_the_level_it_was_at_or_on_its_way_to() -> None:
+    ramp = ForceRamp.staircase((2.0, 4.0), rate_n_s=4.0, hold_s=1.0)
+    for elapsed_s, force_n, level in ((0.25, 1.0, 0), (0.6, 2.0, 0), (1.75, 3.0, 1), (9.0, 4.0, 1)):
+        ended = ramp.ended_at(elapsed_s)
+        assert ended.duration_s == 0.0
+        assert (ended.start_n, ended.final_n) == (force_n, force_n)
+        assert {ended.level_at(t) for t in (0.0, 1.0)} == {level}
+    smooth = ForceRamp.s_curve(4.0, 2.0)
+    assert smooth.ended_at(1.0).final_n == pytest.approx(2.0)
