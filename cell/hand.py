@@ -110,6 +110,14 @@ class Hand(Protocol):
         """Close until both pads touch, follow the ramp; return while holding."""
         ...
 
+    def end_ramp(self) -> None:
+        """Let the ramp of the running grasp end where it is; see `Gripper.end_ramp`.
+
+        Safe from any thread, and meant for the watch of a grasp. One that comes too late changes
+        nothing, neither this grasp nor the next.
+        """
+        ...
+
     def release(self, watch: Watch | None = None) -> None:
         """Let go: the only command that lets a part go."""
         ...

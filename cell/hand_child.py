@@ -15,7 +15,7 @@ from typing import NoReturn
 
 from cell.config import CellConfig
 from cell.errors import HandLost
-from cell.hand_wire import Boot, Event, Fault, Ready, Request, received_error
+from cell.hand_wire import Boot, EndRamp, Event, Fault, Ready, Request, received_error
 
 _BOOT_S = 60.0
 _END_S = 5.0
@@ -89,7 +89,7 @@ class LoopProcess:
         with suppress(OSError):
             os.write(self._stop_fd, b"s")
 
-    def send(self, message: Request | Boot) -> None:
+    def send(self, message: Request | EndRamp | Boot) -> None:
         """Send a message. Raises HandLost if the process is gone."""
         self.check()
         try:

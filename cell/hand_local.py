@@ -161,6 +161,10 @@ class LocalHand:
         self._tap.take()
         return self.gripper.grasp(ramp, observer=self._observer(watch))
 
+    def end_ramp(self) -> None:
+        """Let the running ramp end where it is; see `Hand`."""
+        self.gripper.end_ramp()
+
     def release(self, watch: Watch | None = None) -> None:
         """Let go; see `Hand`."""
         self.gripper.release(observer=None if watch is None else self._observer(watch))

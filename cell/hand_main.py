@@ -6,9 +6,11 @@ grip, and the process ends as `gripper.gripper.Gripper.close` does: a held part 
 """
 
 import os
+import select
 import signal
 import threading
 import time
+from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
@@ -28,6 +30,7 @@ from cell.hand_wire import (
     ClearFault,
     CloseSensor,
     Command,
+    EndRamp,
     Fault,
     GraspUnder,
     Inspect,
@@ -110,6 +113,10 @@ class HandServer:
         self._connection = connection
         self._outbox = outbox
         self._parent = parent
+        self._poller = select.poll()
+        self._poller.register(connection.fileno(), select.POLLIN)
+        self._requests: deque[Request] = deque()
+        self._grasp = 0
         self._ending = ""
         self._supervised = True
         self._alive_due_s = 0.0
@@ -128,12 +135,13 @@ class HandServer:
         """Obey and supervise until there is a reason to end."""
         due_s = time.monotonic()
         while not self._ending:
-            if self._connection.poll(max(0.0, due_s - time.monotonic())):
-                try:
-                    request = self._connection.recv()
-                except (EOFError, OSError):
-                    return
-                self._execute(request)
+            try:
+                if not self._requests:
+                    self._receive(max(0.0, due_s - time.monotonic()))
+            except (EOFError, OSError):
+                return
+            if self._requests:
+                self._execute(self._requests.popleft())
             now_s = time.monotonic()
             if now_s >= due_s:
                 self._supervise()
@@ -154,10 +162,24 @@ class HandServer:
         self._ending = self._ending or reason
         self._hand.request_stop()
 
+    def _receive(self, wait_s: float) -> None:
+        """Take the next message, if one comes in time: each is small and there as a whole.
+
+        Raises EOFError or OSError if the program is gone.
+        """
+        if not self._poller.poll(1e3 * wait_s):
+            return
+        message = self._connection.recv()
+        if isinstance(message, Request):
+            self._requests.append(message)
+        elif isinstance(message, EndRamp) and message.number == self._grasp:
+            self._hand.end_ramp()
+
     def _execute(self, request: Request) -> None:
         value: Any = None
         failure: BaseException | None = None
         dropped = self._outbox.dropped
+        self._grasp = request.number if isinstance(request.command, GraspUnder) else 0
         try:
             value = self._run(request.command)
         except GraspStopped as stop:
@@ -217,6 +239,9 @@ class HandServer:
     def _watch(self, cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
         dropped = self._outbox.dropped
         self._outbox.post(Progress(cycle=cycle, frames=tuple(frames)))
+        # That the program is gone is seen below, and by the pipe for stops.
+        with suppress(EOFError, OSError):
+            self._receive(0.0)
         self._look_for_parent()
         if self._ending or self._outbox.dropped > dropped:
             self._hand.request_stop()

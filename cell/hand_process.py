@@ -13,6 +13,7 @@ from cell.hand_wire import (
     ClearFault,
     CloseSensor,
     Command,
+    EndRamp,
     Fault,
     GraspUnder,
     Inspect,
@@ -143,6 +144,10 @@ class HandProcess:
         """Close and follow the ramp; see `Hand`."""
         outcome: GraspOutcome = self._call(GraspUnder(ramp=ramp), watch)
         return outcome
+
+    def end_ramp(self) -> None:
+        """Let the running ramp end where it is; see `Hand`."""
+        self._loop.send(EndRamp(number=self._number))
 
     def release(self, watch: Watch | None = None) -> None:
         """Let go; see `Hand`."""

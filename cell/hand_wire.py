@@ -121,6 +121,19 @@ class Request:
     command: Command
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EndRamp:
+    """`Hand.end_ramp`, said while a grasp runs; no answer follows.
+
+    Attributes
+    ----------
+    number
+        Of the request to grasp that it is meant for: while another one runs it counts no more.
+    """
+
+    number: int
+
+
 # -- from the process ----------------------------------------------------------------------------
 
 

@@ -12,7 +12,17 @@ from cell.config import CellConfig
 from cell.errors import HandLost
 from cell.hand import HandStatistics
 from cell.hand_process import HandProcess
-from cell.hand_wire import Alive, Answer, Fault, GraspUnder, Progress, Ready, Shutdown, send_error
+from cell.hand_wire import (
+    Alive,
+    Answer,
+    EndRamp,
+    Fault,
+    GraspUnder,
+    Progress,
+    Ready,
+    Shutdown,
+    send_error,
+)
 from gripper.errors import BusTimeout, GraspStopped, LimitExceeded, fingers_left, note_fingers
 from gripper.line import BusStatistics
 from gripper.ramp import ForceRamp
@@ -74,6 +84,9 @@ class FakeLoop:
 
     def send(self, request: Any) -> None:
         self.check()
+        if isinstance(request, EndRamp):
+            self.sent.append(request)
+            return
         self.sent.append(request.command)
         for event in self.script.popleft() if self.script else [None]:
             self.coming.append(answer(request.number) if event is None else event)
@@ -143,6 +156,15 @@ def test_periods_reach_the_watch_and_the_answer_is_returned(hand: HandProcess) -
     assert loop_of(hand).sent == [GraspUnder(ramp=RAMP)]
     assert hand.notes == ("a note",)
     assert hand.statistics.loop.cycles == 5
+
+
+def test_the_end_of_a_ramp_names_the_grasp_that_it_is_meant_for(hand: HandProcess) -> None:
+    loop = loop_of(hand)
+    hand.start()
+    loop.script.append([period(), period(), None])
+    hand.grasp(RAMP, lambda _cycle, _frames: hand.end_ramp())
+    assert loop.sent[1:] == [GraspUnder(ramp=RAMP), EndRamp(number=2), EndRamp(number=2)]
+    assert loop.stops == 0
 
 
 def test_a_ramp_beyond_a_limit_is_refused_without_asking_the_process(hand: HandProcess) -> None:

@@ -27,6 +27,7 @@ from cell.hand_wire import (
     Boot,
     ClearFault,
     CloseSensor,
+    EndRamp,
     Fault,
     GraspUnder,
     Inspect,
@@ -151,6 +152,7 @@ def test_the_list_of_commands_is_whole() -> None:
     [
         Boot(config=CellConfig()),
         *(Request(number=7, command=command) for command in COMMANDS),
+        EndRamp(number=7),
         *EVENTS,
     ],
     ids=lambda message: type(getattr(message, "command", message)).__name__,
@@ -231,6 +233,8 @@ class FakeHand:
         self.calls: list[str] = []
         self.cycles = 10
         self.stopped = False
+        self.ended_at: list[float] = []
+        self.now_s = 0.0
         self.tick_error: Exception | None = None
 
     def __getattr__(self, name: str) -> Any:
@@ -239,11 +243,15 @@ class FakeHand:
     def request_stop(self) -> None:
         self.stopped = True
 
+    def end_ramp(self) -> None:
+        self.ended_at.append(self.now_s)
+
     def grasp(self, _ramp: ForceRamp, watch: Any) -> str:
         self.stopped = False
         for number in range(self.cycles):
             if self.stopped:
                 raise GraspStopped("stopped on request")
+            self.now_s = float(number)
             watch(cycle(float(number)), [frame()])
         return "outcome"
 
@@ -334,6 +342,22 @@ def test_a_program_that_takes_nothing_freezes_the_loop_and_is_told_what_is_lost(
     assert 25 < len(periods) < 500
     assert [event.cycle.t_s for event in periods] == [float(n) for n in range(len(periods))]
     line.close()
+
+
+def test_the_end_of_a_ramp_counts_for_its_own_grasp_only(line: Line) -> None:
+    line.hand.cycles = 3
+    line.near.send(EndRamp(number=1))
+    line.near.send(Request(number=1, command=Tare(n_frames=3)))
+    line.near.send(Request(number=2, command=GraspUnder(ramp=RAMP)))
+    line.near.send(EndRamp(number=1))
+    line.near.send(EndRamp(number=2))
+    # One message is taken in each period; a command that comes during a grasp waits for its end.
+    line.near.send(Request(number=3, command=GraspUnder(ramp=RAMP)))
+    line.near.send(EndRamp(number=2))
+    events = line.serve()
+    assert [event.number for event in events if isinstance(event, Answer)] == [1, 2, 3]
+    assert [type(event) for event in events[1:5]] == [Progress] * 3 + [Answer]
+    assert line.hand.ended_at == [1.0]
 
 
 def test_between_commands_the_process_ticks_and_tells_once_what_it_found(line: Line) -> None:

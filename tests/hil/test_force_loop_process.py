@@ -26,6 +26,7 @@ from cell.states import CellState
 from gripper.errors import LimitExceeded
 from gripper.gripper import GraspResult, GripperPhase
 from gripper.ramp import ForceRamp
+from gripper.state import Cycle
 
 pytestmark = pytest.mark.hil
 
@@ -160,6 +161,17 @@ def test_a_job_a_stop_and_the_release(make_cell: Any, simulator: Simulator) -> N
     assert simulator.grip_n() > 0.8
     controller.release()
     assert simulator.grip_n() == 0.0
+
+    def end_at_3_n(cycle: Cycle, _frames: Any) -> None:
+        if cycle.setpoint_n >= 3.0:
+            hand.end_ramp()
+
+    outcome = hand.grasp(ForceRamp.linear(8.0, 5.0), end_at_3_n)
+    assert outcome.ended_early
+    assert 2.0 < simulator.grip_n() < 6.0
+    hand.end_ramp()
+    hand.release()
+    assert hand.phase is GripperPhase.IDLE
     with pytest.raises(LimitExceeded, match=r"the limit is 14\.29 N"):
         hand.grasp(ForceRamp.linear(49.0, 5.0), lambda _cycle, _frames: None)
 
