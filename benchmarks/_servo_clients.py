@@ -1,17 +1,14 @@
 """Three hosts of the same servo bus with the same control cycle: ours, the SDK, and rustypot."""
 
-import json
-import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from pathlib import Path
+from contextlib import AbstractContextManager, contextmanager
 from typing import Any, Protocol, TypeVar
 
 import rustypot
 from dynamixel_sdk import COMM_SUCCESS, GroupSyncRead, GroupSyncWrite, PacketHandler, PortHandler
 
+from benchmarks._child import Child, running
 from benchmarks._servo_responder import BAUD_RATE, SERVO_IDS
 from gripper.bus import ServoBus
 from gripper.errors import BusCorrupt, BusTimeout
@@ -175,41 +172,17 @@ class Rusty:
         self._host.close()
 
 
-class Servos:
+class Servos(Child):
     """The simulated servos in a process of their own."""
-
-    def __init__(self, process: subprocess.Popen[str]) -> None:
-        self._process = process
-        self.port: str = json.loads(self._line())["port"]
-
-    def _line(self) -> str:
-        text = self._process.stdout.readline()
-        if not text:
-            raise RuntimeError("the process of the simulated servos has ended")
-        return text
 
     def set(self, *, paced: bool, drop_every: int = 0) -> None:
         """Choose whether answers take the time on the wire, and which are lost."""
-        print(json.dumps({"paced": paced, "drop_every": drop_every}), file=self._process.stdin)
-        self._process.stdin.flush()
-        self._line()
+        self.order(paced=paced, drop_every=drop_every)
 
 
-@contextmanager
-def servos() -> Iterator[Servos]:
+def servos() -> AbstractContextManager[Servos]:
     """Run the simulated servos while the context lasts."""
-    with subprocess.Popen(
-        [sys.executable, "-m", "benchmarks._servo_responder"],
-        cwd=Path(__file__).resolve().parent.parent,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    ) as process:
-        try:
-            yield Servos(process)
-        finally:
-            process.stdin.close()
-            process.wait(10.0)
+    return running(Servos, "benchmarks._servo_responder")
 
 
 @contextmanager

@@ -1,13 +1,9 @@
 """A link and a sensor that were started and zeroed on a simulated unit, then fed by another one."""
 
-import json
-import subprocess
-import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
-from pathlib import Path
+from contextlib import AbstractContextManager
 
+from benchmarks._child import Child, running
 from benchmarks._frame_feed import LAYOUT, NODE_ID, FeedBus
 from simulator.assembly import SimulatedCell
 from simulator.settings import SimulatorSettings
@@ -116,38 +112,14 @@ class FedSensor:
         self.bus.shutdown()
 
 
-class Unit:
+class Unit(Child):
     """The process of `benchmarks._slcan_unit`."""
-
-    def __init__(self, process: "subprocess.Popen[str]") -> None:
-        self._process = process
-        self.port: str = json.loads(self._line())["port"]
-
-    def _line(self) -> str:
-        text = self._process.stdout.readline()
-        if not text:
-            raise RuntimeError("the process of the control unit has ended")
-        return text
 
     def go_on_from(self, counter: int, n_frames: int) -> None:
         """Choose the counter of its next frame; returns when so many frames are made."""
-        wish = {"counter": counter, "frames": n_frames}
-        print(json.dumps(wish), file=self._process.stdin, flush=True)
-        self._line()
+        self.order(counter=counter, frames=n_frames)
 
 
-@contextmanager
-def slcan_unit() -> Iterator[Unit]:
+def slcan_unit() -> AbstractContextManager[Unit]:
     """Run the control unit while the context lasts."""
-    with subprocess.Popen(
-        [sys.executable, "-m", "benchmarks._slcan_unit"],
-        cwd=Path(__file__).resolve().parent.parent,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-    ) as process:
-        try:
-            yield Unit(process)
-        finally:
-            process.stdin.close()
-            process.wait(10.0)
+    return running(Unit, "benchmarks._slcan_unit")
