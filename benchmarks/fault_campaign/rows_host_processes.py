@@ -6,11 +6,13 @@ import signal
 import tempfile
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 from benchmarks.fault_campaign.host_processes import (
     GRIPPED_N,
     KEPT_N,
+    Client,
     child_of,
     client_config,
     gripping,
@@ -141,20 +143,32 @@ def _parent_dies() -> Observed:
         return held_by(client, began_s, "the orphan stops its sequence and ends")
 
 
+def _loop_left_alone(client: Client, ends: Callable[[], None], told: str) -> Observed:
+    """End a program; the process of its force loop is left, and ends by itself."""
+    loop = child_of(client.pid)
+    ends()
+    began_s = time.monotonic()
+    after_s = wait_for_end(loop) - began_s
+    grip_n = simulator().grip_n()
+    return Observed(
+        reaction="HOLD" if grip_n > KEPT_N else "LOST",
+        detected_after_s=after_s,
+        outcome=f"{told}; the grip is kept ({grip_n:.1f} N)",
+    )
+
+
 def _host_ends() -> Observed:
     with gripping(host=True) as client:
-        loop = child_of(client.pid)
-        assert client.process.stdin is not None
-        client.process.stdin.close()
-        wait_for_end(client.pid)
-        began_s = time.monotonic()
-        after_s = wait_for_end(loop) - began_s
-        grip_n = simulator().grip_n()
-        return Observed(
-            reaction="HOLD" if grip_n > KEPT_N else "LOST",
-            detected_after_s=after_s,
-            outcome="nothing was closed; the process of the force loop freezes the goals and ends; "
-            f"the grip is kept ({grip_n:.1f} N)",
+
+        def ends() -> None:
+            assert client.process.stdin is not None
+            client.process.stdin.close()
+            wait_for_end(client.pid)
+
+        return _loop_left_alone(
+            client,
+            ends,
+            "nothing was closed; the process of the force loop freezes the goals and ends",
         )
 
 
@@ -162,18 +176,11 @@ def _host_ends() -> Observed:
 
 
 def _host_killed() -> Observed:
-    """Kill the program; the process of its force loop is left, and ends by itself."""
     with gripping() as client:
-        loop = child_of(client.pid)
-        os.kill(client.pid, signal.SIGKILL)
-        began_s = time.monotonic()
-        after_s = wait_for_end(loop) - began_s
-        grip_n = simulator().grip_n()
-        return Observed(
-            reaction="HOLD" if grip_n > KEPT_N else "LOST",
-            detected_after_s=after_s,
-            outcome="the process of the force loop freezes the goals, disarms the watchdog and "
-            f"ends; the grip is kept ({grip_n:.1f} N)",
+        return _loop_left_alone(
+            client,
+            lambda: os.kill(client.pid, signal.SIGKILL),
+            "the process of the force loop freezes the goals, disarms the watchdog and ends",
         )
 
 

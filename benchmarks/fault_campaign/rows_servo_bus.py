@@ -1,32 +1,15 @@
 """Rows 18 to 21: answers that are lost, damaged or of nobody, a dead bus, one silent finger."""
 
-from functools import partial
-
 from benchmarks.fault_campaign.row import FaultRow
-from benchmarks.fault_campaign.servo_jobs import in_a_grasp
+from benchmarks.fault_campaign.servo_jobs import grasp_row
 
 PERIOD_S = 0.005
 _LOST_BUS_S = 0.1
 _ONE_SIDED_S = 0.025
 """Three periods with their repetitions, and what is left of the one in which it began."""
 
-
-def _row(  # noqa: PLR0917
-    row: int, variant: str, fault: str, injected: str, reaction: str, limit_s: float | None
-) -> FaultRow:
-    return FaultRow(
-        row=row,
-        variant=variant,
-        fault=fault,
-        injected=injected,
-        reaction=reaction,
-        limit_s=limit_s,
-        run=partial(in_a_grasp, injected),
-    )
-
-
 BUS_ROWS: tuple[FaultRow, ...] = (
-    _row(
+    grasp_row(
         18,
         "one lost answer",
         "one answer of a servo is lost in the ramp",
@@ -34,7 +17,7 @@ BUS_ROWS: tuple[FaultRow, ...] = (
         "NOTE",
         PERIOD_S,
     ),
-    _row(
+    grasp_row(
         18,
         "one lost request",
         "one request to the servos is lost in the ramp",
@@ -42,7 +25,7 @@ BUS_ROWS: tuple[FaultRow, ...] = (
         "NOTE",
         PERIOD_S,
     ),
-    _row(
+    grasp_row(
         18,
         "now and then",
         "one answer in twenty is lost, for the whole job",
@@ -50,7 +33,7 @@ BUS_ROWS: tuple[FaultRow, ...] = (
         "NOTE",
         None,
     ),
-    _row(
+    grasp_row(
         19,
         "cable out",
         "the cable of the servo bus is pulled in the ramp",
@@ -58,7 +41,7 @@ BUS_ROWS: tuple[FaultRow, ...] = (
         "HOLD",
         _LOST_BUS_S,
     ),
-    _row(
+    grasp_row(
         19,
         "dead bus",
         "no servo answers any more in the ramp",
@@ -66,7 +49,7 @@ BUS_ROWS: tuple[FaultRow, ...] = (
         "HOLD",
         _LOST_BUS_S,
     ),
-    _row(
+    grasp_row(
         19,
         "dead bus in the approach",
         "no servo answers any more while the fingers close",
@@ -74,7 +57,7 @@ BUS_ROWS: tuple[FaultRow, ...] = (
         "HOLD",
         _LOST_BUS_S,
     ),
-    _row(
+    grasp_row(
         19,
         "all answers late",
         "all answers come 30 ms late from the ramp on",
@@ -82,7 +65,7 @@ BUS_ROWS: tuple[FaultRow, ...] = (
         "HOLD",
         _LOST_BUS_S,
     ),
-    _row(
+    grasp_row(
         20,
         "bit errors",
         "one bit of every answer turns for 10 ms",
@@ -90,7 +73,7 @@ BUS_ROWS: tuple[FaultRow, ...] = (
         "NOTE",
         PERIOD_S,
     ),
-    _row(
+    grasp_row(
         20,
         "bit errors now and then",
         "one bit of one answer in twenty turns, for the whole job",
@@ -98,7 +81,7 @@ BUS_ROWS: tuple[FaultRow, ...] = (
         "NOTE",
         None,
     ),
-    _row(
+    grasp_row(
         20,
         "cut answers",
         "all answers lack their end from the ramp on",
@@ -106,7 +89,7 @@ BUS_ROWS: tuple[FaultRow, ...] = (
         "HOLD",
         _LOST_BUS_S,
     ),
-    _row(
+    grasp_row(
         20,
         "wrong sender",
         "answers name another servo for 4 ms",
@@ -114,7 +97,7 @@ BUS_ROWS: tuple[FaultRow, ...] = (
         "NOTE",
         PERIOD_S,
     ),
-    _row(
+    grasp_row(
         20,
         "noise before answers",
         "bytes of noise come before every answer, for the whole job",
@@ -122,7 +105,7 @@ BUS_ROWS: tuple[FaultRow, ...] = (
         "NOTE",
         None,
     ),
-    _row(
+    grasp_row(
         20,
         "own echo",
         "the adapter gives the host its own bytes back, for the whole job",
@@ -130,7 +113,7 @@ BUS_ROWS: tuple[FaultRow, ...] = (
         "NOTE",
         None,
     ),
-    _row(
+    grasp_row(
         21,
         "second finger in the ramp",
         "servo 2 falls silent in the ramp, servo 1 answers",
@@ -138,7 +121,7 @@ BUS_ROWS: tuple[FaultRow, ...] = (
         "HOLD",
         _ONE_SIDED_S,
     ),
-    _row(
+    grasp_row(
         21,
         "first finger in the ramp",
         "servo 1 falls silent in the ramp, servo 2 answers",
@@ -146,7 +129,7 @@ BUS_ROWS: tuple[FaultRow, ...] = (
         "HOLD",
         _ONE_SIDED_S,
     ),
-    _row(
+    grasp_row(
         21,
         "in the approach",
         "servo 2 falls silent while the fingers close",

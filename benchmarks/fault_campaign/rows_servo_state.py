@@ -4,7 +4,7 @@ from functools import partial
 
 from benchmarks.fault_campaign.row import FaultRow, Observed
 from benchmarks.fault_campaign.scenario import campaign_cell, grasp_job, observe
-from benchmarks.fault_campaign.servo_jobs import LONG_HOLD, first_time, in_a_grasp
+from benchmarks.fault_campaign.servo_jobs import LONG_HOLD, first_time, grasp_row, in_a_grasp
 
 _CYCLE_S = 0.006
 """One period of 5 ms and the transaction that tells."""
@@ -31,35 +31,11 @@ def _warm(injected: str) -> Observed:
 
 
 def _register(variant: str, fault: str, setting: str) -> FaultRow:
-    injected = f"servo2.wrong={setting}"
-    return FaultRow(
-        row=26,
-        variant=variant,
-        fault=fault,
-        injected=injected,
-        reaction="REJECT",
-        limit_s=_START_S,
-        run=partial(in_a_grasp, injected),
-    )
-
-
-def _in_a_grasp(  # noqa: PLR0917
-    row: int, variant: str, fault: str, injected: str, reaction: str, limit_s: float
-) -> FaultRow:
-    limp = reaction == "LIMP"
-    return FaultRow(
-        row=row,
-        variant=variant,
-        fault=fault,
-        injected=injected,
-        reaction=reaction,
-        limit_s=limit_s,
-        run=partial(in_a_grasp, injected, limp_allowed=limp),
-    )
+    return grasp_row(26, variant, fault, f"servo2.wrong={setting}", "REJECT", _START_S)
 
 
 STATE_ROWS: tuple[FaultRow, ...] = (
-    _in_a_grasp(
+    grasp_row(
         22,
         "overload",
         "the overload protection of a servo latches in the ramp",
@@ -67,7 +43,7 @@ STATE_ROWS: tuple[FaultRow, ...] = (
         "ABORT",
         _CYCLE_S,
     ),
-    _in_a_grasp(
+    grasp_row(
         22,
         "electrical shock",
         "the shock protection of a servo latches in the ramp",
@@ -84,7 +60,7 @@ STATE_ROWS: tuple[FaultRow, ...] = (
         limit_s=1.0,
         run=partial(_warm, "servo1.overheat=66@contact+0.2s"),
     ),
-    _in_a_grasp(
+    grasp_row(
         23,
         "hot",
         "a servo is warmer than temperature_max_c, below its own limit",
@@ -92,7 +68,7 @@ STATE_ROWS: tuple[FaultRow, ...] = (
         "HOLD",
         1.0,
     ),
-    _in_a_grasp(
+    grasp_row(
         23,
         "latched",
         "a servo switches its torque off for heat",
@@ -100,7 +76,7 @@ STATE_ROWS: tuple[FaultRow, ...] = (
         "ABORT",
         _CYCLE_S,
     ),
-    _in_a_grasp(
+    grasp_row(
         24,
         "dip",
         "the supply of a servo falls to 9 V in the ramp",
@@ -121,7 +97,7 @@ STATE_ROWS: tuple[FaultRow, ...] = (
             "servo2.supply=5@contact+0.2s..contact+0.25s",
         ),
     ),
-    _in_a_grasp(
+    grasp_row(
         25,
         "",
         "a servo restarts in the ramp: it is silent while it boots, so three periods are waited",
@@ -146,7 +122,7 @@ STATE_ROWS: tuple[FaultRow, ...] = (
         limit_s=_ROUND_S,
         run=partial(in_a_grasp, "servo2.wrong=shutdown:0@contact+0.3s", sequence__ramp=LONG_HOLD),
     ),
-    _in_a_grasp(
+    grasp_row(
         27,
         "encoder jump",
         "the position of a servo leaps by 0.3 rad in the ramp",
@@ -154,7 +130,7 @@ STATE_ROWS: tuple[FaultRow, ...] = (
         "LIMP",
         _CYCLE_S,
     ),
-    _in_a_grasp(
+    grasp_row(
         27,
         "out of range",
         "the position of a servo leaps to where its finger cannot be",
@@ -162,7 +138,7 @@ STATE_ROWS: tuple[FaultRow, ...] = (
         "LIMP",
         _CYCLE_S,
     ),
-    _in_a_grasp(
+    grasp_row(
         27,
         "stuck encoder",
         "a position stands still while the empty finger opens; only its goal tells",

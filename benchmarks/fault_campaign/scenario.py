@@ -147,12 +147,6 @@ def grasp_job(cell: CampaignCell) -> None:
     cell.grasp()
 
 
-def idle_job(cell: CampaignCell) -> None:
-    """Start, and wait for two seconds with the object between the open fingers."""
-    cell.start()
-    cell.idle(2.0)
-
-
 def observe(
     cell: CampaignCell,
     fault: str | Callable[[], Any],

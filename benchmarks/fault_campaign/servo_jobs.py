@@ -3,9 +3,10 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
-from benchmarks.fault_campaign.row import Observed
+from benchmarks.fault_campaign.row import FaultRow, Observed
 from benchmarks.fault_campaign.scenario import (
     CampaignCell,
     campaign_cell,
@@ -53,6 +54,21 @@ def in_a_grasp(
             cell.simulated.inject(text)
         seen = observe(cell, fault, job)
         return with_later(cell, seen) if look_again else seen
+
+
+def grasp_row(  # noqa: PLR0917
+    row: int, variant: str, fault: str, injected: str, reaction: str, limit_s: float | None
+) -> FaultRow:
+    """Return a row of the table whose fault of the vocabulary meets a grasp."""
+    return FaultRow(
+        row=row,
+        variant=variant,
+        fault=fault,
+        injected=injected,
+        reaction=reaction,
+        limit_s=limit_s,
+        run=partial(in_a_grasp, injected, limp_allowed=reaction == "LIMP"),
+    )
 
 
 def with_later(cell: CampaignCell, seen: Observed) -> Observed:
