@@ -69,6 +69,8 @@ class HandProcess:
     def __init__(self, config: CellConfig, *, silence_s: float = 5.0) -> None:
         self._config = config
         self._layout = layout_from_config(config.tactile)
+        self._settings = gripper_settings(config)
+        self._linkage = make_linkage(config)
         self._silence_s = silence_s
         self._answer_s = 2.0 * silence_s + 4.0 * config.tactile.startup_timeout_s
         self._number = 0
@@ -138,7 +140,7 @@ class HandProcess:
 
     def check_ramp(self, ramp: ForceRamp) -> None:
         """Refuse a ramp beyond the limits; see `Hand`."""
-        check_ramp(ramp, gripper_settings(self._config), make_linkage(self._config))
+        check_ramp(ramp, self._settings, self._linkage)
 
     def grasp(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
         """Close and follow the ramp; see `Hand`."""

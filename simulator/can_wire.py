@@ -93,7 +93,3 @@ class CanWire:
         start_s = max(ready_s, self._busy_until_s)
         self._busy_until_s = start_s + mean_bits(data, extended=extended) * self._bit_s
         return self._busy_until_s
-
-    def burst_duration_s(self, messages: list[bytes]) -> float:
-        """Return how long messages take one after the other on the free wire, in s."""
-        return sum(map(mean_bits, messages)) * self._bit_s
