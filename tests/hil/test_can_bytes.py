@@ -3,13 +3,12 @@
 import contextlib
 import os
 import signal
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -27,7 +26,6 @@ from tactile.errors import BusDisturbed, BusOff, FrameTimeout, HeartbeatLost, Ta
 
 pytestmark = pytest.mark.hil
 
-RELAY = Path(__file__).parent / "servo_relay.py"
 CONFIG = """
 tactile: {tare_frames: 15, sync_period_ms: 30.0}
 gripper: {loop_rate_hz: 100.0, approach_speed_mm_s: 20.0}
@@ -44,12 +42,6 @@ BOUND_S = 1.0
 LOST = (FrameTimeout, HeartbeatLost, BusDisturbed)
 
 
-def first(pid: int) -> None:
-    """Let a process go before others, where permitted: a real adapter waits for nobody."""
-    with contextlib.suppress(OSError):
-        os.sched_setscheduler(pid, os.SCHED_FIFO, os.sched_param(40))
-
-
 @pytest.fixture(scope="module")
 def processes(free_machine: None) -> Iterator[list[CellProcess]]:
     """All simulated cells that were started, the last one perhaps still there."""
@@ -60,43 +52,12 @@ def processes(free_machine: None) -> Iterator[list[CellProcess]]:
 
 
 @pytest.fixture
-def simulator(processes: list[CellProcess]) -> CellProcess:
+def simulator(processes: list[CellProcess], first: Callable[[int], None]) -> CellProcess:
     """One simulated cell for all tests, and a new one where the last was killed."""
     if not processes or not processes[-1].running:
         processes.append(CellProcess(parse_config(CONFIG, source="test")))
         first(processes[-1].pid)
     return processes[-1]
-
-
-class Relay:
-    """A process between the program and the adapter's terminal."""
-
-    def __init__(self, channel: str) -> None:
-        self.process = subprocess.Popen(
-            [sys.executable, str(RELAY), channel, "7"],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-            bufsize=1,
-        )
-        first(self.process.pid)
-        self.channel = self._said()
-
-    def _said(self) -> str:
-        assert self.process.stdout is not None
-        return self.process.stdout.readline().strip()
-
-    def order(self, text: str) -> None:
-        assert self.process.stdin is not None
-        self.process.stdin.write(text + "\n")
-        if text == "hang_up":
-            self.process.wait(5.0)
-        else:
-            assert self._said() == "yes"
-
-    def close(self) -> None:
-        self.process.kill()
-        self.process.communicate()
 
 
 @dataclass
@@ -182,16 +143,16 @@ def let_go(simulator: CellProcess, folder: Path) -> None:
 )
 def test_changed_bytes_of_the_adapter_end_in_a_fault_that_names_them(
     simulator: CellProcess,
+    relay_on: Any,
     tmp_path: Path,
     order: str,
     faults: tuple[type[TactileError], ...],
 ) -> None:
-    relay = Relay(simulator.can_channel)
     first_run, second_run = tmp_path / "a", tmp_path / "b"
     for folder in (first_run, second_run):
         folder.mkdir()
-    try:
-        config = config_on(simulator, relay.channel)
+    with relay_on(simulator.can_channel) as relay:
+        config = config_on(simulator, relay.port)
         with meddled(simulator, config, first_run, lambda: relay.order(order)) as found:
             assert isinstance(found.error, faults), found.error
             kept_n = simulator.grip_n()
@@ -199,8 +160,6 @@ def test_changed_bytes_of_the_adapter_end_in_a_fault_that_names_them(
             threading.Event().wait(0.3)
             assert simulator.grip_n() == pytest.approx(kept_n, abs=0.4)
             check_held(found, first_run)
-    finally:
-        relay.close()
     let_go(simulator, second_run)
 
 

@@ -1,10 +1,8 @@
 """The force loop in a process of its own, over pseudo-terminals: its end, the program's end."""
 
 import contextlib
-import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import threading
@@ -16,10 +14,11 @@ from typing import Any
 import pytest
 
 from cell.build import Cell, build_cell
-from cell.config_file import load_config
+from cell.config_file import load_config, parse_config
 from cell.errors import CellStateError, CellStopped, HandLost
 from cell.hand_process import HandProcess
 from cell.pose import Pose
+from cell.pytest_plugin.process import CellProcess
 from cell.recording import read_recording
 from cell.sequence import GraspStep
 from cell.states import CellState
@@ -31,7 +30,6 @@ from gripper.state import Cycle
 pytestmark = pytest.mark.hil
 
 LIMIT_S = 30.0
-PROGRAM = [sys.executable, "-c", "from cell.cli import main; main()"]
 CONFIG = """
 tactile: {tare_frames: 25, sync_period_ms: 30.0}
 gripper: {loop_rate_hz: 100.0, approach_speed_mm_s: 20.0}
@@ -40,58 +38,29 @@ sequence: {x_mm: [0, 0], y_mm: [0, 0], force_n: [3, 5], max_grasps: 1}
 STEP = GraspStep(pose=Pose(), force_n=6.0)
 
 
-class Simulator:
-    """The simulated cell in a process of its own."""
-
-    def __init__(self, folder: Path) -> None:
-        folder.mkdir()
-        (folder / "sim.yaml").write_text(CONFIG)
-        self.process = subprocess.Popen(
-            [*PROGRAM, "simulate", "--config", str(folder / "sim.yaml"), "--out", str(folder)],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        assert self.process.stdout is not None
-        self.hello = json.loads(self.process.stdout.readline())
-        self.config = load_config(Path(self.hello["config"]))
-
-    def grip_n(self) -> float:
-        with socket.socket(socket.AF_UNIX) as client:
-            client.settimeout(LIMIT_S)
-            client.connect(self.hello["positioner_socket"])
-            client.sendall(b'{"state": true}\n')
-            with client.makefile("rb") as lines:
-                return float(min(json.loads(lines.readline())["contact_force_n"]))
-
-    def close(self) -> None:
-        self.process.kill()
-        self.process.communicate()
-
-
 @pytest.fixture(scope="module")
-def simulator(tmp_path_factory: pytest.TempPathFactory, free_machine: None) -> Iterator[Simulator]:
-    one = Simulator(tmp_path_factory.mktemp("rt") / "sim")
+def simulator(free_machine: None) -> Iterator[CellProcess]:
+    one = CellProcess(parse_config(CONFIG, source="test"))
     yield one
-    one.close()
+    one.end()
 
 
 @pytest.fixture
-def make_cell(simulator: Simulator, tmp_path: Path) -> Iterator[Callable[[], Cell]]:
+def make_cell(simulator: CellProcess, tmp_path: Path) -> Iterator[Callable[[], Cell]]:
     """Return the maker of a cell with its loop in a process; what it holds is let go at last."""
     cells: list[Cell] = []
 
     def make() -> Cell:
         folder = tmp_path / f"run{len(cells)}"
         folder.mkdir()
-        cells.append(build_cell(simulator.config, folder=folder))
+        cells.append(build_cell(load_config(simulator.config_path), folder=folder))
         return cells[-1]
 
     yield make
     for cell in cells:
         with contextlib.suppress(HandLost):
             cell.close()
-    with contextlib.closing(HandProcess(simulator.config)) as hand:
+    with contextlib.closing(HandProcess(load_config(simulator.config_path))) as hand:
         hand.start()
         if hand.phase is not GripperPhase.OFF:
             hand.release()
@@ -116,7 +85,7 @@ def wait_for(what: Callable[[], bool]) -> None:
         threading.Event().wait(0.01)
 
 
-def in_a_grasp(cell: Cell, simulator: Simulator, then: Callable[[], Any]) -> threading.Thread:
+def in_a_grasp(cell: Cell, simulator: CellProcess, then: Callable[[], Any]) -> threading.Thread:
     """Start a thread that does something once the part is gripped."""
 
     def wait() -> None:
@@ -128,7 +97,7 @@ def in_a_grasp(cell: Cell, simulator: Simulator, then: Callable[[], Any]) -> thr
     return thread
 
 
-def test_a_job_a_stop_and_the_release(make_cell: Any, simulator: Simulator) -> None:
+def test_a_job_a_stop_and_the_release(make_cell: Any, simulator: CellProcess) -> None:
     cell = make_cell()
     controller, hand = cell.controller, hand_of(cell)
     pid = hand.pid
@@ -191,7 +160,7 @@ def test_a_job_a_stop_and_the_release(make_cell: Any, simulator: Simulator) -> N
     assert kept.statistics[-1]["cycles"] == loop["cycles"]
 
 
-def test_a_killed_loop_is_a_fault_that_says_so(make_cell: Any, simulator: Simulator) -> None:
+def test_a_killed_loop_is_a_fault_that_says_so(make_cell: Any, simulator: CellProcess) -> None:
     cell = make_cell()
     controller, hand = cell.controller, hand_of(cell)
     controller.start()
@@ -216,7 +185,7 @@ def test_a_killed_loop_is_a_fault_that_says_so(make_cell: Any, simulator: Simula
 
 
 def test_a_loop_that_hangs_is_lost_and_sigterm_keeps_the_grip(
-    make_cell: Any, simulator: Simulator
+    make_cell: Any, simulator: CellProcess
 ) -> None:
     cell = make_cell()
     controller, hand = cell.controller, hand_of(cell)
@@ -245,7 +214,7 @@ CLIENT = """
 import sys, threading
 from pathlib import Path
 from cell.build import build_cell
-from cell.config_file import load_config
+from cell.config_file import load_config, parse_config
 from cell.pose import Pose
 from cell.sequence import GraspStep
 
@@ -259,11 +228,11 @@ cell.controller.grasp(GraspStep(pose=Pose(), force_n=14.0))
 
 
 def test_a_killed_program_leaves_the_part_held_and_no_process(
-    make_cell: Any, simulator: Simulator, tmp_path: Path
+    make_cell: Any, simulator: CellProcess, tmp_path: Path
 ) -> None:
     (tmp_path / "client.py").write_text(CLIENT)
     client = subprocess.Popen(
-        [sys.executable, str(tmp_path / "client.py"), simulator.hello["config"]],
+        [sys.executable, str(tmp_path / "client.py"), str(simulator.config_path)],
         stdout=subprocess.PIPE,
         text=True,
     )

@@ -2,24 +2,20 @@
 
 import contextlib
 import itertools
-import json
-import os
-import socket
-import subprocess
-import sys
 import threading
 import time
-from collections.abc import Iterator
-from pathlib import Path
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import pytest
 
 from cell.build import Cell, build_cell
 from cell.config import CellConfig
-from cell.config_file import load_config
+from cell.config_file import load_config, parse_config
 from cell.errors import HandLost
 from cell.pose import Pose
+from cell.pytest_plugin.process import CellProcess
 from cell.sequence import GraspStep
 from cell.states import CellState
 from gripper.errors import BusCorrupt, BusTimeout, GripperError, PortLost
@@ -27,8 +23,6 @@ from gripper.gripper import GraspResult, GripperPhase
 
 pytestmark = pytest.mark.hil
 
-PROGRAM = [sys.executable, "-c", "from cell.cli import main; main()"]
-RELAY = Path(__file__).parent / "servo_relay.py"
 CONFIG = """
 tactile: {tare_frames: 15, sync_period_ms: 50.0}
 gripper:
@@ -43,74 +37,28 @@ STEP = GraspStep(pose=Pose(), force_n=4.0)
 SPOILT = ("flip 0.02", "drop 0.02", "repeat 0.05", "cut 0.02")
 
 
-def first(pid: int) -> None:
-    """Let a process go before others, where permitted: real servos wait for nobody."""
-    with contextlib.suppress(OSError):
-        os.sched_setscheduler(pid, os.SCHED_FIFO, os.sched_param(40))
-
-
-def started(*command: object) -> "subprocess.Popen[str]":
-    process = subprocess.Popen(
-        [str(part) for part in command],
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-        bufsize=1,
-    )
-    first(process.pid)
-    return process
-
-
+@dataclass
 class Line:
-    """A simulated cell, and the relay on its servo line; each in a process of its own."""
+    """A simulated cell, the relay on its servo line, and a config that goes by the relay."""
 
-    def __init__(self, folder: Path) -> None:
-        (folder / "sim.yaml").write_text(CONFIG)
-        self.simulator = started(
-            *(*PROGRAM, "simulate", "--config", folder / "sim.yaml", "--out", folder / "sim")
-        )
-        assert self.simulator.stdout is not None
-        self.hello = json.loads(self.simulator.stdout.readline())
-        self.relay = started(sys.executable, RELAY, self.hello["servo_port"], 7)
-        config = load_config(Path(self.hello["config"]))
-        gripper = config.gripper.model_copy(update={"port": self.said()})
-        self.config: CellConfig = config.model_copy(update={"gripper": gripper})
-
-    def said(self) -> str:
-        assert self.relay.stdout is not None
-        return self.relay.stdout.readline().strip()
-
-    def order(self, text: str) -> None:
-        assert self.relay.stdin is not None
-        self.relay.stdin.write(text + "\n")
-        if text != "hang_up":
-            assert self.said() == "yes"
-        else:
-            self.relay.wait(5.0)
-
-    def ask(self, **request: Any) -> dict[str, Any]:
-        with socket.socket(socket.AF_UNIX) as client:
-            client.settimeout(10.0)
-            client.connect(self.hello["positioner_socket"])
-            client.sendall(json.dumps(request).encode() + b"\n")
-            with client.makefile("rb") as lines:
-                reply: dict[str, Any] = json.loads(lines.readline())
-        return reply
-
-    def grip_n(self) -> float:
-        return float(min(self.ask(state=True)["contact_force_n"]))
-
-    def close(self) -> None:
-        for process in (self.relay, self.simulator):
-            if process.poll() is None:
-                process.kill()
-            process.communicate()
+    simulator: CellProcess
+    relay: Any
+    config: CellConfig
 
 
 @pytest.fixture
-def line(tmp_path: Path, free_machine: None) -> Iterator[Line]:
-    with contextlib.closing(Line(tmp_path)) as one:
-        yield one
+def line(
+    cell_process: Callable[[CellConfig], CellProcess],
+    relay_on: Any,
+    first: Callable[[int], None],
+    free_machine: None,
+) -> Iterator[Line]:
+    simulator = cell_process(parse_config(CONFIG, source="test"))
+    first(simulator.pid)
+    with relay_on(simulator.servo_port) as relay:
+        config = load_config(simulator.config_path)
+        gripper = config.gripper.model_copy(update={"port": relay.port})
+        yield Line(simulator, relay, config.model_copy(update={"gripper": gripper}))
 
 
 @contextlib.contextmanager
@@ -143,7 +91,7 @@ def check_values(cycles: Any) -> None:
 def test_now_and_then_a_bad_byte_costs_nothing_and_all_bad_bytes_are_a_fault(line: Line) -> None:
     with cell_on(line) as cell:
         for spoilt in SPOILT:
-            line.order(spoilt)
+            line.relay.order(spoilt)
             record = cell.controller.grasp(STEP, label="box")
             assert record.outcome.result is GraspResult.FORCE_REACHED, spoilt
             check_values(record.cycles)
@@ -158,7 +106,7 @@ def test_now_and_then_a_bad_byte_costs_nothing_and_all_bad_bytes_are_a_fault(lin
 
 def test_an_adapter_that_hangs_up_in_a_grasp_is_told_and_the_grip_kept(line: Line) -> None:
     with cell_on(line) as cell:
-        line.order("delay 0.0005")
+        line.relay.order("delay 0.0005")
         assert cell.controller.grasp(STEP).outcome.result is GraspResult.FORCE_REACHED
         spoil_when_gripped(line, "hang_up")
         with pytest.raises((PortLost, BusTimeout)) as fault:
@@ -172,9 +120,9 @@ def spoil_when_gripped(line: Line, order: str) -> None:
 
     def wait() -> None:
         end_s = time.monotonic() + 20.0
-        while line.grip_n() < 1.5 and time.monotonic() < end_s:
+        while line.simulator.grip_n() < 1.5 and time.monotonic() < end_s:
             threading.Event().wait(0.01)
-        line.order(order)
+        line.relay.order(order)
 
     threading.Thread(target=wait, daemon=True).start()
 
@@ -183,4 +131,4 @@ def check_fault(line: Line, cell: Cell) -> None:
     assert cell.controller.state is CellState.ABORTED
     assert cell.controller.hand.phase is GripperPhase.HELD_AFTER_FAULT
     threading.Event().wait(1.0)
-    assert line.grip_n() > 0.5
+    assert line.simulator.grip_n() > 0.5
