@@ -16,10 +16,9 @@ class CanDevices:
         The cell's control unit.
     """
 
-    __slots__ = ("_devices", "_send", "_unit")
+    __slots__ = ("_devices", "_send")
 
     def __init__(self, unit: CanDevice) -> None:
-        self._unit = unit
         self._devices: list[CanDevice] = [unit]
         self._send: SendBurst | None = None
 

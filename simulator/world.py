@@ -39,22 +39,6 @@ class Fingers(Protocol):
         ...
 
 
-class World(Protocol):
-    """What the simulated devices ask of the world that they are in."""
-
-    def advance_to(self, now_s: float) -> None:
-        """Let the time pass until ``now_s`` s."""
-        ...
-
-    def scan(self) -> NDArray[np.uint16]:
-        """Convert all taxels at this moment; counts (n_taxels,) in the order of the layout."""
-        ...
-
-    def contact_force_n(self) -> tuple[float, float]:
-        """Return the force in N with which each pad is pressed."""
-        ...
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WorldSettings:
     """What the world is made of.
