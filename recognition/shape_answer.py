@@ -1,14 +1,16 @@
 """Shape and size of what was grasped, with probabilities, also of an object never taught."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from recognition.foam_model import FoamModel
 from recognition.grasp import Grasp
 from recognition.ramp import Rest
 from recognition.shape_data import PressedPads, press_data
+from recognition.shape_evidence import KindEvidence, evidence_of
 from recognition.shape_fit import ShapeFit, Trust, fit_shape
 from recognition.shape_models import SHAPE_MODELS
 
@@ -21,8 +23,37 @@ _90_PERCENT = 1.645
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Thickness:
+    """One thickness along the closing axis.
+
+    Attributes
+    ----------
+    size_m, low_m, high_m
+        The thickness in m, and the interval that holds it with 90 % probability.
+    n_grasps
+        Grasps that met it.
+    """
+
+    size_m: float
+    low_m: float
+    high_m: float
+    n_grasps: int = 1
+
+    def __str__(self) -> str:
+        return f"{1e3 * self.size_m:.1f} mm ({1e3 * self.low_m:.1f} to {1e3 * self.high_m:.1f})"
+
+    def as_dict(self) -> dict[str, object]:
+        """Return plain data, lengths in mm."""
+        return {
+            "size_mm": 1e3 * self.size_m,
+            "interval_mm": [1e3 * self.low_m, 1e3 * self.high_m],
+            "n_grasps": self.n_grasps,
+        }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ShapeAnswer:
-    """What one grasp tells of shape and size.
+    """What one grasp tells of shape and size, or several of one object.
 
     Attributes
     ----------
@@ -36,7 +67,14 @@ class ShapeAnswer:
     dimensions_m
         Dimensions of the likeliest kind in m by their names, without interval.
     misfit
-        Squared residual of the best kind per degree of freedom: 1 where it fits within the noise.
+        Squared residual of the best kind per degree of freedom: 1 where it fits within the noise;
+        the median of several grasps.
+    thicknesses
+        All thicknesses that several grasps met, thinnest first; the one that most grasps met is
+        `size_m`. One grasp meets one.
+    evidence
+        What each kind is told by this grasp, for `recognition.shape_fusion`; empty where several
+        grasps speak.
     """
 
     kind: str
@@ -46,6 +84,13 @@ class ShapeAnswer:
     high_m: float
     dimensions_m: Mapping[str, float]
     misfit: float
+    thicknesses: tuple[Thickness, ...]
+    evidence: tuple[KindEvidence, ...] = field(default=(), repr=False, compare=False)
+
+    @property
+    def n_grasps(self) -> int:
+        """Number of grasps that speak."""
+        return sum(thickness.n_grasps for thickness in self.thicknesses)
 
     @property
     def likeliest(self) -> str:
@@ -53,8 +98,7 @@ class ShapeAnswer:
         return max(self.probability, key=lambda kind: self.probability[kind])
 
     def __str__(self) -> str:
-        size = f"{1e3 * self.size_m:.1f} mm ({1e3 * self.low_m:.1f} to {1e3 * self.high_m:.1f})"
-        return f"{self.kind}, {size}"
+        return f"{self.kind}, {' and '.join(map(str, self.thicknesses))}"
 
     def as_dict(self) -> dict[str, object]:
         """Return plain data, lengths in mm."""
@@ -65,6 +109,7 @@ class ShapeAnswer:
             "interval_mm": [1e3 * self.low_m, 1e3 * self.high_m],
             "dimensions_mm": {name: 1e3 * value for name, value in self.dimensions_m.items()},
             "misfit": self.misfit,
+            "thicknesses": [thickness.as_dict() for thickness in self.thicknesses],
         }
 
 
@@ -105,21 +150,51 @@ def compare(fits: list[ShapeFit]) -> ShapeAnswer:
     """Return the answer that fits of all kinds give together."""
     misfit = min(fit.chi2 / fit.freedom for fit in fits)
     scale = max(1.0, misfit)
-    log_evidence = np.array([fit.log_evidence(scale) for fit in fits])
-    weight = np.exp(log_evidence - log_evidence.max())
-    weight /= weight.sum()
-    centre = np.array([np.log(fit.half_m) for fit in fits])
-    spread = np.array([fit.log_half_sd(scale) for fit in fits])
-    mean = float(weight @ centre)
-    sd = float(np.sqrt(weight @ (spread**2 + (centre - mean) ** 2)))
-    best = int(np.argmax(weight))
-    clear = weight[best] >= _MIN_PROBABILITY and misfit <= _MAX_SCALE
+    probability = shares([fit.log_evidence(scale) for fit in fits])
+    seen = mixed(
+        probability,
+        [float(np.log(fit.half_m)) for fit in fits],
+        [fit.log_half_sd(scale) for fit in fits],
+    )
+    best = int(np.argmax(probability))
     return ShapeAnswer(
-        kind=fits[best].model.kind if clear else UNCLEAR,
-        probability={fit.model.kind: float(w) for fit, w in zip(fits, weight, strict=True)},
-        size_m=2.0 * float(np.exp(mean)),
-        low_m=2.0 * float(np.exp(mean - _90_PERCENT * sd)),
-        high_m=2.0 * float(np.exp(mean + _90_PERCENT * sd)),
+        kind=clear_kind(fits[best].model.kind, float(probability[best]), misfit),
+        probability={fit.model.kind: float(p) for fit, p in zip(fits, probability, strict=True)},
+        size_m=seen.size_m,
+        low_m=seen.low_m,
+        high_m=seen.high_m,
         dimensions_m=fits[best].dimensions_m(),
         misfit=float(misfit),
+        thicknesses=(seen,),
+        evidence=tuple(evidence_of(fit, scale) for fit in fits),
     )
+
+
+def shares(log_evidence: Sequence[float]) -> NDArray[np.float64]:
+    """Return the probability of each kind, all being as likely beforehand."""
+    weight = np.exp(np.array(log_evidence) - max(log_evidence))
+    probability: NDArray[np.float64] = weight / weight.sum()
+    return probability
+
+
+def mixed(
+    probability: NDArray[np.float64],
+    log_half_m: Sequence[float],
+    sd: Sequence[float],
+    n_grasps: int = 1,
+) -> Thickness:
+    """Return the thickness over all kinds, from the logarithm of the half thickness of each."""
+    centre, spread = np.array(log_half_m), np.array(sd)
+    mean = float(probability @ centre)
+    reach = _90_PERCENT * float(np.sqrt(probability @ (spread**2 + (centre - mean) ** 2)))
+    return Thickness(
+        size_m=2.0 * float(np.exp(mean)),
+        low_m=2.0 * float(np.exp(mean - reach)),
+        high_m=2.0 * float(np.exp(mean + reach)),
+        n_grasps=n_grasps,
+    )
+
+
+def clear_kind(kind: str, probability: float, misfit: float) -> str:
+    """Return the likeliest kind, or `UNCLEAR` where it is too unlikely or does not fit."""
+    return kind if probability >= _MIN_PROBABILITY and misfit <= _MAX_SCALE else UNCLEAR

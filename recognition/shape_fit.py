@@ -64,6 +64,8 @@ class ShapeFit:
         Sum of the squared residuals of the data over their variances.
     n_data
         Number of the data.
+    n_shared
+        Number of the last parameters, which all grasps of a cell have in common.
     """
 
     model: ShapeModel
@@ -73,6 +75,7 @@ class ShapeFit:
     prior_sd: Array
     chi2: float
     n_data: int
+    n_shared: int
 
     @property
     def half_m(self) -> float:
@@ -244,6 +247,7 @@ def fit_shape(
         prior_sd=problem.sd,
         chi2=float(residuals @ residuals),
         n_data=len(residuals),
+        n_shared=problem.n - problem.rest,
     )
 
 

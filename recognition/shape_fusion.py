@@ -1,0 +1,154 @@
+"""Shape and size of one object from several grasps.
+
+What the grasps of a cell share (foam, gain, spread, zero of the opening) is one set of unknowns for
+all of them, so that its error does not average out; noise and placing are new in each grasp and
+do. Objects of revolution are equally thick in all poses. A `flat` or `oval` may show several
+thicknesses, as a bar of 10 mm by 16 mm does: grasps are split at the widest gap between their
+thicknesses as long as two of them explain the grasps better than one.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recognition.dependence import independent_share
+from recognition.shape_answer import ShapeAnswer, clear_kind, mixed, shares
+from recognition.shape_evidence import KindEvidence
+
+DEPENDENCE = 0.2
+"""How far grasps repeat each other's errors in what kind they speak for; see `fuse_shapes`."""
+
+PLACING_M = 0.1e-3
+"""Standard deviation in m of what one object's thickness varies by from grasp to grasp."""
+
+_SEVERAL_THICKNESSES = frozenset({"flat", "oval"})
+_LOG_ODDS_OF_ANOTHER = float(np.log(20.0))
+_LOG_MM = float(np.log(1e-3))
+
+Array = NDArray[np.float64]
+Faces = tuple[tuple[int, ...], ...]
+"""Numbers of the grasps that met one thickness each."""
+
+
+def fuse_shapes(
+    answers: Sequence[ShapeAnswer],
+    *,
+    dependence: float = DEPENDENCE,
+    placing_m: float = PLACING_M,
+) -> ShapeAnswer:
+    """Return what several grasps of one object tell together; the order does not matter.
+
+    Parameters
+    ----------
+    answers
+        Of single grasps, read with one `Trust`; one alone comes back as it is.
+    dependence
+        The evidence for the kinds weighs as if n grasps were n / (1 + (n - 1) dependence)
+        independent ones: what the model of foam and objects leaves out is the same in all.
+    placing_m
+        Standard deviation in m of the thickness from grasp to grasp.
+
+    Raises
+    ------
+    ValueError
+        There is no answer, one was fused already, or they were read with different `Trust`.
+    """
+    _check(answers)
+    if len(answers) == 1:
+        return answers[0]
+    kinds = [
+        [item.scattered(placing_m / (2e-3 * np.exp(item.log_half_mm))) for item in of_kind]
+        for of_kind in zip(*(answer.evidence for answer in answers), strict=True)
+    ]
+    found = [_faces(of_kind) for of_kind in kinds]
+    tempering = independent_share(len(answers), dependence)
+    probability = shares([tempering * log_evidence for _, log_evidence in found])
+    best = int(np.argmax(probability))
+    faces = found[best][0]
+    together = [_joint(of_kind, faces) for of_kind in kinds]
+    thicknesses = [
+        mixed(
+            probability,
+            [float(mean[number]) + _LOG_MM for _, mean, _ in together],
+            [float(sd[number]) for _, _, sd in together],
+            len(face),
+        )
+        for number, face in enumerate(faces)
+    ]
+    # The faces are in the order of their thickness: of equally often met ones the thinnest.
+    main = max(range(len(faces)), key=lambda number: len(faces[number]))
+    kind, seen = kinds[best][0].kind, thicknesses[main]
+    misfit = float(np.median([answer.misfit for answer in answers]))
+    return ShapeAnswer(
+        kind=clear_kind(kind, float(probability[best]), misfit),
+        probability={
+            of_kind[0].kind: float(p) for of_kind, p in zip(kinds, probability, strict=True)
+        },
+        size_m=seen.size_m,
+        low_m=seen.low_m,
+        high_m=seen.high_m,
+        dimensions_m=_dimensions_m([kinds[best][i] for i in faces[main]], seen.size_m),
+        misfit=misfit,
+        thicknesses=tuple(sorted(thicknesses, key=lambda thickness: thickness.size_m)),
+    )
+
+
+def _check(answers: Sequence[ShapeAnswer]) -> None:
+    if not answers:
+        raise ValueError("no shapes to fuse: grasp at least once")
+    if len(answers) > 1 and not all(answer.evidence for answer in answers):
+        raise ValueError("a fused shape cannot be fused again; fuse the grasps' own answers")
+    for answer in answers:
+        for one, other in zip(answers[0].evidence, answer.evidence, strict=True):
+            if one.kind != other.kind or not np.array_equal(one.prior_sd, other.prior_sd):
+                raise ValueError("shapes that were read with different trust cannot be fused")
+
+
+def _faces(of_kind: Sequence[KindEvidence]) -> tuple[Faces, float]:
+    """Return the grasps of each thickness, thinnest first, and the log evidence."""
+    order = np.argsort([item.log_half_mm for item in of_kind], kind="stable")
+    at = np.array([of_kind[i].log_half_mm for i in order])
+    faces: Faces = (tuple(int(i) for i in order),)
+    log_evidence = _joint(of_kind, faces)[0]
+    if of_kind[0].kind not in _SEVERAL_THICKNESSES:
+        return faces, log_evidence
+    cuts: list[int] = []
+    for cut in 1 + np.argsort(-np.diff(at), kind="stable"):
+        tried = sorted([*cuts, int(cut)])
+        split = tuple(tuple(int(i) for i in part) for part in np.split(order, tried))
+        log_split = _joint(of_kind, split)[0] - len(tried) * _LOG_ODDS_OF_ANOTHER
+        if log_split <= log_evidence:
+            break
+        cuts, faces, log_evidence = tried, split, log_split
+    return faces, log_evidence
+
+
+def _joint(of_kind: Sequence[KindEvidence], faces: Faces) -> tuple[float, Array, Array]:
+    """Return log evidence, and mean and deviation (n_faces,) of each log half thickness in mm."""
+    first, n_faces = of_kind[0], len(faces)
+    n = n_faces + len(first.prior_mean) - 1
+    mean = np.r_[np.full(n_faces, first.prior_mean[0]), first.prior_mean[1:]]
+    sd = np.r_[np.full(n_faces, first.prior_sd[0]), first.prior_sd[1:]]
+    precision, eta = np.diag(sd**-2), mean / sd**2
+    level = -0.5 * float((mean / sd) @ (mean / sd)) - float(np.log(sd).sum())
+    for number, face in enumerate(faces):
+        kept = np.r_[number, n_faces:n]
+        for i in face:
+            precision[np.ix_(kept, kept)] += of_kind[i].precision
+            eta[kept] += of_kind[i].eta
+            level += of_kind[i].level
+    covariance = np.linalg.inv(precision)
+    found = covariance @ eta
+    _, volume = np.linalg.slogdet(precision)
+    log_evidence = level + 0.5 * float(eta @ found) - 0.5 * float(volume)
+    return log_evidence, found[:n_faces], np.sqrt(np.diag(covariance)[:n_faces])
+
+
+def _dimensions_m(of_face: Sequence[KindEvidence], size_m: float) -> dict[str, float]:
+    """Return the median of all dimensions, the thickness being known better than by that."""
+    names = list(of_face[0].dimensions_m)
+    found = {
+        name: float(np.median([item.dimensions_m[name] for item in of_face])) for name in names
+    }
+    return found | {names[0]: size_m}
