@@ -73,8 +73,8 @@ class ShapeAnswer:
         All thicknesses that several grasps met, thinnest first; the one that most grasps met is
         `size_m`. One grasp meets one.
     evidence
-        What each kind is told by this grasp, for `recognition.shape_fusion`; empty where several
-        grasps speak.
+        What this grasp tells of each hypothesis, for `recognition.shape_fusion`; empty where
+        several grasps speak.
     """
 
     kind: str
@@ -146,47 +146,67 @@ def shape_from(data: PressedPads, *, foam: FoamModel, trust: Trust | None = None
     return compare(fits)
 
 
-def compare(fits: list[ShapeFit]) -> ShapeAnswer:
-    """Return the answer that fits of all kinds give together."""
+def compare(fits: Sequence[ShapeFit], log_prior: Sequence[float] | None = None) -> ShapeAnswer:
+    """Return the answer that fits of all kinds give together.
+
+    Parameters
+    ----------
+    fits
+        Of all kinds, to the same data; several of one kind are of several possible foams.
+    log_prior
+        Logarithm of how likely each is beforehand; equal by default.
+    """
+    prior = [0.0] * len(fits) if log_prior is None else list(log_prior)
     misfit = min(fit.chi2 / fit.freedom for fit in fits)
     scale = max(1.0, misfit)
-    probability = shares([fit.log_evidence(scale) for fit in fits])
+    weight = shares([fit.log_evidence(scale) + p for fit, p in zip(fits, prior, strict=True)])
+    probability, best = likeliest_of([fit.model.kind for fit in fits], weight)
     seen = mixed(
-        probability,
+        weight,
         [float(np.log(fit.half_m)) for fit in fits],
         [fit.log_half_sd(scale) for fit in fits],
     )
-    best = int(np.argmax(probability))
+    kind = fits[best].model.kind
     return ShapeAnswer(
-        kind=clear_kind(fits[best].model.kind, float(probability[best]), misfit),
-        probability={fit.model.kind: float(p) for fit, p in zip(fits, probability, strict=True)},
+        kind=clear_kind(kind, probability[kind], misfit),
+        probability=probability,
         size_m=seen.size_m,
         low_m=seen.low_m,
         high_m=seen.high_m,
         dimensions_m=fits[best].dimensions_m(),
         misfit=float(misfit),
         thicknesses=(seen,),
-        evidence=tuple(evidence_of(fit, scale) for fit in fits),
+        evidence=tuple(evidence_of(fit, scale, p) for fit, p in zip(fits, prior, strict=True)),
     )
 
 
 def shares(log_evidence: Sequence[float]) -> NDArray[np.float64]:
-    """Return the probability of each kind, all being as likely beforehand."""
+    """Return the probability of each hypothesis."""
     weight = np.exp(np.array(log_evidence) - max(log_evidence))
     probability: NDArray[np.float64] = weight / weight.sum()
     return probability
 
 
+def likeliest_of(kinds: Sequence[str], weight: NDArray[np.float64]) -> tuple[dict[str, float], int]:
+    """Return the probability of each kind, and the best hypothesis of the likeliest."""
+    probability = dict.fromkeys(kinds, 0.0)
+    for kind, share in zip(kinds, weight.tolist(), strict=True):
+        probability[kind] += share
+    likeliest = max(probability, key=lambda kind: probability[kind])
+    of_kind = [number for number, kind in enumerate(kinds) if kind == likeliest]
+    return probability, max(of_kind, key=lambda number: weight[number])
+
+
 def mixed(
-    probability: NDArray[np.float64],
+    weight: NDArray[np.float64],
     log_half_m: Sequence[float],
     sd: Sequence[float],
     n_grasps: int = 1,
 ) -> Thickness:
-    """Return the thickness over all kinds, from the logarithm of the half thickness of each."""
+    """Return the thickness over all hypotheses, from the log half thickness in m of each."""
     centre, spread = np.array(log_half_m), np.array(sd)
-    mean = float(probability @ centre)
-    reach = _90_PERCENT * float(np.sqrt(probability @ (spread**2 + (centre - mean) ** 2)))
+    mean = float(weight @ centre)
+    reach = _90_PERCENT * float(np.sqrt(weight @ (spread**2 + (centre - mean) ** 2)))
     return Thickness(
         size_m=2.0 * float(np.exp(mean)),
         low_m=2.0 * float(np.exp(mean - reach)),

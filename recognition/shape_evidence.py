@@ -1,4 +1,6 @@
-"""What one grasp tells of one kind of shape, as a Gaussian: thickness, and what its cell shares.
+"""What a grasp tells of one hypothesis, as a Gaussian: of the thickness, and what its cell shares.
+
+A hypothesis is a kind of shape, and where several foams are possible a kind on one of these.
 
 Position, turn, depths and the form beyond the thickness are integrated out, each with its prior.
 What is left depends on the logarithm of the half thickness and on what all grasps of a cell have
@@ -32,6 +34,8 @@ class KindEvidence:
         Scalar, (m,) and (m, m) float64.
     prior_mean, prior_sd : (m,) float64
         The prior of s.
+    log_prior
+        Logarithm of how likely the hypothesis is before anything is gripped.
     log_half_mm
         The likeliest logarithm of the half thickness in mm, by this grasp alone.
     dimensions_m
@@ -44,6 +48,7 @@ class KindEvidence:
     precision: Array
     prior_mean: Array
     prior_sd: Array
+    log_prior: float
     log_half_mm: float
     dimensions_m: Mapping[str, float]
 
@@ -60,7 +65,7 @@ class KindEvidence:
         )
 
 
-def evidence_of(fit: ShapeFit, scale: float) -> KindEvidence:
+def evidence_of(fit: ShapeFit, scale: float, log_prior: float = 0.0) -> KindEvidence:
     """Return what a fit tells, its data's variances ``scale`` times as large."""
     n = len(fit.theta)
     kept = np.r_[0, n - fit.n_shared : n]
@@ -83,6 +88,7 @@ def evidence_of(fit: ShapeFit, scale: float) -> KindEvidence:
         precision=left - np.diag(weight),
         prior_mean=mean,
         prior_sd=fit.prior_sd[kept],
+        log_prior=log_prior,
         log_half_mm=float(at[0]),
         dimensions_m=fit.dimensions_m(),
     )

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recognition.dependence import independent_share
-from recognition.shape_answer import ShapeAnswer, clear_kind, mixed, shares
+from recognition.shape_answer import ShapeAnswer, clear_kind, likeliest_of, mixed, shares
 from recognition.shape_evidence import KindEvidence
 
 DEPENDENCE = 0.2
@@ -57,19 +57,24 @@ def fuse_shapes(
     _check(answers)
     if len(answers) == 1:
         return answers[0]
-    kinds = [
-        [item.scattered(placing_m / (2e-3 * np.exp(item.log_half_mm))) for item in of_kind]
-        for of_kind in zip(*(answer.evidence for answer in answers), strict=True)
+    hypotheses = [
+        [item.scattered(placing_m / (2e-3 * np.exp(item.log_half_mm))) for item in told]
+        for told in zip(*(answer.evidence for answer in answers), strict=True)
     ]
-    found = [_faces(of_kind) for of_kind in kinds]
+    found = [_faces(told) for told in hypotheses]
     tempering = independent_share(len(answers), dependence)
-    probability = shares([tempering * log_evidence for _, log_evidence in found])
-    best = int(np.argmax(probability))
+    weight = shares(
+        [
+            told[0].log_prior + tempering * log_evidence
+            for told, (_, log_evidence) in zip(hypotheses, found, strict=True)
+        ]
+    )
+    probability, best = likeliest_of([told[0].kind for told in hypotheses], weight)
     faces = found[best][0]
-    together = [_joint(of_kind, faces) for of_kind in kinds]
+    together = [_joint(told, faces) for told in hypotheses]
     thicknesses = [
         mixed(
-            probability,
+            weight,
             [float(mean[number]) + _LOG_MM for _, mean, _ in together],
             [float(sd[number]) for _, _, sd in together],
             len(face),
@@ -78,17 +83,15 @@ def fuse_shapes(
     ]
     # The faces are in the order of their thickness: of equally often met ones the thinnest.
     main = max(range(len(faces)), key=lambda number: len(faces[number]))
-    kind, seen = kinds[best][0].kind, thicknesses[main]
+    kind, seen = hypotheses[best][0].kind, thicknesses[main]
     misfit = float(np.median([answer.misfit for answer in answers]))
     return ShapeAnswer(
-        kind=clear_kind(kind, float(probability[best]), misfit),
-        probability={
-            of_kind[0].kind: float(p) for of_kind, p in zip(kinds, probability, strict=True)
-        },
+        kind=clear_kind(kind, probability[kind], misfit),
+        probability=probability,
         size_m=seen.size_m,
         low_m=seen.low_m,
         high_m=seen.high_m,
-        dimensions_m=_dimensions_m([kinds[best][i] for i in faces[main]], seen.size_m),
+        dimensions_m=_dimensions_m([hypotheses[best][i] for i in faces[main]], seen.size_m),
         misfit=misfit,
         thicknesses=tuple(sorted(thicknesses, key=lambda thickness: thickness.size_m)),
     )
@@ -105,28 +108,28 @@ def _check(answers: Sequence[ShapeAnswer]) -> None:
                 raise ValueError("shapes that were read with different trust cannot be fused")
 
 
-def _faces(of_kind: Sequence[KindEvidence]) -> tuple[Faces, float]:
+def _faces(told: Sequence[KindEvidence]) -> tuple[Faces, float]:
     """Return the grasps of each thickness, thinnest first, and the log evidence."""
-    order = np.argsort([item.log_half_mm for item in of_kind], kind="stable")
-    at = np.array([of_kind[i].log_half_mm for i in order])
+    order = np.argsort([item.log_half_mm for item in told], kind="stable")
+    at = np.array([told[i].log_half_mm for i in order])
     faces: Faces = (tuple(int(i) for i in order),)
-    log_evidence = _joint(of_kind, faces)[0]
-    if of_kind[0].kind not in _SEVERAL_THICKNESSES:
+    log_evidence = _joint(told, faces)[0]
+    if told[0].kind not in _SEVERAL_THICKNESSES:
         return faces, log_evidence
     cuts: list[int] = []
     for cut in 1 + np.argsort(-np.diff(at), kind="stable"):
         tried = sorted([*cuts, int(cut)])
         split = tuple(tuple(int(i) for i in part) for part in np.split(order, tried))
-        log_split = _joint(of_kind, split)[0] - len(tried) * _LOG_ODDS_OF_ANOTHER
+        log_split = _joint(told, split)[0] - len(tried) * _LOG_ODDS_OF_ANOTHER
         if log_split <= log_evidence:
             break
         cuts, faces, log_evidence = tried, split, log_split
     return faces, log_evidence
 
 
-def _joint(of_kind: Sequence[KindEvidence], faces: Faces) -> tuple[float, Array, Array]:
+def _joint(told: Sequence[KindEvidence], faces: Faces) -> tuple[float, Array, Array]:
     """Return log evidence, and mean and deviation (n_faces,) of each log half thickness in mm."""
-    first, n_faces = of_kind[0], len(faces)
+    first, n_faces = told[0], len(faces)
     n = n_faces + len(first.prior_mean) - 1
     mean = np.r_[np.full(n_faces, first.prior_mean[0]), first.prior_mean[1:]]
     sd = np.r_[np.full(n_faces, first.prior_sd[0]), first.prior_sd[1:]]
@@ -135,9 +138,9 @@ def _joint(of_kind: Sequence[KindEvidence], faces: Faces) -> tuple[float, Array,
     for number, face in enumerate(faces):
         kept = np.r_[number, n_faces:n]
         for i in face:
-            precision[np.ix_(kept, kept)] += of_kind[i].precision
-            eta[kept] += of_kind[i].eta
-            level += of_kind[i].level
+            precision[np.ix_(kept, kept)] += told[i].precision
+            eta[kept] += told[i].eta
+            level += told[i].level
     covariance = np.linalg.inv(precision)
     found = covariance @ eta
     _, volume = np.linalg.slogdet(precision)

@@ -246,3 +246,25 @@ def _trusting(fit: ShapeFit) -> ShapeFit:
         n_data=fit.n_data,
         n_shared=fit.n_shared,
     )
+
+
+def test_a_foam_that_explains_all_grasps_is_that_of_the_cell() -> None:
+    """Two foams tell two thicknesses; each grasp leans to the first, all together the more so."""
+
+    def told(others: float) -> ShapeAnswer:
+        fits = [
+            linear_fit("sphere", 9.0, chi2=30.0),
+            linear_fit("sphere", 10.0, chi2=30.0 + others),
+        ]
+        return compare(fits, [np.log(0.5), np.log(0.5)])
+
+    one, three = told(1.0), fuse_shapes([told(1.0)] * 3, dependence=0.0)
+    assert one.probability == {"sphere": pytest.approx(1.0)}
+    assert 9.2e-3 < one.size_m < 9.5e-3
+    assert 9.0e-3 < three.size_m < 9.25e-3
+    assert width_mm(three) < width_mm(one)
+    # What is likely beforehand counts once, not once in each grasp.
+    fits = [linear_fit("sphere", 9.0), linear_fit("cylinder", 9.0, chi2=29.0)]
+    leaning = compare(fits, [np.log(0.9), np.log(0.1)])
+    apart = fuse_shapes([leaning] * 2, dependence=1.0)
+    assert apart.probability["sphere"] == pytest.approx(leaning.probability["sphere"], abs=0.02)
