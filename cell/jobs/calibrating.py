@@ -48,7 +48,7 @@ def calibrate_model(
 
 
 def follow_shift(model: LoadedModel, grasps: Sequence[Grasp]) -> tuple[ForceRamp, Drift]:
-    """Return a copy that expects the drift which a shift's grasps show, and the likeliest drift.
+    """Return a copy that expects the drift which a shift's grasps show, and that drift.
 
     Most of the objects must have been taught; which one each grasp held need not be known. Grasps
     that follow each other with the same label count as one object, those without a label by
@@ -72,9 +72,10 @@ def follow_shift(model: LoadedModel, grasps: Sequence[Grasp]) -> tuple[ForceRamp
             f"{len(runs)} objects in turn do not show a drift: give grasps of {MIN_OBJECTS} or "
             "more, or name the object with --gauge"
         )
+    recognizer = recognizer.trusting()
     for run in runs:
         recognizer = recognizer.following([grasp for _, grasp in run])
-    return recognizer, recognizer.grid.likeliest
+    return recognizer, recognizer.belief.present
 
 
 def _recognizer(model: LoadedModel, grasps: Sequence[Grasp]) -> ForceRamp:

@@ -22,6 +22,12 @@ class Rows:
     tactile: NDArray[np.float64]
     aperture: NDArray[np.float64]
 
+    @property
+    def middle(self) -> NDArray[np.float64]:
+        """Features (n, Ft + Fa) with the middle gain and offset undone."""
+        gain, offset = self.tactile.shape[1] // 2, self.aperture.shape[1] // 2
+        return np.concatenate([self.tactile[:, gain], self.aperture[:, offset]], axis=1)
+
     def take(self, rows: NDArray[np.bool_]) -> Self:
         """Return some of the grasps."""
         return type(self)(tactile=self.tactile[rows], aperture=self.aperture[rows])

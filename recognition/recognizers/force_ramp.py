@@ -8,7 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recognition.drift import CERTAIN, DriftGrid, drift_grid
-from recognition.drift_following import follow
+from recognition.drift_following import (
+    DriftBelief,
+    FollowedShift,
+    SeenObject,
+    what_it_told,
+)
 from recognition.features import FEATURE_VERSION
 from recognition.features_aperture import aperture_features
 from recognition.gauge import Gauged, estimate_drift
@@ -47,6 +52,9 @@ class ForceRamp:
         The view of touch and opening; None where the opening is not used or was never known.
     grid
         What the sensors may have drifted since teaching.
+    shift
+        What the followed grasps have shown; None before the first. A model file keeps the `grid`
+        that they led to, not the grasps.
     """
 
     labels: tuple[str, ...]
@@ -55,6 +63,12 @@ class ForceRamp:
     touch: View
     both: View | None
     grid: DriftGrid
+    shift: FollowedShift | None = None
+
+    @property
+    def belief(self) -> DriftBelief:
+        """What is believed of the drift, by the followed grasps."""
+        return (self.shift or FollowedShift(prior=self.grid)).belief
 
     def posterior(self, grasp: Grasp) -> Posterior:
         """Say what the grasp tells; ValueError for pads other than the taught ones.
@@ -110,13 +124,17 @@ class ForceRamp:
             log_gain_sd=max(_GAUGED_LOG_GAIN_SD, found.log_gain_sd),
             offset_sd_mm=max(_GAUGED_OFFSET_SD_MM, found.offset_sd_m * 1e3),
         )
-        return replace(self, grid=grid)
+        return replace(self, grid=grid, shift=None)
+
+    def trusting(self) -> "ForceRamp":
+        """Return a copy that follows grasps most of which are said to be of taught objects."""
+        return replace(self, shift=FollowedShift(prior=self.grid, trusted=True))
 
     def following(self, grasps: Sequence[Grasp]) -> "ForceRamp":
         """Return a copy that has learnt of the drift from grasps of one object, whatever it was.
 
-        Several objects in turn show the drift together. Grasps that missed tell nothing. Raises
-        ValueError for pads other than the taught ones.
+        Several objects in turn show the drift together; the same one again counts once. Grasps that
+        missed tell nothing. Raises ValueError for pads other than the taught ones.
         """
         levels = self.taxel_gains.undo(load_levels(grasps, self.rest)) if grasps else None
         if levels is None or not np.any(levels.touched) or len(self.labels) == 1:
@@ -124,8 +142,13 @@ class ForceRamp:
         levels = levels.take(levels.touched)
         view, grid = self._view(levels)
         rows = self._rows(levels, view, grid)
-        told = view.evidence.under_drifts(rows)
-        return replace(self, grid=follow(self.grid, told, view.drift_bias))
+        found = SeenObject(
+            view="touch" if view is self.touch else "both",
+            places=view.evidence.discriminant.project(rows.middle),
+            told=what_it_told(view.evidence.under_drifts(rows), view.drift_bias),
+        )
+        shift = (self.shift or FollowedShift(prior=self.grid)).after(found)
+        return replace(self, grid=shift.grid, shift=shift)
 
     def _rows(self, levels: Levels, view: View, grid: DriftGrid) -> Rows:
         n, opening = len(self.labels), view is self.both

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from recognition.drift import Drift, drift_grid
-from recognition.drift_following import follow
+from recognition.drift_following import FollowedShift, SeenObject, what_it_told
 from recognition.recognizers import make_trainer
 from recognition.shift import evaluate_shift
 
@@ -39,6 +39,9 @@ def test_a_shift_of_different_objects_shows_the_drift(taught, fresh):
     gain, offset_mm = expected(learnt)
     assert gain == pytest.approx(0.7, rel=0.25)
     assert offset_mm == pytest.approx(-4.0, abs=0.8)
+    assert learnt.belief.likely
+    assert learnt.belief.present.aperture_offset_m == pytest.approx(-4e-3, abs=0.8e-3)
+    assert taught.belief.unchanged > 0.99
     before = np.mean([taught.posterior(g).unknown > 0.5 for g in drifted])
     answers = [learnt.posterior(g) for g in drifted]
     assert np.mean([a.best == g.label for a, g in zip(answers, drifted, strict=True)]) >= 0.95
@@ -56,6 +59,10 @@ def test_one_object_alone_makes_no_drift(train, fresh):
     taught = make_trainer("force_ramp").fit([g for g in train if g.label != "egg"])
     strange = [g for g in fresh if g.label == "egg"]
     assert expected(taught.following(strange)) == (1.0, 0.0)
+    again_and_again = after(taught, 4 * strange)
+    assert expected(again_and_again) == (1.0, 0.0)
+    assert not again_and_again.belief.likely
+    assert again_and_again.belief.unchanged > 0.9
 
 
 def test_a_drift_that_goes_again_is_noticed(taught, fresh):
@@ -99,23 +106,94 @@ def test_grasps_that_tell_nothing_change_nothing(taught, train, fresh):
     assert alone.following([fresh[0]]) is alone
 
 
+GRID = drift_grid()
+NO_BIAS = np.zeros(GRID.log_prior.shape)
+MIDDLE = tuple(n // 2 for n in NO_BIAS.shape)
+
+
+def seen(told, place):
+    return SeenObject(view="both", places=np.full((2, 4), float(place)), told=told)
+
+
+def speaking_for(gain, offset, strength=9.0):
+    told = np.full(NO_BIAS.shape, -strength)
+    told[gain, offset] = 0.0
+    return told
+
+
 def test_all_drifts_together_keep_a_probability_of_one():
-    grid = drift_grid()
-    bias = np.zeros(grid.log_prior.shape)
-    told = np.zeros((2, *bias.shape))
-    told[:, 3, 5] = 1e3
-    for _ in range(30):
-        grid = follow(grid, told, bias)
-    assert np.exp(grid.log_prior).sum() == pytest.approx(1.0)
-    assert np.argmax(grid.log_prior) == 3 * grid.log_prior.shape[1] + 5
-    assert grid.log_prior.min() > -20.0
+    shift = FollowedShift(prior=GRID)
+    for number in range(30):
+        shift = shift.after(seen(speaking_for(3, 5), 100.0 * number))
+    assert len(shift.seen) == 20
+    assert np.exp(shift.grid.log_prior).sum() == pytest.approx(1.0)
+    assert np.argmax(shift.grid.log_prior) == 3 * NO_BIAS.shape[1] + 5
+    assert shift.grid.log_prior.min() > -20.0
+    assert shift.belief.likely
+    assert shift.belief.drift.gain == pytest.approx(GRID.gains[3], rel=0.01)
+    assert shift.belief.present is not None
+    assert shift.belief.n_objects == 20
+
+
+def test_the_same_object_again_and_again_counts_once():
+    once = FollowedShift(prior=GRID).after(seen(speaking_for(3, 5), 0.0))
+    again = once
+    for _ in range(10):
+        again = again.after(seen(speaking_for(3, 5), 0.5))
+    assert again.grid.log_prior == pytest.approx(once.grid.log_prior)
+    assert not again.belief.likely
+    assert again.belief.n_objects == 1
+    assert again.belief.present == again.belief.expected
+    different = once.after(seen(speaking_for(3, 5), 50.0))
+    assert different.belief.unchanged < again.belief.unchanged - 0.3
+
+
+def test_somebody_who_knows_the_objects_makes_repeats_count():
+    trusted = FollowedShift(prior=GRID, trusted=True)
+    for _ in range(25):
+        trusted = trusted.after(seen(speaking_for(3, 5, 4.0), 0.5))
+    assert len(trusted.seen) == 25
+    assert trusted.weights.sum() == pytest.approx(25 / (1.0 + 24 * 0.2))
+
+
+def test_places_in_two_views_are_not_compared():
+    a = seen(NO_BIAS, 0.0)
+    assert a.same_as(seen(NO_BIAS, 1.0))
+    assert not a.same_as(seen(NO_BIAS, 9.0))
+    assert not a.same_as(dataclasses.replace(a, view="touch"))
+
+
+def test_an_object_that_no_drift_explains_says_nothing():
+    never_taught = np.full((2, *NO_BIAS.shape), -30.0)
+    never_taught[:, 3, 5] = -12.0
+    told = what_it_told(never_taught, NO_BIAS)
+    assert np.ptp(told) < 1e-3
+    taught = np.full((2, *NO_BIAS.shape), -30.0)
+    taught[:, 3, 5] = 2.0
+    told = what_it_told(taught, NO_BIAS)
+    assert told.max() == told[3, 5] == 0.0
+    assert told.min() == pytest.approx(-6.0, abs=0.1)
+
+
+def test_no_object_says_more_than_it_may():
+    sure = np.full((1, *NO_BIAS.shape), -30.0)
+    sure[0, 3, 5] = 50.0
+    assert what_it_told(sure, NO_BIAS).min() == -9.0
 
 
 def test_a_drift_that_undrifted_grasps_prefer_is_not_believed():
-    grid = drift_grid()
-    bias = np.zeros(grid.log_prior.shape)
+    bias = NO_BIAS.copy()
     bias[3, 5] = 2.0
-    believed = grid
-    for _ in range(20):
-        believed = follow(believed, bias[None], bias)
-    assert np.argmax(believed.log_prior) == np.argmax(grid.log_prior)
+    shift = FollowedShift(prior=GRID)
+    for number in range(20):
+        shift = shift.after(seen(what_it_told(bias[None], bias), 100.0 * number))
+    assert shift.belief.unchanged > 0.99
+    assert shift.belief.present == shift.belief.expected
+
+
+def test_a_small_drift_is_followed_and_not_said():
+    shift = FollowedShift(prior=GRID)
+    for number in range(10):
+        shift = shift.after(seen(speaking_for(MIDDLE[0] + 1, MIDDLE[1]), 100.0 * number))
+    assert shift.grid.likeliest.gain == pytest.approx(1.105, abs=0.001)
+    assert not shift.belief.likely
