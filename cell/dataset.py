@@ -30,6 +30,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.dataset_units import (
+    beyond_range,
+    frames_ill_timed,
+    openings_too_small,
+    pads_too_small,
+)
 from cell.errors import DatasetError
 from cell.files import read_npz, savez, write_atomically
 from recognition.grasp import Grasp, PadArray
@@ -180,6 +186,15 @@ class _Checker:
             raise self._refuse(name, f"value {array.ravel()[where]} at {where} is not finite")
         return array
 
+    def _in_range(self, name: str, shape: tuple[int, ...], *, nan: bool) -> NDArray[np.float64]:
+        array = self._floats(name, shape, nan=nan)
+        self._allow(name, beyond_range(name, array))
+        return array
+
+    def _allow(self, name: str, wrong: str | None) -> None:
+        if wrong is not None:
+            raise self._refuse(name, wrong)
+
     def _texts(self, name: str, n_grasps: int) -> list[str]:
         if name not in self._arrays:
             return [""] * n_grasps
@@ -215,13 +230,15 @@ class _Checker:
         taxel_pad = self._ints("taxel_pad", (n_taxels,))
         if not n_taxels or taxel_pad.min() < 0 or taxel_pad.max() >= n_pads:
             raise self._refuse("taxel_pad", f"must name pads from 0 to {n_pads - 1}")
-        xy_m = self._floats("taxel_xy_mm", (n_taxels, 2), nan=False) * 1e-3
+        xy_m = self._in_range("taxel_xy_mm", (n_taxels, 2), nan=False) * 1e-3
         try:
-            return PadArray(
+            pads = PadArray(
                 pad_shape=pad_shape, taxel_pad=taxel_pad, taxel_xy_m=xy_m, adc_max=adc_max
             )
         except ValueError as cause:
             raise self._refuse("taxel_pad", str(cause)) from cause
+        self._allow("taxel_xy_mm", pads_too_small(pads))
+        return pads
 
     def _offsets(self, n_frames: int) -> NDArray[np.int64]:
         size = self._arrays["grasp_offsets"].size
@@ -247,13 +264,17 @@ class _Checker:
         falls = np.flatnonzero(np.diff(t_s) < 0) + 1
         if np.any(t_s[offsets[:-1]] != 0) or not np.all(np.isin(falls, offsets)):
             raise self._refuse("t_s", "must start at 0 in each grasp and never fall within one")
-        aperture_m = self._floats("aperture_mm", (n_frames,), nan=True) * 1e-3
+        self._allow("t_s", frames_ill_timed(t_s, offsets))
+        aperture_mm = self._in_range("aperture_mm", (n_frames,), nan=True)
+        self._allow("aperture_mm", openings_too_small(aperture_mm))
+        aperture_m = aperture_mm * 1e-3
         force_n = (
-            self._floats("force_n", (n_frames,), nan=True)
+            self._in_range("force_n", (n_frames,), nan=True)
             if "force_n" in self._arrays
             else np.full(n_frames, np.nan)
         )
         start_ms = self._ints("start_ms", (n_grasps,))
+        self._allow("start_ms", beyond_range("start_ms", start_ms))
         texts = [self._texts(name, n_grasps) for name in ("label", "shape", "source")]
         placings = self._placings(n_grasps)
         return tuple(

@@ -160,6 +160,30 @@ DAMAGE: dict[str, tuple[Change, str]] = {
         "known in part",
     ),
     "infinite pose": (lambda a: a.update(pose=np.full((3, 5), np.inf)), "not finite"),
+    "openings in metres": (
+        lambda a: a.update(aperture_mm=a["aperture_mm"] * 1e-3),
+        r"never exceeds 0\.03, expected 0\.2 .* in mm, not in m",
+    ),
+    "openings below zero": (lambda a: a.update(aperture_mm=-a["aperture_mm"]), "is -30 at 0"),
+    "openings in micrometres": (
+        lambda a: a.update(aperture_mm=a["aperture_mm"] * 1e3),
+        "is 30000 at 0, must be from -10 to 1000: openings stand in mm",
+    ),
+    "pushing force": (lambda a: a.update(force_n=-1 - a["force_n"]), "is -1 at 0, must be from 0"),
+    "places in metres": (
+        lambda a: a.update(taxel_xy_mm=a["taxel_xy_mm"] * 1e-3),
+        r"the 6 taxels of pad 0 over 0\.013, .* in mm, not in m",
+    ),
+    "places far away": (lambda a: a.update(taxel_xy_mm=a["taxel_xy_mm"] * 1e30), "must be from"),
+    "time in ms": (
+        lambda a: a.update(t_s=a["t_s"] * 1e3),
+        r"a frame each 31\.25 s in the mean of grasp 0, .* in s",
+    ),
+    "no time": (lambda a: a.update(t_s=a["t_s"] * 0), "a frame each 0 s"),
+    "start in the far future": (
+        lambda a: a.update(start_ms=np.full(3, np.iinfo(np.int64).max)),
+        "in ms since 1970",
+    ),
     "start beyond 64 bits": (
         lambda a: a.update(start_ms=np.full(3, 2**64 - 1, dtype=np.uint64)),
         "64 bits",
