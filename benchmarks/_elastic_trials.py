@@ -18,7 +18,7 @@ from benchmarks._elastic_grasps import (
 from benchmarks._posed_grasps import Placing, draw_placing
 from cell.config import CellConfig
 from cell.config_tactile import LinearCalibrationConfig
-from cell.jobs.drawing import PadKnowledge, calibrate_on_gauge, usual_foam
+from cell.pad_knowledge import PadKnowledge, calibrate_on_gauge, usual_foam
 from cell.simulation import drawn_shape
 from recognition.grasp import Grasp
 

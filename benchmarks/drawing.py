@@ -10,8 +10,9 @@ from collections.abc import Mapping, Sequence
 from benchmarks._cell_grasps import cell_grasps, configured, with_aperture_noise
 from benchmarks._measure import line, repeats
 from cell.collect import pad_array
-from cell.jobs.drawing import PadKnowledge, calibrate_on_gauge, teach_drawing
+from cell.jobs.drawing import teach_drawing
 from cell.layouts import layout_from_config
+from cell.pad_knowledge import PadKnowledge, calibrate_on_gauge
 from cell.simulation import drawn_shape
 from recognition.evaluation import evaluate
 from recognition.grasp import Grasp

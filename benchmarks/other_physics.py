@@ -19,7 +19,9 @@ from benchmarks._measure import line, repeats
 from benchmarks._posed_grasps import Sensing, draw_placing, posed_grasp
 from benchmarks.shape_size import OBJECTS as SIZED
 from cell.config import CellConfig
-from cell.jobs.drawing import PadKnowledge, shapes_of, teach_drawing
+from cell.jobs.drawing import teach_drawing
+from cell.pad_knowledge import PadKnowledge
+from cell.shapes import reader_under
 from cell.simulation import drawn_shape
 from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN, Recognizer
@@ -238,7 +240,7 @@ def _told(grasps: Sequence[Grasp], known: PadKnowledge, taken_s: list[float]) ->
     found = Sizes([], [], [])
     for grasp in grasps:
         start_s = time.process_time()
-        (answer,) = shapes_of([grasp], known)
+        answer = reader_under(known)(grasp)
         taken_s.append(time.process_time() - start_s)
         found.add(grasp.label, answer)
     return found

@@ -32,6 +32,8 @@ class RecognitionConfig(Section):
     """Recogniser that is taught."""
     use_aperture: bool = True
     """Whether the opening between the fingers is used beside the taxels."""
+    shape: bool = True
+    """Whether each grasp of an identification also tells shape and size."""
 
 
 class RecordingConfig(Section):

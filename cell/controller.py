@@ -14,6 +14,7 @@ from cell.lifecycle import ON_REQUEST, CellLifecycle
 from cell.positioner import Positioner
 from cell.recording import Recorder
 from cell.sequence import GraspStep
+from cell.shapes import ReadShape
 from cell.states import CellState, Event
 from cell.view import CellView
 from gripper.clock import Clock
@@ -271,11 +272,13 @@ class CellController(CellView):
         plan: Sequence[GraspStep],
         *,
         chooser: StepChooser | None = None,
+        read_shape: ReadShape | None = None,
         on_grasp: OnGrasp | None = None,
     ) -> Identification:
         """Grasp and classify until the stop rule is satisfied or the plan is at its end.
 
-        With a ``chooser`` each step of the plan is a proposal that it may replace.
+        With a ``chooser`` each step of the plan is a proposal that it may replace. With
+        ``read_shape`` the answer has shape and size too.
 
         Raises
         ------
@@ -291,6 +294,7 @@ class CellController(CellView):
             steps,
             error_rate=self._sequence.error_rate,
             chooser=chooser,
+            read_shape=read_shape,
             on_grasp=on_grasp,
         )
         self._journal.result(result)

@@ -6,8 +6,11 @@ from typing import Protocol
 
 from cell.collect import GraspRecord
 from cell.sequence import GraspStep
+from cell.shapes import ReadShape
 from recognition.fusion import Decision, DecisionKind, StopRule, decide, fuse
 from recognition.recognizer import Posterior, Recognizer
+from recognition.shape_answer import ShapeAnswer
+from recognition.shape_fusion import fuse_shapes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -29,7 +32,13 @@ class Identification:
     records
         The grasps.
     complaints
-        What went wrong in whoever was told of the grasps; the answer is not touched by it.
+        What went wrong in whoever was told of the grasps, or read their shape; the label is not
+        touched by it.
+    shapes
+        Shape and size that each grasp told by itself, in order; None where its pads do not tell.
+        Empty where nobody asked.
+    shape
+        Shape and size that all grasps tell together; None where none of them tells.
     """
 
     label: str
@@ -39,6 +48,8 @@ class Identification:
     fused: Posterior
     records: tuple[GraspRecord, ...]
     complaints: tuple[str, ...] = ()
+    shapes: tuple[ShapeAnswer | None, ...] = ()
+    shape: ShapeAnswer | None = None
 
 
 class StepChooser(Protocol):
@@ -49,8 +60,8 @@ class StepChooser(Protocol):
         ...
 
 
-OnGrasp = Callable[[int, GraspRecord, Posterior], None]
-"""Told after each grasp: its number from 1, its record and what it tells by itself.
+OnGrasp = Callable[[int, GraspRecord, Posterior, ShapeAnswer | None], None]
+"""Told after each grasp: its number from 1, its record, what it tells by itself, and its shape.
 
 What it raises does not end the sequence, whose answer does not depend on it; it is kept among the
 `Identification.complaints`.
@@ -64,6 +75,7 @@ def grasp_and_classify(
     *,
     error_rate: float,
     chooser: StepChooser | None = None,
+    read_shape: ReadShape | None = None,
     on_grasp: OnGrasp | None = None,
 ) -> Identification:
     """Grasp until the stop rule is satisfied or the plan is at its end.
@@ -78,24 +90,36 @@ def grasp_and_classify(
         Steps in order, at least one; with a ``chooser`` each is a proposal that it may replace.
     error_rate
         Wanted rate of wrong answers at which the sequence stops early.
+    read_shape
+        Says shape and size of a grasp, which the label does not depend on. It is asked between two
+        grasps, while the fingers are open.
     """
     rule = StopRule(error_rate=error_rate, max_grasps=len(plan))
     posteriors: list[Posterior] = []
     records: list[GraspRecord] = []
     complaints: list[str] = []
+    shapes: list[ShapeAnswer | None] = []
     for number, step in enumerate(plan, start=1):
         record = grasp(step if chooser is None else chooser.next_step(posteriors, step))
         posterior = recognizer.posterior(record.grasp)
         records.append(record)
         posteriors.append(posterior)
+        shape: ShapeAnswer | None = None
+        if read_shape is not None:
+            try:
+                shape = read_shape(record.grasp)
+            except Exception as error:
+                complaints.append(f"shape of grasp {number}: {type(error).__name__}: {error}")
+            shapes.append(shape)
         if on_grasp is not None:
             try:
-                on_grasp(number, record, posterior)
+                on_grasp(number, record, posterior, shape)
             except Exception as error:
                 complaints.append(f"after grasp {number}: {type(error).__name__}: {error}")
         decision = decide(posteriors, rule)
         if decision.kind is not DecisionKind.CONTINUE:
             break
+    told = [shape for shape in shapes if shape is not None]
     return Identification(
         label=decision.label,
         probability=decision.probability,
@@ -104,4 +128,6 @@ def grasp_and_classify(
         fused=fuse(posteriors),
         records=tuple(records),
         complaints=tuple(complaints),
+        shapes=tuple(shapes),
+        shape=fuse_shapes(told) if told else None,
     )

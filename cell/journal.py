@@ -81,4 +81,6 @@ class Journal:
                 probabilities=[float(p) for p in found.fused.probability],
                 unknown=found.fused.unknown,
                 n_grasps=len(found.records),
+                shape=found.shape,
+                grasp_shapes=found.shapes,
             )

@@ -22,12 +22,14 @@ from cell.goals import IdentifyGoal, TeachGoal, checked_goal
 from cell.host_watch import HostWatch
 from cell.layouts import layout_from_config
 from cell.model import load_model, save_model
+from cell.pad_knowledge import pad_knowledge
 from cell.pose import Pose
+from cell.shapes import FeltShape
 from cell.states import CellState
 from cell.taught import Answer, TaughtObjects
 from cell.worker import CellWorker, Job, JobOutcome, JobStatus, Report
 
-__all__ = ["Answer", "CellStatus", "IdentifyGoal", "TactileCellPlugin", "TeachGoal"]
+__all__ = ["Answer", "CellStatus", "FeltShape", "IdentifyGoal", "TactileCellPlugin", "TeachGoal"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,6 +72,8 @@ class TactileCellPlugin:
         *,
         mover: Callable[[Pose], Pose | bool | None] | None = None,
         model: Path | str | None = None,
+        gauge: Path | str | None = None,
+        gauge_shape: str | None = None,
     ) -> None:
         """Connect to the cell, verify the devices and take the zero of the taxels.
 
@@ -82,10 +86,16 @@ class TactileCellPlugin:
             it is reached, False to refuse, or the pose reached instead.
         model
             File of a taught model (`save`); without one, teach first.
+        gauge
+            Data set of grasps of one known object on this cell: shape and size are then read under
+            the foam that it shows.
+        gauge_shape
+            Its shape, as ``sphere:diameter=9.5mm``; without it that of the configured object of
+            the grasps' label.
 
         Raises
         ------
-        ConfigError, ModelError
+        ConfigError, ModelError, CellError
             Before any hardware is touched.
         gripper.errors.GripperError, tactile.errors.TactileError
             If a device is missing or not what the config says.
@@ -107,6 +117,7 @@ class TactileCellPlugin:
             None
             if model is None
             else load_model(Path(model), pad_array(layout_from_config(checked.tactile))).recognizer,
+            pad_knowledge(checked, None if gauge is None else Path(gauge), gauge_shape),
         )
         self._cell: Cell = build_cell(checked, mover=mover)
         try:

@@ -14,7 +14,14 @@ from mcap.writer import CompressionType, Writer
 from cell import recording_schema as schema
 from cell.errors import RecordingError
 from cell.recording_file import BackgroundFile, DirectFile, RecordSink
-from cell.recording_json import cycle_values, grasp_values, plain_fields, to_json, to_ns
+from cell.recording_json import (
+    cycle_values,
+    grasp_values,
+    plain_fields,
+    shape_values,
+    to_json,
+    to_ns,
+)
 from cell.recording_reader import Recording, read_recording, recording_grasps
 from gripper.clock import Clock
 from recognition.grasp import Grasp, PadArray
@@ -24,6 +31,7 @@ if TYPE_CHECKING:
     from cell.pose import Pose
     from cell.states import CellState
     from gripper.state import Cycle
+    from recognition.shape_answer import ShapeAnswer
     from tactile.protocol import TactileFrame
 
 __all__ = ["Recorder", "Recording", "read_recording", "recording_grasps"]
@@ -224,6 +232,8 @@ class Recorder:
         unknown: float,
         n_grasps: int,
         true_label: str = "",
+        shape: "ShapeAnswer | None" = None,
+        grasp_shapes: "Sequence[ShapeAnswer | None]" = (),
     ) -> None:
         """Record the answer of a sequence; see `recording_schema` for the fields."""
         values: dict[str, Any] = {
@@ -236,6 +246,10 @@ class Recorder:
         }
         if true_label:
             values["true_label"] = true_label
+        if shape is not None:
+            values["shape"] = shape_values(shape)
+        if grasp_shapes:
+            values["grasp_shapes"] = [shape_values(one) for one in grasp_shapes]
         self._put(schema.RESULT, self._clock.monotonic(), values)
 
     def close(self) -> None:

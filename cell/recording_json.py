@@ -14,6 +14,7 @@ from cell.recording_schema import counts_crc32
 if TYPE_CHECKING:
     from gripper.state import Cycle
     from recognition.grasp import Grasp
+    from recognition.shape_answer import ShapeAnswer
 
 _ENCODER = json.JSONEncoder(separators=(",", ":"), allow_nan=False, ensure_ascii=False)
 
@@ -83,6 +84,20 @@ def grasp_values(grasp: "Grasp", *, first_frame: int) -> dict[str, Any]:
     if grasp.placing is not None:
         values["asked"] = [round(value, 9) for value in grasp.placing.values]
     return values
+
+
+def shape_values(shape: "ShapeAnswer | None") -> dict[str, Any]:
+    """Return what is kept of shape and size; empty where the pads did not tell."""
+    if shape is None:
+        return {}
+    return {
+        "kind": shape.kind,
+        "probability": round(shape.probability[shape.likeliest], 7),
+        **known(size_m=shape.size_m, low_m=shape.low_m, high_m=shape.high_m),
+        "n_grasps": shape.n_grasps,
+        "thicknesses": [plain_fields(thickness) for thickness in shape.thicknesses],
+        "dimensions_m": known(**shape.dimensions_m),
+    }
 
 
 def plain_fields(value: Any) -> dict[str, Any]:

@@ -70,6 +70,32 @@ def _durations(name: str, text: str) -> dict[str, dict[str, Any]]:
     }
 
 
+def _shape(text: str) -> dict[str, Any]:
+    """Return an object of kind, thickness and dimensions; a viewer plots its numbers."""
+    size = {
+        "size_m": _number("thickness along the closing axis, m: the diameter of what is round"),
+        "low_m": _number("lower end of the interval that holds it with 90 %, m"),
+        "high_m": _number("upper end, m"),
+        "n_grasps": _integer("grasps that met it"),
+    }
+    return {
+        "type": "object",
+        "description": text,
+        "properties": {
+            "kind": _text("sphere, oval, cylinder, flat, dumbbell or unclear"),
+            "probability": _number("probability of the likeliest kind"),
+            **size,
+            "thicknesses": {"type": "array", "items": {"type": "object", "properties": size}},
+            "dimensions_m": {
+                "type": "object",
+                "additionalProperties": {"type": "number"},
+                "description": "dimensions of the likeliest kind by their names, m",
+            },
+        },
+        "additionalProperties": False,
+    }
+
+
 def _schema(title: str, required: tuple[str, ...], **properties: Any) -> dict[str, Any]:
     return {
         "$schema": "https://json-schema.org/draft/2020-12/schema",
@@ -191,6 +217,12 @@ SCHEMAS: Final[Mapping[str, Mapping[str, Any]]] = {
         unknown=_number("probability that the object was never taught"),
         n_grasps=_integer("grasps that led to the decision"),
         true_label=_text("what it really was, where that is known"),
+        shape=_shape("shape and size after all grasps; left out where no grasp tells"),
+        grasp_shapes={
+            "type": "array",
+            "items": _shape("shape and size by one grasp; empty where its pads do not tell"),
+            "description": "of each grasp of the sequence, in order",
+        },
     ),
 }
 """JSON schema of the messages of each topic."""

@@ -10,7 +10,9 @@ from cell.config import CellConfig
 from cell.controller import CellController
 from cell.errors import CellError
 from cell.goals import IdentifyGoal, TeachGoal
+from cell.pad_knowledge import PadKnowledge
 from cell.sequence import plan
+from cell.shapes import FeltShape, shape_reader
 from cell.worker import Report
 from recognition.next_pose import PoseMemory
 from recognition.recognizer import Recognizer
@@ -33,6 +35,9 @@ class Answer:
         Probability that the object was never taught.
     n_grasps
         Grasps that it took.
+    shape
+        Shape and size, also of an object that was never taught; None where the pads do not tell,
+        or the config has ``recognition.shape`` off.
     """
 
     label: str
@@ -40,6 +45,7 @@ class Answer:
     probabilities: Mapping[str, float] = field(hash=False)
     unknown: float
     n_grasps: int
+    shape: FeltShape | None = None
 
 
 class TaughtObjects:
@@ -51,6 +57,8 @@ class TaughtObjects:
         Of the cell.
     recognizer
         As a model file has it, without its grasps; None when nothing was taught yet.
+    known
+        What is known of foam and sensor, for shape and size; by default what is usual.
 
     Attributes
     ----------
@@ -58,9 +66,15 @@ class TaughtObjects:
         The present one; None when nothing was taught yet.
     """
 
-    def __init__(self, config: CellConfig, recognizer: Recognizer | None) -> None:
+    def __init__(
+        self,
+        config: CellConfig,
+        recognizer: Recognizer | None,
+        known: PadKnowledge | None = None,
+    ) -> None:
         self.recognizer = recognizer
         self._config = config
+        self._read_shape = shape_reader(config, known)
         self._lock = threading.Lock()
         self._taught: list[GraspRecord] = []
         self._memory: PoseMemory | None = None
@@ -121,7 +135,8 @@ class TaughtObjects:
             chooser=None
             if self._memory is None
             else ActiveChooser(self._memory, self._config.sequence, seed=goal.seed),
-            on_grasp=lambda number, record, posterior: report(
+            read_shape=self._read_shape,
+            on_grasp=lambda number, record, posterior, shape: report(
                 {
                     "task": "identify",
                     "grasps": number,
@@ -129,6 +144,7 @@ class TaughtObjects:
                     "best": posterior.best,
                     "probability": float(posterior.probability.max()),
                     "force_n": record.step.force_n,
+                    "shape": None if shape is None else str(shape),
                 }
             ),
         )
@@ -140,4 +156,5 @@ class TaughtObjects:
             ),
             unknown=found.fused.unknown,
             n_grasps=len(found.records),
+            shape=None if found.shape is None else FeltShape.of(found.shape),
         )

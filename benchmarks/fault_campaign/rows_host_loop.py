@@ -13,7 +13,7 @@ from benchmarks.fault_campaign.scenario import (
     campaign_config,
     observe,
 )
-from cell.collect import GraspCollector, GraspRecord
+from cell.collect import GraspCollector
 from cell.errors import CellStateError
 from cell.plugin import TactileCellPlugin, TeachGoal
 from cell.pose import Pose
@@ -131,7 +131,7 @@ def _after_grasp(recognizer: Any, on_grasp: Any = None) -> Observed:
         )
 
 
-def _break_callback(_number: int, _record: GraspRecord, _posterior: Posterior) -> None:
+def _break_callback(*_told: object) -> None:
     raise ValueError("window closed")
 
 

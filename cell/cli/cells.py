@@ -1,7 +1,8 @@
 """Commands that move a cell: run, teach, identify, release."""
 
+from itertools import zip_longest
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -12,8 +13,6 @@ from cell.cli.drawings import (
     GaugeShapeOption,
     MeshOption,
     ShapeOption,
-    pad_knowledge,
-    shape_texts,
     teach_from_drawing,
 )
 from cell.cli.options import (
@@ -39,7 +38,10 @@ from cell.jobs.main_report import main_report
 from cell.jobs.teaching import append_to_dataset
 from cell.jobs.teaching import teach as teach_object
 from cell.model import load_model
+from cell.pad_knowledge import pad_knowledge
 from cell.paper import TABLE_1, TABLE_1_LABELS
+from cell.shapes import NO_SHAPE, beside, shape_reader
+from recognition.shape_answer import ShapeAnswer
 
 ObjectsOption = Annotated[
     list[str] | None,
@@ -180,7 +182,7 @@ def identify(
     if model is None:
         raise ConfigError("--model is missing; `tactile-cell train` makes one")
     checked = faulted(seeded(load_config(config), seed), faults)
-    known = pad_knowledge(checked, gauge, gauge_shape)
+    read_shape = shape_reader(checked, pad_knowledge(checked, gauge, gauge_shape))
     if dataset is not None:
         if faults:
             raise ConfigError(
@@ -189,32 +191,37 @@ def identify(
         loaded = load_model(model)
         recorded = read_dataset(dataset)
         answers = identify_recorded(loaded, recorded)
-        texts, shapes = shape_texts(recorded, known)
-        for answer, text in zip(answers, texts, strict=True):
+        shapes = [None if read_shape is None else read_shape(grasp) for grasp in recorded]
+        for answer, shape in zip(answers, shapes, strict=True):
             say(
-                f"grasp {answer.number:4d}: {answer.label:<24} {percent(answer.probability)}   "
-                + text
+                f"grasp {answer.number:4d}: {answer.label:<24} {percent(answer.probability)}"
+                + ("" if read_shape is None else f"   {shape or NO_SHAPE}")
                 + (f"   (was {answer.truth})" if answer.truth else "")
             )
         both = zip(answers, shapes, strict=True)
         write_json(
             json_file,
-            {"answers": [answer.as_json() | {"shape": shape} for answer, shape in both]},
+            {"answers": [answer.as_json() | {"shape": _plain(shape)} for answer, shape in both]},
         )
         return
     loaded = load_model(model, pads_of(checked))
     folder = job_folder(out_folder or Path(checked.recording.directory), "identify")
     with running_cell(checked, folder, json_file=json_file) as cell, progress_bar() as progress:
-        found, truth = identify_on_cell(cell, checked, loaded, held=held, progress=progress)
+        found, truth = identify_on_cell(
+            cell, checked, loaded, held=held, progress=progress, read_shape=read_shape
+        )
         recording = cell.recording_path
-    texts, shapes = shape_texts([record.grasp for record in found.records], known)
-    for number, (posterior, text) in enumerate(zip(found.posteriors, texts, strict=True), start=1):
+    for number, (posterior, shape) in enumerate(
+        zip_longest(found.posteriors, found.shapes), start=1
+    ):
         say(
             f"grasp {number}: {posterior.best} {percent(float(posterior.probability.max()))}, "
-            f"untaught {percent(posterior.unknown)}; {text}"
+            f"untaught {percent(posterior.unknown)}"
+            + (f"; {shape or NO_SHAPE}" if found.shapes else "")
         )
     was = f" (it was {truth})" if truth else ""
-    say(f"answer: {found.label} {percent(found.probability)}{was}")
+    felt = beside(found.label, found.shape)
+    say(f"answer: {found.label} {percent(found.probability)}{felt}{was}")
     write_json(
         json_file,
         {
@@ -225,7 +232,8 @@ def identify(
             ),
             "unknown": found.fused.unknown,
             "n_grasps": len(found.posteriors),
-            "shapes": shapes,
+            "shape": _plain(found.shape),
+            "shapes": [_plain(shape) for shape in found.shapes],
             "held": truth,
             "recording": str(recording),
         },
@@ -254,6 +262,10 @@ def _recognizing(config: CellConfig, trainer_name: str) -> CellConfig:
     """Return the config with the kind of recogniser that a model file holds."""
     recognition = config.recognition.model_copy(update={"recognizer": trainer_name})
     return config.model_copy(update={"recognition": recognition})
+
+
+def _plain(shape: ShapeAnswer | None) -> dict[str, Any] | None:
+    return None if shape is None else shape.as_dict()
 
 
 def _print_main(result: MainResult) -> None:

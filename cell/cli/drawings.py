@@ -1,29 +1,18 @@
-"""What `teach --shape` does, and how shape and size are printed beside a label."""
+"""What `teach --shape` does."""
 
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from cell.cli.output import progress_bar, say, write_json
-from cell.collect import pad_array
 from cell.config import CellConfig
 from cell.dataset import read_dataset
 from cell.errors import ConfigError
-from cell.jobs.drawing import (
-    PadKnowledge,
-    calibrate_on_gauge,
-    gauge_shape,
-    shapes_of,
-    teach_drawing,
-    usual_foam,
-)
+from cell.jobs.drawing import teach_drawing
 from cell.jobs.teaching import append_to_dataset
-from cell.layouts import layout_from_config
+from cell.pad_knowledge import pad_knowledge
 from cell.simulation import drawn_shape
-from recognition.grasp import Grasp
-from recognition.shape_answer import ShapeAnswer
 
 DEFAULT_GRASPS = 60
 """Virtual grasps of a drawing where no number is given: they cost nothing."""
@@ -49,19 +38,6 @@ GaugeShapeOption = Annotated[
     str | None,
     typer.Option("--gauge-shape", help="Shape of the gauge [default: the object of its label]."),
 ]
-
-
-def pad_knowledge(config: CellConfig, gauge: Path | None, gauge_text: str | None) -> PadKnowledge:
-    """Return what a gauge tells of foam and sensor, or what is usual without one."""
-    foam = usual_foam(config)
-    if gauge is None:
-        if gauge_text is not None:
-            raise ConfigError("--gauge-shape describes the gauge; name its grasps with --gauge")
-        return PadKnowledge(foam=foam)
-    grasps = read_dataset(gauge)
-    drawing = gauge_shape(grasps, gauge_text, config)
-    pads = pad_array(layout_from_config(config.tactile))
-    return calibrate_on_gauge(grasps, drawing, pads, foam)
 
 
 def teach_from_drawing(
@@ -115,17 +91,3 @@ def teach_from_drawing(
             "pads": known.as_dict(),
         },
     )
-
-
-def shape_texts(
-    grasps: Sequence[Grasp], known: PadKnowledge
-) -> tuple[list[str], list[dict[str, Any] | None]]:
-    """Return shape and size of each grasp, as text to print and as plain data."""
-    answers = shapes_of(grasps, known)
-    return [_text(answer) for answer in answers], [
-        None if answer is None else answer.as_dict() for answer in answers
-    ]
-
-
-def _text(answer: ShapeAnswer | None) -> str:
-    return "no shape: not both pads were pressed" if answer is None else str(answer)

@@ -14,6 +14,7 @@ from cell.identification import Identification
 from cell.jobs.progress import Progress
 from cell.model import LoadedModel
 from cell.sequence import plan
+from cell.shapes import ReadShape
 from recognition.grasp import Grasp, PadArray
 from recognition.recognizer import UNKNOWN
 
@@ -73,7 +74,13 @@ def identify_recorded(model: LoadedModel, grasps: Sequence[Grasp]) -> list[Recor
 
 
 def identify_on_cell(
-    cell: Cell, config: CellConfig, model: LoadedModel, *, held: str | None, progress: Progress
+    cell: Cell,
+    config: CellConfig,
+    model: LoadedModel,
+    *,
+    held: str | None,
+    progress: Progress,
+    read_shape: ReadShape | None = None,
 ) -> tuple[Identification, str | None]:
     """Run one sequence; return its answer and, where the cell is simulated, what was held.
 
@@ -89,7 +96,8 @@ def identify_on_cell(
     found = cell.controller.identify(
         model.recognizer,
         plan(config.sequence, n_grasps, seed=config.seed + 1),
-        on_grasp=lambda number, _record, _posterior: progress("identify", number, n_grasps),
+        read_shape=read_shape,
+        on_grasp=lambda number, *_told: progress("identify", number, n_grasps),
     )
     return found, held
 

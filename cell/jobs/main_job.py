@@ -19,6 +19,7 @@ from cell.jobs.progress import Progress
 from cell.jobs.teaching import teach, train
 from cell.model import save_model
 from cell.sequence import plan
+from cell.shapes import ReadShape, shape_reader
 from recognition.evaluation import wilson_interval
 from recognition.grasp import Grasp
 from recognition.next_pose import PoseMemory
@@ -96,6 +97,16 @@ class MainResult:
                 }
                 for name, score in self.scores.items()
             },
+            "identifications": [
+                {
+                    "held": trial.truth,
+                    "label": trial.found.label,
+                    "probability": trial.found.probability,
+                    "n_grasps": len(trial.found.records),
+                    "shape": None if trial.found.shape is None else trial.found.shape.as_dict(),
+                }
+                for trial in self.trials
+            ],
             "grasps_per_trial": float(
                 np.mean([float(len(trial.found.records)) for trial in self.trials] or [0.0])
             ),
@@ -160,6 +171,7 @@ def teach_and_identify(
         progress("train", 2, 2)
     else:
         recognizers[default] = recognizer
+    read_shape = shape_reader(config)
     trials = []
     for number, label in enumerate(labels):
         for repeat in range(n_trials):
@@ -169,6 +181,7 @@ def teach_and_identify(
                     config,
                     recognizers,
                     memory,
+                    read_shape,
                     label=label,
                     seed=_seed(config, 1 + repeat, number),
                 )
@@ -212,6 +225,7 @@ def _trial(
     config: CellConfig,
     recognizers: dict[str, Recognizer],
     memory: PoseMemory | None,
+    read_shape: ReadShape | None,
     *,
     label: str,
     seed: int,
@@ -222,6 +236,7 @@ def _trial(
         recognizers[default],
         plan(config.sequence, config.sequence.max_grasps, seed=seed),
         chooser=None if memory is None else ActiveChooser(memory, config.sequence, seed=seed),
+        read_shape=read_shape,
     )
     first = found.records[0].grasp
     return Trial(

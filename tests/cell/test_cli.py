@@ -178,6 +178,9 @@ def test_identify_on_the_cell(config: Path, model: Path, tmp_path: Path) -> None
     assert (data["label"], data["held"]) == ("box", "box")
     assert set(data["probabilities"]) == {"ball", "box"}
     assert data["n_grasps"] >= 1
+    low, high = data["shape"]["interval_mm"]
+    assert f"; flat, {data['shape']['size_mm']:.1f} mm ({low:.1f} to {high:.1f})" in text
+    assert len(data["shapes"]) == data["n_grasps"]
     assert read_recording(data["recording"]).results[0]["label"] == "box"
 
 
@@ -186,6 +189,13 @@ def test_identify_recorded_grasps(dataset: Path, model: Path, tmp_path: Path) ->
     answers = read_json(tmp_path / "i.json")["answers"]
     assert [answer["truth"] for answer in answers] == ["ball"] * 5 + ["box"] * 5
     assert text.count("(was ball)") == 5
+
+
+def test_identify_without_shapes(dataset: Path, config: Path, model: Path, tmp_path: Path) -> None:
+    config.write_text(config.read_text().replace("shape: true", "shape: false"))
+    text = call("identify", dataset, "-m", model, "-c", config, "--json", tmp_path / "i.json")
+    assert "mm" not in text
+    assert {answer["shape"] for answer in read_json(tmp_path / "i.json")["answers"]} == {None}
 
 
 def test_release_has_to_be_meant(config: Path, fail: Callable[..., tuple[int, str]]) -> None:

@@ -15,6 +15,7 @@ from cell.errors import CellStateError, CellStopped, NoPartFound, PlanRefused, P
 from cell.pose import Pose
 from cell.recording import read_recording
 from cell.sequence import GraspStep, plan
+from cell.shapes import in_words, shape_reader
 from cell.states import CellState
 from gripper.errors import BusTimeout, GripperError, LimitExceeded, PortLost, ServoFault
 from gripper.gripper import GraspResult, GripperPhase
@@ -130,7 +131,7 @@ def test_identifying_ends_as_soon_as_it_is_sure(bench: Any) -> None:
     told: list[int] = []
     steps = plan(bench.controller._sequence, 5, seed=1)
     found = bench.controller.identify(
-        Sure(2), steps, on_grasp=lambda number, _record, _posterior: told.append(number)
+        Sure(2), steps, on_grasp=lambda number, *_told: told.append(number)
     )
     assert (found.label, found.decision.kind) == ("ball", DecisionKind.DECIDED)
     assert told == [1, 2]
@@ -144,7 +145,7 @@ def test_whoever_is_told_of_the_grasps_cannot_spoil_the_answer(
 ) -> None:
     bench = make_bench(folder=tmp_path).ready()
 
-    def broken(_number: int, _record: Any, _posterior: Any) -> None:
+    def broken(*_told: Any) -> None:
         raise RuntimeError("window closed")
 
     found = bench.controller.identify(
@@ -160,6 +161,48 @@ def test_whoever_is_told_of_the_grasps_cannot_spoil_the_answer(
     assert [event["text"] for event in events if event["kind"] == "callback"] == list(
         found.complaints
     )
+
+
+def test_shape_and_size_are_fused_over_the_grasps(
+    make_bench: Callable[..., Any], make_config: Callable[..., Any], tmp_path: Path
+) -> None:
+    bench = make_bench(folder=tmp_path).ready()
+    told: list[Any] = []
+    found = bench.controller.identify(
+        Sure(2),
+        plan(bench.controller._sequence, 3, seed=1),
+        read_shape=shape_reader(make_config()),
+        on_grasp=lambda *parts: told.append(parts[3]),
+    )
+    assert tuple(told) == found.shapes
+    assert len(found.shapes) == found.shape.n_grasps == 2
+    assert found.shape.kind == "sphere"
+    assert found.shape.low_m < 9.5e-3 < found.shape.high_m
+    assert in_words(found.shape).startswith("a sphere of 9.")
+    bench.cell.close()
+    (result,) = read_recording(tmp_path / "recording.mcap").results
+    assert result["shape"]["size_m"] == pytest.approx(found.shape.size_m, abs=1e-6)
+    assert [one["kind"] for one in result["grasp_shapes"]] == ["sphere", "sphere"]
+
+
+def test_the_label_does_not_hang_on_whoever_reads_the_shape(bench: Any) -> None:
+    bench.ready()
+    answers: list[Any] = [None, ValueError("no law")]
+
+    def read(_grasp: Any) -> None:
+        answer = answers.pop(0)
+        if answer is not None:
+            raise answer
+
+    found = bench.controller.identify(
+        Sure(2), plan(bench.controller._sequence, 2, seed=1), read_shape=read
+    )
+    assert (found.label, found.shapes, found.shape) == ("ball", (None, None), None)
+    assert found.complaints == ("shape of grasp 2: ValueError: no law",)
+
+
+def test_a_config_may_want_no_shapes(make_config: Callable[..., Any]) -> None:
+    assert shape_reader(make_config(recognition__shape=False)) is None
 
 
 def test_identifying_ends_with_its_plan(bench: Any) -> None:

@@ -17,17 +17,11 @@ from cell.config_file import config_text
 from cell.dataset import read_dataset, write_dataset
 from cell.errors import CellError, ConfigError
 from cell.hand_build import _calibration as calibration_of
-from cell.jobs.drawing import (
-    PadKnowledge,
-    calibrate_on_gauge,
-    course_of,
-    gauge_shape,
-    shapes_of,
-    teach_drawing,
-    usual_foam,
-)
+from cell.jobs.drawing import course_of, teach_drawing
 from cell.layouts import layout_from_config
+from cell.pad_knowledge import PadKnowledge, calibrate_on_gauge, gauge_shape, usual_foam
 from cell.pose import Pose
+from cell.shapes import reader_under
 from cell.simulation import drawn_shape, simulator_settings
 from cell.virtual_press import reaches_m
 from recognition.foam_model import FoamModel, PadBed
@@ -195,7 +189,8 @@ def test_virtual_grasps_follow_a_linear_sensor() -> None:
         for pad in (0, 1):
             pad_n = 0.001 * grasp.counts[-3:, grasp.pads.taxels_of(pad)].sum(axis=1).mean()
             assert pad_n == pytest.approx(grasp.force_n[-1], rel=0.2)
-    for answer in shapes_of(grasps, PadKnowledge(foam=usual_foam(config))):
+    read = reader_under(PadKnowledge(foam=usual_foam(config)))
+    for answer in map(read, grasps):
         assert answer is not None
         assert 1e3 * answer.size_m == pytest.approx(9.5, abs=0.8)
 
@@ -312,8 +307,9 @@ def test_what_a_gauge_must_be(taught: Any, make_grasp: Callable[..., Any]) -> No
 def test_untouched_pads_have_no_shape(taught: Any) -> None:
     grasp = taught.grasps[0]
     still = replace(grasp, counts=np.repeat(grasp.counts[:1], grasp.n_frames, axis=0))
-    known, none = shapes_of([grasp, still])
-    assert none is None
+    read = reader_under(PadKnowledge(foam=FoamModel()))
+    known = read(grasp)
+    assert read(still) is None
     assert known is not None
     assert known.kind == "sphere"
 

@@ -45,7 +45,8 @@ def test_what_was_taught_is_written(taught: Any) -> None:
     assert len(recording.results) == 2
     for was, now in zip(taught.grasps, recording.grasps, strict=False):
         np.testing.assert_array_equal(was.counts, now.counts)
-        assert was.placing and now.placing
+        assert was.placing
+        assert now.placing
         assert was.placing.values == pytest.approx(now.placing.values, abs=1e-9)
     assert len({grasp.placing for grasp in taught.grasps}) == 10
 
@@ -77,6 +78,9 @@ def test_json_has_what_was_promised(taught: Any) -> None:
         assert np.array(figures["confusion"]).shape == (2, 3)
         assert figures["confusion_columns"] == ["ball", "box", UNKNOWN]
     assert 1.0 <= data["grasps_per_trial"] <= 4.0
+    felt = data["identifications"]
+    assert [one["held"] for one in felt] == ["ball", "box"]
+    assert [one["shape"]["kind"] for one in felt] == ["sphere", "flat"]
     for name in ("recording", "dataset", "model"):
         assert Path(data[name]).is_file()
     assert data["report"] is None

@@ -102,6 +102,14 @@ def test_teach_then_identify(make_plugin: Callable[..., Any]) -> None:
     assert answer.label in ("box", UNKNOWN)
     assert max(answer.probabilities, key=answer.probabilities.__getitem__) == "box"
     assert 1 <= answer.n_grasps <= 3
+    shape = answer.shape
+    assert shape.kind == "flat"
+    assert shape.probability == max(shape.probabilities.values()) > 0.5
+    assert shape.interval_mm[0] < 10.0 < shape.interval_mm[1]
+    assert shape.thicknesses_mm == ((shape.size_mm, *shape.interval_mm),)
+    assert shape.dimensions_mm["height"] == pytest.approx(shape.size_mm, abs=0.1)
+    assert shape.n_grasps == answer.n_grasps
+    assert plugin.feedback(job).progress["shape"].startswith("flat, ")
     progress = plugin.feedback(job).progress
     assert (progress["task"], progress["grasps"], progress["of"]) == (
         "identify",

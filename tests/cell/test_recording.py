@@ -31,6 +31,7 @@ from gripper.state import Cycle, GripperPhase, GripperState, ServoState
 from gripper.timing import LoopStatistics
 from recognition.grasp import Grasp, PadArray
 from recognition.placing import Placing
+from recognition.shape_answer import ShapeAnswer, Thickness
 from tactile.protocol import TactileFrame
 
 PADS = PadArray(
@@ -125,6 +126,20 @@ def record_grasp(recorder: Recorder, clock: Clock, label: str, n_frames: int = 2
     return grasp
 
 
+_THIN = Thickness(size_m=10e-3, low_m=9.6e-3, high_m=10.4e-3)
+_THICK = Thickness(size_m=15.9e-3, low_m=15.5e-3, high_m=16.3e-3, n_grasps=2)
+BAR = ShapeAnswer(
+    kind="flat",
+    probability={"flat": 0.75, "oval": 0.25},
+    size_m=_THICK.size_m,
+    low_m=_THICK.low_m,
+    high_m=_THICK.high_m,
+    dimensions_m={"height": 15.9e-3},
+    misfit=1.0,
+    thicknesses=(_THIN, _THICK),
+)
+
+
 def record(path: Path, n_grasps: int = 6) -> list[Grasp]:
     clock = Clock()
     with Recorder(
@@ -141,6 +156,8 @@ def record(path: Path, n_grasps: int = 6) -> list[Grasp]:
             unknown=0.01,
             n_grasps=n_grasps,
             true_label="object 1",
+            shape=BAR,
+            grasp_shapes=(BAR, None),
         )
     return grasps
 
@@ -186,6 +203,12 @@ def test_recording_holds_all_that_happened(whole: tuple[Path, list[Grasp]]) -> N
     assert [pose["rotation_rad"] for pose in recording.poses] == [0.3] * 6
     assert recording.events[0] == {"t_s": 100.0, "kind": "state", "text": "EXECUTE"}
     assert recording.results[0]["true_label"] == "object 1"
+    felt = recording.results[0]["shape"]
+    assert (felt["kind"], felt["probability"], felt["n_grasps"]) == ("flat", 0.75, 3)
+    assert (felt["size_m"], felt["low_m"], felt["high_m"]) == (0.0159, 0.0155, 0.0163)
+    assert [t["size_m"] for t in felt["thicknesses"]] == [0.01, 0.0159]
+    assert felt["dimensions_m"] == {"height": 0.0159}
+    assert recording.results[0]["grasp_shapes"] == [felt, {}]
     assert recording.states == (
         {
             "t_s": 100.0,
