@@ -66,6 +66,15 @@ class GraspRun:
     ) -> GraspOutcome:
         """Approach, then follow the ramp to its end, or until it is ended on request."""
         self.forget()
+        with self._end.counting():
+            return self._run(ramp, observer, set_phase)
+
+    def _run(
+        self,
+        ramp: ForceRamp,
+        observer: Observer | None,
+        set_phase: Callable[[GripperPhase], None],
+    ) -> GraspOutcome:
         event, state = self._approach(observer)
         if event is not ApproachEvent.CONTACT:
             limit = event is ApproachEvent.LIMIT
@@ -78,8 +87,7 @@ class GraspRun:
                 overshoot_n=0.0,
             )
         set_phase(GripperPhase.RAMPING)
-        with self._end.counting():
-            return self._follow(ramp, state, observer)
+        return self._follow(ramp, state, observer)
 
     def hold(
         self, control: GripControl, duration_s: float, observer: Observer | None

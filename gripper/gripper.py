@@ -318,9 +318,10 @@ class Gripper:
 
         The force settles there without a further hold, and `grasp` returns as usual, with
         `GraspOutcome.ended_early`: the part is held, all supervision goes on. A set-point that
-        could not hold a part yet grows to contact_force_n first. Without effect before the contact
-        and after the ramp: such a request is not kept for the next grasp. A stop, a fault and the
-        loss of the part come first.
+        could not hold a part yet grows to contact_force_n first. Asked while the fingers approach
+        the ramp ends as it begins; asked when the ramp is over, or while nothing is grasped,
+        nothing changes, for the next grasp neither. A stop, a fault and the loss of the part come
+        first.
         """
         self._grasping.end_ramp()
 

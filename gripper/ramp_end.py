@@ -6,7 +6,7 @@ from contextlib import contextmanager
 
 
 class RampEnd:
-    """Counts a request only while a ramp runs: one that comes too late is not kept for the next."""
+    """Counts a request only during a grasp: one that comes too late is not kept for the next."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -15,7 +15,7 @@ class RampEnd:
 
     @contextmanager
     def counting(self) -> Iterator[None]:
-        """Take requests from the beginning of a ramp to its end."""
+        """Take requests from the beginning of a grasp to its end."""
         with self._lock:
             self._running, self._requested = True, False
         try:
@@ -25,11 +25,11 @@ class RampEnd:
                 self._running = self._requested = False
 
     def request(self) -> None:
-        """Ask for the end of the ramp that runs; does nothing where none does."""
+        """Ask for the end of the ramp of the grasp that runs; does nothing where none does."""
         with self._lock:
             self._requested = self._running
 
     @property
     def requested(self) -> bool:
-        """Whether the ramp that runs is to end."""
+        """Whether the ramp of the grasp that runs is to end."""
         return self._requested

@@ -1,21 +1,23 @@
 """A decision already during the ramp: recognisers taught with ramps that were cut short."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import uniform_filter1d
 
+from recognition.errors import RecognitionError
 from recognition.fusion import DecisionKind, StopRule, decide
 from recognition.grasp import Grasp
 from recognition.ramp import Rest, learn_rest
+from recognition.ramp_load import RunningLoad, load_so_far
 from recognition.recognizer import Posterior, Recognizer, Trainer
+from recognition.recognizers.force_ramp import ForceRamp
 
 SHARES = (0.25, 0.5, 0.75)
 """Parts of the usual full load at which a ramp is looked at before its end."""
-_QUIET_FRAMES = 3
-_SMOOTHING_FRAMES = 5
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -25,7 +27,7 @@ class EarlyAnswer:
     Attributes
     ----------
     posterior
-        What the last look told.
+        What the last look told of this grasp alone.
     looks
         Number of looks, the last one included.
     n_frames
@@ -41,8 +43,8 @@ class EarlyAnswer:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class EarlyRecognizer:
-    """One recogniser for each load at which a ramp is looked at, and one for whole ramps.
+class EarlyHeads:
+    """One recogniser for each load at which a ramp is looked at before its end.
 
     Attributes
     ----------
@@ -50,21 +52,20 @@ class EarlyRecognizer:
         The untouched pads.
     load_counts : (L,) float64
         Loads in counts, summed over the gripping pads, ascending.
-    heads
+    recognizers
         L recognisers, each taught with ramps cut at its load.
-    whole
-        The recogniser of whole ramps.
     """
 
     rest: Rest
     load_counts: NDArray[np.float64]
-    heads: tuple[Recognizer, ...]
-    whole: Recognizer
+    recognizers: tuple[Recognizer, ...]
 
-    @property
-    def labels(self) -> tuple[str, ...]:
-        """The taught objects."""
-        return self.whole.labels
+    def __post_init__(self) -> None:
+        loads = np.array(self.load_counts, dtype=np.float64)
+        if loads.shape != (len(self.recognizers),) or not np.all(np.diff(loads) > 0.0):
+            raise ValueError(f"loads {loads} are not ascending, one for each recogniser")
+        loads.setflags(write=False)
+        object.__setattr__(self, "load_counts", loads)
 
     def looks(self, grasp: Grasp) -> tuple[int, ...]:
         """Return after how many frames each load is reached; fewer than L where it never is.
@@ -75,37 +76,153 @@ class EarlyRecognizer:
         reached = [np.flatnonzero(load >= level) for level in self.load_counts]
         return tuple(int(frames[0]) + 1 for frames in reached if len(frames))
 
+    def expecting(self, whole: Recognizer) -> Self:
+        """Return heads that expect the drift which the recogniser of whole ramps expects."""
+        if not isinstance(whole, ForceRamp):
+            return self
+        heads = tuple(
+            replace(head, grid=whole.grid) if isinstance(head, ForceRamp) else head
+            for head in self.recognizers
+        )
+        return replace(self, recognizers=heads)
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return all that was learnt as plain arrays."""
+        arrays: dict[str, NDArray[Any]] = {"load_counts": self.load_counts}
+        arrays |= {f"rest.{name}": array for name, array in self.rest.to_arrays().items()}
+        for number, head in enumerate(self.recognizers):
+            arrays |= {f"{number}.{name}": array for name, array in head.to_arrays().items()}
+        return arrays
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], kind: type[Recognizer]) -> Self:
+        """Rebuild from `to_arrays`, of the kind of recogniser that was taught.
+
+        Raises KeyError or ValueError where an array is missing or does not fit.
+        """
+
+        def part(prefix: str) -> dict[str, NDArray[Any]]:
+            return {
+                name.removeprefix(prefix): array
+                for name, array in arrays.items()
+                if name.startswith(prefix)
+            }
+
+        return cls(
+            rest=Rest.from_arrays(part("rest.")),
+            load_counts=arrays["load_counts"],
+            recognizers=tuple(
+                kind.from_arrays(part(f"{number}.")) for number in range(len(arrays["load_counts"]))
+            ),
+        )
+
+
+class RampLooks:
+    """Looks at one ramp while it runs.
+
+    Parameters
+    ----------
+    heads
+        What was taught of ramps that were cut short.
+    earlier
+        What the earlier grasps of the same object told: they count with this one.
+    rule
+        When the evidence suffices. A ramp is never ended for an untaught object, and for none that
+        the whole ramp would be named for only because it is the last grasp.
+    """
+
+    def __init__(self, heads: EarlyHeads, earlier: Sequence[Posterior], rule: StopRule) -> None:
+        self._heads = heads
+        self._earlier = tuple(earlier)
+        self._rule = rule
+        self._load = RunningLoad(heads.rest)
+        self._seen = 0
+        self._looks = 0
+        self.answer: EarlyAnswer | None = None
+        """What decided; None as long as nothing has."""
+
+    @property
+    def looks(self) -> int:
+        """Number of looks so far."""
+        return self._looks
+
+    def see(self, counts: NDArray[np.uint16], so_far: Callable[[], Grasp]) -> bool:
+        """Take the next frame; return whether the evidence suffices with it, for the first time.
+
+        Parameters
+        ----------
+        counts : (n_taxels,) uint16
+            The frame.
+        so_far
+            Gives the grasp with at least all frames up to this one; asked at a look only.
+        """
+        self._seen += 1
+        load = self._load.push(counts)
+        while (
+            self.answer is None
+            and self._looks < len(self._heads.recognizers)
+            and load >= self._heads.load_counts[self._looks]
+        ):
+            head = self._heads.recognizers[self._looks]
+            self._looks += 1
+            try:
+                posterior = head.posterior(cut(so_far(), self._seen))
+            except RecognitionError:
+                # What cannot be judged yet decides nothing: the ramp goes on.
+                continue
+            if suffices([*self._earlier, posterior], self._rule):
+                self.answer = EarlyAnswer(
+                    posterior=posterior, looks=self._looks, n_frames=self._seen, decided=True
+                )
+                return True
+        return False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EarlyRecognizer:
+    """Heads for ramps cut short, and a recogniser of whole ramps.
+
+    Attributes
+    ----------
+    heads
+        One recogniser for each load at which a ramp is looked at.
+    whole
+        The recogniser of whole ramps.
+    """
+
+    heads: EarlyHeads
+    whole: Recognizer
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The taught objects."""
+        return self.whole.labels
+
+    def looks(self, grasp: Grasp) -> tuple[int, ...]:
+        """Return after how many frames each load is reached; see `EarlyHeads.looks`."""
+        return self.heads.looks(grasp)
+
     def posterior_at(self, grasp: Grasp, look: int) -> Posterior:
         """Answer a grasp cut at a look, from 0; the number after the last is the whole grasp.
 
         Raises IndexError where the grasp never reached that load.
         """
-        if look == len(self.heads):
+        if look == len(self.heads.recognizers):
             return self.whole.posterior(grasp)
-        return self.heads[look].posterior(cut(grasp, self.looks(grasp)[look]))
+        return self.heads.recognizers[look].posterior(cut(grasp, self.looks(grasp)[look]))
 
     def answer(self, grasp: Grasp, rule: StopRule) -> EarlyAnswer:
         """Look at each load in turn until the rule is satisfied, at last at the whole grasp."""
-        one = StopRule(
-            error_rate=rule.error_rate,
-            max_grasps=2,
-            max_unknown=rule.max_unknown,
-            min_unknown=1.0,
-            min_probability=rule.min_probability,
-        )
-        frames = self.looks(grasp)
-        for look, n_frames in enumerate(frames):
-            posterior = self.heads[look].posterior(cut(grasp, n_frames))
-            if decide([posterior], one).kind is DecisionKind.DECIDED:
-                return EarlyAnswer(
-                    posterior=posterior, looks=look + 1, n_frames=n_frames, decided=True
-                )
+        looks = RampLooks(self.heads, (), rule)
+        for number, counts in enumerate(grasp.counts, start=1):
+            if looks.see(counts, partial(cut, grasp, number)) and looks.answer is not None:
+                return looks.answer
         posterior = self.whole.posterior(grasp)
         return EarlyAnswer(
             posterior=posterior,
-            looks=len(frames) + 1,
+            looks=looks.looks + 1,
             n_frames=grasp.n_frames,
-            decided=decide([posterior], one).kind is DecisionKind.DECIDED,
+            decided=suffices([posterior], rule),
         )
 
 
@@ -131,13 +248,17 @@ class EarlyTrainer:
             raise ValueError(f"shares {self.shares} must lie between 0 and 1")
 
     def fit(self, grasps: Sequence[Grasp]) -> EarlyRecognizer:
-        """Learn from labelled grasps; ramps that end below a load are taught whole.
+        """Learn from labelled grasps. Raises ValueError where whole ramps do not suffice."""
+        whole = self.base.fit(grasps)
+        return EarlyRecognizer(heads=self.fit_heads(grasps, whole), whole=whole)
+
+    def fit_heads(self, grasps: Sequence[Grasp], whole: Recognizer) -> EarlyHeads:
+        """Learn from the grasps that taught ``whole``; ramps that end below a load serve whole.
 
         Each recogniser calibrates its probabilities on ramps cut like those that it will meet. A
         load at which the cut ramps do not suffice to teach, because in the noise too few of them
-        show a touch, is not looked at. Raises ValueError where whole ramps do not suffice.
+        show a touch, is not looked at.
         """
-        whole = self.base.fit(grasps)
         rest = learn_rest(grasps)
         loads = [load_so_far(g, rest) for g in grasps]
         full = float(np.median([load[-1] for load in loads]))
@@ -157,36 +278,21 @@ class EarlyTrainer:
             if head.labels == whole.labels:
                 heads.append(head)
                 taught.append(level)
-        return EarlyRecognizer(
-            rest=rest, load_counts=np.array(taught), heads=tuple(heads), whole=whole
-        )
+        return EarlyHeads(rest=rest, load_counts=np.array(taught), recognizers=tuple(heads))
 
 
-def load_so_far(grasp: Grasp, rest: Rest) -> NDArray[np.float64]:
-    """Return the load in counts at each frame, (n_frames,), from that frame and earlier ones.
-
-    The load is what the gripping pads read above the first frames of the grasp, over a running
-    mean. Raises ValueError for pads other than the taught ones.
-    """
-    rest.check(grasp.pads)
-    taxels = np.concatenate([grasp.pads.taxels_of(pad) for pad in rest.gripping])
-    total = grasp.counts[:, taxels].sum(axis=1, dtype=np.float64)
-    behind = (_SMOOTHING_FRAMES - 1) // 2
-    smooth = uniform_filter1d(total, _SMOOTHING_FRAMES, mode="nearest", origin=behind)
-    load: NDArray[np.float64] = smooth - total[:_QUIET_FRAMES].mean()
-    return load
+def suffices(posteriors: Sequence[Posterior], rule: StopRule) -> bool:
+    """Say whether grasps name a taught object as surely as the rule wants, more of them to come."""
+    going_on = replace(rule, max_grasps=max(rule.min_grasps, len(posteriors)) + 1)
+    return decide(posteriors, going_on).kind is DecisionKind.DECIDED
 
 
 def cut(grasp: Grasp, n_frames: int) -> Grasp:
     """Return the first frames of a grasp."""
-    return Grasp(
-        pads=grasp.pads,
+    return replace(
+        grasp,
         counts=grasp.counts[:n_frames],
         t_s=grasp.t_s[:n_frames],
         aperture_m=grasp.aperture_m[:n_frames],
         force_n=grasp.force_n[:n_frames],
-        label=grasp.label,
-        shape=grasp.shape,
-        source=grasp.source,
-        start_ms=grasp.start_ms,
     )

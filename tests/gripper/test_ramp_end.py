@@ -75,21 +75,41 @@ def test_an_ended_ramp_takes_less_time_and_ends_at_the_level_that_was_next(make_
     assert lasted[0] < lasted[1] - 100
 
 
-def test_a_request_before_the_contact_or_after_the_ramp_is_not_kept(cell) -> None:
+def test_a_request_between_grasps_or_after_the_ramp_is_not_kept(cell) -> None:
     cell.gripper.start()
     cell.gripper.end_ramp()
+    settling: list[float] = []
 
-    def while_closing(cycle: Cycle) -> None:
-        if cycle.phase is GripperPhase.APPROACHING:
-            cell.gripper.end_ramp()
+    def when_it_is_over(cycle: Cycle) -> None:
+        if cycle.level is not None:
+            settling.append(cycle.t_s)
+            if cycle.t_s - settling[0] > 0.3:
+                cell.gripper.end_ramp()
 
-    outcome = cell.gripper.grasp(LINEAR, while_closing)
+    outcome = cell.gripper.grasp(LINEAR, when_it_is_over)
     assert not outcome.ended_early
     assert cell.force_n == pytest.approx(8.0, abs=0.5)
     cell.gripper.end_ramp()
     cell.gripper.release()
     cell.gripper.end_ramp()
     assert not cell.gripper.grasp(LINEAR).ended_early
+
+
+def test_asked_while_the_fingers_approach_the_ramp_ends_as_it_begins(cell) -> None:
+    cell.gripper.start()
+    cycles: list[Cycle] = []
+
+    def while_closing(cycle: Cycle) -> None:
+        cycles.append(cycle)
+        if cycle.phase is GripperPhase.APPROACHING and len(cycles) == 20:
+            cell.gripper.end_ramp()
+
+    outcome = cell.gripper.grasp(LINEAR, while_closing)
+    assert outcome.ended_early
+    assert outcome.contact_aperture_m == pytest.approx(0.012, abs=0.0006)
+    ramped = [cycle for cycle in cycles if cycle.phase is GripperPhase.RAMPING]
+    assert len({cycle.setpoint_n for cycle in ramped if cycle.setpoint_n > 0.0}) == 1
+    assert cell.peak_n < 4.0
 
 
 def test_a_force_that_could_not_hold_a_part_grows_until_it_can(make_cell, make_part) -> None:
@@ -166,7 +186,7 @@ def test_any_thread_may_ask(cell) -> None:
     assert cell.gripper.grasp(LINEAR, asking).ended_early
 
 
-def test_requests_count_while_a_ramp_runs_only() -> None:
+def test_requests_count_during_a_grasp_only() -> None:
     end = RampEnd()
     end.request()
     with end.counting():

@@ -1,10 +1,15 @@
 """Decisions during the ramp: looks use no later frame, and a sure look ends the ramp."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from recognition.early import EarlyTrainer, cut, load_so_far
+from recognition.drift import drift_grid
+from recognition.early import EarlyHeads, EarlyTrainer, RampLooks, cut, suffices
 from recognition.fusion import StopRule
+from recognition.ramp_load import RunningLoad, load_so_far
+from recognition.recognizer import Posterior
 from recognition.recognizers import make_trainer
 
 
@@ -20,10 +25,10 @@ def test_looks_come_in_order_and_use_no_later_frame(early, fresh):
         looks = early.looks(grasp)
         assert list(looks) == sorted(looks)
         assert early.looks(cut(grasp, looks[0])) == looks[:1]
-        whole = load_so_far(grasp, early.rest)
-        part = load_so_far(cut(grasp, looks[0]), early.rest)
+        whole = load_so_far(grasp, early.heads.rest)
+        part = load_so_far(cut(grasp, looks[0]), early.heads.rest)
         assert part == pytest.approx(whole[: looks[0]])
-        assert whole[looks[0] - 1] >= early.load_counts[0] > whole[looks[0] - 2]
+        assert whole[looks[0] - 1] >= early.heads.load_counts[0] > whole[looks[0] - 2]
 
 
 def test_a_lax_rule_ends_earlier_than_a_strict_one(early, fresh):
@@ -56,3 +61,73 @@ def test_a_ramp_that_stays_below_a_load_is_judged_as_it_is(early, fresh):
 def test_shares_are_parts_of_the_ramp_in_order(shares):
     with pytest.raises(ValueError, match="shares"):
         EarlyTrainer(base=make_trainer("shrinkage_lda"), shares=shares)
+
+
+def test_the_load_comes_frame_by_frame_as_over_the_whole_grasp(early, fresh):
+    for grasp in fresh[:4]:
+        running = RunningLoad(early.heads.rest)
+        one_by_one = [running.push(counts) for counts in grasp.counts]
+        assert one_by_one == pytest.approx(load_so_far(grasp, early.heads.rest).tolist())
+
+
+def posterior(share: float, unknown: float = 0.01) -> Posterior:
+    return Posterior(labels=("a", "b"), probability=np.array([share, 1 - share]), unknown=unknown)
+
+
+def test_earlier_grasps_count_and_the_last_grasp_is_no_reason_to_decide():
+    rule = StopRule(error_rate=0.02, max_grasps=1)
+    assert not suffices([posterior(0.9)], rule)
+    assert suffices([posterior(0.9), posterior(0.95)], rule)
+    assert not suffices([posterior(0.02), posterior(0.9)], rule)
+    assert not suffices([posterior(0.999, unknown=0.99)], rule)
+    assert not suffices([posterior(0.999, unknown=1.0)], rule)
+
+
+def test_a_ramp_that_runs_is_decided_with_what_earlier_grasps_told(early, fresh):
+    rule = StopRule(error_rate=1e-3, max_unknown=0.9)
+    sooner = 0
+    for grasp in fresh:
+        looks = RampLooks(early.heads, (), rule)
+        alone = [n for n, c in enumerate(grasp.counts, 1) if looks.see(c, lambda g=grasp: g)]
+        known = Posterior(
+            labels=early.labels,
+            probability=np.array([0.99 if n == grasp.label else 0.0 for n in early.labels])
+            + 0.01 / len(early.labels),
+            unknown=0.01,
+        )
+        more = RampLooks(early.heads, (known, known), rule)
+        fused = [n for n, c in enumerate(grasp.counts, 1) if more.see(c, lambda g=grasp: g)]
+        assert len(alone) <= 1
+        assert alone == ([] if looks.answer is None else [looks.answer.n_frames])
+        assert set(alone) | set(fused) <= set(early.looks(grasp))
+        if looks.answer is not None and alone == fused:
+            assert more.answer.posterior.probability == pytest.approx(
+                looks.answer.posterior.probability
+            )
+        sooner += bool(fused) and (not alone or fused[0] < alone[0])
+    assert sooner > len(fresh) / 4
+
+
+def test_heads_come_back_from_their_arrays(early, fresh):
+    arrays = early.heads.to_arrays()
+    assert all(array.dtype.kind in "biufU" for array in arrays.values())
+    heads = EarlyHeads.from_arrays(arrays, type(early.whole))
+    assert heads.looks(fresh[0]) == early.looks(fresh[0])
+    for head, was in zip(heads.recognizers, early.heads.recognizers, strict=True):
+        assert head.posterior(fresh[0]).probability == pytest.approx(
+            was.posterior(fresh[0]).probability
+        )
+    for change in ({"load_counts": np.array([2.0, 1.0])}, {"load_counts": np.array([1.0, 2, 3])}):
+        with pytest.raises((ValueError, KeyError)):
+            EarlyHeads.from_arrays(arrays | change, type(early.whole))
+
+
+def test_heads_follow_the_drift_that_the_whole_ramps_show(train, early):
+    label = train[0].label
+    few = [g for g in train if g.label == label][:3] + [g for g in train if g.label != label][:3]
+    two = [replace(g, label="one" if g.label == label else "other") for g in few]
+    whole = make_trainer("force_ramp", use_aperture=False).fit(two)
+    drifted = replace(whole, grid=drift_grid(share=0.5))
+    heads = replace(early.heads, recognizers=(whole, whole))
+    assert [head.grid for head in heads.expecting(drifted).recognizers] == [drifted.grid] * 2
+    assert early.heads.expecting(early.whole) is early.heads
