@@ -2,12 +2,14 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from cell.pose import Pose
 from cell.sequence import GraspStep
 from gripper.gripper import Cycle, GraspOutcome
+from recognition.early import EarlyAnswer
 from recognition.grasp import Grasp, PadArray
 from recognition.placing import Placing
 from tactile.layout import TaxelLayout
@@ -30,6 +32,9 @@ class GraspRecord:
         What the gripper says of it.
     cycles
         Every period of the force loop, in order.
+    early
+        What ended the ramp before its usual end; None where that was reached. The grasp holds what
+        was felt until the force had settled, which is more than what decided.
     """
 
     grasp: Grasp
@@ -37,6 +42,36 @@ class GraspRecord:
     reached: Pose
     outcome: GraspOutcome
     cycles: tuple[Cycle, ...]
+    early: EarlyAnswer | None = None
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first move of the closing fingers to the end of the ramp in s."""
+        return self.cycles[-1].t_s - self.cycles[0].t_s
+
+    @property
+    def ended(self) -> str:
+        """Where and by what the ramp was ended early, in words; empty where it was not."""
+        if self.early is None:
+            return ""
+        told = self.early.posterior
+        return (
+            f"ended early at {self.cycles[-1].setpoint_n:.1f} N: {told.best} "
+            f"{float(told.probability.max()):.1%}"
+        )
+
+    def ramp_as_json(self) -> dict[str, Any]:
+        """Return how the ramp ended, as plain data."""
+        told = None if self.early is None else self.early.posterior
+        return {
+            "seconds": round(self.duration_s, 3),
+            "wanted_n": self.step.force_n,
+            "setpoint_n": self.cycles[-1].setpoint_n,
+            "force_n": self.outcome.final_force_n,
+            "ended_early": self.early is not None,
+            "label": None if told is None else told.best,
+            "probability": None if told is None else float(told.probability.max()),
+        }
 
 
 def pad_array(layout: TaxelLayout) -> PadArray:

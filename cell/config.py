@@ -113,6 +113,11 @@ class CellConfig(Section):
                 "simulator.faults are for the simulated cell, and this one has real ports: "
                 "take them out"
             )
+        if self.sequence.decide_early and not (simulated[0] or self.loop.own_process):
+            raise ValueError(
+                "sequence.decide_early works out answers while the force loop runs, which needs "
+                "loop.own_process: in one process the loop would be late"
+            )
         if not simulated[0] and self.tactile.channel == "":
             raise ValueError("tactile.channel is empty; name the channel of the CAN interface")
         if (

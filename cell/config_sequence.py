@@ -97,6 +97,8 @@ class SequenceConfig(Section):
     """Most grasps of one identification, 1 to 100."""
     error_rate: float = Field(default=0.02, gt=0.0, lt=0.5)
     """Wanted rate of wrong answers at which a sequence stops early, 0 to 0.5."""
+    decide_early: bool = False
+    """Whether a force ramp ends as soon as what was felt until then is sure enough."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -19,6 +19,7 @@ from cell.states import CellState, Event
 from cell.view import CellView
 from gripper.clock import Clock
 from gripper.state import GripperPhase
+from recognition.early import EarlyHeads, RampLooks
 from recognition.grasp import PadArray
 from recognition.recognizer import Recognizer
 
@@ -219,8 +220,12 @@ class CellController(CellView):
 
         self._grasper.patiently(lambda: self._positioner.present(label), supervise)
 
-    def grasp(self, step: GraspStep, *, label: str = "") -> GraspRecord:
+    def grasp(
+        self, step: GraspStep, looks: RampLooks | None = None, *, label: str = ""
+    ) -> GraspRecord:
         """Run one grasp: pose, approach, contact, ramp, hold, release.
+
+        With ``looks`` the ramp ends as soon as they decide.
 
         Raises
         ------
@@ -237,7 +242,7 @@ class CellController(CellView):
         self._life.go(Event.EXECUTE)
         try:
             with self._life.latching_faults():
-                record = self._grasper.grasp(step, label)
+                record = self._grasper.grasp(step, label, looks)
                 self._life.complete()
         finally:
             self._journal.loop(self._hand.statistics)
@@ -271,13 +276,15 @@ class CellController(CellView):
         recognizer: Recognizer,
         plan: Sequence[GraspStep],
         *,
+        early: EarlyHeads | None = None,
         chooser: StepChooser | None = None,
         read_shape: ReadShape | None = None,
         on_grasp: OnGrasp | None = None,
     ) -> Identification:
         """Grasp and classify until the stop rule is satisfied or the plan is at its end.
 
-        With a ``chooser`` each step of the plan is a proposal that it may replace. With
+        With ``early`` a ramp ends as soon as it satisfies the stop rule together with the grasps
+        before it. With a ``chooser`` each step of the plan is a proposal that it may replace. With
         ``read_shape`` the answer has shape and size too.
 
         Raises
@@ -293,6 +300,7 @@ class CellController(CellView):
             recognizer,
             steps,
             error_rate=self._sequence.error_rate,
+            early=early,
             chooser=chooser,
             read_shape=read_shape,
             on_grasp=on_grasp,

@@ -16,7 +16,8 @@ from cell.sequence import GraspStep
 from gripper.clock import Clock
 from gripper.ramp import ForceRamp
 from gripper.state import Cycle, GraspResult
-from recognition.grasp import PadArray
+from recognition.early import RampLooks
+from recognition.grasp import Grasp, PadArray
 from tactile.protocol import TactileFrame
 
 _T = TypeVar("_T")
@@ -87,14 +88,19 @@ class Grasper:
     def _ramp(self, step: GraspStep) -> ForceRamp:
         return force_ramp(self._sequence.ramp, step.force_n)
 
-    def grasp(self, step: GraspStep, label: str) -> GraspRecord:
-        """Go to the pose, grasp, record, let go."""
+    def grasp(self, step: GraspStep, label: str, looks: RampLooks | None = None) -> GraspRecord:
+        """Go to the pose, grasp, record, let go; with ``looks`` end the ramp where these decide."""
         reached = self._move_to(step.pose)
         collector = GraspCollector()
+
+        def so_far() -> Grasp:
+            return collector.grasp(self.pads, start_ms=0)
 
         def watch(cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
             self._look(cycle, frames)
             collector.add(cycle, frames)
+            if looks is not None and any(looks.see(frame.counts, so_far) for frame in frames):
+                self._hand.end_ramp()
 
         self._hand.open(self.watch)
         start_ms = self._wall_ms()
@@ -112,12 +118,15 @@ class Grasper:
             reached=reached,
             outcome=outcome,
             cycles=collector.cycles,
+            early=looks.answer if looks is not None and outcome.ended_early else None,
         )
         missing = NOTHING_HELD.get(outcome.result)
         if missing is not None:
             self._journal.note("no part", f"{missing} at {reached}")
         else:
             self._journal.grasp(record.grasp)
+            if record.ended:
+                self._journal.note("ramp", record.ended)
         self._hand.release(self.watch)
         return record
 

@@ -7,6 +7,7 @@ from typing import Protocol
 from cell.collect import GraspRecord
 from cell.sequence import GraspStep
 from cell.shapes import ReadShape
+from recognition.early import EarlyHeads, RampLooks
 from recognition.fusion import Decision, DecisionKind, StopRule, decide, fuse
 from recognition.recognizer import Posterior, Recognizer
 from recognition.shape_answer import ShapeAnswer
@@ -69,11 +70,12 @@ What it raises does not end the sequence, whose answer does not depend on it; it
 
 
 def grasp_and_classify(
-    grasp: Callable[[GraspStep], GraspRecord],
+    grasp: Callable[[GraspStep, RampLooks | None], GraspRecord],
     recognizer: Recognizer,
     plan: Sequence[GraspStep],
     *,
     error_rate: float,
+    early: EarlyHeads | None = None,
     chooser: StepChooser | None = None,
     read_shape: ReadShape | None = None,
     on_grasp: OnGrasp | None = None,
@@ -83,7 +85,7 @@ def grasp_and_classify(
     Parameters
     ----------
     grasp
-        Carries one step out.
+        Carries one step out, and ends its ramp where the looks at it decide.
     recognizer
         Says what a grasp tells.
     plan
@@ -93,15 +95,24 @@ def grasp_and_classify(
     read_shape
         Says shape and size of a grasp, which the label does not depend on. It is asked between two
         grasps, while the fingers are open.
+    early
+        Looks at each ramp while it runs: together with the earlier grasps it may decide before the
+        ramp is at its end, which then tells what was known at that moment. None: whole ramps only.
     """
     rule = StopRule(error_rate=error_rate, max_grasps=len(plan))
     posteriors: list[Posterior] = []
     records: list[GraspRecord] = []
     complaints: list[str] = []
     shapes: list[ShapeAnswer | None] = []
+    heads = None if early is None else early.expecting(recognizer)
     for number, step in enumerate(plan, start=1):
-        record = grasp(step if chooser is None else chooser.next_step(posteriors, step))
-        posterior = recognizer.posterior(record.grasp)
+        record = grasp(
+            step if chooser is None else chooser.next_step(posteriors, step),
+            None if heads is None else RampLooks(heads, posteriors, rule),
+        )
+        posterior = (
+            recognizer.posterior(record.grasp) if record.early is None else record.early.posterior
+        )
         records.append(record)
         posteriors.append(posterior)
         shape: ShapeAnswer | None = None

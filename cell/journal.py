@@ -81,6 +81,7 @@ class Journal:
                 probabilities=[float(p) for p in found.fused.probability],
                 unknown=found.fused.unknown,
                 n_grasps=len(found.records),
+                n_ended_early=sum(record.early is not None for record in found.records),
                 shape=found.shape,
                 grasp_shapes=found.shapes,
             )

@@ -17,6 +17,7 @@ from cell.choosing import check_active
 from cell.collect import pad_array
 from cell.config import CellConfig
 from cell.config_file import load_config
+from cell.early_heads import heads_sections
 from cell.errors import CellStateError
 from cell.goals import IdentifyGoal, TeachGoal, checked_goal
 from cell.host_watch import HostWatch
@@ -116,7 +117,7 @@ class TactileCellPlugin:
             checked,
             None
             if model is None
-            else load_model(Path(model), pad_array(layout_from_config(checked.tactile))).recognizer,
+            else load_model(Path(model), pad_array(layout_from_config(checked.tactile))),
             pad_knowledge(checked, None if gauge is None else Path(gauge), gauge_shape),
         )
         self._cell: Cell = build_cell(checked, mover=mover)
@@ -288,6 +289,7 @@ class TactileCellPlugin:
             self._taught.recognizer,
             trainer_name=self._config.recognition.recognizer,
             pads=self._cell.controller.pads,
+            sections=heads_sections(self._taught.early),
         )
 
     def close(self, timeout_s: float = 30.0) -> None:

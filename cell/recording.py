@@ -231,6 +231,7 @@ class Recorder:
         probabilities: Sequence[float],
         unknown: float,
         n_grasps: int,
+        n_ended_early: int = 0,
         true_label: str = "",
         shape: "ShapeAnswer | None" = None,
         grasp_shapes: "Sequence[ShapeAnswer | None]" = (),
@@ -243,6 +244,7 @@ class Recorder:
             "probabilities": [float(p) for p in probabilities],
             "unknown": float(unknown),
             "n_grasps": n_grasps,
+            "n_ended_early": n_ended_early,
         }
         if true_label:
             values["true_label"] = true_label

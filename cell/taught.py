@@ -8,8 +8,10 @@ from cell.choosing import ActiveChooser, remember_records
 from cell.collect import GraspRecord
 from cell.config import CellConfig
 from cell.controller import CellController
+from cell.early_heads import loaded_heads, wanted_heads
 from cell.errors import CellError
 from cell.goals import IdentifyGoal, TeachGoal
+from cell.model import LoadedModel
 from cell.pad_knowledge import PadKnowledge
 from cell.sequence import plan
 from cell.shapes import FeltShape, shape_reader
@@ -38,6 +40,8 @@ class Answer:
     shape
         Shape and size, also of an object that was never taught; None where the pads do not tell,
         or the config has ``recognition.shape`` off.
+    n_ended_early
+        Grasps whose ramp ended early, because it sufficed.
     """
 
     label: str
@@ -46,6 +50,7 @@ class Answer:
     unknown: float
     n_grasps: int
     shape: FeltShape | None = None
+    n_ended_early: int = 0
 
 
 class TaughtObjects:
@@ -55,8 +60,8 @@ class TaughtObjects:
     ----------
     config
         Of the cell.
-    recognizer
-        As a model file has it, without its grasps; None when nothing was taught yet.
+    model
+        A model file, which has no grasps; None when nothing was taught yet.
     known
         What is known of foam and sensor, for shape and size; by default what is usual.
 
@@ -64,15 +69,23 @@ class TaughtObjects:
     ----------
     recognizer
         The present one; None when nothing was taught yet.
+    early
+        Heads for ramps that end early; None where the config does not want it.
+
+    Raises
+    ------
+    ModelError
+        If the model lacks what the config wants.
     """
 
     def __init__(
         self,
         config: CellConfig,
-        recognizer: Recognizer | None,
+        model: LoadedModel | None,
         known: PadKnowledge | None = None,
     ) -> None:
-        self.recognizer = recognizer
+        self.recognizer = None if model is None else model.recognizer
+        self.early = None if model is None else loaded_heads(model, config.sequence)
         self._config = config
         self._read_shape = shape_reader(config, known)
         self._lock = threading.Lock()
@@ -109,12 +122,15 @@ class TaughtObjects:
                 self._config.recognition.recognizer,
                 use_aperture=self._config.recognition.use_aperture,
             )
+            grasps = [record.grasp for record in self._taught]
             try:
-                self.recognizer = trainer.fit([record.grasp for record in self._taught])
+                whole = trainer.fit(grasps)
             except ValueError as error:
                 raise CellError(
                     f"the taught grasps make no recogniser yet, and are kept: {error}"
                 ) from error
+            self.early = wanted_heads(grasps, whole, self._config)
+            self.recognizer = whole
             if self._config.sequence.kind == "active":
                 self._memory = remember_records(trainer, self._taught)
         return len(taught)
@@ -132,6 +148,7 @@ class TaughtObjects:
         found = controller.identify(
             recognizer,
             plan(self._config.sequence, n_grasps, seed=goal.seed),
+            early=self.early,
             chooser=None
             if self._memory is None
             else ActiveChooser(self._memory, self._config.sequence, seed=goal.seed),
@@ -145,6 +162,7 @@ class TaughtObjects:
                     "probability": float(posterior.probability.max()),
                     "force_n": record.step.force_n,
                     "shape": None if shape is None else str(shape),
+                    "ended_early": record.early is not None,
                 }
             ),
         )
@@ -157,4 +175,5 @@ class TaughtObjects:
             unknown=found.fused.unknown,
             n_grasps=len(found.records),
             shape=None if found.shape is None else FeltShape.of(found.shape),
+            n_ended_early=sum(record.early is not None for record in found.records),
         )

@@ -30,6 +30,7 @@ from cell.cli.stopping import END_WITHIN_S, stopping
 from cell.config import CellConfig
 from cell.config_file import load_config
 from cell.dataset import read_dataset
+from cell.early_heads import loaded_heads
 from cell.errors import ConfigError
 from cell.jobs.files import job_folder
 from cell.jobs.identifying import identify_on_cell, identify_recorded
@@ -69,6 +70,7 @@ def run(
     checked = faulted(seeded(load_config(config), seed), faults)
     loaded = None if model is None else load_model(model, pads_of(checked))
     recognizer = None if loaded is None else loaded.recognizer
+    early = None if loaded is None else loaded_heads(loaded, checked.sequence)
     if loaded is not None:
         checked = _recognizing(checked, loaded.trainer_name)
     configured = [entry.label for entry in checked.simulator.objects]
@@ -98,6 +100,7 @@ def run(
             folder=folder,
             progress=progress,
             recognizer=recognizer,
+            early=early,
         )
         result.extra = {"health": cell.health()}
         result.report = main_report(result, checked, cell, folder / "report.html")
@@ -205,19 +208,21 @@ def identify(
         )
         return
     loaded = load_model(model, pads_of(checked))
+    loaded_heads(loaded, checked.sequence)
     folder = job_folder(out_folder or Path(checked.recording.directory), "identify")
     with running_cell(checked, folder, json_file=json_file) as cell, progress_bar() as progress:
         found, truth = identify_on_cell(
             cell, checked, loaded, held=held, progress=progress, read_shape=read_shape
         )
         recording = cell.recording_path
-    for number, (posterior, shape) in enumerate(
-        zip_longest(found.posteriors, found.shapes), start=1
+    for number, (record, posterior, shape) in enumerate(
+        zip_longest(found.records, found.posteriors, found.shapes), start=1
     ):
         say(
             f"grasp {number}: {posterior.best} {percent(float(posterior.probability.max()))}, "
             f"untaught {percent(posterior.unknown)}"
             + (f"; {shape or NO_SHAPE}" if found.shapes else "")
+            + (f"; {record.ended}" if record.ended else "")
         )
     was = f" (it was {truth})" if truth else ""
     felt = beside(found.label, found.shape)
@@ -234,6 +239,7 @@ def identify(
             "n_grasps": len(found.posteriors),
             "shape": _plain(found.shape),
             "shapes": [_plain(shape) for shape in found.shapes],
+            "ramps": [record.ramp_as_json() for record in found.records],
             "held": truth,
             "recording": str(recording),
         },
@@ -277,6 +283,8 @@ def _print_main(result: MainResult) -> None:
     for name, score in result.scores.items():
         say(f"{name}: {percent(score.accuracy, score.interval)} of {score.n}")
         out.print(confusion_table(result.labels, score.confusion))
+    ended = f", {result.n_ended_early} ended early" if result.n_ended_early else ""
+    say(f"{result.grasp_s:.2f} s a grasp, mean of {len(result.records)}{ended}")
     say(f"report:    {result.report}")
     say(f"recording: {result.recording}")
     if result.dataset is not None:

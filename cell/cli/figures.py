@@ -10,6 +10,7 @@ from cell.cli.options import CaptureOption, ConfigOption, JsonOption
 from cell.cli.output import out, percent, progress_bar, say, write_json
 from cell.config_file import load_config
 from cell.dataset import read_dataset
+from cell.early_heads import heads_sections, teach_heads
 from cell.errors import CellError, ConfigError
 from cell.jobs.evaluating import EvaluationResult, evaluate_recognizers
 from cell.jobs.replaying import replay_grasps
@@ -40,6 +41,9 @@ def train(
     model: Annotated[Path, typer.Option("--output", "-o", help="Model file to write.")],
     recognizer: RecognizerOption = DEFAULT_TRAINER,
     aperture: ApertureOption = True,
+    early: Annotated[
+        bool, typer.Option("--early", help="Also teach with ramps cut short, for decide_early.")
+    ] = False,
     json_file: JsonOption = None,
 ) -> None:
     """Train a recogniser on data sets and write a model file."""
@@ -48,7 +52,14 @@ def train(
     if not all(grasp.pads.same_as(grasps[0].pads) for grasp in grasps):
         raise CellError("the data sets were taken on different pads; train a model for each")
     taught = train_recognizer(grasps, recognizer, use_aperture=aperture)
-    save_model(model, taught, trainer_name=recognizer, pads=grasps[0].pads)
+    heads = teach_heads(grasps, recognizer, taught, use_aperture=aperture) if early else None
+    save_model(
+        model,
+        taught,
+        trainer_name=recognizer,
+        pads=grasps[0].pads,
+        sections=heads_sections(heads),
+    )
     say(f"{recognizer} taught {len(taught.labels)} objects with {len(grasps)} grasps: {model}")
     write_json(
         json_file,

@@ -58,7 +58,13 @@ def calibrate(
             )
         taken = [record.grasp for record in records]
     corrected, found = calibrate_model(loaded, gauge, taken)
-    save_model(output, corrected, trainer_name=loaded.trainer_name, pads=loaded.pads)
+    save_model(
+        output,
+        corrected,
+        trainer_name=loaded.trainer_name,
+        pads=loaded.pads,
+        sections=loaded.sections,
+    )
     gain, offset_mm = found.drift.gain, found.drift.aperture_offset_m * 1e3
     say(
         f"{found.n_grasps} grasps of {gauge}: gain {gain:.2f} (+-{100 * found.log_gain_sd:.0f} %), "
@@ -81,7 +87,13 @@ def calibrate(
 def _by_shift(loaded: LoadedModel, dataset: Path, output: Path, json_file: Path | None) -> None:
     taken = read_dataset(dataset)
     corrected, drift = follow_shift(loaded, taken)
-    save_model(output, corrected, trainer_name=loaded.trainer_name, pads=loaded.pads)
+    save_model(
+        output,
+        corrected,
+        trainer_name=loaded.trainer_name,
+        pads=loaded.pads,
+        sections=loaded.sections,
+    )
     offset_mm = drift.aperture_offset_m * 1e3
     say(
         f"{len(taken)} grasps of a shift: gain {drift.gain:.2f}, opening {offset_mm:+.1f} mm: "

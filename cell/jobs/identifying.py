@@ -9,6 +9,7 @@ import numpy as np
 from cell.build import Cell
 from cell.choosing import check_active
 from cell.config import CellConfig
+from cell.early_heads import loaded_heads
 from cell.errors import ModelError
 from cell.identification import Identification
 from cell.jobs.progress import Progress
@@ -88,6 +89,7 @@ def identify_on_cell(
     """
     check_pads(model, cell.controller.pads)
     check_active(config.sequence, taught=False)
+    early = loaded_heads(model, config.sequence)
     if held is None and config.positioner.kind == "simulated":
         objects = [entry.label for entry in config.simulator.objects]
         held = str(np.random.default_rng(config.seed).choice(objects))
@@ -96,6 +98,7 @@ def identify_on_cell(
     found = cell.controller.identify(
         model.recognizer,
         plan(config.sequence, n_grasps, seed=config.seed + 1),
+        early=early,
         read_shape=read_shape,
         on_grasp=lambda number, *_told: progress("identify", number, n_grasps),
     )

@@ -13,6 +13,7 @@ from cell.choosing import ActiveChooser, check_active, remember_records
 from cell.collect import GraspRecord
 from cell.config import CellConfig
 from cell.dataset import write_dataset
+from cell.early_heads import heads_sections, wanted_heads
 from cell.errors import CellError
 from cell.identification import Identification
 from cell.jobs.progress import Progress
@@ -20,6 +21,7 @@ from cell.jobs.teaching import teach, train
 from cell.model import save_model
 from cell.sequence import plan
 from cell.shapes import ReadShape, shape_reader
+from recognition.early import EarlyHeads
 from recognition.evaluation import wilson_interval
 from recognition.grasp import Grasp
 from recognition.next_pose import PoseMemory
@@ -79,6 +81,21 @@ class MainResult:
     report: Path | None = None
     extra: dict[str, Any] = field(default_factory=dict)
 
+    @property
+    def records(self) -> tuple[GraspRecord, ...]:
+        """All grasps of the identifications, in order."""
+        return tuple(record for trial in self.trials for record in trial.found.records)
+
+    @property
+    def grasp_s(self) -> float:
+        """Mean time in s of a grasp of the identifications, from closing to the end of its ramp."""
+        return float(np.mean([record.duration_s for record in self.records] or [0.0]))
+
+    @property
+    def n_ended_early(self) -> int:
+        """Grasps of the identifications whose ramp ended early, because it sufficed."""
+        return sum(record.early is not None for record in self.records)
+
     def as_json(self) -> dict[str, Any]:
         """Return what ``--json`` writes."""
         return {
@@ -110,6 +127,8 @@ class MainResult:
             "grasps_per_trial": float(
                 np.mean([float(len(trial.found.records)) for trial in self.trials] or [0.0])
             ),
+            "grasp_seconds": self.grasp_s,
+            "ramps_ended_early": self.n_ended_early,
             "report": None if self.report is None else str(self.report),
             "recording": None if self.recording is None else str(self.recording),
             "dataset": None if self.dataset is None else str(self.dataset),
@@ -128,11 +147,13 @@ def teach_and_identify(
     folder: Path,
     progress: Progress,
     recognizer: Recognizer | None = None,
+    early: EarlyHeads | None = None,
 ) -> MainResult:
     """Teach each object, train, identify each object ``n_trials`` times; write data set and model.
 
-    With a ``recognizer`` nothing is taught. Plans of teaching and of identifying are drawn with
-    different seeds, so no pose and force is met twice.
+    With a ``recognizer`` nothing is taught, and ``early`` are its heads for ramps that end early.
+    Plans of teaching and of identifying are drawn with different seeds, so no pose and force is met
+    twice.
 
     Raises
     ------
@@ -162,7 +183,14 @@ def teach_and_identify(
         progress("train", 0, 2)
         recognizers[default] = train(taught, default, use_aperture=config.recognition.use_aperture)
         model = folder / "model.npz"
-        save_model(model, recognizers[default], trainer_name=default, pads=cell.controller.pads)
+        early = wanted_heads(taught, recognizers[default], config)
+        save_model(
+            model,
+            recognizers[default],
+            trainer_name=default,
+            pads=cell.controller.pads,
+            sections=heads_sections(early),
+        )
         progress("train", 1, 2)
         if default != BASELINE:
             recognizers[BASELINE] = train(taught, BASELINE)
@@ -181,7 +209,8 @@ def teach_and_identify(
                     config,
                     recognizers,
                     memory,
-                    read_shape,
+                    early=early,
+                    read_shape=read_shape,
                     label=label,
                     seed=_seed(config, 1 + repeat, number),
                 )
@@ -225,8 +254,9 @@ def _trial(
     config: CellConfig,
     recognizers: dict[str, Recognizer],
     memory: PoseMemory | None,
-    read_shape: ReadShape | None,
     *,
+    early: EarlyHeads | None,
+    read_shape: ReadShape | None,
     label: str,
     seed: int,
 ) -> Trial:
@@ -235,6 +265,7 @@ def _trial(
     found = cell.controller.identify(
         recognizers[default],
         plan(config.sequence, config.sequence.max_grasps, seed=seed),
+        early=early,
         chooser=None if memory is None else ActiveChooser(memory, config.sequence, seed=seed),
         read_shape=read_shape,
     )

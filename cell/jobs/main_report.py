@@ -72,6 +72,14 @@ def main_report(result: MainResult, config: CellConfig, cell: Cell, path: Path) 
         )
     per_trial = np.mean([len(trial.found.records) for trial in result.trials])
     figures.append(KeyFigure(value=f"{per_trial:.1f}", caption="grasps until sure"))
+    if config.sequence.decide_early:
+        figures.append(
+            KeyFigure(
+                value=f"{result.grasp_s:.1f} s",
+                caption="a grasp, to the end of its ramp",
+                note=f"{result.n_ended_early} of {len(result.records)} ended early",
+            )
+        )
     hand = cell.controller.hand
     statistics = hand.statistics
     data = ReportData(
@@ -139,6 +147,11 @@ def _notes(config: CellConfig) -> tuple[str, ...]:
         + (", the opening of the fingers" if config.recognition.use_aperture else "")
         + " and several grasps.",
     ]
+    if config.sequence.decide_early:
+        notes.append(
+            "A ramp ended as soon as it was sure enough together with the grasps before it. The "
+            "level check judges such a grasp by the part of the ramp that there is."
+        )
     if config.simulated:
         notes.append(
             "Simulated cell: rigid objects in 3 mm foam, byte-true servos and control unit. "
@@ -204,11 +217,16 @@ def _sequences(result: MainResult) -> tuple[IdentifySequence, ...]:
             probability=trial.found.probability,
             steps=identify_steps(
                 trial.found.posteriors,
-                [f"{r.reached}; {r.step.force_n:.1f} N" for r in trial.found.records],
+                [_grasp_note(r) for r in trial.found.records],
             ),
         )
         for trial in chosen
     )
+
+
+def _grasp_note(record: GraspRecord) -> str:
+    ended = f", {record.ended}" if record.ended else ""
+    return f"{record.reached}; {record.step.force_n:.1f} N{ended}"
 
 
 def _confusions(result: MainResult) -> tuple[ConfusionTable, ...]:

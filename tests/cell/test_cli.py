@@ -198,6 +198,33 @@ def test_identify_without_shapes(dataset: Path, config: Path, model: Path, tmp_p
     assert {answer["shape"] for answer in read_json(tmp_path / "i.json")["answers"]} == {None}
 
 
+def test_a_model_taught_for_it_ends_ramps_early(
+    config: Path,
+    model: Path,
+    dataset: Path,
+    tmp_path: Path,
+    fail: Callable[..., tuple[int, str]],
+) -> None:
+    text = config.read_text(encoding="utf-8")
+    config.write_text(text.replace("decide_early: false", "decide_early: true"), encoding="utf-8")
+    for command in ("identify", "run"):
+        code, said = fail(command, "-m", model, "-c", config)
+        assert code == 1
+        assert "train it with `tactile-cell train --early`" in said
+    assert not (tmp_path / "out").exists()
+    early = tmp_path / "early.npz"
+    call("train", dataset, "-o", early, "--early")
+    said = call(
+        *("identify", "-m", early, "--object", "box", "-c", config),
+        *("--json", tmp_path / "i.json"),
+    )
+    ramps = read_json(tmp_path / "i.json")["ramps"]
+    (ended,) = [ramp for ramp in ramps if ramp["ended_early"]]
+    assert (ended["label"], ended["probability"] >= 0.98) == ("box", True)
+    assert ended["setpoint_n"] < ended["wanted_n"]
+    assert f"ended early at {ended['setpoint_n']:.1f} N: box" in said
+
+
 def test_release_has_to_be_meant(config: Path, fail: Callable[..., tuple[int, str]]) -> None:
     code, said = fail("release", "-c", config)
     assert code == 2
