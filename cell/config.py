@@ -34,6 +34,8 @@ class RecognitionConfig(Section):
     """Whether the opening between the fingers is used beside the taxels."""
     shape: bool = True
     """Whether each grasp of an identification also tells shape and size."""
+    follow_drift: bool = True
+    """Whether the drift of the sensors is followed from one identification to the next."""
 
 
 class RecordingConfig(Section):

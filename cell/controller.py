@@ -308,6 +308,10 @@ class CellController(CellView):
         self._journal.result(result)
         return result
 
+    def remark(self, kind: str, text: str) -> None:
+        """Put what an operator must know into the recording."""
+        self._journal.note(kind, text)
+
     # -- inside --------------------------------------------------------------------------------
 
     def _checked(self, plan: Sequence[GraspStep], label: str = "") -> tuple[GraspStep, ...]:

@@ -7,11 +7,13 @@ from typing import Protocol
 from cell.collect import GraspRecord
 from cell.sequence import GraspStep
 from cell.shapes import ReadShape
+from recognition.drift_following import DriftBelief
 from recognition.early import EarlyHeads, RampLooks
 from recognition.fusion import Decision, DecisionKind, StopRule, decide, fuse
 from recognition.recognizer import Posterior, Recognizer
 from recognition.shape_answer import ShapeAnswer
 from recognition.shape_fusion import fuse_shapes
+from recognition.shift import Following
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,6 +34,9 @@ class Identification:
         What all grasps tell together.
     records
         The grasps.
+    drift
+        What was believed of the drift when the answer was given; None for a recogniser that does
+        not follow it.
     complaints
         What went wrong in whoever was told of the grasps, or read their shape; the label is not
         touched by it.
@@ -48,6 +53,7 @@ class Identification:
     posteriors: tuple[Posterior, ...]
     fused: Posterior
     records: tuple[GraspRecord, ...]
+    drift: DriftBelief | None = None
     complaints: tuple[str, ...] = ()
     shapes: tuple[ShapeAnswer | None, ...] = ()
     shape: ShapeAnswer | None = None
@@ -138,6 +144,7 @@ def grasp_and_classify(
         posteriors=tuple(posteriors),
         fused=fuse(posteriors),
         records=tuple(records),
+        drift=recognizer.belief if isinstance(recognizer, Following) else None,
         complaints=tuple(complaints),
         shapes=tuple(shapes),
         shape=fuse_shapes(told) if told else None,

@@ -84,4 +84,5 @@ class Journal:
                 n_ended_early=sum(record.early is not None for record in found.records),
                 shape=found.shape,
                 grasp_shapes=found.shapes,
+                drift=found.drift,
             )

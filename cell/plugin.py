@@ -200,7 +200,7 @@ class TactileCellPlugin:
             at hand: teaching would forget its objects.
         """
         checked = checked_goal(goal)
-        controller, recognizer = self._cell.controller, self._taught.recognizer
+        controller, shift = self._cell.controller, self._taught.shift
         if isinstance(checked, TeachGoal):
             if self._taught.loaded:
                 raise CellStateError(
@@ -209,10 +209,10 @@ class TactileCellPlugin:
                     "extend the data set and train anew"
                 )
             return self._accept(lambda report: self._taught.teach(controller, checked, report))
-        if recognizer is None:
+        if shift is None:
             raise CellStateError("nothing was taught; start a teach goal or load a model first")
         return self._accept(
-            lambda report: self._taught.identify(controller, checked, recognizer, report)
+            lambda report: self._taught.identify(controller, checked, shift, report)
         )
 
     def feedback(self, job: Job) -> JobStatus:
@@ -280,13 +280,18 @@ class TactileCellPlugin:
 
         self.result(self._accept(work), timeout_s)
 
-    def save(self, path: Path | str) -> None:
-        """Write what was taught to a model file. Raises CellStateError if nothing was."""
-        if self._taught.recognizer is None:
+    def save(self, path: Path | str, *, followed: bool = False) -> None:
+        """Write what was taught to a model file, as it was taught.
+
+        With ``followed`` the model expects the drift that this session has followed: for the rest
+        of a shift. Raises CellStateError if nothing was taught.
+        """
+        shift = self._taught.shift
+        if shift is None:
             raise CellStateError("nothing was taught, there is no model to save")
         save_model(
             Path(path),
-            self._taught.recognizer,
+            shift.recognizer if followed else shift.taught,
             trainer_name=self._config.recognition.recognizer,
             pads=self._cell.controller.pads,
             sections=heads_sections(self._taught.early),

@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from cell.pose import Pose
     from cell.states import CellState
     from gripper.state import Cycle
+    from recognition.drift_following import DriftBelief
     from recognition.shape_answer import ShapeAnswer
     from tactile.protocol import TactileFrame
 
@@ -235,6 +236,7 @@ class Recorder:
         true_label: str = "",
         shape: "ShapeAnswer | None" = None,
         grasp_shapes: "Sequence[ShapeAnswer | None]" = (),
+        drift: "DriftBelief | None" = None,
     ) -> None:
         """Record the answer of a sequence; see `recording_schema` for the fields."""
         values: dict[str, Any] = {
@@ -252,6 +254,11 @@ class Recorder:
             values["shape"] = shape_values(shape)
         if grasp_shapes:
             values["grasp_shapes"] = [shape_values(one) for one in grasp_shapes]
+        if drift is not None:
+            values["drift_gain"] = drift.present.gain
+            values["drift_aperture_m"] = drift.present.aperture_offset_m
+            values["drift_unchanged"] = drift.unchanged
+            values["drift_n_objects"] = drift.n_objects
         self._put(schema.RESULT, self._clock.monotonic(), values)
 
     def close(self) -> None:

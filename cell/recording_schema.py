@@ -224,6 +224,10 @@ SCHEMAS: Final[Mapping[str, Mapping[str, Any]]] = {
             "items": _shape("shape and size by one grasp; empty where its pads do not tell"),
             "description": "of each grasp of the sequence, in order",
         },
+        drift_gain=_number("gain of the pads since teaching that the answer rests on"),
+        drift_aperture_m=_number("offset of the opening since teaching that it rests on, m"),
+        drift_unchanged=_number("probability that nothing but what was expected has drifted"),
+        drift_n_objects=_integer("different objects of the shift that say so"),
     ),
 }
 """JSON schema of the messages of each topic."""

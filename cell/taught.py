@@ -1,8 +1,8 @@
 """The objects that a cell was taught: grasped to be learnt, and told apart by touch."""
 
 import threading
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 from cell.choosing import ActiveChooser, remember_records
 from cell.collect import GraspRecord
@@ -15,7 +15,10 @@ from cell.model import LoadedModel
 from cell.pad_knowledge import PadKnowledge
 from cell.sequence import plan
 from cell.shapes import FeltShape, shape_reader
+from cell.shift import Shift
 from cell.worker import Report
+from recognition.drift import NO_DRIFT
+from recognition.drift_following import DriftBelief
 from recognition.next_pose import PoseMemory
 from recognition.recognizer import Recognizer
 from recognition.recognizers import make_trainer
@@ -42,6 +45,10 @@ class Answer:
         or the config has ``recognition.shape`` off.
     n_ended_early
         Grasps whose ramp ended early, because it sufficed.
+    drift
+        What was believed of the drift of the sensors; None where it is not followed.
+    remark
+        What an operator must know, as that the sensors have drifted; said once, empty otherwise.
     """
 
     label: str
@@ -51,6 +58,8 @@ class Answer:
     n_grasps: int
     shape: FeltShape | None = None
     n_ended_early: int = 0
+    drift: DriftBelief | None = None
+    remark: str = ""
 
 
 class TaughtObjects:
@@ -67,8 +76,8 @@ class TaughtObjects:
 
     Attributes
     ----------
-    recognizer
-        The present one; None when nothing was taught yet.
+    shift
+        The present recogniser and what it has followed; None when nothing was taught yet.
     early
         Heads for ramps that end early; None where the config does not want it.
 
@@ -84,9 +93,9 @@ class TaughtObjects:
         model: LoadedModel | None,
         known: PadKnowledge | None = None,
     ) -> None:
-        self.recognizer = None if model is None else model.recognizer
         self.early = None if model is None else loaded_heads(model, config.sequence)
         self._config = config
+        self.shift = None if model is None else self._begin(model.recognizer)
         self._read_shape = shape_reader(config, known)
         self._lock = threading.Lock()
         self._taught: list[GraspRecord] = []
@@ -95,15 +104,18 @@ class TaughtObjects:
     @property
     def labels(self) -> tuple[str, ...]:
         """The taught objects."""
-        return self.recognizer.labels if self.recognizer is not None else ()
+        return self.shift.taught.labels if self.shift is not None else ()
 
     @property
     def loaded(self) -> bool:
         """Whether the recognizer is a loaded one, whose grasps are not at hand."""
-        return self.recognizer is not None and not self._taught
+        return self.shift is not None and not self._taught
 
     def teach(self, controller: CellController, goal: TeachGoal, report: Report) -> int:
         """Grasp an object as the goal says, train anew, and return the number of grasps.
+
+        A drift that is likely by now is taken off the new grasps, so that all grasps are as the
+        sensors were when the first of them were taught; it is followed further.
 
         Raises
         ------
@@ -117,7 +129,7 @@ class TaughtObjects:
             taught.append(record)
             report({"task": "teach", "label": goal.label, "grasps": len(taught), "of": len(steps)})
         with self._lock:
-            self._taught.extend(taught)
+            self._taught.extend(self._undrifted(taught))
             trainer = make_trainer(
                 self._config.recognition.recognizer,
                 use_aperture=self._config.recognition.use_aperture,
@@ -130,7 +142,7 @@ class TaughtObjects:
                     f"the taught grasps make no recogniser yet, and are kept: {error}"
                 ) from error
             self.early = wanted_heads(grasps, whole, self._config)
-            self.recognizer = whole
+            self.shift = self._begin(whole) if self.shift is None else self.shift.retaught(whole)
             if self._config.sequence.kind == "active":
                 self._memory = remember_records(trainer, self._taught)
         return len(taught)
@@ -139,14 +151,14 @@ class TaughtObjects:
         self,
         controller: CellController,
         goal: IdentifyGoal,
-        recognizer: Recognizer,
+        shift: Shift,
         report: Report,
     ) -> Answer:
-        """Grasp an object until its name is sure enough, and return the answer."""
+        """Grasp an object until its name is sure enough, follow the drift, return the answer."""
         controller.present(goal.present)
         n_grasps = goal.max_grasps or self._config.sequence.max_grasps
         found = controller.identify(
-            recognizer,
+            shift.recognizer,
             plan(self._config.sequence, n_grasps, seed=goal.seed),
             early=self.early,
             chooser=None
@@ -166,6 +178,10 @@ class TaughtObjects:
                 }
             ),
         )
+        remark = shift.answered(found.records)
+        if remark:
+            controller.remark("drift", remark)
+            report({"task": "identify", "remark": remark})
         return Answer(
             label=found.label,
             probability=found.probability,
@@ -176,4 +192,15 @@ class TaughtObjects:
             n_grasps=len(found.records),
             shape=None if found.shape is None else FeltShape.of(found.shape),
             n_ended_early=sum(record.early is not None for record in found.records),
+            drift=found.drift,
+            remark=remark,
         )
+
+    def _begin(self, recognizer: Recognizer) -> Shift:
+        return Shift(recognizer, follow=self._config.recognition.follow_drift)
+
+    def _undrifted(self, records: Sequence[GraspRecord]) -> list[GraspRecord]:
+        drift = NO_DRIFT if self.shift is None else self.shift.drift
+        if drift == NO_DRIFT:
+            return list(records)
+        return [replace(record, grasp=drift.undo(record.grasp)) for record in records]

@@ -26,6 +26,8 @@ _SAME_OBJECT = 12.0
 of one recorded object lie nearer to each other, 95 per cent of those of two beyond 20."""
 _REMEMBERED = 20
 """Sequences that count; what came before them is forgotten, as drifts change."""
+_SEQUENCES_OF_ONE = 3
+"""Of one object so many, the latest: a part that comes all day does not push the others out."""
 _SAME_LOG_GAIN, _SAME_OFFSET_MM = 0.15, 0.75
 """Drifts that differ by less are not told apart where a drift is said."""
 _CHANGE = 1e-4
@@ -112,8 +114,12 @@ class FollowedShift:
 
     def after(self, found: SeenObject) -> Self:
         """Return what is known with one more sequence of grasps."""
-        seen = (*self.seen, found)
-        return replace(self, seen=seen if self.trusted else seen[-_REMEMBERED:])
+        if self.trusted:
+            return replace(self, seen=(*self.seen, found))
+        same = [one for one in self.seen if one.same_as(found)]
+        too_many = same[: max(0, len(same) + 1 - _SEQUENCES_OF_ONE)]
+        others = [one for one in self.seen if not any(one is old for old in too_many)]
+        return replace(self, seen=(*others, found)[-_REMEMBERED:])
 
     @property
     def weights(self) -> NDArray[np.float64]:

@@ -6,23 +6,25 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
+from recognition.drift_following import DriftBelief
 from recognition.grasp import Grasp
 from recognition.metrics import wilson_interval
-from recognition.recognizer import Posterior
+from recognition.recognizer import Recognizer
 
 _BEFORE = 10
 
 
 @runtime_checkable
-class Following(Protocol):
+class Following(Recognizer, Protocol):
     """A recogniser that learns of the drift from grasps that nobody named."""
-
-    def posterior(self, grasp: Grasp, /) -> Posterior:
-        """Say what the grasp tells."""
-        ...
 
     def following(self, grasps: Sequence[Grasp], /) -> "Following":
         """Return a copy that has seen some grasps of one object, whatever it was."""
+        ...
+
+    @property
+    def belief(self) -> DriftBelief:
+        """What is believed of the drift."""
         ...
 
 

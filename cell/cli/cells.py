@@ -42,6 +42,7 @@ from cell.model import load_model
 from cell.pad_knowledge import pad_knowledge
 from cell.paper import TABLE_1, TABLE_1_LABELS
 from cell.shapes import NO_SHAPE, beside, shape_reader
+from cell.shift import Shift, drift_text, drift_values
 from recognition.shape_answer import ShapeAnswer
 
 ObjectsOption = Annotated[
@@ -173,6 +174,12 @@ def identify(
     held: Annotated[
         str | None, typer.Option("--object", help="Object that the simulated cell shall hold.")
     ] = None,
+    follow: Annotated[
+        bool,
+        typer.Option(
+            "--follow", help="Follow the drift of the sensors through the recorded grasps."
+        ),
+    ] = False,
     gauge: GaugeOption = None,
     gauge_shape: GaugeShapeOption = None,
     config: ConfigOption = None,
@@ -193,7 +200,8 @@ def identify(
             )
         loaded = load_model(model)
         recorded = read_dataset(dataset)
-        answers = identify_recorded(loaded, recorded)
+        shift = Shift(loaded.recognizer)
+        answers = identify_recorded(loaded, recorded, shift=shift if follow else None)
         shapes = [None if read_shape is None else read_shape(grasp) for grasp in recorded]
         for answer, shape in zip(answers, shapes, strict=True):
             say(
@@ -201,12 +209,19 @@ def identify(
                 + ("" if read_shape is None else f"   {shape or NO_SHAPE}")
                 + (f"   (was {answer.truth})" if answer.truth else "")
             )
+        if shift.belief is not None and shift.belief.likely:
+            say(
+                f"the sensors have drifted: {drift_text(shift.drift)}; `tactile-cell calibrate "
+                f"{dataset} --model {model} -o NEW` keeps that"
+            )
         both = zip(answers, shapes, strict=True)
         write_json(
             json_file,
             {"answers": [answer.as_json() | {"shape": _plain(shape)} for answer, shape in both]},
         )
         return
+    if follow:
+        raise ConfigError("--follow is for recorded grasps; a cell that grasps one object has none")
     loaded = load_model(model, pads_of(checked))
     loaded_heads(loaded, checked.sequence)
     folder = job_folder(out_folder or Path(checked.recording.directory), "identify")
@@ -240,6 +255,7 @@ def identify(
             "shape": _plain(found.shape),
             "shapes": [_plain(shape) for shape in found.shapes],
             "ramps": [record.ramp_as_json() for record in found.records],
+            "drift": None if found.drift is None else drift_values(found.drift),
             "held": truth,
             "recording": str(recording),
         },
@@ -285,6 +301,8 @@ def _print_main(result: MainResult) -> None:
         out.print(confusion_table(result.labels, score.confusion))
     ended = f", {result.n_ended_early} ended early" if result.n_ended_early else ""
     say(f"{result.grasp_s:.2f} s a grasp, mean of {len(result.records)}{ended}")
+    for remark in result.remarks:
+        say(remark)
     say(f"report:    {result.report}")
     say(f"recording: {result.recording}")
     if result.dataset is not None:

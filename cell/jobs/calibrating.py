@@ -1,10 +1,9 @@
 """Correcting a taught model for what drifted since, by a known object or by any grasps of a day."""
 
 from collections.abc import Sequence
-from itertools import groupby
 
 from cell.errors import CellError, ModelError
-from cell.jobs.identifying import check_pads
+from cell.jobs.identifying import check_pads, objects_in_turn
 from cell.model import LoadedModel
 from recognition.drift import Drift
 from recognition.gauge import Gauged
@@ -62,11 +61,7 @@ def follow_shift(model: LoadedModel, grasps: Sequence[Grasp]) -> tuple[ForceRamp
         If there are fewer objects in turn than show a drift.
     """
     recognizer = _recognizer(model, grasps)
-    ordered = sorted(grasps, key=lambda grasp: grasp.start_ms)
-    runs = [
-        list(run)
-        for _, run in groupby(enumerate(ordered), key=lambda at: at[1].label or f"\n{at[0]}")
-    ]
+    runs = objects_in_turn(grasps)
     if len(runs) < MIN_OBJECTS:
         raise CellError(
             f"{len(runs)} objects in turn do not show a drift: give grasps of {MIN_OBJECTS} or "

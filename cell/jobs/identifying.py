@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import groupby
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,10 @@ from cell.jobs.progress import Progress
 from cell.model import LoadedModel
 from cell.sequence import plan
 from cell.shapes import ReadShape
+from cell.shift import Shift, drift_values
+from recognition.drift_following import DriftBelief
 from recognition.grasp import Grasp, PadArray
-from recognition.recognizer import UNKNOWN
+from recognition.recognizer import UNKNOWN, Recognizer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -34,6 +37,8 @@ class RecordedAnswer:
         Probability that the object was never taught.
     truth
         Label in the file; empty where there is none.
+    drift
+        What was believed of the drift when the answer was given; None where it is not followed.
     """
 
     number: int
@@ -41,6 +46,7 @@ class RecordedAnswer:
     probability: float
     unknown: float
     truth: str
+    drift: DriftBelief | None = None
 
     def as_json(self) -> dict[str, Any]:
         """Return the answer as plain data."""
@@ -50,15 +56,44 @@ class RecordedAnswer:
             "probability": self.probability,
             "unknown": self.unknown,
             "truth": self.truth or None,
-        }
+        } | ({} if self.drift is None else {"drift": drift_values(self.drift)})
 
 
-def identify_recorded(model: LoadedModel, grasps: Sequence[Grasp]) -> list[RecordedAnswer]:
-    """Answer each recorded grasp by itself. Raises ModelError for grasps on other pads."""
+def identify_recorded(
+    model: LoadedModel, grasps: Sequence[Grasp], *, shift: Shift | None = None
+) -> list[RecordedAnswer]:
+    """Answer each recorded grasp, in the order of the file.
+
+    With a ``shift`` they are answered in the order of time, and the drift is followed from object
+    to object. Raises ModelError for grasps on other pads.
+    """
     check_pads(model, grasps[0].pads)
+    if shift is None:
+        return _answers(model.recognizer, list(enumerate(grasps)), None)
+    answers: list[RecordedAnswer] = []
+    for run in objects_in_turn(grasps):
+        answers += _answers(shift.recognizer, run, shift.belief)
+        shift.seen([grasp for _, grasp in run])
+    return sorted(answers, key=lambda answer: answer.number)
+
+
+def objects_in_turn(grasps: Sequence[Grasp]) -> list[list[tuple[int, Grasp]]]:
+    """Return the grasps in the order of time with their numbers, one list for each object.
+
+    Grasps that follow each other with the same label are of one object, those without a label
+    stand by themselves.
+    """
+    ordered = sorted(enumerate(grasps), key=lambda at: at[1].start_ms)
+    runs = groupby(ordered, key=lambda at: at[1].label or f"\n{at[0]}")
+    return [list(run) for _, run in runs]
+
+
+def _answers(
+    recognizer: Recognizer, grasps: Sequence[tuple[int, Grasp]], drift: DriftBelief | None
+) -> list[RecordedAnswer]:
     answers = []
-    for number, grasp in enumerate(grasps):
-        posterior = model.recognizer.posterior(grasp)
+    for number, grasp in grasps:
+        posterior = recognizer.posterior(grasp)
         label = posterior.decision()
         answers.append(
             RecordedAnswer(
@@ -69,6 +104,7 @@ def identify_recorded(model: LoadedModel, grasps: Sequence[Grasp]) -> list[Recor
                 else float(posterior.probability.max()),
                 unknown=posterior.unknown,
                 truth=grasp.label,
+                drift=drift,
             )
         )
     return answers

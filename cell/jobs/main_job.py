@@ -21,6 +21,8 @@ from cell.jobs.teaching import teach, train
 from cell.model import save_model
 from cell.sequence import plan
 from cell.shapes import ReadShape, shape_reader
+from cell.shift import Shift, drift_values
+from recognition.drift_following import DriftBelief
 from recognition.early import EarlyHeads
 from recognition.evaluation import wilson_interval
 from recognition.grasp import Grasp
@@ -78,6 +80,10 @@ class MainResult:
     dataset: Path | None
     model: Path | None
     recording: Path | None
+    drift: DriftBelief | None = None
+    """What is believed of the drift at the end; None where it is not followed."""
+    remarks: tuple[str, ...] = ()
+    """What an operator must know, as that the sensors have drifted."""
     report: Path | None = None
     extra: dict[str, Any] = field(default_factory=dict)
 
@@ -129,6 +135,8 @@ class MainResult:
             ),
             "grasp_seconds": self.grasp_s,
             "ramps_ended_early": self.n_ended_early,
+            "drift": None if self.drift is None else drift_values(self.drift),
+            "remarks": list(self.remarks),
             "report": None if self.report is None else str(self.report),
             "recording": None if self.recording is None else str(self.recording),
             "dataset": None if self.dataset is None else str(self.dataset),
@@ -200,21 +208,25 @@ def teach_and_identify(
     else:
         recognizers[default] = recognizer
     read_shape = shape_reader(config)
-    trials = []
+    shift = Shift(recognizers[default], follow=config.recognition.follow_drift)
+    trials, remarks = [], []
     for number, label in enumerate(labels):
         for repeat in range(n_trials):
-            trials.append(
-                _trial(
-                    cell,
-                    config,
-                    recognizers,
-                    memory,
-                    early=early,
-                    read_shape=read_shape,
-                    label=label,
-                    seed=_seed(config, 1 + repeat, number),
-                )
+            trial = _trial(
+                cell,
+                config,
+                recognizers | {default: shift.recognizer},
+                memory,
+                early=early,
+                read_shape=read_shape,
+                label=label,
+                seed=_seed(config, 1 + repeat, number),
             )
+            trials.append(trial)
+            remark = shift.answered(trial.found.records)
+            if remark:
+                cell.controller.remark("drift", remark)
+                remarks.append(remark)
             progress(f"identify {label}", repeat + 1, n_trials)
     return MainResult(
         labels=tuple(labels),
@@ -228,6 +240,8 @@ def teach_and_identify(
         dataset=dataset,
         model=model,
         recording=cell.recording_path,
+        drift=shift.belief,
+        remarks=tuple(remarks),
     )
 
 

@@ -109,7 +109,7 @@ def main_report(result: MainResult, config: CellConfig, cell: Cell, path: Path) 
             )
             if file is not None
         ),
-        notes=_notes(config),
+        notes=(*result.remarks, *_notes(config)),
     )
     write_report(path, data)
     return path

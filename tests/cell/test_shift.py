@@ -1,0 +1,246 @@
+"""A running cell follows the drift of its sensors, says so once, and can keep it."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from typer.testing import CliRunner
+
+from cell.cli.app import app
+from cell.errors import ConfigError
+from cell.goals import IdentifyGoal, TeachGoal
+from cell.jobs.identifying import identify_recorded, objects_in_turn
+from cell.model import load_model
+from cell.plugin import TactileCellPlugin
+from cell.recording import read_recording
+from cell.shift import Shift, drift_values
+from cell.taught import TaughtObjects
+from gripper.state import GraspResult
+from recognition.drift import NO_DRIFT, Drift
+from recognition.drift_following import DriftBelief
+from recognition.grasp import Grasp
+from recognition.recognizer import Posterior
+
+DRIFT = Drift(gain=0.72, aperture_offset_m=-3.8e-3)
+
+
+@dataclass(frozen=True)
+class Follower:
+    """Believes in the drift from the second object on, and no more from the fourth."""
+
+    labels: tuple[str, ...] = ("ball", "box")
+    seen: int = 0
+
+    def posterior(self, grasp: Grasp) -> Posterior:
+        unknown = 0.1 if self.belief.likely else 0.9
+        return Posterior(labels=self.labels, probability=np.array([0.9, 0.1]), unknown=unknown)
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        return {}
+
+    @classmethod
+    def from_arrays(cls, arrays: object) -> "Follower":
+        return cls()
+
+    def following(self, grasps: Sequence[Grasp]) -> "Follower":
+        return replace(self, seen=self.seen + 1)
+
+    @property
+    def belief(self) -> DriftBelief:
+        unchanged = 0.2 if 2 <= self.seen < 4 else 0.99
+        return DriftBelief(drift=DRIFT, unchanged=unchanged, expected=NO_DRIFT, n_objects=self.seen)
+
+
+class Plain:
+    """Cannot follow."""
+
+    labels = ("ball", "box")
+
+    def posterior(self, grasp: Grasp) -> Posterior:
+        return Posterior(labels=self.labels, probability=np.array([0.5, 0.5]), unknown=0.0)
+
+
+def record(grasp: Grasp, result: GraspResult = GraspResult.FORCE_REACHED, early: bool = False):
+    outcome = SimpleNamespace(result=result, ended_early=early)
+    return SimpleNamespace(grasp=grasp, outcome=outcome, early=None)
+
+
+def test_it_learns_after_each_answer_and_speaks_once(make_grasp: Callable[..., Grasp]) -> None:
+    shift = Shift(Follower())
+    records: Any = [record(make_grasp("ball"))]
+    assert shift.drift == NO_DRIFT
+    assert shift.answered(records) == ""
+    assert shift.answered(records) == (
+        "the sensors have drifted: gain about 0.72, opening about -3.8 mm since teaching: "
+        "gauge the cell"
+    )
+    assert shift.drift == DRIFT
+    assert shift.answered(records) == ""
+    assert "as expected again" in shift.answered(records)
+    assert shift.answered(records) == ""
+    assert shift.taught == Follower()
+
+
+def test_what_a_drift_is_as_plain_data() -> None:
+    values = drift_values(Follower(seen=3).belief)
+    assert values == pytest.approx(
+        {"gain": 0.72, "aperture_mm": -3.8, "unchanged": 0.2, "n_objects": 3}
+    )
+    assert drift_values(Follower().belief)["gain"] == 1.0
+
+
+def test_only_whole_ramps_that_held_something_teach(make_grasp: Callable[..., Grasp]) -> None:
+    shift = Shift(Follower())
+    grasp = make_grasp("ball")
+    weak = record(grasp, GraspResult.FORCE_NOT_REACHED)
+    shift.answered([weak, record(grasp, early=True)])  # type: ignore[list-item]
+    shift.answered([])
+    assert shift.recognizer == Follower()
+    shift.answered([weak, record(grasp)])  # type: ignore[list-item]
+    assert shift.recognizer == Follower(seen=1)
+
+
+@pytest.mark.parametrize(("taught", "follow"), [(Plain(), True), (Follower(), False)])
+def test_others_are_passed_through(
+    taught: Any, follow: bool, make_grasp: Callable[..., Grasp]
+) -> None:
+    shift = Shift(taught, follow=follow)
+    for _ in range(4):
+        assert shift.answered([record(make_grasp("ball"))]) == ""  # type: ignore[list-item]
+    assert shift.recognizer is taught
+    assert shift.drift == NO_DRIFT
+
+
+def test_taught_anew_it_follows_the_same_grasps_again(make_grasp: Callable[..., Grasp]) -> None:
+    shift = Shift(Follower())
+    for _ in range(3):
+        shift.seen([make_grasp("ball")])
+    again = shift.retaught(Follower(labels=("ball", "box", "pin")))
+    assert again.recognizer == Follower(labels=("ball", "box", "pin"), seen=3)
+    assert again.drift == DRIFT
+    assert "as expected again" in again.seen([make_grasp("ball")])
+
+
+def test_recorded_grasps_are_followed_in_the_order_of_time(
+    make_grasp: Callable[..., Grasp],
+) -> None:
+    times = {"b": 30, "c": 40, "a": 20, "d": 10}
+    grasps = [replace(make_grasp("ball"), source=k, start_ms=t) for k, t in times.items()]
+    grasps[3] = replace(grasps[3], label="")
+    grasps[1] = replace(grasps[1], label="box")
+    runs = objects_in_turn(grasps)
+    assert [[number for number, _ in run] for run in runs] == [[3], [2, 0], [1]]
+    model: Any = SimpleNamespace(recognizer=Follower(), pads=grasps[0].pads)
+    answers = identify_recorded(model, grasps, shift=Shift(model.recognizer))
+    assert [answer.number for answer in answers] == [0, 1, 2, 3]
+    assert [a.drift.n_objects for a in answers if a.drift] == [1, 2, 1, 0]
+    assert [answer.label for answer in answers] == ["UNKNOWN", "ball", "UNKNOWN", "UNKNOWN"]
+    assert answers[1].as_json()["drift"]["gain"] == 0.72
+    alone = identify_recorded(model, grasps)
+    assert [answer.label for answer in alone] == 4 * ["UNKNOWN"]
+
+
+class Grasping:
+    """A controller whose grasps are given."""
+
+    def __init__(self, grasp: Grasp) -> None:
+        self.given, self.remarks = grasp, list[tuple[str, str]]()
+
+    def present(self, label: object) -> None:
+        pass
+
+    def collect(self, label: str, steps: Sequence[object]) -> list[Any]:
+        return [TaughtRecord(replace(self.given, label=label)) for _ in steps]
+
+    def identify(self, recognizer: Follower, *_: object, **__: object) -> Any:
+        posterior = recognizer.posterior(self.given)
+        return SimpleNamespace(
+            label="ball",
+            probability=0.9,
+            fused=posterior,
+            records=[record(self.given)],
+            drift=recognizer.belief,
+            shape=None,
+        )
+
+    def remark(self, kind: str, text: str) -> None:
+        self.remarks.append((kind, text))
+
+
+@dataclass(frozen=True)
+class TaughtRecord:
+    grasp: Grasp
+
+
+def test_a_session_says_the_drift_and_takes_it_off_what_is_taught_then(
+    make_config: Callable[..., Any],
+    make_grasp: Callable[..., Grasp],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    taught_with: list[list[Grasp]] = []
+
+    class Trainer:
+        def fit(self, grasps: list[Grasp]) -> Follower:
+            taught_with.append(grasps)
+            return Follower()
+
+    monkeypatch.setattr("cell.taught.make_trainer", lambda *_, **__: Trainer())
+    controller: Any = Grasping(make_grasp("ball"))
+    objects, told = TaughtObjects(make_config(), None), list[Any]()
+    objects.teach(controller, TeachGoal(label="ball", grasps=1), told.append)
+    assert np.array_equal(taught_with[0][0].counts, controller.given.counts)
+    answers = []
+    for _ in range(3):
+        assert objects.shift is not None
+        answers.append(objects.identify(controller, IdentifyGoal(), objects.shift, told.append))
+    assert [bool(answer.remark) for answer in answers] == [False, True, False]
+    assert controller.remarks == [("drift", answers[1].remark)]
+    assert told[-1] == {"task": "identify", "remark": answers[1].remark}
+    assert [a.drift.likely for a in answers if a.drift] == [False, False, True]
+    objects.teach(controller, TeachGoal(label="box", grasps=1), told.append)
+    first, second = taught_with[1]
+    assert np.array_equal(first.counts, controller.given.counts)
+    assert second.aperture_m == pytest.approx(controller.given.aperture_m + 3.8e-3)
+    assert objects.shift is not None
+    assert objects.shift.recognizer == Follower(seen=3)
+
+
+def test_a_plugin_saves_what_was_taught_or_what_it_followed(taught: Any, tmp_path: Any) -> None:
+    plugin = TactileCellPlugin(taught.config, model=taught.result.model)
+    try:
+        job = plugin.start({"task": "identify", "max_grasps": 1, "present": "ball"})
+        answer = plugin.result(job, 60.0)
+        plugin.save(tmp_path / "taught.npz")
+        plugin.save(tmp_path / "followed.npz", followed=True)
+    finally:
+        plugin.close()
+    assert answer.drift is not None
+    assert not answer.drift.likely
+    before, same, followed = (
+        load_model(path).recognizer.to_arrays()["drift_log_prior"]
+        for path in (taught.result.model, tmp_path / "taught.npz", tmp_path / "followed.npz")
+    )
+    assert np.array_equal(before, same)
+    assert not np.array_equal(before, followed)
+
+
+def test_the_recording_names_the_drift_of_each_answer(taught: Any) -> None:
+    results = read_recording(taught.result.recording).results
+    assert [result["drift_n_objects"] for result in results] == [0, 1]
+    assert all(result["drift_gain"] == 1.0 for result in results)
+    assert all(result["drift_unchanged"] > 0.9 for result in results)
+    assert taught.result.as_json()["drift"]["n_objects"] == 2
+    assert taught.result.as_json()["remarks"] == []
+
+
+def test_a_cell_that_grasps_one_object_has_nothing_to_follow(taught: Any) -> None:
+    with pytest.raises(ConfigError, match="--follow"):
+        CliRunner().invoke(
+            app,
+            ["identify", "--follow", "-m", str(taught.result.model)],
+            catch_exceptions=False,
+        )
