@@ -12,7 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.report_grasps import ExampleGrasp, Trajectories
+from cell.report_shapes import ShapeRow
 from recognition.recognizer import Posterior
+from recognition.shape_answer import ShapeAnswer
 
 HealthState = Literal["ok", "warn", "bad", "plain"]
 """How a figure of the links' health is marked."""
@@ -62,12 +64,15 @@ class IdentifySequence:
         What was answered, and how probable that is.
     steps
         The grasps in order.
+    shape
+        Shape and size by all grasps; None where nobody asked, or none of them tells.
     """
 
     truth: str | None
     answer: str
     probability: float
     steps: tuple[IdentifyStep, ...]
+    shape: ShapeAnswer | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -146,6 +151,8 @@ class ReportData:
         The paper's eigenvalue trajectories.
     sequences
         Identifications, grasp by grasp.
+    shapes
+        Shape and size by each identification, also of those that `sequences` leaves out.
     confusions
         One table for each recogniser; `report_build.paper_table` gives the paper's.
     health
@@ -164,6 +171,7 @@ class ReportData:
     examples: tuple[ExampleGrasp, ...] = ()
     trajectories: Trajectories | None = None
     sequences: tuple[IdentifySequence, ...] = ()
+    shapes: tuple[ShapeRow, ...] = ()
     confusions: tuple[ConfusionTable, ...] = ()
     health: tuple[HealthGroup, ...] = ()
     files: tuple[FileEntry, ...] = ()

@@ -9,6 +9,8 @@ from cell.report_data import ConfusionTable, IdentifySequence, IdentifyStep, Rep
 from cell.report_figures import N_COLOURS, levels_figure, sweep_figure, timeline_figure
 from cell.report_grasps import ExampleGrasp
 from cell.report_heatmap import full_shade, level_pictures
+from cell.report_shapes import shapes_view
+from cell.shapes import in_words
 from recognition.evaluation import wilson_interval
 from recognition.recognizer import UNKNOWN
 
@@ -87,8 +89,16 @@ def sequence_view(sequence: IdentifySequence, colours: Mapping[str, int]) -> dic
         "answer": sequence.answer,
         "probability": _percent(sequence.probability),
         "verdict": verdict,
+        "shape": _shape_text(sequence),
         "steps": [_step_view(step, colours) for step in sequence.steps],
     }
+
+
+def _shape_text(sequence: IdentifySequence) -> str:
+    """Return shape and size; of an object without a name they say what it is."""
+    if sequence.shape is None:
+        return ""
+    return in_words(sequence.shape) if sequence.answer == UNKNOWN else str(sequence.shape)
 
 
 def _step_view(step: IdentifyStep, colours: Mapping[str, int]) -> dict[str, Any]:
@@ -194,8 +204,10 @@ def page_view(data: ReportData) -> dict[str, Any]:
     ):
         raise ValueError("two trajectories have the same label")
     shown = data.sequences[:MAX_SEQUENCES]
+    shapes = shapes_view(data.shapes)
     sections = {
         "result": ("Confusion", bool(data.confusions)),
+        "shapes": ("Shape and size", shapes is not None),
         "sequences": ("Identifications", bool(shown)),
         "examples": ("Grasps", bool(data.examples)),
         "trajectories": ("Eigenvalues", bool(data.trajectories and data.trajectories.objects)),
@@ -209,6 +221,7 @@ def page_view(data: ReportData) -> dict[str, Any]:
         "examples": [example_view(item, number) for number, item in enumerate(data.examples)],
         "trajectories": trajectories_view(data),
         "sequences": [sequence_view(sequence, colours) for sequence in shown],
+        "shapes": shapes,
         "n_hidden": len(data.sequences) - len(shown),
         "confusions": [confusion_view(table, colours) for table in data.confusions],
         "n_grasps_max": int(np.max([len(s.steps) for s in shown], initial=0)),

@@ -52,8 +52,9 @@ class KindEvidence:
     log_half_mm: float
     dimensions_m: Mapping[str, float]
 
-    def scattered(self, sd: float) -> "KindEvidence":
-        """Return the same with a further error of ``sd`` of the logarithm in this grasp alone."""
+    def scattered(self, sd_m: float) -> "KindEvidence":
+        """Return the same with a further error of the thickness in m in this grasp alone."""
+        sd = sd_m / (2e-3 * np.exp(self.log_half_mm))
         column = self.precision[0]
         weight = float(column[0]) + sd**-2
         return replace(
@@ -62,6 +63,15 @@ class KindEvidence:
             + float(0.5 * self.eta[0] ** 2 / weight - 0.5 * np.log(weight * sd * sd)),
             eta=self.eta - column * (self.eta[0] / weight),
             precision=self.precision - np.outer(column, column) / weight,
+        )
+
+    def tempered(self, share: float) -> "KindEvidence":
+        """Return the same, counting as a ``share`` of a grasp."""
+        return replace(
+            self,
+            level=share * self.level,
+            eta=share * self.eta,
+            precision=share * self.precision,
         )
 
 

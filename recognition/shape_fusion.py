@@ -16,11 +16,14 @@ from recognition.dependence import independent_share
 from recognition.shape_answer import ShapeAnswer, clear_kind, likeliest_of, mixed, shares
 from recognition.shape_evidence import KindEvidence
 
-DEPENDENCE = 0.2
-"""How far grasps repeat each other's errors in what kind they speak for; see `fuse_shapes`."""
+DEPENDENCE = 0.5
+"""How far grasps repeat each other's errors; see `fuse_shapes`."""
 
 PLACING_M = 0.1e-3
 """Standard deviation in m of what one object's thickness varies by from grasp to grasp."""
+
+_DISTINCT_M = 0.2e-3
+"""The same where thicknesses are told apart: no slip of the opening makes a second one."""
 
 _SEVERAL_THICKNESSES = frozenset({"flat", "oval"})
 _LOG_ODDS_OF_ANOTHER = float(np.log(20.0))
@@ -44,8 +47,8 @@ def fuse_shapes(
     answers
         Of single grasps, read with one `Trust`; one alone comes back as it is.
     dependence
-        The evidence for the kinds weighs as if n grasps were n / (1 + (n - 1) dependence)
-        independent ones: what the model of foam and objects leaves out is the same in all.
+        All grasps weigh as if n were n / (1 + (n - 1) dependence) independent ones: what the model
+        of foam and objects leaves out is much the same in all.
     placing_m
         Standard deviation in m of the thickness from grasp to grasp.
 
@@ -57,21 +60,19 @@ def fuse_shapes(
     _check(answers)
     if len(answers) == 1:
         return answers[0]
-    hypotheses = [
-        [item.scattered(placing_m / (2e-3 * np.exp(item.log_half_mm))) for item in told]
-        for told in zip(*(answer.evidence for answer in answers), strict=True)
-    ]
-    found = [_faces(told) for told in hypotheses]
-    tempering = independent_share(len(answers), dependence)
+    hypotheses = list(zip(*(answer.evidence for answer in answers), strict=True))
+    faces_of = [_faces([item.scattered(_DISTINCT_M) for item in told]) for told in hypotheses]
+    share = independent_share(len(answers), dependence)
+    tempered = [[item.scattered(placing_m).tempered(share) for item in told] for told in hypotheses]
     weight = shares(
         [
-            told[0].log_prior + tempering * log_evidence
-            for told, (_, log_evidence) in zip(hypotheses, found, strict=True)
+            told[0].log_prior + _joint(told, faces)[0] - len(faces) * _LOG_ODDS_OF_ANOTHER
+            for told, faces in zip(tempered, faces_of, strict=True)
         ]
     )
     probability, best = likeliest_of([told[0].kind for told in hypotheses], weight)
-    faces = found[best][0]
-    together = [_joint(told, faces) for told in hypotheses]
+    faces = faces_of[best]
+    together = [_joint(told, faces) for told in tempered]
     thicknesses = [
         mixed(
             weight,
@@ -108,14 +109,14 @@ def _check(answers: Sequence[ShapeAnswer]) -> None:
                 raise ValueError("shapes that were read with different trust cannot be fused")
 
 
-def _faces(told: Sequence[KindEvidence]) -> tuple[Faces, float]:
-    """Return the grasps of each thickness, thinnest first, and the log evidence."""
+def _faces(told: Sequence[KindEvidence]) -> Faces:
+    """Return the grasps of each thickness, thinnest first."""
     order = np.argsort([item.log_half_mm for item in told], kind="stable")
     at = np.array([told[i].log_half_mm for i in order])
     faces: Faces = (tuple(int(i) for i in order),)
-    log_evidence = _joint(told, faces)[0]
     if told[0].kind not in _SEVERAL_THICKNESSES:
-        return faces, log_evidence
+        return faces
+    log_evidence = _joint(told, faces)[0]
     cuts: list[int] = []
     for cut in 1 + np.argsort(-np.diff(at), kind="stable"):
         tried = sorted([*cuts, int(cut)])
@@ -124,7 +125,7 @@ def _faces(told: Sequence[KindEvidence]) -> tuple[Faces, float]:
         if log_split <= log_evidence:
             break
         cuts, faces, log_evidence = tried, split, log_split
-    return faces, log_evidence
+    return faces
 
 
 def _joint(told: Sequence[KindEvidence], faces: Faces) -> tuple[float, Array, Array]:

@@ -30,6 +30,7 @@ from cell.report_data import (
     ReportData,
 )
 from cell.report_grasps import ExampleGrasp, ObjectTrajectory, Trajectories
+from cell.report_shapes import ShapeRow
 from recognition.errors import ContactError, QuadricError
 from recognition.level import grip_surfaces, ramp_levels
 from recognition.recognizer import UNKNOWN
@@ -94,6 +95,10 @@ def main_report(result: MainResult, config: CellConfig, cell: Cell, path: Path) 
         ),
         trajectories=_trajectories(result),
         sequences=_sequences(result),
+        shapes=tuple(
+            ShapeRow(truth=trial.truth, answer=trial.found.label, shape=trial.found.shape)
+            for trial in result.trials
+        ),
         confusions=_confusions(result),
         health=(
             link_health(statistics.link),
@@ -215,6 +220,7 @@ def _sequences(result: MainResult) -> tuple[IdentifySequence, ...]:
             truth=trial.truth,
             answer=trial.found.label,
             probability=trial.found.probability,
+            shape=trial.found.shape,
             steps=identify_steps(
                 trial.found.posteriors,
                 [_grasp_note(r) for r in trial.found.records],

@@ -45,11 +45,13 @@ from cell.report_grasps import (
     Trajectories,
 )
 from cell.report_heatmap import level_pictures
+from cell.report_shapes import MAX_BARS, ShapeRow, shapes_view
 from gripper.force import ForceSample
 from gripper.line import BusStatistics
 from gripper.state import Cycle, GripperPhase, GripperState, LoopStatistics
 from recognition.grasp import Grasp, PadArray
 from recognition.recognizer import UNKNOWN, Posterior
+from recognition.shape_answer import ShapeAnswer, Thickness
 from recognition.thresholds import find_thresholds
 from recognition.trajectory import sweep
 from tactile.assembler import FrameStatistics
@@ -236,6 +238,7 @@ def demo() -> ReportData:
         ),
         trajectories=make_trajectories(),
         sequences=make_sequences(),
+        shapes=(ShapeRow(truth="ball", answer="ball", shape=shape("sphere", 9.5)),),
         confusions=make_confusions(),
         health=(
             frame_health(FrameStatistics(complete=12_211, lost=3)),
@@ -597,3 +600,86 @@ def test_missing_extra_is_said_with_the_remedy(
 def test_unwritable_place_is_a_clear_error(tmp_path: Path) -> None:
     with pytest.raises(ReportError, match=r"cannot write report .* make it first"):
         write_report(tmp_path / "no" / "r.html", ReportData(title="t", created="c"))
+
+
+# -- shape and size ----------------------------------------------------------------------------
+
+
+def shape(kind: str, *sizes_mm: float, half_mm: float = 0.3) -> ShapeAnswer:
+    thicknesses = tuple(
+        [
+            Thickness(size_m=1e-3 * s, low_m=1e-3 * (s - half_mm), high_m=1e-3 * (s + half_mm))
+            for s in sizes_mm
+        ]
+    )
+    main = thicknesses[0]
+    return ShapeAnswer(
+        kind=kind,
+        probability={kind: 1.0},
+        size_m=main.size_m,
+        low_m=main.low_m,
+        high_m=main.high_m,
+        dimensions_m={},
+        misfit=1.0,
+        thicknesses=thicknesses,
+    )
+
+
+def test_shape_and_size_stand_beside_each_identification() -> None:
+    named, strange = (
+        IdentifySequence(
+            truth=None, answer=answer, probability=0.9, steps=(), shape=shape("cylinder", 6.1)
+        )
+        for answer in ("pin", UNKNOWN)
+    )
+    page = render_report(ReportData(title="t", created="now", sequences=(named, strange)))
+    assert "cylinder, 6.1 mm (5.8 to 6.4)" in page
+    assert "a cylinder of 6.1 mm (5.8 to 6.4)" in page
+
+
+def test_all_shapes_are_drawn_on_one_scale() -> None:
+    rows = (
+        ShapeRow(truth="pin", answer="pin", shape=shape("cylinder", 6.0)),
+        ShapeRow(truth="pin", answer="pin", shape=shape("oval", 6.2)),
+        ShapeRow(truth="pin", answer="pin", shape=None),
+        ShapeRow(truth="bar", answer=UNKNOWN, shape=shape("flat", 10.0, 15.9)),
+    )
+    view = shapes_view(rows)
+    assert view is not None
+    pin, bar = view["groups"]
+    assert (pin["label"], pin["kinds"], pin["silent"]) == ("pin", "cylinder 1 of 2, oval 1 of 2", 1)
+    assert pin["text"] == "median 6.1 mm, intervals 0.6 mm wide"
+    assert bar["text"] == "flat, 10.0 mm (9.7 to 10.3) and 15.9 mm (15.6 to 16.2)"
+    (both,) = bar["bars"]
+    scale = {float(tick["text"]): float(tick["at"]) for tick in view["ticks"]}
+    per_mm = (scale[16.0] - scale[10.0]) / 6.0
+    for mark, size_mm in zip(both["marks"], (10.0, 15.9), strict=True):
+        assert float(mark["at"]) == pytest.approx(scale[10.0] + per_mm * (size_mm - 10.0), abs=0.05)
+        assert float(mark["width"]) == pytest.approx(0.6 * per_mm, abs=0.05)
+    marks = [m for group in view["groups"] for b in group["bars"] for m in b["marks"]]
+    assert all(0.0 <= float(m["left"]) <= 100.0 - float(m["width"]) for m in marks)
+    (stranger,) = view["strangers"]
+    page = render_report(ReportData(title="t", created="now", shapes=rows))
+    assert f"UNKNOWN: {stranger['text']}" in page
+    assert "it was bar" in page
+    assert "1 without shape" in page
+
+
+def test_a_page_without_shapes_has_no_place_for_them() -> None:
+    rows = (ShapeRow(truth="pin", answer="pin", shape=None),)
+    assert shapes_view(rows) is None
+    page = render_report(ReportData(title="t", created="now", shapes=rows))
+    assert 'id="shapes"' not in page
+
+
+def test_many_shapes_are_counted_but_not_all_drawn() -> None:
+    one = shape("cylinder", 6.0)
+    rows = [ShapeRow(truth=None, answer="pin", shape=one)] * (MAX_BARS + 5)
+    view = shapes_view(rows)
+    assert view is not None
+    (group,) = view["groups"]
+    assert len(group["bars"]) == MAX_BARS
+    assert group["kinds"] == f"cylinder {MAX_BARS + 5} of {MAX_BARS + 5}"
+    strange = shapes_view([ShapeRow(truth=None, answer=UNKNOWN, shape=one)] * (MAX_BARS + 5))
+    assert strange is not None
+    assert (len(strange["strangers"]), strange["n_hidden"]) == (MAX_BARS, 5)

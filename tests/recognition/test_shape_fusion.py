@@ -130,6 +130,7 @@ def test_grasps_together_are_as_one_fit_to_all_of_them() -> None:
             for fit in fits
         ],
         placing_m=1e-9,
+        dependence=0.0,
     )
     assert 1e3 * found.size_m == pytest.approx(2.0 * np.exp(mean), rel=1e-6)
     assert 1e3 * found.high_m == pytest.approx(2.0 * np.exp(mean + 1.645 * sd), rel=1e-6)
@@ -137,10 +138,12 @@ def test_grasps_together_are_as_one_fit_to_all_of_them() -> None:
 
 def test_noise_averages_out_and_the_zero_of_the_opening_does_not() -> None:
     one = answer("sphere", 9.0)
-    many = fuse_shapes([one] * 100)
+    many = fuse_shapes([one] * 100, dependence=0.0)
     assert width_mm(one) > 2 * 1.645 * np.hypot(ZERO_SD, NOISE_MM) * 0.98
     assert width_mm(many) == pytest.approx(2 * 1.645 * ZERO_SD, rel=0.05)
     assert many.n_grasps == 100
+    careful = fuse_shapes([one] * 100)
+    assert width_mm(many) < width_mm(careful) < 1.02 * width_mm(one)
 
 
 def test_the_interval_holds_as_often_as_it_says_whatever_the_grasps_share() -> None:
