@@ -1,9 +1,10 @@
 """Shape and size of objects that were never taught: error, coverage of the interval, type.
 
-The cell grasps balls, cylinders, boxes, ovals and a dumbbell through its buses in virtual time; its
-opening is then wrong by 0.2 mm (standard deviation) in each grasp. With the folder of recorded
-grasps in TACTILE_CELL_DATA, real objects of known diameter are measured too, with the golf ball as
-the gauge.
+The cell grasps balls, cylinders, boxes, ovals and a dumbbell through its buses in virtual time;
+its opening is then wrong by 0.2 mm (standard deviation) in each grasp. Then virtual grasps of an
+object are fused, on cells whose foam and opening are wrong alike in all of them. With the folder of
+recorded grasps in TACTILE_CELL_DATA, real objects of known diameter are measured too, with the golf
+ball as the gauge.
 """
 
 import os
@@ -17,6 +18,7 @@ import numpy as np
 
 from benchmarks._cell_grasps import cell_grasps, with_aperture_noise
 from benchmarks._measure import line, repeats
+from benchmarks._shape_cells import fused
 from cell.dataset import read_dataset
 from cell.simulation import drawn_shape
 from recognition.errors import ContactError
@@ -139,6 +141,7 @@ def main(effort: float = 1.0) -> None:
     n_grasps = repeats(6, effort)
     line("compared", f"{len(labels)} objects never taught, {n_grasps} grasps of the cell each")
     simulated(labels, n_grasps)
+    fused({label: OBJECTS[label] for label in labels}, repeats(6, effort))
     folder = os.environ.get("TACTILE_CELL_DATA")
     if folder is None:
         line("recorded grasps", f"left out, TACTILE_CELL_DATA names no folder with {_RECORDED}")

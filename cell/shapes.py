@@ -100,6 +100,10 @@ class FeltShape:
     dimensions_mm: Mapping[str, float] = field(hash=False)
     n_grasps: int
 
+    def __str__(self) -> str:
+        sizes = (f"{at:.1f} mm ({low:.1f} to {high:.1f})" for at, low, high in self.thicknesses_mm)
+        return f"{self.kind}, {' and '.join(sizes)}"
+
     @classmethod
     def of(cls, shape: ShapeAnswer) -> Self:
         """Return what an answer says."""

@@ -35,12 +35,13 @@ from cell.errors import ConfigError
 from cell.jobs.files import job_folder
 from cell.jobs.identifying import identify_on_cell, identify_recorded
 from cell.jobs.main_job import MainResult, teach_and_identify
-from cell.jobs.main_report import main_report
+from cell.jobs.main_report import main_report, shape_rows
 from cell.jobs.teaching import append_to_dataset
 from cell.jobs.teaching import teach as teach_object
 from cell.model import load_model
 from cell.pad_knowledge import pad_knowledge
 from cell.paper import TABLE_1, TABLE_1_LABELS
+from cell.report_shapes import shapes_view
 from cell.shapes import NO_SHAPE, beside, shape_reader
 from cell.shift import Shift, drift_text, drift_values
 from recognition.shape_answer import ShapeAnswer
@@ -303,6 +304,9 @@ def _print_main(result: MainResult) -> None:
     say(f"{result.grasp_s:.2f} s a grasp, mean of {len(result.records)}{ended}")
     for remark in result.remarks:
         say(remark)
+    shapes = shapes_view(shape_rows(result))
+    for group in [] if shapes is None else shapes["groups"]:
+        say(f"{group['label']} felt like: {group['kinds']}; {group['text']}")
     say(f"report:    {result.report}")
     say(f"recording: {result.recording}")
     if result.dataset is not None:

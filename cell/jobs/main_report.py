@@ -95,10 +95,7 @@ def main_report(result: MainResult, config: CellConfig, cell: Cell, path: Path) 
         ),
         trajectories=_trajectories(result),
         sequences=_sequences(result),
-        shapes=tuple(
-            ShapeRow(truth=trial.truth, answer=trial.found.label, shape=trial.found.shape)
-            for trial in result.trials
-        ),
+        shapes=shape_rows(result),
         confusions=_confusions(result),
         health=(
             link_health(statistics.link),
@@ -118,6 +115,14 @@ def main_report(result: MainResult, config: CellConfig, cell: Cell, path: Path) 
     )
     write_report(path, data)
     return path
+
+
+def shape_rows(result: MainResult) -> tuple[ShapeRow, ...]:
+    """Return shape and size by each identification."""
+    return tuple(
+        ShapeRow(truth=trial.truth, answer=trial.found.label, shape=trial.found.shape)
+        for trial in result.trials
+    )
 
 
 def _facts(config: CellConfig, cell: Cell) -> tuple[tuple[str, str], ...]:

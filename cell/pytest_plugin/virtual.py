@@ -11,6 +11,7 @@ from cell.identification import Identification
 from cell.jobs.teaching import teach, train
 from cell.pose import Pose
 from cell.sequence import GraspStep, plan
+from cell.shapes import shape_reader
 from recognition.recognizer import Recognizer
 from simulator.assembly import SimulatedCell
 from simulator.clock import VirtualClock
@@ -130,4 +131,8 @@ class VirtualCell:
         """Have an object brought and identify it; ``present`` is known to the simulator alone."""
         self.controller.present(present)
         sequence = self.config.sequence
-        return self.controller.identify(recognizer, plan(sequence, sequence.max_grasps, seed=seed))
+        return self.controller.identify(
+            recognizer,
+            plan(sequence, sequence.max_grasps, seed=seed),
+            read_shape=shape_reader(self.config),
+        )

@@ -22,6 +22,7 @@ def main() -> None:
 
         answer = cell.result(job, timeout_s=60)
         print(f"{answer.label}, {answer.probability:.0%} after {answer.n_grasps} grasp(s)")
+        print(f"it feels like: {answer.shape}")  # also where the label is UNKNOWN
 
 
 if __name__ == "__main__":

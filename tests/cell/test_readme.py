@@ -21,7 +21,9 @@ def test_the_example_teaches_and_identifies(capsys: pytest.CaptureFixture[str]) 
     runpy.run_path(str(ROOT / "docs/examples/host_program.py"), run_name="__main__")
     printed = capsys.readouterr().out
     assert printed.count("robot:") >= 19
-    assert printed.splitlines()[-1].startswith("box, ")
+    name, shape = printed.splitlines()[-2:]
+    assert name.startswith("box, ")
+    assert shape.startswith("it feels like: flat, 10")
 
 
 def test_the_readme_begins_with_the_two_commands() -> None:

@@ -46,3 +46,4 @@ def test_a_host_gets_millimetres() -> None:
         "length": 20.0,
     }
     assert isinstance(hash(felt), int)
+    assert str(felt) == "flat, 10.0 mm (9.6 to 10.4) and 15.9 mm (15.5 to 16.3)"
