@@ -8,7 +8,7 @@ from cell.collect import GraspRecord
 from cell.sequence import GraspStep
 from cell.shapes import ReadShape
 from recognition.drift_following import DriftBelief
-from recognition.early import EarlyHeads, RampLooks
+from recognition.early import EarlyHeads, RampLooks, looking
 from recognition.fusion import Decision, DecisionKind, StopRule, decide, fuse
 from recognition.recognizer import Posterior, Recognizer
 from recognition.shape_answer import ShapeAnswer
@@ -114,7 +114,7 @@ def grasp_and_classify(
     for number, step in enumerate(plan, start=1):
         record = grasp(
             step if chooser is None else chooser.next_step(posteriors, step),
-            None if heads is None else RampLooks(heads, posteriors, rule),
+            None if heads is None else RampLooks(heads, posteriors, looking(rule)),
         )
         posterior = (
             recognizer.posterior(record.grasp) if record.early is None else record.early.posterior

@@ -19,6 +19,10 @@ from recognition.recognizers.force_ramp import ForceRamp
 SHARES = (0.25, 0.5, 0.75)
 """Parts of the usual full load at which a ramp is looked at before its end."""
 
+MAX_UNKNOWN = 0.1
+"""Largest probability of an untaught object with which a ramp is ended: that an object was never
+taught shows later in a ramp than which of the taught ones it is."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class EarlyAnswer:
@@ -127,8 +131,9 @@ class RampLooks:
     earlier
         What the earlier grasps of the same object told: they count with this one.
     rule
-        When the evidence suffices. A ramp is never ended for an untaught object, and for none that
-        the whole ramp would be named for only because it is the last grasp.
+        When the evidence suffices; `looking` makes one of the rule for whole ramps. A ramp is never
+        ended for an untaught object, and for none that would be named only because it is the last
+        grasp.
     """
 
     def __init__(self, heads: EarlyHeads, earlier: Sequence[Posterior], rule: StopRule) -> None:
@@ -279,6 +284,11 @@ class EarlyTrainer:
                 heads.append(head)
                 taught.append(level)
         return EarlyHeads(rest=rest, load_counts=np.array(taught), recognizers=tuple(heads))
+
+
+def looking(rule: StopRule) -> StopRule:
+    """Return the rule for looks at ramps that still go on, given that for whole ramps."""
+    return replace(rule, max_unknown=min(rule.max_unknown, MAX_UNKNOWN))
 
 
 def suffices(posteriors: Sequence[Posterior], rule: StopRule) -> bool:

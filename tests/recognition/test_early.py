@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from recognition.drift import drift_grid
-from recognition.early import EarlyHeads, EarlyTrainer, RampLooks, cut, suffices
+from recognition.early import (
+    MAX_UNKNOWN,
+    EarlyHeads,
+    EarlyTrainer,
+    RampLooks,
+    cut,
+    looking,
+    suffices,
+)
 from recognition.fusion import StopRule
 from recognition.ramp_load import RunningLoad, load_so_far
 from recognition.recognizer import Posterior
@@ -81,6 +89,9 @@ def test_earlier_grasps_count_and_the_last_grasp_is_no_reason_to_decide():
     assert not suffices([posterior(0.02), posterior(0.9)], rule)
     assert not suffices([posterior(0.999, unknown=0.99)], rule)
     assert not suffices([posterior(0.999, unknown=1.0)], rule)
+    doubtful = [posterior(0.999, unknown=2.0 * MAX_UNKNOWN)]
+    assert suffices(doubtful, rule)
+    assert not suffices(doubtful, looking(rule))
 
 
 def test_a_ramp_that_runs_is_decided_with_what_earlier_grasps_told(early, fresh):

@@ -1,0 +1,152 @@
+"""Ramps of the simulated cell that end as soon as they suffice, beside whole ones.
+
+Both identify the paper's objects in the same poses and with the same forces, with the opening of
+the fingers and by touch alone; then each object in turn is left out of teaching and presented. Time
+is that of the cell: of a grasp from the first move of the closing fingers to the end of its ramp,
+of an identification from the first pose to the last release.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from benchmarks._measure import line, repeats
+from cell.build import Cell, build_cell
+from cell.config import CellConfig
+from cell.config_changes import changed_config
+from cell.early_heads import teach_heads
+from cell.identification import Identification
+from cell.jobs.teaching import teach
+from cell.sequence import plan
+from recognition.early import EarlyHeads
+from recognition.grasp import Grasp
+from recognition.metrics import wilson_interval
+from recognition.recognizer import UNKNOWN, Recognizer
+from recognition.recognizers import make_trainer
+
+NOISES = (1.0, 2.0)
+_PER_OBJECT = 8
+_LEFT_OUT = 4
+_TAUGHT = 12
+_FEW_OBJECTS = 2
+
+
+@dataclass
+class Tally:
+    """What a row of identifications took and told."""
+
+    found: list[Identification] = field(default_factory=list)
+    truths: list[str] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+
+    def text(self, *, taught: bool) -> str:
+        """Return the figures in words; an object that was not taught is to be called UNKNOWN."""
+        records = [record for one in self.found for record in one.records]
+        wanted = [truth if taught else UNKNOWN for truth in self.truths]
+        right = [one.label == label for one, label in zip(self.found, wanted, strict=True)]
+        low, high = wilson_interval(sum(right), len(right))
+        grasp_s = np.mean([record.duration_s for record in records])
+        force_n = np.mean([record.cycles[-1].setpoint_n for record in records])
+        ended = np.mean([record.early is not None for record in records])
+        return (
+            f"{sum(right)} of {len(right)} {'right' if taught else 'called UNKNOWN'} "
+            f"({100 * low:.0f}-{100 * high:.0f} %); {np.mean(self.seconds):.2f} s, "
+            f"{len(records) / len(right):.2f} grasps; a grasp {grasp_s:.2f} s to {force_n:.1f} N, "
+            f"{100 * ended:.0f} % ended early"
+        )
+
+
+class Bench:
+    """A simulated cell and what it was taught."""
+
+    def __init__(self, cell: Cell, config: CellConfig, labels: Sequence[str], n_taught: int):
+        self.cell = cell
+        self.config = config
+        self.labels = labels
+        cell.controller.start()
+        self.taught: list[Grasp] = [
+            record.grasp
+            for number, label in enumerate(labels)
+            for record in teach(
+                cell, config, label, n_taught, seed=number, progress=lambda *_step: None
+            )
+        ]
+
+    def train(self, without: str, *, use_aperture: bool) -> tuple[Recognizer, EarlyHeads]:
+        """Return the recogniser of whole ramps and the heads, of all objects but one."""
+        name = self.config.recognition.recognizer
+        grasps = [grasp for grasp in self.taught if grasp.label != without]
+        whole = make_trainer(name, use_aperture=use_aperture).fit(grasps)
+        return whole, teach_heads(grasps, name, whole, use_aperture=use_aperture)
+
+    def identify(
+        self, tally: Tally, label: str, seed: int, whole: Recognizer, early: EarlyHeads | None
+    ) -> None:
+        """Present an object and identify it."""
+        assert self.cell.simulated is not None
+        clock, sequence = self.cell.simulated.clock, self.config.sequence
+        self.cell.controller.present(label)
+        begin_s = clock.monotonic()
+        steps = plan(sequence, sequence.max_grasps, seed=seed)
+        tally.found.append(self.cell.controller.identify(whole, steps, early=early))
+        tally.seconds.append(clock.monotonic() - begin_s)
+        tally.truths.append(label)
+
+
+@contextmanager
+def bench_of(noise: float, effort: float) -> Iterator[Bench]:
+    config = changed_config(CellConfig(), {"simulator.noise_level": noise})
+    labels = [entry.label for entry in config.simulator.objects]
+    if effort < 0.1:
+        labels = labels[:_FEW_OBJECTS]
+    cell = build_cell(config)
+    try:
+        yield Bench(cell, config, labels, repeats(_TAUGHT, effort, least=3))
+    finally:
+        cell.close()
+
+
+def compare(bench: Bench, name: str, effort: float, *, use_aperture: bool) -> float:
+    """Print whole and ended ramps; return the ratio of their times of an identification."""
+    n, n_left_out = repeats(_PER_OBJECT, effort), repeats(_LEFT_OUT, effort, least=0)
+    whole, heads = bench.train("", use_aperture=use_aperture)
+    taught = {"whole ramps": Tally(), "ended early": Tally()}
+    for number, label in enumerate(bench.labels):
+        for turn in range(n):
+            for way, tally in taught.items():
+                early = heads if way == "ended early" else None
+                bench.identify(tally, label, 1000 + 100 * turn + number, whole, early)
+    for way, tally in taught.items():
+        line(f"    {way}", tally.text(taught=True))
+    spent = [float(np.mean(taught[way].seconds)) for way in ("ended early", "whole ramps")]
+    if n_left_out == 0:
+        return spent[0] / spent[1]
+    line(f"  {name}", "each object in turn not taught:")
+    untaught = {"whole ramps": Tally(), "ended early": Tally()}
+    for number, label in enumerate(bench.labels):
+        whole, heads = bench.train(label, use_aperture=use_aperture)
+        for turn in range(n_left_out):
+            for way, tally in untaught.items():
+                early = heads if way == "ended early" else None
+                bench.identify(tally, label, 5000 + 100 * turn + number, whole, early)
+    for way, tally in untaught.items():
+        line(f"    {way}", tally.text(taught=False))
+    return spent[0] / spent[1]
+
+
+def main(effort: float = 1.0) -> None:
+    line("compared", "identifications on the simulated cell, ramps whole and ended early")
+    for noise in NOISES if effort >= 0.1 else NOISES[:1]:
+        with bench_of(noise, effort) as bench:
+            cases = ((True, "opening too"), (False, "touch alone"))
+            for use_aperture, what in cases if effort >= 0.1 else cases[:1]:
+                name = f"{what}, noise {noise:g} x"
+                line(f"  {name}", f"{len(bench.taught)} grasps teach {len(bench.labels)} objects")
+                share = compare(bench, name, effort, use_aperture=use_aperture)
+                line("  ratio", f"ended early an identification takes {share:.2f} x the time")
+
+
+if __name__ == "__main__":
+    main()
