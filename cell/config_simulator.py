@@ -2,15 +2,16 @@
 
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import AfterValidator, Field, model_validator
 
 from cell.config_section import Section
+from cell.labels import checked_label
 
 
 class SimulatedObjectConfig(Section):
     """One object of the simulated cell."""
 
-    label: str = Field(min_length=1, max_length=60)
+    label: Annotated[str, AfterValidator(checked_label)] = Field(min_length=1, max_length=60)
     """Name of the object."""
     shape: str = Field(min_length=1, max_length=500)
     """Shape as text, as `cylinder:diameter=6mm,length=20mm` or `mesh:file=part.stl`."""

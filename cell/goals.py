@@ -1,11 +1,12 @@
 """What a host asks of a cell: goals of its jobs, as values or as mappings."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from cell.errors import ConfigError
+from cell.labels import checked_label
 
 
 class _Goal(BaseModel):
@@ -15,7 +16,7 @@ class _Goal(BaseModel):
 class TeachGoal(_Goal):
     """Grasp a known object."""
 
-    label: str = Field(min_length=1, max_length=60)
+    label: Annotated[str, AfterValidator(checked_label)] = Field(min_length=1, max_length=60)
     """Name of the object."""
     grasps: int = Field(default=10, ge=1, le=1000)
     """How many times it is grasped, 1 to 1000."""

@@ -23,6 +23,8 @@ _SMOOTHING_FRACTION = 0.06
 _MAX_SMOOTHING_FRAMES = 15
 _LET_GO_SHARE = 0.5
 _HELD_SHARE = 0.8
+_LEAST_FRAMES = 2 * QUIET_FRAMES
+"""So many frames hold rest and load of a grasp, and the noise of rest."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -121,7 +123,7 @@ class Ramp:
 def learn_rest(grasps: Sequence[Grasp]) -> Rest:
     """Learn what untouched pads read and which pads grip.
 
-    Raises ValueError where there is no grasp, or grasps come from different pads.
+    Raises ValueError where there is no grasp, grasps come from different pads, or are too short.
     """
     if not grasps:
         raise ValueError("no grasps to learn from")
@@ -129,6 +131,12 @@ def learn_rest(grasps: Sequence[Grasp]) -> Rest:
     for grasp in grasps:
         if grasp.pads is not pads and not pads.same_as(grasp.pads):
             raise ValueError("the grasps were taken on different pads: teach pads one by one")
+    usual = int(np.median([grasp.n_frames for grasp in grasps]))
+    if usual < _LEAST_FRAMES:
+        raise ValueError(
+            f"the grasps have {usual} frames in the median, at least {_LEAST_FRAMES} are needed: "
+            "record whole ramps, from rest to load"
+        )
     first = np.stack([g.counts[:QUIET_FRAMES].mean(axis=0) for g in grasps])
     rest = np.median(first, axis=0)
     rise = [

@@ -16,13 +16,16 @@ MAX_FACES = 200_000
 _MAX_BYTES = 300 * MAX_FACES
 _LARGEST = 1e6
 """Largest coordinate of a corner in units of the file: a kilometre in mm."""
+_SMALLEST_M = 1e-3
+"""Least length of the longest side in m: less lies between two taxels."""
 _HEAD_BYTES = 84
 _FACE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _NUMBER = rb"[+-]?(?:[0-9]{1,20}(?:\.[0-9]{0,30})?|\.[0-9]{1,30})(?:[eE][+-]?[0-9]{1,3})?"
-_VERTEX = re.compile(rb"vertex[ \t]+(%b)[ \t]+(%b)[ \t]+(%b)" % (_NUMBER, _NUMBER, _NUMBER))
+_VERTEX = re.compile(rb"(?i)vertex[ \t]+(%b)[ \t]+(%b)[ \t]+(%b)" % (_NUMBER, _NUMBER, _NUMBER))
 _CORNER = rb"\s+vertex(?:[ \t]+%b){3}" % _NUMBER
 _TEXT = re.compile(
-    rb"\s*solid[^\r\n]*(?:\s+facet\s+normal(?:[ \t]+%b){3}\s+outer\s+loop(?:%b){3}"
+    rb"(?i)(?:\xef\xbb\xbf)?\s*solid[^\r\n]*"
+    rb"(?:\s+facet\s+normal(?:[ \t]+%b){3}\s+outer\s+loop(?:%b){3}"
     rb"\s+endloop\s+endfacet)+\s+endsolid[^\r\n]*\s*" % (_NUMBER, _CORNER)
 )
 """An STL text file as its format is defined: one solid of triangles."""
@@ -118,7 +121,7 @@ def load_mesh(path: Path, *, unit_m: float = 1e-3, roll_step_rad: float = 0.0) -
     Raises
     ------
     SimulatorSettingsError
-        If the file is no STL, too large, or no closed surface.
+        If the file is no STL, too large, no closed surface, or smaller than any part.
     ModuleNotFoundError
         If the extra ``mesh`` is not installed.
     """
@@ -129,11 +132,20 @@ def load_mesh(path: Path, *, unit_m: float = 1e-3, roll_step_rad: float = 0.0) -
         vertices=triangles_m.reshape(-1, 3) / unit_m,
         faces=np.arange(3 * len(triangles_m)).reshape(-1, 3),
     )
+    # A triangle with a corner given twice has no area, and closes nothing.
+    mesh.update_faces((mesh.faces != np.roll(mesh.faces, 1, axis=1)).all(axis=1))
     if not mesh.is_watertight:
         raise SimulatorSettingsError(
             f"{path} holds no closed surface; repair the mesh and export it again"
         )
     corners_m = triangles_m.reshape(-1, 3)
+    size_m = np.ptp(corners_m, axis=0)
+    if size_m.max() < _SMALLEST_M:
+        size_mm = " x ".join(f"{1e3 * side_m:.3g}" for side_m in size_m)
+        raise SimulatorSettingsError(
+            f"{path} is {size_mm} mm in size, expected {1e3 * _SMALLEST_M:g} mm or more on one "
+            f"side: its unit is {1e3 * unit_m:g} mm; was it drawn in inches or m? Export it in mm"
+        )
     centre_m = 0.5 * (corners_m.min(axis=0) + corners_m.max(axis=0))
     return MeshShape(triangles_m=triangles_m - centre_m, roll_step_rad=roll_step_rad)
 
@@ -158,7 +170,11 @@ def _triangles(path: Path) -> NDArray[np.float64]:
         numbers = [float(number) for line in _VERTEX.findall(data) for number in line]
         corners = np.array(numbers, dtype=np.float64).reshape(-1, 3, 3)
     else:
-        raise SimulatorSettingsError(f"{path} cannot be read as STL, neither binary nor text")
+        expected = _HEAD_BYTES + n_faces * _FACE.itemsize
+        raise SimulatorSettingsError(
+            f"{path} cannot be read as STL: neither text, nor binary ({len(data)} bytes, its count "
+            f"of {n_faces} triangles needs {expected}); export it again, as binary STL"
+        )
     if not 1 <= len(corners) <= MAX_FACES:
         raise SimulatorSettingsError(
             f"{path} has {len(corners)} triangles, must have 1 to {MAX_FACES}"

@@ -38,6 +38,7 @@ from cell.jobs.main_job import MainResult, teach_and_identify
 from cell.jobs.main_report import main_report, shape_rows
 from cell.jobs.teaching import append_to_dataset
 from cell.jobs.teaching import teach as teach_object
+from cell.labels import checked_label
 from cell.model import load_model
 from cell.pad_knowledge import pad_knowledge
 from cell.paper import TABLE_1, TABLE_1_LABELS
@@ -128,6 +129,10 @@ def teach(
     json_file: JsonOption = None,
 ) -> None:
     """Grasp a known object several times, or a drawing of it, and add that to a data set."""
+    try:
+        checked_label(label)
+    except ValueError as error:
+        raise ConfigError(str(error)) from error
     checked = faulted(seeded(load_config(config), seed), faults)
     if shape is not None or mesh is not None:
         if faults:

@@ -14,6 +14,7 @@ from cell.early_heads import heads_sections, teach_heads
 from cell.errors import CellError, ConfigError
 from cell.jobs.evaluating import EvaluationResult, evaluate_recognizers
 from cell.jobs.replaying import replay_grasps
+from cell.jobs.teaching import repeated
 from cell.jobs.teaching import train as train_recognizer
 from cell.model import save_model
 from cell.parallel import workers
@@ -51,6 +52,8 @@ def train(
     grasps = [grasp for path in datasets for grasp in _labelled(path)]
     if not all(grasp.pads.same_as(grasps[0].pads) for grasp in grasps):
         raise CellError("the data sets were taken on different pads; train a model for each")
+    if twice := len(repeated(grasps)):
+        say(f"NOTE: {twice} of {len(grasps)} grasps stand twice and count as two: too sure")
     taught = train_recognizer(grasps, recognizer, use_aperture=aperture)
     heads = teach_heads(grasps, recognizer, taught, use_aperture=aperture) if early else None
     save_model(
@@ -112,13 +115,16 @@ def evaluate(
     for name in names:
         _check_recognizer(name)
     grasps = _labelled(dataset)
+    taught = None if train_on is None else _labelled(train_on)
+    if twice := len(repeated([*(taught or ()), *grasps])):
+        say(f"NOTE: {twice} grasps are tested that were taught, or stand twice: right too often")
     if jobs is None:
         jobs = 0 if len(grasps) >= _MANY_GRASPS else 1
     with workers(jobs, scheduler=scheduler) as mapper, progress_bar() as progress:
         result = evaluate_recognizers(
             grasps,
             split=split,
-            train=None if train_on is None else _labelled(train_on),
+            train=taught,
             names=names,
             fuse=_numbers(fuse),
             seed=seed,

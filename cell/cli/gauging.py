@@ -10,11 +10,12 @@ from cell.cli.output import progress_bar, say, write_json
 from cell.cli.running import pads_of, running_cell, seeded
 from cell.config_file import load_config
 from cell.dataset import read_dataset
-from cell.errors import ConfigError
+from cell.errors import CellError, ConfigError
 from cell.jobs.calibrating import GAUGE_GRASPS, calibrate_model, follow_shift
 from cell.jobs.files import job_folder
 from cell.jobs.teaching import teach as teach_object
 from cell.model import LoadedModel, load_model, save_model
+from recognition.grasp import Grasp
 
 
 def calibrate(
@@ -47,7 +48,7 @@ def calibrate(
         return
     if dataset is not None:
         loaded = load_model(model)
-        taken = [grasp for grasp in read_dataset(dataset) if grasp.label in {gauge, ""}]
+        taken = _grasps_of(gauge, dataset)
     else:
         checked = seeded(load_config(config), seed)
         loaded = load_model(model, pads_of(checked))
@@ -82,6 +83,19 @@ def calibrate(
             "aperture_sd_mm": found.offset_sd_m * 1e3,
         },
     )
+
+
+def _grasps_of(gauge: str, dataset: Path) -> list[Grasp]:
+    """Return the gauge's grasps of a data set: those of its label, and those without one."""
+    grasps = read_dataset(dataset)
+    taken = [grasp for grasp in grasps if grasp.label in {gauge, ""}]
+    if not taken:
+        labels = ", ".join(sorted({repr(grasp.label) for grasp in grasps}))
+        raise CellError(
+            f"{dataset}: none of its {len(grasps)} grasps is of {gauge!r}, there are {labels}; "
+            "name the gauge as it is called there"
+        )
+    return taken
 
 
 def _by_shift(loaded: LoadedModel, dataset: Path, output: Path, json_file: Path | None) -> None:

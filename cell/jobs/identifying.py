@@ -146,12 +146,12 @@ def check_pads(model: LoadedModel, pads: PadArray) -> None:
     if not model.pads.same_as(pads):
         raise ModelError(
             f"the model was taught on {model.pads.n_taxels} taxels in {model.pads.n_pads} pads, "
-            f"these grasps have {pads.n_taxels} in {pads.n_pads}{_what_differs(model.pads, pads)}; "
+            f"these grasps have {pads.n_taxels} in {pads.n_pads}{what_differs(model.pads, pads)}; "
             "teach on these pads"
         )
 
 
-def _what_differs(taught: PadArray, pads: PadArray) -> str:
+def what_differs(taught: PadArray, pads: PadArray) -> str:
     """Say what differs between pads of which there are as many."""
     if (taught.n_taxels, taught.n_pads) != (pads.n_taxels, pads.n_pads):
         return ""

@@ -3,11 +3,14 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+import numpy as np
+
 from cell.build import Cell
 from cell.collect import GraspRecord
 from cell.config import CellConfig
 from cell.dataset import write_dataset
 from cell.errors import CellError
+from cell.jobs.identifying import what_differs
 from cell.jobs.progress import Progress
 from cell.sequence import plan
 from recognition.grasp import Grasp
@@ -49,6 +52,18 @@ def train(grasps: Sequence[Grasp], name: str, *, use_aperture: bool = True) -> R
         ) from error
 
 
+def repeated(grasps: Sequence[Grasp]) -> list[Grasp]:
+    """Return the grasps that stood before already, at the same time with the same frames."""
+    seen: dict[int, list[Grasp]] = {}
+    found = []
+    for grasp in grasps:
+        others = seen.setdefault(grasp.start_ms, [])
+        if any(np.array_equal(grasp.counts, other.counts) for other in others):
+            found.append(grasp)
+        others.append(grasp)
+    return found
+
+
 def append_to_dataset(path: Path, before: Sequence[Grasp], new: Sequence[Grasp]) -> None:
     """Write a data set anew with further grasps at its end.
 
@@ -58,8 +73,9 @@ def append_to_dataset(path: Path, before: Sequence[Grasp], new: Sequence[Grasp])
         If the new grasps were taken on other pads; the file stays as it was.
     """
     if before and not before[0].pads.same_as(new[0].pads):
+        there, here = before[0].pads, new[0].pads
         raise CellError(
-            f"{path} holds grasps on other pads ({before[0].pads.n_taxels} taxels, these have "
-            f"{new[0].pads.n_taxels}); choose another file"
+            f"{path} holds grasps on {there.n_taxels} taxels in {there.n_pads} pads, these have "
+            f"{here.n_taxels} in {here.n_pads}{what_differs(there, here)}; choose another file"
         )
     write_dataset(path, [*before, *new])

@@ -16,6 +16,7 @@ from cell.config import CellConfig
 from cell.config_file import config_text
 from cell.dataset import read_dataset, write_dataset
 from cell.errors import CellError, ConfigError
+from cell.goals import checked_goal
 from cell.hand_build import _calibration as calibration_of
 from cell.jobs.drawing import course_of, teach_drawing
 from cell.layouts import layout_from_config
@@ -276,6 +277,27 @@ def test_a_mesh_is_a_drawing(tmp_path: Path) -> None:
 def test_wrong_drawings_are_refused(tmp_path: Path, options: tuple[str, ...], message: str) -> None:
     assert message in refused("teach", "part", "-o", tmp_path / "d.npz", *options)
     assert not (tmp_path / "d.npz").exists()
+
+
+@pytest.mark.parametrize("label", ["", " ball", "x" * 201, "a\nb", "\x1b[2J", "\udc80", "UNKNOWN"])
+def test_a_label_that_nothing_can_carry_is_refused_before_the_first_grasp(
+    tmp_path: Path, label: str
+) -> None:
+    path = tmp_path / "d.npz"
+    assert "label" in refused("teach", "--shape", BALL, "-n", 1, "-o", path, "--", label)
+    assert not path.exists()
+    with pytest.raises(ConfigError):
+        checked_goal({"task": "teach", "label": label})
+
+
+def test_grasps_that_stand_twice_are_noted(tmp_path: Path) -> None:
+    path, nearest = tmp_path / "d.npz", ("--recognizer", "force_ramp")
+    call("teach", "ball", "--shape", BALL, "-n", 3, "-o", path)
+    said = call("train", path, path, "-o", tmp_path / "m.npz", *nearest)
+    assert "NOTE: 3 of 6 grasps stand twice" in said
+    said = call("evaluate", path, "--train", path, "--fuse", "1", *nearest)
+    assert "NOTE: 3 grasps are tested that were taught" in said
+    assert "NOTE" not in call("train", path, "-o", tmp_path / "m.npz", *nearest)
 
 
 def test_an_object_beside_the_pads_is_refused() -> None:

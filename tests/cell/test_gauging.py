@@ -54,6 +54,16 @@ def test_evaluate_drifts_and_gauges(taught: Any, tmp_path: Path) -> None:
     assert figures["single_accuracy"] == 1.0
 
 
+def test_a_gauge_that_the_data_set_does_not_hold_is_named_with_those_it_does(
+    taught: Any, tmp_path: Path
+) -> None:
+    with pytest.raises(CellError, match=r"none of its 10 grasps is of 'ghost', .* 'ball', 'box'"):
+        call(
+            *("calibrate", taught.result.dataset, "--gauge", "ghost"),
+            *("-m", taught.result.model, "-o", tmp_path / "m.npz"),
+        )
+
+
 def test_what_cannot_be_gauged_says_why(taught: Any, tmp_path: Path) -> None:
     options = {"split": "chronological:0.6", "names": ["force_ramp"], "progress": silent}
     with pytest.raises(CellError, match="was not taught"):

@@ -164,3 +164,16 @@ def test_virtual_grasps_are_of_the_same_surfaces(train, pads, factory):
     assert np.array_equal(turned.maps[0].reshape(before.shape), before[..., ::-1, ::-1])
     unlike = factory.pads(shapes=((10, 6), (8, 6)))
     assert not can_change_sides([pad_grid(unlike, 0), pad_grid(unlike, 1)])
+
+
+def test_grasps_too_short_for_rest_and_load_teach_no_rest(train):
+    short = [
+        dataclasses.replace(
+            grasp, **{n: getattr(grasp, n)[:5] for n in ("counts", "t_s", "aperture_m", "force_n")}
+        )
+        for grasp in train[:3]
+    ]
+    with pytest.raises(
+        ValueError, match=r"5 frames in the median, at least 6 .* from rest to load"
+    ):
+        learn_rest(short)

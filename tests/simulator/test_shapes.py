@@ -240,6 +240,32 @@ def test_a_mesh_of_a_ball_is_round(tmp_path: Path) -> None:
     assert high == pytest.approx(low)
 
 
+def test_a_mesh_as_programs_export_it_is_read(tmp_path: Path) -> None:
+    """Keywords in capitals, a byte order mark, and a triangle that has shrunk to a line."""
+    trimesh = pytest.importorskip("trimesh")
+    path = tmp_path / "box.stl"
+    text = trimesh.creation.box(extents=(16.0, 10.0, 6.0)).export(file_type="stl_ascii")
+    line = (
+        "facet normal 0 0 0\nouter loop\nvertex 8 5 3\nvertex 8 5 3\nvertex -8 5 3\n"
+        "endloop\nendfacet\nendsolid"
+    )
+    text = text.replace("endsolid", line)
+    path.write_text("\ufeff" + text.upper(), encoding="utf-8")
+    low, high = load_mesh(path).heights(np.zeros(1), np.zeros(1), 0.0)
+    assert low[0] + high[0] == pytest.approx(6e-3)
+
+
+def test_a_mesh_in_another_unit_is_refused_with_its_size(tmp_path: Path) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    path = tmp_path / "box.stl"
+    path.write_bytes(trimesh.creation.box(extents=(0.6, 0.4, 0.2)).export(file_type="stl"))
+    with pytest.raises(SimulatorSettingsError, match=r"0\.6 x 0\.4 x 0\.2 mm .* Export it in mm"):
+        load_mesh(path)
+    path.write_bytes(path.read_bytes()[:-7])
+    with pytest.raises(SimulatorSettingsError, match=r"677 bytes, its count of 12 .* needs 684"):
+        load_mesh(path)
+
+
 def test_meshes_that_are_no_solid_are_refused(tmp_path: Path) -> None:
     trimesh = pytest.importorskip("trimesh")
     mesh = trimesh.creation.box(extents=(1.0, 1.0, 1.0))
