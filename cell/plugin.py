@@ -297,6 +297,15 @@ class TactileCellPlugin:
             sections=heads_sections(self._taught.early),
         )
 
+    def forget_drift(self, timeout_s: float = 5.0) -> None:
+        """Forget the followed drift, as after work on the sensors, and follow anew."""
+
+        def work(_report: Report) -> None:
+            if self._taught.shift is not None:
+                self._taught.shift.forget()
+
+        self.result(self._accept(work), timeout_s)
+
     def close(self, timeout_s: float = 30.0) -> None:
         """Stop what runs and disconnect; a held part stays held."""
         if self._watch is not None:

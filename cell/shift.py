@@ -78,6 +78,12 @@ class Shift:
         again._said = self._said
         return again
 
+    def forget(self) -> None:
+        """Begin anew with the recogniser as it was taught, as after work on the sensors."""
+        self.recognizer = self.taught
+        self._recent.clear()
+        self._said = False
+
     def _learn(self, grasps: Sequence[Grasp]) -> None:
         if isinstance(self.recognizer, Following):
             self.recognizer = self.recognizer.following(grasps)

@@ -6,7 +6,7 @@ its evidence ends where a new object is as likely; and all sequences of one obje
 count as one. Only several different objects that agree make a drift likelier than none.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Self
 
 import numpy as np
@@ -103,6 +103,8 @@ class FollowedShift:
         What the drift might be before the first of them.
     seen
         The latest sequences, the newest last.
+    alike : (n, n) bool
+        Which of these may be of one object.
     trusted
         Whether somebody says that most of the objects were taught. Sequences of one object then
         tell more than one alone, and none is forgotten.
@@ -110,25 +112,25 @@ class FollowedShift:
 
     prior: DriftGrid
     seen: tuple[SeenObject, ...] = ()
+    alike: NDArray[np.bool_] = field(default_factory=lambda: np.ones((0, 0), dtype=np.bool_))
     trusted: bool = False
 
     def after(self, found: SeenObject) -> Self:
         """Return what is known with one more sequence of grasps."""
-        if self.trusted:
-            return replace(self, seen=(*self.seen, found))
-        same = [one for one in self.seen if one.same_as(found)]
-        too_many = same[: max(0, len(same) + 1 - _SEQUENCES_OF_ONE)]
-        others = [one for one in self.seen if not any(one is old for old in too_many)]
-        return replace(self, seen=(*others, found)[-_REMEMBERED:])
+        same = np.array([one.same_as(found) for one in self.seen], dtype=np.bool_)
+        kept = np.arange(len(self.seen))
+        if not self.trusted:
+            too_many = kept[same][: max(0, int(same.sum()) + 1 - _SEQUENCES_OF_ONE)]
+            kept = np.setdiff1d(kept, too_many)[-_REMEMBERED + 1 :]
+        alike = np.ones((len(kept) + 1, len(kept) + 1), dtype=np.bool_)
+        alike[:-1, :-1] = self.alike[np.ix_(kept, kept)]
+        alike[-1, :-1] = alike[:-1, -1] = same[kept]
+        return replace(self, seen=(*(self.seen[i] for i in kept), found), alike=alike)
 
     @property
     def weights(self) -> NDArray[np.float64]:
         """How much each sequence counts, (n,): all of one object as one, or little more."""
-        same = np.eye(len(self.seen))
-        for i, one in enumerate(self.seen):
-            for j in range(i):
-                same[i, j] = same[j, i] = one.same_as(self.seen[j])
-        repeats = same.sum(axis=1) - 1.0
+        repeats = self.alike.sum(axis=1) - 1.0
         dependence = DEPENDENCE if self.trusted else 1.0
         return np.asarray(1.0 / (1.0 + repeats * dependence), dtype=np.float64)
 

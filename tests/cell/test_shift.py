@@ -125,6 +125,16 @@ def test_taught_anew_it_follows_the_same_grasps_again(make_grasp: Callable[..., 
     assert "as expected again" in again.seen([make_grasp("ball")])
 
 
+def test_what_was_followed_can_be_forgotten(make_grasp: Callable[..., Grasp]) -> None:
+    shift = Shift(Follower())
+    assert [bool(shift.seen([make_grasp("ball")])) for _ in range(2)] == [False, True]
+    shift.forget()
+    assert shift.recognizer is shift.taught
+    assert shift.drift == NO_DRIFT
+    assert shift.retaught(Follower()).recognizer == Follower()
+    assert [bool(shift.seen([make_grasp("ball")])) for _ in range(2)] == [False, True]
+
+
 def test_recorded_grasps_are_followed_in_the_order_of_time(
     make_grasp: Callable[..., Grasp],
 ) -> None:
@@ -216,15 +226,19 @@ def test_a_plugin_saves_what_was_taught_or_what_it_followed(taught: Any, tmp_pat
         answer = plugin.result(job, 60.0)
         plugin.save(tmp_path / "taught.npz")
         plugin.save(tmp_path / "followed.npz", followed=True)
+        plugin.forget_drift()
+        plugin.save(tmp_path / "forgotten.npz", followed=True)
     finally:
         plugin.close()
     assert answer.drift is not None
     assert not answer.drift.likely
-    before, same, followed = (
+    names = ("taught", "followed", "forgotten")
+    before, same, followed, forgotten = (
         load_model(path).recognizer.to_arrays()["drift_log_prior"]
-        for path in (taught.result.model, tmp_path / "taught.npz", tmp_path / "followed.npz")
+        for path in (taught.result.model, *(tmp_path / f"{name}.npz" for name in names))
     )
     assert np.array_equal(before, same)
+    assert np.array_equal(before, forgotten)
     assert not np.array_equal(before, followed)
 
 
