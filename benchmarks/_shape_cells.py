@@ -19,8 +19,8 @@ from recognition.shape_fusion import fuse_shapes
 
 GRASPS = (1, 2, 3, 5)
 """Numbers of grasps that are fused."""
-BAR = ("bar 10 x 15.9", (10.0, 15.9), "box:length=20mm,width=15.9mm,height=10mm")
-"""An object that shows two thicknesses in mm, and its shape."""
+BAR = ("flat", (10.0, 15.9), "box:length=20mm,width=15.9mm,height=10mm")
+"""An object that shows two thicknesses: kind, thicknesses in mm, shape."""
 _OPENING_SD_M = 0.2e-3
 _EXACT = {
     "modulus_sd": 0.0,
@@ -34,22 +34,27 @@ _EXACT = {
 
 
 @dataclass(frozen=True, slots=True)
-class Sequence5:
-    """What each of five grasps of one object on one cell told."""
+class CellSequence:
+    """What each grasp of one object on one cell told, and what is true."""
 
     kind: str
     sizes_mm: tuple[float, ...]
     answers: tuple[ShapeAnswer, ...]
 
 
-def sequences(objects: Mapping[str, tuple[str, float, str]], n_cells: int) -> list[Sequence5]:
-    """Grasp each object five times on each of ``n_cells`` cells of its own."""
-    rng = np.random.default_rng(61)
+def sequences(
+    objects: Sequence[tuple[str, tuple[float, ...], str]],
+    n_cells: int,
+    n_grasps: int = max(GRASPS),
+    *,
+    seed: int = 61,
+) -> list[CellSequence]:
+    """Grasp each object (kind, thicknesses in mm, shape) on ``n_cells`` cells, each its own."""
+    rng = np.random.default_rng(seed)
     config = CellConfig()
     usual = usual_foam(config)
     found = []
-    wanted = [(kind, (size_mm,), text) for kind, size_mm, text in objects.values()]
-    for kind, sizes_mm, text in [*wanted, ("flat", *BAR[1:])]:
+    for kind, sizes_mm, text in objects:
         for _ in range(n_cells):
             modulus, gain, spread = np.exp(rng.normal(0.0, [0.1, 0.1, 0.05])).tolist()
             foam = replace(
@@ -63,7 +68,7 @@ def sequences(objects: Mapping[str, tuple[str, float, str]], n_cells: int) -> li
                 config,
                 "",
                 drawn_shape(text),
-                max(GRASPS),
+                n_grasps,
                 known=PadKnowledge(foam=foam, **_EXACT),
                 seed=int(rng.integers(2**31)),
             )
@@ -71,15 +76,14 @@ def sequences(objects: Mapping[str, tuple[str, float, str]], n_cells: int) -> li
                 shape_of(replace(grasp, aperture_m=grasp.aperture_m + zero_m), foam=usual)
                 for grasp in grasps
             ]
-            found.append(Sequence5(kind, sizes_mm, tuple(answers)))
+            found.append(CellSequence(kind, sizes_mm, tuple(answers)))
     return found
 
 
 def fused(objects: Mapping[str, tuple[str, float, str]], n_cells: int) -> None:
     """Print how often kind and interval are right after some grasps."""
-    told = sequences(objects, n_cells)
-    plain = [one for one in told if len(one.sizes_mm) == 1]
-    bars = [one for one in told if len(one.sizes_mm) > 1]
+    plain = sequences([(kind, (mm,), text) for kind, mm, text in objects.values()], n_cells)
+    bars = sequences([BAR], 4 * n_cells)
     line(
         "fused over grasps",
         f"{len(plain)} cells, each with foam and zero of the opening of its own, "
@@ -88,10 +92,10 @@ def fused(objects: Mapping[str, tuple[str, float, str]], n_cells: int) -> None:
     for n in GRASPS:
         line(f"  {n} grasps" if n > 1 else "  1 grasp", _row(plain, n))
     for n in GRASPS[1:]:
-        line(f"  {BAR[0]}, {n} grasps", _bar_row(bars, n))
+        line(f"  bar 10 x 15.9, {n} grasps", _bar_row(bars, n))
 
 
-def _row(told: Sequence[Sequence5], n: int) -> str:
+def _row(told: Sequence[CellSequence], n: int) -> str:
     answers = [fuse_shapes(one.answers[:n]) for one in told]
     sizes_mm = np.array([one.sizes_mm[0] for one in told])
     found_mm = np.array([1e3 * a.size_m for a in answers])
@@ -107,7 +111,7 @@ def _row(told: Sequence[Sequence5], n: int) -> str:
     )
 
 
-def _bar_row(told: Sequence[Sequence5], n: int) -> str:
+def _bar_row(told: Sequence[CellSequence], n: int) -> str:
     both = shown = held = total = 0
     for one in told:
         met = {min(one.sizes_mm, key=lambda s: abs(s - 1e3 * a.size_m)) for a in one.answers[:n]}
