@@ -4,13 +4,15 @@ import importlib.metadata
 import threading
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from cell.config import CellConfig
-from cell.errors import CellStateError, ConfigError, ModelError
+from cell.dataset import write_dataset
+from cell.errors import CellError, CellStateError, ConfigError, ModelError
 from cell.plugin import Answer, IdentifyGoal, TeachGoal
 from cell.pose import Pose
 from cell.worker import Job, JobOutcome
@@ -69,6 +71,28 @@ def when(plugin: Any, phase: GripperPhase, act: Callable[[], object], *, above_n
             act()
 
     plugin._cell.simulated.clock.on_advance.append(look)
+
+
+def test_a_gauge_says_under_which_foam_shapes_are_read(
+    make_plugin: Callable[..., Any], make_config: Callable[..., Any], taught: Any, tmp_path: Path
+) -> None:
+    gauge = tmp_path / "gauge.npz"
+    balls = [replace(grasp, label="master") for grasp in taught.grasps if grasp.label == "ball"]
+    write_dataset(gauge, balls)
+    with pytest.raises(ConfigError, match="describes the gauge"):
+        make_plugin(gauge_shape="sphere:diameter=9.5mm")
+    with pytest.raises(CellError, match="shape of the gauge 'master' is not known"):
+        make_plugin(gauge=gauge)
+
+    def read(**options: Any) -> Any:
+        shape = make_plugin(model=taught.result.model, **options)._taught._read_shape(box)
+        return shape
+
+    box = taught.grasps[-1]
+    usual = read()
+    # The gauge is said to be 0.4 mm smaller than it is: so is what is measured then.
+    small = read(gauge=gauge, gauge_shape="sphere:diameter=9.1mm")
+    assert 1e3 * (usual.size_m - small.size_m) == pytest.approx(0.4, abs=0.15)
 
 
 # -- jobs --------------------------------------------------------------------------------------
