@@ -1,4 +1,4 @@
-"""Sequences that decide: dependence, wanted and got errors, the next grasp, an early end.
+"""Sequences that decide: dependence, wanted and got errors, an early end.
 
 Simulated grasps; with TACTILE_CELL_DATA also the recorded ones, of which only the first 60 % of
 each object in time are used: 60 % of these teach, the rest test.
@@ -9,20 +9,14 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.special import log_softmax
 
 from benchmarks._measure import line, repeats
 from benchmarks._posed_grasps import Placing, Sensing, draw_placing, posed_grasp
-from cell.choosing import step_settings
 from cell.dataset import read_dataset
-from cell.pose import Pose
-from cell.sequence import GraspStep
-from recognition.dependence import evidence, independent_share
 from recognition.early import EarlyTrainer, looking
 from recognition.fusion import DecisionKind, StopRule, decide, fuse
 from recognition.grasp import Grasp
 from recognition.metrics import expected_calibration_error, wilson_interval
-from recognition.next_pose import PoseMemory, remember
 from recognition.recognizer import Posterior
 from recognition.recognizers import make_trainer
 from recognition.splits import by_label, chronological_split
@@ -38,8 +32,6 @@ PAPER = {name: name for name in PAPER_OBJECTS}
 WANTED = (0.1, 0.05, 0.02, 0.01)
 EARLY_WANTED = (0.05, 0.01)
 MAX_GRASPS = 5
-_CANDIDATES = 24
-_LONGEST = 10
 
 Rows = dict[str, list[Posterior]]
 Posed = list[tuple[Grasp, Placing]]
@@ -54,16 +46,6 @@ def posed(shapes: dict[str, str], n: int, sensing: Sensing, seed: int) -> Posed:
             placing = draw_placing(rng)
             found.append((posed_grasp(label, shape, placing, seed + i, sensing), placing))
     return found
-
-
-def settings_of(placing: Placing) -> tuple[float, ...]:
-    pose = Pose(
-        x_m=placing.x_m,
-        y_m=placing.y_m,
-        rotation_rad=placing.rotation_rad,
-        roll_rad=placing.roll_rad,
-    )
-    return step_settings(GraspStep(pose=pose, force_n=placing.force_n))
 
 
 def windows(rows: Rows, length: int) -> list[tuple[str, list[Posterior]]]:
@@ -127,67 +109,6 @@ def show_stopping(rows: Rows) -> None:
             )
 
 
-class Pool:
-    """Grasps of which a strategy may take any candidate; the answers are known beforehand."""
-
-    def __init__(self, parts: Posed, recognizer: object) -> None:
-        answers = [recognizer.posterior(g) for g, _ in parts]  # type: ignore[attr-defined]
-        self.labels = answers[0].labels
-        self.dependence = answers[0].dependence
-        self.posteriors = answers
-        self.told = evidence(np.stack([p.probability for p in answers]))
-        self.settings = np.array([settings_of(placing) for _, placing in parts])
-        self.classes = np.array([self.labels.index(g.label) for g, _ in parts])
-
-
-def right_after(pool: Pool, memory: PoseMemory | None, strategy: str, n_runs: int) -> np.ndarray:
-    """Return the share of right answers after 1, 2, ... grasps."""
-    rng = np.random.default_rng(7)
-    right = np.zeros(_LONGEST)
-    for truth in range(len(pool.labels)):
-        rows = np.flatnonzero(pool.classes == truth)
-        for _ in range(n_runs):
-            left = rng.permutation(rows)[:_CANDIDATES].tolist()
-            taken: list[Posterior] = []
-            total = np.zeros(len(pool.labels))
-            for k in range(_LONGEST):
-                if not left:
-                    right[k] += int(np.argmax(total)) == truth
-                    continue
-                place = 0
-                if strategy == "largest force":
-                    place = int(np.argmax(pool.settings[left, -1]))
-                elif memory is not None:
-                    place = memory.best_of(taken, pool.settings[left])
-                row = left.pop(place)
-                taken.append(pool.posteriors[row])
-                total += pool.told[row]
-                share = independent_share(k + 1, pool.dependence)
-                right[k] += int(np.argmax(log_softmax(share * total))) == truth
-    return right / (n_runs * len(pool.labels))
-
-
-def show_choice(train: Posed, pool: Pool, use_aperture: bool, n_runs: int) -> None:
-    """Print how many grasps it takes with each way to choose them."""
-    memory = remember(
-        make_trainer("force_ramp", use_aperture=use_aperture),
-        [g for g, _ in train],
-        [settings_of(placing) for _, placing in train],
-    )
-    rich = PoseMemory(settings=pool.settings, told=pool.told, classes=pool.classes)
-    for name, known in (
-        ("random", None),
-        ("largest force", None),
-        ("active", memory),
-        ("active, rich memory", rich),
-    ):
-        share = right_after(pool, known, name, n_runs)
-        enough = np.flatnonzero(share >= 0.99)
-        need = f"{enough[0] + 1}" if len(enough) else f"more than {_LONGEST}"
-        shown = " ".join(f"{100 * share[k - 1]:.1f}" for k in (1, 2, 3, 5, 10))
-        line(f"    {name}", f"{shown} % after 1, 2, 3, 5, 10; grasps to 99 %: {need}")
-
-
 def show_early(train: Sequence[Grasp], test: Sequence[Grasp], use_aperture: bool) -> None:
     """Print time to decision and accuracy of decisions during the ramp."""
     early = EarlyTrainer(base=make_trainer("force_ramp", use_aperture=use_aperture)).fit(train)
@@ -227,7 +148,6 @@ def simulated(name: str, shapes: dict[str, str], sensing: Sensing, effort: float
     line(f"  {name}", f"{n_train} grasps of each teach; dependence learnt: {dependence:.2f}")
     show_dependence(rows)
     show_stopping(rows)
-    show_choice(train, Pool(test, recognizer), sensing.aperture_known, repeats(60, effort, least=2))
     show_early([g for g, _ in train], [g for g, _ in test], sensing.aperture_known)
 
 
@@ -248,7 +168,7 @@ def recorded(path: Path, effort: float) -> None:
 
 
 def main(effort: float = 1.0) -> None:
-    line("compared", "fusion, stop rule, choice of the next grasp, decision during the ramp")
+    line("compared", "fusion, stop rule, decision during the ramp")
     blind = Sensing(aperture_known=False)
     noisy = Sensing(noise=2.0, aperture_known=False)
     seeing = Sensing(noise=2.0)

@@ -1,53 +1,68 @@
 """The next grasp of an active sequence: the one that is expected to tell most."""
 
-import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
-from cell.collect import GraspRecord
 from cell.config_sequence import SequenceConfig
-from cell.errors import CellError
+from cell.errors import CellError, ModelError
+from cell.model import Arrays, LoadedModel
 from cell.sequence import GraspStep, plan_random
-from recognition.next_pose import PoseMemory, remember
+from recognition.grasp import Grasp
+from recognition.next_pose import best_of
+from recognition.pose_memory import PoseMemory, remember
 from recognition.recognizer import Posterior, Trainer
 
+SECTION = "memory"
+"""Section of a model file that holds a `PoseMemory`."""
 
-def step_settings(step: GraspStep) -> tuple[float, ...]:
-    """Return the numbers by which a memory knows pose and force.
 
-    Pads and most parts look alike after half a turn, so turns count twice: cosine and sine of the
-    doubled angle.
+def remember_grasps(trainer: Trainer, grasps: Sequence[Grasp]) -> PoseMemory:
+    """Build the memory from the grasps that taught.
+
+    Raises
+    ------
+    CellError
+        If they do not suffice, or none says its pose.
     """
-    pose = step.pose
-    return (
-        1e3 * pose.x_m,
-        1e3 * pose.y_m,
-        math.cos(2.0 * pose.rotation_rad),
-        math.sin(2.0 * pose.rotation_rad),
-        math.cos(2.0 * pose.roll_rad),
-        math.sin(2.0 * pose.roll_rad),
-        step.force_n,
-    )
-
-
-def remember_records(trainer: Trainer, records: Sequence[GraspRecord]) -> PoseMemory:
-    """Build the memory from the grasps that taught. Raises ValueError where they do not suffice."""
-    return remember(
-        trainer,
-        [record.grasp for record in records],
-        [step_settings(record.step) for record in records],
-    )
-
-
-def check_active(config: SequenceConfig, *, taught: bool) -> None:
-    """Refuse an active sequence where nothing is taught: only teaching records the poses.
-
-    Raises CellError.
-    """
-    if config.kind == "active" and not taught:
+    try:
+        return remember(trainer, grasps)
+    except ValueError as error:
         raise CellError(
-            "sequence.kind is active, which goes by the poses of the grasps that taught, and a "
-            "model file has none: teach in the same run, or choose random, grid or list"
+            f"{len(grasps)} taught grasps do not suffice to choose grasps by: {error}; teach more "
+            "grasps of each object, or choose random, grid or list"
+        ) from error
+
+
+def memory_sections(memory: PoseMemory | None) -> Mapping[str, Arrays]:
+    """Return the sections of a model file that hold a memory."""
+    return {} if memory is None else {SECTION: memory.to_arrays()}
+
+
+def memory_for(config: SequenceConfig, model: LoadedModel) -> PoseMemory | None:
+    """Return what an active sequence goes by; None where the config asks for another kind.
+
+    Raises
+    ------
+    ModelError
+        If the sequence is to be active and the model has no poses, or its memory does not fit its
+        recogniser.
+    """
+    if config.kind != "active":
+        return None
+
+    def build(arrays: Arrays) -> PoseMemory:
+        memory = PoseMemory.from_arrays(arrays)
+        if memory.labels != model.labels:
+            raise ValueError(f"it remembers {', '.join(memory.labels)}")
+        return memory
+
+    memory = model.section(SECTION, build)
+    if memory is None:
+        raise ModelError(
+            f"sequence.kind is active, which goes by the poses of the grasps that taught, and "
+            f"{model.path} has none: train it with `tactile-cell train --poses`, or choose random, "
+            "grid or list"
         )
+    return memory
 
 
 class ActiveChooser:
@@ -79,4 +94,4 @@ class ActiveChooser:
             self._config, self._config.candidates - 1, seed=self._seed + len(posteriors)
         )
         steps = (planned, *others)
-        return steps[self._memory.best_of(posteriors, [step_settings(step) for step in steps])]
+        return steps[best_of(self._memory, posteriors, [step.placing.values for step in steps])]

@@ -13,11 +13,9 @@ from types import TracebackType
 from typing import Any, Self
 
 from cell.build import Cell, build_cell
-from cell.choosing import check_active
 from cell.collect import pad_array
 from cell.config import CellConfig
 from cell.config_file import load_config
-from cell.early_heads import heads_sections
 from cell.errors import CellStateError
 from cell.goals import IdentifyGoal, TeachGoal, checked_goal
 from cell.host_watch import HostWatch
@@ -112,7 +110,6 @@ class TactileCellPlugin:
             )
         self._config = checked
         self._starting = threading.Lock()
-        check_active(checked.sequence, taught=model is None)
         self._taught = TaughtObjects(
             checked,
             None
@@ -294,7 +291,7 @@ class TactileCellPlugin:
             shift.recognizer if followed else shift.taught,
             trainer_name=self._config.recognition.recognizer,
             pads=self._cell.controller.pads,
-            sections=heads_sections(self._taught.early),
+            sections=self._taught.sections,
         )
 
     def forget_drift(self, timeout_s: float = 5.0) -> None:

@@ -4,14 +4,14 @@ import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-from cell.choosing import ActiveChooser, remember_records
+from cell.choosing import ActiveChooser, memory_for, memory_sections, remember_grasps
 from cell.collect import GraspRecord
 from cell.config import CellConfig
 from cell.controller import CellController
-from cell.early_heads import loaded_heads, wanted_heads
+from cell.early_heads import heads_sections, loaded_heads, wanted_heads
 from cell.errors import CellError
 from cell.goals import IdentifyGoal, TeachGoal
-from cell.model import LoadedModel
+from cell.model import Arrays, LoadedModel
 from cell.pad_knowledge import PadKnowledge
 from cell.sequence import plan
 from cell.shapes import FeltShape, shape_reader
@@ -19,7 +19,6 @@ from cell.shift import Shift
 from cell.worker import Report
 from recognition.drift import NO_DRIFT
 from recognition.drift_following import DriftBelief
-from recognition.next_pose import PoseMemory
 from recognition.recognizer import Recognizer
 from recognition.recognizers import make_trainer
 
@@ -80,6 +79,9 @@ class TaughtObjects:
         The present recogniser and what it has followed; None when nothing was taught yet.
     early
         Heads for ramps that end early; None where the config does not want it.
+    memory
+        Where the taught grasps were taken and what they told; None where the config does not want
+        it.
 
     Raises
     ------
@@ -94,17 +96,22 @@ class TaughtObjects:
         known: PadKnowledge | None = None,
     ) -> None:
         self.early = None if model is None else loaded_heads(model, config.sequence)
+        self.memory = None if model is None else memory_for(config.sequence, model)
         self._config = config
         self.shift = None if model is None else self._begin(model.recognizer)
         self._read_shape = shape_reader(config, known)
         self._lock = threading.Lock()
         self._taught: list[GraspRecord] = []
-        self._memory: PoseMemory | None = None
 
     @property
     def labels(self) -> tuple[str, ...]:
         """The taught objects."""
         return self.shift.taught.labels if self.shift is not None else ()
+
+    @property
+    def sections(self) -> dict[str, Arrays]:
+        """What a model file keeps beside the recogniser."""
+        return {**heads_sections(self.early), **memory_sections(self.memory)}
 
     @property
     def loaded(self) -> bool:
@@ -141,10 +148,10 @@ class TaughtObjects:
                 raise CellError(
                     f"the taught grasps make no recogniser yet, and are kept: {error}"
                 ) from error
+            if self._config.sequence.kind == "active":
+                self.memory = remember_grasps(trainer, grasps)
             self.early = wanted_heads(grasps, whole, self._config)
             self.shift = self._begin(whole) if self.shift is None else self.shift.retaught(whole)
-            if self._config.sequence.kind == "active":
-                self._memory = remember_records(trainer, self._taught)
         return len(taught)
 
     def identify(
@@ -162,8 +169,8 @@ class TaughtObjects:
             plan(self._config.sequence, n_grasps, seed=goal.seed),
             early=self.early,
             chooser=None
-            if self._memory is None
-            else ActiveChooser(self._memory, self._config.sequence, seed=goal.seed),
+            if self.memory is None
+            else ActiveChooser(self.memory, self._config.sequence, seed=goal.seed),
             read_shape=self._read_shape,
             on_grasp=lambda number, record, posterior, shape: report(
                 {

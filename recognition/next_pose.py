@@ -1,173 +1,139 @@
 """Which grasp next: the one after which the answer is expected to be least wrong."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.special import log_softmax
 
-from recognition.calibration import blocked_folds
 from recognition.dependence import evidence, independent_share
-from recognition.grasp import Grasp
-from recognition.recognizer import Posterior, Trainer
+from recognition.placing import COLUMNS
+from recognition.pose_memory import PoseMemory
+from recognition.recognizer import Posterior
 
-_FOLDS = 4
-_RIDGE = 100.0
-"""Grasps that it takes to believe a slope as much as that there is none."""
-_SURE = 2.5
-"""Standard errors by which a slope must differ from none: chance must not choose the pose."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PoseMemory:
-    """What each taught grasp told a recogniser that had not seen it, and how it was taken.
-
-    Attributes
-    ----------
-    settings : (n, d) float64
-        Numbers that describe pose and force of each grasp; which ones, the caller decides.
-    told : (n, C) float64
-        Logarithm of the probability of each label over the even one.
-    classes : (n,) int64
-        What was held.
-    """
-
-    settings: NDArray[np.float64]
-    told: NDArray[np.float64]
-    classes: NDArray[np.int64]
-
-    def __post_init__(self) -> None:
-        n = len(self.classes)
-        if n < 1 or self.settings.ndim != 2 or self.told.ndim != 2:
-            raise ValueError("a memory needs at least one grasp, settings (n, d) and told (n, C)")
-        if len(self.settings) != n or len(self.told) != n:
-            raise ValueError(
-                f"{len(self.settings)} settings and {len(self.told)} answers of {n} grasps"
-            )
-        if not (np.all(np.isfinite(self.settings)) and np.all(np.isfinite(self.told))):
-            raise ValueError("settings or answers are not finite")
-
-    def expected_loss(
-        self, posteriors: Sequence[Posterior], candidates: ArrayLike
-    ) -> NDArray[np.float64]:
-        """Say how wrong the fused answer would be after each candidate, up to a constant.
-
-        The taught grasps of each label stand for what a further grasp may tell if that label is
-        held; each is fused with the grasps so far, and minus the logarithm of the probability that
-        the label then has is its loss. A ridge regression of these losses on the settings and
-        their squares, each label counted as probable as it is now, says where in the ranges of
-        pose and force they are small; slopes that may be chance count as none. Loss goes by what is
-        true, not by how sure the answer is: a pose in which the recogniser errs with confidence is
-        avoided. Without any slope all candidates are equal.
-
-        Parameters
-        ----------
-        posteriors
-            The grasps so far, possibly none.
-        candidates : (m, d)
-            Settings of possible next grasps.
-
-        Returns
-        -------
-        (m,) float64
-            Smaller is better.
-
-        Raises
-        ------
-        ValueError
-            If candidates or posteriors do not fit the memory.
-        """
-        rows = np.asarray(candidates, dtype=np.float64)
-        n_labels = self.told.shape[1]
-        if rows.ndim != 2 or rows.shape[1] != self.settings.shape[1]:
-            raise ValueError(
-                f"candidates have shape {rows.shape}, taught were {self.settings.shape[1]} settings"
-            )
-        if any(len(p.labels) != n_labels for p in posteriors):
-            raise ValueError(f"posteriors do not speak of the {n_labels} taught labels")
-        so_far = np.zeros(n_labels)
-        dependence = 0.0
-        if posteriors:
-            so_far = evidence(np.stack([p.probability for p in posteriors])).sum(axis=0)
-            dependence = float(np.mean([p.dependence for p in posteriors]))
-        now = np.exp(log_softmax(independent_share(max(len(posteriors), 1), dependence) * so_far))
-        share = independent_share(len(posteriors) + 1, dependence)
-        after = log_softmax(share * (so_far + self.told), axis=1)
-        loss = -after[np.arange(len(self.classes)), self.classes]
-        slopes = self._slopes(loss, now)
-        found: NDArray[np.float64] = self._basis(rows) @ slopes
-        return found
-
-    def best_of(self, posteriors: Sequence[Posterior], candidates: ArrayLike) -> int:
-        """Return the index of the candidate with the least expected loss, the first of equals."""
-        return int(np.argmin(self.expected_loss(posteriors, candidates)))
-
-    def _basis(self, settings: NDArray[np.float64]) -> NDArray[np.float64]:
-        mean, spread = self.settings.mean(axis=0), self.settings.std(axis=0)
-        z = (settings - mean) / np.where(spread > 1e-9, spread, np.inf)
-        return np.concatenate([z, z**2], axis=1)
-
-    def _slopes(self, loss: NDArray[np.float64], now: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the slopes of the loss, the labels' own means taken off."""
-        n_labels = len(now)
-        count = np.maximum(np.bincount(self.classes, minlength=n_labels), 1)
-        basis = self._basis(self.settings)
-        member = (self.classes[:, None] == np.arange(n_labels)) / count
-        basis = basis - (member.T @ basis)[self.classes]
-        centred = loss - (member.T @ loss)[self.classes]
-        weight = (now / count)[self.classes] * len(loss)
-        normal = basis.T @ (weight[:, None] * basis) + _RIDGE * np.eye(basis.shape[1])
-        inverse = np.linalg.inv(normal)
-        slopes: NDArray[np.float64] = inverse @ (basis.T @ (weight * centred))
-        left = weight * (centred - basis @ slopes)
-        error = np.sqrt(np.diag(inverse @ (basis.T @ (left[:, None] ** 2 * basis)) @ inverse))
-        return np.where(np.abs(slopes) > _SURE * error, slopes, 0.0)
-
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return everything as plain arrays."""
-        return {"settings": self.settings, "told": self.told, "classes": self.classes}
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Rebuild from `to_arrays`. Raises KeyError or ValueError where that cannot be."""
-        return cls(
-            settings=np.asarray(arrays["settings"], dtype=np.float64),
-            told=np.asarray(arrays["told"], dtype=np.float64),
-            classes=np.asarray(arrays["classes"], dtype=np.int64),
-        )
+_SHARED = {"force": 0.08, "offset": 0.01, "rotation": 0.01, "roll": 0.01}
+"""Share of the spread of the losses within a label that a part of the setting is thought to
+explain beforehand, in the same way for all labels: a hard grasp shows more of anything."""
+_OWN = {"force": 0.01, "offset": 0.01, "rotation": 0.04, "roll": 0.01}
+"""The same for what each label has beside that."""
+_NOISE = 0.8
+"""Share that nothing explains."""
+_N_CURVES = {"force": 2, "offset": 4, "rotation": 4, "roll": 4}
+_STILL = 1e-9
+"""Spread, in m, rad or N, of what did not change while teaching."""
 
 
-def remember(trainer: Trainer, grasps: Sequence[Grasp], settings: ArrayLike) -> PoseMemory:
-    """Ask about each taught grasp a recogniser that was taught without it.
+def expected_loss(
+    memory: PoseMemory, posteriors: Sequence[Posterior], candidates: ArrayLike
+) -> NDArray[np.float64]:
+    """Say how wrong the fused answer would be after each candidate, up to a constant.
+
+    The taught grasps of each label stand for what a further grasp may tell if that label is held;
+    each is fused with the grasps so far, and minus the logarithm of the probability that the label
+    then has is its loss. A regression of these losses on pose and force, each label counted as
+    probable as it is now, says where they are small. Loss goes by what is true, not by how sure the
+    answer is: a pose in which the recogniser errs with confidence is avoided.
+
+    A few taught grasps of each label say little of it alone, so the labels are regressed together:
+    slopes that all share, and deviations of each label that are drawn towards none the more, the
+    less its grasps show of them.
 
     Parameters
     ----------
-    trainer
-        What is taught, four times, on three quarters of the grasps.
-    grasps
-        The labelled grasps, those of a label in the order of time.
-    settings : (n, d)
-        Pose and force of each.
+    memory
+        What the taught grasps told.
+    posteriors
+        The grasps so far, possibly none.
+    candidates : (m, 5)
+        Placings of possible next grasps: `recognition.placing.COLUMNS`.
+
+    Returns
+    -------
+    (m,) float64
+        Smaller is better.
 
     Raises
     ------
     ValueError
-        There are too few grasps of a label, or settings do not fit.
+        If candidates or posteriors do not fit the memory.
     """
-    rows = np.asarray(settings, dtype=np.float64)
-    if len(rows) != len(grasps):
-        raise ValueError(f"{len(rows)} settings of {len(grasps)} grasps")
-    labels, classes = np.unique([g.label for g in grasps], return_inverse=True)
-    probability = np.full((len(grasps), len(labels)), np.nan)
-    for held_out in blocked_folds(classes, _FOLDS):
-        recognizer = trainer.fit([g for g, out in zip(grasps, held_out, strict=True) if not out])
-        if recognizer.labels != tuple(labels.tolist()):
-            raise ValueError(f"of {labels.tolist()} only {list(recognizer.labels)} could be taught")
-        for row in np.flatnonzero(held_out).tolist():
-            probability[row] = recognizer.posterior(grasps[row]).probability
-    asked = np.all(np.isfinite(probability), axis=1)
-    return PoseMemory(
-        settings=rows[asked], told=evidence(probability[asked]), classes=classes[asked]
+    rows = np.asarray(candidates, dtype=np.float64)
+    n_labels = len(memory.labels)
+    if rows.ndim != 2 or rows.shape[1] != len(COLUMNS):
+        raise ValueError(f"candidates have shape {rows.shape}, expected (m, {len(COLUMNS)})")
+    if any(p.labels != memory.labels for p in posteriors):
+        raise ValueError(f"posteriors do not speak of the {n_labels} remembered labels")
+    so_far = np.zeros(n_labels)
+    dependence = 0.0
+    if posteriors:
+        so_far = evidence(np.stack([p.probability for p in posteriors])).sum(axis=0)
+        dependence = float(np.mean([p.dependence for p in posteriors]))
+    now = np.exp(log_softmax(independent_share(max(len(posteriors), 1), dependence) * so_far))
+    share = independent_share(len(posteriors) + 1, dependence)
+    after = log_softmax(share * (so_far + memory.told), axis=1)
+    loss = -after[np.arange(len(memory.classes)), memory.classes]
+    found: NDArray[np.float64] = _basis(memory, rows) @ _slopes(memory, loss, now)
+    return found
+
+
+def best_of(memory: PoseMemory, posteriors: Sequence[Posterior], candidates: ArrayLike) -> int:
+    """Return the index of the candidate with the least expected loss, the first of equals."""
+    return int(np.argmin(expected_loss(memory, posteriors, candidates)))
+
+
+def _basis(memory: PoseMemory, placings: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the curves (n, k) along which losses may change; each varies by 1 over the memory.
+
+    Pads and most objects look alike after half a turn, so turns count twice and four times.
+    """
+    curves, taught = _curves(memory, placings), _curves(memory, memory.placings)
+    spread = taught.std(axis=0)
+    basis: NDArray[np.float64] = curves - taught.mean(axis=0)
+    return basis / np.where(spread > _STILL, spread, np.inf)
+
+
+def _curves(memory: PoseMemory, placings: NDArray[np.float64]) -> NDArray[np.float64]:
+    mean, spread = memory.placings.mean(axis=0), memory.placings.std(axis=0)
+    z = (placings - mean) / np.where(spread > _STILL, spread, np.inf)
+    x, y, force = z[:, 0], z[:, 1], z[:, 4]
+    turned = [
+        f(times * placings[:, column])
+        for column in (2, 3)
+        for times in (2.0, 4.0)
+        for f in (np.cos, np.sin)
+    ]
+    return np.stack([force, force**2, x, y, x**2, y**2, *turned], axis=1)
+
+
+def _shares(of: Mapping[str, float]) -> NDArray[np.float64]:
+    """Return the share of each curve."""
+    return np.concatenate([np.full(n, of[part] / n) for part, n in _N_CURVES.items()])
+
+
+def _slopes(
+    memory: PoseMemory, loss: NDArray[np.float64], now: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return the slopes (k,) of the expected loss along the curves.
+
+    Least squares with normal priors, for the shared slopes and all deviations at once. Given the
+    shared slopes the labels are independent of each other, so their deviations are eliminated label
+    by label.
+    """
+    n_labels = len(memory.labels)
+    basis = _basis(memory, memory.placings)
+    k = basis.shape[1]
+    square, product = np.zeros((n_labels, k, k)), np.zeros((n_labels, k))
+    for label in np.unique(memory.classes).tolist():
+        rows = memory.classes == label
+        centred = basis[rows] - basis[rows].mean(axis=0)
+        square[label] = centred.T @ centred / _NOISE
+        product[label] = centred.T @ (loss[rows] - loss[rows].mean()) / _NOISE
+    own = np.linalg.inv(square + np.diag(1.0 / _shares(_OWN)))
+    kept = np.eye(k) - square @ own
+    shared = np.linalg.solve(
+        np.diag(1.0 / _shares(_SHARED)) + (kept @ square).sum(axis=0),
+        np.einsum("cij,cj->i", kept, product),
     )
+    deviations = np.einsum("cij,cj->ci", own, product - square @ shared)
+    slopes: NDArray[np.float64] = shared + now @ deviations
+    return slopes

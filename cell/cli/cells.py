@@ -7,6 +7,7 @@ from typing import Annotated, Any
 import typer
 
 from cell.build import build_cell
+from cell.choosing import memory_for
 from cell.cli.asking import ask
 from cell.cli.drawings import (
     GaugeOption,
@@ -89,6 +90,7 @@ def run(
         labels = objects or []
         if not labels:
             raise ConfigError("name the objects that are at hand, as --object ball --object box")
+    memory = None if loaded is None else memory_for(checked.sequence, loaded)
     folder = job_folder(out_folder or Path(checked.recording.directory), "run")
     with (
         running_cell(checked, folder, capture, json_file=json_file) as cell,
@@ -104,6 +106,7 @@ def run(
             progress=progress,
             recognizer=recognizer,
             early=early,
+            memory=memory,
         )
         result.extra = {"health": cell.health()}
         result.report = main_report(result, checked, cell, folder / "report.html")
@@ -230,6 +233,7 @@ def identify(
         raise ConfigError("--follow is for recorded grasps; a cell that grasps one object has none")
     loaded = load_model(model, pads_of(checked))
     loaded_heads(loaded, checked.sequence)
+    memory_for(checked.sequence, loaded)
     folder = job_folder(out_folder or Path(checked.recording.directory), "identify")
     with running_cell(checked, folder, json_file=json_file) as cell, progress_bar() as progress:
         found, truth = identify_on_cell(

@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 from rich.table import Table
 
+from cell.choosing import memory_sections, remember_grasps
 from cell.cli.options import CaptureOption, ConfigOption, JsonOption
 from cell.cli.output import out, percent, progress_bar, say, write_json
 from cell.config_file import load_config
@@ -21,7 +22,7 @@ from cell.parallel import workers
 from cell.recording import recording_grasps
 from recognition.drift import NO_DRIFT, Drift, parse_drift
 from recognition.grasp import Grasp
-from recognition.recognizers import DEFAULT_TRAINER, TRAINERS, trainer_names
+from recognition.recognizers import DEFAULT_TRAINER, TRAINERS, make_trainer, trainer_names
 
 SplitOption = Annotated[
     str, typer.Option("--split", help="chronological:FRACTION or shuffled:FRACTION to train on.")
@@ -45,6 +46,13 @@ def train(
     early: Annotated[
         bool, typer.Option("--early", help="Also teach with ramps cut short, for decide_early.")
     ] = False,
+    poses: Annotated[
+        bool,
+        typer.Option(
+            "--poses",
+            help="Keep what each pose told, for sequence.kind: active; 5 x the time.",
+        ),
+    ] = False,
     json_file: JsonOption = None,
 ) -> None:
     """Train a recogniser on data sets and write a model file."""
@@ -56,12 +64,15 @@ def train(
         say(f"NOTE: {twice} of {len(grasps)} grasps stand twice and count as two: too sure")
     taught = train_recognizer(grasps, recognizer, use_aperture=aperture)
     heads = teach_heads(grasps, recognizer, taught, use_aperture=aperture) if early else None
+    memory = None
+    if poses:
+        memory = remember_grasps(make_trainer(recognizer, use_aperture=aperture), grasps)
     save_model(
         model,
         taught,
         trainer_name=recognizer,
         pads=grasps[0].pads,
-        sections=heads_sections(heads),
+        sections={**heads_sections(heads), **memory_sections(memory)},
     )
     say(f"{recognizer} taught {len(taught.labels)} objects with {len(grasps)} grasps: {model}")
     write_json(
@@ -70,6 +81,7 @@ def train(
             "model": str(model),
             "recognizer": recognizer,
             "n_grasps": len(grasps),
+            "n_remembered": 0 if memory is None else len(memory.classes),
             "labels": list(taught.labels),
         },
     )

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from cell.build import Cell
-from cell.choosing import check_active
+from cell.choosing import ActiveChooser, memory_for
 from cell.config import CellConfig
 from cell.early_heads import loaded_heads
 from cell.errors import ModelError
@@ -122,9 +122,14 @@ def identify_on_cell(
     """Run one sequence; return its answer and, where the cell is simulated, what was held.
 
     A simulated cell that is not told what to hold draws one of its objects.
+
+    Raises
+    ------
+    ModelError
+        If the model was taught on other pads, or lacks what the config wants.
     """
     check_pads(model, cell.controller.pads)
-    check_active(config.sequence, taught=False)
+    memory = memory_for(config.sequence, model)
     early = loaded_heads(model, config.sequence)
     if held is None and config.positioner.kind == "simulated":
         objects = [entry.label for entry in config.simulator.objects]
@@ -135,6 +140,9 @@ def identify_on_cell(
         model.recognizer,
         plan(config.sequence, n_grasps, seed=config.seed + 1),
         early=early,
+        chooser=None
+        if memory is None
+        else ActiveChooser(memory, config.sequence, seed=config.seed + 1),
         read_shape=read_shape,
         on_grasp=lambda number, *_told: progress("identify", number, n_grasps),
     )

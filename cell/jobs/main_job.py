@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 
 from cell.build import Cell
-from cell.choosing import ActiveChooser, check_active, remember_records
+from cell.choosing import ActiveChooser, memory_sections, remember_grasps
 from cell.collect import GraspRecord
 from cell.config import CellConfig
 from cell.dataset import write_dataset
 from cell.early_heads import heads_sections, wanted_heads
-from cell.errors import CellError
 from cell.identification import Identification
 from cell.jobs.progress import Progress
 from cell.jobs.teaching import teach, train
@@ -26,7 +25,7 @@ from recognition.drift_following import DriftBelief
 from recognition.early import EarlyHeads
 from recognition.evaluation import wilson_interval
 from recognition.grasp import Grasp
-from recognition.next_pose import PoseMemory
+from recognition.pose_memory import PoseMemory
 from recognition.recognizer import UNKNOWN, Posterior, Recognizer
 from recognition.recognizers import make_trainer
 
@@ -156,10 +155,12 @@ def teach_and_identify(
     progress: Progress,
     recognizer: Recognizer | None = None,
     early: EarlyHeads | None = None,
+    memory: PoseMemory | None = None,
 ) -> MainResult:
     """Teach each object, train, identify each object ``n_trials`` times; write data set and model.
 
-    With a ``recognizer`` nothing is taught, and ``early`` are its heads for ramps that end early.
+    With a ``recognizer`` nothing is taught, ``early`` are its heads for ramps that end early, and
+    ``memory`` is what an active sequence goes by.
     Plans of teaching and of identifying are drawn with different seeds, so no pose and force is met
     twice.
 
@@ -170,10 +171,7 @@ def teach_and_identify(
     """
     started_s = time.monotonic()
     default = config.recognition.recognizer
-    check_active(config.sequence, taught=recognizer is None)
-    memory: PoseMemory | None = None
     taught: list[Grasp] = []
-    taught_records: list[GraspRecord] = []
     examples: dict[str, GraspRecord] = {}
     recognizers: dict[str, Recognizer] = {}
     dataset: Path | None = None
@@ -184,12 +182,14 @@ def teach_and_identify(
                 cell, config, label, n_teach, seed=_seed(config, 0, number), progress=progress
             )
             taught += [record.grasp for record in records]
-            taught_records += records
             examples[label] = max(records, key=lambda record: record.step.force_n)
         dataset = folder / "taught.npz"
         write_dataset(dataset, taught)
         progress("train", 0, 2)
         recognizers[default] = train(taught, default, use_aperture=config.recognition.use_aperture)
+        if config.sequence.kind == "active":
+            trainer = make_trainer(default, use_aperture=config.recognition.use_aperture)
+            memory = remember_grasps(trainer, taught)
         model = folder / "model.npz"
         early = wanted_heads(taught, recognizers[default], config)
         save_model(
@@ -197,13 +197,11 @@ def teach_and_identify(
             recognizers[default],
             trainer_name=default,
             pads=cell.controller.pads,
-            sections=heads_sections(early),
+            sections={**heads_sections(early), **memory_sections(memory)},
         )
         progress("train", 1, 2)
         if default != BASELINE:
             recognizers[BASELINE] = train(taught, BASELINE)
-        if config.sequence.kind == "active":
-            memory = _remember(config, taught_records)
         progress("train", 2, 2)
     else:
         recognizers[default] = recognizer
@@ -248,19 +246,6 @@ def teach_and_identify(
 def _seed(config: CellConfig, use: int, number: int) -> int:
     """Give each plan its own seed, so that none repeats another."""
     return int(np.random.SeedSequence([config.seed, use, number]).generate_state(1)[0])
-
-
-def _remember(config: CellConfig, records: Sequence[GraspRecord]) -> PoseMemory:
-    trainer = make_trainer(
-        config.recognition.recognizer, use_aperture=config.recognition.use_aperture
-    )
-    try:
-        return remember_records(trainer, records)
-    except ValueError as error:
-        raise CellError(
-            f"{len(records)} taught grasps do not suffice for an active sequence: {error}; "
-            "teach more grasps of each object, or choose random, grid or list"
-        ) from error
 
 
 def _trial(

@@ -1,17 +1,24 @@
 """Active sequences: the chooser's steps stay in the ranges, and the controller takes them."""
 
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from cell.choosing import ActiveChooser, check_active, step_settings
+from cell.choosing import SECTION, ActiveChooser, memory_for, memory_sections, remember_grasps
 from cell.config_sequence import SequenceConfig
-from cell.errors import CellError
+from cell.errors import CellError, ModelError
+from cell.jobs.identifying import identify_on_cell
+from cell.jobs.progress import silent
+from cell.model import LoadedModel, load_model, save_model
 from cell.pose import Pose
 from cell.sequence import GraspStep, plan
-from recognition.next_pose import PoseMemory
+from cell.taught import TaughtObjects
+from recognition.pose_memory import PoseMemory
 from recognition.recognizer import Posterior
+from recognition.recognizers import make_trainer
 
 LABELS = ("ball", "box")
 CONFIG = SequenceConfig(kind="active", candidates=16)
@@ -21,11 +28,12 @@ def memory() -> PoseMemory:
     """Grasps told the more, the larger their force."""
     rng = np.random.default_rng(0)
     classes = np.arange(80) % 2
-    settings = rng.uniform(-1.0, 1.0, (80, 7))
-    settings[:, 6] = rng.uniform(2.0, 8.0, 80)
+    placings = rng.uniform(-2e-3, 2e-3, (80, 5))
+    placings[:, 2:4] = rng.uniform(0.0, 6.28, (80, 2))
+    placings[:, 4] = rng.uniform(2.0, 8.0, 80)
     told = np.zeros((80, 2))
-    told[np.arange(80), classes] = 0.5 * settings[:, 6]
-    return PoseMemory(settings=settings, told=told, classes=classes)
+    told[np.arange(80), classes] = 0.5 * placings[:, 4]
+    return PoseMemory(labels=LABELS, placings=placings, told=told, classes=classes)
 
 
 def test_the_most_telling_candidate_is_taken_and_the_same_again() -> None:
@@ -45,22 +53,66 @@ def test_a_planned_step_that_tells_most_is_kept() -> None:
     assert chooser.next_step([], best) == best
 
 
-def test_half_a_turn_changes_nothing() -> None:
-    a = step_settings(GraspStep(pose=Pose(x_m=1e-3, rotation_rad=0.3), force_n=4.0))
-    b = step_settings(GraspStep(pose=Pose(x_m=1e-3, rotation_rad=0.3 + np.pi), force_n=4.0))
-    assert a == pytest.approx(b)
-    assert (a[0], a[-1]) == (1.0, 4.0)
-
-
 def test_active_plans_are_drawn_like_random_ones() -> None:
     assert plan(CONFIG, 3, seed=2) == plan(SequenceConfig(), 3, seed=2)
 
 
-def test_a_model_without_poses_is_refused() -> None:
-    check_active(CONFIG, taught=True)
-    check_active(SequenceConfig(), taught=False)
-    with pytest.raises(CellError, match="kind is active"):
-        check_active(CONFIG, taught=False)
+def test_a_model_with_poses_is_chosen_by_and_one_without_is_refused(
+    taught: Any, tmp_path: Path
+) -> None:
+    bare = load_model(taught.result.model)
+    assert memory_for(SequenceConfig(), bare) is None
+    with pytest.raises(CellError, match=r"model\.npz has none: train it with .*--poses"):
+        memory_for(CONFIG, bare)
+    known, path = memory(), tmp_path / "poses.npz"
+
+    def model(sections: Any) -> LoadedModel:
+        save_model(
+            path,
+            bare.recognizer,
+            trainer_name=bare.trainer_name,
+            pads=bare.pads,
+            sections=sections,
+        )
+        return load_model(path)
+
+    kept = memory_for(CONFIG, model(memory_sections(known)))
+    assert kept is not None
+    assert np.array_equal(kept.placings, known.placings)
+    other = {SECTION: known.to_arrays() | {"labels": np.array(["ball", "cone"])}}
+    with pytest.raises(ModelError, match="remembers ball, cone"):
+        memory_for(CONFIG, model(other))
+    with pytest.raises(ModelError, match="placings of a memory have shape"):
+        memory_for(CONFIG, model({SECTION: known.to_arrays() | {"placings": np.zeros((80, 4))}}))
+
+
+def test_identify_chooses_by_the_memory_in_the_model(
+    taught: Any, make_config: Any, make_bench: Any, tmp_path: Path
+) -> None:
+    bare, path = load_model(taught.result.model), tmp_path / "poses.npz"
+    config = make_config(sequence__kind="active", sequence__max_grasps=1)
+    save_model(
+        path,
+        bare.recognizer,
+        trainer_name=bare.trainer_name,
+        pads=bare.pads,
+        sections=memory_sections(memory()),
+    )
+    bench = make_bench(config)
+    with pytest.raises(CellError, match="--poses"):
+        identify_on_cell(bench.cell, config, bare, held="ball", progress=silent)
+    bench.controller.start()
+    found, _ = identify_on_cell(bench.cell, config, load_model(path), held="ball", progress=silent)
+    assert found.records[0].step.force_n > 6.5
+    with pytest.raises(CellError, match="--poses"):
+        TaughtObjects(config, bare)
+    assert TaughtObjects(config, load_model(path)).memory is not None
+
+
+def test_grasps_without_poses_cannot_be_chosen_by(taught: Any) -> None:
+    grasps = [replace(grasp, placing=None) for grasp in taught.grasps]
+    with pytest.raises(CellError, match="none of the grasps says at which pose"):
+        remember_grasps(make_trainer("shrinkage_lda"), grasps)
 
 
 def test_the_controller_takes_the_chosen_steps(bench: Any) -> None:

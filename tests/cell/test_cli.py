@@ -256,6 +256,7 @@ def test_train_writes_a_model(dataset: Path, tmp_path: Path) -> None:
         "model": str(path),
         "recognizer": "level_check",
         "n_grasps": 20,
+        "n_remembered": 0,
         "labels": ["ball", "box"],
     }
 

@@ -10,16 +10,19 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from cell.choosing import memory_for
 from cell.cli.app import app
 from cell.collect import pad_array
 from cell.config import CellConfig
 from cell.config_file import config_text
+from cell.config_sequence import SequenceConfig
 from cell.dataset import read_dataset, write_dataset
 from cell.errors import CellError, ConfigError
 from cell.goals import checked_goal
 from cell.hand_build import _calibration as calibration_of
 from cell.jobs.drawing import course_of, teach_drawing
 from cell.layouts import layout_from_config
+from cell.model import load_model
 from cell.pad_knowledge import PadKnowledge, calibrate_on_gauge, gauge_shape, usual_foam
 from cell.pose import Pose
 from cell.shapes import reader_under
@@ -101,7 +104,10 @@ def test_drawings_alone_name_what_the_cell_grasps(taught: Any, tmp_path: Path) -
         assert "not calibrated" in printed
         assert "simulator.noise: clipped_normal, level 1" in printed
     assert {g.source for g in read_dataset(drawings)} == {"drawing"}
-    call("train", drawings, "-o", model)
+    call("train", drawings, "-o", model, "--poses")
+    memory = memory_for(SequenceConfig(kind="active"), load_model(model))
+    assert memory is not None
+    assert len(np.unique(memory.placings, axis=0)) == 45
     write_dataset(own, taught.grasps)
     found = tmp_path / "found.json"
     printed = call("identify", own, "--model", model, "--json", found)

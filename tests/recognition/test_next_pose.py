@@ -1,87 +1,164 @@
-"""The chooser finds the settings that separate what is still possible."""
+"""The choice of the next grasp: it finds the placings that separate what is still possible."""
+
+import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from recognition.next_pose import PoseMemory, remember
+from recognition import next_pose
+from recognition.next_pose import best_of, expected_loss
+from recognition.placing import Placing
+from recognition.pose_memory import PoseMemory, remember
 from recognition.recognizer import Posterior
 from recognition.recognizers import make_trainer
 
 LABELS = ("a", "b", "c")
 
 
-def memory(n: int = 240, *, seed: int = 0) -> PoseMemory:
-    """Setting 0 separates a from b where it is large, setting 1 separates c from the others."""
+def placings(rng: np.random.Generator, n: int) -> NDArray[np.float64]:
+    low = [-2e-3, -2e-3, 0.0, 0.0, 2.0]
+    return rng.uniform(low, [2e-3, 2e-3, math.tau, math.tau, 8.0], (n, 5))
+
+
+def memory(n: int = 240, *, turned: bool = True, seed: int = 0) -> PoseMemory:
+    """a and b are told apart by a rotation of 0 or half a turn, c by a large x; or vice versa."""
     rng = np.random.default_rng(seed)
     classes = np.arange(n) % 3
-    settings = rng.uniform(-1.0, 1.0, (n, 3))
+    rows = placings(rng, n)
     told = np.zeros((n, 3))
     told[np.arange(n), classes] += 0.2
     ab = classes < 2
-    told[ab, classes[ab]] += 2.0 * (settings[ab, 0] + 1.0)
-    told[~ab, 2] += 2.0 * (settings[~ab, 1] + 1.0)
-    return PoseMemory(settings=settings, told=told, classes=classes)
+    by_turn, by_x = 2.0 * (np.cos(2.0 * rows[:, 2]) + 1.0), 1e3 * (rows[:, 0] + 2e-3)
+    told[np.arange(n), classes] += np.where(ab == turned, by_turn, by_x)
+    return PoseMemory(labels=LABELS, placings=rows, told=told, classes=classes)
 
 
 def posterior(*p: float) -> Posterior:
     return Posterior(labels=LABELS, probability=np.array(p), unknown=0.1)
 
 
-CORNERS = np.array([[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [-1.0, -1.0, 0.0]])
+CANDIDATES = np.array(
+    [
+        [-2e-3, 0.0, math.pi, 0.0, 5.0],
+        [2e-3, 0.0, 0.5 * math.pi, 0.0, 5.0],
+        [-2e-3, 0.0, 0.5 * math.pi, 0.0, 5.0],
+    ]
+)
 
 
 def test_what_separates_the_likely_labels_is_chosen() -> None:
     known = memory()
-    assert known.best_of([posterior(0.5, 0.49, 0.01)], CORNERS) == 0
-    turned = PoseMemory(
-        settings=known.settings[:, [1, 0, 2]], told=known.told, classes=known.classes
-    )
-    assert turned.best_of([posterior(0.5, 0.49, 0.01)], CORNERS) == 1
+    assert best_of(known, [posterior(0.5, 0.49, 0.01)], CANDIDATES) == 0
+    assert best_of(memory(turned=False), [posterior(0.5, 0.49, 0.01)], CANDIDATES) == 1
 
 
 def test_without_a_grasp_all_labels_count_alike() -> None:
-    loss = memory().expected_loss([], CORNERS)
+    loss = expected_loss(memory(), [], CANDIDATES)
     assert loss.shape == (3,)
     assert loss[2] == loss.max()
     assert loss[0] < loss[1]
 
 
+def test_half_a_turn_changes_nothing() -> None:
+    turned = CANDIDATES + np.array([0.0, 0.0, math.pi, math.pi, 0.0])
+    assert expected_loss(memory(), [], turned) == pytest.approx(
+        expected_loss(memory(), [], CANDIDATES)
+    )
+
+
 def test_a_setting_that_never_changed_does_not_matter() -> None:
     known = memory()
-    fixed = known.settings.copy()
-    fixed[:, 2] = 4.0
-    same = PoseMemory(settings=fixed, told=known.told, classes=known.classes)
-    near, far = (same.expected_loss([], np.add(CORNERS, [0.0, 0.0, x])) for x in (4.0, 99.0))
+    fixed = known.placings.copy()
+    fixed[:, 4] = 4.0
+    same = PoseMemory(labels=LABELS, placings=fixed, told=known.told, classes=known.classes)
+    near, far = (
+        expected_loss(same, [], CANDIDATES + np.array([0.0, 0.0, 0.0, 0.0, more_n]))
+        for more_n in (0.0, 9.0)
+    )
     assert near == pytest.approx(far)
+
+
+def test_labels_share_what_few_grasps_of_each_show() -> None:
+    """Four grasps of each of many labels show together that force helps; one label's chance not."""
+    rng = np.random.default_rng(5)
+    labels = tuple(f"object {i}" for i in range(12))
+    classes = np.repeat(np.arange(12), 4)
+    rows = placings(rng, 48)
+    told = np.zeros((48, 12))
+    told[np.arange(48), classes] = 0.5 * rows[:, 4] + rng.normal(0.0, 0.7, 48)
+    known = PoseMemory(labels=labels, placings=rows, told=told, classes=classes)
+    likely = Posterior(labels=labels, probability=np.array([0.5, 0.5] + [0.0] * 10), unknown=0.1)
+    asked = placings(rng, 200)
+    loss = expected_loss(known, [likely], asked)
+    assert np.corrcoef(loss, asked[:, 4])[0, 1] < -0.8
+
+
+def test_labels_are_regressed_as_by_one_system_with_shared_and_own_columns() -> None:
+    known = memory(60)
+    basis = next_pose._basis(known, known.placings)
+    member = np.eye(3)[known.classes]
+    basis -= (member @ (member.T @ basis)) / 20
+    own = [basis * member[:, [label]] for label in range(3)]
+    design = np.concatenate([basis, *own], axis=1)
+    loss = -np.log(np.exp(known.told) / np.exp(known.told).sum(axis=1, keepdims=True))
+    loss = loss[np.arange(60), known.classes]
+    loss -= member @ (member.T @ loss) / 20
+    shares = [next_pose._shares(next_pose._SHARED), *[next_pose._shares(next_pose._OWN)] * 3]
+    prior = np.diag(next_pose._NOISE / np.concatenate(shares))
+    slopes = np.linalg.solve(design.T @ design + prior, design.T @ loss).reshape(4, -1)
+    asked = next_pose._basis(known, CANDIDATES)
+    expected = asked @ (slopes[0] + slopes[1:].mean(axis=0))
+    assert expected_loss(known, [], CANDIDATES) == pytest.approx(expected)
+
+
+def test_what_does_not_fit_is_refused() -> None:
+    known = memory()
+    with pytest.raises(ValueError, match=r"expected \(m, 5\)"):
+        expected_loss(known, [], [[1.0, 2.0]])
+    two = Posterior(labels=("a", "b"), probability=np.array([0.5, 0.5]), unknown=0.1)
+    with pytest.raises(ValueError, match="3 remembered labels"):
+        expected_loss(known, [two], CANDIDATES)
+    for change, says in (
+        ({"placings": known.placings[:2]}, "shape"),
+        ({"told": known.told * np.nan}, "not finite"),
+        ({"classes": known.classes + 1}, "from 0 to 2"),
+        ({"classes": known.classes[:0]}, "at least one grasp"),
+    ):
+        with pytest.raises(ValueError, match=says):
+            PoseMemory.from_arrays(known.to_arrays() | change)
 
 
 def test_it_is_kept_as_arrays() -> None:
     known = memory()
     again = PoseMemory.from_arrays(known.to_arrays())
     ask = [posterior(0.4, 0.3, 0.3)]
-    assert again.expected_loss(ask, CORNERS) == pytest.approx(known.expected_loss(ask, CORNERS))
+    assert expected_loss(again, ask, CANDIDATES) == pytest.approx(
+        expected_loss(known, ask, CANDIDATES)
+    )
 
 
-def test_what_does_not_fit_is_refused() -> None:
-    known = memory()
-    with pytest.raises(ValueError, match="taught were 3 settings"):
-        known.expected_loss([], [[1.0, 2.0]])
-    two = Posterior(labels=("a", "b"), probability=np.array([0.5, 0.5]), unknown=0.1)
-    with pytest.raises(ValueError, match="3 taught labels"):
-        known.expected_loss([two], CORNERS)
-    with pytest.raises(ValueError, match="at least one grasp"):
-        PoseMemory(settings=np.zeros((0, 1)), told=np.zeros((0, 2)), classes=np.zeros(0, int))
-    with pytest.raises(ValueError, match="2 settings"):
-        PoseMemory(settings=known.settings[:2], told=known.told, classes=known.classes)
-    with pytest.raises(ValueError, match="not finite"):
-        PoseMemory(settings=known.settings * np.nan, told=known.told, classes=known.classes)
-
-
-def test_remembering_asks_about_each_taught_grasp(train) -> None:
-    settings = np.arange(2.0 * len(train)).reshape(-1, 2)
+def test_remembering_asks_about_each_taught_grasp_whose_placing_is_known(train) -> None:
+    rng = np.random.default_rng(3)
+    placed = [
+        replace(g, placing=None if i == 1 else Placing.of(row))
+        for i, (g, row) in enumerate(zip(train, placings(rng, len(train)), strict=True))
+    ]
     trainer = make_trainer("shrinkage_lda")
-    known = remember(trainer, train, settings)
-    assert len(known.classes) == len(train)
+    known = remember(trainer, placed)
+    assert len(known.classes) == len(train) - 1
+    assert known.placings[0] == pytest.approx(placed[0].placing.values)
+    assert known.placings[1] == pytest.approx(placed[2].placing.values)
     assert np.mean(known.told.argmax(axis=1) == known.classes) > 0.8
-    with pytest.raises(ValueError, match="1 settings"):
-        remember(trainer, train, settings[:1])
+    with pytest.raises(ValueError, match="none of the grasps says"):
+        remember(trainer, train)
+
+
+def test_a_placing_is_five_finite_numbers() -> None:
+    asked = Placing(x_m=1e-3, y_m=0.0, rotation_rad=1.0, roll_rad=2.0, force_n=5.0)
+    assert Placing.of(asked.values) == asked
+    with pytest.raises(ValueError, match="force_n of a placing is nan"):
+        Placing.of([0.0, 0.0, 0.0, 0.0, math.nan])
+    with pytest.raises(ValueError, match="argument"):
+        Placing.of([0.0])
