@@ -28,6 +28,7 @@ _END_BYTES = 22
 """End of central directory of a zip archive without its comment; members are counted at 10."""
 _PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 _MAGIC = b"\x93NUMPY"
+_RECORDING = b"\x89MCAP"
 _PLAIN_DTYPE = re.compile(r"[<>|=]?(?:[iu][1248]|f[248]|b1|\?|[US][0-9]{1,6})\Z")
 _REFUSED = (
     zipfile.BadZipFile,
@@ -126,6 +127,12 @@ def read_npz(
     if path.exists() and not path.is_file():
         raise error(f"cannot read {what} {path}: not a plain file; check the path")
     try:
+        with path.open("rb") as file:
+            if file.read(len(_RECORDING)) == _RECORDING:
+                raise error(
+                    f"{path} is a recording, no {what}; train, evaluate and replay take its grasps "
+                    "by its name, which ends in .mcap"
+                )
         with path.open("rb") as file, zipfile.ZipFile(file) as archive:
             members = archive.infolist()
             _check_directory(file, len(archive.comment), len(members))

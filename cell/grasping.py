@@ -44,7 +44,8 @@ class Grasper:
     sequence
         How the force grows.
     clock, wall_ms
-        Monotonic time, and the time that people read in ms since 1970.
+        Monotonic time, and the time that people read in ms since 1970. Somebody may set the
+        machine's clock back: the grasps of a run stay in order all the same.
     """
 
     def __init__(
@@ -64,6 +65,7 @@ class Grasper:
         self._journal = journal
         self._sequence = sequence
         self._wall_ms = wall_ms
+        self._last_start_ms = 0
         self._patient = PatientCaller(clock, hand.period_s)
         self.pads: PadArray = pad_array(hand.layout)
 
@@ -103,7 +105,7 @@ class Grasper:
                 self._hand.end_ramp()
 
         self._hand.open(self.watch)
-        start_ms = self._wall_ms()
+        start_ms = self._last_start_ms = max(self._wall_ms(), self._last_start_ms + 1)
         outcome = self._hand.grasp(self._ramp(step), watch)
         self._life.result = outcome.result
         record = GraspRecord(

@@ -12,6 +12,7 @@ from cell.config_file import config_text, load_config, schema_text
 from cell.errors import ConfigError
 from cell.files import write_text
 from cell.layouts import layout_from_config
+from cell.simulation import simulator_settings
 from tactile.dbc import dbc_text
 
 
@@ -31,6 +32,8 @@ def init(
 def check(path: Annotated[Path, typer.Argument(help="Config file.")]) -> None:
     """Check a config file; complaints name file, line, key and limit."""
     config = load_config(path)
+    if config.simulated:
+        simulator_settings(config)
     kind = "the simulated cell" if config.simulated else "real ports"
     say(f"{path}: valid ({config.name}; {kind})")
 

@@ -348,6 +348,16 @@ def test_a_replay_that_differs_fails(
 # -- config, doctor, simulate ----------------------------------------------------------------------
 
 
+def test_config_check_reads_shapes_too(
+    tmp_path: Path, fail: Callable[..., tuple[int, str]]
+) -> None:
+    path = tmp_path / "c.yaml"
+    path.write_text("simulator: {objects: [{label: a, shape: 'sphere:diameter=9'}]}\n")
+    code, said = fail("config", "check", path)
+    assert code == 2
+    assert "as in diameter=6mm" in said
+
+
 def test_config_init_check_and_schema(tmp_path: Path, fail: Callable[..., tuple[int, str]]) -> None:
     path = tmp_path / "new.yaml"
     call("config", "init", path)

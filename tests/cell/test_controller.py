@@ -84,6 +84,17 @@ def test_known_objects_are_collected_with_their_label(bench: Any) -> None:
     assert records[0].grasp.start_ms <= records[1].grasp.start_ms
 
 
+def test_a_machine_clock_set_back_leaves_the_grasps_in_order(
+    bench: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench.controller.start()
+    steps = plan(bench.cell.controller._sequence, 1, seed=4)
+    (before,) = bench.controller.collect("box", steps)
+    monkeypatch.setattr("time.time_ns", lambda: 1_000_000_000)
+    (after,) = bench.controller.collect("box", steps)
+    assert after.grasp.start_ms == before.grasp.start_ms + 1
+
+
 def test_the_same_seed_gives_the_same_grasp(make_bench: Callable[..., Any]) -> None:
     grasps = [make_bench().ready().grasp().grasp for _ in range(2)]
     np.testing.assert_array_equal(grasps[0].counts, grasps[1].counts)

@@ -209,6 +209,12 @@ class Bomb:
         return setattr, (Bomb, "exploded", True)
 
 
+def test_a_recording_is_no_data_set_and_called_what_it_is(tmp_path: Path) -> None:
+    (tmp_path / "r.npz").write_bytes(b"\x89MCAP0\r\n" + bytes(100))
+    with pytest.raises(DatasetError, match=r"is a recording, no grasp data set; .* in \.mcap"):
+        read_dataset(tmp_path / "r.npz")
+
+
 def test_pickle_in_disguise_is_refused_and_not_run(good: Path, tmp_path: Path) -> None:
     arrays = arrays_of(good) | {"label": np.array([Bomb()] * 3, dtype=object)}
     np.savez(tmp_path / "evil.npz", **arrays)  # type: ignore[arg-type]
