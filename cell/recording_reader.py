@@ -149,7 +149,7 @@ def recording_grasps(path: Path | str, *, salvage: bool = False) -> tuple[Grasp,
     if not recording.complete and not salvage:
         raise RecordingError(
             f"{path} is not complete: {recording.lost_reason}. "
-            f"{len(recording.grasps)} whole grasps can be salvaged from it, by `tactile-cell recover`"
+            f"{len(recording.grasps)} whole grasps can be salvaged: `tactile-cell recover` does it"
         )
     if not recording.grasps:
         raise RecordingError(f"{path} holds no whole grasp ({len(recording.frames)} frames)")
