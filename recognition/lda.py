@@ -23,12 +23,16 @@ class LinearDiscriminant:
         From scaled features to the discriminant space, where each class has unit covariance.
     centres : (C, r) float64
         Classes in the discriminant space.
+    whitening : (F, F) float64 or None
+        From scaled features to the whole space in which each class has unit covariance; None
+        where it was not kept.
     """
 
     mean: NDArray[np.float64]
     scale: NDArray[np.float64]
     projection: NDArray[np.float64]
     centres: NDArray[np.float64]
+    whitening: NDArray[np.float64] | None = None
 
     def project(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (n, r): features (n, F) in the discriminant space."""
@@ -39,14 +43,30 @@ class LinearDiscriminant:
         """Return (n, C): squared distance of each row to each class, in standard deviations."""
         return squared_distances(self.project(features), self.centres)
 
+    def beside(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (n,): squared distance of each row from all classes in the other directions.
+
+        Those are the directions outside of the discriminant space, where classes hardly differ.
+        ValueError where the whitening was not kept.
+        """
+        if self.whitening is None:
+            raise ValueError("the discriminant was fitted without keeping its whitening")
+        scaled = (features - self.mean) / self.scale
+        every = ((scaled @ self.whitening) ** 2).sum(axis=1)
+        within = ((scaled @ self.projection) ** 2).sum(axis=1)
+        return np.asarray(np.maximum(every - within, 0.0), dtype=np.float64)
+
     def to_arrays(self, prefix: str) -> dict[str, NDArray[Any]]:
         """Return everything as plain arrays under names that begin with the prefix."""
-        return {
+        arrays = {
             f"{prefix}mean": self.mean,
             f"{prefix}scale": self.scale,
             f"{prefix}projection": self.projection,
             f"{prefix}centres": self.centres,
         }
+        if self.whitening is not None:
+            arrays[f"{prefix}whitening"] = self.whitening
+        return arrays
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], prefix: str) -> Self:
@@ -56,6 +76,7 @@ class LinearDiscriminant:
             scale=arrays[f"{prefix}scale"],
             projection=arrays[f"{prefix}projection"],
             centres=arrays[f"{prefix}centres"],
+            whitening=arrays.get(f"{prefix}whitening"),
         )
 
 
@@ -78,6 +99,7 @@ def fit_lda(
     n_independent: int | None = None,
     weight: NDArray[np.float64] | None = None,
     max_rank: int | None = None,
+    keep_whitening: bool = False,
 ) -> LinearDiscriminant:
     """Fit to labelled rows.
 
@@ -101,6 +123,8 @@ def fit_lda(
     max_rank
         The most axes r of the discriminant space, those that separate best; None for as many as
         the means of the classes span. A single class keeps all.
+    keep_whitening
+        Whether `LinearDiscriminant.beside` is wanted.
 
     Raises
     ------
@@ -138,20 +162,26 @@ def fit_lda(
     covariance[np.diag_indices(n_features)] += rho * level + 1e-9
     # Classes live in the space spanned by their means; there a rotation makes axes independent.
     offsets = (means - mean) / scale
-    lower, _ = cho_factor(covariance, lower=True)
-    if n_classes == 1:
+    lower = np.tril(cho_factor(covariance, lower=True)[0])
+    whitening = None
+    if keep_whitening or n_classes == 1:
+        whitening = solve_triangular(lower, np.eye(n_features), lower=True).T
+    if whitening is not None and n_classes == 1:
         # Nothing to separate from: the whole whitened space tells how far a grasp is.
-        projection = solve_triangular(np.tril(lower), np.eye(n_features), lower=True).T
-        return LinearDiscriminant(
-            mean=mean, scale=scale, projection=projection, centres=np.zeros((1, n_features))
-        )
-    whitened = solve_triangular(np.tril(lower), offsets.T, lower=True)
-    left, singular, _ = np.linalg.svd(whitened, full_matrices=False)
-    rank = int(np.sum(singular > _RANK_TOLERANCE * max(float(singular[0]), 1e-300)))
-    axes = left[:, : rank if max_rank is None else min(rank, max_rank)]
-    projection = solve_triangular(np.tril(lower), axes, lower=True, trans="T")
+        projection, centres = whitening, np.zeros((1, n_features))
+    else:
+        whitened = solve_triangular(lower, offsets.T, lower=True)
+        left, singular, _ = np.linalg.svd(whitened, full_matrices=False)
+        rank = int(np.sum(singular > _RANK_TOLERANCE * max(float(singular[0]), 1e-300)))
+        axes = left[:, : rank if max_rank is None else min(rank, max_rank)]
+        projection = solve_triangular(lower, axes, lower=True, trans="T")
+        centres = offsets @ projection
     return LinearDiscriminant(
-        mean=mean, scale=scale, projection=projection, centres=offsets @ projection
+        mean=mean,
+        scale=scale,
+        projection=projection,
+        centres=centres,
+        whitening=whitening if keep_whitening else None,
     )
 
 

@@ -18,27 +18,41 @@ _SINGLE_SLOPE = 2.0
 
 def novelty_signs(
     distances: NDArray[np.float64],
+    own_distances: NDArray[np.float64],
     nearest_sample: NDArray[np.float64],
+    beside: NDArray[np.float64],
     second_opinion: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
-    """Return (n, 3) or (n, 5) signs of a strange grasp, all logarithms.
+    """Return (n, 5) or (n, 7) signs of a strange grasp, all logarithms.
 
     Parameters
     ----------
     distances : (n, C)
         Squared distance of each grasp to each class. With a single class the second sign, how
         much nearer the best class is than the next, is 0.
+    own_distances : (n, C)
+        The same, in standard deviations of each class instead of those that all share.
     nearest_sample : (n,)
         Squared distance to the nearest taught grasp.
+    beside : (n,)
+        Squared distance from all classes in the directions in which they do not differ: what they
+        have in common a new object need not have.
     second_opinion : (n, C), optional
         Squared distances seen by another discriminant: how far it finds the class that the first
         one finds nearest. An odd grasp of a taught object is far in both, a new object in one.
     """
     ordered = np.sort(distances, axis=1)
     next_best = ordered[:, min(1, ordered.shape[1] - 1)]
-    signs = [_log(ordered[:, 0]), _log(ordered[:, 0]) - _log(next_best), _log(nearest_sample)]
+    rows, nearest = np.arange(len(distances)), np.argmin(distances, axis=1)
+    signs = [
+        _log(ordered[:, 0]),
+        _log(ordered[:, 0]) - _log(next_best),
+        _log(nearest_sample),
+        _log(own_distances[rows, nearest]),
+        _log(beside),
+    ]
     if second_opinion is not None:
-        best = second_opinion[np.arange(len(distances)), np.argmin(distances, axis=1)]
+        best = second_opinion[rows, nearest]
         signs += [_log(best), _log(best) - _log(second_opinion.min(axis=1))]
     return np.stack(signs, axis=1)
 

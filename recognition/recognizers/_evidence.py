@@ -65,7 +65,7 @@ class Evidence:
     @property
     def n_signs(self) -> int:
         """Number of signs of strangeness."""
-        return 3 if self.second is None else 5
+        return 5 if self.second is None else 7
 
     def tell(self, rows: Rows, log_prior: NDArray[np.float64]) -> Telling:
         """Say what grasps tell when drifts have the prior (G, O)."""
@@ -84,16 +84,13 @@ class Evidence:
         found = [np.zeros((0, self.n_signs))]
         for start in range(0, len(rows.tactile), _ROWS_AT_ONCE):
             part = slice(start, start + _ROWS_AT_ONCE)
-            tactile = rows.tactile[part, gain]
-            touch, opening = self._project(tactile, rows.aperture[part, offset])
+            tactile, aperture = rows.tactile[part, gain], rows.aperture[part, offset]
+            touch, opening = self._project(tactile, aperture)
             z = touch + opening
-            found.append(
-                novelty_signs(
-                    squared_distances(z, self.discriminant.centres),
-                    squared_distances(z, self.samples).min(axis=1),
-                    None if self.second is None else self.second.distances(tactile),
-                )
-            )
+            distance = squared_distances(z, self.discriminant.centres)
+            own = self.spread.distances(z, distance)
+            nearest = squared_distances(z, self.samples).min(axis=1)
+            found.append(self._signs(distance, own, nearest, tactile, aperture))
         return np.concatenate(found)
 
     def under_drifts(self, rows: Rows) -> NDArray[np.float64]:
@@ -126,18 +123,32 @@ class Evidence:
         distance = np.maximum(distance, 0.0, out=distance)
         z = touch[gain] + opening[offset]
         squared = self._to_samples(z)
-        around = self._around(z, distance)
-        together = log_prior[order, None] + 0.5 * (around + self._near(squared))
-        opinion = None
-        if self.second is not None:
-            opinion = self.second.distances(tactile[[expected // len(aperture)]])
-        signs = novelty_signs(distance[-1:], squared[-1:].min(axis=1), opinion)[0]
-        return np.asarray(logsumexp(together, axis=0), dtype=np.float64), signs
+        own = self.spread.distances(z, distance)
+        together = log_prior[order, None] + 0.5 * (self._around(own) + self._near(squared))
+        gains, offsets = np.divmod([expected], len(aperture))
+        nearest = squared[-1:].min(axis=1)
+        signs = self._signs(distance[-1:], own[-1:], nearest, tactile[gains], aperture[offsets])
+        return np.asarray(logsumexp(together, axis=0), dtype=np.float64), signs[0]
 
-    def _around(self, z: NDArray[np.float64], distance: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return (h, C) logarithms of the likelihood around the centre of each class."""
-        own = self.spread.distances(z, distance) / self._rank
-        around: NDArray[np.float64] = -self._exponent * np.log1p(own) - self.spread.log_volume
+    def _signs(
+        self,
+        distance: NDArray[np.float64],
+        own: NDArray[np.float64],
+        nearest_sample: NDArray[np.float64],
+        tactile: NDArray[np.float64],
+        aperture: NDArray[np.float64],
+    ) -> NDArray[np.float64]:
+        beside = self.discriminant.beside(np.concatenate([tactile, aperture], axis=1))
+        opinion = None if self.second is None else self.second.distances(tactile)
+        return novelty_signs(distance, own, nearest_sample, beside, opinion)
+
+    def _around(self, own: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (h, C) logarithms of the likelihood around the centre of each class.
+
+        `own` (h, C) are squared distances in standard deviations of each class.
+        """
+        around: NDArray[np.float64] = -self._exponent * np.log1p(own / self._rank)
+        around -= self.spread.log_volume
         return around
 
     def _near(self, squared: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -281,7 +292,7 @@ def fit_evidence(
         weight=weight,
         max_rank=_MOST_AXES,
     )
-    first = teach(rows)
+    first = teach(rows, keep_whitening=True)
     second = None if n_second is None else teach(rows[:, :n_second])
     order = np.argsort(labels, kind="stable")
     labels, weight = labels[order], weight[order]

@@ -8,10 +8,11 @@ from recognition.novelty import KNOWN_KEPT, Novelty, fit_novelty, novelty_signs
 
 def test_signs_are_logarithms_of_distances():
     distances = np.array([[4.0, 1.0, 9.0]])
-    second = np.array([[2.0, 8.0, 6.0]])
-    signs = np.exp(novelty_signs(distances, np.array([0.5]), second)[0])
-    assert signs == pytest.approx([1.1, 1.1 / 4.1, 0.6, 8.1, 8.1 / 2.1])
-    assert novelty_signs(distances, np.array([0.5])).shape == (1, 3)
+    own, second = np.array([[7.0, 3.0, 2.0]]), np.array([[2.0, 8.0, 6.0]])
+    told = distances, own, np.array([0.5]), np.array([5.0])
+    signs = np.exp(novelty_signs(*told, second)[0])
+    assert signs == pytest.approx([1.1, 1.1 / 4.1, 0.6, 3.1, 5.1, 8.1, 8.1 / 2.1])
+    assert novelty_signs(*told)[0] == pytest.approx(np.log(signs[:5]))
 
 
 @pytest.fixture(scope="module")
