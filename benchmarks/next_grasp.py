@@ -52,10 +52,11 @@ SEEDS = (1, 2, 3)
 NOISE = 2.0
 _CANDIDATES = 24
 _LONGEST = 10
+_RUNS = 60
 _TAUGHT = 20
 _DRAWN = 60
-_POOL = 100
-_FIXED = 4
+_POOL = 80
+_FIXED = 3
 _SHOWN = (1, 2, 3, 5, 10)
 _COMPARED = ("random", "largest force", "active")
 
@@ -174,7 +175,7 @@ def measure(case: Case, seed: int, effort: float) -> dict[str, NDArray[np.float6
         return Asked(grasps, recognizer)
 
     pool = asked(_POOL, _LONGEST + 2, 2)
-    n_runs = repeats(60, effort, least=2)
+    n_runs = repeats(_RUNS, effort, least=2)
     return {
         "fixed pose": fixed_pose(asked(_FIXED, 1, 4, _LONGEST)),
         "random": right_after(pool, "random", n_runs),

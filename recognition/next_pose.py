@@ -11,7 +11,7 @@ from recognition.placing import COLUMNS
 from recognition.pose_memory import PoseMemory
 from recognition.recognizer import Posterior
 
-_SHARED = {"force": 0.08, "offset": 0.01, "rotation": 0.01, "roll": 0.01}
+_SHARED = {"force": 0.2, "offset": 0.01, "rotation": 0.01, "roll": 0.01}
 """Share of the spread of the losses within a label that a part of the setting is thought to
 explain beforehand, in the same way for all labels: a hard grasp shows more of anything."""
 _OWN = {"force": 0.01, "offset": 0.01, "rotation": 0.04, "roll": 0.01}
