@@ -211,6 +211,7 @@ class _Checker:
         if "pose" not in self._arrays:
             return [None] * n_grasps
         rows = self._floats("pose", (n_grasps, len(COLUMNS)), nan=True)
+        self._allow("pose", beyond_range("pose", rows[:, :2]))
         unknown = np.isnan(rows)
         if np.any(unknown.any(axis=1) != unknown.all(axis=1)):
             raise self._refuse("pose", "has a row that is known in part; write it or NaN alone")

@@ -156,9 +156,10 @@ DAMAGE: dict[str, tuple[Change, str]] = {
     "label too few": (lambda a: a.update(label=a["label"][:2]), "shape"),
     "pose with too few numbers": (lambda a: a.update(pose=np.zeros((3, 4))), "shape"),
     "pose known in part": (
-        lambda a: a.update(pose=np.where(np.eye(3, 5), np.nan, 1.0)),
+        lambda a: a.update(pose=np.where(np.eye(3, 5), np.nan, 0.1)),
         "known in part",
     ),
+    "pose in mm": (lambda a: a.update(pose=np.full((3, 5), 2.0)), "offsets stand in m"),
     "infinite pose": (lambda a: a.update(pose=np.full((3, 5), np.inf)), "not finite"),
     "openings in metres": (
         lambda a: a.update(aperture_mm=a["aperture_mm"] * 1e-3),
