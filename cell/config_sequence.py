@@ -72,7 +72,8 @@ class SequenceConfig(Section):
 
     kind: Literal["random", "grid", "list", "active"] = "random"
     """random: drawn from the ranges; grid: evenly spread over them; list: the listed poses;
-    active: of several drawn ones that which is expected to tell most (teaching draws at random)."""
+    active: of several drawn ones that which is expected to tell most (teaching draws at random; a
+    model file needs `train --poses`)."""
     x_mm: Range = (-2.0, 2.0)
     """Range of the offset along the fingers in mm, within -100 to 100."""
     y_mm: Range = (-2.0, 2.0)
