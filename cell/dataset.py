@@ -31,6 +31,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cell.dataset_units import (
+    RANGES,
     beyond_range,
     frames_ill_timed,
     openings_too_small,
@@ -140,6 +141,9 @@ def _arrays_of(path: Path, grasps: Sequence[Grasp]) -> dict[str, NDArray[Any]]:
     if any(grasp.placing for grasp in grasps):
         unknown = (np.nan,) * len(COLUMNS)
         arrays["pose"] = np.array([g.placing.values if g.placing else unknown for g in grasps])
+    for name in RANGES.keys() & arrays.keys():
+        if wrong := beyond_range(name, arrays[name]):
+            raise DatasetError(f"cannot write data set {path}: {name} {wrong}")
     return arrays
 
 

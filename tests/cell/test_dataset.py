@@ -210,6 +210,12 @@ class Bomb:
         return setattr, (Bomb, "exploded", True)
 
 
+def test_what_could_not_be_read_again_is_not_written(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match=r"cannot write .* start_ms is 2e\+15 at 1, must be"):
+        write_dataset(tmp_path / "d.npz", [make_grasp(), make_grasp(start_ms=2 * 10**15)])
+    assert not (tmp_path / "d.npz").exists()
+
+
 def test_a_recording_is_no_data_set_and_called_what_it_is(tmp_path: Path) -> None:
     (tmp_path / "r.npz").write_bytes(b"\x89MCAP0\r\n" + bytes(100))
     with pytest.raises(DatasetError, match=r"is a recording, no grasp data set; .* in \.mcap"):
