@@ -26,7 +26,7 @@ from recognition.metrics import wilson_interval
 from recognition.ramp import learn_rest
 from recognition.ramp_levels import Levels, load_levels
 from recognition.recognizers._class_spread import ClassSpread
-from recognition.recognizers._evidence import fit_evidence
+from recognition.recognizers._evidence_fit import fit_evidence
 from recognition.recognizers._telling import Rows
 from recognition.splits import by_label, chronological_split
 from recognition.taxel_gain import learn_taxel_gains

@@ -8,30 +8,24 @@ its own, and around its taught grasps.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import partial
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import logsumexp
 
-from recognition.lda import LinearDiscriminant, fit_lda, squared_distances
+from recognition.lda import LinearDiscriminant, squared_distances
 from recognition.novelty import novelty_signs
-from recognition.recognizers._class_spread import ClassSpread, fit_spread
+from recognition.recognizers._class_spread import ClassSpread
 from recognition.recognizers._telling import Rows, Telling
 
 _FREEDOM = 3.0
-_VIRTUAL_WEIGHT = 0.3
 _MAX_HYPOTHESES = 24
 """Drifts that the taught grasps are compared under: the likeliest ones; others hardly count."""
 _PARTS = 4
 _DOUBT = 2.0
 """The likelihood of a drift is taken to this root: features are not as independent as it says."""
-_MOST_AXES = 48
-"""Beyond these, means of many classes differ by little else than the few grasps of each."""
 _ROWS_AT_ONCE = 256
-_MIN_SHRINKAGE = 0.15
-"""Grasps of another placing vary in other directions than the taught ones do."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -53,6 +47,9 @@ class Evidence:
         Logarithm of how much each of them counts; those of a class sum to 1.
     spread
         How the grasps of each class vary in that space.
+    reach
+        Squared distances are divided by it: grasps of another time lie further out than those that
+        taught, and the fewer taught the further. Without it a drift would be the better reason.
     """
 
     discriminant: LinearDiscriminant
@@ -61,6 +58,7 @@ class Evidence:
     sample_class: NDArray[np.int64]
     log_weight: NDArray[np.float64]
     spread: ClassSpread
+    reach: float = 1.0
 
     @property
     def n_signs(self) -> int:
@@ -93,6 +91,16 @@ class Evidence:
             found.append(self._signs(distance, own, nearest, tactile, aperture))
         return np.concatenate(found)
 
+    def spread_of(
+        self, features: NDArray[np.float64], classes: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """Return (n,): how far grasps of known classes lie from their centres.
+
+        Squared distances, where 1 is expected of grasps that lie like the taught ones.
+        """
+        off = self.discriminant.project(features) - self.discriminant.centres[classes]
+        return np.asarray((off**2).mean(axis=1), dtype=np.float64)
+
     def under_drifts(self, rows: Rows) -> NDArray[np.float64]:
         """Return (n, G, O): log likelihood of each drift, whatever was held, up to a constant."""
         shape = rows.tactile.shape[1], rows.aperture.shape[1]
@@ -114,7 +122,7 @@ class Evidence:
         # Gain by gain: the array of all pairs and classes would leave the processor's cache.
         least = np.array([(one + from_opening).min(axis=1) for one in from_touch])
         nearest = np.maximum(least + both, 0.0).ravel()
-        centre = -self._exponent * np.log1p(nearest / self._rank)
+        centre = -self._exponent * np.log1p(nearest / self._scale)
         expected = int(np.argmax(log_prior))
         order = np.argsort(-(log_prior + centre))[:_MAX_HYPOTHESES]
         order = np.append(order[order != expected], expected)
@@ -147,14 +155,14 @@ class Evidence:
 
         `own` (h, C) are squared distances in standard deviations of each class.
         """
-        around: NDArray[np.float64] = -self._exponent * np.log1p(own / self._rank)
+        around: NDArray[np.float64] = -self._exponent * np.log1p(own / self._scale)
         around -= self.spread.log_volume
         return around
 
     def _near(self, squared: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (h, C) logarithms of the likelihood around the taught grasps of each class."""
         # In place: of many taught grasps, new memory takes as long as the arithmetic.
-        density = squared / self._rank
+        density = squared / self._scale
         np.log1p(density, out=density)
         density *= -self._exponent
         density += self.log_weight
@@ -214,6 +222,10 @@ class Evidence:
         return float(self.samples.shape[1])
 
     @property
+    def _scale(self) -> float:
+        return self._rank * self.reach
+
+    @property
     def _exponent(self) -> float:
         return 0.5 * (self._rank + _FREEDOM)
 
@@ -223,6 +235,7 @@ class Evidence:
             f"{prefix}samples": self.samples,
             f"{prefix}sample_class": self.sample_class,
             f"{prefix}log_weight": self.log_weight,
+            f"{prefix}reach": np.array(self.reach),
             f"{prefix}has_second": np.array(self.second is not None),
             **self.discriminant.to_arrays(f"{prefix}lda_"),
             **self.spread.to_arrays(f"{prefix}spread_"),
@@ -244,65 +257,5 @@ class Evidence:
             sample_class=arrays[f"{prefix}sample_class"],
             log_weight=arrays[f"{prefix}log_weight"],
             spread=ClassSpread.from_arrays(arrays, f"{prefix}spread_"),
+            reach=float(arrays[f"{prefix}reach"]),
         )
-
-
-def fit_evidence(
-    features: NDArray[np.float64],
-    classes: NDArray[np.int64],
-    n_classes: int,
-    *,
-    virtual: NDArray[np.float64] | None = None,
-    n_second: int | None = None,
-) -> Evidence:
-    """Teach classes.
-
-    Parameters
-    ----------
-    features : (n, F)
-        Finite features.
-    classes : (n,)
-        Class of each row.
-    n_classes
-        Number of classes.
-    virtual : (n, F), optional
-        Features of a virtual grasp for each row; it counts 0.3 of a real one.
-    n_second
-        How many of the first features the second opinion goes by; None for no second opinion.
-
-    Raises
-    ------
-    ValueError
-        The rows do not show how grasps of one class vary.
-    """
-    n = len(features)
-    rows, labels, weight = features, classes, np.ones(n)
-    if virtual is not None:
-        rows = np.concatenate([features, virtual])
-        labels = np.concatenate([classes, classes])
-        weight = np.concatenate([weight, np.full(n, _VIRTUAL_WEIGHT)])
-    if n <= n_classes:
-        rows, labels, weight = features, classes, np.ones(n)
-    teach = partial(
-        fit_lda,
-        classes=labels,
-        n_classes=n_classes,
-        min_shrinkage=_MIN_SHRINKAGE,
-        n_independent=n,
-        weight=weight,
-        max_rank=_MOST_AXES,
-    )
-    first = teach(rows, keep_whitening=True)
-    second = None if n_second is None else teach(rows[:, :n_second])
-    order = np.argsort(labels, kind="stable")
-    labels, weight = labels[order], weight[order]
-    total = np.bincount(labels, weights=weight, minlength=n_classes)
-    samples = first.project(rows[order])
-    return Evidence(
-        discriminant=first,
-        second=second,
-        samples=samples,
-        sample_class=labels,
-        log_weight=np.log(weight / total[labels]),
-        spread=fit_spread(samples, labels, weight, first.centres),
-    )

@@ -1,18 +1,19 @@
 """One way to look at a grasp: its classes, their temperature and the sense of the strange."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recognition.calibration import blocked_folds, fit_temperature, out_of_sample, to_probability
+from recognition.calibration import blocked_folds, fit_temperature, to_probability
 from recognition.dependence import fit_dependence
 from recognition.drift import DriftGrid
 from recognition.drift_sense import DriftSense, fit_drift_sense
 from recognition.novelty import Novelty, fit_novelty
-from recognition.recognizers._evidence import Evidence, fit_evidence
+from recognition.recognizers._evidence import Evidence
+from recognition.recognizers._evidence_fit import fit_evidence
 from recognition.recognizers._telling import Rows
 
 _BLOCKS = 3
@@ -135,22 +136,22 @@ class Lesson:
 
 def fit_view(lesson: Lesson) -> View:
     """Teach a view. Raises ValueError where the rows do not show how grasps of a class vary."""
-    evidence = lesson.fit()
     classes, prior = lesson.classes, lesson.grid.log_prior
     blocks = blocked_folds(classes, _BLOCKS)
+    fits = [lesson.fit(~held_out) for held_out in blocks]
+    reach = _reach(lesson, blocks, fits)
+    evidence = replace(lesson.fit(), reach=reach)
     signs = np.full((len(classes), evidence.n_signs), np.nan)
+    scores = np.full((len(classes), lesson.n_classes), np.nan)
     drifts: list[NDArray[np.float64]] = []
     every = -(-len(classes) // _DRIFT_GRASPS)
-
-    def score(fit: NDArray[np.bool_], test: NDArray[np.bool_]) -> NDArray[np.float64]:
-        held_out, rows = lesson.fit(fit), lesson.rows.take(test)
+    for held_out, fit in zip(blocks, fits, strict=True):
+        rows = lesson.rows.take(held_out)
         few = np.arange(len(rows.tactile)) % every == 0
-        drifts.append(held_out.under_drifts(rows.take(few)))
-        told = held_out.tell(rows, prior)
-        signs[test] = told.signs
-        return told.scores
-
-    scores, scored = out_of_sample(score, blocks, lesson.n_classes)
+        drifts.append(fit.under_drifts(rows.take(few)))
+        told = replace(fit, reach=reach).tell(rows, prior)
+        scores[held_out], signs[held_out] = told.scores, told.signs
+    scored = np.any(blocks, axis=0)
     scores, signs, classes = scores[scored], signs[scored], classes[scored]
     known, left_out = _leave_out(lesson, blocks, evidence.n_signs)
     temperature = fit_temperature(scores, classes)
@@ -166,6 +167,20 @@ def fit_view(lesson: Lesson) -> View:
         drift_sense=_drift_sense(lesson),
         drift_bias=np.concatenate(drifts).mean(axis=0),
     )
+
+
+def _reach(lesson: Lesson, blocks: Sequence[NDArray[np.bool_]], fits: Sequence[Evidence]) -> float:
+    """Return how far out the middle one of the held-out grasps lies, at least 1.
+
+    By touch alone it is 1: a gain alone hardly turns one object into another.
+    """
+    if lesson.rows.aperture.shape[2] == 0:
+        return 1.0
+    found = [
+        fit.spread_of(lesson.features[held_out], lesson.classes[held_out])
+        for held_out, fit in zip(blocks, fits, strict=True)
+    ]
+    return max(1.0, float(np.median(np.concatenate(found))))
 
 
 def _drift_sense(lesson: Lesson) -> DriftSense | None:

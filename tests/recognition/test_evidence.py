@@ -1,14 +1,17 @@
 """What a grasp tells of many classes under drifts: the quick way against the plain formulas."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.special import logsumexp
 from scipy.stats import ortho_group
 
-from recognition.drift import drift_grid
+from recognition.drift import CERTAIN, drift_grid
 from recognition.lda import fit_lda
-from recognition.recognizers._evidence import fit_evidence
+from recognition.recognizers._evidence_fit import fit_evidence
 from recognition.recognizers._telling import Rows
+from recognition.recognizers._view import Lesson, fit_view
 
 N_CLASSES = 70
 FEATURES = 90
@@ -36,28 +39,31 @@ def plain_scores(evidence, tactile, aperture, log_prior):
     """Return scores (C,) of one grasp by whole matrices and without shortcuts."""
     lda = evidence.discriminant
     rank = evidence.samples.shape[1]
+    scale = rank * evidence.reach
     pairs = [(g, o) for g in range(len(tactile)) for o in range(len(aperture))]
     z = lda.project(np.array([np.concatenate([tactile[g], aperture[o]]) for g, o in pairs]))
     apart = ((z[:, None] - lda.centres) ** 2).sum(axis=2)
     exponent = 0.5 * (rank + 3.0)
-    likely = log_prior.ravel() - exponent * np.log1p(apart.min(axis=1) / rank)
+    likely = log_prior.ravel() - exponent * np.log1p(apart.min(axis=1) / scale)
     chosen = set(np.argsort(-likely)[:24].tolist()) | {int(np.argmax(log_prior))}
     parts = []
     for pair in chosen:
         own = evidence.spread.distances(z[[pair]], apart[[pair]])[0]
-        around = -exponent * np.log1p(own / rank) - evidence.spread.log_volume
+        around = -exponent * np.log1p(own / scale) - evidence.spread.log_volume
         squared = ((z[pair] - evidence.samples) ** 2).sum(axis=1)
-        density = evidence.log_weight - exponent * np.log1p(squared / rank)
+        density = evidence.log_weight - exponent * np.log1p(squared / scale)
         near = [logsumexp(density[evidence.sample_class == c]) for c in range(len(around))]
         near = np.logaddexp(near, density.max() + np.log(1e-30))
         parts.append(log_prior.ravel()[pair] + 0.5 * (around + near))
     return logsumexp(parts, axis=0)
 
 
-def test_scores_are_those_of_the_plain_formulas(many):
+@pytest.mark.parametrize("reach", [1.0, 3.0])
+def test_scores_are_those_of_the_plain_formulas(many, reach):
     evidence, rows, log_prior = many
+    evidence = replace(evidence, reach=reach)
     told = evidence.tell(rows, log_prior)
-    for n in range(0, len(told.scores), 3):
+    for n in range(0, len(told.scores), 4):
         plain = plain_scores(evidence, rows.tactile[n], rows.aperture[n], log_prior)
         assert told.scores[n] == pytest.approx(plain, abs=1e-6)
 
@@ -94,3 +100,42 @@ def test_the_axes_kept_are_those_that_separate_best():
     assert few.projection == pytest.approx(whole.projection[:, :2])
     same = few.distances(rows).argmin(axis=1) == whole.distances(rows).argmin(axis=1)
     assert np.mean(same) > 0.95
+
+
+def lesson(n_grasps, n_opening, step):
+    """Return a lesson of five objects, each a random walk of placings with the given step."""
+    rng = np.random.default_rng(8)
+    classes = np.repeat(np.arange(5), n_grasps)
+    walk = step * rng.normal(size=(5, n_grasps, 12)).cumsum(axis=1).reshape(-1, 12)
+    features = rng.normal(0.0, 6.0, (5, 12))[classes] + rng.normal(size=walk.shape) + walk
+    n_touch = 12 - n_opening
+    return Lesson(
+        features=features,
+        virtual=None,
+        rows=Rows(tactile=features[:, None, :n_touch], aperture=features[:, None, n_touch:]),
+        classes=classes,
+        n_classes=5,
+        n_second=n_touch if n_opening else None,
+        grid=CERTAIN,
+    )
+
+
+def test_few_grasps_and_placings_that_walk_make_later_grasps_reach_further_out():
+    steady, few, walking = (
+        fit_view(lesson(n, 2, step)).evidence.reach for n, step in ((30, 0.0), (3, 0.0), (30, 0.5))
+    )
+    assert steady == pytest.approx(1.0, abs=0.15)
+    assert few > 1.3
+    assert walking > 1.3
+
+
+def test_by_touch_alone_nothing_reaches_further_out():
+    assert fit_view(lesson(3, 0, 0.5)).evidence.reach == 1.0
+
+
+def test_reach_comes_back_from_the_arrays(many):
+    evidence, rows, log_prior = many
+    far = replace(evidence, reach=2.5)
+    again = type(far).from_arrays(far.to_arrays("a_"), "a_")
+    few = rows.take(np.arange(len(rows.tactile)) < 2)
+    assert np.array_equal(again.tell(few, log_prior).scores, far.tell(few, log_prior).scores)
