@@ -136,7 +136,7 @@ def grasp_and_classify(
         decision = decide(posteriors, rule)
         if decision.kind is not DecisionKind.CONTINUE:
             break
-    told = [shape for shape in shapes if shape is not None]
+    shape = _fused(shapes, complaints)
     return Identification(
         label=decision.label,
         probability=decision.probability,
@@ -147,5 +147,15 @@ def grasp_and_classify(
         drift=recognizer.belief if isinstance(recognizer, Following) else None,
         complaints=tuple(complaints),
         shapes=tuple(shapes),
-        shape=fuse_shapes(told) if told else None,
+        shape=shape,
     )
+
+
+def _fused(shapes: Sequence[ShapeAnswer | None], complaints: list[str]) -> ShapeAnswer | None:
+    """Return shape and size by all grasps; what goes wrong is a complaint, never the label's."""
+    told = [shape for shape in shapes if shape is not None]
+    try:
+        return fuse_shapes(told) if told else None
+    except Exception as error:
+        complaints.append(f"shape of all grasps: {type(error).__name__}: {error}")
+        return None

@@ -3,6 +3,7 @@
 import re
 import threading
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -210,6 +211,20 @@ def test_the_label_does_not_hang_on_whoever_reads_the_shape(bench: Any) -> None:
     )
     assert (found.label, found.shapes, found.shape) == ("ball", (None, None), None)
     assert found.complaints == ("shape of grasp 2: ValueError: no law",)
+
+
+def test_nor_on_whether_shapes_can_be_fused(bench: Any, make_config: Callable[..., Any]) -> None:
+    bench.ready()
+    read = shape_reader(make_config())
+    assert read is not None
+    found = bench.controller.identify(
+        Sure(2),
+        plan(bench.controller._sequence, 2, seed=1),
+        read_shape=lambda grasp: replace(read(grasp), evidence=()),
+    )
+    assert (found.label, found.shape) == ("ball", None)
+    (complaint,) = found.complaints
+    assert complaint.startswith("shape of all grasps: ValueError: a fused shape")
 
 
 def test_a_config_may_want_no_shapes(make_config: Callable[..., Any]) -> None:
