@@ -142,7 +142,8 @@ def _arrays_of(path: Path, grasps: Sequence[Grasp]) -> dict[str, NDArray[Any]]:
         unknown = (np.nan,) * len(COLUMNS)
         arrays["pose"] = np.array([g.placing.values if g.placing else unknown for g in grasps])
     for name in RANGES.keys() & arrays.keys():
-        if wrong := beyond_range(name, arrays[name]):
+        values = arrays[name][:, :2] if name == "pose" else arrays[name]
+        if wrong := beyond_range(name, values):
             raise DatasetError(f"cannot write data set {path}: {name} {wrong}")
     return arrays
 
