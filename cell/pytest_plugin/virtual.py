@@ -12,6 +12,7 @@ from cell.jobs.teaching import teach, train
 from cell.pose import Pose
 from cell.sequence import GraspStep, plan
 from cell.shapes import shape_reader
+from recognition.early import EarlyHeads
 from recognition.recognizer import Recognizer
 from simulator.assembly import SimulatedCell
 from simulator.clock import VirtualClock
@@ -127,12 +128,23 @@ class VirtualCell:
             use_aperture=wanted.use_aperture,
         )
 
-    def identify(self, recognizer: Recognizer, present: str, *, seed: int = 1) -> Identification:
-        """Have an object brought and identify it; ``present`` is known to the simulator alone."""
+    def identify(
+        self,
+        recognizer: Recognizer,
+        present: str,
+        *,
+        seed: int = 1,
+        early: EarlyHeads | None = None,
+    ) -> Identification:
+        """Have an object brought and identify it; ``present`` is known to the simulator alone.
+
+        With ``early`` (`cell.early_heads.teach_heads`) ramps end as soon as they suffice.
+        """
         self.controller.present(present)
         sequence = self.config.sequence
         return self.controller.identify(
             recognizer,
             plan(sequence, sequence.max_grasps, seed=seed),
+            early=early,
             read_shape=shape_reader(self.config),
         )
