@@ -46,12 +46,17 @@ class Tally:
         right = [one.label == truth for one, truth in zip(self.found, self.truths, strict=True)]
         low, high = wilson_interval(sum(right), len(right))
         grasp_s = np.mean([record.duration_s for record in records])
+        contacts_s = [
+            (record.outcome.contact_t_s or record.cycles[0].t_s) - record.cycles[0].t_s
+            for record in records
+        ]
         force_n = np.mean([record.cycles[-1].setpoint_n for record in records])
         ended = np.mean([record.early is not None for record in records])
         return (
             f"{sum(right)} of {len(right)} right ({100 * low:.0f}-{100 * high:.0f} %); "
             f"{np.mean(self.seconds):.2f} s, {len(records) / len(right):.2f} grasps; a grasp "
-            f"{grasp_s:.2f} s to {force_n:.1f} N, {100 * ended:.0f} % ended early"
+            f"{grasp_s:.2f} s ({np.mean(contacts_s):.2f} s to the contact) to {force_n:.1f} N, "
+            f"{100 * ended:.0f} % ended early"
         )
 
 

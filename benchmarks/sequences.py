@@ -13,7 +13,7 @@ import numpy as np
 from benchmarks._measure import line, repeats
 from benchmarks._posed_grasps import Placing, Sensing, draw_placing, posed_grasp
 from cell.dataset import read_dataset
-from recognition.early import EarlyTrainer, looking
+from recognition.early import EarlyTrainer
 from recognition.fusion import DecisionKind, StopRule, decide, fuse
 from recognition.grasp import Grasp
 from recognition.metrics import expected_calibration_error, wilson_interval
@@ -116,7 +116,7 @@ def show_early(train: Sequence[Grasp], test: Sequence[Grasp], use_aperture: bool
     full_s = float(np.mean([g.t_s[-1] for g in test]))
     line("    whole ramp", f"{100 * np.mean(whole):.1f} % right after {full_s:.2f} s")
     for wanted in EARLY_WANTED:
-        found = [early.answer(g, looking(StopRule(error_rate=wanted))) for g in test]
+        found = [early.answer(g, StopRule(error_rate=wanted)) for g in test]
         right = [a.posterior.best == g.label for a, g in zip(found, test, strict=True)]
         seconds = [g.t_s[a.n_frames - 1] for a, g in zip(found, test, strict=True)]
         sure = [a.decided for a in found]
