@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 from recognition.features_aperture import aperture_features
 from recognition.features_footprint import Footprint, PadGrid, describe_footprint
 from recognition.features_growth import growth_features
+from recognition.features_harmonics import harmonic_features
 from recognition.features_profile import profile_features
 from recognition.features_surface import surface_features
 from recognition.ramp_levels import Levels
 
-FEATURE_VERSION = 3
+FEATURE_VERSION = 4
 """Changes with every change of a feature: models of another version are refused."""
 
 FeatureGroups = dict[str, NDArray[np.float64]]
@@ -44,6 +45,11 @@ def feature_groups(levels: Levels, grids: Sequence[PadGrid]) -> FeatureGroups:
     if len(prints) > 1:
         groups["pads"] = _differences(prints[0], prints[1], n)
     return groups
+
+
+def close_up_features(levels: Levels, grids: Sequence[PadGrid]) -> NDArray[np.float64]:
+    """Return the circular harmonics of each pad's patch, (n, F) float64; no gain changes them."""
+    return _of_each_pad(harmonic_features, levels, grids)
 
 
 def _of_each_pad(

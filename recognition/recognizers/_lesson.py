@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recognition.drift import DriftGrid, undo_gains
-from recognition.features import feature_groups
+from recognition.features import close_up_features, feature_groups
 from recognition.features_aperture import aperture_features, undo_offsets
 from recognition.features_footprint import PadGrid, pad_grid
 from recognition.ramp import Rest
@@ -42,14 +42,13 @@ def make_lesson(
         # patches that are turned hurt.
         turned = change_sides(levels if opening else turn(levels))
         virtual = _features(turned, grids, n_classes, opening=opening)
-    both = opening and n_classes > 1
     return Lesson(
         features=_features(levels, grids, n_classes, opening=opening),
         virtual=virtual,
-        rows=make_rows(undone, levels, n_classes, grid, opening=opening),
+        rows=make_rows(undone, levels, grids, n_classes, grid, opening=opening),
         classes=classes,
         n_classes=n_classes,
-        n_second=undone.shape[2] if both else None,
+        n_second=undone.shape[2] if n_classes > 1 else None,
         grid=grid,
     )
 
@@ -59,7 +58,10 @@ def _features(
 ) -> NDArray[np.float64]:
     """Return the features of a view, (n, F); of one object, touch or the opening alone."""
     if not opening:
-        return _tactile(levels, grids, n_classes)
+        tactile = _tactile(levels, grids, n_classes)
+        if n_classes == 1:
+            return tactile
+        return np.concatenate([tactile, close_up_features(levels, grids)], axis=1)
     aperture = aperture_features(levels)
     if n_classes == 1:
         return aperture
@@ -77,6 +79,7 @@ def undone_gains(
 def make_rows(
     undone: NDArray[np.float64],
     levels: Levels,
+    grids: Sequence[PadGrid],
     n_classes: int,
     grid: DriftGrid,
     *,
@@ -85,6 +88,11 @@ def make_rows(
     """Return the features of a view under each drift of the grid; see `undone_gains`."""
     if not opening:
         none = np.zeros((len(levels), len(grid.offsets_mm), 0))
+        if n_classes > 1:
+            # The opening leaves too little open for the patch close up to add anything there.
+            close_up = close_up_features(levels, grids)[:, None]
+            alike = np.repeat(close_up, undone.shape[1], axis=1)
+            undone = np.concatenate([undone, alike], axis=2)
         return Rows(tactile=undone, aperture=none)
     aperture = undo_offsets(aperture_features(levels), grid.offsets_mm)
     return Rows(tactile=undone[..., :0] if n_classes == 1 else undone, aperture=aperture)

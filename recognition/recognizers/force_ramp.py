@@ -152,8 +152,9 @@ class ForceRamp:
 
     def _rows(self, levels: Levels, view: View, grid: DriftGrid) -> Rows:
         n, opening = len(self.labels), view is self.both
-        undone = undone_gains(levels, pad_grids(self.rest), n, grid)
-        return make_rows(undone, levels, n, grid, opening=opening)
+        grids = pad_grids(self.rest)
+        undone = undone_gains(levels, grids, n, grid)
+        return make_rows(undone, levels, grids, n, grid, opening=opening)
 
     def _view(self, levels: Levels, grid: DriftGrid | None = None) -> tuple[View, DriftGrid]:
         grid = self.grid if grid is None else grid
