@@ -37,8 +37,8 @@ class Evidence:
     discriminant
         The classes, by the features of touch and then those of the opening.
     second
-        Another discriminant that gives a second opinion on strangeness, by touch alone; None for
-        none.
+        Another discriminant, by the first features of touch, that gives a second opinion on
+        strangeness, and on drifts where the opening is not used; None for none.
     samples : (m, r) float64
         The taught grasps in the discriminant space, and virtual ones, sorted by class.
     sample_class : (m,) int64
@@ -106,10 +106,21 @@ class Evidence:
         shape = rows.tactile.shape[1], rows.aperture.shape[1]
         found = []
         for tactile, aperture in zip(rows.tactile, rows.aperture, strict=True):
-            distance = self._distances(*self._project(tactile, aperture))
-            told = -self._exponent * np.log1p(distance / self._rank)
+            distance, rank = self._drift_distances(tactile, aperture)
+            told = -0.5 * (rank + _FREEDOM) * np.log1p(distance / rank)
             found.append(logsumexp(told / _DOUBT, axis=1).reshape(shape))
         return np.array(found)
+
+    def _drift_distances(
+        self, tactile: NDArray[np.float64], aperture: NDArray[np.float64]
+    ) -> tuple[NDArray[np.float64], float]:
+        """Return (G * O, C) squared distances that show a drift, and in how many dimensions."""
+        if self.second is None or aperture.shape[1]:
+            return self._distances(*self._project(tactile, aperture)), self._rank
+        # Without the opening, what no gain changes would leave less to see of a gain.
+        distance = self.second.distances(tactile[:, : len(self.second.mean)])
+        rank = float(self.second.projection.shape[1])
+        return np.repeat(distance, len(aperture), axis=0), rank
 
     def _tell_one(
         self,
@@ -147,7 +158,9 @@ class Evidence:
         aperture: NDArray[np.float64],
     ) -> NDArray[np.float64]:
         beside = self.discriminant.beside(np.concatenate([tactile, aperture], axis=1))
-        opinion = None if self.second is None else self.second.distances(tactile)
+        opinion = None
+        if self.second is not None:
+            opinion = self.second.distances(tactile[:, : len(self.second.mean)])
         return novelty_signs(distance, own, nearest_sample, beside, opinion)
 
     def _around(self, own: NDArray[np.float64]) -> NDArray[np.float64]:
