@@ -139,3 +139,18 @@ def test_reach_comes_back_from_the_arrays(many):
     again = type(far).from_arrays(far.to_arrays("a_"), "a_")
     few = rows.take(np.arange(len(rows.tactile)) < 2)
     assert np.array_equal(again.tell(few, log_prior).scores, far.tell(few, log_prior).scores)
+
+
+def test_without_the_opening_the_first_features_show_a_drift():
+    rng = np.random.default_rng(7)
+    centres = rng.normal(0.0, 3.0, (12, 40))
+    classes = np.repeat(np.arange(12), 6)
+    taught = centres[classes] + rng.normal(size=(len(classes), 40))
+    evidence = fit_evidence(taught, classes, 12, n_second=25)
+    seen = centres[3] + rng.normal(size=(4, 5, 40))
+    found = evidence.under_drifts(Rows(tactile=seen, aperture=np.zeros((4, 1, 0))))
+    distance = fit_lda(taught[:, :25], classes, 12, min_shrinkage=0.15, max_rank=48).distances(
+        seen[..., :25].reshape(20, 25)
+    )
+    plain = logsumexp(-0.5 * 0.5 * (11 + 3.0) * np.log1p(distance / 11), axis=1)
+    assert found == pytest.approx(plain.reshape(4, 5, 1))
