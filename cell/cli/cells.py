@@ -32,12 +32,12 @@ from cell.config import CellConfig
 from cell.config_file import load_config
 from cell.dataset import read_dataset
 from cell.early_heads import loaded_heads
-from cell.errors import ConfigError
+from cell.errors import ConfigError, DatasetError
 from cell.jobs.files import job_folder
 from cell.jobs.identifying import identify_on_cell, identify_recorded
 from cell.jobs.main_job import MainResult, teach_and_identify
 from cell.jobs.main_report import main_report, shape_rows
-from cell.jobs.teaching import append_to_dataset
+from cell.jobs.teaching import append_to_dataset, dataset_to_extend
 from cell.jobs.teaching import teach as teach_object
 from cell.labels import checked_label
 from cell.model import load_model
@@ -154,14 +154,17 @@ def teach(
         return
     if gauge is not None or gauge_shape is not None:
         raise ConfigError("a gauge serves drawings: add --shape or --mesh")
-    before = read_dataset(dataset) if dataset.exists() else ()
+    before = dataset_to_extend(dataset, pads_of(checked))
     folder = job_folder(out_folder or Path(checked.recording.directory), "teach")
     with running_cell(checked, folder, json_file=json_file) as cell, progress_bar() as progress:
         records = teach_object(
             cell, checked, label, grasps or 20, seed=checked.seed + len(before), progress=progress
         )
         recording = cell.recording_path
-    append_to_dataset(dataset, before, [record.grasp for record in records])
+    try:
+        append_to_dataset(dataset, before, [record.grasp for record in records])
+    except DatasetError as error:
+        raise DatasetError(f"{error}; the grasps are in {recording}, which train takes") from error
     say(f"{len(records)} grasps of {label} added to {dataset} ({len(before)} were there)")
     say(f"recording: {recording}")
     write_json(

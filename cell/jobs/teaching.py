@@ -8,12 +8,12 @@ import numpy as np
 from cell.build import Cell
 from cell.collect import GraspRecord
 from cell.config import CellConfig
-from cell.dataset import write_dataset
+from cell.dataset import read_dataset, write_dataset
 from cell.errors import CellError
 from cell.jobs.identifying import what_differs
 from cell.jobs.progress import Progress
 from cell.sequence import plan
-from recognition.grasp import Grasp
+from recognition.grasp import Grasp, PadArray
 from recognition.recognizer import Recognizer
 from recognition.recognizers import make_trainer
 
@@ -64,6 +64,21 @@ def repeated(grasps: Sequence[Grasp]) -> list[Grasp]:
     return found
 
 
+def dataset_to_extend(path: Path, pads: PadArray) -> tuple[Grasp, ...]:
+    """Return the grasps that a data set holds already, before grasps of these pads are taken.
+
+    Raises
+    ------
+    CellError
+        If it cannot be read, holds grasps on other pads, or its folder does not exist.
+    """
+    if not path.parent.is_dir():
+        raise CellError(f"{path}: the folder {path.parent} does not exist; make it first")
+    before = read_dataset(path) if path.exists() else ()
+    _check_pads(path, before, pads)
+    return before
+
+
 def append_to_dataset(path: Path, before: Sequence[Grasp], new: Sequence[Grasp]) -> None:
     """Write a data set anew with further grasps at its end.
 
@@ -72,10 +87,15 @@ def append_to_dataset(path: Path, before: Sequence[Grasp], new: Sequence[Grasp])
     CellError
         If the new grasps were taken on other pads; the file stays as it was.
     """
-    if before and not before[0].pads.same_as(new[0].pads):
-        there, here = before[0].pads, new[0].pads
-        raise CellError(
-            f"{path} holds grasps on {there.n_taxels} taxels in {there.n_pads} pads, these have "
-            f"{here.n_taxels} in {here.n_pads}{what_differs(there, here)}; choose another file"
-        )
+    _check_pads(path, before, new[0].pads)
     write_dataset(path, [*before, *new])
+
+
+def _check_pads(path: Path, before: Sequence[Grasp], here: PadArray) -> None:
+    if before and not before[0].pads.same_as(here):
+        there = before[0].pads
+        raise CellError(
+            f"{path} holds grasps on other pads: {there.n_taxels} taxels in {there.n_pads} pads, "
+            f"these have {here.n_taxels} in {here.n_pads}{what_differs(there, here)}; choose "
+            "another file"
+        )

@@ -167,6 +167,22 @@ def test_teach_extends_a_data_set_with_other_poses(config: Path, tmp_path: Path)
     assert [grasp.label for grasp in grasps] == ["ball", "ball", "box"]
 
 
+def test_teach_finds_out_before_the_first_grasp_where_it_cannot_write(
+    config: Path, dataset: Path, tmp_path: Path, fail: Callable[..., tuple[int, str]]
+) -> None:
+    out = ("--out", tmp_path / "out")
+    code, said = fail("teach", "box", "-o", tmp_path / "gone" / "d.npz", "-c", config, *out)
+    assert code == 1
+    assert "does not exist; make it first" in said
+    other = tmp_path / "other.npz"
+    with np.load(dataset) as arrays:
+        np.savez(other, **{**arrays, "adc_max": np.array(4095)})
+    code, said = fail("teach", "box", "-o", other, "-c", config, *out)
+    assert code == 1
+    assert "a full scale of 255 instead of 4095" in said
+    assert not (tmp_path / "out").exists()
+
+
 def test_identify_on_the_cell(config: Path, model: Path, tmp_path: Path) -> None:
     text = call(
         *("identify", "-m", model, "--object", "box", "-c", config),
