@@ -27,7 +27,7 @@ from recognition.foam_model import FoamModel
 from recognition.grasp import Grasp
 from recognition.ramp import learn_rest
 from recognition.shape_answer import UNCLEAR, ShapeAnswer, shape_of
-from recognition.shape_fit import Trust
+from recognition.shape_problem import Trust
 
 OBJECTS = {
     "ball 6": ("sphere", 6.0, "sphere:diameter=6mm"),

@@ -20,11 +20,13 @@ from recognition.foam_fit import FoamFit, fit_foam
 from recognition.foam_model import FoamModel
 from recognition.grasp import Grasp, PadArray
 from recognition.ramp import find_ramp, learn_rest
-from recognition.shape_fit import Trust
+from recognition.shape_problem import Trust
 
 _UNKNOWN_SD = 0.1
 _LEAST_SD = 0.03
 _OTHER_FOAMS = 2.5
+_OTHER_THAN_GAUGED = 0.3
+_OTHER_THAN_ONE_SHAPE = 2.0
 _MIN_QUIET = 5
 _BAD_MISFIT = 4.0
 _BAD_FIT = " where 1 is the noise: is this the gauge's shape? These pads are not understood"
@@ -41,9 +43,10 @@ class PadKnowledge:
     modulus_sd, gain_sd, spread_sd, densification_sd, thickness_sd
         Relative standard deviations.
     other_foams
-        Virtual grasps are drawn with this many times these deviations. Shape and size are read
-        under the likeliest foam; but a name that was taught without a gauge has to hold on
-        whatever foam it will meet, and a grasp on another foam is no unknown object.
+        Virtual grasps are drawn with this many times these deviations: a name that was taught
+        without a gauge has to hold on whatever foam it will meet, and a grasp on another foam is
+        no unknown object. A gauge tells of one shape only; others differ from what it makes of
+        the foam by more than its deviations say.
     aperture_sd_m
         Standard deviation in m of the measured opening.
     rest : (n, n_taxels) uint16 or None
@@ -56,7 +59,7 @@ class PadKnowledge:
     modulus_sd: float = _UNKNOWN_SD
     gain_sd: float = _UNKNOWN_SD
     spread_sd: float = _UNKNOWN_SD
-    densification_sd: float = 1.2 * _UNKNOWN_SD
+    densification_sd: float = 2.0 * _UNKNOWN_SD
     thickness_sd: float = 0.6 * _UNKNOWN_SD
     other_foams: float = _OTHER_FOAMS
     aperture_sd_m: float = 0.2e-3
@@ -70,7 +73,9 @@ class PadKnowledge:
             modulus=self.modulus_sd,
             gain=self.gain_sd,
             spread=self.spread_sd,
+            stiffening=self.densification_sd,
             aperture_m=self.aperture_sd_m,
+            other_foams=1.0 if self.fit is None else _OTHER_THAN_GAUGED,
         )
 
     def as_dict(self) -> dict[str, Any]:
@@ -96,7 +101,7 @@ class PadKnowledge:
             text += f", linear up to {foam.full_scale_n:.3g} N a taxel"
         if self.fit is None:
             return f"{text}: not calibrated, add --gauge"
-        modulus, gain, _, aperture = self.fit.sd
+        modulus, gain, _, aperture, _ = self.fit.sd
         return (
             f"{text} (modulus and gain within {100 * modulus:.0f} and {100 * gain:.0f} %, opening "
             f"within {aperture:.2f} mm), from {self.fit.n_grasps} grasps, misfit "
@@ -157,15 +162,15 @@ def calibrate_on_gauge(
         fit = fit_foam(grasps, drawing, foam)
     except ContactError as error:
         raise CellError(f"the gauge tells nothing: {error}") from error
-    modulus_sd, gain_sd, spread_sd, aperture_sd_mm = (float(sd) for sd in fit.sd)
+    modulus_sd, gain_sd, spread_sd, aperture_sd_mm, stiffening_sd = (float(sd) for sd in fit.sd)
     return PadKnowledge(
         foam=fit.foam,
         modulus_sd=max(modulus_sd, _LEAST_SD),
         gain_sd=max(gain_sd, _LEAST_SD),
         spread_sd=max(spread_sd, _LEAST_SD),
-        densification_sd=2.0 * _LEAST_SD,
+        densification_sd=max(stiffening_sd, 2.0 * _LEAST_SD),
         thickness_sd=_LEAST_SD,
-        other_foams=1.0,
+        other_foams=_OTHER_THAN_ONE_SHAPE,
         aperture_sd_m=max(0.2e-3, 1e-3 * aperture_sd_mm),
         rest=_rest_frames(grasps),
         fit=fit,

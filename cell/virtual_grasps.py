@@ -13,6 +13,7 @@ from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.signal import lfilter
 
 from cell.sequence import GraspStep
 from cell.virtual_press import Press, press, reaches_m, shared_force
@@ -23,6 +24,8 @@ from recognition.grasp import Grasp, PadArray
 
 SOURCE = "drawing"
 """What a data set says of the origin of such grasps."""
+
+_SLOW_S = 0.5
 
 
 class Noise(Protocol):
@@ -57,6 +60,16 @@ class Course:
         Relative standard deviation of the force at the end of the ramp.
     modulus_sd, gain_sd, spread_sd, densification_sd, thickness_sd
         Relative standard deviations of what is known of foam and sensor; drawn for each grasp.
+    sideways
+        How far columns of the foam may push each other in (`FoamModel.sideways`), of which one is
+        drawn for each grasp; none: as the foam has it.
+    bend_sd
+        Standard deviation of the logarithm of an exponent of the reading: a converter that bends
+        otherwise than its law.
+    lag
+        Largest share of a reading that follows the force only slowly: foam creeps.
+    noise_sd
+        Standard deviation of the logarithm of a factor on the noise.
     pad_gain_sd, taxel_gain_sd
         Relative standard deviations of the gains of the two pads, and of single taxels.
     tilt_rad
@@ -78,6 +91,10 @@ class Course:
     spread_sd: float = 0.05
     densification_sd: float = 0.1
     thickness_sd: float = 0.03
+    sideways: tuple[float, ...] = ()
+    bend_sd: float = 0.0
+    lag: float = 0.0
+    noise_sd: float = 0.0
     pad_gain_sd: float = 0.05
     taxel_gain_sd: float = 0.08
     tilt_rad: float = 0.01
@@ -161,6 +178,7 @@ class VirtualPads:
                     "densification": self._foam.densification
                     * rng.lognormal(0.0, course.densification_sd),
                     "thickness_m": self._foam.thickness_m * rng.lognormal(0.0, course.thickness_sd),
+                    "sideways": float(rng.choice(course.sideways or (self._foam.sideways,))),
                 }
             )
         )
@@ -192,7 +210,9 @@ class VirtualPads:
         setpoint_n = np.concatenate([np.zeros(n_closing), setpoint_n])
         force_n = np.minimum(force_n, 0.98 * largest_n)
         n = len(force_n)
-        counts = self._noise(rng, n)
+        counts = rng.lognormal(0.0, course.noise_sd) * self._noise(rng, n)
+        bend = rng.lognormal(0.0, course.bend_sd)
+        lag = course.lag * rng.uniform()
         slack_n = 0.5 * course.imbalance_n * rng.uniform(-1.0, 1.0)
         depths_m = []
         for bed, pressed, sign in zip(beds, presses, (1.0, -1.0), strict=True):
@@ -202,8 +222,10 @@ class VirtualPads:
             gains = rng.lognormal(0.0, course.pad_gain_sd) * np.exp(
                 rng.normal(0.0, course.taxel_gain_sd, len(bed.taxels))
             )
-            share = foam.response(pressed.taxel_force_n(depth_m) * gains)
-            counts[:, bed.taxels] += self._pads.adc_max * share
+            felt_n = pressed.taxel_force_n(depth_m)
+            felt_n += lag * (_slowly(felt_n, _SLOW_S / course.period_s) - felt_n)
+            share = foam.response(felt_n * gains)
+            counts[:, bed.taxels] += self._pads.adc_max * share**bend
         aperture_m[n_closing:] = touch_m - (depths_m[0] + depths_m[1])[n_closing:]
         return Grasp(
             pads=self._pads,
@@ -231,6 +253,13 @@ class VirtualPads:
         n_closing = math.ceil((wait_s + way_m / course.approach_speed_m_s) / course.period_s)
         times_s = course.period_s * np.arange(n_closing + round(pause_s / course.period_s))
         return np.clip(times_s - wait_s, 0.0, way_m / course.approach_speed_m_s), impact_n
+
+
+def _slowly(values: NDArray[np.float64], n_frames: float) -> NDArray[np.float64]:
+    """Return what follows values (n, ...) with a time constant of so many frames."""
+    share = -math.expm1(-1.0 / n_frames)
+    out: NDArray[np.float64] = lfilter([share], [1.0, share - 1.0], values, axis=0)
+    return out
 
 
 def _force_course(

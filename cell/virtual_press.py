@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,9 +10,12 @@ from numpy.typing import NDArray
 from cell.pose import Pose
 from recognition.drawing import Drawing, posed, resting_roll_rad
 from recognition.foam_model import FoamModel, PadBed
+from recognition.foam_sideways import closed_columns_m, neighbours
 
 _DEEPEST = 0.97
 _N_DEPTHS = 48
+_STEPS = 8
+_FAR_M = 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,8 +91,15 @@ def press(bed: PadBed, reach_m: NDArray[np.float64], foam: FoamModel) -> Press:
     rows, columns = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
     part = np.ix_(rows, columns)
     depth_m = np.linspace(0.0, _DEEPEST * foam.thickness_m, _N_DEPTHS)
-    indentation_m = np.maximum(depth_m[:, None, None] - lag_m[part], 0.0)
-    pressure_pa = foam.modulus_pa * foam.relative_pressure(indentation_m)
+    closed_m: NDArray[np.floating[Any]] = depth_m[:, None, None] - lag_m[part]
+    if foam.sideways:
+        wanted_m = np.maximum(closed_m, -_FAR_M).astype(np.float32)
+        pushes = (
+            neighbours(bed.x_m[rows, 0], foam.sideways_m).astype(np.float32),
+            neighbours(bed.y_m[0, columns], foam.sideways_m).astype(np.float32),
+        )
+        closed_m = closed_columns_m(wanted_m, 1.0, foam.sideways, pushes, steps=_STEPS)
+    pressure_pa = foam.modulus_pa * foam.relative_pressure(closed_m)
     taxels_n = bed.along[:, rows] @ (pressure_pa @ bed.across[:, columns].T) * bed.cell_area_m2
     taxels_n = taxels_n.reshape(_N_DEPTHS, -1)
     return Press(

@@ -2,8 +2,9 @@
 
 One grasp tells how deep a known surface was pressed in (from the opening), with which force (the
 commanded one), and what the taxels read. Fitted together over all grasps are modulus, gain, spread
-of the pressure and the offset of the opening; for each grasp its pose in the plane of the pads and
-the depth at each level of the load. Gauss-Newton steps with damping, priors on everything.
+of the pressure, how fast the foam stiffens and the offset of the opening; for each grasp its pose
+in the plane of the pads and the depth at each level of the load. Gauss-Newton steps with damping,
+priors on everything. How far columns push each other in is chosen from a few values.
 """
 
 from collections.abc import Sequence
@@ -15,20 +16,25 @@ from numpy.typing import NDArray
 from recognition.drawing import Drawing, posed
 from recognition.errors import ContactError
 from recognition.foam_model import FoamModel, PadBed
+from recognition.foam_sideways import closed_columns_m, neighbours
 from recognition.grasp import Grasp
 from recognition.ramp import learn_rest
 from recognition.shape_data import PressedPads, press_data
 
 Array = NDArray[np.float64]
 
-GLOBALS = ("modulus", "gain", "spread", "aperture")
+GLOBALS = ("modulus", "gain", "spread", "aperture", "stiffening")
 """What is common to all grasps, in the order of `FoamFit.sd`."""
 
-_PRIOR_SD = np.array([1.0, 1.0, 0.3, 2.0])
+SIDEWAYS = (0.0, 0.4, 0.7)
+"""Of these the share that explains the grasps best is taken (`FoamModel.sideways`)."""
+
+_PRIOR_SD = np.array([1.0, 1.0, 0.3, 2.0, 1.0])
 _POSE_SD = np.array([1.5, 1.5, 1.25])
 _DEPTH_MM, _DEPTH_SD_MM = 1.2, 1.0
 _STEP = 1e-3
 _MAX_STEPS = 25
+_STEPS = 12
 _APERTURE_JITTER_M = 0.08e-3
 _FORCE_SD = 0.06
 
@@ -41,8 +47,9 @@ class FoamFit:
     ----------
     foam
         Foam and sensor.
-    sd : (4,) float64
-        Standard deviation of log modulus, log gain, log spread and of the offset in mm.
+    sd : (5,) float64
+        Standard deviation of log modulus, log gain, log spread, of the offset in mm, and of log
+        densification.
     misfit
         Squared residual per degree of freedom: 1 where the model fits within the noise.
     n_grasps
@@ -119,7 +126,14 @@ class _Fit:
         self.rolls = [0.0] * len(data)
 
     def run(self) -> FoamFit:
-        state = self._start()
+        state, fits = self._start(), []
+        for sideways in SIDEWAYS:
+            self.foam = replace(self.foam, sideways=sideways)
+            cost, state, fit = self._minimise(state)
+            fits.append((cost, fit))
+        return min(fits, key=lambda found: found[0])[1]
+
+    def _minimise(self, state: _State) -> tuple[float, _State, FoamFit]:
         damping, cost = 1e-2, np.inf
         blocks = self._blocks(state)
         cost = self._cost(blocks, state)
@@ -140,12 +154,13 @@ class _Fit:
         n_data = sum(len(r) for r, _ in blocks)
         misfit = sum(float(r @ r) for r, _ in blocks) / max(1, n_data - len(normal))
         covariance = np.linalg.inv(normal)
-        return FoamFit(
+        fit = FoamFit(
             foam=self._foam(state.common),
             sd=np.sqrt(max(1.0, misfit) * np.diag(covariance)[: len(GLOBALS)]),
             misfit=misfit,
             n_grasps=len(self.data),
         )
+        return cost, state, fit
 
     def _foam(self, common: Array) -> FoamModel:
         return replace(
@@ -154,6 +169,7 @@ class _Fit:
             gain=self.foam.gain * float(np.exp(common[1])),
             spread_m=self.foam.spread_m * float(np.exp(common[2])),
             aperture_offset_m=1e-3 * float(common[3]),
+            densification=self.foam.densification * float(np.exp(common[4])),
         )
 
     def _start(self) -> _State:
@@ -199,11 +215,27 @@ class _Fit:
         lag_m = np.where(np.isfinite(near), near.max() - near, 1.0)
         return lag_m, thick_m if np.isfinite(thick_m) else 0.0
 
-    def _forces_n(self, bed: PadBed, lag_m: Array, depth_mm: Array, modulus_pa: float) -> Array:
+    def _forces_n(
+        self,
+        bed: PadBed,
+        lag_m: Array,
+        depth_mm: Array,
+        modulus_pa: float,
+        log_stiffening: float = 0.0,
+    ) -> Array:
         near = lag_m < self.foam.thickness_m
         rows, columns = near.any(axis=1), near.any(axis=0)
-        part = lag_m[np.ix_(rows, columns)]
-        pressure = self.foam.relative_pressure(1e-3 * depth_mm[:, None, None] - part)
+        closed_m = closed_columns_m(
+            1e-3 * depth_mm[:, None, None] - lag_m[np.ix_(rows, columns)],
+            1.0,
+            self.foam.sideways,
+            (
+                neighbours(bed.x_m[rows, 0], self.foam.sideways_m),
+                neighbours(bed.y_m[0, columns], self.foam.sideways_m),
+            ),
+            steps=_STEPS if self.foam.sideways else 0,
+        )
+        pressure = self.foam.relative_pressure(closed_m, float(np.exp(log_stiffening)))
         forces = bed.along[:, rows] @ (pressure @ bed.across[:, columns].T)
         forces_n: Array = modulus_pa * bed.cell_area_m2 * forces.reshape(len(depth_mm), -1)
         return forces_n
@@ -221,9 +253,9 @@ class _Fit:
         data = self.data[i]
         lag_m, thick_m = reach
         modulus_pa = self.foam.modulus_pa * float(np.exp(common[0]))
-        forces_n = self._forces_n(bed, lag_m, own[3:], modulus_pa)
+        forces_n = self._forces_n(bed, lag_m, own[3:], modulus_pa, float(common[4]))
         share = self.foam.response(forces_n * float(np.exp(common[1])))
-        parts = [((share - data.share) / data.sd).ravel()]
+        parts = [(data.whitener @ (share - data.share).T[..., None]).ravel()]
         if np.isfinite(data.aperture_m).all():
             shown_m = thick_m - 2e-3 * own[3:] + 1e-3 * common[3]
             parts.append((shown_m - data.aperture_m) / _APERTURE_JITTER_M)

@@ -1,7 +1,8 @@
 """Forward model of two opposing foam pads: height maps and depths -> counts.
 
 The foam is a bed of columns side by side. A column that is pressed in to the strain e carries the
-pressure E e (1 + d (e / (1 - e))^2), beyond a largest strain along the tangent. On its way through
+pressure E e (1 + d (e / (1 - e))^2), beyond a largest strain along the tangent. Columns may push
+their neighbours in (`recognition.foam_sideways`). On its way through
 the sheet the pressure spreads as a Gaussian, mirrored at the rims of the pad, so that no force is
 lost. A taxel that carries F newtons reads the share 1 - exp(-0.449 gain F) of the full scale:
 equation (11) of the paper under constant current, inverted. A linear sensor reads gain F over the
@@ -10,6 +11,7 @@ force of its full scale.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any, Self
 
 import numpy as np
@@ -46,6 +48,10 @@ class FoamModel:
         What is added to the true opening when it is measured, in m.
     full_scale_n
         Force on a taxel in N at which a linear sensor reads its full scale; None: equation (11).
+    sideways
+        Share, from 0 to below 1, of the give of a point that pressure around it causes.
+    sideways_m
+        Standard deviation in m of the weights with which it does.
 
     Raises
     ------
@@ -61,9 +67,11 @@ class FoamModel:
     gain: float = 1.0
     aperture_offset_m: float = 0.0
     full_scale_n: float | None = None
+    sideways: float = 0.0
+    sideways_m: float = 1.2e-3
 
     def __post_init__(self) -> None:
-        for name in ("thickness_m", "modulus_pa", "spread_m", "gain"):
+        for name in ("thickness_m", "modulus_pa", "spread_m", "gain", "sideways_m"):
             value = getattr(self, name)
             if not (np.isfinite(value) and value > 0.0):
                 raise ValueError(f"foam: {name} is {value}, must be positive and finite")
@@ -71,21 +79,29 @@ class FoamModel:
             raise ValueError(f"foam: densification is {self.densification}, must be at least 0")
         if not 0.0 < self.limit_strain < 1.0:
             raise ValueError(f"foam: limit_strain is {self.limit_strain}, must be within (0, 1)")
+        if not 0.0 <= self.sideways < 1.0:
+            raise ValueError(f"foam: sideways is {self.sideways}, must be within [0, 1)")
         if not np.isfinite(self.aperture_offset_m):
             raise ValueError(f"foam: aperture_offset_m is {self.aperture_offset_m}, not finite")
         full_n = self.full_scale_n
         if full_n is not None and not (np.isfinite(full_n) and full_n > 0.0):
             raise ValueError(f"foam: full_scale_n is {full_n}, must be positive and finite")
 
-    def relative_pressure(self, indentation_m: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return pressure over modulus of columns, elementwise; 0 where nothing is pressed in."""
+    def relative_pressure(
+        self, indentation_m: NDArray[np.floating[Any]], stiffening: ArrayLike = 1.0
+    ) -> NDArray[np.floating[Any]]:
+        """Return pressure over modulus of columns, elementwise; 0 where nothing is pressed in.
+
+        ``stiffening`` is a factor on the densification, broadcast against ``indentation_m``.
+        """
+        densification = self.densification * np.asarray(stiffening)
         strain = np.maximum(indentation_m, 0.0) / self.thickness_m
         bent = np.minimum(strain, self.limit_strain)
         closing = bent / (1.0 - bent)
-        pressure: NDArray[np.float64] = bent * (1.0 + self.densification * closing * closing)
+        pressure: NDArray[np.floating[Any]] = bent * (1.0 + densification * (closing * closing))
         if strain.size and float(strain.max()) > self.limit_strain:
             edge = self.limit_strain / (1.0 - self.limit_strain)
-            slope = 1.0 + self.densification * edge**2 * (1.0 + 2.0 / (1.0 - self.limit_strain))
+            slope = 1.0 + densification * edge**2 * (1.0 + 2.0 / (1.0 - self.limit_strain))
             pressure += slope * (strain - bent)
         return pressure
 
@@ -173,8 +189,8 @@ class PadBed:
         )
         if not regular:
             raise ValueError(f"pad {pad}: its {rows} x {columns} taxels lie on no regular grid")
-        x, self.along = _shares(x_m, spread_m, cell_m)
-        y, self.across = _shares(y_m, spread_m, cell_m)
+        x, self.along = _shares(tuple(x_m.tolist()), spread_m, cell_m)
+        y, self.across = _shares(tuple(y_m.tolist()), spread_m, cell_m)
         self.x_m, self.y_m = x[:, None], y[None, :]
         self.cell_area_m2 = float(abs((x[1] - x[0]) * (y[1] - y[0])))
 
@@ -182,26 +198,32 @@ class PadBed:
         """Say whether both have their cells at the same points of their pads' planes."""
         return np.array_equal(self.x_m, other.x_m) and np.array_equal(self.y_m, other.y_m)
 
-    def cropped(self, centre_xy_m: NDArray[np.float64], half_m: float) -> "PadBed":
-        """Return the same pad with the cells within ``half_m`` m of a point, in x and in y."""
+    def cropped(self, centre_xy_m: NDArray[np.float64], half_m: ArrayLike) -> "PadBed":
+        """Return the same pad with the cells within ``half_m`` m of a point, in x and in y.
+
+        ``half_m`` is one length, or one for x and one for y.
+        """
         part = object.__new__(PadBed)
-        in_x = np.abs(self.x_m[:, 0] - centre_xy_m[0]) <= half_m
-        in_y = np.abs(self.y_m[0] - centre_xy_m[1]) <= half_m
+        half_x_m, half_y_m = np.broadcast_to(np.asarray(half_m, dtype=np.float64), 2)
+        in_x = np.abs(self.x_m[:, 0] - centre_xy_m[0]) <= half_x_m
+        in_y = np.abs(self.y_m[0] - centre_xy_m[1]) <= half_y_m
         part.x_m, part.y_m = self.x_m[in_x], self.y_m[:, in_y]
         part.along, part.across = self.along[:, in_x], self.across[:, in_y]
         part.cell_area_m2, part.taxels = self.cell_area_m2, self.taxels
         return part
 
-    def taxel_force_n(self, pressure_pa: NDArray[np.float64]) -> NDArray[np.float64]:
+    def taxel_force_n(self, pressure_pa: NDArray[np.floating[Any]]) -> NDArray[np.float64]:
         """Return forces (..., rows * columns) in N for pressures (..., n_x, n_y) in Pa."""
         force_n = self.along @ (pressure_pa @ self.across.T) * self.cell_area_m2
         return force_n.reshape(*force_n.shape[:-2], -1)
 
 
+@lru_cache(maxsize=256)
 def _shares(
-    centres_m: NDArray[np.float64], spread_m: float, cell_m: float
+    places_m: tuple[float, ...], spread_m: float, cell_m: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return cell centres (n,) in m and the share (n_taxels, n) of each that a taxel gets."""
+    centres_m = np.array(places_m)
     pitch_m = float(abs(centres_m[1] - centres_m[0]))
     low_m = float(centres_m.min()) - 0.5 * pitch_m
     high_m = float(centres_m.max()) + 0.5 * pitch_m
@@ -213,4 +235,7 @@ def _shares(
         for sign in (1.0, -1.0):
             edge_m = centres_m[:, None] + 0.5 * sign * pitch_m
             share += 0.5 * sign * erf((edge_m - image_m) / (np.sqrt(2.0) * spread_m))
-    return cells_m, share / share.sum(axis=0)
+    share /= share.sum(axis=0)
+    cells_m.setflags(write=False)
+    share.setflags(write=False)
+    return cells_m, share

@@ -14,14 +14,20 @@ from recognition.ramp_levels import LOAD_FRACTIONS, load_levels
 LEVELS = (0.3, 0.7, 1.0)
 """Levels of the load that are fitted, of `recognition.ramp_levels.LOAD_FRACTIONS`."""
 
-SPREAD_STEP = 0.05
-"""Logarithm of the factor between the two spreads of `PressedPads`."""
+SPREAD_STEP = 0.1
+"""Logarithm of the factor between neighbouring spreads of `PressedPads`."""
+
+SPREAD_STEPS = 10
+"""Spreads on either side of the one that is thought of."""
 
 _WINDOW_M = 13e-3
+_BESIDE_M = 3.5e-3
 _CELL_M = 0.75e-3
 _TOUCHED_SHARE = 0.25
 _MODEL_SHARE = 0.02
 _MODEL_FLOOR = 0.0015
+_TAXEL_SHARE = 0.04
+_LEVEL_SHARE = 0.015
 _MIN_QUIET = 4
 
 
@@ -33,12 +39,17 @@ class PressedPads:
     ----------
     bed
         The pad, cropped to what can be pressed.
-    wider
-        The same with the spread of the pressure e^`SPREAD_STEP` times as wide.
+    along : (S, rows, n_x) float32
+    across : (S, columns, n_y) float32
+        Those of `bed` for spreads of the pressure from e^(-`SPREAD_STEPS` `SPREAD_STEP`) to
+        e^(`SPREAD_STEPS` `SPREAD_STEP`) times as wide.
     share : (K, n_taxels) float64
         Mean rise of both pads' taxels as a share of the full scale.
     sd : (K, n_taxels) float64
         Standard deviation of each: noise, and what the model is not better than.
+    whitener : (n_taxels, K, K) float64
+        Turns the deviations of one taxel at all levels into independent ones of variance 1: beside
+        noise a taxel has errors that grow with its load, its gain and what no model tells.
     aperture_m : (K,) float64
         Opening in m; NaN where unknown.
     force_n
@@ -50,9 +61,11 @@ class PressedPads:
     """
 
     bed: PadBed
-    wider: PadBed
+    along: NDArray[np.float32]
+    across: NDArray[np.float32]
     share: NDArray[np.float64]
     sd: NDArray[np.float64]
+    whitener: NDArray[np.float64]
     aperture_m: NDArray[np.float64]
     force_n: float
     centre_m: NDArray[np.float64]
@@ -120,20 +133,36 @@ def press_data(grasp: Grasp, foam: FoamModel, rest: Rest | None = None) -> Press
     load = load / load.sum()
     centre_m = load @ xy_m
     away_m = xy_m - centre_m
-    bed, wider = (
-        PadBed(pads, first, foam.spread_m * factor, cell_m=_CELL_M).cropped(centre_m, _WINDOW_M)
-        for factor in (1.0, float(np.exp(SPREAD_STEP)))
-    )
+    spread_m2 = (load[:, None] * away_m).T @ away_m
+    half_m = np.minimum(_BESIDE_M + 2.0 * np.sqrt(np.diag(spread_m2)), _WINDOW_M)
+    factors = np.exp(SPREAD_STEP * np.arange(-SPREAD_STEPS, SPREAD_STEPS + 1))
+    beds = [
+        PadBed(pads, first, foam.spread_m * float(factor), cell_m=_CELL_M).cropped(centre_m, half_m)
+        for factor in factors
+    ]
     return PressedPads(
-        bed=bed,
-        wider=wider,
+        bed=beds[SPREAD_STEPS],
+        along=np.stack([bed.along for bed in beds]).astype(np.float32),
+        across=np.stack([bed.across for bed in beds]).astype(np.float32),
         share=share,
         sd=sd,
+        whitener=_whitener(share, noise),
         aperture_m=levels.aperture_mm[0, chosen] * 1e-3 - foam.aperture_offset_m,
         force_n=float(levels.force_n[0]),
         centre_m=centre_m,
-        spread_m2=(load[:, None] * away_m).T @ away_m,
+        spread_m2=spread_m2,
     )
+
+
+def _whitener(share: NDArray[np.float64], noise: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the whitening matrices (n_taxels, K, K) of shares (K, n_taxels) under noise (K, 2)."""
+    alone = (noise**2).sum(axis=1) / 4.0 + _MODEL_FLOOR**2
+    by_taxel = share.T
+    covariance = (_TAXEL_SHARE**2) * by_taxel[:, :, None] * by_taxel[:, None, :]
+    variance = alone + (_LEVEL_SHARE * by_taxel) ** 2
+    covariance += variance[:, :, None] * np.eye(len(share))
+    whitener: NDArray[np.float64] = np.linalg.inv(np.linalg.cholesky(covariance))
+    return whitener
 
 
 def _remaining_rest(ramp: Ramp, adc_max: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

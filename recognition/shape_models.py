@@ -8,11 +8,12 @@ and which share of each cell it covers. In its own frame u runs along the object
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+Array = NDArray[np.floating[Any]]
 Surface = tuple[Array, Array]
 """Depth below the highest point in m; share from 0 to 1 of the cell that is covered."""
 
@@ -66,7 +67,7 @@ def _covered(half_m: Array, at_m: Array, cell_m: float) -> Array:
 def _cap(h_m: Array, squared: Array) -> Surface:
     lag_m = h_m * (1.0 - np.sqrt(np.maximum(1.0 - squared, 0.0)))
     inside = squared < 1.0
-    return np.where(inside, lag_m, _BESIDE_M), inside.astype(np.float64)
+    return np.where(inside, lag_m, _BESIDE_M), inside.astype(squared.dtype)
 
 
 def _sphere(h_m: Array, own: Array, u_m: Array, v_m: Array, cell_m: float) -> Surface:

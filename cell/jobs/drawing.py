@@ -17,9 +17,14 @@ from cell.sequence import plan
 from cell.simulation import converter_noise
 from cell.virtual_grasps import Course, Noise, VirtualPads
 from recognition.drawing import Drawing
+from recognition.foam_fit import SIDEWAYS
 from recognition.grasp import Grasp, PadArray
 
 _PULSES = 4096
+_MODULUS_FURTHER = 2.5
+"""Foams differ in stiffness more than in anything else."""
+_BEND_SD, _LAG, _NOISE_SD = 0.07, 0.1, 0.25
+"""Of the converter's law, of slow foam and of the noise (`Course`): on other foams than known."""
 
 
 def teach_drawing(
@@ -90,6 +95,7 @@ def course_of(config: CellConfig, known: PadKnowledge) -> Course:
     drive = config.gripper.linkage
     arm_mm = drive.link_mm if isinstance(drive, ParallelLinkageConfig) else drive.pinion_radius_mm
     step_mm = arm_mm * math.tau / _PULSES * (2 if len(config.gripper.servos) == 1 else 1)
+    further = max(known.other_foams - 1.0, 0.0)
     return Course(
         period_s=1e-3 * config.tactile.sync_period_ms,
         aperture_open_m=1e-3 * config.gripper.aperture_open_mm,
@@ -97,11 +103,15 @@ def course_of(config: CellConfig, known: PadKnowledge) -> Course:
         aperture_step_m=1e-3 * step_mm,
         aperture_sd_m=known.aperture_sd_m,
         impact_n=(config.gripper.contact_force_n + 0.2, config.gripper.contact_force_n + 1.1),
-        modulus_sd=known.other_foams * known.modulus_sd,
+        modulus_sd=(1.0 + _MODULUS_FURTHER * further) * known.modulus_sd,
         gain_sd=known.other_foams * known.gain_sd,
         spread_sd=known.other_foams * known.spread_sd,
         densification_sd=known.other_foams * known.densification_sd,
         thickness_sd=known.other_foams * known.thickness_sd,
+        sideways=SIDEWAYS if further > 0.0 and known.fit is None else (),
+        bend_sd=_BEND_SD * further,
+        lag=_LAG * further,
+        noise_sd=_NOISE_SD * further,
     )
 
 

@@ -11,8 +11,9 @@ from recognition.foam_model import FoamModel, PadBed
 from recognition.grasp import Grasp, PadArray
 from recognition.shape_answer import UNCLEAR, compare, shape_of
 from recognition.shape_data import press_data
-from recognition.shape_fit import Trust, fit_shape
+from recognition.shape_fit import fit_shape
 from recognition.shape_models import SHAPE_MODELS
+from recognition.shape_problem import Trust
 
 FOAM = FoamModel()
 SIZES_MM = {"sphere": 9.0, "oval": 10.0, "cylinder": 7.0, "flat": 8.0, "dumbbell": 9.0}
