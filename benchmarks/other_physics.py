@@ -206,7 +206,7 @@ def sizes(
     materials: Mapping[str, Material], layout: LayoutName, noise: float, effort: float
 ) -> list[float]:
     """Print how well shape and size of objects never taught are told; return times in s."""
-    n_test, n_gauge = repeats(3, effort), repeats(10, effort, least=3)
+    n_test, n_gauge = repeats(1, effort), repeats(10, effort, least=3)
     config = config_of(layout, noise)
     objects = {label: text for label, (_, _, text) in _some(SIZED, effort).items()}
     sensed = Sensed(noise=noise, aperture_sd_m=0.2e-3)
@@ -262,7 +262,7 @@ def main(effort: float = 1.0) -> None:
         f"{len(materials)} elastic pads; {len(_some(TAUGHT, effort))} objects taught with "
         f"{repeats(60, effort, least=6)} virtual grasps of each drawing, {repeats(8, effort)} "
         f"grasps of each and of {len(_some(NEVER_TAUGHT, effort))} others; shape and size of "
-        f"{len(_some(SIZED, effort))} objects, {repeats(3, effort)} grasps each; a gauge has "
+        f"{len(_some(SIZED, effort))} objects, {repeats(1, effort)} grasps each; a gauge has "
         f"{repeats(10, effort, least=3)} grasps",
     )
     taken_s: list[float] = []

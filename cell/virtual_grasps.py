@@ -60,9 +60,6 @@ class Course:
         Relative standard deviation of the force at the end of the ramp.
     modulus_sd, gain_sd, spread_sd, densification_sd, thickness_sd
         Relative standard deviations of what is known of foam and sensor; drawn for each grasp.
-    sideways
-        How far columns of the foam may push each other in (`FoamModel.sideways`), of which one is
-        drawn for each grasp; none: as the foam has it.
     bend_sd
         Standard deviation of the logarithm of an exponent of the reading: a converter that bends
         otherwise than its law.
@@ -91,7 +88,6 @@ class Course:
     spread_sd: float = 0.05
     densification_sd: float = 0.1
     thickness_sd: float = 0.03
-    sideways: tuple[float, ...] = ()
     bend_sd: float = 0.0
     lag: float = 0.0
     noise_sd: float = 0.0
@@ -178,7 +174,6 @@ class VirtualPads:
                     "densification": self._foam.densification
                     * rng.lognormal(0.0, course.densification_sd),
                     "thickness_m": self._foam.thickness_m * rng.lognormal(0.0, course.thickness_sd),
-                    "sideways": float(rng.choice(course.sideways or (self._foam.sideways,))),
                 }
             )
         )
@@ -210,9 +205,10 @@ class VirtualPads:
         setpoint_n = np.concatenate([np.zeros(n_closing), setpoint_n])
         force_n = np.minimum(force_n, 0.98 * largest_n)
         n = len(force_n)
-        counts = rng.lognormal(0.0, course.noise_sd) * self._noise(rng, n)
-        bend = rng.lognormal(0.0, course.bend_sd)
-        lag = course.lag * rng.uniform()
+        of_sensor = rng.spawn(1)[0]
+        bend = of_sensor.lognormal(0.0, course.bend_sd)
+        lag = course.lag * of_sensor.uniform()
+        counts = of_sensor.lognormal(0.0, course.noise_sd) * self._noise(rng, n)
         slack_n = 0.5 * course.imbalance_n * rng.uniform(-1.0, 1.0)
         depths_m = []
         for bed, pressed, sign in zip(beds, presses, (1.0, -1.0), strict=True):

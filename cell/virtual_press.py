@@ -14,7 +14,8 @@ from recognition.foam_sideways import closed_columns_m, neighbours
 
 _DEEPEST = 0.97
 _N_DEPTHS = 48
-_STEPS = 8
+_FEW_DEPTHS = 20
+_STEPS = 6
 _FAR_M = 1.0
 
 
@@ -90,7 +91,8 @@ def press(bed: PadBed, reach_m: NDArray[np.float64], foam: FoamModel) -> Press:
     near = lag_m < foam.thickness_m
     rows, columns = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
     part = np.ix_(rows, columns)
-    depth_m = np.linspace(0.0, _DEEPEST * foam.thickness_m, _N_DEPTHS)
+    n_depths = _FEW_DEPTHS if foam.sideways else _N_DEPTHS
+    depth_m = np.linspace(0.0, _DEEPEST * foam.thickness_m, n_depths)
     closed_m: NDArray[np.floating[Any]] = depth_m[:, None, None] - lag_m[part]
     if foam.sideways:
         wanted_m = np.maximum(closed_m, -_FAR_M).astype(np.float32)
@@ -101,7 +103,7 @@ def press(bed: PadBed, reach_m: NDArray[np.float64], foam: FoamModel) -> Press:
         closed_m = closed_columns_m(wanted_m, 1.0, foam.sideways, pushes, steps=_STEPS)
     pressure_pa = foam.modulus_pa * foam.relative_pressure(closed_m)
     taxels_n = bed.along[:, rows] @ (pressure_pa @ bed.across[:, columns].T) * bed.cell_area_m2
-    taxels_n = taxels_n.reshape(_N_DEPTHS, -1)
+    taxels_n = taxels_n.reshape(n_depths, -1)
     return Press(
         reach_max_m=highest_m, depth_m=depth_m, force_n=taxels_n.sum(axis=1), taxels_n=taxels_n
     )

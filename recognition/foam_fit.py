@@ -27,14 +27,14 @@ GLOBALS = ("modulus", "gain", "spread", "aperture", "stiffening")
 """What is common to all grasps, in the order of `FoamFit.sd`."""
 
 SIDEWAYS = (0.0, 0.4, 0.7)
-"""Of these the share that explains the grasps best is taken (`FoamModel.sideways`)."""
+"""None, some, much: that which explains the grasps best is taken (`FoamModel.sideways`)."""
 
 _PRIOR_SD = np.array([1.0, 1.0, 0.3, 2.0, 1.0])
 _POSE_SD = np.array([1.5, 1.5, 1.25])
 _DEPTH_MM, _DEPTH_SD_MM = 1.2, 1.0
 _STEP = 1e-3
 _MAX_STEPS = 25
-_STEPS = 12
+_STEPS = 8
 _APERTURE_JITTER_M = 0.08e-3
 _FORCE_SD = 0.06
 
@@ -126,8 +126,12 @@ class _Fit:
         self.rolls = [0.0] * len(data)
 
     def run(self) -> FoamFit:
-        state, fits = self._start(), []
-        for sideways in SIDEWAYS:
+        state = self._start()
+        fits: list[tuple[float, FoamFit]] = []
+        separate, some, much = SIDEWAYS
+        for sideways in (separate, much, some):
+            if sideways == some and fits[1][0] > fits[0][0]:
+                break
             self.foam = replace(self.foam, sideways=sideways)
             cost, state, fit = self._minimise(state)
             fits.append((cost, fit))

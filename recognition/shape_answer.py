@@ -11,10 +11,9 @@ from recognition.grasp import Grasp
 from recognition.ramp import Rest
 from recognition.shape_data import PressedPads, press_data
 from recognition.shape_evidence import KindEvidence, evidence_of
-from recognition.shape_fit import ShapeFit, fit_shape
-from recognition.shape_foams import possible_foams
-from recognition.shape_models import SHAPE_MODELS
+from recognition.shape_fit import ShapeFit
 from recognition.shape_problem import Trust
+from recognition.shape_search import all_fits
 
 UNCLEAR = "unclear"
 """The answer where no kind of shape is likely enough, or none fits."""
@@ -22,8 +21,6 @@ UNCLEAR = "unclear"
 _MIN_PROBABILITY = 0.5
 _MAX_SCALE = 3.0
 _90_PERCENT = 1.645
-_FAR = 12.0
-"""A kind whose logarithmic evidence is so much less is not fitted under further foams."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -146,36 +143,7 @@ def shape_of(
 
 def shape_from(data: PressedPads, *, foam: FoamModel, trust: Trust | None = None) -> ShapeAnswer:
     """Compare all kinds under all possible foams on pressed pads; see `shape_of`."""
-    fits: list[ShapeFit] = []
-    log_prior: list[float] = []
-    last: dict[str, ShapeFit] = {}
-    for possible in possible_foams(foam, trust or Trust()):
-        log_probability = float(np.log(possible.probability))
-        here: dict[str, ShapeFit] = {}
-        pads_of: ShapeFit | None = None
-        # Each foam has all kinds: grasps are fused hypothesis by hypothesis.
-        far: frozenset[str] = _far(last) if len(fits) > len(SHAPE_MODELS) else frozenset()
-        for kind in SHAPE_MODELS:
-            near = last.get(kind)
-            if near is not None and kind in far:
-                here[kind] = near
-                continue
-            pads_of = fit_shape(
-                SHAPE_MODELS[kind], data, possible.foam, possible.trust, near=near, pads_of=pads_of
-            )
-            here[kind] = pads_of
-        last = here
-        fits += here.values()
-        log_prior += [log_probability] * len(here)
-    return compare(fits, log_prior)
-
-
-def _far(last: Mapping[str, ShapeFit]) -> frozenset[str]:
-    """Return the kinds that are too unlikely under the last foam to be worth another one."""
-    scale = max(1.0, min(fit.chi2 / fit.freedom for fit in last.values()))
-    log_evidence = {kind: fit.log_evidence(scale) for kind, fit in last.items()}
-    best = max(log_evidence.values())
-    return frozenset(kind for kind, value in log_evidence.items() if value < best - _FAR)
+    return compare(*all_fits(data, foam, trust or Trust()))
 
 
 def compare(fits: Sequence[ShapeFit], log_prior: Sequence[float] | None = None) -> ShapeAnswer:

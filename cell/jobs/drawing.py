@@ -17,14 +17,13 @@ from cell.sequence import plan
 from cell.simulation import converter_noise
 from cell.virtual_grasps import Course, Noise, VirtualPads
 from recognition.drawing import Drawing
-from recognition.foam_fit import SIDEWAYS
 from recognition.grasp import Grasp, PadArray
 
 _PULSES = 4096
 _MODULUS_FURTHER = 2.5
 """Foams differ in stiffness more than in anything else."""
-_BEND_SD, _LAG, _NOISE_SD = 0.07, 0.1, 0.25
-"""Of the converter's law, of slow foam and of the noise (`Course`): on other foams than known."""
+_BEND, _LAG, _NOISE = 0.7, 1.0, 2.5
+"""How far converter, slowness of the foam and noise may be off, over how far the gain may be."""
 
 
 def teach_drawing(
@@ -108,10 +107,9 @@ def course_of(config: CellConfig, known: PadKnowledge) -> Course:
         spread_sd=known.other_foams * known.spread_sd,
         densification_sd=known.other_foams * known.densification_sd,
         thickness_sd=known.other_foams * known.thickness_sd,
-        sideways=SIDEWAYS if further > 0.0 and known.fit is None else (),
-        bend_sd=_BEND_SD * further,
-        lag=_LAG * further,
-        noise_sd=_NOISE_SD * further,
+        bend_sd=_BEND * further * known.gain_sd,
+        lag=_LAG * further * known.gain_sd,
+        noise_sd=_NOISE * further * known.gain_sd,
     )
 
 
