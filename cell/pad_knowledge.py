@@ -28,7 +28,7 @@ _OTHER_FOAMS = 2.5
 _OTHER_THAN_GAUGED = 0.3
 _OTHER_THAN_ONE_SHAPE = 1.4
 _MIN_QUIET = 5
-_BAD_MISFIT = 4.0
+_BAD_MISFIT = 2.5
 _BAD_FIT = " where 1 is the noise: is this the gauge's shape? These pads are not understood"
 
 
