@@ -99,6 +99,7 @@ def fit_lda(
     n_independent: int | None = None,
     weight: NDArray[np.float64] | None = None,
     max_rank: int | None = None,
+    nuisance: NDArray[np.float64] | None = None,
     keep_whitening: bool = False,
 ) -> LinearDiscriminant:
     """Fit to labelled rows.
@@ -123,6 +124,8 @@ def fit_lda(
     max_rank
         The most axes r of the discriminant space, those that separate best; None for as many as
         the means of the classes span. A single class keeps all.
+    nuisance : (m, F)
+        Deviations that the rows do not show; the mean of their squares adds to the covariance.
     keep_whitening
         Whether `LinearDiscriminant.beside` is wanted.
 
@@ -146,7 +149,10 @@ def fit_lda(
     within = (features - means[classes]) * np.sqrt(weight)[:, None]
     mean = means.mean(axis=0)
     freedom = float(weight.sum()) * (1.0 - n_classes / n)
-    spread = np.sqrt((within**2).sum(axis=0) / freedom)
+    variance = (within**2).sum(axis=0) / freedom
+    if nuisance is not None:
+        variance += (nuisance**2).mean(axis=0)
+    spread = np.sqrt(variance)
     overall = features.std(axis=0)
     scale = np.sqrt(spread**2 + (1e-2 * overall) ** 2)
     scale = np.where(scale > 1e-12, scale, 1.0)
@@ -157,6 +163,9 @@ def fit_lda(
         rho = max(min_shrinkage, _oas(covariance, max(1, independent - n_classes)))
     else:
         rho = float(shrinkage)
+    if nuisance is not None:
+        deviation = nuisance / scale
+        covariance += deviation.T @ deviation / len(deviation)
     level = float(np.trace(covariance)) / n_features
     covariance *= 1.0 - rho
     covariance[np.diag_indices(n_features)] += rho * level + 1e-9

@@ -3,16 +3,21 @@
 Turned by 180 degrees an object offers the same two surfaces to the same two pads. About the finger
 it changes sides, and each pad sees what the other one saw. About the closing direction it stays on
 its pad and the patch turns. Both need pads that are alike and evenly spaced; nothing is invented
-for other pads.
+for other pads. A tilt turns each patch by a few degrees, as the next placing may.
 """
 
 from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import map_coordinates
 
 from recognition.features_footprint import PadGrid
 from recognition.ramp_levels import Levels
+
+TILTS_RAD = (-np.pi / 12, np.pi / 12)
+"""Tilts that placings by hand or from a feeder may well bring."""
 
 _SAME_MM = 1e-3
 
@@ -43,3 +48,42 @@ def turn(levels: Levels) -> Levels:
     Taxels are row-major on a grid that is the same both ways round, so the order is reversed.
     """
     return replace(levels, maps=tuple(m[..., ::-1] for m in levels.maps))
+
+
+def tilt(levels: Levels, grids: Sequence[PadGrid], angle_rad: float) -> Levels:
+    """Return the grasps as if each patch had been turned about the centre of its load.
+
+    Between taxels the pressure is taken as linear; what is turned off the pad is lost.
+    """
+    maps = tuple(_turned(m, g, angle_rad) for m, g in zip(levels.maps, grids, strict=True))
+    before, after = (
+        np.stack([m[:, -1].sum(axis=1) for m in of_pads], axis=1) for of_pads in (levels.maps, maps)
+    )
+    kept = np.where(before > 0, after / np.where(before > 0, before, 1.0), 1.0)
+    return replace(levels, maps=maps, timed_load=levels.timed_load * kept[..., None])
+
+
+def _turned(maps: NDArray[np.float64], grid: PadGrid, angle_rad: float) -> NDArray[np.float64]:
+    """Return maps (n, K, n_taxels) turned about their centres of load."""
+    n_maps = maps.shape[0] * maps.shape[1]
+    pressure = maps.reshape(n_maps, -1)
+    rows, columns = np.divmod(np.arange(pressure.shape[1]), grid.shape[1])
+    # One step along a row and along a column of taxels, in mm: from the positions, as pads are
+    # laid out in different ways.
+    steps, *_ = np.linalg.lstsq(
+        np.column_stack([rows, columns, np.ones_like(rows)]), grid.xy_mm, rcond=None
+    )
+    load = np.maximum(pressure, 0.0)
+    centre = load @ grid.xy_mm / np.maximum(load.sum(axis=1), 1e-9)[:, None]
+    cosine, sine = np.cos(angle_rad), np.sin(angle_rad)
+    back = np.array([[cosine, -sine], [sine, cosine]])
+    source = centre[:, None] + (grid.xy_mm - centre[:, None]) @ back
+    index = (source - steps[2]) @ np.linalg.pinv(steps[:2])
+    number = np.broadcast_to(np.arange(n_maps, dtype=np.float64)[:, None], index.shape[:2])
+    turned = map_coordinates(
+        pressure.reshape(n_maps, *grid.shape),
+        [number, index[..., 0], index[..., 1]],
+        order=1,
+        mode="grid-constant",
+    )
+    return np.asarray(turned.reshape(maps.shape), dtype=np.float64)

@@ -22,6 +22,7 @@ def fit_evidence(
     n_classes: int,
     *,
     virtual: NDArray[np.float64] | None = None,
+    nuisance: NDArray[np.float64] | None = None,
     n_second: int | None = None,
 ) -> Evidence:
     """Teach classes.
@@ -36,6 +37,9 @@ def fit_evidence(
         Number of classes.
     virtual : (n, F), optional
         Features of a virtual grasp for each row; it counts 0.3 of a real one.
+    nuisance : (m, F), optional
+        Deviations that the next placing may bring, whatever is grasped; together they count as one
+        grasp of each class.
     n_second
         How many of the first features the second opinion goes by; None for no second opinion.
 
@@ -61,8 +65,14 @@ def fit_evidence(
         weight=weight,
         max_rank=_MOST_AXES,
     )
-    first = teach(rows, keep_whitening=True)
-    second = None if n_second is None else teach(rows[:, :n_second])
+    if nuisance is not None:
+        # Together they count as one grasp of each class: what many grasps show outweighs them.
+        nuisance = nuisance * np.sqrt(n_classes / n)
+    first = teach(rows, nuisance=nuisance, keep_whitening=True)
+    second = None
+    if n_second is not None:
+        cut = None if nuisance is None else nuisance[:, :n_second]
+        second = teach(rows[:, :n_second], nuisance=cut)
     order = np.argsort(labels, kind="stable")
     labels, weight = labels[order], weight[order]
     total = np.bincount(labels, weights=weight, minlength=n_classes)

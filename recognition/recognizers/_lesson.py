@@ -13,7 +13,7 @@ from recognition.ramp import Rest
 from recognition.ramp_levels import Levels
 from recognition.recognizers._telling import Rows
 from recognition.recognizers._view import Lesson
-from recognition.virtual import can_change_sides, change_sides, turn
+from recognition.virtual import TILTS_RAD, can_change_sides, change_sides, tilt, turn
 
 _TACTILE_GROUPS = ("patch", "pose", "pads", "growth", "profile", "surface")
 _SINGLE_GROUPS = ("surface",)
@@ -36,16 +36,25 @@ def make_lesson(
 ) -> Lesson:
     """Return what a view is taught with, of grasps and their touch with each gain undone."""
     n_classes = int(classes.max()) + 1
-    virtual = None
+    features = _features(levels, grids, n_classes, opening=opening)
+    virtual = nuisance = None
     if n_classes > 1 and can_change_sides(grids):
         # The opening tells the objects apart already; where each patch lies then helps more than
         # patches that are turned hurt.
         turned = change_sides(levels if opening else turn(levels))
         virtual = _features(turned, grids, n_classes, opening=opening)
+    both = opening and n_classes > 1
+    if both:
+        # By touch alone how a patch lies tells some objects apart; here it is better ignored.
+        tilted = [
+            _features(tilt(levels, grids, a), grids, n_classes, opening=True) for a in TILTS_RAD
+        ]
+        nuisance = np.stack(tilted) - features
     return Lesson(
-        features=_features(levels, grids, n_classes, opening=opening),
+        features=features,
         virtual=virtual,
         rows=make_rows(undone, levels, grids, n_classes, grid, opening=opening),
+        nuisance=nuisance,
         classes=classes,
         n_classes=n_classes,
         n_second=undone.shape[2] if n_classes > 1 else None,

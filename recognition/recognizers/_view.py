@@ -101,6 +101,8 @@ class Lesson:
         Finite features as they were recorded; rows of one class in the order of time.
     virtual : (n, F) float64 or None
         Features of a virtual grasp for each row.
+    nuisance : (k, n, F) float64 or None
+        How the features of each row deviate in k placings that differ a little.
     rows
         The same grasps under each drift of the grid.
     classes : (n,) int64
@@ -115,6 +117,7 @@ class Lesson:
 
     features: NDArray[np.float64]
     virtual: NDArray[np.float64] | None
+    nuisance: NDArray[np.float64] | None
     rows: Rows
     classes: NDArray[np.int64]
     n_classes: int
@@ -130,6 +133,11 @@ class Lesson:
             renumbered,
             len(remaining),
             virtual=None if self.virtual is None else self.virtual[mask],
+            nuisance=(
+                None
+                if self.nuisance is None
+                else self.nuisance[:, mask].reshape(-1, self.features.shape[1])
+            ),
             n_second=self.n_second,
         )
 
@@ -174,7 +182,7 @@ def _reach(lesson: Lesson, blocks: Sequence[NDArray[np.bool_]], fits: Sequence[E
 
     By touch alone it is 1: a gain alone hardly turns one object into another.
     """
-    if lesson.rows.aperture.shape[2] == 0:
+    if len(lesson.grid.offsets_mm) == 1:
         return 1.0
     found = [
         fit.spread_of(lesson.features[held_out], lesson.classes[held_out])

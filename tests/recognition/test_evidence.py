@@ -7,7 +7,7 @@ import pytest
 from scipy.special import logsumexp
 from scipy.stats import ortho_group
 
-from recognition.drift import CERTAIN, drift_grid
+from recognition.drift import DriftGrid, drift_grid
 from recognition.lda import fit_lda
 from recognition.recognizers._evidence_fit import fit_evidence
 from recognition.recognizers._telling import Rows
@@ -109,14 +109,19 @@ def lesson(n_grasps, n_opening, step):
     walk = step * rng.normal(size=(5, n_grasps, 12)).cumsum(axis=1).reshape(-1, 12)
     features = rng.normal(0.0, 6.0, (5, 12))[classes] + rng.normal(size=walk.shape) + walk
     n_touch = 12 - n_opening
+    # Only the opening has an offset that may drift.
+    offsets = np.array([-1.0, 0.0, 1.0]) if n_opening else np.zeros(1)
+    prior = np.where(offsets == 0.0, 0.98, 0.01)
+    aperture = np.repeat(features[:, None, n_touch:], len(offsets), axis=1)
     return Lesson(
         features=features,
         virtual=None,
-        rows=Rows(tactile=features[:, None, :n_touch], aperture=features[:, None, n_touch:]),
+        nuisance=None,
+        rows=Rows(tactile=features[:, None, :n_touch], aperture=aperture),
         classes=classes,
         n_classes=5,
         n_second=n_touch if n_opening else None,
-        grid=CERTAIN,
+        grid=DriftGrid(gains=np.ones(1), offsets_mm=offsets, log_prior=np.log(prior)[None]),
     )
 
 
