@@ -19,6 +19,8 @@ _OWN = {"force": 0.01, "offset": 0.01, "rotation": 0.04, "roll": 0.01}
 _NOISE = 0.8
 """Share that nothing explains."""
 _N_CURVES = {"force": 2, "offset": 4, "rotation": 4, "roll": 4}
+_SPARED = 8
+"""One of so many candidates is good enough after the first grasp."""
 _STILL = 1e-9
 """Spread, in m, rad or N, of what did not change while teaching."""
 
@@ -77,8 +79,15 @@ def expected_loss(
 
 
 def best_of(memory: PoseMemory, posteriors: Sequence[Posterior], candidates: ArrayLike) -> int:
-    """Return the index of the candidate with the least expected loss, the first of equals."""
-    return int(np.argmin(expected_loss(memory, posteriors, candidates)))
+    """Return the index of the candidate to take.
+
+    The first grasp is the one with the least expected loss. Later ones are the first candidate
+    among the best eighth: the least loss alone asks for much the same grasp again and again, and
+    like grasps repeat their errors.
+    """
+    loss = expected_loss(memory, posteriors, candidates)
+    n_best = max(1, len(loss) // _SPARED) if posteriors else 1
+    return int(np.argsort(loss, kind="stable")[:n_best].min())
 
 
 def _basis(memory: PoseMemory, placings: NDArray[np.float64]) -> NDArray[np.float64]:

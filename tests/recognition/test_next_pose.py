@@ -61,6 +61,15 @@ def test_without_a_grasp_all_labels_count_alike() -> None:
     assert loss[0] < loss[1]
 
 
+def test_after_the_first_grasp_one_of_the_best_eighth_will_do() -> None:
+    many = placings(np.random.default_rng(8), 24)
+    ranked = np.argsort(expected_loss(memory(), [], many))
+    assert best_of(memory(), [], many) == ranked[0]
+    even = [posterior(0.3334, 0.3333, 0.3333)]
+    ranked = np.argsort(expected_loss(memory(), even, many))
+    assert best_of(memory(), even, many) == min(ranked[:3]) != ranked[0]
+
+
 def test_half_a_turn_changes_nothing() -> None:
     turned = CANDIDATES + np.array([0.0, 0.0, math.pi, math.pi, 0.0])
     assert expected_loss(memory(), [], turned) == pytest.approx(
