@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from recognition.grasp import PadArray
 
 RANGES = {
-    "aperture_mm": (-10.0, 1000.0, "openings stand in mm"),
-    "force_n": (0.0, 10_000.0, "grip forces stand in N"),
+    "aperture_mm": (-100.0, 1000.0, "openings stand in mm"),
+    "force_n": (-100.0, 10_000.0, "grip forces stand in N"),
     "taxel_xy_mm": (-1000.0, 1000.0, "places stand in mm"),
     "pose": (-0.5, 0.5, "offsets stand in m"),
     "start_ms": (-1e15, 1e15, "times stand in ms since 1970"),

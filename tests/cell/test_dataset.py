@@ -165,12 +165,18 @@ DAMAGE: dict[str, tuple[Change, str]] = {
         lambda a: a.update(aperture_mm=a["aperture_mm"] * 1e-3),
         r"never exceeds 0\.03, expected 0\.2 .* in mm, not in m",
     ),
-    "openings below zero": (lambda a: a.update(aperture_mm=-a["aperture_mm"]), "is -30 at 0"),
+    "openings far below zero": (
+        lambda a: a.update(aperture_mm=-10.0 * a["aperture_mm"]),
+        "is -300 at 0, must be from -100",
+    ),
     "openings in micrometres": (
         lambda a: a.update(aperture_mm=a["aperture_mm"] * 1e3),
-        "is 30000 at 0, must be from -10 to 1000: openings stand in mm",
+        "is 30000 at 0, must be from -100 to 1000: openings stand in mm",
     ),
-    "pushing force": (lambda a: a.update(force_n=-1 - a["force_n"]), "is -1 at 0, must be from 0"),
+    "force far below zero": (
+        lambda a: a.update(force_n=-1e3 - a["force_n"]),
+        "is -1000 at 0, must be from -100",
+    ),
     "places in metres": (
         lambda a: a.update(taxel_xy_mm=a["taxel_xy_mm"] * 1e-3),
         r"the 6 taxels of pad 0 over 0\.013, .* in mm, not in m",
