@@ -1,5 +1,6 @@
 """What is known of foam and sensor of a cell: calibrated on a gauge object, or what is usual."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,6 +28,8 @@ _LEAST_SD = 0.03
 _OTHER_FOAMS = 2.5
 _OTHER_THAN_GAUGED = 0.3
 _OTHER_THAN_ONE_SHAPE = 1.4
+_DEPTH_SD_M = 0.2e-3
+"""How far the zero that one shape gives may be from that of others, in m."""
 _MIN_QUIET = 5
 _BAD_MISFIT = 2.5
 _BAD_FIT = " where 1 is the noise: is this the gauge's shape? These pads are not understood"
@@ -171,7 +174,7 @@ def calibrate_on_gauge(
         densification_sd=max(stiffening_sd, 2.0 * _LEAST_SD),
         thickness_sd=_LEAST_SD,
         other_foams=_OTHER_THAN_ONE_SHAPE,
-        aperture_sd_m=max(0.2e-3, 1e-3 * aperture_sd_mm),
+        aperture_sd_m=math.hypot(max(0.2e-3, 1e-3 * aperture_sd_mm), _DEPTH_SD_M),
         rest=_rest_frames(grasps),
         fit=fit,
     )
