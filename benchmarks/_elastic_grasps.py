@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks._elastic_contact import ElasticGrid, ElasticPad
-from benchmarks._posed_grasps import Placing
 from cell.collect import pad_array
 from recognition.drawing import posed, resting_roll_rad
 from recognition.grasp import Grasp
+from recognition.placing import Placing
 from simulator.noise import NoiseModel
 from simulator.shape_text import parse_shape
 from tactile.layouts import paper_layout, pinch_layout

@@ -15,12 +15,13 @@ from benchmarks._elastic_grasps import (
     elastic_grasp,
     pressed,
 )
-from benchmarks._posed_grasps import Placing, draw_placing
+from benchmarks._posed_grasps import draw_placing
 from cell.config import CellConfig
 from cell.config_tactile import LinearCalibrationConfig
 from cell.pad_knowledge import PadKnowledge, calibrate_on_gauge, usual_foam
 from cell.simulation import drawn_shape
 from recognition.grasp import Grasp
+from recognition.placing import Placing
 
 GAUGE = "sphere:diameter=9.5mm"
 """The object that calibrates."""
