@@ -53,11 +53,7 @@ def shapes_view(rows: Sequence[ShapeRow]) -> dict[str, Any] | None:
         groups.append(
             {
                 "label": name,
-                "kinds": ", ".join(
-                    f"{kind} {count} of {len(shapes)}"
-                    for kind, count in Counter(shape.kind for shape in shapes).most_common()
-                ),
-                "silent": sum(_name(row) == name for row in rows) - len(shapes),
+                "kinds": _kinds(shapes, sum(_name(row) == name for row in rows)),
                 "bars": [
                     {
                         "text": str(shape),
@@ -72,7 +68,7 @@ def shapes_view(rows: Sequence[ShapeRow]) -> dict[str, Any] | None:
                     }
                     for shape in shapes[:MAX_BARS]
                 ],
-                "text": str(shapes[0]) if len(shapes) == 1 else _median(shapes),
+                "text": _sizes(shapes),
             }
         )
     strangers = [(row.truth, shape) for row, shape in felt if row.answer == UNKNOWN]
@@ -93,10 +89,17 @@ def _name(row: ShapeRow) -> str:
     return row.answer if row.truth is None else row.truth
 
 
-def _median(shapes: Sequence[ShapeAnswer]) -> str:
-    """Return the median of sizes and of interval widths, so that many read as one."""
-    if not shapes:
-        return ""
+def _kinds(shapes: Sequence[ShapeAnswer], n: int) -> str:
+    """Return how often each kind was felt in ``n`` identifications, and how often none."""
+    counts = Counter(shape.kind for shape in shapes).most_common()
+    silent = [("without shape", n - len(shapes))] if len(shapes) < n else []
+    return ", ".join(f"{kind} {count} of {n}" for kind, count in counts + silent)
+
+
+def _sizes(shapes: Sequence[ShapeAnswer]) -> str:
+    """Return all sizes of one answer; of several the median of size and of interval width."""
+    if len(shapes) < 2:
+        return " and ".join(str(thickness) for shape in shapes for thickness in shape.thicknesses)
     size_mm = 1e3 * float(np.median([shape.size_m for shape in shapes]))
     width_mm = 1e3 * float(np.median([shape.high_m - shape.low_m for shape in shapes]))
     return f"median {size_mm:.1f} mm, intervals {width_mm:.1f} mm wide"

@@ -318,7 +318,8 @@ def _print_main(result: MainResult) -> None:
         say(remark)
     shapes = shapes_view(shape_rows(result))
     for group in [] if shapes is None else shapes["groups"]:
-        say(f"{group['label']} felt like: {group['kinds']}; {group['text']}")
+        sizes = f"; {group['text']}" if group["text"] else ""
+        say(f"{group['label']} felt like: {group['kinds']}{sizes}")
     say(f"report:    {result.report}")
     say(f"recording: {result.recording}")
     if result.dataset is not None:

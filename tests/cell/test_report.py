@@ -647,9 +647,11 @@ def test_all_shapes_are_drawn_on_one_scale() -> None:
     view = shapes_view(rows)
     assert view is not None
     pin, bar = view["groups"]
-    assert (pin["label"], pin["kinds"], pin["silent"]) == ("pin", "cylinder 1 of 2, oval 1 of 2", 1)
+    assert pin["label"] == "pin"
+    assert pin["kinds"] == "cylinder 1 of 3, oval 1 of 3, without shape 1 of 3"
     assert pin["text"] == "median 6.1 mm, intervals 0.6 mm wide"
-    assert bar["text"] == "flat, 10.0 mm (9.7 to 10.3) and 15.9 mm (15.6 to 16.2)"
+    assert bar["kinds"] == "flat 1 of 1"
+    assert bar["text"] == "10.0 mm (9.7 to 10.3) and 15.9 mm (15.6 to 16.2)"
     (both,) = bar["bars"]
     scale = {float(tick["text"]): float(tick["at"]) for tick in view["ticks"]}
     per_mm = (scale[16.0] - scale[10.0]) / 6.0
@@ -662,7 +664,7 @@ def test_all_shapes_are_drawn_on_one_scale() -> None:
     page = render_report(ReportData(title="t", created="now", shapes=rows))
     assert f"UNKNOWN: {stranger['text']}" in page
     assert "it was bar" in page
-    assert "1 without shape" in page
+    assert "without shape 1 of 3" in page
 
 
 def test_a_page_without_shapes_has_no_place_for_them() -> None:
