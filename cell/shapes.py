@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Self
 
 from cell.config import CellConfig
+from cell.errors import ConfigError
 from cell.pad_knowledge import PadKnowledge, usual_foam
 from recognition.errors import ContactError
 from recognition.grasp import Grasp
@@ -36,8 +37,15 @@ def shape_reader(config: CellConfig, known: PadKnowledge | None = None) -> ReadS
         The cell.
     known
         What is known of foam and sensor; by default what is usual, under the config's law.
+
+    Raises
+    ------
+    ConfigError
+        If there is a gauge, and the config wants no shapes.
     """
     if not config.recognition.shape:
+        if known is not None and known.fit is not None:
+            raise ConfigError("a gauge serves shape and size, which recognition.shape leaves out")
         return None
     return reader_under(known or PadKnowledge(foam=usual_foam(config)))
 

@@ -5,14 +5,22 @@ import threading
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 
 from cell.collect import GraspCollector
 from cell.config import CellConfig
-from cell.errors import CellStateError, CellStopped, NoPartFound, PlanRefused, PositionerError
+from cell.errors import (
+    CellStateError,
+    CellStopped,
+    ConfigError,
+    NoPartFound,
+    PlanRefused,
+    PositionerError,
+)
+from cell.pad_knowledge import PadKnowledge
 from cell.pose import Pose
 from cell.recording import read_recording
 from cell.sequence import GraspStep, plan
@@ -20,6 +28,7 @@ from cell.shapes import in_words, shape_reader
 from cell.states import CellState
 from gripper.errors import BusTimeout, GripperError, LimitExceeded, PortLost, ServoFault
 from gripper.gripper import GraspResult, GripperPhase
+from recognition.foam_model import FoamModel
 from recognition.fusion import DecisionKind
 from tactile.errors import BusOff, LinkFault, TareRefused
 
@@ -228,7 +237,11 @@ def test_nor_on_whether_shapes_can_be_fused(bench: Any, make_config: Callable[..
 
 
 def test_a_config_may_want_no_shapes(make_config: Callable[..., Any]) -> None:
-    assert shape_reader(make_config(recognition__shape=False)) is None
+    config = make_config(recognition__shape=False)
+    assert shape_reader(config, PadKnowledge(foam=FoamModel())) is None
+    gauged = PadKnowledge(foam=FoamModel(), fit=cast("Any", "of a gauge"))
+    with pytest.raises(ConfigError, match="a gauge serves shape and size"):
+        shape_reader(config, gauged)
 
 
 def test_identifying_ends_with_its_plan(bench: Any) -> None:
