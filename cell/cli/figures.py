@@ -74,13 +74,21 @@ def train(
         pads=grasps[0].pads,
         sections={**heads_sections(heads), **memory_sections(memory)},
     )
-    say(f"{recognizer} taught {len(taught.labels)} objects with {len(grasps)} grasps: {model}")
+    also = " and ".join(
+        name for name, there in (("ramps cut short", early), ("poses", poses)) if there
+    )
+    say(
+        f"{recognizer} taught {len(taught.labels)} objects with {len(grasps)} grasps"
+        + (f", with {also}" if also else "")
+        + f": {model}"
+    )
     write_json(
         json_file,
         {
             "model": str(model),
             "recognizer": recognizer,
             "n_grasps": len(grasps),
+            "early": early,
             "n_remembered": 0 if memory is None else len(memory.classes),
             "labels": list(taught.labels),
         },

@@ -229,7 +229,8 @@ def test_a_model_taught_for_it_ends_ramps_early(
         assert "train it with `tactile-cell train --early`" in said
     assert not (tmp_path / "out").exists()
     early = tmp_path / "early.npz"
-    call("train", dataset, "-o", early, "--early")
+    text = call("train", dataset, "-o", early, "--early")
+    assert f"grasps, with ramps cut short: {early}" in text
     said = call(
         *("identify", "-m", early, "--object", "box", "-c", config),
         *("--json", tmp_path / "i.json"),
@@ -272,6 +273,7 @@ def test_train_writes_a_model(dataset: Path, tmp_path: Path) -> None:
         "model": str(path),
         "recognizer": "level_check",
         "n_grasps": 20,
+        "early": False,
         "n_remembered": 0,
         "labels": ["ball", "box"],
     }
