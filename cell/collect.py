@@ -57,7 +57,7 @@ class GraspRecord:
         told = self.early.posterior
         return (
             f"ended early at {self.cycles[-1].setpoint_n:.1f} N: {told.best} "
-            f"{float(told.probability.max()):.1%}"
+            f"{100 * float(told.probability.max()):.1f} %"
         )
 
     def ramp_as_json(self) -> dict[str, Any]:

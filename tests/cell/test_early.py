@@ -84,7 +84,7 @@ def test_a_ramp_ends_where_it_suffices_and_tells_what_was_known_then(
     bench.cell.close()
     recording = read_recording(tmp_path / "recording.mcap")
     assert [event["text"] for event in recording.events if event["kind"] == "ramp"] == [
-        f"ended early at {record.cycles[-1].setpoint_n:.1f} N: ball 99.9%"
+        f"ended early at {record.cycles[-1].setpoint_n:.1f} N: ball 99.9 %"
     ]
     assert [result["n_ended_early"] for result in recording.results] == [1]
     assert len(recording.grasps[0].counts) == record.grasp.n_frames
