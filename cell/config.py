@@ -35,7 +35,8 @@ class RecognitionConfig(Section):
     shape: bool = True
     """Whether each grasp of an identification also tells shape and size."""
     follow_drift: bool = True
-    """Whether the drift of the sensors is followed from one identification to the next."""
+    """Whether the drift of the sensors is followed from one identification to the next; only
+    force_ramp can."""
 
 
 class RecordingConfig(Section):

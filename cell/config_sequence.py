@@ -99,7 +99,8 @@ class SequenceConfig(Section):
     error_rate: float = Field(default=0.02, gt=0.0, lt=0.5)
     """Wanted rate of wrong answers at which a sequence stops early, 0 to 0.5."""
     decide_early: bool = False
-    """Whether a force ramp ends as soon as what was felt until then is sure enough."""
+    """Whether a force ramp ends as soon as what was felt until then is sure enough; a model file
+    needs `train --early`."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -45,6 +45,11 @@ class Shift:
         self._said = False
 
     @property
+    def follows(self) -> bool:
+        """Whether it learns from what it is shown."""
+        return self._follow
+
+    @property
     def belief(self) -> DriftBelief | None:
         """What is believed of the drift; None where it is not followed."""
         return self.recognizer.belief if isinstance(self.recognizer, Following) else None

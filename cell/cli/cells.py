@@ -32,7 +32,7 @@ from cell.config import CellConfig
 from cell.config_file import load_config
 from cell.dataset import read_dataset
 from cell.early_heads import loaded_heads
-from cell.errors import ConfigError, DatasetError
+from cell.errors import ConfigError, DatasetError, ModelError
 from cell.jobs.files import job_folder
 from cell.jobs.identifying import identify_on_cell, identify_recorded
 from cell.jobs.main_job import MainResult, teach_and_identify
@@ -213,6 +213,10 @@ def identify(
         loaded = load_model(model)
         recorded = read_dataset(dataset)
         shift = Shift(loaded.recognizer)
+        if follow and not shift.follows:
+            raise ModelError(
+                f"a model of {loaded.trainer_name} cannot follow a drift; train one of force_ramp"
+            )
         answers = identify_recorded(loaded, recorded, shift=shift if follow else None)
         shapes = [None if read_shape is None else read_shape(grasp) for grasp in recorded]
         for answer, shape in zip(answers, shapes, strict=True):

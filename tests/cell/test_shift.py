@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,10 +12,10 @@ from numpy.typing import NDArray
 from typer.testing import CliRunner
 
 from cell.cli.app import app
-from cell.errors import ConfigError
+from cell.errors import ConfigError, ModelError
 from cell.goals import IdentifyGoal, TeachGoal
 from cell.jobs.identifying import identify_recorded, objects_in_turn
-from cell.model import load_model
+from cell.model import load_model, save_model
 from cell.plugin import TactileCellPlugin
 from cell.recording import read_recording
 from cell.shift import Shift, drift_values
@@ -256,5 +257,18 @@ def test_a_cell_that_grasps_one_object_has_nothing_to_follow(taught: Any) -> Non
         CliRunner().invoke(
             app,
             ["identify", "--follow", "-m", str(taught.result.model)],
+            catch_exceptions=False,
+        )
+
+
+def test_a_model_that_cannot_follow_is_refused(taught: Any, tmp_path: Path) -> None:
+    result = taught.result
+    model = tmp_path / "level.npz"
+    recognizer = result.recognizers["level_check"]
+    save_model(model, recognizer, trainer_name="level_check", pads=taught.grasps[0].pads)
+    with pytest.raises(ModelError, match="level_check cannot follow a drift"):
+        CliRunner().invoke(
+            app,
+            ["identify", "--follow", "-m", str(model), str(result.dataset)],
             catch_exceptions=False,
         )
