@@ -7,7 +7,6 @@ the plugin grasps and tells what it held.
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
@@ -25,34 +24,11 @@ from cell.pad_knowledge import pad_knowledge
 from cell.pose import Pose
 from cell.shapes import FeltShape
 from cell.states import CellState
+from cell.status import CellStatus
 from cell.taught import Answer, TaughtObjects
 from cell.worker import CellWorker, Job, JobOutcome, JobStatus, Report
 
 __all__ = ["Answer", "CellStatus", "FeltShape", "IdentifyGoal", "TactileCellPlugin", "TeachGoal"]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CellStatus:
-    """State of cell and grip, for hosts that show or forward it; see docs/states.md.
-
-    Attributes
-    ----------
-    state, state_number
-        PackML name, and number in OPC 30060, StateEnumeration.
-    grasp, grasp_number
-        State of the grip, and its number.
-    holding
-        Whether a part may be in the grip.
-    fault
-        What is wrong, while a fault is latched.
-    """
-
-    state: str
-    state_number: int
-    grasp: str
-    grasp_number: int
-    holding: bool
-    fault: str | None
 
 
 class TactileCellPlugin:
@@ -161,16 +137,7 @@ class TactileCellPlugin:
     def status(self) -> CellStatus:
         """Return the states of cell and grip, with their numbers."""
         with self._calling():
-            controller = self._cell.controller
-            state, grasp = controller.state, controller.grasp_state
-            return CellStatus(
-                state=state.value,
-                state_number=state.number,
-                grasp=grasp.value,
-                grasp_number=grasp.number,
-                holding=controller.holding,
-                fault=controller.fault,
-            )
+            return CellStatus.of(self._cell.controller)
 
     def fault(self) -> str | None:
         """Return what is wrong, while a fault is latched."""

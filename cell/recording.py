@@ -15,8 +15,10 @@ from cell import recording_schema as schema
 from cell.errors import RecordingError
 from cell.recording_file import BackgroundFile, DirectFile, RecordSink
 from cell.recording_json import (
+    belief_values,
     cycle_values,
     grasp_values,
+    metadata_values,
     plain_fields,
     shape_values,
     to_json,
@@ -122,20 +124,9 @@ class Recorder:
         self._guarded(lambda: self._begin(wall_clock_ns(), dict(metadata or {})))
 
     def _begin(self, wall_ns: int, metadata: dict[str, str]) -> None:
-        pads = {
-            "pad_shape": self._pads.pad_shape.tolist(),
-            "taxel_pad": self._pads.taxel_pad.tolist(),
-            "taxel_xy_m": self._pads.taxel_xy_m.round(9).tolist(),
-            "adc_max": self._pads.adc_max,
-        }
         self._writer.start(profile="", library="tactile-cell")
-        entries = {
-            **metadata,
-            "format": schema.FORMAT,
-            "wall_clock_start_ns": str(wall_ns),
-            "monotonic_start_ns": str(to_ns(self._clock.monotonic())),
-            "pads": to_json(pads),
-        }
+        started_ns = to_ns(self._clock.monotonic())
+        entries = metadata | metadata_values(self._pads, wall_ns, started_ns)
         self._writer.add_metadata(
             schema.METADATA, entries | {"crc32": schema.metadata_crc32(entries)}
         )
@@ -255,10 +246,7 @@ class Recorder:
         if grasp_shapes:
             values["grasp_shapes"] = [shape_values(one) for one in grasp_shapes]
         if drift is not None:
-            values["drift_gain"] = drift.present.gain
-            values["drift_aperture_m"] = drift.present.aperture_offset_m
-            values["drift_unchanged"] = drift.unchanged
-            values["drift_n_objects"] = drift.n_objects
+            values |= belief_values(drift)
         self._put(schema.RESULT, self._clock.monotonic(), values)
 
     def close(self) -> None:

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cell.recording_schema import counts_crc32
+from cell.recording_schema import FORMAT, counts_crc32
 
 if TYPE_CHECKING:
     from gripper.state import Cycle
-    from recognition.grasp import Grasp
+    from recognition.drift_following import DriftBelief
+    from recognition.grasp import Grasp, PadArray
     from recognition.shape_answer import ShapeAnswer
 
 _ENCODER = json.JSONEncoder(separators=(",", ":"), allow_nan=False, ensure_ascii=False)
@@ -97,6 +98,32 @@ def shape_values(shape: "ShapeAnswer | None") -> dict[str, Any]:
         "n_grasps": shape.n_grasps,
         "thicknesses": [plain_fields(thickness) for thickness in shape.thicknesses],
         "dimensions_m": known(**shape.dimensions_m),
+    }
+
+
+def belief_values(drift: "DriftBelief") -> dict[str, float]:
+    """Return the drift of the sensors that an answer rests on."""
+    return {
+        "drift_gain": drift.present.gain,
+        "drift_aperture_m": drift.present.aperture_offset_m,
+        "drift_unchanged": drift.unchanged,
+        "drift_n_objects": drift.n_objects,
+    }
+
+
+def metadata_values(pads: "PadArray", wall_ns: int, monotonic_ns: int) -> dict[str, str]:
+    """Return what a recording says of itself: its format, its start by both clocks, its pads."""
+    described = {
+        "pad_shape": pads.pad_shape.tolist(),
+        "taxel_pad": pads.taxel_pad.tolist(),
+        "taxel_xy_m": pads.taxel_xy_m.round(9).tolist(),
+        "adc_max": pads.adc_max,
+    }
+    return {
+        "format": FORMAT,
+        "wall_clock_start_ns": str(wall_ns),
+        "monotonic_start_ns": str(monotonic_ns),
+        "pads": to_json(described),
     }
 
 

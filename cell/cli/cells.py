@@ -35,8 +35,9 @@ from cell.early_heads import loaded_heads
 from cell.errors import ConfigError, DatasetError, ModelError
 from cell.jobs.files import job_folder
 from cell.jobs.identifying import identify_on_cell, identify_recorded
-from cell.jobs.main_job import MainResult, teach_and_identify
+from cell.jobs.main_job import teach_and_identify
 from cell.jobs.main_report import main_report, shape_rows
+from cell.jobs.main_result import MainResult
 from cell.jobs.teaching import append_to_dataset, dataset_to_extend
 from cell.jobs.teaching import teach as teach_object
 from cell.labels import checked_label

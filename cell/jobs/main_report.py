@@ -8,7 +8,8 @@ import numpy as np
 from cell.build import Cell
 from cell.collect import GraspRecord
 from cell.config import CellConfig
-from cell.jobs.main_job import BASELINE, MainResult, Trial
+from cell.jobs.main_job import BASELINE
+from cell.jobs.main_result import MainResult, Trial
 from cell.report import write_report
 from cell.report_build import (
     facts,

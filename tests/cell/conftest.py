@@ -13,7 +13,8 @@ from cell.config import CellConfig
 from cell.config_changes import changed_config
 from cell.controller import CellController
 from cell.dataset import read_dataset
-from cell.jobs.main_job import MainResult, teach_and_identify
+from cell.jobs.main_job import teach_and_identify
+from cell.jobs.main_result import MainResult
 from cell.pose import Pose
 from cell.sequence import GraspStep
 from gripper.gripper import GripperPhase

@@ -131,7 +131,7 @@ def test_run_with_a_model_teaches_nothing_and_says_what_it_is(
 
 
 def test_the_paper_is_put_beside_its_five_objects(capsys: pytest.CaptureFixture[str]) -> None:
-    from cell.jobs.main_job import MainResult, score
+    from cell.jobs.main_result import MainResult, score
 
     labels = ("box", "ball", "oval", "cylinder", "dumbbell")
     result = MainResult(

@@ -11,8 +11,9 @@ import pytest
 from cell.dataset import read_dataset
 from cell.errors import CellError, CellStopped, NoPartFound
 from cell.jobs.files import job_folder
-from cell.jobs.main_job import BASELINE, score, teach_and_identify
+from cell.jobs.main_job import BASELINE, teach_and_identify
 from cell.jobs.main_report import main_report
+from cell.jobs.main_result import score
 from cell.jobs.progress import silent
 from cell.jobs.teaching import append_to_dataset, teach, train
 from cell.model import load_model
