@@ -6,7 +6,7 @@ from typing import NoReturn
 
 import typer
 
-from cell.cli import cells, configs, figures, gauging, recordings, simulated
+from cell.cli import cells, configs, figures, gauging, identifying, recordings, simulated
 from cell.cli.output import complain, give_up_output
 from cell.cli.stopping import INTERRUPTED
 from cell.errors import CellError, ConfigError
@@ -26,7 +26,7 @@ config_app = typer.Typer(no_args_is_help=True, help="Config files: init, check, 
 app.command()(cells.run)
 app.command()(cells.teach)
 app.command()(figures.train)
-app.command()(cells.identify)
+app.command()(identifying.identify)
 app.command()(gauging.calibrate)
 app.command()(cells.release)
 app.command()(figures.evaluate)

@@ -1,8 +1,7 @@
 """Commands that move a cell: run, teach, identify, release."""
 
-from itertools import zip_longest
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -30,11 +29,9 @@ from cell.cli.running import faulted, pads_of, running_cell, seeded
 from cell.cli.stopping import END_WITHIN_S, stopping
 from cell.config import CellConfig
 from cell.config_file import load_config
-from cell.dataset import read_dataset
 from cell.early_heads import loaded_heads
-from cell.errors import ConfigError, DatasetError, ModelError
+from cell.errors import ConfigError, DatasetError
 from cell.jobs.files import job_folder
-from cell.jobs.identifying import identify_on_cell, identify_recorded
 from cell.jobs.main_job import teach_and_identify
 from cell.jobs.main_report import main_report, shape_rows
 from cell.jobs.main_result import MainResult
@@ -42,12 +39,8 @@ from cell.jobs.teaching import append_to_dataset, dataset_to_extend
 from cell.jobs.teaching import teach as teach_object
 from cell.labels import checked_label
 from cell.model import load_model
-from cell.pad_knowledge import pad_knowledge
 from cell.paper import TABLE_1, TABLE_1_LABELS
 from cell.report_shapes import shapes_view
-from cell.shapes import NO_SHAPE, beside, shape_reader
-from cell.shift import Shift, drift_text, drift_values
-from recognition.shape_answer import ShapeAnswer
 
 ObjectsOption = Annotated[
     list[str] | None,
@@ -179,107 +172,6 @@ def teach(
     )
 
 
-def identify(
-    dataset: Annotated[
-        Path | None, typer.Argument(help="Recorded grasps; without them, the cell grasps.")
-    ] = None,
-    model: ModelOption = None,
-    held: Annotated[
-        str | None, typer.Option("--object", help="Object that the simulated cell shall hold.")
-    ] = None,
-    follow: Annotated[
-        bool,
-        typer.Option(
-            "--follow", help="Follow the drift of the sensors through the recorded grasps."
-        ),
-    ] = False,
-    gauge: GaugeOption = None,
-    gauge_shape: GaugeShapeOption = None,
-    config: ConfigOption = None,
-    out_folder: OutOption = None,
-    seed: SeedOption = None,
-    faults: FaultOption = None,
-    json_file: JsonOption = None,
-) -> None:
-    """Name the object in the grip, or the objects of recorded grasps; say shape and size."""
-    if model is None:
-        raise ConfigError("--model is missing; `tactile-cell train` makes one")
-    checked = faulted(seeded(load_config(config), seed), faults)
-    read_shape = shape_reader(checked, pad_knowledge(checked, gauge, gauge_shape))
-    if dataset is not None:
-        if faults:
-            raise ConfigError(
-                "--fault is for the simulated cell; recorded grasps are what they are"
-            )
-        loaded = load_model(model)
-        recorded = read_dataset(dataset)
-        shift = Shift(loaded.recognizer)
-        if follow and not shift.follows:
-            raise ModelError(
-                f"a model of {loaded.trainer_name} cannot follow a drift; train one of force_ramp"
-            )
-        answers = identify_recorded(loaded, recorded, shift=shift if follow else None)
-        shapes = [None if read_shape is None else read_shape(grasp) for grasp in recorded]
-        for answer, shape in zip(answers, shapes, strict=True):
-            say(
-                f"grasp {answer.number:4d}: {answer.label:<24} {percent(answer.probability)}"
-                + ("" if read_shape is None else f"   {shape or NO_SHAPE}")
-                + (f"   (was {answer.truth})" if answer.truth else "")
-            )
-        if shift.belief is not None and shift.belief.likely:
-            say(
-                f"the sensors have drifted: {drift_text(shift.drift)}; `tactile-cell calibrate "
-                f"{dataset} --model {model} -o NEW` keeps that"
-            )
-        both = zip(answers, shapes, strict=True)
-        write_json(
-            json_file,
-            {"answers": [answer.as_json() | {"shape": _plain(shape)} for answer, shape in both]},
-        )
-        return
-    if follow:
-        raise ConfigError("--follow is for recorded grasps; a cell that grasps one object has none")
-    loaded = load_model(model, pads_of(checked))
-    loaded_heads(loaded, checked.sequence)
-    memory_for(checked.sequence, loaded)
-    folder = job_folder(out_folder or Path(checked.recording.directory), "identify")
-    with running_cell(checked, folder, json_file=json_file) as cell, progress_bar() as progress:
-        found, truth = identify_on_cell(
-            cell, checked, loaded, held=held, progress=progress, read_shape=read_shape
-        )
-        recording = cell.recording_path
-    for number, (record, posterior, shape) in enumerate(
-        zip_longest(found.records, found.posteriors, found.shapes), start=1
-    ):
-        say(
-            f"grasp {number}: {posterior.best} {percent(float(posterior.probability.max()))}, "
-            f"untaught {percent(posterior.unknown)}"
-            + (f"; {shape or NO_SHAPE}" if found.shapes else "")
-            + (f"; {record.ended}" if record.ended else "")
-        )
-    was = f" (it was {truth})" if truth else ""
-    felt = beside(found.label, found.shape)
-    say(f"answer: {found.label} {percent(found.probability)}{felt}{was}")
-    write_json(
-        json_file,
-        {
-            "label": found.label,
-            "probability": found.probability,
-            "probabilities": dict(
-                zip(found.fused.labels, found.fused.probability.tolist(), strict=True)
-            ),
-            "unknown": found.fused.unknown,
-            "n_grasps": len(found.posteriors),
-            "shape": _plain(found.shape),
-            "shapes": [_plain(shape) for shape in found.shapes],
-            "ramps": [record.ramp_as_json() for record in found.records],
-            "drift": None if found.drift is None else drift_values(found.drift),
-            "held": truth,
-            "recording": str(recording),
-        },
-    )
-
-
 def release(
     config: ConfigOption = None,
     confirm: Annotated[
@@ -302,10 +194,6 @@ def _recognizing(config: CellConfig, trainer_name: str) -> CellConfig:
     """Return the config with the kind of recogniser that a model file holds."""
     recognition = config.recognition.model_copy(update={"recognizer": trainer_name})
     return config.model_copy(update={"recognition": recognition})
-
-
-def _plain(shape: ShapeAnswer | None) -> dict[str, Any] | None:
-    return None if shape is None else shape.as_dict()
 
 
 def _print_main(result: MainResult) -> None:
