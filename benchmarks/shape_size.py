@@ -3,8 +3,8 @@
 The cell grasps balls, cylinders, boxes, ovals and a dumbbell through its buses in virtual time;
 its opening is then wrong by 0.2 mm (standard deviation) in each grasp. Then virtual grasps of an
 object are fused, on cells whose foam and opening are wrong alike in all of them. With the folder of
-recorded grasps in TACTILE_CELL_DATA, real objects of known diameter are measured too, with the golf
-ball as the gauge.
+recorded grasps in TACTILE_CELL_DATA, real objects are measured too, with the golf ball and then the
+ping-pong ball as the gauge.
 """
 
 import os
@@ -12,6 +12,7 @@ import statistics
 import time
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -28,6 +29,7 @@ from recognition.grasp import Grasp
 from recognition.ramp import learn_rest
 from recognition.shape_answer import UNCLEAR, ShapeAnswer, shape_of
 from recognition.shape_problem import Trust
+from recognition.splits import by_label, chronological_split
 
 OBJECTS = {
     "ball 6": ("sphere", 6.0, "sphere:diameter=6mm"),
@@ -50,6 +52,7 @@ OBJECTS = {
 """Label -> kind, thickness in mm, shape."""
 REAL_MM = {"golf_ball": 42.7, "ping-pong_ball": 40.0, "tennis_ball": 67.0}
 """Diameters in mm that rules of sport prescribe."""
+_N_GAUGE = 10
 _RECORDED = "pinch36.npz"
 _KINDS = {"sphere": "sphere", "cylinder": "cylinder", "box": "flat"}
 
@@ -111,29 +114,52 @@ def simulated(labels: Sequence[str], n_grasps: int) -> None:
     )
 
 
-def recorded(grasps: Sequence[Grasp], n_grasps: int) -> None:
-    """Measure recorded objects, calibrated on the golf ball's first grasps."""
-    rest = learn_rest(grasps)
-    gauge = [grasp for grasp in grasps if grasp.label == "golf_ball"][:10]
+def recorded(grasps: Sequence[Grasp], n_grasps: int, gauge: str) -> None:
+    """Measure recorded objects, calibrated on the first grasps of one of them.
+
+    Of each object the first 60 % of its grasps in time are used.
+    """
+    grasps, _ = chronological_split(grasps, 0.6)
+    members, rest = by_label(grasps), learn_rest(grasps)
     fit = fit_foam(
-        gauge, drawn_shape("sphere:diameter=42.7mm"), FoamModel(modulus_pa=1e6, spread_m=1e-3)
+        members[gauge][:_N_GAUGE],
+        drawn_shape(f"sphere:diameter={REAL_MM[gauge]}mm"),
+        FoamModel(modulus_pa=1e6, spread_m=1e-3),
     )
     line(
-        "recorded, golf ball gauge",
+        f"recorded, {gauge} gauge",
         f"foam {1e-6 * fit.foam.modulus_pa:.2f} MPa at an assumed 3 mm, spread "
         f"{1e3 * fit.foam.spread_m:.2f} mm, opening {1e3 * fit.foam.aperture_offset_m:+.1f} mm, "
         f"misfit {fit.misfit:.0f}",
     )
-    trust = Trust(aperture_m=2e-3, aperture_jitter_m=0.3e-3)
-    for label, shape in sorted({(g.label, g.shape) for g in grasps if g.shape in _KINDS}):
-        answers = []
-        for grasp in [g for g in grasps if g.label == label][10 : 10 + n_grasps]:
-            try:
-                answers.append(shape_of(grasp, foam=fit.foam, trust=trust, rest=rest))
-            except ContactError:
+    told: Counter[str] = Counter()
+    # With the misfit of the gauge, and as where no known shape had been tried.
+    with_gauge = Trust(aperture_m=2e-3, aperture_jitter_m=0.3e-3, misfit=fit.misfit)
+    for trust in (with_gauge, replace(with_gauge, misfit=0.0)):
+        for label, found in sorted(members.items()):
+            answers = []
+            for grasp in found[_N_GAUGE if label == gauge else 0 :][:n_grasps]:
+                try:
+                    answers.append(shape_of(grasp, foam=fit.foam, trust=trust, rest=rest))
+                except ContactError:
+                    continue
+            if not answers:
                 continue
-        if answers:
-            measured(label, _KINDS[shape], REAL_MM.get(label), answers)
+            kind = _KINDS.get(found[0].shape, "other")
+            if trust.misfit:
+                measured(label, kind, REAL_MM.get(label), answers)
+            told.update(_verdict(kind, answer) for answer in answers)
+        line(
+            "  all recorded" if trust.misfit else "  without the gauge's misfit",
+            f"type right {told['right']}, wrong {told['wrong']}, unclear {told[UNCLEAR]}",
+        )
+        told.clear()
+
+
+def _verdict(kind: str, answer: ShapeAnswer) -> str:
+    if answer.kind == UNCLEAR:
+        return UNCLEAR
+    return "right" if answer.kind == kind else "wrong"
 
 
 def main(effort: float = 1.0) -> None:
@@ -146,7 +172,9 @@ def main(effort: float = 1.0) -> None:
     if folder is None:
         line("recorded grasps", f"left out, TACTILE_CELL_DATA names no folder with {_RECORDED}")
         return
-    recorded(read_dataset(Path(folder) / _RECORDED), repeats(4, effort))
+    grasps = read_dataset(Path(folder) / _RECORDED)
+    for gauge in ("golf_ball", "ping-pong_ball"):
+        recorded(grasps, repeats(7, effort), gauge)
 
 
 if __name__ == "__main__":

@@ -79,6 +79,7 @@ class PadKnowledge:
             stiffening=self.densification_sd,
             aperture_m=self.aperture_sd_m,
             other_foams=1.0 if self.fit is None else _OTHER_THAN_GAUGED,
+            misfit=0.0 if self.fit is None else self.fit.misfit,
         )
 
     def as_dict(self) -> dict[str, Any]:

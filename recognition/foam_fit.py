@@ -18,6 +18,7 @@ from recognition.errors import ContactError
 from recognition.foam_model import FoamModel, PadBed
 from recognition.foam_sideways import closed_columns_m, neighbours
 from recognition.grasp import Grasp
+from recognition.misfit import misfit_of, n_determined
 from recognition.ramp import learn_rest
 from recognition.shape_data import PressedPads, press_data
 
@@ -51,7 +52,8 @@ class FoamFit:
         Standard deviation of log modulus, log gain, log spread, of the offset in mm, and of log
         densification.
     misfit
-        Squared residual per degree of freedom: 1 where the model fits within the noise.
+        Squared residual per degree of freedom: 1 where the model fits within the noise; see
+        `recognition.misfit`.
     n_grasps
         Number of grasps that it rests on.
     """
@@ -124,10 +126,12 @@ class _Fit:
             self.common_sd[1] = 0.02
         self.own_sd = np.concatenate([_POSE_SD, np.full(self.n_levels, _DEPTH_SD_MM)])
         self.rolls = [0.0] * len(data)
+        self.scale = 1.0
 
     def run(self) -> FoamFit:
         state = self._start()
         fits: list[tuple[float, FoamFit]] = []
+        states: list[_State] = []
         separate, some, much = SIDEWAYS
         for sideways in (separate, much, some):
             if sideways == some and fits[1][0] > fits[0][0]:
@@ -135,7 +139,15 @@ class _Fit:
             self.foam = replace(self.foam, sideways=sideways)
             cost, state, fit = self._minimise(state)
             fits.append((cost, fit))
-        return min(fits, key=lambda found: found[0])[1]
+            states.append(state)
+        best = min(range(len(fits)), key=lambda number: fits[number][0])
+        fit, state = fits[best][1], states[best]
+        if fit.misfit > 1.0:
+            # What is known beforehand counts for more where the law explains less.
+            self.foam, self.scale = replace(self.foam, sideways=fit.foam.sideways), fit.misfit
+            again = self._minimise(state)[2]
+            fit = replace(again, misfit=max(fit.misfit, again.misfit))
+        return fit
 
     def _minimise(self, state: _State) -> tuple[float, _State, FoamFit]:
         damping, cost = 1e-2, np.inf
@@ -155,12 +167,16 @@ class _Fit:
             if gain < 0.05:
                 break
         normal, _ = self._normal(blocks, state)
-        n_data = sum(len(r) for r, _ in blocks)
-        misfit = sum(float(r @ r) for r, _ in blocks) / max(1, n_data - len(normal))
+        prior_sd = np.concatenate([self.common_sd, np.tile(self.own_sd, len(self.data))])
+        misfit = misfit_of(
+            self.scale * np.concatenate([r * r for r, _ in blocks]),
+            np.concatenate([d.tells(len(r)) for d, (r, _) in zip(self.data, blocks, strict=True)]),
+            n_determined(normal - np.diag(prior_sd**-2), prior_sd),
+        )
         covariance = np.linalg.inv(normal)
         fit = FoamFit(
             foam=self._foam(state.common),
-            sd=np.sqrt(max(1.0, misfit) * np.diag(covariance)[: len(GLOBALS)]),
+            sd=np.sqrt(np.diag(covariance)[: len(GLOBALS)]),
             misfit=misfit,
             n_grasps=len(self.data),
         )
@@ -266,7 +282,8 @@ class _Fit:
         if np.isfinite(data.force_n) and data.force_n > 0.0:
             total_n = float(forces_n[-1].sum())
             parts.append(np.array([(total_n - data.force_n) / (_FORCE_SD * data.force_n + 0.15)]))
-        return np.concatenate(parts)
+        residuals: Array = np.concatenate(parts) / float(np.sqrt(self.scale))
+        return residuals
 
     def _blocks(self, state: _State) -> list[tuple[Array, Array]]:
         """Return residuals and Jacobian (over common, then own parameters) of each grasp."""

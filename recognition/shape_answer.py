@@ -143,10 +143,15 @@ def shape_of(
 
 def shape_from(data: PressedPads, *, foam: FoamModel, trust: Trust | None = None) -> ShapeAnswer:
     """Compare all kinds under all possible foams on pressed pads; see `shape_of`."""
-    return compare(*all_fits(data, foam, trust or Trust()))
+    trust = trust or Trust()
+    return compare(*all_fits(data, foam, trust), trust.misfit)
 
 
-def compare(fits: Sequence[ShapeFit], log_prior: Sequence[float] | None = None) -> ShapeAnswer:
+def compare(
+    fits: Sequence[ShapeFit],
+    log_prior: Sequence[float] | None = None,
+    least_misfit: float = 0.0,
+) -> ShapeAnswer:
     """Return the answer that fits of all kinds give together.
 
     Parameters
@@ -155,10 +160,13 @@ def compare(fits: Sequence[ShapeFit], log_prior: Sequence[float] | None = None) 
         Of all kinds, to the same data; several of one kind are of several possible foams.
     log_prior
         Logarithm of how likely each is beforehand; equal by default.
+    least_misfit
+        See `Trust.misfit`.
     """
     prior = [0.0] * len(fits) if log_prior is None else list(log_prior)
-    misfit = min(fit.chi2 / fit.freedom for fit in fits)
+    misfit = max(least_misfit, min(fit.misfit for fit in fits))
     scale = max(1.0, misfit)
+    fits = [fit.at_scale(scale) for fit in fits]
     weight = shares([fit.log_evidence(scale) + p for fit, p in zip(fits, prior, strict=True)])
     probability, best = likeliest_of([fit.model.kind for fit in fits], weight)
     seen = mixed(

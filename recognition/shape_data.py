@@ -28,6 +28,7 @@ _MODEL_SHARE = 0.02
 _MODEL_FLOOR = 0.0015
 _TAXEL_SHARE = 0.04
 _LEVEL_SHARE = 0.015
+_PRESSED_SD = 3.0
 _MIN_QUIET = 4
 
 
@@ -47,6 +48,8 @@ class PressedPads:
         Mean rise of both pads' taxels as a share of the full scale.
     sd : (K, n_taxels) float64
         Standard deviation of each: noise, and what the model is not better than.
+    pressed : (n_taxels,) bool
+        Taxels that stand out of the noise at the last level: only these tell of a shape's fit.
     whitener : (n_taxels, K, K) float64
         Turns the deviations of one taxel at all levels into independent ones of variance 1: beside
         noise a taxel has errors that grow with its load, its gain and what no model tells.
@@ -65,11 +68,22 @@ class PressedPads:
     across: NDArray[np.float32]
     share: NDArray[np.float64]
     sd: NDArray[np.float64]
+    pressed: NDArray[np.bool_]
     whitener: NDArray[np.float64]
     aperture_m: NDArray[np.float64]
     force_n: float
     centre_m: NDArray[np.float64]
     spread_m2: NDArray[np.float64]
+
+    def tells(self, n_data: int) -> NDArray[np.bool_]:
+        """Return which of ``n_data`` residuals tell of a shape: all but those of untouched taxels.
+
+        Residuals are ordered taxel by taxel, in each by level; others follow.
+        """
+        telling = np.ones(n_data, dtype=bool)
+        levels = np.repeat(self.pressed, len(self.share))
+        telling[: len(levels)] = levels
+        return telling
 
 
 def press_data(grasp: Grasp, foam: FoamModel, rest: Rest | None = None) -> PressedPads:
@@ -146,6 +160,7 @@ def press_data(grasp: Grasp, foam: FoamModel, rest: Rest | None = None) -> Press
         across=np.stack([bed.across for bed in beds]).astype(np.float32),
         share=share,
         sd=sd,
+        pressed=share[-1] > _PRESSED_SD * sd[-1],
         whitener=_whitener(share, noise),
         aperture_m=levels.aperture_mm[0, chosen] * 1e-3 - foam.aperture_offset_m,
         force_n=float(levels.force_n[0]),

@@ -5,12 +5,13 @@ the load, and what is not known exactly of foam, sensor and opening. All have a 
 likelihood (Laplace's approximation) then compares kinds with different numbers of parameters.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recognition.foam_model import FoamModel
+from recognition.misfit import misfit_of, n_determined
 from recognition.shape_data import PressedPads
 from recognition.shape_models import ShapeModel
 from recognition.shape_problem import FOAM, ShapeProblem, Trust
@@ -32,13 +33,14 @@ class ShapeFit:
     theta : (n,) float64
         Parameters: log of the half thickness in mm, the model's own, then pose, depths, foam.
     normal : (n, n) float64
-        J^T J of the data alone.
+    gradient : (n,) float64
+        J^T J and J^T r of the data alone.
     prior_mean, prior_sd : (n,) float64
         The prior.
     chi2
         Sum of the squared residuals of the data over their variances.
-    n_data
-        Number of the data.
+    misfit
+        Squared residual per degree of freedom, see `recognition.misfit`.
     n_shared
         Number of the last parameters, which all grasps of a cell have in common.
     """
@@ -46,10 +48,11 @@ class ShapeFit:
     model: ShapeModel
     theta: Array
     normal: Array
+    gradient: Array
     prior_mean: Array
     prior_sd: Array
     chi2: float
-    n_data: int
+    misfit: float
     n_shared: int
 
     @property
@@ -57,10 +60,19 @@ class ShapeFit:
         """Half thickness along the closing axis in m."""
         return 1e-3 * float(np.exp(self.theta[0]))
 
-    @property
-    def freedom(self) -> int:
-        """Data less parameters, at least 1."""
-        return max(1, self.n_data - len(self.theta))
+    def at_scale(self, scale: float) -> "ShapeFit":
+        """Return the fit where the variances of the data are ``scale`` times as large.
+
+        One Gauss-Newton step: with a larger scale what is known beforehand counts for more.
+        """
+        away = self.prior_sd**-2 * (self.theta - self.prior_mean)
+        step = -np.linalg.solve(self._precision(scale), self.gradient / scale + away)
+        return replace(
+            self,
+            theta=self.theta + step,
+            gradient=self.gradient + self.normal @ step,
+            chi2=max(0.0, self.chi2 + float(step @ (2.0 * self.gradient + self.normal @ step))),
+        )
 
     def log_evidence(self, scale: float = 1.0) -> float:
         """Return the log marginal likelihood up to what is the same for all kinds.
@@ -121,14 +133,18 @@ def fit_shape(
         # A turn has no preferred value: its prior only bounds it, around where it starts.
         problem.mean[problem.pose + 2] = starts[int(np.argmin(first)), problem.pose + 2]
     theta, residuals, jacobian = _minimise(problem, starts[int(np.argmin(first))])
+    normal = jacobian.T @ jacobian
     return ShapeFit(
         model=model,
         theta=theta,
-        normal=jacobian.T @ jacobian,
+        normal=normal,
+        gradient=jacobian.T @ residuals,
         prior_mean=problem.mean,
         prior_sd=problem.sd,
         chi2=float(residuals @ residuals),
-        n_data=len(residuals),
+        misfit=misfit_of(
+            residuals * residuals, data.tells(len(residuals)), n_determined(normal, problem.sd)
+        ),
         n_shared=problem.n - problem.rest,
     )
 

@@ -46,6 +46,9 @@ class Trust:
     other_foams
         Factor on how far pads may be from what is known of them where they are not as known
         (`recognition.shape_foams`): 1 without a calibration, less with one.
+    misfit
+        Squared residual per degree of freedom that these pads left on a known shape, 0 where none
+        was tried: no other shape is expected to fit better.
     """
 
     modulus: float = 0.1
@@ -57,6 +60,7 @@ class Trust:
     aperture_jitter_m: float = 0.06e-3
     force: float = 0.06
     other_foams: float = 1.0
+    misfit: float = 0.0
 
 
 class ShapeProblem:

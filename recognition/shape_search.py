@@ -42,15 +42,15 @@ def all_fits(
         for kind, model in SHAPE_MODELS.items()
     }
     fits = list(last.values())
-    evidence = _evidence(last)
+    evidence = _evidence(last, trust)
     probed: Fits = {}
     for kind in sorted(evidence, key=lambda kind: -evidence[kind])[:_N_PROBED]:
         probed[kind] = _fit(kind, data, others[0], last)
-    gain = max(_evidence(probed).values()) - max(evidence.values())
+    gain = max(_evidence(probed, trust).values()) - max(evidence.values())
     sure = gain + np.log(others[0].probability / known.probability) < -_SURE
     for number, possible in enumerate(others):
         here: Fits = {}
-        far = _far(last) if number else frozenset()
+        far = _far(last, trust) if number else frozenset()
         pads_of: ShapeFit | None = None
         for kind in SHAPE_MODELS:
             if number == 0 and kind in probed:
@@ -91,13 +91,13 @@ def _as_it_was(fit: ShapeFit, data: PressedPads, possible: PossibleFoam) -> Shap
     return replace(fit, prior_sd=problem.sd)
 
 
-def _evidence(fits: Mapping[str, ShapeFit]) -> dict[str, float]:
-    scale = max(1.0, min(fit.chi2 / fit.freedom for fit in fits.values()))
-    return {kind: fit.log_evidence(scale) for kind, fit in fits.items()}
+def _evidence(fits: Mapping[str, ShapeFit], trust: Trust) -> dict[str, float]:
+    scale = max(1.0, trust.misfit, min(fit.misfit for fit in fits.values()))
+    return {kind: fit.at_scale(scale).log_evidence(scale) for kind, fit in fits.items()}
 
 
-def _far(last: Mapping[str, ShapeFit]) -> frozenset[str]:
+def _far(last: Mapping[str, ShapeFit], trust: Trust) -> frozenset[str]:
     """Return the kinds that are too unlikely under the last foam to be worth another one."""
-    evidence = _evidence(last)
+    evidence = _evidence(last, trust)
     best = max(evidence.values())
     return frozenset(kind for kind, value in evidence.items() if value < best - _FAR)

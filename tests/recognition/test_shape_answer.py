@@ -211,6 +211,26 @@ def test_a_gauge_finds_stiffness_gain_and_zero(pads: PadArray, kind: str) -> Non
     assert fit.n_grasps == 8
 
 
+def test_a_gauge_reads_its_own_size_where_openings_slip_and_taxels_differ(pads: PadArray) -> None:
+    body, rng = Body("sphere", 9.0), np.random.default_rng(5)
+    taxels = 1.0 + 0.25 * rng.standard_normal(pads.n_taxels)
+    true = FoamModel(modulus_pa=220e3, aperture_offset_m=1.5e-3)
+    grasps = []
+    for seed in range(8):
+        grasp = pressed(
+            pads, body, seed=seed, foam=true, noise=1e-3, offset_m=float(rng.normal(0.0, 0.3e-3))
+        )
+        counts = grasp.counts[0] + (grasp.counts - grasp.counts[0].astype(float)) * taxels
+        grasps.append(replace(grasp, counts=np.rint(np.clip(counts, 0, pads.adc_max))))
+    fit = fit_foam(grasps, body)
+    assert fit.misfit > 3.0
+    trust = Trust(aperture_m=0.4e-3, misfit=fit.misfit)
+    answers = [shape_of(grasp, foam=fit.foam, trust=trust) for grasp in grasps]
+    assert np.mean([answer.size_m for answer in answers]) == pytest.approx(9e-3, abs=0.3e-3)
+    assert all(answer.low_m < 9e-3 < answer.high_m for answer in answers)
+    assert {answer.kind for answer in answers} == {UNCLEAR}
+
+
 def test_without_force_the_gain_stays_what_it_was(pads: PadArray) -> None:
     true = FoamModel(modulus_pa=220e3)
     body = Body("sphere", 9.0)

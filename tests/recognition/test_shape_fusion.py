@@ -1,6 +1,7 @@
 """Several grasps of one object -> one shape and size: what averages out, and what does not."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -46,10 +47,11 @@ def linear_fit(
         model=SHAPE_MODELS[kind],
         theta=theta,
         normal=normal,
+        gradient=normal @ away,
         prior_mean=mean,
         prior_sd=sd,
         chi2=chi2 + float(away @ normal @ away),
-        n_data=30 + n,
+        misfit=(chi2 + float(away @ normal @ away)) / 30.0,
         n_shared=1,
     )
 
@@ -239,16 +241,7 @@ def test_what_cannot_be_fused_is_refused() -> None:
 
 
 def _trusting(fit: ShapeFit) -> ShapeFit:
-    return ShapeFit(
-        model=fit.model,
-        theta=fit.theta,
-        normal=fit.normal,
-        prior_mean=fit.prior_mean,
-        prior_sd=np.r_[fit.prior_sd[:-1], 0.5 * fit.prior_sd[-1]],
-        chi2=fit.chi2,
-        n_data=fit.n_data,
-        n_shared=fit.n_shared,
-    )
+    return replace(fit, prior_sd=np.r_[fit.prior_sd[:-1], 0.5 * fit.prior_sd[-1]])
 
 
 def test_a_foam_that_explains_all_grasps_is_that_of_the_cell() -> None:
