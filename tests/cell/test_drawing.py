@@ -104,10 +104,11 @@ def test_drawings_alone_name_what_the_cell_grasps(taught: Any, tmp_path: Path) -
         assert "not calibrated" in printed
         assert "simulator.noise: clipped_normal, level 1" in printed
     assert {g.source for g in read_dataset(drawings)} == {"drawing"}
-    call("train", drawings, "-o", model, "--poses")
+    call("train", drawings, "-o", model, "--recognizer", "shrinkage_lda", "--poses")
     memory = memory_for(SequenceConfig(kind="active"), load_model(model))
     assert memory is not None
     assert len(np.unique(memory.placings, axis=0)) == 45
+    call("train", drawings, "-o", model)
     write_dataset(own, taught.grasps)
     found = tmp_path / "found.json"
     printed = call("identify", own, "--model", model, "--json", found)
