@@ -20,6 +20,7 @@ from cell.early_heads import teach_heads
 from cell.identification import Identification
 from cell.jobs.teaching import teach
 from cell.sequence import plan
+from cell.shapes import shape_reader
 from recognition.early import EarlyHeads
 from recognition.grasp import Grasp
 from recognition.metrics import wilson_interval
@@ -27,6 +28,14 @@ from recognition.recognizer import Recognizer
 from recognition.recognizers import make_trainer
 
 NOISES = (1.0, 2.0)
+SHAPES = {
+    "oval": ("oval", 11.7e-3),
+    "cylinder": ("cylinder", 6e-3),
+    "box": ("flat", 10e-3),
+    "ball": ("sphere", 9.5e-3),
+    "dumbbell": ("dumbbell", 10e-3),
+}
+"""Kind and thickness in m of each configured object."""
 _PER_OBJECT = 6
 _TAUGHT = 10
 _FEW_OBJECTS = 2
@@ -59,6 +68,22 @@ class Tally:
             f"{100 * ended:.0f} % ended early"
         )
 
+    def shape_text(self) -> str:
+        """Return in words how well shapes and sizes were told."""
+        told = [
+            (one.shape, *SHAPES[truth])
+            for one, truth in zip(self.found, self.truths, strict=True)
+            if one.shape is not None
+        ]
+        kinds = sum(shape.kind == kind for shape, kind, _ in told)
+        held = sum(shape.low_m < size_m < shape.high_m for shape, _, size_m in told)
+        error_m = np.mean([abs(shape.size_m - size_m) for shape, _, size_m in told])
+        width_m = np.mean([shape.high_m - shape.low_m for shape, _, _ in told])
+        return (
+            f"{len(told)} of {len(self.found)} told, kind right {kinds}, interval held {held}, "
+            f"{1e3 * width_m:.2f} mm wide, mean error {1e3 * error_m:.2f} mm"
+        )
+
 
 class Bench:
     """A simulated cell and what it was taught."""
@@ -67,6 +92,7 @@ class Bench:
         self.cell = cell
         self.config = config
         self.labels = labels
+        self.read_shape = shape_reader(config)
         cell.controller.start()
         self.taught: list[Grasp] = [
             record.grasp
@@ -91,7 +117,8 @@ class Bench:
         self.cell.controller.present(label)
         begin_s = clock.monotonic()
         steps = plan(sequence, sequence.max_grasps, seed=seed)
-        tally.found.append(self.cell.controller.identify(whole, steps, early=early))
+        found = self.cell.controller.identify(whole, steps, early=early, read_shape=self.read_shape)
+        tally.found.append(found)
         tally.seconds.append(clock.monotonic() - begin_s)
         tally.truths.append(label)
 
@@ -120,6 +147,7 @@ def compare(bench: Bench, effort: float, *, use_aperture: bool) -> float:
                 bench.identify(tallies[way], label, 1000 + 100 * turn + number, whole, early)
     for way, tally in tallies.items():
         line(f"    {way}", tally.text())
+        line("      shapes", tally.shape_text())
     spent = {way: float(np.mean(tally.seconds)) for way, tally in tallies.items()}
     return spent["ended early"] / spent["whole ramps"]
 
