@@ -248,7 +248,7 @@ def _confusions(result: MainResult) -> tuple[ConfusionTable, ...]:
             labels=result.labels,
             columns=(*result.labels, UNKNOWN),
             counts=np.array(score.confusion),
-            caption=f"{score.n_right} of {score.n} right",
+            caption="all grasps until sure" if name == result.default else "the first grasp alone",
         )
         for name, score in result.scores.items()
     ]
