@@ -21,14 +21,13 @@ from benchmarks._cell_grasps import cell_grasps, with_aperture_noise
 from benchmarks._measure import line, repeats
 from benchmarks._shape_cells import fused
 from cell.dataset import read_dataset
+from cell.pad_knowledge import calibrate_on_gauge
 from cell.simulation import drawn_shape
 from recognition.errors import ContactError
-from recognition.foam_fit import fit_foam
 from recognition.foam_model import FoamModel
 from recognition.grasp import Grasp
 from recognition.ramp import learn_rest
 from recognition.shape_answer import UNCLEAR, ShapeAnswer, shape_of
-from recognition.shape_problem import Trust
 from recognition.splits import by_label, chronological_split
 
 OBJECTS = {
@@ -121,26 +120,27 @@ def recorded(grasps: Sequence[Grasp], n_grasps: int, gauge: str) -> None:
     """
     grasps, _ = chronological_split(grasps, 0.6)
     members, rest = by_label(grasps), learn_rest(grasps)
-    fit = fit_foam(
+    known = calibrate_on_gauge(
         members[gauge][:_N_GAUGE],
         drawn_shape(f"sphere:diameter={REAL_MM[gauge]}mm"),
+        grasps[0].pads,
         FoamModel(modulus_pa=1e6, spread_m=1e-3),
     )
+    foam, trust = known.foam, known.trust
     line(
         f"recorded, {gauge} gauge",
-        f"foam {1e-6 * fit.foam.modulus_pa:.2f} MPa at an assumed 3 mm, spread "
-        f"{1e3 * fit.foam.spread_m:.2f} mm, opening {1e3 * fit.foam.aperture_offset_m:+.1f} mm, "
-        f"misfit {fit.misfit:.0f}",
+        f"foam {1e-6 * foam.modulus_pa:.2f} MPa at an assumed 3 mm, spread "
+        f"{1e3 * foam.spread_m:.2f} mm, opening {1e3 * foam.aperture_offset_m:+.1f} mm within "
+        f"{1e3 * trust.aperture_m:.1f} mm, misfit {trust.misfit:.0f}",
     )
     told: Counter[str] = Counter()
     # With the misfit of the gauge, and as where no known shape had been tried.
-    with_gauge = Trust(aperture_m=2e-3, aperture_jitter_m=0.3e-3, misfit=fit.misfit)
-    for trust in (with_gauge, replace(with_gauge, misfit=0.0)):
+    for trust in (known.trust, replace(known.trust, misfit=0.0)):
         for label, found in sorted(members.items()):
             answers = []
             for grasp in found[_N_GAUGE if label == gauge else 0 :][:n_grasps]:
                 try:
-                    answers.append(shape_of(grasp, foam=fit.foam, trust=trust, rest=rest))
+                    answers.append(shape_of(grasp, foam=foam, trust=trust, rest=rest))
                 except ContactError:
                     continue
             if not answers:

@@ -175,7 +175,7 @@ def calibrate_on_gauge(
         densification_sd=max(stiffening_sd, 2.0 * _LEAST_SD),
         thickness_sd=_LEAST_SD,
         other_foams=_OTHER_THAN_ONE_SHAPE,
-        aperture_sd_m=math.hypot(max(0.2e-3, 1e-3 * aperture_sd_mm), _DEPTH_SD_M),
+        aperture_sd_m=math.hypot(max(0.2e-3, 1e-3 * aperture_sd_mm, fit.opening_sd_m), _DEPTH_SD_M),
         rest=_rest_frames(grasps),
         fit=fit,
     )

@@ -54,6 +54,9 @@ class FoamFit:
     misfit
         Squared residual per degree of freedom: 1 where the model fits within the noise; see
         `recognition.misfit`.
+    opening_sd_m
+        By how much the zero of the opening differed from grasp to grasp: standard deviation in m;
+        0 without openings.
     n_grasps
         Number of grasps that it rests on.
     """
@@ -61,6 +64,7 @@ class FoamFit:
     foam: FoamModel
     sd: Array
     misfit: float
+    opening_sd_m: float
     n_grasps: int
 
 
@@ -178,9 +182,20 @@ class _Fit:
             foam=self._foam(state.common),
             sd=np.sqrt(np.diag(covariance)[: len(GLOBALS)]),
             misfit=misfit,
+            opening_sd_m=self._opening_sd_m(blocks),
             n_grasps=len(self.data),
         )
         return cost, state, fit
+
+    def _opening_sd_m(self, blocks: list[tuple[Array, Array]]) -> float:
+        """Return how far openings are off in single grasps, beyond the zero of all."""
+        squared = 0.0
+        for data, (residuals, _) in zip(self.data, blocks, strict=True):
+            if np.isfinite(data.aperture_m).all():
+                start = data.share.size
+                away = float(residuals[start : start + self.n_levels].mean())
+                squared += self.scale * (away * _APERTURE_JITTER_M) ** 2
+        return float(np.sqrt(squared / (len(blocks) - 1)))
 
     def _foam(self, common: Array) -> FoamModel:
         return replace(

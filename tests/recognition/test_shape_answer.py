@@ -224,10 +224,12 @@ def test_a_gauge_reads_its_own_size_where_openings_slip_and_taxels_differ(pads: 
         grasps.append(replace(grasp, counts=np.rint(np.clip(counts, 0, pads.adc_max))))
     fit = fit_foam(grasps, body)
     assert fit.misfit > 3.0
-    trust = Trust(aperture_m=0.4e-3, misfit=fit.misfit)
+    assert fit.opening_sd_m == pytest.approx(0.3e-3, rel=0.5)
+    trust = Trust(aperture_m=fit.opening_sd_m, misfit=fit.misfit)
     answers = [shape_of(grasp, foam=fit.foam, trust=trust) for grasp in grasps]
     assert np.mean([answer.size_m for answer in answers]) == pytest.approx(9e-3, abs=0.3e-3)
-    assert all(answer.low_m < 9e-3 < answer.high_m for answer in answers)
+    # 90 % of 8: fewer than 6 come by chance once in 25 times
+    assert sum(answer.low_m < 9e-3 < answer.high_m for answer in answers) >= 6
     assert {answer.kind for answer in answers} == {UNCLEAR}
 
 
