@@ -85,6 +85,12 @@ class SeenObject:
     places: NDArray[np.float64]
     told: NDArray[np.float64]
 
+    def __post_init__(self) -> None:
+        for name in ("places", "told"):
+            array = np.array(getattr(self, name), dtype=np.float64)
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+
     def same_as(self, other: "SeenObject") -> bool:
         """Whether both may be of one object: one grasp of each looks like one of the other."""
         if self.view != other.view:

@@ -56,6 +56,9 @@ class PoseMemory:
                 raise ValueError(f"{name} of a memory have shape {array.shape}, expected {shape}")
             if not np.all(np.isfinite(array)):
                 raise ValueError(f"{name} of a memory are not finite")
+            array = array.copy()
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
         if self.classes.min() < 0 or self.classes.max() >= n_labels:
             raise ValueError(f"classes of a memory are not from 0 to {n_labels - 1}")
 
