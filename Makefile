@@ -12,7 +12,7 @@ run: $(STAMP)  ## teach and identify the paper's five objects on the simulated c
 
 test: $(STAMP)  ## all tests, with coverage; those in real time first, while the machine is quiet
 	$(BIN)/python -m pytest -m hil --cov --cov-report= $(PYTEST_ARGS)
-	$(BIN)/python -m pytest -m "not hil" -n auto --cov --cov-append --cov-report=term \
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "not hil" -n auto --cov --cov-append --cov-report=term \
 		--cov-fail-under=90 $(PYTEST_ARGS)
 
 wheel-test: $(STAMP)  ## a project that uses the built wheel runs its tests in a fresh environment
