@@ -88,17 +88,12 @@ def check_values(cycles: Any) -> None:
             assert not servo.alert
 
 
-def test_now_and_then_a_bad_byte_costs_little_and_all_bad_bytes_are_a_fault(line: Line) -> None:
+def test_now_and_then_a_bad_byte_costs_nothing_and_all_bad_bytes_are_a_fault(line: Line) -> None:
     with cell_on(line) as cell:
         for spoilt in SPOILT:
             line.relay.order(spoilt)
             record = cell.controller.grasp(STEP, label="box")
-            # Periods without an answer may cost precision, and nothing else.
-            assert record.outcome.result in (
-                GraspResult.FORCE_REACHED,
-                GraspResult.FORCE_NOT_REACHED,
-            ), spoilt
-            assert abs(record.outcome.final_force_n - STEP.force_n) < 0.5, spoilt
+            assert record.outcome.result is GraspResult.FORCE_REACHED, spoilt
             check_values(record.cycles)
         bus = cell.controller.hand.statistics.servo_bus
         assert bus.retries > 0
