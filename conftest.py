@@ -14,6 +14,8 @@ import pytest
 _NAME = "cell.pytest_plugin"
 pytest_plugins = ["pytester", *([] if _NAME in sys.modules else [_NAME])]
 
+_LOAD_BEFORE = os.getloadavg()[0]
+"""Load of the machine before these tests."""
 _LOAD_MARGIN = 0.5
 
 
@@ -21,10 +23,9 @@ _LOAD_MARGIN = 0.5
 def free_machine() -> None:
     """Skip where other programs use up the processors: then no real time can be judged.
 
-    The load is what it was before the first of these tests. TACTILE_CELL_ANY_LOAD=1 runs them at
-    any load.
+    TACTILE_CELL_ANY_LOAD=1 runs them at any load.
     """
-    load, processors = os.getloadavg()[0], os.cpu_count() or 1
+    load, processors = _LOAD_BEFORE, os.cpu_count() or 1
     if load > processors + _LOAD_MARGIN and "TACTILE_CELL_ANY_LOAD" not in os.environ:
         pytest.skip(
             f"load {load:.1f} on {processors} processors leaves no real time to test in; "

@@ -1,33 +1,44 @@
 """Run every benchmark, or those named: python -m benchmarks [NAME ...].
 
-`benchmarks.fuzz` measures nothing and `benchmarks.soak` takes an hour: they have commands of their
-own (`make campaign`, `make soak`). `fault_campaign` measures nothing either, and runs where it is
-named.
+`benchmarks.performance.soak` takes an hour and has a command of its own: `make soak`.
 """
 
 import importlib
-import pkgutil
 import sys
 
-import benchmarks
+BENCHMARKS = {
+    "performance": (
+        "force_ramps",
+        "frames",
+        "identify",
+        "loop_lateness",
+        "servo_bus",
+        "startup",
+        "tactile_path",
+        "virtual_time",
+    ),
+    "recognition": ("drawing", "drift", "early_end", "other_physics", "sequences", "shape_size"),
+    "paper": ("full_sweep", "invariance", "numerics", "reproduction", "sweep"),
+}
+"""Chapter -> the benchmarks in it: modules whose ``main(effort=1.0)`` prints their figures."""
 
-NAMED_ONLY = ("fault_campaign",)
-OWN_COMMAND = ("fuzz", "soak", *NAMED_ONLY)
+
+def modules() -> dict[str, str]:
+    """Return the module of each benchmark by its name."""
+    return {
+        name: f"benchmarks.{chapter}.{name}"
+        for chapter, names in BENCHMARKS.items()
+        for name in names
+    }
 
 
 def main() -> None:
-    names = sorted(
-        module.name
-        for module in pkgutil.iter_modules(benchmarks.__path__)
-        if module.name[0] != "_" and module.name not in OWN_COMMAND
-    )
-    wanted = sys.argv[1:] or names
-    for name in wanted:
-        if name not in (*names, *NAMED_ONLY):
-            known = ", ".join((*names, *NAMED_ONLY))
-            sys.exit(f"no benchmark is named {name!r}; there are {known}")
+    known = modules()
+    for name in sys.argv[1:] or known:
+        if name not in known:
+            sys.exit(f"no benchmark is named {name!r}; there are {', '.join(known)}")
         print(f"== {name}", flush=True)
-        importlib.import_module(f"benchmarks.{name}").main()
+        importlib.import_module(known[name]).main()
         print(flush=True)
 
 

@@ -1,22 +1,17 @@
-"""The composition root: from a config to a cell that runs."""
+"""Building a cell: from a config to buses, controller, positioner and recorder."""
 
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, assert_never
 
-from cell.collect import pad_array
-from cell.config import CellConfig
-from cell.controller import CellController
-from cell.errors import ConfigError
-from cell.hand import Hand
-from cell.hand_build import SHARED_PROCESS, make_hand, open_hand
-from cell.hand_process import HandProcess
-from cell.loop_values import loop_values
-from cell.pose import Pose
-from cell.positioner import (
+from cell.config.model import CellConfig
+from cell.control.controller import CellController
+from cell.control.journal import loop_values
+from cell.control.plan import Pose
+from cell.control.positioner import (
     CallbackPositioner,
     HostThenSimulated,
     ObjectPlacer,
@@ -25,16 +20,20 @@ from cell.positioner import (
     SimulatedPositioner,
     SocketPlacer,
 )
-from cell.recording import Recorder
+from cell.control.records import pad_array
+from cell.data.recorder import Recorder
+from cell.errors import ConfigError
+from cell.hand.build import SHARED_PROCESS, make_hand, open_hand
+from cell.hand.client import HandProcess
+from cell.hand.interface import Hand
 from cell.simulation import InProcessPlacer, capture_traffic, simulated_cell
-from gripper.bus import ServoBus
-from gripper.clock import Clock
-from simulator.assembly import SimulatedCell
-from tactile.link import (
-    TactileLink,
-)
+from gripper.dynamixel.bus import ServoBus
+from gripper.state import Clock
+from simulator.cell import SimulatedCell
+from tactile.unit.link import TactileLink
 
 Mover = Callable[[Pose], Pose | bool | None]
+"""Moves to a pose: returns the pose reached, None or True for that asked for, False to refuse."""
 
 
 @dataclass(kw_only=True)
@@ -46,7 +45,7 @@ class Cell:
     controller
         Runs the sequences.
     realtime
-        Whether time passes by itself; in a simulated cell it passes while somebody waits.
+        Whether time passes by itself; in a simulated cell it passes while a caller waits.
     simulated
         The simulated cell, where there is one in this process.
     """
@@ -74,7 +73,7 @@ class Cell:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What the operator should know of how the force loop runs."""
+        """Notes for the operator on how the force loop runs."""
         return self.controller.hand.notes
 
     def health(self) -> dict[str, Any]:
@@ -207,6 +206,7 @@ def _positioner(
     ask: Callable[[str], str] | None,
     undo: ExitStack,
 ) -> Positioner:
+    """Return the positioner that the config names; mypy refuses a kind that has no case here."""
     placer: ObjectPlacer | None = None
     if config.positioner.socket:
         remote = SocketPlacer(config.positioner.socket)
@@ -214,15 +214,21 @@ def _positioner(
         placer = remote
     elif simulated is not None:
         placer = InProcessPlacer(simulated)
-    if config.positioner.kind == "callback":
-        if mover is None:
-            raise ConfigError("positioner.kind is callback: the host program must pass its mover")
-        host = CallbackPositioner(mover)
-        return host if placer is None else HostThenSimulated(host, SimulatedPositioner(placer))
-    if config.positioner.kind == "operator":
-        if ask is None:
-            raise ConfigError("positioner.kind is operator: there is no terminal to ask at")
-        return OperatorPositioner(ask)
-    if placer is None:
-        raise ConfigError("positioner.kind is simulated, but there is no simulated cell")
-    return SimulatedPositioner(placer)
+    match config.positioner.kind:
+        case "callback":
+            if mover is None:
+                raise ConfigError(
+                    "positioner.kind is callback: the host program must pass its mover"
+                )
+            host = CallbackPositioner(mover)
+            return host if placer is None else HostThenSimulated(host, SimulatedPositioner(placer))
+        case "operator":
+            if ask is None:
+                raise ConfigError("positioner.kind is operator: there is no terminal to ask at")
+            return OperatorPositioner(ask)
+        case "simulated":
+            if placer is None:
+                raise ConfigError("positioner.kind is simulated, but there is no simulated cell")
+            return SimulatedPositioner(placer)
+        case kind:
+            assert_never(kind)

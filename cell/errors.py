@@ -1,10 +1,10 @@
-"""What can go wrong in the cell: one tree, each message says cause, value, limit and next step."""
+"""Errors of the cell, in one tree; each message names cause, value, limit and next step."""
 
 from gripper.errors import fingers_left
 
 
-def told(error: BaseException) -> str:
-    """Return an error as a host or operator is told it: kind, message, and the fingers' place."""
+def error_text(error: BaseException) -> str:
+    """Return an error as text for hosts and operators: kind, message, and the fingers' place."""
     left = fingers_left(error)
     return f"{type(error).__name__}: {error}" + (f"; {left}" if left else "")
 
@@ -35,6 +35,10 @@ class ReportError(CellError):
 
 class CellStateError(CellError):
     """The command is not allowed in the state that the cell is in."""
+
+
+class PartInGrip(CellStateError):
+    """The cell cannot start: a part may still be in the grip, and only a release lets it go."""
 
 
 class PlanRefused(CellError, ValueError):

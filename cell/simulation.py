@@ -7,32 +7,36 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.config import CellConfig
-from cell.config_gripper import ParallelLinkageConfig
-from cell.config_tactile import LinearCalibrationConfig
+from cell.config.gripper import ParallelLinkageConfig
+from cell.config.model import CellConfig
+from cell.config.tactile import LinearCalibrationConfig, layout_from_config, make_calibration
+from cell.control.plan import Pose
 from cell.errors import ConfigError, PositionerError
-from cell.layouts import layout_from_config
-from cell.pose import Pose
+from gripper.dynamixel.models import MODELS
 from gripper.errors import PortLost
-from gripper.registers import MODELS
 from recognition.grasp import Grasp
-from simulator.assembly import SimulatedCell
+from simulator.can.capture import PcapWriter
+from simulator.cell import SimulatedCell
 from simulator.errors import SimulatorError
-from simulator.faults import VOCABULARY
-from simulator.linkage import FingerLinkage, ParallelogramLinkage, RackLinkage
-from simulator.mechanics import ServoMount
-from simulator.noise import NoiseModel
-from simulator.pcap import PcapWriter
+from simulator.faults.injector import VOCABULARY, check_fault
+from simulator.servo.mechanics import FingerLinkage, ParallelogramLinkage, RackLinkage, ServoMount
 from simulator.settings import RecordedGrasp, SimulatedServoSettings, SimulatorSettings
-from simulator.shape_text import parse_shape
-from simulator.shapes import ObjectPose, Shape
-from simulator.taxels import SensorLaw
+from simulator.world.shape_files import parse_shape
+from simulator.world.shapes import ObjectPose, Shape
+from simulator.world.taxels import NoiseModel, SensorLaw
 from tactile.layout import TaxelLayout
 
 Counts = NDArray[np.float64]
 
 _RACK_TRAVEL_M = 0.1
+"""Travel of each simulated rack in m: more than the fingers of any config need."""
+_NOISE_DRAWS = 200
+"""Forces of a pad at rest from which its noise is estimated."""
+_NOISE_PER_CONTACT = 1.5
+"""Largest noise of a pad's force, as a share of the contact force: at 2 the cell finds no part, at
+1.2 it does (linear calibrations of 0.05 and 0.03 N a count)."""
 _LINKAGE_MARGIN_M = 1e-3
+"""Opening in m that a simulated linkage keeps to its end stop."""
 
 
 def simulator_settings(
@@ -52,7 +56,7 @@ def simulator_settings(
     Raises
     ------
     ConfigError
-        If a shape is unknown, or the linkage cannot open as far as the gripper shall.
+        If a shape or a fault is unknown, or the linkage cannot open as far as the gripper shall.
     """
     settings = config.simulator
     try:
@@ -64,6 +68,9 @@ def simulator_settings(
                 f"gripper.aperture_open_mm is {opening_m * 1e3:g}, "
                 f"the linkage reaches {reach_m * 1e3:.1f} mm"
             )
+        for text in settings.faults:
+            check_fault(text, len(config.gripper.servos))
+        _check_noise(config, layout or layout_from_config(config.tactile))
         return SimulatorSettings(
             layout=layout or layout_from_config(config.tactile),
             servos=tuple(
@@ -95,6 +102,25 @@ def simulator_settings(
         )
     except SimulatorError as error:
         raise ConfigError(f"simulator: {error}") from error
+
+
+def _check_noise(config: CellConfig, layout: TaxelLayout) -> None:
+    """Refuse noise under which a pad at rest passes for one that is touched."""
+    n_taxels = layout.pads[layout.gripping_pads[0]].n_taxels
+    noise = NoiseModel(kind=config.simulator.noise, level=config.simulator.noise_level)
+    drawn = noise.sample(np.random.default_rng(0), _NOISE_DRAWS * 3 * n_taxels, layout.adc_max)
+    tared = np.rint(drawn.reshape(-1, n_taxels))
+    tared -= tared.mean(axis=0)
+    of_three_frames = tared.reshape(_NOISE_DRAWS, 3, n_taxels).mean(axis=1)
+    force_n = make_calibration(config.tactile, layout).force_n(of_three_frames).sum(axis=1)
+    noise_n, contact_n = float(force_n.std(ddof=1)), config.gripper.contact_force_n
+    if noise_n > _NOISE_PER_CONTACT * contact_n:
+        raise ConfigError(
+            f"simulator.noise {config.simulator.noise} of level {config.simulator.noise_level:g} "
+            f"is {noise_n:.2g} N on a pad at rest under tactile.calibration, "
+            f"gripper.contact_force_n is {contact_n:g} N: contact could not be felt. Correct the "
+            "calibration, lower the noise or raise the contact force"
+        )
 
 
 def simulated_cell(config: CellConfig) -> SimulatedCell:
@@ -168,7 +194,7 @@ def sensor_law(config: CellConfig) -> SensorLaw:
 
 
 class InProcessPlacer:
-    """Places objects in a simulated cell of this process; see `cell.positioner.ObjectPlacer`."""
+    """Places objects in a simulated cell of this process, as an `ObjectPlacer`."""
 
     def __init__(self, cell: SimulatedCell) -> None:
         self._cell = cell

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from gripper.verification import VerificationReport
+    from gripper.state import VerificationReport
 
 _RESULT_CODES = {
     1: "Result Fail: the command was not carried out",
@@ -15,6 +15,7 @@ _RESULT_CODES = {
     6: "Data Limit: the value is outside a configured limit",
     7: "Access: read-only or undefined address, or EEPROM written with torque on",
 }
+"""Error numbers of a status packet (e-Manual, Protocol 2.0, "Error")."""
 
 _HARDWARE_ERROR_BITS = {
     0: "input voltage",
@@ -23,34 +24,9 @@ _HARDWARE_ERROR_BITS = {
     4: "electrical shock",
     5: "overload",
 }
-
-
+"""Bits of Hardware Error Status (e-Manual, Control Table, register 70)."""
 _FINGERS = "the fingers "
-
-
-def note_fingers(error: BaseException, left: str) -> None:
-    """Note on an error how it left the fingers; the note goes with it from process to process."""
-    error.add_note(_FINGERS + left)
-
-
-def fingers_left(error: BaseException) -> str:
-    """Return what was noted of the fingers; empty where an error ended no motion of them."""
-    notes: list[str] = getattr(error, "__notes__", [])
-    return next((note for note in notes if note.startswith(_FINGERS)), "")
-
-
-def copy_fingers(source: BaseException, target: BaseException) -> None:
-    """Note on another error what was noted of the fingers on the first, if anything was."""
-    left = fingers_left(source)
-    if left and not fingers_left(target):
-        target.add_note(left)
-
-
-def hardware_error_names(bits: int) -> tuple[str, ...]:
-    """Name the bits of Hardware Error Status (register 70), lowest bit first."""
-    return tuple(
-        _HARDWARE_ERROR_BITS.get(bit, f"undefined bit {bit}") for bit in range(8) if bits >> bit & 1
-    )
+"""Begin of each note about the fingers: what it is found by."""
 
 
 class GripperError(Exception):
@@ -123,7 +99,7 @@ class ServoFault(GripperError):
 
 
 class VerificationFailed(GripperError):
-    """The servos are not what the settings say; nothing has moved.
+    """The servos do not match the settings; nothing has moved.
 
     Attributes
     ----------
@@ -149,7 +125,7 @@ class LimitExceeded(GripperError, ValueError):
 
 
 class ForceAboveCap(LimitExceeded):
-    """The measured grip force is above its cap; the settings say what is done about it."""
+    """The measured grip force is above its cap; ``over_force`` is the response."""
 
 
 class FeedbackImplausible(GripperError):
@@ -182,3 +158,28 @@ class WatchdogUnproven(GripperError):
 
 class GraspStopped(GripperError):
     """The running command was stopped by ``request_stop``; nothing opens or closes any more."""
+
+
+def note_fingers(error: BaseException, left: str) -> None:
+    """Add a note to an error about the fingers; it goes with the error from process to process."""
+    error.add_note(_FINGERS + left)
+
+
+def fingers_left(error: BaseException) -> str:
+    """Return the note about the fingers; empty where an error ended no motion of them."""
+    notes: list[str] = getattr(error, "__notes__", [])
+    return next((note for note in notes if note.startswith(_FINGERS)), "")
+
+
+def copy_fingers(source: BaseException, target: BaseException) -> None:
+    """Copy the note about the fingers from one error to another, if there is one."""
+    left = fingers_left(source)
+    if left and not fingers_left(target):
+        target.add_note(left)
+
+
+def hardware_error_names(bits: int) -> tuple[str, ...]:
+    """Return the names of the bits of Hardware Error Status (register 70), lowest bit first."""
+    return tuple(
+        _HARDWARE_ERROR_BITS.get(bit, f"undefined bit {bit}") for bit in range(8) if bits >> bit & 1
+    )

@@ -4,49 +4,30 @@ A part is let go by `Gripper.release` alone. Faults, exceptions, `keep_grip` and
 goals and torque as they are.
 """
 
-from gripper.bus import ServoBus
-from gripper.clock import Clock
+from gripper.dynamixel.bus import ServoBus
+from gripper.dynamixel.latency import LinkTiming, check_link
 from gripper.errors import GripperError, GripperStateError, LimitExceeded, ServoFault
-from gripper.force import ForceSensor
-from gripper.grasping import GraspRun
-from gripper.grip_control import GripControl
+from gripper.force.grasp import GraspRun
+from gripper.force.grip_control import GripControl
+from gripper.force.loop import LoopRunner, Observer
+from gripper.force.motion import MoveTo
+from gripper.force.ramp import ForceRamp, check_ramp
+from gripper.force.timing import LoopStatistics
 from gripper.kinematics import Linkage
-from gripper.lifecycle import Lifecycle
-from gripper.link_check import LinkTiming, check_link
-from gripper.motion import MoveTo
-from gripper.ramp import ForceRamp
-from gripper.ramp_limits import check_ramp
-from gripper.reactions import bus_is_lost
-from gripper.readiness import make_ready
-from gripper.recovery import reboot_servos
-from gripper.runner import LoopRunner, Observer
-from gripper.servos import ServoGroup
-from gripper.settings import GripperSettings, ServoSettings
+from gripper.lifecycle import Lifecycle, bus_is_lost
+from gripper.servos.group import ServoGroup
+from gripper.servos.health import ServoHealth
+from gripper.servos.watchdog_proof import WatchdogProof, prove_watchdog
+from gripper.settings import GripperSettings
 from gripper.state import (
-    Cycle,
+    Clock,
+    ForceSensor,
     GraspOutcome,
     GraspResult,
     GripperPhase,
     GripperState,
-    LoopStatistics,
-    ServoState,
+    VerificationReport,
 )
-from gripper.verification import VerificationReport
-from gripper.watchdog_test import WatchdogProof, prove_watchdog
-
-__all__ = [
-    "Cycle",
-    "GraspOutcome",
-    "GraspResult",
-    "Gripper",
-    "GripperPhase",
-    "GripperSettings",
-    "GripperState",
-    "LoopStatistics",
-    "Observer",
-    "ServoSettings",
-    "ServoState",
-]
 
 
 class Gripper:
@@ -90,8 +71,9 @@ class Gripper:
         self._linkage = linkage
         self._settings = settings
         self._clock = clock
-        self._servos = ServoGroup(bus, linkage, settings, clock)
-        self._runner = LoopRunner(self._servos, force_sensor, settings, clock)
+        self._health = ServoHealth(bus, settings)
+        self._servos = ServoGroup(bus, linkage, settings, clock, self._health)
+        self._runner = LoopRunner(self._servos, self._health, force_sensor, settings, clock)
         self._grasping = GraspRun(self._runner, self._servos, linkage, settings)
         self._life = Lifecycle(self._servos, self._runner, settings)
         self._watchdog_proofs: tuple[WatchdogProof, ...] = ()
@@ -99,12 +81,12 @@ class Gripper:
 
     @property
     def link_timing(self) -> LinkTiming | None:
-        """Round trips on the bus as the last start has measured them; None before one."""
+        """Round trips on the bus, measured by the last start; None before one."""
         return self._link_timing
 
     @property
     def state(self) -> GripperPhase:
-        """What the gripper is doing."""
+        """Phase of the gripper."""
         return self._life.phase
 
     @property
@@ -124,7 +106,7 @@ class Gripper:
 
     @property
     def watchdog_proofs(self) -> tuple[WatchdogProof, ...]:
-        """What the self-test of the bus watchdog found, one for each servo; empty before it."""
+        """Results of the self-test of the bus watchdog, one for each servo; empty before it."""
         return self._watchdog_proofs
 
     @property
@@ -142,14 +124,14 @@ class Gripper:
         Raises
         ------
         VerificationFailed
-            When a servo is missing, or with its torque off not what the settings say.
+            When a servo is missing, or with its torque off does not match the settings.
         LinkTooSlow
             When the answers come too late for the rate of the loop.
         GripperStateError
             While a fault is latched or a command runs.
         """
         self._life.check_ready("start")
-        self._servos.health.require_present()
+        self._health.require_present()
         report = self._verify()
         ids = [servo.servo_id for servo in self._settings.servos]
         self._link_timing = check_link(self._bus, ids, self.period_s)
@@ -157,14 +139,14 @@ class Gripper:
 
     def inspect(self) -> VerificationReport:
         """Compare the servos with the settings; reads only, changes nothing."""
-        return self._servos.health.verify(correct=False)
+        return self._health.verify(correct=False)
 
     def read_state(self) -> GripperState:
         """Read the feedback of all servos in one transaction."""
-        return self._servos.feedback.read_patiently()
+        return self._servos.read_patiently()
 
     def tick(self) -> None:
-        """Feed the bus watchdog and look after the servos between commands.
+        """Feed the bus watchdog and check the servos between commands.
 
         Raises
         ------
@@ -181,7 +163,7 @@ class Gripper:
             with self._servos.in_loop():
                 state = self._runner.read()
             if state is not None:
-                self._servos.health.poll(state, watchdog=self._life.part_possible)
+                self._health.poll(state, watchdog=self._life.part_possible)
 
     def open(
         self, aperture_m: float | None = None, observer: Observer | None = None
@@ -210,14 +192,14 @@ class Gripper:
             state = self._move_to(target_m, observer)
             if self._settings.watchdog_self_test and not self._watchdog_proofs:
                 self._watchdog_proofs = prove_watchdog(
-                    self._servos, self._linkage, self._settings, self._clock
+                    self._servos, self._health, self._linkage, self._settings, self._clock
                 )
                 state = self._move_to(target_m, observer)
         self._life.phase = GripperPhase.IDLE
         return state
 
     def check_ramp(self, ramp: ForceRamp) -> None:
-        """Raise LimitExceeded when `grasp` would refuse a ramp; nothing is asked of the servos."""
+        """Raise LimitExceeded when `grasp` would refuse a ramp; the servos are not asked."""
         check_ramp(ramp, self._settings, self._linkage)
 
     def grasp(self, ramp: ForceRamp, observer: Observer | None = None) -> GraspOutcome:
@@ -252,7 +234,7 @@ class Gripper:
     def hold(self, duration_s: float, observer: Observer | None = None) -> GripperState:
         """Control the force at its last set-point for a time in s.
 
-        After a while the motor gives back current that friction makes superfluous.
+        After ``taper_after_s`` the motor gives back current that friction makes superfluous.
 
         Raises
         ------
@@ -283,7 +265,7 @@ class Gripper:
             When both pads become empty.
         """
         control = self._held_control("back_off")
-        ramp = self._grasping.back_off_ramp(force_n, rate_n_s)
+        ramp = self._grasping.back_off_ramp(control, force_n, rate_n_s)
         with self._life.command(GripperPhase.BACKING_OFF):
             self._make_ready()
             state = self._grasping.follow_down(control, ramp, observer)
@@ -293,14 +275,14 @@ class Gripper:
     def release(self, observer: Observer | None = None) -> GripperState:
         """Let go: open to aperture_open_m. The only command that lets a part go.
 
-        Stopped or at fault on the way the fingers stand still; the error's note says where.
+        Stopped or at fault on the way the fingers stand still; a note on the error names where.
 
         Raises
         ------
         GripperStateError
             While a fault is latched: `clear_fault` comes first.
         VerificationFailed
-            When torque was found on at the start and a servo is not what the settings say.
+            When torque was found on at the start and a servo does not match the settings.
         """
         self._life.check_ready("release")
         with self._life.command(GripperPhase.RELEASING):
@@ -341,7 +323,7 @@ class Gripper:
         """
         if self._life.phase is GripperPhase.OFF or bus_is_lost(self._life.fault):
             return
-        if self._life.left_alone:
+        if self._life.motion_unconfirmed:
             return
         self._life.rest()
         self._servos.disarm_watchdog()
@@ -364,20 +346,19 @@ class Gripper:
             raise GripperStateError("clear_fault is not possible while a command runs")
         if self._life.fault is None:
             return
-        faulty = self._servos.health.hardware_errors()
+        faulty = self._health.hardware_errors()
         if faulty and not reboot:
             servo_id, bits = next(iter(faulty.items()))
             raise ServoFault(
                 servo_id, bits, "the error lasts: remove its cause, then clear it with reboot=True"
             )
         if faulty:
-            reboot_servos(self._bus, tuple(faulty), self._clock)
-            self._servos.forget()
+            self._servos.reboot(tuple(faulty))
             self._life.controlled = False
         self._life.fault = None
-        self._life.left_alone = False
+        self._life.motion_unconfirmed = False
         self._runner.forget_stop()
-        if not self._servos.health.torque_on():
+        if not self._health.torque_on():
             self._life.switched_off()
             return
         self._life.rest()
@@ -390,7 +371,7 @@ class Gripper:
         servos then hold on without supervision until somebody releases the part. The watchdog stays
         armed where it alone stops fingers on their way.
         """
-        if self._life.phase is GripperPhase.OFF or self._life.left_alone:
+        if self._life.phase is GripperPhase.OFF or self._life.motion_unconfirmed:
             return
         try:
             if self._life.phase is GripperPhase.IDLE and self._life.fault is None:
@@ -403,18 +384,16 @@ class Gripper:
         if self._life.phase is GripperPhase.IDLE and self._life.fault is None:
             self._life.phase = GripperPhase.OFF
 
-    # Inside
-
     def _verify(self) -> VerificationReport:
         held_before = self._life.phase is not GripperPhase.IDLE
-        if not self._servos.health.torque_on():
+        if not self._health.torque_on():
             self._life.switched_off()
-            return self._servos.health.verify(correct=True, refuse=True)
+            return self._health.verify(correct=True, refuse=True)
         if held_before:
             self._life.phase = GripperPhase.HELD_AFTER_FAULT
             self._life.part_possible = True
             self._life.controlled = False
-        return self._servos.health.verify(correct=False, refuse=not held_before)
+        return self._health.verify(correct=False, refuse=not held_before)
 
     def _held_control(self, command: str) -> GripControl:
         self._life.check_ready(command, GripperPhase.HOLDING)
@@ -424,21 +403,9 @@ class Gripper:
         return control
 
     def _move_to(self, aperture_m: float, observer: Observer | None) -> GripperState:
-        state = self._servos.feedback.read_patiently()
-        move = MoveTo(
-            self._settings,
-            self._linkage,
-            state,
-            self._servos.feedback.transmissions(state.servos),
-            aperture_m=aperture_m,
-            now_s=state.t_s,
-        )
+        state = self._servos.read_patiently()
+        move = MoveTo(self._settings, self._linkage, state, aperture_m=aperture_m)
         return self._runner.run(self._life.phase, move.step, observer, needs_force=False)
 
     def _make_ready(self, *, releasing: bool = False) -> None:
-        make_ready(
-            self._servos,
-            self._settings,
-            part_possible=self._life.part_possible,
-            releasing=releasing,
-        )
+        self._servos.make_ready(part_possible=self._life.part_possible, releasing=releasing)

@@ -9,12 +9,13 @@ from dataclasses import dataclass
 from math import asin, cos, isfinite, pi, sin
 from typing import Protocol
 
+from gripper.dynamixel.models import ServoModel
 from gripper.errors import LimitExceeded
-from gripper.servo_models import ServoModel
+from gripper.settings import GripperSettings
 
 
 class Linkage(Protocol):
-    """What the gripper needs to know of its mechanics."""
+    """Mechanics between the servos and the fingers."""
 
     @property
     def n_servos(self) -> int:
@@ -36,6 +37,10 @@ class Linkage(Protocol):
     def opening_per_rad_m(self, angle_rad: float) -> float:
         """Return the part of the aperture in m that one servo opens for one rad."""
         ...
+
+
+_FRICTION_RESERVE = 1.2
+"""Friction at rest over friction in motion: what a finger needs to break away."""
 
 
 def _check_count(n_servos: int, angles_rad: Sequence[float]) -> None:
@@ -161,7 +166,7 @@ def _check_n_servos(n_servos: int) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Transmission:
-    """Servo current <-> grip force at one position, with the friction of the gearing.
+    """Relation of servo current and grip force at one position, with the friction of the gearing.
 
     The torque at rest may lie anywhere in a band: while the force rises the motor works against
     friction, T = kt I - Tc; while it falls friction helps, T = kt I + Tc.
@@ -198,11 +203,36 @@ class Transmission:
         """Return the current in A that drives the force up to ``force_n``."""
         return (force_n * self.radius_m + self.friction_nm) / self.kt_nm_a
 
-    def unloading_current_a(self, force_n: float) -> float:
-        """Return the current in A that lets the force fall to ``force_n``; below 0 pushes open."""
-        return (force_n * self.radius_m - self.friction_nm) / self.kt_nm_a
-
     def force_band_n(self, current_a: float) -> tuple[float, float]:
         """Return the least and the largest grip force in N that a current can hold."""
         centre_n = current_a * self.kt_nm_a / self.radius_m
         return max(0.0, centre_n - self.friction_n), max(0.0, centre_n + self.friction_n)
+
+
+def transmissions(
+    settings: GripperSettings, linkage: Linkage, angles_rad: Sequence[float]
+) -> tuple[Transmission, ...]:
+    """Return the transmission of each servo at its angle."""
+    return tuple(
+        Transmission.at(servo.servo_model, linkage, angle_rad)
+        for servo, angle_rad in zip(settings.servos, angles_rad, strict=True)
+    )
+
+
+def motion_current_a(
+    settings: GripperSettings, paths: Sequence[Transmission], force_n: float
+) -> float:
+    """Return the current in A that moves the fingers freely and presses with ``force_n`` at most.
+
+    Friction enters with a reserve for breaking away; LimitExceeded when the cap of the current
+    does not allow it.
+    """
+    current_a = max(
+        (force_n * p.radius_m + _FRICTION_RESERVE * p.friction_nm) / p.kt_nm_a for p in paths
+    )
+    if current_a > settings.current_max_a:
+        raise LimitExceeded(
+            f"moving the fingers takes {current_a:.3f} A, current_max_a is "
+            f"{settings.current_max_a} A: raise it"
+        )
+    return current_a

@@ -1,13 +1,25 @@
-"""Which command is possible when, and what a fault leaves behind."""
+"""Lifecycle of the gripper: which command is possible when, and the response to a fault."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from enum import StrEnum
 
-from gripper.errors import GraspStopped, GripperError, GripperStateError, ServoFault, note_fingers
-from gripper.reactions import Left, react
-from gripper.runner import LoopRunner
-from gripper.servos import ServoGroup
-from gripper.settings import GripperSettings
+from gripper.errors import (
+    BusCorrupt,
+    BusTimeout,
+    FeedbackImplausible,
+    FingerSilent,
+    ForceAboveCap,
+    GraspStopped,
+    GripperError,
+    GripperStateError,
+    PortLost,
+    ServoFault,
+    note_fingers,
+)
+from gripper.force.loop import LoopRunner
+from gripper.servos.group import ServoGroup
+from gripper.settings import GripperSettings, OverForce
 from gripper.state import GripperPhase
 
 _DOING = {
@@ -15,6 +27,25 @@ _DOING = {
     GripperPhase.APPROACHING: "closing",
     GripperPhase.RELEASING: "letting go",
 }
+
+
+class FingersLeft(StrEnum):
+    """State in which a fault response leaves the fingers; its text stands before "while ...".
+
+    UNCONFIRMED: a servo did not confirm its goal, or nobody answers; the servos' own watchdog ends
+    the motion.
+    """
+
+    STOPPED = "stopped"
+    LIMP = "lost their torque"
+    UNCONFIRMED = "were seen last"
+
+
+def bus_is_lost(error: BaseException | None) -> bool:
+    """Return whether a fault means that no servo answers on the bus any more."""
+    return isinstance(error, PortLost | BusTimeout | BusCorrupt) and not isinstance(
+        error, FingerSilent
+    )
 
 
 class Lifecycle:
@@ -28,7 +59,7 @@ class Lifecycle:
     Attributes
     ----------
     phase
-        What the gripper is doing.
+        Phase of the gripper.
     part_possible
         True from the beginning of an approach until a release has ended or nothing was found.
     controlled
@@ -37,7 +68,7 @@ class Lifecycle:
         The latched fault, None without one.
     running
         True while a command runs.
-    left_alone
+    motion_unconfirmed
         True after a fault in a motion that nothing but a servo's bus watchdog ends.
     """
 
@@ -47,7 +78,7 @@ class Lifecycle:
         self.controlled = False
         self.fault: BaseException | None = None
         self.running = False
-        self.left_alone = False
+        self.motion_unconfirmed = False
         self._servos = servos
         self._settings = settings
         self._runner = runner
@@ -67,7 +98,7 @@ class Lifecycle:
             self.phase = GripperPhase.IDLE
 
     def switched_off(self) -> None:
-        """Note that the torque is off: nothing is held."""
+        """Set the phase that belongs to torque off: nothing is held."""
         self._servos.forget()
         self.part_possible = False
         self.controlled = False
@@ -90,7 +121,7 @@ class Lifecycle:
 
     @contextmanager
     def command(self, phase: GripperPhase) -> Iterator[None]:
-        """Run one command in its phase; a stop freezes the goals, or halts fingers on their way."""
+        """Run one command in its phase; a stop freezes the goals, or stops fingers on their way."""
         self._runner.forget_stop()
         self.phase = phase
         self.running = True
@@ -114,41 +145,96 @@ class Lifecycle:
         except BaseException as error:
             self.fault = error
             phase, self.phase = self.phase, GripperPhase.HELD_AFTER_FAULT
-            left = Left.ALONE
-            # The error that is on its way says what matters; a bus that fails again adds nothing.
+            left = FingersLeft.UNCONFIRMED
+            # The error that is on its way names the cause; a bus that fails again adds nothing.
             with suppress(GripperError):
-                left = react(error, self._servos, self._settings, moving=phase.moving)
-            self._tell(error, phase, left)
-            self.left_alone = phase.moving and left is Left.ALONE
+                left = fault_response(error, self._servos, self._settings, moving=phase.moving)
+            self._note_fingers(error, phase, left)
+            self.motion_unconfirmed = phase.moving and left is FingersLeft.UNCONFIRMED
             raise
 
     def _stop(self, stop: GraspStopped) -> None:
         if not self.phase.moving:
             with suppress(GripperError):
-                self._servos.standstill.calm()
+                self._servos.freeze()
             return
         with self._servos.in_loop():
-            alone = self._servos.standstill.halt()
-        if not alone:
-            self._tell(stop, self.phase, Left.STILL)
+            unconfirmed = self._servos.stop_motion()
+        if not unconfirmed:
+            self._note_fingers(stop, self.phase, FingersLeft.STOPPED)
             return
-        error = ServoFault(alone[0], 0, "it did not take the goal to stand still")
-        self._tell(error, self.phase, Left.ALONE)
-        self.fault, self.left_alone = error, True
+        error = ServoFault(unconfirmed[0], 0, "it did not take the goal to stand still")
+        self._note_fingers(error, self.phase, FingersLeft.UNCONFIRMED)
+        self.fault, self.motion_unconfirmed = error, True
         self.phase = GripperPhase.HELD_AFTER_FAULT
         raise error from stop
 
-    def _tell(self, error: BaseException, phase: GripperPhase, left: Left) -> None:
-        """Note on what ends a motion where it has left the fingers, and what they may hold."""
+    def _note_fingers(self, error: BaseException, phase: GripperPhase, left: FingersLeft) -> None:
+        """Note on an error that ends a motion where the fingers are, and what they may hold."""
         if not phase.moving:
             return
-        aperture_m = self._servos.feedback.aperture_m
+        aperture_m = self._servos.aperture_m
         where = "" if aperture_m is None else f", at an opening of {aperture_m * 1e3:.1f} mm"
-        alone = "; the servos' bus watchdog stops them" if left is Left.ALONE else ""
+        unconfirmed = left is FingersLeft.UNCONFIRMED
+        watchdog = "; the servos' bus watchdog stops them" if unconfirmed else ""
         if not self.part_possible:
             part = "nothing is held"
         elif phase is GripperPhase.RELEASING:
             part = "a part may be half held"
         else:
             part = "a part may be touched"
-        note_fingers(error, f"{left} while {_DOING[phase]}{where}{alone}; {part}")
+        note_fingers(error, f"{left} while {_DOING[phase]}{where}{watchdog}; {part}")
+
+
+def fault_response(
+    error: BaseException, servos: ServoGroup, settings: GripperSettings, *, moving: bool
+) -> FingersLeft:
+    """Write the goals that a fault asks for; the grip is kept wherever it can be.
+
+    ================================== ==========================================================
+    fault                              response
+    ================================== ==========================================================
+    the bus is lost                    nothing is written: the servos' own watchdog acts
+    position unknown                   the torque goes off
+    force above its cap                that of ``over_force``, once
+    one finger silent or without       both hold their positions: none pushes alone
+    torque
+    any other, fingers on their way    they stop where they are, and that is read back
+    any other                          the goals are frozen
+    ================================== ==========================================================
+
+    Parameters
+    ----------
+    error
+        The fault.
+    servos, settings
+        Of the gripper.
+    moving
+        True where the fingers were on their way with nothing in their grip yet, or any more.
+    """
+    if bus_is_lost(error):
+        return FingersLeft.UNCONFIRMED
+    # No patience here: a servo that does not answer must not hold up the others.
+    with servos.in_loop():
+        over_force = isinstance(error, ForceAboveCap) or servos.force_is_too_high()
+        limp = over_force and settings.over_force is OverForce.LIMP
+        if limp or isinstance(error, FeedbackImplausible):
+            servos.go_limp()
+            return FingersLeft.LIMP
+        opens = over_force and settings.over_force is OverForce.OPEN
+        stops = moving and not opens
+        unconfirmed = servos.stop_motion() if stops else []
+        one_sided = isinstance(error, FingerSilent) or (
+            isinstance(error, ServoFault) and error.torque_lost
+        )
+        with suppress(GripperError):
+            if opens:
+                servos.open_a_step()
+            elif over_force:
+                servos.lower_currents()
+            elif one_sided:
+                servos.hold_position()
+            elif not stops:
+                servos.freeze()
+        servos.disarm_each(but=unconfirmed)
+    return FingersLeft.UNCONFIRMED if unconfirmed else FingersLeft.STOPPED

@@ -1,28 +1,113 @@
-"""Settings of a gripper; an object that exists is valid."""
+"""Settings of a gripper: each with its unit, default and range, declared once.
 
-from dataclasses import dataclass, field
+An object that exists is valid. The cell's config file shows the same settings in mm and ms; its
+defaults and ranges are taken from here.
+"""
+
+from dataclasses import dataclass, field, fields
 from enum import StrEnum
+from math import inf, isfinite
+from typing import Any
 
-from gripper.correctable import CORRECTABLE
+from gripper.dynamixel.control_table import WATCHDOG_UNIT_S
+from gripper.dynamixel.models import PULSES_PER_TURN, ServoModel, require_current_control
 from gripper.errors import LimitExceeded
-from gripper.loop_settings import ForceLoopSettings, check_number
-from gripper.registers import PULSES_PER_TURN, WATCHDOG_UNIT_S
-from gripper.servo_models import ServoModel, require_current_control
-
-__all__ = [
-    "HARD_FORCE_CAP_N",
-    "ForceLoopSettings",
-    "GripperSettings",
-    "OverForce",
-    "ServoSettings",
-    "largest_setpoint_n",
-]
 
 HARD_FORCE_CAP_N = 50.0
 """No setting allows more grip force in N; it is no safety function, see the documentation."""
 
+CORRECTABLE = frozenset(
+    {"return_delay_time", "operating_mode", "status_return_level", "position_p_gain"}
+)
+"""Registers that a start may rewrite: none changes mechanics or protection of a servo."""
 
 _OVERSHOOT_N, _OVERSHOOT_SHARE = 0.2, 0.05
+"""Largest overshoot of a ramp in N, and as a share of its force; the larger of the two counts."""
+
+
+def setting(default: Any, *, low: float = -inf, above: float = -inf, high: float = inf) -> Any:
+    """Return a dataclass field with its default and range; ``above`` itself is not allowed."""
+    return field(default=default, metadata={"low": low, "above": above, "high": high})
+
+
+def check_number(
+    name: str, value: float, *, low: float = -inf, above: float = -inf, high: float = inf
+) -> None:
+    """Raise LimitExceeded when a value is not finite or outside its range."""
+    wanted = [
+        (value >= low, f"at least {low:g}"),
+        (value > above, f"above {above:g}"),
+        (value <= high, f"at most {high:g}"),
+    ]
+    if not isfinite(value) or not all(ok for ok, _ in wanted):
+        broken = " and ".join(text for ok, text in wanted if not ok) or "a number"
+        raise LimitExceeded(f"{name} is {value}, must be finite and {broken}")
+
+
+def _check_settings(settings: Any) -> None:
+    """Check every declared number of a settings object; raises LimitExceeded."""
+    for one in fields(settings):
+        value = getattr(settings, one.name)
+        if "low" in one.metadata and value is not None:
+            check_number(one.name, value, **one.metadata)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ForceLoopSettings:
+    """Tuning of the force loop; the defaults suit foam pads and a sensor at 50 Hz."""
+
+    bias_time_s: float = setting(0.3, above=0.0)
+    bias_rate_n_s: float = setting(5.0, above=0.0)
+    """Time constant in s with which the difference between sensor and model is learnt once the
+    first samples are in; it halves where the set-point moves at ``bias_rate_n_s``."""
+    sample_noise_n: float = setting(0.3, above=0.0)
+    """Standard deviation of one sample in N; with it the first samples count for more."""
+    start_doubt_n: float = setting(0.1, low=0.0)
+    friction_doubt: float = setting(0.1, low=0.0)
+    """How uncertain the model is at the contact, in N, and by how much more where the force
+    begins to move, as a share of the friction band."""
+    caution: float = setting(1.0, low=0.0)
+    settled_doubt_n: float = setting(0.1, low=0.0)
+    """A rising force stays below the set-point by ``caution`` times the doubt that is beyond
+    ``settled_doubt_n`` in N: what is not known yet is approached from below."""
+    damping_n_s_m: float = setting(100.0, low=0.0)
+    """Drive in N taken away for each m/s that a finger is faster than the ramp needs."""
+    motion_doubt_n_s_m: float = setting(140.0, low=0.0)
+    """Noise in N added to a sample for each m/s of a finger: inertia makes the model wrong."""
+    end_time_s: float = setting(0.11, low=0.0)
+    """Time constant in s with which the force arrives at the end of a change; see
+    `gripper.force.controller.SetpointFilter`."""
+    sensor_delay_s: float = setting(0.02, low=0.0)
+    """Time in s by which the sensor's filters lag behind the stamp of a sample."""
+    dead_band_n: float = setting(0.03, low=0.0)
+    hold_band_n: float = setting(0.04, low=0.0)
+    """Error in N that is left alone while the force keeps its direction: on a ramp, in a
+    hold."""
+    reversal_band_n: float = setting(0.22, low=0.0)
+    reversal_band_share: float = setting(0.04, low=0.0)
+    """Error in N, or as a share of the set-point if that is more, that it takes to turn the
+    direction round, through twice the friction."""
+    drive_rate_n_s: float = setting(150.0, above=0.0)
+    """Fastest change of the driving force in N/s, within the friction band."""
+    creep_n_s: float = setting(5.0, above=0.0)
+    creep_share: float = setting(0.5, low=0.0)
+    """Its rate in N/s, beside that of the set-point, where motion is about to begin: from this
+    share of the friction band on."""
+    dither_share: float = setting(0.2, low=0.0)
+    """Square wave on the drive while the force changes, as a share of the friction band."""
+    push_open_share: float = setting(1.3, low=0.0)
+    """How hard the motor may push the fingers open to lower the force against friction, as a
+    share of the friction band."""
+    bias_max_n: float = setting(2.0, above=0.0)
+    bias_max_share: float = setting(0.4, low=0.0)
+    bias_max_friction_share: float = setting(0.6, low=0.0)
+    """Largest plausible difference between sensor and model in N, plus a share of the set-
+    point, plus a share of the friction band."""
+    taper_n_s: float = setting(1.0, low=0.0, high=50.0)
+    """Rate in N/s at which a long hold gives back drive that friction makes superfluous."""
+
+    def __post_init__(self) -> None:
+        _check_settings(self)
 
 
 def largest_setpoint_n(force_max_n: float) -> float:
@@ -53,7 +138,7 @@ class ServoSettings:
     servo_id
         ID on the bus, 0 to 252.
     model
-        Name of the model, see `gripper.registers.MODELS`.
+        Name of the model, see `gripper.dynamixel.models.MODELS`.
     direction
         1 where growing positions open the gripper, -1 where they close it.
     zero_raw
@@ -82,181 +167,112 @@ class ServoSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GripperSettings:
-    """All that a gripper needs to know beside its linkage.
-
-    Attributes
-    ----------
-    servos
-        One servo that drives both fingers, or two that drive one each (finger 0, finger 1).
-    loop_rate_hz
-        Rate of the loop in Hz.
-    aperture_open_m
-        Opening of `Gripper.open` and `Gripper.release` in m.
-    aperture_min_m
-        Opening in m below which nothing can be held: the end of an approach.
-    approach_speed_m_s, open_speed_m_s
-        Rate of the aperture while closing and opening, in m/s.
-    approach_force_n
-        Grip force in N beyond friction that the current allows while approaching.
-    contact_force_n
-        Force on each pad in N that counts as contact.
-    contact_samples
-        New samples in a row that confirm a contact.
-    contact_timeout_s
-        Longest approach in s.
-    force_max_n
-        Cap of the measured grip force in N, at most `HARD_FORCE_CAP_N`.
-    force_noise_n
-        What the mean of three samples may exceed the cap by, in N, because of noise.
-    grasp_force_max_n
-        Largest force in N that a ramp may ask for; None, or what is more than `largest_setpoint_n`
-        of the cap: that.
-    current_max_a
-        Cap of the goal current in A.
-    temperature_max_c
-        Warmest servo in degrees Celsius at which goals are still written.
-    temperature_derate_k
-        So many degrees below it the cap of the current begins to fall, to half at the maximum.
-    force_stale_s
-        Oldest force sample in s that may be used.
-    bus_loss_s
-        Time without feedback in s after which the bus counts as lost.
-    stall_max_s
-        Lateness of a period in s after which the loop counts as stalled.
-    overruns_max
-        So many periods in a row whose work took too long end the command; the grip is kept.
-    watchdog_s
-        Bus watchdog of the servos in s, 0.02 to 2.54 in steps of 0.02.
-    watchdog_self_test
-        True to prove after the first opening that the bus watchdog stops the motors, by a motion
-        of a few mm; without the proof no grasp is begun.
-    over_force
-        What is done when the force exceeds its cap.
-    over_force_share
-        Share of the goal currents that `OverForce.LOWER` leaves, in one step.
-    over_force_open_m
-        Opening in m by which `OverForce.OPEN` opens, in one step.
-    imbalance_n, imbalance_share, imbalance_s
-        The fingers' forces may differ by so much in N, or by a share of the grip force if that is
-        more, for so long in s.
-    slip_drop_n, slip_drop_share, slip_travel_m
-        A drop of the held force in N, or as a share if that is more, or closing in m while
-        holding, that is reported as a slip.
-    slide_m
-        Way in m along both pads by which the centre of a held force may move, at 4 N and more; in
-        inverse proportion below.
-    runaway_speed_m_s, runaway_travel_m
-        Fingers that close faster than the force loop wants by so much in m/s, over so far in m,
-        have lost the part.
-    settle_timeout_s
-        Time in s after a ramp's end in which its force must be reached.
-    settle_tolerance_n, settle_tolerance_share
-        What counts as reached: in N, or as a share of the force if that is more.
-    taper_after_s
-        Time in s after which a hold begins to give back current that friction makes superfluous.
-    corrected_registers
-        Registers that a start makes to agree while the torque is off; the others are compared.
-    force_loop
-        Tuning of the force loop.
-    """
+    """All that a gripper needs to know beside its linkage."""
 
     servos: tuple[ServoSettings, ...]
-    loop_rate_hz: float = 200.0
-    aperture_open_m: float = 0.03
-    aperture_min_m: float = 0.0005
-    approach_speed_m_s: float = 0.02
-    open_speed_m_s: float = 0.06
-    approach_force_n: float = 1.0
-    contact_force_n: float = 0.5
-    contact_samples: int = 3
-    contact_timeout_s: float = 5.0
-    force_max_n: float = HARD_FORCE_CAP_N
-    force_noise_n: float = 0.5
-    grasp_force_max_n: float | None = None
-    current_max_a: float = 0.8
-    temperature_max_c: float = 70.0
-    temperature_derate_k: float = 10.0
-    force_stale_s: float = 0.1
-    bus_loss_s: float = 0.07
-    stall_max_s: float = 0.25
-    overruns_max: int = 10
-    watchdog_s: float = 0.2
+    """One servo that drives both fingers, or two that drive one each (finger 0, finger 1)."""
+    loop_rate_hz: float = setting(200.0, low=20.0, high=1000.0)
+    """Rate of the loop in Hz."""
+    aperture_open_m: float = setting(0.018, above=0.0, high=0.4)
+    """Opening of `Gripper.open` and `Gripper.release` in m."""
+    aperture_min_m: float = setting(0.0005, low=0.0, high=0.4)
+    """Opening in m below which nothing can be held: the end of an approach."""
+    approach_speed_m_s: float = setting(0.012, above=0.0, high=0.2)
+    open_speed_m_s: float = setting(0.06, above=0.0, high=0.2)
+    """Rate of the aperture while closing and opening, in m/s."""
+    approach_force_n: float = setting(1.0, above=0.0, high=10.0)
+    """Grip force in N beyond friction that the current allows while approaching."""
+    contact_force_n: float = setting(0.6, above=0.0, high=5.0)
+    """Force on each pad in N that counts as contact."""
+    contact_samples: int = setting(3, low=1, high=50)
+    """New samples in a row that confirm a contact."""
+    contact_timeout_s: float = setting(5.0, above=0.0, high=60.0)
+    """Longest approach in s."""
+    force_max_n: float = setting(15.0, above=0.0, high=HARD_FORCE_CAP_N)
+    """Cap of the measured grip force in N, at most `HARD_FORCE_CAP_N`."""
+    force_noise_n: float = setting(0.5, low=0.0, high=5.0)
+    """What the mean of three samples may exceed the cap by, in N, because of noise."""
+    grasp_force_max_n: float | None = setting(None, above=0.0)
+    """Largest force in N that a ramp may ask for; None, or what is more than
+    `largest_setpoint_n` of the cap: that."""
+    current_max_a: float = setting(0.8, above=0.0)
+    """Cap of the goal current in A, at most the stall current of each servo's model."""
+    temperature_max_c: float = setting(70.0, low=30.0, high=80.0)
+    """Warmest servo in degrees Celsius at which goals are still written."""
+    temperature_derate_k: float = setting(10.0, low=0.0, high=40.0)
+    """So many degrees below it the cap of the current begins to fall, to half at the
+    maximum."""
+    force_stale_s: float = setting(0.1, low=0.01, high=1.0)
+    """Oldest force sample in s that may be used."""
+    bus_loss_s: float = setting(0.07, low=0.02, high=2.0)
+    """Time without feedback in s after which the bus counts as lost."""
+    stall_max_s: float = setting(0.25, low=0.01, high=5.0)
+    """Lateness of a period in s after which the loop counts as stalled."""
+    overruns_max: int = setting(10, low=1, high=1000)
+    """So many periods in a row whose work took too long end the command; the grip is kept."""
+    watchdog_s: float = setting(0.1, low=WATCHDOG_UNIT_S, high=127 * WATCHDOG_UNIT_S)
+    """Bus watchdog of the servos in s, 0.02 to 2.54 in steps of 0.02."""
     watchdog_self_test: bool = False
+    """True to prove after the first opening that the bus watchdog stops the motors, by a motion
+    of a few mm; without the proof no grasp is begun."""
     over_force: OverForce = OverForce.LOWER
-    over_force_share: float = 0.5
-    over_force_open_m: float = 0.0005
-    imbalance_n: float = 2.0
-    imbalance_share: float = 0.5
-    imbalance_s: float = 0.2
-    slip_drop_n: float = 0.8
-    slip_drop_share: float = 0.15
-    slip_travel_m: float = 0.0015
-    slide_m: float = 0.0015
-    runaway_speed_m_s: float = 0.02
-    runaway_travel_m: float = 0.0005
-    settle_timeout_s: float = 0.5
-    settle_tolerance_n: float = 0.3
-    settle_tolerance_share: float = 0.07
-    taper_after_s: float = 1.0
+    """What is done when the force exceeds its cap."""
+    over_force_share: float = setting(0.5, low=0.0, high=1.0)
+    """Share of the goal currents that `OverForce.LOWER` leaves, in one step."""
+    over_force_open_m: float = setting(0.0005, above=0.0, high=0.005)
+    """Opening in m by which `OverForce.OPEN` opens, in one step."""
+    imbalance_n: float = setting(2.0, above=0.0, high=50.0)
+    imbalance_share: float = setting(0.5, low=0.0, high=2.0)
+    imbalance_s: float = setting(0.2, above=0.0, high=10.0)
+    """The fingers' forces may differ by so much in N, or by a share of the grip force if that
+    is more, for so long in s."""
+    slip_drop_n: float = setting(0.8, above=0.0, high=20.0)
+    slip_drop_share: float = setting(0.15, low=0.0, high=1.0)
+    slip_travel_m: float = setting(0.0015, above=0.0, high=0.05)
+    """A drop of the held force in N, or as a share if that is more, or closing in m while
+    holding, that is reported as a slip."""
+    slide_m: float = setting(0.0015, above=0.0, high=0.05)
+    """Way in m along both pads by which the centre of a held force may move, at 4 N and more;
+    in inverse proportion below."""
+    runaway_speed_m_s: float = setting(0.02, above=0.0, high=0.5)
+    runaway_travel_m: float = setting(0.0005, above=0.0, high=0.05)
+    """Fingers that close faster than the force loop wants by so much in m/s, over so far in m,
+    have lost the part."""
+    settle_timeout_s: float = setting(0.5, above=0.0, high=10.0)
+    """Time in s after a ramp's end in which its force must be reached."""
+    settle_tolerance_n: float = setting(0.3, low=0.0, high=5.0)
+    settle_tolerance_share: float = setting(0.07, low=0.0, high=0.5)
+    """What counts as reached: in N, or as a share of the force if that is more."""
+    taper_after_s: float = setting(1.0, low=0.0, high=600.0)
+    """Time in s after which a hold begins to give back current that friction makes
+    superfluous."""
     corrected_registers: frozenset[str] = CORRECTABLE
+    """Registers that a start makes to agree while the torque is off; the others are
+    compared."""
     force_loop: ForceLoopSettings = field(default_factory=ForceLoopSettings)
+    """Tuning of the force loop."""
 
     def __post_init__(self) -> None:
         ids = [servo.servo_id for servo in self.servos]
         if len(ids) not in (1, 2) or len(set(ids)) != len(ids):
             raise LimitExceeded(f"servos have the IDs {ids}, must be one or two different ones")
-        for name in (
-            "aperture_open_m",
-            "approach_speed_m_s",
-            "open_speed_m_s",
-            "approach_force_n",
-            "contact_force_n",
-            "contact_timeout_s",
-            "current_max_a",
-            "temperature_max_c",
-            "force_stale_s",
-            "bus_loss_s",
-            "stall_max_s",
-            "settle_timeout_s",
-            "over_force_open_m",
-            "imbalance_n",
-            "imbalance_s",
-            "slip_drop_n",
-            "slip_travel_m",
-            "slide_m",
-            "runaway_speed_m_s",
-            "runaway_travel_m",
-        ):
-            check_number(name, getattr(self, name), above=0.0)
-        for name in (
-            "force_noise_n",
-            "settle_tolerance_n",
-            "settle_tolerance_share",
-            "temperature_derate_k",
-            "imbalance_share",
-            "slip_drop_share",
-            "taper_after_s",
-        ):
-            check_number(name, getattr(self, name), low=0.0)
-        check_number("over_force_share", self.over_force_share, low=0.0, high=1.0)
-        check_number("loop_rate_hz", self.loop_rate_hz, low=10.0, high=1000.0)
-        check_number("force_max_n", self.force_max_n, above=0.0, high=HARD_FORCE_CAP_N)
+        _check_settings(self)
+        check_number("aperture_min_m", self.aperture_min_m, high=self.aperture_open_m)
+        for servo in self.servos:
+            most_a = servo.servo_model.stall_current_a
+            if self.current_max_a > most_a:
+                raise LimitExceeded(
+                    f"current_max_a is {self.current_max_a:g} A, servo {servo.servo_id} "
+                    f"({servo.model}) makes at most {most_a:g} A"
+                )
         if self.grasp_force_max_n is not None:
-            check_number(
-                "grasp_force_max_n", self.grasp_force_max_n, above=0.0, high=self.force_max_n
-            )
+            check_number("grasp_force_max_n", self.grasp_force_max_n, high=self.force_max_n)
         check_number("the largest force of a ramp under it", self.grasp_force_limit_n, above=0.0)
-        check_number("aperture_min_m", self.aperture_min_m, low=0.0, high=self.aperture_open_m)
-        check_number("watchdog_s", self.watchdog_s, low=WATCHDOG_UNIT_S, high=127 * WATCHDOG_UNIT_S)
-        if self.overruns_max < 1:
-            raise LimitExceeded(f"overruns_max is {self.overruns_max}, must be at least 1")
         if not self.corrected_registers <= CORRECTABLE:
             raise LimitExceeded(
                 f"corrected_registers names {sorted(self.corrected_registers - CORRECTABLE)}, only "
                 f"{', '.join(sorted(CORRECTABLE))} can be corrected"
             )
-        if self.contact_samples < 1:
-            raise LimitExceeded(f"contact_samples is {self.contact_samples}, must be at least 1")
 
     @property
     def period_s(self) -> float:

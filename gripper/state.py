@@ -1,24 +1,63 @@
-"""What the gripper tells: states of servos and gripper, cycles of its loop, outcomes."""
+"""Values that the gripper takes and returns: time, force, servo and gripper states, outcomes."""
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import Protocol
 
-from gripper.force import ForceSample
-from gripper.timing import LoopStatistics
 
-__all__ = [
-    "Cycle",
-    "GraspOutcome",
-    "GraspResult",
-    "GripperPhase",
-    "GripperState",
-    "LoopStatistics",
-    "ServoState",
-]
+class Clock(Protocol):
+    """A monotonic clock that can wait; the standard module ``time`` is one."""
+
+    def monotonic(self) -> float:
+        """Return the time in s since an arbitrary start; it never goes back."""
+        ...
+
+    def sleep(self, seconds: float, /) -> None:
+        """Wait for ``seconds`` s."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ForceSample:
+    """Normal force on both fingers, tared and calibrated.
+
+    Attributes
+    ----------
+    t_s
+        Monotonic time of the measurement in s.
+    force_n
+        Normal force on finger 0 and on finger 1 in N.
+    valid
+        False when the value must not be used for control (saturated pad, too many bad taxels).
+    reason
+        Why it is not valid; empty where it is.
+    centre_m
+        Centre of the force on each finger's pad in m, along the finger and across it; None where
+        the sensor does not measure it, or nothing touches.
+    """
+
+    t_s: float
+    force_n: tuple[float, float]
+    valid: bool = True
+    reason: str = ""
+    centre_m: tuple[tuple[float, float], tuple[float, float]] | None = None
+
+    @property
+    def grip_n(self) -> float:
+        """Grip force in N: the mean of both fingers, which are equal in equilibrium."""
+        return 0.5 * (self.force_n[0] + self.force_n[1])
+
+
+class ForceSensor(Protocol):
+    """Source of force samples; called once every period of the force loop, must not block."""
+
+    def latest_force(self) -> ForceSample | None:
+        """Return the newest sample, None while there is none; the caller judges its age."""
+        ...
 
 
 class GripperPhase(Enum):
-    """What the gripper is doing.
+    """Phase of the gripper.
 
     OFF: torque is off or unknown. IDLE: torque on, nothing held. HELD_AFTER_FAULT: goals are
     frozen after a fault, or torque was found on at the start; a part may be held.
@@ -36,7 +75,7 @@ class GripperPhase(Enum):
 
     @property
     def moving(self) -> bool:
-        """Whether the fingers are on their way, with nothing in their grip yet or any more."""
+        """True while the fingers are on their way, with nothing in their grip yet or any more."""
         return self in (
             GripperPhase.OPENING,
             GripperPhase.APPROACHING,
@@ -45,7 +84,7 @@ class GripperPhase(Enum):
 
 
 class GraspResult(Enum):
-    """How a grasp ended."""
+    """Kind of end of a grasp."""
 
     FORCE_REACHED = "force_reached"
     FORCE_NOT_REACHED = "force_not_reached"
@@ -63,9 +102,9 @@ class ServoState:
     servo_id
         The servo.
     angle_rad
-        Angle in the linkage's sense: 0 at zero_raw, grows while the gripper opens.
+        Angle in the direction of the linkage: 0 at zero_raw, grows while the gripper opens.
     velocity_rad_s
-        Velocity in the same sense.
+        Velocity in the same direction.
     current_a
         Present Current; positive drives the gripper open.
     position_raw
@@ -123,17 +162,22 @@ class GripperState:
     voltage_v: float
     servos: tuple[ServoState, ...]
 
+    @property
+    def angles_rad(self) -> tuple[float, ...]:
+        """Angle of each servo in rad."""
+        return tuple(servo.angle_rad for servo in self.servos)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cycle:
-    """One period of the loop, as the observer gets it after the goals were written.
+    """One period of the loop, as its observer receives it after the goals were written.
 
     Attributes
     ----------
     t_s
         Monotonic time in s.
     phase
-        What the gripper is doing.
+        Phase of the gripper.
     state
         Feedback of this period.
     force
@@ -157,7 +201,7 @@ class Cycle:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GraspOutcome:
-    """How a grasp ended; the part is held unless the result says that there is none.
+    """End of a grasp; the part is held unless the result is that there is none.
 
     Attributes
     ----------
@@ -183,3 +227,58 @@ class GraspOutcome:
     final_force_n: float
     overshoot_n: float
     ended_early: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VerificationRow:
+    """Comparison of one register of a servo with its requirement.
+
+    Attributes
+    ----------
+    servo_id
+        The servo.
+    item
+        Name of the register.
+    expected, found
+        As text, in raw units of the register.
+    ok
+        True when they agree, or were made to agree.
+    corrected
+        True when the register was rewritten to agree.
+    """
+
+    servo_id: int
+    item: str
+    expected: str
+    found: str
+    ok: bool
+    corrected: bool = False
+
+    def __str__(self) -> str:
+        return f"servo {self.servo_id} {self.item}: expected {self.expected}, found {self.found}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VerificationReport:
+    """All comparisons of a start.
+
+    Attributes
+    ----------
+    rows
+        One for each servo and item.
+    torque_was_on
+        True when a servo had its torque on: it may hold a part, and nothing was changed.
+    """
+
+    rows: tuple[VerificationRow, ...]
+    torque_was_on: bool = False
+
+    @property
+    def ok(self) -> bool:
+        """True when every row agrees."""
+        return all(row.ok for row in self.rows)
+
+    @property
+    def failed(self) -> tuple[VerificationRow, ...]:
+        """The rows that do not agree."""
+        return tuple(row for row in self.rows if not row.ok)

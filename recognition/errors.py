@@ -1,11 +1,11 @@
-"""What can go wrong between a grasp and a name.
+"""Errors of the package: input from which no surface, trajectory or recogniser can be made.
 
-All derive from ``ValueError``: the numbers that came in do not carry what was asked of them.
+All derive from ``ValueError``.
 """
 
 
 class RecognitionError(ValueError):
-    """Any refusal of this package."""
+    """Base class of the errors of this package."""
 
 
 class ContactError(RecognitionError):
@@ -13,7 +13,7 @@ class ContactError(RecognitionError):
 
 
 class QuadricError(RecognitionError):
-    """No quadric can be told from these points: too few, degenerate, or not finite."""
+    """No quadric fits these points: too few, degenerate, or not finite."""
 
 
 class TransformError(RecognitionError):

@@ -1,12 +1,62 @@
-"""The record of one force ramp: the only input that recognisers take."""
+"""Grasp record: the frames of one force ramp, its pads and its commanded pose and force."""
 
-from dataclasses import dataclass
-from typing import Any
+import math
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, DTypeLike, NDArray
 
-from recognition.placing import Placing
+COMMAND_COLUMNS = ("x_m", "y_m", "rotation_rad", "roll_rad", "force_n")
+"""Names of the numbers of a `GraspCommand`, in their order."""
+
+_SAME_PLACE_M = 1e-6
+"""Taxels whose positions differ by less than this are the same, in m: files round positions."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GraspCommand:
+    """Commanded pose and force of one grasp; the pose that was reached may differ.
+
+    Attributes
+    ----------
+    x_m, y_m
+        Offset of the object along the fingers and across them in m.
+    rotation_rad, roll_rad
+        Turn about the closing axis, and before that about the object's own axis, in rad.
+    force_n
+        Force at the end of the ramp in N.
+
+    Raises
+    ------
+    ValueError
+        A number is not finite.
+    """
+
+    x_m: float
+    y_m: float
+    rotation_rad: float
+    roll_rad: float
+    force_n: float
+
+    def __post_init__(self) -> None:
+        for name in COMMAND_COLUMNS:
+            if not math.isfinite(getattr(self, name)):
+                raise ValueError(
+                    f"{name} of a grasp command is {getattr(self, name)}, must be finite"
+                )
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """The numbers in the order of `COMMAND_COLUMNS`."""
+        return (self.x_m, self.y_m, self.rotation_rad, self.roll_rad, self.force_n)
+
+    @classmethod
+    def from_values(cls, values: Sequence[float]) -> Self:
+        """Rebuild from `values`. Raises ValueError where they are not five finite numbers."""
+        return cls(**dict(zip(COMMAND_COLUMNS, map(float, values), strict=True)))
 
 
 def _frozen(values: ArrayLike, dtype: DTypeLike, shape: tuple[int, ...], name: str) -> NDArray[Any]:
@@ -19,7 +69,7 @@ def _frozen(values: ArrayLike, dtype: DTypeLike, shape: tuple[int, ...], name: s
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PadArray:
-    """Where the taxels of a grasp are.
+    """Positions of the taxels on their pads, and the full scale of their counts.
 
     Attributes
     ----------
@@ -58,7 +108,7 @@ class PadArray:
         if len(per_pad) != n_pads or np.any(per_pad != self.pad_shape.prod(axis=1)):
             raise ValueError(
                 f"taxel_pad has {per_pad.tolist()} taxels on the pads, "
-                f"pad_shape says {self.pad_shape.prod(axis=1).tolist()}"
+                f"pad_shape has {self.pad_shape.prod(axis=1).tolist()}"
             )
 
     @property
@@ -76,12 +126,12 @@ class PadArray:
         return np.flatnonzero(self.taxel_pad == pad)
 
     def same_as(self, other: "PadArray") -> bool:
-        """Say whether two grasps were taken on the same pads."""
+        """Return whether both describe the same pads: positions within 1 µm, full scale, shapes."""
         return (
             self.adc_max == other.adc_max
             and np.array_equal(self.pad_shape, other.pad_shape)
             and np.array_equal(self.taxel_pad, other.taxel_pad)
-            and np.allclose(self.taxel_xy_m, other.taxel_xy_m, atol=1e-6)
+            and np.allclose(self.taxel_xy_m, other.taxel_xy_m, atol=_SAME_PLACE_M)
         )
 
 
@@ -105,8 +155,8 @@ class Grasp:
         What was grasped, its class of shape, where the record came from; empty where unknown.
     start_ms
         Time of the first frame in ms: sorts the grasps of a label.
-    placing
-        Pose and force that were asked for; None where unknown. Recognisers do not look at it.
+    command
+        Commanded pose and force; None where unknown. Recognisers do not use it.
     """
 
     pads: PadArray
@@ -118,7 +168,7 @@ class Grasp:
     shape: str = ""
     source: str = ""
     start_ms: int = 0
-    placing: Placing | None = None
+    command: GraspCommand | None = None
 
     def __post_init__(self) -> None:
         n_frames = len(self.counts)
@@ -141,3 +191,26 @@ class Grasp:
     def n_frames(self) -> int:
         """Number of frames."""
         return len(self.counts)
+
+    def first_frames(self, n_frames: int) -> "Grasp":
+        """Return the same grasp with its first frames only."""
+        return replace(
+            self,
+            counts=self.counts[:n_frames],
+            t_s=self.t_s[:n_frames],
+            aperture_m=self.aperture_m[:n_frames],
+            force_n=self.force_n[:n_frames],
+        )
+
+
+def by_label(grasps: Sequence[Grasp]) -> dict[str, list[Grasp]]:
+    """Return the grasps of each label in the order of time, labels sorted.
+
+    Raises ValueError where a grasp has no label.
+    """
+    found: defaultdict[str, list[Grasp]] = defaultdict(list)
+    for number, grasp in enumerate(grasps):
+        if not grasp.label:
+            raise ValueError(f"grasp {number} has no label: it can neither teach nor test")
+        found[grasp.label].append(grasp)
+    return {label: sorted(found[label], key=lambda g: g.start_ms) for label in sorted(found)}

@@ -1,4 +1,4 @@
-"""What a recogniser is: taught with grasps, it answers a grasp with probabilities."""
+"""Protocols of recognisers and trainers, and the posterior that a recogniser returns."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -10,16 +10,17 @@ from numpy.typing import NDArray
 from recognition.grasp import Grasp
 
 UNKNOWN = "UNKNOWN"
-"""The answer for an object that was never taught, or that cannot be told from the others."""
+"""The answer for an object that was never taught, or that cannot be separated from the others."""
 
 DEPENDENCE = 0.2
-"""Correlation of what two grasps of one object tell, where nothing better is known: they share the
-object, the sensor and what the recogniser has not learnt."""
+"""Correlation, 0 to 1, of the log evidence of two grasps of one object where no fitted value
+exists: they share the object, the sensor and the errors of the recogniser. See
+docs/sequences.md."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Posterior:
-    """What one grasp, or several fused ones, tell of the object.
+    """Posterior probabilities of the taught objects after one grasp, or after several fused ones.
 
     Attributes
     ----------
@@ -30,7 +31,7 @@ class Posterior:
     unknown : float
         Probability from 0 to 1 that the object was never taught.
     dependence
-        How far further grasps of the object repeat this one, 0 to 1; fusion goes by it.
+        How far further grasps of the object repeat this one, 0 to 1; fusion weighs grasps by it.
     """
 
     labels: tuple[str, ...]
@@ -56,8 +57,14 @@ class Posterior:
         """The likeliest of the taught labels."""
         return self.labels[int(np.argmax(self.probability))]
 
+    @classmethod
+    def uninformed(cls, labels: tuple[str, ...]) -> "Posterior":
+        """Return the posterior of a grasp without evidence: even probabilities, surely unknown."""
+        even = np.full(len(labels), 1.0 / len(labels))
+        return cls(labels=labels, probability=even, unknown=1.0)
+
     def decision(self, *, max_unknown: float = 0.5, min_probability: float = 0.0) -> str:
-        """Return the likeliest label, or ``UNKNOWN`` where it is too unlikely or too strange."""
+        """Return the likeliest label, or ``UNKNOWN`` by the limits on `unknown` and probability."""
         if self.unknown > max_unknown or float(self.probability.max()) < min_probability:
             return UNKNOWN
         return self.best
@@ -72,7 +79,7 @@ class Recognizer(Protocol):
         ...
 
     def posterior(self, grasp: Grasp) -> Posterior:
-        """Say what the grasp tells; ValueError for pads other than the taught ones."""
+        """Return the posterior of a grasp; ValueError for pads other than the taught ones."""
         ...
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:

@@ -1,14 +1,18 @@
-"""Virtual time: one thread, no waiting, every run the same."""
+"""The clock of virtual time: one thread, no waiting, every run the same."""
 
 import math
 from collections.abc import Callable
 
 STEP_S = 1e-3
 """Longest piece in s by which a virtual clock moves at once."""
+ROUNDING_S = 1e-9
+"""Allowance in s for sums of times that should be equal."""
+_ROUNDING_SHARE = 1e-6
+"""A rest below this share of a step joins the last piece."""
 
 
 class VirtualClock:
-    """A monotonic clock that moves only when somebody sleeps on it.
+    """A monotonic clock that moves only by its `sleep` and `advance_to`.
 
     It has ``monotonic`` and ``sleep`` as the standard module ``time`` has them, so it stands in
     for that module wherever a clock is injected. Waiting moves the time in pieces of at most
@@ -71,8 +75,8 @@ class VirtualClock:
         try:
             while self._now_s < t_s:
                 now_s = self._now_s + self._step_s
-                # A rest below a millionth of the step joins the last piece.
-                self._now_s = t_s if now_s > t_s - 1e-6 * self._step_s else now_s
+                rounding_s = _ROUNDING_SHARE * self._step_s
+                self._now_s = t_s if now_s > t_s - rounding_s else now_s
                 for callback in self.on_advance:
                     callback(self._now_s)
         finally:

@@ -1,24 +1,19 @@
 """World and devices of a simulated cell, without the ends of the buses."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from simulator.can_devices import CanDevices
-from simulator.can_faults import CanLinkFaults, ControlUnitFaults
-from simulator.control_unit import ControlUnitSettings, SimulatedControlUnit
+from simulator.can.control_unit import ControlUnitSettings, SimulatedControlUnit
+from simulator.can.faults import CanLinkFaults, ControlUnitFaults
+from simulator.can.link import CanDevices
 from simulator.errors import SimulatorSettingsError, SimulatorStateError
-from simulator.faults import FaultInjector, InjectedFault
-from simulator.mechanics import FingerMechanics
-from simulator.motor import ServoMotor
-from simulator.recorded import RecordedWorld
-from simulator.servo import BAUD_RATES, SimulatedServo
-from simulator.servo_bus import ServoBusDevice
-from simulator.servo_faults import ServoFaultKnobs, WireFaults
+from simulator.servo.bus import ServoBusDevice
+from simulator.servo.device import BAUD_RATES, SimulatedServo
+from simulator.servo.faults import ServoFaultKnobs, WireFaults
+from simulator.servo.mechanics import FingerMechanics
+from simulator.servo.motor import ServoMotor
 from simulator.settings import SimulatorSettings
-from simulator.world import PhysicalWorld, WorldSettings
-
-Plug = tuple[Callable[[], None], Callable[[], None]]
-"""How to pull a cable, and how to plug it in again."""
+from simulator.world.recorded import RecordedWorld
+from simulator.world.world import PhysicalWorld, WorldSettings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,18 +62,12 @@ class CellDevices:
         The control unit, and who joins it on its bus.
     faults
         The knobs.
-    injector
-        Faults by name.
-    plugs
-        Cables by name: how to pull one, how to plug it in again.
     """
 
     __slots__ = (
         "can_devices",
         "faults",
-        "injector",
         "mechanics",
-        "plugs",
         "servo_bus",
         "settings",
         "unit",
@@ -132,15 +121,6 @@ class CellDevices:
             unit=unit_faults,
         )
         self.can_devices = CanDevices(self.unit)
-        self.injector = FaultInjector(self, start_s)
-        self.plugs: dict[str, Plug] = {
-            "can": _plug(self.faults.can),
-            "servos": _plug(self.faults.servo_wire),
-        }
-
-    def inject(self, text: str) -> InjectedFault:
-        """Inject a fault by its text; see `simulator.faults.FaultInjector.inject`."""
-        return self.injector.inject(text)
 
     def second_unit(self, now_s: float) -> SimulatedControlUnit:
         """Return another control unit with the same node id, switched on at ``now_s`` s."""
@@ -201,14 +181,3 @@ class CellDevices:
         """Let the time pass for fingers, object and servos until ``now_s`` s."""
         self.world.advance_to(now_s)
         self.servo_bus.advance_to(now_s)
-        self.injector.advance(now_s)
-
-
-def _plug(knobs: CanLinkFaults | WireFaults) -> Plug:
-    def pull() -> None:
-        knobs.unplugged = True
-
-    def plug_in() -> None:
-        knobs.unplugged = False
-
-    return pull, plug_in

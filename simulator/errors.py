@@ -1,8 +1,10 @@
-"""Errors of the simulator: one small tree; none of them stands for a fault of simulated hardware.
+"""Errors of the simulator, one small tree; none of them stands for a fault of simulated hardware.
 
 A simulated device that fails does so on its bus, as the real one would. These errors mean that the
 simulator itself is used wrongly or lost something of the machine that it runs on.
 """
+
+import math
 
 
 class SimulatorError(Exception):
@@ -23,3 +25,10 @@ class PortUnplugged(SimulatorError, OSError):
 
 class EndpointError(SimulatorError, OSError):
     """A pseudo-terminal, symbolic link or socket of the machine could not be made or kept."""
+
+
+def require_positive(**values: float) -> None:
+    """Refuse values that are not positive and finite; SimulatorSettingsError names the first."""
+    for name, value in values.items():
+        if not (math.isfinite(value) and value > 0.0):
+            raise SimulatorSettingsError(f"{name} is {value}, must be positive and finite")

@@ -1,4 +1,4 @@
-"""What a simulated cell is made of."""
+"""Settings of a simulated cell: layout, servos, control unit, foam, objects, faults."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -6,17 +6,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from gripper.registers import XM430_W350, ServoModel
+from gripper.dynamixel.models import XM430_W350, ServoModel
 from simulator.errors import SimulatorSettingsError
-from simulator.faults import check_fault
-from simulator.foam import Foam
-from simulator.linkage import FingerLinkage, ParallelogramLinkage
-from simulator.mechanics import ServoMount
-from simulator.noise import NoiseModel
-from simulator.shapes import PAPER_OBJECTS, Shape
-from simulator.taxels import EQUATION_11, SensorLaw
-from tactile.layout import TaxelLayout
-from tactile.layouts import paper_layout
+from simulator.servo.mechanics import FingerLinkage, ParallelogramLinkage, ServoMount
+from simulator.world.foam import Foam
+from simulator.world.shapes import PAPER_OBJECTS, Shape
+from simulator.world.taxels import EQUATION_11, NoiseModel, SensorLaw
+from tactile.layout import TaxelLayout, paper_layout
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,7 +64,7 @@ class SimulatorSettings:
     servos
         One servo that drives both fingers, or two that drive one each.
     linkage
-        From servo angle to half opening.
+        Geometry from servo angle to half opening.
     servo_baud_rate
         Baud rate that the servos are set to.
     node_id, can_bitrate, serial_number
@@ -85,7 +81,7 @@ class SimulatorSettings:
     grasps
         With any, the cell plays these grasps instead of pressing objects into foam.
     faults
-        Faults that are injected as the cell comes to be, as ``can.loss=0.05@2s``.
+        Texts of faults that the cell injects as it is made, as ``can.loss=0.05@2s``.
     """
 
     layout: TaxelLayout = field(default_factory=paper_layout)
@@ -109,8 +105,6 @@ class SimulatorSettings:
     faults: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        for text in self.faults:
-            check_fault(text, len(self.servos))
         reach_m = 2.0 * self.linkage.half_opening_max_m
         if not 0.0 <= self.aperture_m <= reach_m:
             raise SimulatorSettingsError(

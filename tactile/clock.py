@@ -1,4 +1,4 @@
-"""Time as the tactile link needs it: monotonic, injected."""
+"""The clock of link and sensor: monotonic, injected."""
 
 from typing import Protocol
 

@@ -1,4 +1,4 @@
-"""What can go wrong with the tactile sensor; each message names cause, value, limit and remedy."""
+"""Errors of the tactile sensor; each message names cause, value, limit and remedy."""
 
 
 class TactileError(Exception):
@@ -30,7 +30,7 @@ class LinkStateError(TactileError):
 
 
 class LinkFault(TactileError):
-    """The link to the control unit is not to be trusted any more; latched until a new start."""
+    """The link to the control unit has failed; latched until a new start."""
 
 
 class NodeMissing(LinkFault):
@@ -46,7 +46,7 @@ class HeartbeatLost(LinkFault):
 
 
 class DuplicateNode(LinkFault):
-    """Two units answer under one node-ID; neither can be told from the other."""
+    """Two units answer under one node-ID; their messages cannot be separated."""
 
 
 class BusDisturbed(LinkFault):
@@ -71,7 +71,7 @@ class NodeEmergency(LinkFault):
     register
         Error register, object 0x1001.
     text
-        What the code means.
+        Meaning of the code.
     """
 
     def __init__(self, code: int, register: int, text: str, source: str) -> None:
@@ -102,3 +102,11 @@ class FrameTimeout(LinkFault):
 
 class BusNotOpened(LinkFault):
     """The CAN bus could not be opened."""
+
+
+def require_at_least(settings: object, **least: float) -> None:
+    """Refuse settings that are below their least values; ValueError names the first."""
+    for name, low in least.items():
+        value = getattr(settings, name)
+        if not value >= low:
+            raise ValueError(f"{name} is {value}, must be at least {low:g}")

@@ -1,4 +1,4 @@
-"""The system check: each finding passes, warns or fails, and says what to do."""
+"""The system check: each finding passes, warns or fails, with what to do about it."""
 
 import importlib.metadata
 import os
@@ -11,13 +11,15 @@ from pathlib import Path
 import numpy as np
 
 from cell.build import Cell, build_cell
-from cell.config import CellConfig
+from cell.config.model import CellConfig
 from cell.errors import CellError
+from cell.installation import EXTRAS, remedy
+from gripper.dynamixel.serial_port import latency_timer_file, latency_timer_ms, serial_candidates
 from gripper.errors import GripperError, VerificationFailed
-from gripper.port import latency_timer_file, latency_timer_ms, serial_candidates
-from gripper.verification import CORRECTED_ITEMS, VerificationRow
+from gripper.settings import CORRECTABLE
+from gripper.state import VerificationRow
 from tactile.errors import TactileError
-from tactile.protocol import TactileFrame
+from tactile.frames.codec import TactileFrame
 
 
 class Verdict(StrEnum):
@@ -66,7 +68,7 @@ def _machine() -> Iterator[Finding]:
     yield Finding(what="Python", verdict=Verdict.PASS, found=version)
     for package in ("dynamixel-sdk", "canopen", "python-can", "numpy", "scipy"):
         yield Finding(what=package, verdict=Verdict.PASS, found=importlib.metadata.version(package))
-    for extra, package in (("report", "matplotlib"), ("mesh", "trimesh")):
+    for extra, package in ((e, package) for e in ("report", "mesh") for package in EXTRAS[e]):
         try:
             yield Finding(
                 what=package, verdict=Verdict.PASS, found=importlib.metadata.version(package)
@@ -76,7 +78,7 @@ def _machine() -> Iterator[Finding]:
                 what=package,
                 verdict=Verdict.WARN,
                 found="not installed",
-                advice=f"pip install 'tactile-cell[{extra}]' if you want it",
+                advice=f"if you want it: {remedy(extra)}",
             )
 
 
@@ -131,7 +133,7 @@ def _devices(config: CellConfig) -> Iterator[Finding]:
 
 
 def _loop(cell: Cell) -> Iterator[Finding]:
-    """Say what the system has not granted to the force loop."""
+    """List what the system has not granted to the force loop."""
     if cell.realtime and not cell.notes:
         yield Finding(what="force loop", verdict=Verdict.PASS, found="real time as configured")
     for note in cell.notes:
@@ -171,11 +173,11 @@ def _servos(cell: Cell) -> list[Finding]:
 def _verdict(row: VerificationRow) -> Verdict:
     if row.ok:
         return Verdict.PASS
-    return Verdict.WARN if row.item in CORRECTED_ITEMS else Verdict.FAIL
+    return Verdict.WARN if row.item in CORRECTABLE else Verdict.FAIL
 
 
 def _advice(row: VerificationRow) -> str:
-    if row.item in CORRECTED_ITEMS:
+    if row.item in CORRECTABLE:
         return "the cell sets it at its start"
     return "correct it with the servo maker's wizard, or correct the config"
 
@@ -211,7 +213,7 @@ def _control_unit(cell: Cell, config: CellConfig) -> list[Finding]:
 
 
 def _noise(frames: list[TactileFrame]) -> Finding:
-    """Say whether the samples move at rest: else frozen and dead ones are not told from good."""
+    """Check that the samples move at rest: else frozen and dead ones cannot be found."""
     moving = int(np.count_nonzero(np.ptp([frame.counts for frame in frames], axis=0)))
     still = moving < len(frames[0].counts) // 2
     return Finding(
@@ -226,7 +228,7 @@ def _noise(frames: list[TactileFrame]) -> Finding:
 
 
 def _boards(boards: tuple[int, int], config: CellConfig) -> Finding:
-    """Say whether pads that were exchanged would be noticed: forces and labels hang on it."""
+    """Check that exchanged pads would be noticed: forces and labels depend on it."""
     found = f"serial {boards[0]} on finger 0, {boards[1]} on finger 1"
     if config.tactile.board_serial_numbers is not None or config.simulated:
         return Finding(what="pads' boards", verdict=Verdict.PASS, found=found)

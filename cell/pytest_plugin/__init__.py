@@ -2,7 +2,7 @@
 
 pytest finds it through the entry point ``tactile_cell`` of the group ``pytest11``. It costs other
 test runs nothing: simulator, drivers and numpy are imported when a fixture is asked for. Start at
-`cell.pytest_plugin.fixtures`; docs/testing-cells.md shows how to use it.
+`cell.pytest_plugin.fixtures`; docs/how-to/test-your-cell.md shows how to use it.
 """
 
 from cell.pytest_plugin.fixtures import (

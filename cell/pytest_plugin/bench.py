@@ -4,17 +4,17 @@ import time
 from contextlib import ExitStack
 from dataclasses import dataclass
 
-from cell.config import CellConfig
+from cell.config.model import CellConfig
 from cell.pytest_plugin.configs import simulated_config
 from cell.pytest_plugin.faults import FaultRegistry
 from cell.pytest_plugin.options import HardwareOptions
 from cell.simulation import simulator_settings
-from gripper.bus import ServoBus
-from gripper.clock import Clock
+from gripper.dynamixel.bus import ServoBus
+from gripper.dynamixel.serial_port import ByteStream, SerialStream
 from gripper.errors import PortLost
-from gripper.port import ByteStream, SerialStream
-from simulator.assembly import SimulatedCell
-from tactile.can_bus import CanBus, close_bus, open_bus
+from gripper.state import Clock
+from simulator.cell import SimulatedCell
+from tactile.can.bus import CanBus, close_bus, open_bus
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

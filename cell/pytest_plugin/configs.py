@@ -4,10 +4,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from cell.config import CellConfig
-from cell.config_changes import changed_config
-from cell.config_file import load_config
-from cell.config_section import SIMULATED
+from cell.config.file import changed_config, load_config
+from cell.config.model import CellConfig
+from cell.config.section import SIMULATED
 from cell.pytest_plugin.options import HardwareOptions
 
 ConfigSource = CellConfig | Path | str | None

@@ -11,14 +11,14 @@ from cell.pytest_plugin.options import HardwareOptions, config_path
 
 if TYPE_CHECKING:
     from cell.build import Mover
-    from cell.config import CellConfig
+    from cell.config.model import CellConfig
     from cell.pytest_plugin.bench import LinkBench
     from cell.pytest_plugin.process import CellProcess
     from cell.pytest_plugin.virtual import VirtualCell
-    from gripper.bus import ServoBus
-    from gripper.clock import Clock
-    from gripper.port import ByteStream
-    from tactile.can_bus import CanBus
+    from gripper.dynamixel.bus import ServoBus
+    from gripper.dynamixel.serial_port import ByteStream
+    from gripper.state import Clock
+    from tactile.can.bus import CanBus
 
 
 class MakeSimulatedCell(Protocol):
@@ -90,7 +90,7 @@ class InjectFault(Protocol):
 
 @pytest.fixture
 def cell_config(request: pytest.FixtureRequest) -> "CellConfig":
-    """Config of the cell under test: from --cell-config or the ini option cell_config.
+    """Config of the cell under test: from ``--cell-config`` or the ini option ``cell_config``.
 
     Without either: the built-in simulated cell. Servo IDs, rates and node of the command line
     are in it. A project can override this fixture in its conftest.py.
@@ -138,7 +138,7 @@ def simulated_cell(
 
     Each has a CellController, the simulated devices and their clock; time passes only while
     somebody waits, so a grasp takes a fraction of a second. Never touches hardware: the ports of
-    the config are replaced. Settings: config, objects, seed, mover, changes, folder.
+    the config are replaced. Settings: config, objects, seed, mover, changes, folder::
 
         def test_grip(simulated_cell):
             cell = simulated_cell(objects={"pin": "cylinder:diameter=6mm,length=20mm"})
@@ -183,7 +183,7 @@ def simulated_cell(
 
 @pytest.fixture
 def servo_bus(cell_bench: "LinkBench") -> "ServoBus":
-    """ServoBus on the simulated servos in virtual time, or on real ones with --servo-port.
+    """ServoBus on the simulated servos in virtual time, or on real ones with ``--servo-port``.
 
     Nothing is written to the servos when it opens or closes. ``servo_clock`` is its time,
     ``cell_config.gripper.servos`` has the IDs.
@@ -199,13 +199,13 @@ def servo_stream(cell_bench: "LinkBench") -> "ByteStream":
 
 @pytest.fixture
 def servo_clock(cell_bench: "LinkBench") -> "Clock":
-    """Time that passes for servo_bus: virtual, or the module time with --servo-port."""
+    """Time that passes for servo_bus: virtual, or the module time with ``--servo-port``."""
     return cell_bench.servos().clock
 
 
 @pytest.fixture
 def can_bus(cell_bench: "LinkBench") -> "CanBus":
-    """python-can bus with the simulated control unit, or a real one with --can-interface.
+    """python-can bus with the simulated control unit, or a real one with ``--can-interface``.
 
     Waiting in ``recv`` moves the virtual time. ``can_clock`` is its time,
     ``cell_config.tactile.node_id`` the unit's node.
@@ -215,7 +215,7 @@ def can_bus(cell_bench: "LinkBench") -> "CanBus":
 
 @pytest.fixture
 def can_clock(cell_bench: "LinkBench") -> "Clock":
-    """Time that passes for can_bus: virtual, or the module time with --can-interface."""
+    """Time that passes for can_bus: virtual, or the module time with ``--can-interface``."""
     return cell_bench.can().clock
 
 
@@ -267,6 +267,6 @@ def inject_fault(cell_faults: FaultRegistry) -> InjectFault:
 
     For cells of simulated_cell and cell_process and for the devices behind servo_bus and can_bus;
     refused where the test runs on hardware. Returns the fault with clear(); all that is left is
-    cleared at the end of the test. `tactile-cell simulate --list-faults` lists the vocabulary.
+    cleared at the end of the test. ``tactile-cell simulate --list-faults`` lists the vocabulary.
     """
     return cell_faults.inject

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 _HIGHEST_SERVO_ID = 252
+"""Highest ID of a servo (e-Manual, Protocol 2.0)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,16 +13,20 @@ import time
 from pathlib import Path
 from typing import Any
 
-from cell.config import CellConfig
-from cell.config_file import config_text
+from cell.config.file import config_text
+from cell.config.model import CellConfig
 from cell.errors import CellError
 
-_PROGRAM = "from cell.cli import main; main()"
+_PROGRAM = "from cell.interfaces.cli import main; main()"
 _SIMULATE = (sys.executable, "-P", "-c", _PROGRAM, "simulate", "--with-parent")
 _START_S = 60.0
+"""Longest start of a simulated cell in s, on a busy machine."""
 _REPLY_S = 10.0
+"""Longest wait for a reply at its socket in s."""
 _END_S = 5.0
+"""Time in s for a process to end before it is killed."""
 _LOG_BYTES = 4000
+"""Bytes at the end of a log that an error shows."""
 
 
 class CellProcessError(CellError):

@@ -4,19 +4,19 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from cell.build import Cell
-from cell.collect import GraspRecord
-from cell.config import CellConfig
-from cell.controller import CellController
-from cell.identification import Identification
-from cell.jobs.teaching import teach, train
-from cell.pose import Pose
-from cell.sequence import GraspStep, plan
-from cell.shapes import shape_reader
-from recognition.early import EarlyHeads
+from cell.config.model import CellConfig
+from cell.control.controller import CellController
+from cell.control.identification import Identification
+from cell.control.plan import GraspStep, Pose, plan
+from cell.control.records import GraspRecord
+from cell.jobs.teach import teach
+from cell.learning.shapes import shape_reader
+from cell.learning.training import train
 from recognition.recognizer import Recognizer
-from simulator.assembly import SimulatedCell
+from recognition.recognizers.early_classifiers import EarlyClassifiers
+from simulator.cell import SimulatedCell
 from simulator.clock import VirtualClock
-from simulator.faults import InjectedFault
+from simulator.faults.injector import InjectedFault
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -126,7 +126,7 @@ class VirtualCell:
             [record.grasp for record in records],
             wanted.recognizer,
             use_aperture=wanted.use_aperture,
-        )
+        ).recognizer
 
     def identify(
         self,
@@ -134,11 +134,11 @@ class VirtualCell:
         present: str,
         *,
         seed: int = 1,
-        early: EarlyHeads | None = None,
+        early: EarlyClassifiers | None = None,
     ) -> Identification:
         """Have an object brought and identify it; ``present`` is known to the simulator alone.
 
-        With ``early`` (`cell.early_heads.teach_heads`) ramps end as soon as they suffice.
+        With ``early`` (`cell.learning.training.train`) ramps end as soon as they suffice.
         """
         self.controller.present(present)
         sequence = self.config.sequence

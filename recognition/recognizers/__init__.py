@@ -1,78 +1,113 @@
-"""The kinds of recogniser by name: the default, a plain reference, the paper's own, comparators."""
+"""Recognisers by name: the default, a plain reference, the paper's method, and comparators.
+
+Each is one entry in `RECOGNIZERS`: name, module, and what makes its trainer. `force_ramp` is the
+default, `shrinkage_lda` a plain discriminant to compare with, `level_check` the paper's method;
+`comparators` holds methods that the paper names and plain choices of today. `early_classifiers`
+teaches recognisers that answer already during the ramp.
+"""
 
 import importlib
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from dataclasses import dataclass
+from operator import attrgetter
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
-from recognition.recognizer import Trainer
+if TYPE_CHECKING:
+    from recognition.recognizer import Trainer
 
 DEFAULT_TRAINER = "force_ramp"
 """The recogniser that is taught where no other is asked for."""
 
-
-def _force_ramp(use_aperture: bool) -> Trainer:
-    from recognition.recognizers.force_ramp import ForceRampTrainer  # noqa: PLC0415
-
-    return ForceRampTrainer(use_aperture=use_aperture)
+_METHODS = "recognition.recognizers.comparators.methods"
+"""Module of the comparators."""
 
 
-def _shrinkage_lda(use_aperture: bool) -> Trainer:
-    from recognition.recognizers.shrinkage_lda import ShrinkageLdaTrainer  # noqa: PLC0415
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecognizerEntry:
+    """One kind of recogniser.
 
-    return ShrinkageLdaTrainer(use_aperture=use_aperture)
+    Attributes
+    ----------
+    name
+        Name in tables, models and on the command line.
+    module
+        Module of its trainer and its recogniser; imported when a trainer is made.
+    trainer
+        Name in that module of what makes a trainer when called with ``use_aperture``.
+    comparator
+        Whether it is used only where it is asked for; some are taught by scikit-learn.
+    """
+
+    name: str
+    module: str
+    trainer: str
+    comparator: bool = False
 
 
-def _level_check(use_aperture: bool) -> Trainer:
-    from recognition.recognizers.level_check import LevelCheckTrainer  # noqa: PLC0415
-
-    return LevelCheckTrainer(use_aperture=use_aperture)
-
-
-TRAINERS: Mapping[str, Callable[[bool], Trainer]] = MappingProxyType(
-    {
-        "force_ramp": _force_ramp,
-        "level_check": _level_check,
-        "shrinkage_lda": _shrinkage_lda,
-    }
+RECOGNIZERS: tuple[RecognizerEntry, ...] = (
+    RecognizerEntry(
+        name="force_ramp",
+        module="recognition.recognizers.force_ramp.recognizer",
+        trainer="ForceRampTrainer",
+    ),
+    RecognizerEntry(
+        name="level_check",
+        module="recognition.recognizers.level_check",
+        trainer="LevelCheckTrainer",
+    ),
+    RecognizerEntry(
+        name="shrinkage_lda",
+        module="recognition.recognizers.shrinkage_lda",
+        trainer="ShrinkageLdaTrainer",
+    ),
+    RecognizerEntry(
+        name="radius_vector", module=_METHODS, trainer="RadiusVector.trainer", comparator=True
+    ),
+    RecognizerEntry(
+        name="contour_network", module=_METHODS, trainer="ContourNetwork.trainer", comparator=True
+    ),
+    RecognizerEntry(
+        name="contact_invariants",
+        module=_METHODS,
+        trainer="ContactInvariants.trainer",
+        comparator=True,
+    ),
+    RecognizerEntry(
+        name="extra_trees", module=_METHODS, trainer="ExtraTrees.trainer", comparator=True
+    ),
+    RecognizerEntry(
+        name="raw_neighbours", module=_METHODS, trainer="RawNeighbours.trainer", comparator=True
+    ),
 )
-"""Name -> factory; the argument says whether the opening between the fingers is used."""
+"""All kinds of recogniser; names are in the order of tables."""
 
-
-def _comparator(name: str) -> Callable[[bool], Trainer]:
-    def make(use_aperture: bool) -> Trainer:
-        module = importlib.import_module(f"recognition.recognizers.{name}")
-        trainer: Trainer = getattr(module, f"{name}_trainer")(use_aperture)
-        return trainer
-
-    return make
-
-
-COMPARATORS: Mapping[str, Callable[[bool], Trainer]] = MappingProxyType(
-    {
-        name: _comparator(name)
-        for name in (
-            "radius_vector",
-            "contour_network",
-            "contact_invariants",
-            "extra_trees",
-            "raw_neighbours",
-        )
-    }
+_BY_NAME: Mapping[str, RecognizerEntry] = MappingProxyType(
+    {entry.name: entry for entry in RECOGNIZERS}
 )
-"""Methods that the paper names, and today's plain choices; some are taught by scikit-learn.
 
-They are made and evaluated by name, and never part of what is done without asking for them.
-"""
+TRAINERS: tuple[str, ...] = tuple(entry.name for entry in RECOGNIZERS if not entry.comparator)
+"""Names of the kinds that are compared where none is asked for."""
+
+COMPARATORS: tuple[str, ...] = tuple(entry.name for entry in RECOGNIZERS if entry.comparator)
+"""Names of the comparators."""
 
 
 def trainer_names() -> tuple[str, ...]:
-    """Return the names of all kinds that can be made."""
-    return (*TRAINERS, *COMPARATORS)
+    """Return the names of all kinds."""
+    return tuple(_BY_NAME)
 
 
-def make_trainer(name: str, *, use_aperture: bool = True) -> Trainer:
+def recognizer_module(name: str) -> str:
+    """Return the module of the trainer and recogniser of that name; raises ValueError."""
+    if name not in _BY_NAME:
+        raise ValueError(f"no recogniser is named {name!r}; there are {', '.join(_BY_NAME)}")
+    return _BY_NAME[name].module
+
+
+def make_trainer(name: str, *, use_aperture: bool = True) -> "Trainer":
     """Return the trainer of that name. Raises ValueError, listing the names, for an unknown one."""
-    make = TRAINERS.get(name) or COMPARATORS.get(name)
-    if make is None:
-        raise ValueError(f"no recogniser is named {name!r}; there are {', '.join(trainer_names())}")
-    return make(use_aperture)
+    module = importlib.import_module(recognizer_module(name))
+    maker = attrgetter(_BY_NAME[name].trainer)(module)
+    trainer: Trainer = maker(use_aperture=use_aperture)
+    return trainer

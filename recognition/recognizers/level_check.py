@@ -1,4 +1,4 @@
-"""The paper's level check as a recogniser: one scalar per grasp, compared with taught levels.
+"""Recogniser `level_check`, the paper's method: one scalar per grasp against taught levels.
 
 It is the reference that the paper sets, not the cell's best: the scalar is close to the inverse of
 the fitted peak height, so objects that press alike are confused whatever their shape.
@@ -13,22 +13,26 @@ from numpy.typing import NDArray
 
 from recognition.errors import TrajectoryError
 from recognition.grasp import Grasp, PadArray
-from recognition.level import DEFAULT_LEVEL, LevelSettings
-from recognition.level_statistics import (
+from recognition.quadric.level import (
+    DEFAULT_LEVEL,
+    LevelSettings,
     averaged_noise,
     common_force_n,
+    level_novelty,
     level_or_none,
     log_statistics,
-    strangeness,
     usual_noise,
 )
+from recognition.quadric.thresholds import Levels, check_level, find_thresholds, with_noise
 from recognition.recognizer import UNKNOWN, Posterior
-from recognition.thresholds import Levels, check_level, find_thresholds, with_noise
 
 NAME = "level_check"
 _VERSION = 2
-_BAND_SIGMAS = 2.0  # standard deviations of more noise than taught that bands are widened by
-_FLATTEN = 0.01  # uniform part of every posterior: one scalar is never certain
+"""Of the arrays of a model; others are refused."""
+_BAND_SIGMAS = 2.0
+"""Standard deviations of the noise beyond the taught one by which bands are widened."""
+_FLATTEN = 0.01
+"""Share of the uniform distribution in each posterior: one scalar is never certain."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -51,7 +55,7 @@ class LevelCheckRecognizer:
     margin
         Part of its edge by which a level's band reaches into open space.
     noise_counts
-        Noise of the taught grasps, see `recognition.level_statistics.averaged_noise`.
+        Noise of the taught grasps, see `recognition.quadric.level.averaged_noise`.
     noise_per_count
         Part of a level by which noise moves it, for each count.
     """
@@ -76,13 +80,6 @@ class LevelCheckRecognizer:
             object.__setattr__(self, name, array)
 
     @property
-    def labels_without_level(self) -> tuple[str, ...]:
-        """Taught objects that are never named: no taught grasp carried a surface."""
-        return tuple(
-            label for label, low in zip(self.labels, self.low, strict=True) if np.isnan(low)
-        )
-
-    @property
     def levels(self) -> Levels:
         """Bands, thresholds and windows of the taught objects."""
         bands = list(np.stack([self.low, self.high], axis=1))
@@ -102,7 +99,7 @@ class LevelCheckRecognizer:
         return level_or_none(grasp, self.settings)
 
     def more_noise(self, grasp: Grasp) -> float:
-        """Return the part of its level by which a grasp is less certain than the taught ones.
+        """Return the share of its level by which a grasp is noisier than the taught ones.
 
         It is a standard deviation, 0 where the grasp has no more noise than those. Raises
         ContactError where the ramp never came near the force that levels are taken at.
@@ -111,7 +108,7 @@ class LevelCheckRecognizer:
         return self.noise_per_count * float(np.sqrt(max(counts**2 - self.noise_counts**2, 0.0)))
 
     def check(self, grasp: Grasp) -> str:
-        """Name the object by the paper's rule, adjusted to the noise; closed windows: unknown."""
+        """Return the object by the paper's rule under its noise; ``UNKNOWN`` in closed windows."""
         value = self.level(grasp)
         adjusted = None if value is None else self._adjusted(self.more_noise(grasp))
         if value is None or adjusted is None:
@@ -120,28 +117,28 @@ class LevelCheckRecognizer:
         return UNKNOWN if index is None else self.labels[index]
 
     def posterior(self, grasp: Grasp) -> Posterior:
-        """Say what the level of a grasp tells; see `recognition.recognizer.Recognizer`.
+        """Return the posterior of a grasp by its level; see `recognition.recognizer.Recognizer`.
 
         ``unknown`` is 0 inside a band, 1/2 at the edge of its margin and goes to 1 beyond; a grasp
         without a surface, or with too much noise, gives a uniform posterior and unknown 1. In a
         closed window the probability is shared. More noise than taught widens spreads and bands.
         """
-        n = len(self.labels)
-        uniform = np.full(n, 1.0 / n)
         value = self.level(grasp)
         more = 0.0 if value is None else self.more_noise(grasp)
         adjusted = self._adjusted(more)
         if value is None or adjusted is None:
-            return Posterior(labels=self.labels, probability=uniform, unknown=1.0)
+            return Posterior.uninformed(self.labels)
         spread = np.hypot(self.spread, more)
         z = (np.log(abs(value)) - self.mean) / spread
         log_density = np.where(np.isnan(z), -np.inf, -0.5 * z**2 - np.log(spread))
         density = np.exp(log_density - log_density.max())
-        probability = (1.0 - _FLATTEN) * density / density.sum() + _FLATTEN * uniform
+        probability = (1.0 - _FLATTEN) * density / density.sum() + _FLATTEN * (
+            1.0 / len(self.labels)
+        )
         return Posterior(
             labels=self.labels,
             probability=probability / probability.sum(),
-            unknown=strangeness(adjusted, value),
+            unknown=level_novelty(adjusted, value),
         )
 
     def _adjusted(self, more_noise: float) -> Levels | None:
@@ -253,7 +250,7 @@ class LevelCheckTrainer:
         return False
 
     def fit(self, grasps: Sequence[Grasp]) -> LevelCheckRecognizer:
-        """Learn the level of each label.
+        """Teach the level of each label.
 
         An object none of whose grasps carries a surface stays among the labels without a level.
 

@@ -1,4 +1,4 @@
-"""The plain reference: one linear discriminant over all features, one temperature, one distance."""
+"""Plain reference `shrinkage_lda`: one linear discriminant, one temperature, one distance."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -8,20 +8,31 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import expit
 
-from recognition.calibration import blocked_folds, fit_temperature, out_of_sample, to_probability
-from recognition.features import FEATURE_VERSION, feature_groups
-from recognition.features_footprint import pad_grid
-from recognition.grasp import Grasp
-from recognition.lda import LinearDiscriminant, fit_lda
-from recognition.ramp import Rest, learn_rest
-from recognition.ramp_levels import Levels, load_levels
+from recognition.features.footprint import pad_grid
+from recognition.features.groups import (
+    FEATURE_VERSION,
+    Drifting,
+    FeatureView,
+    check_version,
+    features_of,
+)
+from recognition.grasp import Grasp, by_label
+from recognition.ramp.levels import Levels, load_levels
+from recognition.ramp.ramp import Rest, learn_rest
 from recognition.recognizer import Posterior
-from recognition.splits import by_label
+from recognition.statistics.calibration import (
+    blocked_folds,
+    fit_temperature,
+    out_of_sample,
+    to_probability,
+)
+from recognition.statistics.lda import LinearDiscriminant, fit_lda
+from recognition.statistics.novelty import KNOWN_KEPT
 
-_GROUPS = ("patch", "pose", "pads", "growth")
 _FOLDS = 4
-_KNOWN_KEPT = 0.97
+"""Blocks in time, each held out in turn to fit the temperature."""
 _SHARPNESS = 4.0
+"""Log odds of an untaught object for each unit of the logarithm of the squared distance."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -37,7 +48,7 @@ class ShrinkageLda:
     rest
         The untouched pads.
     fill : (F,) float64
-        What stands for a feature that is unknown.
+        Value in place of a feature that is unknown.
     discriminant
         The classes.
     temperature
@@ -55,7 +66,7 @@ class ShrinkageLda:
     limit: float
 
     def posterior(self, grasp: Grasp) -> Posterior:
-        """Say what the grasp tells; ValueError for pads other than the taught ones."""
+        """Return the posterior of a grasp; ValueError for pads other than the taught ones."""
         levels = load_levels([grasp], self.rest)
         features = _features(levels, self.rest, self.uses_aperture)
         distances = self.discriminant.distances(np.where(np.isnan(features), self.fill, features))
@@ -83,11 +94,7 @@ class ShrinkageLda:
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
         """Rebuild from `to_arrays`. Raises ValueError, naming what is missing or does not fit."""
         try:
-            if int(arrays["feature_version"]) != FEATURE_VERSION:
-                raise ValueError(
-                    f"the model has features of version {int(arrays['feature_version'])}, "
-                    f"here is {FEATURE_VERSION}: train again"
-                )
+            check_version(arrays)
             return cls(
                 labels=tuple(str(label) for label in arrays["labels"]),
                 uses_aperture=bool(arrays["uses_aperture"]),
@@ -118,11 +125,13 @@ class ShrinkageLdaTrainer:
         return self.use_aperture
 
     def fit(self, grasps: Sequence[Grasp]) -> ShrinkageLda:
-        """Learn from labelled grasps. Raises ValueError where they do not suffice."""
+        """Teach with labelled grasps. Raises ValueError where they do not suffice."""
         members = by_label(grasps)
         labels = tuple(members)
         if len(labels) < 2:
-            raise ValueError(f"{len(labels)} object to tell apart: teach at least two")
+            raise ValueError(
+                f"{len(labels)} object taught, which separates nothing: teach at least two"
+            )
         ordered = [g for group in members.values() for g in group]
         classes = np.repeat(np.arange(len(labels)), [len(m) for m in members.values()])
         rest = learn_rest(ordered)
@@ -146,11 +155,11 @@ class ShrinkageLdaTrainer:
             fill=fill,
             discriminant=discriminant,
             temperature=fit_temperature(-0.5 * distances, classes[scored]),
-            limit=float(np.quantile(distances.min(axis=1), _KNOWN_KEPT)),
+            limit=float(np.quantile(distances.min(axis=1), KNOWN_KEPT)),
         )
 
 
 def _features(levels: Levels, rest: Rest, use_aperture: bool) -> NDArray[np.float64]:
-    groups = feature_groups(levels, [pad_grid(rest.pads, p) for p in rest.gripping])
-    names = (*_GROUPS, "aperture") if use_aperture else _GROUPS
-    return np.concatenate([groups[name] for name in names if name in groups], axis=1)
+    grids = [pad_grid(rest.pads, pad) for pad in rest.gripping]
+    drifting = tuple(Drifting) if use_aperture else (Drifting.GAIN, Drifting.NOTHING)
+    return features_of(levels, grids, FeatureView.SHRINKAGE_LDA, drifting)

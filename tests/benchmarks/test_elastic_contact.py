@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from benchmarks._elastic_contact import ElasticGrid, ElasticPad, bonded_layer
-from benchmarks._elastic_grasps import MATERIALS, PADS, Sensed, elastic_grasp
-from recognition.placing import Placing
+from benchmarks.recognition._elastic_contact import ElasticGrid, ElasticPad, bonded_layer
+from benchmarks.recognition._elastic_grasps import MATERIALS, PADS, Sensed, elastic_grasp
+from recognition.grasp import GraspCommand
 
 RADIUS_M = 5e-3
 CELL_M = 0.1e-3
@@ -71,7 +71,7 @@ def test_no_pull_and_no_overlap() -> None:
 
 @pytest.mark.parametrize("name", MATERIALS)
 def test_a_grasp_carries_its_force_and_closes(name: str) -> None:
-    placing = Placing(x_m=1e-3, y_m=0.0, rotation_rad=0.4, roll_rad=0.0, force_n=6.0)
+    placing = GraspCommand(x_m=1e-3, y_m=0.0, rotation_rad=0.4, roll_rad=0.0, force_n=6.0)
     grasp = elastic_grasp(
         "ball",
         "sphere:diameter=9mm",
@@ -92,7 +92,7 @@ def test_a_grasp_carries_its_force_and_closes(name: str) -> None:
 
 
 def test_a_drift_of_the_gain_shows_in_the_counts_alone() -> None:
-    placing = Placing(x_m=0.0, y_m=0.0, rotation_rad=0.0, roll_rad=0.0, force_n=5.0)
+    placing = GraspCommand(x_m=0.0, y_m=0.0, rotation_rad=0.0, roll_rad=0.0, force_n=5.0)
     plain, weak = (
         elastic_grasp(
             "box",

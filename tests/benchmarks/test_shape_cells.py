@@ -2,8 +2,8 @@
 
 import pytest
 
-from benchmarks._shape_cells import BAR, sequences
-from recognition.shape_fusion import fuse_shapes
+from benchmarks.recognition._shape_cells import BAR, sequences
+from recognition.shape.fusion import fuse_shapes
 
 BALL = ("sphere", (9.0,), "sphere:diameter=9mm")
 

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 from threadpoolctl import threadpool_limits
 
-from benchmarks import soak
-from cell.config import CellConfig
+from benchmarks.performance import soak
+from cell.config.file import changed_config
+from cell.config.model import CellConfig
 
 
 @pytest.fixture(autouse=True)
@@ -19,19 +20,24 @@ def one_blas_thread() -> Iterator[None]:
 
 
 def quick_config() -> CellConfig:
-    """Two objects and a short zero."""
-    config = CellConfig()
-    simulator = config.simulator.model_copy(update={"objects": config.simulator.objects[2:4]})
-    tactile = config.tactile.model_copy(update={"tare_frames": 25})
-    return config.model_copy(update={"simulator": simulator, "tactile": tactile})
+    """Two objects and short grasps: what leaks does so in each of them."""
+    changes = {
+        "gripper.loop_rate_hz": 100.0,
+        "gripper.aperture_open_mm": 12.0,
+        "gripper.approach_speed_mm_s": 20.0,
+        "sequence.ramp": {"kind": "linear", "rate_n_s": 10.0, "hold_s": 0.1},
+        "simulator.objects": [entry.model_dump() for entry in CellConfig().simulator.objects[2:4]],
+    }
+    return changed_config(CellConfig(), changes)
 
 
+@pytest.mark.no_cover  # to count lines takes as long again as to run them
 @pytest.mark.timeout(600)
 def test_some_fifty_grasps_leave_no_file_no_thread_and_few_objects() -> None:
     samples = list(soak.soak(50, quick_config()))
     first, *_, last = samples
     assert last.grasps >= 50 > samples[-2].grasps
-    assert last.virtual_s > first.virtual_s + 60.0
+    assert last.virtual_s > first.virtual_s + 30.0, samples
     assert (last.descriptors, last.threads) == (first.descriptors, first.threads)
     assert last.objects - first.objects < 1.0 * (last.grasps - first.grasps) + 50
 

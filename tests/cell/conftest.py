@@ -9,17 +9,15 @@ import numpy as np
 import pytest
 
 from cell.build import Cell, build_cell
-from cell.config import CellConfig
-from cell.config_changes import changed_config
-from cell.controller import CellController
-from cell.dataset import read_dataset
-from cell.jobs.main_job import teach_and_identify
-from cell.jobs.main_result import MainResult
-from cell.pose import Pose
-from cell.sequence import GraspStep
-from gripper.gripper import GripperPhase
+from cell.config.file import changed_config
+from cell.config.model import CellConfig
+from cell.control.controller import CellController
+from cell.control.plan import GraspStep, Pose
+from cell.data.dataset import read_dataset
+from cell.jobs.run import MainResult, teach_and_identify
+from gripper.state import GripperPhase
 from recognition.grasp import Grasp, PadArray
-from simulator.assembly import CellFaults, SimulatedCell
+from simulator.cell import SimulatedCell
 
 MakeConfig = Callable[..., CellConfig]
 
@@ -51,10 +49,6 @@ class Bench:
     def simulated(self) -> SimulatedCell:
         assert self.cell.simulated is not None
         return self.cell.simulated
-
-    @property
-    def faults(self) -> CellFaults:
-        return self.simulated.faults
 
     @property
     def grip_n(self) -> float:

@@ -11,22 +11,22 @@ import pytest
 
 import cell.build
 from cell.build import build_cell
-from cell.config import CellConfig
-from cell.errors import ConfigError, PositionerError
-from cell.hand_build import gripper_settings, make_linkage
-from cell.pose import Pose
-from cell.positioner import (
+from cell.config.model import CellConfig
+from cell.control.plan import Pose
+from cell.control.positioner import (
     CallbackPositioner,
     HostThenSimulated,
     OperatorPositioner,
     SimulatedPositioner,
     SocketPlacer,
 )
+from cell.errors import ConfigError, PositionerError
+from cell.hand.build import make_linkage
 from gripper.errors import PortLost
-from gripper.gripper import GraspResult
 from gripper.kinematics import ParallelLinkage, RackPinion
-from tactile.calibration import FoamCalibration, LinearCalibration
+from gripper.state import GraspResult
 from tactile.errors import BusNotOpened
+from tactile.sensor.calibration import FoamCalibration, LinearCalibration
 
 RACK = {"kind": "rack_pinion", "pinion_radius_mm": 8.0, "offset_mm": 10.0}
 SLOW_RACK = {"gripper__linkage": RACK, "gripper__approach_speed_mm_s": 5.0}
@@ -50,9 +50,9 @@ def test_without_a_folder_nothing_is_recorded(make_bench: Callable[..., Any]) ->
 
 
 def test_settings_are_in_si(make_config: Callable[..., CellConfig]) -> None:
-    settings = gripper_settings(
-        make_config(gripper__force_stale_ms=80.0, gripper__watchdog_ms=60.0, gripper__force_max_n=9)
-    )
+    settings = make_config(
+        gripper__force_stale_ms=80.0, gripper__watchdog_ms=60.0, gripper__force_max_n=9
+    ).gripper_settings
     assert settings.aperture_min_m == pytest.approx(0.5e-3)
     assert settings.force_stale_s == pytest.approx(0.08)
     assert settings.watchdog_s == pytest.approx(0.06)

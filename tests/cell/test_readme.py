@@ -1,10 +1,12 @@
-"""The README's example program is the one in docs/examples, and it runs."""
+"""The README's example is the one in docs/examples and runs; what the README names exists."""
 
 import re
 import runpy
 from pathlib import Path
 
 import pytest
+
+from benchmarks.__main__ import modules
 
 ROOT = Path(__file__).parents[2]
 
@@ -24,6 +26,24 @@ def test_the_example_teaches_and_identifies(capsys: pytest.CaptureFixture[str]) 
     name, shape = printed.splitlines()[-2:]
     assert name.startswith("box, ")
     assert shape.startswith("it feels like: flat, 10")
+
+
+def test_files_that_the_pages_at_the_root_name_exist() -> None:
+    for page in ROOT.glob("*.md"):
+        for target in re.findall(r"\]\(([^)#:]+)[^)]*\)", page.read_text(encoding="utf-8")):
+            assert (ROOT / target).exists(), f"{page.name} names {target}"
+
+
+def test_benchmarks_that_the_docs_name_exist() -> None:
+    pages = [ROOT / "README.md", *ROOT.glob("docs/*/*.md")]
+    named = [
+        (page.name, name)
+        for page in pages
+        for names in re.findall(r"`python -m benchmarks ([a-z_ ]+)`", page.read_text("utf-8"))
+        for name in names.split()
+    ]
+    assert len(named) > 10
+    assert not [found for found in named if found[1] not in modules()]
 
 
 def test_the_readme_begins_with_the_two_commands() -> None:

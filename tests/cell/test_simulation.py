@@ -6,17 +6,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from cell.config import CellConfig
+from cell.config.model import CellConfig
+from cell.control.plan import Pose
 from cell.errors import ConfigError, PositionerError
-from cell.pose import Pose
 from cell.simulation import (
     InProcessPlacer,
     largest_aperture_m,
     simulated_objects,
     simulator_settings,
 )
-from simulator.assembly import SimulatedCell
-from simulator.linkage import RackLinkage
+from simulator.cell import SimulatedCell
+from simulator.servo.mechanics import RackLinkage
 
 RACK = {"kind": "rack_pinion", "pinion_radius_mm": 8.0, "offset_mm": 10.0}
 
@@ -62,6 +62,10 @@ def test_the_built_in_objects_are_those_of_the_paper() -> None:
             "gripper.aperture_open_mm is 300, the linkage reaches",
         ),
         ({"gripper__linkage": {"kind": "parallel_linkage", "offset_mm": -100.0}}, "linkage"),
+        (
+            {"tactile__calibration": {"kind": "linear", "force_per_count_n": 0.05}},
+            "is 1.2 N on a pad at rest under tactile.calibration, gripper.contact_force_n is 0.6 N",
+        ),
     ],
 )
 def test_a_cell_that_cannot_be_is_a_config_error(

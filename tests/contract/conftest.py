@@ -16,18 +16,18 @@ from dataclasses import dataclass, replace
 import can
 import pytest
 
-from cell.config import CellConfig
-from cell.layouts import layout_from_config
+from cell.config.model import CellConfig
+from cell.config.tactile import layout_from_config
 from cell.pytest_plugin.bench import LinkBench
 from cell.pytest_plugin.faults import FaultRegistry
 from cell.pytest_plugin.options import HardwareOptions
-from gripper.bus import ServoBus
-from gripper.clock import Clock
-from gripper.port import ByteStream
-from gripper.registers import REGISTERS, TORQUE_ENABLE, Register
-from tactile import eds
-from tactile.can_bus import CanBus
-from tactile.link import LinkSettings, TactileLink
+from gripper.dynamixel.bus import ServoBus
+from gripper.dynamixel.control_table import REGISTERS, TORQUE_ENABLE, Register
+from gripper.dynamixel.serial_port import ByteStream
+from gripper.state import Clock
+from tactile.can.bus import CanBus
+from tactile.unit import object_dictionary
+from tactile.unit.link import LinkSettings, TactileLink
 
 ANSWER_S = 0.05
 BOOT_S = 3.0
@@ -130,7 +130,12 @@ class Unit:
     def forget_tare(self) -> None:
         """Let the unit send raw counts again, while the link runs."""
         objects = self.link._session.objects
-        objects.write_unsigned(eds.TARE, eds.TARE_COMMAND, eds.TARE_CLEAR_SIGNATURE, 4)
+        objects.write_unsigned(
+            object_dictionary.TARE,
+            object_dictionary.TARE_COMMAND,
+            object_dictionary.TARE_CLEAR_SIGNATURE,
+            4,
+        )
 
     def reset(self) -> None:
         """Let the unit boot, so that it forgets what was set up, and wait until it says so."""
@@ -183,8 +188,8 @@ def servos(
             if end.bus.read(servo_id, TORQUE_ENABLE):
                 pytest.fail(
                     f"servo {servo_id} holds torque, a part may be in the grip: nothing was "
-                    "written. Release it on purpose (tactile-cell release --confirm), then "
-                    "switch the torque off",
+                    "written. Release it on purpose (tactile-cell release --config FILE "
+                    "--confirm), then switch the torque off",
                     pytrace=False,
                 )
         before = {i: [end.bus.read(i, r) for r in EEPROM] for i in found.ids}

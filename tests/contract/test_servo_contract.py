@@ -5,8 +5,7 @@ from typing import Any
 
 import pytest
 
-from gripper.errors import BusTimeout, ServoRejected
-from gripper.registers import (
+from gripper.dynamixel.control_table import (
     BUS_WATCHDOG,
     CURRENT_LIMIT,
     FIRMWARE_VERSION,
@@ -20,8 +19,9 @@ from gripper.registers import (
     PROFILE_VELOCITY,
     TORQUE_ENABLE,
     WATCHDOG_TRIPPED_RAW,
-    model_by_number,
 )
+from gripper.dynamixel.models import model_by_number
+from gripper.errors import BusTimeout, ServoRejected
 
 READ, WRITE = 0x02, 0x03
 UNKNOWN_INSTRUCTION = 0x77

@@ -7,12 +7,12 @@ from typing import Any
 import pytest
 
 from cell.build import build_cell
-from cell.cli import main
-from cell.config import CellConfig
-from cell.config_file import load_config
+from cell.config.file import load_config
+from cell.config.model import CellConfig
 from cell.errors import ConfigError
-from cell.jobs import simulating
-from simulator.faults import VOCABULARY
+from cell.interfaces.cli import main
+from cell.jobs import simulate as simulating
+from simulator.faults.injector import VOCABULARY
 from simulator.settings import SimulatorSettings
 from tactile.errors import BusOff
 
@@ -135,7 +135,7 @@ def test_simulate_serves_its_faults_and_its_clients_get_none(
     )
     assert code == 0
     assert served[0].faults == ("unit.stuck@9s", "can.loss=0.05@2s")
-    client = load_config(Path(json.loads(said)["config"]))
+    client = load_config(Path(json.loads(said.partition(" cell: ")[0])["config"]))
     assert client.simulator.faults == ()
     assert not client.simulated
     assert CellConfig().simulator.faults == ()

@@ -1,58 +1,57 @@
 """Each row of the fault campaign: the required reaction, within its limit, no invariant broken."""
 
-from collections.abc import Iterable
 from typing import Any
 
 import pytest
 
-from benchmarks.fault_campaign import ROWS, FaultRow, Observed
-from benchmarks.fault_campaign.table import Result, complaint_of, rows_table, totals
+from tests.faults.campaign import FaultRow, Observed, campaign_cell
+from tests.faults.invariants import link_counters
+from tests.faults.page import rows_table, totals
+from tests.faults.results import Result
+from tests.faults.table import REACTIONS, ROWS
 
 
-def _named(rows: Iterable[FaultRow]) -> list[Any]:
-    return [pytest.param(row, id=row.name) for row in rows]
+def parameter(row: FaultRow) -> Any:
+    return pytest.param(row, id=row.name, marks=pytest.mark.hil if row.real_time else ())
 
 
-@pytest.mark.parametrize("row", _named(row for row in ROWS if not row.real_time))
-def test_a_fault_has_its_reaction_within_its_limit(row: FaultRow) -> None:
+@pytest.mark.parametrize("row", [parameter(row) for row in ROWS])
+def test_a_fault_has_its_reaction_within_its_limit(
+    row: FaultRow, request: pytest.FixtureRequest
+) -> None:
+    if row.real_time:
+        request.getfixturevalue("free_machine")
     observed = row.run()
-    assert not complaint_of(row, observed), observed.outcome
+    assert not row.complaint(observed), observed.outcome
 
 
-@pytest.mark.hil
-@pytest.mark.usefixtures("free_machine")
-@pytest.mark.parametrize("row", _named(row for row in ROWS if row.real_time))
-def test_a_fault_between_processes_has_its_reaction_within_its_limit(row: FaultRow) -> None:
-    observed = row.run()
-    assert not complaint_of(row, observed), observed.outcome
-
-
-def test_rows_have_names_of_their_own() -> None:
+def test_all_kinds_are_there_and_rows_have_names_of_their_own() -> None:
     names = [row.name for row in ROWS]
     assert len(set(names)) == len(names)
-    assert all(1 <= row.row <= 42 for row in ROWS)
+    assert {row.row for row in ROWS} == set(range(1, 43))
+    assert {row.reaction for row in ROWS} == set(REACTIONS)
 
 
-def test_the_table_says_what_differs() -> None:
-    seen = Observed(reaction="HOLD", detected_after_s=0.2, outcome="kept | held")
-    row = FaultRow(
-        row=8, fault="x", injected="can.off", reaction="HOLD", limit_s=0.1, run=lambda: seen
-    )
-    late = Result(row=row, observed=seen, failure="", seconds=0.0)
+def test_the_monitor_watches_every_counter_of_the_links() -> None:
+    with campaign_cell() as cell:
+        health = cell.cell.health()
+        watched = sum(len(values) for values in link_counters(cell.cell))
+    counted = [health[link].keys() for link in ("tactile", "servo_bus")]
+    always = {"complete", "transactions"}
+    assert watched == sum(len(names - always) for names in counted) > 10
+
+
+def test_the_table_shows_what_differs() -> None:
+    seen = Observed("HOLD", 0.2, "kept | held")
+    row = FaultRow(8, "", "x", "can.off", "HOLD", 0.1)
+    late = Result(row, seen)
     assert late.verdict == "**differs**: detected after 200 ms, limit 100 ms"
-    never = Observed(reaction="HOLD", detected_after_s=None, outcome="")
-    assert complaint_of(row, never) == "never detected, the limit is 100 ms"
-    other = Observed(reaction="NOTE", detected_after_s=0.0, outcome="")
-    assert complaint_of(row, other) == "reaction NOTE, required is HOLD"
-    broken = Result(row=row, observed=None, failure="InvariantBroken: force", seconds=0.0)
-    good = Result(
-        row=row,
-        observed=Observed(reaction="HOLD", detected_after_s=0.01, outcome="kept"),
-        failure="",
-        seconds=0.0,
-    )
+    assert row.complaint(Observed("HOLD", None, "")) == "never detected, the limit is 100 ms"
+    assert row.complaint(Observed("NOTE", 0.0, "")) == "reaction NOTE, required is HOLD"
+    broken = Result(row, None, "InvariantBroken: force")
+    good = Result(row, Observed("HOLD", 0.01, "kept"))
     assert "1 with the required reaction within their limit, 2 not" in totals([late, broken, good])
     table = rows_table([late, broken, good])
     assert "| 8 | x | `can.off` | HOLD | 100 ms | 200 ms | kept / held |" in table
     assert "**broken**: InvariantBroken: force" in table
-    assert table.endswith("| as required |")
+    assert table.endswith("| as required |\n")

@@ -8,20 +8,20 @@ from typing import Any
 
 import pytest
 
-from gripper.bus import ServoBus
+from gripper.dynamixel.bus import ServoBus
+from gripper.dynamixel.control_table import REGISTERS
+from gripper.dynamixel.models import XM430_W350, ServoModel
 from gripper.errors import PortLost
-from gripper.force import ForceSample
-from gripper.gripper import Gripper, GripperSettings, ServoSettings
+from gripper.gripper import Gripper
 from gripper.kinematics import Linkage, ParallelLinkage, RackPinion
-from gripper.registers import REGISTERS, XM430_W350, ServoModel
+from gripper.settings import HARD_FORCE_CAP_N, GripperSettings, ServoSettings
+from gripper.state import ForceSample
 from simulator.clock import VirtualClock
-from simulator.linkage import ParallelogramLinkage, RackLinkage
-from simulator.mechanics import FingerMechanics, ServoMount
-from simulator.motor import ServoMotor
-from simulator.servo import SimulatedServo
-from simulator.servo_bus import ServoBusDevice
-from simulator.servo_faults import ServoFaultKnobs
-from simulator.servo_stream import MemoryServoStream
+from simulator.servo.bus import MemoryServoStream, ServoBusDevice
+from simulator.servo.device import SimulatedServo
+from simulator.servo.faults import ServoFaultKnobs
+from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, RackLinkage, ServoMount
+from simulator.servo.motor import ServoMotor
 
 
 def packed(text: str) -> bytes:
@@ -37,6 +37,8 @@ class ScriptedStream:
     arriving: list[tuple[float, bytes]] = field(default_factory=list)
     closed: bool = False
     reads: int = 0
+    chatter: bytes = b""
+    """Bytes that come without an end, one piece each 0.1 ms."""
 
     def expect(self, request: str, *answers: str | tuple[float, str]) -> "ScriptedStream":
         pieces = [(0.0, a) if isinstance(a, str) else a for a in answers]
@@ -53,6 +55,9 @@ class ScriptedStream:
 
     def read(self, size: int, timeout_s: float, /) -> bytes:
         self.reads += 1
+        if self.chatter:
+            self.clock.sleep(1e-4)
+            return self.chatter
         deadline_s = self.clock.monotonic() + timeout_s
         if not self.arriving or self.arriving[0][0] > deadline_s:
             self.clock.advance_to(deadline_s)
@@ -138,6 +143,16 @@ class SampledForce:
         return self._latest
 
 
+GENEROUS = {
+    "aperture_open_m": 0.03,
+    "approach_speed_m_s": 0.02,
+    "contact_force_n": 0.5,
+    "force_max_n": HARD_FORCE_CAP_N,
+    "watchdog_s": 0.2,
+}
+"""Settings of the test cell: wide open, quick, and with the highest cap of the force."""
+
+
 class Cell:
     """Simulated servos and fingers, a part and a force sensor under one virtual clock."""
 
@@ -191,7 +206,7 @@ class Cell:
                 ServoSettings(servo_id=i + 1, model=model.name, direction=d, zero_raw=zero_raw)
                 for i, d in enumerate(directions)
             ),
-            **settings,
+            **(GENEROUS | settings),
         )
         self.linkage = own
         self.gripper = self.new_gripper()

@@ -5,6 +5,8 @@ from contextlib import suppress
 
 import pytest
 
+from gripper.dynamixel.control_table import BUS_WATCHDOG, CURRENT_LIMIT, SHUTDOWN, TORQUE_ENABLE
+from gripper.dynamixel.models import XL330_M288
 from gripper.errors import (
     GraspStopped,
     GripperStateError,
@@ -12,11 +14,11 @@ from gripper.errors import (
     PartLost,
     VerificationFailed,
 )
-from gripper.gripper import Cycle, Gripper, GripperPhase, GripperSettings, ServoSettings
+from gripper.force.ramp import ForceRamp
+from gripper.gripper import Gripper
 from gripper.kinematics import ParallelLinkage
-from gripper.ramp import ForceRamp
-from gripper.registers import BUS_WATCHDOG, CURRENT_LIMIT, SHUTDOWN, TORQUE_ENABLE, XL330_M288
-from gripper.state import GraspResult
+from gripper.settings import GripperSettings, ServoSettings
+from gripper.state import Cycle, GraspResult, GripperPhase
 
 RAMP = ForceRamp.linear(8.0, rate_n_s=5.0, hold_s=0.3)
 

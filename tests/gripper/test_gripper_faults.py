@@ -4,6 +4,7 @@ import itertools
 
 import pytest
 
+from gripper.dynamixel.control_table import GOAL_CURRENT, TORQUE_ENABLE
 from gripper.errors import (
     BusTimeout,
     FingerSilent,
@@ -14,12 +15,10 @@ from gripper.errors import (
     PortLost,
     ServoFault,
 )
-from gripper.freshness import TickWatch
-from gripper.gripper import Cycle, GripperPhase
-from gripper.limits import GoalGuard, ServoGoal
-from gripper.ramp import ForceRamp
-from gripper.registers import GOAL_CURRENT, TORQUE_ENABLE
-from gripper.state import GraspResult
+from gripper.force.ramp import ForceRamp
+from gripper.servos.feedback import TickWatch
+from gripper.servos.goals import GoalGuard, ServoGoal
+from gripper.state import Cycle, GraspResult, GripperPhase
 
 RAMP = ForceRamp.linear(8.0, rate_n_s=5.0, hold_s=0.3)
 

@@ -2,6 +2,7 @@
 
 import pytest
 
+from gripper.dynamixel.control_table import REGISTERS
 from gripper.errors import (
     FeedbackImplausible,
     LimitExceeded,
@@ -9,10 +10,9 @@ from gripper.errors import (
     ServoFault,
     VerificationFailed,
 )
-from gripper.gripper import GripperPhase, GripperSettings, ServoSettings
-from gripper.ramp import ForceRamp
-from gripper.registers import REGISTERS
-from gripper.state import GraspResult
+from gripper.force.ramp import ForceRamp
+from gripper.settings import GripperSettings, ServoSettings
+from gripper.state import GraspResult, GripperPhase
 
 
 def test_a_servo_with_another_id_is_named_in_the_table(make_cell) -> None:

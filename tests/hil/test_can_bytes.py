@@ -13,14 +13,13 @@ from typing import Any
 import pytest
 
 from cell.build import Cell, build_cell
-from cell.config import CellConfig
-from cell.config_file import load_config, parse_config
+from cell.config.file import load_config, parse_config
+from cell.config.model import CellConfig
+from cell.control.plan import GraspStep, Pose
+from cell.control.states import CellState
+from cell.data.recording_reader import read_recording
 from cell.errors import HandLost
-from cell.pose import Pose
 from cell.pytest_plugin.process import CellProcess, CellProcessError
-from cell.recording import read_recording
-from cell.sequence import GraspStep
-from cell.states import CellState
 from gripper.errors import BusTimeout, GripperError, PortLost
 from tactile.errors import BusDisturbed, BusOff, FrameTimeout, HeartbeatLost, TactileError
 

@@ -14,18 +14,16 @@ from typing import Any
 import pytest
 
 from cell.build import Cell, build_cell
-from cell.config_file import load_config, parse_config
+from cell.config.file import load_config, parse_config
+from cell.control.plan import GraspStep, Pose
+from cell.control.states import CellState
+from cell.data.recording_reader import read_recording
 from cell.errors import CellStateError, CellStopped, HandLost
-from cell.hand_process import HandProcess
-from cell.pose import Pose
+from cell.hand.client import HandProcess
 from cell.pytest_plugin.process import CellProcess
-from cell.recording import read_recording
-from cell.sequence import GraspStep
-from cell.states import CellState
 from gripper.errors import LimitExceeded
-from gripper.gripper import GraspResult, GripperPhase
-from gripper.ramp import ForceRamp
-from gripper.state import Cycle
+from gripper.force.ramp import ForceRamp
+from gripper.state import Cycle, GraspResult, GripperPhase
 
 pytestmark = pytest.mark.hil
 
@@ -39,8 +37,9 @@ STEP = GraspStep(pose=Pose(), force_n=6.0)
 
 
 @pytest.fixture(scope="module")
-def simulator(free_machine: None) -> Iterator[CellProcess]:
+def simulator(free_machine: None, first: Callable[[int], None]) -> Iterator[CellProcess]:
     one = CellProcess(parse_config(CONFIG, source="test"))
+    first(one.pid)
     yield one
     one.end()
 
@@ -192,7 +191,7 @@ def test_a_loop_that_hangs_is_lost_and_sigterm_keeps_the_grip(
     controller.start()
     controller.present("box")
     thread = in_a_grasp(cell, simulator, lambda: os.kill(hand.pid, signal.SIGTERM))
-    with pytest.raises(HandLost, match=r"told to end \(SIGTERM\); a held part stays held"):
+    with pytest.raises(HandLost, match=r"asked to end \(SIGTERM\); a held part stays held"):
         controller.grasp(STEP)
     thread.join()
     assert simulator.grip_n() > 0.8
@@ -204,7 +203,7 @@ def test_a_loop_that_hangs_is_lost_and_sigterm_keeps_the_grip(
     os.kill(hand.pid, signal.SIGSTOP)
     stopped = hand.pid
     begin_s = time.monotonic()
-    with pytest.raises(HandLost, match=r"has told nothing for 0\.5 s"):
+    with pytest.raises(HandLost, match=r"has sent nothing for 0\.5 s"):
         hand.release()
     assert time.monotonic() - begin_s < 8.0
     assert gone(stopped)
@@ -214,9 +213,9 @@ CLIENT = """
 import sys, threading
 from pathlib import Path
 from cell.build import build_cell
-from cell.config_file import load_config, parse_config
-from cell.pose import Pose
-from cell.sequence import GraspStep
+from cell.config.file import load_config, parse_config
+from cell.control.plan import Pose
+from cell.control.plan import GraspStep
 
 cell = build_cell(load_config(Path(sys.argv[1])))
 cell.controller.start()

@@ -9,23 +9,22 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from cell.config_file import load_config
-from cell.errors import CellStateError
-from cell.plugin import TactileCellPlugin, TeachGoal
-from cell.recording import read_recording
+from cell.config.file import load_config
+from cell.data.recording_reader import read_recording
+from cell.interfaces.plugin.plugin import JobFailed, TactileCellPlugin, TeachGoal
 
 pytestmark = pytest.mark.hil
 
 LIMIT_S = 30.0
-PROGRAM = [sys.executable, "-c", "from cell.cli import main; main()"]
+PROGRAM = [sys.executable, "-c", "from cell.interfaces.cli import main; main()"]
 CONFIG = """
-tactile: {tare_frames: 25, sync_period_ms: 30.0}
+tactile: {tare_frames: 15, sync_period_ms: 30.0}
 gripper:
   loop_rate_hz: 100.0
   approach_speed_mm_s: 20.0
@@ -63,10 +62,11 @@ def end(process: subprocess.Popen[str]) -> tuple[int, str, str]:
 class Simulator:
     """The simulated cell in a process of its own, and its socket."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, first: Callable[[int], None]) -> None:
         folder.mkdir()
         (folder / "sim.yaml").write_text(CONFIG)
         self.process = start("simulate", "--config", folder / "sim.yaml", "--out", folder)
+        first(self.process.pid)
         assert self.process.stdout is not None
         line = self.process.stdout.readline()
         assert line, end(self.process)
@@ -116,8 +116,10 @@ def hurried() -> Iterator[None]:
 
 
 @pytest.fixture
-def simulator(free_machine: None, tmp_path: Path) -> Iterator[Simulator]:
-    one = Simulator(tmp_path / "sim")
+def simulator(
+    free_machine: None, first: Callable[[int], None], tmp_path: Path
+) -> Iterator[Simulator]:
+    one = Simulator(tmp_path / "sim", first)
     with ending(one.process):
         yield one
 
@@ -251,7 +253,7 @@ def test_the_plugin_runs_in_real_time(simulator: Simulator) -> None:
             assert time.monotonic() < end_s, plugin.feedback(job)
             threading.Event().wait(0.05)
         plugin.cancel(job)
-        with pytest.raises(CellStateError, match="CANCELED"):
+        with pytest.raises(JobFailed, match="CANCELED"):
             plugin.result(job, LIMIT_S)
         assert plugin.state() == "HELD"
         threading.Event().wait(0.5)

@@ -11,15 +11,14 @@ from typing import Any
 import pytest
 
 from cell.build import Cell, build_cell
-from cell.config import CellConfig
-from cell.config_file import load_config, parse_config
+from cell.config.file import load_config, parse_config
+from cell.config.model import CellConfig
+from cell.control.plan import GraspStep, Pose
+from cell.control.states import CellState
 from cell.errors import HandLost
-from cell.pose import Pose
 from cell.pytest_plugin.process import CellProcess
-from cell.sequence import GraspStep
-from cell.states import CellState
 from gripper.errors import BusCorrupt, BusTimeout, GripperError, PortLost
-from gripper.gripper import GraspResult, GripperPhase
+from gripper.state import GraspResult, GripperPhase
 
 pytestmark = pytest.mark.hil
 

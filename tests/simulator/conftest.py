@@ -8,17 +8,15 @@ from pathlib import Path
 
 import pytest
 
-from gripper.registers import XM430_W350, ServoModel
+from gripper.dynamixel.models import XM430_W350, ServoModel
 from simulator.clock import VirtualClock
-from simulator.linkage import ParallelogramLinkage
-from simulator.mechanics import FingerMechanics, ServoMount
-from simulator.motor import ServoMotor
-from simulator.protocol2 import Instruction, PacketParser, encode_instruction
-from simulator.servo import SimulatedServo
-from simulator.servo_bus import ServoBusDevice
-from simulator.servo_core import WatchdogStop
-from simulator.servo_pty import ServoPty
-from simulator.servo_stream import MemoryServoStream
+from simulator.realtime.terminals import ServoPty
+from simulator.servo.bus import MemoryServoStream, ServoBusDevice
+from simulator.servo.device import SimulatedServo
+from simulator.servo.firmware import WatchdogStop
+from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, ServoMount
+from simulator.servo.motor import ServoMotor
+from simulator.servo.protocol2 import Instruction, PacketParser, encode_instruction
 
 
 class ServoBench:

@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactile.can_bus import close_bus, open_bus
+from tactile.can.bus import close_bus, open_bus
 from tactile.errors import BusNotOpened, FrameTimeout, HeartbeatLost, NodeMissing
-from tactile.layouts import paper_layout
-from tactile.link import LinkSettings, TactileLink
+from tactile.layout import paper_layout
+from tactile.unit.link import LinkSettings, TactileLink
 
 CHANNEL = os.environ.get("TACTILE_CELL_VCAN", "")
 pytestmark = [

@@ -6,8 +6,8 @@ import time
 import can
 import numpy as np
 
-from simulator.control_unit import ControlUnitSettings, SimulatedControlUnit
-from tactile.layouts import paper_layout
+from simulator.can.control_unit import ControlUnitSettings, SimulatedControlUnit
+from tactile.layout import paper_layout
 
 LAYOUT = paper_layout()
 

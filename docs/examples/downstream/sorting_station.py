@@ -3,10 +3,9 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from cell.config_sequence import SequenceConfig
-from cell.controller import CellController
-from cell.pose import Pose
-from cell.sequence import plan
+from cell.config.sequence import SequenceConfig
+from cell.control.controller import CellController
+from cell.control.plan import Pose, plan
 from recognition.recognizer import Recognizer
 
 MANUAL = "manual inspection"

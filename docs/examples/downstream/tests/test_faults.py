@@ -2,8 +2,8 @@
 
 import pytest
 
+from cell.control.states import CellState
 from cell.errors import CellStateError
-from cell.states import CellState
 from gripper.errors import PortLost
 from simulator.errors import SimulatorSettingsError
 from tactile.errors import FrameTimeout

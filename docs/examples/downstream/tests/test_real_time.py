@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-TACTILE_CELL = [sys.executable, "-P", "-c", "from cell.cli import main; main()"]
+TACTILE_CELL = [sys.executable, "-P", "-c", "from cell.interfaces.cli import main; main()"]
 UNHURRIED = {
     "gripper.loop_rate_hz": 50.0,
     "tactile.sync_period_ms": 40.0,

@@ -3,8 +3,8 @@
 import pytest
 from sorting_station import Robot, SortingStation
 
+from cell.control.plan import Pose
 from cell.errors import PositionerError
-from cell.pose import Pose
 
 BINS = {"dowel": "bin A", "bearing": "bin B"}
 

@@ -1,0 +1,84 @@
+"""Other recognisers on the grasps that the paper's level check is tried with."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.paper.effort import Effort, Spread
+from benchmarks.paper.grasps import PAPER_NOISE, random_grasp
+from benchmarks.paper.level_trials import LABELS
+from recognition.evaluation.metrics import confusion_matrix
+from recognition.recognizer import UNKNOWN
+from recognition.recognizers import COMPARATORS, TRAINERS, make_trainer
+
+LEVEL_CHECK = "level_check"
+"""The paper's own, as the cell has it: probabilities and UNKNOWN, at the common force."""
+
+_APERTURE_TOO = ("force_ramp", "shrinkage_lda", "extra_trees")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Contender:
+    """One recogniser on the same kind of grasps.
+
+    Attributes
+    ----------
+    name, uses_aperture
+        Which, and whether it sees the opening.
+    counts : (objects, objects) int64
+        Row: held; column: the likeliest label.
+    rejected
+        Trials that it took for an untaught object.
+    """
+
+    name: str
+    uses_aperture: bool
+    counts: NDArray[np.int64]
+    rejected: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Match:
+    """One recogniser, and the grasps that it is tried on."""
+
+    name: str
+    uses_aperture: bool
+    effort: Effort
+
+
+def try_one(match: Match) -> Contender:
+    """Teach and test one recogniser, once for each lesson."""
+    effort = match.effort
+    counts = np.zeros((len(LABELS), len(LABELS)), dtype=np.int64)
+    rejected = 0
+    for lesson in range(effort.other_lessons):
+        rng = np.random.default_rng([effort.seed, 7, lesson])
+        taught, tested = (
+            [
+                random_grasp(label, rng, PAPER_NOISE, start_ms=number)
+                for label in LABELS
+                for number in range(n)
+            ]
+            for n in (effort.n_taught, effort.other_tested)
+        )
+        recognizer = make_trainer(match.name, use_aperture=match.uses_aperture).fit(taught)
+        answers = [recognizer.posterior(grasp) for grasp in tested]
+        counts += confusion_matrix(
+            [grasp.label for grasp in tested], [answer.best for answer in answers], LABELS
+        )
+        rejected += sum(answer.decision() == UNKNOWN for answer in answers)
+    return Contender(
+        name=match.name,
+        uses_aperture=match.uses_aperture,
+        counts=counts,
+        rejected=rejected,
+    )
+
+
+def contenders(effort: Effort, spread: Spread) -> tuple[Contender, ...]:
+    """Try all recognisers that there are, by touch alone and, where they can, with the opening."""
+    names = (*TRAINERS, *COMPARATORS)
+    matches = [Match(name=name, uses_aperture=False, effort=effort) for name in names]
+    matches += [Match(name=name, uses_aperture=True, effort=effort) for name in _APERTURE_TOO]
+    return tuple(spread(try_one, matches))

@@ -1,0 +1,229 @@
+"""A simulated gripper on parts of known stiffness, and two plain laws of force to compare with."""
+
+import math
+import random
+from collections import deque
+from dataclasses import dataclass
+
+from gripper.dynamixel.bus import ServoBus
+from gripper.dynamixel.models import XM430_W350
+from gripper.force.ramp import ForceRamp
+from gripper.gripper import Gripper
+from gripper.kinematics import ParallelLinkage
+from gripper.settings import HARD_FORCE_CAP_N, ForceLoopSettings, GripperSettings, ServoSettings
+from gripper.state import Cycle, ForceSample, GraspResult, GripperPhase
+from simulator.clock import VirtualClock
+from simulator.servo.bus import MemoryServoStream, ServoBusDevice
+from simulator.servo.device import SimulatedServo
+from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, ServoMount
+from simulator.servo.motor import ServoMotor
+
+FOAM_N_M, FOAM_N_M2 = 5e3, 4e6
+"""Each pad: force = FOAM_N_M d + FOAM_N_M2 d^2 for a depth d in m."""
+_HOLD_S = 1.5
+_SETTLED_S = 0.3
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Part:
+    """A part between two foam pads: its width in m and its own stiffness in N/m."""
+
+    width_m: float
+    stiffness_n_m: float
+
+    def press(self, opening_m: float) -> tuple[float, float]:
+        """Return grip force in N and its slope over the opening in N/m."""
+        pressed_m = self.width_m - opening_m
+        if pressed_m <= 0.0:
+            return 0.0, 0.0
+        a, b = FOAM_N_M2 / self.stiffness_n_m, 2.0 + FOAM_N_M / self.stiffness_n_m
+        depth_m = 2.0 * pressed_m / (b + math.sqrt(b * b + 4.0 * a * pressed_m))
+        slope = FOAM_N_M + 2.0 * FOAM_N_M2 * depth_m
+        force_n = FOAM_N_M * depth_m + FOAM_N_M2 * depth_m**2
+        return force_n, slope / (2.0 + slope / self.stiffness_n_m)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Truth:
+    """How the gripper differs from its figures: shares of torque constant and friction, seed."""
+
+    kt_error: float
+    friction_error: float
+    seed: int
+
+
+class _Sensor:
+    """50 Hz, mean of three frames, 25 ms late; noise of the mean in N."""
+
+    def __init__(self, noise_n: float, seed: int) -> None:
+        self._random = random.Random(seed)
+        self._raw_sd_n = noise_n * math.sqrt(3.0)
+        self._raw: deque[tuple[float, float]] = deque(maxlen=3)
+        self._due_s = self._random.uniform(0.0, 0.02)
+        self._waiting: deque[tuple[float, ForceSample]] = deque()
+        self._latest: ForceSample | None = None
+        self._now_s = 0.0
+
+    def measure(self, now_s: float, force_n: float) -> None:
+        self._now_s = now_s
+        if now_s < self._due_s:
+            return
+        self._due_s += 0.02
+        noise = [self._random.gauss(0.0, self._raw_sd_n) if force_n else 0.0 for _ in (0, 1)]
+        self._raw.append((max(0.0, force_n + noise[0]), max(0.0, force_n + noise[1])))
+        means = [sum(raw[finger] for raw in self._raw) / len(self._raw) for finger in (0, 1)]
+        sample = ForceSample(t_s=now_s, force_n=(means[0], means[1]))
+        self._waiting.append((now_s + 0.025, sample))
+
+    def latest_force(self) -> ForceSample | None:
+        while self._waiting and self._waiting[0][0] <= self._now_s:
+            self._latest = self._waiting.popleft()[1]
+        return self._latest
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Quality:
+    """Overshoot in N, time to settle after the ramp in s, largest error while holding in N."""
+
+    overshoot_n: float
+    settling_s: float
+    holding_n: float
+
+
+class Rig:
+    """One gripper on one part, in virtual time; the true force is known at every moment."""
+
+    def __init__(self, part: Part, truth: Truth, noise_n: float, tuning: ForceLoopSettings) -> None:
+        self._part = part
+        clock = VirtualClock()
+        motors = [ServoMotor(XM430_W350) for _ in (0, 1)]
+        for motor in motors:
+            motor.kt_nm_a *= 1.0 + truth.kt_error
+            motor.friction_nm *= 1.0 + truth.friction_error
+        directions, open_m = (1, -1), part.width_m + 0.008
+        self._mechanics = FingerMechanics(
+            motors,
+            [ServoMount(direction=direction) for direction in directions],
+            ParallelogramLinkage(link_m=0.06),
+            aperture_m=open_m,
+        )
+        eeprom = {"baud_rate": 3, "return_delay_time": 0}
+        servos = [
+            SimulatedServo(i + 1, XM430_W350, motor, settings=eeprom)
+            for i, motor in enumerate(motors)
+        ]
+        self._device = ServoBusDevice(servos, 1_000_000)
+        self._sensor = _Sensor(noise_n, truth.seed)
+        self._now_s = 0.0
+        self._trace: list[tuple[float, float]] = []
+        self.force_n = 0.0
+        clock.on_advance.append(self._advance)
+        self.gripper = Gripper(
+            ServoBus(MemoryServoStream(self._device, clock), baudrate=1_000_000, clock=clock),
+            ParallelLinkage(link_m=0.06),
+            GripperSettings(
+                servos=tuple(
+                    ServoSettings(servo_id=i + 1, direction=direction)
+                    for i, direction in enumerate(directions)
+                ),
+                aperture_open_m=max(0.03, open_m),
+                approach_speed_m_s=0.012,
+                contact_force_n=0.6,
+                # What a law does is measured here, not what stops it.
+                slip_drop_n=20.0,
+                slip_travel_m=0.05,
+                force_max_n=HARD_FORCE_CAP_N,
+                force_loop=tuning,
+            ),
+            clock=clock,
+            force_sensor=self._sensor,
+        )
+
+    def _advance(self, now_s: float) -> None:
+        dt_s, self._now_s = now_s - self._now_s, now_s
+        if dt_s <= 0.0:
+            return
+        force_n, slope_n_m = self._part.press(self._mechanics.aperture_m)
+        self._mechanics.step(dt_s, (force_n, force_n), (slope_n_m, slope_n_m))
+        self._device.advance_to(now_s)
+        self.force_n = self._part.press(self._mechanics.aperture_m)[0]
+        self._sensor.measure(now_s, self.force_n)
+        self._trace.append((now_s, self.force_n))
+
+    def grasp(self, final_n: float, rate_n_s: float) -> Quality:
+        """Grasp and hold, and judge the true force."""
+        ends_s: list[float] = []
+
+        def observe(cycle: Cycle) -> None:
+            if cycle.phase is not GripperPhase.APPROACHING and cycle.setpoint_n == final_n:
+                ends_s.append(cycle.t_s)
+
+        self.gripper.start()
+        outcome = self.gripper.grasp(ForceRamp.linear(final_n, rate_n_s), observe)
+        if outcome.contact_t_s is None:
+            raise SystemExit(f"the fingers did not find the part: {outcome}")
+        if outcome.result is GraspResult.PART_LOST:
+            # The fingers ran as after a part that slips away: a law that does this holds nothing.
+            return Quality(overshoot_n=0.0, settling_s=_HOLD_S, holding_n=final_n)
+        self.gripper.hold(_HOLD_S, observe)
+        tolerance_n = max(0.2, 0.05 * final_n)
+        ramped = [entry for entry in self._trace if entry[0] >= outcome.contact_t_s]
+        after = [(t_s - ends_s[0], n - final_n) for t_s, n in ramped if t_s >= ends_s[0]]
+        outside = [t_s for t_s, error_n in after if abs(error_n) > tolerance_n]
+        return Quality(
+            overshoot_n=max(0.0, *(force_n - final_n for _, force_n in ramped)),
+            settling_s=max(outside, default=0.0),
+            holding_n=max(abs(error_n) for t_s, error_n in after if t_s >= _SETTLED_S),
+        )
+
+
+class _PlainLaw:
+    """What a law of force shows to the gripper, for laws without a model."""
+
+    bias_n = 0.0
+
+    def __init__(
+        self, settings: ForceLoopSettings, *, force_n: float, drive_n: float, now_s: float
+    ) -> None:
+        self.model_n = force_n
+        self.drive_n = drive_n
+        self._integral_n = drive_n - force_n
+        self._sample_s = now_s
+
+    def step(
+        self,
+        now_s: float,
+        dt_s: float,
+        setpoint_n: float,
+        sample: ForceSample,
+        *,
+        friction_n: float,
+        drive_max_n: float,
+        **_: object,
+    ) -> float:
+        self.drive_n = min(max(self._law(dt_s, setpoint_n, sample), -friction_n), drive_max_n)
+        return self.drive_n
+
+    def _law(self, dt_s: float, setpoint_n: float, sample: ForceSample) -> float:
+        raise NotImplementedError
+
+
+class PlainPi(_PlainLaw):
+    """Proportional-integral control of the tactile force, with the set-point fed forward."""
+
+    gain = 0.4
+    integral_per_s = 6.0
+
+    def _law(self, dt_s: float, setpoint_n: float, sample: ForceSample) -> float:
+        error_n = setpoint_n - sample.grip_n
+        self._integral_n += self.integral_per_s * error_n * dt_s
+        return setpoint_n + self.gain * error_n + self._integral_n
+
+
+class PlainFeedForward(_PlainLaw):
+    """The current that the servo's figures ask for while the force rises; no sensor."""
+
+    friction_n = XM430_W350.friction_nm / 0.06
+
+    def _law(self, dt_s: float, setpoint_n: float, sample: ForceSample) -> float:
+        return setpoint_n + self.friction_n

@@ -1,0 +1,145 @@
+"""Time from the last frame of one grasp to its label, against the time that the grasp itself takes.
+
+What is timed is what a cell does after the last frame: the record is made from the frames that were
+collected, the recogniser says what it tells, and that becomes a decision. Five objects are grasped
+by 408 simulated taxels; with the folder of recorded grasps in TACTILE_CELL_DATA, 36 real objects
+are named too, taught with the first 60 % of each object's grasps. The alternatives are the plain
+shrinkage discriminant on the same grasps and the paper's level check.
+"""
+
+import os
+import statistics
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks._measure import in_turns, line, quantile, ratio, repeats, same, timed
+from benchmarks.recognition._made_grasps import made_grasp
+from cell.data.dataset import read_dataset
+from recognition.evaluation.splits import chronological_split
+from recognition.grasp import Grasp
+from recognition.recognizer import Recognizer
+from recognition.recognizers import DEFAULT_TRAINER, TRAINERS, make_trainer
+from simulator.world.shapes import PAPER_OBJECTS
+
+_RECORDED = "pinch36.npz"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Collected:
+    """The frames of one grasp as they came in, one by one."""
+
+    grasp: Grasp
+    frames: tuple[np.ndarray, ...]
+
+
+def collected(grasp: Grasp) -> Collected:
+    return Collected(grasp=grasp, frames=tuple(np.array(frame) for frame in grasp.counts))
+
+
+def label_of(recognizer: Recognizer, one: Collected) -> str:
+    """Make the record of a grasp and name it."""
+    known = one.grasp
+    grasp = Grasp(
+        pads=known.pads,
+        counts=np.stack(one.frames),
+        t_s=known.t_s,
+        aperture_m=known.aperture_m,
+        force_n=known.force_n,
+    )
+    return recognizer.posterior(grasp).decision()
+
+
+def one_round(
+    recognizer: Recognizer, tests: Sequence[Collected], labels: list[tuple[str, ...]]
+) -> list[float]:
+    """Name all grasps once; the s that each took."""
+    walls_s, found = [], []
+    for one in tests:
+        start_s = time.perf_counter()
+        found.append(label_of(recognizer, one))
+        walls_s.append(time.perf_counter() - start_s)
+    labels.append(tuple(found))
+    return walls_s
+
+
+def compare(title: str, train: Sequence[Grasp], test: Sequence[Grasp], rounds: int) -> None:
+    """Teach all recognisers, let them take turns, and print their figures."""
+    line(
+        title,
+        f"{len({g.label for g in train})} objects, {len(train)} grasps teach, "
+        f"{len(test)} are named {rounds} times, in turns",
+    )
+    taught: dict[str, Recognizer] = {}
+    training_s: dict[str, float] = {}
+    for name in sorted(TRAINERS, key=lambda name: name != DEFAULT_TRAINER):
+        training_s[name] = timed(
+            lambda name=name: taught.update({name: make_trainer(name).fit(train)})
+        ).wall_s
+    tests = [collected(grasp) for grasp in test]
+    truth = np.array([grasp.label for grasp in test])
+    labels: dict[str, list[tuple[str, ...]]] = {name: [] for name in taught}
+    for name, recognizer in taught.items():
+        one_round(recognizer, tests[:1], [])
+        same(recognizer.labels == taught[DEFAULT_TRAINER].labels, f"{name} knows other objects")
+    walls_s = in_turns(
+        {n: partial(one_round, recognizer, tests, labels[n]) for n, recognizer in taught.items()},
+        rounds,
+    )
+    for name, runs in walls_s.items():
+        same(len(set(labels[name])) == 1, f"{name} names the same grasps differently")
+        each_s = [wall_s for run in runs for wall_s in run]
+        p50, p99 = (1e3 * quantile(each_s, share) for share in (0.5, 0.99))
+        right = int(np.sum(np.array(labels[name][0]) == truth))
+        line(
+            f"  {name}",
+            f"{p50:.2f} ms a grasp, p99 {p99:.2f} ms, taught in {training_s[name]:.2f} s, "
+            f"{right} of {len(test)} named right",
+        )
+    medians = {name: [statistics.median(run) for run in runs] for name, runs in walls_s.items()}
+    ours = medians[DEFAULT_TRAINER]
+    for name, other in medians.items():
+        if name != DEFAULT_TRAINER:
+            line(
+                "  ratio", f"{DEFAULT_TRAINER} takes {ratio(ours, other):.1f} x the time of {name}"
+            )
+    grasp_s = statistics.median(float(grasp.t_s[-1]) for grasp in test)
+    share = 100.0 * statistics.median(ours) / grasp_s
+    line("  ratio", f"the label takes {share:.2f} % of the {grasp_s:.1f} s that the grasp takes")
+
+
+def made(n_objects: int, n_train: int, n_test: int) -> tuple[list[Grasp], list[Grasp]]:
+    """Return simulated grasps that teach, and others that test, of the paper's first objects."""
+    train, test = [], []
+    for number, label in enumerate(list(PAPER_OBJECTS)[:n_objects]):
+        grasps = [made_grasp(label, 1000 * number + i) for i in range(n_train + n_test)]
+        train += grasps[:n_train]
+        test += grasps[n_train:]
+    return train, test
+
+
+def main(effort: float = 1.0) -> None:
+    rounds = repeats(9, effort)
+    n_objects = repeats(len(PAPER_OBJECTS), effort, least=2)
+    train, test = made(n_objects, repeats(8, effort, least=3), repeats(4, effort))
+    compare(f"{test[0].pads.n_taxels} simulated taxels", train, test, rounds)
+    folder = os.environ.get("TACTILE_CELL_DATA")
+    if folder is None:
+        line(
+            "recorded grasps",
+            f"left out, TACTILE_CELL_DATA names no folder with {_RECORDED}",
+        )
+        return
+    taught, rest = chronological_split(read_dataset(Path(folder) / _RECORDED), 0.6)
+    if effort < 1.0:
+        few = sorted({grasp.label for grasp in taught})[:4]
+        taught, rest = (tuple(g for g in part if g.label in few) for part in (taught, rest))
+    compare(f"{rest[0].pads.n_taxels} recorded taxels", taught, rest, repeats(3, effort))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,244 @@
+"""Ten thousand grasps in virtual time, in which memory stays flat and files and threads stay few.
+
+    python -m benchmarks.soak [--grasps N] [--report OUT.json]        (make soak)
+
+Two kinds of work take turns in one process, because they leak in different ways: a cell that is
+built once and grasps all the time, and shifts, each with a cell of its own that records, teaches,
+identifies, is cancelled in mid-grasp, latches a fault, is cleared and reset, and is closed. After
+each block the process is looked at. The first fifth of the blocks is left out: the interpreter,
+the allocator and the recogniser fill their caches then.
+"""
+
+import argparse
+import gc
+import json
+import os
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks._measure import line
+from cell.build import Cell, build_cell
+from cell.config.model import CellConfig
+from cell.control.plan import plan
+from cell.control.states import CellState
+from cell.errors import CellStopped
+from cell.jobs.common import silent
+from cell.jobs.teach import teach
+from cell.learning.training import train
+from gripper.state import GripperPhase
+from recognition.recognizer import Recognizer
+from tactile.errors import LinkFault
+
+BLOCK = 20
+"""Grasps of one block: half of them by the long-lived cell, half by a shift of its own."""
+WARM_UP = 0.2
+"""Share of the blocks that is left out of the slopes."""
+LIMITS = {"rss_kib": 1.0, "objects": 0.5, "descriptors": 0.001, "threads": 0.001}
+"""Growth allowed for each grasp."""
+_PAGE_KIB = os.sysconf("SC_PAGE_SIZE") // 1024
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sample:
+    """The process after so many grasps.
+
+    Attributes
+    ----------
+    grasps
+        Grasps done.
+    virtual_s
+        Time that has passed in the simulated cells, in s.
+    rss_kib
+        Resident memory in KiB.
+    objects
+        Objects that the garbage collector keeps track of, after a collection.
+    descriptors, threads
+        Open file descriptors and threads of the process.
+    """
+
+    grasps: int
+    virtual_s: float
+    rss_kib: int
+    objects: int
+    descriptors: int
+    threads: int
+
+
+def look(grasps: int, virtual_s: float) -> Sample:
+    """Collect garbage and look at this process."""
+    gc.collect()
+    resident = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
+    return Sample(
+        grasps=grasps,
+        virtual_s=virtual_s,
+        rss_kib=resident * _PAGE_KIB,
+        objects=len(gc.get_objects()),
+        descriptors=len(os.listdir("/proc/self/fd")),
+        threads=len(os.listdir("/proc/self/task")),
+    )
+
+
+def _cell(config: CellConfig, folder: Path | None = None) -> Cell:
+    cell = build_cell(config, folder=folder)
+    cell.controller.start()
+    return cell
+
+
+def _now_s(cell: Cell) -> float:
+    return cell.simulated.clock.monotonic()
+
+
+def steady(cell: Cell, config: CellConfig, n: int, seed: int) -> int:
+    """Let a cell grasp one object ``n`` times; the number of grasps."""
+    labels = [entry.label for entry in config.simulator.objects]
+    return len(teach(cell, config, labels[seed % len(labels)], n, seed=seed, progress=silent))
+
+
+def shift(config: CellConfig, recognizer: Recognizer, n: int, seed: int) -> tuple[int, float]:
+    """Let a new cell record, grasp ``n`` times and more, and meet a fault; grasps, virtual s."""
+    with tempfile.TemporaryDirectory() as folder, closing(_cell(config, Path(folder))) as cell:
+        controller, simulated = cell.controller, cell.simulated
+        done = steady(cell, config, n - 2, seed)
+        found = controller.identify(recognizer, plan(config.sequence, 2, seed=seed))
+        done += len(found.records)
+        _cancelled_in(cell, GripperPhase.RAMPING, config, seed)
+        controller.release()
+        simulated.inject("unit.off")
+        try:
+            while True:
+                controller.tick()
+                cell.simulated.clock.sleep(0.005)
+        except LinkFault:
+            simulated.injector.clear("unit.off")
+        controller.clear()
+        controller.reset()
+        controller.start()
+        if controller.state is not CellState.IDLE:
+            raise SystemExit(f"the cell is {controller.state.value} after clear, reset and start")
+        return done, _now_s(cell)
+
+
+def _cancelled_in(cell: Cell, phase: GripperPhase, config: CellConfig, seed: int) -> None:
+    """Cancel a grasp in one of its phases; the part stays in the grip."""
+    controller, advances = cell.controller, cell.simulated.clock.on_advance
+
+    def cancel(_now_s: float) -> None:
+        if controller.gripper.state is phase:
+            controller.cancel()
+            advances.remove(cancel)
+
+    advances.append(cancel)
+    try:
+        controller.grasp(plan(config.sequence, 1, seed=seed)[0])
+    except CellStopped:
+        return
+    raise SystemExit("a cancelled grasp went on to its end")
+
+
+def soak(n_grasps: int, config: CellConfig | None = None) -> Iterator[Sample]:
+    """Do at least ``n_grasps`` grasps and yield a sample after each block."""
+    config = config or CellConfig()
+    with closing(_cell(config)) as cell:
+        taught = [
+            record.grasp
+            for number, entry in enumerate(config.simulator.objects)
+            for record in teach(cell, config, entry.label, 3, seed=number, progress=silent)
+        ]
+        recognizer = train(taught, "shrinkage_lda").recognizer
+        grasps, virtual_s, seed = 0, 0.0, 1000
+        while grasps < n_grasps:
+            seed += 1
+            grasps += steady(cell, config, BLOCK // 2, seed)
+            done, passed_s = shift(config, recognizer, BLOCK // 2, seed)
+            grasps, virtual_s = grasps + done, virtual_s + passed_s
+            yield look(grasps, virtual_s + _now_s(cell))
+
+
+def slopes(samples: Sequence[Sample]) -> dict[str, float]:
+    """Return the growth for each grasp after the warm-up: the median slope of all pairs.
+
+    The median (Theil and Sen) does not follow single steps, as an allocator makes them.
+    """
+    kept = samples[int(WARM_UP * len(samples)) :]
+    if len(kept) < 2:
+        raise ValueError(f"{len(samples)} blocks are too few for a slope; let it run longer")
+    # A slope needs no more than some hundred points, and has a pair for each two of them.
+    thinned = kept[:: max(1, len(kept) // 400)]
+    grasps = np.array([float(sample.grasps) for sample in thinned])
+    first, second = np.triu_indices(len(thinned), k=1)
+    found = {}
+    for name in LIMITS:
+        values = np.array([float(getattr(sample, name)) for sample in thinned])
+        rises = (values[second] - values[first]) / (grasps[second] - grasps[first])
+        found[name] = float(np.median(rises))
+    return found
+
+
+def grown(samples: Sequence[Sample]) -> list[str]:
+    """Return what grows faster than its limit."""
+    return [
+        f"{name} grow by {slope:.4f} a grasp, allowed are {LIMITS[name]:g}"
+        for name, slope in slopes(samples).items()
+        if slope > LIMITS[name]
+    ]
+
+
+def _print_row(sample: Sample) -> None:
+    print(
+        f"{sample.grasps:>8} {sample.virtual_s / 3600:>9.2f} {sample.rss_kib / 1024:>9.1f} "
+        f"{sample.objects:>9} {sample.descriptors:>6} {sample.threads:>8}",
+        flush=True,
+    )
+
+
+def _print_table(samples: Sequence[Sample], wall_s: float) -> None:
+    last = samples[-1]
+    line("soak", f"{last.grasps} grasps, {last.virtual_s / 3600:.1f} h of the cell")
+    line("  took", f"{wall_s / 60:.1f} min, {1e3 * wall_s / last.grasps:.0f} ms a grasp")
+    kept = samples[int(WARM_UP * len(samples)) :]
+    for name, slope in slopes(samples).items():
+        start, end = getattr(kept[0], name), getattr(kept[-1], name)
+        highest = max(getattr(sample, name) for sample in kept)
+        line(
+            f"  {name}",
+            f"{start} after {kept[0].grasps} grasps, {end} at the end, {highest} at most; "
+            f"{slope:+.5f} a grasp, allowed {LIMITS[name]:g}",
+        )
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.soak", description=__doc__)
+    parser.add_argument("--grasps", type=int, default=10_000)
+    parser.add_argument("--report", type=Path, help="JSON lines, one for each block")
+    wanted = parser.parse_args(arguments)
+    samples: list[Sample] = []
+    start_s = next_row_s = time.monotonic()
+    report = None if wanted.report is None else wanted.report.open("w", encoding="utf-8")
+    print(f"{'grasps':>8} {'hours':>9} {'RSS MiB':>9} {'objects':>9} {'files':>6} {'threads':>8}")
+    for sample in soak(wanted.grasps):
+        samples.append(sample)
+        if report is not None:
+            print(json.dumps(asdict(sample)), file=report, flush=True)
+        if time.monotonic() >= next_row_s:
+            _print_row(sample)
+            next_row_s = time.monotonic() + 30.0
+    if report is not None:
+        report.close()
+    _print_row(samples[-1])
+    _print_table(samples, time.monotonic() - start_s)
+    if len(threading.enumerate()) != 1:
+        sys.exit(f"threads are left: {threading.enumerate()}")
+    if found := grown(samples):
+        sys.exit("; ".join(found))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,56 @@
+"""Grasps of the whole simulated cell in virtual time: through servos, buses and force loop."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from unittest.mock import patch
+
+import numpy as np
+
+from cell.build import build_cell
+from cell.config.model import CellConfig
+from cell.config.simulator import SimulatedObjectConfig
+from cell.jobs.common import silent
+from cell.jobs.teach import teach
+from cell.simulation import simulator_settings
+from recognition.grasp import Grasp
+from simulator.world.foam import Foam
+
+
+def configured(objects: Mapping[str, str], seed: int) -> CellConfig:
+    """Return the built-in config with these objects (label -> shape)."""
+    config = CellConfig()
+    entries = tuple(
+        [SimulatedObjectConfig(label=label, shape=text) for label, text in objects.items()]
+    )
+    simulator = config.simulator.model_copy(update={"objects": entries})
+    return config.model_copy(update={"simulator": simulator, "seed": seed})
+
+
+def cell_grasps(
+    objects: Mapping[str, str], n_grasps: int, *, seed: int, foam: Foam | None = None
+) -> list[Grasp]:
+    """Have a cell grasp each object ``n_grasps`` times; its pads may have another foam."""
+    config = configured(objects, seed)
+
+    def settings(config: CellConfig, **others):
+        return replace(simulator_settings(config, **others), foam=foam or Foam())
+
+    with patch("cell.simulation.simulator_settings", settings):
+        cell = build_cell(config)
+    try:
+        cell.controller.start()
+        return [
+            record.grasp
+            for number, label in enumerate(objects)
+            for record in teach(
+                cell, config, label, n_grasps, seed=1000 * seed + number, progress=silent
+            )
+        ]
+    finally:
+        cell.close()
+
+
+def with_aperture_noise(grasps: Sequence[Grasp], sd_m: float, seed: int) -> list[Grasp]:
+    """Shift the opening of each grasp as a whole by chance."""
+    rng = np.random.default_rng(seed)
+    return [replace(g, aperture_m=g.aperture_m + rng.normal(0.0, sd_m)) for g in grasps]

@@ -1,0 +1,131 @@
+"""Shape and size fused over the grasps of many cells, each with its own foam and wrong opening.
+
+Grasps are virtual ones (`cell.learning.virtual_grasps`). Modulus, gain and spread of a cell's foam
+and the zero of its opening are drawn once for all of its grasps, from what the cell is told to
+trust.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from benchmarks._measure import line
+from cell.config.model import CellConfig
+from cell.jobs.teach_from_drawing import teach_drawing
+from cell.learning.pad_knowledge import PadKnowledge, usual_foam
+from cell.simulation import drawn_shape
+from recognition.shape.answer import ShapeAnswer, shape_of
+from recognition.shape.fusion import fuse_shapes
+
+GRASPS = (1, 2, 3, 5)
+"""Numbers of grasps that are fused."""
+BAR = ("flat", (10.0, 15.9), "box:length=20mm,width=15.9mm,height=10mm")
+"""An object that shows two thicknesses: kind, thicknesses in mm, shape."""
+_OPENING_SD_M = 0.2e-3
+_EXACT = {
+    "modulus_sd": 0.0,
+    "gain_sd": 0.0,
+    "spread_sd": 0.0,
+    "densification_sd": 0.0,
+    "thickness_sd": 0.0,
+    "other_foams": 1.0,
+    "aperture_sd_m": 0.0,
+}
+
+
+@dataclass(frozen=True, slots=True)
+class CellSequence:
+    """What each grasp of one object on one cell told, and what is true."""
+
+    kind: str
+    sizes_mm: tuple[float, ...]
+    answers: tuple[ShapeAnswer, ...]
+
+
+def sequences(
+    objects: Sequence[tuple[str, tuple[float, ...], str]],
+    n_cells: int,
+    n_grasps: int = max(GRASPS),
+    *,
+    seed: int = 61,
+) -> list[CellSequence]:
+    """Grasp each object (kind, thicknesses in mm, shape) on ``n_cells`` cells, each its own."""
+    rng = np.random.default_rng(seed)
+    config = CellConfig()
+    usual = usual_foam(config)
+    found = []
+    for kind, sizes_mm, text in objects:
+        for _ in range(n_cells):
+            modulus, gain, spread = np.exp(rng.normal(0.0, [0.1, 0.1, 0.05])).tolist()
+            foam = replace(
+                usual,
+                modulus_pa=usual.modulus_pa * modulus,
+                gain=usual.gain * gain,
+                spread_m=usual.spread_m * spread,
+            )
+            zero_m = float(rng.normal(0.0, _OPENING_SD_M))
+            grasps = teach_drawing(
+                config,
+                "",
+                drawn_shape(text),
+                n_grasps,
+                known=PadKnowledge(foam=foam, **_EXACT),
+                seed=int(rng.integers(2**31)),
+            )
+            answers = [
+                shape_of(replace(grasp, aperture_m=grasp.aperture_m + zero_m), foam=usual)
+                for grasp in grasps
+            ]
+            found.append(CellSequence(kind, sizes_mm, tuple(answers)))
+    return found
+
+
+def fused(objects: Mapping[str, tuple[str, float, str]], n_cells: int) -> None:
+    """Print how often kind and interval are right after some grasps."""
+    plain = sequences([(kind, (mm,), text) for kind, mm, text in objects.values()], n_cells)
+    bars = sequences([BAR], 4 * n_cells)
+    line(
+        "fused over grasps",
+        f"{len(plain)} cells, each with foam and zero of the opening of its own, "
+        f"{len(objects)} objects",
+    )
+    for n in GRASPS:
+        line(f"  {n} grasps" if n > 1 else "  1 grasp", _row(plain, n))
+    for n in GRASPS[1:]:
+        line(f"  bar 10 x 15.9, {n} grasps", _bar_row(bars, n))
+
+
+def _row(told: Sequence[CellSequence], n: int) -> str:
+    answers = [fuse_shapes(one.answers[:n]) for one in told]
+    sizes_mm = np.array([one.sizes_mm[0] for one in told])
+    found_mm = np.array([1e3 * a.size_m for a in answers])
+    held = sum(_holds(a, size) for a, size in zip(answers, sizes_mm, strict=True))
+    right = sum(a.kind == one.kind for a, one in zip(answers, told, strict=True))
+    widths = [1e3 * (a.high_m - a.low_m) for a in answers]
+    several = sum(len(a.thicknesses) > 1 for a in answers)
+    total = len(answers)
+    return (
+        f"type right {100 * right / total:.1f} % of {total}, 90 % interval held "
+        f"{100 * held / total:.1f} %, {np.median(widths):.2f} mm wide, mean error "
+        f"{np.abs(found_mm - sizes_mm).mean():.2f} mm, a second thickness by mistake {several}"
+    )
+
+
+def _bar_row(told: Sequence[CellSequence], n: int) -> str:
+    both = shown = held = total = 0
+    for one in told:
+        met = {min(one.sizes_mm, key=lambda s: abs(s - 1e3 * a.size_m)) for a in one.answers[:n]}
+        answer = fuse_shapes(one.answers[:n])
+        both += len(met) > 1
+        shown += len(met) == len(answer.thicknesses) > 1
+        held += sum(any(t.low_m <= 1e-3 * s <= t.high_m for t in answer.thicknesses) for s in met)
+        total += len(met)
+    return (
+        f"both sides met in {both} of {len(told)} sequences and told in {shown}; interval held "
+        f"{held} of {total} thicknesses"
+    )
+
+
+def _holds(answer: ShapeAnswer, size_mm: float) -> bool:
+    return any(t.low_m <= 1e-3 * size_mm <= t.high_m for t in answer.thicknesses)

@@ -1,0 +1,168 @@
+"""Ramps of the simulated cell that end as soon as they suffice, beside whole ones.
+
+Both identify the paper's objects in the same poses and with the same forces, with the opening of
+the fingers and by touch alone. Time is that of the cell: of a grasp from the first move of the
+closing fingers to the end of its ramp, of an identification from the first pose to the last
+release. `benchmarks.recognition.sequences` has more sequences, replayed from single grasps.
+"""
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from benchmarks._measure import line, repeats
+from cell.build import Cell, build_cell
+from cell.config.file import changed_config
+from cell.config.model import CellConfig
+from cell.control.identification import Identification
+from cell.control.plan import plan
+from cell.jobs.teach import teach
+from cell.learning.shapes import shape_reader
+from cell.learning.training import train
+from recognition.evaluation.metrics import wilson_interval
+from recognition.grasp import Grasp
+from recognition.recognizer import Recognizer
+from recognition.recognizers.early_classifiers import EarlyClassifiers
+
+NOISES = (1.0, 2.0)
+SHAPES = {
+    "oval": ("oval", 11.7e-3),
+    "cylinder": ("cylinder", 6e-3),
+    "box": ("flat", 10e-3),
+    "ball": ("sphere", 9.5e-3),
+    "dumbbell": ("dumbbell", 10e-3),
+}
+"""Kind and thickness in m of each configured object."""
+_PER_OBJECT = 6
+_TAUGHT = 10
+_FEW_OBJECTS = 2
+
+
+@dataclass
+class Tally:
+    """What a row of identifications took and told."""
+
+    found: list[Identification] = field(default_factory=list)
+    truths: list[str] = field(default_factory=list)
+    seconds: list[float] = field(default_factory=list)
+
+    def text(self) -> str:
+        """Return the figures in words."""
+        records = [record for one in self.found for record in one.records]
+        right = [one.label == truth for one, truth in zip(self.found, self.truths, strict=True)]
+        low, high = wilson_interval(sum(right), len(right))
+        grasp_s = np.mean([record.duration_s for record in records])
+        contacts_s = [
+            (record.outcome.contact_t_s or record.cycles[0].t_s) - record.cycles[0].t_s
+            for record in records
+        ]
+        force_n = np.mean([record.cycles[-1].setpoint_n for record in records])
+        ended = np.mean([record.early is not None for record in records])
+        return (
+            f"{sum(right)} of {len(right)} right ({100 * low:.0f}-{100 * high:.0f} %); "
+            f"{np.mean(self.seconds):.2f} s, {len(records) / len(right):.2f} grasps; a grasp "
+            f"{grasp_s:.2f} s ({np.mean(contacts_s):.2f} s to the contact) to {force_n:.1f} N, "
+            f"{100 * ended:.0f} % ended early"
+        )
+
+    def shape_text(self) -> str:
+        """Return in words how well shapes and sizes were told."""
+        told = [
+            (one.shape, *SHAPES[truth])
+            for one, truth in zip(self.found, self.truths, strict=True)
+            if one.shape is not None
+        ]
+        kinds = sum(shape.kind == kind for shape, kind, _ in told)
+        held = sum(shape.low_m < size_m < shape.high_m for shape, _, size_m in told)
+        error_m = np.mean([abs(shape.size_m - size_m) for shape, _, size_m in told])
+        width_m = np.mean([shape.high_m - shape.low_m for shape, _, _ in told])
+        return (
+            f"{len(told)} of {len(self.found)} told, kind right {kinds}, interval held {held}, "
+            f"{1e3 * width_m:.2f} mm wide, mean error {1e3 * error_m:.2f} mm"
+        )
+
+
+class Bench:
+    """A simulated cell and what it was taught."""
+
+    def __init__(self, cell: Cell, config: CellConfig, labels: Sequence[str], n_taught: int):
+        self.cell = cell
+        self.config = config
+        self.labels = labels
+        self.read_shape = shape_reader(config)
+        cell.controller.start()
+        self.taught: list[Grasp] = [
+            record.grasp
+            for number, label in enumerate(labels)
+            for record in teach(
+                cell, config, label, n_taught, seed=number, progress=lambda *_step: None
+            )
+        ]
+
+    def train(self, *, use_aperture: bool) -> tuple[Recognizer, EarlyClassifiers]:
+        """Return the recogniser of whole ramps and the heads."""
+        name = self.config.recognition.recognizer
+        trained = train(self.taught, name, use_aperture=use_aperture, early=True)
+        assert trained.early is not None
+        return trained.recognizer, trained.early
+
+    def identify(
+        self, tally: Tally, label: str, seed: int, whole: Recognizer, early: EarlyClassifiers | None
+    ) -> None:
+        """Present an object and identify it."""
+        assert self.cell.simulated is not None
+        clock, sequence = self.cell.simulated.clock, self.config.sequence
+        self.cell.controller.present(label)
+        begin_s = clock.monotonic()
+        steps = plan(sequence, sequence.max_grasps, seed=seed)
+        found = self.cell.controller.identify(whole, steps, early=early, read_shape=self.read_shape)
+        tally.found.append(found)
+        tally.seconds.append(clock.monotonic() - begin_s)
+        tally.truths.append(label)
+
+
+@contextmanager
+def bench_of(noise: float, effort: float) -> Iterator[Bench]:
+    config = changed_config(CellConfig(), {"simulator.noise_level": noise})
+    labels = [entry.label for entry in config.simulator.objects]
+    if effort < 0.1:
+        labels = labels[:_FEW_OBJECTS]
+    cell = build_cell(config)
+    try:
+        yield Bench(cell, config, labels, repeats(_TAUGHT, effort, least=3))
+    finally:
+        cell.close()
+
+
+def compare(bench: Bench, effort: float, *, use_aperture: bool) -> float:
+    """Print whole and ended ramps; return the ratio of their times of an identification."""
+    whole, heads = bench.train(use_aperture=use_aperture)
+    ways = {"whole ramps": None, "ended early": heads}
+    tallies = {way: Tally() for way in ways}
+    for number, label in enumerate(bench.labels):
+        for turn in range(repeats(_PER_OBJECT, effort)):
+            for way, early in ways.items():
+                bench.identify(tallies[way], label, 1000 + 100 * turn + number, whole, early)
+    for way, tally in tallies.items():
+        line(f"    {way}", tally.text())
+        line("      shapes", tally.shape_text())
+    spent = {way: float(np.mean(tally.seconds)) for way, tally in tallies.items()}
+    return spent["ended early"] / spent["whole ramps"]
+
+
+def main(effort: float = 1.0) -> None:
+    line("compared", "identifications on the simulated cell, ramps whole and ended early")
+    for noise in NOISES if effort >= 0.1 else NOISES[:1]:
+        with bench_of(noise, effort) as bench:
+            cases = ((True, "opening too"), (False, "touch alone"))
+            for use_aperture, what in cases if effort >= 0.1 else cases[:1]:
+                taught = f"{len(bench.taught)} grasps teach {len(bench.labels)} objects"
+                line(f"  {what}, noise {noise:g} x", taught)
+                share = compare(bench, effort, use_aperture=use_aperture)
+                line("  ratio", f"ended early an identification takes {share:.2f} x the time")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,389 @@
+"""Reading config files: YAML to `CellConfig`, every complaint with file, line, column and key."""
+
+import difflib
+import io
+import json
+import re
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin
+
+from pydantic import BaseModel, ValidationError, WithJsonSchema
+from pydantic.fields import FieldInfo
+from pydantic_core import PydanticUndefined
+from ruamel.yaml import YAML
+from ruamel.yaml.error import MarkedYAMLError, StreamMark, YAMLError
+from ruamel.yaml.nodes import MappingNode, Node, SequenceNode
+from ruamel.yaml.reader import ReaderError
+
+from cell.config.model import CellConfig
+from cell.config.section import OneOf
+from cell.errors import ConfigError
+
+
+def changed_config(config: CellConfig, changes: Mapping[str, Any]) -> CellConfig:
+    """Return a config with some values changed.
+
+    Parameters
+    ----------
+    config
+        The config.
+    changes
+        New values by dotted path, as ``{"tactile.tare_frames": 25}``.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such value, or the result is no valid config.
+    """
+    values = config.model_dump(mode="json")
+    for path, value in changes.items():
+        owner: Any = values
+        *way, last = path.split(".")
+        for name in way:
+            owner = owner.get(name) if isinstance(owner, dict) else None
+        if not isinstance(owner, dict) or last not in owner:
+            raise ConfigError(f"the config has no value {path!r}")
+        owner[last] = value
+    try:
+        return CellConfig.model_validate_json(json.dumps(values))
+    except ValidationError as error:
+        complaints = "; ".join(
+            f"{'.'.join(map(str, item['loc'])) or 'config'}: {item['msg']}"
+            for item in error.errors(include_url=False)
+        )
+        raise ConfigError(f"the changed config is not valid: {complaints}") from error
+
+
+SCHEMA_LINE = "# yaml-language-server: $schema=tactile-cell.schema.json\n"
+"""First line of every config file: editors complete and check against the schema beside it."""
+_COMMENT_WIDTH = 98
+"""Characters of a comment line beside its indent and number sign."""
+
+
+def config_text(config: CellConfig, *, comments: bool = True) -> str:
+    """Return a config as YAML that `parse_config` reads back to an equal value.
+
+    With comments each key stands under what it means and which choices it has, and keys without a
+    value, and those of the kinds that are not chosen, stand there as comments.
+    """
+    return SCHEMA_LINE + "".join(f"{line}\n" for line in _lines(config, "", comments=comments))
+
+
+def _lines(
+    section: BaseModel, indent: str, *, comments: bool, kinds: Sequence[str] = ()
+) -> Iterator[str]:
+    """Return the lines of a section; ``kinds`` are those of the union that it is in."""
+    for name, key in type(section).model_fields.items():
+        value = getattr(section, name)
+        if comments:
+            yield from _comment(_meaning(key, kinds if name == "kind" else ()), indent)
+        if isinstance(value, BaseModel):
+            union = [_kind_of(one) for one in _sections_in(key.annotation)]
+            yield f"{indent}{name}:"
+            yield from _lines(value, indent + "  ", comments=comments, kinds=union)
+        elif isinstance(value, tuple) and any(isinstance(one, BaseModel) for one in value):
+            yield f"{indent}{name}:"
+            for one in value:
+                first, *rest = _lines(one, "", comments=False)
+                yield f"{indent}  - {first}"
+                yield from (f"{indent}    {line}" for line in rest)
+        elif value is not None:
+            yield f"{indent}{name}: {_scalar(value)}"
+        elif comments:
+            yield f"{indent}# {name}:"
+        if comments:
+            yield from _alternatives(key, value, indent)
+
+
+def _comment(text: str, indent: str) -> Iterator[str]:
+    start = f"{indent}# "
+    yield from textwrap.wrap(text, _COMMENT_WIDTH, initial_indent=start, subsequent_indent=start)
+
+
+def _meaning(key: FieldInfo, kinds: Sequence[str] = ()) -> str:
+    """Return what a key means, with its choices where it has any."""
+    text = " ".join((key.description or "").split())
+    choices = kinds if len(kinds) > 1 else _choices(key)
+    unnamed = [choice for choice in choices if not re.search(rf"\b{re.escape(choice)}\b", text)]
+    return f"{text} One of: {', '.join(choices)}." if unnamed else text
+
+
+def _choices(key: FieldInfo) -> list[str]:
+    """Return the names or numbers that a key may have; none where it has a range."""
+    if get_origin(key.annotation) is Literal:
+        return [str(choice) for choice in get_args(key.annotation)]
+    for note in key.metadata:
+        if isinstance(note, OneOf):
+            return list(note.names)
+        if isinstance(note, WithJsonSchema) and note.json_schema:
+            return [str(choice) for choice in note.json_schema.get("enum", ())]
+    return []
+
+
+def _alternatives(key: FieldInfo, value: object, indent: str) -> Iterator[str]:
+    """Return, as comments, what else a key may hold: other kinds, or entries of a list."""
+    if isinstance(value, tuple) and value:
+        return
+    entries = get_origin(key.annotation) is tuple
+    for kind in _sections_in(key.annotation):
+        if isinstance(value, kind):
+            continue
+        yield f"{indent}# {'each entry' if entries else 'or'}:"
+        for name, inner in kind.model_fields.items():
+            shown = inner.default
+            if shown is PydanticUndefined or isinstance(shown, BaseModel):
+                shown = next(iter(_choices(inner)), None)
+            yield from _comment(_meaning(inner), f"{indent}#   ")
+            yield f"{indent}#   {name}:{'' if shown is None else f' {shown}'}"
+            yield from _alternatives(inner, None, f"{indent}#   ")
+
+
+def _sections_in(annotation: Any) -> Iterator[type[BaseModel]]:
+    """Return the sections that an annotation names, through unions, lists and notes."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for inner in get_args(annotation):
+        yield from _sections_in(inner)
+
+
+def _scalar(value: Any) -> str:
+    """Return a plain value or a list of such as YAML on one line."""
+    if isinstance(value, tuple | list):
+        return f"[{', '.join(_scalar(one) for one in value)}]"
+    out = io.StringIO()
+    yaml = YAML(typ="safe", pure=True)
+    yaml.width = 4096
+    yaml.dump(value, out)
+    return out.getvalue().removesuffix("...\n").rstrip("\n")
+
+
+MAX_BYTES = 1 << 16
+"""Largest config that is read: YAML in pure Python takes seconds for more."""
+_MAX_DEPTH = 20
+"""Levels of a config: it has five, more is no config."""
+_MAX_BRACKETS = 100
+"""Open brackets at once: the YAML library takes seconds for some thousands."""
+_MAX_VALUES = 4000
+"""Values of a config: it has some hundred, and up to 1000 objects."""
+_MAX_COMPLAINTS = 20
+"""Complaints that one message shows; the others are counted."""
+
+
+def load_config(path: Path | None) -> CellConfig:
+    """Read a config file; without one, return the built-in simulated cell.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read, is cut off within its last line, is not YAML 1.2, has unknown
+        or repeated keys, aliases, or values out of range. All complaints stand in one message.
+    """
+    if path is None:
+        return CellConfig()
+    try:
+        size = path.stat().st_size
+        if size > MAX_BYTES:
+            raise ConfigError(f"{path}: {size} bytes; a config has at most {MAX_BYTES}")
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}") from error
+    if text and not text.endswith("\n"):
+        line, column = text.count("\n") + 1, len(text) - text.rfind("\n")
+        raise ConfigError(
+            f"{path}:{line}:{column}: the last line does not end, the file may be cut off; "
+            "complete it and end it with a line break"
+        )
+    return parse_config(text, source=str(path))
+
+
+def parse_config(text: str, *, source: str) -> CellConfig:
+    """Check the text of a config; ``source`` names it in complaints.
+
+    Raises
+    ------
+    ConfigError
+        As `load_config`.
+    """
+    if len(text) > MAX_BYTES:
+        raise ConfigError(f"{source}: {len(text)} characters; a config has at most {MAX_BYTES}")
+    _refuse_brackets(text, source)
+    try:
+        root = YAML(typ="safe", pure=True).compose(text)
+        if root is not None:
+            _refuse_bombs(root, source)
+        data = YAML(typ="safe", pure=True).load(text)
+    except (YAMLError, ValueError, RecursionError) as error:
+        raise ConfigError(_not_yaml(error, text, source)) from error
+    if data is None:
+        data = {}
+    if not isinstance(data, dict):
+        kind = type(data).__name__
+        raise ConfigError(f"{source}:1:1: a config is a mapping of sections, not a {kind}")
+    try:
+        return CellConfig.model_validate_json(json.dumps(data, default=str))
+    except TypeError as error:
+        raise ConfigError(f"{source}: a key that is no plain text: {error}") from error
+    except ValidationError as error:
+        raise ConfigError(_complaints(error, root, source)) from error
+
+
+def config_schema() -> dict[str, Any]:
+    """Return the JSON schema of the config file."""
+    schema = CellConfig.model_json_schema()
+    schema["$schema"] = "https://json-schema.org/draft/2020-12/schema"
+    schema["title"] = "tactile-cell configuration"
+    return schema
+
+
+def schema_text() -> str:
+    """Return the JSON schema as the text that is committed in config/."""
+    return json.dumps(config_schema(), indent=2, ensure_ascii=False) + "\n"
+
+
+def _not_yaml(error: Exception, text: str, source: str) -> str:
+    if isinstance(error, MarkedYAMLError):
+        mark = error.problem_mark or error.context_mark
+        said = ": ".join(str(part) for part in (error.context, error.problem) if part)
+        if "'\\t' that cannot start any token" in said:
+            said = "a tab; indent with spaces"
+        return f"{source}:{_place(mark)}: not YAML 1.2: {said}" if mark else f"{source}: {said}"
+    if isinstance(error, ReaderError):
+        before = text[: error.position]
+        line, column = before.count("\n") + 1, len(before) - before.rfind("\n")
+        return f"{source}:{line}:{column}: not YAML 1.2: a character that must not stand in a text"
+    return f"{source}: not YAML 1.2: {error}"
+
+
+def _place(mark: StreamMark) -> str:
+    return f"{mark.line + 1}:{mark.column + 1}"
+
+
+def _refuse_brackets(text: str, source: str) -> None:
+    """Refuse brackets nested so deep that the YAML library would take seconds to give up."""
+    depth = 0
+    for line, content in enumerate(text.splitlines(), start=1):
+        for column, sign in enumerate(content, start=1):
+            depth += (sign in "[{") - (sign in "]}")
+            if depth > _MAX_BRACKETS:
+                raise ConfigError(
+                    f"{source}:{line}:{column}: more than {_MAX_BRACKETS} open brackets"
+                )
+
+
+def _refuse_bombs(root: Node, source: str) -> None:
+    seen: set[int] = set()
+    stack = [(root, 1)]
+    while stack:
+        node, depth = stack.pop()
+        if id(node) in seen:
+            raise ConfigError(
+                f"{source}:{_place(node.start_mark)}: aliases are not allowed; write the value out"
+            )
+        seen.add(id(node))
+        if depth > _MAX_DEPTH or len(seen) > _MAX_VALUES:
+            raise ConfigError(
+                f"{source}:{_place(node.start_mark)}: more than {_MAX_DEPTH} levels or "
+                f"{_MAX_VALUES} values; not a config"
+            )
+        if isinstance(node, MappingNode):
+            stack += [(part, depth + 1) for pair in node.value for part in pair]
+        elif isinstance(node, SequenceNode):
+            stack += [(part, depth + 1) for part in node.value]
+
+
+def _complaints(error: ValidationError, root: Node | None, source: str) -> str:
+    found = error.errors(include_url=False)
+    broken = {item["loc"] for item in found}
+    # A list whose entries are refused counts as empty: its entries say what is wrong.
+    found = [
+        item
+        for item in found
+        if item["type"] != "too_short"
+        or not any(loc[: len(item["loc"])] == item["loc"] for loc in broken - {item["loc"]})
+    ]
+    lines = []
+    for item in found[:_MAX_COMPLAINTS]:
+        place, key = _locate(root, item["loc"])
+        given = item.get("input")
+        shown = "" if isinstance(given, dict | list) else f" (found: {given!r})"
+        message = item["msg"].removeprefix("Value error, ")
+        if item["type"] == "extra_forbidden":
+            message = f"unknown key; {_meant(item['loc'])}`tactile-cell config schema` lists all"
+        elif item["type"] == "missing":
+            shown = ""
+        lines.append(f"{source}:{place}: {key or 'config'}: {message}{shown}")
+    if len(found) > len(lines):
+        lines.append(f"{source}: {len(found) - len(lines)} more complaints")
+    return "\n".join(lines)
+
+
+def _meant(loc: tuple[int | str, ...]) -> str:
+    """Return which key of the same section an unknown one resembles, or which keys it has."""
+    *way, unknown = loc
+    section = _section_at(way)
+    names = list(section.model_fields)
+    near = difflib.get_close_matches(str(unknown), names, n=1)
+    if near:
+        return f"is {near[0]} meant? "
+    owners = sorted(
+        {
+            path
+            for path, other in _all_sections(CellConfig)
+            if str(unknown) in other.model_fields and other is not section
+        }
+    )
+    where = f"it is a key of {' and '.join(owners)}; " if owners else ""
+    return f"{where}here are {', '.join(names)}; "
+
+
+def _section_at(way: Sequence[int | str]) -> type[BaseModel]:
+    """Return the section at a pydantic location; a step into a union names the kind."""
+    section: type[BaseModel] = CellConfig
+    inner = [section]
+    for step in way:
+        if step in section.model_fields:
+            inner = list(_sections_in(section.model_fields[str(step)].annotation))
+        else:
+            named = [one for one in inner if step in (one.__name__, _kind_of(one))]
+            inner = named or inner
+        section = inner[0] if inner else section
+    return section
+
+
+def _kind_of(section: type[BaseModel]) -> str:
+    """Return the tag by which a union tells a section from others: the value of its ``kind``."""
+    kind = section.model_fields.get("kind")
+    return str(get_args(kind.annotation)[0]) if kind and get_args(kind.annotation) else "pads"
+
+
+def _all_sections(
+    section: type[BaseModel], path: str = ""
+) -> Iterator[tuple[str, type[BaseModel]]]:
+    """Return every section below one, with its dotted path and, in a union, its kind."""
+    for name, key in section.model_fields.items():
+        inner = list(_sections_in(key.annotation))
+        for one in inner:
+            way = f"{path}.{name}".lstrip(".")
+            yield (f"{way} of kind {_kind_of(one)}" if len(inner) > 1 else way), one
+            yield from _all_sections(one, way)
+
+
+def _locate(root: Node | None, loc: tuple[int | str, ...]) -> tuple[str, str]:
+    """Follow a pydantic location as far as the file goes; steps that name a union are not in it."""
+    node, key = root, []
+    place = "1:1" if root is None else _place(root.start_mark)
+    for step in loc:
+        if isinstance(node, MappingNode):
+            found = [(k, v) for k, v in node.value if k.value == str(step)]
+            if found:
+                place, node = _place(found[0][0].start_mark), found[0][1]
+                key.append(str(step))
+            elif step == loc[-1]:
+                key.append(str(step))
+        elif isinstance(node, SequenceNode) and isinstance(step, int) and step < len(node.value):
+            node = node.value[step]
+            place = _place(node.start_mark)
+            key.append(str(step))
+    return place, ".".join(key)

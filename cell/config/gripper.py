@@ -1,0 +1,266 @@
+"""Config of the gripper: servos, linkage, limits; values in SI are made of it here."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import AfterValidator, Field, WithJsonSchema, model_validator
+
+from cell.config.section import MILLI, SIMULATED, OneOf, Section, declared_values, setting_of
+from gripper.dynamixel.models import MODELS, require_current_control
+from gripper.errors import LimitExceeded
+from gripper.settings import (
+    ForceLoopSettings,
+    GripperSettings,
+    OverForce,
+    ServoSettings,
+    largest_setpoint_n,
+)
+
+
+class ContactConfig(Section):
+    """How the fingers approach, and when they touch."""
+
+    samples: int = setting_of(GripperSettings, "contact_samples")
+    """Tactile samples in a row on both pads that confirm a contact, 1 to 50."""
+    approach_force_n: float = setting_of(GripperSettings, "approach_force_n")
+    """Grip force beyond friction that the motors may make while closing in N, up to 10."""
+
+
+class SettleConfig(Section):
+    """When the end of a force ramp counts as reached."""
+
+    timeout_s: float = setting_of(GripperSettings, "settle_timeout_s")
+    """Longest time after the ramp in s, up to 10; then the force counts as not reached."""
+    tolerance_n: float = setting_of(GripperSettings, "settle_tolerance_n")
+    """Error that counts as reached in N, up to 5."""
+    tolerance_share: float = setting_of(GripperSettings, "settle_tolerance_share")
+    """The same as a share of the force, 0 to 0.5; the larger of the two counts."""
+
+
+class SlipConfig(Section):
+    """When a held part counts as slipping or lost; the goals are frozen, nothing grips again."""
+
+    drop_n: float = setting_of(GripperSettings, "slip_drop_n")
+    """Sudden drop of the held force that is a slip in N, up to 20; above the sensor's noise."""
+    drop_share: float = setting_of(GripperSettings, "slip_drop_share")
+    """The same as a share of the held force, 0 to 1; the larger of the two counts."""
+    travel_mm: float = setting_of(GripperSettings, "slip_travel_m", MILLI)
+    """Closing at a steady force that is a slip in mm of opening, up to 50."""
+    slide_mm: float = setting_of(GripperSettings, "slide_m", MILLI)
+    """Way along both pads that the centre of a force of 4 N may move in mm, up to 50; more at less
+    force."""
+    runaway_mm_s: float = setting_of(GripperSettings, "runaway_speed_m_s", MILLI)
+    """Closing speed beyond what the ramp needs at which the part is gone, in mm/s, up to 500."""
+    runaway_mm: float = setting_of(GripperSettings, "runaway_travel_m", MILLI)
+    """How far the fingers must have run so in mm, up to 50."""
+
+
+class ImbalanceConfig(Section):
+    """How different the forces of the two fingers may be; beyond it both are frozen."""
+
+    difference_n: float = setting_of(GripperSettings, "imbalance_n")
+    """Allowed difference in N, up to 50."""
+    difference_share: float = setting_of(GripperSettings, "imbalance_share")
+    """The same as a share of the grip force, 0 to 2; the larger of the two counts."""
+    time_s: float = setting_of(GripperSettings, "imbalance_s")
+    """How long a larger difference may last in s, up to 10."""
+
+
+class OverForceConfig(Section):
+    """What is done when the force exceeds gripper.force_max_n; nothing ever pushes on."""
+
+    reaction: Annotated[str, OneOf(tuple(one.value for one in OverForce))] = OverForce.LOWER.value
+    """lower: less current in one step, the part stays held; open: the fingers open by one small
+    step; limp: the torque goes off, a held part may drop."""
+    noise_n: float = setting_of(GripperSettings, "force_noise_n")
+    """What the mean of three samples may exceed the cap by in N, up to 5; one sample, thrice."""
+    left_share: float = setting_of(GripperSettings, "over_force_share")
+    """Share of the current that `lower` leaves, 0 to 1."""
+    open_mm: float = setting_of(GripperSettings, "over_force_open_m", MILLI)
+    """Opening by which `open` opens in mm, up to 5."""
+
+
+class ServoCareConfig(Section):
+    """What keeps the servos from overheating, and what a start may rewrite in them."""
+
+    derate_c: float = setting_of(GripperSettings, "temperature_derate_k")
+    """Degrees below temperature_max_c from which less current is allowed, to half, 0 to 40."""
+    taper_after_s: float = setting_of(GripperSettings, "taper_after_s")
+    """Time of a hold after which current is given back that friction makes superfluous, in s."""
+    taper_n_s: float = setting_of(ForceLoopSettings, "taper_n_s")
+    """How fast it is given back in N/s of driving force, 0 to 50; 0 never."""
+    corrected_registers: tuple[
+        Literal["return_delay_time", "operating_mode", "status_return_level", "position_p_gain"],
+        ...,
+    ] = ("return_delay_time", "operating_mode", "status_return_level", "position_p_gain")
+    """Registers that a start rewrites where they differ; all others are compared, and refused."""
+
+
+def _with_current_control(model: str) -> str:
+    try:
+        require_current_control(model)
+    except LimitExceeded as error:
+        raise ValueError(str(error)) from error
+    return model
+
+
+class ServoConfig(Section):
+    """One Dynamixel servo of the gripper."""
+
+    id: int = Field(ge=0, le=252)
+    """ID on the bus, 0 to 252."""
+    model: Annotated[
+        str,
+        AfterValidator(_with_current_control),
+        WithJsonSchema({"type": "string", "enum": list(MODELS)}),
+    ] = "XM430-W350"
+    """Model; it must be able to control current (an XL430 cannot and is refused)."""
+    direction: Literal[1, -1] = 1
+    """1 if growing position opens the finger, -1 if it closes it."""
+    zero_pulse: int = Field(default=2048, ge=0, le=4095)
+    """Present Position at angle 0 of the linkage, in pulses of 360/4096 degrees, 0 to 4095."""
+
+
+class ParallelLinkageConfig(Section):
+    """Fingers on parallelograms: half opening = link_mm * sin(angle) + offset_mm."""
+
+    kind: Literal["parallel_linkage"] = "parallel_linkage"
+    """Kind of drive."""
+    link_mm: float = Field(default=60.0, gt=5.0, le=500.0)
+    """Length of the parallelogram's links in mm, 5 to 500."""
+    offset_mm: float = Field(default=0.0, ge=-200.0, le=200.0)
+    """Half opening at angle 0 in mm, -200 to 200."""
+
+
+class RackPinionConfig(Section):
+    """Fingers on racks: half opening = pinion_radius_mm * angle + offset_mm."""
+
+    kind: Literal["rack_pinion"]
+    """Kind of drive."""
+    pinion_radius_mm: float = Field(gt=2.0, le=100.0)
+    """Pitch radius of the pinion in mm, 2 to 100."""
+    offset_mm: float = Field(default=0.0, ge=-200.0, le=200.0)
+    """Half opening at angle 0 in mm, -200 to 200."""
+
+
+class GripperConfig(Section):
+    """Servos, linkage and limits of the gripper."""
+
+    port: str = Field(default=SIMULATED, min_length=1)
+    """Serial port of the servos, as /dev/ttyUSB0; `simulated` is the built-in simulated gripper."""
+    baud_rate: Literal[57600, 115200, 1000000, 2000000, 3000000, 4000000] = 1000000
+    """Baud rate of the servo bus in bit/s; 1000000 serves 200 Hz, 57600 does not."""
+    servos: tuple[ServoConfig, ...] = Field(
+        default=(ServoConfig(id=1), ServoConfig(id=2)), min_length=1, max_length=2
+    )
+    """One servo that drives both fingers, or two that drive a finger each."""
+    linkage: Annotated[ParallelLinkageConfig | RackPinionConfig, Field(discriminator="kind")] = (
+        ParallelLinkageConfig()
+    )
+    """How servo angle becomes opening."""
+    loop_rate_hz: float = setting_of(GripperSettings, "loop_rate_hz", at_most=500.0)
+    """Rate of the force loop in Hz, 20 to 500."""
+    aperture_open_mm: float = setting_of(GripperSettings, "aperture_open_m", MILLI)
+    """Opening between the pads before a grasp in mm, up to 400; a little more than the object."""
+    aperture_min_mm: float = setting_of(GripperSettings, "aperture_min_m", MILLI)
+    """Smallest opening that the fingers are closed to in mm; below it there is no object."""
+    approach_speed_mm_s: float = setting_of(GripperSettings, "approach_speed_m_s", MILLI)
+    """Closing speed until contact in mm/s of opening, up to 200; the impact grows with it."""
+    open_speed_mm_s: float = setting_of(GripperSettings, "open_speed_m_s", MILLI)
+    """Opening speed in mm/s of opening, up to 200."""
+    contact_force_n: float = setting_of(GripperSettings, "contact_force_n")
+    """Force on both pads that counts as contact in N, up to 5; well above the sensor's noise."""
+    contact_timeout_s: float = setting_of(GripperSettings, "contact_timeout_s")
+    """Longest time to look for contact in s, up to 60."""
+    force_max_n: float = setting_of(GripperSettings, "force_max_n")
+    """Cap of the grip force in N, up to 50; set it per risk assessment. A ramp may ask for so much
+    that its overshoot, 0.2 N or 5 %, stays below it."""
+    current_max_a: float = setting_of(GripperSettings, "current_max_a")
+    """Cap of the goal current of each servo in A, up to the stall current of its model."""
+    temperature_max_c: float = setting_of(GripperSettings, "temperature_max_c")
+    """Servo temperature above which no ramp is started and a running one held, C, 30 to 80."""
+    force_stale_ms: float = setting_of(GripperSettings, "force_stale_s", MILLI)
+    """Oldest tactile force that control may use in ms, 10 to 1000."""
+    bus_loss_ms: float = setting_of(GripperSettings, "bus_loss_s", MILLI)
+    """Time without answers of the servos after which their bus is given up in ms, 20 to 2000."""
+    stall_max_ms: float = setting_of(GripperSettings, "stall_max_s", MILLI)
+    """Lateness of one period after which the loop counts as stalled in ms, 10 to 5000."""
+    watchdog_ms: float = setting_of(GripperSettings, "watchdog_s", MILLI)
+    """Bus watchdog of the servos in ms, 20 to 2540 in steps of 20; armed while torque is on."""
+    watchdog_self_test: bool = False
+    """Whether the first opening proves for each servo that its watchdog stops the motor."""
+    contact: ContactConfig = ContactConfig()
+    """Approach and contact."""
+    settle: SettleConfig = SettleConfig()
+    """When a ramp's force counts as reached."""
+    slip: SlipConfig = SlipConfig()
+    """When a held part slips or is lost."""
+    imbalance: ImbalanceConfig = ImbalanceConfig()
+    """How different the fingers' forces may be."""
+    over_force: OverForceConfig = OverForceConfig()
+    """What is done with too much force."""
+    servo_care: ServoCareConfig = ServoCareConfig()
+    """Heat of the servos, and what a start may rewrite."""
+
+    @property
+    def ramp_force_max_n(self) -> float:
+        """Largest force of a ramp in N: with its overshoot it stays below the cap."""
+        return largest_setpoint_n(self.force_max_n)
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        ids = [servo.id for servo in self.servos]
+        if len(set(ids)) != len(ids):
+            raise ValueError(f"servo ids {ids} repeat; give each servo its own id")
+        for servo in self.servos:
+            most_a = MODELS[servo.model].stall_current_a
+            if self.current_max_a > most_a:
+                raise ValueError(
+                    f"current_max_a {self.current_max_a:g} is more than servo {servo.id} "
+                    f"({servo.model}) can make: {most_a:g} A"
+                )
+        if self.aperture_min_mm >= self.aperture_open_mm:
+            raise ValueError(
+                f"aperture_min_mm {self.aperture_min_mm:g} must be below "
+                f"aperture_open_mm {self.aperture_open_mm:g}"
+            )
+        if self.contact_force_n > self.ramp_force_max_n:
+            raise ValueError(
+                f"contact_force_n {self.contact_force_n:g} must be at most "
+                f"{self.ramp_force_max_n:.2f}, what a ramp may reach under "
+                f"force_max_n {self.force_max_n:g}"
+            )
+        return self
+
+
+def gripper_settings(config: GripperConfig, *, overruns_max: int) -> GripperSettings:
+    """Return limits and tuning of a gripper in SI.
+
+    Parameters
+    ----------
+    config
+        The gripper's section.
+    overruns_max
+        Periods in a row whose work took too long that end a command.
+
+    Raises
+    ------
+    gripper.errors.LimitExceeded
+        If values do not fit each other.
+    """
+    return GripperSettings(
+        servos=tuple(
+            ServoSettings(
+                servo_id=servo.id,
+                model=servo.model,
+                direction=servo.direction,
+                zero_raw=servo.zero_pulse,
+            )
+            for servo in config.servos
+        ),
+        watchdog_self_test=config.watchdog_self_test,
+        overruns_max=overruns_max,
+        over_force=OverForce(config.over_force.reaction),
+        corrected_registers=frozenset(config.servo_care.corrected_registers),
+        force_loop=ForceLoopSettings(**declared_values(config, ForceLoopSettings)),
+        **declared_values(config, GripperSettings),
+    )

@@ -1,0 +1,170 @@
+"""The configuration of a cell: one frozen, checked value.
+
+Lengths are in mm and angles in degrees here, because operators write this file; everything behind
+it is SI. Each field states unit, range and meaning in its description, which the JSON schema shows.
+An invalid `CellConfig` cannot exist.
+"""
+
+from typing import Annotated, Literal, Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from cell.config.gripper import GripperConfig, gripper_settings
+from cell.config.section import SIMULATED, OneOf, Section, setting_of
+from cell.config.sequence import SequenceConfig
+from cell.config.simulator import SimulatorConfig
+from cell.config.tactile import TactileConfig, layout_from_config, make_calibration
+from cell.errors import ConfigError
+from gripper.settings import GripperSettings
+from recognition.recognizers import DEFAULT_TRAINER, TRAINERS
+
+TAXELS_OF_SMALL_PART = 8
+"""Taxels of a pad that a small part presses: a cylinder of 6 x 20 mm on taxels of 3.4 x 5 mm."""
+
+
+class PositionerConfig(Section):
+    """Who changes position and rotation between two grasps."""
+
+    kind: Literal["simulated", "operator", "callback"] = "simulated"
+    """simulated: the simulated cell; operator: a person at the terminal; callback: the host."""
+    socket: str = Field(default="", max_length=200)
+    """Socket of a simulated cell in another process (`positioner_socket` of `simulate`)."""
+
+
+class RecognitionConfig(Section):
+    """How grasps become an answer."""
+
+    recognizer: Annotated[str, OneOf(tuple(TRAINERS))] = DEFAULT_TRAINER
+    """Recogniser that is taught."""
+    use_aperture: bool = True
+    """Whether the opening between the fingers is used beside the taxels."""
+    shape: bool = True
+    """Whether shape and size are fitted for each grasp of an identification."""
+    follow_drift: bool = True
+    """Whether the drift of the sensors is followed from one identification to the next; only
+    force_ramp can."""
+
+
+class RecordingConfig(Section):
+    """Where recordings, data sets and reports go."""
+
+    directory: str = Field(default="out", min_length=1, max_length=500)
+    """Folder of recordings, data sets and reports; made when missing."""
+    when_lost: Literal["finish", "hold"] = "finish"
+    """When the disk refuses the recording: finish the grasps without it, or hold (a fault)."""
+
+
+class LoopConfig(Section):
+    """How the force loop runs where the ports are real; what the system refuses is a note."""
+
+    own_process: bool = True
+    """Whether the loop has a process of its own, which recognition and files cannot hold up."""
+    priority: int = Field(default=50, ge=0, le=99)
+    """Real-time priority (SCHED_FIFO) of that process, 1 to 99; 0: scheduled as all others. The
+    simulated cell of `simulate` takes one less."""
+    lock_memory: bool = True
+    """Whether the memory of that process is locked, so that paging cannot hold it up."""
+    cpu: int | None = Field(default=None, ge=0, le=1023)
+    """Processor that the process is bound to; none: any."""
+    overruns_max: int = setting_of(GripperSettings, "overruns_max")
+    """Periods in a row whose work took too long after which the grip is frozen, 1 to 1000."""
+
+
+class CellConfig(Section):
+    """Everything that a cell needs to know. Without a file: the simulated cell."""
+
+    name: str = Field(default="simulated cell", min_length=1, max_length=80)
+    """Name of the cell, for reports."""
+    seed: int = Field(default=2008, ge=0, le=2**32 - 1)
+    """Seed of everything random: poses, noise of the simulated cell."""
+    host_timeout_s: float | None = Field(default=None, ge=0.05, le=3600.0)
+    """Longest silence of the host program during a job in s, 0.05 to 3600; none: any."""
+    gripper: GripperConfig = GripperConfig()
+    """Servos, linkage and limits."""
+    tactile: TactileConfig = TactileConfig()
+    """Control unit and CAN bus."""
+    sequence: SequenceConfig = SequenceConfig()
+    """Poses, forces and stop rule."""
+    positioner: PositionerConfig = PositionerConfig()
+    """Who moves the object or the gripper."""
+    recognition: RecognitionConfig = RecognitionConfig()
+    """Recogniser and what it may use."""
+    recording: RecordingConfig = RecordingConfig()
+    """Where results go."""
+    loop: LoopConfig = LoopConfig()
+    """Process of the force loop."""
+    simulator: SimulatorConfig = SimulatorConfig()
+    """The simulated cell."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        least_n, most_n = self.sequence.forces_n
+        allowed_n = self.gripper.ramp_force_max_n
+        if most_n > allowed_n:
+            raise ValueError(
+                f"sequence asks for {most_n:g} N, gripper.force_max_n is "
+                f"{self.gripper.force_max_n:g} N, which allows ramps up to {allowed_n:.2f} N; "
+                "lower the one or raise the other after a risk assessment"
+            )
+        if least_n < self.gripper.contact_force_n:
+            raise ValueError(
+                f"sequence asks for {least_n:g} N, gripper.contact_force_n is "
+                f"{self.gripper.contact_force_n:g} N: less could not hold a part"
+            )
+        self._check_full_scale(most_n)
+        simulated = (self.gripper.port == SIMULATED, self.tactile.interface == SIMULATED)
+        if simulated[0] != simulated[1]:
+            raise ValueError(
+                "gripper.port and tactile.interface must both be `simulated` or both be real: "
+                "one simulated object cannot be touched by a real gripper"
+            )
+        if self.simulator.faults and not simulated[0]:
+            raise ValueError(
+                "simulator.faults are for the simulated cell, and this one has real ports: "
+                "take them out"
+            )
+        if self.sequence.decide_early and not (simulated[0] or self.loop.own_process):
+            raise ValueError(
+                "sequence.decide_early works out answers while the force loop runs, which needs "
+                "loop.own_process: in one process the loop would be late"
+            )
+        if not simulated[0] and self.tactile.channel == "":
+            raise ValueError("tactile.channel is empty; name the channel of the CAN interface")
+        if (
+            self.positioner.kind == "simulated"
+            and not simulated[0]
+            and self.positioner.socket == ""
+        ):
+            raise ValueError(
+                "positioner.kind is simulated but the cell is not: choose operator or callback, "
+                "or name the socket of a simulated cell in another process"
+            )
+        return self
+
+    def _check_full_scale(self, most_n: float) -> None:
+        """Refuse a calibration under which the ramp's end is beyond what a few taxels measure."""
+        try:
+            layout = layout_from_config(self.tactile)
+        except ConfigError as error:
+            raise ValueError(str(error)) from error
+        law = make_calibration(self.tactile, layout)
+        full_n = float(law.force_n(np.array([float(layout.adc_max)]))[0])
+        if most_n > TAXELS_OF_SMALL_PART * full_n:
+            raise ValueError(
+                f"sequence asks for {most_n:g} N, but under tactile.calibration a taxel is "
+                f"saturated at {full_n:.3g} N: a small part presses about "
+                f"{TAXELS_OF_SMALL_PART} taxels of a pad, which measure up to "
+                f"{TAXELS_OF_SMALL_PART * full_n:.3g} N; ask for less force or correct the "
+                "calibration"
+            )
+
+    @property
+    def simulated(self) -> bool:
+        """Whether the built-in simulated cell is meant."""
+        return self.gripper.port == SIMULATED
+
+    @property
+    def gripper_settings(self) -> GripperSettings:
+        """Limits and tuning of the gripper in SI; raises gripper.errors.LimitExceeded."""
+        return gripper_settings(self.gripper, overruns_max=self.loop.overruns_max)

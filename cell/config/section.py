@@ -1,0 +1,117 @@
+"""What all sections of the config have in common, and settings that are declared elsewhere."""
+
+from dataclasses import dataclass, fields
+from math import inf
+from typing import Any
+
+from pydantic import BaseModel, ConfigDict, Field
+from pydantic_core import CoreSchema, core_schema
+
+SIMULATED = "simulated"
+"""Port or interface name that wires in the simulated cell; nothing else ever does."""
+MILLI = 1e-3
+"""SI units in one unit of the config, for mm, mm/s and ms."""
+
+
+class Section(BaseModel):
+    """A part of the config: strict, frozen, finite numbers, no unknown keys."""
+
+    model_config = ConfigDict(
+        strict=True,
+        extra="forbid",
+        frozen=True,
+        allow_inf_nan=False,
+        use_attribute_docstrings=True,
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Declared:
+    """The link from a key of the config to the setting that declares its default and range.
+
+    Attributes
+    ----------
+    owner
+        Dataclass with the setting.
+    name
+        Field of the owner.
+    unit
+        SI units in one unit of the key.
+    """
+
+    owner: type
+    name: str
+    unit: float
+
+
+def setting_of(
+    owner: type,
+    name: str,
+    unit: float = 1.0,
+    *,
+    at_least: float = -inf,
+    at_most: float = inf,
+    number: type[int | float] | None = None,
+) -> Any:
+    """Return a key with default and range of a setting, in a unit of the config.
+
+    Parameters
+    ----------
+    owner
+        Dataclass whose field ``name`` has the metadata ``low``, ``above`` and ``high``.
+    name
+        The field.
+    unit
+        SI units in one unit of the key: `MILLI` for mm and ms.
+    at_least, at_most
+        Narrower bounds in the key's unit.
+    number
+        Type of the key where it is not that of the setting: int for whole ms.
+    """
+    found = next(one for one in fields(owner) if one.name == name)
+    default: Any = found.default
+    kind = number or type(default)
+
+    def shown(value: float) -> Any:
+        return kind(float(f"{value:.12g}"))
+
+    low = max(found.metadata["low"] / unit, at_least)
+    above = found.metadata["above"] / unit
+    high = min(found.metadata["high"] / unit, at_most)
+    key = Field(
+        default=shown(default / unit),
+        ge=None if low == -inf else shown(low),
+        gt=None if above == -inf else shown(above),
+        le=None if high == inf else shown(high),
+    )
+    key.metadata.append(Declared(owner=owner, name=name, unit=unit))
+    return key
+
+
+def declared_values(section: BaseModel, owner: type) -> dict[str, Any]:
+    """Return what a section and those in it say of an owner's settings, in SI, by field name."""
+    values: dict[str, Any] = {}
+    for name, key in type(section).model_fields.items():
+        value = getattr(section, name)
+        if isinstance(value, BaseModel):
+            values |= declared_values(value, owner)
+        for link in key.metadata:
+            if isinstance(link, Declared) and link.owner is owner:
+                values[link.name] = value if link.unit == 1.0 else value * link.unit
+    return values
+
+
+@dataclass(frozen=True, slots=True)
+class OneOf:
+    """Annotation of a text that is one of the names in a table, as ``Annotated[str, OneOf(...)]``.
+
+    Attributes
+    ----------
+    names
+        The names, in the order of the table.
+    """
+
+    names: tuple[str, ...]
+
+    def __get_pydantic_core_schema__(self, _source: object, _handler: object) -> CoreSchema:
+        return core_schema.literal_schema(list(self.names))

@@ -1,0 +1,122 @@
+"""Config of a sequence: force ramps, poses, stop rule."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import Field, model_validator
+
+from cell.config.section import Section
+
+Range = tuple[float, float]
+
+
+def _check_range(name: str, value: Range, low: float, high: float) -> None:
+    if not low <= value[0] <= value[1] <= high:
+        raise ValueError(
+            f"{name} is [{value[0]:g}, {value[1]:g}]; write [low, high] "
+            f"with {low:g} <= low <= high <= {high:g}"
+        )
+
+
+class LinearRampConfig(Section):
+    """Force grows evenly to its end, then is held."""
+
+    kind: Literal["linear"] = "linear"
+    """Shape of the force ramp."""
+    rate_n_s: float = Field(default=5.0, gt=0.0, le=50.0)
+    """Growth of the force in N/s, up to 50."""
+    hold_s: float = Field(default=0.3, ge=0.0, le=60.0)
+    """Time at the final force in s, up to 60."""
+
+
+class StaircaseRampConfig(Section):
+    """Force grows in equal steps, each held."""
+
+    kind: Literal["staircase"]
+    """Shape of the force ramp."""
+    n_levels: int = Field(default=4, ge=1, le=20)
+    """Number of equal steps up to the final force, 1 to 20."""
+    rate_n_s: float = Field(default=10.0, gt=0.0, le=50.0)
+    """Growth of the force between the levels in N/s, up to 50."""
+    hold_s: float = Field(default=0.2, ge=0.0, le=60.0)
+    """Time at each level in s, up to 60."""
+
+
+class SCurveRampConfig(Section):
+    """Force grows with a smooth start and end, then is held."""
+
+    kind: Literal["s_curve"]
+    """Shape of the force ramp."""
+    duration_s: float = Field(default=1.0, gt=0.05, le=60.0)
+    """Time from contact to the final force in s, 0.05 to 60."""
+    hold_s: float = Field(default=0.3, ge=0.0, le=60.0)
+    """Time at the final force in s, up to 60."""
+
+
+class ListedPoseConfig(Section):
+    """One grasp of a listed sequence."""
+
+    x_mm: float = Field(default=0.0, ge=-100.0, le=100.0)
+    """Offset along the fingers in mm, -100 to 100."""
+    y_mm: float = Field(default=0.0, ge=-100.0, le=100.0)
+    """Offset across the fingers in mm, -100 to 100."""
+    rotation_deg: float = Field(default=0.0, ge=-360.0, le=360.0)
+    """Turn about the approach axis in degrees, -360 to 360."""
+    roll_deg: float = Field(default=0.0, ge=-360.0, le=360.0)
+    """Turn about the object's own axis in degrees, -360 to 360."""
+    force_n: float = Field(default=4.0, gt=0.0, le=50.0)
+    """Force at the end of the ramp in N, up to 50."""
+
+
+class SequenceConfig(Section):
+    """Which poses and forces a sequence goes through, and when it stops."""
+
+    kind: Literal["random", "grid", "list", "active"] = "random"
+    """random: drawn from the ranges; grid: evenly spread over them; list: the listed poses;
+    active: of several drawn ones that which is expected to tell most (teaching draws at random; a
+    model file needs `train --poses`)."""
+    x_mm: Range = (-2.0, 2.0)
+    """Range of the offset along the fingers in mm, within -100 to 100."""
+    y_mm: Range = (-2.0, 2.0)
+    """Range of the offset across the fingers in mm, within -100 to 100."""
+    rotation_deg: Range = (0.0, 360.0)
+    """Range of the turn about the approach axis in degrees, within -360 to 360."""
+    roll_deg: Range = (0.0, 360.0)
+    """Range of the turn about the object's own axis in degrees, within -360 to 360."""
+    force_n: Range = (2.0, 8.0)
+    """Range of the force at the end of the ramp in N, within 0.5 to 50."""
+    grid_points: int = Field(default=3, ge=1, le=20)
+    """Values on each open axis of a grid, 1 to 20."""
+    poses: tuple[ListedPoseConfig, ...] = Field(default=(), max_length=10000)
+    """Poses of a list, in order."""
+    candidates: int = Field(default=24, ge=2, le=1000)
+    """Poses and forces that an active sequence weighs before each grasp, 2 to 1000."""
+    ramp: Annotated[
+        LinearRampConfig | StaircaseRampConfig | SCurveRampConfig, Field(discriminator="kind")
+    ] = LinearRampConfig()
+    """How the force grows."""
+    max_grasps: int = Field(default=4, ge=1, le=100)
+    """Most grasps of one identification, 1 to 100."""
+    error_rate: float = Field(default=0.02, gt=0.0, lt=0.5)
+    """Wanted rate of wrong answers at which a sequence stops early, 0 to 0.5."""
+    decide_early: bool = False
+    """Whether a force ramp ends as soon as what was felt until then is sure enough; a model file
+    needs `train --early`."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        _check_range("x_mm", self.x_mm, -100.0, 100.0)
+        _check_range("y_mm", self.y_mm, -100.0, 100.0)
+        _check_range("rotation_deg", self.rotation_deg, -360.0, 360.0)
+        _check_range("roll_deg", self.roll_deg, -360.0, 360.0)
+        _check_range("force_n", self.force_n, 0.5, 50.0)
+        if self.kind == "list" and not self.poses:
+            raise ValueError("a sequence of kind list needs at least one entry in poses")
+        return self
+
+    @property
+    def forces_n(self) -> Range:
+        """The smallest and the largest force that the sequence asks for in N."""
+        if self.kind == "list":
+            listed = [pose.force_n for pose in self.poses]
+            return min(listed), max(listed)
+        return self.force_n

@@ -1,0 +1,74 @@
+"""Config of the simulated cell: objects, noise, faults."""
+
+from typing import Annotated, Literal, Self
+
+from pydantic import AfterValidator, Field, model_validator
+
+from cell.config.section import Section
+from recognition.recognizer import UNKNOWN
+
+# What may be the name of an object: looked at before anything is grasped under it.
+
+LONGEST_LABEL = 200
+"""Characters of a label that a data set holds."""
+
+
+def checked_label(label: str) -> str:
+    """Return a label that data sets, models and answers can carry.
+
+    Raises
+    ------
+    ValueError
+        If it is blank, too long, not printable, has space around it, or is the word for what is
+        not known.
+    """
+    if not label.strip() or label != label.strip():
+        raise ValueError(f"label {label!r:.60} is blank or has space around it; write a name")
+    if len(label) > LONGEST_LABEL:
+        raise ValueError(f"a label of {len(label)} characters; at most {LONGEST_LABEL} are kept")
+    if not label.isprintable():
+        raise ValueError(f"label {label!a:.60} holds characters that cannot be printed")
+    if label == UNKNOWN:
+        raise ValueError(f"{UNKNOWN} is the answer for what was not taught; choose another label")
+    return label
+
+
+class SimulatedObjectConfig(Section):
+    """One object of the simulated cell."""
+
+    label: Annotated[str, AfterValidator(checked_label)] = Field(min_length=1, max_length=60)
+    """Name of the object."""
+    shape: str = Field(min_length=1, max_length=500)
+    """Shape as text, as `cylinder:diameter=6mm,length=20mm` or `mesh:file=part.stl`."""
+
+
+class SimulatorConfig(Section):
+    """The simulated cell; read only where a port is `simulated`, or by `simulate`."""
+
+    objects: tuple[SimulatedObjectConfig, ...] = Field(
+        default=(
+            SimulatedObjectConfig(label="oval", shape="ellipsoid:length=14mm,diameter=11.7mm"),
+            SimulatedObjectConfig(label="cylinder", shape="cylinder:diameter=6mm,length=20mm"),
+            SimulatedObjectConfig(label="box", shape="box:length=15.9mm,width=10mm,height=10mm"),
+            SimulatedObjectConfig(label="ball", shape="sphere:diameter=9.5mm"),
+            SimulatedObjectConfig(label="dumbbell", shape="dumbbell:length=13mm,diameter=10mm"),
+        ),
+        min_length=1,
+        max_length=1000,
+    )
+    """Objects that can be grasped; the default are the five of the paper."""
+    noise: Literal["clipped_normal", "symmetric", "uniform", "none"] = "clipped_normal"
+    """Noise of each taxel and frame; the paper's is a normal value clipped to 1 to 20 of 255."""
+    noise_level: float = Field(default=1.0, ge=0.0, le=4.0)
+    """Factor on the noise, 0 to 4; 1 is the paper's."""
+    faults: tuple[Annotated[str, Field(min_length=1, max_length=200)], ...] = Field(
+        default=(), max_length=100
+    )
+    """Faults to inject, as `can.loss=0.05@2s`; `tactile-cell simulate --list-faults` lists all."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        labels = [entry.label for entry in self.objects]
+        if len(set(labels)) != len(labels):
+            raise ValueError(f"object labels {labels} repeat; give each object its own label")
+        return self

@@ -1,0 +1,217 @@
+"""Config of the tactile sensor: pads, calibration, control unit, CAN bus."""
+
+from typing import Annotated, Literal, get_args
+
+import numpy as np
+from pydantic import Discriminator, Field, Tag
+
+from cell.config.section import MILLI, SIMULATED, OneOf, Section, declared_values, setting_of
+from cell.errors import ConfigError
+from recognition.grasp import PadArray
+from tactile.errors import LayoutError
+from tactile.layout import LAYOUTS, Face, Pad, TaxelLayout
+from tactile.sensor.calibration import Calibration, FoamCalibration, LinearCalibration
+from tactile.unit.settings import ExpectedIdentity, LinkSettings
+
+
+class PadConfig(Section):
+    """One pad of taxels on a finger."""
+
+    finger: Literal[0, 1]
+    """Finger that carries the pad."""
+    face: Annotated[Face, OneOf(get_args(Face))]
+    """Face of the finger; the two inner pads grip."""
+    rows: int = Field(ge=1, le=64)
+    """Taxels along the finger, 1 to 64."""
+    columns: int = Field(ge=1, le=64)
+    """Taxels across the finger, 1 to 64."""
+    pitch_x_mm: float = Field(gt=0.1, le=50.0)
+    """Distance between rows in mm, 0.1 to 50."""
+    pitch_y_mm: float = Field(gt=0.1, le=50.0)
+    """Distance between columns in mm, 0.1 to 50."""
+
+
+class PadsConfig(Section):
+    """A layout of one's own."""
+
+    name: str = Field(min_length=1, max_length=40)
+    """Name of the layout."""
+    pads: tuple[PadConfig, ...] = Field(min_length=2, max_length=32)
+    """Pads in the order in which the control unit sends them."""
+    adc_max: int = Field(ge=1, le=65535)
+    """Full scale of the counts, 1 to 65535; above 255 samples are sent as 16 bit."""
+
+
+class PaperCalibrationConfig(Section):
+    """Resistive foam after equation (11): R = 1.579 exp(-0.449 F) MOhm."""
+
+    kind: Literal["paper"] = "paper"
+    """Law from counts to force."""
+    gain: float = Field(default=1.0, ge=0.1, le=10.0)
+    """Factor on the force of each taxel, 0.1 to 10; found with a gauge object."""
+
+
+class LinearCalibrationConfig(Section):
+    """Force proportional to counts."""
+
+    kind: Literal["linear"]
+    """Law from counts to force."""
+    force_per_count_n: float = Field(gt=0.0, le=1.0)
+    """Force of one count on one taxel in N, up to 1."""
+
+
+def _name_or_pads(value: object) -> str:
+    """Return which kind of layout a value means: a name, or pads of one's own."""
+    return "name" if isinstance(value, str) else "pads"
+
+
+BoardSerial = Annotated[int, Field(ge=0, le=4294967295)]
+
+
+class TactileConfig(Section):
+    """The tactile control unit and its CAN bus."""
+
+    interface: str = Field(default=SIMULATED, min_length=1)
+    """python-can interface (socketcan, slcan, pcan, ...); `simulated` is the built-in one."""
+    channel: str = Field(default="", max_length=200)
+    """Channel of the interface, as can0 or /dev/ttyACM0; empty for `simulated`."""
+    bitrate: Literal[125000, 250000, 500000, 800000, 1000000] = 1000000
+    """Bit rate of the CAN bus in bit/s."""
+    node_id: int = Field(default=5, ge=1, le=127)
+    """CANopen node id of the control unit, 1 to 127."""
+    serial_number: int | None = Field(default=None, ge=0, le=4294967295)
+    """Serial number (object 1018h:4) that the unit must have; none: any."""
+    layout: Annotated[
+        Annotated[str, OneOf(tuple(LAYOUTS)), Tag("name")] | Annotated[PadsConfig, Tag("pads")],
+        Discriminator(_name_or_pads),
+    ] = "paper"
+    """paper: 408 taxels, ten pads; pinch: two pads of 13 x 6, 12 bit; or pads of one's own."""
+    calibration: Annotated[
+        PaperCalibrationConfig | LinearCalibrationConfig, Field(discriminator="kind")
+    ] = PaperCalibrationConfig()
+    """From counts to force."""
+    sync_period_ms: float = setting_of(LinkSettings, "sync_period_s", MILLI, at_least=8.0)
+    """Time between two tactile frames in ms, 8 to 1000."""
+    heartbeat_ms: int = setting_of(
+        LinkSettings, "heartbeat_s", MILLI, at_least=10, at_most=5000, number=int
+    )
+    """Heartbeat period of the control unit in ms, 10 to 5000."""
+    startup_timeout_s: float = setting_of(LinkSettings, "startup_timeout_s", at_most=60.0)
+    """Longest time to wait for the control unit at the start in s, up to 60."""
+    tare_frames: int = Field(default=100, ge=8, le=1000)
+    """Frames averaged for the zero of each taxel, 8 to 1000; nothing may touch the pads."""
+    board_serial_numbers: tuple[BoardSerial, BoardSerial] | None = None
+    """Serial numbers (object 2103h) of the pads' boards on finger 0 and 1; none: any. With them
+    pads that were exchanged are refused at the start."""
+    loss_max_share: float = setting_of(LinkSettings, "max_loss_rate", at_most=0.5)
+    """Share of the last 50 frames that may be lost before the grip is held, 0 to 0.5."""
+    foreign_max_hz: float = setting_of(LinkSettings, "max_foreign_hz")
+    """Messages of other nodes that may come every second; more are taken for a flood."""
+    bad_taxels_max_share: float = Field(default=0.05, ge=0.0, le=0.5)
+    """Share of a pad's taxels that may be dead or stuck; they are masked, 0 to 0.5."""
+    drift_max_share: float = Field(default=0.01, gt=0.0, le=0.2)
+    """Share of the full scale by which a pad's zero may drift before a new one is needed."""
+
+
+def link_settings(config: TactileConfig, *, threaded: bool = True) -> LinkSettings:
+    """Return the settings of the link to the control unit in SI.
+
+    Parameters
+    ----------
+    config
+        The sensor's section.
+    threaded
+        Whether a thread receives from the bus: True in real time.
+    """
+    return LinkSettings(
+        identity=ExpectedIdentity(serial=config.serial_number, boards=config.board_serial_numbers),
+        threaded=threaded,
+        **declared_values(config, LinkSettings),
+    )
+
+
+def layout_from_config(config: TactileConfig) -> TaxelLayout:
+    """Return the layout that a config names or spells out.
+
+    Raises
+    ------
+    ConfigError
+        If pads of one's own do not make a layout (one inner pad for each finger).
+    """
+    if isinstance(config.layout, str):
+        return LAYOUTS[config.layout]()
+    spelled = config.layout
+    try:
+        return TaxelLayout(
+            name=spelled.name,
+            pads=tuple(
+                Pad(
+                    name=f"finger{pad.finger}.{pad.face}.{number}",
+                    finger=pad.finger,
+                    face=pad.face,
+                    rows=pad.rows,
+                    columns=pad.columns,
+                    pitch_x_m=pad.pitch_x_mm * 1e-3,
+                    pitch_y_m=pad.pitch_y_mm * 1e-3,
+                )
+                for number, pad in enumerate(spelled.pads)
+            ),
+            sample_bits=8 if spelled.adc_max <= 255 else 16,
+            adc_max=spelled.adc_max,
+        )
+    except LayoutError as error:
+        raise ConfigError(f"tactile.layout: {error}") from error
+
+
+def make_calibration(config: TactileConfig, layout: TaxelLayout) -> Calibration:
+    """Return the law from counts to force of a config on a layout."""
+    law = config.calibration
+    if isinstance(law, PaperCalibrationConfig):
+        return FoamCalibration(adc_max=layout.adc_max, gain=law.gain)
+    return LinearCalibration(adc_max=layout.adc_max, force_per_count_n=law.force_per_count_n)
+
+
+def layout_from_pads(pads: PadArray) -> TaxelLayout:
+    """Return a layout that carries recorded frames of these pads.
+
+    Half of the pads are taken for each finger, in order; the first of each half grips.
+
+    Raises
+    ------
+    ConfigError
+        If there are not two equal halves.
+    """
+    if pads.n_pads < 2 or pads.n_pads % 2:
+        raise ConfigError(
+            f"the recorded grasps have {pads.n_pads} pads; two fingers need an even number"
+        )
+    half = pads.n_pads // 2
+    faces = get_args(Face)
+    made = []
+    for index, (rows, columns) in enumerate(pads.pad_shape.tolist()):
+        finger, place = divmod(index, half)
+        xy_m = pads.taxel_xy_m[pads.taxels_of(index)]
+        made.append(
+            Pad(
+                name=f"finger{finger}.pad{place}",
+                finger=finger,
+                face=faces[min(place, len(faces) - 1)],
+                rows=rows,
+                columns=columns,
+                pitch_x_m=_pitch_m(xy_m[::columns, 0]),
+                pitch_y_m=_pitch_m(xy_m[:columns, 1]),
+            )
+        )
+    return TaxelLayout(
+        name="recorded",
+        pads=tuple(made),
+        sample_bits=8 if pads.adc_max <= 255 else 16,
+        adc_max=pads.adc_max,
+    )
+
+
+def _pitch_m(coordinates_m: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
+    """Return the mean distance of neighbours in m; 1 mm where there is but one taxel."""
+    if len(coordinates_m) < 2:
+        return 1e-3
+    return max(float(np.abs(np.diff(coordinates_m)).mean()), 1e-4)

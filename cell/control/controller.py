@@ -1,0 +1,430 @@
+"""The controller of a cell: runs grasp-then-classify sequences, latches faults, shuts down."""
+
+import time
+from collections.abc import Callable, Iterator, Sequence
+
+from cell.config.sequence import SequenceConfig
+from cell.control.grasping import NOTHING_HELD, Grasper
+from cell.control.identification import (
+    Identification,
+    OnGrasp,
+    ReadShape,
+    StepChooser,
+    grasp_and_classify,
+)
+from cell.control.journal import Journal
+from cell.control.lifecycle import ON_REQUEST, CellLifecycle
+from cell.control.plan import GraspStep
+from cell.control.positioner import Positioner
+from cell.control.records import GraspRecord
+from cell.control.states import CellState, CellStatus, Command, Event, GraspState
+from cell.data.recorder import Recorder
+from cell.errors import CellStateError, CellStopped, NoPartFound, PartInGrip, PlanRefused
+from cell.hand.interface import Hand
+from cell.hand.local import LocalHand
+from gripper.gripper import Gripper
+from gripper.state import Clock, GripperPhase
+from recognition.grasp import PadArray
+from recognition.recognizer import Recognizer
+from recognition.recognizers.early_classifiers import EarlyClassifiers, EarlyDecider
+from tactile.sensor.sensor import TactileSensor
+
+MISSES_IN_A_ROW = 3
+"""Grasps of a known object that find no part after which it is taken for absent."""
+
+
+class CellView:
+    """Read-only view of a cell, from any thread: states, fault, and the hand for its statistics.
+
+    Parameters
+    ----------
+    hand, life
+        Of the cell.
+    """
+
+    def __init__(self, hand: Hand, life: CellLifecycle) -> None:
+        self._hand = hand
+        self._life = life
+
+    @property
+    def state(self) -> CellState:
+        """The present state."""
+        return self._life.state
+
+    @property
+    def grasp_state(self) -> GraspState:
+        """The state of the grip, beside that of the cell."""
+        return self._life.grasp_state
+
+    @property
+    def fault(self) -> str | None:
+        """The latched fault as text; None where there is none."""
+        return self._life.fault
+
+    @property
+    def holding(self) -> bool:
+        """Whether a part may be in the grip."""
+        return self._life.holding
+
+    @property
+    def status(self) -> CellStatus:
+        """States of cell and grip with their numbers."""
+        return CellStatus(
+            state=self.state.value,
+            state_number=self.state.number,
+            grasp=self.grasp_state.value,
+            grasp_number=self.grasp_state.number,
+            holding=self.holding,
+            fault=self.fault,
+        )
+
+    @property
+    def hand(self) -> Hand:
+        """Gripper and sensor, for statistics; commands go through the controller."""
+        return self._hand
+
+    @property
+    def gripper(self) -> Gripper:
+        """The gripper, as `local_hand`."""
+        return self.local_hand.gripper
+
+    @property
+    def sensor(self) -> TactileSensor:
+        """The tactile sensor, as `local_hand`."""
+        return self.local_hand.sensor
+
+    @property
+    def local_hand(self) -> LocalHand:
+        """The hand of a cell whose loop runs in this process, for tests; else CellStateError."""
+        if not isinstance(self._hand, LocalHand):
+            raise CellStateError("the force loop runs in a process of its own; see `hand`")
+        return self._hand
+
+
+class CellController(CellView):
+    """One cell: gripper, tactile sensor and positioner, driven from one thread.
+
+    `cancel` may be called from any thread; everything else belongs to the thread that runs the
+    sequences. A fault keeps the grip, latches, and needs `clear` and `reset`, two acts of a person
+    or host. The part is let go by `release` and `release_held`, and at the end of each grasp of a
+    sequence, whose purpose that is; never by a fault, by `cancel` or by `shutdown`.
+    """
+
+    def __init__(
+        self,
+        *,
+        hand: Hand,
+        positioner: Positioner,
+        sequence: SequenceConfig,
+        tare_frames: int,
+        clock: Clock,
+        recorder: Recorder | None = None,
+        wall_ms: Callable[[], int] = lambda: time.time_ns() // 1_000_000,
+    ) -> None:
+        self._positioner = positioner
+        self._sequence = sequence
+        self._tare_frames = tare_frames
+        self._journal = Journal(recorder)
+        life = CellLifecycle(
+            hand,
+            note=self._journal.note,
+            close_sensor=hand.close_sensor,
+            changed=self._record_state,
+        )
+        super().__init__(hand, life)
+        self._grasper = Grasper(
+            hand,
+            positioner,
+            life=self._life,
+            journal=self._journal,
+            sequence=sequence,
+            clock=clock,
+            wall_ms=wall_ms,
+        )
+        self.pads: PadArray = self._grasper.pads
+
+    # -- commands ------------------------------------------------------------------------------
+
+    def check(self, command: Command) -> None:
+        """Raise CellStateError if a command is not allowed in the present state."""
+        self._life.check(command)
+
+    def start(self) -> None:
+        """Verify servos and control unit, open the fingers, take the zero of the taxels.
+
+        Raises
+        ------
+        CellStateError
+            If the cell is not stopped; PartInGrip, if a part may be in the grip.
+        CellStopped
+            If it was cancelled. The cell is stopped again.
+        gripper.errors.GripperError, tactile.errors.TactileError
+            If a device is missing, differs from the config, or is touched while it is zeroed.
+        """
+        self._life.go(Event.START)
+        with self._life.latching_faults():
+            self._hand.start()
+            self._hand.start_sensor()
+            if self._hand.phase is GripperPhase.HELD_AFTER_FAULT:
+                raise PartInGrip(
+                    "the servos hold torque from an earlier run, a part may be in the grip; "
+                    "nothing was moved. Clear the fault and release the part on purpose, then "
+                    "start again"
+                )
+            self._hand.open(self._grasper.watch)
+            self._hand.tare(self._tare_frames)
+            self._life.check_cancelled()
+            self._life.complete()
+
+    def clear(self, *, reboot: bool = False) -> None:
+        """Acknowledge the fault. The grip stays as it is.
+
+        Parameters
+        ----------
+        reboot
+            True to restart servos that report a hardware error, the only way on after one of them
+            has switched its torque off. A part that such a servo still held would drop.
+
+        Raises
+        ------
+        gripper.errors.GripperError
+            If a servo does not answer or is still at fault; the fault stays latched.
+        """
+        self._life.clear(reboot=reboot)
+
+    def reset(self) -> None:
+        """Leave the cleared fault behind; the next `start` verifies everything anew."""
+        self._life.go(Event.RESET)
+        self._hand.close_sensor()
+
+    def cancel(self, reason: str = ON_REQUEST) -> None:
+        """Stop the running sequence, or else the next one, and keep the grip.
+
+        Safe from any thread. It counts until it was obeyed: one that comes between two parts of a
+        job is not lost. The ``reason`` stands in its message.
+        """
+        self._life.stop_reason = reason
+        self._life.cancelled = True
+        self._hand.request_stop()
+
+    def forget_cancel(self) -> None:
+        """Withdraw a `cancel` that nothing has obeyed: what it was meant for is over."""
+        self._life.cancelled = False
+
+    def release(self) -> None:
+        """Let the part go: the only way to open the fingers of a started cell.
+
+        Raises
+        ------
+        CellStateError
+            If the cell is not started, or a fault is latched.
+        CellStopped
+            If it was cancelled on the way; the fingers stand still, the message names the opening.
+        """
+        self._life.go(Event.RELEASE)
+        self._life.cancelled = False
+        self._journal.note("release", "on request")
+        with self._life.latching_faults():
+            self._hand.release(self._grasper.watch)
+            self._life.result = None
+            self._life.complete()
+
+    def release_held(self) -> None:
+        """Let go of a part that an earlier run or a cleared fault has left in the grip.
+
+        For a cell that is not started; the control unit is not needed for it.
+
+        Raises
+        ------
+        CellStateError
+            If the cell is started, then `release` is the command; or a fault is latched.
+        CellStopped
+            If it was cancelled on the way; the fingers stand still, the message names the opening.
+        gripper.errors.GripperError
+            If the servos do not answer.
+        """
+        self._life.go(Event.RELEASE_HELD)
+        self._life.cancelled = False
+        self._hand.close_sensor()
+        self._journal.note("release", "on request, before the start")
+        with self._life.latching_faults():
+            self._hand.start()
+            self._hand.release()
+            self._life.complete()
+
+    def tick(self) -> None:
+        """Keep both links alive and supervised while no sequence runs; call once a period."""
+        if self._life.state in (CellState.IDLE, CellState.HELD):
+            with self._life.latching_faults():
+                self._hand.tick()
+
+    def shutdown(self) -> None:
+        """Leave the devices in a defined state: a held part stays held, a fault latched.
+
+        Raises
+        ------
+        CellStateError
+            While a command runs: cancel it first.
+        """
+        self.check(Command.SHUTDOWN)
+        stopping = self._life.allows(Event.STOP)
+        if stopping:
+            self._life.go(Event.STOP)
+        try:
+            found = self._hand.shutdown()
+            if found:
+                self._journal.note("fault", found)
+        finally:
+            self._journal.loop(self._hand.statistics)
+            if stopping:
+                self._life.complete()
+
+    # -- sequences -----------------------------------------------------------------------------
+
+    def present(self, label: str | None) -> None:
+        """Have the positioner bring an object; None: the one to be identified.
+
+        Raises
+        ------
+        CellStopped
+            If it was cancelled while somebody was asked to bring it.
+        """
+
+        def supervise() -> None:
+            self._check_cancelled_between()
+            self.tick()
+
+        self._grasper.patiently(lambda: self._positioner.present(label), supervise)
+
+    def grasp(
+        self, step: GraspStep, looks: EarlyDecider | None = None, *, label: str = ""
+    ) -> GraspRecord:
+        """Run one grasp: pose, approach, contact, ramp, hold, release.
+
+        With ``looks`` the ramp ends as soon as they decide.
+
+        Raises
+        ------
+        NoPartFound
+            If the fingers closed to their limit and touched nothing, did not get through, or lost
+            the part while they pressed. The fingers are open again, and nothing is classified.
+        CellStopped
+            If it was cancelled. The grip is kept.
+        PlanRefused, gripper.errors.LimitExceeded
+            If the step cannot be carried out; nothing has moved, and no fault is latched.
+        """
+        self._check_cancelled_between()
+        self._grasper.check(step, label)
+        self._life.go(Event.EXECUTE)
+        try:
+            with self._life.latching_faults():
+                record = self._grasper.grasp(step, label, looks)
+                self._life.complete()
+        finally:
+            self._journal.loop(self._hand.statistics)
+        missing = NOTHING_HELD.get(record.outcome.result)
+        if missing is not None:
+            raise NoPartFound(
+                f"{missing} at pose {step.pose}, at an opening of "
+                f"{record.outcome.final_aperture_m * 1e3:.1f} mm; is the object in place?"
+            )
+        return record
+
+    def collect(
+        self,
+        label: str,
+        plan: Sequence[GraspStep],
+        *,
+        on_missed: Callable[[NoPartFound], None] | None = None,
+    ) -> Iterator[GraspRecord]:
+        """Grasp a known object once for each step of the plan, yielding each record.
+
+        With ``on_missed`` a grasp that finds no part is handed to it, and the next step follows.
+
+        Raises
+        ------
+        PlanRefused, gripper.errors.LimitExceeded
+            At once, if the plan is empty or one of its steps cannot be carried out.
+        NoPartFound
+            If a grasp finds no part; with ``on_missed`` only if `MISSES_IN_A_ROW` of them do.
+        """
+        steps = self._checked(plan, label)
+
+        def grasps() -> Iterator[GraspRecord]:
+            self.present(label)
+            misses = 0
+            for step in steps:
+                try:
+                    record = self.grasp(step, label=label)
+                except NoPartFound as error:
+                    misses += 1
+                    if on_missed is None or misses == MISSES_IN_A_ROW:
+                        raise
+                    on_missed(error)
+                else:
+                    misses = 0
+                    yield record
+
+        return grasps()
+
+    def identify(
+        self,
+        recognizer: Recognizer,
+        plan: Sequence[GraspStep],
+        *,
+        early: EarlyClassifiers | None = None,
+        chooser: StepChooser | None = None,
+        read_shape: ReadShape | None = None,
+        on_grasp: OnGrasp | None = None,
+    ) -> Identification:
+        """Grasp and classify until the stop rule is satisfied or the plan is at its end.
+
+        With ``early`` a ramp ends as soon as it satisfies the stop rule together with the grasps
+        before it. With a ``chooser`` each step of the plan is a proposal that it may replace. With
+        ``read_shape`` the answer has shape and size too.
+
+        Raises
+        ------
+        NoPartFound, CellStopped
+            As `grasp`.
+        PlanRefused, gripper.errors.LimitExceeded
+            If the plan is empty or one of its steps cannot be carried out; nothing has moved.
+        """
+        steps = self._checked(plan)
+        result = grasp_and_classify(
+            self.grasp,
+            recognizer,
+            steps,
+            error_rate=self._sequence.error_rate,
+            early=early,
+            chooser=chooser,
+            read_shape=read_shape,
+            on_grasp=on_grasp,
+        )
+        self._journal.result(result)
+        return result
+
+    def remark(self, kind: str, text: str) -> None:
+        """Write a message for the operator into the recording."""
+        self._journal.note(kind, text)
+
+    # -- inside --------------------------------------------------------------------------------
+
+    def _checked(self, plan: Sequence[GraspStep], label: str = "") -> tuple[GraspStep, ...]:
+        """Return the steps of a plan. Raises where one of them, or the plan, is refused."""
+        steps = tuple(plan)
+        if not steps:
+            raise PlanRefused("the plan is empty; give at least one step")
+        for step in steps:
+            self._grasper.check(step, label)
+        return steps
+
+    def _check_cancelled_between(self) -> None:
+        if self._life.cancelled and self._life.state is CellState.IDLE:
+            self._life.cancelled = False
+            raise CellStopped(
+                f"stopped {self._life.stop_reason} between two grasps; the fingers are open"
+            )
+
+    def _record_state(self) -> None:
+        self._journal.states(self._life.state, self._life.grasp_state)

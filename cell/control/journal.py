@@ -1,0 +1,122 @@
+"""The journal of a cell: what goes into its recording, where one is made."""
+
+from collections.abc import Sequence
+
+from cell.control.identification import Identification
+from cell.control.plan import Pose
+from cell.control.states import CellState, GraspState
+from cell.data.recorder import Recorder
+from cell.hand.interface import HandStatistics
+from gripper.force.timing import Distribution, LoopStatistics
+from gripper.state import Cycle
+from recognition.grasp import Grasp
+from tactile.frames.codec import TactileFrame
+
+DISTRIBUTIONS = ("lateness", "transaction", "sensor_age")
+"""Durations of the force loop that are recorded with their quantiles."""
+
+
+def loop_values(statistics: LoopStatistics, *, undelivered: int = 0) -> dict[str, float]:
+    """Return counts, and p50, p99, p99.9 and maximum of each duration in s, under flat names."""
+    values: dict[str, float] = {
+        name: getattr(statistics, name)
+        for name in ("cycles", "overruns", "late", "missed_reads", "worst_lateness_s")
+    }
+    values["undelivered"] = undelivered
+    for name in DISTRIBUTIONS:
+        found: Distribution = getattr(statistics, name)
+        for quantile in ("p50_s", "p99_s", "p999_s", "max_s"):
+            values[f"{name}_{quantile}"] = getattr(found, quantile)
+    return values
+
+
+def loop_line(statistics: LoopStatistics, period_s: float) -> str:
+    """Return how punctual the force loop was, as one line for people."""
+    late, read = statistics.lateness, statistics.transaction
+    if not statistics.cycles:
+        return "force loop: no period was run"
+    return (
+        f"force loop: {statistics.cycles:,} periods of {period_s * 1e3:g} ms; late by "
+        f"p50 {_ms(late.p50_s)}, p99 {_ms(late.p99_s)}, p99.9 {_ms(late.p999_s)}, "
+        f"max {_ms(late.max_s)} ms; {statistics.overruns} overruns, {statistics.missed_reads} "
+        f"without feedback; reading the servos p50 {_ms(read.p50_s)}, p99 {_ms(read.p99_s)} ms; "
+        f"force up to {_ms(statistics.sensor_age.max_s)} ms old"
+    )
+
+
+def _ms(duration_s: float) -> str:
+    return f"{duration_s * 1e3:.3g}"
+
+
+class Journal:
+    """Writes events, states, periods, grasps and answers to a recorder, where there is one.
+
+    Parameters
+    ----------
+    recorder
+        The recording; None makes none.
+    """
+
+    def __init__(self, recorder: Recorder | None) -> None:
+        self._recorder = recorder
+        self._states: tuple[CellState, GraspState] | None = None
+
+    def note(self, kind: str, text: str) -> None:
+        """Record that something happened."""
+        if self._recorder is not None:
+            self._recorder.event(kind, text)
+
+    def states(self, state: CellState, grasp: GraspState) -> None:
+        """Record both states where one of them has changed."""
+        now = (state, grasp)
+        if self._recorder is not None and now != self._states:
+            self._recorder.state(*now)
+        self._states = now
+
+    def cycle(self, cycle: Cycle, frames: Sequence[TactileFrame] = ()) -> None:
+        """Record one period of the loop and the frames that came in it.
+
+        Raises
+        ------
+        RecordingError
+            If the recording has stopped and the config wants the cell to hold then.
+        """
+        if self._recorder is not None:
+            self._recorder.cycle(cycle)
+            for frame in frames:
+                self._recorder.frame(frame)
+            if self._recorder.vital and self._recorder.fault is not None:
+                raise self._recorder.fault
+
+    def pose(self, pose: Pose) -> None:
+        """Record the pose that was reached."""
+        if self._recorder is not None:
+            self._recorder.pose(pose)
+
+    def grasp(self, grasp: Grasp) -> None:
+        """Record that the newest frames make up this grasp."""
+        if self._recorder is not None:
+            self._recorder.grasp(grasp)
+
+    def loop(self, statistics: HandStatistics) -> None:
+        """Record how punctual the force loop was so far."""
+        if self._recorder is not None:
+            self._recorder.loop(loop_values(statistics.loop, undelivered=statistics.undelivered))
+
+    def result(self, found: Identification) -> None:
+        """Record the answer of a sequence and its complaints."""
+        for text in found.complaints:
+            self.note("callback", text)
+        if self._recorder is not None:
+            self._recorder.result(
+                label=found.label,
+                probability=found.probability,
+                labels=found.fused.labels,
+                probabilities=[float(p) for p in found.fused.probability],
+                unknown=found.fused.unknown,
+                n_grasps=len(found.records),
+                n_ended_early=sum(record.early is not None for record in found.records),
+                shape=found.shape,
+                grasp_shapes=found.shapes,
+                drift=found.drift,
+            )

@@ -1,0 +1,199 @@
+"""State, latched fault and requested stop of a cell, and what each does to the grip."""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+from cell.control.states import (
+    COMPLETIONS,
+    TRANSITIONS,
+    CellState,
+    Command,
+    Event,
+    GraspState,
+    answer,
+    grasp_state,
+    next_state,
+    refusal,
+)
+from cell.errors import CellStateError, CellStopped, HandLost, PositionerError, error_text
+from cell.hand.interface import Hand
+from gripper.errors import GraspStopped, GripperError, PartLost, fingers_left
+from gripper.state import GraspResult, GripperPhase
+
+_HOLDING = (
+    GripperPhase.APPROACHING,
+    GripperPhase.RAMPING,
+    GripperPhase.HOLDING,
+    GripperPhase.BACKING_OFF,
+    GripperPhase.HELD_AFTER_FAULT,
+)
+"""Phases of the gripper in which a part may be in the grip."""
+
+ON_REQUEST = "on request"
+"""Reason of a stop that a person or host asked for."""
+
+
+class CellLifecycle:
+    """The walk through the states of `cell.control.states`; keeps the grip whatever goes wrong.
+
+    Parameters
+    ----------
+    hand
+        Whose grip it is.
+    note
+        Called at stops and faults, with kind and text.
+    close_sensor
+        Ends the tactile link when a start is given up.
+    changed
+        Called after each change of state.
+
+    Attributes
+    ----------
+    result
+        How the last grasp ended; None before the first one and after a release.
+    fault
+        What went wrong, while a fault is latched.
+    cancelled
+        Whether a stop was requested and nothing has obeyed it yet.
+    stop_reason
+        Who or what requested the last stop.
+    """
+
+    def __init__(
+        self,
+        hand: Hand,
+        *,
+        note: Callable[[str, str], None],
+        close_sensor: Callable[[], None],
+        changed: Callable[[], None],
+    ) -> None:
+        self._hand = hand
+        self._note = note
+        self._close_sensor = close_sensor
+        self._changed = changed
+        self._state = CellState.STOPPED
+        self._part_lost = False
+        self.result: GraspResult | None = None
+        self.fault: str | None = None
+        self.cancelled = False
+        self.stop_reason = ON_REQUEST
+
+    @property
+    def state(self) -> CellState:
+        """The present state."""
+        return self._state
+
+    @property
+    def holding(self) -> bool:
+        """Whether a part may be in the grip."""
+        return self._hand.phase in _HOLDING
+
+    @property
+    def grasp_state(self) -> GraspState:
+        """State of the grip, beside that of the cell."""
+        return grasp_state(
+            self._hand.phase,
+            result=self.result,
+            fault=self.fault is not None,
+            part_lost=self._part_lost,
+        )
+
+    def allows(self, event: Event) -> bool:
+        """Whether the event is allowed in the present state."""
+        return (self._state, event) in TRANSITIONS
+
+    def check(self, command: Command) -> None:
+        """Raise CellStateError if the command is not allowed in the present state."""
+        if not answer(self._state, command).accepted:
+            raise self._refused(refusal(self._state, command))
+
+    def go(self, event: Event) -> None:
+        """Go to the state that follows. Raises CellStateError if the event is not allowed now."""
+        try:
+            self._state = next_state(self._state, event)
+        except ValueError as error:
+            raise self._refused(str(error)) from None
+        self._changed()
+
+    def _refused(self, text: str) -> CellStateError:
+        return CellStateError(text + (f"; fault: {self.fault}" if self.fault else ""))
+
+    def complete(self) -> None:
+        """Leave the acting state with the event with which it ends when all goes well."""
+        self.go(COMPLETIONS[self._state])
+
+    def check_cancelled(self) -> None:
+        """Raise GraspStopped if a stop was requested."""
+        if self.cancelled:
+            raise GraspStopped("stopped on request")
+
+    def clear(self, *, reboot: bool) -> None:
+        """Acknowledge the fault; see `CellController.clear`."""
+        self.go(Event.CLEAR)
+        try:
+            self._hand.clear_fault(reboot=reboot)
+        except BaseException:
+            self.go(Event.FAULT)
+            self.go(Event.ABORTED)
+            raise
+        self.fault = None
+        self._part_lost = False
+        self.complete()
+
+    @contextmanager
+    def latching_faults(self) -> Iterator[None]:
+        """Keep the grip on whatever goes wrong; a stop on request holds, all else is a fault."""
+        try:
+            try:
+                yield
+            except GraspStopped:
+                self._hold()
+                raise
+        except GraspStopped as stop:
+            self.cancelled = False
+            raise CellStopped(f"stopped {self.stop_reason}; {self._left(stop)}") from stop
+        except PositionerError as error:
+            # A pose that is not reached is no fault of the cell: its fingers are open and empty.
+            if self._state is not CellState.EXECUTE or self.holding:
+                self._latch(error)
+            else:
+                self._note("positioner", str(error))
+                self.go(Event.DONE)
+            raise
+        except BaseException as error:
+            self._latch(error)
+            raise
+
+    def _latch(self, error: BaseException) -> None:
+        """Keep the grip and go where a fault leads; what is seen last does not hide the first."""
+        self.fault = error_text(error)
+        self._part_lost = isinstance(error, PartLost)
+        self.go(Event.FAULT)
+        try:
+            self._note("fault", self.fault)
+            self._hand.keep_grip()
+        except (GripperError, HandLost) as second:
+            self._note("fault", f"the grip could not be confirmed: {second}")
+        finally:
+            self.complete()
+
+    def _left(self, stop: GraspStopped) -> str:
+        """Return what a stop has left as text: fingers on their way, a grip, or nothing held."""
+        moved = fingers_left(stop)
+        if not self.holding:
+            return moved or "nothing is held"
+        if moved:
+            return f"{moved} until it is released on purpose"
+        return "the grip is kept until it is released on purpose"
+
+    def _hold(self) -> None:
+        """Go where a stop on request leads from the present state, and keep the grip."""
+        if self._state is CellState.STARTING:
+            self.go(Event.STOP)
+            self._close_sensor()
+        elif self._state is CellState.EXECUTE:
+            self.go(Event.HOLD)
+            self._note("held", f"stopped {self.stop_reason}")
+        self._hand.keep_grip()
+        if self._state.acting:
+            self.complete()

@@ -1,0 +1,151 @@
+"""Plans of grasp-then-classify sequences: poses and forces in their order. Pure functions."""
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from cell.config.sequence import SequenceConfig
+from recognition.grasp import GraspCommand
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Pose:
+    """Pose of the object in the grip frame.
+
+    The origin is the centre between the gripping pads. x points along the fingers to their tips,
+    y across them; the fingers close along z.
+
+    Attributes
+    ----------
+    x_m, y_m
+        Offset of the object's centre in the plane of the pads in m.
+    rotation_rad
+        Turn about the approach axis, along which the pads approach the object (z), in rad.
+    roll_rad
+        Turn about the object's own long axis in rad, applied before the rotation.
+    """
+
+    x_m: float = 0.0
+    y_m: float = 0.0
+    rotation_rad: float = 0.0
+    roll_rad: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("x_m", "y_m", "rotation_rad", "roll_rad"):
+            value = getattr(self, name)
+            if not math.isfinite(value):
+                raise ValueError(f"pose has {name} = {value}, which is not finite")
+
+    def as_dict(self) -> dict[str, float]:
+        """Return the pose as plain numbers, keys with units."""
+        return {
+            "x_m": self.x_m,
+            "y_m": self.y_m,
+            "rotation_rad": self.rotation_rad,
+            "roll_rad": self.roll_rad,
+        }
+
+    def __str__(self) -> str:
+        return (
+            f"x {self.x_m * 1e3:+.1f} mm, y {self.y_m * 1e3:+.1f} mm, "
+            f"rotation {math.degrees(self.rotation_rad):.0f} deg, "
+            f"roll {math.degrees(self.roll_rad):.0f} deg"
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GraspStep:
+    """One grasp of a plan.
+
+    Attributes
+    ----------
+    pose
+        Where the object shall be.
+    force_n
+        Force at the end of the ramp in N.
+    """
+
+    pose: Pose
+    force_n: float
+
+    @property
+    def command(self) -> GraspCommand:
+        """Pose and force as a grasp keeps them."""
+        return GraspCommand(**self.pose.as_dict(), force_n=self.force_n)
+
+
+def _levels(low: float, high: float, count: int) -> list[float]:
+    """Spread ``count`` values evenly over a range; one value stands in its middle."""
+    if count == 1:
+        return [0.5 * (low + high)]
+    return [low + (high - low) * i / (count - 1) for i in range(count)]
+
+
+def plan_grid(config: SequenceConfig, n_grasps: int) -> tuple[GraspStep, ...]:
+    """Walk a grid over position, rotation, roll and force.
+
+    The grid has ``grid_points`` values on each axis whose range is open; it is walked in strides
+    that are coprime to its size, so that the first grasps of a long grid already differ in all
+    axes, and begins anew where ``n_grasps`` exceeds it.
+    """
+    ranges = (
+        config.x_mm,
+        config.y_mm,
+        config.rotation_deg,
+        config.roll_deg,
+        config.force_n,
+    )
+    axes = [_levels(low, high, config.grid_points if high > low else 1) for low, high in ranges]
+    grid = list(itertools.product(*axes))
+    stride = max(1, int(len(grid) * 0.618))
+    while math.gcd(stride, len(grid)) != 1:
+        stride += 1
+    return tuple(_step(*grid[(i * stride) % len(grid)]) for i in range(n_grasps))
+
+
+def plan_random(config: SequenceConfig, n_grasps: int, *, seed: int) -> tuple[GraspStep, ...]:
+    """Draw poses and forces evenly from their ranges; the same seed gives the same plan."""
+    rng = np.random.default_rng(seed)
+    low, high = np.array(
+        [config.x_mm, config.y_mm, config.rotation_deg, config.roll_deg, config.force_n]
+    ).T
+    return tuple(_step(*row) for row in rng.uniform(low, high, size=(n_grasps, len(low))).tolist())
+
+
+def plan_list(config: SequenceConfig, n_grasps: int) -> tuple[GraspStep, ...]:
+    """Take the listed poses in order, again from the first where ``n_grasps`` exceeds the list."""
+    listed = [_step(p.x_mm, p.y_mm, p.rotation_deg, p.roll_deg, p.force_n) for p in config.poses]
+    return tuple(listed[i % len(listed)] for i in range(n_grasps))
+
+
+def plan(config: SequenceConfig, n_grasps: int, *, seed: int) -> tuple[GraspStep, ...]:
+    """Plan ``n_grasps`` grasps of the config's ``kind``.
+
+    Raises
+    ------
+    ValueError
+        If ``n_grasps`` is below 1.
+    """
+    if n_grasps < 1:
+        raise ValueError(f"a plan of {n_grasps} grasps is empty; plan at least 1")
+    if config.kind == "grid":
+        return plan_grid(config, n_grasps)
+    if config.kind == "list":
+        return plan_list(config, n_grasps)
+    return plan_random(config, n_grasps, seed=seed)
+
+
+def _step(
+    x_mm: float, y_mm: float, rotation_deg: float, roll_deg: float, force_n: float
+) -> GraspStep:
+    return GraspStep(
+        pose=Pose(
+            x_m=x_mm * 1e-3,
+            y_m=y_mm * 1e-3,
+            rotation_rad=math.radians(rotation_deg),
+            roll_rad=math.radians(roll_deg),
+        ),
+        force_n=force_n,
+    )

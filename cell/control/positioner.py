@@ -1,0 +1,268 @@
+"""Positioners: they move the object, or the gripper around it, between two grasps."""
+
+import json
+import math
+import socket
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import replace
+from typing import Any, Protocol, TypeVar
+
+from cell.control.plan import Pose
+from cell.errors import PositionerError
+from gripper.state import Clock
+
+_T = TypeVar("_T")
+
+_LONGEST_REPLY = 65536
+"""Bytes of a reply of the simulated cell after which it is taken for garbage; a pose takes 200."""
+
+
+class Positioner(Protocol):
+    """Moves the object, or the gripper around it, to the next pose of a sequence."""
+
+    @property
+    def blocks(self) -> bool:
+        """Whether a call may take long, so that the cell must be supervised meanwhile."""
+        ...
+
+    def present(self, label: str | None) -> None:
+        """Have the object with this label in reach; None: the one to be identified.
+
+        Raises PositionerError if there is no such object.
+        """
+        ...
+
+    def move_to(self, pose: Pose) -> Pose:
+        """Go to the pose and return the one that was reached; the fingers are open meanwhile.
+
+        Raises PositionerError if it cannot be reached.
+        """
+        ...
+
+
+class PatientCaller:
+    """Runs calls that block on a thread of their own, while the cell stays supervised.
+
+    Parameters
+    ----------
+    clock, period_s
+        Between two looks at the cell so much time passes.
+    """
+
+    def __init__(self, clock: Clock, period_s: float) -> None:
+        self._clock = clock
+        self._period_s = period_s
+        self._thread: threading.Thread | None = None
+
+    def call(self, call: Callable[[], _T], supervise: Callable[[], None]) -> _T:
+        """Make a call and return what it returns; ``supervise`` is called meanwhile.
+
+        What the supervision raises is raised at once: nobody has to answer a question first whose
+        answer no longer matters. The call then goes on by itself.
+
+        Raises
+        ------
+        PositionerError
+            If an earlier call still goes on: two must never move at once.
+        """
+        if self._thread is not None and self._thread.is_alive():
+            raise PositionerError(
+                "the last move was given up and has not ended yet; end it, then go on"
+            )
+        future: Future[_T] = Future()
+
+        def run() -> None:
+            try:
+                future.set_result(call())
+            except BaseException as error:
+                future.set_exception(error)
+
+        self._thread = threading.Thread(target=run, name="positioner", daemon=True)
+        self._thread.start()
+        while not future.done():
+            supervise()
+            self._clock.sleep(self._period_s)
+        self._thread.join()
+        return future.result()
+
+
+class ObjectPlacer(Protocol):
+    """Places objects in a simulated cell."""
+
+    def place(self, label: str, pose: Pose) -> Pose:
+        """Place an object and return where it came to rest (a box settles on a face)."""
+        ...
+
+
+class SimulatedPositioner:
+    """Places objects in the simulated cell, in this process or through a socket in another."""
+
+    blocks = False
+
+    def __init__(self, placer: ObjectPlacer, *, label: str | None = None) -> None:
+        self._placer = placer
+        self._label = label
+
+    def present(self, label: str | None) -> None:
+        """Choose the object that the following poses are for; None keeps the present one."""
+        if label is not None:
+            self._label = label
+
+    def move_to(self, pose: Pose) -> Pose:
+        """Place the chosen object at the pose; see `Positioner`."""
+        if self._label is None:
+            raise PositionerError(
+                "the simulated cell has no object to place; "
+                "name one with --object, or call present(label) first"
+            )
+        return self._placer.place(self._label, pose)
+
+
+class SocketPlacer:
+    """Places objects in a simulated cell of another process.
+
+    Speaks JSON lines over the Unix socket that ``tactile-cell simulate`` announces as
+    ``positioner_socket``: one request, one reply.
+    """
+
+    def __init__(self, path: str, *, timeout_s: float = 5.0) -> None:
+        self._path = path
+        self._timeout_s = timeout_s
+        self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        self._socket.settimeout(timeout_s)
+        try:
+            self._socket.connect(path)
+        except OSError as error:
+            self._socket.close()
+            raise PositionerError(
+                f"no simulated cell answers at {path} ({error}); is it running?"
+            ) from error
+        self._received = bytearray()
+
+    def place(self, label: str, pose: Pose) -> Pose:
+        """Place an object in the other process; see `ObjectPlacer`."""
+        reply = self._ask({"place": label, "pose": pose.as_dict()})
+        try:
+            return Pose(**{name: float(reply["pose"][name]) for name in pose.as_dict()})
+        except (KeyError, TypeError, ValueError, OverflowError) as error:
+            raise PositionerError(
+                f"the simulated cell at {self._path} answers without a pose: {error}"
+            ) from error
+
+    def close(self) -> None:
+        """Close the connection; the object stays where it is."""
+        self._socket.close()
+
+    def _ask(self, request: dict[str, Any]) -> dict[str, Any]:
+        try:
+            self._socket.sendall(json.dumps(request).encode() + b"\n")
+            line = self._line()
+            reply = json.loads(line) if line else None
+        except (OSError, ValueError, RecursionError) as error:
+            # An answer that comes later must not pass for that of the next request.
+            self._socket.close()
+            raise PositionerError(f"the simulated cell at {self._path} is gone: {error}") from error
+        if not isinstance(reply, dict):
+            raise PositionerError(f"the simulated cell at {self._path} closed the connection")
+        if "error" in reply:
+            raise PositionerError(f"the simulated cell refused: {reply['error']}")
+        return reply
+
+    def _line(self) -> bytes:
+        """Return the next line, empty at the end; TimeoutError where it does not come whole."""
+        end_s = time.monotonic() + self._timeout_s
+        while b"\n" not in self._received and len(self._received) < _LONGEST_REPLY:
+            left_s = end_s - time.monotonic()
+            if left_s <= 0.0:
+                raise TimeoutError(f"no answer within {self._timeout_s:g} s")
+            self._socket.settimeout(left_s)
+            data = self._socket.recv(4096)
+            if not data:
+                return b""
+            self._received += data
+        line, _, rest = self._received.partition(b"\n")
+        self._received = rest
+        return bytes(line)
+
+
+class OperatorPositioner:
+    """Asks a person at the terminal to move the object, and waits until it is done."""
+
+    blocks = True
+
+    def __init__(self, ask: Callable[[str], str]) -> None:
+        self._ask = ask
+
+    def present(self, label: str | None) -> None:
+        """Ask for an object; see `Positioner`."""
+        what = "the object to identify" if label is None else f"the object {label!r}"
+        self._confirm(f"Put {what} between the open fingers")
+
+    def move_to(self, pose: Pose) -> Pose:
+        """Ask for a pose; see `Positioner`."""
+        self._confirm(
+            f"Move the object to x {pose.x_m * 1e3:+.1f} mm, y {pose.y_m * 1e3:+.1f} mm, turned by "
+            f"{math.degrees(pose.rotation_rad):.0f} deg about the approach axis and "
+            f"{math.degrees(pose.roll_rad):.0f} deg about its own axis"
+        )
+        return pose
+
+    def _confirm(self, text: str) -> None:
+        try:
+            answer = self._ask(f"{text}. Enter when done, q to stop: ")
+        except EOFError as error:
+            raise PositionerError("no operator at the terminal (end of input)") from error
+        if answer.strip().lower() in ("q", "quit"):
+            raise PositionerError("the operator stopped the sequence")
+
+
+class CallbackPositioner:
+    """Has the host program move: a callback that gets the pose and returns what was reached.
+
+    The callback returns None or True when the pose is reached, False to veto it, or the `Pose`
+    that it reached instead.
+    """
+
+    blocks = True
+
+    def __init__(self, move: Callable[[Pose], Pose | bool | None]) -> None:
+        self._move = move
+
+    def present(self, label: str | None) -> None:
+        """Do nothing: the host brings the objects."""
+
+    def move_to(self, pose: Pose) -> Pose:
+        """Call the host; see `Positioner`."""
+        reached = self._move(pose)
+        if reached is False:
+            raise PositionerError(f"the host refused to move to {pose}")
+        if isinstance(reached, Pose):
+            return reached
+        if reached is not None and reached is not True:
+            # An error code, for example: the object may be anywhere.
+            raise PositionerError(
+                f"the host answered {reached!r} to a pose: return None or True when it is "
+                "reached, False to refuse, or the Pose reached instead"
+            )
+        return replace(pose)
+
+
+class HostThenSimulated:
+    """Has the host move first, then the simulated cell: for a host without a robot yet."""
+
+    blocks = False
+
+    def __init__(self, host: CallbackPositioner, simulated: SimulatedPositioner) -> None:
+        self._host = host
+        self._simulated = simulated
+
+    def present(self, label: str | None) -> None:
+        """Choose the object of the simulated cell."""
+        self._simulated.present(label)
+
+    def move_to(self, pose: Pose) -> Pose:
+        """Call the host, then place the object at the pose that it answered."""
+        return self._simulated.move_to(self._host.move_to(pose))

@@ -1,0 +1,137 @@
+"""Grasp records: the cycles of the force loop and the frames of the sensor in one grasp."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from cell.control.plan import GraspStep, Pose
+from gripper.state import Cycle, GraspOutcome
+from recognition.grasp import Grasp, GraspCommand, PadArray
+from recognition.recognizers.early_classifiers import EarlyAnswer
+from tactile.frames.codec import TactileFrame
+from tactile.layout import TaxelLayout
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GraspRecord:
+    """Record of one grasp of a sequence.
+
+    Attributes
+    ----------
+    grasp
+        Input of the recognisers.
+    step
+        Planned pose and force.
+    reached
+        Pose that the positioner reached.
+    outcome
+        Result of the gripper.
+    cycles
+        Every period of the force loop, in order.
+    early
+        Answer that ended the ramp before its usual end; None where that was reached. The grasp goes
+        on until the force had settled, so it holds more than what decided.
+    """
+
+    grasp: Grasp
+    step: GraspStep
+    reached: Pose
+    outcome: GraspOutcome
+    cycles: tuple[Cycle, ...]
+    early: EarlyAnswer | None = None
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first move of the closing fingers to the end of the ramp in s."""
+        return self.cycles[-1].t_s - self.cycles[0].t_s
+
+    @property
+    def ended(self) -> str:
+        """Where and by what the ramp was ended early, in words; empty where it was not."""
+        if self.early is None:
+            return ""
+        posterior = self.early.posterior
+        return (
+            f"ended early at {self.cycles[-1].setpoint_n:.1f} N: {posterior.best} "
+            f"{100 * float(posterior.probability.max()):.1f} %"
+        )
+
+    def ramp_as_json(self) -> dict[str, Any]:
+        """Return how the ramp ended, as plain data."""
+        posterior = None if self.early is None else self.early.posterior
+        return {
+            "seconds": round(self.duration_s, 3),
+            "wanted_n": self.step.force_n,
+            "setpoint_n": self.cycles[-1].setpoint_n,
+            "force_n": self.outcome.final_force_n,
+            "ended_early": self.early is not None,
+            "label": None if posterior is None else posterior.best,
+            "probability": None if posterior is None else float(posterior.probability.max()),
+        }
+
+
+def pad_array(layout: TaxelLayout) -> PadArray:
+    """Return the geometry of a layout as recognisers take it."""
+    return PadArray(
+        pad_shape=np.asarray(layout.pad_shape),
+        taxel_pad=np.asarray(layout.taxel_pad),
+        taxel_xy_m=np.asarray(layout.taxel_xy_m),
+        adc_max=layout.adc_max,
+    )
+
+
+class GraspCollector:
+    """Collects the frames of one grasp, each with opening and set-point of its control period."""
+
+    def __init__(self) -> None:
+        self._frames: list[TactileFrame] = []
+        self._apertures_m: list[float] = []
+        self._forces_n: list[float] = []
+        self._cycles: list[Cycle] = []
+
+    def add(self, cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
+        """Take one period of the force loop and the frames that arrived in it."""
+        self._cycles.append(cycle)
+        for frame in frames:
+            self._frames.append(frame)
+            self._apertures_m.append(cycle.state.aperture_m)
+            self._forces_n.append(cycle.setpoint_n)
+
+    @property
+    def n_frames(self) -> int:
+        """Number of frames so far."""
+        return len(self._frames)
+
+    @property
+    def cycles(self) -> tuple[Cycle, ...]:
+        """All periods so far, in order."""
+        return tuple(self._cycles)
+
+    def grasp(
+        self,
+        pads: PadArray,
+        *,
+        label: str = "",
+        shape: str = "",
+        source: str = "",
+        start_ms: int,
+        command: GraspCommand | None = None,
+    ) -> Grasp:
+        """Return the collected grasp. Raises ValueError if no frame came."""
+        if not self._frames:
+            raise ValueError("no tactile frame came during the grasp")
+        t_s = np.array([frame.t_s for frame in self._frames])
+        return Grasp(
+            pads=pads,
+            counts=np.stack([frame.counts for frame in self._frames]),
+            t_s=t_s - t_s[0],
+            aperture_m=np.array(self._apertures_m),
+            force_n=np.array(self._forces_n),
+            label=label,
+            shape=shape,
+            source=source,
+            start_ms=start_ms,
+            command=command,
+        )

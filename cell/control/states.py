@@ -1,0 +1,291 @@
+"""States of the cell and its grip, the table of transitions, and the commands of a host.
+
+Names are those of PackML, numbers those of its enumeration in OPC UA (OPC 30060, table 203). The
+lifecycle walks this table; the page ``docs/reference/states.md`` and the tests are made from it.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+from gripper.state import GraspResult, GripperPhase
+
+
+class GraspState(StrEnum):
+    """State of the grip: what the fingers do, and how the last grasp ended while they rest.
+
+    Names and numbers are those of the grasping state of Weiss WSG grippers, which hosts expect.
+    """
+
+    IDLE = "IDLE"
+    GRIPPING = "GRIPPING"
+    NO_PART_FOUND = "NO PART FOUND"
+    PART_LOST = "PART LOST"
+    HOLDING = "HOLDING"
+    RELEASING = "RELEASING"
+    POSITIONING = "POSITIONING"
+    ERROR = "ERROR"
+
+    @property
+    def number(self) -> int:
+        """Number of the state for hosts, 0 to 7."""
+        return list(GraspState).index(self)
+
+
+OF_PHASE = {
+    GripperPhase.OFF: GraspState.IDLE,
+    GripperPhase.IDLE: GraspState.IDLE,
+    GripperPhase.OPENING: GraspState.POSITIONING,
+    GripperPhase.APPROACHING: GraspState.GRIPPING,
+    GripperPhase.RAMPING: GraspState.GRIPPING,
+    GripperPhase.HOLDING: GraspState.HOLDING,
+    GripperPhase.BACKING_OFF: GraspState.HOLDING,
+    GripperPhase.RELEASING: GraspState.RELEASING,
+    GripperPhase.HELD_AFTER_FAULT: GraspState.HOLDING,
+}
+"""Grasp state of each phase of the gripper, where no fault and no failed grasp decides it."""
+
+OF_RESULT = {
+    GraspResult.NO_CONTACT: GraspState.NO_PART_FOUND,
+    GraspResult.PART_LOST: GraspState.PART_LOST,
+}
+"""What is shown after a grasp that ended so, until the next command moves the fingers."""
+
+
+def grasp_state(
+    phase: GripperPhase, *, result: GraspResult | None, fault: bool, part_lost: bool
+) -> GraspState:
+    """Return the state of the grip.
+
+    Parameters
+    ----------
+    phase
+        Phase of the gripper.
+    result
+        How the last grasp ended; None before the first one and after a release.
+    fault
+        Whether a fault is latched.
+    part_lost
+        Whether that fault is the loss of the part.
+    """
+    if fault:
+        return GraspState.PART_LOST if part_lost else GraspState.ERROR
+    state = OF_PHASE[phase]
+    if state is GraspState.IDLE and result in OF_RESULT:
+        return OF_RESULT[result]
+    return state
+
+
+class CellState(StrEnum):
+    """State of the cell (PackML names)."""
+
+    STOPPED = "STOPPED"
+    STARTING = "STARTING"
+    IDLE = "IDLE"
+    EXECUTE = "EXECUTE"
+    HOLDING = "HOLDING"
+    HELD = "HELD"
+    STOPPING = "STOPPING"
+    ABORTING = "ABORTING"
+    ABORTED = "ABORTED"
+    CLEARING = "CLEARING"
+    RESETTING = "RESETTING"
+
+    @property
+    def number(self) -> int:
+        """Number of the state for hosts: StateEnumeration of OPC 30060."""
+        return _NUMBERS[self]
+
+    @property
+    def acting(self) -> bool:
+        """Whether the state is left by itself, because a command runs or a fault is handled."""
+        return self in COMPLETIONS
+
+
+class Event(StrEnum):
+    """Events that lead from one state to the next."""
+
+    START = "start"
+    STARTED = "started"
+    EXECUTE = "execute"
+    DONE = "done"
+    HOLD = "hold"
+    HELD = "held"
+    RELEASE = "release"
+    RELEASE_HELD = "release_held"
+    FAULT = "fault"
+    ABORTED = "aborted"
+    CLEAR = "clear"
+    CLEARED = "cleared"
+    RESET = "reset"
+    STOP = "stop"
+    STOPPED = "stopped"
+
+
+class Command(StrEnum):
+    """Commands of a person or host, named as the methods of `CellController`."""
+
+    START = "start"
+    GRASP = "grasp"
+    CANCEL = "cancel"
+    RELEASE = "release"
+    RELEASE_HELD = "release_held"
+    CLEAR = "clear"
+    RESET = "reset"
+    SHUTDOWN = "shutdown"
+
+
+_NUMBERS = {
+    CellState.STOPPED: 0,
+    CellState.RESETTING: 1,
+    CellState.IDLE: 2,
+    CellState.STARTING: 3,
+    CellState.EXECUTE: 4,
+    CellState.ABORTING: 7,
+    CellState.ABORTED: 8,
+    CellState.STOPPING: 9,
+    CellState.CLEARING: 10,
+    CellState.HOLDING: 14,
+    CellState.HELD: 15,
+}
+
+COMPLETIONS: dict[CellState, Event] = {
+    CellState.STARTING: Event.STARTED,
+    CellState.EXECUTE: Event.DONE,
+    CellState.HOLDING: Event.HELD,
+    CellState.STOPPING: Event.STOPPED,
+    CellState.ABORTING: Event.ABORTED,
+    CellState.CLEARING: Event.CLEARED,
+}
+"""The event with which each acting state ends when all goes well."""
+
+TRANSITIONS: dict[tuple[CellState, Event], CellState] = {
+    (CellState.STOPPED, Event.START): CellState.STARTING,
+    (CellState.STOPPED, Event.RELEASE_HELD): CellState.STOPPING,
+    (CellState.STARTING, Event.STARTED): CellState.IDLE,
+    (CellState.STARTING, Event.STOP): CellState.STOPPING,
+    (CellState.IDLE, Event.EXECUTE): CellState.EXECUTE,
+    (CellState.IDLE, Event.RELEASE): CellState.EXECUTE,
+    (CellState.IDLE, Event.STOP): CellState.STOPPING,
+    (CellState.EXECUTE, Event.DONE): CellState.IDLE,
+    (CellState.EXECUTE, Event.HOLD): CellState.HOLDING,
+    (CellState.HOLDING, Event.HELD): CellState.HELD,
+    (CellState.HELD, Event.RELEASE): CellState.EXECUTE,
+    (CellState.HELD, Event.STOP): CellState.STOPPING,
+    (CellState.STOPPING, Event.STOPPED): CellState.STOPPED,
+    (CellState.ABORTING, Event.ABORTED): CellState.ABORTED,
+    (CellState.ABORTED, Event.CLEAR): CellState.CLEARING,
+    (CellState.CLEARING, Event.CLEARED): CellState.RESETTING,
+    (CellState.RESETTING, Event.RELEASE_HELD): CellState.CLEARING,
+    (CellState.RESETTING, Event.RESET): CellState.STOPPED,
+    **{
+        (state, Event.FAULT): CellState.ABORTING
+        for state in CellState
+        if state not in (CellState.ABORTED, CellState.ABORTING)
+    },
+}
+"""Every transition there is; a pair that is not listed is refused."""
+
+_EVENT_OF = {
+    Command.START: Event.START,
+    Command.GRASP: Event.EXECUTE,
+    Command.RELEASE: Event.RELEASE,
+    Command.RELEASE_HELD: Event.RELEASE_HELD,
+    Command.CLEAR: Event.CLEAR,
+    Command.RESET: Event.RESET,
+    Command.SHUTDOWN: Event.STOP,
+}
+"""Event of each command; a cancel leads to different ones."""
+
+_CANCELLED = {CellState.EXECUTE: Event.HOLD, CellState.STARTING: Event.STOP}
+"""What a cancel of the running command leads to; other acting states end as they would."""
+
+
+@dataclass(frozen=True, slots=True)
+class Answer:
+    """Effect of a command in a state when nothing goes wrong.
+
+    Attributes
+    ----------
+    accepted
+        False: the command raises CellStateError and changes nothing.
+    path
+        States that the cell goes through to the one it stays in; empty where it stays as it is.
+    """
+
+    accepted: bool
+    path: tuple[CellState, ...] = ()
+
+
+def next_state(state: CellState, event: Event) -> CellState:
+    """Return the state that follows.
+
+    Raises
+    ------
+    ValueError
+        If the event is not allowed in this state; the message lists what is.
+    """
+    try:
+        return TRANSITIONS[state, event]
+    except KeyError:
+        asked = (command for command, its_event in _EVENT_OF.items() if its_event is event)
+        raise ValueError(refusal(state, next(asked, event))) from None
+
+
+def refusal(state: CellState, asked: Command | Event) -> str:
+    """Return the message that a command is not allowed in a state, with those that are."""
+    allowed = [
+        command.value
+        for command in Command
+        if command is not Command.CANCEL and answer(state, command).path
+    ]
+    return (
+        f"{asked.value!r} is not allowed while the cell is {state.value}; "
+        f"allowed: {', '.join(allowed) or Command.CANCEL.value}"
+    )
+
+
+def answer(state: CellState, command: Command) -> Answer:
+    """Return the effect of a command in a state: one cell of the table of commands."""
+    if command is Command.CANCEL:
+        # One that nothing obeys now counts for the next command: it is not lost.
+        return Answer(True, _path(state, _CANCELLED[state]) if state in _CANCELLED else ())
+    if command is Command.SHUTDOWN:
+        if state.acting:
+            return Answer(False)
+        stops = (state, Event.STOP) in TRANSITIONS
+        return Answer(True, _path(state, Event.STOP) if stops else ())
+    event = _EVENT_OF[command]
+    if (state, event) not in TRANSITIONS:
+        return Answer(False)
+    return Answer(True, _path(state, event))
+
+
+def _path(state: CellState, event: Event) -> tuple[CellState, ...]:
+    path = [next_state(state, event)]
+    while path[-1].acting:
+        path.append(next_state(path[-1], COMPLETIONS[path[-1]]))
+    return tuple(path)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CellStatus:
+    """State of cell and grip at one moment, for hosts that show or forward it.
+
+    Attributes
+    ----------
+    state, state_number
+        PackML name, and number in OPC 30060, StateEnumeration.
+    grasp, grasp_number
+        State of the grip, and its number.
+    holding
+        Whether a part may be in the grip.
+    fault
+        The fault, while one is latched.
+    """
+
+    state: str
+    state_number: int
+    grasp: str
+    grasp_number: int
+    holding: bool
+    fault: str | None

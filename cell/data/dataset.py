@@ -1,0 +1,395 @@
+"""Grasp data sets: the format ``grasp-dataset/1``, an npz archive without pickled objects.
+
+============== =========================== ======================================================
+array          dtype, shape                meaning
+============== =========================== ======================================================
+format         str                         ``grasp-dataset/1``
+adc_max        int                         full scale of ``counts``
+pad_shape      int (n_pads, 2)             rows, columns of each pad
+taxel_pad      int (n_taxels,)             pad of each taxel; row-major within a pad
+taxel_xy_mm    float32 (n_taxels, 2)       x along the finger, y across, in mm
+counts         uint16 (n_frames, n_taxels) raw frames of all grasps, one after the other
+aperture_mm    float32 (n_frames,)         opening between the fingers in mm; NaN where unknown
+force_n        float32 (n_frames,)         commanded grip force in N; NaN where unknown; optional
+t_s            float32 (n_frames,)         time since the grasp's first frame in s
+grasp_offsets  int64 (n_grasps + 1,)       grasp i has the frames offsets[i] to offsets[i + 1]
+label          str (n_grasps,)             what was grasped; empty where unknown
+shape          str (n_grasps,)             class of shape; optional
+start_ms       int64 (n_grasps,)           time of the grasp's first frame
+source         str (n_grasps,)             where it came from; optional
+pose           float64 (n_grasps, 5)       commanded: ``recognition.grasp.COMMAND_COLUMNS``;
+                                           a row of NaN where unknown; optional
+============== =========================== ======================================================
+"""
+
+import itertools
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.data.files import read_npz, savez, write_atomically
+from cell.errors import DatasetError
+from recognition.grasp import COMMAND_COLUMNS, Grasp, GraspCommand, PadArray
+
+# Numbers that a grasp cannot have: what a file holds in metres, ms or another unit by mistake.
+#
+# Each function returns what is wrong with an array, for the message of its reader; None for
+# nothing. The limits are far from any gripper's numbers and near enough to see a factor of
+# 1000.
+
+RANGES = {
+    "aperture_mm": (-100.0, 1000.0, "openings stand in mm"),
+    "force_n": (-100.0, 10_000.0, "grip forces stand in N"),
+    "taxel_xy_mm": (-1000.0, 1000.0, "places stand in mm"),
+    "pose": (-0.5, 0.5, "offsets stand in m"),
+    "start_ms": (-1e15, 1e15, "times stand in ms since 1970"),
+}
+"""Smallest and largest number of an array, and its unit."""
+
+LEAST_OPENING_MM = 0.2
+"""No fingers stay below it in all grasps of a data set, rest before the contact included."""
+LEAST_PAD_MM = 0.1
+"""No pad of several taxels is smaller."""
+FRAME_PERIOD_S = (1e-5, 2.0)
+"""Shortest and longest mean period of a grasp's frames."""
+
+
+def beyond_range(name: str, values: NDArray[Any]) -> str | None:
+    """Say which number of an array is beyond its range; NaN is within."""
+    low, high, unit = RANGES[name]
+    flat = values.ravel()
+    beyond = np.flatnonzero((flat < low) | (flat > high))
+    if not beyond.size:
+        return None
+    where = int(beyond[0])
+    return f"is {flat[where]:g} at {where}, must be from {low:g} to {high:g}: {unit}"
+
+
+def openings_too_small(aperture_mm: NDArray[np.float64]) -> str | None:
+    """Say that fingers never open as far as any do; unknown openings are none."""
+    known = aperture_mm[~np.isnan(aperture_mm)]
+    if not known.size or known.max() >= LEAST_OPENING_MM:
+        return None
+    return (
+        f"never exceeds {known.max():g}, expected {LEAST_OPENING_MM:g} or more somewhere: openings "
+        "stand in mm, not in m; write NaN where they are unknown"
+    )
+
+
+def pads_too_small(pads: PadArray) -> str | None:
+    """Say which pad has all its taxels in one place."""
+    for pad in range(len(pads.pad_shape)):
+        places_mm = pads.taxel_xy_m[pads.taxel_pad == pad] * 1e3
+        extent_mm = float(np.ptp(places_mm, axis=0).max())
+        if len(places_mm) > 1 and extent_mm < LEAST_PAD_MM:
+            return (
+                f"spreads the {len(places_mm)} taxels of pad {pad} over {extent_mm:g}, expected "
+                f"{LEAST_PAD_MM:g} or more: places stand in mm, not in m"
+            )
+    return None
+
+
+def frames_ill_timed(t_s: NDArray[np.float64], offsets: NDArray[np.int64]) -> str | None:
+    """Say which grasp's frames follow each other faster or slower than any sensor's.
+
+    Parameters
+    ----------
+    t_s
+        Time (n_frames,) since the first frame of each grasp in s.
+    offsets
+        First frame (n_grasps + 1,) of each grasp, and the end.
+    """
+    steps = np.diff(offsets) - 1
+    several = np.flatnonzero(steps > 0)
+    period_s = t_s[offsets[1:] - 1][several] / steps[several]
+    shortest_s, longest_s = FRAME_PERIOD_S
+    ill = np.flatnonzero((period_s < shortest_s) | (period_s > longest_s))
+    if not ill.size:
+        return None
+    grasp, found_s = int(several[ill[0]]), float(period_s[ill[0]])
+    return (
+        f"has a frame each {found_s:g} s in the mean of grasp {grasp}, expected {shortest_s:g} to "
+        f"{longest_s:g} s: times stand in s since the grasp's first frame"
+    )
+
+
+FORMAT = "grasp-dataset/1"
+"""Format and version of a data set."""
+
+DEFAULT_LIMIT_BYTES = 1 << 30
+"""Unpacked size of a data set that is read without being asked for more."""
+
+_REQUIRED = (
+    "format",
+    "adc_max",
+    "pad_shape",
+    "taxel_pad",
+    "taxel_xy_mm",
+    "counts",
+    "aperture_mm",
+    "t_s",
+    "grasp_offsets",
+    "label",
+    "start_ms",
+)
+_OPTIONAL = ("force_n", "shape", "source", "pose")
+_MAX_TEXT = 200
+"""Characters of a text in a data set."""
+_MAX_TAXELS = 1 << 16
+"""Taxels of a grasp, far more than any sensor here has."""
+
+
+def read_dataset(path: Path | str, *, limit_bytes: int = DEFAULT_LIMIT_BYTES) -> tuple[Grasp, ...]:
+    """Read all grasps of a data set; they share one `PadArray` object.
+
+    Parameters
+    ----------
+    path
+        An .npz file in the format of this module.
+    limit_bytes
+        Refuse files that unpack to more than this many bytes.
+
+    Raises
+    ------
+    DatasetError
+        Naming the file, the array, the value and the limit.
+    """
+    path = Path(path)
+    arrays = read_npz(path, error=DatasetError, what="grasp data set", limit_bytes=limit_bytes)
+    return _Checker(path, arrays).grasps()
+
+
+def read_grasps(path: Path | str) -> tuple[Grasp, ...]:
+    """Read the grasps of a data set, or of a recording where the file is an ``.mcap``.
+
+    Raises
+    ------
+    DatasetError, cell.errors.RecordingError
+        If the file cannot be read, or holds no whole grasp.
+    """
+    path = Path(path)
+    if path.suffix != ".mcap":
+        return read_dataset(path)
+    from cell.data.recording_reader import recording_grasps  # noqa: PLC0415  slow to load
+
+    grasps = recording_grasps(path)
+    if not grasps:
+        raise DatasetError(f"{path} holds no whole grasp")
+    return tuple(grasps)
+
+
+def write_dataset(path: Path | str, grasps: Sequence[Grasp]) -> None:
+    """Write grasps as one data set, whole or not at all; an older file stays until then.
+
+    Raises
+    ------
+    DatasetError
+        Where there is no grasp, the pads differ, a text cannot be stored, or the disk refuses.
+    """
+    path = Path(path)
+    if not grasps:
+        raise DatasetError(f"cannot write data set {path}: there is no grasp to write")
+    arrays = _arrays_of(path, grasps)
+    write_atomically(
+        path, lambda file: savez(file, arrays), error=DatasetError, what="grasp data set"
+    )
+
+
+def _arrays_of(path: Path, grasps: Sequence[Grasp]) -> dict[str, NDArray[Any]]:
+    pads = grasps[0].pads
+    for i, grasp in enumerate(grasps):
+        if grasp.pads is not pads and not grasp.pads.same_as(pads):
+            raise DatasetError(
+                f"cannot write data set {path}: grasp {i} was taken on other pads than grasp 0; "
+                "write one data set for each kind of pads"
+            )
+        for name in ("label", "shape", "source"):
+            text = getattr(grasp, name)
+            if not text.isprintable() or len(text) > _MAX_TEXT:
+                raise DatasetError(
+                    f"cannot write data set {path}: {name} {text!r} of grasp {i} must be "
+                    f"printable, at most {_MAX_TEXT} characters"
+                )
+    arrays: dict[str, NDArray[Any]] = {
+        "format": np.array(FORMAT),
+        "adc_max": np.array(pads.adc_max, dtype=np.int64),
+        "pad_shape": pads.pad_shape,
+        "taxel_pad": pads.taxel_pad,
+        "taxel_xy_mm": (pads.taxel_xy_m * 1e3).astype(np.float32),
+        "counts": np.concatenate([grasp.counts for grasp in grasps]),
+        "aperture_mm": np.concatenate([g.aperture_m * 1e3 for g in grasps]).astype(np.float32),
+        "t_s": np.concatenate([grasp.t_s for grasp in grasps]).astype(np.float32),
+        "grasp_offsets": np.cumsum([0, *(g.n_frames for g in grasps)], dtype=np.int64),
+        "label": np.array([grasp.label for grasp in grasps], dtype=np.str_),
+        "start_ms": np.array([grasp.start_ms for grasp in grasps], dtype=np.int64),
+    }
+    force_n = np.concatenate([grasp.force_n for grasp in grasps])
+    if not np.all(np.isnan(force_n)):
+        arrays["force_n"] = force_n.astype(np.float32)
+    for name in ("shape", "source"):
+        texts = [getattr(grasp, name) for grasp in grasps]
+        if any(texts):
+            arrays[name] = np.array(texts, dtype=np.str_)
+    if any(grasp.command for grasp in grasps):
+        unknown = (np.nan,) * len(COMMAND_COLUMNS)
+        arrays["pose"] = np.array([g.command.values if g.command else unknown for g in grasps])
+    for name in RANGES.keys() & arrays.keys():
+        values = arrays[name][:, :2] if name == "pose" else arrays[name]
+        if wrong := beyond_range(name, values):
+            raise DatasetError(f"cannot write data set {path}: {name} {wrong}")
+    return arrays
+
+
+class _Checker:
+    """Checks each array of one file before anything is made of it."""
+
+    def __init__(self, path: Path, arrays: dict[str, NDArray[Any]]) -> None:
+        self._path = path
+        self._arrays = arrays
+        missing = [name for name in _REQUIRED if name not in arrays]
+        if missing:
+            raise DatasetError(f"{path} is no grasp data set: {', '.join(missing)} missing")
+        unknown = [name for name in arrays if name not in _REQUIRED + _OPTIONAL]
+        if unknown:
+            raise DatasetError(f"{path}: unknown arrays {', '.join(map(repr, unknown))}")
+        if arrays["format"].dtype.kind != "U" or arrays["format"].shape != ():
+            raise self._refuse("format", f"is not one text, expected {FORMAT!r}")
+        if str(arrays["format"]) != FORMAT:
+            raise self._refuse("format", f"is {str(arrays['format'])!r}, expected {FORMAT!r}")
+
+    def _refuse(self, name: str, reason: str) -> DatasetError:
+        return DatasetError(f"{self._path}, array {name}: {reason}")
+
+    def _take(self, name: str, kinds: str, shape: tuple[int, ...]) -> NDArray[Any]:
+        array = self._arrays[name]
+        if array.dtype.kind not in kinds:
+            raise self._refuse(name, f"has the type {array.dtype}, expected kind {kinds}")
+        if array.shape != shape:
+            raise self._refuse(name, f"has the shape {array.shape}, expected {shape}")
+        return array
+
+    def _ints(self, name: str, shape: tuple[int, ...]) -> NDArray[np.int64]:
+        array = self._take(name, "iu", shape)
+        if array.size and int(array.max()) > np.iinfo(np.int64).max:
+            raise self._refuse(name, f"reaches {array.max()}, beyond 64 bits")
+        return array.astype(np.int64)
+
+    def _floats(self, name: str, shape: tuple[int, ...], *, nan: bool) -> NDArray[np.float64]:
+        with np.errstate(invalid="ignore"):  # signalling NaN; what is no number is looked for below
+            array = self._take(name, "f", shape).astype(np.float64)
+        bad = np.isinf(array) if nan else ~np.isfinite(array)
+        if np.any(bad):
+            where = int(np.argmax(bad.ravel()))
+            raise self._refuse(name, f"value {array.ravel()[where]} at {where} is not finite")
+        return array
+
+    def _in_range(self, name: str, shape: tuple[int, ...], *, nan: bool) -> NDArray[np.float64]:
+        array = self._floats(name, shape, nan=nan)
+        self._allow(name, beyond_range(name, array))
+        return array
+
+    def _allow(self, name: str, wrong: str | None) -> None:
+        if wrong is not None:
+            raise self._refuse(name, wrong)
+
+    def _texts(self, name: str, n_grasps: int) -> list[str]:
+        if name not in self._arrays:
+            return [""] * n_grasps
+        array = self._take(name, "U", (n_grasps,))
+        if array.dtype.itemsize > 4 * _MAX_TEXT:
+            raise self._refuse(name, f"has texts of type {array.dtype}, limit {_MAX_TEXT}")
+        texts: list[str] = array.tolist()
+        for text in texts:
+            if not text.isprintable():
+                raise self._refuse(name, f"text {text!r} is not printable")
+        return texts
+
+    def _placings(self, n_grasps: int) -> list[GraspCommand | None]:
+        if "pose" not in self._arrays:
+            return [None] * n_grasps
+        rows = self._floats("pose", (n_grasps, len(COMMAND_COLUMNS)), nan=True)
+        self._allow("pose", beyond_range("pose", rows[:, :2]))
+        unknown = np.isnan(rows)
+        if np.any(unknown.any(axis=1) != unknown.all(axis=1)):
+            raise self._refuse("pose", "has a row that is known in part; write it or NaN alone")
+        return [None if np.isnan(row[0]) else GraspCommand.from_values(row) for row in rows]
+
+    def _pads(self) -> PadArray:
+        adc_max = int(self._ints("adc_max", ()))
+        if not 1 <= adc_max <= np.iinfo(np.uint16).max:
+            raise self._refuse("adc_max", f"is {adc_max}, must be from 1 to 65535")
+        n_pads = self._arrays["pad_shape"].shape[0] if self._arrays["pad_shape"].ndim else 0
+        pad_shape = self._ints("pad_shape", (n_pads, 2))
+        if not n_pads or pad_shape.min() < 1 or pad_shape.max() > _MAX_TAXELS:
+            raise self._refuse("pad_shape", f"needs rows and columns from 1 to {_MAX_TAXELS}")
+        n_taxels = self._arrays["taxel_pad"].size
+        if n_taxels > _MAX_TAXELS:
+            raise self._refuse("taxel_pad", f"has {n_taxels} taxels, limit {_MAX_TAXELS}")
+        taxel_pad = self._ints("taxel_pad", (n_taxels,))
+        if not n_taxels or taxel_pad.min() < 0 or taxel_pad.max() >= n_pads:
+            raise self._refuse("taxel_pad", f"must name pads from 0 to {n_pads - 1}")
+        xy_m = self._in_range("taxel_xy_mm", (n_taxels, 2), nan=False) * 1e-3
+        try:
+            pads = PadArray(
+                pad_shape=pad_shape, taxel_pad=taxel_pad, taxel_xy_m=xy_m, adc_max=adc_max
+            )
+        except ValueError as cause:
+            raise self._refuse("taxel_pad", str(cause)) from cause
+        self._allow("taxel_xy_mm", pads_too_small(pads))
+        return pads
+
+    def _offsets(self, n_frames: int) -> NDArray[np.int64]:
+        size = self._arrays["grasp_offsets"].size
+        offsets = self._ints("grasp_offsets", (size,))
+        if size < 2 or offsets[0] != 0 or offsets[-1] != n_frames:
+            raise self._refuse("grasp_offsets", f"must run from 0 to the {n_frames} frames")
+        if np.any(offsets[1:] <= offsets[:-1]):
+            raise self._refuse("grasp_offsets", "must rise: each grasp has at least one frame")
+        return offsets
+
+    def grasps(self) -> tuple[Grasp, ...]:
+        pads = self._pads()
+        counts = self._arrays["counts"]
+        n_frames = counts.shape[0] if counts.ndim else 0
+        if counts.dtype != np.uint16:
+            raise self._refuse("counts", f"has the type {counts.dtype}, expected uint16")
+        counts = self._take("counts", "u", (n_frames, pads.n_taxels))
+        if n_frames and int(counts.max()) > pads.adc_max:
+            raise self._refuse("counts", f"reach {counts.max()}, adc_max is {pads.adc_max}")
+        offsets = self._offsets(n_frames)
+        n_grasps = len(offsets) - 1
+        t_s = self._floats("t_s", (n_frames,), nan=False)
+        falls = np.flatnonzero(np.diff(t_s) < 0) + 1
+        if np.any(t_s[offsets[:-1]] != 0) or not np.all(np.isin(falls, offsets)):
+            raise self._refuse("t_s", "must start at 0 in each grasp and never fall within one")
+        self._allow("t_s", frames_ill_timed(t_s, offsets))
+        aperture_mm = self._in_range("aperture_mm", (n_frames,), nan=True)
+        self._allow("aperture_mm", openings_too_small(aperture_mm))
+        aperture_m = aperture_mm * 1e-3
+        force_n = (
+            self._in_range("force_n", (n_frames,), nan=True)
+            if "force_n" in self._arrays
+            else np.full(n_frames, np.nan)
+        )
+        start_ms = self._ints("start_ms", (n_grasps,))
+        self._allow("start_ms", beyond_range("start_ms", start_ms))
+        texts = [self._texts(name, n_grasps) for name in ("label", "shape", "source")]
+        placings = self._placings(n_grasps)
+        return tuple(
+            Grasp(
+                pads=pads,
+                counts=counts[first:last],
+                t_s=t_s[first:last],
+                aperture_m=aperture_m[first:last],
+                force_n=force_n[first:last],
+                label=texts[0][i],
+                shape=texts[1][i],
+                source=texts[2][i],
+                start_ms=int(start_ms[i]),
+                command=placings[i],
+            )
+            for i, (first, last) in enumerate(itertools.pairwise(offsets))
+        )

@@ -1,0 +1,226 @@
+"""Files that are whole or not there: atomic writing, and bounded reading of npz archives."""
+
+import ast
+import errno
+import os
+import re
+import secrets
+import stat
+import sys
+import zipfile
+import zlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import IO, Any, BinaryIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.errors import CellError
+
+MAX_MEMBERS = 512
+"""Arrays that one archive may hold."""
+
+MAX_HEADER_BYTES = 4096
+"""Length that the header of one array may have."""
+
+_END_BYTES = 22
+"""End of central directory of a zip archive without its comment; members are counted at 10."""
+_PACKINGS = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
+"""Packings whose unpacked size is checked while unpacking."""
+_MAGIC = b"\x93NUMPY"
+"""First bytes of an array (numpy.lib.format)."""
+_RECORDING = b"\x89MCAP"
+"""First bytes of an MCAP file."""
+_PLAIN_DTYPE = re.compile(r"[<>|=]?(?:[iu][1248]|f[248]|b1|\?|[US][0-9]{1,6})\Z")
+"""Types of numbers, booleans and strings; others could hold Python objects."""
+_REFUSED = (
+    zipfile.BadZipFile,
+    zlib.error,
+    EOFError,
+    NotImplementedError,
+    RuntimeError,
+    ValueError,
+    SyntaxError,
+    MemoryError,
+    OverflowError,
+    TypeError,
+    IndexError,
+    KeyError,
+)
+
+
+def write_atomically(
+    path: Path, write: Callable[[BinaryIO], object], *, error: type[CellError], what: str
+) -> None:
+    """Write a file beside its place and move it there when it is whole and on the disk.
+
+    Parameters
+    ----------
+    path
+        Where the file shall be; a file that is there stays until the new one is whole.
+    write
+        Writes the content to the open binary file.
+    error, what
+        Raised, naming ``what`` was to be written, where the disk is full, the folder missing or
+        not writable, or something other than a plain file stands at ``path``.
+    """
+    place = Path(os.path.realpath(path))
+    if place.exists() and not place.is_file():
+        raise error(f"cannot write {what} to {path}: not a plain file; choose another name")
+    part = place.with_name(f".{place.name}.{secrets.token_hex(4)}.part")
+    try:
+        handle = os.open(part, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
+        try:
+            with os.fdopen(handle, "wb") as file:
+                write(file)
+                file.flush()
+                os.fsync(file.fileno())
+            if place.exists():
+                part.chmod(stat.S_IMODE(place.stat().st_mode))
+            part.replace(place)
+        except BaseException:
+            part.unlink(missing_ok=True)
+            raise
+    except OSError as cause:
+        kept = "; the file that was there is unchanged" if place.exists() else ""
+        raise error(f"cannot write {what} to {path}: {_advice(cause, place)}{kept}") from cause
+
+
+def write_text(path: Path, text: str, *, error: type[CellError], what: str) -> None:
+    """Write a UTF-8 text file; see `write_atomically`."""
+    write_atomically(path, lambda file: file.write(text.encode()) and None, error=error, what=what)
+
+
+def _advice(cause: OSError, place: Path) -> str:
+    if cause.errno in (errno.ENOSPC, errno.EDQUOT):
+        return f"no space left in {place.parent}; free some or choose another place"
+    if cause.errno == errno.ENOENT:
+        return f"the folder {place.parent} does not exist; make it first"
+    if cause.errno in (errno.EACCES, errno.EPERM, errno.EROFS):
+        return f"{place.parent} is not writable ({cause.strerror}); choose another place"
+    return f"{cause.strerror or cause}"
+
+
+def savez(file: IO[bytes], arrays: Mapping[str, NDArray[Any]]) -> None:
+    """Write plain arrays as a compressed npz; ValueError for arrays of Python objects.
+
+    The bytes depend on the arrays alone, not on the time of writing.
+    """
+    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, array in arrays.items():
+            info = zipfile.ZipInfo(f"{name}.npy")
+            info.compress_type = zipfile.ZIP_DEFLATED
+            with archive.open(info, "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, np.asarray(array), allow_pickle=False)
+
+
+def read_npz(
+    path: Path, *, error: type[CellError], what: str, limit_bytes: int
+) -> dict[str, NDArray[Any]]:
+    """Read all arrays of an npz archive that may be damaged or hostile.
+
+    Only numbers, booleans and strings are taken; nothing in the file is ever executed. Sizes are
+    compared with ``limit_bytes`` (all arrays together, unpacked) before anything is unpacked.
+
+    Raises
+    ------
+    CellError
+        Of the class ``error``, naming the file, the array, the value and the limit.
+    """
+    if path.exists() and not path.is_file():
+        raise error(f"cannot read {what} {path}: not a plain file; check the path")
+    try:
+        with path.open("rb") as file:
+            if file.read(len(_RECORDING)) == _RECORDING:
+                raise error(
+                    f"{path} is a recording, no {what}; train, evaluate and replay take its grasps "
+                    "by its name, which ends in .mcap"
+                )
+        with path.open("rb") as file, zipfile.ZipFile(file) as archive:
+            members = archive.infolist()
+            _check_directory(file, len(archive.comment), len(members))
+            _check_sizes(members, path, error, limit_bytes)
+            return {m.filename[:-4]: _read_member(archive, m, path, error) for m in members}
+    except error:
+        raise
+    except OSError as cause:
+        reason = cause.strerror or str(cause)
+        raise error(f"cannot read {what} {path}: {reason}; check the path") from cause
+    except _REFUSED as cause:
+        raise error(
+            f"{path} is no whole {what} ({type(cause).__name__}: {cause}); take another copy of it"
+        ) from cause
+
+
+def _check_directory(file: BinaryIO, n_comment: int, n_members: int) -> None:
+    """Refuse a damaged list of members: zipfile passes over entries that it cannot tell apart."""
+    file.seek(-_END_BYTES - n_comment, os.SEEK_END)
+    stated = int.from_bytes(file.read(_END_BYTES)[10:12], "little")
+    if stated != n_members:
+        raise zipfile.BadZipFile(f"{n_members} arrays found, {stated} stated")
+
+
+def _check_sizes(
+    members: list[zipfile.ZipInfo], path: Path, error: type[CellError], limit_bytes: int
+) -> None:
+    if len(members) > MAX_MEMBERS:
+        raise error(f"{path} holds {len(members)} arrays, at most {MAX_MEMBERS} are read")
+    names = [member.filename for member in members]
+    if len(set(names)) != len(names):
+        raise error(f"{path} holds an array twice: {sorted(names)}")
+    for member in members:
+        name = member.filename
+        if not name.endswith(".npy"):
+            raise error(f"{path} holds {name!r}, which is no array (.npy)")
+        if member.compress_type not in _PACKINGS:
+            # zipfile unpacks these without a bound, whatever size the archive states.
+            raise error(f"{path}, array {name}: packed by method {member.compress_type}, not zlib")
+    total = sum(member.file_size for member in members)
+    if total > limit_bytes:
+        raise error(f"{path} unpacks to {total} bytes, the limit is {limit_bytes} bytes")
+
+
+def _read_member(
+    archive: zipfile.ZipFile, member: zipfile.ZipInfo, path: Path, error: type[CellError]
+) -> NDArray[Any]:
+    name = member.filename[:-4]
+    with archive.open(member) as stream:
+        data = stream.read(member.file_size)  # a bounded read: the stream may hold more
+    if data[:6] != _MAGIC or len(data) < 12 or data[6] not in (1, 2, 3):
+        raise error(f"{path}, array {name}: no .npy header of version 1 to 3")
+    width = 2 if data[6] == 1 else 4
+    start = 8 + width
+    length = int.from_bytes(data[8:start], "little")
+    if length > MAX_HEADER_BYTES:
+        raise error(f"{path}, array {name}: header of {length} bytes, limit {MAX_HEADER_BYTES}")
+    body = start + length
+    try:
+        header = ast.literal_eval(data[start:body].decode("latin-1").strip())
+        descr, shape, fortran = header["descr"], header["shape"], header["fortran_order"]
+    except (*_REFUSED, RecursionError) as cause:
+        raise error(f"{path}, array {name}: header cannot be read ({cause})") from cause
+    if not isinstance(descr, str) or not _PLAIN_DTYPE.match(descr):
+        raise error(
+            f"{path}, array {name}: type {descr!r} is refused; only plain numbers, booleans and "
+            "strings are read (no pickled objects)"
+        )
+    if not isinstance(shape, tuple) or not all(type(n) is int and n >= 0 for n in shape):
+        raise error(f"{path}, array {name}: shape {shape!r} is not a tuple of sizes")
+    dtype = np.dtype(descr)
+    count = 1
+    for size in shape:
+        count *= size
+    if len(shape) > 8 or count * dtype.itemsize != len(data) - body:
+        raise error(
+            f"{path}, array {name}: {len(data) - body} bytes do not fill shape {shape} of {dtype}"
+        )
+    if dtype.itemsize == 0:
+        # No byte of the file stands for these texts: any number of them would fit.
+        raise error(f"{path}, array {name}: type {descr!r} has no size")
+    flat = np.frombuffer(data, dtype=dtype, offset=body, count=count)
+    if dtype.kind == "U" and count:
+        codes = flat.view(np.dtype(np.uint32).newbyteorder(dtype.byteorder))
+        if int(codes.max()) > sys.maxunicode:
+            raise error(f"{path}, array {name}: holds {codes.max():#x}, which is no text")
+    return flat.reshape(shape, order="F" if fortran is True else "C")

@@ -1,0 +1,323 @@
+"""The recorder: writes everything that a sequence sees and does into one MCAP file."""
+
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Any, Protocol, Self
+
+import numpy as np
+from mcap.writer import CompressionType, Writer
+
+from cell.data import recording_schema as schema
+from cell.data.recorder_sink import BackgroundFile, DirectFile, RecordSink
+from cell.data.recording_values import (
+    cycle_values,
+    estimate_values,
+    grasp_values,
+    metadata_values,
+    plain_fields,
+    shape_values,
+    to_json,
+    to_ns,
+)
+from cell.errors import RecordingError
+from gripper.state import Clock
+from recognition.grasp import Grasp, PadArray
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+    from gripper.state import Cycle
+    from recognition.drift.tracking import DriftEstimate
+    from recognition.shape.answer import ShapeAnswer
+    from tactile.frames.codec import TactileFrame
+
+CHUNK_BYTES = 64 << 10
+"""Size of a chunk before compression: what a killed program loses at most."""
+
+_NEWEST_FRAMES = 65536
+"""Frames that a grasp can name; 20 minutes at 50 frames a second."""
+_TIME_TOLERANCE_S = 1e-6
+"""Difference in s between a frame's time in the recording and in its grasp: rounding only."""
+
+
+class NumberedState(Protocol):
+    """A state with a name and, for controllers, a number."""
+
+    @property
+    def value(self) -> str:
+        """Name of the state."""
+        ...
+
+    @property
+    def number(self) -> int:
+        """Number of the state."""
+        ...
+
+
+class Recorder:
+    """Writes frames, cycles, poses, events, grasps and results of one sequence as they come.
+
+    A disk that is full, gone or too slow never raises into the force loop: the recording stops
+    for good, `fault` says why, ``on_fault`` is called once, and `close` raises the fault. What was
+    written before can be read (`cell.data.recording_reader`).
+
+    Parameters
+    ----------
+    path
+        The new file; an existing one is never overwritten.
+    clock
+        Stamps poses, events and results; frames and cycles carry their own monotonic stamps.
+    pads
+        The pads whose counts are recorded.
+    metadata
+        Further facts to keep with the recording, for instance hashes of config and model.
+    on_fault
+        Called once with the error when the recording stops.
+    background
+        Write from a thread of its own, for real time; in virtual time leave it off.
+    vital
+        Whether a grasp must not go on without its recording; `cell.control.journal` looks after
+        that.
+    wall_clock_ns
+        Wall clock in ns since 1970, read at the start and with each change of state; it is kept
+        for people and orders nothing.
+
+    Raises
+    ------
+    RecordingError
+        If the file cannot be made.
+    """
+
+    def __init__(
+        self,
+        path: Path | str,
+        clock: Clock,
+        *,
+        pads: PadArray,
+        metadata: Mapping[str, str] | None = None,
+        on_fault: Callable[[RecordingError], None] | None = None,
+        background: bool = False,
+        vital: bool = False,
+        wall_clock_ns: Callable[[], int] = time.time_ns,
+    ) -> None:
+        self.path = Path(path)
+        self.vital = vital
+        self._clock = clock
+        self._pads = pads
+        self._on_fault = on_fault
+        self._wall_clock_ns = wall_clock_ns
+        self._fault: RecordingError | None = None
+        self._closed = False
+        self._n_frames = 0
+        self._n_dropped = 0
+        self._sequence: dict[str, int] = {}
+        self._newest: deque[tuple[float, int]] = deque(maxlen=_NEWEST_FRAMES)
+        try:
+            self._sink: RecordSink = DirectFile(self.path)
+        except FileExistsError as cause:
+            raise RecordingError(
+                f"{path} is there already; recordings are never overwritten, choose another name"
+            ) from cause
+        except OSError as cause:
+            raise RecordingError(
+                f"cannot record to {path}: {cause.strerror}; check folder and rights"
+            ) from cause
+        if background:
+            self._sink = BackgroundFile(self._sink)
+        self._writer = Writer(
+            self._sink,  # type: ignore[arg-type]
+            chunk_size=CHUNK_BYTES,
+            compression=CompressionType.ZSTD,
+            enable_data_crcs=True,
+        )
+        self._guarded(lambda: self._begin(wall_clock_ns(), dict(metadata or {})))
+
+    def _begin(self, wall_ns: int, metadata: dict[str, str]) -> None:
+        self._writer.start(profile="", library="tactile-cell")
+        started_ns = to_ns(self._clock.monotonic())
+        entries = metadata | metadata_values(self._pads, wall_ns, started_ns)
+        self._writer.add_metadata(
+            schema.METADATA, entries | {"crc32": schema.metadata_crc32(entries)}
+        )
+        self._channels: dict[str, int] = {}
+        for topic, content in schema.SCHEMAS.items():
+            number = self._writer.register_schema(
+                content["title"], "jsonschema", to_json(content).encode()
+            )
+            self._channels[topic] = self._writer.register_channel(topic, "json", number)
+
+    @property
+    def fault(self) -> RecordingError | None:
+        """Why the recording stopped before its end; None while all is well."""
+        return self._fault
+
+    @property
+    def n_dropped(self) -> int:
+        """Messages that came after the fault and were not written."""
+        return self._n_dropped
+
+    def frame(self, frame: "TactileFrame") -> None:
+        """Record a whole tactile frame of raw counts."""
+        counts = frame.counts
+        if counts.shape != (self._pads.n_taxels,):
+            raise ValueError(f"frame of shape {counts.shape}, the pads have {self._pads.n_taxels}")
+        self._put(
+            schema.FRAME,
+            frame.t_s,
+            {
+                "number": self._n_frames,
+                "counter": int(frame.counter),
+                "status": int(frame.status),
+                "counts": counts.tolist(),
+            },
+        )
+        self._n_frames += 1
+        self._newest.append((frame.t_s, schema.counts_crc32(counts)))
+
+    def cycle(self, cycle: "Cycle") -> None:
+        """Record one period of the force loop."""
+        self._put(schema.CYCLE, cycle.t_s, cycle_values(cycle))
+
+    def pose(self, pose: "DataclassInstance") -> None:
+        """Record the pose that the positioner reached: a dataclass of numbers."""
+        self._put(schema.POSE, self._clock.monotonic(), plain_fields(pose))
+
+    def event(self, kind: str, text: str) -> None:
+        """Record that something happened: its kind, and a text for people."""
+        self._put(schema.EVENT, self._clock.monotonic(), {"kind": kind, "text": text})
+
+    def state(self, state: NumberedState, grasp: NumberedState) -> None:
+        """Record that the state of the cell or of the grip has changed, with both clocks."""
+        values = {
+            "state": state.value,
+            "state_number": state.number,
+            "grasp": grasp.value,
+            "grasp_number": grasp.number,
+            "wall_ns": self._wall_clock_ns(),
+        }
+        self._put(schema.STATE, self._clock.monotonic(), values)
+
+    def loop(self, values: Mapping[str, float]) -> None:
+        """Record how punctual the loop was so far; see `cell.control.journal`."""
+        self._put(schema.LOOP, self._clock.monotonic(), dict(values))
+
+    def grasp(self, grasp: Grasp) -> None:
+        """Record that the newest frames make up this grasp.
+
+        The frames themselves are those given to `frame` before; ValueError if they are others.
+        """
+        if self._fault is not None:
+            self._n_dropped += 1
+            return
+        newest = list(self._newest)[-grasp.n_frames :]
+        stamps_s = np.array([t_s for t_s, _ in newest])
+        if len(newest) < grasp.n_frames or np.any(
+            np.abs(stamps_s - stamps_s[0] - grasp.t_s) > _TIME_TOLERANCE_S
+        ):
+            raise ValueError(
+                f"the newest {len(newest)} recorded frames are not the {grasp.n_frames} of the "
+                "grasp; record each of its frames, then the grasp"
+            )
+        if schema.counts_crc32(grasp.counts[-1]) != newest[-1][1]:
+            raise ValueError("the counts of the grasp are not the raw counts that were recorded")
+        values = grasp_values(grasp, first_frame=self._n_frames - grasp.n_frames)
+        self._put(schema.GRASP, float(stamps_s[0]), values)
+
+    def result(
+        self,
+        *,
+        label: str,
+        probability: float,
+        labels: Sequence[str],
+        probabilities: Sequence[float],
+        unknown: float,
+        n_grasps: int,
+        n_ended_early: int = 0,
+        true_label: str = "",
+        shape: "ShapeAnswer | None" = None,
+        grasp_shapes: "Sequence[ShapeAnswer | None]" = (),
+        drift: "DriftEstimate | None" = None,
+    ) -> None:
+        """Record the answer of a sequence; see `recording_schema` for the fields."""
+        values: dict[str, Any] = {
+            "label": label,
+            "probability": float(probability),
+            "labels": list(labels),
+            "probabilities": [float(p) for p in probabilities],
+            "unknown": float(unknown),
+            "n_grasps": n_grasps,
+            "n_ended_early": n_ended_early,
+        }
+        if true_label:
+            values["true_label"] = true_label
+        if shape is not None:
+            values["shape"] = shape_values(shape)
+        if grasp_shapes:
+            values["grasp_shapes"] = [shape_values(one) for one in grasp_shapes]
+        if drift is not None:
+            values |= estimate_values(drift)
+        self._put(schema.RESULT, self._clock.monotonic(), values)
+
+    def close(self) -> None:
+        """Finish the file. Raises the RecordingError of a recording that stopped early."""
+        if self._closed:
+            return
+        self._guarded(self._writer.finish)
+        self._closed = True
+        if self._fault is None:
+            self._guarded(self._sink.close)
+        else:
+            with suppress(OSError):  # the fault is already known, and raised below
+                self._sink.close()
+        if self._fault is not None:
+            raise self._fault
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        try:
+            self.close()
+        except RecordingError as fault:
+            if error is None:
+                raise
+            error.add_note(str(fault))
+
+    def _put(self, topic: str, t_s: float, values: dict[str, Any]) -> None:
+        if self._closed:
+            raise RecordingError(f"{self.path} is closed; nothing more can be recorded")
+        if self._fault is not None:
+            self._n_dropped += 1
+            return
+        stamp_ns = to_ns(t_s)
+        data = to_json({"t_s": round(float(t_s), 9), **values}).encode()
+        number = self._sequence.get(topic, 0)
+        self._sequence[topic] = number + 1
+        channel = self._channels[topic]
+        self._guarded(
+            lambda: self._writer.add_message(channel, stamp_ns, data, stamp_ns, sequence=number)
+        )
+
+    def _guarded(self, act: Callable[[], object]) -> None:
+        if self._fault is not None:
+            return
+        try:
+            act()
+        except OSError as cause:
+            reason = cause.strerror or str(cause)
+            self._fault = RecordingError(
+                f"the recording {self.path} stopped after {self._n_frames} frames: {reason}. What "
+                "was written before can be read; free space or choose another disk, then repeat"
+            )
+            self._fault.__cause__ = cause
+            if self._on_fault is not None:
+                self._on_fault(self._fault)

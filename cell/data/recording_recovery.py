@@ -1,0 +1,106 @@
+"""From a recording that was cut off or damaged to a whole one, of what can be read of it."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+from mcap.writer import CompressionType, Writer
+
+from cell.data import recording_schema as schema
+from cell.data.files import write_atomically
+from cell.data.recording_reader import Recording, read_raw, read_recording
+from cell.data.recording_values import to_json, to_ns
+from cell.errors import RecordingError
+
+RECOVERED = "recovered"
+"""Entry of the metadata: why the recording is not all that was written."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Recovered:
+    """What was recovered.
+
+    Attributes
+    ----------
+    path
+        The new recording.
+    n_frames, n_cycles, n_grasps
+        Whole frames, periods of the loop, and grasps in it.
+    n_broken_grasps
+        Grasps that were left out because frames of them are missing or damaged.
+    lost_reason
+        Why the old recording is not complete; empty if it was.
+    """
+
+    path: Path
+    n_frames: int
+    n_cycles: int
+    n_grasps: int
+    n_broken_grasps: int
+    lost_reason: str
+
+
+def recover_recording(path: Path | str, target: Path | str) -> Recovered:
+    """Write what is whole in a recording to a new one; the old one stays as it is.
+
+    Raises
+    ------
+    RecordingError
+        If the old one is no recording or nothing in it can be read, or the new one exists or
+        cannot be written.
+    """
+    path, target = Path(path), Path(target)
+    if target.exists():
+        raise RecordingError(f"{target} exists; recordings are never overwritten, choose another")
+    recording = read_recording(path)
+    messages = [
+        (topic, content)
+        for topic, content in read_raw(path).messages
+        if topic in schema.SCHEMAS and (topic != schema.GRASP or _is_whole(content, recording))
+    ]
+    write_atomically(
+        target,
+        lambda file: _write(file, recording, messages),
+        error=RecordingError,
+        what="recording",
+    )
+    return Recovered(
+        path=target,
+        n_frames=len(recording.frames),
+        n_cycles=len(recording.cycles),
+        n_grasps=len(recording.grasps),
+        n_broken_grasps=recording.n_broken_grasps,
+        lost_reason=recording.lost_reason,
+    )
+
+
+def _is_whole(grasp: dict[str, Any], recording: Recording) -> bool:
+    """Say whether each frame of a grasp is there, unchanged."""
+    numbers = recording.frames.number
+    first, n_frames = int(grasp["first_frame"]), int(grasp["n_frames"])
+    places = np.flatnonzero((numbers >= first) & (numbers < first + n_frames))
+    if numbers[places].tolist() != list(range(first, first + n_frames)):
+        return False
+    found = schema.counts_crc32(recording.frames.counts[places])
+    return bool(found == grasp["counts_crc32"])
+
+
+def _write(
+    file: BinaryIO, recording: Recording, messages: list[tuple[str, dict[str, Any]]]
+) -> None:
+    writer = Writer(file, compression=CompressionType.ZSTD, enable_data_crcs=True)
+    writer.start(profile="", library="tactile-cell")
+    entries = {key: value for key, value in recording.metadata.items() if key != "crc32"}
+    if recording.lost_reason:
+        entries[RECOVERED] = f"from {recording.path.name}: {recording.lost_reason}"
+    writer.add_metadata(schema.METADATA, entries | {"crc32": schema.metadata_crc32(entries)})
+    channels: dict[str, int] = {}
+    for topic, content in schema.SCHEMAS.items():
+        number = writer.register_schema(content["title"], "jsonschema", to_json(content).encode())
+        channels[topic] = writer.register_channel(topic, "json", number)
+    for sequence, (topic, content) in enumerate(messages):
+        stamp_ns = to_ns(content["t_s"])
+        data = to_json(content).encode()
+        writer.add_message(channels[topic], stamp_ns, data, stamp_ns, sequence=sequence)
+    writer.finish()  # type: ignore[no-untyped-call]

@@ -1,0 +1,145 @@
+"""The messages of a recording: values of the cell as plain ones for JSON, short and without NaN."""
+
+import enum
+import json
+import math
+from collections.abc import Iterable
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cell.data.recording_schema import FORMAT, counts_crc32
+
+if TYPE_CHECKING:
+    from gripper.state import Cycle
+    from recognition.drift.tracking import DriftEstimate
+    from recognition.grasp import Grasp, PadArray
+    from recognition.shape.answer import ShapeAnswer
+
+_ENCODER = json.JSONEncoder(separators=(",", ":"), allow_nan=False, ensure_ascii=False)
+
+
+def to_json(value: Any) -> str:
+    """Return compact JSON. Raises ValueError for NaN and infinity."""
+    return _ENCODER.encode(value)
+
+
+def to_ns(t_s: float) -> int:
+    """Return a monotonic time in ns. Raises ValueError where it is negative or not finite."""
+    if not (math.isfinite(t_s) and t_s >= 0):
+        raise ValueError(f"{t_s} s is no monotonic time; it must be finite and not negative")
+    return round(t_s * 1e9)
+
+
+def known(**values: float | None) -> dict[str, float]:
+    """Return the values that are known, to 1e-7 of their unit; None and NaN are left out."""
+    return {
+        name: round(float(value), 7)
+        for name, value in values.items()
+        if value is not None and math.isfinite(value)
+    }
+
+
+def cycle_values(cycle: "Cycle") -> dict[str, Any]:
+    """Return one period of the force loop as plain values; fields as in `recording_schema`."""
+    state = cycle.state
+    values: dict[str, Any] = {"phase": cycle.phase.name}
+    if cycle.level is not None:
+        values["level"] = cycle.level
+    values |= known(
+        setpoint_n=cycle.setpoint_n,
+        goal_current_a=cycle.goal_current_a,
+        aperture_m=state.aperture_m,
+        aperture_velocity_m_s=state.aperture_velocity_m_s,
+        current_a=state.current_a,
+        force_from_current_n=state.force_from_current_n,
+        temperature_c=state.temperature_c,
+        voltage_v=state.voltage_v,
+    )
+    if cycle.force is not None:
+        values["force_t_s"] = round(cycle.force.t_s, 9)
+        values["force_valid"] = cycle.force.valid
+        if all(map(math.isfinite, cycle.force.force_n)):
+            values["force_n"] = [round(float(f), 7) for f in cycle.force.force_n]
+    values["servos"] = [plain_fields(servo) for servo in state.servos]
+    return values
+
+
+def grasp_values(grasp: "Grasp", *, first_frame: int) -> dict[str, Any]:
+    """Return what is kept of a grasp beside its frames, the first of which has that number."""
+    values: dict[str, Any] = {
+        "label": grasp.label,
+        "shape": grasp.shape,
+        "source": grasp.source,
+        "start_ms": grasp.start_ms,
+        "first_frame": first_frame,
+        "n_frames": grasp.n_frames,
+        "frame_t_s": grasp.t_s.round(9).tolist(),
+        "counts_crc32": counts_crc32(grasp.counts),
+    }
+    for name in ("aperture_m", "force_n"):
+        array = getattr(grasp, name)
+        if np.all(np.isfinite(array)):
+            values[name] = array.round(9).tolist()
+    if grasp.command is not None:
+        values["asked"] = [round(value, 9) for value in grasp.command.values]
+    return values
+
+
+def shape_values(shape: "ShapeAnswer | None") -> dict[str, Any]:
+    """Return what is kept of shape and size; empty where there is none."""
+    if shape is None:
+        return {}
+    return {
+        "kind": shape.kind,
+        "probability": round(shape.probability[shape.likeliest], 7),
+        **known(size_m=shape.size_m, low_m=shape.low_m, high_m=shape.high_m),
+        "n_grasps": shape.n_grasps,
+        "thicknesses": [plain_fields(thickness) for thickness in shape.thicknesses],
+        "dimensions_m": known(**shape.dimensions_m),
+    }
+
+
+def estimate_values(drift: "DriftEstimate") -> dict[str, float]:
+    """Return the drift of the sensors that an answer rests on."""
+    return {
+        "drift_gain": drift.present.gain,
+        "drift_aperture_m": drift.present.aperture_offset_m,
+        "drift_unchanged": drift.unchanged,
+        "drift_n_objects": drift.n_objects,
+    }
+
+
+def metadata_values(pads: "PadArray", wall_ns: int, monotonic_ns: int) -> dict[str, str]:
+    """Return the metadata of a recording: its format, its start by both clocks, its pads."""
+    described = {
+        "pad_shape": pads.pad_shape.tolist(),
+        "taxel_pad": pads.taxel_pad.tolist(),
+        "taxel_xy_m": pads.taxel_xy_m.round(9).tolist(),
+        "adc_max": pads.adc_max,
+    }
+    return {
+        "format": FORMAT,
+        "wall_clock_start_ns": str(wall_ns),
+        "monotonic_start_ns": str(monotonic_ns),
+        "pads": to_json(described),
+    }
+
+
+def plain_fields(value: Any) -> dict[str, Any]:
+    """Return the fields of a dataclass as plain values, leaving out what is not known."""
+    plain = ((field.name, _plain(getattr(value, field.name))) for field in fields(value))
+    return {name: item for name, item in plain if item is not None}
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, enum.Enum):
+        return value.name
+    if isinstance(value, bool | int | str):
+        return value
+    if isinstance(value, float):
+        return round(float(value), 7) if math.isfinite(value) else None
+    if isinstance(value, Iterable):
+        return [_plain(item) for item in value]
+    return None if value is None else str(value)

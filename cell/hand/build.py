@@ -1,0 +1,156 @@
+"""Building the hand of a config: links, sensor and gripper; no simulator."""
+
+from collections.abc import Callable
+from contextlib import ExitStack
+from dataclasses import replace
+
+from cell.config.gripper import ParallelLinkageConfig
+from cell.config.model import CellConfig
+from cell.config.tactile import TactileConfig, layout_from_config, link_settings, make_calibration
+from cell.hand.local import LocalHand, SensorTap
+from gripper.dynamixel.bus import ServoBus
+from gripper.dynamixel.serial_port import ByteStream, SerialStream
+from gripper.gripper import Gripper
+from gripper.kinematics import Linkage, ParallelLinkage, RackPinion
+from gripper.state import Clock
+from tactile.can.bus import CanBus
+from tactile.layout import TaxelLayout
+from tactile.sensor.quality import QualityLimits
+from tactile.sensor.sensor import SensorSettings, TactileSensor
+from tactile.sensor.tare import TareLimits
+from tactile.unit.link import TactileLink, close_bus, open_bus
+
+SHARED_PROCESS = (
+    "the force loop shares its process with all other work, which may hold it up: set "
+    "loop.own_process to true"
+)
+"""Note of a real cell whose loop has no process of its own."""
+
+
+def open_hand(config: CellConfig, clock: Clock, *, notes: tuple[str, ...] = ()) -> LocalHand:
+    """Open the real ports of a config; nothing moves yet.
+
+    Parameters
+    ----------
+    config
+        The cell.
+    clock
+        Real time.
+    notes
+        Of the hand.
+
+    Raises
+    ------
+    gripper.errors.PortLost, tactile.errors.LinkFault
+        If a port or bus cannot be opened.
+    """
+    with ExitStack() as undo:
+        tactile = config.tactile
+        can_bus = open_bus(tactile.interface, tactile.channel, bitrate=tactile.bitrate)
+        undo.callback(close_bus, can_bus)
+        stream = SerialStream(config.gripper.port, config.gripper.baud_rate)
+        undo.callback(stream.close)
+        return make_hand(
+            config,
+            clock=clock,
+            stream=stream,
+            can_bus=can_bus,
+            threaded=True,
+            close_links=undo.pop_all().close,
+            notes=notes,
+        )
+
+
+def make_hand(
+    config: CellConfig,
+    *,
+    clock: Clock,
+    stream: ByteStream,
+    can_bus: CanBus,
+    threaded: bool,
+    close_links: Callable[[], None],
+    notes: tuple[str, ...] = (),
+) -> LocalHand:
+    """Put gripper and sensor together on open links.
+
+    Parameters
+    ----------
+    config
+        The cell.
+    clock
+        Source of time.
+    stream, can_bus
+        The servos' line and the control unit's bus.
+    threaded
+        Whether a thread receives from the bus: True in real time.
+    close_links
+        Closes both; the hand calls it at its end.
+    notes
+        Of the hand.
+    """
+    layout = layout_from_config(config.tactile)
+    link = make_link(config.tactile, can_bus, layout, clock, threaded=threaded)
+    sensor = TactileSensor(
+        link,
+        layout,
+        make_calibration(config.tactile, layout),
+        clock=clock,
+        settings=_sensor_settings(config.tactile),
+    )
+    tap = SensorTap(sensor)
+    bus = ServoBus(
+        stream,
+        baudrate=config.gripper.baud_rate,
+        clock=clock,
+        period_s=1.0 / config.gripper.loop_rate_hz,
+    )
+    gripper = Gripper(
+        bus, make_linkage(config), config.gripper_settings, clock=clock, force_sensor=tap
+    )
+    return LocalHand(
+        gripper=gripper,
+        sensor=sensor,
+        tap=tap,
+        bus=bus,
+        link=link,
+        close_links=close_links,
+        notes=notes,
+    )
+
+
+def make_link(
+    config: TactileConfig,
+    bus: CanBus,
+    layout: TaxelLayout,
+    clock: Clock,
+    *,
+    threaded: bool,
+    sync_period_s: float | None = None,
+) -> TactileLink:
+    """Return the link to the control unit on an open bus."""
+    settings = link_settings(config, threaded=threaded)
+    if sync_period_s is not None:
+        settings = replace(settings, sync_period_s=sync_period_s)
+    return TactileLink(bus, node_id=config.node_id, layout=layout, clock=clock, settings=settings)
+
+
+def _sensor_settings(config: TactileConfig) -> SensorSettings:
+    return SensorSettings(
+        bad_share=config.bad_taxels_max_share,
+        quality=QualityLimits(drift_share=config.drift_max_share),
+        tare_limits=TareLimits(bad_share=config.bad_taxels_max_share),
+    )
+
+
+def make_linkage(config: CellConfig) -> Linkage:
+    """Return the linkage of a config."""
+    drive, n_servos = config.gripper.linkage, len(config.gripper.servos)
+    if isinstance(drive, ParallelLinkageConfig):
+        return ParallelLinkage(
+            link_m=drive.link_mm * 1e-3, offset_m=drive.offset_mm * 1e-3, n_servos=n_servos
+        )
+    return RackPinion(
+        pinion_radius_m=drive.pinion_radius_mm * 1e-3,
+        offset_m=drive.offset_mm * 1e-3,
+        n_servos=n_servos,
+    )

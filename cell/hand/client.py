@@ -1,0 +1,427 @@
+"""The client of the hand in a process of its own; `cell.hand.server` is the other end."""
+
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from typing import Any, NoReturn
+
+from cell.config.model import CellConfig
+from cell.config.tactile import layout_from_config
+from cell.errors import HandLost
+from cell.hand.build import make_linkage
+from cell.hand.interface import HandStatistics, Watch
+from cell.hand.messages import (
+    Answer,
+    Boot,
+    ClearFault,
+    CloseSensor,
+    Command,
+    EndRamp,
+    Event,
+    Fault,
+    GraspUnder,
+    Inspect,
+    KeepGrip,
+    Open,
+    Progress,
+    ReadSensor,
+    Ready,
+    Release,
+    Request,
+    Shutdown,
+    Start,
+    StartSensor,
+    Tare,
+    received_error,
+)
+from gripper.errors import GripperError, copy_fingers
+from gripper.force.ramp import ForceRamp, check_ramp
+from gripper.state import GraspOutcome, GripperPhase, VerificationReport
+from tactile.errors import TactileError
+from tactile.layout import TaxelLayout
+from tactile.sensor.sensor import TactileReading
+from tactile.unit.settings import NodeIdentity
+
+_BOOT_S = 60.0
+"""Longest time in s until a process has loaded its libraries and opened both ports."""
+_END_S = 5.0
+"""Longest time in s for a process to end before it is killed."""
+
+
+class LoopProcess:
+    """One process of the force loop, from its start to its end.
+
+    It is started afresh (exec, no fork): it shares no lock, thread or interpreter with the program,
+    and the program's main module is not imported in it.
+
+    Parameters
+    ----------
+    config
+        The cell; its ports are real.
+
+    Attributes
+    ----------
+    lost
+        Why the process is of no use any more; None while it is.
+    ready
+        Its first message.
+
+    Raises
+    ------
+    gripper.errors.PortLost, tactile.errors.LinkFault
+        If a port or bus cannot be opened.
+    HandLost
+        If the process does not come up.
+    """
+
+    def __init__(self, config: CellConfig) -> None:
+        self.lost: HandLost | None = None
+        self._watchdog_ms = config.gripper.watchdog_ms
+        ours, theirs = socket.socketpair()
+        stop_fd, self._stop_fd = os.pipe()
+        os.set_blocking(self._stop_fd, False)
+        self._connection = Connection(ours.detach())
+        code = (
+            f"import sys; sys.path[:] = {sys.path!r}; from cell.hand.server import main; "
+            f"main({theirs.fileno()}, {stop_fd}, {os.getpid()})"
+        )
+        try:
+            self._process = subprocess.Popen(
+                [sys.executable, "-c", code, "tactile-cell-force-loop"],
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.DEVNULL,
+                pass_fds=(theirs.fileno(), stop_fd),
+                env=os.environ | {"OPENBLAS_NUM_THREADS": "1"},
+            )
+        finally:
+            theirs.close()
+            os.close(stop_fd)
+        try:
+            self.send(Boot(config=config))
+            event = self.next(_BOOT_S)
+            if isinstance(event, Fault):
+                raise received_error(event.error)
+            if not isinstance(event, Ready):
+                self.lose(f"sent {type(event).__name__} instead of being ready")
+        except BaseException:
+            self.close()
+            raise
+        self.ready: Ready = event
+
+    @property
+    def pid(self) -> int:
+        """Its process id."""
+        return self._process.pid
+
+    def stop(self) -> None:
+        """Let the running command end; safe from any thread and in signal handlers."""
+        # A pipe that is full holds requests enough; one that is broken has nobody to stop.
+        with suppress(OSError):
+            os.write(self._stop_fd, b"s")
+
+    def send(self, message: Request | EndRamp | Boot) -> None:
+        """Send a message. Raises HandLost if the process is gone."""
+        self.check()
+        try:
+            self._connection.send(message)
+        except OSError:
+            self._lose_gone()
+
+    def next(self, patience_s: float) -> Event:
+        """Wait for the next event; a process that sends nothing for so long is lost."""
+        self.check()
+        if not self._connection.poll(patience_s):
+            self.lose(f"has sent nothing for {patience_s:g} s")
+        try:
+            event: Event = self._connection.recv()
+        except (EOFError, OSError):
+            self._lose_gone()
+        except BaseException:
+            # Half a message may have been read: what follows could not be understood.
+            self.abandon(HandLost("the connection to the force loop was cut by an interruption"))
+            raise
+        return event
+
+    def waiting(self) -> bool:
+        """Whether `next` would return or raise at once."""
+        self.check()
+        return self._connection.poll(0.0)
+
+    def check(self) -> None:
+        """Raise HandLost if the process is of no use any more."""
+        if self.lost is not None:
+            raise self.lost
+
+    def abandon(self, lost: HandLost) -> None:
+        """Take the process for lost and end it; a held part stays held."""
+        self.lost = lost
+        self.close()
+
+    def close(self) -> None:
+        """End the process and wait for its end; one that does not end is killed."""
+        if not self._connection.closed:
+            self._connection.close()
+            os.close(self._stop_fd)
+            self._stop_fd = -1
+        try:
+            self._process.wait(_END_S)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            self._process.wait()
+
+    def lose(self, what: str) -> NoReturn:
+        """Latch that the process is lost, and raise what that means for a held part."""
+        lost = HandLost(
+            f"the process of the force loop (pid {self.pid}) {what}; a part may still be gripped, "
+            f"and the servos' bus watchdog acts after {self._watchdog_ms:g} ms. Look at the part, "
+            f"then clear the fault: a new process starts and moves nothing"
+        )
+        self.abandon(lost)
+        raise lost
+
+    def _lose_gone(self) -> NoReturn:
+        with suppress(subprocess.TimeoutExpired):
+            self._process.wait(_END_S)
+        code = self._process.returncode
+        if code is None:
+            self.lose("closed its connection and does not end")
+        if code < 0:
+            self.lose(f"was ended by {signal.Signals(-code).name}")
+        self.lose(f"has ended with exit code {code}")
+
+
+_AT_REST = (GripperPhase.OFF, GripperPhase.IDLE)
+"""Phases in which no part is held, so that none is after the loss of the process."""
+
+
+class HandProcess:
+    """Implements `cell.hand.interface.Hand` with a process that owns both ports and runs the loop.
+
+    A process that ends, or that sends nothing for too long, is a `HandLost` from then on, until
+    `clear_fault` starts another one. The end of this program, or `close`, ends the process; in
+    each case it keeps a held part held.
+
+    Parameters
+    ----------
+    config
+        The cell; its ports are real.
+    silence_s
+        Longest time in s without a message of the process while the loop runs; what does not run
+        the loop may take longer, up to the config's time-outs.
+
+    Raises
+    ------
+    gripper.errors.PortLost, tactile.errors.LinkFault
+        If a port or bus cannot be opened.
+    HandLost
+        If the process does not come up.
+    """
+
+    def __init__(self, config: CellConfig, *, silence_s: float = 5.0) -> None:
+        self._config = config
+        self._layout = layout_from_config(config.tactile)
+        self._settings = config.gripper_settings
+        self._linkage = make_linkage(config)
+        self._silence_s = silence_s
+        self._answer_s = 2.0 * silence_s + 4.0 * config.tactile.startup_timeout_s
+        self._number = 0
+        self._phase = GripperPhase.OFF
+        self._loop = LoopProcess(config)
+        self._statistics = self._loop.ready.statistics
+        self._heard_s = time.monotonic()
+
+    # -- what is known here --------------------------------------------------------------------
+
+    @property
+    def layout(self) -> TaxelLayout:
+        """The taxels."""
+        return self._layout
+
+    @property
+    def period_s(self) -> float:
+        """Period of the loop in s."""
+        return 1.0 / self._config.gripper.loop_rate_hz
+
+    @property
+    def phase(self) -> GripperPhase:
+        """What the gripper did last; of a process that is gone, whether a part may be held."""
+        if self._loop.lost is not None and self._phase not in _AT_REST:
+            return GripperPhase.HELD_AFTER_FAULT
+        return self._phase
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What the system has not granted to the process."""
+        return self._loop.ready.notes
+
+    @property
+    def statistics(self) -> HandStatistics:
+        """Counters as of the last command."""
+        return self._statistics
+
+    @property
+    def pid(self) -> int:
+        """Process id of the loop."""
+        return self._loop.pid
+
+    # -- commands ------------------------------------------------------------------------------
+
+    def start(self) -> VerificationReport:
+        """Verify the servos; see `Hand`."""
+        report: VerificationReport = self._call(Start())
+        return report
+
+    def start_sensor(self) -> NodeIdentity:
+        """Start the tactile link; see `Hand`."""
+        identity: NodeIdentity = self._call(StartSensor())
+        return identity
+
+    def close_sensor(self) -> None:
+        """End the tactile link; it has ended where the process is gone."""
+        if self._loop.lost is None:
+            self._call(CloseSensor())
+
+    def open(self, watch: Watch) -> None:
+        """Open the empty fingers; see `Hand`."""
+        self._call(Open(), watch)
+
+    def tare(self, n_frames: int) -> None:
+        """Take the zero of the taxels; see `Hand`."""
+        self._call(Tare(n_frames=n_frames))
+
+    def check_ramp(self, ramp: ForceRamp) -> None:
+        """Refuse a ramp beyond the limits; see `Hand`."""
+        check_ramp(ramp, self._settings, self._linkage)
+
+    def grasp(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
+        """Close and follow the ramp; see `Hand`."""
+        outcome: GraspOutcome = self._call(GraspUnder(ramp=ramp), watch)
+        return outcome
+
+    def end_ramp(self) -> None:
+        """Let the running ramp end where it is; see `Hand`."""
+        self._loop.send(EndRamp(number=self._number))
+
+    def release(self, watch: Watch | None = None) -> None:
+        """Let go; see `Hand`."""
+        self._call(Release(), watch)
+
+    def inspect(self) -> VerificationReport:
+        """Compare the servos with the settings; reads only."""
+        report: VerificationReport = self._call(Inspect())
+        return report
+
+    def read_sensor(self, timeout_s: float) -> TactileReading:
+        """Wait for a new reading of the taxels."""
+        reading: TactileReading = self._call(ReadSensor(timeout_s=timeout_s))
+        return reading
+
+    def tick(self) -> None:
+        """Raise what went wrong since the last command; the process ticks by itself.
+
+        Raises HandLost also where it has sent nothing since an earlier look, too long ago.
+        """
+        now_s = time.monotonic()
+        while self._loop.waiting():
+            event = self._loop.next(0.0)
+            self._heard_s = now_s
+            if isinstance(event, Fault):
+                self._raise(event)
+        if now_s - self._heard_s > self._silence_s:
+            self._loop.lose(f"has sent nothing for {now_s - self._heard_s:.1f} s")
+
+    def keep_grip(self) -> None:
+        """Freeze in any state; see `Gripper.keep_grip`."""
+        self._call(KeepGrip())
+
+    def clear_fault(self, *, reboot: bool) -> None:
+        """Acknowledge a fault; where the process is gone, start another, which moves nothing."""
+        if self._loop.lost is not None:
+            self._loop = LoopProcess(self._config)
+            self._heard_s = time.monotonic()
+            return
+        self._call(ClearFault(reboot=reboot))
+
+    def request_stop(self) -> None:
+        """Let the running command end with GraspStopped."""
+        self._loop.stop()
+
+    def shutdown(self) -> str:
+        """Leave servos and sensor in a defined state; see `Hand`.
+
+        Raises HandLost if the process died unnoticed.
+        """
+        found = ""
+        if self._loop.lost is None:
+            try:
+                self._call(Shutdown(), unasked=True)
+            except (GripperError, TactileError) as error:
+                found = f"{type(error).__name__}: {error}"
+        return found
+
+    def close(self) -> None:
+        """End the process and wait for its end; a held part stays held."""
+        self._loop.close()
+
+    # -- inside --------------------------------------------------------------------------------
+
+    def _call(self, command: Command, watch: Watch | None = None, *, unasked: bool = False) -> Any:
+        """Have a command carried out; what goes wrong here stops it and is raised at its end.
+
+        With ``unasked`` it is carried out although a fault waits to be raised.
+        """
+        if not unasked:
+            self.tick()
+        self._number += 1
+        self._loop.send(Request(number=self._number, command=command))
+        runs_loop = isinstance(command, Open | GraspUnder | Release)
+        patience_s = self._silence_s if runs_loop else self._answer_s
+        failure: BaseException | None = None
+        while True:
+            try:
+                event = self._loop.next(patience_s)
+                if isinstance(event, Progress):
+                    self._phase = event.cycle.phase
+                    if watch is not None and failure is None:
+                        watch(event.cycle, _read_only(event))
+                elif isinstance(event, Fault):
+                    self._raise(event)
+            except HandLost:
+                raise
+            except BaseException as error:
+                if failure is not None or self._loop.lost is not None:
+                    raise
+                failure = error
+                self.request_stop()
+                continue
+            if isinstance(event, Answer) and event.number == self._number:
+                break
+        self._heard_s = time.monotonic()
+        self._phase, self._statistics = event.phase, event.statistics
+        if failure is not None:
+            if event.error is not None:
+                # Only the process that moves the fingers has measured where they stand.
+                copy_fingers(received_error(event.error), failure)
+            raise failure
+        if event.error is not None:
+            raise received_error(event.error)
+        return event.value
+
+    def _raise(self, fault: Fault) -> NoReturn:
+        """Raise a fault that came by itself; a HandLost among them is the loss of the process."""
+        self._phase = fault.phase
+        error = received_error(fault.error)
+        if isinstance(error, HandLost):
+            self._loop.abandon(error)
+        raise error
+
+
+def _read_only(event: Progress) -> tuple[Any, ...]:
+    for frame in event.frames:
+        frame.counts.setflags(write=False)
+    return event.frames

@@ -1,0 +1,161 @@
+"""The hand: gripper and tactile sensor as one, wherever their force loop runs.
+
+`cell.hand.local.LocalHand` runs the loop in this process, in the caller's thread: virtual time and
+tests. `cell.hand.client.HandProcess` runs it in a process of its own: real time.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Protocol
+
+from gripper.dynamixel.transactions import BusStatistics
+from gripper.force.ramp import ForceRamp
+from gripper.force.timing import LoopStatistics
+from gripper.state import Cycle, GraspOutcome, GripperPhase, VerificationReport
+from tactile.frames.codec import TactileFrame
+from tactile.layout import TaxelLayout
+from tactile.sensor.sensor import SensorStatistics, TactileReading
+from tactile.unit.settings import LinkStatistics, NodeIdentity
+
+Watch = Callable[[Cycle, Sequence[TactileFrame]], None]
+"""Callback for each period of a command, in order, with the tactile frames that came in it.
+
+What it raises stops the command with the grip kept, and passes on.
+"""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HandStatistics:
+    """What loop and links counted.
+
+    Attributes
+    ----------
+    loop
+        Timing of the force loop since it was made.
+    servo_bus
+        Since the servos' port was opened.
+    link
+        Since the last start of the tactile link.
+    sensor
+        Since the last start of the tactile sensor.
+    undelivered
+        Periods that did not reach this process because it took nothing for too long.
+    """
+
+    loop: LoopStatistics
+    servo_bus: BusStatistics
+    link: LinkStatistics
+    sensor: SensorStatistics = field(default_factory=SensorStatistics)
+    undelivered: int = 0
+
+
+class Hand(Protocol):
+    """Gripper and tactile sensor; one thread commands them.
+
+    Commands raise what `gripper.gripper.Gripper` and `tactile.sensor.sensor.TactileSensor` raise,
+    and `cell.errors.HandLost` where the process of the loop is gone.
+    """
+
+    @property
+    def layout(self) -> TaxelLayout:
+        """The taxels."""
+        ...
+
+    @property
+    def period_s(self) -> float:
+        """Period of the loop in s."""
+        ...
+
+    @property
+    def phase(self) -> GripperPhase:
+        """What the gripper is doing, as of the last message."""
+        ...
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Messages for the operator on how the loop runs; empty where all is as wanted."""
+        ...
+
+    @property
+    def statistics(self) -> HandStatistics:
+        """Counters of loop and links; of a hand that is gone the last ones that came."""
+        ...
+
+    def start(self) -> VerificationReport:
+        """Verify the servos; nothing moves. See `Gripper.start`."""
+        ...
+
+    def start_sensor(self) -> NodeIdentity:
+        """Start the tactile link. From now on the loop gets forces."""
+        ...
+
+    def close_sensor(self) -> None:
+        """End the tactile link."""
+        ...
+
+    def open(self, watch: Watch) -> None:
+        """Open the empty fingers."""
+        ...
+
+    def tare(self, n_frames: int) -> None:
+        """Take the zero of the taxels from so many frames."""
+        ...
+
+    def check_ramp(self, ramp: ForceRamp) -> None:
+        """Raise LimitExceeded for a ramp that `grasp` would refuse; no device is asked."""
+        ...
+
+    def grasp(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
+        """Close until both pads touch, follow the ramp; return while holding."""
+        ...
+
+    def end_ramp(self) -> None:
+        """Let the ramp of the running grasp end where it is; see `Gripper.end_ramp`.
+
+        Safe from any thread, and meant for the watch of a grasp. One that comes too late changes
+        nothing, neither this grasp nor the next.
+        """
+        ...
+
+    def release(self, watch: Watch | None = None) -> None:
+        """Let go: the only command that lets a part go."""
+        ...
+
+    def inspect(self) -> VerificationReport:
+        """Compare the servos with the settings; reads only."""
+        ...
+
+    def read_sensor(self, timeout_s: float) -> TactileReading:
+        """Wait for a new reading of the taxels."""
+        ...
+
+    def tick(self) -> None:
+        """Between commands, once a period: both links stay alive; what is wrong with them raises.
+
+        A loop in a process of its own ticks by itself; this then raises what it found.
+        """
+        ...
+
+    def keep_grip(self) -> None:
+        """Freeze in any state; see `Gripper.keep_grip`."""
+        ...
+
+    def clear_fault(self, *, reboot: bool) -> None:
+        """Acknowledge a fault of the servos; a process that is gone is started anew."""
+        ...
+
+    def request_stop(self) -> None:
+        """Let the running command end with GraspStopped; safe from any thread and in signals."""
+        ...
+
+    def shutdown(self) -> str:
+        """Leave servos and sensor in a defined state, as `Gripper.close` does.
+
+        Returns what was found wrong since the last command, for the record: no command needs a
+        sound hand any more. Empty where nothing was.
+        """
+        ...
+
+    def close(self) -> None:
+        """Give ports, and the process of the loop, back; a held part stays held."""
+        ...

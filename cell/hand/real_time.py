@@ -1,0 +1,98 @@
+"""Real-time settings of a process: priority, locked memory, processor, garbage collection."""
+
+import ctypes
+import gc
+import os
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+
+from cell.config.model import LoopConfig
+
+_MCL_CURRENT = 1
+_MCL_FUTURE = 2
+"""Flags of mlockall(2): pages that are mapped, and those that will be."""
+_STACK_BYTES = 512 << 10
+"""Stack of each thread: all of it is locked, and the default of 8 MB would exceed most limits."""
+
+
+def enter_real_time(config: LoopConfig) -> tuple[str, ...]:
+    """Ask for scheduling, memory and processor as the config wants; return what was refused.
+
+    Call it before threads are started: they inherit the scheduling, so that none of them holds
+    the interpreter's lock while it waits for a processor. Each note names the consequence and
+    the remedy.
+    """
+    threading.stack_size(_STACK_BYTES)
+    asked: list[tuple[Callable[[], None], str, str]] = []
+    if config.cpu is not None:
+        asked.append(
+            (
+                lambda: os.sched_setaffinity(0, {config.cpu or 0}),
+                f"the force loop was not bound to processor {config.cpu}",
+                "correct loop.cpu",
+            )
+        )
+    if config.lock_memory:
+        asked.append(
+            (
+                lock_memory,
+                "the memory of the force loop is not locked, paging may hold it up",
+                "raise `ulimit -l` (limits.conf: memlock), or set loop.lock_memory to false",
+            )
+        )
+    if config.priority:
+        asked.append(
+            (
+                lambda: os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(config.priority)),
+                "the force loop runs without real-time priority, other programs may hold it up",
+                "raise `ulimit -r` (limits.conf: rtprio), or set loop.priority to 0",
+            )
+        )
+    notes = []
+    for ask, meaning, remedy in asked:
+        try:
+            ask()
+        except OSError as error:
+            notes.append(f"{meaning} ({error.strerror}): {remedy}")
+    return tuple(notes)
+
+
+def lock_memory() -> None:
+    """Keep all pages of this process in memory, now and later. Raises OSError if refused."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.mlockall(_MCL_CURRENT | _MCL_FUTURE) != 0:
+        number = ctypes.get_errno()
+        raise OSError(number, os.strerror(number))
+
+
+@contextmanager
+def raised_priority(priority: int) -> Iterator[None]:
+    """Run the block with a real-time priority where the system grants it; 0 asks for none.
+
+    For a simulated device, which takes the place of one that waits for no processor. A
+    refusal raises nothing: the device then answers late now and then.
+    """
+    before = os.sched_getscheduler(0), os.sched_getparam(0)
+    granted = False
+    if priority > 0:
+        with suppress(OSError):
+            os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+            granted = True
+    try:
+        yield
+    finally:
+        if granted:
+            os.sched_setscheduler(0, *before)
+
+
+def stop_collecting() -> None:
+    """Let no garbage collection interrupt from now on; `collect_now` does it instead."""
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+
+
+def collect_now() -> None:
+    """Collect garbage, at a moment at which nothing waits."""
+    gc.collect()

@@ -1,0 +1,345 @@
+"""The server of the hand: the process that owns both ports and runs the force loop.
+
+Between commands it ticks by itself, so that watchdog and heartbeat are served whatever the
+program does. SIGINT is the program's business; SIGTERM, and the end of the program, freeze the
+grip, and the process ends as `gripper.gripper.Gripper.close` does: a held part stays held.
+"""
+
+import os
+import pickle
+import select
+import signal
+import threading
+import time
+from collections import deque
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+from multiprocessing.connection import Connection
+from types import FrameType
+from typing import Any
+
+from cell.errors import HandLost, HostSilent
+from cell.hand.build import open_hand
+from cell.hand.interface import HandStatistics
+from cell.hand.local import LocalHand
+from cell.hand.messages import (
+    Alive,
+    Answer,
+    Boot,
+    ClearFault,
+    CloseSensor,
+    Command,
+    EndRamp,
+    Event,
+    Fault,
+    GraspUnder,
+    Inspect,
+    KeepGrip,
+    Open,
+    Progress,
+    ReadSensor,
+    Ready,
+    Release,
+    Request,
+    Shutdown,
+    Start,
+    StartSensor,
+    Tare,
+    send_error,
+)
+from cell.hand.real_time import collect_now, enter_real_time, stop_collecting
+from gripper.errors import GraspStopped, GripperError, copy_fingers
+from gripper.state import Cycle, GripperPhase
+from tactile.frames.codec import TactileFrame
+
+
+class Outbox:
+    """Sends events in order, and keeps those that the other end has no room for yet.
+
+    Parameters
+    ----------
+    connection
+        A stream socket. Linux calls it writable while three quarters of its buffer of at least
+        200 kB are free: a message of less is then taken whole, and nothing blocks.
+    limit
+        Periods that may wait; from then on they are dropped and counted, with all else kept.
+
+    Attributes
+    ----------
+    dropped
+        Periods dropped so far.
+    broken
+        Whether the other end is gone.
+    """
+
+    def __init__(self, connection: Connection, *, limit: int) -> None:
+        self._connection = connection
+        self._poller = select.poll()
+        self._poller.register(connection.fileno(), select.POLLOUT)
+        self._limit = limit
+        self._waiting: deque[bytes] = deque()
+        self.dropped = 0
+        self.broken = False
+
+    @property
+    def full(self) -> bool:
+        """Whether the next period would be dropped."""
+        return len(self._waiting) >= self._limit
+
+    @property
+    def empty(self) -> bool:
+        """Whether the other end has taken everything."""
+        return not self._waiting
+
+    def post(self, event: Event) -> None:
+        """Send now or later; a period that finds no room is dropped."""
+        if isinstance(event, Progress) and self.full:
+            self.dropped += 1
+            return
+        self._waiting.append(pickle.dumps(event, protocol=pickle.HIGHEST_PROTOCOL))
+        self.flush()
+
+    def flush(self) -> None:
+        """Send what the other end has room for; does not wait."""
+        try:
+            while self._waiting and self._writable():
+                self._connection.send_bytes(self._waiting[0])
+                self._waiting.popleft()
+        except OSError:
+            self._waiting.clear()
+            self.broken = True
+
+    def drain(self, timeout_s: float) -> None:
+        """Send what is left, waiting at most so long: the last words of a process that ends."""
+        while self._waiting and not self.broken and self._writable(timeout_s):
+            self.flush()
+
+    def _writable(self, timeout_s: float = 0.0) -> bool:
+        return bool(self._poller.poll(1e3 * timeout_s))
+
+
+WAITING_PERIODS = 1000
+"""Periods that wait for a program that takes nothing, before the grip is frozen."""
+_LAST_WORDS_S = 0.5
+"""Time in s for the other end to take the last messages."""
+_ALIVE_EVERY_S = 0.5
+"""Period in s of `Alive` between commands: a tenth of what the client waits."""
+
+
+def main(connection_fd: int, stop_fd: int, parent: int) -> None:
+    """Run until the program closes the connection, ends, or SIGTERM comes.
+
+    Parameters
+    ----------
+    connection_fd, stop_fd
+        Descriptors of the socket for requests and events, and of the pipe for requests to stop.
+    parent
+        The program's process id.
+    """
+    for number in (signal.SIGINT, signal.SIGHUP):
+        signal.signal(number, signal.SIG_IGN)
+    connection = Connection(connection_fd)
+    outbox = Outbox(connection, limit=WAITING_PERIODS)
+    try:
+        boot: Boot = connection.recv()
+        notes = enter_real_time(boot.config.loop)
+        hand = open_hand(boot.config, time)
+    except EOFError:
+        return
+    except Exception as error:
+        outbox.post(Fault(error=send_error(error), phase=GripperPhase.OFF))
+        outbox.drain(_LAST_WORDS_S)
+        return
+    server = HandServer(hand, connection, outbox, parent=parent)
+    threading.Thread(target=server.listen, args=(stop_fd,), name="stop", daemon=True).start()
+    signal.signal(signal.SIGTERM, server.terminate)
+    stop_collecting()
+    try:
+        outbox.post(Ready(notes=notes, statistics=hand.statistics))
+        server.serve()
+    finally:
+        server.end()
+
+
+class HandServer:
+    """Carries out requests on a hand, and looks after it in between.
+
+    Parameters
+    ----------
+    hand
+        Gripper and sensor.
+    connection, outbox
+        Where requests come from and events go to.
+    parent
+        Process whose end ends this one.
+    """
+
+    def __init__(
+        self, hand: LocalHand, connection: Connection, outbox: Outbox, *, parent: int
+    ) -> None:
+        self._hand = hand
+        self._connection = connection
+        self._outbox = outbox
+        self._parent = parent
+        self._poller = select.poll()
+        self._poller.register(connection.fileno(), select.POLLIN)
+        self._requests: deque[Request] = deque()
+        self._grasp = 0
+        self._ending = ""
+        self._supervised = True
+        self._alive_due_s = 0.0
+
+    def terminate(self, _number: int, _frame: FrameType | None) -> None:
+        """Freeze and end: SIGTERM."""
+        self._end_because("it was asked to end (SIGTERM)")
+
+    def listen(self, stop_fd: int) -> None:
+        """Stop the running command at each byte, and everything when the pipe closes."""
+        while os.read(stop_fd, 64):
+            self._hand.request_stop()
+        self._end_because("its program is gone")
+
+    def serve(self) -> None:
+        """Obey and supervise until there is a reason to end."""
+        due_s = time.monotonic()
+        while not self._ending:
+            try:
+                if not self._requests:
+                    self._receive(max(0.0, due_s - time.monotonic()))
+            except (EOFError, OSError):
+                return
+            if self._requests:
+                self._execute(self._requests.popleft())
+            now_s = time.monotonic()
+            if now_s >= due_s:
+                self._supervise()
+                due_s = max(due_s + self._hand.period_s, now_s)
+
+    def end(self) -> None:
+        """Leave a held part held, give the ports back, send the reason."""
+        self._hand.shutdown()
+        self._hand.close()
+        if self._ending:
+            lost = HandLost(
+                f"the process of the force loop has ended: {self._ending}; a held part stays held"
+            )
+            self._outbox.post(Fault(error=send_error(lost), phase=self._hand.phase))
+            self._outbox.drain(_LAST_WORDS_S)
+
+    def _end_because(self, reason: str) -> None:
+        self._ending = self._ending or reason
+        self._hand.request_stop()
+
+    def _receive(self, wait_s: float) -> None:
+        """Take the next message, if one comes in time: each is small and there as a whole.
+
+        Raises EOFError or OSError if the program is gone.
+        """
+        if not self._poller.poll(1e3 * wait_s):
+            return
+        message = self._connection.recv()
+        if isinstance(message, Request):
+            self._requests.append(message)
+        elif isinstance(message, EndRamp) and message.number == self._grasp:
+            self._hand.end_ramp()
+
+    def _execute(self, request: Request) -> None:
+        value: Any = None
+        failure: BaseException | None = None
+        dropped = self._outbox.dropped
+        self._grasp = request.number if isinstance(request.command, GraspUnder) else 0
+        try:
+            value = self._run(request.command)
+        except GraspStopped as stop:
+            failure = stop
+            if self._outbox.dropped > dropped:
+                failure = HostSilent(
+                    f"the program took nothing from its force loop for {WAITING_PERIODS} periods: "
+                    f"the goals are frozen; {self._outbox.dropped - dropped} periods are lost"
+                )
+                copy_fingers(stop, failure)
+        except Exception as error:
+            failure = error
+            self._stand_by()
+        else:
+            self._supervised = self._supervised or isinstance(request.command, Start)
+        self._outbox.post(
+            Answer(
+                number=request.number,
+                value=value,
+                error=None if failure is None else send_error(failure),
+                phase=self._hand.phase,
+                statistics=self._statistics(),
+            )
+        )
+        collect_now()
+
+    def _run(self, command: Command) -> Any:
+        hand = self._hand
+        value: Any = None
+        match command:
+            case Start():
+                value = hand.start()
+            case StartSensor():
+                value = hand.start_sensor()
+            case CloseSensor():
+                hand.close_sensor()
+            case Open():
+                hand.open(self._watch)
+            case Tare(n_frames=n_frames):
+                hand.tare(n_frames)
+            case GraspUnder(ramp=ramp):
+                value = hand.grasp(ramp, self._watch)
+            case Release():
+                hand.release(self._watch)
+            case Inspect():
+                value = hand.inspect()
+            case ReadSensor(timeout_s=timeout_s):
+                value = hand.read_sensor(timeout_s)
+            case KeepGrip():
+                hand.keep_grip()
+            case ClearFault(reboot=reboot):
+                hand.clear_fault(reboot=reboot)
+            case Shutdown():
+                hand.shutdown()
+        return value
+
+    def _watch(self, cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
+        dropped = self._outbox.dropped
+        self._outbox.post(Progress(cycle=cycle, frames=tuple(frames)))
+        # That the program is gone is seen below, and by the pipe for stops.
+        with suppress(EOFError, OSError):
+            self._receive(0.0)
+        self._look_for_parent()
+        if self._ending or self._outbox.dropped > dropped:
+            self._hand.request_stop()
+
+    def _supervise(self) -> None:
+        self._outbox.flush()
+        now_s = time.monotonic()
+        if now_s >= self._alive_due_s and self._outbox.empty:
+            self._alive_due_s = now_s + _ALIVE_EVERY_S
+            self._outbox.post(Alive())
+        self._look_for_parent()
+        if not self._supervised:
+            return
+        try:
+            self._hand.tick()
+        except Exception as error:
+            self._stand_by()
+            self._outbox.post(Fault(error=send_error(error), phase=self._hand.phase))
+
+    def _look_for_parent(self) -> None:
+        if self._outbox.broken or os.getppid() != self._parent:
+            self._end_because("its program is gone")
+
+    def _stand_by(self) -> None:
+        """Keep the grip without supervision, as a fault leaves it, until the next start."""
+        self._supervised = False
+        # What went wrong is on its way; a bus that fails again adds nothing.
+        with suppress(GripperError):
+            self._hand.keep_grip()
+
+    def _statistics(self) -> HandStatistics:
+        return replace(self._hand.statistics, undelivered=self._outbox.dropped)

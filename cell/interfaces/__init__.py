@@ -1,0 +1,1 @@
+"""Who asks a cell for something: the command line, a host program."""

@@ -1,0 +1,106 @@
+"""The commands, and the exit codes: 0 done, 1 the job failed or was interrupted, 2 wrong use."""
+
+import signal
+import sys
+from typing import Annotated, NoReturn
+
+import typer
+
+from cell.errors import CellError, ConfigError
+from cell.interfaces.cli.commands import (
+    calibrate,
+    config,
+    dbc,
+    doctor,
+    evaluate,
+    identify,
+    recover,
+    release,
+    replay,
+    run,
+    simulate,
+    teach,
+    train,
+)
+from cell.interfaces.cli.signals import INTERRUPTED
+from gripper.errors import GripperError
+from tactile.errors import TactileError
+
+_ENDED_BY_CTRL_C = 130
+"""Exit code with which typer ends where Ctrl-C came, without a word."""
+
+app = typer.Typer(
+    name="tactile-cell",
+    help="Find out by touch what the gripper holds.",
+    no_args_is_help=True,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version  # noqa: PLC0415
+
+        typer.echo(f"tactile-cell {version('tactile-cell')}")
+        raise typer.Exit
+
+
+@app.callback()
+def options(
+    version: Annotated[
+        bool,
+        typer.Option("--version", help="Print the version and end.", callback=_print_version),
+    ] = False,
+) -> None:
+    """Find out by touch what the gripper holds."""
+
+
+for command in (
+    run.run,
+    teach.teach,
+    train.train,
+    identify.identify,
+    calibrate.calibrate,
+    release.release,
+    evaluate.evaluate,
+    replay.replay,
+    recover.recover,
+    simulate.simulate,
+    doctor.doctor,
+    dbc.dbc,
+):
+    app.command()(command)
+app.add_typer(config.app, name="config")
+
+
+def main() -> None:
+    """Run the command line and end the program with its exit code."""
+    try:
+        app()
+    except SystemExit as end:
+        if end.code == _ENDED_BY_CTRL_C:
+            _fail(INTERRUPTED, 1)
+        raise
+    except ConfigError as error:
+        _fail(str(error), 2)
+    except (CellError, GripperError, TactileError) as error:
+        _fail(str(error), 1)
+    except OSError as error:
+        # A full disk behind the output, no more open files: the system's word is all there is.
+        _fail(f"{error.strerror or error}{f': {error.filename}' if error.filename else ''}", 1)
+
+
+def _fail(text: str, code: int) -> NoReturn:
+    """Print why, and end; one more Ctrl-C meanwhile changes nothing."""
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    from cell.interfaces.cli.terminal import (  # noqa: PLC0415
+        discard_unwritable_output,
+        print_error,
+    )
+
+    print_error(text)
+    discard_unwritable_output()
+    signal.signal(signal.SIGINT, before)
+    sys.exit(code)

@@ -1,0 +1,91 @@
+"""`config init`, `config check`, `config schema`: config files."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cell.interfaces.cli.options import FOLDER_CONFIG, TextOutOption
+
+app = typer.Typer(no_args_is_help=True, help="Config files: init, check, schema.")
+
+
+def _examples() -> dict[str, Path]:
+    """Return the example configs that come with the package, by name: the files of config/."""
+    import cell.config
+
+    folder = Path(cell.config.__file__).with_name("examples")
+    return {path.stem: path for path in sorted(folder.glob("*.yaml"))}
+
+
+def _known_example(name: str | None) -> str | None:
+    if name is not None and name not in _examples():
+        raise typer.BadParameter(f"{name!r} is no example; there are {', '.join(_examples())}")
+    return name
+
+
+def _begun(incomplete: str) -> list[str]:
+    return [name for name in _examples() if name.startswith(incomplete)]
+
+
+@app.command()
+def init(
+    path: Annotated[Path, typer.Argument(help="File to write.")] = FOLDER_CONFIG,
+    example: Annotated[
+        str | None,
+        typer.Option(
+            "--example",
+            help="Begin with this one, as paper-gripper or pinch-13x6 [default: the simulated "
+            "cell].",
+            callback=_known_example,
+            autocompletion=_begun,
+        ),
+    ] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+) -> None:
+    """Write a config file, its keys explained, and the schema beside."""
+    from cell.config.file import config_text, schema_text
+    from cell.config.model import CellConfig
+    from cell.data.files import write_text
+    from cell.errors import ConfigError
+    from cell.interfaces.cli.terminal import print_line
+
+    if path.exists() and not force:
+        raise ConfigError(f"{path} exists; name another file or add --force")
+    if example is None:
+        text = config_text(CellConfig())
+    else:
+        text = _examples()[example].read_text(encoding="utf-8")
+    schema_path = path.parent / "tactile-cell.schema.json"
+    write_text(path, text, error=ConfigError, what="config")
+    write_text(schema_path, schema_text(), error=ConfigError, what="schema")
+    print_line(f"wrote {path} and {schema_path}")
+
+
+@app.command()
+def check(path: Annotated[Path, typer.Argument(help="Config file.")]) -> None:
+    """Check a config file."""
+    from cell.config.file import load_config
+    from cell.interfaces.cli.terminal import print_line
+    from cell.simulation import simulator_settings
+
+    config = load_config(path)
+    if config.simulated:
+        simulator_settings(config)
+    kind = "simulated ports" if config.simulated else "real ports"
+    print_line(f"{path}: valid: {config.name}, {kind}")
+
+
+@app.command()
+def schema(output: TextOutOption = None) -> None:
+    """Print the JSON schema of the config file."""
+    from cell.config.file import schema_text
+    from cell.data.files import write_text
+    from cell.errors import ConfigError
+    from cell.interfaces.cli.terminal import print_line
+
+    if output is None:
+        typer.echo(schema_text(), nl=False)
+    else:
+        write_text(output, schema_text(), error=ConfigError, what="schema")
+        print_line(f"wrote {output}")

@@ -1,0 +1,31 @@
+"""`dbc`: writes the cell's CAN traffic as a DBC file."""
+
+import typer
+
+from cell.interfaces.cli.options import ConfigOption, TextOutOption
+
+
+def dbc(config: ConfigOption = None, output: TextOutOption = None) -> None:
+    """Write the cell's CAN traffic as a DBC file.
+
+    For cantools, SavvyCAN, CANalyzer and others.
+    """
+    from cell.config.tactile import layout_from_config
+    from cell.data.files import write_text
+    from cell.errors import ConfigError
+    from cell.interfaces.cli.session import cell_config
+    from cell.interfaces.cli.terminal import print_line
+    from tactile.unit.dbc import dbc_text
+
+    tactile = cell_config(config).tactile
+    text = dbc_text(
+        layout_from_config(tactile),
+        node_id=tactile.node_id,
+        sync_period_ms=round(tactile.sync_period_ms),
+        heartbeat_ms=round(tactile.heartbeat_ms),
+    )
+    if output is None:
+        typer.echo(text, nl=False)
+    else:
+        write_text(output, text, error=ConfigError, what="DBC file")
+        print_line(f"wrote {output}")

@@ -1,0 +1,176 @@
+"""`identify`: names the object in the grip, or the objects of recorded grasps."""
+
+from itertools import zip_longest
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from cell.interfaces.cli.options import (
+    ConfigOption,
+    FaultOption,
+    GaugeOption,
+    GaugeShapeOption,
+    GraspsArgument,
+    JsonOption,
+    ModelOption,
+    OutOption,
+    SeedOption,
+)
+
+if TYPE_CHECKING:
+    from cell.config.model import CellConfig
+    from cell.control.identification import ReadShape
+    from cell.learning.pad_knowledge import PadKnowledge
+    from recognition.shape.answer import ShapeAnswer
+
+
+def identify(
+    dataset: GraspsArgument = None,
+    model: ModelOption = None,
+    held: Annotated[
+        str | None, typer.Option("--object", help="Object that the simulated cell shall hold.")
+    ] = None,
+    follow: Annotated[
+        bool,
+        typer.Option(
+            "--follow", help="Follow the drift of the sensors through the recorded grasps."
+        ),
+    ] = False,
+    gauge: GaugeOption = None,
+    gauge_shape: GaugeShapeOption = None,
+    config: ConfigOption = None,
+    out_folder: OutOption = None,
+    seed: SeedOption = None,
+    faults: FaultOption = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Name what is in the grip, or recorded grasps; shape and size.
+
+    Recorded grasps are those of a data set or a recording.
+    """
+    from cell.errors import ConfigError
+    from cell.interfaces.cli.session import cell_config
+    from cell.learning.pad_knowledge import pad_knowledge
+    from cell.learning.shapes import shape_reader
+
+    if model is None:
+        raise ConfigError("--model is missing; `tactile-cell train` makes one")
+    checked = cell_config(config, seed=seed, faults=faults)
+    known = pad_knowledge(checked, gauge, gauge_shape)
+    read_shape = shape_reader(checked, known)
+    if dataset is not None:
+        if faults:
+            raise ConfigError(
+                "--fault is for the simulated cell; recorded grasps are what they are"
+            )
+        _identify_recorded(model, dataset, read_shape, follow=follow, json_file=json_file)
+        return
+    if follow:
+        raise ConfigError("--follow is for recorded grasps; a cell that grasps one object has none")
+    folder = out_folder or Path(checked.recording.directory)
+    _identify_held(checked, model, held, folder, known, json_file=json_file, config_file=config)
+
+
+def _identify_recorded(
+    model: Path,
+    dataset: Path,
+    read_shape: "ReadShape | None",
+    *,
+    follow: bool,
+    json_file: Path | None,
+) -> None:
+    from cell.data.dataset import read_grasps
+    from cell.errors import ModelError
+    from cell.interfaces.cli.terminal import percent, print_line, write_json
+    from cell.jobs.identify import identify_recorded
+    from cell.learning.drift import DriftTracker, drift_text
+    from cell.learning.model import load_model
+    from cell.learning.shapes import NO_SHAPE
+
+    loaded = load_model(model)
+    recorded = read_grasps(dataset)
+    tracker = DriftTracker(loaded.recognizer)
+    if follow and not tracker.follows:
+        raise ModelError(
+            f"a model of {loaded.trainer_name} cannot follow a drift; train one of force_ramp"
+        )
+    answers = identify_recorded(loaded, recorded, tracker=tracker if follow else None)
+    shapes = [None if read_shape is None else read_shape(grasp) for grasp in recorded]
+    for answer, shape in zip(answers, shapes, strict=True):
+        print_line(
+            f"grasp {answer.number:4d}: {answer.label:<24} {percent(answer.probability)}"
+            + ("" if read_shape is None else f"   {shape or NO_SHAPE}")
+            + (f"   (was {answer.truth})" if answer.truth else "")
+        )
+    if tracker.drift_estimate is not None and tracker.drift_estimate.likely:
+        print_line(
+            f"the sensors have drifted: {drift_text(tracker.drift)}; `tactile-cell calibrate "
+            f"{dataset} --model {model} -o NEW.npz` takes it off where most objects were taught"
+        )
+    both = zip(answers, shapes, strict=True)
+    write_json(
+        json_file,
+        {"answers": [answer.as_json() | {"shape": _plain(shape)} for answer, shape in both]},
+    )
+
+
+def _identify_held(
+    config: "CellConfig",
+    model: Path,
+    held: str | None,
+    folder: Path,
+    known: "PadKnowledge",
+    *,
+    json_file: Path | None,
+    config_file: Path | None,
+) -> None:
+    from cell.interfaces.cli.session import pads_of, running_cell
+    from cell.interfaces.cli.terminal import percent, print_line, progress_bar, write_json
+    from cell.jobs.common import job_folder
+    from cell.jobs.identify import identify_on_cell
+    from cell.learning.drift import drift_values
+    from cell.learning.model import load_model
+    from cell.learning.shapes import NO_SHAPE, beside
+    from cell.learning.taught_model import TaughtModel
+
+    taught = TaughtModel(config, load_model(model, pads_of(config)), known=known)
+    folder = job_folder(folder, "identify")
+    with (
+        running_cell(config, folder, json_file=json_file, config_file=config_file) as cell,
+        progress_bar() as progress,
+    ):
+        found, truth = identify_on_cell(cell, config, taught, held=held, progress=progress)
+        recording = cell.recording_path
+    for number, (record, posterior, shape) in enumerate(
+        zip_longest(found.records, found.posteriors, found.shapes), start=1
+    ):
+        print_line(
+            f"grasp {number}: {posterior.best} {percent(float(posterior.probability.max()))} "
+            f"if taught, untaught {percent(posterior.unknown)}"
+            + (f"; {shape or NO_SHAPE}" if found.shapes else "")
+            + (f"; {record.ended}" if record.ended else "")
+        )
+    was = f" (it was {truth})" if truth else ""
+    felt = beside(found.label, found.shape)
+    print_line(f"answer: {found.label} {percent(found.probabilities[found.label])}{felt}{was}")
+    write_json(
+        json_file,
+        {
+            "label": found.label,
+            "probability": found.probability,
+            "probabilities": found.probabilities,
+            "unknown": found.fused.unknown,
+            "n_grasps": len(found.posteriors),
+            "shape": _plain(found.shape),
+            "shapes": [_plain(shape) for shape in found.shapes],
+            "ramps": [record.ramp_as_json() for record in found.records],
+            "drift": None if found.drift is None else drift_values(found.drift),
+            "held": truth,
+            "recording": str(recording),
+        },
+    )
+
+
+def _plain(shape: "ShapeAnswer | None") -> dict[str, Any] | None:
+    return None if shape is None else shape.as_dict()

@@ -1,0 +1,37 @@
+"""`recover`: takes all that is whole out of a damaged recording."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cell.interfaces.cli.options import JsonOption, RecordingOutOption
+
+
+def recover(
+    recording: Annotated[Path, typer.Argument(help="Recording that was cut off or damaged.")],
+    output: RecordingOutOption = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Take all that is whole out of a damaged recording."""
+    from cell.data.recording_recovery import recover_recording
+    from cell.interfaces.cli.terminal import print_line, write_json
+
+    target = output or recording.with_name(f"{recording.stem}-recovered.mcap")
+    found = recover_recording(recording, target)
+    print_line(f"{recording}: {found.lost_reason or 'complete, nothing is lost'}")
+    print_line(
+        f"{found.path}: {found.n_frames} frames, {found.n_cycles} periods of the loop, "
+        f"{found.n_grasps} whole grasps; {found.n_broken_grasps} broken ones are left out"
+    )
+    write_json(
+        json_file,
+        {
+            "recording": str(found.path),
+            "n_frames": found.n_frames,
+            "n_cycles": found.n_cycles,
+            "n_grasps": found.n_grasps,
+            "n_broken_grasps": found.n_broken_grasps,
+            "lost_reason": found.lost_reason,
+        },
+    )

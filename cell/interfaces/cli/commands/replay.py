@@ -1,0 +1,61 @@
+"""`replay`: sends recorded grasps through the real protocols and compares what arrives."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cell.interfaces.cli.options import CaptureOption, JsonOption, RecognizerOption, SplitOption
+from recognition.recognizers import DEFAULT_TRAINER
+
+ReplayConfigOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--config", "-c", help="Config file of the cell [default: one made for the grasps' pads]."
+    ),
+]
+
+
+def replay(
+    source: Annotated[Path, typer.Argument(help="Data set or recording.")],
+    split: SplitOption = "chronological:0.6",
+    limit: Annotated[
+        int | None, typer.Option("--limit", min=1, help="Most grasps to replay [default: all].")
+    ] = None,
+    recognizer: RecognizerOption = DEFAULT_TRAINER,
+    config: ReplayConfigOption = None,
+    capture: CaptureOption = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Send recorded grasps through the real protocols and compare.
+
+    What arrives is identified, too.
+    """
+    from cell.config.file import load_config
+    from cell.data.dataset import read_grasps
+    from cell.errors import CellError
+    from cell.interfaces.cli.terminal import percent, print_line, progress_bar, write_json
+    from cell.jobs.replay import replay_grasps
+
+    with progress_bar() as progress:
+        result = replay_grasps(
+            read_grasps(source),
+            load_config(config) if config is not None else None,
+            split=split,
+            limit=limit,
+            recognizer=recognizer,
+            capture=capture,
+            progress=progress,
+        )
+    same = "bit for bit the same" if result.frames_equal else "NOT the same"
+    print_line(
+        f"{result.n_grasps} grasps: {result.frames_sent} frames sent, "
+        f"{result.frames_received} received, {same}"
+    )
+    print_line(f"openings differ by at most {result.aperture_error_m * 1e3:.3f} mm (servo pulses)")
+    if result.accuracy is not None:
+        print_line(f"{recognizer}, one grasp: {percent(result.accuracy, result.interval)}")
+    print_line(f"{result.seconds:.1f} s")
+    write_json(json_file, result.as_json())
+    if not result.frames_equal:
+        raise CellError(f"frames differ: {result.difference}")

@@ -1,0 +1,175 @@
+"""`run`: the main job, teaches objects and identifies each of them."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cell.interfaces.cli.options import (
+    CaptureOption,
+    ConfigOption,
+    FaultOption,
+    JsonOption,
+    ModelOption,
+    OutOption,
+    SeedOption,
+)
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from cell.config.model import CellConfig
+    from cell.jobs.run import MainResult
+    from cell.learning.taught_model import TaughtModel
+
+ObjectsOption = Annotated[
+    list[str] | None,
+    typer.Option("--object", "-o", help="Object; repeat for several [default: all configured]."),
+]
+
+
+def run(
+    config: ConfigOption = None,
+    objects: ObjectsOption = None,
+    teach_grasps: Annotated[
+        int, typer.Option("--teach", min=3, max=1000, help="Grasps taught of each object.")
+    ] = 20,
+    trials: Annotated[
+        int, typer.Option("--trials", min=1, max=1000, help="Identifications of each object.")
+    ] = 10,
+    model: ModelOption = None,
+    out_folder: OutOption = None,
+    seed: SeedOption = None,
+    capture: CaptureOption = None,
+    faults: FaultOption = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Teach objects and identify each of them: the main job."""
+    from cell.errors import ReportError
+    from cell.installation import missing_packages, remedy
+    from cell.interfaces.cli.session import cell_config, pads_of, running_cell
+    from cell.interfaces.cli.terminal import print_note, progress_bar, write_json
+    from cell.jobs.common import job_folder
+    from cell.jobs.run import teach_and_identify
+    from cell.jobs.run_report import main_report
+    from cell.learning.model import load_model
+    from cell.learning.taught_model import TaughtModel
+
+    checked = cell_config(config, seed=seed, faults=faults)
+    taught = None if model is None else TaughtModel(checked, load_model(model, pads_of(checked)))
+    labels = _labels(checked, objects, taught)
+    missing = missing_packages("report")
+    no_report = f"no report page: {' and '.join(missing)} missing; {remedy('report')}"
+    if missing:
+        print_note(no_report)
+    folder = job_folder(out_folder or Path(checked.recording.directory), "run")
+    failed: ReportError | None = None
+    with (
+        running_cell(checked, folder, capture, json_file=json_file, config_file=config) as cell,
+        progress_bar() as progress,
+    ):
+        result = teach_and_identify(
+            cell,
+            checked,
+            labels=labels,
+            n_teach=teach_grasps,
+            n_trials=trials,
+            folder=folder,
+            progress=progress,
+            model=taught,
+        )
+        result.extra = {"health": cell.health()}
+        if not missing:
+            try:
+                result.report = main_report(result, checked, cell, folder / "report.html")
+            except ReportError as error:
+                failed = error
+    print_result(result)
+    if missing:
+        print_note(no_report)
+    write_json(json_file, result.as_json())
+    if failed is not None:
+        raise failed
+
+
+def _labels(
+    config: "CellConfig", objects: Sequence[str] | None, taught: "TaughtModel | None"
+) -> list[str]:
+    """Return the objects of a run. Raises ConfigError where the cell does not have them."""
+    from cell.errors import ConfigError
+
+    if config.positioner.kind != "simulated":
+        if not objects:
+            raise ConfigError("name the objects that are at hand, as --object ball --object box")
+        return list(objects)
+    configured = [entry.label for entry in config.simulator.objects]
+    labels = list(objects or (taught.labels if taught else configured))
+    strange = [label for label in labels if label not in configured]
+    if strange:
+        raise ConfigError(
+            f"the simulated cell has no object {', '.join(strange)}; it has {', '.join(configured)}"
+        )
+    return labels
+
+
+def print_result(result: "MainResult") -> None:
+    """Print confusion tables, shapes, times and files of a run, and the paper's table beside."""
+    from cell.interfaces.cli.terminal import out, percent, print_line
+    from cell.jobs.run_report import shape_rows
+    from cell.report.paper_table import TABLE_1, TABLE_1_LABELS
+    from cell.report.shapes import shapes_view
+
+    if set(result.labels) == set(TABLE_1_LABELS):
+        order = [TABLE_1_LABELS.index(label) for label in result.labels]
+        print_line("Paper, Table 1 (per cent)")
+        rows = [[TABLE_1[row][column] for column in order] for row in order]
+        out.print(confusion_table(result.labels, rows))
+    for name, score in result.scores.items():
+        print_line(f"{name}: {percent(score.accuracy, score.interval)} of {score.n}")
+        out.print(confusion_table(result.labels, score.confusion))
+    ended = f", {result.n_ended_early} ended early" if result.n_ended_early else ""
+    print_line(f"{result.grasp_s:.2f} s a grasp, mean of {len(result.records)}{ended}")
+    for remark in result.remarks:
+        print_line(remark)
+    shapes = shapes_view(shape_rows(result))
+    for group in [] if shapes is None else shapes["groups"]:
+        sizes = f"; {group['text']}" if group["text"] else ""
+        print_line(f"{group['label']} felt like: {group['kinds']}{sizes}")
+    files = {
+        "report": result.report,
+        "recording": result.recording,
+        "data set": result.dataset,
+        "model": result.model,
+    }
+    for name, path in files.items():
+        if path is not None:
+            print_line(f"{name + ':':<10} {path}")
+    print_line(f"{result.seconds:.1f} s")
+
+
+def confusion_table(labels: Sequence[str], confusion: Sequence[Sequence[float]]) -> "Table":
+    """Return a confusion table: rows are what was held, columns the answers."""
+    from rich.markup import escape
+    from rich.table import Table
+
+    from recognition.recognizer import UNKNOWN
+
+    columns = [*labels, UNKNOWN] if len(confusion[0]) > len(labels) else list(labels)
+    table = Table(header_style="bold")
+    table.add_column("held")
+    for column in columns:
+        table.add_column(escape(column), justify="right")
+    for row, (label, counts) in enumerate(zip(labels, confusion, strict=True)):
+        table.add_row(
+            escape(label),
+            *(
+                f"[bold green]{value:g}[/]"
+                if place == row
+                else f"[red]{value:g}[/]"
+                if value
+                else "[dim]0[/]"
+                for place, value in enumerate(counts)
+            ),
+        )
+    return table

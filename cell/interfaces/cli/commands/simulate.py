@@ -1,0 +1,48 @@
+"""`simulate`: runs the simulated cell as a process of its own, for other programs."""
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cell.interfaces.cli.options import ConfigOption, FaultOption, SeedOption
+
+
+def simulate(
+    frames: Annotated[
+        Path | None, typer.Option("--frames", help="Play the grasps of this data set instead.")
+    ] = None,
+    config: ConfigOption = None,
+    folder: Annotated[
+        Path | None, typer.Option("--out", help="Folder for device links and the ready config.")
+    ] = None,
+    seed: SeedOption = None,
+    faults: FaultOption = None,
+    list_faults: Annotated[
+        bool, typer.Option("--list-faults", help="Print every fault that there is, and end.")
+    ] = False,
+    with_parent: Annotated[
+        bool, typer.Option("--with-parent", help="End with the program that started this one.")
+    ] = False,
+) -> None:
+    """Run the simulated cell for other programs, until SIGTERM.
+
+    Prints one JSON line with its device paths when they can connect.
+    """
+    from cell.interfaces.cli.session import cell_config
+    from cell.interfaces.cli.terminal import print_line
+    from cell.jobs.simulate import serve_simulated_cell
+    from cell.simulation import fault_table
+
+    if list_faults:
+        for name, kind, value, meaning in fault_table():
+            print_line(f"{name:<22} {kind:<13} {meaning}" + (f" [{value}]" if value else ""))
+        return
+    serve_simulated_cell(
+        cell_config(config, seed=seed, faults=faults, simulate=True),
+        frames=frames,
+        folder=folder,
+        announce=lambda line: typer.echo(json.dumps(line)),
+        until_parent_ends=with_parent,
+    )

@@ -1,0 +1,212 @@
+"""`teach`: grasps a known object, or a drawing of it, and adds that to a data set."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cell.interfaces.cli.options import (
+    ConfigOption,
+    DatasetOutOption,
+    FaultOption,
+    GaugeOption,
+    GaugeShapeOption,
+    JsonOption,
+    OutOption,
+    SeedOption,
+)
+
+if TYPE_CHECKING:
+    from cell.config.model import CellConfig
+
+_GRASPS = 20
+"""Grasps of an object where no number is given."""
+
+_VIRTUAL_GRASPS = 60
+"""Virtual grasps of a drawing where no number is given: they cost nothing."""
+
+_SEED_OF_DRAWINGS = 1_000_003
+"""Added to the config's seed: no virtual grasp has pose and noise of a real one."""
+
+
+def teach(
+    label: Annotated[str, typer.Argument(help="Name of the object.")],
+    dataset: DatasetOutOption,
+    grasps: Annotated[
+        int | None,
+        typer.Option(
+            "--grasps",
+            "-n",
+            min=1,
+            max=1000,
+            help=f"[default: {_GRASPS}, of a drawing {_VIRTUAL_GRASPS}]",
+        ),
+    ] = None,
+    shape: Annotated[
+        str | None,
+        typer.Option(
+            "--shape",
+            help="Teach from a drawing, without grasping: as cylinder:diameter=6mm,length=20mm.",
+        ),
+    ] = None,
+    mesh: Annotated[
+        Path | None,
+        typer.Option("--mesh", help="Teach from an STL file in mm, without grasping."),
+    ] = None,
+    gauge: GaugeOption = None,
+    gauge_shape: GaugeShapeOption = None,
+    recorded: Annotated[
+        Path | None,
+        typer.Option(
+            "--from",
+            help="Recording or data set: its grasps without a label, instead of new ones.",
+        ),
+    ] = None,
+    config: ConfigOption = None,
+    out_folder: OutOption = None,
+    seed: SeedOption = None,
+    faults: FaultOption = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Grasp a known object, or a drawing of it, for a data set."""
+    from cell.config.simulator import checked_label
+    from cell.errors import ConfigError
+    from cell.interfaces.cli.session import cell_config
+
+    try:
+        checked_label(label)
+    except ValueError as error:
+        raise ConfigError(str(error)) from error
+    if recorded is not None:
+        _name_recorded(recorded, label, dataset, json_file)
+        return
+    checked = cell_config(config, seed=seed, faults=faults)
+    if shape is None and mesh is None:
+        if gauge is not None or gauge_shape is not None:
+            raise ConfigError("a gauge serves drawings: add --shape or --mesh")
+        folder = out_folder or Path(checked.recording.directory)
+        _teach_grasps(checked, config, label, dataset, grasps or _GRASPS, folder, json_file)
+        return
+    if shape is not None and mesh is not None:
+        raise ConfigError("--shape and --mesh are two drawings; give one of them")
+    if faults:
+        raise ConfigError("--fault is for the simulated cell; a drawing has no faults")
+    _teach_drawing(
+        checked,
+        label,
+        dataset,
+        grasps or _VIRTUAL_GRASPS,
+        shape if shape is not None else f"mesh:file={mesh}",
+        gauge=gauge,
+        gauge_shape=gauge_shape,
+        json_file=json_file,
+    )
+
+
+def _teach_grasps(
+    config: "CellConfig",
+    config_file: Path | None,
+    label: str,
+    dataset: Path,
+    n_grasps: int,
+    folder: Path,
+    json_file: Path | None,
+) -> None:
+    from cell.interfaces.cli.session import pads_of, running_cell
+    from cell.interfaces.cli.terminal import print_line, progress_bar, write_json
+    from cell.jobs.common import job_folder
+    from cell.jobs.teach import dataset_to_extend, teach_to_dataset
+    from cell.learning.collection import Collection
+
+    before = dataset_to_extend(dataset, pads_of(config))
+    collection = Collection(label=label, n_planned=n_grasps)
+    with (
+        running_cell(
+            config, job_folder(folder, "teach"), json_file=json_file, config_file=config_file
+        ) as cell,
+        progress_bar() as progress,
+    ):
+        recording = cell.recording_path
+        teach_to_dataset(
+            cell, config, collection, dataset, before, progress=progress, note=print_line
+        )
+    print_line(f"recording: {recording}")
+    write_json(
+        json_file,
+        {
+            "label": label,
+            "n_grasps": len(collection.records),
+            "n_missed": collection.n_missed,
+            "dataset": str(dataset),
+            "recording": str(recording),
+        },
+    )
+
+
+def _name_recorded(source: Path, label: str, dataset: Path, json_file: Path | None) -> None:
+    from cell.interfaces.cli.terminal import print_line, write_json
+    from cell.jobs.teach import name_recorded
+
+    added, before = name_recorded(source, label, dataset)
+    print_line(f"{added} grasps of {source} added to {dataset} as {label} ({before} were there)")
+    write_json(
+        json_file,
+        {"label": label, "n_grasps": added, "dataset": str(dataset), "source": str(source)},
+    )
+
+
+def _teach_drawing(
+    config: "CellConfig",
+    label: str,
+    dataset: Path,
+    n_grasps: int,
+    drawing: str,
+    *,
+    gauge: Path | None,
+    gauge_shape: str | None,
+    json_file: Path | None,
+) -> None:
+    from cell.data.dataset import read_dataset
+    from cell.interfaces.cli.terminal import print_line, progress_bar, write_json
+    from cell.jobs.teach import append_to_dataset
+    from cell.jobs.teach_from_drawing import teach_drawing
+    from cell.learning.pad_knowledge import pad_knowledge
+    from cell.simulation import drawn_shape
+
+    shape = drawn_shape(drawing)
+    known = pad_knowledge(config, gauge, gauge_shape)
+    before = read_dataset(dataset) if dataset.exists() else ()
+    with progress_bar() as progress:
+        grasps = teach_drawing(
+            config,
+            label,
+            shape,
+            n_grasps,
+            kind=drawing.partition(":")[0],
+            known=known,
+            seed=_SEED_OF_DRAWINGS + config.seed + len(before),
+            start_ms=max((grasp.start_ms + 1000 for grasp in before), default=0),
+            progress=progress,
+        )
+    append_to_dataset(dataset, before, grasps)
+    print_line(
+        f"{len(grasps)} virtual grasps of {label} added to {dataset} ({len(before)} were there)"
+    )
+    print_line(f"{known}")
+    if known.rest is None:
+        noise = config.simulator
+        print_line(
+            f"noise of the config (simulator.noise: {noise.noise}, level {noise.noise_level:g}); a "
+            "sensor with more will take taught objects for unknown: --gauge brings its own noise"
+        )
+    write_json(
+        json_file,
+        {
+            "label": label,
+            "n_grasps": len(grasps),
+            "dataset": str(dataset),
+            "source": "drawing",
+            "drawing": drawing,
+            "pads": known.as_dict(),
+        },
+    )

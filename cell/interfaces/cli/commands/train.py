@@ -1,0 +1,74 @@
+"""`train`: teaches a recogniser with recorded grasps and writes a model file."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cell.interfaces.cli.options import JsonOption, ModelOutOption, RecognizerOption
+from recognition.recognizers import DEFAULT_TRAINER
+
+
+def train(
+    datasets: Annotated[
+        list[Path], typer.Argument(help="Data sets or recordings of labelled grasps.")
+    ],
+    model: ModelOutOption,
+    recognizer: RecognizerOption = DEFAULT_TRAINER,
+    aperture: Annotated[
+        bool,
+        typer.Option("--aperture/--no-aperture", help="Use the opening of the fingers too."),
+    ] = True,
+    early: Annotated[
+        bool, typer.Option("--early", help="Also teach with ramps cut short, for decide_early.")
+    ] = False,
+    poses: Annotated[
+        bool,
+        typer.Option(
+            "--poses",
+            help="Keep the answer at each pose, for sequence.kind: active; 5 x the time.",
+        ),
+    ] = False,
+    json_file: JsonOption = None,
+) -> None:
+    """Train a recogniser on data sets and write a model file."""
+    from cell.errors import CellError
+    from cell.interfaces.cli.grasps import labelled_grasps
+    from cell.interfaces.cli.terminal import print_line, write_json
+    from cell.jobs.teach import repeated
+    from cell.learning.model import save_model
+    from cell.learning.training import train as train_model
+
+    grasps = [grasp for path in datasets for grasp in labelled_grasps(path)]
+    if not all(grasp.pads.same_as(grasps[0].pads) for grasp in grasps):
+        raise CellError("the data sets were taken on different pads; train a model for each")
+    if twice := len(repeated(grasps)):
+        print_line(f"NOTE: {twice} of {len(grasps)} grasps stand twice and count as two: too sure")
+    trained = train_model(grasps, recognizer, use_aperture=aperture, early=early, poses=poses)
+    labels, memory = trained.recognizer.labels, trained.memory
+    save_model(
+        model,
+        trained.recognizer,
+        trainer_name=recognizer,
+        pads=grasps[0].pads,
+        sections=trained.sections,
+    )
+    also = " and ".join(
+        name for name, there in (("ramps cut short", early), ("poses", poses)) if there
+    )
+    print_line(
+        f"{recognizer} taught {len(labels)} objects with {len(grasps)} grasps"
+        + (f", with {also}" if also else "")
+        + f": {model}"
+    )
+    write_json(
+        json_file,
+        {
+            "model": str(model),
+            "recognizer": recognizer,
+            "n_grasps": len(grasps),
+            "early": early,
+            "n_remembered": 0 if memory is None else len(memory.classes),
+            "labels": list(labels),
+        },
+    )

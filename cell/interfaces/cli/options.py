@@ -1,0 +1,113 @@
+"""Options that several commands share. They load nothing heavy: help and completion read them."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from recognition.recognizers import trainer_names
+
+
+def _ending(suffix: str, what: str) -> typer.models.OptionInfo:
+    """Return the option ``--output`` of a file whose name has to end so."""
+
+    def checked(path: Path | None) -> Path | None:
+        if path is not None and path.suffix != suffix:
+            raise typer.BadParameter(f"{path}: the name of a {what} ends in {suffix}")
+        return path
+
+    found: typer.models.OptionInfo = typer.Option(
+        "--output", "-o", help=f"{what.capitalize()} to write ({suffix}).", callback=checked
+    )
+    return found
+
+
+FOLDER_CONFIG = Path("tactile-cell.yaml")
+"""The config file that is used where it lies in the folder and none is named."""
+
+
+def _or_of_folder(path: Path | None) -> Path | None:
+    there = FOLDER_CONFIG.exists() or FOLDER_CONFIG.is_symlink()
+    return FOLDER_CONFIG if path is None and there else path
+
+
+ConfigOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--config",
+        "-c",
+        help=f"Config file of the cell [default: {FOLDER_CONFIG} in this folder, else the "
+        "built-in simulated cell].",
+        callback=_or_of_folder,
+    ),
+]
+JsonOption = Annotated[
+    Path | None, typer.Option("--json", help="Also write what is printed to this file, as JSON.")
+]
+OutOption = Annotated[
+    Path | None,
+    typer.Option("--out", help="Folder for recordings and reports [default: recording.directory]."),
+]
+SeedOption = Annotated[
+    int | None, typer.Option("--seed", help="Seed of poses and noise [default: seed].", min=0)
+]
+ModelOption = Annotated[Path | None, typer.Option("--model", "-m", help="File of a taught model.")]
+ModelOutOption = Annotated[Path, _ending(".npz", "model file")]
+DatasetOutOption = Annotated[Path, _ending(".npz", "data set")]
+RecordingOutOption = Annotated[Path | None, _ending(".mcap", "recording")]
+TextOutOption = Annotated[
+    Path | None, typer.Option("--output", "-o", help="File to write instead of printing.")
+]
+GraspsArgument = Annotated[
+    Path | None,
+    typer.Argument(
+        help="Recorded grasps, a data set or a recording; without them, the cell grasps."
+    ),
+]
+FaultOption = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--fault",
+        metavar="FAULT",
+        help="Fault of the simulated cell, as can.loss=0.05@2s; repeat for several "
+        "(simulate --list-faults).",
+    ),
+]
+CaptureOption = Annotated[
+    Path | None,
+    typer.Option("--capture", help="Write the simulated CAN traffic to this pcap file."),
+]
+GaugeOption = Annotated[
+    Path | None,
+    typer.Option("--gauge", help="Data set of grasps of one known object: calibrates the foam."),
+]
+GaugeShapeOption = Annotated[
+    str | None,
+    typer.Option("--gauge-shape", help="Shape of the gauge [default: the object of its label]."),
+]
+SplitOption = Annotated[
+    str, typer.Option("--split", help="chronological:FRACTION or shuffled:FRACTION to train on.")
+]
+
+
+def known_recognizers(names: list[str] | None) -> list[str] | None:
+    """Return the names of recognisers. Raises typer.BadParameter for one that there is not."""
+    for name in names or ():
+        if name not in trainer_names():
+            raise typer.BadParameter(
+                f"no recogniser is named {name!r}; there are {', '.join(trainer_names())}"
+            )
+    return names
+
+
+def _known_recognizer(name: str) -> str:
+    known_recognizers([name])
+    return name
+
+
+RecognizerOption = Annotated[
+    str,
+    typer.Option(
+        "--recognizer", help=f"One of {', '.join(trainer_names())}.", callback=_known_recognizer
+    ),
+]

@@ -1,0 +1,144 @@
+"""The cell of a command: which one it is, its start, and the grip that outlasts an early end."""
+
+import shlex
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from cell.build import Cell, build_cell
+from cell.config.file import load_config
+from cell.config.model import CellConfig
+from cell.config.tactile import layout_from_config
+from cell.control.journal import loop_line
+from cell.control.records import pad_array
+from cell.errors import CellError, CellStopped, ConfigError
+from cell.interfaces.cli.signals import END_WITHIN_S, stopping
+from cell.interfaces.cli.terminal import ask, print_cell, print_line, print_note, write_json
+from gripper.errors import GripperError, fingers_left
+from recognition.grasp import PadArray
+from tactile.errors import TactileError
+
+
+def cell_config(
+    file: Path | None,
+    *,
+    seed: int | None = None,
+    faults: Sequence[str] | None = None,
+    simulate: bool = False,
+) -> CellConfig:
+    """Return the config of the cell that a command is for, and print which cell that is.
+
+    Parameters
+    ----------
+    file
+        Its config file; None for the built-in simulated cell.
+    seed, faults
+        Another seed, and faults of the simulated cell beside the config's own.
+    simulate
+        Whether the cell is simulated whatever its ports are.
+
+    Raises
+    ------
+    ConfigError
+        As `load_config`; or if there are faults for real ports: real hardware gets none.
+    """
+    config = load_config(file)
+    if file is None:
+        print_cell("the built-in simulated cell; --config FILE names another")
+    elif config.simulated or simulate:
+        print_cell(f"{config.name}, simulated ({file})")
+    else:
+        ports = f"{config.gripper.port}, {config.tactile.interface} {config.tactile.channel}"
+        print_cell(f"{config.name}, real at {ports} ({file})")
+    if seed is not None:
+        config = config.model_copy(update={"seed": seed})
+    if faults:
+        if not (config.simulated or simulate):
+            raise ConfigError(
+                f"--fault {faults[0]} is for the simulated cell, and {config.name} has real "
+                "ports: give it to `tactile-cell simulate`, or leave it out"
+            )
+        added = {"faults": (*config.simulator.faults, *faults)}
+        config = config.model_copy(update={"simulator": config.simulator.model_copy(update=added)})
+    return config
+
+
+def pads_of(config: CellConfig) -> PadArray:
+    """Return the geometry of the configured pads."""
+    return pad_array(layout_from_config(config.tactile))
+
+
+def release_command(config_file: Path) -> str:
+    """Return the command that lets go of a part in the cell of that config file."""
+    return f"tactile-cell release --config {shlex.quote(str(config_file))} --confirm"
+
+
+@contextmanager
+def running_cell(
+    config: CellConfig,
+    folder: Path,
+    capture: Path | None = None,
+    *,
+    json_file: Path | None = None,
+    config_file: Path | None = None,
+) -> Iterator[Cell]:
+    """Start a cell, stop it on signals, close it at the end.
+
+    Prints how punctual the force loop was. A run that ends early raises CellError with what became
+    of the grip, where the recording lies and, on real ports, the command that lets go; it writes
+    the same, and the health of loop and links, to ``json_file``.
+
+    Parameters
+    ----------
+    config, folder, capture
+        As `build_cell`.
+    json_file
+        Where the reason of an early end goes as JSON.
+    config_file
+        The file that ``config`` was read from.
+
+    Raises
+    ------
+    CellError
+        What ended the run early.
+    """
+    cell = build_cell(config, folder=folder, ask=ask, capture=capture)
+    for note in cell.notes:
+        print_note(note)
+    try:
+        with stopping(cell.controller.cancel, end_within_s=END_WITHIN_S), _closing(cell):
+            cell.controller.start()
+            yield cell
+    except (CellError, GripperError, TactileError, OSError) as error:
+        if isinstance(error, CellStopped):
+            text = f"{error}. Recording so far: {cell.recording_path}"
+        else:
+            grip = fingers_left(error) or (
+                "the grip is kept" if cell.controller.holding else "nothing is held"
+            )
+            text = f"{error}\n{grip}; recording so far: {cell.recording_path}"
+        if config_file is not None and not config.simulated:
+            text += f"\nto let go of a part: {release_command(config_file)}"
+        write_json(
+            json_file,
+            {
+                "ended_early": text,
+                "recording": None if cell.recording_path is None else str(cell.recording_path),
+                "health": cell.health(),
+            },
+        )
+        raise CellError(text) from error
+
+
+@contextmanager
+def _closing(cell: Cell) -> Iterator[None]:
+    """Close the cell at the end, after Ctrl-C too; print how punctual its loop was."""
+    try:
+        yield
+    finally:
+        try:
+            cell.close()
+        finally:
+            if cell.realtime:
+                hand = cell.controller.hand
+                print_line(loop_line(hand.statistics.loop, hand.period_s))

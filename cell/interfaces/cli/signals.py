@@ -1,0 +1,69 @@
+"""Signals and the death of the parent: the first stops a sequence, the second ends the program."""
+
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from types import FrameType
+
+_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+_LOOK_S = 0.1
+"""Time in s between two looks whether the parent is still there."""
+
+INTERRUPTED = "interrupted; nothing was let go"
+END_WITHIN_S = 0.4
+"""Time that a second signal leaves for closing files; what takes longer is cut off."""
+
+
+@contextmanager
+def stopping(cancel: Callable[[], None], *, end_within_s: float | None = None) -> Iterator[None]:
+    """Within the block the first signal calls ``cancel``; a second raises KeyboardInterrupt.
+
+    With ``end_within_s`` the second signal is answered at once on standard error, and the system
+    ends this program so long after it (SIGALRM), whatever it does then; further signals change
+    nothing. What was recorded can be recovered, and the grip is kept.
+
+    The death of the process that started this one counts as a signal. A program that was started
+    with SIGHUP ignored (``nohup``) is meant to outlive terminal and parent, and does.
+    """
+    seen = 0
+
+    def on_signal(_number: int, _frame: FrameType | None) -> None:
+        nonlocal seen
+        seen += 1
+        if seen > 1:
+            if end_within_s is not None:
+                for number in watched:
+                    signal.signal(number, signal.SIG_IGN)
+                signal.setitimer(signal.ITIMER_REAL, end_within_s)
+                with suppress(OSError):
+                    os.write(2, f"\nerror: {INTERRUPTED}\n".encode())
+            raise KeyboardInterrupt
+        cancel()
+
+    outlives = signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+    watched = [number for number in _SIGNALS if not (outlives and number is signal.SIGHUP)]
+    before = {number: signal.signal(number, on_signal) for number in watched}
+    over = threading.Event()
+    if not outlives:
+        threading.Thread(
+            target=_watch_parent, args=(cancel, over), name="parent", daemon=True
+        ).start()
+    try:
+        yield
+    finally:
+        over.set()
+        # A program that ends by the clock is not held up by a third signal.
+        if seen < 2 or end_within_s is None:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+
+
+def _watch_parent(cancel: Callable[[], None], over: threading.Event) -> None:
+    """Call ``cancel`` once when another process has become the parent of this one."""
+    parent = os.getppid()
+    while not over.wait(_LOOK_S):
+        if os.getppid() != parent:
+            cancel()
+            return

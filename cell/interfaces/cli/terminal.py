@@ -1,0 +1,155 @@
+"""The terminal: results on standard output, progress, notes and errors on standard error."""
+
+import json
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import IO, Any, cast
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from cell.errors import CellError
+
+
+class _LossyStream:
+    """A stream whose other end may be gone: what it does not take is lost."""
+
+    def __init__(self, stream: IO[str]) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        with suppress(OSError):
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with suppress(OSError):
+            self._stream.flush()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+
+class _LossyConsole(Console):
+    """Console for what no job depends on: a terminal that is gone or full raises nothing."""
+
+    @property
+    def file(self) -> IO[str]:
+        """Standard error, which may be gone."""
+        return cast("IO[str]", _LossyStream(super().file))
+
+    @file.setter
+    def file(self, new_file: IO[str]) -> None:
+        self._file = new_file
+
+
+out = Console(highlight=False)
+"""Results."""
+err = _LossyConsole(stderr=True, highlight=False)
+"""Progress, notes and errors."""
+
+
+def print_line(text: str) -> None:
+    """Print one line of result; square brackets are no markup."""
+    out.print(escape(text), soft_wrap=True)
+
+
+def print_error(text: str) -> None:
+    """Print one error on standard error."""
+    err.print(f"[bold red]error:[/] {escape(text)}", soft_wrap=True)
+
+
+def print_cell(text: str) -> None:
+    """Print which cell a command is for, on standard error: other programs read the results."""
+    err.print(f"cell: {escape(text)}", soft_wrap=True)
+
+
+def print_note(text: str) -> None:
+    """Print one note for the operator on standard error."""
+    err.print(f"[bold yellow]NOTE:[/] {escape(text)}", soft_wrap=True)
+
+
+def ask(text: str) -> str:
+    """Ask the person at the terminal; return the line typed. Raises EOFError at the end of input.
+
+    A pipe is read past Python's buffer: a program that ends while a thread still waits in the
+    buffer is ended by an abort.
+    """
+    stdin = sys.__stdin__
+    if stdin is None or sys.stdin is not stdin or stdin.isatty():
+        return input(text)
+    typer.echo(text, nl=False)
+    line = bytearray()
+    while not line.endswith(b"\n"):
+        read = os.read(stdin.fileno(), 1)
+        if not read:
+            raise EOFError
+        line += read
+    return line.decode(errors="replace").rstrip("\r\n")
+
+
+@contextmanager
+def progress_bar() -> Iterator["ProgressBar"]:
+    """Draw a bar on standard error for each task that a job names."""
+    columns = (
+        TextColumn("{task.description:<22}"),
+        BarColumn(bar_width=32),
+        MofNCompleteColumn(),
+        TimeElapsedColumn(),
+    )
+    with Progress(*columns, console=err) as bars:
+        yield ProgressBar(bars)
+
+
+class ProgressBar:
+    """Implements `cell.jobs.common.Progress` with bars."""
+
+    def __init__(self, bars: Progress) -> None:
+        self._bars = bars
+        self._tasks: dict[str, Any] = {}
+
+    def __call__(self, task: str, done: int, total: int) -> None:
+        """Draw the bar of one task."""
+        if task not in self._tasks:
+            self._tasks[task] = self._bars.add_task(escape(task), total=total)
+        self._bars.update(self._tasks[task], completed=done, total=total)
+
+
+def write_json(path: Path | None, data: dict[str, Any]) -> None:
+    """Write a result as JSON; without a path nothing. Raises CellError where it cannot."""
+    if path is None:
+        return
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(data, indent=2, allow_nan=False) + "\n", encoding="utf-8")
+    except OSError as error:
+        raise CellError(f"{path}: cannot be written: {error}") from error
+
+
+def percent(share: float, interval: tuple[float, float] | None = None) -> str:
+    """Return a share in per cent, with its 95 % interval where one is given."""
+    text = f"{100 * share:.1f} %"
+    if interval is not None:
+        text += f" ({100 * interval[0]:.1f} to {100 * interval[1]:.1f})"
+    return text
+
+
+def discard_unwritable_output() -> None:
+    """Point standard output and standard error to nowhere where they take nothing.
+
+    Else the interpreter tries again at its end, and prints an error of its own.
+    """
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for number, stream in ((1, sys.stdout), (2, sys.stderr)):
+        try:
+            # A program that was started without them has none.
+            if stream is not None:
+                stream.flush()
+        except OSError:
+            os.dup2(nowhere, number)
+    os.close(nowhere)

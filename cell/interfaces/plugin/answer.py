@@ -1,0 +1,120 @@
+"""The answer of an identification as a host program gets it: plain values, lengths in mm."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Self
+
+from recognition.recognizer import UNKNOWN
+
+if TYPE_CHECKING:
+    from cell.control.identification import Identification
+    from recognition.drift.tracking import DriftEstimate
+    from recognition.shape.answer import ShapeAnswer
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FeltShape:
+    """Shape and size of an object, lengths in mm.
+
+    Attributes
+    ----------
+    kind
+        ``sphere``, ``oval``, ``cylinder``, ``flat``, ``dumbbell``, or ``unclear``.
+    probability
+        Probability of the likeliest kind, given that it is one of them.
+    probabilities
+        Probability of each kind.
+    size_mm, interval_mm
+        Thickness along the closing axis (the diameter of what is round), and the interval that
+        holds it with 90 % probability.
+    thicknesses_mm
+        All thicknesses that were met: size, and both ends of the interval.
+    dimensions_mm
+        Dimensions of the likeliest kind by their names, without interval.
+    n_grasps
+        Grasps that it rests on.
+    """
+
+    kind: str
+    probability: float
+    probabilities: Mapping[str, float] = field(hash=False)
+    size_mm: float
+    interval_mm: tuple[float, float]
+    thicknesses_mm: tuple[tuple[float, float, float], ...]
+    dimensions_mm: Mapping[str, float] = field(hash=False)
+    n_grasps: int
+
+    def __str__(self) -> str:
+        sizes = (f"{at:.1f} mm ({low:.1f} to {high:.1f})" for at, low, high in self.thicknesses_mm)
+        return f"{self.kind}, {' and '.join(sizes)}"
+
+    @classmethod
+    def of(cls, shape: "ShapeAnswer") -> Self:
+        """Return an answer of shape and size in mm."""
+        return cls(
+            kind=shape.kind,
+            probability=shape.probability[shape.likeliest],
+            probabilities=dict(shape.probability),
+            size_mm=1e3 * shape.size_m,
+            interval_mm=(1e3 * shape.low_m, 1e3 * shape.high_m),
+            thicknesses_mm=tuple(
+                (1e3 * t.size_m, 1e3 * t.low_m, 1e3 * t.high_m) for t in shape.thicknesses
+            ),
+            dimensions_mm={name: 1e3 * value for name, value in shape.dimensions_m.items()},
+            n_grasps=shape.n_grasps,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Answer:
+    """Answer of an identification.
+
+    Attributes
+    ----------
+    label
+        A taught label, or ``UNKNOWN``.
+    probabilities
+        Probability of each taught label and of ``UNKNOWN``; they sum to 1.
+    n_grasps
+        Grasps that it took.
+    shape
+        Shape and size, also of an object that was never taught; None where the pads do not show
+        them, or the config has ``recognition.shape`` off.
+    n_ended_early
+        Grasps whose ramp ended early, because it sufficed.
+    drift
+        Estimate of the drift of the sensors; None where it is not followed.
+    remark
+        Message for the operator, as that the sensors have drifted: once, empty otherwise.
+    """
+
+    label: str
+    probabilities: Mapping[str, float] = field(hash=False)
+    n_grasps: int
+    shape: FeltShape | None = None
+    n_ended_early: int = 0
+    drift: "DriftEstimate | None" = None
+    remark: str = ""
+
+    @property
+    def probability(self) -> float:
+        """Probability of the label."""
+        return self.probabilities[self.label]
+
+    @property
+    def unknown(self) -> float:
+        """Probability that the object was never taught."""
+        return self.probabilities[UNKNOWN]
+
+    @classmethod
+    def of(cls, found: "Identification") -> Self:
+        """Return the answer of an identification."""
+        return cls(
+            label=found.label,
+            probabilities=found.probabilities,
+            n_grasps=len(found.records),
+            shape=None if found.shape is None else FeltShape.of(found.shape),
+            n_ended_early=sum(record.early is not None for record in found.records),
+            drift=found.drift,
+            remark=found.remark,
+        )

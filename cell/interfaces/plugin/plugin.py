@@ -1,0 +1,318 @@
+"""The plugin: a cell as a host program loads it, behind jobs that never block.
+
+Found through the entry point ``tactile_cell`` of the group ``robot_cell.plugins``. The host moves;
+the plugin grasps and answers what it held. Libraries for recognition, CAN and servos are loaded
+with the first cell, not with this module.
+"""
+
+import threading
+from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager, nullcontext
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+from cell.config.file import load_config
+from cell.config.model import CellConfig
+from cell.control.plan import Pose
+from cell.control.states import CellState, CellStatus, Command
+from cell.interfaces.plugin.answer import Answer, FeltShape
+from cell.interfaces.plugin.goals import IdentifyGoal, TeachGoal, checked_goal
+from cell.interfaces.plugin.host_watch import HostWatch
+from cell.interfaces.plugin.worker import CellWorker, Job, JobFailed, JobOutcome, JobStatus, Report
+
+__all__ = [
+    "Answer",
+    "CellStatus",
+    "FeltShape",
+    "IdentifyGoal",
+    "JobFailed",
+    "JobOutcome",
+    "TactileCellPlugin",
+    "TeachGoal",
+]
+
+
+class TactileCellPlugin:
+    """A cell for host programs without ROS.
+
+    Calls return at once, but for `result`, `release`, `clear`, `reset`, `forget_drift` and `close`,
+    which wait up to their time-out. A fault or a cancelled job keeps the grip; `release` is the
+    only way to let go. A command that the state of the cell does not allow is refused at once with
+    CellStateError.
+
+    With ``host_timeout_s`` in the config a host that makes no call for so long while a job runs
+    has the job stopped, with the grip kept. Any call counts, `alive` too; a job keeps its result.
+    """
+
+    def __init__(
+        self,
+        config: Path | str | CellConfig | None = None,
+        *,
+        mover: Callable[[Pose], Pose | bool | None] | None = None,
+        model: Path | str | None = None,
+        training_set: Path | str | None = None,
+        gauge: Path | str | None = None,
+        gauge_shape: str | None = None,
+    ) -> None:
+        """Connect to the cell, verify the devices and take the zero of the taxels.
+
+        Parameters
+        ----------
+        config
+            Config file or value; None is the built-in simulated cell.
+        mover
+            Called with each pose that the sequence wants the object at; returns None or True when
+            it is reached, False to refuse, or the pose reached instead.
+        model
+            File of a taught model, as `save` or ``tactile-cell train`` writes it; without one,
+            teach first.
+        training_set
+            Data set of the grasps that trained the model, needed to teach further objects; by
+            default the one that `save` wrote beside it.
+        gauge
+            Data set or recording of grasps of one known object on this cell: shape and size are
+            then read under the foam that it shows.
+        gauge_shape
+            Its shape, as ``sphere:diameter=9.5mm``; without it that of the configured object of
+            the grasps' label.
+
+        Raises
+        ------
+        ConfigError, ModelError, DatasetError, CellError
+            Before any hardware is touched.
+        gripper.errors.GripperError, tactile.errors.TactileError
+            If a device is missing or differs from the config.
+        """
+        checked = (
+            config
+            if isinstance(config, CellConfig)
+            else load_config(None if config is None else Path(config))
+        )
+        if mover is not None:
+            checked = checked.model_copy(
+                update={"positioner": checked.positioner.model_copy(update={"kind": "callback"})}
+            )
+        from cell.build import build_cell  # noqa: PLC0415
+        from cell.interfaces.plugin import tasks  # noqa: PLC0415
+        from cell.learning.pad_knowledge import pad_knowledge  # noqa: PLC0415
+        from cell.learning.taught_model import TaughtModel  # noqa: PLC0415
+
+        self._config = checked
+        self._starting = threading.Lock()
+        self._tasks = tasks
+        known = pad_knowledge(checked, None if gauge is None else Path(gauge), gauge_shape)
+        self._model = (
+            TaughtModel(checked, known=known)
+            if model is None
+            else TaughtModel.load(checked, model, training_set=training_set, known=known)
+        )
+        self._cell = build_cell(checked, mover=mover)
+        try:
+            self._cell.controller.start()
+        except BaseException:
+            self._cell.close()
+            raise
+        self._worker = CellWorker(
+            idle=self._cell.controller.tick,
+            idle_period_s=1.0 / checked.gripper.loop_rate_hz if self._cell.realtime else None,
+        )
+        self._watch: HostWatch | None = None
+        if checked.host_timeout_s is not None:
+            self._watch = HostWatch(
+                checked.host_timeout_s,
+                running=lambda: self._worker.running,
+                silent=lambda silent_s: self._cell.controller.cancel(
+                    f"because the host was silent for {silent_s:.2f} s"
+                ),
+            )
+
+    # -- questions -----------------------------------------------------------------------------
+
+    def info(self) -> dict[str, Any]:
+        """Return name, layout and taught labels."""
+        return {
+            "name": self._config.name,
+            "simulated": self._config.simulated,
+            "n_taxels": self._cell.controller.pads.n_taxels,
+            "labels": self.labels,
+        }
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The taught objects."""
+        return self._model.labels
+
+    def state(self) -> str:
+        """Return the state of the cell, a PackML name."""
+        with self._calling():
+            return self._cell.controller.state.value
+
+    def status(self) -> CellStatus:
+        """Return the states of cell and grip, with their numbers."""
+        with self._calling():
+            return self._cell.controller.status
+
+    def fault(self) -> str | None:
+        """Return the latched fault as text; None where there is none."""
+        with self._calling():
+            return self._cell.controller.fault
+
+    def alive(self) -> None:
+        """Count as a call of the host, and do nothing else; see ``host_timeout_s``."""
+        with self._calling():
+            return
+
+    # -- jobs ----------------------------------------------------------------------------------
+
+    def start(self, goal: TeachGoal | IdentifyGoal | Mapping[str, Any]) -> Job:
+        """Start a job and return its handle at once.
+
+        A goal is a `TeachGoal`, an `IdentifyGoal`, or a mapping with ``task`` ``teach`` or
+        ``identify`` and the fields of these.
+
+        Raises
+        ------
+        ConfigError
+            If the goal has unknown fields or values out of range.
+        CellStateError
+            If another job runs, the cell is not IDLE, nothing was taught yet, or a model was loaded
+            whose training set is not at hand: teaching would lose its objects.
+        """
+        checked = checked_goal(goal)
+        controller, model, tasks = self._cell.controller, self._model, self._tasks
+        if isinstance(checked, TeachGoal):
+            model.check_extendable()
+            return self._accept(
+                lambda report: tasks.teach(controller, model, checked, report), Command.GRASP
+            )
+        model.check_taught()
+        return self._accept(
+            lambda report: tasks.identify(controller, model, checked, report), Command.GRASP
+        )
+
+    def feedback(self, job: Job) -> JobStatus:
+        """Return state and progress of a job; never waits."""
+        with self._calling():
+            return self._worker.status(job)
+
+    def result(self, job: Job, timeout_s: float) -> Any:
+        """Wait for a job and return its `Answer`, or the number of grasps taught.
+
+        Raises
+        ------
+        TimeoutError
+            If it is not over in time; it goes on.
+        JobFailed
+            If it was cancelled or aborted: ``outcome`` names which, and ``__cause__`` is the error
+            that ended it, a `CellStopped` for one that was cancelled.
+        """
+        with self._calling():
+            status = self._worker.wait(job, timeout_s)
+        if status.outcome is not JobOutcome.SUCCEEDED:
+            raise JobFailed(job, status) from status.exception
+        return status.value
+
+    def cancel(self, job: Job) -> None:
+        """Stop a job; what is held stays held. Does nothing to a job that is over."""
+        with self._starting:
+            if not self.feedback(job).outcome.terminal:
+                self._cell.controller.cancel()
+
+    # -- commands ------------------------------------------------------------------------------
+
+    def release(self, timeout_s: float = 30.0) -> None:
+        """Let the part go and open the fingers; the only way to do so outside a sequence.
+
+        After a fault: `clear`, then `release`, then `reset`. What goes wrong is raised as it is.
+        """
+        controller = self._cell.controller
+        if controller.state in (CellState.RESETTING, CellState.STOPPED):
+            self._call(controller.release_held, Command.RELEASE_HELD, timeout_s)
+        else:
+            self._call(controller.release, Command.RELEASE, timeout_s)
+
+    def clear(self, timeout_s: float = 5.0, *, reboot: bool = False) -> None:
+        """Acknowledge a latched fault; the grip stays as it is.
+
+        With ``reboot`` servos that report a hardware error are restarted: what one of them still
+        held would drop. A fault that is still there is raised as it is.
+        """
+        controller = self._cell.controller
+        self._call(lambda: controller.clear(reboot=reboot), Command.CLEAR, timeout_s)
+
+    def reset(self, timeout_s: float = 60.0) -> None:
+        """After `clear`: verify the devices anew and be ready again.
+
+        Raises PartInGrip where the fault left a part in the grip, and latches that: `clear` it,
+        `release` the part on purpose, and `reset` again. Other faults are raised as they are.
+        """
+        controller = self._cell.controller
+        stopped = controller.state is CellState.STOPPED
+
+        def work() -> None:
+            if not stopped:
+                controller.reset()
+            controller.start()
+
+        self._call(work, Command.START if stopped else Command.RESET, timeout_s)
+
+    def save(self, path: Path | str, *, followed: bool = False) -> None:
+        """Write the taught model, and its training set as a data set beside it.
+
+        With both files a plugin that loads the model can teach further objects. With ``followed``
+        the model expects the drift that this session has followed: for the rest of a shift.
+
+        Raises
+        ------
+        CellStateError
+            If nothing was taught yet.
+        ModelError, DatasetError
+            If a file cannot be written.
+        """
+        self._model.save(path, followed=followed)
+
+    def forget_drift(self, timeout_s: float = 5.0) -> None:
+        """Forget the followed drift, as after work on the sensors, and follow anew."""
+        self._call(self._model.forget_drift, None, timeout_s)
+
+    def close(self, timeout_s: float = 30.0) -> None:
+        """Stop what runs and disconnect; a held part stays held."""
+        if self._watch is not None:
+            self._watch.close()
+        self._cell.controller.cancel()
+        self._worker.close(timeout_s)
+        self._cell.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self.close()
+
+    def _call(self, work: Callable[[], None], command: Command | None, timeout_s: float) -> None:
+        """Run a command on the worker and wait for its end; its error is raised as it is."""
+        with self._calling():
+            status = self._worker.wait(self._accept(lambda _report: work(), command), timeout_s)
+        if status.exception is not None:
+            raise status.exception
+
+    def _accept(self, work: Callable[[Report], Any], command: Command | None) -> Job:
+        """Start a job that no earlier `cancel` is meant for, where its command is allowed now."""
+        controller = self._cell.controller
+
+        def accepted() -> None:
+            if command is not None:
+                controller.check(command)
+            controller.forget_cancel()
+
+        with self._calling(), self._starting:
+            return self._worker.start(work, accepted=accepted)
+
+    def _calling(self) -> AbstractContextManager[None]:
+        return nullcontext() if self._watch is None else self._watch.calling()

@@ -1,0 +1,77 @@
+"""Tasks of a host's jobs: teach and identify, with progress as plain data."""
+
+from typing import Any
+
+from cell.control.controller import CellController
+from cell.control.records import GraspRecord
+from cell.interfaces.plugin.answer import Answer
+from cell.interfaces.plugin.goals import IdentifyGoal, TeachGoal
+from cell.interfaces.plugin.worker import Report
+from cell.learning.collection import Collection
+from cell.learning.taught_model import TaughtModel
+from recognition.recognizer import Posterior
+
+
+def teach(controller: CellController, model: TaughtModel, goal: TeachGoal, report: Report) -> int:
+    """Grasp an object, train the model anew, and return the number of grasps that held it.
+
+    Raises
+    ------
+    cell.errors.NoPartFound, cell.errors.CellStopped, and what the devices raise
+        As `TaughtModel.collect`; the grasps until then count at the next teaching.
+    CellError
+        If all taught grasps together are too few to train with; they are kept too.
+    """
+
+    def progress(now: Collection) -> None:
+        report(
+            {
+                "task": "teach",
+                "label": now.label,
+                "grasps": len(now.records),
+                "missed": now.n_missed,
+                "of": now.n_planned,
+            }
+        )
+
+    collection = Collection(label=goal.label, n_planned=goal.grasps)
+    model.collect(controller, collection, seed=goal.seed, on_grasp=progress)
+    model.train()
+    return len(collection.records)
+
+
+def identify(
+    controller: CellController, model: TaughtModel, goal: IdentifyGoal, report: Report
+) -> Answer:
+    """Grasp an object until its name is sure enough, and return the answer.
+
+    Raises
+    ------
+    cell.errors.NoPartFound, cell.errors.CellStopped, and what the devices raise
+        As `TaughtModel.identify`.
+    """
+
+    def progress(number: int, record: GraspRecord, posterior: Posterior, shape: Any) -> None:
+        report(
+            {
+                "task": "identify",
+                "grasps": number,
+                "of": goal.max_grasps or model.max_grasps,
+                "best": posterior.best,
+                "probability": float(posterior.probability.max()),
+                "force_n": record.step.force_n,
+                "shape": None if shape is None else str(shape),
+                "ended_early": record.early is not None,
+            }
+        )
+
+    found = model.identify(
+        controller,
+        held=goal.present,
+        seed=goal.seed,
+        max_grasps=goal.max_grasps,
+        on_grasp=progress,
+    )
+    if found.remark:
+        report({"task": "identify", "remark": found.remark})
+    return Answer.of(found)

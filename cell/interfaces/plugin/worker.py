@@ -1,0 +1,209 @@
+"""The worker: one thread that owns a cell, runs its jobs, and supervises it in between."""
+
+import itertools
+import queue
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Any
+
+from cell.errors import CellError, CellStateError, CellStopped, error_text
+
+
+class JobOutcome(StrEnum):
+    """State of a job, in the terms of ROS 2 actions."""
+
+    ACCEPTED = "ACCEPTED"
+    EXECUTING = "EXECUTING"
+    SUCCEEDED = "SUCCEEDED"
+    CANCELED = "CANCELED"
+    ABORTED = "ABORTED"
+
+    @property
+    def terminal(self) -> bool:
+        """Whether the job is over."""
+        return self in (JobOutcome.SUCCEEDED, JobOutcome.CANCELED, JobOutcome.ABORTED)
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """Handle of a started job."""
+
+    number: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JobStatus:
+    """State and progress of a job.
+
+    Attributes
+    ----------
+    outcome
+        Its state.
+    progress
+        Its last report; the keys depend on the job.
+    value
+        Its result, once it succeeded.
+    error
+        Why it ended otherwise, as text; empty before.
+    exception
+        The error that ended it; None where it did not fail.
+    """
+
+    outcome: JobOutcome
+    progress: dict[str, Any]
+    value: Any = None
+    error: str = ""
+    exception: BaseException | None = None
+
+
+class JobFailed(CellError):
+    """A job was cancelled or aborted; the error that ended it is the cause of this one.
+
+    Attributes
+    ----------
+    job
+        The job.
+    outcome
+        ``CANCELED`` or ``ABORTED``.
+    """
+
+    def __init__(self, job: Job, status: JobStatus) -> None:
+        super().__init__(f"job {job.number} {status.outcome.value}: {status.error}")
+        self.job = job
+        self.outcome = status.outcome
+
+
+Report = Callable[[dict[str, Any]], None]
+
+
+class CellWorker:
+    """Runs jobs on a thread of its own, at most one at a time."""
+
+    def __init__(self, *, idle: Callable[[], None], idle_period_s: float | None) -> None:
+        """Start the thread.
+
+        Parameters
+        ----------
+        idle
+            Called on the thread once a period while no job runs.
+        idle_period_s
+            That period in s; None for a cell whose time stands still while nothing runs.
+        """
+        self._idle = idle
+        self._idle_period_s = idle_period_s
+        self._queue: queue.SimpleQueue[tuple[Job, Callable[[Report], Any]] | None] = (
+            queue.SimpleQueue()
+        )
+        self._changed = threading.Condition()
+        self._status: dict[Job, JobStatus] = {}
+        self._numbers = itertools.count(1)
+        self._idle_error: Exception | None = None
+        self._thread = threading.Thread(target=self._run, name="tactile-cell", daemon=True)
+        self._thread.start()
+
+    def start(
+        self, work: Callable[[Report], Any], *, accepted: Callable[[], None] = lambda: None
+    ) -> Job:
+        """Accept a job; return at once.
+
+        Parameters
+        ----------
+        work
+            The job; it gets a function to report its progress with.
+        accepted
+            Called once no other job runs and before this one does; what it raises refuses the job.
+
+        Raises
+        ------
+        CellStateError
+            If another job is not over yet, or the thread has ended.
+        """
+        with self._changed:
+            running = [job for job, status in self._status.items() if not status.outcome.terminal]
+            if running:
+                raise CellStateError(
+                    f"job {running[0].number} is not over; wait for its result or cancel it"
+                )
+            if not self._thread.is_alive():
+                raise CellStateError("the cell is closed; load the plugin anew")
+            accepted()
+            job = Job(next(self._numbers))
+            self._status[job] = JobStatus(outcome=JobOutcome.ACCEPTED, progress={})
+        self._queue.put((job, work))
+        return job
+
+    def status(self, job: Job) -> JobStatus:
+        """Return the state of a job. Raises CellStateError for a job of another worker."""
+        with self._changed:
+            try:
+                return self._status[job]
+            except KeyError:
+                raise CellStateError(f"there is no job {job.number} in this cell") from None
+
+    def wait(self, job: Job, timeout_s: float) -> JobStatus:
+        """Wait until a job is over. Raises TimeoutError if it is not in time; it goes on."""
+        self.status(job)
+        with self._changed:
+            if not self._changed.wait_for(lambda: self._status[job].outcome.terminal, timeout_s):
+                raise TimeoutError(f"job {job.number} is not over after {timeout_s:g} s")
+            return self._status[job]
+
+    @property
+    def running(self) -> bool:
+        """Whether a job is not over yet."""
+        with self._changed:
+            return any(not status.outcome.terminal for status in self._status.values())
+
+    @property
+    def idle_error(self) -> Exception | None:
+        """The last error of the supervision while no job ran."""
+        return self._idle_error
+
+    def close(self, timeout_s: float) -> None:
+        """End the thread after the running job. Raises TimeoutError if that takes too long."""
+        self._queue.put(None)
+        self._thread.join(timeout_s)
+        if self._thread.is_alive():
+            raise TimeoutError(f"the cell's thread has not ended after {timeout_s:g} s")
+
+    def _run(self) -> None:
+        while True:
+            try:
+                item = self._queue.get(timeout=self._idle_period_s)
+            except queue.Empty:
+                self._supervise()
+                continue
+            if item is None:
+                return
+            self._execute(*item)
+
+    def _supervise(self) -> None:
+        try:
+            self._idle()
+        except Exception as error:
+            self._idle_error = error
+
+    def _execute(self, job: Job, work: Callable[[Report], Any]) -> None:
+        def report(progress: dict[str, Any]) -> None:
+            self._set(job, JobStatus(outcome=JobOutcome.EXECUTING, progress=progress))
+
+        report({})
+        try:
+            value = work(report)
+        except CellStopped as stop:
+            self._end(job, JobOutcome.CANCELED, error=str(stop), exception=stop)
+        except BaseException as error:
+            self._end(job, JobOutcome.ABORTED, error=error_text(error), exception=error)
+        else:
+            self._end(job, JobOutcome.SUCCEEDED, value=value)
+
+    def _end(self, job: Job, outcome: JobOutcome, **end: Any) -> None:
+        progress = self.status(job).progress
+        self._set(job, JobStatus(outcome=outcome, progress=progress, **end))
+
+    def _set(self, job: Job, status: JobStatus) -> None:
+        with self._changed:
+            self._status[job] = status
+            self._changed.notify_all()

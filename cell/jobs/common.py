@@ -1,0 +1,49 @@
+"""Progress and folders of jobs."""
+
+from collections.abc import Callable
+from datetime import datetime
+from pathlib import Path
+from typing import Protocol
+
+from cell.errors import CellError
+from cell.learning.collection import Collection
+
+
+class Progress(Protocol):
+    """Function that a job calls after each of its steps; the command line draws a bar from it."""
+
+    def __call__(self, task: str, done: int, total: int) -> None:
+        """Show that ``done`` of ``total`` steps of ``task`` are over."""
+        ...
+
+
+def silent(task: str, done: int, total: int) -> None:
+    """Show no progress."""
+
+
+def progress_of(progress: Progress) -> Callable[[Collection], None]:
+    """Return the function that shows the progress of a collection."""
+    return lambda now: progress(f"teach {now.label}", now.n_done, now.n_planned)
+
+
+def job_folder(directory: Path, job: str) -> Path:
+    """Make a new folder for one job, named by job and time; an existing one is never used.
+
+    Raises
+    ------
+    CellError
+        If it cannot be made.
+    """
+    stamp = datetime.now().strftime("%Y%m%d-%H%M%S")
+    for attempt in range(100):
+        folder = directory / (f"{job}-{stamp}" if attempt == 0 else f"{job}-{stamp}-{attempt}")
+        try:
+            folder.mkdir(parents=True)
+        except FileExistsError:
+            continue
+        except OSError as error:
+            raise CellError(
+                f"{folder} cannot be made: {error}; name another folder with --out"
+            ) from error
+        return folder
+    raise CellError(f"{directory} has 100 folders of {job}-{stamp}; name another folder with --out")

@@ -1,0 +1,211 @@
+"""Evaluation: accuracy of recognisers on recorded grasps, without buses."""
+
+import math
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from typing import Any
+
+from cell.errors import CellError
+from cell.jobs.calibrate import GAUGE_GRASPS
+from cell.jobs.common import Progress
+from cell.learning.blas import one_blas_thread
+from recognition.drift.drift import NO_DRIFT, Drift, GaugeResult
+from recognition.evaluation.evaluation import Evaluation, Mapper, evaluate, one_by_one
+from recognition.evaluation.splits import parse_split
+from recognition.grasp import Grasp
+from recognition.recognizers import DEFAULT_TRAINER, make_trainer
+from recognition.recognizers.force_ramp.recognizer import ForceRampTrainer
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecognizerFigures:
+    """Figures of one recogniser: with the aperture, where it uses one, and without."""
+
+    full: Evaluation
+    without_aperture: Evaluation | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EvaluationResult:
+    """Figures of all recognisers on one split."""
+
+    split: str
+    n_train: int
+    n_test: int
+    labels: tuple[str, ...]
+    seconds: float
+    default: str
+    recognizers: Mapping[str, RecognizerFigures]
+    drift: Drift = NO_DRIFT
+    gauge: str | None = None
+    gauged: GaugeResult | None = None
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what ``--json`` writes."""
+        return {
+            "split": self.split,
+            "n_train": self.n_train,
+            "n_test": self.n_test,
+            "labels": list(self.labels),
+            "seconds": round(self.seconds, 2),
+            "default": self.default,
+            "drift": _drift(self.drift),
+            "gauge": None
+            if self.gauged is None
+            else {
+                "label": self.gauge,
+                "n_grasps": self.gauged.n_grasps,
+                **_drift(self.gauged.drift),
+            },
+            "recognizers": {
+                name: _figures(figures.full)
+                | {
+                    "without_aperture": None
+                    if figures.without_aperture is None
+                    else _figures(figures.without_aperture)
+                }
+                for name, figures in self.recognizers.items()
+            },
+        }
+
+
+@one_blas_thread()
+def evaluate_recognizers(
+    grasps: Sequence[Grasp],
+    *,
+    split: str,
+    train: Sequence[Grasp] | None = None,
+    names: Sequence[str],
+    fuse: Sequence[int] = (1,),
+    seed: int = 0,
+    mapper: Mapper = one_by_one,
+    drift: Drift = NO_DRIFT,
+    gauge: str | None = None,
+    progress: Progress,
+) -> EvaluationResult:
+    """Train and test each named recogniser.
+
+    Parameters
+    ----------
+    grasps
+        Labelled grasps to split; with ``train``, all of them are tested.
+    split
+        As ``chronological:0.6`` or ``shuffled:0.8``.
+    train
+        Grasps to train on instead of splitting.
+    fuse
+        Numbers of grasps to fuse.
+    mapper
+        Map function for the work, as `cell.jobs.parallel.workers` yields it.
+    drift
+        Applied to the tested grasps.
+    gauge
+        An object whose first tested grasps show the drift instead of being tested; it is then
+        taken off all others, for every recogniser alike.
+
+    Raises
+    ------
+    CellError
+        If the split leaves nothing to train or test, or the grasps were taken on other pads.
+    """
+    started_s = time.monotonic()
+    if train is not None:
+        split = "separate files"
+    train_part, test_part = _parts(grasps, split, train, seed)
+    if drift != NO_DRIFT:
+        test_part = tuple(drift.apply(grasp) for grasp in test_part)
+    gauged = None
+    if gauge is not None:
+        gauged, test_part = _gauge(train_part, test_part, gauge)
+    measure = partial(evaluate, train_part, test_part, fuse=fuse, seed=seed, mapper=mapper)
+    figures = {}
+    for number, name in enumerate(names):
+        progress("evaluate", 2 * number, 2 * len(names))
+        trainer = make_trainer(name, use_aperture=True)
+        try:
+            full = without = measure(trainer)
+            progress("evaluate", 2 * number + 1, 2 * len(names))
+            if trainer.uses_aperture:
+                without = measure(make_trainer(name, use_aperture=False))
+        except ValueError as error:
+            raise CellError(f"{name} cannot be evaluated: {error}") from error
+        figures[name] = RecognizerFigures(full=full, without_aperture=without)
+    progress("evaluate", 2 * len(names), 2 * len(names))
+    return EvaluationResult(
+        split=split,
+        n_train=len(train_part),
+        n_test=len(test_part),
+        labels=tuple(sorted({grasp.label for grasp in train_part})),
+        seconds=time.monotonic() - started_s,
+        default=DEFAULT_TRAINER,
+        recognizers=figures,
+        drift=drift,
+        gauge=gauge,
+        gauged=gauged,
+    )
+
+
+def _parts(
+    grasps: Sequence[Grasp], split: str, train: Sequence[Grasp] | None, seed: int
+) -> tuple[tuple[Grasp, ...], tuple[Grasp, ...]]:
+    """Return the grasps to train and to test. Raises CellError where one part is of no use."""
+    if train is None:
+        try:
+            train_part, test_part = parse_split(split, seed=seed)(grasps)
+        except ValueError as error:
+            raise CellError(str(error)) from error
+    else:
+        train_part, test_part = tuple(train), tuple(grasps)
+    if not train_part or not test_part:
+        raise CellError(
+            f"split {split!r} leaves {len(train_part)} grasps to train and {len(test_part)} "
+            "to test; both need at least one labelled grasp of each object"
+        )
+    if not train_part[0].pads.same_as(test_part[0].pads):
+        raise CellError("the grasps to train and to test were taken on different pads")
+    return train_part, test_part
+
+
+def _gauge(
+    train: Sequence[Grasp], test: Sequence[Grasp], label: str
+) -> tuple[GaugeResult, tuple[Grasp, ...]]:
+    """Return what the first tested grasps of the object show, and the others corrected for it."""
+    of_label = sorted((grasp for grasp in test if grasp.label == label), key=lambda g: g.start_ms)
+    taken = of_label[:GAUGE_GRASPS]
+    others = [grasp for grasp in test if not any(grasp is one for one in taken)]
+    if not others:
+        raise CellError(f"with {len(taken)} gauge grasps of {label!r} none is left to test")
+    try:
+        found = ForceRampTrainer().fit(train).gauge(label, taken)
+    except ValueError as error:
+        raise CellError(f"cannot gauge: {error}") from error
+    return found, tuple(found.drift.undo(grasp) for grasp in others)
+
+
+def _drift(drift: Drift) -> dict[str, float]:
+    return {"gain": drift.gain, "aperture_mm": drift.aperture_offset_m * 1e3}
+
+
+def _figures(evaluation: Evaluation) -> dict[str, Any]:
+    return {
+        "single_accuracy": evaluation.single_accuracy,
+        "interval": list(evaluation.interval),
+        "fused_accuracy": {str(k): _known(v) for k, v in evaluation.fused_accuracy.items()},
+        "random_fused_accuracy": {
+            str(k): _known(v) for k, v in evaluation.random_fused_accuracy.items()
+        },
+        "unknown_auroc": _known(evaluation.unknown_auroc),
+        "unknown_rejected": _known(evaluation.unknown_rejected),
+        "known_rejected": evaluation.known_rejected,
+        "calibration_error": evaluation.calibration_error,
+        "labels": list(evaluation.labels),
+        "confusion": [list(map(int, row)) for row in evaluation.confusion],
+        "shift": None if evaluation.shift is None else asdict(evaluation.shift),
+    }
+
+
+def _known(value: float) -> float | None:
+    """Return None for a figure that was not measured: JSON has no NaN."""
+    return None if math.isnan(value) else value

@@ -1,0 +1,95 @@
+"""Work spread over the cores of this machine, or over a Dask cluster: joblib does both."""
+
+import socket
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import TypeVar
+from urllib.parse import urlsplit
+
+import joblib
+
+from cell.errors import CellError
+from recognition.evaluation.evaluation import Mapper, one_by_one
+
+CONNECT_TIMEOUT_S = 15.0
+"""How long a Dask scheduler may take to answer."""
+
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
+
+
+def spread(work: Callable[[_Item], _Result], items: Sequence[_Item], /) -> Iterable[_Result]:
+    """Do the work through joblib, by the backend of the surrounding `workers`; a `Mapper`."""
+    done: list[_Result] = joblib.Parallel()(joblib.delayed(work)(item) for item in items)
+    return done
+
+
+@contextmanager
+def workers(jobs: int = 1, *, scheduler: str | None = None) -> Iterator[Mapper]:
+    """Yield what does work for many items: here, in processes of this machine, or on a cluster.
+
+    Parameters
+    ----------
+    jobs
+        Number of processes; 1 for none but this one, 0 for one a core.
+    scheduler
+        Address of a Dask scheduler, as ``tcp://host:8786``, whose workers have this package in the
+        same version; `jobs` then means nothing.
+
+    Raises
+    ------
+    CellError
+        `jobs` is negative, the extra ``cluster`` is missing, or no scheduler answers in
+        `CONNECT_TIMEOUT_S` s.
+    """
+    if jobs < 0:
+        raise CellError(f"--jobs is {jobs}; 0 is one process a core, 1 is none but this one")
+    if scheduler is not None:
+        with _cluster(scheduler):
+            yield spread
+    elif jobs == 1:
+        yield one_by_one
+    else:
+        with joblib.parallel_config("loky", n_jobs=jobs or -1, inner_max_num_threads=1):
+            yield spread
+
+
+@contextmanager
+def _cluster(scheduler: str) -> Iterator[None]:
+    try:
+        from distributed import Client  # noqa: PLC0415  an extra, and slow to load
+    except ImportError as missing:
+        raise CellError(
+            "--scheduler needs Dask: pip install 'tactile-cell[cluster]' here and on all workers"
+        ) from missing
+    try:
+        _knock(scheduler)
+        client = Client(  # type: ignore[no-untyped-call]
+            scheduler, timeout=CONNECT_TIMEOUT_S, set_as_default=False
+        )
+    except (OSError, ValueError, TimeoutError) as error:
+        raise CellError(
+            f"no Dask scheduler answers at {scheduler}: {error}; start one with `dask scheduler`"
+        ) from error
+    try:
+        if not client.scheduler_info()["workers"]:
+            raise CellError(f"the Dask scheduler at {scheduler} has no workers: `dask worker`")
+        with joblib.parallel_config(
+            "dask", client=client, wait_for_workers_timeout=CONNECT_TIMEOUT_S
+        ):
+            yield
+    finally:
+        client.close()  # type: ignore[no-untyped-call]
+
+
+def _knock(scheduler: str) -> None:
+    """See whether anything listens: a Dask client that finds nobody may wait without end.
+
+    Raises OSError where nobody does, ValueError for an address without host or port.
+    """
+    address = urlsplit(scheduler if "://" in scheduler else f"tcp://{scheduler}")
+    if address.scheme not in ("tcp", "tls"):
+        return
+    if not address.hostname or address.port is None:
+        raise ValueError("an address is written tcp://HOST:PORT")
+    socket.create_connection((address.hostname, address.port), CONNECT_TIMEOUT_S).close()

@@ -1,0 +1,317 @@
+"""Recorded grasps through the real links: CAN frames and servo packets out, grasps back in."""
+
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+
+from cell.config.gripper import GripperConfig, RackPinionConfig, ServoConfig
+from cell.config.model import CellConfig
+from cell.config.tactile import layout_from_pads
+from cell.errors import CellError
+from cell.hand.build import make_link, make_linkage
+from cell.jobs.common import Progress
+from cell.learning.blas import one_blas_thread
+from cell.learning.training import train
+from cell.simulation import capture_traffic, largest_aperture_m, simulator_settings
+from gripper.dynamixel.bus import ServoBus
+from gripper.errors import PortLost
+from gripper.gripper import Gripper
+from gripper.state import ForceSample
+from recognition.evaluation.metrics import wilson_interval
+from recognition.evaluation.splits import parse_split
+from recognition.grasp import Grasp
+from simulator.cell import SimulatedCell
+from tactile.frames.codec import TactileFrame
+
+_SHORTEST_PERIOD_S = 0.012
+_WAIT_S = 0.001
+_BURST_SHARE = 0.9
+_OPENING_PER_RADIUS = 10.0
+"""Opening at which the pinion has turned by 2.5 rad either way: well within one turn."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReplayResult:
+    """What came back.
+
+    Attributes
+    ----------
+    n_grasps
+        Grasps replayed.
+    frames_sent, frames_received
+        Tactile frames into the simulated control unit and out of the link.
+    frames_equal
+        Whether each received frame equals the one sent, bit for bit.
+    difference
+        The first difference; empty where there is none.
+    aperture_error_m
+        Largest difference of a received opening in m: the servos report whole pulses.
+    accuracy, interval
+        Share of grasps whose likeliest label is right, and its 95 % interval; None where there are
+        no labels to train with.
+    n_train
+        Grasps that the recogniser was trained on, none of them replayed.
+    seconds
+        Time it took in s.
+    """
+
+    n_grasps: int
+    frames_sent: int
+    frames_received: int
+    frames_equal: bool
+    difference: str
+    aperture_error_m: float
+    accuracy: float | None
+    interval: tuple[float, float] | None
+    n_train: int
+    recognizer: str
+    seconds: float
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what ``--json`` writes."""
+        return {
+            "n_grasps": self.n_grasps,
+            "frames_sent": self.frames_sent,
+            "frames_received": self.frames_received,
+            "frames_equal": self.frames_equal,
+            "difference": self.difference or None,
+            "aperture_error_mm": round(self.aperture_error_m * 1e3, 4),
+            "accuracy": self.accuracy,
+            "interval": None if self.interval is None else list(self.interval),
+            "n_train": self.n_train,
+            "recognizer": self.recognizer,
+            "seconds": round(self.seconds, 2),
+        }
+
+
+@one_blas_thread()
+def replay_grasps(
+    grasps: Sequence[Grasp],
+    config: CellConfig | None = None,
+    *,
+    split: str,
+    limit: int | None,
+    recognizer: str,
+    capture: Path | None = None,
+    progress: Progress,
+) -> ReplayResult:
+    """Train on one part of recorded grasps, send the other through the links, identify it.
+
+    Parameters
+    ----------
+    grasps
+        Recorded grasps. Without labels all of them are replayed and none is identified.
+    config
+        Servos and control unit to play with; by default rack-driven fingers that open far enough.
+    split
+        Which part trains, as ``chronological:0.6``.
+    limit
+        Most grasps to replay, spread evenly over the rest.
+    recognizer
+        Name of the recogniser.
+    capture
+        pcap file for the CAN traffic.
+
+    Raises
+    ------
+    CellError
+        If the grasps cannot be split, trained on or played.
+    """
+    started_s = time.monotonic()
+    train_part, test_part = _split(grasps, split)
+    if limit is not None and limit < len(test_part):
+        chosen = np.linspace(0, len(test_part) - 1, limit).round().astype(int)
+        test_part = tuple(test_part[i] for i in chosen)
+    progress("train", 0, 1)
+    taught = train(train_part, recognizer).recognizer if train_part else None
+    progress("train", 1, 1)
+    received = []
+    with _Rig(config or _wide_config(grasps), test_part, capture) as rig:
+        for number, grasp in enumerate(test_part):
+            received.append(rig.play(number, grasp))
+            progress("replay", number + 1, len(test_part))
+    right = (
+        None
+        if taught is None
+        else sum(
+            taught.posterior(back).best == sent.label
+            for back, sent in zip(received, test_part, strict=True)
+        )
+    )
+    difference = _first_difference(test_part, received)
+    return ReplayResult(
+        n_grasps=len(test_part),
+        frames_sent=sum(grasp.n_frames for grasp in test_part),
+        frames_received=sum(grasp.n_frames for grasp in received),
+        frames_equal=not difference,
+        difference=difference,
+        aperture_error_m=_aperture_error_m(test_part, received),
+        accuracy=None if right is None else right / len(test_part),
+        interval=None if right is None else wilson_interval(right, len(test_part)),
+        n_train=len(train_part),
+        recognizer=recognizer,
+        seconds=time.monotonic() - started_s,
+    )
+
+
+class _NoForce:
+    """A force sensor for a gripper that is only read."""
+
+    def latest_force(self) -> ForceSample | None:
+        return None
+
+
+class _Rig:
+    """Simulated control unit and servos that play grasps, and the drivers that receive them."""
+
+    def __init__(self, config: CellConfig, grasps: Sequence[Grasp], capture: Path | None) -> None:
+        layout = layout_from_pads(grasps[0].pads)
+        with ExitStack() as undo:
+            self._cell = SimulatedCell(
+                simulator_settings(config, layout=layout, grasps=grasps), lost_error=PortLost
+            )
+            undo.callback(self._cell.close)
+            if capture is not None:
+                capture_traffic(self._cell, capture, undo)
+            self._period_s = max(_frame_period_s(grasps), _SHORTEST_PERIOD_S)
+            self._link = make_link(
+                config.tactile,
+                self._cell.can_bus,
+                layout,
+                self._cell.clock,
+                threaded=False,
+                sync_period_s=self._period_s,
+            )
+            bus = ServoBus(
+                self._cell.servo_stream,
+                baudrate=config.gripper.baud_rate,
+                clock=self._cell.clock,
+            )
+            self._gripper = Gripper(
+                bus,
+                make_linkage(config),
+                config.gripper_settings,
+                clock=self._cell.clock,
+                force_sensor=_NoForce(),
+            )
+            self._gripper.start()
+            self._link.start()
+            undo.callback(self._link.close)
+            self._closing = undo.pop_all()
+        self._wait_for_frame()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:
+        self._closing.close()
+
+    def play(self, number: int, grasp: Grasp) -> Grasp:
+        """Send one grasp and return what was received.
+
+        A burst has just ended when this is called, so the next SYNC latches the first frame.
+        """
+        self._cell.play(number)
+        frames: list[TactileFrame] = []
+        apertures_m: list[float] = []
+        last_latched_s: float | None = None
+        while True:
+            now_s = self._cell.clock.monotonic()
+            if last_latched_s is None and self._cell.recorded.remaining == 0:
+                last_latched_s = now_s
+            new = self._link.poll()
+            if new:
+                opening_m = self._gripper.read_state().aperture_m
+                frames += new
+                apertures_m += [opening_m] * len(new)
+            if last_latched_s is not None and (
+                new or now_s - last_latched_s > _BURST_SHARE * self._period_s
+            ):
+                break
+            self._cell.clock.sleep(_WAIT_S)
+        if not frames:
+            raise CellError(f"grasp {number} was played, but no whole frame came back")
+        n, all_came = len(frames), len(frames) == grasp.n_frames
+        known = np.isfinite(grasp.aperture_m) if all_came else np.ones(n, dtype=bool)
+        return Grasp(
+            pads=grasp.pads,
+            counts=np.stack([frame.counts for frame in frames]),
+            t_s=np.array([frame.t_s for frame in frames]) - frames[0].t_s,
+            aperture_m=np.where(known, apertures_m, np.nan),
+            force_n=grasp.force_n if all_came else np.full(n, np.nan),
+            label=grasp.label,
+            shape=grasp.shape,
+            source=grasp.source,
+            start_ms=grasp.start_ms,
+            command=grasp.command,
+        )
+
+    def _wait_for_frame(self) -> None:
+        while not self._link.poll():
+            self._cell.clock.sleep(_WAIT_S)
+
+
+def _split(grasps: Sequence[Grasp], split: str) -> tuple[tuple[Grasp, ...], tuple[Grasp, ...]]:
+    if not all(grasp.label for grasp in grasps):
+        return (), tuple(grasps)
+    try:
+        return parse_split(split)(grasps)
+    except ValueError as error:
+        raise CellError(str(error)) from error
+
+
+def _wide_config(grasps: Sequence[Grasp]) -> CellConfig:
+    """Return a cell with rack-driven fingers that open as far as the records do."""
+    opening_mm = max(largest_aperture_m(grasps) * 1e3 + 5.0, 30.0)
+    return CellConfig(
+        name="replay",
+        gripper=GripperConfig(
+            servos=(ServoConfig(id=1), ServoConfig(id=2)),
+            linkage=RackPinionConfig(
+                kind="rack_pinion",
+                pinion_radius_mm=opening_mm / _OPENING_PER_RADIUS,
+                offset_mm=0.25 * opening_mm,
+            ),
+            aperture_open_mm=opening_mm,
+        ),
+    )
+
+
+def _frame_period_s(grasps: Sequence[Grasp]) -> float:
+    """Return the median time between two recorded frames in s."""
+    steps_s = np.concatenate([np.diff(grasp.t_s) for grasp in grasps])
+    known_s = steps_s[np.isfinite(steps_s) & (steps_s > 0.0)]
+    return float(np.median(known_s)) if len(known_s) else 0.02
+
+
+def _first_difference(sent: Sequence[Grasp], received: Sequence[Grasp]) -> str:
+    for number, (one, other) in enumerate(zip(sent, received, strict=True)):
+        if one.n_frames != other.n_frames:
+            return f"grasp {number}: {one.n_frames} frames sent, {other.n_frames} received"
+        if not np.array_equal(one.counts, other.counts):
+            frame, taxel = np.argwhere(one.counts != other.counts)[0]
+            return (
+                f"grasp {number}, frame {frame}, taxel {taxel}: sent {one.counts[frame, taxel]}, "
+                f"received {other.counts[frame, taxel]}"
+            )
+    return ""
+
+
+def _aperture_error_m(sent: Sequence[Grasp], received: Sequence[Grasp]) -> float:
+    errors_m = [
+        np.nanmax(np.abs(one.aperture_m - other.aperture_m), initial=0.0)
+        for one, other in zip(sent, received, strict=True)
+        if one.n_frames == other.n_frames and np.isfinite(one.aperture_m).any()
+    ]
+    return float(max(errors_m, default=0.0))

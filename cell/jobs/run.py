@@ -1,0 +1,323 @@
+"""The main job: teaches the objects, then identifies each of them several times."""
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from cell.build import Cell
+from cell.config.model import CellConfig
+from cell.control.identification import Identification
+from cell.control.records import GraspRecord
+from cell.jobs.common import Progress, progress_of
+from cell.learning.blas import one_blas_thread
+from cell.learning.collection import Collection
+from cell.learning.drift import drift_values
+from cell.learning.taught_model import TaughtModel
+from cell.learning.training import train
+from recognition.drift.tracking import DriftEstimate
+from recognition.evaluation.metrics import wilson_interval
+from recognition.recognizer import UNKNOWN, Posterior, Recognizer
+
+BASELINE = "level_check"
+"""The paper's own classifier, which answers from one grasp, as in its Table 1."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trial:
+    """One identification, the object that was really held, and answers to its first grasp.
+
+    Attributes
+    ----------
+    truth
+        The object that was held.
+    found
+        The answer of the sequence.
+    first
+        Answer of each recogniser to the first grasp alone, by name.
+    """
+
+    truth: str
+    found: Identification
+    first: dict[str, Posterior]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Score:
+    """Accuracy of one recogniser.
+
+    Attributes
+    ----------
+    accuracy, interval
+        Share of right answers and its 95 % interval (Wilson).
+    n, n_right
+        Answers in all and right ones.
+    confusion : (n_labels, n_labels + 1) int
+        Row: what was held; column: the answer, the last one UNKNOWN.
+    """
+
+    accuracy: float
+    interval: tuple[float, float]
+    n: int
+    n_right: int
+    confusion: tuple[tuple[int, ...], ...]
+
+
+@dataclass(slots=True, kw_only=True)
+class MainResult:
+    """Answers, scores and files of the main job.
+
+    Attributes
+    ----------
+    labels
+        The identified objects.
+    default
+        Name of the recogniser that identified.
+    n_taught
+        Grasps that were taught.
+    seconds
+        Duration in s.
+    scores
+        Accuracy by recogniser.
+    trials
+        The identifications, in order.
+    examples
+        One grasp of each object, for the report.
+    recognizers
+        The recognisers by name, as they were taught.
+    dataset, model, recording, report
+        Files; None where none was written.
+    drift
+        Estimate of the drift at the end; None where it is not followed.
+    remarks
+        Messages for the operator, as that the sensors have drifted.
+    extra
+        Further values for ``--json``.
+    """
+
+    labels: tuple[str, ...]
+    default: str
+    n_taught: int
+    seconds: float
+    scores: dict[str, Score]
+    trials: tuple[Trial, ...]
+    examples: dict[str, GraspRecord]
+    recognizers: dict[str, Recognizer]
+    dataset: Path | None
+    model: Path | None
+    recording: Path | None
+    drift: DriftEstimate | None = None
+    remarks: tuple[str, ...] = ()
+    report: Path | None = None
+    extra: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def records(self) -> tuple[GraspRecord, ...]:
+        """All grasps of the identifications, in order."""
+        return tuple(record for trial in self.trials for record in trial.found.records)
+
+    @property
+    def grasp_s(self) -> float:
+        """Mean time in s of a grasp of the identifications, from closing to the end of its ramp."""
+        return float(np.mean([record.duration_s for record in self.records] or [0.0]))
+
+    @property
+    def n_ended_early(self) -> int:
+        """Grasps of the identifications whose ramp ended early, because it sufficed."""
+        return sum(record.early is not None for record in self.records)
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what ``--json`` writes."""
+        return {
+            "seconds": round(self.seconds, 2),
+            "n_taught": self.n_taught,
+            "n_trials": len(self.trials),
+            "labels": list(self.labels),
+            "default": self.default,
+            "recognizers": {
+                name: {
+                    "accuracy": score.accuracy,
+                    "interval": list(score.interval),
+                    "n": score.n,
+                    "confusion": [list(row) for row in score.confusion],
+                    "confusion_columns": [*self.labels, UNKNOWN],
+                }
+                for name, score in self.scores.items()
+            },
+            "identifications": [
+                {
+                    "held": trial.truth,
+                    "label": trial.found.label,
+                    "probability": trial.found.probability,
+                    "n_grasps": len(trial.found.records),
+                    "shape": None if trial.found.shape is None else trial.found.shape.as_dict(),
+                }
+                for trial in self.trials
+            ],
+            "grasps_per_trial": float(
+                np.mean([float(len(trial.found.records)) for trial in self.trials] or [0.0])
+            ),
+            "grasp_seconds": self.grasp_s,
+            "ramps_ended_early": self.n_ended_early,
+            "drift": None if self.drift is None else drift_values(self.drift),
+            "remarks": list(self.remarks),
+            "report": None if self.report is None else str(self.report),
+            "recording": None if self.recording is None else str(self.recording),
+            "dataset": None if self.dataset is None else str(self.dataset),
+            "model": None if self.model is None else str(self.model),
+            **self.extra,
+        }
+
+
+def score(truths: Sequence[str], answers: Sequence[str], labels: Sequence[str]) -> Score:
+    """Count answers against the truth."""
+    columns = [*labels, UNKNOWN]
+    counts = np.zeros((len(labels), len(columns)), dtype=int)
+    for truth, answer in zip(truths, answers, strict=True):
+        if truth in labels:
+            place = columns.index(answer) if answer in columns else len(labels)
+            counts[labels.index(truth), place] += 1
+    n, n_right = int(counts.sum()), int(np.trace(counts))
+    return Score(
+        accuracy=n_right / n if n else float("nan"),
+        interval=wilson_interval(n_right, n) if n else (0.0, 1.0),
+        n=n,
+        n_right=n_right,
+        confusion=tuple(tuple(row) for row in counts.tolist()),
+    )
+
+
+@one_blas_thread()
+def teach_and_identify(
+    cell: Cell,
+    config: CellConfig,
+    *,
+    labels: Sequence[str],
+    n_teach: int,
+    n_trials: int,
+    folder: Path,
+    progress: Progress,
+    model: TaughtModel | None = None,
+) -> MainResult:
+    """Teach each object, train, identify each object ``n_trials`` times; write data set and model.
+
+    With a ``model`` nothing is taught. Plans of teaching and of identifying are drawn with
+    different seeds, so no pose and force is met twice.
+
+    Raises
+    ------
+    CellError, GripperError, TactileError
+        What the cell raises; the recording has all that happened until then.
+    """
+    started_s = time.monotonic()
+    taught: list[Collection] = []
+    files: dict[str, Path] = {}
+    recognizers: dict[str, Recognizer] = {}
+    job = _MainJob(
+        cell=cell,
+        config=config,
+        model=TaughtModel(config) if model is None else model,
+        labels=tuple(labels),
+        progress=progress,
+    )
+    if model is None:
+        files = {"dataset": folder / "taught.npz", "model": folder / "model.npz"}
+        taught = job.teach(n_teach)
+        job.model.save_training_set(files["dataset"])
+        recognizers = job.train(taught, files["model"])
+    default = job.model.trainer_name
+    recognizers = {default: job.model.recognizer} | recognizers
+    trials = job.identify(recognizers, n_trials)
+    examples = {
+        one.label: max(one.records, key=lambda record: record.step.force_n) for one in taught
+    }
+    return MainResult(
+        labels=job.labels,
+        default=default,
+        n_taught=sum(len(one.records) for one in taught),
+        seconds=time.monotonic() - started_s,
+        scores=_scores(trials, labels, default),
+        trials=tuple(trials),
+        examples=examples or {trial.truth: trial.found.records[0] for trial in trials},
+        recognizers=recognizers,
+        dataset=files.get("dataset"),
+        model=files.get("model"),
+        recording=cell.recording_path,
+        drift=job.model.drift_estimate,
+        remarks=(
+            *(str(one) for one in taught if one.n_missed),
+            *(trial.found.remark for trial in trials if trial.found.remark),
+        ),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _MainJob:
+    """The steps of the main job."""
+
+    cell: Cell
+    config: CellConfig
+    model: TaughtModel
+    labels: tuple[str, ...]
+    progress: Progress
+
+    def teach(self, n_grasps: int) -> list[Collection]:
+        """Grasp each object ``n_grasps`` times for the training set of the model."""
+        taught = []
+        for number, label in enumerate(self.labels):
+            one = Collection(label=label, n_planned=n_grasps)
+            self.model.collect(
+                self.cell.controller,
+                one,
+                seed=_seed(self.config, 0, number),
+                on_grasp=progress_of(self.progress),
+            )
+            taught.append(one)
+        return taught
+
+    def train(self, taught: Sequence[Collection], path: Path) -> dict[str, Recognizer]:
+        """Train and write the model; train the paper's classifier to compare with."""
+        self.progress("train", 0, 2)
+        self.model.train()
+        self.model.save(path)
+        self.progress("train", 1, 2)
+        recognizers = {self.model.trainer_name: self.model.recognizer}
+        if BASELINE not in recognizers:
+            grasps = [grasp for one in taught for grasp in one.grasps]
+            recognizers[BASELINE] = train(grasps, BASELINE).recognizer
+        self.progress("train", 2, 2)
+        return recognizers
+
+    def identify(self, recognizers: Mapping[str, Recognizer], n_trials: int) -> list[Trial]:
+        """Identify each object ``n_trials`` times, one object after the other."""
+        trials = []
+        for number, label in enumerate(self.labels):
+            for repeat in range(n_trials):
+                seed = _seed(self.config, 1 + repeat, number)
+                found = self.model.identify(self.cell.controller, held=label, seed=seed)
+                first = {
+                    name: recognizer.posterior(found.records[0].grasp)
+                    for name, recognizer in recognizers.items()
+                    if name != self.model.trainer_name
+                }
+                own = {self.model.trainer_name: found.posteriors[0]}
+                trials.append(Trial(truth=label, found=found, first=own | first))
+                self.progress(f"identify {label}", repeat + 1, n_trials)
+        return trials
+
+
+def _seed(config: CellConfig, use: int, number: int) -> int:
+    """Return a seed of its own for each plan, so that none repeats another."""
+    return int(np.random.SeedSequence([config.seed, use, number]).generate_state(1)[0])
+
+
+def _scores(trials: Sequence[Trial], labels: Sequence[str], default: str) -> dict[str, Score]:
+    answers: dict[str, list[str]] = {default: [trial.found.label for trial in trials]}
+    for name in trials[0].first if trials else ():
+        key = f"{name}_one_grasp" if name == default else name
+        answers[key] = [trial.first[name].decision() for trial in trials]
+    truths = [trial.truth for trial in trials]
+    return {name: score(truths, given, labels) for name, given in answers.items()}

@@ -1,0 +1,264 @@
+"""The report of the main job: pressure felt, answers given, health of the links."""
+
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+
+from cell.build import Cell
+from cell.config.model import CellConfig
+from cell.control.records import GraspRecord
+from cell.jobs.run import BASELINE, MainResult, Trial
+from cell.learning.blas import one_blas_thread
+from cell.report.build import (
+    facts,
+    identify_steps,
+    link_health,
+    loop_health,
+    pad_views,
+    paper_table,
+    pressure_levels,
+    servo_health,
+    timeline,
+    windows,
+)
+from cell.report.data import (
+    ConfusionTable,
+    ExampleGrasp,
+    FileEntry,
+    IdentifySequence,
+    KeyFigure,
+    ObjectTrajectory,
+    ReportData,
+    ShapeRow,
+    Trajectories,
+)
+from cell.report.page import write_report
+from recognition.errors import ContactError, QuadricError
+from recognition.quadric.level import grip_surfaces, ramp_levels
+from recognition.quadric.trajectory import sweep
+from recognition.recognizer import UNKNOWN
+from recognition.recognizers.level_check import LevelCheckRecognizer
+from tactile.layout import TaxelLayout
+
+_SEQUENCES_PER_OBJECT = 2
+"""Identifications of each object that are drawn; the tables count all."""
+_RAMP_SHARES = tuple(np.linspace(0.2, 1.0, 9).tolist())
+"""Shares of the grip force at which the eigenvalue along the ramp is drawn."""
+
+
+@one_blas_thread()
+def main_report(result: MainResult, config: CellConfig, cell: Cell, path: Path) -> Path:
+    """Write the page and return its path. Raises cell.errors.ReportError."""
+    hand = cell.controller.hand
+    statistics = hand.statistics
+    data = ReportData(
+        title="What the cell held",
+        subtitle=f"{config.name}: {result.n_taught} grasps taught, "
+        f"{len(result.trials)} identifications",
+        created=datetime.now().strftime("%Y-%m-%d %H:%M"),
+        key_figures=_key_figures(result, config),
+        facts=_facts(config, cell),
+        examples=tuple(
+            _example(label, record, hand.layout) for label, record in result.examples.items()
+        ),
+        trajectories=_trajectories(result),
+        sequences=_sequences(result),
+        shapes=shape_rows(result),
+        confusions=_confusions(result),
+        health=(
+            link_health(statistics.link),
+            servo_health(statistics.servo_bus),
+            loop_health(statistics.loop, hand.period_s),
+        ),
+        files=tuple(
+            FileEntry(name=name, path=str(file))
+            for name, file in (
+                ("Recording", result.recording),
+                ("Data set", result.dataset),
+                ("Model", result.model),
+            )
+            if file is not None
+        ),
+        notes=(*result.remarks, *_notes(config)),
+    )
+    write_report(path, data)
+    return path
+
+
+def _key_figures(result: MainResult, config: CellConfig) -> tuple[KeyFigure, ...]:
+    score = result.scores[result.default]
+    single = result.scores.get(f"{result.default}_one_grasp")
+    baseline = result.scores.get(BASELINE)
+    figures = [
+        KeyFigure(
+            value=f"{score.accuracy:.0%}",
+            caption=f"right, {result.default}",
+            note=f"{score.n_right} of {score.n}; 95 % interval "
+            f"{score.interval[0]:.0%} to {score.interval[1]:.0%}",
+        )
+    ]
+    if single is not None:
+        figures.append(
+            KeyFigure(
+                value=f"{single.accuracy:.0%}",
+                caption="right with one grasp",
+                note=f"{single.n_right} of {single.n}",
+            )
+        )
+    if baseline is not None and result.default != BASELINE:
+        figures.append(
+            KeyFigure(
+                value=f"{baseline.accuracy:.0%}",
+                caption="the paper's level check",
+                note=f"{baseline.n_right} of {baseline.n}, one grasp",
+            )
+        )
+    per_trial = np.mean([len(trial.found.records) for trial in result.trials])
+    figures.append(KeyFigure(value=f"{per_trial:.1f}", caption="grasps until sure"))
+    if config.sequence.decide_early:
+        figures.append(
+            KeyFigure(
+                value=f"{result.grasp_s:.1f} s",
+                caption="a grasp, to the end of its ramp",
+                note=f"{result.n_ended_early} of {len(result.records)} ended early",
+            )
+        )
+    return tuple(figures)
+
+
+def shape_rows(result: MainResult) -> tuple[ShapeRow, ...]:
+    """Return shape and size by each identification."""
+    return tuple(
+        ShapeRow(truth=trial.truth, answer=trial.found.label, shape=trial.found.shape)
+        for trial in result.trials
+    )
+
+
+def _facts(config: CellConfig, cell: Cell) -> tuple[tuple[str, str], ...]:
+    sequence, layout = config.sequence, cell.controller.hand.layout
+    return facts(
+        {
+            "Servos": ", ".join(
+                f"{servo.model} (id {servo.id})" for servo in config.gripper.servos
+            ),
+            "Servo bus": f"{config.gripper.port}, {config.gripper.baud_rate:,} baud",
+            "Sensor": f"{layout.n_taxels} taxels on {layout.n_pads} pads",
+            "CAN": f"{config.tactile.interface} {config.tactile.channel}".strip()
+            + f", {config.tactile.bitrate:,} bit/s, node {config.tactile.node_id}",
+            "Force": f"{sequence.force_n[0]:g} to {sequence.force_n[1]:g} N",
+            "Ramp": sequence.ramp.kind,
+            "Position": f"x {sequence.x_mm[0]:g} to {sequence.x_mm[1]:g} mm, "
+            f"y {sequence.y_mm[0]:g} to {sequence.y_mm[1]:g} mm",
+            "Rotation": f"{sequence.rotation_deg[0]:g} to {sequence.rotation_deg[1]:g} deg",
+            "Noise": f"{config.simulator.noise}, level {config.simulator.noise_level:g}"
+            if config.simulated
+            else None,
+            "Seed": config.seed,
+        }
+    )
+
+
+def _notes(config: CellConfig) -> tuple[str, ...]:
+    notes = [
+        "Poses and forces of the identifications were drawn anew; none was taught.",
+        "The level check sees the taxels of one grasp, as in the paper; the default recogniser "
+        "uses the whole ramp, both pads"
+        + (", the opening of the fingers" if config.recognition.use_aperture else "")
+        + " and several grasps.",
+    ]
+    if config.sequence.decide_early:
+        notes.append(
+            "A ramp ended as soon as it was sure enough together with the grasps before it. The "
+            "level check judges such a grasp by the part of the ramp that there is."
+        )
+    if config.simulated:
+        notes.append(
+            "Simulated cell: rigid objects in 3 mm foam, byte-true servos and control unit. "
+            "A real sensor drifts and wears; measure on yours."
+        )
+    return tuple(notes)
+
+
+def _example(label: str, record: GraspRecord, layout: TaxelLayout) -> ExampleGrasp:
+    return ExampleGrasp(
+        label=label,
+        pads=record.grasp.pads,
+        pad_views=pad_views(layout),
+        levels=pressure_levels(record.grasp),
+        timeline=timeline(record.cycles, contact_t_s=record.outcome.contact_t_s),
+        note=f"{record.reached}; ramp to {record.step.force_n:.1f} N",
+    )
+
+
+def _trajectories(result: MainResult) -> Trajectories | None:
+    recognizer = result.recognizers.get(BASELINE)
+    if not isinstance(recognizer, LevelCheckRecognizer):
+        return None
+    objects = []
+    for index, label in enumerate(recognizer.labels):
+        record = result.examples.get(label)
+        if record is None:
+            continue
+        try:
+            swept = sweep(grip_surfaces(record.grasp)[0].Q[np.newaxis]).value
+        except (ContactError, QuadricError):
+            swept = np.array([])
+        force_n = float(np.nanmax(record.grasp.force_n))
+        objects.append(
+            ObjectTrajectory(
+                label=label,
+                sweep=np.asarray(swept).ravel(),
+                ramp_force_n=np.array(_RAMP_SHARES) * force_n,
+                ramp_value=ramp_levels(record.grasp, _RAMP_SHARES),
+                low=float(recognizer.low[index]),
+                high=float(recognizer.high[index]),
+            )
+        )
+    return Trajectories(
+        objects=tuple(objects),
+        windows=windows(recognizer.levels, recognizer.labels),
+        caption="Smallest eigenvalue in magnitude of the 4 x 4 matrix of form (7); sweep of "
+        "Algorithm 1 over scale, translation and rotation, and along the force ramp.",
+    )
+
+
+def _sequences(result: MainResult) -> tuple[IdentifySequence, ...]:
+    chosen: list[Trial] = []
+    for label in result.labels:
+        of_label = [trial for trial in result.trials if trial.truth == label]
+        # Wrong ones first, then the longest: these are what a reader wants to see.
+        of_label.sort(key=lambda t: (t.found.label == t.truth, -len(t.found.posteriors)))
+        chosen += of_label[:_SEQUENCES_PER_OBJECT]
+    return tuple(
+        IdentifySequence(
+            truth=trial.truth,
+            answer=trial.found.label,
+            shape=trial.found.shape,
+            steps=identify_steps(
+                trial.found.posteriors,
+                [_grasp_note(r) for r in trial.found.records],
+            ),
+        )
+        for trial in chosen
+    )
+
+
+def _grasp_note(record: GraspRecord) -> str:
+    ended = f", {record.ended}" if record.ended else ""
+    return f"{record.reached}; {record.step.force_n:.1f} N{ended}"
+
+
+def _confusions(result: MainResult) -> tuple[ConfusionTable, ...]:
+    tables = [
+        ConfusionTable(
+            name=name,
+            labels=result.labels,
+            columns=(*result.labels, UNKNOWN),
+            counts=np.array(score.confusion),
+            caption="all grasps until sure" if name == result.default else "the first grasp alone",
+        )
+        for name, score in result.scores.items()
+    ]
+    paper = paper_table()
+    return (paper, *tables) if set(paper.labels) == set(result.labels) else tuple(tables)

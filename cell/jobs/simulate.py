@@ -1,0 +1,140 @@
+"""Serving the simulated cell to other processes, with a config that is ready for its ports."""
+
+import fcntl
+import os
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+from cell.config.file import SCHEMA_LINE, changed_config, config_text
+from cell.config.model import CellConfig
+from cell.config.tactile import layout_from_pads
+from cell.data.dataset import read_grasps
+from cell.data.files import write_text
+from cell.errors import CellError, ConfigError
+from cell.hand.real_time import raised_priority
+from cell.learning.blas import one_blas_thread
+from cell.simulation import largest_aperture_m, simulator_settings
+from recognition.grasp import Grasp
+from simulator.errors import SimulatorError, SimulatorSettingsError
+from simulator.realtime.process import serve
+
+_OPENING_OVERSHOOT_M = 2e-3
+"""Distance in m by which opening fingers run past their goal at most; recorded grasps show it."""
+
+_LEAST_TIMEOUTS = (
+    ("tactile", "heartbeat_ms", 400),
+    ("gripper", "force_stale_ms", 300.0),
+    ("gripper", "bus_loss_ms", 250.0),
+    ("gripper", "watchdog_ms", 500.0),
+    ("loop", "overruns_max", 40),
+)
+"""Section, key and least value (ms, or periods) of a client's time-outs: cell and client share the
+processors of one machine, and an answer delayed by that is no fault."""
+
+
+@one_blas_thread()
+def serve_simulated_cell(
+    config: CellConfig,
+    *,
+    frames: Path | None,
+    folder: Path | None,
+    announce: Callable[[dict[str, Any]], None],
+    until_parent_ends: bool = False,
+) -> None:
+    """Serve until SIGTERM or SIGINT.
+
+    Parameters
+    ----------
+    config
+        The cell to simulate; its ports are replaced by the simulator's.
+    frames
+        Data set to play instead of pressing objects.
+    folder
+        Where device links, socket and config are made; a temporary folder by default.
+    announce
+        Gets device paths, and the path of the ready config as ``config``, when clients can come.
+    until_parent_ends
+        Also end when the process that started this one is gone.
+
+    Raises
+    ------
+    CellError
+        If terminals, socket or files cannot be made.
+    """
+    grasps: tuple[Grasp, ...] = read_grasps(frames) if frames is not None else ()
+    layout = layout_from_pads(grasps[0].pads) if grasps else None
+    reached_m = config.gripper.aperture_open_mm * 1e-3 + _OPENING_OVERSHOOT_M
+    if grasps and largest_aperture_m(grasps) > reached_m:
+        raise CellError(
+            f"{frames} opens to {largest_aperture_m(grasps) * 1e3:.1f} mm, "
+            f"gripper.aperture_open_mm is {config.gripper.aperture_open_mm:g}; "
+            "take a config that opens further: `tactile-cell config init --example pinch-13x6`"
+        )
+    settings = simulator_settings(config, layout=layout, grasps=grasps)
+    with ExitStack() as undo:
+        temporary = undo.enter_context(tempfile.TemporaryDirectory(prefix="tactile-cell-"))
+        place = Path(temporary) if folder is None else folder.resolve()
+        place.mkdir(parents=True, exist_ok=True)
+        undo.enter_context(_alone_in(place))
+
+        def announce_with_config(found: dict[str, Any]) -> None:
+            path = place / "cell.yaml"
+            text = config_text(_client_config(config, found), comments=False)
+            write_text(path, text.removeprefix(SCHEMA_LINE), error=CellError, what="config")
+            announce(found | {"config": str(path)})
+
+        # The loop of a client may have real-time priority: devices that wait for a processor while
+        # it does not would seem to be silent.
+        try:
+            with raised_priority(config.loop.priority - 1):
+                serve(
+                    settings,
+                    announce_with_config,
+                    folder=place,
+                    until_parent_ends=until_parent_ends,
+                )
+        except SimulatorSettingsError as error:
+            raise ConfigError(f"simulator: {error}") from error
+        except SimulatorError as error:
+            raise CellError(str(error)) from error
+
+
+@contextmanager
+def _alone_in(folder: Path) -> Iterator[None]:
+    """Hold the folder of the device links: a second cell there would take the links of the first.
+
+    The lock (flock) is on the folder itself and ends with this process, however it ends.
+    Raises CellError if another process holds it.
+    """
+    handle = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError as error:
+            raise CellError(
+                f"{folder} has the devices of a simulated cell that is running; end that one, or "
+                "name another folder with --out"
+            ) from error
+        yield
+    finally:
+        os.close(handle)
+
+
+def _client_config(config: CellConfig, found: dict[str, Any]) -> CellConfig:
+    """Return the config with which another process reaches the simulated cell."""
+    timeouts = {
+        f"{section}.{key}": max(getattr(getattr(config, section), key), least)
+        for section, key, least in _LEAST_TIMEOUTS
+    }
+    ports = {
+        "name": f"{config.name} on pseudo-terminals"[:80],
+        "gripper.port": found["servo_port"],
+        "tactile.interface": found["can_interface"],
+        "tactile.channel": found["can_channel"],
+        "simulator.faults": [],
+        "positioner": {"kind": "simulated", "socket": found["positioner_socket"]},
+    }
+    return changed_config(config, ports | timeouts)

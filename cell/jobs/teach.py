@@ -1,0 +1,172 @@
+"""Teaching: grasps of known objects, and the data sets that they are added to."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from cell.build import Cell
+from cell.config.model import CellConfig
+from cell.control.records import GraspRecord
+from cell.data.dataset import read_dataset, read_grasps, write_dataset
+from cell.errors import CellError, DatasetError
+from cell.jobs.common import Progress, progress_of
+from cell.learning.collection import Collection
+from cell.learning.model import what_differs
+from recognition.grasp import Grasp, PadArray
+
+
+def teach(
+    cell: Cell, config: CellConfig, label: str, n_grasps: int, *, seed: int, progress: Progress
+) -> list[GraspRecord]:
+    """Grasp one known object ``n_grasps`` times, each at another pose and force.
+
+    Raises
+    ------
+    cell.errors.NoPartFound, cell.errors.CellStopped, and what the devices raise
+        As `Collection.fill`; the records so far are in the recording only.
+    """
+    collection = Collection(label=label, n_planned=n_grasps)
+    collection.fill(cell.controller, config.sequence, seed=seed, on_grasp=progress_of(progress))
+    return collection.records
+
+
+def teach_to_dataset(
+    cell: Cell,
+    config: CellConfig,
+    collection: Collection,
+    dataset: Path,
+    before: Sequence[Grasp],
+    *,
+    progress: Progress,
+    note: Callable[[str], None],
+) -> None:
+    """Grasp one known object and add its grasps to a data set, also where that ends early.
+
+    Parameters
+    ----------
+    cell, config
+        The cell, started, and its config.
+    collection
+        The object and how often it is grasped; holds the records at the end.
+    dataset
+        Data set to write or extend.
+    before
+        The grasps that it holds already; see `dataset_to_extend`.
+    progress
+        Called after each grasp.
+    note
+        Called with how many grasps were added, also where the teaching ends early.
+
+    Raises
+    ------
+    DatasetError
+        If the data set cannot be written; the message names the recording, which has the grasps.
+    cell.errors.NoPartFound, cell.errors.CellStopped, and what the devices raise
+        As `Collection.fill`. The grasps until then are in the data set.
+    """
+    try:
+        collection.fill(
+            cell.controller,
+            config.sequence,
+            seed=config.seed + len(before),
+            on_grasp=progress_of(progress),
+        )
+    finally:
+        if collection.records:
+            try:
+                append_to_dataset(dataset, before, collection.grasps)
+            except DatasetError as error:
+                raise DatasetError(
+                    f"{error}; the grasps are in {cell.recording_path}, which train takes"
+                ) from error
+            note(f"{collection} added to {dataset} ({len(before)} were there)")
+
+
+def name_recorded(source: Path, label: str, dataset: Path) -> tuple[int, int]:
+    """Add the grasps of a recording or data set that have no label to a data set, under a label.
+
+    Returns
+    -------
+    (added, before)
+        Grasps that were added, and those that the data set held before.
+
+    Raises
+    ------
+    CellError
+        If a file cannot be read or written, or every grasp of the source has a label.
+    """
+    grasps = [grasp for grasp in read_grasps(source) if not grasp.label]
+    if not grasps:
+        raise CellError(f"{source}: each of its grasps has a label; `train` takes it as it is")
+    before = dataset_to_extend(dataset, grasps[0].pads)
+    append_to_dataset(dataset, before, [replace(grasp, label=label) for grasp in grasps])
+    return len(grasps), len(before)
+
+
+def labelled(path: Path) -> tuple[tuple[Grasp, ...], int]:
+    """Return the labelled grasps of a data set or recording, and how many have no label.
+
+    Raises
+    ------
+    CellError
+        If none has a label: then nothing can be taught or tested with them.
+    """
+    grasps = read_grasps(path)
+    named = tuple(grasp for grasp in grasps if grasp.label)
+    if not named:
+        raise CellError(
+            f"{path}: none of its {len(grasps)} grasps has a label; "
+            f"`tactile-cell teach LABEL --from {path} -o DATASET` adds them to a data set under one"
+        )
+    return named, len(grasps) - len(named)
+
+
+def repeated(grasps: Sequence[Grasp]) -> list[Grasp]:
+    """Return the grasps that stood before already, at the same time with the same frames."""
+    seen: dict[int, list[Grasp]] = {}
+    found = []
+    for grasp in grasps:
+        others = seen.setdefault(grasp.start_ms, [])
+        if any(np.array_equal(grasp.counts, other.counts) for other in others):
+            found.append(grasp)
+        others.append(grasp)
+    return found
+
+
+def dataset_to_extend(path: Path, pads: PadArray) -> tuple[Grasp, ...]:
+    """Return the grasps that a data set holds already, before grasps of these pads are taken.
+
+    Raises
+    ------
+    CellError
+        If it cannot be read, holds grasps on other pads, or its folder does not exist.
+    """
+    if not path.parent.is_dir():
+        raise CellError(f"{path}: the folder {path.parent} does not exist; make it first")
+    before = read_dataset(path) if path.exists() else ()
+    _check_pads(path, before, pads)
+    return before
+
+
+def append_to_dataset(path: Path, before: Sequence[Grasp], new: Sequence[Grasp]) -> None:
+    """Write a data set anew with further grasps at its end.
+
+    Raises
+    ------
+    CellError
+        If the new grasps were taken on other pads; the file stays as it was.
+    """
+    _check_pads(path, before, new[0].pads)
+    write_dataset(path, [*before, *new])
+
+
+def _check_pads(path: Path, before: Sequence[Grasp], here: PadArray) -> None:
+    if before and not before[0].pads.same_as(here):
+        there = before[0].pads
+        raise CellError(
+            f"{path} holds grasps on other pads: {there.n_taxels} taxels in {there.n_pads} pads, "
+            f"these have {here.n_taxels} in {here.n_pads}{what_differs(there, here)}; choose "
+            "another file"
+        )

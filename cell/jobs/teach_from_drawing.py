@@ -1,0 +1,124 @@
+"""Teaching from a drawing: virtual grasps, as the cell would take them."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.config.gripper import ParallelLinkageConfig
+from cell.config.model import CellConfig
+from cell.config.tactile import layout_from_config
+from cell.control.grasping import force_ramp
+from cell.control.plan import plan
+from cell.control.records import pad_array
+from cell.errors import CellError
+from cell.jobs.common import Progress, silent
+from cell.learning.blas import one_blas_thread
+from cell.learning.pad_knowledge import PadKnowledge, usual_foam
+from cell.learning.virtual_grasps import Course, Noise, VirtualPads
+from cell.simulation import converter_noise
+from recognition.grasp import Grasp, PadArray
+from recognition.shape.models import Drawing
+
+_PULSES = 4096
+_MODULUS_FURTHER = 2.5
+"""Foams differ in stiffness more than in anything else."""
+_BEND, _LAG, _NOISE = 0.7, 1.0, 2.5
+"""How far converter, slowness of the foam and noise may be off, over how far the gain may be."""
+
+
+@one_blas_thread()
+def teach_drawing(
+    config: CellConfig,
+    label: str,
+    drawing: Drawing,
+    n_grasps: int,
+    *,
+    kind: str = "",
+    known: PadKnowledge | None = None,
+    seed: int = 0,
+    start_ms: int = 0,
+    progress: Progress = silent,
+) -> list[Grasp]:
+    """Grasp a drawing ``n_grasps`` times as the cell would, at the poses and forces of its plan.
+
+    Parameters
+    ----------
+    config
+        The cell: pads, speeds, ramp, plan.
+    label, drawing, kind
+        Name, shape and class of shape of the object.
+    known
+        What is known of foam and sensor; by default what is usual, under the config's law.
+    seed
+        Of poses, forces, noise and all that is not known exactly.
+    start_ms
+        Time of the first grasp; each next one counts a second more.
+
+    Raises
+    ------
+    CellError
+        If the object does not fit between the open pads, or lies beside them.
+    """
+    known = known or PadKnowledge(foam=usual_foam(config))
+    layout = layout_from_config(config.tactile)
+    pads = pad_array(layout)
+    first, second = layout.gripping_pads
+    virtual = VirtualPads(
+        pads,
+        (first, second),
+        foam=known.foam,
+        course=course_of(config, known),
+        noise=_noise(config, pads, known.rest),
+    )
+    rng = np.random.default_rng([seed, 1])
+    grasps = []
+    for number, step in enumerate(plan(config.sequence, n_grasps, seed=seed)):
+        try:
+            grasp = virtual.grasp(
+                drawing,
+                step,
+                force_ramp(config.sequence.ramp, step.force_n),
+                rng,
+                label=label,
+                shape=kind,
+                start_ms=start_ms + 1000 * number,
+            )
+        except ValueError as error:
+            raise CellError(f"{label} cannot be grasped: {error}") from error
+        grasps.append(grasp)
+        progress(f"draw {label}", len(grasps), n_grasps)
+    return grasps
+
+
+def course_of(config: CellConfig, known: PadKnowledge) -> Course:
+    """Return how the configured cell moves."""
+    drive = config.gripper.linkage
+    arm_mm = drive.link_mm if isinstance(drive, ParallelLinkageConfig) else drive.pinion_radius_mm
+    step_mm = arm_mm * math.tau / _PULSES * (2 if len(config.gripper.servos) == 1 else 1)
+    further = max(known.other_foams - 1.0, 0.0)
+    return Course(
+        period_s=1e-3 * config.tactile.sync_period_ms,
+        aperture_open_m=1e-3 * config.gripper.aperture_open_mm,
+        approach_speed_m_s=1e-3 * config.gripper.approach_speed_mm_s,
+        aperture_step_m=1e-3 * step_mm,
+        aperture_sd_m=known.aperture_sd_m,
+        impact_n=(config.gripper.contact_force_n + 0.2, config.gripper.contact_force_n + 1.1),
+        modulus_sd=(1.0 + _MODULUS_FURTHER * further) * known.modulus_sd,
+        gain_sd=known.other_foams * known.gain_sd,
+        spread_sd=known.other_foams * known.spread_sd,
+        densification_sd=known.other_foams * known.densification_sd,
+        thickness_sd=known.other_foams * known.thickness_sd,
+        bend_sd=_BEND * further * known.gain_sd,
+        lag=_LAG * further * known.gain_sd,
+        noise_sd=_NOISE * further * known.gain_sd,
+    )
+
+
+def _noise(config: CellConfig, pads: PadArray, rest: NDArray[np.uint16] | None) -> Noise:
+    """Return the noise: frames of the gauge's untouched pads, else that of the simulated cell."""
+    if rest is not None:
+        frames = rest.astype(np.float64)
+        return lambda rng, n_frames: frames[rng.integers(len(frames), size=n_frames)]
+    converter = converter_noise(config)
+    return lambda rng, n_frames: converter(rng, n_frames * pads.n_taxels).reshape(n_frames, -1)

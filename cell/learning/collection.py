@@ -1,0 +1,94 @@
+"""Collection of the grasps of one known object, which train a recogniser."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+from cell.config.sequence import SequenceConfig
+from cell.control.controller import CellController
+from cell.control.plan import plan
+from cell.control.records import GraspRecord
+from cell.errors import NoPartFound
+from cell.learning.blas import one_blas_thread
+from recognition.grasp import Grasp
+
+
+@dataclass(slots=True, kw_only=True)
+class Collection:
+    """Grasps of one known object, as far as they have come.
+
+    Attributes
+    ----------
+    label
+        Name of the object.
+    n_planned
+        Grasps that were asked for.
+    records
+        Grasps that held the object, in order.
+    n_missed
+        Grasps that found no part; they are left out of the records.
+    """
+
+    label: str
+    n_planned: int
+    records: list[GraspRecord] = field(default_factory=list)
+    n_missed: int = 0
+
+    @property
+    def grasps(self) -> list[Grasp]:
+        """The recorded grasps."""
+        return [record.grasp for record in self.records]
+
+    @property
+    def n_done(self) -> int:
+        """Grasps that are over, missed ones too."""
+        return len(self.records) + self.n_missed
+
+    def __str__(self) -> str:
+        missed = f" ({self.n_missed} found no part)" if self.n_missed else ""
+        return f"{len(self.records)} of {self.n_planned} grasps of {self.label}{missed}"
+
+    @one_blas_thread()
+    def fill(
+        self,
+        controller: CellController,
+        sequence: SequenceConfig,
+        *,
+        seed: int,
+        on_grasp: Callable[["Collection"], None],
+    ) -> None:
+        """Grasp the object at different poses and forces until the plan is at its end.
+
+        A grasp that finds no part is counted and left out. Whatever ends it early, the grasps
+        before stay in the records.
+
+        Parameters
+        ----------
+        controller
+            The cell, started.
+        sequence
+            Ranges of poses and forces.
+        seed
+            Seed of the plan.
+        on_grasp
+            Called with this collection after each grasp, a missed one too.
+
+        Raises
+        ------
+        NoPartFound
+            If several grasps in a row find no part, or none finds one.
+        cell.errors.CellStopped, gripper.errors.GripperError, tactile.errors.TactileError
+            As `CellController.grasp`.
+        """
+        misses: list[NoPartFound] = []
+
+        def missed(error: NoPartFound) -> None:
+            misses.append(error)
+            self.n_missed += 1
+            on_grasp(self)
+
+        steps = plan(sequence, self.n_planned, seed=seed)
+        for record in controller.collect(self.label, steps, on_missed=missed):
+            self.records.append(record)
+            on_grasp(self)
+        if misses and not self.records:
+            raise misses[-1]

@@ -1,0 +1,338 @@
+"""Model files: a trained recogniser as plain arrays and one JSON header in an npz archive.
+
+Nothing in a model file is ever executed. A model is refused before any hardware is touched when
+its format, its pads or the version of its features are not those of this program.
+"""
+
+import hashlib
+import importlib
+import json
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, TypeVar, cast
+from warnings import catch_warnings, simplefilter
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.data.files import read_npz, savez, write_atomically
+from cell.errors import ModelError
+from recognition.errors import RecognitionError
+from recognition.grasp import Grasp, PadArray
+from recognition.recognizer import Recognizer
+from recognition.recognizers import recognizer_module, trainer_names
+
+_REHEARSED_FRAMES = 40
+"""Frames of the made-up grasp, about as many as a short ramp has."""
+_REHEARSED_FORCE_N = 8.0
+"""Force in N at the end of its ramp: the largest of the default sequence."""
+
+
+def rehearse(recognizer: Recognizer, pads: PadArray) -> None:
+    """Classify a made-up grasp, so that arrays that do not fit fail now, not over a held part.
+
+    A recogniser that refuses the grasp for what it is raises a RecognitionError; that is no fault.
+    """
+    share = np.linspace(0.0, 1.0, _REHEARSED_FRAMES)
+    offset_m = pads.taxel_xy_m - pads.taxel_xy_m.mean(axis=0)
+    extent_m = max(float(np.abs(offset_m).max()), 1e-6)
+    print_ = np.maximum(0.0, 1.0 - np.sum((offset_m / (0.6 * extent_m)) ** 2, axis=1))
+    grasp = Grasp(
+        pads=pads,
+        counts=(0.6 * pads.adc_max * share[:, None] * print_).astype(np.uint16),
+        t_s=np.linspace(0.0, 2.0, _REHEARSED_FRAMES),
+        aperture_m=np.linspace(0.03, 0.02, _REHEARSED_FRAMES),
+        force_n=_REHEARSED_FORCE_N * share,
+        label="",
+    )
+    try:
+        posterior = recognizer.posterior(grasp)
+    except RecognitionError:
+        return
+    if not np.all(np.isfinite(posterior.probability)) or not np.isfinite(posterior.unknown):
+        raise ValueError("its probabilities are not finite")
+
+
+FORMAT = "tactile-cell-model/1"
+"""Format and version in the header of a model file."""
+
+DEFAULT_LIMIT_BYTES = 256 << 20
+"""Largest unpacked size in bytes of a model file that is read; real ones have a few MB."""
+
+Arrays = Mapping[str, NDArray[Any]]
+"""Plain arrays by name."""
+
+_T = TypeVar("_T")
+_UNSUITABLE = (
+    ValueError,
+    KeyError,
+    TypeError,
+    IndexError,
+    AttributeError,
+    ArithmeticError,
+    MemoryError,
+    RecursionError,
+    RuntimeWarning,
+)
+"""Errors of arrays that have not the shapes, types or values that a recogniser expects."""
+_FARTHEST_M = 10.0
+"""Largest coordinate of a taxel in m that is taken for one: far beyond any gripper."""
+_HEADER = "model"
+_PREFIX = "learnt."
+_PADS = "pads."
+_OWN_SECTIONS = ("model", "learnt", "pads")
+"""Names of arrays in the archive: the header, and the prefixes of recogniser and pads."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoadedModel:
+    """Content of a model file that was read and suits this program.
+
+    Attributes
+    ----------
+    recognizer
+        Ready to answer.
+    trainer_name
+        Name of its kind, one of `recognition.recognizers.trainer_names`.
+    labels
+        The taught objects.
+    pads
+        The pads that it was taught on.
+    path
+        The file.
+    sections
+        Further arrays of the file by section; see `section`.
+    """
+
+    recognizer: Recognizer
+    trainer_name: str
+    labels: tuple[str, ...]
+    pads: PadArray
+    path: Path = Path()
+    sections: Mapping[str, Arrays] = field(default_factory=dict)
+
+    def section(self, name: str, build: Callable[[Arrays], _T]) -> _T | None:
+        """Return what ``build`` makes of a section's arrays; None where there is no such section.
+
+        Raises
+        ------
+        ModelError
+            If the arrays are not what ``build`` takes.
+        """
+        arrays = self.sections.get(name)
+        return None if arrays is None else _built(self.path, lambda: build(arrays))
+
+
+def layout_hash(pads: PadArray) -> str:
+    """Return 16 hex digits that are equal for equal pads: shapes, places to 1 um, full scale."""
+    digest = hashlib.sha256()
+    for array in (pads.pad_shape, pads.taxel_pad, np.rint(pads.taxel_xy_m * 1e6)):
+        digest.update(np.asarray(array, dtype="<i8").tobytes() + b"|")
+    digest.update(str(pads.adc_max).encode())
+    return digest.hexdigest()[:16]
+
+
+def save_model(
+    path: Path | str,
+    recognizer: Recognizer,
+    *,
+    trainer_name: str,
+    pads: PadArray,
+    sections: Mapping[str, Arrays] | None = None,
+) -> None:
+    """Write a taught recogniser, whole or not at all.
+
+    Parameters
+    ----------
+    path
+        The model file; an older one stays until the new one is whole.
+    recognizer
+        What was taught.
+    trainer_name
+        Its kind, one of `recognition.recognizers.trainer_names`.
+    pads
+        The pads that it was taught on.
+    sections
+        Further arrays, by the name of a section and their own; a program without use for a section
+        leaves it alone.
+
+    Raises
+    ------
+    ModelError
+        If the kind is unknown or the disk refuses.
+    ValueError
+        If a section has no name of its own.
+    """
+    path = Path(path)
+    kind = type(recognizer)
+    if _class_of(path, trainer_name, kind.__name__) is not kind:
+        raise ModelError(f"cannot write model {path}: {kind.__name__} is not of {trainer_name!r}")
+    learnt = recognizer.to_arrays()
+    arrays: dict[str, NDArray[Any]] = {
+        f"{_PADS}shape": pads.pad_shape,
+        f"{_PADS}taxel_pad": pads.taxel_pad,
+        f"{_PADS}taxel_xy_m": pads.taxel_xy_m,
+        f"{_PADS}adc_max": np.array(pads.adc_max, dtype=np.int64),
+        **{_PREFIX + name: np.asarray(array) for name, array in learnt.items()},
+    }
+    for section, content in (sections or {}).items():
+        if not section.isidentifier() or section in _OWN_SECTIONS:
+            raise ValueError(f"{section!r} is no name of a section")
+        arrays |= {f"{section}.{name}": np.asarray(array) for name, array in content.items()}
+    header = {
+        "format": FORMAT,
+        "trainer": trainer_name,
+        "class": kind.__name__,
+        "labels": list(recognizer.labels),
+        "layout_hash": layout_hash(pads),
+        "sha256": _digest(arrays),
+    }
+    arrays = {_HEADER: np.array(json.dumps(header)), **arrays}
+    write_atomically(path, lambda file: savez(file, arrays), error=ModelError, what="model")
+
+
+def load_model(path: Path | str, expected_pads: PadArray | None = None) -> LoadedModel:
+    """Read a model file.
+
+    Parameters
+    ----------
+    path
+        The model file.
+    expected_pads
+        The pads of the cell; None to take those of the model.
+
+    Raises
+    ------
+    ModelError
+        If the file is damaged, no model, of another version, or was taught on other pads.
+    """
+    path = Path(path)
+    arrays = read_npz(path, error=ModelError, what="model", limit_bytes=DEFAULT_LIMIT_BYTES)
+    header = _header(path, arrays)
+    pads = _pads(path, arrays)
+    if header.get("layout_hash") != layout_hash(pads):
+        raise ModelError(f"{path}: its pads do not have its layout hash; the file is damaged")
+    if expected_pads is not None and not pads.same_as(expected_pads):
+        raise ModelError(
+            f"{path} was taught on {_describe(pads)}, the cell has {_describe(expected_pads)}; "
+            "teach again on these pads, or name the right layout in the config"
+        )
+    trainer_name = str(header.get("trainer"))
+    kind = _class_of(path, trainer_name, str(header.get("class")))
+    learnt = _section(arrays, _PREFIX)
+
+    def rehearsed() -> tuple[Recognizer, tuple[str, ...]]:
+        recognizer = kind.from_arrays(learnt)
+        rehearse(recognizer, pads)
+        return recognizer, tuple(recognizer.labels)
+
+    recognizer, labels = _built(path, rehearsed)
+    if list(labels) != header.get("labels"):
+        raise ModelError(f"{path} names other labels in its header than in its arrays")
+    names = {name.partition(".")[0] for name in arrays if "." in name}
+    return LoadedModel(
+        recognizer=recognizer,
+        trainer_name=trainer_name,
+        labels=labels,
+        pads=pads,
+        path=path,
+        sections={n: _section(arrays, f"{n}.") for n in sorted(names.difference(_OWN_SECTIONS))},
+    )
+
+
+def check_pads(model: LoadedModel, pads: PadArray) -> None:
+    """Refuse a model that was trained on other pads. Raises ModelError."""
+    if not model.pads.same_as(pads):
+        raise ModelError(
+            f"the model was taught on {model.pads.n_taxels} taxels in {model.pads.n_pads} pads, "
+            f"these grasps have {pads.n_taxels} in {pads.n_pads}{what_differs(model.pads, pads)}; "
+            "teach on these pads"
+        )
+
+
+def what_differs(taught: PadArray, pads: PadArray) -> str:
+    """Return what differs between pads of which there are as many, as text."""
+    if (taught.n_taxels, taught.n_pads) != (pads.n_taxels, pads.n_pads):
+        return ""
+    if taught.adc_max != pads.adc_max:
+        return f", but a full scale of {pads.adc_max} instead of {taught.adc_max}"
+    return " at other places"
+
+
+def _section(arrays: Arrays, prefix: str) -> dict[str, NDArray[Any]]:
+    return {
+        name.removeprefix(prefix): array
+        for name, array in arrays.items()
+        if name.startswith(prefix)
+    }
+
+
+def _built(path: Path, build: Callable[[], _T]) -> _T:
+    """Return what is built of a file's arrays. Raises ModelError where they do not suit."""
+    try:
+        with np.errstate(divide="raise", over="raise", invalid="raise"), catch_warnings():
+            simplefilter("error", RuntimeWarning)
+            return build()
+    except _UNSUITABLE as cause:
+        raise ModelError(
+            f"{path} does not suit this program ({type(cause).__name__}: {cause}); train it again"
+        ) from cause
+
+
+def _header(path: Path, arrays: Mapping[str, NDArray[Any]]) -> dict[str, Any]:
+    text = arrays.get(_HEADER)
+    if text is None or text.dtype.kind != "U" or text.shape != ():
+        raise ModelError(f"{path} is no model file: it has no header; train a model first")
+    try:
+        header = json.loads(str(text))
+    except (ValueError, RecursionError) as cause:
+        raise ModelError(f"{path}: its header is no JSON ({cause})") from cause
+    if not isinstance(header, dict) or header.get("format") != FORMAT:
+        raise ModelError(f"{path} is not of the format {FORMAT}; train it again")
+    rest = {name: array for name, array in arrays.items() if name != _HEADER}
+    if header.get("sha256") != _digest(rest):
+        raise ModelError(f"{path}: its arrays do not have its checksum; the file is damaged")
+    return header
+
+
+def _digest(arrays: Mapping[str, NDArray[Any]]) -> str:
+    digest = hashlib.sha256()
+    for name, array in sorted(arrays.items()):
+        digest.update(f"{name}|{array.dtype.str}|{array.shape}|".encode())
+        digest.update(array.tobytes())
+    return digest.hexdigest()
+
+
+def _pads(path: Path, arrays: Mapping[str, NDArray[Any]]) -> PadArray:
+    try:
+        places_m = arrays[f"{_PADS}taxel_xy_m"]
+        if places_m.dtype.kind != "f" or not np.all(np.abs(places_m) <= _FARTHEST_M):
+            raise ValueError(f"a place is no number up to {_FARTHEST_M:g} m")
+        with np.errstate(invalid="raise"):
+            return PadArray(
+                pad_shape=arrays[f"{_PADS}shape"],
+                taxel_pad=arrays[f"{_PADS}taxel_pad"],
+                taxel_xy_m=places_m,
+                adc_max=int(arrays[f"{_PADS}adc_max"]),
+            )
+    except (KeyError, ValueError, TypeError, IndexError, ArithmeticError, MemoryError) as cause:
+        raise ModelError(f"{path}: its pads cannot be read ({cause})") from cause
+
+
+def _class_of(path: Path, trainer_name: str, class_name: str) -> type[Recognizer]:
+    """Return a recogniser's class; a file can only name those that this program offers."""
+    if trainer_name not in trainer_names():
+        raise ModelError(
+            f"{path} is of the kind {trainer_name!r}; there are {', '.join(trainer_names())}"
+        )
+    module = importlib.import_module(recognizer_module(trainer_name))
+    found = getattr(module, class_name, None)
+    if not isinstance(found, type) or not hasattr(found, "from_arrays"):
+        raise ModelError(f"{path}: {trainer_name} has no recogniser named {class_name!r}")
+    return cast("type[Recognizer]", found)
+
+
+def _describe(pads: PadArray) -> str:
+    shapes = " + ".join(f"{rows}x{columns}" for rows, columns in pads.pad_shape.tolist())
+    return f"{shapes} taxels up to {pads.adc_max} (layout {layout_hash(pads)})"

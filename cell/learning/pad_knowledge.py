@@ -1,0 +1,231 @@
+"""Foam and sensor of a cell: calibrated on a gauge object, or the usual ones."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.config.model import CellConfig
+from cell.config.tactile import layout_from_config
+from cell.control.records import pad_array
+from cell.data.dataset import read_grasps
+from cell.errors import CellError, ConfigError
+from cell.learning.blas import one_blas_thread
+from cell.simulation import drawn_shape, sensor_law
+from recognition.errors import ContactError
+from recognition.grasp import Grasp, PadArray
+from recognition.ramp.ramp import find_ramp, learn_rest
+from recognition.shape.foam import FoamModel
+from recognition.shape.foam_fit import FoamFit, fit_foam
+from recognition.shape.models import Drawing
+from recognition.shape.residuals import PadUncertainty
+
+_UNKNOWN_SD = 0.1
+"""Relative standard deviation of modulus, gain and spread of a foam that was not gauged."""
+_LEAST_SD = 0.03
+"""Smallest relative standard deviation after a gauge: what a few grasps can show at best."""
+_OTHER_FOAMS = 2.5
+"""Virtual grasps without a gauge are drawn with so many times the deviations."""
+_OTHER_THAN_GAUGED = 0.3
+"""Share of the spread between foams that is left for a fit of shape after a gauge."""
+_OTHER_THAN_ONE_SHAPE = 1.4
+"""Virtual grasps after a gauge are drawn with so many times the deviations: it was one shape."""
+_DEPTH_SD_M = 0.2e-3
+"""How far the zero that one shape gives may be from that of others, in m."""
+_MIN_QUIET = 5
+"""Frames of the untouched pads that suffice to draw noise from."""
+_BAD_MISFIT = 2.5
+"""Misfit of a gauge, where 1 is the noise, from which its shape is doubted."""
+_BAD_FIT = " where 1 is the noise: is this the gauge's shape? These pads are not understood"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PadKnowledge:
+    """Foam and sensor with their uncertainties, from a gauge or the usual ones.
+
+    Attributes
+    ----------
+    foam
+        Foam and sensor.
+    modulus_sd, gain_sd, spread_sd, densification_sd, thickness_sd
+        Relative standard deviations.
+    other_foams
+        Virtual grasps are drawn with this many times these deviations: a name that was taught
+        without a gauge has to hold on whatever foam it will meet, and a grasp on another foam is
+        no unknown object. A gauge tells of one shape only; others differ from what it makes of
+        the foam by more than its deviations.
+    aperture_sd_m
+        Standard deviation in m of the measured opening.
+    rest : (n, n_taxels) uint16 or None
+        Frames of the untouched pads; None without a gauge.
+    fit
+        The calibration; None without a gauge.
+    """
+
+    foam: FoamModel
+    modulus_sd: float = _UNKNOWN_SD
+    gain_sd: float = _UNKNOWN_SD
+    spread_sd: float = _UNKNOWN_SD
+    densification_sd: float = 2.0 * _UNKNOWN_SD
+    thickness_sd: float = 0.6 * _UNKNOWN_SD
+    other_foams: float = _OTHER_FOAMS
+    aperture_sd_m: float = 0.2e-3
+    rest: NDArray[np.uint16] | None = None
+    fit: FoamFit | None = None
+
+    @property
+    def trust(self) -> PadUncertainty:
+        """Uncertainties of foam and sensor for fits of shapes."""
+        return PadUncertainty(
+            modulus=self.modulus_sd,
+            gain=self.gain_sd,
+            spread=self.spread_sd,
+            stiffening=self.densification_sd,
+            aperture_m=self.aperture_sd_m,
+            other_foams=1.0 if self.fit is None else _OTHER_THAN_GAUGED,
+            misfit=0.0 if self.fit is None else self.fit.misfit,
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain data, units in the names."""
+        values: dict[str, Any] = {"foam": self.foam.as_dict()}
+        if self.fit is not None:
+            values |= {
+                "n_grasps": self.fit.n_grasps,
+                "misfit": self.fit.misfit,
+                "modulus_sd": float(self.fit.sd[0]),
+                "gain_sd": float(self.fit.sd[1]),
+                "aperture_sd_mm": float(self.fit.sd[3]),
+            }
+        return values
+
+    def __str__(self) -> str:
+        foam = self.foam
+        text = (
+            f"foam {1e-3 * foam.modulus_pa:.0f} kPa, spread {1e3 * foam.spread_m:.2f} mm, "
+            f"sensor gain {foam.gain:.3f}, opening {1e3 * foam.aperture_offset_m:+.2f} mm"
+        )
+        if foam.full_scale_n is not None:
+            text += f", linear up to {foam.full_scale_n:.3g} N a taxel"
+        if self.fit is None:
+            return f"{text}: not calibrated, add --gauge"
+        modulus, gain, _, aperture, _ = self.fit.sd
+        return (
+            f"{text} (modulus and gain within {100 * modulus:.0f} and {100 * gain:.0f} %, opening "
+            f"within {aperture:.2f} mm), from {self.fit.n_grasps} grasps, misfit "
+            f"{self.fit.misfit:.1f}" + (_BAD_FIT if self.fit.misfit > _BAD_MISFIT else "")
+        )
+
+
+def usual_foam(config: CellConfig) -> FoamModel:
+    """Return the usual foam on a sensor that follows the config's law from force to counts."""
+    law = sensor_law(config)
+    return FoamModel(gain=law.gain, full_scale_n=law.full_scale_n)
+
+
+def gauge_shape(grasps: Sequence[Grasp], text: str | None, config: CellConfig) -> Drawing:
+    """Return the shape of the gauge: as given, else the configured object of the grasps' label.
+
+    Raises
+    ------
+    CellError
+        If the grasps are of several objects, or their shape is not known.
+    """
+    labels = sorted({grasp.label for grasp in grasps})
+    if len(labels) > 1:
+        raise CellError(f"a gauge is one object, these grasps are of {', '.join(labels)}")
+    if text is not None:
+        return drawn_shape(text)
+    for entry in config.simulator.objects:
+        if entry.label == labels[0]:
+            return drawn_shape(entry.shape)
+    raise CellError(f"the shape of the gauge {labels[0]!r} is not known: add --gauge-shape")
+
+
+@one_blas_thread()
+def calibrate_on_gauge(
+    grasps: Sequence[Grasp], drawing: Drawing, pads: PadArray, foam: FoamModel | None = None
+) -> PadKnowledge:
+    """Fit stiffness and gain to grasps of a known object.
+
+    Parameters
+    ----------
+    grasps, drawing
+        The grasps and the shape of the object.
+    pads
+        Those of the cell.
+    foam
+        Foam and sensor to begin with; equation (11) by default.
+
+    Raises
+    ------
+    CellError
+        If the grasps were taken on other pads, or do not suffice.
+    """
+    if not grasps[0].pads.same_as(pads):
+        raise CellError(
+            f"the gauge was grasped on {grasps[0].pads.n_taxels} taxels, this cell has "
+            f"{pads.n_taxels}: grasp it on this cell"
+        )
+    try:
+        fit = fit_foam(grasps, drawing, foam)
+    except ContactError as error:
+        raise CellError(f"the gauge cannot be used: {error}") from error
+    modulus_sd, gain_sd, spread_sd, aperture_sd_mm, stiffening_sd = (float(sd) for sd in fit.sd)
+    return PadKnowledge(
+        foam=fit.foam,
+        modulus_sd=max(modulus_sd, _LEAST_SD),
+        gain_sd=max(gain_sd, _LEAST_SD),
+        spread_sd=max(spread_sd, _LEAST_SD),
+        densification_sd=max(stiffening_sd, 2.0 * _LEAST_SD),
+        thickness_sd=_LEAST_SD,
+        other_foams=_OTHER_THAN_ONE_SHAPE,
+        aperture_sd_m=math.hypot(max(0.2e-3, 1e-3 * aperture_sd_mm, fit.opening_sd_m), _DEPTH_SD_M),
+        rest=_rest_frames(grasps),
+        fit=fit,
+    )
+
+
+def pad_knowledge(config: CellConfig, gauge: Path | None, gauge_text: str | None) -> PadKnowledge:
+    """Return foam and sensor by a gauge, or the usual ones without one.
+
+    Parameters
+    ----------
+    config
+        The cell.
+    gauge
+        Data set or recording of grasps of one known object; None: the usual foam.
+    gauge_text
+        Its shape; None: that of the configured object of the grasps' label.
+
+    Raises
+    ------
+    ConfigError
+        If a shape is given without grasps, or is none.
+    CellError
+        If the grasps cannot be read, or do not suffice.
+    """
+    foam = usual_foam(config)
+    if gauge is None:
+        if gauge_text is not None:
+            raise ConfigError("--gauge-shape describes the gauge; name its grasps with --gauge")
+        return PadKnowledge(foam=foam)
+    grasps = read_grasps(gauge)
+    drawing = gauge_shape(grasps, gauge_text, config)
+    pads = pad_array(layout_from_config(config.tactile))
+    return calibrate_on_gauge(grasps, drawing, pads, foam)
+
+
+def _rest_frames(grasps: Sequence[Grasp]) -> NDArray[np.uint16] | None:
+    """Return the frames before the touch of all grasps, None where there are too few."""
+    rest = learn_rest(grasps)
+    parts = []
+    for grasp in grasps:
+        ramp = find_ramp(grasp, rest)
+        parts.append(grasp.counts[: max(0, int(ramp.touch.min()) - ramp.smoothing)])
+    frames: NDArray[np.uint16] = np.concatenate(parts)
+    return frames if len(frames) >= _MIN_QUIET else None

@@ -1,0 +1,393 @@
+"""The taught model of a cell: it teaches, answers, follows the drift of the sensors, and is saved.
+
+The main job, the identification at the command line and the plugin all work with a `TaughtModel`.
+"""
+
+import hashlib
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Self
+
+import numpy as np
+
+from cell.config.model import CellConfig
+from cell.config.tactile import layout_from_config
+from cell.control.controller import CellController
+from cell.control.identification import Identification, OnGrasp
+from cell.control.plan import plan
+from cell.control.records import pad_array
+from cell.data.dataset import read_dataset, write_dataset
+from cell.errors import CellError, CellStateError, ModelError
+from cell.learning.blas import one_blas_thread
+from cell.learning.collection import Collection
+from cell.learning.drift import DriftTracker
+from cell.learning.model import Arrays, LoadedModel, check_pads, load_model, save_model
+from cell.learning.next_grasp import ActiveChooser
+from cell.learning.pad_knowledge import PadKnowledge
+from cell.learning.shapes import shape_reader
+from cell.learning.training import load_early, load_pose_memory, train
+from recognition.drift.drift import NO_DRIFT
+from recognition.drift.tracking import DriftEstimate
+from recognition.grasp import Grasp
+from recognition.recognizer import Recognizer
+from recognition.recognizers.early_classifiers import EarlyClassifiers
+from recognition.recognizers.force_ramp.recognizer import ForceRamp
+from recognition.statistics.next_grasp import PoseMemory
+
+TRAINING_SECTION = "training_set"
+"""Section of a model file that names the data set of its training set, and its checksum."""
+
+
+class TaughtModel:
+    """A recogniser of taught objects with all that belongs to it in a running cell.
+
+    Beside the recogniser these are its training set, early classifiers and pose memory where the
+    config uses them, and the tracker of the drift.
+
+    Parameters
+    ----------
+    config
+        The cell.
+    model
+        A model file that was read; None where nothing was taught yet.
+    training_set
+        The grasps that trained the model; empty where they are not at hand.
+    known
+        Foam and sensor, for shape and size; by default the usual ones.
+
+    Attributes
+    ----------
+    tracker
+        The recogniser and its followed drift; None where nothing was taught yet.
+
+    Raises
+    ------
+    ModelError
+        If the model was trained on other pads or lacks what the config needs, or the training set
+        is not that of the model.
+    """
+
+    def __init__(
+        self,
+        config: CellConfig,
+        model: LoadedModel | None = None,
+        *,
+        training_set: Sequence[Grasp] = (),
+        known: PadKnowledge | None = None,
+    ) -> None:
+        self._config = config
+        self._trainer_name: str = config.recognition.recognizer
+        self._training_set = list(training_set)
+        self._training_file: Path | None = None
+        self._sections: dict[str, Arrays] = {}
+        self._early: EarlyClassifiers | None = None
+        self._memory: PoseMemory | None = None
+        self.tracker: DriftTracker | None = None
+        self._pads = pad_array(layout_from_config(config.tactile))
+        if model is not None:
+            check_pads(model, self._pads)
+            self._trainer_name = model.trainer_name
+            self._sections = dict(model.sections)
+            self._early = load_early(model, config.sequence)
+            self._memory = load_pose_memory(model, config.sequence)
+            self.tracker = self._tracker_of(model.recognizer)
+            _check_training_set(model, self._training_set)
+        self._read_shape = shape_reader(config, known)
+        self._lock = threading.Lock()
+
+    @classmethod
+    def load(
+        cls,
+        config: CellConfig,
+        path: Path | str,
+        *,
+        training_set: Path | str | None = None,
+        known: PadKnowledge | None = None,
+    ) -> Self:
+        """Read a model file, and its training set where there is one.
+
+        Parameters
+        ----------
+        config, known
+            As `TaughtModel`.
+        path
+            The model file.
+        training_set
+            Data set of the grasps that trained it; by default the one that `save` wrote with it,
+            where that still stands beside it.
+
+        Raises
+        ------
+        ModelError, DatasetError
+            If a file cannot be read, or does not suit the config.
+        """
+        model = load_model(path, pad_array(layout_from_config(config.tactile)))
+        if training_set is None:
+            training_set = _saved_with(model)
+        grasps = () if training_set is None else read_dataset(training_set)
+        return cls(config, model, training_set=grasps, known=known)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The taught objects."""
+        return () if self.tracker is None else self.tracker.taught.labels
+
+    @property
+    def trainer_name(self) -> str:
+        """Kind of the recogniser, one of `recognition.recognizers.trainer_names`."""
+        return self._trainer_name
+
+    @property
+    def recognizer(self) -> Recognizer:
+        """The recogniser that expects the followed drift. Raises CellStateError before teaching."""
+        return self.check_taught().recognizer
+
+    @property
+    def max_grasps(self) -> int:
+        """Most grasps of an identification, as the config wants."""
+        return self._config.sequence.max_grasps
+
+    @property
+    def drift_estimate(self) -> DriftEstimate | None:
+        """Estimate of the drift; None where it is not followed."""
+        return None if self.tracker is None else self.tracker.drift_estimate
+
+    @property
+    def extendable(self) -> bool:
+        """Whether teaching keeps the objects of before: their grasps are at hand."""
+        return self.tracker is None or bool(self._training_set)
+
+    # -- teaching ------------------------------------------------------------------------------
+
+    def collect(
+        self,
+        controller: CellController,
+        collection: Collection,
+        *,
+        seed: int,
+        on_grasp: Callable[[Collection], None],
+    ) -> None:
+        """Grasp a known object and add its grasps to the training set; `train` is to follow.
+
+        A drift that is likely by now is taken off the new grasps, so that all grasps of the
+        training set are as the sensors were when the first of them were taught. What was grasped
+        before an error stays in the training set.
+
+        Raises
+        ------
+        CellStateError
+            If the training set of the loaded model is not at hand: its objects would be lost.
+        cell.errors.NoPartFound, cell.errors.CellStopped, and what the devices raise
+            As `Collection.fill`.
+        """
+        self.check_extendable()
+        drift = NO_DRIFT if self.tracker is None else self.tracker.drift
+        try:
+            collection.fill(controller, self._config.sequence, seed=seed, on_grasp=on_grasp)
+        finally:
+            grasps = collection.grasps
+            if drift != NO_DRIFT:
+                grasps = [drift.undo(grasp) for grasp in grasps]
+            with self._lock:
+                self._training_set += grasps
+                self._training_file = None
+
+    def check_extendable(self) -> None:
+        """Refuse to teach beside a model whose training set is missing. Raises CellStateError."""
+        if not self.extendable:
+            raise CellStateError(
+                f"the loaded model names {', '.join(self.labels)}, but the grasps that trained it "
+                "are not at hand, and teaching without them would lose these objects: name their "
+                "data set when the model is loaded, or begin without a model"
+            )
+
+    def train(self) -> None:
+        """Train anew on the whole training set; the drift followed so far stays followed.
+
+        Raises
+        ------
+        CellError
+            If the grasps do not suffice; they are kept.
+        """
+        wanted, sequence = self._config.recognition, self._config.sequence
+        try:
+            trained = train(
+                self._training_set,
+                wanted.recognizer,
+                use_aperture=wanted.use_aperture,
+                early=sequence.decide_early,
+                poses=sequence.kind == "active",
+            )
+        except CellError as error:
+            raise CellError(f"{error}; the grasps are kept for the next teaching") from error
+        if self.tracker is None:
+            tracker = self._tracker_of(trained.recognizer)
+        else:
+            taught = _expecting_as(self.tracker.taught, trained.recognizer)
+            tracker = self.tracker.continued_with(taught)
+        with self._lock:
+            self._trainer_name = trained.trainer_name
+            self._early, self._memory = trained.early, trained.memory
+            self._sections = trained.sections
+            self.tracker = tracker
+
+    # -- answering -----------------------------------------------------------------------------
+
+    def check_taught(self) -> DriftTracker:
+        """Return the tracker. Raises CellStateError where nothing was taught yet."""
+        if self.tracker is None:
+            raise CellStateError("nothing was taught; teach an object or load a model first")
+        return self.tracker
+
+    @one_blas_thread()
+    def identify(
+        self,
+        controller: CellController,
+        *,
+        held: str | None,
+        seed: int,
+        max_grasps: int | None = None,
+        on_grasp: OnGrasp | None = None,
+    ) -> Identification:
+        """Grasp an object until its name is sure enough, then follow the drift that it shows.
+
+        Parameters
+        ----------
+        controller
+            The cell, started.
+        held
+            Object that the positioner is to bring; None: the one that is there.
+        seed
+            Seed of poses and forces.
+        max_grasps
+            Most grasps; None: as many as the config allows.
+        on_grasp
+            Called after each grasp.
+
+        Raises
+        ------
+        CellStateError
+            If nothing was taught yet.
+        cell.errors.NoPartFound, cell.errors.CellStopped, and what the devices raise
+            As `CellController.identify`.
+        """
+        tracker, sequence = self.check_taught(), self._config.sequence
+        memory = self._memory
+        controller.present(held)
+        found = controller.identify(
+            tracker.recognizer,
+            plan(sequence, max_grasps or self.max_grasps, seed=seed),
+            early=self._early,
+            chooser=None if memory is None else ActiveChooser(memory, sequence, seed=seed),
+            read_shape=self._read_shape,
+            on_grasp=on_grasp,
+        )
+        remark = tracker.add_records(found.records)
+        if remark:
+            controller.remark("drift", remark)
+        return replace(found, remark=remark)
+
+    def forget_drift(self) -> None:
+        """Begin following the drift anew, as after work on the sensors."""
+        if self.tracker is not None:
+            self.tracker.reset()
+
+    # -- files ---------------------------------------------------------------------------------
+
+    def save_training_set(self, path: Path) -> None:
+        """Write the training set as a data set. Raises DatasetError."""
+        with self._lock:
+            grasps = list(self._training_set)
+        write_dataset(path, grasps)
+        self._training_file = path
+
+    def save(self, path: Path | str, *, followed: bool = False) -> None:
+        """Write the model file, and its training set where it is at hand and not written yet.
+
+        The training set goes to ``NAME.grasps.npz`` beside the model.
+
+        Parameters
+        ----------
+        path
+            The model file.
+        followed
+            Whether the model expects the drift that was followed so far.
+
+        Raises
+        ------
+        CellStateError
+            If nothing was taught yet.
+        ModelError, DatasetError
+            If a file cannot be written.
+        """
+        path = Path(path)
+        with self._lock:
+            tracker, grasps = self.check_taught(), list(self._training_set)
+            trainer_name, sections = self._trainer_name, dict(self._sections)
+        if grasps:
+            file = self._training_file
+            if file is None or file.parent != path.parent:
+                file = path.with_name(f"{path.stem}.grasps.npz")
+                self.save_training_set(file)
+            sections[TRAINING_SECTION] = {
+                "file": np.array(file.name),
+                "sha256": np.array(_checksum(grasps)),
+            }
+        save_model(
+            path,
+            tracker.recognizer if followed else tracker.taught,
+            trainer_name=trainer_name,
+            pads=self._pads,
+            sections=sections,
+        )
+
+    # -- inside --------------------------------------------------------------------------------
+
+    def _tracker_of(self, recognizer: Recognizer) -> DriftTracker:
+        return DriftTracker(recognizer, follow=self._config.recognition.follow_drift)
+
+
+def _expecting_as(before: Recognizer, trained: Recognizer) -> Recognizer:
+    """Return a newly trained recogniser that expects the drift that one was gauged for before."""
+    gauged = isinstance(before, ForceRamp) and before.drift_estimate.expected != NO_DRIFT
+    if isinstance(before, ForceRamp) and isinstance(trained, ForceRamp) and gauged:
+        return replace(trained, grid=before.grid)
+    return trained
+
+
+def _saved_with(model: LoadedModel) -> Path | None:
+    """Return the data set that was saved with a model, where it still stands beside it."""
+    section = model.sections.get(TRAINING_SECTION, {})
+    name = str(section.get("file", ""))
+    if not name or Path(name).name != name:
+        return None
+    path = model.path.with_name(name)
+    return path if path.exists() else None
+
+
+def _check_training_set(model: LoadedModel, grasps: Sequence[Grasp]) -> None:
+    """Raise ModelError for grasps that cannot have trained a model."""
+    if not grasps:
+        return
+    labels = {grasp.label for grasp in grasps}
+    kept = model.sections.get(TRAINING_SECTION, {}).get("sha256")
+    if (
+        not labels.issuperset(model.labels)
+        or not grasps[0].pads.same_as(model.pads)
+        or (kept is not None and str(kept) != _checksum(grasps))
+    ):
+        raise ModelError(
+            f"the training set, {len(grasps)} grasps of {', '.join(sorted(labels))}, is not the "
+            f"one that trained {model.path} ({', '.join(model.labels)}): name that one"
+        )
+
+
+def _checksum(grasps: Sequence[Grasp]) -> str:
+    """Return the SHA-256 of labels, times and frames, which a data set keeps as they are."""
+    digest = hashlib.sha256()
+    for grasp in grasps:
+        digest.update(f"{grasp.label}|{grasp.start_ms}|{grasp.counts.shape}|".encode())
+        digest.update(np.asarray(grasp.counts, dtype="<u2").tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,166 @@
+"""Training: from labelled grasps to all that a model file keeps, and its optional parts back again.
+
+Beside the recogniser a model may keep early classifiers, which answer while a ramp still runs, and
+a pose memory, by which an active sequence chooses its next grasp.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from cell.config.sequence import SequenceConfig
+from cell.errors import CellError, ModelError
+from cell.learning.blas import one_blas_thread
+from cell.learning.model import Arrays, LoadedModel, rehearse
+from recognition.grasp import Grasp
+from recognition.recognizer import Recognizer
+from recognition.recognizers import make_trainer
+from recognition.recognizers.early_classifiers import EarlyClassifiers, EarlyTrainer
+from recognition.statistics.next_grasp import PoseMemory, build_pose_memory
+
+EARLY_SECTION = "early"
+"""Section of a model file that holds the early classifiers."""
+
+MEMORY_SECTION = "memory"
+"""Section of a model file that holds the pose memory."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trained:
+    """Result of a training.
+
+    Attributes
+    ----------
+    recognizer
+        The recogniser of whole ramps.
+    trainer_name
+        Its kind, one of `recognition.recognizers.trainer_names`.
+    early
+        Classifiers for ramps that end early; None where they were not asked for.
+    memory
+        Answers to the training grasps by pose; None where it was not asked for.
+    """
+
+    recognizer: Recognizer
+    trainer_name: str
+    early: EarlyClassifiers | None = None
+    memory: PoseMemory | None = None
+
+    @property
+    def sections(self) -> dict[str, Arrays]:
+        """Sections of a model file that keep the optional parts."""
+        sections: dict[str, Arrays] = {}
+        if self.early is not None:
+            sections[EARLY_SECTION] = self.early.to_arrays()
+        if self.memory is not None:
+            sections[MEMORY_SECTION] = self.memory.to_arrays()
+        return sections
+
+
+@one_blas_thread()
+def train(
+    grasps: Sequence[Grasp],
+    name: str,
+    *,
+    use_aperture: bool = True,
+    early: bool = False,
+    poses: bool = False,
+) -> Trained:
+    """Train one kind of recogniser.
+
+    Parameters
+    ----------
+    grasps
+        Labelled grasps.
+    name
+        Kind of recogniser, one of `recognition.recognizers.trainer_names`.
+    use_aperture
+        Whether the opening of the fingers is a feature.
+    early
+        Whether ramps cut short train early classifiers too.
+    poses
+        Whether a pose memory is built too, which takes four further trainings.
+
+    Raises
+    ------
+    CellError
+        If the grasps do not suffice; the message names what is missing.
+    """
+    trainer = make_trainer(name, use_aperture=use_aperture)
+    try:
+        recognizer = trainer.fit(grasps)
+    except ValueError as error:
+        raise CellError(
+            f"{name} cannot be trained on these {len(grasps)} grasps: {error}"
+        ) from error
+    memory = None
+    if poses:
+        try:
+            memory = build_pose_memory(trainer, grasps)
+        except ValueError as error:
+            raise CellError(
+                f"{len(grasps)} taught grasps do not suffice to choose grasps by: {error}; teach "
+                "more grasps of each object, or choose random, grid or list"
+            ) from error
+    return Trained(
+        recognizer=recognizer,
+        trainer_name=name,
+        early=EarlyTrainer(base=trainer).fit_classifiers(grasps, recognizer) if early else None,
+        memory=memory,
+    )
+
+
+def load_early(model: LoadedModel, sequence: SequenceConfig) -> EarlyClassifiers | None:
+    """Return the early classifiers of a model file; None where the sequence uses none.
+
+    Raises
+    ------
+    ModelError
+        If the sequence needs them and the file has none, or they do not fit its recogniser.
+    """
+    if not sequence.decide_early:
+        return None
+    kind = type(model.recognizer)
+
+    def build(arrays: Arrays) -> EarlyClassifiers:
+        heads = EarlyClassifiers.from_arrays(arrays, kind)
+        heads.rest.check(model.pads)
+        for head in heads.recognizers:
+            if head.labels != model.recognizer.labels:
+                raise ValueError(f"ramps cut short name {head.labels}")
+            rehearse(head, model.pads)
+        return heads
+
+    heads = model.section(EARLY_SECTION, build)
+    if heads is None:
+        raise ModelError(
+            f"{model.path} was not taught with ramps cut short, which sequence.decide_early needs: "
+            "train it with `tactile-cell train --early`, or set decide_early to false"
+        )
+    return heads
+
+
+def load_pose_memory(model: LoadedModel, sequence: SequenceConfig) -> PoseMemory | None:
+    """Return the pose memory of a model file; None where the sequence is not active.
+
+    Raises
+    ------
+    ModelError
+        If the sequence is active and the file has no poses, or they do not fit its recogniser.
+    """
+    if sequence.kind != "active":
+        return None
+
+    def build(arrays: Arrays) -> PoseMemory:
+        memory = PoseMemory.from_arrays(arrays)
+        if memory.labels != model.labels:
+            raise ValueError(f"it remembers {', '.join(memory.labels)}")
+        return memory
+
+    memory = model.section(MEMORY_SECTION, build)
+    if memory is None:
+        raise ModelError(
+            f"sequence.kind is active, which goes by the poses of the grasps that taught, and "
+            f"{model.path} has none: train it with `tactile-cell train --poses`, or choose random, "
+            "grid or list"
+        )
+    return memory

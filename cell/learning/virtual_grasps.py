@@ -1,0 +1,423 @@
+"""Virtual grasps: the frames that a drawing would give on the cell's pads, without a cell.
+
+A rigid shape is pressed between two foam pads by `recognition.shape.foam`; the course of a grasp is
+that of the cell: the fingers close at the approach speed, meet the object with some impact, follow
+the force ramp with the stick and slip of a geared drive, and hold. Frames carry the sensor's noise
+and are not tared, as the cell's own.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.signal import lfilter
+
+from cell.control.plan import GraspStep, Pose
+from gripper.force.ramp import ForceRamp
+from recognition.grasp import Grasp, PadArray
+from recognition.shape.foam import FoamModel, PadBed, closed_columns_m, neighbours
+from recognition.shape.models import Drawing, posed, resting_roll_rad
+
+_DEEPEST = 0.97
+"""Largest depth as a share of the foam's thickness: beyond it the foam is almost solid."""
+_LARGEST_SHARE = 0.98
+"""Largest force as a share of that at the largest depth."""
+_N_DEPTHS = 48
+"""Depths at which the force is worked out."""
+_FEW_DEPTHS = 20
+"""The same for foam that spreads sideways, where each depth costs an iteration."""
+_STEPS = 6
+"""Steps of that iteration."""
+_FAR_M = 1.0
+"""Distance in m in place of an infinite one, where nothing faces the pad."""
+SOURCE = "drawing"
+"""Origin of such grasps, as a data set keeps it."""
+_SLOW_S = 0.5
+"""Time constant in s with which foam creeps."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Press:
+    """One pad pressed by one surface, over the depth of its highest point.
+
+    Attributes
+    ----------
+    reach_max_m
+        Highest point of the surface above the middle plane in m.
+    depth_m : (k,) float64
+        Depths of the highest point in m, evenly spaced from 0.
+    force_n : (k,) float64
+        Force on the pad in N.
+    taxels_n : (k, n_taxels) float64
+        Force on each taxel in N.
+    """
+
+    reach_max_m: float
+    depth_m: NDArray[np.float64]
+    force_n: NDArray[np.float64]
+    taxels_n: NDArray[np.float64]
+
+    def taxel_force_n(self, depth_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return forces (n, n_taxels) in N at depths (n,) in m."""
+        place = np.clip(depth_m / self.depth_m[1], 0.0, len(self.depth_m) - 1.0)
+        below = np.minimum(place.astype(np.int64), len(self.depth_m) - 2)
+        share = (place - below)[:, None]
+        low_n, high_n = self.taxels_n[below], self.taxels_n[below + 1]
+        force_n: NDArray[np.float64] = low_n + share * (high_n - low_n)
+        return force_n
+
+
+def reaches_m(
+    drawing: Drawing,
+    pose: Pose,
+    beds: Sequence[PadBed],
+    aslant_rad: NDArray[np.float64] | None = None,
+) -> list[NDArray[np.float64]]:
+    """Return how far a posed object reaches towards each pad in m, over the grids of the pads.
+
+    Tilted by the small angles ``aslant_rad`` (2,) it reaches as much further towards one pad as
+    less far towards the other, in proportion to the way from its centre along x and along y.
+
+    Raises ValueError where it lies beside a pad.
+    """
+    both: list[NDArray[np.float64]] = []
+    for side, bed in enumerate(beds):
+        if side == 0 or not bed.same_points_as(beds[0]):
+            heights_m = posed(
+                drawing,
+                bed.x_m,
+                bed.y_m,
+                at_m=(pose.x_m, pose.y_m),
+                rotation_rad=pose.rotation_rad,
+                roll_rad=resting_roll_rad(drawing, pose.roll_rad),
+            )
+        if not np.isfinite(heights_m[side]).any():
+            raise ValueError(f"the object lies beside the pads at {pose}")
+        if aslant_rad is None:
+            both.append(heights_m[side])
+        else:
+            lever_m = aslant_rad[0] * (bed.x_m - pose.x_m) + aslant_rad[1] * (bed.y_m - pose.y_m)
+            both.append(heights_m[side] + (lever_m if side == 0 else -lever_m))
+    return both
+
+
+def press(bed: PadBed, reach_m: NDArray[np.float64], foam: FoamModel) -> Press:
+    """Return the force of a surface on a pad, from the first touch to almost flat foam."""
+    highest_m = float(reach_m.max())
+    lag_m = np.where(np.isfinite(reach_m), highest_m - reach_m, np.inf)
+    near = lag_m < foam.thickness_m
+    rows, columns = np.flatnonzero(near.any(axis=1)), np.flatnonzero(near.any(axis=0))
+    part = np.ix_(rows, columns)
+    n_depths = _FEW_DEPTHS if foam.sideways else _N_DEPTHS
+    depth_m = np.linspace(0.0, _DEEPEST * foam.thickness_m, n_depths)
+    closed_m: NDArray[np.floating[Any]] = depth_m[:, None, None] - lag_m[part]
+    if foam.sideways:
+        wanted_m = np.maximum(closed_m, -_FAR_M).astype(np.float32)
+        pushes = (
+            neighbours(bed.x_m[rows, 0], foam.sideways_m).astype(np.float32),
+            neighbours(bed.y_m[0, columns], foam.sideways_m).astype(np.float32),
+        )
+        closed_m = closed_columns_m(wanted_m, 1.0, foam.sideways, pushes, steps=_STEPS)
+    pressure_pa = foam.modulus_pa * foam.relative_pressure(closed_m)
+    taxels_n = bed.along[:, rows] @ (pressure_pa @ bed.across[:, columns].T) * bed.cell_area_m2
+    taxels_n = taxels_n.reshape(n_depths, -1)
+    return Press(
+        reach_max_m=highest_m, depth_m=depth_m, force_n=taxels_n.sum(axis=1), taxels_n=taxels_n
+    )
+
+
+def shared_force(presses: Sequence[Press], depth_sum_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the force in N at which both pads together are so deep: the object floats."""
+    force_n = np.linspace(0.0, min(float(p.force_n[-1]) for p in presses), 4 * _N_DEPTHS)
+    together_m = sum(np.interp(force_n, p.force_n, p.depth_m) for p in presses)
+    shared_n: NDArray[np.float64] = np.interp(depth_sum_m, np.asarray(together_m), force_n)
+    return shared_n
+
+
+class Noise(Protocol):
+    """Noise of the taxels: counts beside those of the force."""
+
+    def __call__(self, rng: np.random.Generator, n_frames: int) -> NDArray[np.float64]:
+        """Return counts (n_frames, n_taxels) to add."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Course:
+    """Motion and sensor of a cell, with their uncertainties.
+
+    Attributes
+    ----------
+    period_s
+        Time between two frames in s.
+    aperture_open_m
+        Opening at the start in m.
+    approach_speed_m_s
+        Closing speed of the opening in m/s.
+    aperture_step_m
+        Smallest step of the measured opening in m.
+    aperture_sd_m
+        Standard deviation in m of the measured opening, the same over one grasp.
+    impact_n : (low, high)
+        Grip force in N with which the ramp begins.
+    slip_n
+        Largest lag in N behind the set-point before the fingers move on.
+    force_sd
+        Relative standard deviation of the force at the end of the ramp.
+    modulus_sd, gain_sd, spread_sd, densification_sd, thickness_sd
+        Relative standard deviations of what is known of foam and sensor; drawn for each grasp.
+    bend_sd
+        Standard deviation of the logarithm of an exponent of the reading: a converter that bends
+        otherwise than its law.
+    lag
+        Largest share of a reading that follows the force only slowly: foam creeps.
+    noise_sd
+        Standard deviation of the logarithm of a factor on the noise.
+    pad_gain_sd, taxel_gain_sd
+        Relative standard deviations of the gains of the two pads, and of single taxels.
+    tilt_rad
+        Standard deviation in rad by which an object lies aslant between the pads, about x and y.
+    imbalance_n
+        Largest difference in N between the forces on both pads: the object is held a little.
+    """
+
+    period_s: float = 0.02
+    aperture_open_m: float = 18e-3
+    approach_speed_m_s: float = 12e-3
+    aperture_step_m: float = 0.1e-3
+    aperture_sd_m: float = 0.2e-3
+    impact_n: tuple[float, float] = (0.8, 1.7)
+    slip_n: float = 0.5
+    force_sd: float = 0.05
+    modulus_sd: float = 0.05
+    gain_sd: float = 0.05
+    spread_sd: float = 0.05
+    densification_sd: float = 0.1
+    thickness_sd: float = 0.03
+    bend_sd: float = 0.0
+    lag: float = 0.0
+    noise_sd: float = 0.0
+    pad_gain_sd: float = 0.05
+    taxel_gain_sd: float = 0.08
+    tilt_rad: float = 0.01
+    imbalance_n: float = 0.05
+
+
+class VirtualPads:
+    """The two gripping pads and their foam; draws grasps.
+
+    Parameters
+    ----------
+    pads
+        All taxels.
+    gripping
+        The two pads that face each other.
+    foam
+        Foam and sensor, as calibrated.
+    course
+        How the cell moves.
+    noise
+        Noise that is added to the counts.
+    """
+
+    def __init__(
+        self,
+        pads: PadArray,
+        gripping: tuple[int, int],
+        *,
+        foam: FoamModel,
+        course: Course,
+        noise: Noise,
+    ) -> None:
+        self._pads = pads
+        self._foam = foam
+        self._course = course
+        self._noise = noise
+        # The spread is drawn from few values: the matrices that it needs are worked out once.
+        spreads = foam.spread_m * np.exp(course.spread_sd * np.array([-1.2, -0.4, 0.4, 1.2]))
+        self._beds = [
+            tuple(PadBed(pads, pad, float(spread_m)) for pad in gripping) for spread_m in spreads
+        ]
+
+    def grasp(
+        self,
+        drawing: Drawing,
+        step: GraspStep,
+        ramp: ForceRamp,
+        rng: np.random.Generator,
+        *,
+        label: str,
+        shape: str = "",
+        start_ms: int = 0,
+    ) -> Grasp:
+        """Return one grasp of a drawing.
+
+        Parameters
+        ----------
+        drawing
+            What is grasped.
+        step
+            Pose and force; the roll settles on the nearest side that the object rests on.
+        ramp
+            The force ramp of this grasp.
+        rng
+            Generator of everything random.
+        label, shape, start_ms
+            Label, class of shape and time of the record in ms.
+
+        Raises
+        ------
+        ValueError
+            The object lies beside a pad, or does not fit into the open gripper.
+        """
+        course = self._course
+        foam = self._drawn_foam(rng)
+        beds = self._beds[int(rng.integers(len(self._beds)))]
+        aslant = rng.normal(0.0, course.tilt_rad, 2)
+        presses = [
+            press(bed, reach_m, foam)
+            for bed, reach_m in zip(beds, reaches_m(drawing, step.pose, beds, aslant), strict=True)
+        ]
+        touch_m = sum(p.reach_max_m for p in presses)
+        if touch_m >= course.aperture_open_m:
+            raise ValueError(
+                f"the object is {1e3 * touch_m:.1f} mm thick at {step.pose}, the gripper opens to "
+                f"{1e3 * course.aperture_open_m:.1f} mm: open it further, or turn the object"
+            )
+        force_n, setpoint_n, closing_m = self._motion(ramp, touch_m, presses, rng)
+        counts, depth_m = self._counts(force_n, beds, presses, foam, rng)
+        aperture_m = touch_m - depth_m
+        aperture_m[: len(closing_m)] = closing_m
+        return Grasp(
+            pads=self._pads,
+            counts=np.rint(np.clip(counts, 0.0, self._pads.adc_max)),
+            t_s=np.arange(len(force_n), dtype=np.float64) * course.period_s,
+            aperture_m=_measured(aperture_m, foam.aperture_offset_m, course, rng),
+            force_n=setpoint_n,
+            label=label,
+            shape=shape,
+            source=SOURCE,
+            start_ms=start_ms,
+            command=step.command,
+        )
+
+    def _drawn_foam(self, rng: np.random.Generator) -> FoamModel:
+        """Return foam and sensor within their uncertainty."""
+        course, foam = self._course, self._foam
+        return FoamModel(
+            **(
+                foam.as_dict()
+                | {
+                    "modulus_pa": foam.modulus_pa * rng.lognormal(0.0, course.modulus_sd),
+                    "gain": foam.gain * rng.lognormal(0.0, course.gain_sd),
+                    "densification": foam.densification
+                    * rng.lognormal(0.0, course.densification_sd),
+                    "thickness_m": foam.thickness_m * rng.lognormal(0.0, course.thickness_sd),
+                }
+            )
+        )
+
+    def _motion(
+        self,
+        ramp: ForceRamp,
+        touch_m: float,
+        presses: Sequence[Press],
+        rng: np.random.Generator,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+        """Return force and set-point (n,) in N, and the opening (m,) in m while the fingers close.
+
+        The closing comes first, then the ramp: m is less than n.
+        """
+        course = self._course
+        closing_s, impact_n = self._approach(touch_m, presses, rng)
+        force_n, setpoint_n = _force_course(ramp, impact_n, course, rng)
+        closing_m = np.maximum(course.aperture_open_m - course.approach_speed_m_s * closing_s, 0.0)
+        closing_n = shared_force(presses, np.maximum(touch_m - closing_m, 0.0))
+        largest_n = min(float(p.force_n[-1]) for p in presses)
+        force_n = np.minimum(np.concatenate([closing_n, force_n]), _LARGEST_SHARE * largest_n)
+        return force_n, np.concatenate([np.zeros(len(closing_s)), setpoint_n]), closing_m
+
+    def _counts(
+        self,
+        force_n: NDArray[np.float64],
+        beds: Sequence[PadBed],
+        presses: Sequence[Press],
+        foam: FoamModel,
+        rng: np.random.Generator,
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return counts (n, n_taxels) with noise, and the depth (n,) in m in both pads together."""
+        course = self._course
+        of_sensor = rng.spawn(1)[0]
+        bend = of_sensor.lognormal(0.0, course.bend_sd)
+        lag = course.lag * of_sensor.uniform()
+        counts = of_sensor.lognormal(0.0, course.noise_sd) * self._noise(rng, len(force_n))
+        slack_n = 0.5 * course.imbalance_n * rng.uniform(-1.0, 1.0)
+        depth_sum_m = np.zeros(len(force_n))
+        for bed, pressed, sign in zip(beds, presses, (1.0, -1.0), strict=True):
+            here_n = np.where(force_n > 0.0, np.maximum(force_n + sign * slack_n, 0.0), 0.0)
+            depth_m = np.interp(here_n, pressed.force_n, pressed.depth_m)
+            depth_sum_m += depth_m
+            gains = rng.lognormal(0.0, course.pad_gain_sd) * np.exp(
+                rng.normal(0.0, course.taxel_gain_sd, len(bed.taxels))
+            )
+            felt_n = pressed.taxel_force_n(depth_m)
+            felt_n += lag * (_slowly(felt_n, _SLOW_S / course.period_s) - felt_n)
+            counts[:, bed.taxels] += self._pads.adc_max * foam.response(felt_n * gains) ** bend
+        return counts, depth_sum_m
+
+    def _approach(
+        self, touch_m: float, presses: Sequence["Press"], rng: np.random.Generator
+    ) -> tuple[NDArray[np.float64], float]:
+        """Return the times at which the fingers close in s, and the force they stop with in N."""
+        course = self._course
+        impact_n = rng.uniform(*course.impact_n)
+        depth_m = sum(float(np.interp(impact_n, p.force_n, p.depth_m)) for p in presses)
+        way_m = course.aperture_open_m - touch_m + depth_m
+        wait_s = rng.uniform(0.05, 0.15)
+        pause_s = rng.uniform(0.0, 0.1)
+        n_closing = math.ceil((wait_s + way_m / course.approach_speed_m_s) / course.period_s)
+        times_s = course.period_s * np.arange(n_closing + round(pause_s / course.period_s))
+        return np.clip(times_s - wait_s, 0.0, way_m / course.approach_speed_m_s), impact_n
+
+
+def _slowly(values: NDArray[np.float64], n_frames: float) -> NDArray[np.float64]:
+    """Return values (n, ...) behind a low-pass with a time constant of so many frames."""
+    share = -math.expm1(-1.0 / n_frames)
+    out: NDArray[np.float64] = lfilter([share], [1.0, share - 1.0], values, axis=0)
+    return out
+
+
+def _force_course(
+    ramp: ForceRamp, impact_n: float, course: Course, rng: np.random.Generator
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return force and set-point in N in each frame from the beginning of the ramp on."""
+    actual = ramp.starting_from(impact_n)
+    n = math.ceil(actual.duration_s / course.period_s) + int(rng.integers(1, 8))
+    setpoint_n = np.array([actual.setpoint_n(course.period_s * i) for i in range(n)])
+    scale = rng.normal(1.0, course.force_sd)
+    force_n = np.empty(n)
+    held_n, lag_n = impact_n, course.slip_n * rng.uniform()
+    for i, wanted_n in enumerate(setpoint_n):
+        target_n = float(wanted_n) * scale + 0.15
+        over = i >= n - 0.2 / course.period_s
+        if abs(target_n - held_n) > lag_n or over:
+            held_n += (0.3 if over else 1.0) * (target_n - held_n)
+            lag_n = course.slip_n * rng.uniform()
+        force_n[i] = held_n
+    return force_n, setpoint_n
+
+
+def _measured(
+    aperture_m: NDArray[np.float64],
+    offset_m: float,
+    course: Course,
+    rng: np.random.Generator,
+) -> NDArray[np.float64]:
+    step_m = course.aperture_step_m
+    shift_m = offset_m + rng.normal(0.0, course.aperture_sd_m)
+    phase_m = rng.uniform(0.0, step_m)
+    steps: NDArray[np.float64] = np.rint((aperture_m + shift_m - phase_m) / step_m)
+    return steps * step_m + phase_m

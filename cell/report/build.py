@@ -1,0 +1,221 @@
+"""The parts of a report, made from the values of a run."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.report.data import (
+    ConfusionTable,
+    GraspTimeline,
+    HealthGroup,
+    HealthRow,
+    HealthState,
+    IdentifyStep,
+    PadView,
+    PressureLevel,
+    Window,
+)
+from cell.report.paper_table import TABLE_1, TABLE_1_LABELS, TABLE_1_TRIALS
+from recognition.grasp import Grasp
+from recognition.quadric.thresholds import Levels
+from recognition.recognizer import Posterior
+from recognition.statistics.fusion import fuse
+
+if TYPE_CHECKING:
+    from gripper.dynamixel.transactions import BusStatistics
+    from gripper.force.timing import LoopStatistics
+    from gripper.state import Cycle
+    from tactile.frames.assembler import FrameStatistics
+    from tactile.layout import TaxelLayout
+    from tactile.unit.settings import LinkStatistics
+
+_MAX_TIMELINE_POINTS = 1500
+"""Periods of a grasp that are drawn; more are thinned out."""
+
+
+def pad_views(layout: "TaxelLayout") -> tuple[PadView, ...]:
+    """Describe the pads of a layout."""
+    return tuple(
+        PadView(name=pad.name, finger=pad.finger, gripping=index in layout.gripping_pads)
+        for index, pad in enumerate(layout.pads)
+    )
+
+
+def pressure_levels(
+    grasp: Grasp, *, n_levels: int = 4, n_frames: int = 5
+) -> tuple[PressureLevel, ...]:
+    """Pick the pressure at equal parts of the ramp, each the mean of the nearest frames.
+
+    By the commanded force where it is known for each frame, else by the sum of all counts.
+
+    Parameters
+    ----------
+    grasp
+        The grasp.
+    n_levels, n_frames
+        Number of levels, and of frames for each.
+    """
+    by_force = bool(np.all(np.isfinite(grasp.force_n))) and float(grasp.force_n.max()) > 0
+    load = grasp.force_n if by_force else grasp.counts.sum(axis=1, dtype=np.float64)
+    load = load - (0.0 if by_force else load.min())
+    levels = []
+    for share in np.linspace(0, 1, n_levels + 1)[1:]:
+        wanted = share * load.max()
+        # Of equally near frames the later ones: the pressure has settled in them.
+        nearest = np.lexsort((-np.arange(len(load)), np.abs(load - wanted)))[:n_frames]
+        caption = f"{wanted:.1f} N" if by_force else f"{share:.0%} of the load"
+        levels.append(PressureLevel(caption=caption, counts=grasp.counts[nearest].mean(axis=0)))
+    return tuple(levels)
+
+
+def timeline(cycles: Sequence["Cycle"], *, contact_t_s: float | None = None) -> GraspTimeline:
+    """Make the course of a grasp from the periods of the force loop; time starts at the first."""
+    every = max(1, len(cycles) // _MAX_TIMELINE_POINTS)
+    kept = cycles[::every]
+    start_s = kept[0].t_s if kept else 0.0
+    nowhere = (np.nan, np.nan)
+    return GraspTimeline(
+        t_s=_floats([cycle.t_s - start_s for cycle in kept]),
+        force_n=_floats([c.force.force_n if c.force else nowhere for c in kept]).reshape(-1, 2),
+        setpoint_n=_floats([cycle.setpoint_n for cycle in kept]),
+        goal_current_a=_floats([cycle.goal_current_a for cycle in kept]),
+        aperture_m=_floats([cycle.state.aperture_m for cycle in kept]),
+        contact_t_s=None if contact_t_s is None else contact_t_s - start_s,
+    )
+
+
+def _floats(values: Sequence[Any]) -> NDArray[np.float64]:
+    return np.array(values, dtype=np.float64)  # None becomes NaN
+
+
+def windows(levels: Levels, labels: Sequence[str]) -> tuple[Window, ...]:
+    """Name the windows between the levels A, B, C, ... from the lowest upwards."""
+    return tuple(
+        Window(
+            name=chr(ord("A") + i) if i < 26 else str(i + 1),
+            below=labels[below],
+            above=labels[above],
+            low=float(levels.high[below]),
+            high=float(levels.low[above]),
+            threshold=float(levels.threshold[i]),
+        )
+        for i, (below, above) in enumerate(zip(levels.order[:-1], levels.order[1:], strict=True))
+    )
+
+
+def identify_steps(
+    posteriors: Sequence[Posterior], notes: Sequence[str] = ()
+) -> tuple[IdentifyStep, ...]:
+    """Fuse the posteriors of a sequence grasp by grasp; notes may be missing."""
+    return tuple(
+        IdentifyStep(
+            single=posterior,
+            fused=fuse(posteriors[: i + 1]),
+            note=notes[i] if i < len(notes) else "",
+        )
+        for i, posterior in enumerate(posteriors)
+    )
+
+
+def paper_table() -> ConfusionTable:
+    """Return Table 1 of the paper: ten trials of each of five objects."""
+    return ConfusionTable(
+        name="Paper, Table 1",
+        labels=TABLE_1_LABELS,
+        columns=TABLE_1_LABELS,
+        counts=np.array(TABLE_1) * TABLE_1_TRIALS // 100,
+        caption=f"Petchartee et al. 2008, {TABLE_1_TRIALS} trials of each object",
+    )
+
+
+def _count(name: str, value: int, *, bad: bool = False, note: str = "") -> HealthRow:
+    state: HealthState = "ok" if value == 0 else "bad" if bad else "warn"
+    return HealthRow(name=name, value=f"{value:,}", state=state, note=note)
+
+
+def frame_health(statistics: "FrameStatistics") -> HealthGroup:
+    """Return the counts of whole, lost and damaged tactile frames on the CAN bus."""
+    whole = statistics.complete
+    share = statistics.lost / max(1, whole + statistics.lost)
+    return HealthGroup(
+        title="Tactile frames (CAN)",
+        rows=(
+            HealthRow(name="whole frames", value=f"{whole:,}", state="ok" if whole else "bad"),
+            _count("lost", statistics.lost, bad=share > 0.01, note=f"{share:.2%} of all"),
+            _count("torn", statistics.torn, note="begun and given up"),
+            _count("duplicate", statistics.duplicate, note="messages, dropped"),
+            _count("out of order", statistics.reordered, note="messages"),
+            _count("stale", statistics.stale, note="older than the last, dropped"),
+            _count("short", statistics.short, note="messages, dropped"),
+            _count("corrupt", statistics.corrupt, bad=True, note="refused by checksum or phase"),
+        ),
+    )
+
+
+def link_health(statistics: "LinkStatistics") -> HealthGroup:
+    """Return the counts of tactile frames, and of the link to the control unit."""
+    frames = frame_health(statistics.frames)
+    rows = (
+        *frames.rows,
+        _count("late SYNC", statistics.late_syncs, note=f"of {statistics.syncs:,}"),
+        _count("malformed", statistics.malformed, note="other messages of the unit, dropped"),
+        _count("error frames", statistics.error_frames, bad=statistics.error_frames > 10),
+    )
+    return HealthGroup(title=frames.title, rows=rows)
+
+
+def servo_health(statistics: "BusStatistics") -> HealthGroup:
+    """Return the counts of transactions on the servo bus."""
+    total = statistics.transactions
+    return HealthGroup(
+        title="Servo bus",
+        rows=(
+            HealthRow(name="transactions", value=f"{total:,}", state="ok" if total else "bad"),
+            _count("retries", statistics.retries, bad=statistics.retries * 100 > total),
+            _count("time-outs", statistics.timeouts, bad=statistics.timeouts * 100 > total),
+            _count("corrupt", statistics.corrupt, note="answers, never used"),
+            _count("late", statistics.late, note="answers to an earlier request, dropped"),
+        ),
+    )
+
+
+def loop_health(statistics: "LoopStatistics", period_s: float) -> HealthGroup:
+    """Return how punctual the force loop was; ``period_s`` is the length of a period in s."""
+    total, worst_s = statistics.cycles, statistics.worst_lateness_s
+    share = statistics.late / max(1, total)
+    late, read, age = statistics.lateness, statistics.transaction, statistics.sensor_age
+    return HealthGroup(
+        title="Force loop",
+        rows=(
+            HealthRow(name="periods", value=f"{total:,}", note=f"of {period_s * 1e3:.1f} ms"),
+            _count("late", statistics.late, bad=share > 0.01, note="by more than half a period"),
+            _count("overruns", statistics.overruns, note="work not done when the next was due"),
+            _count("without feedback", statistics.missed_reads, note="nothing was written in them"),
+            HealthRow(
+                name="worst lateness",
+                value=f"{worst_s * 1e3:.2f} ms",
+                state=_punctuality(worst_s, period_s),
+                note=f"p50 {late.p50_s * 1e3:.2f}, p99 {late.p99_s * 1e3:.2f}, "
+                f"p99.9 {late.p999_s * 1e3:.2f} ms",
+            ),
+            HealthRow(
+                name="reading the servos",
+                value=f"{read.p50_s * 1e3:.2f} ms",
+                note=f"median; p99 {read.p99_s * 1e3:.2f} ms",
+            ),
+            HealthRow(name="oldest force used", value=f"{age.max_s * 1e3:.0f} ms"),
+        ),
+    )
+
+
+def _punctuality(lateness_s: float, period_s: float) -> HealthState:
+    if lateness_s < 0.5 * period_s:
+        return "ok"
+    return "warn" if lateness_s < 2 * period_s else "bad"
+
+
+def facts(values: Mapping[str, object]) -> tuple[tuple[str, str], ...]:
+    """Turn a mapping into the description of a cell, leaving out what is None."""
+    return tuple((name, str(value)) for name, value in values.items() if value is not None)

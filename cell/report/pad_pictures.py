@@ -1,0 +1,104 @@
+"""Pressure on the pads as inline SVG, coloured by the page's light or dark theme.
+
+A picture holds one path for each of `N_SHADES` shades (CSS classes ``s1`` to ``s12``), so that all
+408 taxels of a grasp take a few kilobytes.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.report.data import ExampleGrasp, PadView, PressureLevel
+from recognition.grasp import PadArray
+
+N_SHADES = 12
+"""Shades from the first above nothing to full scale."""
+
+UNTOUCHED_SHARE = 0.10
+"""Part of full scale that no taxel of an untouched pad exceeds: noise stays below 8 %."""
+
+_FILL = 0.92
+"""Side of a drawn taxel as a share of the pitch: a thin gap separates the taxels."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PadPicture:
+    """One pad at one force: name, peak in counts, and the picture as inline SVG."""
+
+    name: str
+    finger: int
+    peak: float
+    touched: bool
+    svg: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LevelPictures:
+    """All pads at one force: the gripping ones, the others, and names of the untouched."""
+
+    caption: str
+    gripping: tuple[PadPicture, ...]
+    others: tuple[PadPicture, ...]
+    untouched: tuple[str, ...]
+
+
+def full_shade(example: ExampleGrasp) -> float:
+    """Return the counts that the darkest shade stands for: the largest of all levels."""
+    return max([1.0, *(float(level.counts.max()) for level in example.levels)])
+
+
+def level_pictures(example: ExampleGrasp, level: PressureLevel) -> LevelPictures:
+    """Draw all pads of a grasp at one force; all levels of a grasp share one scale."""
+    pads, full = example.pads, full_shade(example)
+    pictures = [
+        _picture(pads, index, view, level.counts, full)
+        for index, view in enumerate(example.pad_views)
+    ]
+    large = [example.pad_views[index].gripping for index in range(len(pictures))]
+    small = [picture for picture, is_large in zip(pictures, large, strict=True) if not is_large]
+    return LevelPictures(
+        caption=level.caption,
+        gripping=tuple(p for p, is_large in zip(pictures, large, strict=True) if is_large),
+        others=tuple(picture for picture in small if picture.touched),
+        untouched=tuple(picture.name for picture in small if not picture.touched),
+    )
+
+
+def _picture(
+    pads: PadArray, index: int, view: PadView, counts: NDArray[np.float64], full: float
+) -> PadPicture:
+    taxels = pads.taxels_of(index)
+    values = counts[taxels]
+    peak = float(values.max())
+    return PadPicture(
+        name=view.name,
+        finger=view.finger,
+        peak=peak,
+        touched=peak > UNTOUCHED_SHARE * pads.adc_max,
+        svg=_svg(pads.taxel_xy_m[taxels] * 1e3, values, full),
+    )
+
+
+def _pitch_mm(places_mm: NDArray[np.float64]) -> float:
+    steps = np.diff(np.unique(np.round(places_mm, 3)))
+    return float(steps.min()) if len(steps) else 0.0
+
+
+def _svg(xy_mm: NDArray[np.float64], values: NDArray[np.float64], full: float) -> str:
+    pitch_x, pitch_y = _pitch_mm(xy_mm[:, 0]), _pitch_mm(xy_mm[:, 1])
+    pitch_x, pitch_y = pitch_x or pitch_y or 1.0, pitch_y or pitch_x or 1.0
+    left, top = xy_mm.min(axis=0) - 0.5 * np.array([pitch_x, pitch_y])
+    width, height = np.ptp(xy_mm, axis=0) + np.array([pitch_x, pitch_y])
+    shades = np.clip(np.ceil(values / full * N_SHADES), 0, N_SHADES).astype(int)
+    w, h = round(_FILL * pitch_x, 2), round(_FILL * pitch_y, 2)
+    box = f"h{w:g}v{h:g}h-{w:g}z"
+    paths = []
+    for shade in np.unique(shades):
+        corners = xy_mm[shades == shade] - 0.5 * np.array([w, h]) - np.array([left, top])
+        d = "".join(f"M{x:.4g} {y:.4g}{box}" for x, y in corners.round(2))
+        paths.append(f'<path class="s{shade}" d="{d}"/>')
+    return (
+        f'<svg class="pad" viewBox="0 0 {width:.4g} {height:.4g}" role="img" '
+        f'aria-label="pressure map, peak {values.max():.0f} counts">{"".join(paths)}</svg>'
+    )

@@ -1,0 +1,302 @@
+"""The report page: one HTML file that needs nothing else, no script, no font, no network.
+
+`write_report` makes it of `ReportData`; the views are what the templates print.
+"""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from cell.data.files import write_atomically
+from cell.errors import ReportError
+from cell.installation import remedy
+from cell.learning.shapes import in_words
+from cell.report.data import (
+    ConfusionTable,
+    ExampleGrasp,
+    IdentifySequence,
+    IdentifyStep,
+    ReportData,
+)
+from cell.report.pad_pictures import full_shade, level_pictures
+from cell.report.plots import N_COLOURS, levels_figure, sweep_figure, timeline_figure
+from cell.report.shapes import shapes_view
+from recognition.evaluation.metrics import wilson_interval
+from recognition.recognizer import UNKNOWN
+
+if TYPE_CHECKING:
+    from jinja2 import Template
+
+
+MAX_SEQUENCES = 80
+"""Identifications that are drawn; the page counts the others."""
+
+DENSE_LABELS = 12
+"""Number of labels from which a confusion table is printed small."""
+
+
+def write_report(path: Path | str, data: ReportData) -> None:
+    """Write the page, whole or not at all.
+
+    Parameters
+    ----------
+    path
+        The HTML file; an older one stays until the new one is whole.
+    data
+        What the page shows.
+
+    Raises
+    ------
+    ReportError
+        If jinja2 or matplotlib are missing (extra ``report``), or the disk refuses.
+    """
+    page = render_report(data).encode("utf-8", errors="replace")
+    write_atomically(Path(path), lambda file: file.write(page), error=ReportError, what="report")
+
+
+def render_report(data: ReportData) -> str:
+    """Return the page as HTML. Raises ReportError if jinja2 or matplotlib are missing."""
+    return page_template("report.html.j2").render(page_view(data))
+
+
+def page_template(name: str) -> "Template":
+    """Return a template of this package's pages. Raises ReportError if jinja2 is missing."""
+    try:
+        from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415
+    except ImportError as cause:
+        raise ReportError(f"the report needs jinja2; {remedy('report')}") from cause
+    environment = Environment(
+        loader=PackageLoader("cell.report"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    return environment.get_template(name)
+
+
+def label_order(data: ReportData) -> tuple[str, ...]:
+    """Return all taught labels, each once; its place is a label's colour on the whole page."""
+    order: dict[str, None] = {}
+    for table in data.confusions:
+        order.update(dict.fromkeys(table.labels))
+    if data.trajectories is not None:
+        order.update(dict.fromkeys(item.label for item in data.trajectories.objects))
+    order.update(dict.fromkeys(example.label for example in data.examples))
+    for sequence in data.sequences:
+        for step in sequence.steps:
+            order.update(dict.fromkeys(step.fused.labels))
+    return tuple(order)
+
+
+def example_view(example: ExampleGrasp, number: int) -> dict[str, Any]:
+    """Return heat maps and time-line of one grasp."""
+    levels = [level_pictures(example, level) for level in example.levels]
+    return {
+        "label": example.label,
+        "note": example.note,
+        "levels": levels,
+        "last": levels[-1] if levels else None,
+        "full": f"{full_shade(example):.0f}",
+        "adc_max": example.pads.adc_max,
+        "timeline": (
+            timeline_figure(example.timeline, f"t{number}")
+            if example.timeline is not None and len(example.timeline.t_s)
+            else ""
+        ),
+    }
+
+
+def trajectories_view(data: ReportData, colours: Mapping[str, int]) -> dict[str, Any] | None:
+    """Return the plots of the paper's eigenvalues and a table of its windows."""
+    shown = data.trajectories
+    if shown is None or not shown.objects:
+        return None
+    return {
+        "sweep": (
+            sweep_figure(shown, colours, "sweep")
+            if any(len(o.sweep) for o in shown.objects)
+            else ""
+        ),
+        "levels": levels_figure(shown, colours, "levels"),
+        "windows": [
+            {
+                "name": window.name,
+                "below": window.below,
+                "above": window.above,
+                "threshold": f"{window.threshold:.3g}",
+                "width": "closed" if window.closed else f"{window.high - window.low:.2g}",
+                "closed": window.closed,
+            }
+            for window in shown.windows
+        ],
+        "caption": shown.caption,
+    }
+
+
+def sequence_view(sequence: IdentifySequence, colours: Mapping[str, int]) -> dict[str, Any]:
+    """Return the bars of one identification."""
+    verdict = (
+        "" if sequence.truth is None
+        else "right" if sequence.answer == sequence.truth
+        else "unknown" if sequence.answer == UNKNOWN
+        else "wrong"
+    )  # fmt: skip
+    return {
+        "truth": sequence.truth,
+        "answer": sequence.answer,
+        "probability": _answer_share(sequence),
+        "verdict": verdict,
+        "shape": _shape_text(sequence),
+        "steps": [_step_view(step, colours) for step in sequence.steps],
+    }
+
+
+def _answer_share(sequence: IdentifySequence) -> str:
+    """Return the share of the answer in the last thick bar, whose shares sum to one.
+
+    A label has its probability if it was taught, times that of being taught at all.
+    """
+    if not sequence.steps:
+        return ""
+    fused = sequence.steps[-1].fused
+    if sequence.answer not in fused.labels:
+        return _percent(fused.unknown)
+    share = (1.0 - fused.unknown) * fused.probability[fused.labels.index(sequence.answer)]
+    return _percent(float(share))
+
+
+def _shape_text(sequence: IdentifySequence) -> str:
+    """Return shape and size; of an object without a name as a phrase."""
+    if sequence.shape is None:
+        return ""
+    return in_words(sequence.shape) if sequence.answer == UNKNOWN else str(sequence.shape)
+
+
+def _step_view(step: IdentifyStep, colours: Mapping[str, int]) -> dict[str, Any]:
+    bars = {}
+    for name, posterior in (("fused", step.fused), ("single", step.single)):
+        known = 1.0 - posterior.unknown
+        bars[name] = [
+            {
+                "label": label,
+                "colour": f"c{colours[label] % N_COLOURS}",
+                "share": f"{100 * known * p:.2f}",
+                "text": _percent(known * p),
+            }
+            for label, p in zip(posterior.labels, posterior.probability.tolist(), strict=True)
+            if known * p >= 0.002
+        ]
+        if posterior.unknown >= 0.002:
+            bars[name].append(
+                {
+                    "label": UNKNOWN,
+                    "colour": "unknown",
+                    "share": f"{100 * posterior.unknown:.2f}",
+                    "text": _percent(posterior.unknown),
+                }
+            )
+    return {"note": step.note, **bars}
+
+
+def _percent(share: float) -> str:
+    if 0.99 < share < 1.0:
+        return f"{100 * min(share, 0.9999):.2f} %"
+    return f"{100 * share:.0f} %"
+
+
+def confusion_view(table: ConfusionTable, colours: Mapping[str, int]) -> dict[str, Any]:
+    """Return one table: per cent and counts of each cell, Wilson intervals of each row.
+
+    All tables of a page have their rows and columns in the same order.
+    """
+    rows, n_right, n = [], 0, 0
+    last = len(colours)
+    columns = sorted(
+        (
+            (place, column)
+            for place, column in enumerate(table.columns)
+            if column in table.labels or table.counts[:, place].any()
+        ),
+        key=lambda item: colours.get(item[1], last),
+    )
+    ordered = sorted(zip(table.labels, table.counts, strict=True), key=lambda row: colours[row[0]])
+    for label, counts in ordered:
+        total = int(counts.sum())
+        right = int(counts[table.columns.index(label)]) if label in table.columns else 0
+        n_right, n = n_right + right, n + total
+        rows.append(
+            {
+                "label": label,
+                "total": total,
+                "cells": [
+                    {
+                        "count": int(counts[place]),
+                        "percent": f"{100 * counts[place] / max(1, total):.0f}",
+                        "share": f"{counts[place] / max(1, total):.3f}",
+                        "kind": "hit"
+                        if column == label
+                        else "open"
+                        if column == UNKNOWN
+                        else "miss",
+                    }
+                    for place, column in columns
+                ],
+                **_interval(right, total),
+            }
+        )
+    return {
+        "name": table.name,
+        "caption": table.caption,
+        "columns": [column for _, column in columns],
+        "rows": rows,
+        "n": n,
+        "n_right": n_right,
+        "dense": len(table.labels) > DENSE_LABELS,
+        **_interval(n_right, n),
+    }
+
+
+def _interval(right: int, n: int) -> dict[str, str]:
+    low, high = wilson_interval(right, n)
+    return {
+        "right": f"{100 * right / n:.1f}" if n else "-",
+        "low": f"{100 * low:.1f}",
+        "high": f"{100 * high:.1f}",
+        "span": f"{100 * (high - low):.1f}",
+    }
+
+
+def page_view(data: ReportData) -> dict[str, Any]:
+    """Return all variables of the template."""
+    order = label_order(data)
+    colours = {label: place for place, label in enumerate(order)}
+    if data.trajectories is not None and len(data.trajectories.objects) > len(
+        {item.label for item in data.trajectories.objects}
+    ):
+        raise ValueError("two trajectories have the same label")
+    shown = data.sequences[:MAX_SEQUENCES]
+    shapes = shapes_view(data.shapes)
+    sections = {
+        "result": ("Confusion", bool(data.confusions)),
+        "shapes": ("Shape and size", shapes is not None),
+        "sequences": ("Identifications", bool(shown)),
+        "examples": ("Grasps", bool(data.examples)),
+        "trajectories": ("Eigenvalues", bool(data.trajectories and data.trajectories.objects)),
+        "health": ("Links", bool(data.health)),
+        "cell": ("Cell and files", bool(data.facts or data.files)),
+    }
+    return {
+        "data": data,
+        "sections": [(key, name) for key, (name, there) in sections.items() if there],
+        "legend": [(label, f"c{place % N_COLOURS}") for label, place in colours.items()],
+        "examples": [example_view(item, number) for number, item in enumerate(data.examples)],
+        "trajectories": trajectories_view(data, colours),
+        "sequences": [sequence_view(sequence, colours) for sequence in shown],
+        "shapes": shapes,
+        "n_hidden": len(data.sequences) - len(shown),
+        "confusions": [confusion_view(table, colours) for table in data.confusions],
+        "n_grasps_max": int(np.max([len(s.steps) for s in shown], initial=0)),
+    }

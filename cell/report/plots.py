@@ -1,0 +1,255 @@
+"""The plots of the pages: by matplotlib, coloured by the page's own style sheet.
+
+Colours go through matplotlib as place-holders and become CSS variables afterwards, so that one
+picture serves light and dark themes; text stays text in the page's font.
+"""
+
+import io
+import re
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.errors import ReportError
+from cell.installation import remedy
+from cell.report.data import GraspTimeline, Trajectories
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+N_COLOURS = 10
+"""Colours of objects (CSS variables ``--c0`` to ``--c9``); more objects use them again."""
+
+INK, MUTED, GRID, PAPER = "#010101", "#010102", "#010103", "#010104"
+"""Place-holders of text, quiet text, lines and ground."""
+_COLOURS = tuple(f"#0101{16 + i:02x}" for i in range(N_COLOURS))
+_VARIABLES = {
+    INK: "var(--ink)",
+    MUTED: "var(--muted)",
+    GRID: "var(--line)",
+    PAPER: "var(--card)",
+    **{colour: f"var(--c{i})" for i, colour in enumerate(_COLOURS)},
+}
+_STYLE: Any = {
+    "svg.fonttype": "none",
+    "svg.hashsalt": "tactile-cell",
+    "font.family": "sans-serif",
+    "font.size": 9.5,
+    "text.color": INK,
+    "axes.labelcolor": MUTED,
+    "axes.edgecolor": GRID,
+    "axes.facecolor": "none",
+    "figure.facecolor": "none",
+    "axes.grid": True,
+    "grid.color": GRID,
+    "grid.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.axisbelow": True,
+    "xtick.color": GRID,
+    "ytick.color": GRID,
+    "xtick.labelcolor": MUTED,
+    "ytick.labelcolor": MUTED,
+    "legend.frameon": False,
+    "legend.fontsize": 9.0,
+    "legend.labelcolor": INK,
+    "lines.linewidth": 1.6,
+    "path.simplify": True,
+    "path.simplify_threshold": 0.4,
+}
+
+
+def new_figure(width_in: float, height_in: float) -> "Figure":
+    """Return an empty figure, size in inches. Call it within `drawing`."""
+    from matplotlib.figure import Figure  # noqa: PLC0415
+
+    return Figure(figsize=(width_in, height_in), layout="constrained")
+
+
+def drawing() -> Any:
+    """Return a context in which figures have the page's style.
+
+    Raises
+    ------
+    ReportError
+        If matplotlib is missing.
+    """
+    try:
+        from matplotlib import rc_context  # noqa: PLC0415
+    except ImportError as cause:
+        raise ReportError(f"the report needs matplotlib; {remedy('report')}") from cause
+    return rc_context(_STYLE)
+
+
+def to_svg(figure: "Figure", name: str, description: str) -> str:
+    """Return the figure as SVG that may stand in a page several times under different names."""
+    buffer = io.StringIO()
+    figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>", "", text, flags=re.DOTALL)
+    text = re.sub(r"<style[^>]*>.*?</style>", "", text, flags=re.DOTALL)
+    text = re.sub(r"<!--.*?-->\n?", "", text, flags=re.DOTALL)
+    text = re.sub(r'\bid="', f'id="{name}-', text)
+    text = re.sub(r'(href="|url\()#', rf"\1#{name}-", text)
+    text = re.sub(r' (?:width|height)="[0-9.]+pt"', "", text, count=2)
+    text = re.sub(r"#0101[0-9a-f]{2}", lambda m: _VARIABLES.get(m.group(), m.group()), text)
+    text = re.sub(r"\n\s*", "\n", text)
+    return text.replace("<svg ", f'<svg class="plot" role="img" aria-label="{description}" ', 1)
+
+
+def colour(index: int) -> str:
+    """Return the place-holder of a colour, by the object's place on the page or another number."""
+    return _COLOURS[index % N_COLOURS]
+
+
+_MAX_BINS = 260
+"""Points of a sweep that are drawn; a plot has about two pixels for each."""
+
+
+def timeline_figure(timeline: GraspTimeline, name: str) -> str:
+    """Draw force against set-point, goal current and opening over time."""
+    with drawing():
+        figure = new_figure(6.4, 6.3)
+        force, current, opening = figure.subplots(
+            3, 1, sharex=True, gridspec_kw={"height_ratios": [2.2, 1, 1]}
+        )
+        t_s = timeline.t_s
+        for finger in (0, 1):
+            force.plot(
+                t_s,
+                timeline.force_n[:, finger],
+                color=colour(finger),
+                lw=1.1,
+                alpha=0.75,
+                label=f"finger {finger}",
+            )
+        grip_n = timeline.force_n.mean(axis=1)
+        force.plot(t_s, grip_n, color=colour(2), lw=2.0, label="grip")
+        force.plot(t_s, timeline.setpoint_n, color=INK, lw=1.3, ls=(0, (4, 2)), label="set-point")
+        force.set_ylabel("force / N")
+        force.set_ylim(bottom=min(0.0, _least(timeline.force_n)))
+        force.legend(loc="upper left", ncols=4, handlelength=1.6, columnspacing=1.2)
+        force.margins(y=0.22)
+        current.plot(t_s, timeline.goal_current_a * 1e3, color=colour(3))
+        current.set_ylabel("goal current / mA")
+        opening.plot(t_s, timeline.aperture_m * 1e3, color=colour(6))
+        opening.set_ylabel("opening / mm")
+        opening.set_xlabel("time / s")
+        for axes in (force, current, opening):
+            axes.margins(x=0.01)
+            if timeline.contact_t_s is not None:
+                axes.axvline(timeline.contact_t_s, color=MUTED, lw=0.9, ls=":")
+        if timeline.contact_t_s is not None:
+            opening.annotate(
+                "contact",
+                (timeline.contact_t_s, 0.92),
+                xycoords=("data", "axes fraction"),
+                xytext=(4, 0),
+                textcoords="offset points",
+                va="top",
+                color=MUTED,
+            )
+        figure.align_ylabels()
+        return to_svg(figure, name, "force, current and opening over time")
+
+
+def _least(values: NDArray[np.float64]) -> float:
+    known = values[np.isfinite(values)]
+    return float(known.min()) if len(known) else 0.0
+
+
+def sweep_figure(trajectories: Trajectories, colours: Mapping[str, int], name: str) -> str:
+    """Draw the smallest eigenvalue over the poses of Algorithm 1: median and range.
+
+    ``colours`` is the place of each label on the page, as for `levels_figure`.
+    """
+    with drawing():
+        figure = new_figure(6.4, 3.7)
+        axes = figure.subplots()
+        for item in trajectories.objects:
+            share, low, middle, high = _envelope(item.sweep)
+            if not len(share):
+                continue
+            axes.fill_between(share, low, high, color=colour(colours[item.label]), alpha=0.18, lw=0)
+            axes.plot(share, middle, color=colour(colours[item.label]))
+        _finish_levels(axes, [item.sweep for item in trajectories.objects])
+        axes.set_xlabel("pose of Algorithm 1 (scale, then translation, then rotation) / %")
+        axes.set_ylabel("smallest eigenvalue")
+        return to_svg(figure, name, "eigenvalue trajectories of the objects over the sweep")
+
+
+def _envelope(values: NDArray[np.float64]) -> tuple[NDArray[np.float64], ...]:
+    if not np.any(np.isfinite(values)):
+        nothing = np.empty(0)
+        return nothing, nothing, nothing, nothing
+    parts = np.array_split(values, min(_MAX_BINS, len(values)))
+    known = [part[np.isfinite(part)] for part in parts]
+    rows = [
+        (part.min(), np.median(part), part.max()) if len(part) else (np.nan,) * 3 for part in known
+    ]
+    low, middle, high = np.array(rows).T
+    return (np.arange(len(parts)) + 0.5) * 100 / len(parts), low, middle, high
+
+
+def levels_figure(trajectories: Trajectories, colours: Mapping[str, int], name: str) -> str:
+    """Draw lambda(F) along the ramp beside the taught levels, thresholds and windows."""
+    with drawing():
+        figure = new_figure(6.4, 3.7)
+        ramp, bands = figure.subplots(1, 2, sharey=True, gridspec_kw={"width_ratios": [1.5, 1]})
+        values = []
+        for index, item in enumerate(trajectories.objects):
+            values += [item.ramp_value, np.array([item.low, item.high])]
+            if len(item.ramp_value):
+                ramp.plot(
+                    item.ramp_force_n,
+                    item.ramp_value,
+                    color=colour(colours[item.label]),
+                    marker="o",
+                    ms=2.6,
+                    lw=1.2,
+                )
+            if np.isfinite(item.low):
+                bands.vlines(index, item.low, item.high, color=colour(colours[item.label]), lw=9)
+                bands.plot(index, np.sqrt(abs(item.low * item.high)), ".", color=PAPER, ms=4)
+        for window in trajectories.windows:
+            for axes in (ramp, bands):
+                axes.axhline(window.threshold, color=MUTED, lw=0.8, ls=(0, (4, 3)))
+                if not window.closed:
+                    axes.axhspan(window.low, window.high, color=INK, alpha=0.06, lw=0)
+            bands.annotate(
+                window.name + (" (closed)" if window.closed else ""),
+                (1.0, window.threshold),
+                xycoords=("axes fraction", "data"),
+                xytext=(3, 0),
+                textcoords="offset points",
+                va="center",
+                color=MUTED,
+                annotation_clip=False,
+            )
+        _finish_levels(ramp, values)
+        ramp.set_xlabel("grip force / N")
+        ramp.set_ylabel("smallest eigenvalue")
+        count = len(trajectories.objects)
+        bands.set_xticks(
+            range(count), [_short(item.label) for item in trajectories.objects], rotation=40,
+            ha="right",
+        )  # fmt: skip
+        bands.set_xlim(-0.7, count - 0.3)
+        bands.grid(visible=False, axis="x")
+        return to_svg(figure, name, "eigenvalue along the force ramp, levels and windows")
+
+
+def _short(label: str) -> str:
+    return (label if len(label) <= 12 else label[:11] + "…").replace("$", r"\$")
+
+
+def _finish_levels(axes: "Axes", values: Sequence[NDArray[np.float64]]) -> None:
+    together = np.concatenate(list(values)) if values else np.empty(0)
+    known = together[np.isfinite(together)]
+    if len(known) and known.min() > 0:
+        axes.set_yscale("log")
+    axes.margins(x=0.02)

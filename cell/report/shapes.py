@@ -1,0 +1,94 @@
+"""The part of a report that shows shape and size of what was held, each on one scale in mm."""
+
+from collections import Counter
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from cell.learning.shapes import in_words
+from cell.report.data import ShapeRow
+from recognition.recognizer import UNKNOWN
+from recognition.shape.answer import ShapeAnswer
+
+MAX_BARS = 30
+"""Identifications of one object that are drawn, and of nameless ones that are listed; all are
+counted."""
+
+_TICKS = 6
+"""Ticks of the scale at most."""
+
+
+def shapes_view(rows: Sequence[ShapeRow]) -> dict[str, Any] | None:
+    """Return a group for each object, the scale, and what has no name; None without shapes."""
+    felt = [(row, row.shape) for row in rows if row.shape is not None]
+    if not felt:
+        return None
+    ends_mm = [1e3 * x for _, shape in felt for t in shape.thicknesses for x in (t.low_m, t.high_m)]
+    step_mm = _step_mm(max(ends_mm) - min(ends_mm))
+    low_mm = step_mm * np.floor(min(ends_mm) / step_mm)
+    high_mm = step_mm * np.ceil(max(ends_mm) / step_mm)
+    span_mm = max(high_mm - low_mm, step_mm)
+    names = dict.fromkeys(_name(row) for row in rows)
+    groups = []
+    for name in names:
+        shapes = [shape for row, shape in felt if _name(row) == name]
+        groups.append(
+            {
+                "label": name,
+                "kinds": _kinds(shapes, sum(_name(row) == name for row in rows)),
+                "bars": [
+                    {
+                        "text": str(shape),
+                        "marks": [
+                            {
+                                "left": f"{100 * (1e3 * t.low_m - low_mm) / span_mm:.2f}",
+                                "width": f"{100 * 1e3 * (t.high_m - t.low_m) / span_mm:.2f}",
+                                "at": f"{100 * (1e3 * t.size_m - low_mm) / span_mm:.2f}",
+                            }
+                            for t in shape.thicknesses
+                        ],
+                    }
+                    for shape in shapes[:MAX_BARS]
+                ],
+                "text": _sizes(shapes),
+            }
+        )
+    strangers = [(row.truth, shape) for row, shape in felt if row.answer == UNKNOWN]
+    ticks = np.arange(low_mm, high_mm + 0.5 * step_mm, step_mm)
+    return {
+        "groups": groups,
+        "ticks": [
+            {"at": f"{100 * (tick - low_mm) / span_mm:.2f}", "text": f"{tick:g}"} for tick in ticks
+        ],
+        "strangers": [
+            {"truth": truth, "text": in_words(shape)} for truth, shape in strangers[:MAX_BARS]
+        ],
+        "n_hidden": len(strangers[MAX_BARS:]),
+    }
+
+
+def _name(row: ShapeRow) -> str:
+    return row.answer if row.truth is None else row.truth
+
+
+def _kinds(shapes: Sequence[ShapeAnswer], n: int) -> str:
+    """Return how often each kind was felt in ``n`` identifications, and how often none."""
+    counts = Counter(shape.kind for shape in shapes).most_common()
+    silent = [("without shape", n - len(shapes))] if len(shapes) < n else []
+    return ", ".join(f"{kind} {count} of {n}" for kind, count in counts + silent)
+
+
+def _sizes(shapes: Sequence[ShapeAnswer]) -> str:
+    """Return all sizes of one answer; of several the median of size and of interval width."""
+    if len(shapes) < 2:
+        return " and ".join(str(thickness) for shape in shapes for thickness in shape.thicknesses)
+    size_mm = 1e3 * float(np.median([shape.size_m for shape in shapes]))
+    width_mm = 1e3 * float(np.median([shape.high_m - shape.low_m for shape in shapes]))
+    return f"median {size_mm:.1f} mm, intervals {width_mm:.1f} mm wide"
+
+
+def _step_mm(range_mm: float) -> float:
+    """Return a round distance of ticks."""
+    steps = [0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0]
+    return next((step for step in steps if range_mm / step <= _TICKS), 200.0)

@@ -1,0 +1,83 @@
+"""Sphinx: pages in Markdown (MyST), API pages from docstrings, tables made from the code.
+
+A line ``<!-- made: NAME -->`` in a page is replaced by what the maker of that name in docs/tools
+returns while the site is built, so that no such table can differ from the program.
+"""
+
+import re
+import sys
+from collections.abc import Callable
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from docutils import nodes
+from docutils.utils.math.latex2mathml import tex2mathml
+
+sys.path.insert(0, str(Path(__file__).parent / "tools"))
+
+from command_page import command_page
+from config_page import config_page
+from faults_page import faults_page
+from recording_page import recording_page
+from states_page import states_page
+
+MAKERS: dict[str, Callable[[], str]] = {
+    "command line": command_page,
+    "config": config_page,
+    "faults": faults_page,
+    "recording": recording_page,
+    "states": states_page,
+}
+
+project = "tactile-cell"
+author = "The tactile-cell maintainers"
+release = metadata.version("tactile-cell")
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "sphinxcontrib.mermaid",
+]
+exclude_patterns = ["examples"]
+html_theme = "furo"
+html_title = "tactile-cell"
+html_show_copyright = False
+html_math_renderer = "mathml"
+
+myst_enable_extensions = ["dollarmath", "deflist"]
+myst_heading_anchors = 4
+myst_fence_as_directive = ["mermaid"]
+
+default_role = (
+    "py:obj"  # names in single backticks in docstrings become links where there is a target
+)
+autoclass_content = "both"
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_preserve_defaults = True
+napoleon_numpy_docstring = True
+napoleon_google_docstring = False
+napoleon_use_ivar = True
+
+nitpicky = True
+nitpick_ignore_regex = [("py:.*", ".*")]  # types of other libraries: their sites are not asked
+
+
+def fill(_app: Any, _name: str, source: list[str]) -> None:
+    """Replace the markers of a page by what their makers return."""
+    source[0] = re.sub("<!-- made: (.+?) -->", lambda found: MAKERS[found[1]](), source[0])
+
+
+def math(self: Any, node: nodes.math | nodes.math_block) -> None:
+    """Write a formula as MathML, which browsers show without a script from elsewhere."""
+    block = isinstance(node, nodes.math_block)
+    self.body.append(tex2mathml(node.astext(), as_block=block))
+    raise nodes.SkipNode
+
+
+def setup(app: Any) -> None:
+    """Connect `fill` to the reading of pages, and `math` to their writing."""
+    app.connect("source-read", fill)
+    app.add_html_math_renderer("mathml", (math, None), (math, None))

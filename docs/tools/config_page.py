@@ -1,0 +1,131 @@
+"""The reference of the config file, made from the model that checks it."""
+
+import enum
+import types
+import typing
+from collections.abc import Iterator
+from typing import Any
+
+from pydantic import BaseModel
+from pydantic.fields import FieldInfo
+
+from cell.config.model import CellConfig
+
+UNITS = {
+    "mm_s": "mm/s", "n_s": "N/s", "mm": "mm", "ms": "ms", "deg": "degrees", "hz": "Hz",
+    "n": "N", "s": "s", "a": "A", "c": "°C", "share": "share",
+}  # fmt: skip
+"""Unit by the end of a key, the longest first."""
+
+
+def config_page() -> str:
+    """Return a section for each section of the config, a row for each key."""
+    return "\n".join(_sections(CellConfig, ""))
+
+
+def _sections(model: type[BaseModel], path: str) -> Iterator[str]:
+    yield f"## `{path}`\n" if path else "## Top level\n"
+    yield f"{_plain(model.__doc__)}\n"
+    yield "| key | type | default | range or choices | meaning |\n| --- | --- | --- | --- | --- |"
+    below = []
+    for name, field in model.model_fields.items():
+        models = list(_models(field.annotation))
+        below += [(inner, _path(path, name, field, inner, len(models))) for inner in models]
+        cells = (f"`{name}`", _type(name, field), _default(field), _limits(field), _meaning(field))
+        yield f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+    yield ""
+    for inner, inner_path in below:
+        yield from _sections(inner, inner_path)
+
+
+def _path(path: str, name: str, field: FieldInfo, inner: type[BaseModel], n_models: int) -> str:
+    """Return the dotted path of a section; entries of a list and variants are marked."""
+    dotted = f"{path}.{name}" if path else name
+    if typing.get_origin(field.annotation) is tuple:
+        dotted += "[]"
+    kind = inner.model_fields.get("kind")
+    return f"{dotted} ({_choices(kind.annotation)[0]})" if n_models > 1 and kind else dotted
+
+
+def _models(annotation: Any) -> Iterator[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        yield annotation
+    for inner in typing.get_args(annotation):
+        yield from _models(inner)
+
+
+def _type(name: str, field: FieldInfo) -> str:
+    unit = next((unit for end, unit in UNITS.items() if name.endswith(f"_{end}")), "")
+    written = _written(field.annotation)
+    return f"{written}, {unit}" if unit else written
+
+
+def _written(annotation: Any) -> str:
+    origin, inner = typing.get_origin(annotation), typing.get_args(annotation)
+    plain = {float: "number", int: "integer", str: "text", bool: "true or false"}
+    named: dict[Any, str] = {typing.Literal: "choice", types.NoneType: "none", **plain}
+    if origin is typing.Annotated:
+        return _written(inner[0])
+    if origin in (types.UnionType, typing.Union):
+        return " or ".join(dict.fromkeys(_written(part) for part in inner))
+    if origin is tuple:
+        number = "list" if Ellipsis in inner else f"{len(inner)}"
+        return f"{number} of {_written(inner[0])}"
+    return named.get(origin) or named.get(annotation) or "section"
+
+
+def _choices(annotation: Any) -> list[str]:
+    if typing.get_origin(annotation) is typing.Literal:
+        return [
+            str(value.value if isinstance(value, enum.Enum) else value)
+            for value in typing.get_args(annotation)
+        ]
+    return [choice for inner in typing.get_args(annotation) for choice in _choices(inner)]
+
+
+def _limits(field: FieldInfo) -> str:
+    found = [f"`{choice}`" for choice in _choices(field.annotation)]
+    limits = {
+        name: getattr(entry, name)
+        for entry in field.metadata
+        for name in ("gt", "ge", "lt", "le", "min_length", "max_length")
+        if getattr(entry, name, None) is not None
+    }
+    for key, sign in (("gt", ">"), ("ge", "≥"), ("lt", "<"), ("le", "≤")):
+        if key in limits:
+            found.append(f"{sign} {limits[key]:{'d' if isinstance(limits[key], int) else 'g'}}")
+    if "max_length" in limits:
+        unit = "characters" if field.annotation is str else "entries"
+        found.append(f"{limits.get('min_length', 0)} to {limits['max_length']} {unit}")
+    elif "min_length" in limits:
+        found.append("not empty")
+    return ", ".join(found)
+
+
+def _default(field: FieldInfo) -> str:
+    value = field.get_default(call_default_factory=True)
+    if field.is_required():
+        return "required"
+    if isinstance(value, BaseModel):
+        return "see below"
+    if value is None:
+        return "none"
+    if isinstance(value, tuple):
+        if any(isinstance(entry, BaseModel) for entry in value):
+            return f"{len(value)} entries"
+        return f"`[{', '.join(map(_scalar, value))}]`"
+    return f"`{_scalar(value)}`"
+
+
+def _scalar(value: Any) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:g}" if isinstance(value, float) else str(value) or "''"
+
+
+def _meaning(field: FieldInfo) -> str:
+    return _plain(field.description)
+
+
+def _plain(text: str | None) -> str:
+    return " ".join((text or "").split())

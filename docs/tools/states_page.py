@@ -1,0 +1,160 @@
+"""The tables of the states, made from those that the controller follows."""
+
+from cell.control.states import (
+    COMPLETIONS,
+    OF_PHASE,
+    TRANSITIONS,
+    CellState,
+    Command,
+    Event,
+    GraspState,
+    answer,
+)
+
+DOES = {
+    CellState.STOPPED: (
+        "Nothing is commanded and the links are not supervised. A cell begins here.",
+        "As it was left: a part that an earlier run or a cleared fault left is still held.",
+    ),
+    CellState.STARTING: (
+        "Verifies servos and control unit, opens the fingers, takes the zero of the taxels.",
+        "Empty fingers open. Torque found on is a fault and nothing moves: a part may be held.",
+    ),
+    CellState.IDLE: (
+        "Ready. Both links are kept alive and supervised (`tick`).",
+        "Open and empty, torque on, bus watchdog armed.",
+    ),
+    CellState.EXECUTE: (
+        "A grasp runs (pose, approach, ramp, hold, letting go), or a release.",
+        "Closes, holds, opens; opens only as the planned end of a grasp or by `release`.",
+    ),
+    CellState.HOLDING: (
+        "A stop on request is being obeyed: the ramp is frozen.",
+        "Goals are frozen at their last value; the bus watchdog is disarmed.",
+    ),
+    CellState.HELD: (
+        "Stopped on request. The links are supervised (`tick`).",
+        "Keeps what it holds, until `release`.",
+    ),
+    CellState.STOPPING: (
+        "Ends the work with the devices, or lets go of a part before the start (`release_held`).",
+        "A held part stays held; empty fingers lose their torque. `release_held` opens.",
+    ),
+    CellState.ABORTING: (
+        "A fault is being latched: its text is kept, the grip is frozen.",
+        "Goals are frozen, torque as it is; above the force cap the currents are lowered.",
+    ),
+    CellState.ABORTED: (
+        "A fault is latched. Nothing moves until a person or host has cleared and reset it.",
+        "Keeps what it holds, as far as the fault leaves the servos to do so.",
+    ),
+    CellState.CLEARING: (
+        "Acknowledges the fault, on request restarts servos; or lets go of what it left.",
+        "`clear` leaves it as it is (a restarted servo drops its part); `release_held` opens.",
+    ),
+    CellState.RESETTING: (
+        "The fault is acknowledged; the cell waits for `reset`.",
+        "As the fault left it; `release_held` lets go.",
+    ),
+}
+"""What the cell does in each state, and what the grip does."""
+
+GRASP_DOES = {
+    GraspState.IDLE: "The fingers rest; nothing is held as far as the gripper knows.",
+    GraspState.GRIPPING: "Approach and force ramp.",
+    GraspState.NO_PART_FOUND: "The last grasp touched nothing; until the fingers move again.",
+    GraspState.PART_LOST: "Both pads became empty in a grasp or while holding.",
+    GraspState.HOLDING: "Force is held, or goals are frozen and a part may be in the grip.",
+    GraspState.RELEASING: "The fingers open to let go.",
+    GraspState.POSITIONING: "Empty fingers move to an opening.",
+    GraspState.ERROR: "A fault is latched; a part may still be in the grip.",
+}
+"""What each state of the grip means."""
+
+
+def states_page() -> str:
+    """Return the tables of states and commands, and the diagram, as Markdown."""
+    return "\n".join(
+        (
+            "## States of the cell\n",
+            _states(),
+            "## Commands\n",
+            "What a command leads to when nothing goes wrong; all that is not named is refused.",
+            "A `cancel` that nothing obeys counts for the next start or grasp, and a release",
+            "withdraws it; in CLEARING and STOPPING it stops a `release_held`. Any fault leads to",
+            "ABORTING.\n",
+            _commands(),
+            "## Diagram\n",
+            _diagram(),
+            "## States of the grip\n",
+            _grasp_states(),
+        )
+    )
+
+
+def _table(head: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    lines = [head, tuple("---" for _ in head), *rows]
+    return "".join(f"| {' | '.join(line)} |\n" for line in lines)
+
+
+def _states() -> str:
+    return _table(
+        ("number", "state", "acts or waits", "what the cell does", "what the grip does"),
+        [
+            (
+                str(state.number),
+                state.value,
+                "acts" if state.acting else "waits",
+                *DOES[state],
+            )
+            for state in sorted(CellState, key=lambda state: state.number)
+        ],
+    )
+
+
+def _commands() -> str:
+    def allowed(state: CellState) -> tuple[str, str]:
+        found = {command.value: answer(state, command) for command in Command}
+        ways = {name: one.path for name, one in found.items() if one.accepted}
+        leads = [f"`{name}`: {' → '.join(path)}" for name, path in ways.items() if path]
+        stays = [f"`{name}`" for name, path in ways.items() if not path]
+        return "<br>".join(leads), ", ".join(stays)
+
+    return _table(
+        ("state", "leads to", "obeyed without a change of state"),
+        [
+            (state.value, *allowed(state))
+            for state in sorted(CellState, key=lambda state: state.number)
+        ],
+    )
+
+
+def _diagram() -> str:
+    lines = ["```mermaid", "stateDiagram-v2", "    [*] --> STOPPED"]
+    done = set(COMPLETIONS.items())
+    for (state, event), target in TRANSITIONS.items():
+        if event is Event.FAULT:
+            continue
+        text = "" if (state, event) in done else f" : {event.value}"
+        lines.append(f"    {state.value} --> {target.value}{text}")
+    lines += [
+        "    note right of ABORTING : from every state but ABORTED, on any fault",
+        "```",
+        "",
+    ]
+    return "\n".join(lines)
+
+
+def _grasp_states() -> str:
+    return _table(
+        ("number", "state", "meaning", "phases of the gripper"),
+        [
+            (
+                str(state.number),
+                state.value,
+                GRASP_DOES[state],
+                ", ".join(phase.name for phase, grasp in OF_PHASE.items() if grasp is state),
+            )
+            for state in GraspState
+        ],
+    )

@@ -1,0 +1,242 @@
+"""Servo bus: typed, checked transactions in DYNAMIXEL Protocol 2.0.
+
+Every status packet is checked: CRC, sender, length of its data, error number and Alert bit. A
+transaction either returns what was asked for or raises; it never returns a value that no servo
+has sent.
+"""
+
+from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass
+from itertools import pairwise
+
+from gripper.dynamixel.control_table import Register, registers_between
+from gripper.dynamixel.protocol2 import Instruction, StatusPacket
+from gripper.dynamixel.serial_port import ByteStream, SdkPort
+from gripper.dynamixel.transactions import (
+    HIGHEST_ID,
+    BusStatistics,
+    Request,
+    Transactions,
+    check_id,
+    checked,
+    ping_request,
+)
+from gripper.errors import LimitExceeded
+from gripper.state import Clock
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServoIdentity:
+    """Answer to a ping: Model Number (register 0) and Firmware Version (register 6)."""
+
+    servo_id: int
+    model_number: int
+    firmware: int
+
+
+class ServoBus:
+    """Transactions with servos on one line; safe to use from several threads.
+
+    A lost answer is asked for again behind a ping: once in `in_loop`, up to three times and
+    patiently outside of it. A late answer is never taken for a new one, see
+    `gripper.dynamixel.transactions.Transactions`.
+
+    Parameters
+    ----------
+    stream
+        The line.
+    baudrate
+        Baud rate in bit/s.
+    clock
+        Source of time.
+    period_s
+        Period of the loop that uses the bus in s: `sync_read` ends within it, retry included.
+    return_delay_s
+        Longest Return Delay Time of the servos in s (register 9; the factory value is 0.5 ms).
+    allowance_s
+        Time for adapter and operating system in s.
+    late_guard_s
+        Quiet time in s after which nothing late is expected any more.
+    lock_timeout_s
+        Longest wait in s for another thread's transaction.
+    """
+
+    def __init__(
+        self,
+        stream: ByteStream,
+        *,
+        baudrate: int,
+        clock: Clock,
+        period_s: float = 0.005,
+        return_delay_s: float = 0.0005,
+        allowance_s: float = 0.0015,
+        late_guard_s: float = 0.05,
+        lock_timeout_s: float = 1.0,
+    ) -> None:
+        self.baudrate = baudrate
+        self._least_allowance_s = allowance_s
+        self._port = SdkPort(
+            stream,
+            clock,
+            baudrate=baudrate,
+            return_delay_s=return_delay_s,
+            allowance_s=allowance_s,
+        )
+        self._transactions = Transactions(
+            self._port,
+            clock,
+            period_s=period_s,
+            late_guard_s=late_guard_s,
+            lock_timeout_s=lock_timeout_s,
+        )
+
+    def in_loop(self) -> AbstractContextManager[None]:
+        """Within the block no transaction waits longer than a period of the loop may take.
+
+        Outside of it a retry waits for ``late_guard_s``: at a start or between commands a servo,
+        or the machine that simulates it, may be slow once without being at fault. Within it a
+        `sync_read` does not wait until the line is quiet: its caller reads Realtime Tick (register
+        120) along, which shows an old answer.
+        """
+        return self._transactions.in_loop()
+
+    @property
+    def statistics(self) -> BusStatistics:
+        """Counts since the bus was opened."""
+        return self._transactions.statistics
+
+    @property
+    def return_delay_s(self) -> float:
+        """Longest Return Delay Time of the servos in s; enters every time-out."""
+        return float(self._port.return_delay_s)
+
+    @return_delay_s.setter
+    def return_delay_s(self, delay_s: float) -> None:
+        self._port.return_delay_s = delay_s
+
+    def alert(self, servo_id: int) -> bool:
+        """Return whether the last answer of a servo had the Alert bit: register 70 is not zero."""
+        return servo_id in self._transactions.alerts
+
+    def misses(self, servo_id: int) -> int:
+        """Return how many answers of a servo were lost in a row."""
+        return self._transactions.misses(servo_id)
+
+    def expect_late_answer(self) -> None:
+        """Let the next transaction wait until the line is quiet: an answer came out of turn."""
+        self._transactions.expect_late_answer()
+
+    def ping(self, servo_id: int) -> ServoIdentity:
+        """Ask a servo for its identity; BusTimeout when none has that ID."""
+        return _identity(self._transactions.ask(ping_request(servo_id)))
+
+    def scan(self, ids: Sequence[int] = range(HIGHEST_ID + 1)) -> tuple[ServoIdentity, ...]:
+        """Ping each ID once, without patience, and return who answers; for finding a mistake."""
+        return tuple(_identity(status) for status in self._transactions.scan(ids).values())
+
+    def round_trip_s(self, servo_id: int) -> float:
+        """Return the time in s that a ping takes, however late its answer comes."""
+        return self._transactions.ask_once(ping_request(servo_id), patient=True)[1]
+
+    def fit_allowance(self, wanted_s: float, most_s: float) -> None:
+        """Set the time for adapter and operating system in a time-out; never below the usual."""
+        self._port.allowance_s = max(self._least_allowance_s, min(wanted_s, most_s))
+
+    def read(self, servo_id: int, register: Register) -> int:
+        """Return the raw value of an item, sign-extended."""
+        action = f"reading {register.name} of servo {servo_id}"
+        params = _words(register.address, register.size)
+        request = Request(servo_id, Instruction.READ, register.size, action, params)
+        return register.decode(self._transactions.ask(request).data)
+
+    def write(self, servo_id: int, register: Register, raw: int) -> None:
+        """Write the raw value of an item and wait for the servo's confirmation.
+
+        Raises
+        ------
+        LimitExceeded
+            When the item is read-only or the value does not fit.
+        ServoRejected
+            When the servo refuses, for example EEPROM with torque on (error 7).
+        """
+        if not register.writable:
+            raise LimitExceeded(f"{register.name} is read-only")
+        action = f"writing {register.name} = {raw} to servo {servo_id}"
+        params = _words(register.address) + register.encode(raw)
+        self._transactions.ask(Request(servo_id, Instruction.WRITE, 0, action, params))
+
+    def sync_read(
+        self, ids: Sequence[int], first: Register, last: Register
+    ) -> dict[int, dict[str, int]]:
+        """Return one contiguous block of items of several servos as raw values by name.
+
+        A servo whose answer is missing is asked alone, `in_loop` as long as the period allows.
+
+        Raises
+        ------
+        BusTimeout, BusCorrupt
+            When an answer is still missing; nothing of the others is returned then.
+        """
+        block = registers_between(first, last)
+        size = last.end - first.address
+        action = f"reading {first.name} to {last.name} of servos {list(ids)}"
+        found = self._transactions.ask_all(ids, _words(first.address, size), size, action)
+        return {servo_id: _decode(block, status.data) for servo_id, status in found.items()}
+
+    def sync_write(self, values: Mapping[int, int | Sequence[int]], *registers: Register) -> None:
+        """Write one item, or several contiguous ones, to several servos at once.
+
+        Servos do not confirm a sync write: what must be certain is read back by the caller.
+
+        Parameters
+        ----------
+        values
+            Raw value, or one for each register, by servo ID.
+        registers
+            Contiguous items in the order of their addresses.
+        """
+        if not registers or not values:
+            raise LimitExceeded("a sync write needs at least one servo and one register")
+        if any(a.end != b.address for a, b in pairwise(registers)):
+            raise LimitExceeded(f"{', '.join(r.name for r in registers)} are not contiguous")
+        if any(not r.writable for r in registers):
+            raise LimitExceeded(f"{', '.join(r.name for r in registers)}: not all are writable")
+        params = _words(registers[0].address, registers[-1].end - registers[0].address)
+        for servo_id, raws in values.items():
+            check_id(servo_id)
+            listed = (raws,) if isinstance(raws, int) else tuple(raws)
+            params += bytes([servo_id])
+            params += b"".join(r.encode(v) for r, v in zip(registers, listed, strict=True))
+        self._transactions.broadcast(Instruction.SYNC_WRITE, params)
+
+    def reboot(self, servo_id: int) -> None:
+        """Restart a servo: torque off, RAM at its defaults; a part that it holds is let go.
+
+        Sent once only, because a repetition would restart it again.
+        """
+        request = Request(servo_id, Instruction.REBOOT, 0, f"reboot of servo {servo_id}")
+        status, _ = self._transactions.ask_once(request)
+        self._transactions.alerts.discard(servo_id)
+        checked(status, request.action)
+
+    def close(self) -> None:
+        """Close the line; the servos go on with their last goals."""
+        self._transactions.close()
+
+
+def _words(*values: int) -> bytes:
+    return b"".join(value.to_bytes(2, "little") for value in values)
+
+
+def _identity(status: StatusPacket) -> ServoIdentity:
+    return ServoIdentity(
+        servo_id=status.servo_id,
+        model_number=int.from_bytes(status.data[:2], "little"),
+        firmware=status.data[2],
+    )
+
+
+def _decode(block: Sequence[Register], data: bytes) -> dict[str, int]:
+    start = block[0].address
+    return {r.name: r.decode(data[r.address - start : r.end - start]) for r in block}

@@ -1,0 +1,186 @@
+"""Control table of the DYNAMIXEL X series as data: address, size, sign, unit, range.
+
+Source: ROBOTIS e-Manual, pages of XM430-W350, XM430-W210, XL330-M288 and XC330-M288, section
+"Control Table". The addresses are the same on all four.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from itertools import pairwise
+from math import tau
+from types import MappingProxyType
+
+from gripper.dynamixel.models import PULSES_PER_TURN
+from gripper.errors import LimitExceeded
+
+RAD_PER_PULSE = tau / PULSES_PER_TURN
+"""Angle in rad of one count of the position items."""
+RAD_S_PER_VELOCITY_UNIT = 0.229 * tau / 60.0
+"""Speed in rad/s of one count of the velocity items: 0.229 rev/min."""
+RAD_S2_PER_ACCELERATION_UNIT = 214.577 * tau / 3600.0
+"""Acceleration in rad/s² of one count of Profile Acceleration: 214.577 rev/min²."""
+WATCHDOG_UNIT_S = 0.02
+"""Time in s of one count of Bus Watchdog (register 98)."""
+RETURN_DELAY_UNIT_S = 2e-6
+"""Time in s of one count of Return Delay Time (register 9)."""
+WATCHDOG_TRIPPED_RAW = -1
+"""Content of Bus Watchdog once it has tripped; writing 0 clears it."""
+TICK_MODULO = 32768
+"""Realtime Tick (register 120) counts ms and begins again at this one."""
+
+BAUD_CODES: Mapping[int, int] = MappingProxyType(
+    {9600: 0, 57600: 1, 115200: 2, 1_000_000: 3, 2_000_000: 4, 3_000_000: 5, 4_000_000: 6}
+)
+"""Baud rate in bit/s -> content of Baud Rate (register 8)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Register:
+    """One item of the control table.
+
+    Attributes
+    ----------
+    name
+        Name in snake_case after the e-Manual.
+    address, size
+        First byte and number of bytes (1, 2 or 4), little endian.
+    signed
+        True for two's complement.
+    writable, eeprom
+        EEPROM items can be written with torque off only.
+    unit, lsb
+        SI unit of the item and its value for one count; current items take the unit of the
+        model (`ServoModel.current_unit_a`) and have an lsb of 0 here.
+    """
+
+    name: str
+    address: int
+    size: int
+    signed: bool = False
+    writable: bool = True
+    eeprom: bool = False
+    unit: str = ""
+    lsb: float = 1.0
+
+    @property
+    def end(self) -> int:
+        """Address of the first byte after the item."""
+        return self.address + self.size
+
+    def encode(self, raw: int) -> bytes:
+        """Return the little-endian bytes of a raw value; LimitExceeded when it does not fit."""
+        try:
+            return raw.to_bytes(self.size, "little", signed=self.signed)
+        except OverflowError as error:
+            raise LimitExceeded(
+                f"{self.name} = {raw} does not fit into {self.size} "
+                f"{'signed' if self.signed else 'unsigned'} bytes"
+            ) from error
+
+    def decode(self, data: bytes) -> int:
+        """Return the raw value, sign-extended; LimitExceeded when the length is wrong."""
+        if len(data) != self.size:
+            raise LimitExceeded(f"{self.name} has {self.size} bytes, got {len(data)}")
+        return int.from_bytes(data, "little", signed=self.signed)
+
+
+def _eeprom(name: str, address: int, size: int, **rest: object) -> Register:
+    return Register(name=name, address=address, size=size, eeprom=True, **rest)  # type: ignore[arg-type]
+
+
+def _ram(name: str, address: int, size: int, **rest: object) -> Register:
+    return Register(name=name, address=address, size=size, **rest)  # type: ignore[arg-type]
+
+
+def _read_only(name: str, address: int, size: int, **rest: object) -> Register:
+    return Register(name=name, address=address, size=size, writable=False, **rest)  # type: ignore[arg-type]
+
+
+_VELOCITY = {"unit": "rad/s", "lsb": RAD_S_PER_VELOCITY_UNIT}
+_POSITION = {"unit": "rad", "lsb": RAD_PER_PULSE}
+_CURRENT = {"unit": "A", "lsb": 0.0}
+_VOLTAGE = {"unit": "V", "lsb": 0.1}
+_PWM = {"unit": "%", "lsb": 100.0 / 885.0}
+
+MODEL_NUMBER = _read_only("model_number", 0, 2)
+MODEL_INFORMATION = _read_only("model_information", 2, 4)
+FIRMWARE_VERSION = _read_only("firmware_version", 6, 1)
+SERVO_ID = _eeprom("id", 7, 1)
+BAUD_RATE = _eeprom("baud_rate", 8, 1)
+RETURN_DELAY_TIME = _eeprom("return_delay_time", 9, 1, unit="s", lsb=RETURN_DELAY_UNIT_S)
+DRIVE_MODE = _eeprom("drive_mode", 10, 1)
+OPERATING_MODE = _eeprom("operating_mode", 11, 1)
+SECONDARY_ID = _eeprom("secondary_id", 12, 1)
+PROTOCOL_TYPE = _eeprom("protocol_type", 13, 1)
+HOMING_OFFSET = _eeprom("homing_offset", 20, 4, signed=True, **_POSITION)
+MOVING_THRESHOLD = _eeprom("moving_threshold", 24, 4, **_VELOCITY)
+TEMPERATURE_LIMIT = _eeprom("temperature_limit", 31, 1, unit="degC")
+MAX_VOLTAGE_LIMIT = _eeprom("max_voltage_limit", 32, 2, **_VOLTAGE)
+MIN_VOLTAGE_LIMIT = _eeprom("min_voltage_limit", 34, 2, **_VOLTAGE)
+PWM_LIMIT = _eeprom("pwm_limit", 36, 2, **_PWM)
+CURRENT_LIMIT = _eeprom("current_limit", 38, 2, **_CURRENT)
+VELOCITY_LIMIT = _eeprom("velocity_limit", 44, 4, **_VELOCITY)
+MAX_POSITION_LIMIT = _eeprom("max_position_limit", 48, 4, **_POSITION)
+MIN_POSITION_LIMIT = _eeprom("min_position_limit", 52, 4, **_POSITION)
+STARTUP_CONFIGURATION = _eeprom("startup_configuration", 60, 1)
+SHUTDOWN = _eeprom("shutdown", 63, 1)
+TORQUE_ENABLE = _ram("torque_enable", 64, 1)
+LED = _ram("led", 65, 1)
+STATUS_RETURN_LEVEL = _ram("status_return_level", 68, 1)
+REGISTERED_INSTRUCTION = _read_only("registered_instruction", 69, 1)
+HARDWARE_ERROR_STATUS = _read_only("hardware_error_status", 70, 1)
+VELOCITY_I_GAIN = _ram("velocity_i_gain", 76, 2)
+VELOCITY_P_GAIN = _ram("velocity_p_gain", 78, 2)
+POSITION_D_GAIN = _ram("position_d_gain", 80, 2)
+POSITION_I_GAIN = _ram("position_i_gain", 82, 2)
+POSITION_P_GAIN = _ram("position_p_gain", 84, 2)
+FEEDFORWARD_2ND_GAIN = _ram("feedforward_2nd_gain", 88, 2)
+FEEDFORWARD_1ST_GAIN = _ram("feedforward_1st_gain", 90, 2)
+BUS_WATCHDOG = _ram("bus_watchdog", 98, 1, signed=True, unit="s", lsb=WATCHDOG_UNIT_S)
+GOAL_PWM = _ram("goal_pwm", 100, 2, signed=True, **_PWM)
+GOAL_CURRENT = _ram("goal_current", 102, 2, signed=True, **_CURRENT)
+GOAL_VELOCITY = _ram("goal_velocity", 104, 4, signed=True, **_VELOCITY)
+PROFILE_ACCELERATION = _ram(
+    "profile_acceleration", 108, 4, unit="rad/s^2", lsb=RAD_S2_PER_ACCELERATION_UNIT
+)
+PROFILE_VELOCITY = _ram("profile_velocity", 112, 4, **_VELOCITY)
+GOAL_POSITION = _ram("goal_position", 116, 4, signed=True, **_POSITION)
+REALTIME_TICK = _read_only("realtime_tick", 120, 2, unit="s", lsb=0.001)
+MOVING = _read_only("moving", 122, 1)
+MOVING_STATUS = _read_only("moving_status", 123, 1)
+PRESENT_PWM = _read_only("present_pwm", 124, 2, signed=True, **_PWM)
+PRESENT_CURRENT = _read_only("present_current", 126, 2, signed=True, **_CURRENT)
+PRESENT_VELOCITY = _read_only("present_velocity", 128, 4, signed=True, **_VELOCITY)
+PRESENT_POSITION = _read_only("present_position", 132, 4, signed=True, **_POSITION)
+VELOCITY_TRAJECTORY = _read_only("velocity_trajectory", 136, 4, signed=True, **_VELOCITY)
+POSITION_TRAJECTORY = _read_only("position_trajectory", 140, 4, signed=True, **_POSITION)
+PRESENT_INPUT_VOLTAGE = _read_only("present_input_voltage", 144, 2, **_VOLTAGE)
+PRESENT_TEMPERATURE = _read_only("present_temperature", 146, 1, unit="degC")
+BACKUP_READY = _read_only("backup_ready", 147, 1)
+
+
+def _table(registers: Iterable[object]) -> Mapping[str, Register]:
+    found = [item for item in registers if isinstance(item, Register)]
+    return MappingProxyType({r.name: r for r in sorted(found, key=lambda r: r.address)})
+
+
+REGISTERS: Mapping[str, Register] = _table(tuple(globals().values()))
+"""All items by name, in the order of their addresses."""
+
+
+@cache
+def registers_between(first: Register, last: Register) -> tuple[Register, ...]:
+    """Return the items from ``first`` to ``last``; LimitExceeded when bytes between are undefined.
+
+    Undefined bytes are read without an error on the wire, yet mean nothing: a block must not
+    span them.
+    """
+    block = tuple(r for r in REGISTERS.values() if first.address <= r.address <= last.address)
+    contiguous = all(a.end == b.address for a, b in pairwise(block))
+    if not block or block[0] != first or block[-1] != last or not contiguous:
+        raise LimitExceeded(
+            f"{first.name} ({first.address}) to {last.name} ({last.address}) is not one "
+            f"contiguous block of the control table"
+        )
+    return block

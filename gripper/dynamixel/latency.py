@@ -1,0 +1,112 @@
+"""Round trips to the servos: measured at each start, refused where they are too slow for the loop.
+
+A USB adapter that hands bytes on every 16 ms, a slow baud rate or a machine that has no time would
+otherwise show as lost answers in the middle of a grasp.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from statistics import median
+
+from gripper.dynamixel.bus import ServoBus
+from gripper.errors import BusCorrupt, BusTimeout, LinkTooSlow
+
+_ROUNDS = 20
+"""Pings of each servo: 40 round trips with two servos, in less than 0.1 s on a good link."""
+_WORK_SHARE = 0.8
+"""Share of a period that reading and writing may take; the rest is for control and lateness."""
+_SLOW_SHARE = 0.25
+"""Share of the answers that may be lost or take longer than a period."""
+_LOST_S = 1.0
+"""Time in s that a lost answer counts as: longer than any period."""
+_HIGH_QUANTILE = 0.9
+"""Quantile of the round trips that the time-outs are fitted to."""
+_ALLOWANCE_REACH = 2.0
+"""Time-out for adapter and operating system, in multiples of that quantile."""
+_ALLOWANCE_SHARE = 0.4
+"""Longest such time-out as a share of the period: request and repetition fit into it."""
+# Bytes on the wire: an instruction packet has 10 bytes around its parameters, a status packet 11.
+_PING_BYTES = 10 + 11 + 3
+"""Request and answer of a ping."""
+_READ_BYTES, _READ_BYTES_ONE = 10 + 4, 1 + 11 + 27
+"""Sync read of registers 120 to 146: the request, and for each servo its ID and its answer."""
+_WRITE_BYTES, _WRITE_BYTES_ONE = 10 + 4, 1 + 18
+"""Sync write of registers 102 to 119: the request, and for each servo its ID and its data."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkTiming:
+    """Round trips of single pings.
+
+    Attributes
+    ----------
+    median_s, high_s, worst_s
+        Median, nine tenths and longest of the round trips in s.
+    slow_share
+        Share of them that were lost or took longer than a period of the loop.
+    work_s
+        What one period needs of the bus in s: reading all servos and writing their goals.
+    """
+
+    median_s: float
+    high_s: float
+    worst_s: float
+    slow_share: float
+    work_s: float
+
+
+def check_link(bus: ServoBus, ids: Sequence[int], period_s: float) -> LinkTiming:
+    """Measure the round trips, fit the time-outs to them, and refuse a link that is too slow.
+
+    Parameters
+    ----------
+    bus
+        The servos; no command may run.
+    ids
+        Their IDs.
+    period_s
+        Period of the loop in s.
+
+    Raises
+    ------
+    LinkTooSlow
+        When the work of a period does not fit into it, or too many answers take longer.
+    """
+    trips_s = sorted(_trip_s(bus, servo_id) for _ in range(_ROUNDS) for servo_id in ids)
+    byte_s = 10.0 / bus.baudrate
+    wire_s = byte_s * (_READ_BYTES + _WRITE_BYTES + len(ids) * (_READ_BYTES_ONE + _WRITE_BYTES_ONE))
+    typical_s = median(trips_s)
+    high_s = trips_s[int(_HIGH_QUANTILE * (len(trips_s) - 1))]
+    waiting_s = max(0.0, typical_s - _PING_BYTES * byte_s)
+    timing = LinkTiming(
+        median_s=typical_s,
+        high_s=high_s,
+        worst_s=trips_s[-1],
+        slow_share=sum(trip_s > period_s for trip_s in trips_s) / len(trips_s),
+        work_s=wire_s + waiting_s,
+    )
+    if timing.work_s > _WORK_SHARE * period_s:
+        rate_hz = int(_WORK_SHARE / timing.work_s)
+        raise LinkTooSlow(
+            f"a servo answers after {typical_s * 1e3:.1f} ms (median), reading and writing all of "
+            f"them takes {timing.work_s * 1e3:.1f} ms of a period of {period_s * 1e3:.1f} ms, at "
+            f"most {_WORK_SHARE * period_s * 1e3:.1f} ms are allowed: set the latency timer of the "
+            f"USB adapter to 1 ms (/sys/bus/usb-serial/devices/*/latency_timer), raise the baud "
+            f"rate, or lower loop_rate_hz to {max(1, rate_hz)}. Nothing has moved"
+        )
+    if timing.slow_share > _SLOW_SHARE:
+        raise LinkTooSlow(
+            f"{timing.slow_share:.0%} of {len(trips_s)} answers were lost or took longer than a "
+            f"period of {period_s * 1e3:.1f} ms, the longest {timing.worst_s * 1e3:.1f} ms; the "
+            f"median is {typical_s * 1e3:.1f} ms. This machine is too busy for the loop, or the "
+            f"cable is bad: end other programs or lower loop_rate_hz. Nothing has moved"
+        )
+    bus.fit_allowance(_ALLOWANCE_REACH * high_s, _ALLOWANCE_SHARE * period_s)
+    return timing
+
+
+def _trip_s(bus: ServoBus, servo_id: int) -> float:
+    try:
+        return bus.round_trip_s(servo_id)
+    except (BusTimeout, BusCorrupt):
+        return _LOST_S

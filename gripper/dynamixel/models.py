@@ -1,0 +1,257 @@
+"""The models of the X series that a gripper can use: electrical and torque figures.
+
+Source: ROBOTIS e-Manual, pages of each model, sections "Specifications" and "Control Table".
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import IntEnum, IntFlag
+from math import pi
+from types import MappingProxyType
+
+from gripper.errors import LimitExceeded
+
+PULSES_PER_TURN = 4096
+"""Counts of the position items in one turn."""
+
+
+class OperatingMode(IntEnum):
+    """Values of Operating Mode (register 11)."""
+
+    CURRENT = 0
+    VELOCITY = 1
+    POSITION = 3
+    EXTENDED_POSITION = 4
+    CURRENT_BASED_POSITION = 5
+    PWM = 16
+
+
+class HardwareError(IntFlag):
+    """Bits of Hardware Error Status (register 70) and Shutdown (register 63)."""
+
+    INPUT_VOLTAGE = 1
+    OVERHEATING = 4
+    ENCODER = 8
+    ELECTRICAL_SHOCK = 16
+    OVERLOAD = 32
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServoModel:
+    """One model of the series with the figures that a gripper and its simulation need.
+
+    Attributes
+    ----------
+    name, number
+        Name and content of Model Number (register 0).
+    current_unit_a
+        A for one count of the current items.
+    current_limit_raw, velocity_limit_raw
+        Factory values and upper bounds of registers 38 and 44 (the latter: factory value).
+    temperature_limit_c, min_voltage_raw, max_voltage_raw
+        Factory values of registers 31, 34 and 32.
+    shutdown_raw
+        Factory value of register 63.
+    position_gains
+        Factory D, I and P gain (registers 80, 82, 84).
+    velocity_gains
+        Factory I and P gain (registers 76, 78).
+    kt_nm_a, friction_nm
+        Torque at the output with rising load: T = kt I - friction.
+    nominal_voltage_v, stall_torque_nm, stall_current_a, no_load_rad_s
+        Data sheet at the nominal voltage.
+    rotor_inertia_kg_m2
+        Inertia of rotor and gears at the output in kg m², for the simulated servo.
+    torque_source
+        Where kt and friction come from.
+    """
+
+    name: str
+    number: int
+    current_unit_a: float
+    current_limit_raw: int
+    velocity_limit_raw: int
+    temperature_limit_c: int
+    min_voltage_raw: int
+    max_voltage_raw: int
+    shutdown_raw: int
+    position_gains: tuple[int, int, int]
+    velocity_gains: tuple[int, int]
+    kt_nm_a: float
+    friction_nm: float
+    nominal_voltage_v: float
+    stall_torque_nm: float
+    stall_current_a: float
+    no_load_rad_s: float
+    rotor_inertia_kg_m2: float
+    torque_source: str
+
+    def current_raw(self, current_a: float) -> int:
+        """Return the counts for a current in A, rounded to the nearest."""
+        return round(current_a / self.current_unit_a)
+
+    def current_a(self, raw: int) -> float:
+        """Return the current in A for counts of a current item."""
+        return raw * self.current_unit_a
+
+    @property
+    def factory_defaults(self) -> Mapping[str, int]:
+        """Factory values by register name, of the items that differ from 0 or between models."""
+        position_d, position_i, position_p = self.position_gains
+        velocity_i, velocity_p = self.velocity_gains
+        return MappingProxyType(
+            {
+                "model_number": self.number,
+                "id": 1,
+                "baud_rate": 1,
+                "return_delay_time": 250,
+                "operating_mode": int(OperatingMode.POSITION),
+                "secondary_id": 255,
+                "protocol_type": 2,
+                "moving_threshold": 10,
+                "temperature_limit": self.temperature_limit_c,
+                "max_voltage_limit": self.max_voltage_raw,
+                "min_voltage_limit": self.min_voltage_raw,
+                "pwm_limit": 885,
+                "current_limit": self.current_limit_raw,
+                "velocity_limit": self.velocity_limit_raw,
+                "max_position_limit": PULSES_PER_TURN - 1,
+                "shutdown": self.shutdown_raw,
+                "status_return_level": 2,
+                "velocity_i_gain": velocity_i,
+                "velocity_p_gain": velocity_p,
+                "position_d_gain": position_d,
+                "position_i_gain": position_i,
+                "position_p_gain": position_p,
+            }
+        )
+
+
+_RPM = pi / 30.0
+"""Speed in rad/s of one rev/min."""
+_ESTIMATE = (
+    "stall point of the data sheet and a no-load friction of 5.4 % of the stall torque, as "
+    "measured on the XM430-W350; measure before relying on it"
+)
+"""Source of torque figures that only the data sheet gives."""
+
+
+def _estimated(stall_torque_nm: float, stall_current_a: float) -> dict[str, float]:
+    friction_nm = 0.054 * stall_torque_nm
+    return {
+        "kt_nm_a": (stall_torque_nm + friction_nm) / stall_current_a,
+        "friction_nm": friction_nm,
+        "stall_torque_nm": stall_torque_nm,
+        "stall_current_a": stall_current_a,
+    }
+
+
+XM430_W350 = ServoModel(
+    name="XM430-W350",
+    number=1020,
+    current_unit_a=2.69e-3,
+    current_limit_raw=1193,
+    velocity_limit_raw=350,
+    temperature_limit_c=80,
+    min_voltage_raw=95,
+    max_voltage_raw=160,
+    shutdown_raw=52,
+    position_gains=(0, 0, 800),
+    velocity_gains=(1920, 100),
+    kt_nm_a=1.769,
+    friction_nm=0.2214,
+    nominal_voltage_v=12.0,
+    stall_torque_nm=4.1,
+    stall_current_a=2.3,
+    no_load_rad_s=46 * _RPM,
+    rotor_inertia_kg_m2=0.012,
+    torque_source="fit to the vendor's performance graph, forum.robotis.com/t/5827",
+)
+XM430_W210 = ServoModel(
+    name="XM430-W210",
+    number=1030,
+    current_unit_a=2.69e-3,
+    current_limit_raw=1193,
+    velocity_limit_raw=330,
+    temperature_limit_c=80,
+    min_voltage_raw=95,
+    max_voltage_raw=160,
+    shutdown_raw=52,
+    position_gains=(0, 0, 800),
+    velocity_gains=(1920, 100),
+    nominal_voltage_v=12.0,
+    no_load_rad_s=77 * _RPM,
+    rotor_inertia_kg_m2=0.0043,
+    torque_source=_ESTIMATE,
+    **_estimated(3.0, 2.3),
+)
+XL330_M288 = ServoModel(
+    name="XL330-M288",
+    number=1200,
+    current_unit_a=1e-3,
+    current_limit_raw=1750,
+    velocity_limit_raw=445,
+    temperature_limit_c=70,
+    min_voltage_raw=35,
+    max_voltage_raw=70,
+    shutdown_raw=53,
+    position_gains=(0, 0, 400),
+    velocity_gains=(1600, 180),
+    nominal_voltage_v=5.0,
+    no_load_rad_s=103 * _RPM,
+    rotor_inertia_kg_m2=0.0012,
+    torque_source=_ESTIMATE,
+    **_estimated(0.52, 1.47),
+)
+XC330_M288 = ServoModel(
+    name="XC330-M288",
+    number=1240,
+    current_unit_a=1e-3,
+    current_limit_raw=2352,
+    velocity_limit_raw=350,
+    temperature_limit_c=70,
+    min_voltage_raw=35,
+    max_voltage_raw=70,
+    shutdown_raw=52,
+    position_gains=(500, 0, 1100),
+    velocity_gains=(1600, 50),
+    nominal_voltage_v=5.0,
+    no_load_rad_s=81 * _RPM,
+    rotor_inertia_kg_m2=0.0012,
+    torque_source=_ESTIMATE,
+    **_estimated(0.93, 1.8),
+)
+
+MODELS: Mapping[str, ServoModel] = MappingProxyType(
+    {m.name: m for m in (XM430_W350, XM430_W210, XL330_M288, XC330_M288)}
+)
+"""Models that can limit their current, by name."""
+
+_WITHOUT_CURRENT_CONTROL = frozenset({"XL430-W250", "XC430-W150", "XC430-W240", "2XL430-W250"})
+"""Models of the series without Goal Current (register 102); they are refused."""
+
+
+def require_current_control(name: str) -> ServoModel:
+    """Return the model of that name; LimitExceeded when it cannot limit its current.
+
+    Grip force is limited through Goal Current (register 102) in current-based position mode;
+    a model without current items cannot grip with a bounded force.
+    """
+    model = MODELS.get(name)
+    if model is not None:
+        return model
+    if name in _WITHOUT_CURRENT_CONTROL:
+        raise LimitExceeded(
+            f"{name} measures load, not current: it has no Goal Current and no current-based "
+            f"position mode, so its grip force cannot be bounded. Use one of {', '.join(MODELS)}"
+        )
+    raise LimitExceeded(f"servo model {name!r} is not known. Use one of {', '.join(MODELS)}")
+
+
+def model_by_number(number: int) -> ServoModel:
+    """Return the model with that Model Number (register 0); LimitExceeded when unknown."""
+    for model in MODELS.values():
+        if model.number == number:
+            return model
+    known = ", ".join(f"{m.number} ({m.name})" for m in MODELS.values())
+    raise LimitExceeded(f"model number {number} is not known. Known: {known}")

@@ -1,0 +1,216 @@
+"""DYNAMIXEL Protocol 2.0: packets as pure functions, and the SDK's packet handler made strict.
+
+Source: ROBOTIS e-Manual, "DYNAMIXEL Protocol 2.0". The SDK computes length and CRC before it
+stuffs; here both cover the stuffed bytes, and the CRC is checked before a packet is unstuffed.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+
+from dynamixel_sdk import COMM_PORT_BUSY, COMM_SUCCESS, Protocol2PacketHandler
+
+from gripper.dynamixel.serial_port import SdkPort
+from gripper.errors import BusBusy
+
+HEADER = b"\xff\xff\xfd"
+"""First bytes of every packet; inside a packet they are stuffed."""
+STATUS_INSTRUCTION = 0x55
+"""Instruction byte of a status packet."""
+ALERT_BIT = 0x80
+"""Bit of the error byte that is set while Hardware Error Status (register 70) is not zero."""
+STATUS_OVERHEAD = 11
+"""Bytes of a status packet without its parameters."""
+
+_RESERVED = 0
+"""Byte after the header."""
+_RESERVED_AT, _ID_AT, _LENGTH_AT, _BODY_AT = 3, 4, 5, 7
+"""Offsets of reserved byte, ID, length (2 bytes) and instruction in a packet."""
+_HIGHEST_ID_BYTE = 0xFE
+"""Highest content of the ID byte: the broadcast ID."""
+_CRC_SIZE = 2
+"""Bytes of the CRC at the end of a packet."""
+_LONGEST_LENGTH = 1024
+"""Longest length field taken for real: the answers here are below 300 bytes, and a damaged length
+must not hide what follows."""
+_READ_AHEAD = 256
+"""Bytes asked for at once: answers that came together are fetched together."""
+_CRC_TABLE = tuple(Protocol2PacketHandler().updateCRC(0, (byte,), 1) for byte in range(256))
+"""The SDK's own table; its method makes it anew with every call."""
+_SHOWN_BYTES = 16
+"""Dropped bytes kept for an error message: a header and what follows it."""
+
+
+class Instruction(IntEnum):
+    """Instructions of Protocol 2.0 that the bus uses."""
+
+    PING = 0x01
+    READ = 0x02
+    WRITE = 0x03
+    REBOOT = 0x08
+    SYNC_READ = 0x82
+    SYNC_WRITE = 0x83
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StatusPacket:
+    """A status packet whose CRC is right.
+
+    Attributes
+    ----------
+    servo_id
+        ID of the servo that answered.
+    error
+        Error number 0 to 7, without the Alert bit.
+    alert
+        True while Hardware Error Status (register 70) is not zero.
+    data
+        Parameters, unstuffed.
+    """
+
+    servo_id: int
+    error: int
+    alert: bool
+    data: bytes
+
+
+def stuff(body: bytes) -> bytes:
+    """Insert FD after every FF FF FD of an instruction and its parameters."""
+    return body.replace(HEADER, HEADER + b"\xfd")
+
+
+def unstuff(body: bytes) -> bytes:
+    """Remove the FD after every FF FF FD; the inverse of `stuff`."""
+    return body.replace(HEADER + b"\xfd", HEADER)
+
+
+def packet_length(buffer: bytes | bytearray) -> int | None:
+    """Return the whole length of the packet at the start of ``buffer``.
+
+    None while too few bytes are there; 0 when no status packet can start here.
+    """
+    head = buffer[:_BODY_AT]
+    if head[: len(HEADER)] != HEADER[: len(head)]:
+        return 0
+    if len(head) > _RESERVED_AT and head[_RESERVED_AT] != _RESERVED:
+        return 0
+    if len(head) > _ID_AT and head[_ID_AT] > _HIGHEST_ID_BYTE:
+        return 0
+    if len(head) < _BODY_AT:
+        return None
+    length = int.from_bytes(head[_LENGTH_AT:_BODY_AT], "little")
+    if not STATUS_OVERHEAD - _BODY_AT <= length <= _LONGEST_LENGTH:
+        return 0
+    return _BODY_AT + length
+
+
+def parse_status(packet: bytes) -> StatusPacket | None:
+    """Return the content of a whole packet; None for an instruction (an echo of our own)."""
+    body = unstuff(packet[_BODY_AT:-_CRC_SIZE])
+    if len(body) < 2 or body[0] != STATUS_INSTRUCTION:
+        return None
+    error = body[1]
+    return StatusPacket(
+        servo_id=packet[_ID_AT],
+        error=error & ~ALERT_BIT & 0xFF,
+        alert=bool(error & ALERT_BIT),
+        data=body[2:],
+    )
+
+
+class CheckedPacketHandler(Protocol2PacketHandler):  # type: ignore[misc]
+    """The SDK's Protocol 2.0 with byte stuffing that reaches the wire and a strict receiver.
+
+    The receiver starts again at the next header after damaged bytes.
+
+    Attributes
+    ----------
+    dropped_bytes, dropped_head
+        Number of bytes that the last `receive` passed over, and the first of them.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.dropped_bytes = 0
+        self.dropped_head = b""
+        self._following = bytearray()
+
+    def send(self, port: SdkPort, servo_id: int, instruction: int, params: bytes) -> None:
+        """Send one instruction packet; BusBusy while the port waits for another answer."""
+        # txPacket fills in header, length and CRC.
+        packet = [*bytes(_ID_AT), servo_id, 0, 0, instruction, *params, *bytes(_CRC_SIZE)]
+        if self.txPacket(port, packet) != COMM_SUCCESS:
+            raise BusBusy("the SDK's port is still in use by another transaction")
+
+    def receive(self, port: SdkPort) -> StatusPacket | None:
+        """Return the next status packet whose CRC is right, None at the port's time-out.
+
+        A line on which bytes come without a pause is given up one longest packet after it.
+        """
+        self.dropped_bytes, self.dropped_head = 0, b""
+        # More bytes than one packet may have been read: the next one is among them.
+        buffer, self._following = self._following, bytearray()
+        while True:
+            missing = self._missing(buffer)
+            if missing == 0:
+                whole = packet_length(buffer) or 0
+                packet = bytes(buffer[:whole])
+                status = parse_status(packet) if self._crc_is_right(packet) else None
+                if status is not None:
+                    self._following = buffer[whole:]
+                    return status
+                self._skip(buffer)
+                continue
+            chatter = port.is_overdue(_BODY_AT + _LONGEST_LENGTH)
+            data = b"" if chatter else port.readPort(max(missing, _READ_AHEAD))
+            buffer += data
+            if not data and port.isPacketTimeout():
+                if not buffer:
+                    return None
+                # A damaged length may hide a whole packet further on.
+                self._skip(buffer)
+
+    def txPacket(self, port: SdkPort, txpacket: Sequence[int]) -> int:  # noqa: N802
+        """Send a packet whose header, length and CRC are still to be filled in."""
+        if port.is_using:
+            return int(COMM_PORT_BUSY)
+        port.is_using = True
+        body = stuff(bytes(txpacket[_BODY_AT:-_CRC_SIZE]))
+        length = (len(body) + _CRC_SIZE).to_bytes(2, "little")
+        packet = HEADER + bytes([_RESERVED, txpacket[_ID_AT]]) + length + body
+        packet += self.updateCRC(0, packet, len(packet)).to_bytes(_CRC_SIZE, "little")
+        self._following.clear()
+        port.clearPort()
+        port.writePort(packet)
+        return int(COMM_SUCCESS)
+
+    def updateCRC(  # noqa: N802
+        self, crc_accum: int, data_blk_ptr: Sequence[int], data_blk_size: int
+    ) -> int:
+        """Return the CRC of the first bytes, continued from ``crc_accum``."""
+        crc = crc_accum
+        for byte in data_blk_ptr[:data_blk_size]:
+            crc = (crc << 8 & 0xFFFF) ^ _CRC_TABLE[crc >> 8 ^ byte]
+        return crc
+
+    def _missing(self, buffer: bytearray) -> int:
+        """Return how many bytes the packet at the start still lacks; drops what starts none."""
+        while True:
+            whole = packet_length(buffer)
+            if whole == 0:
+                self._skip(buffer)
+                continue
+            return max(0, (whole or STATUS_OVERHEAD) - len(buffer))
+
+    def _skip(self, buffer: bytearray) -> None:
+        """Drop bytes up to the next possible header."""
+        following = buffer.find(HEADER[0], 1)
+        count = following if following > 0 else len(buffer)
+        self.dropped_bytes += count
+        if len(self.dropped_head) < _SHOWN_BYTES:
+            self.dropped_head = (self.dropped_head + bytes(buffer[:count]))[:_SHOWN_BYTES]
+        del buffer[:count]
+
+    def _crc_is_right(self, packet: bytes) -> bool:
+        crc = self.updateCRC(0, packet, len(packet) - _CRC_SIZE)
+        return bool(crc == int.from_bytes(packet[-_CRC_SIZE:], "little"))

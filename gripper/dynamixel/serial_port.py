@@ -1,0 +1,307 @@
+"""Serial port under the servo bus: a stream of bytes, its lock file, and the SDK's port on it.
+
+A read blocks until a byte is there; the SDK's own port asks in a loop.
+"""
+
+import errno
+import fcntl
+import hashlib
+import os
+import select
+import tempfile
+import termios
+from contextlib import suppress
+from pathlib import Path
+from typing import Protocol
+
+import serial
+from dynamixel_sdk import PortHandler
+from serial.tools import list_ports
+
+from gripper.errors import LimitExceeded, PortLost
+from gripper.state import Clock
+
+BAUD_RATES = (9600, 57600, 115200, 1_000_000, 2_000_000, 3_000_000, 4_000_000)
+"""Baud rates that both the servos (register 8) and the SDK support."""
+
+_WRITE_TIMEOUT_S = 0.1
+"""Longest time in s for which a port may take no byte: 10,000 bytes at 1 Mbit/s."""
+_TIMER_GRAIN_MS = 1e-3
+"""A time-out is over so many ms early, against the rounding of times as floats."""
+_PORT_ERRORS = (serial.SerialException, OSError, termios.error)
+"""What pyserial and the operating system raise when a port is missing, taken or gone."""
+
+
+class ByteStream(Protocol):
+    """Both directions of a serial line."""
+
+    def write(self, data: bytes, /) -> None:
+        """Send all bytes; PortLost when the line is gone."""
+        ...
+
+    def read(self, size: int, timeout_s: float, /) -> bytes:
+        """Return 1 to ``size`` bytes as soon as any is there, b"" after ``timeout_s`` s."""
+        ...
+
+    def drop_input(self) -> None:
+        """Forget what has arrived and was not read."""
+        ...
+
+    def close(self) -> None:
+        """Give the line back; may be called twice."""
+        ...
+
+
+def serial_candidates() -> tuple[str, ...]:
+    """Return the paths of the serial ports that the operating system lists."""
+    return tuple(sorted(port.device for port in list_ports.comports()))
+
+
+def latency_timer_file(path: str) -> Path:
+    """Return where the system keeps the latency timer of a USB adapter, if it has one."""
+    name = Path(os.path.realpath(path)).name
+    return Path(f"/sys/bus/usb-serial/devices/{name}/latency_timer")
+
+
+def latency_timer_ms(path: str) -> int | None:
+    """Return the latency timer of a port's USB adapter in ms, None where the system shows none.
+
+    More than 1 ms makes each answer wait that long (FTDI adapters start with 16 ms).
+    """
+    try:
+        return int(latency_timer_file(path).read_text("ascii"))
+    except OSError:
+        return None
+
+
+def lock_device(device: str) -> int:
+    """Return the descriptor of the lock file of a device, which keeps a second program off it.
+
+    The operating system drops the lock when the program ends. Raises OSError where it is taken.
+    """
+    digest = hashlib.sha256(device.encode()).hexdigest()[:16]
+    path = Path(tempfile.gettempdir()) / f"serial-port-{digest}.lock"
+    flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW
+    try:
+        # Without O_CREAT the file of another user can be opened, too.
+        lock_fd = os.open(path, flags)
+    except FileNotFoundError:
+        lock_fd = os.open(path, flags | os.O_CREAT, 0o644)
+    try:
+        fcntl.flock(lock_fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BaseException:
+        os.close(lock_fd)
+        raise
+    return lock_fd
+
+
+class SerialStream:
+    """A serial port of the operating system, held alone.
+
+    A lock file beside the exclusive mode of the port keeps a second program out even where
+    that runs with the rights of an administrator.
+
+    Parameters
+    ----------
+    path
+        Device, such as /dev/ttyUSB0 or a link below /dev/serial/by-id.
+    baudrate
+        One of `BAUD_RATES`.
+
+    Raises
+    ------
+    PortLost
+        When the port is missing, taken or refuses; the message names the remedy.
+    LimitExceeded
+        When the baud rate is none that servos support.
+    """
+
+    def __init__(self, path: str, baudrate: int = 1_000_000) -> None:
+        if baudrate not in BAUD_RATES:
+            raise LimitExceeded(
+                f"baud rate {baudrate} is none of {', '.join(map(str, BAUD_RATES))}"
+            )
+        self.path = path
+        self._lock_fd: int | None = None
+        try:
+            # The lock follows the device, not the link that names it.
+            device = os.path.realpath(path, strict=True)
+            self._lock_fd = lock_device(device)
+            self._serial = serial.Serial(path, baudrate, timeout=0, exclusive=True)
+        except _PORT_ERRORS as error:
+            self._unlock()
+            raise PortLost(_opening_failed(path, error)) from error
+        self._request_low_latency()
+
+    def write(self, data: bytes, /) -> None:
+        """Send all bytes; PortLost when the line is gone, or takes no more for 0.1 s.
+
+        pyserial's own method waits after each write, without an end, until it could write again.
+        """
+        try:
+            left = data[self._write_some(data) :]
+            while left:
+                if not select.select([], [self._serial.fileno()], [], _WRITE_TIMEOUT_S)[1]:
+                    raise self._lost("it takes no data")
+                left = left[self._write_some(left) :]
+        except _PORT_ERRORS as error:
+            raise self._lost(error) from error
+
+    def _write_some(self, data: bytes) -> int:
+        """Send what the port takes at once, and return how many bytes that were."""
+        try:
+            return os.write(self._serial.fileno(), data)
+        except BlockingIOError:
+            return 0
+
+    def read(self, size: int, timeout_s: float, /) -> bytes:
+        """Return 1 to ``size`` bytes as soon as any is there, b"" after ``timeout_s`` s."""
+        try:
+            ready, _, _ = select.select([self._serial.fileno()], [], [], max(0.0, timeout_s))
+            if not ready:
+                return b""
+            data = os.read(self._serial.fileno(), size)
+        except (*_PORT_ERRORS, ValueError) as error:
+            raise self._lost(error) from error
+        if not data:
+            raise self._lost("end of file")
+        return data
+
+    def drop_input(self) -> None:
+        """Forget what has arrived and was not read."""
+        try:
+            self._serial.reset_input_buffer()
+        except _PORT_ERRORS as error:
+            raise self._lost(error) from error
+
+    def close(self) -> None:
+        """Give the port back; a port that is gone is closed without an error."""
+        try:
+            self._serial.close()
+        except _PORT_ERRORS:
+            # The device has vanished: nothing is left to close.
+            pass
+        finally:
+            self._unlock()
+
+    def _request_low_latency(self) -> None:
+        """Ask the driver to hand bytes on at once; not every driver can."""
+        with suppress(ValueError, AttributeError, NotImplementedError, *_PORT_ERRORS):
+            self._serial.set_low_latency_mode(True)
+
+    def _lost(self, cause: object) -> PortLost:
+        return PortLost(
+            f"serial port {self.path} is gone ({cause}): check cable and supply of the adapter, "
+            f"then open the port again. A part may still be gripped"
+        )
+
+    def _unlock(self) -> None:
+        if self._lock_fd is not None:
+            os.close(self._lock_fd)
+            self._lock_fd = None
+
+
+def _opening_failed(path: str, error: Exception) -> str:
+    number = getattr(error, "errno", None)
+    if number in (errno.EAGAIN, errno.EWOULDBLOCK, errno.EBUSY):
+        return f"serial port {path} is used by another program: end that program first"
+    if number in (errno.EACCES, errno.EPERM):
+        return (
+            f"no right to open serial port {path} ({error}): add the user to the group that "
+            f"owns the device (often dialout) and log in again"
+        )
+    found = ", ".join(serial_candidates()) or "none"
+    return (
+        f"cannot open serial port {path} ({error}): check the path and that the adapter is "
+        f"plugged in. Serial ports found: {found}"
+    )
+
+
+class SdkPort(PortHandler):  # type: ignore[misc]
+    """The SDK's port on any `ByteStream`, with blocking reads and monotonic time.
+
+    The time-out of a packet is the time on the wire of request and answer, the return delay of
+    the servo and an allowance for adapter and operating system.
+
+    Parameters
+    ----------
+    stream
+        The line.
+    clock
+        Source of time.
+    baudrate
+        Baud rate in bit/s; 10 bits a byte.
+    return_delay_s
+        Return Delay Time of the slowest servo (register 9) in s.
+    allowance_s
+        Allowance in s.
+    """
+
+    def __init__(
+        self,
+        stream: ByteStream,
+        clock: Clock,
+        *,
+        baudrate: int,
+        return_delay_s: float,
+        allowance_s: float,
+    ) -> None:
+        super().__init__("")
+        self._stream = stream
+        self._clock = clock
+        self.baudrate = baudrate
+        self.tx_time_per_byte = 10_000.0 / baudrate
+        self.return_delay_s = return_delay_s
+        self.allowance_s = allowance_s
+        self.is_open = True
+        self._unanswered_bytes = 0
+
+    def closePort(self) -> None:  # noqa: N802
+        """Close the stream."""
+        self.is_open = False
+        self.is_using = False
+        self._stream.close()
+
+    def clearPort(self) -> None:  # noqa: N802
+        """Forget what has arrived."""
+        self._stream.drop_input()
+
+    def writePort(self, packet: bytes) -> int:  # noqa: N802
+        """Send a packet and return its length."""
+        data = bytes(packet)
+        self._stream.write(data)
+        self._unanswered_bytes = len(data)
+        return len(data)
+
+    def readPort(self, length: int) -> bytes:  # noqa: N802
+        """Return up to ``length`` bytes, waiting no longer than the packet's time-out."""
+        left_ms = self.packet_timeout - self.getTimeSinceStart()
+        return self._stream.read(length, max(0.0, left_ms) / 1000.0)
+
+    def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802
+        """Start the time-out for an answer of that many bytes."""
+        wire_ms = self.tx_time_per_byte * (packet_length + self._unanswered_bytes)
+        self._unanswered_bytes = 0
+        self.setPacketTimeoutMillis(wire_ms + 1000.0 * (self.return_delay_s + self.allowance_s))
+
+    def setPacketTimeoutMillis(self, msec: float) -> None:  # noqa: N802
+        """Start a time-out in ms."""
+        self.packet_start_time = self.getCurrentTime()
+        self.packet_timeout = msec
+
+    def getCurrentTime(self) -> float:  # noqa: N802
+        """Return the monotonic time in ms."""
+        return self._clock.monotonic() * 1000.0
+
+    def getTimeSinceStart(self) -> float:  # noqa: N802
+        """Return the time since the start of the packet's time-out in ms."""
+        return self.getCurrentTime() - float(self.packet_start_time)
+
+    def isPacketTimeout(self) -> bool:  # noqa: N802
+        """Return whether the packet's time-out is over."""
+        return self.getTimeSinceStart() >= float(self.packet_timeout) - _TIMER_GRAIN_MS
+
+    def is_overdue(self, packet_length: int) -> bool:
+        """Return whether a packet that began before the time-out has had the time to end."""
+        wire_ms = self.tx_time_per_byte * packet_length
+        return self.getTimeSinceStart() >= float(self.packet_timeout) + wire_ms

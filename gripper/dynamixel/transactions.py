@@ -1,0 +1,506 @@
+"""Transactions on a servo line: requests, checked answers, and retries of lost ones.
+
+An answer that comes late is the danger of a bus without sequence numbers: it passes for the
+answer to the next request. The answers of one servo come in the order of its requests, so an
+answered ping shows that nothing older of that servo is still on its way.
+"""
+
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from enum import Enum
+from typing import NamedTuple
+
+from gripper.dynamixel.protocol2 import (
+    STATUS_OVERHEAD,
+    CheckedPacketHandler,
+    Instruction,
+    StatusPacket,
+)
+from gripper.dynamixel.serial_port import SdkPort
+from gripper.errors import BusBusy, BusCorrupt, BusTimeout, LimitExceeded, PortLost, ServoRejected
+from gripper.state import Clock
+
+BROADCAST_ID = 0xFE
+"""ID that all servos listen to (e-Manual, Protocol 2.0, "Packet ID")."""
+HIGHEST_ID = 252
+"""Highest ID of a servo (e-Manual, Protocol 2.0, "Packet ID")."""
+PING_SIZE = 3
+"""Bytes of data in the answer to a ping: Model Number (2) and Firmware Version (1)."""
+
+_CRC_REFUSED = 3
+"""Error number of a servo that received a damaged request (e-Manual, "Error": CRC)."""
+_ALL_SILENT_MISSES = 3
+"""Lost answers in a row, of every servo asked, after which a sync read waits for a quiet line."""
+_LONGEST_QUIET_WAIT = 10.0
+"""Longest wait for a quiet line, in multiples of ``late_guard_s``: more than the answers that can
+be outstanding, so that only a line that never falls quiet reaches it."""
+_HEARD_BYTES = 16
+"""Bytes of what was heard on a line that an error shows: a header and what follows it."""
+
+
+class Precaution(Enum):
+    """Action against late answers before a request goes out on a suspect line."""
+
+    QUIET = "wait until the line is quiet"
+    PING = "ping the servo: its answers come in order"
+    NONE = "send at once: the caller detects an old answer by its length or its Realtime Tick"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RetryPolicy:
+    """Treatment of late and lost answers.
+
+    Attributes
+    ----------
+    before_one, before_several
+        Precaution before a request to one servo and before a sync read, on a suspect line.
+    repetitions
+        How often a lost answer is asked for again, each time behind a ping.
+    patient
+        True where ping and repetition wait ``late_guard_s`` for their answers; False where they
+        wait for the time-out of a packet, and a sync read starts none after its period.
+    """
+
+    before_one: Precaution
+    before_several: Precaution
+    repetitions: int
+    patient: bool
+
+
+BETWEEN_COMMANDS = RetryPolicy(
+    before_one=Precaution.QUIET,
+    before_several=Precaution.QUIET,
+    repetitions=3,
+    patient=True,
+)
+"""At a start and between commands: a servo may be slow once without being at fault."""
+IN_LOOP = RetryPolicy(
+    before_one=Precaution.PING,
+    before_several=Precaution.NONE,
+    repetitions=1,
+    patient=False,
+)
+"""In the force loop: no transaction may take longer than a period allows."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BusStatistics:
+    """Counts since the bus was opened.
+
+    Attributes
+    ----------
+    transactions
+        Transactions asked for.
+    retries
+        Requests sent a second time.
+    timeouts
+        Answers that did not come in time.
+    corrupt
+        Answers that came damaged, or behind bytes that are none.
+    late
+        Answers to an earlier request, or of another servo; dropped.
+    """
+
+    transactions: int = 0
+    retries: int = 0
+    timeouts: int = 0
+    corrupt: int = 0
+    late: int = 0
+
+
+class Request(NamedTuple):
+    """A request to one servo.
+
+    Attributes
+    ----------
+    servo_id, instruction, params
+        Content of the instruction packet.
+    size
+        Bytes of data in the right answer.
+    action
+        Name of the request in error messages.
+    """
+
+    servo_id: int
+    instruction: Instruction
+    size: int
+    action: str
+    params: bytes = b""
+
+
+class NoAnswerError(Exception):
+    """No right answer within the time-out; `Transactions` turns it into a typed error.
+
+    Attributes
+    ----------
+    damaged
+        True when something came that was no answer to the request.
+    """
+
+    def __init__(self, damaged: bool) -> None:
+        super().__init__(damaged)
+        self.damaged = damaged
+
+
+class Transactions:
+    """Checked transactions on one line, one at a time; safe to use from several threads.
+
+    The line is CLEAN, OWING (inside a transaction whose answer is missing) or SUSPECT:
+
+    ======= ======================================= ======= ======================================
+    state   event                                   next    action
+    ======= ======================================= ======= ======================================
+    CLEAN   answer lost, damaged or refused (CRC)   OWING   ping, then ask again (`RetryPolicy`)
+    OWING   ping answered                           CLEAN   nothing older is outstanding
+    OWING   all repetitions lost                    SUSPECT BusTimeout or BusCorrupt
+    any     `expect_late_answer`                    SUSPECT none
+    SUSPECT next transaction, `Precaution.QUIET`    CLEAN   wait until the line is quiet
+    SUSPECT next transaction, `Precaution.PING`     SUSPECT ping before the request
+    SUSPECT next transaction, `Precaution.NONE`     SUSPECT none
+    SUSPECT ``late_guard_s`` passed                 CLEAN   none
+    ======= ======================================= ======= ======================================
+
+    Each wait ends: for an answer at the time-out of the packet or after ``late_guard_s``, for a
+    quiet line after ten times that.
+
+    Parameters
+    ----------
+    port
+        The line.
+    clock, period_s, late_guard_s, lock_timeout_s
+        As in `gripper.dynamixel.bus.ServoBus`.
+
+    Attributes
+    ----------
+    alerts
+        IDs of the servos whose last answer had the Alert bit.
+    """
+
+    def __init__(
+        self,
+        port: SdkPort,
+        clock: Clock,
+        *,
+        period_s: float,
+        late_guard_s: float,
+        lock_timeout_s: float,
+    ) -> None:
+        self.alerts: set[int] = set()
+        self._port = port
+        self._clock = clock
+        self._period_s = period_s
+        self._late_guard_s = late_guard_s
+        self._lock_timeout_s = lock_timeout_s
+        self._handler = CheckedPacketHandler()
+        self._policy = BETWEEN_COMMANDS
+        self._suspect = False
+        self._suspect_since_s = 0.0
+        self._outstanding = 0
+        self._misses: dict[int, int] = {}
+        self._counts = dict.fromkeys(BusStatistics.__slots__, 0)
+        self._lock = threading.RLock()
+        self._closed = False
+
+    @property
+    def statistics(self) -> BusStatistics:
+        """Counts since the bus was opened."""
+        return BusStatistics(**self._counts)
+
+    def misses(self, servo_id: int) -> int:
+        """Return how many answers of a servo were lost in a row."""
+        return self._misses.get(servo_id, 0)
+
+    @contextmanager
+    def in_loop(self) -> Iterator[None]:
+        """Within the block the policy is `IN_LOOP`."""
+        before, self._policy = self._policy, IN_LOOP
+        try:
+            yield
+        finally:
+            self._policy = before
+
+    def ask(self, request: Request) -> StatusPacket:
+        """Send a request and return the checked answer; ask again when it is lost.
+
+        Raises
+        ------
+        BusTimeout, BusCorrupt
+            When no repetition was answered, or the line never fell quiet.
+        ServoRejected
+            When the servo refuses.
+        """
+        check_id(request.servo_id)
+        policy = self._policy
+        with self.exclusive(policy.before_one):
+            try:
+                if self._suspect and policy.before_one is Precaution.PING:
+                    self._ping(request.servo_id)
+                status = _accepted(self._exchange(request))
+            except NoAnswerError as failure:
+                status = self._retry(request, failure)
+        return checked(status, request.action)
+
+    def ask_all(
+        self, ids: Sequence[int], params: bytes, size: int, action: str
+    ) -> dict[int, StatusPacket]:
+        """Ask several servos for the same block with one sync read; return the answers by ID.
+
+        A servo that does not answer is asked alone. In the loop the servos are asked in the order
+        of their lost answers, so that a silent one does not hide one that answers.
+
+        Raises
+        ------
+        BusTimeout, BusCorrupt, ServoRejected
+            As `ask` does, for the first servo without a right answer.
+        """
+        for servo_id in ids:
+            check_id(servo_id)
+        policy, precaution = self._policy, self._policy.before_several
+        if not policy.patient:
+            ids = sorted(ids, key=self.misses)
+        if min(map(self.misses, ids)) >= _ALL_SILENT_MISSES:
+            # Requests must not pile up in front of a machine that is slow to answer.
+            precaution = Precaution.QUIET
+        with self.exclusive(precaution):
+            deadline_s = None if policy.patient else self._clock.monotonic() + self._period_s
+            found, failure = self._sync_read(ids, params, size)
+            for servo_id in ids:
+                if servo_id not in found:
+                    request = Request(servo_id, Instruction.READ, size, action, params)
+                    found[servo_id] = self._retry(request, failure, deadline_s)
+        return {servo_id: checked(found[servo_id], action) for servo_id in ids}
+
+    def ask_once(self, request: Request, *, patient: bool = False) -> tuple[StatusPacket, float]:
+        """Send a request that is never repeated; return the answer and the time in s it took."""
+        check_id(request.servo_id)
+        with self.exclusive():
+            sent_s = self._clock.monotonic()
+            try:
+                status = self._exchange(request, patient=patient)
+            except NoAnswerError as failure:
+                self._mark_suspect()
+                raise given_up(failure, request) from None
+            return status, self._clock.monotonic() - sent_s
+
+    def scan(self, ids: Sequence[int]) -> dict[int, StatusPacket]:
+        """Ping each ID once, without repetition, and return the answers by ID."""
+        found = {}
+        with self.exclusive():
+            for servo_id in ids:
+                with suppress(NoAnswerError):
+                    found[servo_id] = self._exchange(ping_request(servo_id))
+            self._mark_suspect()
+        return found
+
+    def broadcast(self, instruction: Instruction, params: bytes) -> None:
+        """Send an instruction to all servos, that none answers: a late answer does no harm."""
+        with self.exclusive(Precaution.NONE):
+            self._send(BROADCAST_ID, instruction, params)
+
+    def expect_late_answer(self) -> None:
+        """Make the line suspect: an answer came out of turn, so that another one is on its way."""
+        self._mark_suspect()
+        self._outstanding += 1
+
+    def close(self) -> None:
+        """Close the line; every later transaction raises PortLost."""
+        with self._lock:
+            self._closed = True
+            self._port.closePort()
+
+    @contextmanager
+    def exclusive(self, precaution: Precaution = Precaution.QUIET) -> Iterator[None]:
+        """Hold the line for one transaction, after the precaution that a suspect line needs.
+
+        Raises
+        ------
+        BusBusy
+            When another thread holds the line for more than ``lock_timeout_s``.
+        PortLost
+            After `close`.
+        BusCorrupt
+            When the line never falls quiet.
+        """
+        if not self._lock.acquire(timeout=self._lock_timeout_s):
+            raise BusBusy(
+                f"another thread holds the servo bus for more than {self._lock_timeout_s} s"
+            )
+        try:
+            if self._closed:
+                raise PortLost("the servo bus is closed: open it again")
+            self._counts["transactions"] += 1
+            if self._suspect and precaution is Precaution.QUIET:
+                self._wait_until_quiet()
+            elif (
+                self._suspect
+                and self._clock.monotonic() - self._suspect_since_s > self._late_guard_s
+            ):
+                self._mark_clean()
+            yield
+        finally:
+            self._port.is_using = False
+            self._lock.release()
+
+    def _mark_suspect(self) -> None:
+        self._suspect = True
+        self._suspect_since_s = self._clock.monotonic()
+
+    def _mark_clean(self) -> None:
+        self._suspect = False
+        self._outstanding = 0
+
+    def _retry(
+        self, request: Request, failure: NoAnswerError, deadline_s: float | None = None
+    ) -> StatusPacket:
+        """Ask again, each time behind a ping, as the policy allows; raise when nothing comes."""
+        for _ in range(self._policy.repetitions):
+            with suppress(NoAnswerError):
+                self._ping(request.servo_id, deadline_s)
+                self._counts["retries"] += 1
+                return _accepted(self._exchange(request, patient=self._policy.patient))
+        self._mark_suspect()
+        raise given_up(failure, request) from None
+
+    def _ping(self, servo_id: int, deadline_s: float | None = None) -> None:
+        """Ping a servo, so that none of its earlier answers is outstanding any more.
+
+        The answer to a patient ping may have overtaken an earlier one: then the line is watched
+        until it is quiet.
+        """
+        if deadline_s is not None and self._clock.monotonic() >= deadline_s:
+            raise NoAnswerError(damaged=False)
+        self._exchange(ping_request(servo_id), patient=self._policy.patient)
+        if self._policy.patient and self._outstanding > 0:
+            self._wait_until_quiet()
+        self._outstanding = 0
+
+    def _sync_read(
+        self, ids: Sequence[int], params: bytes, size: int
+    ) -> tuple[dict[int, StatusPacket], NoAnswerError]:
+        """Send a sync read and collect the answers up to the first missing one.
+
+        The servos answer one after the other: behind a missing answer there is none.
+        """
+        self._send(BROADCAST_ID, Instruction.SYNC_READ, params + bytes(ids))
+        found: dict[int, StatusPacket] = {}
+        try:
+            for servo_id in ids:
+                found[servo_id] = _accepted(self._receive(servo_id, size))
+        except NoAnswerError as failure:
+            return found, failure
+        return found, NoAnswerError(damaged=False)
+
+    def _exchange(self, request: Request, *, patient: bool = False) -> StatusPacket:
+        self._send(request.servo_id, request.instruction, request.params)
+        return self._receive(request.servo_id, request.size, patient=patient)
+
+    def _send(self, servo_id: int, instruction: Instruction, params: bytes) -> None:
+        """Drop what has arrived and send one request."""
+        self._port.is_using = False
+        self._handler.send(self._port, servo_id, instruction, params)
+
+    def _receive(self, servo_id: int, size: int, *, patient: bool = False) -> StatusPacket:
+        """Return the next right answer; drop what is damaged, late or of another servo."""
+        if patient:
+            self._port.setPacketTimeoutMillis(1000.0 * self._late_guard_s)
+        else:
+            self._port.setPacketTimeout(STATUS_OVERHEAD + size)
+        damaged = False
+        while True:
+            status = self._handler.receive(self._port)
+            if status is None:
+                self._outstanding += 1
+                self._misses[servo_id] = self.misses(servo_id) + 1
+                damaged |= self._handler.dropped_bytes > 0
+                self._counts["corrupt" if damaged else "timeouts"] += 1
+                raise NoAnswerError(damaged)
+            if status.servo_id != servo_id:
+                self._counts["late"] += 1
+            elif status.error == 0 and len(status.data) != size:
+                # A servo that refuses answers without data; any other length answers an earlier
+                # request.
+                damaged = True
+                self._outstanding = max(0, self._outstanding - 1)
+                self._counts["late"] += 1
+            else:
+                self._counts["corrupt"] += self._handler.dropped_bytes > 0
+                self._misses[servo_id] = 0
+                (self.alerts.add if status.alert else self.alerts.discard)(servo_id)
+                return status
+
+    def _wait_until_quiet(self) -> None:
+        """Drop late answers until all came or the line was quiet for ``late_guard_s``.
+
+        Raises
+        ------
+        BusCorrupt
+            When bytes still come after ten times ``late_guard_s``.
+        """
+        quiet_since_s = self._clock.monotonic()
+        deadline_s = quiet_since_s + _LONGEST_QUIET_WAIT * self._late_guard_s
+        heard, heard_bytes = b"", 0
+        while self._outstanding > 0:
+            now_s = self._clock.monotonic()
+            left_s = quiet_since_s + self._late_guard_s - now_s
+            if left_s <= 0.0:
+                break
+            if now_s >= deadline_s:
+                self._mark_suspect()
+                raise BusCorrupt(
+                    f"the servo line did not fall quiet within "
+                    f"{_LONGEST_QUIET_WAIT * self._late_guard_s:.2g} s: {heard_bytes} bytes came "
+                    f"that answer no request, the first are {heard.hex(' ')}. Another program or "
+                    f"device sends on the line, or it picks up noise: disconnect other hosts, "
+                    f"check cable, ground, termination and baud rate"
+                )
+            self._port.setPacketTimeoutMillis(1000.0 * left_s)
+            status = self._handler.receive(self._port)
+            dropped = self._handler.dropped_bytes
+            if status is not None or dropped:
+                quiet_since_s = self._clock.monotonic()
+                heard = (heard + self._handler.dropped_head)[:_HEARD_BYTES]
+                heard_bytes += dropped
+            if status is not None:
+                self._outstanding -= 1
+                self._counts["late"] += 1
+        self._mark_clean()
+
+
+def ping_request(servo_id: int) -> Request:
+    """Return the request of a ping."""
+    return Request(servo_id, Instruction.PING, PING_SIZE, f"ping of servo {servo_id}")
+
+
+def check_id(servo_id: int) -> None:
+    """Raise LimitExceeded where no servo can have an ID."""
+    if not 0 <= servo_id <= HIGHEST_ID:
+        raise LimitExceeded(f"servo ID {servo_id} is not from 0 to {HIGHEST_ID}")
+
+
+def checked(status: StatusPacket, action: str) -> StatusPacket:
+    """Return an answer; raise ServoRejected where the servo has refused the action."""
+    if status.error:
+        raise ServoRejected(status.servo_id, status.error, action)
+    return status
+
+
+def _accepted(status: StatusPacket) -> StatusPacket:
+    """Return an answer; raise NoAnswerError where the servo received the request damaged."""
+    if status.error == _CRC_REFUSED:
+        raise NoAnswerError(damaged=True)
+    return status
+
+
+def given_up(failure: NoAnswerError, request: Request) -> BusTimeout | BusCorrupt:
+    """Return the error of a servo that is not asked again."""
+    if failure.damaged:
+        return BusCorrupt(
+            f"{request.action}: the answers of servo {request.servo_id} arrive damaged, twice in a "
+            f"row: check cable, termination and that no two servos share the ID"
+        )
+    return BusTimeout(
+        f"{request.action}: no answer of servo {request.servo_id}, twice in a row: check its "
+        f"supply, cable, ID and baud rate"
+    )

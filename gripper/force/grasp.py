@@ -1,0 +1,362 @@
+"""One grasp: approach, contact, ramp, settling; then holding and backing off."""
+
+from collections.abc import Callable
+
+from gripper.errors import LimitExceeded, PartLost
+from gripper.force.grip_control import FrictionEstimate, GripControl, StiffnessEstimate
+from gripper.force.loop import Action, LoopRunner, Moment, Observer
+from gripper.force.motion import Approach, ApproachEvent, ContactRest
+from gripper.force.ramp import ForceRamp, RampEnd
+from gripper.force.slip import LevelSlip
+from gripper.kinematics import Linkage, transmissions
+from gripper.servos.goals import ServoGoal
+from gripper.servos.group import ServoGroup
+from gripper.settings import GripperSettings
+from gripper.state import GraspOutcome, GraspResult, GripperPhase, GripperState
+
+_CONTACT_SHARE = 0.97
+"""Where in the friction band the drive is at the contact: at its rising edge, with a reserve."""
+_REST_S = 0.08
+"""Time in s that the fingers rest at the contact, so that the ramp begins at the force there."""
+_EQUAL_S = 1e-9
+"""Difference of times in s that counts as none: sums of periods are rounded."""
+
+
+class GraspRun:
+    """Runner of the phases of a grasp; keeps the control of the part that is held.
+
+    Parameters
+    ----------
+    runner, servos, linkage, settings
+        Of the gripper.
+    """
+
+    def __init__(
+        self,
+        runner: LoopRunner,
+        servos: ServoGroup,
+        linkage: Linkage,
+        settings: GripperSettings,
+    ) -> None:
+        self._runner = runner
+        self._servos = servos
+        self._linkage = linkage
+        self._settings = settings
+        self._end = RampEnd()
+        self._ramp_step: RampStep | None = None
+
+    @property
+    def control(self) -> GripControl | None:
+        """Control of the grip force; None while nothing is held."""
+        return None if self._ramp_step is None else self._ramp_step.control
+
+    def forget(self) -> None:
+        """Discard the control of a part: nothing is held any more."""
+        self._ramp_step = None
+
+    def end_ramp(self) -> None:
+        """End the running ramp at its present set-point; see `Gripper.end_ramp`."""
+        self._end.request()
+
+    def run(
+        self,
+        ramp: ForceRamp,
+        observer: Observer | None,
+        set_phase: Callable[[GripperPhase], None],
+    ) -> GraspOutcome:
+        """Approach, then follow the ramp to its end, or until it is ended on request."""
+        self.forget()
+        stiffness = StiffnessEstimate(self._settings)
+        friction = FrictionEstimate(self._settings, self._linkage)
+        with self._end.counting():
+            event, contact = self._approach(stiffness, friction, observer)
+            if event is not ApproachEvent.CONTACT:
+                return _without_contact(event, contact)
+            set_phase(GripperPhase.RAMPING)
+            step = RampStep(
+                self._settings,
+                self._linkage,
+                ramp,
+                contact,
+                stiffness=stiffness,
+                friction_share=friction.friction_share(),
+                end=self._end,
+            )
+            self._ramp_step = step
+            final = self._runner.run(GripperPhase.RAMPING, step.step, observer, needs_force=True)
+        if step.lost:
+            self.forget()
+        return step.outcome(final)
+
+    def hold(
+        self, control: GripControl, duration_s: float, observer: Observer | None
+    ) -> GripperState:
+        """Control the force at its last set-point for a time in s."""
+        step = HoldStep(self._settings, control, duration_s)
+        return self._runner.run(GripperPhase.HOLDING, step.step, observer, needs_force=True)
+
+    def back_off_ramp(self, control: GripControl, force_n: float, rate_n_s: float) -> ForceRamp:
+        """Return the way down from the present set-point; LimitExceeded where there is none."""
+        if not self._settings.contact_force_n <= force_n <= control.setpoint_n:
+            raise LimitExceeded(
+                f"backing off to {force_n} N is not from contact_force_n = "
+                f"{self._settings.contact_force_n} N to the present {control.setpoint_n} N; "
+                f"letting go is done by release"
+            )
+        return ForceRamp.linear(force_n, rate_n_s, start_n=control.setpoint_n)
+
+    def follow_down(
+        self, control: GripControl, ramp: ForceRamp, observer: Observer | None
+    ) -> GripperState:
+        """Follow a falling ramp to its end and until the force has settled."""
+        step = BackOffStep(self._settings, control, ramp)
+        return self._runner.run(GripperPhase.BACKING_OFF, step.step, observer, needs_force=True)
+
+    def _approach(
+        self,
+        stiffness: StiffnessEstimate,
+        friction: FrictionEstimate,
+        observer: Observer | None,
+    ) -> tuple[ApproachEvent, GripperState]:
+        """Close until the contact, or the end of the way, and feed the estimates."""
+        approach = Approach(self._settings, self._linkage, self._servos.read_patiently())
+
+        def step(moment: Moment) -> Action:
+            stiffness.push(moment)
+            friction.push(moment, running=approach.runs_freely(moment.state))
+            return approach.step(moment)
+
+        state = self._runner.run(GripperPhase.APPROACHING, step, observer, needs_force=True)
+        return approach.event, state
+
+
+class RampStep:
+    """Step of control along a ramp: rest at the contact, ramp, settling.
+
+    Parameters
+    ----------
+    settings, linkage
+        Of the gripper.
+    ramp
+        Set-point of the grip force; it begins at the force that is measured at the contact.
+    contact
+        Feedback at the contact.
+    stiffness, friction_share
+        Stiffness of the part, and friction as a share of the model's, from the approach.
+    end
+        Request to end the ramp early.
+
+    Attributes
+    ----------
+    control
+        Control of the grip force; None during the rest at the contact.
+    lost
+        True when the part was lost; then the fingers hold their positions.
+    """
+
+    def __init__(
+        self,
+        settings: GripperSettings,
+        linkage: Linkage,
+        ramp: ForceRamp,
+        contact: GripperState,
+        *,
+        stiffness: StiffnessEstimate,
+        friction_share: float,
+        end: RampEnd,
+    ) -> None:
+        self.control: GripControl | None = None
+        self.lost = False
+        self._settings = settings
+        self._linkage = linkage
+        self._ramp = ramp
+        self._contact = contact
+        self._stiffness = stiffness
+        self._friction_share = friction_share
+        self._end = end
+        self._rest = ContactRest(contact.t_s + _REST_S)
+        self._slip = LevelSlip(settings)
+        self._elapsed_s = 0.0
+        self._peak_n = 0.0
+        self._ended = False
+
+    def step(self, moment: Moment) -> Action:
+        """Return the action of one period; PartSlipped when a held part slips."""
+        self._stiffness.push(moment)
+        if self._rest.goes_on(moment):
+            return Action()
+        control = self._advance(moment)
+        setpoint_n = self._ramp.setpoint_n(self._elapsed_s)
+        level = self._ramp.level_at(self._elapsed_s)
+        goals = control.goals(moment, setpoint_n, arrival_n=self._ramp.arrival_n(self._elapsed_s))
+        self._peak_n = max(self._peak_n, control.force_n)
+        self.lost = control.part_lost(moment)
+        if self.lost:
+            goals = tuple(
+                ServoGoal(angle_rad=angle_rad, current_a=goal.current_a)
+                for angle_rad, goal in zip(moment.state.angles_rad, goals, strict=True)
+            )
+        else:
+            self._slip.check(moment, level, setpoint_n=setpoint_n)
+        done = self.lost or _settled(self._settings, self._ramp, self._elapsed_s, control)
+        return Action(goals=goals, setpoint_n=setpoint_n, level=level, done=done)
+
+    def outcome(self, final: GripperState) -> GraspOutcome:
+        """Return the outcome of the grasp.
+
+        Parameters
+        ----------
+        final
+            Feedback of the last period.
+        """
+        final_n = 0.0 if self.control is None else self.control.force_n
+        wanted_n = self._ramp.final_n
+        if self.lost:
+            result = GraspResult.PART_LOST
+        elif abs(final_n - wanted_n) <= self._settings.settle_tolerance_at_n(wanted_n):
+            result = GraspResult.FORCE_REACHED
+        else:
+            result = GraspResult.FORCE_NOT_REACHED
+        return GraspOutcome(
+            result=result,
+            contact_t_s=self._contact.t_s,
+            contact_aperture_m=self._contact.aperture_m,
+            final_aperture_m=final.aperture_m,
+            final_force_n=final_n,
+            overshoot_n=max(0.0, self._peak_n - wanted_n),
+            ended_early=self._ended,
+        )
+
+    def _advance(self, moment: Moment) -> GripControl:
+        """Advance the time on the ramp: begin it, end it early, or go on."""
+        if self.control is None:
+            self.control = self._new_control(moment, self._rest.force_n)
+            self._ramp = self._ramp.starting_from(self._rest.force_n)
+        elif not self._ended and self._ends_early():
+            self._ramp, self._elapsed_s = self._ramp.ended_at(self._elapsed_s), 0.0
+            self._ended = True
+        else:
+            self._elapsed_s += moment.dt_s
+        return self.control
+
+    def _new_control(self, moment: Moment, force_n: float) -> GripControl:
+        """Return the control of a part; the fingers close: the drive is at the rising edge."""
+        paths = transmissions(self._settings, self._linkage, moment.state.angles_rad)
+        friction_n = self._friction_share * sum(path.friction_n for path in paths) / len(paths)
+        return GripControl(
+            self._settings,
+            self._linkage,
+            self._contact,
+            force_n=force_n,
+            drive_n=force_n + _CONTACT_SHARE * friction_n,
+            now_s=moment.now_s,
+            stiffness=self._stiffness,
+            friction_share=self._friction_share,
+        )
+
+    def _ends_early(self) -> bool:
+        """Return whether the ramp is to end now: wanted, not over, and enough to hold a part."""
+        return (
+            self._end.requested
+            and self._ramp.duration_s - self._elapsed_s > _EQUAL_S
+            and self._ramp.setpoint_n(self._elapsed_s) >= self._settings.contact_force_n
+        )
+
+
+class HoldStep:
+    """Step of control that holds the last set-point for a time.
+
+    Parameters
+    ----------
+    settings
+        Of the gripper.
+    control
+        Control of the held part.
+    duration_s
+        Time in s.
+    """
+
+    def __init__(self, settings: GripperSettings, control: GripControl, duration_s: float) -> None:
+        self._settings = settings
+        self._control = control
+        self._duration_s = duration_s
+        self._setpoint_n = control.setpoint_n
+        self._slip = LevelSlip(settings)
+        self._elapsed_s = 0.0
+        control.resume()
+
+    def step(self, moment: Moment) -> Action:
+        """Return the action of one period; PartLost, PartSlipped when the part goes."""
+        self._elapsed_s += moment.dt_s
+        _check_part(self._control, moment)
+        self._slip.check(moment, 0, setpoint_n=self._setpoint_n)
+        taper = self._elapsed_s > self._settings.taper_after_s
+        goals = self._control.goals(moment, self._setpoint_n, taper=taper)
+        done = self._elapsed_s >= self._duration_s - _EQUAL_S
+        return Action(goals=goals, setpoint_n=self._setpoint_n, done=done)
+
+
+class BackOffStep:
+    """Step of control that follows a falling ramp until the force has settled.
+
+    Parameters
+    ----------
+    settings
+        Of the gripper.
+    control
+        Control of the held part.
+    ramp
+        The way down, from the present set-point.
+    """
+
+    def __init__(self, settings: GripperSettings, control: GripControl, ramp: ForceRamp) -> None:
+        self._settings = settings
+        self._control = control
+        self._ramp = ramp
+        self._elapsed_s = 0.0
+        control.resume()
+
+    def step(self, moment: Moment) -> Action:
+        """Return the action of one period; PartLost when the part goes."""
+        self._elapsed_s += moment.dt_s
+        _check_part(self._control, moment)
+        setpoint_n = self._ramp.setpoint_n(self._elapsed_s)
+        goals = self._control.goals(
+            moment, setpoint_n, arrival_n=self._ramp.arrival_n(self._elapsed_s)
+        )
+        done = _settled(self._settings, self._ramp, self._elapsed_s, self._control)
+        return Action(goals=goals, setpoint_n=setpoint_n, done=done)
+
+
+def _settled(
+    settings: GripperSettings, ramp: ForceRamp, elapsed_s: float, control: GripControl
+) -> bool:
+    """Return whether a ramp is over and its force reached, or the time for that is up."""
+    left_s = ramp.duration_s - elapsed_s
+    if left_s > _EQUAL_S:
+        return False
+    error_n = abs(control.force_n - ramp.final_n)
+    return (
+        error_n <= settings.settle_tolerance_at_n(ramp.final_n)
+        or -left_s >= settings.settle_timeout_s
+    )
+
+
+def _check_part(control: GripControl, moment: Moment) -> None:
+    if control.part_lost(moment):
+        raise PartLost(
+            f"both pads are empty at an opening of {moment.state.aperture_m * 1e3:.1f} mm: "
+            f"the part has slipped out or was taken; the fingers stand still"
+        )
+
+
+def _without_contact(event: ApproachEvent, state: GripperState) -> GraspOutcome:
+    limit = event is ApproachEvent.LIMIT
+    return GraspOutcome(
+        result=GraspResult.NO_CONTACT if limit else GraspResult.OBSTRUCTED,
+        contact_t_s=None,
+        contact_aperture_m=None,
+        final_aperture_m=state.aperture_m,
+        final_force_n=0.0,
+        overshoot_n=0.0,
+    )

@@ -1,0 +1,387 @@
+"""Control of the grip force of one grasp: goals of the servos, stiffness, friction, lost parts."""
+
+from collections import deque
+from collections.abc import Sequence
+from statistics import median
+
+from gripper.errors import ForceImbalance
+from gripper.force.controller import ForceController, History, SetpointFilter
+from gripper.force.loop import Moment
+from gripper.kinematics import Linkage, Transmission, transmissions
+from gripper.servos.goals import ServoGoal, closing_margin_rad
+from gripper.settings import GripperSettings
+from gripper.state import ForceSample, GripperState
+
+# Figures without another source are tuned in the simulated cell.
+_MEAN_SAMPLES = 3
+"""Samples whose mean is the grip force: 60 ms at 50 Hz."""
+_RECENT_SAMPLES = 5
+"""Samples among which a force is looked for that was there before a pad became empty."""
+_LOST_SHARE = 0.25
+"""Share of ``contact_force_n`` below which both pads are empty."""
+_LOST_TIME_S = 0.1
+"""Time in s after which empty pads show that the part is lost: 5 samples at 50 Hz."""
+_SUDDEN_RATIO = 6.0
+"""Force over that of an empty pad from which on one empty sample shows that the part is lost."""
+_RUNAWAY_RESERVE = 2.0
+"""Closing speed that a ramp on the part may need, in multiples of that by its stiffness."""
+_GIVE_RAD = 0.03
+"""How far in rad a goal may open beyond the contact: pads and part are deeper there by no more."""
+_TORQUE_DOUBT = 0.02
+"""Share of the cap of the force that the drive leaves free: torque of the servos, their inertia."""
+
+_TOUCH_SHARE = 0.3
+"""Share of ``contact_force_n`` below which a sample shows no touch."""
+_SLOPE_N = 0.7
+"""Growth of the force in N over which one stiffness is taken: several times the noise."""
+_SHORTEST_M = 1e-4
+"""Least travel in m that a stiffness is taken over: the resolution of the opening."""
+_STIFFEST_N_M = 1e5
+"""Largest stiffness in N/m: a steel part between foam pads is far below it."""
+
+_AFTER_START_S = 0.12
+"""Time in s from the start of free motion until its current is that of friction alone."""
+_BEFORE_CONTACT_S = 0.08
+"""Time in s before the end of free motion that is left out: the pads report a contact late."""
+_WINDOW_S = 0.4
+"""Time in s of free motion that the friction is taken over."""
+_LEAST_PERIODS = 20
+"""Least periods of free motion that the friction is taken over: 0.1 s at 200 Hz."""
+_LOW_SHARE, _HIGH_SHARE = 0.5, 1.6
+"""Range of the friction found, as a share of the model's: beyond it something else brakes."""
+
+
+class GripControl:
+    """Step of control from the set-point of the grip force to the goals of the servos.
+
+    Parameters
+    ----------
+    settings, linkage
+        Of the gripper.
+    state
+        Feedback at the contact; the fingers are not driven open beyond it by more than a pad's
+        thickness.
+    force_n
+        Grip force at the contact in N.
+    drive_n
+        Driving force at the contact in N.
+    now_s
+        Monotonic time in s.
+    stiffness
+        Stiffness of the part.
+    friction_share
+        Friction of the gearing as a share of the model's.
+
+    Attributes
+    ----------
+    setpoint_n
+        Last set-point of the grip force in N.
+    """
+
+    def __init__(
+        self,
+        settings: GripperSettings,
+        linkage: Linkage,
+        state: GripperState,
+        *,
+        force_n: float,
+        drive_n: float,
+        now_s: float,
+        stiffness: "StiffnessEstimate",
+        friction_share: float,
+    ) -> None:
+        tuning = settings.force_loop
+        self.setpoint_n = force_n
+        self._settings = settings
+        self._linkage = linkage
+        self._friction_share = friction_share
+        self._stiffness = stiffness
+        self._contact_rad = state.angles_rad
+        self._filter = SetpointFilter(force_n, tuning.end_time_s)
+        self._controller = ForceController(tuning, force_n=force_n, drive_n=drive_n, now_s=now_s)
+        self._drive_n = drive_n
+        self._samples: deque[ForceSample] = deque(maxlen=_MEAN_SAMPLES)
+        self._recent_n: deque[float] = deque(maxlen=_RECENT_SAMPLES)
+        self._empty_n = _LOST_SHARE * settings.contact_force_n
+        self._empty_s = 0.0
+        self._uneven_s = 0.0
+        self._paused = False
+        self._runaway_m: float | None = None
+
+    @property
+    def force_n(self) -> float:
+        """Mean of the last samples of the grip force in N."""
+        if not self._samples:
+            return self._controller.model_n
+        return sum(sample.grip_n for sample in self._samples) / len(self._samples)
+
+    def resume(self) -> None:
+        """Begin again after a pause: samples from before it are discarded."""
+        self._samples.clear()
+        self._paused = True
+
+    def goals(
+        self,
+        moment: Moment,
+        setpoint_n: float,
+        *,
+        arrival_n: float | None = None,
+        taper: bool = False,
+    ) -> tuple[ServoGoal, ...]:
+        """Return the goals of one period.
+
+        Parameters
+        ----------
+        moment
+            Feedback and a valid force sample.
+        setpoint_n
+            Grip force that is asked for in N.
+        arrival_n
+            Where the present change of force ends in N; None where it is not changing.
+        taper
+            True during a long hold.
+
+        Raises
+        ------
+        ForceImbalance
+            When the fingers press with different forces for too long.
+        LimitExceeded
+            When sensor and model disagree, see `ForceController.step`.
+        """
+        self.setpoint_n = setpoint_n
+        sample, state = moment.sample, moment.state
+        paths = transmissions(self._settings, self._linkage, state.angles_rad)
+        if self._paused:
+            self._paused = False
+            self._empty_s = self._uneven_s = 0.0
+        if sample is None or not sample.valid:
+            # A sample that is young enough was there before: nothing new to go by.
+            return self._servo_goals(state, paths)
+        self._add_sample(moment.dt_s, sample)
+        self._check_balance(moment.dt_s)
+        filtered_n = self._filter.step(
+            moment.dt_s, setpoint_n, setpoint_n if arrival_n is None else arrival_n
+        )
+        speed_m_s = 0.5 * abs(state.aperture_velocity_m_s)
+        self._drive_n = self._controller.step(
+            moment.now_s,
+            moment.dt_s,
+            filtered_n,
+            sample,
+            friction_n=self._friction_share * sum(path.friction_n for path in paths) / len(paths),
+            braking_n=self._braking_n(state),
+            motion_n=self._settings.force_loop.motion_doubt_n_s_m * speed_m_s,
+            drive_max_n=self._drive_max_n(state, paths),
+            taper=taper,
+        )
+        return self._servo_goals(state, paths)
+
+    def part_lost(self, moment: Moment) -> bool:
+        """Return whether the part is gone.
+
+        Both pads have been empty for some time, or are at once where much force was; or the
+        fingers have closed fully, or run together as nothing holds them apart. Time without
+        samples, as in a stall, shows nothing.
+        """
+        closed = moment.state.aperture_m < self._settings.aperture_min_m
+        empty = self._empty_s > _LOST_TIME_S
+        return closed or empty or self._suddenly_empty(moment) or self._runs_away(moment.state)
+
+    def _suddenly_empty(self, moment: Moment) -> bool:
+        """Return whether the newest sample is next to nothing where much force was asked for."""
+        sample = moment.sample
+        if sample is None or not sample.valid or self._paused:
+            return False
+        recent_n = max(self._recent_n, default=0.0)
+        much = min(self._filter.force_n, recent_n) > _SUDDEN_RATIO * self._empty_n
+        return much and max(sample.force_n) < self._empty_n
+
+    def _runs_away(self, state: GripperState) -> bool:
+        """Return whether the fingers close faster, and farther, than any part lets them."""
+        stiffness_n_m = self._stiffness.stiffness_n_m
+        rate_n_s = self._filter.rate_n_s
+        if stiffness_n_m is None and rate_n_s != 0.0:
+            return False
+        wanted_m_s = 0.0 if stiffness_n_m is None else max(0.0, rate_n_s / stiffness_n_m)
+        closing_m_s = -state.aperture_velocity_m_s
+        if closing_m_s <= self._settings.runaway_speed_m_s + _RUNAWAY_RESERVE * wanted_m_s:
+            self._runaway_m = None
+            return False
+        if self._runaway_m is None:
+            self._runaway_m = state.aperture_m
+        return self._runaway_m - state.aperture_m >= self._settings.runaway_travel_m
+
+    def _braking_n(self, state: GripperState) -> float:
+        """Return what the drive is lowered by, in N, because the fingers run ahead."""
+        stiffness_n_m = self._stiffness.stiffness_n_m
+        wanted_m_s = 0.0 if stiffness_n_m is None else self._filter.rate_n_s / stiffness_n_m
+        ahead_m_s = -state.aperture_velocity_m_s - wanted_m_s
+        return self._settings.force_loop.damping_n_s_m * 0.5 * ahead_m_s
+
+    def _drive_max_n(self, state: GripperState, paths: Sequence[Transmission]) -> float:
+        """Return the largest driving force in N that the caps of current and force allow.
+
+        Where something pushes the fingers open, the cap of the force limits the drive too.
+        """
+        cap_a = self._settings.current_cap_a(state.temperature_c)
+        cap_n = self._settings.force_max_n * (1.0 - _TORQUE_DOUBT)
+        friction_share = min(1.0, self._friction_share)
+        return min(
+            min(cap_a * path.kt_nm_a / path.radius_m, cap_n + friction_share * path.friction_n)
+            for path in paths
+        )
+
+    def _add_sample(self, dt_s: float, sample: ForceSample) -> None:
+        if not self._samples or sample.t_s > self._samples[-1].t_s:
+            self._recent_n.append(sample.grip_n)
+            self._samples.append(sample)
+        empty = max(self._finger_means_n()) < self._empty_n
+        self._empty_s = self._empty_s + dt_s if empty else 0.0
+
+    def _check_balance(self, dt_s: float) -> None:
+        """Raise ForceImbalance when the fingers' forces have differed for too long."""
+        settings = self._settings
+        first_n, second_n = self._finger_means_n()
+        allowed_n = max(settings.imbalance_n, settings.imbalance_share * 0.5 * (first_n + second_n))
+        if abs(first_n - second_n) <= allowed_n:
+            self._uneven_s = 0.0
+            return
+        self._uneven_s += dt_s
+        if self._uneven_s > settings.imbalance_s:
+            raise ForceImbalance(
+                f"the fingers press with {first_n:.2f} and {second_n:.2f} N, a difference of "
+                f"{allowed_n:.2f} N is allowed for {settings.imbalance_s} s: both are frozen; "
+                f"check whether a finger is blocked or a pad is blind"
+            )
+
+    def _finger_means_n(self) -> tuple[float, float]:
+        n = len(self._samples)
+        return (
+            sum(sample.force_n[0] for sample in self._samples) / n,
+            sum(sample.force_n[1] for sample in self._samples) / n,
+        )
+
+    def _servo_goals(
+        self, state: GripperState, paths: Sequence[Transmission]
+    ) -> tuple[ServoGoal, ...]:
+        """Return the goals that make the driving force."""
+        drive_n = self._drive_n
+        goals = []
+        for servo, path, settings, contact_rad in zip(
+            state.servos, paths, self._settings.servos, self._contact_rad, strict=True
+        ):
+            current_a = min(
+                abs(drive_n) * path.radius_m / path.kt_nm_a, self._settings.current_max_a
+            )
+            margin_rad = closing_margin_rad(settings.servo_model, current_a)
+            # In mode 5 the goal current is a magnitude: the side of the goal position is its sign.
+            if drive_n >= 0.0:
+                angle_rad = servo.angle_rad - margin_rad
+            else:
+                angle_rad = min(servo.angle_rad + margin_rad, contact_rad + _GIVE_RAD)
+            goals.append(ServoGoal(angle_rad=angle_rad, current_a=current_a))
+        return tuple(goals)
+
+
+class StiffnessEstimate:
+    """Stiffness of the gripped part: growth of the grip force over travel, from the touch on.
+
+    It need not be exact: it distinguishes foam from steel.
+
+    Parameters
+    ----------
+    settings
+        Of the gripper.
+    """
+
+    def __init__(self, settings: GripperSettings) -> None:
+        self._touch_n = _TOUCH_SHARE * settings.contact_force_n
+        self._delay_s = settings.force_loop.sensor_delay_s
+        self._apertures = History()
+        self._pairs: deque[tuple[float, float]] = deque(maxlen=_MEAN_SAMPLES)
+        self._anchor: tuple[float, float] | None = None
+        self._sample_s: float | None = None
+        self._stiffness_n_m: float | None = None
+
+    @property
+    def stiffness_n_m(self) -> float | None:
+        """Grip force gained for each m that the opening shrinks; None before it was measured."""
+        return self._stiffness_n_m
+
+    def push(self, moment: Moment) -> None:
+        """Add the opening of now and the newest sample, which may be the same as before."""
+        self._apertures.add(moment.now_s, moment.state.aperture_m)
+        sample = moment.sample
+        if sample is None or not sample.valid or sample.t_s == self._sample_s:
+            return
+        self._sample_s = sample.t_s
+        pair = (sample.grip_n, self._apertures.at(sample.t_s - self._delay_s))
+        if sample.grip_n < self._touch_n:
+            self._anchor = pair
+            self._pairs.clear()
+            return
+        self._pairs.append(pair)
+        if self._anchor is None or len(self._pairs) < _MEAN_SAMPLES:
+            return
+        mean_n = sum(pair[0] for pair in self._pairs) / _MEAN_SAMPLES
+        mean_m = sum(pair[1] for pair in self._pairs) / _MEAN_SAMPLES
+        if mean_n - self._anchor[0] >= _SLOPE_N:
+            travel_m = max(self._anchor[1] - mean_m, _SHORTEST_M)
+            self._stiffness_n_m = min((mean_n - self._anchor[0]) / travel_m, _STIFFEST_N_M)
+            self._anchor = (mean_n, mean_m)
+
+
+class FrictionEstimate:
+    """Friction of the gearing, from the current that closes the empty fingers on an approach.
+
+    Torque constant and friction of a servo differ from the figures of its model; their ratio is
+    what decides where in the friction band a drive is, and that is this current.
+
+    Parameters
+    ----------
+    settings, linkage
+        Of the gripper.
+    """
+
+    def __init__(self, settings: GripperSettings, linkage: Linkage) -> None:
+        self._settings = settings
+        self._linkage = linkage
+        self._since_s: float | None = None
+        self._shares: deque[tuple[float, float]] = deque()
+
+    def push(self, moment: Moment, *, running: bool) -> None:
+        """Add one period.
+
+        Parameters
+        ----------
+        moment
+            Feedback of the period.
+        running
+            True while all fingers close steadily and nothing touches.
+        """
+        now_s, state = moment.now_s, moment.state
+        if not running:
+            self._since_s = None
+            return
+        if self._since_s is None:
+            self._since_s = now_s
+        if now_s - self._since_s < _AFTER_START_S:
+            return
+        paths = transmissions(self._settings, self._linkage, state.angles_rad)
+        share = sum(
+            -servo.current_a * path.kt_nm_a / path.friction_nm
+            for servo, path in zip(state.servos, paths, strict=True)
+        ) / len(paths)
+        self._shares.append((now_s, share))
+        while self._shares[0][0] < now_s - _WINDOW_S - _BEFORE_CONTACT_S:
+            self._shares.popleft()
+
+    def friction_share(self) -> float:
+        """Return the friction as a share of the model's; 1 where too little was measured."""
+        if not self._shares:
+            return 1.0
+        last_s = self._shares[-1][0] - _BEFORE_CONTACT_S
+        shares = [share for then_s, share in self._shares if then_s <= last_s]
+        if len(shares) < _LEAST_PERIODS:
+            return 1.0
+        return min(max(median(shares), _LOW_SHARE), _HIGH_SHARE)

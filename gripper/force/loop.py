@@ -1,0 +1,357 @@
+"""The force loop: each period feedback and force in, one step of control, goals out."""
+
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+
+from gripper.errors import (
+    BusCorrupt,
+    BusTimeout,
+    FingerSilent,
+    ForceSensorStale,
+    GraspStopped,
+    GripperError,
+    LimitExceeded,
+)
+from gripper.force.timing import LoopStatistics, LoopTimer
+from gripper.servos.goals import ServoGoal
+from gripper.servos.group import ServoGroup
+from gripper.servos.health import ServoHealth
+from gripper.settings import GripperSettings
+from gripper.state import Clock, Cycle, ForceSample, ForceSensor, GripperPhase, GripperState
+
+_FREEZE_AT = 2
+"""Period without feedback, counted in a row, in which the stop goals are written."""
+_ONE_SIDED_PERIODS = 3
+"""Periods in a row in which one servo is silent and the other is not, that make it a fault."""
+_LEAST_LOST_PERIODS = 3
+"""Periods in a row without feedback before the bus can count as lost: a pause alone is no loss."""
+_HEALTH_EVERY = 4
+"""Every fourth period one health check: each takes a transaction of the period."""
+_LONGEST_STEP = 2.0
+"""Longest step of control in periods: after a late period nothing catches up."""
+
+Observer = Callable[[Cycle], None]
+"""Function called once a period, after the goals were written; what it raises ends the command."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Action:
+    """Result of one step of control.
+
+    Attributes
+    ----------
+    goals
+        Goal of each servo; None writes nothing.
+    setpoint_n
+        Force that is asked for in N.
+    level
+        Level of the ramp that is held.
+    done
+        True when the command ends after this period.
+    """
+
+    goals: Sequence[ServoGoal] | None = None
+    setpoint_n: float = 0.0
+    level: int | None = None
+    done: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Moment:
+    """Input of one step of control.
+
+    Attributes
+    ----------
+    now_s, dt_s
+        Monotonic time of the feedback and time since the last step in s; a late step counts as
+        two periods at most, so that nothing catches up.
+    state, sample
+        Feedback and newest force sample, checked for age where force matters.
+    """
+
+    now_s: float
+    dt_s: float
+    state: GripperState
+    sample: ForceSample | None
+
+
+class LoopRunner:
+    """Runner of the steps of one command at the loop's rate, in the caller's thread.
+
+    Parameters
+    ----------
+    servos, health, sensor, settings, clock
+        Of the gripper.
+    """
+
+    def __init__(
+        self,
+        servos: ServoGroup,
+        health: ServoHealth,
+        sensor: ForceSensor,
+        settings: GripperSettings,
+        clock: Clock,
+    ) -> None:
+        self._servos = servos
+        self._health = health
+        self._sensor = sensor
+        self._settings = settings
+        self._clock = clock
+        self._timer = LoopTimer(settings.period_s)
+        self._stop = threading.Event()
+        self._due_s = clock.monotonic()
+        self._bus_loss = BusLossMonitor(servos, settings)
+        self._cycles = 0
+
+    @property
+    def statistics(self) -> LoopStatistics:
+        """Timing since the runner was made."""
+        return self._timer.statistics()
+
+    def request_stop(self) -> None:
+        """Let the running command end with GraspStopped; safe from any thread."""
+        self._stop.set()
+
+    def forget_stop(self) -> None:
+        """Discard earlier requests to stop: a new command begins."""
+        self._stop.clear()
+
+    def read(self) -> GripperState | None:
+        """Read the feedback; None while a lost answer may still be passed over.
+
+        Raises
+        ------
+        BusTimeout, BusCorrupt
+            When there was no feedback for ``bus_loss_s``, or none of one servo for three periods.
+        """
+        asked_s = self._clock.monotonic()
+        try:
+            state = self._servos.read()
+        except (BusTimeout, BusCorrupt) as error:
+            self._timer.missed_reads += 1
+            self._bus_loss.missed(error, asked_s, self._clock.monotonic())
+            return None
+        self._timer.transaction(state.t_s - asked_s)
+        self._bus_loss.answered()
+        return state
+
+    def run(
+        self,
+        phase: GripperPhase,
+        step: Callable[[Moment], Action],
+        observer: Observer | None,
+        *,
+        needs_force: bool,
+    ) -> GripperState:
+        """Run steps until one is done and return the last feedback.
+
+        Parameters
+        ----------
+        phase
+            Phase of the gripper that the observer receives.
+        step
+            One step of control.
+        observer
+            Called once each period.
+        needs_force
+            True to insist on a fresh, valid force sample.
+
+        Raises
+        ------
+        GraspStopped
+            After `request_stop`.
+        ForceSensorStale
+            When the force is needed and its newest valid sample is too old.
+        LimitExceeded
+            When a limit stands against the goals, the force is above its cap, or the loop stalled.
+        """
+        period_s = self._settings.period_s
+        deadline_s = self._clock.monotonic()
+        if deadline_s < self._due_s:
+            self._clock.sleep(self._due_s - deadline_s)
+            deadline_s = self._due_s
+        self._bus_loss.answered()
+        last_s = deadline_s - period_s
+        fresh_s = deadline_s
+        while True:
+            if self._stop.is_set():
+                raise GraspStopped("stopped on request")
+            with self._servos.in_loop():
+                state = self.read()
+                if state is None:
+                    self._bus_loss.stop_fingers(phase)
+            sample = self._sensor.latest_force()
+            if state is not None:
+                if sample is not None and sample.valid:
+                    fresh_s = max(fresh_s, sample.t_s)
+                    self._servos.note_force(sample)
+                if needs_force:
+                    self._check_force(state.t_s, fresh_s, sample)
+                moment = Moment(
+                    now_s=state.t_s,
+                    dt_s=min(max(state.t_s - last_s, 0.0), _LONGEST_STEP * period_s),
+                    state=state,
+                    sample=sample,
+                )
+                last_s = state.t_s
+                if self._control(phase, step, moment, observer):
+                    self._due_s = deadline_s + period_s
+                    return state
+            deadline_s = self._wait(deadline_s + period_s, answered=state is not None)
+
+    def _control(
+        self,
+        phase: GripperPhase,
+        step: Callable[[Moment], Action],
+        moment: Moment,
+        observer: Observer | None,
+    ) -> bool:
+        """Take one step of control, write its goals, and return whether it was the last."""
+        action = step(moment)
+        if action.goals is not None:
+            self._servos.write_goals(action.goals, moment.state)
+        if self._settings.derates(moment.state.temperature_c):
+            self._timer.derated += 1
+        self._check_health(moment.state)
+        if observer is not None:
+            observer(self._cycle(phase, moment, action))
+        return action.done
+
+    def _check_force(self, now_s: float, fresh_s: float, sample: ForceSample | None) -> None:
+        if sample is not None:
+            self._timer.sensor_age(self._clock.monotonic() - sample.t_s)
+        age_s = now_s - fresh_s
+        if age_s > self._settings.force_stale_s:
+            why = f" ({sample.reason})" if sample is not None and sample.reason else ""
+            raise ForceSensorStale(
+                f"no valid force sample for {age_s:.3f} s{why}, force_stale_s is "
+                f"{self._settings.force_stale_s} s: the goals are frozen; check the tactile "
+                f"sensor, then clear the fault"
+            )
+        self._servos.check_force()
+
+    def _check_health(self, state: GripperState) -> None:
+        self._cycles += 1
+        if self._cycles % _HEALTH_EVERY == 0 or any(servo.alert for servo in state.servos):
+            try:
+                with self._servos.in_loop():
+                    self._health.poll(state)
+            except (BusTimeout, BusCorrupt):
+                # Feedback shows soon enough whether the bus is lost.
+                self._timer.missed_reads += 1
+
+    def _cycle(self, phase: GripperPhase, moment: Moment, action: Action) -> Cycle:
+        return Cycle(
+            t_s=moment.now_s,
+            phase=phase,
+            state=moment.state,
+            force=moment.sample,
+            setpoint_n=action.setpoint_n,
+            goal_current_a=self._servos.goal_current_a,
+            level=action.level,
+        )
+
+    def _wait(self, deadline_s: float, *, answered: bool) -> float:
+        """Wait for the next period and return its start; a late one moves all that follow."""
+        timer, settings = self._timer, self._settings
+        now_s = self._clock.monotonic()
+        late_s = max(0.0, now_s - deadline_s)
+        timer.work_done(late_s, counts=answered)
+        if late_s > settings.stall_max_s:
+            timer.began(late_s)
+            raise self._stalled(late_s)
+        if timer.overruns_in_row >= settings.overruns_max:
+            timer.began(late_s)
+            raise LimitExceeded(
+                f"the work of {timer.overruns_in_row} periods in a row took longer than "
+                f"{1e3 * settings.period_s:.1f} ms, overruns_max is {settings.overruns_max}: the "
+                f"loop does not keep its rate; lower loop_rate_hz, or free the processor"
+            )
+        if late_s > 0.0:
+            timer.began(late_s)
+            return now_s
+        self._clock.sleep(deadline_s - now_s)
+        late_s = max(0.0, self._clock.monotonic() - deadline_s)
+        timer.began(late_s)
+        if late_s > settings.stall_max_s:
+            raise self._stalled(late_s)
+        return deadline_s
+
+    def _stalled(self, late_s: float) -> LimitExceeded:
+        return LimitExceeded(
+            f"the loop was {late_s:.3f} s late, stall_max_s is {self._settings.stall_max_s} s: the "
+            f"goals are frozen, the grip is kept; find out what stopped its process, or take slow "
+            f"work out of its observer and its process, then clear the fault"
+        )
+
+
+class BusLossMonitor:
+    """Counter of the periods in a row without feedback.
+
+    A first lost answer is passed over, in the second period the stop goals are written, later the
+    bus counts as lost.
+
+    Parameters
+    ----------
+    servos, settings
+        Of the gripper.
+    """
+
+    def __init__(self, servos: ServoGroup, settings: GripperSettings) -> None:
+        self._servos = servos
+        self._settings = settings
+        self._since_s = 0.0
+        self._in_row = 0
+        self._one_sided = 0
+
+    def answered(self) -> None:
+        """Start to count anew: all servos answered, or were not asked for a while."""
+        self._in_row = self._one_sided = 0
+
+    def missed(self, error: BusTimeout | BusCorrupt, asked_s: float, now_s: float) -> None:
+        """Count a period in which an answer was lost, and its repetition too.
+
+        Parameters
+        ----------
+        error
+            The error of the bus.
+        asked_s, now_s
+            Monotonic time before the request and now in s.
+
+        Raises
+        ------
+        FingerSilent
+            In the third period in a row in which one servo is silent and the other one is not.
+        BusTimeout, BusCorrupt
+            When nothing was heard for ``bus_loss_s``.
+        """
+        if self._in_row == 0:
+            self._since_s = asked_s
+        self._in_row += 1
+        lost_s = now_s - self._since_s
+        silent, living = self._servos.silent_and_living()
+        self._one_sided = self._one_sided + 1 if silent and living else 0
+        if self._one_sided >= _ONE_SIDED_PERIODS:
+            raise FingerSilent(
+                f"servo {silent[0]} is silent while servo {living[0]} answers: the living finger "
+                f"stands still, the part may still be gripped or have been dropped. Servo "
+                f"{silent[0]} may have lost its supply or be restarting: check both, and its cable "
+                f"({error})"
+            ) from error
+        if self._in_row >= _LEAST_LOST_PERIODS and lost_s > self._settings.bus_loss_s:
+            raise type(error)(
+                f"the servo bus was lost for {lost_s:.3f} s (bus_loss_s is "
+                f"{self._settings.bus_loss_s} s): a part may still be gripped; nothing more is "
+                f"written, the servos' own watchdog acts. {error}"
+            ) from error
+
+    def stop_fingers(self, phase: GripperPhase) -> None:
+        """Write the stop goals once, in the second period in a row: no finger pushes alone."""
+        if self._in_row == _FREEZE_AT:
+            with suppress(GripperError):
+                if phase.moving:
+                    self._servos.hold_position()
+                else:
+                    self._servos.freeze()

@@ -1,0 +1,338 @@
+"""Motions of the fingers without a part: to an opening, and closing until the pads are touched."""
+
+from collections import deque
+from collections.abc import Sequence
+from enum import Enum
+
+from gripper.dynamixel.control_table import RAD_PER_PULSE, RAD_S_PER_VELOCITY_UNIT
+from gripper.errors import ServoFault
+from gripper.force.loop import Action, Moment
+from gripper.kinematics import Linkage, motion_current_a, transmissions
+from gripper.servos.goals import OPENING_MARGIN_RAD, ServoGoal
+from gripper.settings import GripperSettings
+from gripper.state import ForceSample, GripperState
+
+# Figures without another source are tuned in the simulated cell, with friction up to 20 % off.
+_REACHED_RAD = 2.0 * RAD_PER_PULSE
+"""Distance in rad at which a finger has reached its goal: two counts of the encoder."""
+_OVERRUN_RAD = 0.6 * OPENING_MARGIN_RAD
+"""How far in rad beyond the opening the goal runs, so that friction does not stop short of it."""
+_MOVE_PATIENCE_S = 2.0
+"""Time in s beyond that of the motion after which a finger counts as stuck."""
+_SHORTEST_TRAVEL_M = 1e-3
+"""Way in m that a motion is planned for at least."""
+_OPENING_FORCE_N = 3.0
+"""Force in N beside friction that the current of an opening allows: pads may stick to a part."""
+_AGAINST_REST = 1.4
+"""Current of a motion over that which moves the fingers freely: friction at rest is larger."""
+
+_STALL_SPEED_M_S = 0.002
+"""Rate of the opening in m/s below which the fingers stand still."""
+_STALL_CURRENT_SHARE = 0.8
+"""Share of the goal current from which on a servo that stands still pushes against something."""
+_STALL_TIME_S = 0.5
+"""Time in s for which both must last before the fingers are stalled."""
+_LEAD_M = 0.006
+"""How far in m the goal runs ahead of the fingers: how far they go on if nobody writes again."""
+_RUNNING_SHARE = 0.8
+"""Share of the nominal speed from which on a finger runs, and the inverse of the fastest one."""
+_SLOWED_SHARE = 0.6
+"""Share of the nominal speed below which a running finger has been slowed down by something."""
+_SLOWEST_RAD_S = 4.0 * RAD_S_PER_VELOCITY_UNIT
+"""Nominal speed in rad/s below which a slowed finger does not stand out of the grain of 0.024."""
+_PAUSE_S = 0.15
+"""Time in s for which a slowed finger waits for the pads: their delay and three samples."""
+_LARGEST_BOOST = 1.6
+"""Largest factor on the current of fingers that stand still untouched."""
+_BOOST_PER_S = 2.0
+"""Growth of that factor in 1/s; it falls twice as fast."""
+_REST_SAMPLES = 4
+"""Samples whose mean is the force at the contact: 80 ms at 50 Hz."""
+
+
+class MoveTo:
+    """Step of control that moves all servos evenly to an opening.
+
+    Parameters
+    ----------
+    settings, linkage
+        Of the gripper.
+    state
+        Feedback at the start.
+    aperture_m
+        Opening to reach in m.
+    """
+
+    def __init__(
+        self,
+        settings: GripperSettings,
+        linkage: Linkage,
+        state: GripperState,
+        *,
+        aperture_m: float,
+    ) -> None:
+        self._start_rad = state.angles_rad
+        self._target_rad = linkage.angles_rad(aperture_m)
+        travel_m = max(abs(aperture_m - state.aperture_m), _SHORTEST_TRAVEL_M)
+        opening = aperture_m >= state.aperture_m
+        speed_m_s = settings.open_speed_m_s if opening else settings.approach_speed_m_s
+        force_n = _OPENING_FORCE_N if opening else settings.approach_force_n
+        paths = transmissions(settings, linkage, state.angles_rad)
+        self._current_a = min(
+            _AGAINST_REST * motion_current_a(settings, paths, force_n), settings.current_max_a
+        )
+        self._share_per_s = speed_m_s / travel_m
+        self._share = 0.0
+        self._aperture_m = aperture_m
+        self._deadline_s = state.t_s + travel_m / speed_m_s + _MOVE_PATIENCE_S
+
+    def step(self, moment: Moment) -> Action:
+        """Return the goals of one period; ServoFault when a finger does not arrive in time."""
+        self._share = min(1.0, self._share + self._share_per_s * moment.dt_s)
+        goals = []
+        arrived = True
+        for servo, start_rad, target_rad in zip(
+            moment.state.servos, self._start_rad, self._target_rad, strict=True
+        ):
+            sign = 1.0 if target_rad >= start_rad else -1.0
+            there = sign * (target_rad - servo.angle_rad) <= _REACHED_RAD
+            arrived = arrived and there
+            end_rad = target_rad + sign * _OVERRUN_RAD
+            angle_rad = (
+                servo.angle_rad if there else start_rad + self._share * (end_rad - start_rad)
+            )
+            goals.append(ServoGoal(angle_rad=angle_rad, current_a=self._current_a))
+        if not arrived and moment.now_s > self._deadline_s:
+            raise self._stuck(moment.state)
+        return Action(goals=goals, done=arrived)
+
+    def _stuck(self, state: GripperState) -> ServoFault:
+        slowest = max(
+            zip(state.servos, self._target_rad, strict=True),
+            key=lambda pair: abs(pair[1] - pair[0].angle_rad),
+        )[0]
+        return ServoFault(
+            slowest.servo_id,
+            0,
+            f"its finger is stuck: the gripper stands at {state.aperture_m * 1e3:.1f} mm on its "
+            f"way to {self._aperture_m * 1e3:.1f} mm",
+        )
+
+
+class ApproachEvent(Enum):
+    """Result of a step of an approach: closing on, or how the approach has ended."""
+
+    CLOSING = "closing"
+    CONTACT = "contact"
+    LIMIT = "limit"
+    OBSTRUCTED = "obstructed"
+
+
+class Approach:
+    """Step of control that closes both fingers evenly; a finger that touches waits for the other.
+
+    The pads decide. Where the fingers stand still at the current limit, one pad is enough (the
+    other may be touched beside its taxels); without any pad the way is obstructed. The current
+    grows by up to 60 % while the fingers stand still untouched: friction at rest differs from
+    servo to servo.
+
+    Parameters
+    ----------
+    settings, linkage
+        Of the gripper.
+    state
+        Feedback at the start.
+
+    Attributes
+    ----------
+    event
+        Result of the last step.
+    """
+
+    def __init__(self, settings: GripperSettings, linkage: Linkage, state: GripperState) -> None:
+        self.event = ApproachEvent.CLOSING
+        self._settings = settings
+        self._linkage = linkage
+        paths = transmissions(settings, linkage, state.angles_rad)
+        self._current_max_a = min(
+            settings.current_max_a,
+            *(path.loading_current_a(settings.force_max_n) for path in paths),
+        )
+        self._closing_a = min(
+            motion_current_a(settings, paths, settings.approach_force_n), self._current_max_a
+        )
+        self._boost = 1.0
+        self._detector = ContactDetector(settings.contact_force_n, settings.contact_samples)
+        self._aperture_m = state.aperture_m
+        self._was_touched = False
+        self._waiting_rad: list[float | None] = [None] * len(state.servos)
+        self._was_running = [False] * len(state.servos)
+        self._pauses: list[tuple[float, float] | None] = [None] * len(state.servos)
+        self._deadline_s = state.t_s + settings.contact_timeout_s
+        self._moving_s = state.t_s
+
+    @property
+    def current_a(self) -> float:
+        """Goal current of the servos now in A."""
+        return min(self._closing_a * self._boost, self._current_max_a)
+
+    def runs_freely(self, state: GripperState) -> bool:
+        """Return whether all fingers close steadily and no pad has been touched so far."""
+        nominal_rad_s = self._nominal_rad_s(state)
+        return not self._was_touched and all(
+            _RUNNING_SHARE <= -servo.velocity_rad_s / nominal_rad_s <= 1.0 / _RUNNING_SHARE
+            for servo in state.servos
+        )
+
+    def step(self, moment: Moment) -> Action:
+        """Return the goals of one period; an end leaves the fingers where they are or touch."""
+        state, sample = moment.state, moment.sample
+        if sample is not None and sample.valid:
+            self._detector.push(sample)
+            self._was_touched |= max(sample.force_n) >= self._settings.contact_force_n
+        touched = self._detector.touched
+        # The goal runs ahead of the fingers by a little only: that is how far they would go on
+        # if nobody wrote a new one.
+        self._aperture_m = max(
+            self._aperture_m - self._settings.approach_speed_m_s * moment.dt_s,
+            state.aperture_m - _LEAD_M,
+        )
+        paused_rad = self._paused_rad(moment.now_s, state)
+        angles_rad = self._angles_rad(state, touched, paused_rad)
+        still = abs(state.aperture_velocity_m_s) <= _STALL_SPEED_M_S
+        if still and not any(touched) and all(rad is None for rad in paused_rad):
+            self._boost = min(_LARGEST_BOOST, self._boost + _BOOST_PER_S * moment.dt_s)
+        else:
+            self._boost = max(1.0, self._boost - 2.0 * _BOOST_PER_S * moment.dt_s)
+        self.event = self._found(moment.now_s, state, touched)
+        if self.event in (ApproachEvent.LIMIT, ApproachEvent.OBSTRUCTED):
+            angles_rad = state.angles_rad
+        goals = [ServoGoal(angle_rad=angle, current_a=self.current_a) for angle in angles_rad]
+        return Action(goals=goals, done=self.event is not ApproachEvent.CLOSING)
+
+    def _nominal_rad_s(self, state: GripperState) -> float:
+        reach_m = sum(self._linkage.opening_per_rad_m(servo.angle_rad) for servo in state.servos)
+        return self._settings.approach_speed_m_s / reach_m
+
+    def _angles_rad(
+        self,
+        state: GripperState,
+        touched: tuple[bool, bool],
+        paused_rad: Sequence[float | None],
+    ) -> Sequence[float]:
+        """Return the goal angles: where a finger touched, where it pauses, or farther closed."""
+        angles_rad = list(self._linkage.angles_rad(self._aperture_m))
+        for finger, servo in enumerate(state.servos):
+            if len(angles_rad) == 1 or not touched[finger]:
+                self._waiting_rad[finger] = None
+            elif self._waiting_rad[finger] is None:
+                self._waiting_rad[finger] = servo.angle_rad
+            still_rad = self._waiting_rad[finger]
+            if still_rad is None:
+                still_rad = paused_rad[finger]
+            if still_rad is not None:
+                angles_rad[finger] = still_rad
+        return angles_rad
+
+    def _paused_rad(self, now_s: float, state: GripperState) -> list[float | None]:
+        """Return where a finger waits that has just been slowed down, None while it closes.
+
+        A part slows a finger down tens of milliseconds before the pads report it. Where they
+        report none, the finger goes on, from rest.
+        """
+        nominal_rad_s = self._nominal_rad_s(state)
+        for finger, servo in enumerate(state.servos):
+            closing_rad_s = -servo.velocity_rad_s
+            pause = self._pauses[finger]
+            if pause is not None and now_s >= pause[1]:
+                self._pauses[finger] = None
+                self._aperture_m = state.aperture_m
+            elif pause is None and closing_rad_s >= _RUNNING_SHARE * nominal_rad_s:
+                self._was_running[finger] = True
+            elif (
+                pause is None
+                and self._was_running[finger]
+                and nominal_rad_s >= _SLOWEST_RAD_S
+                and closing_rad_s < _SLOWED_SHARE * nominal_rad_s
+            ):
+                self._was_running[finger] = False
+                self._pauses[finger] = (servo.angle_rad, now_s + _PAUSE_S)
+        return [None if pause is None else pause[0] for pause in self._pauses]
+
+    def _found(
+        self, now_s: float, state: GripperState, touched: tuple[bool, bool]
+    ) -> ApproachEvent:
+        if state.aperture_m <= self._settings.aperture_min_m:
+            return ApproachEvent.LIMIT
+        if all(touched):
+            return ApproachEvent.CONTACT
+        loaded = max(abs(s.current_a) for s in state.servos) >= (
+            _STALL_CURRENT_SHARE * self.current_a
+        )
+        if not loaded or abs(state.aperture_velocity_m_s) > _STALL_SPEED_M_S:
+            self._moving_s = now_s
+        if now_s - self._moving_s >= _STALL_TIME_S:
+            return ApproachEvent.CONTACT if any(touched) else ApproachEvent.OBSTRUCTED
+        if now_s >= self._deadline_s:
+            return ApproachEvent.LIMIT
+        return ApproachEvent.CLOSING
+
+
+class ContactDetector:
+    """Detector of a contact: enough new samples in a row above a threshold, for each finger.
+
+    Parameters
+    ----------
+    threshold_n
+        Force on a pad in N that counts.
+    samples
+        New samples in a row that confirm.
+    """
+
+    def __init__(self, threshold_n: float, samples: int) -> None:
+        self._threshold_n = threshold_n
+        self._samples = samples
+        self._counts = [0, 0]
+        self._last_s: float | None = None
+
+    @property
+    def touched(self) -> tuple[bool, bool]:
+        """Contact of finger 0 and finger 1."""
+        return self._counts[0] >= self._samples, self._counts[1] >= self._samples
+
+    def push(self, sample: ForceSample) -> None:
+        """Add a sample, which may be the same as before."""
+        if self._last_s is None or sample.t_s > self._last_s:
+            self._last_s = sample.t_s
+            for finger, force_n in enumerate(sample.force_n):
+                above = force_n >= self._threshold_n
+                self._counts[finger] = self._counts[finger] + 1 if above else 0
+
+
+class ContactRest:
+    """Rest of the fingers on the part, and the force that the pads measure in it.
+
+    Parameters
+    ----------
+    until_s
+        Monotonic time in s at which the rest ends.
+    """
+
+    def __init__(self, until_s: float) -> None:
+        self._until_s = until_s
+        self._samples: deque[ForceSample] = deque(maxlen=_REST_SAMPLES)
+
+    @property
+    def force_n(self) -> float:
+        """Mean grip force in N of the last samples, at least 0; 0 without any."""
+        if not self._samples:
+            return 0.0
+        return max(0.0, sum(sample.grip_n for sample in self._samples) / len(self._samples))
+
+    def goes_on(self, moment: Moment) -> bool:
+        """Add the newest sample and return whether the fingers still rest."""
+        sample = moment.sample
+        new = not self._samples or (sample is not None and sample.t_s > self._samples[-1].t_s)
+        if sample is not None and sample.valid and new:
+            self._samples.append(sample)
+        return moment.now_s < self._until_s

@@ -1,0 +1,312 @@
+"""Force ramp: the set-point of the grip force over time as a value, its limits and its end."""
+
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from math import cos, inf, isfinite, pi
+
+from gripper.errors import LimitExceeded
+from gripper.kinematics import Linkage, transmissions
+from gripper.settings import GripperSettings
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RampSegment:
+    """One piece of a ramp.
+
+    Attributes
+    ----------
+    duration_s
+        Length of the piece in s.
+    start_n, end_n
+        Force at its ends in N.
+    smooth
+        False for a straight line, True for half a cosine (no jump of the rate at the ends).
+    level
+        Index of the level that a hold belongs to; None while the force changes.
+    """
+
+    duration_s: float
+    start_n: float
+    end_n: float
+    smooth: bool = False
+    level: int | None = None
+
+    @property
+    def rate_n_s(self) -> float:
+        """Largest magnitude of the rate within the piece in N/s."""
+        change_n = abs(self.end_n - self.start_n)
+        if change_n == 0.0:
+            return 0.0
+        return change_n / self.duration_s * (pi / 2.0 if self.smooth else 1.0)
+
+    def force_n(self, elapsed_s: float) -> float:
+        """Return the force in N at a time within the piece."""
+        if self.duration_s <= 0.0 or elapsed_s >= self.duration_s:
+            return self.end_n
+        share = max(0.0, elapsed_s) / self.duration_s
+        if self.smooth:
+            share = 0.5 - 0.5 * cos(pi * share)
+        return self.start_n + share * (self.end_n - self.start_n)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ForceRamp:
+    """Set-point of the grip force, continuous and monotone from its start to its end.
+
+    Made by `linear`, `staircase` or `s_curve`.
+
+    Attributes
+    ----------
+    segments
+        The pieces, in order; each starts at the force where the one before ends.
+    """
+
+    segments: tuple[RampSegment, ...]
+
+    def __post_init__(self) -> None:
+        if not self.segments:
+            raise LimitExceeded("a ramp needs at least one segment")
+        force_n = self.segments[0].start_n
+        signs: set[bool] = set()
+        for segment in self.segments:
+            _checked("duration_s of a segment", segment.duration_s, 0.0)
+            _checked("start_n of a segment", segment.start_n, 0.0)
+            _checked("end_n of a segment", segment.end_n, 0.0)
+            if segment.start_n != force_n:
+                raise LimitExceeded(
+                    f"a segment starts at {segment.start_n} N, the one before ends at {force_n} N"
+                )
+            if segment.end_n != segment.start_n:
+                _positive("duration_s of a change of force", segment.duration_s)
+                signs.add(segment.end_n > segment.start_n)
+            force_n = segment.end_n
+        if len(signs) > 1:
+            raise LimitExceeded("a ramp goes up or down, not both")
+
+    @classmethod
+    def linear(
+        cls, force_n: float, rate_n_s: float, hold_s: float = 0.0, start_n: float = 0.0
+    ) -> "ForceRamp":
+        """Return a straight line from start_n to force_n at rate_n_s (a magnitude), then a hold."""
+        _checked("force_n", force_n, 0.0)
+        _checked("start_n", start_n, 0.0)
+        rise_s = abs(force_n - start_n) / _positive("rate_n_s", rate_n_s)
+        return cls(
+            segments=(
+                RampSegment(duration_s=rise_s, start_n=start_n, end_n=force_n),
+                _hold(force_n, _checked("hold_s", hold_s, 0.0), 0),
+            )
+        )
+
+    @classmethod
+    def staircase(
+        cls, levels_n: Sequence[float], rate_n_s: float, hold_s: float, start_n: float = 0.0
+    ) -> "ForceRamp":
+        """Return straight lines between levels at rate_n_s, each level held for hold_s s."""
+        if not levels_n:
+            raise LimitExceeded("levels_n is empty, a staircase needs at least one level")
+        _positive("rate_n_s", rate_n_s)
+        _checked("hold_s", hold_s, 0.0)
+        segments: list[RampSegment] = []
+        force_n = _checked("start_n", start_n, 0.0)
+        for index, level_n in enumerate(levels_n):
+            rise_s = abs(_checked(f"levels_n[{index}]", level_n, 0.0) - force_n) / rate_n_s
+            segments.append(RampSegment(duration_s=rise_s, start_n=force_n, end_n=level_n))
+            segments.append(_hold(level_n, hold_s, index))
+            force_n = level_n
+        return cls(segments=tuple(segments))
+
+    @classmethod
+    def s_curve(
+        cls, force_n: float, duration_s: float, hold_s: float = 0.0, start_n: float = 0.0
+    ) -> "ForceRamp":
+        """Return half a cosine from start_n to force_n in duration_s s, then a hold."""
+        return cls(
+            segments=(
+                RampSegment(
+                    duration_s=_positive("duration_s", duration_s),
+                    start_n=_checked("start_n", start_n, 0.0),
+                    end_n=_checked("force_n", force_n, 0.0),
+                    smooth=True,
+                ),
+                _hold(force_n, _checked("hold_s", hold_s, 0.0), 0),
+            )
+        )
+
+    @property
+    def duration_s(self) -> float:
+        """Whole length in s, holds included."""
+        return sum(segment.duration_s for segment in self.segments)
+
+    @property
+    def start_n(self) -> float:
+        """Force at the beginning in N."""
+        return self.segments[0].start_n
+
+    @property
+    def final_n(self) -> float:
+        """Force at the end in N."""
+        return self.segments[-1].end_n
+
+    @property
+    def max_rate_n_s(self) -> float:
+        """Largest magnitude of the rate in N/s."""
+        return max(segment.rate_n_s for segment in self.segments)
+
+    def setpoint_n(self, elapsed_s: float) -> float:
+        """Return the force in N at a time since the start; the ends extend without bound."""
+        segment, within_s = self._at(elapsed_s)
+        return segment.force_n(within_s)
+
+    def arrival_n(self, elapsed_s: float) -> float:
+        """Return the force in N at which the present piece ends."""
+        return self._at(elapsed_s)[0].end_n
+
+    def level_at(self, elapsed_s: float) -> int | None:
+        """Return the index of the level held at that time, None while the force changes."""
+        return self._at(elapsed_s)[0].level
+
+    def ended_at(self, elapsed_s: float) -> "ForceRamp":
+        """Return a ramp that stays at the force of a time since the start: over, without a hold.
+
+        It stays at the level that is held then, or else at that which was next.
+        """
+        segment, within_s = self._at(elapsed_s)
+        following = self.segments[self.segments.index(segment) :]
+        level = next((s.level for s in following if s.level is not None), None)
+        return ForceRamp(segments=(_hold(segment.force_n(within_s), 0.0, level),))
+
+    def starting_from(self, force_n: float) -> "ForceRamp":
+        """Return this ramp begun at a measured force, so that the set-point never jumps.
+
+        What the ramp would do before it passes ``force_n`` is left out; where the ramp starts
+        beyond ``force_n``, a straight line at its largest rate is put in front. A force beyond
+        the final one is approached the other way round: then only the end of the ramp is left.
+
+        Parameters
+        ----------
+        force_n
+            Grip force now in N; a negative reading counts as 0.
+        """
+        force_n = max(0.0, _checked("force_n", force_n, -inf))
+        rising = self.final_n >= self.start_n
+        if (force_n < self.start_n) if rising else (force_n > self.start_n):
+            return ForceRamp(segments=(self._lead_in(force_n, self.start_n), *self.segments))
+        for index, segment in enumerate(self.segments):
+            low_n, high_n = sorted((segment.start_n, segment.end_n))
+            if low_n <= force_n <= high_n and force_n != segment.end_n:
+                return ForceRamp(
+                    segments=(_from_force(segment, force_n), *self.segments[index + 1 :])
+                )
+        final_hold = tuple(s for s in self.segments[-1:] if s.start_n == s.end_n)
+        return ForceRamp(segments=(self._lead_in(force_n, self.final_n), *final_hold))
+
+    def _lead_in(self, from_n: float, to_n: float) -> RampSegment:
+        duration_s = abs(to_n - from_n) / (self.max_rate_n_s or 1.0)
+        return RampSegment(duration_s=duration_s, start_n=from_n, end_n=to_n)
+
+    def _at(self, elapsed_s: float) -> tuple[RampSegment, float]:
+        for segment in self.segments[:-1]:
+            if elapsed_s < segment.duration_s:
+                return segment, elapsed_s
+            elapsed_s -= segment.duration_s
+        return self.segments[-1], elapsed_s
+
+
+def check_ramp(ramp: ForceRamp, settings: GripperSettings, linkage: Linkage) -> None:
+    """Check a ramp against the limits of settings and linkage, before anything moves.
+
+    Raises
+    ------
+    LimitExceeded
+        When a limit does not allow the ramp; the allowed number is named.
+    """
+    largest_n = max(ramp.start_n, ramp.final_n)
+    if largest_n > settings.grasp_force_limit_n:
+        cap = (
+            f", so that its overshoot stays below force_max_n = {settings.force_max_n} N"
+            if settings.grasp_force_max_n is None
+            else ""
+        )
+        raise LimitExceeded(
+            f"the ramp asks for {largest_n} N, the limit is "
+            f"{settings.grasp_force_limit_n:.2f} N{cap}"
+        )
+    if ramp.final_n < settings.contact_force_n:
+        raise LimitExceeded(
+            f"the ramp ends at {ramp.final_n} N, below contact_force_n = "
+            f"{settings.contact_force_n} N: it could not hold a part"
+        )
+    # A force may take most current at either end of the way.
+    needed_a = max(
+        path.loading_current_a(largest_n)
+        for aperture_m in (settings.aperture_min_m, settings.aperture_open_m)
+        for path in transmissions(settings, linkage, linkage.angles_rad(aperture_m))
+    )
+    if needed_a > settings.current_max_a:
+        raise LimitExceeded(
+            f"{largest_n} N take {needed_a:.3f} A, current_max_a is {settings.current_max_a} "
+            f"A: lower the force or raise the cap"
+        )
+
+
+class RampEnd:
+    """Request to end a ramp where it is, from any thread.
+
+    It counts during a grasp only: one that comes too late is not kept for the next.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._running = False
+        self._requested = False
+
+    @contextmanager
+    def counting(self) -> Iterator[None]:
+        """Take requests from the beginning of a grasp to its end."""
+        with self._lock:
+            self._running, self._requested = True, False
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._running = self._requested = False
+
+    def request(self) -> None:
+        """Ask for the end of the ramp of the grasp that runs; does nothing where none does."""
+        with self._lock:
+            self._requested = self._running
+
+    @property
+    def requested(self) -> bool:
+        """True when the ramp of the grasp that runs is to end."""
+        return self._requested
+
+
+def _hold(force_n: float, duration_s: float, level: int | None) -> RampSegment:
+    return RampSegment(duration_s=duration_s, start_n=force_n, end_n=force_n, level=level)
+
+
+def _from_force(segment: RampSegment, force_n: float) -> RampSegment:
+    """Cut a changing segment at a force that it passes; a smooth one keeps its mean rate."""
+    share = (segment.end_n - force_n) / (segment.end_n - segment.start_n)
+    return RampSegment(
+        duration_s=segment.duration_s * share,
+        start_n=force_n,
+        end_n=segment.end_n,
+        smooth=segment.smooth,
+    )
+
+
+def _checked(name: str, value: float, low: float, high: float = inf) -> float:
+    if not (isfinite(value) and low <= value <= high):
+        raise LimitExceeded(f"{name} is {value}, must be finite and from {low} to {high}")
+    return value
+
+
+def _positive(name: str, value: float) -> float:
+    if not (isfinite(value) and value > 0.0):
+        raise LimitExceeded(f"{name} is {value}, must be finite and above 0")
+    return value

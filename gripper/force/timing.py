@@ -1,0 +1,190 @@
+"""Timing statistics of the loop, in bounded memory whatever the length of a run."""
+
+from dataclasses import dataclass, field
+from math import log10
+
+_FIRST_S = 1e-6
+"""Upper edge of the first bin in s."""
+_PER_DECADE = 40
+"""Bins for each factor of ten: each is 6 % wide."""
+_DECADES = 7
+"""Factors of ten that the bins cover: 1 us to 10 s."""
+_N_BINS = _PER_DECADE * _DECADES + 2
+"""All bins, with one below and one above that range."""
+_LATE_SHARE = 0.5
+"""Share of the period by which a period that began later is counted as late."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Distribution:
+    """Quantiles of durations; they are upper edges of bins 6 % wide, the largest is exact.
+
+    Attributes
+    ----------
+    n
+        Durations counted.
+    p50_s, p99_s, p999_s
+        Durations in s that 50, 99 and 99.9 % do not exceed; 0 where there are none.
+    max_s
+        The longest in s.
+    """
+
+    n: int = 0
+    p50_s: float = 0.0
+    p99_s: float = 0.0
+    p999_s: float = 0.0
+    max_s: float = 0.0
+
+
+class Histogram:
+    """Histogram of durations in bins evenly spaced on a logarithmic scale from 1 us to 10 s."""
+
+    __slots__ = ("_counts", "_max_s", "_n")
+
+    def __init__(self) -> None:
+        self._counts = [0] * _N_BINS
+        self._n = 0
+        self._max_s = 0.0
+
+    def add(self, duration_s: float) -> None:
+        """Count one duration in s; what is below 1 us, or negative, counts as that."""
+        if duration_s <= _FIRST_S:
+            place = 0
+        else:
+            place = min(_N_BINS - 1, 1 + int(_PER_DECADE * log10(duration_s / _FIRST_S)))
+        self._counts[place] += 1
+        self._n += 1
+        self._max_s = max(self._max_s, duration_s)
+
+    def quantile_s(self, share: float) -> float:
+        """Return the duration in s that a share of all do not exceed; 0 where there are none."""
+        wanted = share * self._n
+        seen = 0
+        for place, count in enumerate(self._counts):
+            seen += count
+            if count and seen >= wanted:
+                return min(self._max_s, float(_FIRST_S * 10.0 ** (place / _PER_DECADE)))
+        return 0.0
+
+    def distribution(self) -> Distribution:
+        """Return what was counted."""
+        return Distribution(
+            n=self._n,
+            p50_s=self.quantile_s(0.5),
+            p99_s=self.quantile_s(0.99),
+            p999_s=self.quantile_s(0.999),
+            max_s=self._max_s,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LoopStatistics:
+    """Timing of the loop since the gripper was made.
+
+    Attributes
+    ----------
+    cycles
+        Periods that were run.
+    overruns
+        Periods whose work was not done when the next one was due.
+    late
+        Periods that began more than half a period late.
+    missed_reads
+        Periods without feedback; nothing was written in them.
+    derated
+        Periods in which a warm servo lowered the cap of the current.
+    worst_lateness_s
+        Largest lateness in s.
+    lateness
+        How late each period began.
+    transaction
+        How long reading the feedback of all servos took.
+    sensor_age
+        Age of the newest force sample when a step of control used it.
+    """
+
+    cycles: int = 0
+    overruns: int = 0
+    late: int = 0
+    missed_reads: int = 0
+    derated: int = 0
+    worst_lateness_s: float = 0.0
+    lateness: Distribution = field(default_factory=Distribution)
+    transaction: Distribution = field(default_factory=Distribution)
+    sensor_age: Distribution = field(default_factory=Distribution)
+
+
+class LoopTimer:
+    """Collector of the timing of a loop.
+
+    Parameters
+    ----------
+    period_s
+        Period of the loop in s.
+
+    Attributes
+    ----------
+    missed_reads, derated
+        As in `LoopStatistics`.
+    overruns_in_row
+        Overruns since the last period whose work was done in time.
+    """
+
+    def __init__(self, period_s: float) -> None:
+        self._period_s = period_s
+        self._lateness = Histogram()
+        self._transaction = Histogram()
+        self._sensor_age = Histogram()
+        self._cycles = 0
+        self._overruns = 0
+        self._late = 0
+        self._worst_s = 0.0
+        self.missed_reads = 0
+        self.derated = 0
+        self.overruns_in_row = 0
+
+    def transaction(self, duration_s: float) -> None:
+        """Count how long it took to read the feedback, in s."""
+        self._transaction.add(duration_s)
+
+    def sensor_age(self, age_s: float) -> None:
+        """Count how old the force sample was that a step used, in s."""
+        self._sensor_age.add(age_s)
+
+    def work_done(self, late_s: float, *, counts: bool) -> None:
+        """Count a period whose work ended ``late_s`` s after the next was due; 0 is in time.
+
+        Parameters
+        ----------
+        late_s
+            Time beyond the period in s.
+        counts
+            False where waiting for an answer that never came took the time: what is wrong then
+            is the bus, and its own limit stands against it.
+        """
+        if late_s <= 0.0:
+            self.overruns_in_row = 0
+            return
+        self._overruns += 1
+        self.overruns_in_row += counts
+
+    def began(self, late_s: float) -> None:
+        """Count a period that began so late, in s."""
+        self._cycles += 1
+        self._lateness.add(late_s)
+        self._late += late_s > _LATE_SHARE * self._period_s
+        self._worst_s = max(self._worst_s, late_s)
+
+    def statistics(self) -> LoopStatistics:
+        """Return what was counted."""
+        return LoopStatistics(
+            cycles=self._cycles,
+            overruns=self._overruns,
+            late=self._late,
+            missed_reads=self.missed_reads,
+            derated=self.derated,
+            worst_lateness_s=self._worst_s,
+            lateness=self._lateness.distribution(),
+            transaction=self._transaction.distribution(),
+            sensor_age=self._sensor_age.distribution(),
+        )

@@ -1,0 +1,315 @@
+"""Feedback of the servos of one gripper in SI units, checked for being new and possible."""
+
+from math import pi, tau
+
+from gripper.dynamixel.bus import ServoBus
+from gripper.dynamixel.control_table import (
+    PRESENT_CURRENT,
+    PRESENT_INPUT_VOLTAGE,
+    PRESENT_POSITION,
+    PRESENT_TEMPERATURE,
+    PRESENT_VELOCITY,
+    RAD_PER_PULSE,
+    RAD_S_PER_VELOCITY_UNIT,
+    REALTIME_TICK,
+    TICK_MODULO,
+)
+from gripper.errors import BusCorrupt, FeedbackImplausible, LimitExceeded
+from gripper.kinematics import Linkage, transmissions
+from gripper.servos.health import ServoHealth
+from gripper.settings import GripperSettings, ServoSettings
+from gripper.state import Clock, GripperState, ServoState
+
+_TICK_S = 1e-3
+"""One count of Realtime Tick (register 120) in s."""
+_TICK_GRAIN_S = 0.004
+"""Tolerance in s of the progress of a tick: its resolution of 1 ms, and the time of an answer."""
+_TICK_RATE_ERROR = 0.03
+"""Tolerance of the rate of a servo's clock, for which the e-Manual gives no figure."""
+_TICK_LONGEST_S = 10.0
+"""Pause in s after which ticks are not compared: less than the 32.8 s of the modulo."""
+_TICK_LATEST_S = 0.5
+"""A tick that is back by less is an old answer; one that is back by more is a restarted servo."""
+
+_SPEED_RESERVE = 1.5
+"""Fastest motion of a finger in multiples of the no-load speed: supply above nominal, backlash."""
+_LEAP_RAD = 0.05
+"""Motion in rad that is possible beside that: noise of the encoder, time of the reading."""
+_LEAP_LONGEST_S = 0.5
+"""Pause in s after which two positions are not compared: a finger may have been moved by hand."""
+_BEYOND_CLOSED_RAD, _BEYOND_CLOSED_M = 0.08, 0.004
+"""How far a finger may stand beyond closed, in rad or in m of the opening if that is more: pads
+give and fingers bend."""
+_BEYOND_OPEN_RAD = 0.5
+"""How far in rad a finger may stand beyond its widest opening: it may have been moved by hand."""
+_CURRENT_RESERVE = 1.5
+"""Largest possible current in multiples of its cap, and of the stall current: regulation, noise."""
+_CURRENT_MORE_A = 0.3
+"""What is added to the multiple of the cap in A: at a low cap the regulation overshoots by more."""
+
+_ADVICE = (
+    "where the finger is, is unknown, so the torque is switched off and a held part possibly "
+    "dropped. Check encoder, horn and linkage before clearing the fault"
+)
+
+
+class Feedback:
+    """Reader of the feedback of all servos.
+
+    Parameters
+    ----------
+    bus, linkage, settings, clock
+        Of the gripper.
+    health
+        Asked for the torque where a servo seems to have restarted.
+
+    Attributes
+    ----------
+    last
+        The last feedback; None before the first reading.
+    """
+
+    def __init__(
+        self,
+        bus: ServoBus,
+        linkage: Linkage,
+        settings: GripperSettings,
+        clock: Clock,
+        health: ServoHealth,
+    ) -> None:
+        self.last: GripperState | None = None
+        self._bus = bus
+        self._linkage = linkage
+        self._settings = settings
+        self._clock = clock
+        self._health = health
+        self._ids = [servo.servo_id for servo in settings.servos]
+        self._ticks = TickWatch()
+        self._plausible = FeedbackCheck(settings, linkage)
+
+    def read(self, *, under_torque: bool) -> GripperState:
+        """Read the feedback of all servos in one transaction.
+
+        Parameters
+        ----------
+        under_torque
+            True while goals are in force: then the feedback must be possible.
+
+        Raises
+        ------
+        BusTimeout, BusCorrupt
+            When an answer is missing, damaged or older than the request.
+        ServoFault
+            When a servo has restarted under torque.
+        FeedbackImplausible
+            When a servo under torque reports what cannot be.
+        """
+        sent_s = self._clock.monotonic()
+        raws = self._bus.sync_read(self._ids, REALTIME_TICK, PRESENT_TEMPERATURE)
+        now_s = self._clock.monotonic()
+        for servo_id, raw in raws.items():
+            problem = self._ticks.check(servo_id, raw[REALTIME_TICK.name], sent_s, now_s)
+            if problem is not None:
+                try:
+                    # An old answer has another length: it cannot pass for this one.
+                    if under_torque:
+                        self._health.check_torque(servo_id)
+                finally:
+                    self._bus.expect_late_answer()
+                raise problem
+        servos = tuple(self._servo_state(s, raws[s.servo_id]) for s in self._settings.servos)
+        if under_torque:
+            self._plausible.check(servos, now_s)
+        self.last = self._gripper_state(servos, now_s)
+        return self.last
+
+    def forget(self) -> None:
+        """Compare the next feedback with none before it: servos were restarted or switched off."""
+        self._ticks.forget()
+        self._plausible.forget()
+
+    def _servo_state(self, servo: ServoSettings, raw: dict[str, int]) -> ServoState:
+        position_raw = raw[PRESENT_POSITION.name]
+        turned = (position_raw - servo.zero_raw) * RAD_PER_PULSE * servo.direction
+        velocity_rad_s = raw[PRESENT_VELOCITY.name] * RAD_S_PER_VELOCITY_UNIT
+        return ServoState(
+            servo_id=servo.servo_id,
+            # A multi-turn count may be off by whole turns; fingers move by less than half a turn.
+            angle_rad=(turned + pi) % tau - pi,
+            velocity_rad_s=velocity_rad_s * servo.direction,
+            current_a=servo.servo_model.current_a(raw[PRESENT_CURRENT.name]) * servo.direction,
+            position_raw=position_raw,
+            temperature_c=float(raw[PRESENT_TEMPERATURE.name]),
+            voltage_v=raw[PRESENT_INPUT_VOLTAGE.name] * PRESENT_INPUT_VOLTAGE.lsb,
+            tick_ms=raw[REALTIME_TICK.name],
+            alert=self._bus.alert(servo.servo_id),
+        )
+
+    def _gripper_state(self, servos: tuple[ServoState, ...], now_s: float) -> GripperState:
+        angles_rad = [servo.angle_rad for servo in servos]
+        forces_n = [
+            path.force_band_n(abs(servo.current_a))[0]
+            for path, servo in zip(
+                transmissions(self._settings, self._linkage, angles_rad), servos, strict=True
+            )
+        ]
+        return GripperState(
+            t_s=now_s,
+            aperture_m=self._linkage.aperture_m(angles_rad),
+            aperture_velocity_m_s=sum(
+                self._linkage.opening_per_rad_m(servo.angle_rad) * servo.velocity_rad_s
+                for servo in servos
+            ),
+            current_a=sum(abs(servo.current_a) for servo in servos) / len(servos),
+            force_from_current_n=sum(forces_n) / len(forces_n),
+            temperature_c=max(servo.temperature_c for servo in servos),
+            voltage_v=min(servo.voltage_v for servo in servos),
+            servos=servos,
+        )
+
+
+class TickWatch:
+    """Comparison of the progress of each servo's tick (register 120) with the host's clock.
+
+    A tick that lags behind is an old answer taken for a new one; a tick that has jumped is a
+    servo that has started anew.
+    """
+
+    def __init__(self) -> None:
+        self._last: dict[int, tuple[int, float, float]] = {}
+
+    def forget(self) -> None:
+        """Compare the next tick with none before it, after servos were restarted on purpose."""
+        self._last.clear()
+
+    def check(
+        self, servo_id: int, tick_ms: int, sent_s: float, received_s: float
+    ) -> BusCorrupt | None:
+        """Return what is wrong with an answer, None when it is new.
+
+        Parameters
+        ----------
+        servo_id
+            ID of the servo that answered.
+        tick_ms
+            Its tick in ms, modulo 32768.
+        sent_s, received_s
+            Host's time before the request and after the answer in s.
+        """
+        last = self._last.get(servo_id)
+        now = (tick_ms, sent_s, received_s)
+        if last is None:
+            self._last[servo_id] = now
+            return None
+        last_tick_ms, last_sent_s, last_received_s = last
+        least_s = max(0.0, sent_s - last_received_s)
+        most_s = received_s - last_sent_s
+        if most_s > _TICK_LONGEST_S:
+            self._last[servo_id] = now
+            return None
+        passed_s = ((tick_ms - last_tick_ms) % TICK_MODULO) * _TICK_S
+        low_s = least_s * (1.0 - _TICK_RATE_ERROR) - _TICK_GRAIN_S
+        high_s = most_s * (1.0 + _TICK_RATE_ERROR) + _TICK_GRAIN_S
+        # A tick slightly back is a lag too, not a turn of the modulo; one far back is a restart.
+        if passed_s > TICK_MODULO * _TICK_S - _TICK_LATEST_S:
+            passed_s -= TICK_MODULO * _TICK_S
+        if passed_s >= low_s:
+            self._last[servo_id] = now
+        if low_s <= passed_s <= high_s:
+            return None
+        return BusCorrupt(
+            f"the tick of servo {servo_id} moved by {passed_s * 1e3:.0f} ms while "
+            f"{least_s * 1e3:.0f} to {most_s * 1e3:.0f} ms passed: an old answer, or the servo "
+            f"has restarted"
+        )
+
+
+class FeedbackCheck:
+    """Comparison of the feedback of servos under torque with what their fingers can do.
+
+    Parameters
+    ----------
+    settings, linkage
+        Of the gripper.
+    """
+
+    def __init__(self, settings: GripperSettings, linkage: Linkage) -> None:
+        self._settings = settings
+        self._linkage = linkage
+        self._lowest_rad = tuple(
+            angle - max(_BEYOND_CLOSED_RAD, _BEYOND_CLOSED_M / linkage.opening_per_rad_m(angle))
+            for angle in linkage.angles_rad(0.0)
+        )
+        self._highest_rad = tuple(
+            angle + _BEYOND_OPEN_RAD for angle in linkage.angles_rad(settings.aperture_open_m)
+        )
+        self._last: dict[int, tuple[float, float]] = {}
+
+    def forget(self) -> None:
+        """Compare the next feedback with none before it."""
+        self._last.clear()
+
+    def check(self, servos: tuple[ServoState, ...], now_s: float) -> None:
+        """Check the feedback of one transaction.
+
+        Parameters
+        ----------
+        servos
+            Feedback of the servos, whose torque is on.
+        now_s
+            Monotonic time after the answer in s.
+
+        Raises
+        ------
+        FeedbackImplausible
+            Where a finger has leapt or stands where it cannot be, or a current cannot be.
+        """
+        for index, servo in enumerate(servos):
+            self._check_current(index, servo)
+            last = self._last.get(servo.servo_id)
+            self._last[servo.servo_id] = (now_s, servo.angle_rad)
+            if last is None:
+                self._check_link(servo)
+                continue
+            last_s, last_rad = last
+            model = self._settings.servos[index].servo_model
+            passed_s = now_s - last_s
+            farthest_rad = _SPEED_RESERVE * model.no_load_rad_s * passed_s + _LEAP_RAD
+            leapt_rad = servo.angle_rad - last_rad
+            if passed_s < _LEAP_LONGEST_S and abs(leapt_rad) > farthest_rad:
+                raise FeedbackImplausible(
+                    f"servo {servo.servo_id}: its position leapt by "
+                    f"{leapt_rad:+.3f} rad within {passed_s * 1e3:.0f} ms, "
+                    f"at most {farthest_rad:.3f} rad are possible: {_ADVICE}"
+                )
+            self._check_range(index, servo, last_rad)
+            self._check_link(servo)
+
+    def _check_current(self, index: int, servo: ServoState) -> None:
+        settings = self._settings
+        model = settings.servos[index].servo_model
+        most_a = min(
+            _CURRENT_RESERVE * settings.current_max_a + _CURRENT_MORE_A,
+            _CURRENT_RESERVE * model.stall_current_a,
+        )
+        if abs(servo.current_a) > most_a:
+            raise FeedbackImplausible(
+                f"servo {servo.servo_id}: it reports {servo.current_a:.2f} A, at most "
+                f"{most_a:.2f} A are possible with current_max_a = {settings.current_max_a} A: "
+                f"{_ADVICE}"
+            )
+
+    def _check_range(self, index: int, servo: ServoState, last_rad: float) -> None:
+        low_rad, high_rad = self._lowest_rad[index], self._highest_rad[index]
+        # Fingers that were left outside by hand may be brought back in.
+        if low_rad <= last_rad <= high_rad and not low_rad <= servo.angle_rad <= high_rad:
+            raise FeedbackImplausible(
+                f"servo {servo.servo_id}: its finger stands at {servo.angle_rad:.3f} rad, it can "
+                f"be from {low_rad:.3f} to {high_rad:.3f} rad: {_ADVICE}"
+            )
+
+    def _check_link(self, servo: ServoState) -> None:
+        try:
+            self._linkage.opening_per_rad_m(servo.angle_rad)
+        except LimitExceeded as error:
+            raise FeedbackImplausible(f"servo {servo.servo_id}: {error}. {_ADVICE}") from None

@@ -1,0 +1,288 @@
+"""Goals of the servos: their limits, and the one place that writes them.
+
+What lowers the currents or opens the fingers passes the caps of force and temperature: it is the
+way back below them.
+"""
+
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from gripper.dynamixel.bus import ServoBus
+from gripper.dynamixel.control_table import (
+    GOAL_CURRENT,
+    GOAL_POSITION,
+    GOAL_VELOCITY,
+    PROFILE_ACCELERATION,
+    PROFILE_VELOCITY,
+    RAD_PER_PULSE,
+)
+from gripper.dynamixel.models import ServoModel
+from gripper.errors import ForceAboveCap, LimitExceeded
+from gripper.kinematics import Linkage, Transmission
+from gripper.settings import GripperSettings, OverForce
+from gripper.state import Clock, ForceSample, GripperState
+
+_FORCE_SAMPLES = 3
+"""Samples whose mean is compared with the cap of the force: noise alone must not trip it."""
+_SINGLE_SAMPLE = 3.0
+"""A single sample trips the cap when it is above it by so many times ``force_noise_n``."""
+_ROUNDING_A = 0.005
+"""What a goal current may exceed its cap by in A: two counts of 2.69 mA."""
+_EQUAL = 1e-9
+"""Difference, in A or rad, that counts as equal."""
+_EQUAL_ANGLE_RAD = 1e-6
+"""Difference of angles in rad that counts as inside of the range; a pulse is 1.5e-3 rad."""
+_WHOLE_PWM = 885.0
+"""Counts of PWM that are the whole supply (e-Manual, PWM Limit)."""
+_ERROR_PER_PWM = 128.0
+"""Position error in pulses times Position P Gain that makes one count of PWM (e-Manual)."""
+_MOTION_RESERVE, _MOTION_PULSES = 1.5, 8.0
+"""Factor and pulses by which a goal lies farther than at rest, to make up for the motion."""
+_OVER_FORCE = {
+    OverForce.LOWER: "the driving current is lowered in one step and the part kept",
+    OverForce.OPEN: "the fingers open by one small step",
+    OverForce.LIMP: "the torque is switched off, a held part possibly dropped",
+}
+
+_GOAL_BLOCK = (
+    GOAL_CURRENT,
+    GOAL_VELOCITY,
+    PROFILE_ACCELERATION,
+    PROFILE_VELOCITY,
+    GOAL_POSITION,
+)
+"""Registers that one write of goals sets, 102 to 119, in the order of their addresses."""
+
+OPENING_MARGIN_RAD = 0.05
+"""How far in rad beyond an opening its goal may lie, so that friction does not stop short of it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServoGoal:
+    """Goal of one servo in current-based position mode.
+
+    Attributes
+    ----------
+    angle_rad
+        Goal position in the linkage's sense.
+    current_a
+        Limit of the current's magnitude.
+    """
+
+    angle_rad: float
+    current_a: float
+
+
+class GoalGuard:
+    """Limits of the goals: caps of force, current, angle, temperature and age of the feedback.
+
+    Parameters
+    ----------
+    settings, linkage
+        Of the gripper.
+    """
+
+    def __init__(self, settings: GripperSettings, linkage: Linkage) -> None:
+        self._settings = settings
+        self._linkage = linkage
+        self._forces: deque[ForceSample] = deque(maxlen=_FORCE_SAMPLES)
+        self._previous_a: tuple[float, ...] = ()
+        # Two apertures bound the angles: wide open, and closed onto each other with the goal as
+        # far beyond as a gripping servo needs.
+        self._highest_rad = tuple(
+            angle + OPENING_MARGIN_RAD for angle in linkage.angles_rad(settings.aperture_open_m)
+        )
+        self._lowest_rad = tuple(
+            angle - closing_margin_rad(servo.servo_model, settings.current_max_a)
+            for angle, servo in zip(linkage.angles_rad(0.0), settings.servos, strict=True)
+        )
+
+    def note_force(self, sample: ForceSample) -> None:
+        """Add the newest force sample; the same one may come again."""
+        if not self._forces or sample.t_s > self._forces[-1].t_s:
+            self._forces.append(sample)
+
+    def force_is_too_high(self) -> bool:
+        """Return whether the measured force is above the cap by more than noise.
+
+        A single sample counts when it is above it by three times that.
+        """
+        settings = self._settings
+        return (
+            self._mean_n() > settings.force_max_n + settings.force_noise_n
+            or self._newest_n() > settings.force_max_n + _SINGLE_SAMPLE * settings.force_noise_n
+        )
+
+    def check_force(self) -> None:
+        """Raise ForceAboveCap while the measured force is above the cap."""
+        settings = self._settings
+        if self.force_is_too_high():
+            raise ForceAboveCap(
+                f"the grip force is {max(self._mean_n(), self._newest_n()):.2f} N, force_max_n is "
+                f"{settings.force_max_n} N (and {settings.force_noise_n} N for noise): "
+                f"{_OVER_FORCE[settings.over_force]}; clear the fault, then release the part"
+            )
+
+    def check(self, goals: Sequence[ServoGoal], state: GripperState, now_s: float) -> None:
+        """Check goals that are to be written now; those that pass are the next ones' measure.
+
+        Raises
+        ------
+        LimitExceeded
+            When a limit is against the goals; it is named.
+        """
+        self._check_age(state, now_s)
+        lowering = len(goals) == len(self._previous_a) and all(
+            goal.current_a <= before_a + _EQUAL
+            for goal, before_a in zip(goals, self._previous_a, strict=True)
+        )
+        for index, (goal, servo) in enumerate(zip(goals, state.servos, strict=True)):
+            self._check_goal(index, goal, servo.angle_rad)
+        opening = all(
+            goal.angle_rad >= servo.angle_rad - _EQUAL
+            for goal, servo in zip(goals, state.servos, strict=True)
+        )
+        if not lowering and not opening:
+            for index, (goal, servo) in enumerate(zip(goals, state.servos, strict=True)):
+                self._check_current_force(index, goal, servo.angle_rad)
+            self._check_temperature(state)
+            self.check_force()
+        self._previous_a = tuple(goal.current_a for goal in goals)
+
+    def _mean_n(self) -> float:
+        """Return the mean of the last samples of the more heavily loaded finger in N."""
+        if not self._forces:
+            return 0.0
+        return max(
+            sum(sample.force_n[finger] for sample in self._forces) / len(self._forces)
+            for finger in (0, 1)
+        )
+
+    def _newest_n(self) -> float:
+        return max(self._forces[-1].force_n) if self._forces else 0.0
+
+    def _check_age(self, state: GripperState, now_s: float) -> None:
+        settings = self._settings
+        if now_s - state.t_s > settings.bus_loss_s:
+            raise LimitExceeded(
+                f"the servos' feedback is {now_s - state.t_s:.3f} s old, at most "
+                f"{settings.bus_loss_s} s are allowed: check the servo bus"
+            )
+
+    def _check_temperature(self, state: GripperState) -> None:
+        settings = self._settings
+        if state.temperature_c > settings.temperature_max_c:
+            raise LimitExceeded(
+                f"a servo has {state.temperature_c:.0f} C, temperature_max_c is "
+                f"{settings.temperature_max_c:g}: let it cool down"
+            )
+
+    def _check_goal(self, index: int, goal: ServoGoal, angle_rad: float) -> None:
+        settings = self._settings
+        servo = settings.servos[index]
+        if not 0.0 <= goal.current_a <= settings.current_max_a + _ROUNDING_A:
+            raise LimitExceeded(
+                f"goal current {goal.current_a:.3f} A of servo {servo.servo_id} is not from 0 to "
+                f"current_max_a = {settings.current_max_a} A"
+            )
+        low_rad, high_rad = self._lowest_rad[index], self._highest_rad[index]
+        # Fingers that stand outside (moved by hand) may be brought back in.
+        lowest_rad = min(low_rad, angle_rad) - _EQUAL_ANGLE_RAD
+        if not lowest_rad <= goal.angle_rad <= max(high_rad, angle_rad) + _EQUAL_ANGLE_RAD:
+            raise LimitExceeded(
+                f"goal angle {goal.angle_rad:.4f} rad of servo {servo.servo_id} is not from "
+                f"{low_rad:.4f} to {high_rad:.4f} rad (closed to aperture_open_m)"
+            )
+
+    def _check_current_force(self, index: int, goal: ServoGoal, angle_rad: float) -> None:
+        settings = self._settings
+        servo = settings.servos[index]
+        path = Transmission.at(servo.servo_model, self._linkage, angle_rad)
+        least_n = path.force_band_n(goal.current_a)[0]
+        if least_n > settings.force_max_n:
+            raise LimitExceeded(
+                f"goal current {goal.current_a:.3f} A of servo {servo.servo_id} makes at least "
+                f"{least_n:.1f} N, force_max_n is {settings.force_max_n} N"
+            )
+
+
+def closing_margin_rad(model: ServoModel, current_a: float) -> float:
+    """Return how far in rad beyond the contact a goal must lie to reach a limit of the current.
+
+    The position controller asks for gain / 128 counts of PWM for each pulse of error (e-Manual,
+    Position PID Gain); 885 counts are the whole supply, at rest the stall current. Half as much
+    again and a few pulses make up for the motion.
+    """
+    _, _, position_p_gain = model.position_gains
+    current_share = current_a / model.stall_current_a
+    pwm = _MOTION_RESERVE * current_share * _WHOLE_PWM
+    pulses = pwm * _ERROR_PER_PWM / position_p_gain + _MOTION_PULSES
+    return pulses * RAD_PER_PULSE
+
+
+class GoalWriter:
+    """Writer of the goals, behind their limits; keeps the goals that are in force.
+
+    Parameters
+    ----------
+    bus, settings, clock
+        Of the gripper.
+    guard
+        The limits.
+
+    Attributes
+    ----------
+    last
+        The goals written last, one for each servo; empty while none is in force.
+    earlier
+        Those written before them.
+    """
+
+    def __init__(
+        self, bus: ServoBus, settings: GripperSettings, clock: Clock, guard: GoalGuard
+    ) -> None:
+        self.last: tuple[ServoGoal, ...] = ()
+        self.earlier: tuple[ServoGoal, ...] = ()
+        self._guard = guard
+        self._bus = bus
+        self._settings = settings
+        self._clock = clock
+
+    def forget(self) -> None:
+        """Discard the last goals: none is in force any more."""
+        self.last = ()
+
+    def write(
+        self, goals: Sequence[ServoGoal], state: GripperState, *, profile_velocity_raw: int = 0
+    ) -> None:
+        """Write goal current and goal position of all servos at once, if no limit is against it.
+
+        The only place that writes goals.
+
+        Parameters
+        ----------
+        goals
+            One for each servo.
+        state
+            Newest feedback: the goals are reached from there.
+        profile_velocity_raw
+            Profile Velocity (register 112) in raw units; 0 is no limit.
+        """
+        self._guard.check(goals, state, self._clock.monotonic())
+        values: dict[int, list[int]] = {}
+        for goal, servo, settings in zip(goals, state.servos, self._settings.servos, strict=True):
+            # Relative to the present position: whole turns of the count do not matter.
+            delta_rad = (goal.angle_rad - servo.angle_rad) * settings.direction
+            goal_current = settings.servo_model.current_raw(goal.current_a)
+            goal_velocity = profile_acceleration = 0
+            goal_position = servo.position_raw + round(delta_rad / RAD_PER_PULSE)
+            values[servo.servo_id] = [
+                goal_current,
+                goal_velocity,
+                profile_acceleration,
+                profile_velocity_raw,
+                goal_position,
+            ]
+        self._bus.sync_write(values, *_GOAL_BLOCK)
+        self.earlier, self.last = self.last, tuple(goals)

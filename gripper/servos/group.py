@@ -1,0 +1,336 @@
+"""The servos of one gripper as a group: feedback, goals, stop goals, torque and bus watchdog."""
+
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, suppress
+
+from gripper.dynamixel.bus import ServoBus
+from gripper.dynamixel.control_table import (
+    BUS_WATCHDOG,
+    GOAL_POSITION,
+    GOAL_PWM,
+    OPERATING_MODE,
+    PWM_LIMIT,
+    TORQUE_ENABLE,
+    WATCHDOG_TRIPPED_RAW,
+)
+from gripper.dynamixel.models import OperatingMode
+from gripper.errors import BusCorrupt, BusTimeout, GripperError, ServoFault
+from gripper.kinematics import Linkage, motion_current_a, transmissions
+from gripper.servos import stop_goals
+from gripper.servos.feedback import Feedback
+from gripper.servos.goals import GoalGuard, GoalWriter, ServoGoal
+from gripper.servos.health import ServoHealth
+from gripper.settings import GripperSettings
+from gripper.state import Clock, ForceSample, GripperState
+
+_PATIENT_READS = 3
+"""Readings between commands before a lost answer is an error."""
+_STOP_TRIES = 3
+"""Writes of the goals that stop a motion before a servo counts as not obeying."""
+_STALE_PERIODS = 2.0
+"""Age of the feedback, in periods, from which on moving fingers are read again before a stop."""
+_BOOT_S = 0.5
+"""Wait in s after a reboot before a servo is asked: it hears nothing while it boots."""
+_BOOT_TIMEOUT_S = 3.0
+"""Longest time in s after that wait until a servo answers."""
+_BOOT_RETRY_S = 0.1
+"""Time in s between two questions to a servo that boots."""
+
+
+class ServoGroup:
+    """All servos of one gripper; the only object that writes to them in operation.
+
+    Parameters
+    ----------
+    bus, linkage, settings, clock
+        Of the gripper.
+    health
+        Checks of the same servos.
+    """
+
+    def __init__(
+        self,
+        bus: ServoBus,
+        linkage: Linkage,
+        settings: GripperSettings,
+        clock: Clock,
+        health: ServoHealth,
+    ) -> None:
+        self._bus = bus
+        self._linkage = linkage
+        self._settings = settings
+        self._clock = clock
+        self._health = health
+        self._ids = [servo.servo_id for servo in settings.servos]
+        self._guard = GoalGuard(settings, linkage)
+        self._goals = GoalWriter(bus, settings, clock, self._guard)
+        self._feedback = Feedback(bus, linkage, settings, clock, health)
+
+    # Feedback
+
+    def read(self) -> GripperState:
+        """Read the feedback of all servos in one transaction; errors as in `Feedback.read`."""
+        return self._feedback.read(under_torque=bool(self._goals.last))
+
+    def read_patiently(self) -> GripperState:
+        """Read as `read` does, again where an answer was lost or old; for use between commands."""
+        for _ in range(_PATIENT_READS - 1):
+            with suppress(BusTimeout, BusCorrupt):
+                return self.read()
+        return self.read()
+
+    @property
+    def aperture_m(self) -> float | None:
+        """The opening in m at the last reading; None before the first one."""
+        return None if self._feedback.last is None else self._feedback.last.aperture_m
+
+    def silent_and_living(self) -> tuple[list[int], list[int]]:
+        """Return the IDs of the servos that did not answer last, and of those that did."""
+        silent = [servo_id for servo_id in self._ids if self._bus.misses(servo_id)]
+        return silent, [servo_id for servo_id in self._ids if servo_id not in silent]
+
+    def in_loop(self) -> AbstractContextManager[None]:
+        """Let no transaction within the block wait longer than the loop may; see `ServoBus`."""
+        return self._bus.in_loop()
+
+    def forget(self) -> None:
+        """Discard the last goals and feedback: the servos were restarted or switched off."""
+        self._goals.forget()
+        self._feedback.forget()
+
+    # Goals
+
+    def write_goals(
+        self, goals: Sequence[ServoGoal], state: GripperState, *, profile_velocity_raw: int = 0
+    ) -> None:
+        """Write the goals of all servos at once, if no limit is against it; see `GoalWriter`."""
+        self._goals.write(goals, state, profile_velocity_raw=profile_velocity_raw)
+
+    @property
+    def goal_current_a(self) -> float:
+        """Mean of the goal currents in A; 0 while no goal is in force."""
+        goals = self._goals.last
+        return sum(goal.current_a for goal in goals) / max(1, len(goals))
+
+    def note_force(self, sample: ForceSample) -> None:
+        """Take the newest valid force sample into account in the limits of the next goals."""
+        self._guard.note_force(sample)
+
+    def check_force(self) -> None:
+        """Raise ForceAboveCap while the measured force is above the cap."""
+        self._guard.check_force()
+
+    def force_is_too_high(self) -> bool:
+        """Return whether the measured force is above the cap by more than noise."""
+        return self._guard.force_is_too_high()
+
+    # Stop goals; nothing is written where no goal is in force or nothing was read before
+
+    def freeze(self) -> None:
+        """Keep the last goals, without the crest of the square wave on the drive."""
+        state, last, earlier = self._feedback.last, self._goals.last, self._goals.earlier
+        if state is not None and len(earlier) == len(last) > 0:
+            self._goals.write(stop_goals.frozen(last, earlier), state)
+
+    def hold_position(self) -> None:
+        """Set the goals to the last read positions."""
+        state, last, earlier = self._feedback.last, self._goals.last, self._goals.earlier
+        if state is not None and last:
+            earlier = earlier if len(earlier) == len(last) else last
+            self._goals.write(stop_goals.holding_position(last, earlier, state), state)
+
+    def stop_motion(self) -> list[int]:
+        """End a motion at the present positions; return the IDs of servos not confirmed to obey.
+
+        No servo answers to the write of all goals at once, so that they are read back.
+        """
+        state = self._feedback.last
+        age_s = 0.0 if state is None else self._clock.monotonic() - state.t_s
+        late = age_s > _STALE_PERIODS * self._settings.period_s
+        if late and not any(map(self._bus.misses, self._ids)):
+            # The loop has stalled, and the fingers have gone on since the last reading.
+            with suppress(GripperError):
+                self.read()
+        unconfirmed: list[int] = []
+        for _ in range(_STOP_TRIES):
+            try:
+                self.hold_position()
+            except GripperError:
+                return list(self._ids)
+            unconfirmed = [servo_id for servo_id in self._ids if not self._obeys(servo_id)]
+            if not unconfirmed:
+                break
+        return unconfirmed
+
+    def lower_currents(self) -> None:
+        """Write the last goals with ``over_force_share`` of their currents, in one step."""
+        if self._feedback.last is not None and self._goals.last:
+            goals = stop_goals.lowered(self._goals.last, self._settings.over_force_share)
+            self._goals.write(goals, self._feedback.last)
+
+    def open_a_step(self) -> None:
+        """Open by ``over_force_open_m`` from the last read positions, once."""
+        state = self._feedback.last
+        if state is not None and self._goals.last:
+            goals = stop_goals.opened_a_step(state, self._settings, self._linkage)
+            self._goals.write(goals, state)
+
+    # Torque and bus watchdog
+
+    def make_ready(self, *, part_possible: bool, releasing: bool) -> None:
+        """Switch the torque on where it is off, arm or restart the watchdog, before a command.
+
+        Goals are set to the present positions before the torque goes on and after a watchdog that
+        has tripped, so that nothing jumps.
+
+        Parameters
+        ----------
+        part_possible
+            True when a part may be held: then a tripped watchdog is a fault.
+        releasing
+            True when the part is to be let go: then it is not, and torque that was found on at the
+            start may be switched off to correct the mode.
+
+        Raises
+        ------
+        ServoFault
+            When the watchdog tripped while a part was held.
+        VerificationFailed
+            When a servo to be released does not match the settings.
+        """
+        health, goals_in_force = self._health, bool(self._goals.last)
+        if (
+            releasing
+            and not goals_in_force
+            and health.torque_on()
+            and not health.verify(correct=False).ok
+        ):
+            # The release was asked for: only with the torque off can the mode be corrected.
+            self.switch_off()
+            health.verify(correct=True, refuse=True)
+        if not health.torque_on_everywhere():
+            self._switch_on(self._motion_current_a())
+        elif not goals_in_force or health.watchdogs_tripped():
+            if part_possible and not releasing:
+                raise ServoFault(
+                    self._ids[0],
+                    0,
+                    "the bus watchdog has tripped while a part was held, because nobody called "
+                    "tick; the servos have stopped, the part may still be gripped",
+                )
+            self.restart_watchdog(self._motion_current_a())
+        else:
+            self._arm_watchdog()
+
+    def restart_watchdog(self, current_a: float) -> None:
+        """Clear a tripped watchdog, set the goals to the present positions and arm it again."""
+        self.disarm_watchdog()
+        self._hold_present_position(current_a)
+        self._arm_watchdog()
+
+    def disarm_watchdog(self) -> None:
+        """Disarm, or clear after a trip, the bus watchdog of each servo (register 98)."""
+        for servo_id in self._ids:
+            self._bus.write(servo_id, BUS_WATCHDOG, 0)
+
+    def disarm_each(self, *, but: Sequence[int] = ()) -> None:
+        """Disarm the bus watchdog of every servo that answers, with exceptions."""
+        for servo_id in self._ids:
+            if servo_id not in but:
+                with suppress(GripperError):
+                    self._bus.write(servo_id, BUS_WATCHDOG, 0)
+
+    def switch_off(self) -> None:
+        """Disarm the watchdog and switch the torque off."""
+        self.disarm_watchdog()
+        for servo_id in self._ids:
+            self._bus.write(servo_id, TORQUE_ENABLE, 0)
+        self._goals.forget()
+
+    def go_limp(self) -> None:
+        """Switch off the torque of every servo that answers: position or force are unknown."""
+        self._goals.forget()
+        for servo_id in self._ids:
+            with suppress(GripperError):
+                self._bus.write(servo_id, TORQUE_ENABLE, 0)
+        self.disarm_each()
+
+    def reboot(self, ids: Sequence[int]) -> None:
+        """Reboot servos one after the other and wait until each answers; a part is let go.
+
+        The servos come back with their torque off and their RAM at its defaults; the next
+        `gripper.gripper.Gripper.start` verifies them.
+
+        Raises
+        ------
+        BusTimeout, BusCorrupt
+            When a servo does not answer within 3 s.
+        """
+        for servo_id in ids:
+            self._bus.reboot(servo_id)
+            self._clock.sleep(_BOOT_S)
+            deadline_s = self._clock.monotonic() + _BOOT_TIMEOUT_S
+            while True:
+                try:
+                    self._bus.ping(servo_id)
+                    break
+                except (BusTimeout, BusCorrupt):
+                    if self._clock.monotonic() >= deadline_s:
+                        raise
+                self._clock.sleep(_BOOT_RETRY_S)
+        self.forget()
+
+    def _arm_watchdog(self) -> None:
+        for servo_id in self._ids:
+            self._bus.write(servo_id, BUS_WATCHDOG, self._settings.watchdog_raw)
+
+    def _switch_on(self, current_a: float) -> None:
+        """Set the goals to the present positions, switch the torque on, arm the watchdog."""
+        self.disarm_watchdog()
+        self._hold_present_position(current_a)
+        for servo_id in self._ids:
+            self._bus.write(servo_id, TORQUE_ENABLE, 1)
+        self._arm_watchdog()
+
+    def _motion_current_a(self) -> float:
+        paths = transmissions(self._settings, self._linkage, self.read_patiently().angles_rad)
+        return motion_current_a(self._settings, paths, self._settings.approach_force_n)
+
+    def _hold_present_position(self, current_a: float) -> None:
+        """Write the present positions as goals and read them back; ServoFault where one differs."""
+        for servo_id in self._ids:
+            if self._bus.read(servo_id, OPERATING_MODE) != OperatingMode.CURRENT_BASED_POSITION:
+                raise ServoFault(
+                    servo_id, 0, "its operating mode is no longer 5 (current-based position)"
+                )
+            # The goals of the other modes limit this one too.
+            self._bus.write(servo_id, GOAL_PWM, self._bus.read(servo_id, PWM_LIMIT))
+        state = self.read_patiently()
+        self._goals.write(
+            [ServoGoal(angle_rad=angle, current_a=current_a) for angle in state.angles_rad], state
+        )
+        for servo in state.servos:
+            found = self._bus.read(servo.servo_id, GOAL_POSITION)
+            if found != servo.position_raw:
+                raise ServoFault(
+                    servo.servo_id,
+                    0,
+                    f"it did not take its goal position: wrote {servo.position_raw}, read {found}",
+                )
+
+    def _obeys(self, servo_id: int) -> bool:
+        """Read whether a servo has its last goal; clear a watchdog that keeps it from taking one.
+
+        A servo that did not answer last is not waited for.
+        """
+        if self._feedback.last is None or not self._goals.last:
+            return True
+        if self._bus.misses(servo_id):
+            return False
+        with suppress(GripperError):
+            wanted_raw = self._feedback.last.servos[self._ids.index(servo_id)].position_raw
+            if self._bus.read(servo_id, GOAL_POSITION) == wanted_raw:
+                return True
+            if self._bus.read(servo_id, BUS_WATCHDOG) == WATCHDOG_TRIPPED_RAW:
+                self._bus.write(servo_id, BUS_WATCHDOG, 0)
+        return False

@@ -1,0 +1,59 @@
+"""Stop goals: goals that end a motion or lower the force of the fingers.
+
+Pure functions of the last goals and the last feedback. `gripper.servos.group.ServoGroup` writes
+what they return; a result never has more current than the goals that it follows, except that of a
+step that opens.
+"""
+
+from collections.abc import Sequence
+
+from gripper.kinematics import Linkage, motion_current_a, transmissions
+from gripper.servos.goals import ServoGoal
+from gripper.settings import GripperSettings
+from gripper.state import GripperState
+
+
+def frozen(last: Sequence[ServoGoal], earlier: Sequence[ServoGoal]) -> list[ServoGoal]:
+    """Return the last goals with the lower current of the last two periods.
+
+    While the force changes a square wave is on the drive: its crest must not stay.
+    """
+    return [
+        ServoGoal(angle_rad=goal.angle_rad, current_a=min(goal.current_a, before.current_a))
+        for goal, before in zip(last, earlier, strict=True)
+    ]
+
+
+def holding_position(
+    last: Sequence[ServoGoal], earlier: Sequence[ServoGoal], state: GripperState
+) -> list[ServoGoal]:
+    """Return goals at the present positions, with the lower current of the last two periods.
+
+    No finger pushes on, and none yields by more than the servos' position control does.
+    """
+    return [
+        ServoGoal(angle_rad=servo.angle_rad, current_a=goal.current_a)
+        for goal, servo in zip(frozen(last, earlier), state.servos, strict=True)
+    ]
+
+
+def lowered(last: Sequence[ServoGoal], share: float) -> list[ServoGoal]:
+    """Return the last goals with a share of their currents."""
+    return [ServoGoal(angle_rad=goal.angle_rad, current_a=share * goal.current_a) for goal in last]
+
+
+def opened_a_step(
+    state: GripperState, settings: GripperSettings, linkage: Linkage
+) -> list[ServoGoal]:
+    """Return goals that open by ``over_force_open_m`` from the present positions."""
+    paths = transmissions(settings, linkage, state.angles_rad)
+    current_a = motion_current_a(settings, paths, settings.approach_force_n)
+    return [
+        ServoGoal(
+            angle_rad=angle_rad
+            + settings.over_force_open_m
+            / (len(state.servos) * linkage.opening_per_rad_m(angle_rad)),
+            current_a=current_a,
+        )
+        for angle_rad in state.angles_rad
+    ]

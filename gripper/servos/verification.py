@@ -1,0 +1,190 @@
+"""Requirements of the registers of a servo before it may move, and their comparison."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from math import ceil
+
+from gripper.dynamixel.control_table import (
+    CURRENT_LIMIT,
+    DRIVE_MODE,
+    FIRMWARE_VERSION,
+    HARDWARE_ERROR_STATUS,
+    HOMING_OFFSET,
+    MIN_VOLTAGE_LIMIT,
+    MODEL_NUMBER,
+    OPERATING_MODE,
+    POSITION_P_GAIN,
+    PROTOCOL_TYPE,
+    PWM_LIMIT,
+    RETURN_DELAY_TIME,
+    SECONDARY_ID,
+    SHUTDOWN,
+    STARTUP_CONFIGURATION,
+    STATUS_RETURN_LEVEL,
+    TEMPERATURE_LIMIT,
+)
+from gripper.dynamixel.models import HardwareError, OperatingMode, ServoModel
+from gripper.errors import LimitExceeded
+from gripper.settings import CORRECTABLE
+from gripper.state import VerificationRow
+
+_DRIVE_MODE_MASK = 0b1101
+"""Bits of Drive Mode (register 10) that must be 0: reverse, time-based profile, torque by goal."""
+_STARTUP_MASK = 0b11
+"""Bits of Startup Configuration (register 60) that must be 0: torque on, RAM restored."""
+_WHOLE_PWM = 885
+"""PWM Limit (register 36) at which the whole supply reaches the motor."""
+_PWM_RESERVE = 1.2
+"""PWM that a current needs at rest is its share of the stall current; the rest is for motion."""
+_NO_SECOND_ID = 255
+"""Secondary ID (register 12) of a servo without one; any value above 252 is none."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Requirement:
+    """Requirement of one register.
+
+    Attributes
+    ----------
+    item
+        Name of the register.
+    expected
+        Text for the report.
+    low, high
+        Bounds of the raw value after the mask.
+    mask
+        Bits that count.
+    write_raw
+        Value to write when it does not agree; None where that is the user's decision.
+    """
+
+    item: str
+    expected: str
+    low: int
+    high: int
+    mask: int = -1
+    write_raw: int | None = None
+
+    def met_by(self, raw: int) -> bool:
+        """Return whether a raw value agrees."""
+        return self.low <= raw & self.mask <= self.high
+
+
+def _exactly(item: str, raw: int, *, mask: int = -1) -> Requirement:
+    return Requirement(
+        item=item,
+        expected=str(raw),
+        low=raw,
+        high=raw,
+        mask=mask,
+        write_raw=raw if item in CORRECTABLE else None,
+    )
+
+
+def requirements(
+    model: ServoModel,
+    current_max_a: float,
+    temperature_max_c: float,
+    corrected: frozenset[str] = CORRECTABLE,
+) -> tuple[Requirement, ...]:
+    """Return the requirements of the registers of a servo that this package may drive.
+
+    Operating mode, return delay, status return level and position gain are made to agree where
+    ``corrected`` names them; what changes the mechanics or the protection of the servo is the
+    user's decision and is only compared.
+    """
+    found = _requirements(model, current_max_a, temperature_max_c)
+    return tuple(r if r.item in corrected else replace(r, write_raw=None) for r in found)
+
+
+def _requirements(
+    model: ServoModel, current_max_a: float, temperature_max_c: float
+) -> tuple[Requirement, ...]:
+    if current_max_a > model.current_a(model.current_limit_raw):
+        raise LimitExceeded(
+            f"current_max_a is {current_max_a} A, a {model.name} allows at most "
+            f"{model.current_a(model.current_limit_raw):.3f} A"
+        )
+    needed_raw = model.current_raw(current_max_a)
+    needed_pwm = min(
+        _WHOLE_PWM, ceil(_PWM_RESERVE * _WHOLE_PWM * current_max_a / model.stall_current_a)
+    )
+    protection = int(HardwareError.OVERHEATING | HardwareError.OVERLOAD)
+    return (
+        _exactly(MODEL_NUMBER.name, model.number),
+        Requirement(item=FIRMWARE_VERSION.name, expected="1 or later", low=1, high=255),
+        _exactly(PROTOCOL_TYPE.name, 2),
+        _exactly(HARDWARE_ERROR_STATUS.name, 0),
+        _exactly(DRIVE_MODE.name, 0, mask=_DRIVE_MODE_MASK),
+        _exactly(HOMING_OFFSET.name, 0),
+        _exactly(STARTUP_CONFIGURATION.name, 0, mask=_STARTUP_MASK),
+        Requirement(
+            item=SHUTDOWN.name,
+            expected=f"bits {protection} set",
+            low=protection,
+            high=protection,
+            mask=protection,
+        ),
+        Requirement(
+            item=TEMPERATURE_LIMIT.name,
+            expected=f"{temperature_max_c:g} to {model.temperature_limit_c}",
+            low=round(temperature_max_c),
+            high=model.temperature_limit_c,
+        ),
+        Requirement(
+            item=CURRENT_LIMIT.name,
+            expected=f"{needed_raw} to {model.current_limit_raw}",
+            low=needed_raw,
+            high=model.current_limit_raw,
+        ),
+        Requirement(
+            item=MIN_VOLTAGE_LIMIT.name,
+            expected=f"{model.min_voltage_raw} or more",
+            low=model.min_voltage_raw,
+            high=model.max_voltage_raw,
+        ),
+        Requirement(
+            item=PWM_LIMIT.name,
+            expected=f"{needed_pwm} to {_WHOLE_PWM}",
+            low=needed_pwm,
+            high=_WHOLE_PWM,
+        ),
+        _exactly(SECONDARY_ID.name, _NO_SECOND_ID),
+        _exactly(RETURN_DELAY_TIME.name, 0),
+        _exactly(OPERATING_MODE.name, int(OperatingMode.CURRENT_BASED_POSITION)),
+        _exactly(STATUS_RETURN_LEVEL.name, 2),
+        # After the mode, which sets the gains to its defaults.
+        _exactly(POSITION_P_GAIN.name, model.position_gains[2]),
+    )
+
+
+def compare(
+    servo_id: int,
+    required: tuple[Requirement, ...],
+    found: Mapping[str, int],
+    corrected: frozenset[str] = frozenset(),
+) -> tuple[VerificationRow, ...]:
+    """Return one row for each requirement.
+
+    Parameters
+    ----------
+    servo_id
+        The servo.
+    required
+        The requirements.
+    found
+        Raw values by name of the register.
+    corrected
+        Names of the registers that were rewritten before ``found`` was read.
+    """
+    return tuple(
+        VerificationRow(
+            servo_id=servo_id,
+            item=requirement.item,
+            expected=requirement.expected,
+            found=str(found[requirement.item]),
+            ok=requirement.met_by(found[requirement.item]),
+            corrected=requirement.item in corrected,
+        )
+        for requirement in required
+    )

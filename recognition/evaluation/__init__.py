@@ -1,0 +1,1 @@
+"""Evaluation of recognisers: splits in time, accuracy with intervals, unknown objects."""

@@ -1,0 +1,289 @@
+"""Evaluation of a recogniser: accuracy, fusion, calibration, untaught objects, drift tracking."""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from types import MappingProxyType
+from typing import Protocol, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recognition.drift.tracking import DriftTracking
+from recognition.evaluation.metrics import (
+    auroc,
+    confusion_matrix,
+    expected_calibration_error,
+    wilson_interval,
+)
+from recognition.grasp import Grasp, by_label
+from recognition.recognizer import Posterior, Recognizer, Trainer
+from recognition.statistics import fusion
+
+_BEFORE = 10
+"""Grasps of a shift that are tracked before the first one that counts."""
+_MIN_LABELS_FOR_UNKNOWN = 4
+"""With fewer objects, too few would be left to teach when some are left out."""
+_RANDOM_SUBSETS = 20
+"""Random sets of grasps of each label and size that are fused."""
+_CHUNK = 64
+"""Grasps answered in one piece of work: long enough that handing it over costs little."""
+
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
+
+
+class Mapper(Protocol):
+    """Applies a function to many items and returns the results in order; possibly elsewhere."""
+
+    def __call__(
+        self, work: Callable[[_Item], _Result], items: Sequence[_Item], /
+    ) -> Iterable[_Result]:
+        """Return ``work(item)`` for each item; work and items can be pickled."""
+        ...
+
+
+def one_by_one(work: Callable[[_Item], _Result], items: Sequence[_Item], /) -> Iterable[_Result]:
+    """Apply a function here, one item after the other; a `Mapper`."""
+    return map(work, items)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShiftFigures:
+    """Figures of a recogniser that tracks the drift, over grasps in a mixed order.
+
+    Attributes
+    ----------
+    before
+        Number of grasps of the shift before the first that counts.
+    n
+        Number of grasps that count.
+    accuracy, interval
+        Share of them whose likeliest label is right, and its 95 % Wilson interval.
+    known_rejected
+        Share of them with ``unknown`` above 0.5.
+    """
+
+    before: int
+    n: int
+    accuracy: float
+    interval: tuple[float, float]
+    known_rejected: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Evaluation:
+    """Figures of a recogniser on grasps that did not teach it.
+
+    Attributes
+    ----------
+    trainer, uses_aperture
+        The recogniser.
+    labels
+        The taught objects.
+    n
+        Number of tested grasps of taught objects.
+    n_untaught
+        Number of tested grasps of other objects; they count in no accuracy.
+    single_accuracy, interval
+        Share of grasps whose likeliest label is right, and its 95 % Wilson interval.
+    fused_accuracy
+        The same for k grasps of one label that follow each other in time, all such runs, by k.
+    random_fused_accuracy
+        The same for random sets of k grasps of one label.
+    calibration_error
+        Expected calibration error of the probability of the likeliest label, ten bins.
+    known_rejected
+        Share of tested grasps of taught objects with ``unknown`` above 0.5.
+    unknown_auroc
+        Area under the curve of ``unknown`` for objects that were left out of teaching, against
+        those that were not; NaN where it was not measured.
+    unknown_rejected
+        Share of grasps of left-out objects with ``unknown`` above 0.5; NaN where not measured.
+    confusion : (C, C) int64
+        Row = what it was, column = the likeliest label.
+    shift
+        The same grasps in a mixed order; None for a recogniser that does not track drift.
+    """
+
+    trainer: str
+    uses_aperture: bool
+    labels: tuple[str, ...]
+    n: int
+    n_untaught: int
+    single_accuracy: float
+    interval: tuple[float, float]
+    fused_accuracy: Mapping[int, float]
+    random_fused_accuracy: Mapping[int, float]
+    calibration_error: float
+    known_rejected: float
+    unknown_auroc: float
+    unknown_rejected: float
+    confusion: NDArray[np.int64]
+    shift: ShiftFigures | None = None
+
+
+def evaluate(
+    train: Sequence[Grasp],
+    test: Sequence[Grasp],
+    trainer: Trainer,
+    fuse: Sequence[int] = (1, 2, 3, 5),
+    seed: int = 0,
+    *,
+    unknown_groups: int = 6,
+    mapper: Mapper = one_by_one,
+) -> Evaluation:
+    """Teach a recogniser with one part of the grasps and test it on the other.
+
+    Parameters
+    ----------
+    train, test
+        Labelled grasps; no grasp may be in both.
+    trainer
+        Trainer of the recogniser.
+    fuse
+        Numbers of grasps to fuse.
+    seed
+        Of the random sets of grasps.
+    unknown_groups
+        Into how many groups the labels are dealt out; each group in turn is left out of teaching
+        and must then be found unknown. That many more recognisers are taught; 0 for none.
+    mapper
+        Maps the work to processes or machines; the figures do not depend on it.
+
+    Raises
+    ------
+    ValueError
+        No tested grasp is of a taught object, or a grasp has no label.
+    """
+    recognizer = trainer.fit(train)
+    taught = set(recognizer.labels)
+    known = [g for members in by_label(test).values() for g in members if g.label in taught]
+    untaught = [g for g in test if g.label not in taught]
+    if not known:
+        raise ValueError(
+            f"none of the {len(test)} tested grasps is of a taught object {sorted(taught)}"
+        )
+    posteriors = answers(recognizer, known, mapper)
+    truth = [g.label for g in known]
+    right = np.array([p.best == t for p, t in zip(posteriors, truth, strict=True)])
+    rows = {
+        label: [p for p, t in zip(posteriors, truth, strict=True) if t == label]
+        for label in sorted(set(truth))
+    }
+    known_scores = [p.unknown for p in posteriors]
+    areas, new_scores = _leave_out(train, known, trainer, unknown_groups, mapper)
+    if untaught:
+        scores = [p.unknown for p in answers(recognizer, untaught, mapper)]
+        areas, new_scores = [*areas, auroc(known_scores, scores)], [*new_scores, *scores]
+    return Evaluation(
+        trainer=trainer.name,
+        uses_aperture=trainer.uses_aperture,
+        labels=recognizer.labels,
+        n=len(known),
+        n_untaught=len(untaught),
+        single_accuracy=int(right.sum()) / len(right),
+        interval=wilson_interval(int(right.sum()), len(right)),
+        fused_accuracy=MappingProxyType({k: _consecutive(rows, k) for k in fuse}),
+        random_fused_accuracy=MappingProxyType({k: _random(rows, k, seed) for k in fuse}),
+        calibration_error=expected_calibration_error(
+            [float(p.probability.max()) for p in posteriors], right
+        ),
+        known_rejected=float(np.mean(np.array(known_scores) > 0.5)),
+        unknown_auroc=float(np.mean(areas)) if areas else float("nan"),
+        unknown_rejected=float(np.mean(np.array(new_scores) > 0.5)) if new_scores else float("nan"),
+        confusion=confusion_matrix(truth, [p.best for p in posteriors], recognizer.labels),
+        shift=evaluate_shift(recognizer, known, seed),
+    )
+
+
+def evaluate_shift(recognizer: object, grasps: Sequence[Grasp], seed: int) -> ShiftFigures | None:
+    """Return figures over labelled grasps of taught objects in a mixed order, drift tracked.
+
+    None where the recogniser does not track drift, or there are too few grasps.
+    """
+    if not isinstance(recognizer, DriftTracking) or len(grasps) <= _BEFORE:
+        return None
+    right, rejected = [], []
+    for number, i in enumerate(np.random.default_rng(seed).permutation(len(grasps)).tolist()):
+        grasp = grasps[i]
+        if number >= _BEFORE:
+            posterior = recognizer.posterior(grasp)
+            right.append(posterior.best == grasp.label)
+            rejected.append(posterior.unknown > 0.5)
+        recognizer = recognizer.track_drift([grasp])
+    return ShiftFigures(
+        before=_BEFORE,
+        n=len(right),
+        accuracy=sum(right) / len(right),
+        interval=wilson_interval(sum(right), len(right)),
+        known_rejected=sum(rejected) / len(right),
+    )
+
+
+def answers(
+    recognizer: Recognizer, grasps: Sequence[Grasp], mapper: Mapper = one_by_one
+) -> list[Posterior]:
+    """Return the posterior of each grasp, in order."""
+    chunks = [grasps[i : i + _CHUNK] for i in range(0, len(grasps), _CHUNK)]
+    return [p for part in mapper(partial(_posteriors, recognizer), chunks) for p in part]
+
+
+def _posteriors(recognizer: Recognizer, grasps: Sequence[Grasp]) -> list[Posterior]:
+    return [recognizer.posterior(g) for g in grasps]
+
+
+def _leave_out(
+    train: Sequence[Grasp],
+    test: Sequence[Grasp],
+    trainer: Trainer,
+    n_groups: int,
+    mapper: Mapper,
+) -> tuple[list[float], list[float]]:
+    """Return the area under the curve per group of left-out labels, and their unknown scores."""
+    labels = sorted({g.label for g in train})
+    if len(labels) < _MIN_LABELS_FOR_UNKNOWN:
+        return [], []
+    n_groups = min(n_groups, len(labels))
+    groups = [frozenset(labels[group::n_groups]) for group in range(n_groups)]
+    groups = [
+        out for out in groups if len(labels) - len(out) >= 2 and any(g.label in out for g in test)
+    ]
+    scored = list(mapper(partial(_scores_without, train, test, trainer), groups))
+    return (
+        [auroc(known, new_scores) for known, new_scores in scored],
+        [score for _, new_scores in scored for score in new_scores],
+    )
+
+
+def _scores_without(
+    train: Sequence[Grasp], test: Sequence[Grasp], trainer: Trainer, out: frozenset[str]
+) -> tuple[list[float], list[float]]:
+    """Return how unknown the tested grasps of other labels and of those left out look."""
+    recognizer = trainer.fit([g for g in train if g.label not in out])
+    score = {True: list[float](), False: list[float]()}
+    for grasp in test:
+        score[grasp.label in out].append(recognizer.posterior(grasp).unknown)
+    return score[False], score[True]
+
+
+def _consecutive(rows: Mapping[str, Sequence[Posterior]], k: int) -> float:
+    """Return the share of right answers over all runs of k grasps; NaN where there is none."""
+    right = [
+        fusion.fuse(members[i : i + k]).best == label
+        for label, members in rows.items()
+        for i in range(len(members) - k + 1)
+    ]
+    return float(np.mean(right)) if right else float("nan")
+
+
+def _random(rows: Mapping[str, Sequence[Posterior]], k: int, seed: int) -> float:
+    """Return the share of right answers over random sets of k grasps; NaN where there is none."""
+    rng = np.random.default_rng(seed)
+    right = [
+        fusion.fuse([members[i] for i in rng.choice(len(members), k, replace=False)]).best == label
+        for label, members in rows.items()
+        if len(members) >= k
+        for _ in range(_RANDOM_SUBSETS)
+    ]
+    return float(np.mean(right)) if right else float("nan")

@@ -1,0 +1,70 @@
+"""Splits of grasps into those that teach and those that test."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from recognition.grasp import Grasp, by_label
+
+Split = Callable[[Sequence[Grasp]], tuple[tuple[Grasp, ...], tuple[Grasp, ...]]]
+
+
+def chronological_split(
+    grasps: Sequence[Grasp], fraction: float
+) -> tuple[tuple[Grasp, ...], tuple[Grasp, ...]]:
+    """Return (train, test): of each label the first fraction in time teaches, the rest tests.
+
+    Raises ValueError where the fraction is not between 0 and 1 or a grasp has no label.
+    """
+    train: list[Grasp] = []
+    test: list[Grasp] = []
+    for members in by_label(grasps).values():
+        cut = _cut(len(members), fraction)
+        train += members[:cut]
+        test += members[cut:]
+    return tuple(train), tuple(test)
+
+
+def shuffled_split(
+    grasps: Sequence[Grasp], fraction: float, seed: int
+) -> tuple[tuple[Grasp, ...], tuple[Grasp, ...]]:
+    """Return (train, test): of each label a random fraction teaches, the rest tests.
+
+    Neighbours in time look alike, so this flatters; for comparison with published figures only.
+    Raises ValueError where the fraction is not between 0 and 1 or a grasp has no label.
+    """
+    rng = np.random.default_rng(seed)
+    train: list[Grasp] = []
+    test: list[Grasp] = []
+    for members in by_label(grasps).values():
+        cut = _cut(len(members), fraction)
+        order = rng.permutation(len(members))
+        train += [members[i] for i in sorted(order[:cut])]
+        test += [members[i] for i in sorted(order[cut:])]
+    return tuple(train), tuple(test)
+
+
+def parse_split(text: str, *, seed: int = 0) -> Split:
+    """Return the split that the text names: ``chronological:0.6`` or ``shuffled:0.8``.
+
+    Raises ValueError, naming what is accepted, for any other text.
+    """
+    name, _, number = text.partition(":")
+    try:
+        fraction = float(number)
+    except ValueError:
+        fraction = float("nan")
+    if name not in ("chronological", "shuffled") or not 0.0 < fraction < 1.0:
+        raise ValueError(
+            f"split {text!r} is not understood: give chronological:FRACTION or shuffled:FRACTION "
+            "with a fraction between 0 and 1, for example chronological:0.6"
+        )
+    if name == "chronological":
+        return lambda grasps: chronological_split(grasps, fraction)
+    return lambda grasps: shuffled_split(grasps, fraction, seed)
+
+
+def _cut(n: int, fraction: float) -> int:
+    if not 0.0 < fraction < 1.0:
+        raise ValueError(f"fraction is {fraction}, must be above 0 and below 1")
+    return min(max(round(fraction * n), 1), max(n - 1, 1))

@@ -1,0 +1,251 @@
+"""Footprint of one pad: size, area, elongation, sharpness and moments of the pressed patch."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recognition.grasp import PadArray
+
+_NOISE_SIGMAS = 3.0
+"""Values up to as many standard deviations of their noise are taken as 0."""
+_FLOOR = 0.004
+"""Values up to this share of full scale are taken as 0: one count of 255."""
+_PROFILE_LENGTH = 20
+"""Largest values of a patch that its sharpness is described by."""
+LOAD_FLOOR = 1e-2
+_PEAK_FLOOR = 1e-3
+"""Added to loads and peaks before their logarithm, in full scales of a taxel."""
+_PEAK_SHARES = (0.1, 0.25, 0.5, 0.75)
+"""Shares of the peak above which taxels are counted."""
+_PEAK_WIDTH = 0.1
+"""Width, as a share of the peak, over which a taxel goes from not counted to counted."""
+_SCALE_SHARES = (0.01, 0.05, 0.15, 0.3)
+"""Shares of full scale above which taxels are counted; the width is half of each."""
+_COUNT_FLOOR = 0.5
+"""Added to numbers of taxels before their logarithm."""
+_TAIL_FLOOR = 0.1
+"""Added to the normalised fourth and sixth moments before their logarithm."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PadGrid:
+    """Positions of the taxels of one pad.
+
+    Attributes
+    ----------
+    xy_mm : (n_taxels, 2) float64
+        Position in the pad's plane in mm.
+    pitch_mm : (2,) float64
+        Distance between neighbours along and across the finger in mm.
+    shape : tuple of int
+        Rows and columns.
+    """
+
+    xy_mm: NDArray[np.float64]
+    pitch_mm: NDArray[np.float64]
+    shape: tuple[int, int]
+
+
+def pad_grid(pads: PadArray, pad: int) -> PadGrid:
+    """Return the positions of one pad's taxels."""
+    xy_mm = pads.taxel_xy_m[pads.taxels_of(pad)] * 1e3
+    rows, columns = (int(k) for k in pads.pad_shape[pad])
+    return PadGrid(
+        xy_mm=xy_mm,
+        pitch_mm=np.array([_pitch(xy_mm[:, 0]), _pitch(xy_mm[:, 1])]),
+        shape=(rows, columns),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Footprint:
+    """Patches of one pad, n grasps by K levels, described in logarithms and ratios.
+
+    Each array has the shape (n, K) or, where noted, one more axis.
+
+    Attributes
+    ----------
+    log_load, log_peak
+        Logarithm of the sum and the largest value, in full scales of a taxel.
+    log_extent : (n, K, 5)
+        Logarithm of the number of taxels that carry the load (inverse participation), and that
+        exceed 10, 25, 50 and 75 % of the peak.
+    log_pressed : (n, K, 4)
+        Logarithm of the number of taxels above 1, 5, 15 and 30 % of full scale.
+    log_axes : (n, K, 3)
+        Logarithm of the larger and smaller second moment in mm², and of their ratio.
+    tails : (n, K, 2)
+        Fourth and sixth radial moment against powers of the second, in logarithms.
+    harmonics : (n, K, 4)
+        Sizes of the third- and fourth-order moments that do not change in a turn of the patch.
+    direction : (n, K, 2)
+        Cosine and sine of twice the axis angle, weighted by the elongation.
+    centroid_mm : (n, K, 2)
+        Centre of the load in mm.
+    profile : (n, 20)
+        Root of the largest values at full load, in falling order, over the peak.
+    """
+
+    log_load: NDArray[np.float64]
+    log_peak: NDArray[np.float64]
+    log_extent: NDArray[np.float64]
+    log_pressed: NDArray[np.float64]
+    log_axes: NDArray[np.float64]
+    tails: NDArray[np.float64]
+    harmonics: NDArray[np.float64]
+    direction: NDArray[np.float64]
+    centroid_mm: NDArray[np.float64]
+    profile: NDArray[np.float64]
+
+
+def pressed(maps: NDArray[np.float64], noise: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return `maps` (..., n_taxels) with all that may be noise set to 0; noise has shape (...)."""
+    limit = np.maximum(_NOISE_SIGMAS * noise, _FLOOR)[..., None]
+    kept: NDArray[np.float64] = np.where(maps > limit, maps, 0.0)
+    return kept
+
+
+def describe_footprint(
+    maps: NDArray[np.float64], noise: NDArray[np.float64], grid: PadGrid
+) -> Footprint:
+    """Return the footprint of the patches of one pad.
+
+    Parameters
+    ----------
+    maps : (n, K, n_taxels)
+        Values above rest, as a fraction of full scale.
+    noise : (n, K)
+        Standard deviation of each value.
+    grid
+        The pad.
+    """
+    m = pressed(maps, noise)
+    total = m.sum(axis=-1)
+    peak = m.max(axis=-1)
+    share = m / np.maximum(total, 1e-9)[..., None]
+    share = np.where(total[..., None] > 0, share, 1.0 / m.shape[-1])
+    relative = m / np.maximum(peak, 1e-9)[..., None]
+    carry = total**2 / np.maximum((m * m).sum(axis=-1), 1e-12)
+    profile = -np.sort(-relative[:, -1], axis=-1)[:, :_PROFILE_LENGTH]
+    profile = np.pad(profile, ((0, 0), (0, _PROFILE_LENGTH - profile.shape[1])))
+    moments = _moments(share, grid)
+    return Footprint(
+        log_load=np.log(total + LOAD_FLOOR),
+        log_peak=np.log(peak + _PEAK_FLOOR),
+        log_extent=np.log(
+            np.stack(
+                [carry] + [_soft_count(relative, q, _PEAK_WIDTH) for q in _PEAK_SHARES], axis=-1
+            )
+            + _COUNT_FLOOR
+        ),
+        log_pressed=np.log(
+            np.stack([_soft_count(m, q, q / 2) for q in _SCALE_SHARES], axis=-1) + _COUNT_FLOOR
+        ),
+        log_axes=moments.log_axes,
+        tails=moments.tails,
+        harmonics=moments.harmonics,
+        direction=moments.direction,
+        centroid_mm=moments.centroid_mm,
+        profile=np.sqrt(profile),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Moments:
+    """The attributes of `Footprint` that are moments of the load."""
+
+    log_axes: NDArray[np.float64]
+    tails: NDArray[np.float64]
+    harmonics: NDArray[np.float64]
+    direction: NDArray[np.float64]
+    centroid_mm: NDArray[np.float64]
+
+
+def _moments(share: NDArray[np.float64], grid: PadGrid) -> _Moments:
+    """Return the moments of patches about their centres, from each taxel's share of the load."""
+    centroid = share @ grid.xy_mm
+    dx = grid.xy_mm[:, 0] - centroid[..., 0, None]
+    dy = grid.xy_mm[:, 1] - centroid[..., 1, None]
+    # A patch is never thinner than a taxel: its own width enters the moments.
+    own_x, own_y = grid.pitch_mm**2 / 4
+    xx = (share * dx * dx).sum(axis=-1) + own_x
+    yy = (share * dy * dy).sum(axis=-1) + own_y
+    xy = (share * dx * dy).sum(axis=-1)
+    half, swing = (xx + yy) / 2, np.hypot((xx - yy) / 2, xy)
+    large, small = np.log(half + swing), np.log(half - swing)
+    r2 = dx * dx + dy * dy
+    second = xx + yy
+    z = dx + 1j * dy
+    z2 = z * z
+    weighted = share * z2
+    cubic, quartic = np.maximum(second, 1e-9) ** 1.5, np.maximum(second, 1e-9) ** 2
+    fourth, sixth = (share * r2**2).sum(-1) / second**2, (share * r2**3).sum(-1) / second**3
+    return _Moments(
+        log_axes=np.stack([large, small, large - small], axis=-1),
+        tails=np.log(np.stack([fourth, sixth], axis=-1) + _TAIL_FLOOR),
+        harmonics=np.stack(
+            [
+                np.abs((weighted * z).sum(-1)) / cubic,
+                np.abs((weighted * z.conj()).sum(-1)) / cubic,
+                np.abs((weighted * z2).sum(-1)) / quartic,
+                np.abs((weighted * r2).sum(-1)) / quartic,
+            ],
+            axis=-1,
+        ),
+        direction=np.stack([(xx - yy) / second, 2 * xy / second], axis=-1),
+        centroid_mm=centroid,
+    )
+
+
+def patch_features(footprints: Sequence[Footprint]) -> NDArray[np.float64]:
+    """Return (n, F): size and form of each pad's patch, unchanged when it moves or turns."""
+    return _side_by_side(
+        part
+        for f in footprints
+        for part in (
+            f.log_load,
+            f.log_peak,
+            f.log_extent,
+            f.log_pressed,
+            f.log_axes,
+            f.tails,
+            f.harmonics,
+            f.profile,
+        )
+    )
+
+
+def pose_features(footprints: Sequence[Footprint]) -> NDArray[np.float64]:
+    """Return (n, F): direction of the long axis and centre of the load of each pad's patch."""
+    return _side_by_side(part for f in footprints for part in (f.direction, f.centroid_mm))
+
+
+def pad_difference_features(footprints: Sequence[Footprint]) -> NDArray[np.float64]:
+    """Return (n, F): differences of load, peak, size and centre of the first two pads."""
+    a, b = footprints[:2]
+    return _side_by_side(
+        (
+            a.log_load - b.log_load,
+            a.log_peak - b.log_peak,
+            a.log_axes[..., 0] - b.log_axes[..., 0],
+            a.centroid_mm - b.centroid_mm,
+        )
+    )
+
+
+def _side_by_side(parts: Iterable[NDArray[np.float64]]) -> NDArray[np.float64]:
+    """Return parts (n, ...) as one array (n, F)."""
+    return np.concatenate([part.reshape(len(part), -1) for part in parts], axis=1)
+
+
+def _soft_count(values: NDArray[np.float64], level: float, width: float) -> NDArray[np.float64]:
+    """Return the number of values above a level; those within half a width of it count in part."""
+    counted: NDArray[np.float64] = np.clip((values - level) / width + 0.5, 0.0, 1.0).sum(axis=-1)
+    return counted
+
+
+def _pitch(values_mm: NDArray[np.float64]) -> float:
+    steps = np.diff(np.unique(np.round(values_mm, 3)))
+    return float(steps.min()) if len(steps) else 1.0

@@ -1,0 +1,231 @@
+"""Features of one pad's patch: load profiles, the patch as a quadric surface, circular harmonics.
+
+Each function takes maps (n, K, n_taxels) above rest as a share of full scale, their noise (n, K)
+and the pad's grid, and returns (n, F). Constants without another source were chosen on the grasps
+that teach, of 36 recorded objects (docs/recognition.md).
+"""
+
+from math import comb
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recognition.features.footprint import PadGrid, pressed
+
+_LEAST_LOAD = 0.01
+"""Least load in full scales of a taxel that the shares of a profile are divided by."""
+
+_SCALE_MM = 5.0
+"""Unit of lengths in the fit, in mm, so that coefficients are of the order of 1."""
+_RIDGE = 1e-3
+"""Ridge on the normal matrix: a patch of a few taxels has no unique quadric without it."""
+_NEIGHBOUR_WEIGHT = 1e-4
+"""Weight of a free taxel beside the patch, against load shares that sum to 1."""
+_RESIDUAL_FLOOR = 0.02
+"""Added to the residual before its logarithm, as a share of the peak."""
+_SURFACE_LEVELS = (2, 4)
+"""Levels of `recognition.ramp.levels.LOAD_FRACTIONS` at which the quadric is fitted: 0.7 and 1."""
+
+_HARMONIC_LEVELS = (1, 4)
+"""Levels of `recognition.ramp.levels.LOAD_FRACTIONS` for the harmonics: 0.5 and 1."""
+_WIDTHS_MM = (2.0, 3.4, 5.4)
+"""Standard deviations of the Gaussian windows in mm."""
+_CRESTS = (1, 2, 3, 4)
+"""Numbers of crests of the waves around a centre."""
+_MARGIN_MM = 6.8
+"""Centres lie as far beyond the pad in mm: there the rim of a patch answers."""
+_MIN_LOAD = 1e-3
+"""Least load in full scales of a taxel that a density is divided by."""
+_PEAK_FLOOR_PER_MM = 1.3e-3
+_ENERGY_FLOOR = 2e-4
+"""Added to the strongest answer in 1/mm and to the energy before their logarithms."""
+
+
+def profile_features(
+    maps: NDArray[np.float64], noise: NDArray[np.float64], grid: PadGrid
+) -> NDArray[np.float64]:
+    """Return (n, F): roots of the shares of load per row and column at the last level.
+
+    Once as the patch lies on the pad, once centred on the patch.
+
+    Parameters
+    ----------
+    maps : (n, K, n_taxels)
+        Values above rest, as a fraction of full scale.
+    noise : (n, K)
+        Standard deviation of each value.
+    grid
+        The pad.
+    """
+    patch = pressed(maps[:, -1], noise[:, -1]).reshape(len(maps), *grid.shape)
+    load = np.maximum(patch.sum(axis=(1, 2)), _LEAST_LOAD)[:, None]
+    parts: list[NDArray[np.float64]] = []
+    for other_axis in (2, 1):
+        share = patch.sum(axis=other_axis) / load
+        parts += [np.sqrt(share), np.sqrt(_centred(share))]
+    return np.concatenate(parts, axis=1)
+
+
+def _centred(share: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Shift each row so that its centre of mass comes to the middle; linear between neighbours."""
+    n, length = share.shape
+    reach = (length + 1) // 3 + 1
+    centre = share @ np.arange(length) / np.maximum(share.sum(axis=1), 1e-9)
+    position = centre[:, None] + np.arange(-reach, reach + 1)
+    left = np.floor(position).astype(np.int64)
+    part = position - left
+    padded = np.pad(share, ((0, 0), (length, length)))
+    rows = np.arange(n)[:, None]
+    at_left, at_right = padded[rows, left + length], padded[rows, left + length + 1]
+    moved: NDArray[np.float64] = at_left * (1.0 - part) + at_right * part
+    return moved
+
+
+def surface_features(
+    maps: NDArray[np.float64], noise: NDArray[np.float64], grid: PadGrid
+) -> NDArray[np.float64]:
+    """Return (n, F): curvatures, height, residual and eigenvalues of the patch as a quadric.
+
+    The height field z = a x² + b y² + 2 d xy + 2 g x + 2 h y + k of `recognition.quadric.quadric`
+    is fitted to all grasps at once: x and y from the centre of the load, z as a share of the peak,
+    each taxel weighted by its load. The features are the principal curvatures, k, the residual and
+    the three smallest eigenvalues of the property matrix. None of them changes when the patch
+    moves or turns on the pad, if taxels are fine enough.
+
+    Parameters
+    ----------
+    maps : (n, K, n_taxels)
+        Values above rest, as a fraction of full scale.
+    noise : (n, K)
+        Standard deviation of each value.
+    grid
+        The pad.
+    """
+    levels = [k for k in _SURFACE_LEVELS if k < maps.shape[1]]
+    patch = pressed(maps[:, levels], noise[:, levels])
+    theta, residual = _fit_height_fields(patch, grid)
+    a, b, d, _, _, k = np.moveaxis(theta, -1, 0)
+    mean, swing = (a + b) / 2, np.hypot((a - b) / 2, d)
+    Q = _property_matrices(theta)
+    size = np.sqrt((Q**2).sum(axis=(-1, -2)))[..., None]
+    features = np.concatenate(
+        [
+            np.arcsinh(3 * np.stack([mean - swing, mean + swing], axis=-1)),
+            np.stack([k, np.log(residual + _RESIDUAL_FLOOR)], axis=-1),
+            np.linalg.eigvalsh(Q)[..., :3] / size,
+        ],
+        axis=-1,
+    )
+    return features.reshape(len(maps), -1)
+
+
+def _fit_height_fields(
+    patch: NDArray[np.float64], grid: PadGrid
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return coefficients a, b, d, g, h, k (n, K, 6) and residuals (n, K) of patches."""
+    load = np.maximum(patch.sum(axis=-1), 1e-6)[..., None]
+    height = patch / np.maximum(patch.max(axis=-1), 1e-6)[..., None]
+    centre = (patch / load) @ grid.xy_mm
+    x = (grid.xy_mm[:, 0] - centre[..., 0, None]) / _SCALE_MM
+    y = (grid.xy_mm[:, 1] - centre[..., 1, None]) / _SCALE_MM
+    # Free taxels beside the patch count a little: they bound the surface at the rim.
+    weight = patch / load + _NEIGHBOUR_WEIGHT * np.exp(-(x * x + y * y))
+    design = np.stack([x * x, y * y, 2 * x * y, 2 * x, 2 * y, np.ones_like(x)], axis=-1)
+    weighted = np.swapaxes(design * weight[..., None], -1, -2)
+    normal = weighted @ design + _RIDGE * np.eye(6)
+    theta = np.linalg.solve(normal, weighted @ height[..., None])
+    error = height - (design @ theta)[..., 0]
+    return theta[..., 0], np.sqrt((weight * error**2).sum(axis=-1))
+
+
+def _property_matrices(theta: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the paper's matrices Q (..., 4, 4) of height fields with coefficients (..., 6)."""
+    a, b, d, g, h, k = np.moveaxis(theta, -1, 0)
+    Q = np.zeros((*a.shape, 4, 4))
+    for row, column, value in ((0, 1, d), (0, 3, g), (1, 3, h), (2, 3, np.full_like(a, -0.5))):
+        Q[..., row, column] = Q[..., column, row] = value
+    for row, value in ((0, a), (1, b), (3, k)):
+        Q[..., row, row] = value
+    return Q
+
+
+def harmonic_features(
+    maps: NDArray[np.float64], noise: NDArray[np.float64], grid: PadGrid
+) -> NDArray[np.float64]:
+    """Return (n, F): logarithms of energy and strongest answer of each circular harmonic.
+
+    A circular harmonic is a bump, or a wave with a number of crests around a centre, under a
+    Gaussian window (Freeman and Adelson, "The design and use of steerable filters", 1991). Laid
+    over each place of the pad it answers the more, the more the pressure there looks like it.
+    Strongest answer and energy do not change when the patch moves or turns, if taxels are fine
+    enough, and need no centre of the patch, which the rim of the pad may have cut off. The
+    filtered quantity is the root of the density of load, of unit energy, so that no gain changes
+    the features.
+
+    Parameters
+    ----------
+    maps : (n, K, n_taxels)
+        Values above rest, as a fraction of full scale.
+    noise : (n, K)
+        Standard deviation of each value.
+    grid
+        The pad.
+    """
+    levels = [k for k in _HARMONIC_LEVELS if k < maps.shape[1]]
+    patch = pressed(maps[:, levels], noise[:, levels])
+    area_mm2 = float(np.prod(grid.pitch_mm))
+    load = np.maximum(patch.sum(axis=-1, keepdims=True), _MIN_LOAD)
+    root_per_mm = np.sqrt(patch / (load * area_mm2)).reshape(-1, *grid.shape)
+    squared = _squared_answers(root_per_mm, grid)
+    features = np.stack(
+        [
+            np.log(squared.sum(axis=-1) * area_mm2 + _ENERGY_FLOOR),
+            np.log(np.sqrt(squared.max(axis=-1)) + _PEAK_FLOOR_PER_MM),
+        ],
+        axis=-1,
+    )
+    return features.reshape(len(maps), -1)
+
+
+def _squared_answers(root: NDArray[np.float64], grid: PadGrid) -> NDArray[np.float64]:
+    """Return (n, widths, harmonics, places): squared answers to roots of density (n, *shape)."""
+    rows_mm = grid.xy_mm[:, 0].reshape(grid.shape).mean(axis=1)
+    columns_mm = grid.xy_mm[:, 1].reshape(grid.shape).mean(axis=0)
+    along = _windows(rows_mm, float(grid.pitch_mm[0]))
+    across = _windows(columns_mm, float(grid.pitch_mm[1]))
+    n_widths, n_powers = along.shape[:2]
+    # Powers of x and y under the window first, as both are windows of one axis; then harmonics.
+    moments = along.reshape(n_widths, -1, len(rows_mm)) @ (
+        root[:, None] @ np.swapaxes(across.reshape(n_widths, -1, len(columns_mm)), 1, 2)
+    )
+    moments = moments.reshape(len(root), n_widths, n_powers, along.shape[2], n_powers, -1)
+    flat = np.swapaxes(moments, 3, 4).reshape(len(root), n_widths, n_powers**2, -1)
+    real, imaginary = _harmonics(n_powers)
+    squared: NDArray[np.float64] = (real @ flat) ** 2
+    squared[:, :, -len(imaginary) :] += (imaginary @ flat) ** 2
+    return squared
+
+
+def _windows(taxels_mm: NDArray[np.float64], pitch_mm: float) -> NDArray[np.float64]:
+    """Return (widths, powers, places, taxels): powers of the distance under Gaussian windows."""
+    beyond = pitch_mm * np.arange(1, int(np.ceil(_MARGIN_MM / pitch_mm - 1e-6)) + 1)
+    places_mm = np.concatenate([taxels_mm[0] - beyond[::-1], taxels_mm, taxels_mm[-1] + beyond])
+    widths_mm = np.array(_WIDTHS_MM)[:, None, None]
+    distance = (taxels_mm - places_mm[:, None]) / widths_mm
+    window = np.exp(-0.5 * distance**2) * (pitch_mm / (widths_mm * np.sqrt(2 * np.pi)))
+    return np.stack([window * distance**power for power in range(max(_CRESTS) + 1)], axis=1)
+
+
+def _harmonics(n_powers: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return real parts (harmonics, powers²) and the imaginary parts of the waves, the last ones.
+
+    Two bumps and the waves (x + i y)^crests, by their weights of x^a y^b at a * powers + b.
+    """
+    weight = np.zeros((2 + len(_CRESTS), n_powers, n_powers), dtype=np.complex128)
+    weight[:2, 0, 0] = 1.0, -2.0
+    weight[1, 2, 0] = weight[1, 0, 2] = 1.0
+    for row, crests in enumerate(_CRESTS, start=2):
+        for b in range(crests + 1):
+            weight[row, crests - b, b] = comb(crests, b) * 1j**b
+    flat = weight.reshape(len(weight), -1)
+    return np.ascontiguousarray(flat.real), np.ascontiguousarray(flat.imag[2:])

@@ -1,0 +1,282 @@
+"""Contact patch of a pad: baseline, noise, connected loaded taxels.
+
+Heights are counts by default. They stay in counts on purpose: in the paper's numbers (smallest
+eigenvalue of the order of 1e-3, largest of 1e2) the height of the surface is read in 8-bit counts.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+
+from recognition.errors import ContactError
+from recognition.grasp import Grasp, PadArray
+
+MIN_QUIET_FRAMES = 3
+"""Fewer frames before contact than this do not make a baseline of each taxel."""
+_QUANTISATION_COUNTS = 0.289
+"""Standard deviation of rounding to whole counts: 1 / sqrt(12)."""
+_MAD_TO_SD = 1.4826
+"""Standard deviation over median absolute deviation of a normal distribution."""
+_QUIET_SIGMAS = 5.0
+"""Standard deviations of a pad's total by which it may exceed its least value before contact."""
+_QUIET_SCALE = 0.002
+"""The same as a share of one taxel's full scale, beside the noise."""
+_LEAST_HEIGHT = 0.004
+"""Least height of a loaded taxel as a share of full scale: one count of 255."""
+_NEIGHBOURS = np.ones((3, 3), dtype=np.int64)
+"""Taxels that touch, also over a corner, are connected."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ContactPatch:
+    """Connected loaded taxels of one pad.
+
+    Attributes
+    ----------
+    pad : int
+        Pad in the `PadArray`.
+    taxels : (n,) int64
+        Indices among all taxels of the grasp, ascending.
+    xy_m : (n, 2) float64
+        Positions in the pad's plane in m.
+    height : (n,) float64
+        Baseline-corrected counts.
+    weight : (n,) float64
+        Weight of each taxel in a fit.
+    """
+
+    pad: int
+    taxels: NDArray[np.int64]
+    xy_m: NDArray[np.float64]
+    height: NDArray[np.float64]
+    weight: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        n = len(self.taxels)
+        if n < 1:
+            raise ContactError(f"pad {self.pad}: a contact patch needs at least one taxel")
+        for name, shape in (("xy_m", (n, 2)), ("height", (n,)), ("weight", (n,))):
+            array = np.array(getattr(self, name), dtype=np.float64)
+            if array.shape != shape or not np.all(np.isfinite(array)):
+                raise ContactError(f"pad {self.pad}: {name} is not finite of shape {shape}")
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        taxels = np.array(self.taxels, dtype=np.int64)
+        taxels.setflags(write=False)
+        object.__setattr__(self, "taxels", taxels)
+
+    @property
+    def load(self) -> float:
+        """Sum of the heights in counts."""
+        return float(self.height.sum())
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Baseline:
+    """Readings of the untouched pads in one grasp, and their noise.
+
+    Attributes
+    ----------
+    counts : (n_taxels,) float64
+        Reading of each taxel without load.
+    noise_counts : (n_pads,) float64
+        Robust standard deviation of one taxel in one frame, for each pad.
+    quiet_frames : (n_pads,) int64
+        Frames before contact that the baseline rests on; 0 where there were too few and the
+        median of the pad's first frame stands in for all its taxels.
+    """
+
+    counts: NDArray[np.float64]
+    noise_counts: NDArray[np.float64]
+    quiet_frames: NDArray[np.int64]
+
+    def __post_init__(self) -> None:
+        for name in ("counts", "noise_counts", "quiet_frames"):
+            array = np.array(getattr(self, name))
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+
+
+def robust_noise(values: ArrayLike) -> float:
+    """Return 1.4826 times the median absolute deviation, never below that of rounding."""
+    values = np.asarray(values, dtype=np.float64)
+    if values.size == 0:
+        return _QUANTISATION_COUNTS
+    spread = float(np.median(np.abs(values - np.median(values))))
+    return max(_MAD_TO_SD * spread, _QUANTISATION_COUNTS)
+
+
+@lru_cache(maxsize=1)
+def estimate_baseline(grasp: Grasp) -> Baseline:
+    """Return baseline and noise of each pad from the frames of one grasp; the last is kept.
+
+    Frames before contact are those at the start during which a pad's total stays within the
+    noise of its least value among them. Where the commanded force is known they end before it rises
+    above 0: the noise of a whole pad hides the first taxels that are touched. The noise is that of
+    the differences between frames, which the slow rise of a ramp hardly touches; with one frame it
+    is the spread over the pad.
+
+    Parameters
+    ----------
+    grasp
+        A force ramp, from the open gripper on.
+    """
+    pads = grasp.pads
+    baseline = np.empty(pads.n_taxels)
+    noise = np.empty(pads.n_pads)
+    quiet = np.zeros(pads.n_pads, dtype=np.int64)
+    forced = np.flatnonzero(grasp.force_n > 0.0)
+    known = len(forced) and forced[0] >= MIN_QUIET_FRAMES
+    unforced = int(forced[0]) if known else grasp.n_frames
+    for pad in range(pads.n_pads):
+        taxels = pads.taxels_of(pad)
+        counts = grasp.counts[:, taxels].astype(np.float64)
+        if len(counts) > 1:
+            noise[pad] = robust_noise(np.diff(counts, axis=0)) / np.sqrt(2.0)
+            noise[pad] = max(noise[pad], _QUANTISATION_COUNTS)
+        else:
+            noise[pad] = robust_noise(counts)
+        limit = _QUIET_SIGMAS * noise[pad] * np.sqrt(len(taxels)) + _QUIET_SCALE * pads.adc_max
+        n_quiet = min(_quiet_frames(counts.sum(axis=1), limit), unforced)
+        if n_quiet >= MIN_QUIET_FRAMES:
+            quiet[pad] = n_quiet
+            baseline[taxels] = np.mean(counts[:n_quiet], axis=0)
+        else:
+            baseline[taxels] = np.median(counts[0])
+    return Baseline(counts=baseline, noise_counts=noise, quiet_frames=quiet)
+
+
+def _quiet_frames(total: NDArray[np.float64], limit: float) -> int:
+    """Count the leading frames whose total is within ``limit`` of the least total so far."""
+    least = np.minimum.accumulate(total)
+    loud = np.flatnonzero(total - least > limit)
+    n_quiet = int(loud[0]) if len(loud) else len(total)
+    # a ramp that is steeper than the noise shows in its first step; the last quiet frame may
+    # already have the object in it, so it is given up where contact follows
+    return n_quiet - 1 if len(loud) and n_quiet > MIN_QUIET_FRAMES else n_quiet
+
+
+def noise_threshold(
+    noise_counts: float, n_averaged: int, adc_max: int, sigmas: float = 4.0
+) -> float:
+    """Return the height in counts that a taxel must exceed to be loaded.
+
+    Parameters
+    ----------
+    noise_counts
+        Standard deviation of one taxel in one frame.
+    n_averaged
+        Frames that the height is the mean of.
+    adc_max
+        Full scale; the threshold is never below 0.4 % of it (one count of 255).
+    sigmas
+        Standard deviations of the mean.
+    """
+    if n_averaged < 1 or noise_counts < 0:
+        raise ContactError(f"noise {noise_counts} counts over {n_averaged} frames makes no sense")
+    return max(sigmas * noise_counts / float(np.sqrt(n_averaged)), _LEAST_HEIGHT * adc_max)
+
+
+def contact_patches(
+    height: ArrayLike,
+    pads: PadArray,
+    pad: int,
+    threshold: float,
+    *,
+    rim: int = 0,
+    min_taxels: int = 1,
+) -> tuple[ContactPatch, ...]:
+    """Find the contact patches of one pad, the most loaded first; none gives an empty tuple.
+
+    Parameters
+    ----------
+    height : (rows, columns) or (n_taxels of the pad,) or (n_taxels of all pads,)
+        Baseline-corrected counts.
+    pads
+        Where the taxels are.
+    pad
+        Which pad.
+    threshold
+        Taxels above it are loaded; those that touch, also over a corner, make one patch.
+    rim
+        Rings of taxels around each patch that are taken along with the height that they have: they
+        show where the contact ends; without them small contacts have no surface.
+    min_taxels
+        Loaded taxels below which a patch is a speck and left out.
+
+    Raises
+    ------
+    ContactError
+        Where the heights do not fit the pad or are not finite.
+    """
+    rows, columns = (int(size) for size in pads.pad_shape[pad])
+    taxels = pads.taxels_of(pad)
+    grid = _as_grid(np.asarray(height, dtype=np.float64), pads, pad).reshape(rows, columns)
+    loaded = grid > threshold
+    label, n_patches = ndimage.label(loaded, structure=_NEIGHBOURS)
+    patches = []
+    for index in range(1, n_patches + 1):
+        core = label == index
+        if int(core.sum()) < min_taxels:
+            continue
+        wide = ndimage.binary_dilation(core, _NEIGHBOURS, iterations=rim) if rim else core
+        chosen = np.flatnonzero((core | (wide & ~loaded)).ravel())
+        patches.append(
+            ContactPatch(
+                pad=pad,
+                taxels=taxels[chosen],
+                xy_m=pads.taxel_xy_m[taxels[chosen]],
+                height=grid.ravel()[chosen],
+                weight=np.ones(len(chosen)),
+            )
+        )
+    return tuple(sorted(patches, key=lambda patch: -patch.load))
+
+
+def main_patch(
+    height: ArrayLike,
+    pads: PadArray,
+    pad: int,
+    threshold: float,
+    *,
+    rim: int = 0,
+    min_taxels: int = 1,
+) -> ContactPatch:
+    """Return the most loaded patch of a pad, see `contact_patches`.
+
+    Raises
+    ------
+    ContactError
+        Where no taxel exceeds the threshold; the message names the largest height.
+    """
+    patches = contact_patches(height, pads, pad, threshold, rim=rim, min_taxels=min_taxels)
+    if not patches:
+        largest = float(_as_grid(np.asarray(height, dtype=np.float64), pads, pad).max())
+        raise ContactError(
+            f"pad {pad} is not touched: largest height {largest:.3g} counts, threshold "
+            f"{threshold:.3g}, at least {min_taxels} taxels; grip harder or tare again"
+        )
+    return patches[0]
+
+
+def _as_grid(height: NDArray[np.float64], pads: PadArray, pad: int) -> NDArray[np.float64]:
+    """Return the pad's heights, flat and row-major."""
+    taxels = pads.taxels_of(pad)
+    if height.shape == (pads.n_taxels,):
+        flat = height[taxels]
+    elif height.size == len(taxels) and height.shape in (
+        (len(taxels),),
+        tuple(pads.pad_shape[pad].tolist()),
+    ):
+        flat = height.ravel()
+    else:
+        raise ContactError(
+            f"heights of shape {height.shape} fit neither pad {pad} with {len(taxels)} taxels nor "
+            f"all {pads.n_taxels}"
+        )
+    if not np.all(np.isfinite(flat)):
+        raise ContactError(f"pad {pad} has heights that are not finite")
+    return flat

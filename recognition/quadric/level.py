@@ -1,0 +1,384 @@
+"""Level of a grasp: the paper's one number, the smallest eigenvalue of its surface at a force.
+
+The number is close to j^2 over the fitted peak height in counts. It moves with the grip force, so
+it is comparable only at equal force: near the end of the ramp, at one force, or along its steps.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from recognition.errors import ContactError, QuadricError
+from recognition.grasp import Grasp, PadArray
+from recognition.quadric.contact import Baseline, estimate_baseline, main_patch, noise_threshold
+from recognition.quadric.eigen import Reading, smallest_eigenvalue
+from recognition.quadric.quadric import Quadric, fit_height_field
+from recognition.quadric.thresholds import Levels
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LevelSettings:
+    """Settings of a level.
+
+    Attributes
+    ----------
+    force_n
+        Grip force in N to take it at; None: near the full force of the ramp. Grasps without a
+        record of the force are taken near their full load.
+    tolerance
+        Frames count as near a force, or load, within this part of it.
+    sigmas
+        Threshold of a loaded taxel in standard deviations of the noise.
+    peak_share
+        Least height of a loaded taxel as a part of the pad's largest. Without it the threshold
+        falls as more frames are averaged, and taxels at the edge of the patch come and go with
+        what is left of the noise, the fitted surface with them.
+    rim
+        Rings of unloaded taxels that the fit takes along.
+    reading
+        Which eigenvalue.
+    """
+
+    force_n: float | None = None
+    tolerance: float = 0.1
+    sigmas: float = 4.0
+    peak_share: float = 0.4
+    rim: int = 1
+    reading: Reading = Reading.SMALLEST_MAGNITUDE
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return everything as plain arrays."""
+        return {
+            "force_n": np.array(np.nan if self.force_n is None else self.force_n),
+            "tolerance": np.array(self.tolerance),
+            "sigmas": np.array(self.sigmas),
+            "peak_share": np.array(self.peak_share),
+            "rim": np.array(self.rim),
+            "reading": np.array(str(self.reading)),
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """Rebuild from `to_arrays`; KeyError where an array is missing."""
+        force_n = float(arrays["force_n"])
+        return cls(
+            force_n=None if np.isnan(force_n) else force_n,
+            tolerance=float(arrays["tolerance"]),
+            sigmas=float(arrays["sigmas"]),
+            peak_share=float(arrays["peak_share"]),
+            rim=int(arrays["rim"]),
+            reading=Reading(str(arrays["reading"])),
+        )
+
+
+DEFAULT_LEVEL = LevelSettings()
+"""The settings of the recogniser `level_check`."""
+FULL_SCALE_COUNTS = 255.0
+"""Heights are fitted in counts of an 8-bit converter, the paper's, whatever the pads' own."""
+
+_PRIOR_GRASPS = 4.0
+"""Weight, in grasps, of the pooled spread against an object's own."""
+_LEAST_SPREAD = 0.02
+"""Least standard deviation of a level's logarithm, however alike the taught grasps are."""
+_DEFAULT_SPREAD = 0.08
+"""Pooled spread where every object was grasped once: the noise of the paper's levels."""
+_DRAWS = 12
+"""Disturbances by noise from which its effect on a level is taken."""
+_NOISE_GRASPS = 30
+"""About as many taught grasps are disturbed; more would change the result by little."""
+
+
+def gripping_pads(load: ArrayLike, pads: PadArray, *, min_share: float = 0.05) -> tuple[int, ...]:
+    """Return the one or two pads that hold the object, the most loaded one first.
+
+    The second is the counterpart of the first: the same place in the other half of the list of pads
+    if that has the same shape (finger 0, then finger 1), else the most loaded other pad.
+
+    Parameters
+    ----------
+    load : (n_pads,)
+        Load of each pad in counts.
+    pads
+        The pads.
+    min_share
+        Part of the first pad's load below which the second counts as untouched.
+
+    Raises
+    ------
+    ContactError
+        Where no pad is loaded.
+    """
+    load = np.asarray(load, dtype=np.float64)
+    first = int(np.argmax(load))
+    if not load[first] > 0:
+        raise ContactError(
+            "no pad is loaded: nothing was gripped, or the ramp ended before contact"
+        )
+    if pads.n_pads == 1:
+        return (first,)
+    second = (first + pads.n_pads // 2) % pads.n_pads
+    if pads.n_pads % 2 or not np.array_equal(pads.pad_shape[first], pads.pad_shape[second]):
+        second = int(np.argsort(-load, kind="stable")[1])
+    return (first, second) if load[second] > min_share * load[first] else (first,)
+
+
+def frames_near(grasp: Grasp, share: float, tolerance: float) -> NDArray[np.int64]:
+    """Return the frames of a ramp near a share, from 0 to 1, of its full force.
+
+    By the commanded force where it is known; else by the total load, smoothed over three frames,
+    between its least and its largest value. Never empty: the nearest frame is always in it.
+    """
+    known = np.isfinite(grasp.force_n)
+    if known.any():
+        # frames without a force are infinitely far
+        reached = np.where(known, grasp.force_n, np.inf) / max(
+            float(np.max(grasp.force_n[known])), 1e-9
+        )
+    else:
+        total = grasp.counts.sum(axis=1, dtype=np.float64)
+        padded = np.concatenate([total[:1], total, total[-1:]])
+        total = np.median(np.stack([padded[:-2], padded[1:-1], padded[2:]]), axis=0)
+        least = float(total.min())
+        reached = (total - least) / max(float(total.max()) - least, 1e-9)
+    distance = np.abs(reached - share)
+    return np.flatnonzero(distance <= max(tolerance, float(distance.min())))
+
+
+def _surfaces_at(
+    grasp: Grasp,
+    baseline: Baseline,
+    frames: NDArray[np.int64],
+    settings: LevelSettings,
+    disturbance: ArrayLike = 0.0,
+) -> list[Quadric]:
+    pads = grasp.pads
+    height = grasp.counts[frames].mean(axis=0) - baseline.counts + np.asarray(disturbance)
+    threshold = [
+        noise_threshold(float(noise), len(frames), pads.adc_max, settings.sigmas)
+        for noise in baseline.noise_counts
+    ]
+    over = np.where(height > np.take(threshold, pads.taxel_pad), height, 0.0)
+    load = np.bincount(pads.taxel_pad, weights=over, minlength=pads.n_pads)
+    to_8_bit = FULL_SCALE_COUNTS / pads.adc_max
+    found, refused = [], []
+    for pad in gripping_pads(load, pads):
+        least = settings.peak_share * float(height[pads.taxels_of(pad)].max())
+        patch = main_patch(height, pads, pad, max(threshold[pad], least), rim=settings.rim)
+        try:
+            quadric = fit_height_field(patch.xy_m, to_8_bit * patch.height, patch.weight)
+        except QuadricError as error:
+            refused.append(f"pad {pad}: {error}")
+            continue
+        if smallest_eigenvalue(quadric.Q, settings.reading).degenerate:
+            refused.append(f"pad {pad}: the matrix is singular to rounding")
+        else:
+            found.append(quadric)
+    if not found:
+        raise QuadricError("no pad carries a surface: " + "; ".join(refused))
+    return found
+
+
+def _level_at(
+    grasp: Grasp,
+    baseline: Baseline,
+    frames: NDArray[np.int64],
+    settings: LevelSettings,
+    disturbance: ArrayLike = 0.0,
+) -> float:
+    smallest = [
+        float(smallest_eigenvalue(quadric.Q, settings.reading).value)
+        for quadric in _surfaces_at(grasp, baseline, frames, settings, disturbance)
+    ]
+    if settings.reading is Reading.ALGEBRAIC_MINIMUM:
+        return float(np.mean(smallest))
+    return float(np.exp(np.mean(np.log(smallest))))
+
+
+def grip_surfaces(grasp: Grasp, settings: LevelSettings = DEFAULT_LEVEL) -> tuple[Quadric, ...]:
+    """Return the surface of each gripping pad that carries one, the most loaded pad first.
+
+    Raises
+    ------
+    ContactError, QuadricError
+        As `grip_level`.
+    """
+    frames = frames_at(grasp, settings.force_n, settings)
+    return tuple(_surfaces_at(grasp, estimate_baseline(grasp), frames, settings))
+
+
+def grip_level(grasp: Grasp, settings: LevelSettings = DEFAULT_LEVEL) -> float:
+    """Return the smallest eigenvalue of one grasp.
+
+    Frames near the force are averaged (the noise filter before the surface), the loaded patch of
+    each gripping pad is fitted in the form (7), and the eigenvalues of the pads are averaged,
+    geometrically where they are magnitudes.
+
+    Raises
+    ------
+    ContactError
+        Where no pad is touched, or the ramp never came near ``settings.force_n``.
+    QuadricError
+        Where no gripping pad carries a surface.
+    """
+    frames = frames_at(grasp, settings.force_n, settings)
+    return _level_at(grasp, estimate_baseline(grasp), frames, settings)
+
+
+def disturbed_levels(
+    grasp: Grasp, disturbances: NDArray[np.float64], settings: LevelSettings = DEFAULT_LEVEL
+) -> NDArray[np.float64]:
+    """Return the levels (n,) of a grasp with each of n disturbances of its mean frame.
+
+    `disturbances` (n, n_taxels) are in counts: this shows how far noise moves the level. Raises as
+    `grip_level`.
+    """
+    frames = frames_at(grasp, settings.force_n, settings)
+    baseline = estimate_baseline(grasp)
+    return np.array(
+        [_level_at(grasp, baseline, frames, settings, one) for one in disturbances],
+        dtype=np.float64,
+    )
+
+
+def frames_at(grasp: Grasp, force_n: float | None, settings: LevelSettings) -> NDArray[np.int64]:
+    """Return the frames near a force in N, near the full force for None.
+
+    Raises ContactError where the ramp never came near it.
+    """
+    known = np.isfinite(grasp.force_n)
+    if force_n is None or not known.any():
+        return frames_near(grasp, 1.0, settings.tolerance)
+    largest = float(np.max(grasp.force_n[known]))
+    distance = np.where(known, np.abs(grasp.force_n - force_n), np.inf)
+    frames = np.flatnonzero(distance <= settings.tolerance * force_n)
+    if len(frames) == 0:
+        raise ContactError(
+            f"no frame within {settings.tolerance * force_n:.3g} N of {force_n:.3g} N; the ramp "
+            f"reached {largest:.3g} N"
+        )
+    return frames
+
+
+def ramp_levels(
+    grasp: Grasp, shares: Sequence[float], settings: LevelSettings = DEFAULT_LEVEL
+) -> NDArray[np.float64]:
+    """Return lambda(F): the smallest eigenvalue at each share of the full force.
+
+    Parameters
+    ----------
+    grasp
+        One force ramp.
+    shares
+        Parts of the full force, each above 0 and up to 1.
+    settings
+        How each value is taken; ``force_n`` has no part in it.
+
+    Returns
+    -------
+    (n_shares,) float64
+        NaN where there was no contact yet, or no surface to be fitted.
+    """
+    if not all(0.0 < share <= 1.0 for share in shares):
+        raise ContactError(f"shares of the force are {list(shares)}, each must be above 0, up to 1")
+    baseline = estimate_baseline(grasp)
+    values = np.full(len(shares), np.nan)
+    for index, share in enumerate(shares):
+        frames = frames_near(grasp, share, settings.tolerance)
+        try:
+            values[index] = _level_at(grasp, baseline, frames, settings)
+        except (ContactError, QuadricError):
+            values[index] = np.nan  # documented: this step of the ramp has no level
+    return values
+
+
+def common_force_n(grasps: Sequence[Grasp]) -> float | None:
+    """Return the largest force in N that every grasp reached, None where one is not recorded."""
+    reached = [
+        float(np.max(g.force_n, initial=-np.inf, where=np.isfinite(g.force_n))) for g in grasps
+    ]
+    least = min(reached)
+    return least if np.isfinite(least) and least > 0.0 else None
+
+
+def averaged_noise(grasp: Grasp, settings: LevelSettings) -> float:
+    """Return the noise of a taxel's height in the frames that the level is taken from.
+
+    Of their mean, that is, less the baseline. It is a standard deviation in counts of 255, the
+    median over the pads. Raises ContactError where the ramp never came near the force of the
+    settings.
+    """
+    n_frames = len(frames_at(grasp, settings.force_n, settings))
+    baseline = estimate_baseline(grasp)
+    share = np.sqrt(1.0 / n_frames + 1.0 / np.maximum(baseline.quiet_frames, 1))
+    noise = float(np.median(baseline.noise_counts * share))
+    return noise * FULL_SCALE_COUNTS / grasp.pads.adc_max
+
+
+def level_noise_per_count(grasp: Grasp, settings: LevelSettings, rng: np.random.Generator) -> float:
+    """Return the part of the level by which noise moves it, for each count of `averaged_noise`.
+
+    The averaged frames are disturbed a dozen times by as much noise as they have, and the surface
+    is found anew, its patch too. Raises ContactError or QuadricError where they carry none.
+    """
+    noise = averaged_noise(grasp, settings)
+    counts = noise * grasp.pads.adc_max / FULL_SCALE_COUNTS
+    draws = rng.normal(0.0, counts, (_DRAWS, grasp.pads.n_taxels))
+    levels = disturbed_levels(grasp, draws, settings)
+    return float(np.std(levels) / abs(np.mean(levels))) / noise
+
+
+def usual_noise(grasps: Sequence[Grasp], settings: LevelSettings) -> tuple[float, float]:
+    """Return median `averaged_noise` and the root mean square of `level_noise_per_count`.
+
+    About `_NOISE_GRASPS` of the grasps, evenly taken, are used. Those without a surface are left
+    out; both are 0 where all are.
+    """
+    found, rng = [], np.random.default_rng(0)
+    for grasp in grasps[:: -(-len(grasps) // _NOISE_GRASPS)]:
+        try:
+            per_count = level_noise_per_count(grasp, settings, rng)
+            found.append((averaged_noise(grasp, settings), per_count))
+        except (ContactError, QuadricError):
+            continue  # documented: without a surface there is no level
+    if not found:
+        return 0.0, 0.0
+    counts, per_count = np.array(found).T
+    # A patch that changes is rare, and moves the level most: a median would leave it out.
+    return float(np.median(counts)), float(np.sqrt(np.mean(per_count**2)))
+
+
+def log_statistics(
+    values: Sequence[NDArray[np.float64]],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return mean and spread of log|level|; each spread is drawn towards the pooled one."""
+    logs = [np.log(np.abs(one)) for one in values]
+    counts = np.array([len(one) for one in logs])
+    mean = np.array([one.mean() if len(one) else np.nan for one in logs])
+    squares = np.array([np.sum((one - one.mean()) ** 2) if len(one) else 0.0 for one in logs])
+    freedom = np.maximum(counts - 1, 0)
+    pooled = float(squares.sum() / freedom.sum()) if freedom.sum() else _DEFAULT_SPREAD**2
+    variance = (squares + _PRIOR_GRASPS * pooled) / (freedom + _PRIOR_GRASPS)
+    # the mean itself is known from a few grasps only
+    variance = variance * (1.0 + 1.0 / np.maximum(counts, 1))
+    spread = np.sqrt(np.maximum(variance, _LEAST_SPREAD**2))
+    return mean, np.where(counts > 0, spread, np.nan)
+
+
+def level_or_none(grasp: Grasp, settings: LevelSettings) -> float | None:
+    """Return the level of a grasp, None where it carries no surface."""
+    try:
+        value = grip_level(grasp, settings)
+    except (ContactError, QuadricError):
+        return None  # the caller answers unknown, or leaves the grasp out of the teaching
+    return value if value != 0.0 else None
+
+
+def level_novelty(levels: Levels, value: float) -> float:
+    """Return 0 inside a band, 1/2 at the edge of its margin, towards 1 beyond."""
+    edge = np.where(value < levels.low, np.abs(levels.low), np.abs(levels.high))
+    outside = levels.distance(value) / (levels.margin * edge)
+    nearest = float(np.nanmin(outside))
+    return nearest**2 / (1.0 + nearest**2)

@@ -1,0 +1,306 @@
+"""Quadric of a contact patch: fitted height field, the paper's form (7), and its transformations.
+
+The surface is z = a x^2 + b y^2 + 2 d xy + 2 g x + 2 h y + k. Written as P^T Q P = 0 with
+P = (x, y, z, 1) and the scale fixed by 2 j = -1::
+
+        | a d 0  g  |
+    Q = | d b 0  h  |        j = -1/2
+        | 0 0 0  j  |
+        | g h j  k  |
+
+so that k is the fitted height at the origin, in the unit of the heights. Homogeneous
+transformations and the congruence that carries a quadric along (paper eq. (2)) are batched: leading
+dimensions are broadcast, the last two hold one 4x4 matrix. Angles are in rad; lengths are in the
+unit of the quadric's coordinates.
+"""
+
+from dataclasses import dataclass
+from functools import reduce
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from recognition.errors import QuadricError, TransformError
+
+DEFAULT_ORDER = "TRS"
+"""M = T R S: a point is scaled first, then rotated, then translated."""
+J = -0.5
+"""The entry j of every height-field matrix: 2 j = -1."""
+MIN_POINTS = 7
+"""Six unknowns and one point to judge the fit by."""
+
+
+def _identities(shape: tuple[int, ...]) -> NDArray[np.float64]:
+    out = np.zeros((*shape, 4, 4))
+    out[..., range(4), range(4)] = 1.0
+    return out
+
+
+def translation(offset: ArrayLike) -> NDArray[np.float64]:
+    """Return translations; ``offset`` has shape (..., 3), the result (..., 4, 4)."""
+    offset = np.asarray(offset, dtype=np.float64)
+    if offset.ndim < 1 or offset.shape[-1] != 3:
+        raise TransformError(f"offset has shape {offset.shape}, expected (..., 3)")
+    out = _identities(offset.shape[:-1])
+    out[..., :3, 3] = offset
+    return out
+
+
+def scaling(factor: ArrayLike) -> NDArray[np.float64]:
+    """Return uniform scalings; ``factor`` has shape (...), must not be 0."""
+    factor = np.asarray(factor, dtype=np.float64)
+    if np.any(factor == 0):
+        raise TransformError("a scale factor is 0: the transformation has no inverse")
+    out = _identities(factor.shape)
+    for axis in range(3):
+        out[..., axis, axis] = factor
+    return out
+
+
+def _rotation(angle_rad: ArrayLike, first: int, second: int) -> NDArray[np.float64]:
+    angle = np.asarray(angle_rad, dtype=np.float64)
+    out = _identities(angle.shape)
+    cosine, sine = np.cos(angle), np.sin(angle)
+    out[..., first, first] = cosine
+    out[..., second, second] = cosine
+    out[..., first, second] = -sine
+    out[..., second, first] = sine
+    return out
+
+
+def rotation_x(angle_rad: ArrayLike) -> NDArray[np.float64]:
+    """Return right-handed rotations about x; ``angle_rad`` has shape (...)."""
+    return _rotation(angle_rad, 1, 2)
+
+
+def rotation_y(angle_rad: ArrayLike) -> NDArray[np.float64]:
+    """Return right-handed rotations about y; ``angle_rad`` has shape (...)."""
+    return _rotation(angle_rad, 2, 0)
+
+
+def rotation_z(angle_rad: ArrayLike) -> NDArray[np.float64]:
+    """Return right-handed rotations about z; ``angle_rad`` has shape (...)."""
+    return _rotation(angle_rad, 0, 1)
+
+
+def rotation_xyz(angle_rad: ArrayLike) -> NDArray[np.float64]:
+    """Return Rz Ry Rx (about x first); ``angle_rad`` has shape (..., 3): x, y, z."""
+    angle = np.asarray(angle_rad, dtype=np.float64)
+    if angle.ndim < 1 or angle.shape[-1] != 3:
+        raise TransformError(f"angle_rad has shape {angle.shape}, expected (..., 3)")
+    return rotation_z(angle[..., 2]) @ rotation_y(angle[..., 1]) @ rotation_x(angle[..., 0])
+
+
+def compose(
+    *,
+    translate: NDArray[np.float64],
+    rotate: NDArray[np.float64],
+    scale: NDArray[np.float64],
+    order: str = DEFAULT_ORDER,
+) -> NDArray[np.float64]:
+    """Multiply the three in the given order, read as a product: "TRS" is M = T R S."""
+    by_letter = {"T": translate, "R": rotate, "S": scale}
+    return reduce(np.matmul, [by_letter[letter] for letter in check_order(order)])
+
+
+def check_order(order: str) -> str:
+    """Return ``order`` if it is a permutation of the letters T, R and S."""
+    if sorted(order) != ["R", "S", "T"]:
+        raise TransformError(f"order is {order!r}, expected a permutation of 'TRS'")
+    return order
+
+
+def invert(M: ArrayLike, *, max_condition: float = 1e12) -> NDArray[np.float64]:
+    """Invert homogeneous matrices of shape (..., 4, 4).
+
+    Raises
+    ------
+    TransformError
+        Where a matrix is not finite, its last row is not (0, 0, 0, 1), or its condition number
+        exceeds ``max_condition``.
+    """
+    M = np.asarray(M, dtype=np.float64)
+    if M.ndim < 2 or M.shape[-2:] != (4, 4):
+        raise TransformError(f"M has shape {M.shape}, expected (..., 4, 4)")
+    if not np.all(np.isfinite(M)):
+        raise TransformError("M has values that are not finite")
+    if np.any(np.abs(M[..., 3, :] - (0.0, 0.0, 0.0, 1.0)) > 1e-12):
+        raise TransformError("the last row of M is not (0, 0, 0, 1)")
+    condition = float(np.max(np.linalg.cond(M[..., :3, :3]), initial=1.0))
+    if not condition <= max_condition:
+        raise TransformError(f"M has condition number {condition:.3g}, limit {max_condition:.3g}")
+    return np.linalg.inv(M)
+
+
+def congruence(Q: ArrayLike, M: ArrayLike) -> NDArray[np.float64]:
+    """Carry quadrics along with the points: Q' = M^-T Q M^-1 (paper eq. (2)).
+
+    Parameters
+    ----------
+    Q : (..., 4, 4)
+        Symmetric property matrices.
+    M : (..., 4, 4)
+        Maps points: P' = M P; broadcast against ``Q``.
+
+    Returns
+    -------
+    (..., 4, 4) float64
+        Exactly symmetric. Rank and signature are those of ``Q``; the eigenvalues are only where
+        M is orthogonal, that is for a rotation about the origin.
+
+    Raises
+    ------
+    TransformError
+        Where M has no inverse, see `invert`.
+    """
+    return by_inverse(np.asarray(Q, dtype=np.float64), invert(M))
+
+
+def by_inverse(Q: NDArray[np.float64], M_inv: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Apply `congruence` where M^-1 is already known and good."""
+    out: NDArray[np.float64] = np.swapaxes(M_inv, -1, -2) @ Q @ M_inv
+    return 0.5 * (out + np.swapaxes(out, -1, -2))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Quadric:
+    """A fitted height field.
+
+    Attributes
+    ----------
+    Q : (4, 4) float64
+        Form (7), read-only. x and y are (position - centre_m) / scale_m, z is the height.
+    residual
+        Weighted root mean square of the height error, in the unit of the heights.
+    condition
+        Condition number of the weighted design matrix.
+    n_points
+        Points of positive weight.
+    centre_m : (2,) float64
+        Weighted centroid of the points in the pad's plane, read-only.
+    scale_m
+        Weighted root-mean-square distance of the points from the centre.
+    """
+
+    Q: NDArray[np.float64]
+    residual: float
+    condition: float
+    n_points: int
+    centre_m: NDArray[np.float64]
+    scale_m: float
+
+    def __post_init__(self) -> None:
+        for name, shape in (("Q", (4, 4)), ("centre_m", (2,))):
+            array = np.array(getattr(self, name), dtype=np.float64)
+            if array.shape != shape or not np.all(np.isfinite(array)):
+                raise QuadricError(f"{name} is not a finite array of shape {shape}: {array}")
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+
+    @property
+    def height(self) -> float:
+        """Fitted height at the centre: k."""
+        return float(self.Q[3, 3])
+
+    @property
+    def extremum(self) -> float:
+        """Height where the fitted surface is level: k' = k - g^T A^-1 g, the peak of a cap.
+
+        Raises QuadricError where the surface has no single such point (a trough or a plane).
+        """
+        A, g = self.Q[:2, :2], self.Q[:2, 3]
+        condition = float(np.linalg.cond(A))
+        if not condition < 1e12:
+            raise QuadricError(f"no single extremum: curvatures have condition {condition:.3g}")
+        return self.height - float(g @ np.linalg.solve(A, g))
+
+    def matrix_in(self, unit_m: float) -> NDArray[np.float64]:
+        """Return Q, (4, 4), with x and y from the pad's origin in units of ``unit_m``.
+
+        The height keeps its unit: 1e-3 gives millimetres against counts.
+        """
+        to_pad = np.diag([self.scale_m / unit_m, self.scale_m / unit_m, 1.0, 1.0])
+        to_pad[:2, 3] = self.centre_m / unit_m
+        return congruence(self.Q, to_pad)
+
+
+def height_field_matrix(
+    *, a: float, b: float, d: float = 0.0, g: float = 0.0, h: float = 0.0, k: float
+) -> NDArray[np.float64]:
+    """Write z = a x^2 + b y^2 + 2 d xy + 2 g x + 2 h y + k as (4, 4) in the form (7)."""
+    return np.array(
+        [[a, d, 0.0, g], [d, b, 0.0, h], [0.0, 0.0, 0.0, J], [g, h, J, k]], dtype=np.float64
+    )
+
+
+def fit_height_field(
+    xy_m: ArrayLike,
+    height: ArrayLike,
+    weight: ArrayLike | None = None,
+    *,
+    max_condition: float = 1e6,
+) -> Quadric:
+    """Fit the height field by weighted linear least squares.
+
+    Parameters
+    ----------
+    xy_m : (n, 2)
+        Positions in m.
+    height : (n,)
+        Heights in any one unit; counts by default in this package.
+    weight : (n,), optional
+        Weight of each squared residual, >= 0; 1 where not given.
+    max_condition
+        Largest condition number of the design matrix, taken in centred and scaled coordinates.
+
+    Raises
+    ------
+    QuadricError
+        For shapes that do not fit, values that are not finite, negative weights, fewer than 7
+        points of positive weight, or points that do not span the six unknowns: all on one line,
+        on two parallel rows, or on any other conic.
+    """
+    xy, z, w = _checked(xy_m, height, weight)
+    n = int(np.count_nonzero(w))
+    if n < MIN_POINTS:
+        raise QuadricError(f"{n} points, a height field needs at least {MIN_POINTS}")
+    w = w / w.sum()
+    centre = w @ xy
+    scale = float(np.sqrt(w @ np.sum((xy - centre) ** 2, axis=1)))
+    if not scale > 0:
+        raise QuadricError(f"all {n} points are at one place")
+    x, y = ((xy - centre) / scale).T
+    root = np.sqrt(w)
+    design = np.stack([x * x, y * y, 2 * x * y, 2 * x, 2 * y, np.ones_like(x)], axis=1)
+    u, singular, vt = np.linalg.svd(design * root[:, None], full_matrices=False)
+    condition = float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf")
+    if not condition <= max_condition:
+        raise QuadricError(
+            f"{n} points do not determine a height field: condition {condition:.3g}, limit "
+            f"{max_condition:.3g}; they lie on a line, on two rows or on another conic"
+        )
+    a, b, d, g, h, k = vt.T @ ((u.T @ (z * root)) / singular)
+    residual = float(np.sqrt(w @ (design @ (a, b, d, g, h, k) - z) ** 2))
+    return Quadric(
+        Q=height_field_matrix(a=a, b=b, d=d, g=g, h=h, k=k),
+        residual=residual,
+        condition=condition,
+        n_points=n,
+        centre_m=centre,
+        scale_m=scale,
+    )
+
+
+def _checked(
+    xy_m: ArrayLike, height: ArrayLike, weight: ArrayLike | None
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    xy = np.asarray(xy_m, dtype=np.float64)
+    z = np.asarray(height, dtype=np.float64)
+    w = np.ones(z.shape) if weight is None else np.asarray(weight, dtype=np.float64)
+    if xy.ndim != 2 or xy.shape[1] != 2 or z.shape != (len(xy),) or w.shape != z.shape:
+        raise QuadricError(f"points {xy.shape}, heights {z.shape}, weights {w.shape} do not fit")
+    if not all(np.all(np.isfinite(array)) for array in (xy, z, w)):
+        raise QuadricError("points, heights or weights have values that are not finite")
+    if np.any(w < 0):
+        raise QuadricError(f"a weight is negative: {float(w.min()):.3g}")
+    return xy, z, w

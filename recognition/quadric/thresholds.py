@@ -1,0 +1,200 @@
+"""Levels, thresholds and windows: the decision of the paper's Algorithm 1.
+
+Each object has a band of values. Between neighbouring bands lies a window (A, B, C, ... in the
+paper's Fig. 4), with the threshold at its middle. Where bands overlap, the window is closed and
+no object is named in it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from recognition.errors import TrajectoryError
+
+NOISE_SHARE = 0.08
+"""Share of a level by which bands are widened: the noise that the paper gives for levels, 8 %."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Levels:
+    """Bands of the taught objects and what lies between them.
+
+    Attributes
+    ----------
+    low, high : (n_objects,) float64
+        Band of each object; NaN where an object has no level.
+    order : (n_levels,) int64
+        Objects that have a level, by the middle of their band, ascending.
+    threshold : (n_levels - 1,) float64
+        Middle between the bands of neighbours in ``order``.
+    window : (n_levels - 1,) float64
+        Gap between them; closed where it is not above 0.
+    margin
+        Part of its edge by which a band reaches into open space.
+    """
+
+    low: NDArray[np.float64]
+    high: NDArray[np.float64]
+    order: NDArray[np.int64]
+    threshold: NDArray[np.float64]
+    window: NDArray[np.float64]
+    margin: float
+
+    def __post_init__(self) -> None:
+        for name in ("low", "high", "order", "threshold", "window"):
+            array = np.array(getattr(self, name))
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+
+    @property
+    def closed(self) -> tuple[tuple[int, int], ...]:
+        """Pairs of neighbouring objects whose bands overlap."""
+        return tuple(
+            (int(self.order[i]), int(self.order[i + 1]))
+            for i in range(len(self.window))
+            if self.window[i] <= 0
+        )
+
+    def distance(self, value: float) -> NDArray[np.float64]:
+        """Return how far a value is outside each band, (n_objects,); 0 inside, NaN: no level."""
+        return np.maximum(np.maximum(self.low - value, value - self.high), 0.0)
+
+    def reach(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the bands widened by the margin, low and high, (n_objects,) each."""
+        return self.low - self.margin * np.abs(self.low), self.high + self.margin * np.abs(
+            self.high
+        )
+
+
+def find_thresholds(
+    values: Sequence[ArrayLike], *, coverage: float = 1.0, margin: float = NOISE_SHARE
+) -> Levels:
+    """Turn the values of each object into bands, thresholds and windows.
+
+    Parameters
+    ----------
+    values
+        For each object its values, any number; NaN is left out. An object without any has no level
+        and is never named.
+    coverage
+        Central part of an object's values that makes its band: 1 from the least to the largest.
+    margin
+        See `Levels`.
+
+    Raises
+    ------
+    TrajectoryError
+        Where no object has a level, or coverage or margin are out of range.
+    """
+    if not 0.0 < coverage <= 1.0 or not 0.0 <= margin < 1.0:
+        raise TrajectoryError(
+            f"coverage is {coverage}, must be above 0, up to 1; margin is {margin}, from 0 below 1"
+        )
+    low = np.full(len(values), np.nan)
+    high = np.full(len(values), np.nan)
+    for index, one in enumerate(values):
+        usable = np.asarray(one, dtype=np.float64).ravel()
+        usable = usable[np.isfinite(usable)]
+        if len(usable):
+            tail = 0.5 * (1.0 - coverage)
+            low[index], high[index] = np.quantile(usable, [tail, 1.0 - tail])
+    order = np.argsort(0.5 * (low + high), kind="stable")
+    order = order[np.isfinite(low[order])]
+    if not len(order):
+        raise TrajectoryError(f"none of {len(values)} objects has a level")
+    below, above = order[:-1], order[1:]
+    return Levels(
+        low=low,
+        high=high,
+        order=order,
+        threshold=0.5 * (high[below] + low[above]),
+        window=low[above] - high[below],
+        margin=margin,
+    )
+
+
+def with_noise(levels: Levels, noise_share: float) -> Levels:
+    """Adjust bands and windows to the noise seen, as the paper's windows A to D are to be.
+
+    Parameters
+    ----------
+    levels
+        Bands without noise.
+    noise_share
+        Part of its value by which a level is uncertain now, see `noise_seen`.
+
+    Returns
+    -------
+    Levels
+        Every band reaches that much further, every window is as much narrower, and closed where
+        nothing is left of it. The margin grows to the noise where that is larger.
+
+    Raises
+    ------
+    TrajectoryError
+        Where ``noise_share`` is not from 0 below 1.
+    """
+    if not 0.0 <= noise_share < 1.0:
+        raise TrajectoryError(f"noise_share is {noise_share}, must be from 0 below 1")
+    low = levels.low - noise_share * np.abs(levels.low)
+    high = levels.high + noise_share * np.abs(levels.high)
+    below, above = levels.order[:-1], levels.order[1:]
+    return Levels(
+        low=low,
+        high=high,
+        order=levels.order,
+        threshold=0.5 * (high[below] + low[above]),
+        window=low[above] - high[below],
+        margin=max(levels.margin, noise_share),
+    )
+
+
+def noise_seen(values: ArrayLike, *, sigmas: float = 2.0) -> float:
+    """Return the part of its value by which a level is uncertain, from repeated measurements.
+
+    Parameters
+    ----------
+    values
+        The same level from several frames or grasps at one force; NaN is left out.
+    sigmas
+        Standard deviations that count as uncertain, taken from the median absolute deviation.
+
+    Raises
+    ------
+    TrajectoryError
+        Where fewer than two values are left, or their median is 0.
+    """
+    usable = np.asarray(values, dtype=np.float64).ravel()
+    usable = usable[np.isfinite(usable)]
+    middle = float(np.median(usable)) if len(usable) else 0.0
+    if len(usable) < 2 or middle == 0.0:
+        raise TrajectoryError(
+            f"{len(usable)} usable values about {middle} do not show the noise of a level"
+        )
+    deviation = 1.4826 * float(np.median(np.abs(usable - middle)))
+    return sigmas * deviation / abs(middle)
+
+
+def check_level(levels: Levels, value: float) -> int | None:
+    """Return the object whose band contains a value.
+
+    Inside one band it is that object, inside several (a closed window) none. Between bands it is
+    the object on whose side of the threshold the value lies, as far as that band reaches.
+
+    Returns
+    -------
+    int or None
+        Index of the object; None for unknown.
+    """
+    distance = levels.distance(value)
+    inside = np.flatnonzero(distance == 0.0)
+    if len(inside):
+        return int(inside[0]) if len(inside) == 1 else None
+    low, high = levels.reach()
+    near = np.flatnonzero((value >= low) & (value <= high))
+    if not len(near):
+        return None
+    nearest = near[distance[near] == distance[near].min()]
+    return int(nearest[0]) if len(nearest) == 1 else None

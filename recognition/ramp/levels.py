@@ -1,0 +1,161 @@
+"""Levels of load: ramps of any length reduced to quantities at fixed shares of the load."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from recognition.grasp import Grasp
+from recognition.ramp.ramp import Ramp, Rest, held_part
+
+LOAD_FRACTIONS = (0.3, 0.5, 0.7, 0.85, 1.0)
+"""Levels at which footprints are taken, as fractions of the full load."""
+
+TIME_FRACTIONS = tuple(np.linspace(0.0, 1.0, 9)[1:].tolist())
+"""Moments at which the load is taken, as shares of the time from the touch to the end."""
+
+_FINAL_FRACTION = 0.125
+"""Share of the frames from the touch on, the last ones, whose mean is the full load."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Levels:
+    """Levels of n grasps; n is their number, K the number of levels, P of gripping pads.
+
+    Attributes
+    ----------
+    maps : tuple of (n, K, n_taxels_of_pad) float64
+        Mean rise at each level per gripping pad, as a fraction of the full scale.
+    noise : (n, K, P) float64
+        Standard deviation that noise leaves on each value of `maps`.
+    aperture_mm : (n, K) float64
+        Opening at each level in mm; NaN where unknown.
+    touch_aperture_mm : (n, P) float64
+        Opening where each pad is first touched, in mm.
+    timed_load : (n, P, 8) float64
+        Sum of the rise at `TIME_FRACTIONS`, as a fraction of one taxel's full scale.
+    timed_aperture_mm : (n, 8) float64
+        Opening at `TIME_FRACTIONS` in mm.
+    level_time_s : (n, K) float64
+        Time from the touch of both pads to each level in s.
+    touch_delay_s : (n,) float64
+        Time from the touch of the first pad to that of the second, negative for the reverse, in s.
+    force_n : (n,) float64
+        Commanded force at the end in N; NaN where unknown.
+    touched : (n,) bool
+        Whether every gripping pad was touched.
+    """
+
+    maps: tuple[NDArray[np.float64], ...]
+    noise: NDArray[np.float64]
+    aperture_mm: NDArray[np.float64]
+    touch_aperture_mm: NDArray[np.float64]
+    timed_load: NDArray[np.float64]
+    timed_aperture_mm: NDArray[np.float64]
+    level_time_s: NDArray[np.float64]
+    touch_delay_s: NDArray[np.float64]
+    force_n: NDArray[np.float64]
+    touched: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        return len(self.force_n)
+
+    def take(self, rows: NDArray[np.int64] | NDArray[np.bool_]) -> "Levels":
+        """Return some of the grasps, by their indices or by a mask."""
+        return Levels(
+            maps=tuple(m[rows] for m in self.maps),
+            noise=self.noise[rows],
+            aperture_mm=self.aperture_mm[rows],
+            touch_aperture_mm=self.touch_aperture_mm[rows],
+            timed_load=self.timed_load[rows],
+            timed_aperture_mm=self.timed_aperture_mm[rows],
+            level_time_s=self.level_time_s[rows],
+            touch_delay_s=self.touch_delay_s[rows],
+            force_n=self.force_n[rows],
+            touched=self.touched[rows],
+        )
+
+
+def load_levels(grasps: Sequence[Grasp], rest: Rest) -> Levels:
+    """Return grasps reduced to levels. Raises ValueError for pads other than the taught ones."""
+    return stack_levels([_reduce(*held_part(grasp, rest)) for grasp in grasps])
+
+
+def stack_levels(parts: Sequence[Levels]) -> Levels:
+    """Return grasps that were reduced one by one as one `Levels`."""
+    n_pads = len(parts[0].maps)
+    return Levels(
+        maps=tuple(np.concatenate([p.maps[k] for p in parts]) for k in range(n_pads)),
+        noise=np.concatenate([p.noise for p in parts]),
+        aperture_mm=np.concatenate([p.aperture_mm for p in parts]),
+        touch_aperture_mm=np.concatenate([p.touch_aperture_mm for p in parts]),
+        timed_load=np.concatenate([p.timed_load for p in parts]),
+        timed_aperture_mm=np.concatenate([p.timed_aperture_mm for p in parts]),
+        level_time_s=np.concatenate([p.level_time_s for p in parts]),
+        touch_delay_s=np.concatenate([p.touch_delay_s for p in parts]),
+        force_n=np.concatenate([p.force_n for p in parts]),
+        touched=np.concatenate([p.touched for p in parts]),
+    )
+
+
+def _reduce(grasp: Grasp, ramp: Ramp) -> Levels:
+    n, full = grasp.n_frames, float(grasp.pads.adc_max)
+    width = ramp.smoothing
+    smooth = uniform_filter1d(ramp.load.sum(axis=1), width, mode="nearest")
+    last = max(width, int(np.ceil(_FINAL_FRACTION * (n - ramp.start))))
+    reference = float(smooth[-last:].mean())
+    progress = np.maximum.accumulate(smooth) / reference if reference > 0 else np.ones(n)
+    weights = np.stack([_weights(progress, f, width, last) for f in LOAD_FRACTIONS])
+    at = weights @ np.arange(n)
+    aperture_mm = _known(grasp.aperture_m) * 1e3
+    frames = np.arange(n, dtype=np.float64)
+    t_start = float(grasp.t_s[ramp.start])
+    moments = t_start + (float(grasp.t_s[-1]) - t_start) * np.array(TIME_FRACTIONS)
+    touch = np.minimum(ramp.touch, n - 1)
+    smooth_pads = uniform_filter1d(ramp.load, width, axis=0, mode="nearest")
+    spread = np.sqrt((weights**2).sum(axis=1))[:, None] * ramp.noise_counts
+    return Levels(
+        maps=tuple((weights @ rise)[None] / full for rise in ramp.rise),
+        noise=spread[None] / full,
+        aperture_mm=(weights @ aperture_mm)[None],
+        touch_aperture_mm=aperture_mm[touch][None],
+        timed_load=np.stack([np.interp(moments, grasp.t_s, s) for s in smooth_pads.T])[None] / full,
+        timed_aperture_mm=np.interp(moments, grasp.t_s, aperture_mm)[None],
+        level_time_s=(np.interp(at, frames, grasp.t_s) - t_start)[None],
+        touch_delay_s=np.atleast_1d(grasp.t_s[touch[-1]] - grasp.t_s[touch[0]]),
+        force_n=np.atleast_1d(grasp.force_n[-1]),
+        touched=np.atleast_1d(ramp.touched),
+    )
+
+
+def _weights(
+    progress: NDArray[np.float64], fraction: float, width: int, last: int
+) -> NDArray[np.float64]:
+    """Return weights of the frames, summing to 1, whose mean is the state at a load fraction."""
+    n = len(progress)
+    weights = np.zeros(n)
+    if fraction >= 1.0:
+        weights[-last:] = 1.0
+        mean: NDArray[np.float64] = weights / weights.sum()
+        return mean
+    right = int(np.argmax(progress >= fraction))
+    left = max(right - 1, 0)
+    step = progress[right] - progress[left]
+    share = (fraction - progress[left]) / step if step > 0 else 1.0
+    for frame, weight in ((left, 1.0 - share), (right, share)):
+        begin = frame - (width - 1) // 2
+        inside = np.clip(np.arange(begin, begin + width), 0, n - 1)
+        np.add.at(weights, inside, weight / width)
+    return weights
+
+
+def _known(aperture_m: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Fill single unknown openings from their neighbours; all NaN stays so."""
+    good = np.isfinite(aperture_m)
+    if good.all() or not good.any():
+        return aperture_m
+    frames = np.arange(len(aperture_m))
+    filled: NDArray[np.float64] = np.interp(frames, frames[good], aperture_m[good])
+    return filled

@@ -1,0 +1,255 @@
+"""Ramp of a grasp: load above rest on the gripping pads, the first touch, and the release."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter1d
+
+from recognition.grasp import Grasp, PadArray
+from recognition.ramp.samples import (
+    QUIET_FRAMES,
+    starts_loaded,
+    stuck_taxels,
+    with_stuck_replaced,
+    without_spikes,
+)
+
+# Chosen on recorded grasps, within the part that teaches (docs/recognition.md).
+_TOUCH_FRACTION = 0.06
+"""Share of a pad's largest load at which it counts as touched."""
+_TOUCH_SIGMAS = 4.0
+"""The least load of a touch, in standard deviations of a pad's load at rest."""
+_TOUCH_SCALE = 0.005
+"""The least load of a touch, as a share of one taxel's full scale."""
+_SMOOTHING_FRACTION = 0.06
+"""Share of the frames of a grasp that a running mean spans; more would blur the ramp."""
+_MAX_SMOOTHING_FRAMES = 15
+"""Longest span of that running mean in frames."""
+_RELEASED_SHARE = 0.5
+"""Share of the highest load: below it at the end of the grasp, the object was released or lost."""
+_HELD_SHARE = 0.8
+"""Share of the highest load that still counts as held."""
+_QUIET_SHARE = 0.02
+"""Share of the rise of a pad's total up to which frames before the touch count as untouched."""
+_LEAST_FRAMES = 2 * QUIET_FRAMES
+"""Fewest frames of a grasp: rest and load, and enough of rest for its noise."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Rest:
+    """Readings of the untouched pads and their noise, from the first frames of taught grasps.
+
+    Attributes
+    ----------
+    pads
+        The pads that were taught.
+    gripping : tuple of int
+        The one or two pads that rise most under load, in the order of the layout.
+    counts : (n_taxels,) float64
+        Reading of each untouched taxel in counts.
+    noise_counts : (n_gripping,) float64
+        Standard deviation of one sample of an untouched taxel in counts.
+    """
+
+    pads: PadArray
+    gripping: tuple[int, ...]
+    counts: NDArray[np.float64]
+    noise_counts: NDArray[np.float64]
+
+    def check(self, pads: PadArray) -> None:
+        """Raise ValueError for pads other than the taught ones."""
+        if pads is not self.pads and not self.pads.same_as(pads):
+            raise ValueError(
+                f"the grasp was taken on pads {pads.pad_shape.tolist()} with full scale "
+                f"{pads.adc_max}, taught were {self.pads.pad_shape.tolist()} with "
+                f"{self.pads.adc_max}: teach on these pads"
+            )
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return everything as plain arrays."""
+        return {
+            "pad_shape": self.pads.pad_shape,
+            "taxel_pad": self.pads.taxel_pad,
+            "taxel_xy_m": self.pads.taxel_xy_m,
+            "adc_max": np.array(self.pads.adc_max, dtype=np.int64),
+            "gripping": np.array(self.gripping, dtype=np.int64),
+            "rest_counts": self.counts,
+            "noise_counts": self.noise_counts,
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """Rebuild from `to_arrays`; KeyError where an array is missing."""
+        return cls(
+            pads=PadArray(
+                pad_shape=arrays["pad_shape"],
+                taxel_pad=arrays["taxel_pad"],
+                taxel_xy_m=arrays["taxel_xy_m"],
+                adc_max=int(arrays["adc_max"]),
+            ),
+            gripping=tuple(int(p) for p in arrays["gripping"]),
+            counts=np.asarray(arrays["rest_counts"], dtype=np.float64),
+            noise_counts=np.asarray(arrays["noise_counts"], dtype=np.float64),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Ramp:
+    """Rise of one grasp above rest, frame by frame, with the touch of each gripping pad.
+
+    Attributes
+    ----------
+    rise : tuple of (n_frames, n_taxels_of_pad) float64
+        Counts above rest of each gripping pad, negative noise included.
+    noise_counts : (n_gripping,) float64
+        Standard deviation of one sample in counts.
+    load : (n_frames, n_gripping) float64
+        Sum of the rise of each pad in counts.
+    touch : (n_gripping,) int64
+        First frame of the lasting touch of each pad; n_frames where it was never touched.
+    smoothing : int
+        Number of frames that a running mean may span without blurring the ramp.
+    """
+
+    rise: tuple[NDArray[np.float64], ...]
+    noise_counts: NDArray[np.float64]
+    load: NDArray[np.float64]
+    touch: NDArray[np.int64]
+    smoothing: int
+
+    @property
+    def touched(self) -> bool:
+        """Whether every gripping pad was touched."""
+        return bool(np.all(self.touch < len(self.load)))
+
+    @property
+    def start(self) -> int:
+        """First frame in which every pad is touched; the last frame where that never was."""
+        return min(int(self.touch.max()), len(self.load) - 1)
+
+
+def learn_rest(grasps: Sequence[Grasp]) -> Rest:
+    """Return the rest of the pads, and which of them grip, from grasps.
+
+    Raises ValueError where there is no grasp, grasps come from different pads, or are too short.
+    """
+    if not grasps:
+        raise ValueError("no grasps to learn from")
+    pads = grasps[0].pads
+    for grasp in grasps:
+        if grasp.pads is not pads and not pads.same_as(grasp.pads):
+            raise ValueError("the grasps were taken on different pads: teach pads one by one")
+    usual = int(np.median([grasp.n_frames for grasp in grasps]))
+    if usual < _LEAST_FRAMES:
+        raise ValueError(
+            f"the grasps have {usual} frames in the median, at least {_LEAST_FRAMES} are needed: "
+            "record whole ramps, from rest to load"
+        )
+    first = np.stack([g.counts[:QUIET_FRAMES].mean(axis=0) for g in grasps])
+    rest = np.median(first, axis=0)
+    rise = [
+        float(np.median([_highest(g.counts[:, t]) for g in grasps]) - rest[t].sum())
+        for t in map(pads.taxels_of, _pads(pads))
+    ]
+    gripping = tuple(sorted(sorted(_pads(pads), key=lambda p: -rise[p])[:2]))
+    noise = np.array([np.median([_spread(g, pads.taxels_of(p)) for g in grasps]) for p in gripping])
+    return Rest(pads=pads, gripping=gripping, counts=rest, noise_counts=noise)
+
+
+def find_ramp(grasp: Grasp, rest: Rest) -> Ramp:
+    """Return the ramp of a grasp: its rise above rest and the lasting touch of each gripping pad.
+
+    The rest is taken from the grasp's own first frames, which follows a drift, except where the
+    pads are already loaded in them: then the taught rest serves. Raises ValueError for other pads.
+    """
+    rest.check(grasp.pads)
+    n = grasp.n_frames
+    smoothing = int(np.clip(round(_SMOOTHING_FRACTION * n), 1, _MAX_SMOOTHING_FRAMES))
+    rises: list[NDArray[np.float64]] = []
+    loads: list[NDArray[np.float64]] = []
+    touch: list[int] = []
+    for pad, noise in zip(rest.gripping, rest.noise_counts, strict=True):
+        taxels = grasp.pads.taxels_of(pad)
+        counts = without_spikes(grasp.counts[:, taxels].astype(np.float64), rest.pads.adc_max)
+        stuck = stuck_taxels(counts, rest.counts[taxels], float(noise), rest.pads.adc_max)
+        own = _own_rest(counts, rest.counts[taxels], float(noise), stuck)
+        rise = with_stuck_replaced(counts - own, stuck, rest.pads.pad_shape[pad])
+        load = rise.sum(axis=1)
+        smooth = uniform_filter1d(load, smoothing, mode="nearest")
+        sigma = noise * np.sqrt(len(taxels) / smoothing)
+        limit = max(
+            _TOUCH_FRACTION * float(smooth.max()),
+            _TOUCH_SIGMAS * sigma,
+            _TOUCH_SCALE * rest.pads.adc_max,
+        )
+        free = np.flatnonzero(smooth[: int(np.argmax(smooth)) + 1] < limit)
+        begin = int(free[-1]) + 1 if len(free) else 0
+        touch.append(begin if float(smooth.max()) >= limit else n)
+        rises.append(rise)
+        loads.append(load)
+    return Ramp(
+        rise=tuple(rises),
+        noise_counts=rest.noise_counts,
+        load=np.stack(loads, axis=1),
+        touch=np.array(touch, dtype=np.int64),
+        smoothing=smoothing,
+    )
+
+
+def held_part(grasp: Grasp, rest: Rest) -> tuple[Grasp, Ramp]:
+    """Return a grasp without the frames after the object was released or lost, and its ramp.
+
+    A grasp that ends under load is returned as it is. Raises ValueError for other pads.
+    """
+    ramp = find_ramp(grasp, rest)
+    total = uniform_filter1d(ramp.load.sum(axis=1), ramp.smoothing, mode="nearest")
+    highest = float(total.max())
+    if not ramp.touched or total[-ramp.smoothing :].mean() >= _RELEASED_SHARE * highest:
+        return grasp, ramp
+    # The running mean falls before the load does.
+    held = np.flatnonzero(total >= _HELD_SHARE * highest)
+    end = max(int(held[-1]) + 1, int(ramp.start) + 1)
+    cut = grasp.first_frames(end)
+    return cut, find_ramp(cut, rest)
+
+
+def _own_rest(
+    counts: NDArray[np.float64],
+    taught: NDArray[np.float64],
+    noise: float,
+    stuck: NDArray[np.bool_],
+) -> NDArray[np.float64]:
+    if starts_loaded(counts, taught, stuck):
+        return taught
+    # Every frame as low as the first ones is untouched: more of them, less noise.
+    totals = counts[:, ~stuck].sum(axis=1)
+    limit = float(totals[:QUIET_FRAMES].max())
+    above = np.flatnonzero(totals > limit + _QUIET_SHARE * (float(totals.max()) - limit))
+    end = max(QUIET_FRAMES, int(above[0]) - 1 if len(above) else QUIET_FRAMES)
+    change: NDArray[np.float64] = counts[:end].mean(axis=0) - taught
+    common = float(change[~stuck].mean())
+    # A taxel's own change counts as far as noise does not explain it.
+    own = change - common
+    explained = noise**2 / end
+    share = max(0.0, 1.0 - explained / max(float((own[~stuck] ** 2).mean()), 1e-12))
+    rest: NDArray[np.float64] = taught + common + share * own
+    return rest
+
+
+def _highest(counts: NDArray[np.uint16]) -> float:
+    """Return the mean load in counts of a pad over its highest frames."""
+    totals = np.sort(counts.sum(axis=1, dtype=np.float64))
+    return float(totals[-QUIET_FRAMES:].mean())
+
+
+def _spread(grasp: Grasp, taxels: NDArray[np.int64]) -> float:
+    """Return the standard deviation of one sample while nothing is touched, in counts."""
+    early = grasp.counts[: 2 * QUIET_FRAMES, taxels].astype(np.float64)
+    return float(np.sqrt(early.var(axis=0, ddof=min(1, len(early) - 1)).mean()))
+
+
+def _pads(pads: PadArray) -> range:
+    return range(pads.n_pads)

@@ -1,0 +1,292 @@
+"""Plain classifiers: taught here or by scikit-learn, kept as arrays, evaluated in numpy alone."""
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import log_softmax
+
+from recognition.errors import MissingExtraError
+from recognition.statistics.lda import LinearDiscriminant, fit_lda
+
+_HIDDEN = 32
+"""Hidden units of the network."""
+_WEIGHT_DECAY = 0.1
+_ITERATIONS = 200
+"""L2 penalty and most iterations of its training; stopping early keeps it from overfitting."""
+_TREES = 200
+"""Trees of the forest."""
+
+
+class Classifier(Protocol):
+    """From rows of features to a score of each class; larger is likelier."""
+
+    @classmethod
+    def fit(cls, rows: NDArray[np.float64], classes: NDArray[np.int64], n_classes: int) -> Self:
+        """Fit to rows (n, F), of each class at least one."""
+        ...
+
+    def scores(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (n, C) finite scores."""
+        ...
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return all that was learnt as plain arrays."""
+        ...
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """Rebuild from `to_arrays`; KeyError where an array is missing."""
+        ...
+
+
+def missing_extra(kind: str) -> MissingExtraError:
+    """Return the error for a classifier whose library is not installed."""
+    return MissingExtraError(
+        f"{kind} is taught by scikit-learn, which is not installed: "
+        "pip install 'tactile-cell[comparators]'; a taught model needs nothing more"
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Network:
+    """A neural network with one hidden layer of rectified units.
+
+    Attributes
+    ----------
+    hidden_weight, hidden_bias : (F, H), (H,) float64
+    output_weight, output_bias : (H, C), (C,) float64
+        Of both layers; with two classes one output is the log odds of the second.
+    """
+
+    hidden_weight: NDArray[np.float64]
+    hidden_bias: NDArray[np.float64]
+    output_weight: NDArray[np.float64]
+    output_bias: NDArray[np.float64]
+
+    @classmethod
+    def fit(cls, rows: NDArray[np.float64], classes: NDArray[np.int64], n_classes: int) -> Self:
+        """Fit the weights. Raises MissingExtraError without scikit-learn."""
+        del n_classes
+        try:
+            from sklearn.exceptions import ConvergenceWarning  # noqa: PLC0415
+            from sklearn.neural_network import MLPClassifier  # noqa: PLC0415
+        except ImportError as cause:
+            raise missing_extra("a neural network") from cause
+        network = MLPClassifier(
+            (_HIDDEN,), solver="lbfgs", alpha=_WEIGHT_DECAY, max_iter=_ITERATIONS, random_state=0
+        )
+        with warnings.catch_warnings():
+            # Stopping early is part of the method.
+            warnings.simplefilter("ignore", ConvergenceWarning)
+            network.fit(rows, classes)
+        hidden, output = network.coefs_
+        hidden_bias, output_bias = network.intercepts_
+        return cls(
+            hidden_weight=np.asarray(hidden, dtype=np.float64),
+            hidden_bias=np.asarray(hidden_bias, dtype=np.float64),
+            output_weight=np.asarray(output, dtype=np.float64),
+            output_bias=np.asarray(output_bias, dtype=np.float64),
+        )
+
+    def scores(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (n, C) logarithms of the network's probabilities."""
+        hidden = np.maximum(rows @ self.hidden_weight + self.hidden_bias, 0.0)
+        output = hidden @ self.output_weight + self.output_bias
+        if output.shape[1] == 1:
+            output = np.concatenate([np.zeros_like(output), output], axis=1)
+        return np.asarray(log_softmax(output, axis=1), dtype=np.float64)
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the weights."""
+        return {
+            "hidden_weight": self.hidden_weight,
+            "hidden_bias": self.hidden_bias,
+            "output_weight": self.output_weight,
+            "output_bias": self.output_bias,
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """Rebuild from `to_arrays`; KeyError where an array is missing."""
+        return cls(
+            hidden_weight=arrays["hidden_weight"],
+            hidden_bias=arrays["hidden_bias"],
+            output_weight=arrays["output_weight"],
+            output_bias=arrays["output_bias"],
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class NearestNeighbour:
+    """Nearest neighbour: the score of a class is minus the squared distance to its nearest row.
+
+    Attributes
+    ----------
+    rows : (n, F) float64
+    classes : (n,) int64
+        Taught rows and the class of each, 0 to n_classes - 1.
+    """
+
+    rows: NDArray[np.float64]
+    classes: NDArray[np.int64]
+
+    @classmethod
+    def fit(cls, rows: NDArray[np.float64], classes: NDArray[np.int64], n_classes: int) -> Self:
+        """Keep the rows."""
+        del n_classes
+        return cls(rows=rows, classes=classes)
+
+    def scores(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (n, C): minus the squared distance to the nearest row of each class."""
+        squared = (
+            (rows**2).sum(axis=1)[:, None] + (self.rows**2).sum(axis=1) - 2.0 * rows @ self.rows.T
+        )
+        squared = np.maximum(squared, 0.0)
+        n_classes = int(self.classes.max()) + 1
+        nearest = [squared[:, self.classes == c].min(axis=1) for c in range(n_classes)]
+        return -np.stack(nearest, axis=1)
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return rows and classes."""
+        return {"rows": self.rows, "row_classes": self.classes}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """Rebuild from `to_arrays`; KeyError where an array is missing."""
+        return cls(rows=arrays["rows"], classes=arrays["row_classes"])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Linear:
+    """A shrinkage discriminant."""
+
+    discriminant: LinearDiscriminant
+
+    @classmethod
+    def fit(cls, rows: NDArray[np.float64], classes: NDArray[np.int64], n_classes: int) -> Self:
+        """Fit it; ValueError where the rows do not show how grasps of one class vary."""
+        return cls(discriminant=fit_lda(rows, classes, n_classes))
+
+    def scores(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (n, C): minus half the squared distance to each class."""
+        return -0.5 * self.discriminant.distances(rows)
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the discriminant."""
+        return self.discriminant.to_arrays("lda_")
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """Rebuild from `to_arrays`; KeyError where an array is missing."""
+        return cls(discriminant=LinearDiscriminant.from_arrays(arrays, "lda_"))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Forest:
+    """A forest of extremely randomised trees, grown by scikit-learn, evaluated in numpy.
+
+    All nodes of all trees are in one list; children come after their parent.
+
+    Attributes
+    ----------
+    roots : (n_trees,) int32
+        First node of each tree.
+    left, right : (n_nodes,) int32
+        Children: left where the feature is not above the threshold. A leaf is its own child.
+    feature, threshold : (n_nodes,) int32, float64
+        The test of a node; 0 in leaves.
+    value : (n_nodes, C) float32
+        Shares of the classes among the taught rows in a node; used in leaves.
+    """
+
+    roots: NDArray[np.int32]
+    left: NDArray[np.int32]
+    right: NDArray[np.int32]
+    feature: NDArray[np.int32]
+    threshold: NDArray[np.float64]
+    value: NDArray[np.float32]
+
+    @classmethod
+    def fit(cls, rows: NDArray[np.float64], classes: NDArray[np.int64], n_classes: int) -> Self:
+        """Grow the trees. Raises MissingExtraError without scikit-learn."""
+        del n_classes
+        try:
+            from sklearn.ensemble import ExtraTreesClassifier  # noqa: PLC0415
+        except ImportError as cause:
+            raise missing_extra("a forest of trees") from cause
+        grown = ExtraTreesClassifier(_TREES, random_state=0).fit(rows, classes)
+        trees = [one.tree_ for one in grown.estimators_]
+        starts = np.cumsum([0] + [tree.node_count for tree in trees])
+        left, right = (
+            np.concatenate(
+                [
+                    np.where(
+                        tree.children_left < 0, np.arange(tree.node_count), getattr(tree, side)
+                    )
+                    + start
+                    for tree, start in zip(trees, starts[:-1], strict=True)
+                ]
+            )
+            for side in ("children_left", "children_right")
+        )
+        value = np.concatenate([tree.value[:, 0, :] for tree in trees])
+        return cls(
+            roots=starts[:-1].astype(np.int32),
+            left=left.astype(np.int32),
+            right=right.astype(np.int32),
+            feature=np.maximum(np.concatenate([t.feature for t in trees]), 0).astype(np.int32),
+            threshold=np.concatenate([np.where(t.feature < 0, 0.0, t.threshold) for t in trees]),
+            value=(value / value.sum(axis=1, keepdims=True)).astype(np.float32),
+        )
+
+    def probability(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (n, C) mean shares of the leaves that each row falls into."""
+        # The trees were grown on single precision: the same rounding falls to the same side.
+        rows = rows.astype(np.float32).astype(np.float64)
+        node = np.broadcast_to(self.roots, (len(rows), len(self.roots)))
+        each = np.arange(len(rows))[:, None]
+        while True:
+            goes_left = rows[each, self.feature[node]] <= self.threshold[node]
+            following = np.where(goes_left, self.left[node], self.right[node])
+            if np.array_equal(following, node):
+                break
+            node = following
+        mean: NDArray[np.float64] = self.value[node].mean(axis=1, dtype=np.float64)
+        return mean
+
+    def scores(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (n, C) logarithms of the probabilities, each raised by half a tree."""
+        lifted: NDArray[np.float64] = np.log(self.probability(rows) + 0.5 / len(self.roots))
+        return lifted
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the nodes."""
+        return {
+            "roots": self.roots,
+            "left": self.left,
+            "right": self.right,
+            "feature": self.feature,
+            "threshold": self.threshold,
+            "value": self.value,
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """Rebuild from `to_arrays`; KeyError for a missing array, ValueError for a loop."""
+        forest = cls(
+            roots=arrays["roots"],
+            left=arrays["left"],
+            right=arrays["right"],
+            feature=arrays["feature"],
+            threshold=arrays["threshold"],
+            value=arrays["value"],
+        )
+        own = np.arange(len(forest.left))
+        leaf = (forest.left == own) & (forest.right == own)
+        if not np.all(leaf | ((forest.left > own) & (forest.right > own))):
+            raise ValueError("the trees of the model do not go downwards: train again")
+        return forest

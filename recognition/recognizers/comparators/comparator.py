@@ -1,0 +1,282 @@
+"""Comparator and its trainer: features of a grasp, a plain classifier, calibration and novelty.
+
+A comparator names objects as its source does. To stand in the same tables as the others it also
+returns probabilities (one temperature, fitted out of sample) and the probability of an untaught
+object (distance to the nearest taught grasp, against that of held-out grasps).
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import expit
+
+from recognition.features.footprint import PadGrid, pad_grid, pressed
+from recognition.features.groups import FEATURE_VERSION, check_version
+from recognition.grasp import Grasp, by_label
+from recognition.ramp.levels import Levels, load_levels
+from recognition.ramp.ramp import Rest, learn_rest
+from recognition.recognizer import Posterior
+from recognition.recognizers.comparators.classifiers import Classifier
+from recognition.statistics.calibration import (
+    blocked_folds,
+    fit_temperature,
+    out_of_sample,
+    to_probability,
+)
+from recognition.statistics.novelty import KNOWN_KEPT
+
+Describe = Callable[[Levels, Sequence[PadGrid], bool], NDArray[np.float64]]
+"""From levels of n grasps, pads, and whether the opening may be used, to features (n, F)."""
+
+_FOLDS = 3
+"""Blocks in time, each held out in turn to fit the temperature."""
+_SHARPNESS = 4.0
+"""Log odds of an untaught object for each unit of the logarithm of the squared distance."""
+_PREFIX = "classifier_"
+"""Of the names of the classifier's arrays in a model."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Method:
+    """Parts of one comparator.
+
+    Attributes
+    ----------
+    name
+        Name in tables, models and on the command line.
+    describe
+        Its features; NaN where unknown.
+    classifier
+        Its decision.
+    can_use_aperture
+        Whether the method has a place for the opening.
+    standardise
+        Whether each feature is centred and scaled to unit deviation first.
+    """
+
+    name: str
+    describe: Describe
+    classifier: type[Classifier]
+    can_use_aperture: bool = False
+    standardise: bool = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Comparator:
+    """A taught comparator; a subclass gives its `method`.
+
+    Attributes
+    ----------
+    labels
+        The taught objects, sorted.
+    uses_aperture
+        Whether the opening between the fingers is used.
+    rest
+        The untouched pads.
+    fill, mean, scale : (F,) float64
+        What stands for an unknown feature; centre and unit of each.
+    classifier
+        The decision.
+    temperature
+        Scores are divided by it.
+    samples : (n, F) float64
+        Taught grasps.
+    limit
+        Squared distance to the nearest of them above which a grasp is more likely unknown.
+    """
+
+    method: ClassVar[Method]
+
+    labels: tuple[str, ...]
+    uses_aperture: bool
+    rest: Rest
+    fill: NDArray[np.float64]
+    mean: NDArray[np.float64]
+    scale: NDArray[np.float64]
+    classifier: Classifier
+    temperature: float
+    samples: NDArray[np.float64]
+    limit: float
+
+    @classmethod
+    def trainer(cls, *, use_aperture: bool = True) -> "ComparatorTrainer":
+        """Return a trainer of this comparator."""
+        return ComparatorTrainer(kind=cls, use_aperture=use_aperture)
+
+    def posterior(self, grasp: Grasp) -> Posterior:
+        """Return the posterior of a grasp. Raises ValueError for pads other than the taught ones.
+
+        A grasp that never touched both pads, or that has no finite features, gives even
+        probabilities and is surely unknown.
+        """
+        levels = load_levels([grasp], self.rest)
+        features = _describe(self.method, levels, self.rest, self.uses_aperture)
+        features = np.where(np.isnan(features), self.fill, features)
+        if not levels.touched[0] or not np.all(np.isfinite(features)):
+            return Posterior.uninformed(self.labels)
+        rows = (features - self.mean) / self.scale
+        distance = max(float(_nearest(rows, self.samples)[0]), 1e-12)
+        return Posterior(
+            labels=self.labels,
+            probability=to_probability(self.classifier.scores(rows), self.temperature)[0],
+            unknown=float(expit(_SHARPNESS * np.log(distance / self.limit))),
+        )
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return all that was learnt as plain arrays."""
+        return {
+            "feature_version": np.array(FEATURE_VERSION),
+            "labels": np.array(self.labels),
+            "uses_aperture": np.array(self.uses_aperture),
+            "fill": self.fill,
+            "mean": self.mean,
+            "scale": self.scale,
+            "temperature": np.array(self.temperature),
+            "samples": self.samples,
+            "limit": np.array(self.limit),
+            **self.rest.to_arrays(),
+            **{_PREFIX + name: array for name, array in self.classifier.to_arrays().items()},
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """Rebuild from `to_arrays`. Raises ValueError, naming what is missing or does not fit."""
+        learnt = {
+            name.removeprefix(_PREFIX): array
+            for name, array in arrays.items()
+            if name.startswith(_PREFIX)
+        }
+        try:
+            check_version(arrays)
+            taught = cls(
+                labels=tuple(str(label) for label in arrays["labels"]),
+                uses_aperture=bool(arrays["uses_aperture"]),
+                rest=Rest.from_arrays(arrays),
+                fill=arrays["fill"],
+                mean=arrays["mean"],
+                scale=arrays["scale"],
+                classifier=cls.method.classifier.from_arrays(learnt),
+                temperature=float(arrays["temperature"]),
+                samples=arrays["samples"],
+                limit=float(arrays["limit"]),
+            )
+        except KeyError as missing:
+            raise ValueError(f"the model lacks the array {missing}") from missing
+        try:
+            scores = taught.classifier.scores(taught.samples[:1])
+        except (IndexError, ValueError, TypeError) as cause:
+            raise ValueError(f"the arrays of the model do not fit each other: {cause}") from cause
+        if scores.shape != (1, len(taught.labels)) or not np.all(np.isfinite(scores)):
+            raise ValueError(
+                f"the model scores {scores.shape[1]} objects and has {len(taught.labels)} labels"
+            )
+        return taught
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ComparatorTrainer:
+    """Teaches one comparator.
+
+    Attributes
+    ----------
+    kind
+        Which.
+    use_aperture
+        Whether the opening may be used; without effect where the method has no place for it.
+    """
+
+    kind: type[Comparator]
+    use_aperture: bool = True
+
+    @property
+    def name(self) -> str:
+        """Name in tables, models and on the command line."""
+        return self.kind.method.name
+
+    @property
+    def uses_aperture(self) -> bool:
+        """Whether the opening between the fingers is used."""
+        return self.use_aperture and self.kind.method.can_use_aperture
+
+    def fit(self, grasps: Sequence[Grasp]) -> Comparator:
+        """Teach with labelled grasps; those that never touched both pads are left out.
+
+        Raises ValueError where they do not suffice, or scikit-learn is needed and missing.
+        """
+        method = self.kind.method
+        ordered = [grasp for group in by_label(grasps).values() for grasp in group]
+        rest = learn_rest(ordered)
+        levels = load_levels(ordered, rest)
+        features = _describe(method, levels, rest, self.uses_aperture)
+        kept = levels.touched
+        labels, classes = np.unique(
+            np.array([grasp.label for grasp in ordered])[kept], return_inverse=True
+        )
+        lost = {grasp.label for grasp in ordered} - set(labels.tolist())
+        if len(labels) < 2 or lost:
+            raise ValueError(
+                f"{method.name}: {len(labels)} objects with a grasp that touched both pads, none "
+                f"of {sorted(lost)}: teach at least two objects, and press harder"
+            )
+        features = features[kept]
+        known = np.isfinite(features)
+        fill = np.where(known, features, 0.0).sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+        features = np.where(known, features, fill)
+        mean, scale = np.zeros_like(fill), np.ones_like(fill)
+        if method.standardise:
+            mean, spread = features.mean(axis=0), features.std(axis=0)
+            scale = np.where(spread > 1e-9, spread, 1.0)
+        rows = (features - mean) / scale
+        distances = np.full(len(rows), np.nan)
+
+        def score(fit: NDArray[np.bool_], test: NDArray[np.bool_]) -> NDArray[np.float64]:
+            distances[test] = _nearest(rows[test], rows[fit])
+            taught = method.classifier.fit(rows[fit], classes[fit], len(labels))
+            return taught.scores(rows[test])
+
+        classifier = method.classifier.fit(rows, classes, len(labels))
+        folds = blocked_folds(classes, _FOLDS)
+        if not folds:
+            raise ValueError(f"{method.name}: teach each object at least twice")
+        scores, scored = out_of_sample(score, folds, len(labels))
+        return self.kind(
+            labels=tuple(labels.tolist()),
+            uses_aperture=self.uses_aperture,
+            rest=rest,
+            fill=fill,
+            mean=mean,
+            scale=scale,
+            classifier=classifier,
+            temperature=fit_temperature(scores[scored], classes[scored]),
+            samples=rows,
+            limit=max(float(np.quantile(distances[scored], KNOWN_KEPT)), 1e-9),
+        )
+
+
+def full_load_features(
+    levels: Levels,
+    grids: Sequence[PadGrid],
+    describe: Callable[[NDArray[np.float64], PadGrid], NDArray[np.float64]],
+) -> NDArray[np.float64]:
+    """Return features (n, F) of each gripping pad's patch at full load, noise set to 0."""
+    described = [
+        np.stack([describe(one, grid) for one in pressed(maps[:, -1], levels.noise[:, -1, pad])])
+        for pad, (maps, grid) in enumerate(zip(levels.maps, grids, strict=True))
+    ]
+    return np.concatenate(described, axis=1)
+
+
+def _describe(
+    method: Method, levels: Levels, rest: Rest, use_aperture: bool
+) -> NDArray[np.float64]:
+    return method.describe(levels, [pad_grid(rest.pads, p) for p in rest.gripping], use_aperture)
+
+
+def _nearest(rows: NDArray[np.float64], samples: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (n,) squared distance of each row to the nearest sample."""
+    squared = (rows**2).sum(axis=1)[:, None] + (samples**2).sum(axis=1) - 2.0 * rows @ samples.T
+    nearest: NDArray[np.float64] = np.maximum(squared, 0.0).min(axis=1)
+    return nearest

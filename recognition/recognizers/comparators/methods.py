@@ -1,0 +1,146 @@
+"""Comparators of the paper's references and of today: features of each and its classifier.
+
+Each is a `Comparator` subclass with its `Method`, and one entry in `recognition.recognizers`. Only
+`ExtraTrees` has a place for the opening.
+"""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recognition.features.footprint import PadGrid
+from recognition.features.groups import Drifting, FeatureView, features_of
+from recognition.ramp.levels import Levels
+from recognition.recognizers.comparators.classifiers import (
+    Forest,
+    Linear,
+    NearestNeighbour,
+    Network,
+)
+from recognition.recognizers.comparators.comparator import (
+    Comparator,
+    Describe,
+    Method,
+    full_load_features,
+)
+from recognition.recognizers.comparators.invariants import section_features
+from recognition.recognizers.comparators.outline import (
+    angles_and_lengths,
+    canonical_start,
+    centroid_mm,
+    outline_radii_mm,
+    polygon,
+    sample_mm,
+)
+
+_ANGLES = 32
+"""Directions in which the outline is taken, also as the length of a radius vector."""
+_VERTICES = 8
+"""Vertices of the outline's polygon."""
+
+PadFeatures = Callable[[NDArray[np.float64], PadGrid], NDArray[np.float64]]
+"""From one pad's patch (n_taxels,) at full load and its grid to features (F,)."""
+
+
+def _at_full_load(describe: PadFeatures) -> Describe:
+    """Return the features of both pads' patches at full load; the opening is not used."""
+
+    def features(
+        levels: Levels, grids: Sequence[PadGrid], use_aperture: bool
+    ) -> NDArray[np.float64]:
+        del use_aperture
+        return full_load_features(levels, grids, describe)
+
+    return features
+
+
+def polygon_features(patch: NDArray[np.float64], grid: PadGrid) -> NDArray[np.float64]:
+    """Return turning angles and edge lengths of the outline's polygon, in their order."""
+    return angles_and_lengths(polygon(outline_radii_mm(patch, grid, _ANGLES), _VERTICES))
+
+
+class ContourNetwork(Comparator):
+    """Angles and lengths of the outline's polygon, and a neural network, after Ng.
+
+    The comparator of the paper's refs. [7, 8]: the outline becomes a polygon of eight edges;
+    turning angles and edge lengths do not change with its position, rotation and size. It is
+    planar, and needs the whole outline.
+    """
+
+    __slots__ = ()
+    method = Method(
+        name="contour_network", describe=_at_full_load(polygon_features), classifier=Network
+    )
+
+
+def _moment_features(
+    levels: Levels, grids: Sequence[PadGrid], use_aperture: bool
+) -> NDArray[np.float64]:
+    drifting = tuple(Drifting) if use_aperture else (Drifting.GAIN, Drifting.NOTHING)
+    return features_of(levels, grids, FeatureView.EXTRA_TREES, drifting)
+
+
+class ExtraTrees(Comparator):
+    """Extremely randomised trees on moments of the patches: today's plain choice.
+
+    Size, extent, moments and harmonics of both patches along the ramp, their differences and
+    growth; with the opening where it is to be used.
+    """
+
+    __slots__ = ()
+    method = Method(
+        name="extra_trees", describe=_moment_features, classifier=Forest, can_use_aperture=True
+    )
+
+
+def radius_vector_features(patch: NDArray[np.float64], grid: PadGrid) -> NDArray[np.float64]:
+    """Return the distances of the outline from its centroid, over their mean."""
+    radii_mm = outline_radii_mm(patch, grid, _ANGLES)
+    return canonical_start(radii_mm / radii_mm.mean())
+
+
+class RadiusVector(Comparator):
+    """Radius vector of the outline, and a neural network.
+
+    The comparator of the paper's refs. [6, 7, 12]. The outline needs a fixed position, size and
+    rotation first: distances count from the centroid, in parts of their mean, from the long axis
+    on. It is planar: two objects with one outline are one object to it.
+    """
+
+    __slots__ = ()
+    method = Method(
+        name="radius_vector", describe=_at_full_load(radius_vector_features), classifier=Network
+    )
+
+
+def centred_pressures(patch: NDArray[np.float64], grid: PadGrid) -> NDArray[np.float64]:
+    """Return the pressures of a pad, shifted so that the centre of the load is in its middle."""
+    middle_mm = grid.xy_mm.mean(axis=0)
+    return sample_mm(patch, grid, grid.xy_mm + centroid_mm(patch, grid) - middle_mm)
+
+
+class RawNeighbours(Comparator):
+    """Nearest neighbour on raw pads: the taught grasp with the most similar pressures."""
+
+    __slots__ = ()
+    method = Method(
+        name="raw_neighbours",
+        describe=_at_full_load(centred_pressures),
+        classifier=NearestNeighbour,
+        standardise=False,
+    )
+
+
+class ContactInvariants(Comparator):
+    """Differential invariants of the pressed surface, after Ibrayev and Jia.
+
+    The comparator of the paper's refs. [3, 4]: curvature and its derivative at up to three points
+    of a cubic curve give numbers that no rigid motion changes. The curves are the principal
+    sections of the patch; a linear discriminant decides, as the source leaves that open.
+    """
+
+    __slots__ = ()
+    method = Method(
+        name="contact_invariants", describe=_at_full_load(section_features), classifier=Linear
+    )

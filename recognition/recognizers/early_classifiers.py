@@ -1,0 +1,294 @@
+"""Early classifiers: recognisers for ramps cut short, for a decision while the ramp still runs."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recognition.errors import RecognitionError
+from recognition.grasp import Grasp
+from recognition.ramp.ramp import Rest, learn_rest
+from recognition.ramp.running_load import RunningLoad, load_so_far
+from recognition.recognizer import Posterior, Recognizer, Trainer
+from recognition.recognizers.force_ramp.recognizer import ForceRamp
+from recognition.statistics.fusion import DecisionKind, StopRule, decide
+
+SHARES = (0.25, 0.5, 0.75)
+"""Parts of the usual full load at which a ramp is looked at before its end."""
+
+MAX_UNKNOWN = 0.1
+"""Largest probability of an untaught object with which a ramp is ended: novelty shows later in a
+ramp than which of the taught objects it is (docs/sequences.md)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EarlyAnswer:
+    """Posterior of a ramp at its last look, and when that was.
+
+    Attributes
+    ----------
+    posterior
+        Posterior of this grasp alone at the last look.
+    looks
+        Number of looks, the last one included.
+    n_frames
+        Frames of the grasp up to that look.
+    decided
+        Whether the stop rule was satisfied; False where the ramp came to its end without.
+    """
+
+    posterior: Posterior
+    looks: int
+    n_frames: int
+    decided: bool
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EarlyClassifiers:
+    """One recogniser for each load at which a ramp is looked at before its end.
+
+    Attributes
+    ----------
+    rest
+        The untouched pads.
+    load_counts : (L,) float64
+        Loads in counts, summed over the gripping pads, ascending.
+    recognizers
+        L recognisers, each taught with ramps cut at its load.
+    """
+
+    rest: Rest
+    load_counts: NDArray[np.float64]
+    recognizers: tuple[Recognizer, ...]
+
+    def __post_init__(self) -> None:
+        loads = np.array(self.load_counts, dtype=np.float64)
+        if loads.shape != (len(self.recognizers),) or not np.all(np.diff(loads) > 0.0):
+            raise ValueError(f"loads {loads} are not ascending, one for each recogniser")
+        loads.setflags(write=False)
+        object.__setattr__(self, "load_counts", loads)
+
+    def look_frames(self, grasp: Grasp) -> tuple[int, ...]:
+        """Return after how many frames each load is reached; fewer than L where it never is.
+
+        Only frames up to then count: a grasp that still goes on gives the same.
+        """
+        load = load_so_far(grasp, self.rest)
+        reached = [np.flatnonzero(load >= level) for level in self.load_counts]
+        return tuple(int(frames[0]) + 1 for frames in reached if len(frames))
+
+    def with_drift_of(self, whole: Recognizer) -> Self:
+        """Return early classifiers that expect the drift of the recogniser of whole ramps."""
+        if not isinstance(whole, ForceRamp):
+            return self
+        early = tuple(
+            replace(one, grid=whole.grid) if isinstance(one, ForceRamp) else one
+            for one in self.recognizers
+        )
+        return replace(self, recognizers=early)
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return all that was learnt as plain arrays."""
+        arrays: dict[str, NDArray[Any]] = {"load_counts": self.load_counts}
+        arrays |= {f"rest.{name}": array for name, array in self.rest.to_arrays().items()}
+        for number, early in enumerate(self.recognizers):
+            arrays |= {f"{number}.{name}": array for name, array in early.to_arrays().items()}
+        return arrays
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], kind: type[Recognizer]) -> Self:
+        """Rebuild from `to_arrays`, of the kind of recogniser that was taught.
+
+        Raises KeyError or ValueError where an array is missing or does not fit.
+        """
+
+        def part(prefix: str) -> dict[str, NDArray[Any]]:
+            return {
+                name.removeprefix(prefix): array
+                for name, array in arrays.items()
+                if name.startswith(prefix)
+            }
+
+        return cls(
+            rest=Rest.from_arrays(part("rest.")),
+            load_counts=arrays["load_counts"],
+            recognizers=tuple(
+                kind.from_arrays(part(f"{number}.")) for number in range(len(arrays["load_counts"]))
+            ),
+        )
+
+
+class EarlyDecider:
+    """Decides on one ramp while it runs: asks an early classifier at each load.
+
+    Parameters
+    ----------
+    early
+        The early classifiers.
+    earlier
+        Posteriors of the earlier grasps of the same object: they count with this one.
+    rule
+        When the evidence suffices, see `rule_during_ramp`. A ramp is never ended for an untaught
+        object, nor for one that would be named only because it is the last grasp.
+    """
+
+    def __init__(
+        self, early: EarlyClassifiers, earlier: Sequence[Posterior], rule: StopRule
+    ) -> None:
+        self._early = early
+        self._earlier = tuple(earlier)
+        self._rule = rule
+        self._load = RunningLoad(early.rest)
+        self._seen = 0
+        self._looks = 0
+        self.answer: EarlyAnswer | None = None
+        """The answer that satisfied the rule; None until then."""
+
+    @property
+    def looks(self) -> int:
+        """Number of looks so far."""
+        return self._looks
+
+    def add_frame(self, counts: NDArray[np.uint16], so_far: Callable[[], Grasp]) -> bool:
+        """Take the next frame; return whether the evidence suffices with it, for the first time.
+
+        Parameters
+        ----------
+        counts : (n_taxels,) uint16
+            The frame.
+        so_far
+            Gives the grasp with at least all frames up to this one; asked at a look only.
+        """
+        self._seen += 1
+        load = self._load.push(counts)
+        while (
+            self.answer is None
+            and self._looks < len(self._early.recognizers)
+            and load >= self._early.load_counts[self._looks]
+        ):
+            classifier = self._early.recognizers[self._looks]
+            self._looks += 1
+            try:
+                posterior = classifier.posterior(so_far().first_frames(self._seen))
+            except RecognitionError:
+                # What cannot be judged yet decides nothing: the ramp goes on.
+                continue
+            if suffices([*self._earlier, posterior], self._rule):
+                self.answer = EarlyAnswer(
+                    posterior=posterior, looks=self._looks, n_frames=self._seen, decided=True
+                )
+                return True
+        return False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class EarlyRecognizer:
+    """Early classifiers and a recogniser of whole ramps.
+
+    Attributes
+    ----------
+    early
+        The early classifiers.
+    whole
+        The recogniser of whole ramps.
+    """
+
+    early: EarlyClassifiers
+    whole: Recognizer
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The taught objects."""
+        return self.whole.labels
+
+    def look_frames(self, grasp: Grasp) -> tuple[int, ...]:
+        """Return after how many frames each load is reached; see `EarlyClassifiers.look_frames`."""
+        return self.early.look_frames(grasp)
+
+    def answer(self, grasp: Grasp, rule: StopRule) -> EarlyAnswer:
+        """Look at each load in turn until the rule is satisfied, at last at the whole grasp."""
+        looks = EarlyDecider(self.early, (), rule)
+        for number, counts in enumerate(grasp.counts, start=1):
+            if (
+                looks.add_frame(counts, partial(grasp.first_frames, number))
+                and looks.answer is not None
+            ):
+                return looks.answer
+        posterior = self.whole.posterior(grasp)
+        return EarlyAnswer(
+            posterior=posterior,
+            looks=looks.looks + 1,
+            n_frames=grasp.n_frames,
+            decided=suffices([posterior], rule),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EarlyTrainer:
+    """Teaches whole ramps and ramps cut short.
+
+    Attributes
+    ----------
+    base
+        Trainer of each of the recognisers.
+    shares
+        Parts of the usual full load, ascending, between 0 and 1.
+    """
+
+    base: Trainer
+    shares: tuple[float, ...] = SHARES
+
+    def __post_init__(self) -> None:
+        if not self.shares or list(self.shares) != sorted(set(self.shares)):
+            raise ValueError(f"shares {self.shares} must be different and ascending")
+        if not 0.0 < self.shares[0] <= self.shares[-1] < 1.0:
+            raise ValueError(f"shares {self.shares} must lie between 0 and 1")
+
+    def fit(self, grasps: Sequence[Grasp]) -> EarlyRecognizer:
+        """Teach with labelled grasps. Raises ValueError where whole ramps do not suffice."""
+        whole = self.base.fit(grasps)
+        return EarlyRecognizer(early=self.fit_classifiers(grasps, whole), whole=whole)
+
+    def fit_classifiers(self, grasps: Sequence[Grasp], whole: Recognizer) -> EarlyClassifiers:
+        """Teach with the grasps that taught ``whole``; ramps that end below a load serve whole.
+
+        Each recogniser calibrates its probabilities on ramps cut like those that it will meet. A
+        load at which the cut ramps do not suffice to teach, because in the noise too few of them
+        show a touch, is not looked at.
+        """
+        rest = learn_rest(grasps)
+        loads = [load_so_far(g, rest) for g in grasps]
+        full = float(np.median([load[-1] for load in loads]))
+        levels = full * np.array(self.shares)
+        recognizers: list[Recognizer] = []
+        taught: list[float] = []
+        for level in levels.tolist():
+            ends = [np.flatnonzero(load >= level) for load in loads]
+            parts = [
+                g.first_frames(int(end[0]) + 1) if len(end) else g
+                for g, end in zip(grasps, ends, strict=True)
+            ]
+            try:
+                early = self.base.fit(parts)
+            except ValueError:
+                continue
+            if early.labels == whole.labels:
+                recognizers.append(early)
+                taught.append(level)
+        return EarlyClassifiers(
+            rest=rest, load_counts=np.array(taught), recognizers=tuple(recognizers)
+        )
+
+
+def rule_during_ramp(rule: StopRule) -> StopRule:
+    """Return the stop rule for ramps that still run, from the one for whole ramps."""
+    return replace(rule, max_unknown=min(rule.max_unknown, MAX_UNKNOWN))
+
+
+def suffices(posteriors: Sequence[Posterior], rule: StopRule) -> bool:
+    """Return whether the rule decides for a taught object although more grasps could follow."""
+    going_on = replace(rule, max_grasps=max(rule.min_grasps, len(posteriors)) + 1)
+    return decide(posteriors, going_on).kind is DecisionKind.DECIDED

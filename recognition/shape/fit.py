@@ -1,0 +1,318 @@
+"""Fit of one kind of shape to pressed pads: least squares through the foam, with known noise.
+
+Fitted together are size and form, the pose in the plane of the pads, the depth at each level of
+the load, and what is not known exactly of foam, sensor and opening. All have a prior; the marginal
+likelihood (Laplace's approximation) then compares kinds with different numbers of parameters.
+
+For the fusion of several grasps, a fit becomes `KindEvidence`: position, turn, depths and the form
+beyond the thickness are integrated out, each with its prior. The rest depends on the logarithm of
+the half thickness and on what all grasps of a cell have in common: foam, gain, spread and the zero
+of the opening. Their priors are divided out, so that several grasps can be multiplied and each
+prior counted once.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recognition.shape.foam import FoamModel
+from recognition.shape.models import ShapeModel
+from recognition.shape.pressed_pads import PressedPads
+from recognition.shape.residuals import FOAM, PadUncertainty, ShapeProblem
+
+Array = NDArray[np.float64]
+
+_MAX_STEPS = 18
+"""Most steps of Levenberg-Marquardt."""
+_MAX_TRIALS = 6
+"""Most dampings that are tried in one step."""
+_ENOUGH = 0.05
+"""Fall of the cost, a sum of squares over variances, below which the fit has converged."""
+_MAX_STEP = 1.0
+"""Longest step of one parameter, in its unit (logarithms, mm, rad)."""
+_DAMPING, _LEAST_DAMPING = 1e-2, 1e-6
+"""Damping at the start and its least value, as a share of the diagonal of the normal matrix."""
+_LESS, _MORE = 0.2, 8.0
+"""Factors on the damping after a step that lowers the cost, and after one that does not."""
+
+
+def misfit_of(
+    squared: NDArray[np.float64], informative: NDArray[np.bool_], n_determined: float
+) -> float:
+    """Return the squared residual per degree of freedom: 1 where the noise explains it.
+
+    Untouched taxels fit any shape. On pads with little noise they would hide that none fits, so it
+    is that of the informative data where that is larger.
+
+    Parameters
+    ----------
+    squared : (n_data,)
+        Squared residuals over their variances.
+    informative : (n_data,)
+        Which of them depend on a shape: see `PressedPads.informative`.
+    n_determined
+        How many parameters the data determine, see `n_determined`.
+    """
+    overall = float(squared.sum()) / max(1.0, len(squared) - n_determined)
+    by_shape = float(squared[informative].sum()) / max(1.0, int(informative.sum()) - n_determined)
+    return max(overall, by_shape)
+
+
+def n_determined(normal: NDArray[np.float64], prior_sd: NDArray[np.float64]) -> float:
+    """Return how many parameters the data determine, rather than the prior.
+
+    Parameters
+    ----------
+    normal : (n, n)
+        J^T J of the data alone.
+    prior_sd : (n,)
+        Standard deviations of the prior.
+    """
+    return float(np.trace(np.linalg.solve(normal + np.diag(prior_sd**-2), normal)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ShapeFit:
+    """One kind of shape, fitted.
+
+    Attributes
+    ----------
+    model
+        The kind.
+    theta : (n,) float64
+        Parameters: log of the half thickness in mm, the model's own, then pose, depths, foam.
+    normal : (n, n) float64
+    gradient : (n,) float64
+        J^T J and J^T r of the data alone.
+    prior_mean, prior_sd : (n,) float64
+        The prior.
+    chi2
+        Sum of the squared residuals of the data over their variances.
+    misfit
+        Squared residual per degree of freedom, see `recognition.shape.fit`.
+    n_shared
+        Number of the last parameters, which all grasps of a cell have in common.
+    """
+
+    model: ShapeModel
+    theta: Array
+    normal: Array
+    gradient: Array
+    prior_mean: Array
+    prior_sd: Array
+    chi2: float
+    misfit: float
+    n_shared: int
+
+    @property
+    def half_m(self) -> float:
+        """Half thickness along the closing axis in m."""
+        return 1e-3 * float(np.exp(self.theta[0]))
+
+    def at_scale(self, scale: float) -> "ShapeFit":
+        """Return the fit where the variances of the data are ``scale`` times as large.
+
+        One Gauss-Newton step: with a larger scale the prior counts for more.
+        """
+        away = self.prior_sd**-2 * (self.theta - self.prior_mean)
+        step = -np.linalg.solve(self._precision(scale), self.gradient / scale + away)
+        return replace(
+            self,
+            theta=self.theta + step,
+            gradient=self.gradient + self.normal @ step,
+            chi2=max(0.0, self.chi2 + float(step @ (2.0 * self.gradient + self.normal @ step))),
+        )
+
+    def log_evidence(self, scale: float = 1.0) -> float:
+        """Return the log marginal likelihood up to what is the same for all kinds.
+
+        Parameters
+        ----------
+        scale
+            Factor on the variances of the data: above 1 where no kind fits within the noise.
+        """
+        away = (self.theta - self.prior_mean) / self.prior_sd
+        _, volume = np.linalg.slogdet(self._precision(scale))
+        return float(
+            -0.5 * (self.chi2 / scale + away @ away + volume) - np.log(self.prior_sd).sum()
+        )
+
+    def log_half_sd(self, scale: float = 1.0) -> float:
+        """Return the standard deviation of the logarithm of the half thickness."""
+        return float(np.sqrt(np.linalg.inv(self._precision(scale))[0, 0]))
+
+    def dimensions_m(self) -> dict[str, float]:
+        """Return the dimensions in m by their names."""
+        return self.model.dimensions_m(self.half_m, self.theta[1 : self.model.n_own])
+
+    def _precision(self, scale: float) -> Array:
+        return self.normal / scale + np.diag(self.prior_sd**-2)
+
+
+def fit_shape(
+    model: ShapeModel,
+    data: PressedPads,
+    foam: FoamModel,
+    uncertainty: PadUncertainty | None = None,
+    *,
+    near: ShapeFit | None = None,
+    pads_of: ShapeFit | None = None,
+) -> ShapeFit:
+    """Fit one kind of shape: Levenberg-Marquardt from the best of a few starts.
+
+    Parameters
+    ----------
+    model, data
+        The kind of shape, and the pads.
+    foam, uncertainty
+        Foam and sensor, and the uncertainty of both.
+    near
+        A fit of the same kind to the same data under another foam: to start from.
+    pads_of
+        A fit of another kind to the same data under this foam: to start foam and depths from.
+    """
+    problem = ShapeProblem(model, data, foam, uncertainty or PadUncertainty())
+    starts = problem.starts() if near is None else near.theta[None]
+    if near is not None and pads_of is not None:
+        n_pads = len(FOAM) + problem.n_levels
+        starts = np.repeat(starts, 2, axis=0)
+        starts[1, -n_pads:] = pads_of.theta[-n_pads:]
+    first = (problem.residuals(starts) ** 2).sum(axis=1) if len(starts) > 1 else np.zeros(1)
+    if model.turns:
+        # A turn has no preferred value: its prior only bounds it, around where it starts.
+        problem.mean[problem.pose + 2] = starts[int(np.argmin(first)), problem.pose + 2]
+    theta, residuals, jacobian = _minimise(problem, starts[int(np.argmin(first))])
+    normal = jacobian.T @ jacobian
+    return ShapeFit(
+        model=model,
+        theta=theta,
+        normal=normal,
+        gradient=jacobian.T @ residuals,
+        prior_mean=problem.mean,
+        prior_sd=problem.sd,
+        chi2=float(residuals @ residuals),
+        misfit=misfit_of(
+            residuals * residuals,
+            data.informative(len(residuals)),
+            n_determined(normal, problem.sd),
+        ),
+        n_shared=problem.n - problem.rest,
+    )
+
+
+def _minimise(problem: ShapeProblem, theta: Array) -> tuple[Array, Array, Array]:
+    """Return the best parameters, and residuals and Jacobian of the data there."""
+    precision = problem.sd**-2
+    damping = _DAMPING
+    residuals, jacobian = problem.around(theta)
+    cost = _cost(residuals, theta, problem)
+    for _ in range(_MAX_STEPS):
+        normal = jacobian.T @ jacobian + np.diag(precision)
+        gradient = jacobian.T @ residuals + precision * (theta - problem.mean)
+        gain = 0.0
+        for _ in range(_MAX_TRIALS):
+            step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
+            trial = theta + np.clip(step, -_MAX_STEP, _MAX_STEP)
+            new_residuals, new_jacobian = problem.around(trial)
+            new = _cost(new_residuals, trial, problem)
+            if new < cost:
+                gain = cost - new
+                theta, cost, residuals, jacobian = trial, new, new_residuals, new_jacobian
+                damping = max(_LESS * damping, _LEAST_DAMPING)
+                break
+            damping *= _MORE
+        if gain < _ENOUGH:
+            break
+    return theta, residuals, jacobian
+
+
+def _cost(residuals: Array, theta: Array, problem: ShapeProblem) -> float:
+    away = (theta - problem.mean) / problem.sd
+    return float(residuals @ residuals + away @ away)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class KindEvidence:
+    """Log likelihood of one kind: ``level + eta @ s - s @ precision @ s / 2``.
+
+    The first of the m parameters s is the logarithm of the half thickness in mm, the others are
+    those of the cell.
+
+    Attributes
+    ----------
+    kind
+        Kind of shape.
+    level, eta, precision
+        Scalar, (m,) and (m, m) float64.
+    prior_mean, prior_sd : (m,) float64
+        The prior of s.
+    log_prior
+        Logarithm of how likely the hypothesis is before anything is gripped.
+    log_half_mm
+        The likeliest logarithm of the half thickness in mm, by this grasp alone.
+    dimensions_m
+        Dimensions in m by their names, by this grasp alone; the thickness is the first.
+    """
+
+    kind: str
+    level: float
+    eta: Array
+    precision: Array
+    prior_mean: Array
+    prior_sd: Array
+    log_prior: float
+    log_half_mm: float
+    dimensions_m: Mapping[str, float]
+
+    def scattered(self, sd_m: float) -> "KindEvidence":
+        """Return the same with a further error of the thickness in m in this grasp alone."""
+        sd = sd_m / (2e-3 * np.exp(self.log_half_mm))
+        column = self.precision[0]
+        weight = float(column[0]) + sd**-2
+        return replace(
+            self,
+            level=self.level
+            + float(0.5 * self.eta[0] ** 2 / weight - 0.5 * np.log(weight * sd * sd)),
+            eta=self.eta - column * (self.eta[0] / weight),
+            precision=self.precision - np.outer(column, column) / weight,
+        )
+
+    def tempered(self, share: float) -> "KindEvidence":
+        """Return the same, counting as a ``share`` of a grasp."""
+        return replace(
+            self,
+            level=share * self.level,
+            eta=share * self.eta,
+            precision=share * self.precision,
+        )
+
+
+def evidence_of(fit: ShapeFit, scale: float, log_prior: float = 0.0) -> KindEvidence:
+    """Return the evidence of a fit, the variances of its data ``scale`` times as large."""
+    n = len(fit.theta)
+    kept = np.r_[0, n - fit.n_shared : n]
+    gone = np.setdiff1d(np.arange(n), kept)
+    precision = fit.normal / scale + np.diag(fit.prior_sd**-2)
+    cross = precision[np.ix_(gone, kept)]
+    inner = precision[np.ix_(gone, gone)]
+    left = precision[np.ix_(kept, kept)] - cross.T @ np.linalg.solve(inner, cross)
+    at, mean, weight = fit.theta[kept], fit.prior_mean[kept], fit.prior_sd[kept] ** -2
+    away = (fit.theta - fit.prior_mean) / fit.prior_sd
+    _, volume = np.linalg.slogdet(inner)
+    peak = (
+        -0.5 * (fit.chi2 / scale + away @ away + volume)
+        - np.log(np.delete(fit.prior_sd, kept)).sum()
+    )
+    return KindEvidence(
+        kind=fit.model.kind,
+        level=float(peak - 0.5 * at @ left @ at + 0.5 * mean @ (weight * mean)),
+        eta=left @ at - weight * mean,
+        precision=left - np.diag(weight),
+        prior_mean=mean,
+        prior_sd=fit.prior_sd[kept],
+        log_prior=log_prior,
+        log_half_mm=float(at[0]),
+        dimensions_m=fit.dimensions_m(),
+    )

@@ -1,0 +1,383 @@
+"""Foam calibration: stiffness of the foam and gain of the sensor from grasps of a known shape.
+
+One grasp shows how deep a known surface was pressed in (from the opening), with which force (the
+commanded one), and the readings of the taxels. Fitted together over all grasps are modulus, gain,
+spread of the pressure, how fast the foam stiffens and the offset of the opening; for each grasp
+its pose in the plane of the pads and the depth at each level of the load. Gauss-Newton steps with
+damping, priors on everything. How far columns push each other in is chosen from a few values.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recognition.errors import ContactError
+from recognition.grasp import Grasp
+from recognition.ramp.ramp import learn_rest
+from recognition.shape.fit import misfit_of, n_determined
+from recognition.shape.foam import FoamModel, PadBed, closed_columns_m, neighbours
+from recognition.shape.models import Drawing, posed
+from recognition.shape.pressed_pads import PressedPads, reduce_to_pads
+
+Array = NDArray[np.float64]
+
+GLOBALS = ("modulus", "gain", "spread", "aperture", "stiffening")
+"""What is common to all grasps, in the order of `FoamFit.sd`."""
+
+SIDEWAYS = (0.0, 0.4, 0.7)
+"""None, some, much: that which explains the grasps best is taken (`FoamModel.sideways`)."""
+
+_PRIOR_SD = np.array([1.0, 1.0, 0.3, 2.0, 1.0])
+"""Standard deviations of the priors of `GLOBALS`: logarithms, the opening in mm."""
+_GAIN_SD_WITHOUT_FORCE = 0.02
+"""That of the log gain where no force is commanded: only modulus times gain shows then."""
+_POSE_SD = np.array([1.5, 1.5, 1.25])
+"""The same of the pose of a grasp about its start: x and y in mm, turn in rad."""
+_DEPTH_MM, _DEPTH_SD_MM = 1.2, 1.0
+"""Mean and standard deviation of the prior of a depth in mm."""
+_STEP = 1e-3
+"""Step of the numerical derivative, in the unit of each parameter."""
+_MAX_STEPS = 25
+"""Most Gauss-Newton steps."""
+_ENOUGH = 0.05
+"""Fall of the cost, a sum of squares over variances, below which the fit has converged."""
+_MAX_STEP = 0.7
+"""Longest step of one parameter, in its unit."""
+_COLUMN_STEPS = 8
+"""Steps in which the closing of columns that push each other in is solved."""
+_APERTURE_JITTER_M = 0.08e-3
+"""Standard deviation in m of the opening at one level."""
+_FORCE_SD, _FORCE_FLOOR_N = 0.06, 0.15
+"""Standard deviation of the commanded force, as a share of it and in N."""
+_CELL_M = 0.75e-3
+"""Longest side in m of a cell of the grid on which pressures are worked out."""
+_TRIAL_DEPTHS_MM = np.linspace(0.05, 2.7, 12)
+"""Depths in mm among which those of the levels are interpolated at the start."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class FoamFit:
+    """Foam and sensor as calibrated on the gauge.
+
+    Attributes
+    ----------
+    foam
+        Foam and sensor.
+    sd : (5,) float64
+        Standard deviation of log modulus, log gain, log spread, of the offset in mm, and of log
+        densification.
+    misfit
+        Squared residual per degree of freedom: 1 where the model fits within the noise; see
+        `recognition.shape.fit`.
+    opening_sd_m
+        By how much the zero of the opening differed from grasp to grasp: standard deviation in m;
+        0 without openings.
+    n_grasps
+        Number of grasps that it rests on.
+    """
+
+    foam: FoamModel
+    sd: Array
+    misfit: float
+    opening_sd_m: float
+    n_grasps: int
+
+
+@dataclass(slots=True)
+class _State:
+    """Parameters: those common to all grasps, then poses and depths of each."""
+
+    common: Array
+    own: Array
+
+
+def fit_foam(grasps: Sequence[Grasp], drawing: Drawing, start: FoamModel | None = None) -> FoamFit:
+    """Calibrate foam and sensor on grasps of one known object.
+
+    Parameters
+    ----------
+    grasps
+        At least two, at different poses or forces.
+    drawing
+        The object.
+    start
+        The foam as expected beforehand.
+
+    Raises
+    ------
+    ContactError
+        Fewer than two of the grasps touched both pads.
+    ValueError
+        The grasps come from different pads.
+    """
+    foam = start or FoamModel()
+    rest = learn_rest(grasps)
+    data = []
+    for grasp in grasps:
+        try:
+            data.append(reduce_to_pads(grasp, replace(foam, aperture_offset_m=0.0), rest))
+        except ContactError:
+            continue
+    if len(data) < 2:
+        raise ContactError(
+            f"{len(data)} of {len(grasps)} grasps of the gauge touched both pads, at least 2 are "
+            "needed: grasp it again"
+        )
+    return _Fit(data, drawing, foam, grasps[0], rest.gripping[0]).run()
+
+
+class _Fit:
+    def __init__(
+        self,
+        data: Sequence[PressedPads],
+        drawing: Drawing,
+        foam: FoamModel,
+        grasp: Grasp,
+        pad: int,
+    ) -> None:
+        self.data, self.drawing, self.foam = data, drawing, foam
+        self.pads, self.pad = grasp.pads, pad
+        self.n_levels = len(data[0].share)
+        knows_force = all(np.isfinite(d.force_n) and d.force_n > 0.0 for d in data)
+        self.common_sd = _PRIOR_SD.copy()
+        if not knows_force:
+            # Without a force only the product of modulus and gain shows.
+            self.common_sd[1] = _GAIN_SD_WITHOUT_FORCE
+        self.own_sd = np.concatenate([_POSE_SD, np.full(self.n_levels, _DEPTH_SD_MM)])
+        self.rolls = [0.0] * len(data)
+        self.scale = 1.0
+
+    def run(self) -> FoamFit:
+        state = self._start()
+        fits: list[tuple[float, FoamFit]] = []
+        states: list[_State] = []
+        separate, some, much = SIDEWAYS
+        for sideways in (separate, much, some):
+            if sideways == some and fits[1][0] > fits[0][0]:
+                break
+            self.foam = replace(self.foam, sideways=sideways)
+            cost, state, fit = self._minimise(state)
+            fits.append((cost, fit))
+            states.append(state)
+        best = min(range(len(fits)), key=lambda number: fits[number][0])
+        fit, state = fits[best][1], states[best]
+        if fit.misfit > 1.0:
+            # The prior counts for more where the law explains less.
+            self.foam, self.scale = replace(self.foam, sideways=fit.foam.sideways), fit.misfit
+            again = self._minimise(state)[2]
+            fit = replace(again, misfit=max(fit.misfit, again.misfit))
+        return fit
+
+    def _minimise(self, state: _State) -> tuple[float, _State, FoamFit]:
+        damping, cost = 1e-2, np.inf
+        blocks = self._blocks(state)
+        cost = self._cost(blocks, state)
+        for _ in range(_MAX_STEPS):
+            gain = 0.0
+            for _ in range(5):
+                trial = self._step(blocks, state, damping)
+                new_blocks = self._blocks(trial)
+                new = self._cost(new_blocks, trial)
+                if new < cost:
+                    gain, cost, state, blocks = cost - new, new, trial, new_blocks
+                    damping = max(0.2 * damping, 1e-6)
+                    break
+                damping *= 8.0
+            if gain < _ENOUGH:
+                break
+        normal, _ = self._normal(blocks, state)
+        prior_sd = np.concatenate([self.common_sd, np.tile(self.own_sd, len(self.data))])
+        misfit = misfit_of(
+            self.scale * np.concatenate([r * r for r, _ in blocks]),
+            np.concatenate(
+                [d.informative(len(r)) for d, (r, _) in zip(self.data, blocks, strict=True)]
+            ),
+            n_determined(normal - np.diag(prior_sd**-2), prior_sd),
+        )
+        covariance = np.linalg.inv(normal)
+        fit = FoamFit(
+            foam=self._foam(state.common),
+            sd=np.sqrt(np.diag(covariance)[: len(GLOBALS)]),
+            misfit=misfit,
+            opening_sd_m=self._opening_sd_m(blocks),
+            n_grasps=len(self.data),
+        )
+        return cost, state, fit
+
+    def _opening_sd_m(self, blocks: list[tuple[Array, Array]]) -> float:
+        """Return how far openings are off in single grasps, beyond the zero of all."""
+        squared = 0.0
+        for data, (residuals, _) in zip(self.data, blocks, strict=True):
+            if np.isfinite(data.aperture_m).all():
+                start = data.share.size
+                away = float(residuals[start : start + self.n_levels].mean())
+                squared += self.scale * (away * _APERTURE_JITTER_M) ** 2
+        return float(np.sqrt(squared / (len(blocks) - 1)))
+
+    def _foam(self, common: Array) -> FoamModel:
+        return replace(
+            self.foam,
+            modulus_pa=self.foam.modulus_pa * float(np.exp(common[0])),
+            gain=self.foam.gain * float(np.exp(common[1])),
+            spread_m=self.foam.spread_m * float(np.exp(common[2])),
+            aperture_offset_m=1e-3 * float(common[3]),
+            densification=self.foam.densification * float(np.exp(common[4])),
+        )
+
+    def _start(self) -> _State:
+        common = np.zeros(len(GLOBALS))
+        common[3] = 1e3 * self.foam.aperture_offset_m
+        bed = self._bed(common)
+        rows = []
+        for i, data in enumerate(self.data):
+            _, axes = np.linalg.eigh(data.spread_m2)
+            turn = float(np.arctan2(axes[1, 1], axes[0, 1]))
+            step_rad = self.drawing.roll_step_rad
+            rolls = step_rad * np.arange(round(np.pi / step_rad)) if step_rad else np.zeros(1)
+            best = np.inf
+            for roll in rolls:
+                self.rolls[i] = float(roll)
+                for angle in turn + np.pi * np.array([0.0, 0.5, 0.25, -0.25]):
+                    own = np.array([*(1e3 * data.centre_m), angle, *[_DEPTH_MM] * self.n_levels])
+                    own[3:] = self._depths(i, bed, own)
+                    residuals = self._residuals(i, bed, common, own, self._reach(i, own, bed))
+                    if float(residuals @ residuals) < best:
+                        best, chosen, roll_chosen = float(residuals @ residuals), own, float(roll)
+            self.rolls[i] = roll_chosen
+            rows.append(chosen)
+        self._own_mean = np.array(rows)
+        self._own_mean[:, 3:] = _DEPTH_MM
+        return _State(common, np.array(rows))
+
+    def _bed(self, common: Array) -> PadBed:
+        spread_m = self.foam.spread_m * float(np.exp(common[2]))
+        return PadBed(self.pads, self.pad, spread_m, cell_m=_CELL_M)
+
+    def _reach(self, i: int, own: Array, bed: PadBed) -> tuple[Array, float]:
+        """Return how far the surface lies below its top in m, and the thickness in m."""
+        near, far = posed(
+            self.drawing,
+            bed.x_m,
+            bed.y_m,
+            at_m=(1e-3 * float(own[0]), 1e-3 * float(own[1])),
+            rotation_rad=float(own[2]),
+            roll_rad=self.rolls[i],
+        )
+        thick_m = float(near.max() + far.max())
+        lag_m = np.where(np.isfinite(near), near.max() - near, 1.0)
+        return lag_m, thick_m if np.isfinite(thick_m) else 0.0
+
+    def _forces_n(
+        self,
+        bed: PadBed,
+        lag_m: Array,
+        depth_mm: Array,
+        modulus_pa: float,
+        log_stiffening: float = 0.0,
+    ) -> Array:
+        near = lag_m < self.foam.thickness_m
+        rows, columns = near.any(axis=1), near.any(axis=0)
+        closed_m = closed_columns_m(
+            1e-3 * depth_mm[:, None, None] - lag_m[np.ix_(rows, columns)],
+            1.0,
+            self.foam.sideways,
+            (
+                neighbours(bed.x_m[rows, 0], self.foam.sideways_m),
+                neighbours(bed.y_m[0, columns], self.foam.sideways_m),
+            ),
+            steps=_COLUMN_STEPS if self.foam.sideways else 0,
+        )
+        pressure = self.foam.relative_pressure(closed_m, float(np.exp(log_stiffening)))
+        forces = bed.along[:, rows] @ (pressure @ bed.across[:, columns].T)
+        forces_n: Array = modulus_pa * bed.cell_area_m2 * forces.reshape(len(depth_mm), -1)
+        return forces_n
+
+    def _depths(self, i: int, bed: PadBed, own: Array) -> Array:
+        forces = self._forces_n(
+            bed, self._reach(i, own, bed)[0], _TRIAL_DEPTHS_MM, self.foam.modulus_pa
+        )
+        load = self.foam.response(forces).sum(axis=1)
+        depths_mm: Array = np.interp(self.data[i].share.sum(axis=1), load, _TRIAL_DEPTHS_MM)
+        return depths_mm
+
+    def _residuals(
+        self, i: int, bed: PadBed, common: Array, own: Array, reach: tuple[Array, float]
+    ) -> Array:
+        data = self.data[i]
+        lag_m, thick_m = reach
+        modulus_pa = self.foam.modulus_pa * float(np.exp(common[0]))
+        forces_n = self._forces_n(bed, lag_m, own[3:], modulus_pa, float(common[4]))
+        share = self.foam.response(forces_n * float(np.exp(common[1])))
+        parts = [(data.whitener @ (share - data.share).T[..., None]).ravel()]
+        if np.isfinite(data.aperture_m).all():
+            shown_m = thick_m - 2e-3 * own[3:] + 1e-3 * common[3]
+            parts.append((shown_m - data.aperture_m) / _APERTURE_JITTER_M)
+        if np.isfinite(data.force_n) and data.force_n > 0.0:
+            total_n = float(forces_n[-1].sum())
+            parts.append(
+                np.array([(total_n - data.force_n) / (_FORCE_SD * data.force_n + _FORCE_FLOOR_N)])
+            )
+        residuals: Array = np.concatenate(parts) / float(np.sqrt(self.scale))
+        return residuals
+
+    def _blocks(self, state: _State) -> list[tuple[Array, Array]]:
+        """Return residuals and Jacobian (over common, then own parameters) of each grasp."""
+        common = state.common
+        bed = self._bed(common)
+        wider = common + _STEP * np.eye(len(GLOBALS))
+        wide_bed = self._bed(wider[2])
+        blocks = []
+        for i, own in enumerate(state.own):
+            reach = self._reach(i, own, bed)
+            base = self._residuals(i, bed, common, own, reach)
+            columns = [
+                self._residuals(i, wide_bed if k == 2 else bed, wider[k], own, reach)
+                for k in range(len(GLOBALS))
+            ]
+            for k in range(len(own)):
+                moved = own.copy()
+                moved[k] += _STEP
+                there = self._reach(i, moved, bed) if k < 3 else reach
+                columns.append(self._residuals(i, bed, common, moved, there))
+            blocks.append((base, (np.array(columns) - base).T / _STEP))
+        return blocks
+
+    def _normal(self, blocks: list[tuple[Array, Array]], state: _State) -> tuple[Array, Array]:
+        n_common, n_own = len(GLOBALS), state.own.shape[1]
+        n = n_common + n_own * len(blocks)
+        normal, gradient = np.zeros((n, n)), np.zeros(n)
+        start = np.zeros(n_common)
+        start[3] = 1e3 * self.foam.aperture_offset_m
+        normal[range(n_common), range(n_common)] = self.common_sd**-2
+        gradient[:n_common] = (state.common - start) / self.common_sd**2
+        for i, (residuals, jacobian) in enumerate(blocks):
+            own = slice(n_common + i * n_own, n_common + (i + 1) * n_own)
+            where = np.r_[0:n_common, own]
+            normal[np.ix_(where, where)] += jacobian.T @ jacobian
+            gradient[where] += jacobian.T @ residuals
+            normal[range(own.start, own.stop), range(own.start, own.stop)] += self.own_sd**-2
+            gradient[own] += (state.own[i] - self._own_mean[i]) / self.own_sd**2
+        return normal, gradient
+
+    def _step(self, blocks: list[tuple[Array, Array]], state: _State, damping: float) -> _State:
+        normal, gradient = self._normal(blocks, state)
+        step = -np.linalg.solve(normal + damping * np.diag(np.diag(normal)), gradient)
+        step = np.clip(step, -_MAX_STEP, _MAX_STEP)
+        n_common = len(GLOBALS)
+        return _State(
+            state.common + step[:n_common],
+            state.own + step[n_common:].reshape(state.own.shape),
+        )
+
+    def _cost(self, blocks: list[tuple[Array, Array]], state: _State) -> float:
+        start = np.zeros(len(GLOBALS))
+        start[3] = 1e3 * self.foam.aperture_offset_m
+        away = np.concatenate(
+            [
+                (state.common - start) / self.common_sd,
+                ((state.own - self._own_mean) / self.own_sd).ravel(),
+            ]
+        )
+        return sum(float(r @ r) for r, _ in blocks) + float(away @ away)

@@ -1,0 +1,223 @@
+"""Kinds of shape that can be fitted to pressed pads, with their priors, and drawn objects.
+
+Every kind is symmetric about the plane between the pads and 2 h thick along the closing axis. A
+model gives, over a grid in the plane of the pads, how far its surface lies below its highest point
+and which share of each cell it covers. In its own frame u runs along the object, v across it.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+class Drawing(Protocol):
+    """A rigid object as it is drawn: two surfaces over the plane of the pads.
+
+    x runs along its own long axis, z along the closing axis.
+    """
+
+    @property
+    def roll_step_rad(self) -> float:
+        """Rolls in which it rests between the pads: multiples of this in rad; 0 allows any."""
+        ...
+
+    def heights(
+        self, x_m: NDArray[np.float64], y_m: NDArray[np.float64], roll_rad: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return its reach in m towards both pads at points of its own frame, -inf beside it."""
+        ...
+
+
+def posed(
+    drawing: Drawing,
+    x_m: NDArray[np.float64],
+    y_m: NDArray[np.float64],
+    *,
+    at_m: tuple[float, float],
+    rotation_rad: float,
+    roll_rad: float,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the reach in m of a posed object towards both pads at points of the pads' plane.
+
+    Parameters
+    ----------
+    x_m, y_m
+        Points, broadcast against each other.
+    at_m
+        Where the object's centre is in the plane in m.
+    rotation_rad, roll_rad
+        Turns about the closing axis and about the object's own long axis in rad.
+    """
+    dx_m, dy_m = np.broadcast_arrays(x_m - at_m[0], y_m - at_m[1])
+    c, s = math.cos(rotation_rad), math.sin(rotation_rad)
+    return drawing.heights(c * dx_m + s * dy_m, c * dy_m - s * dx_m, roll_rad)
+
+
+def resting_roll_rad(drawing: Drawing, roll_rad: float) -> float:
+    """Return the roll in rad onto the nearest side that the object rests on."""
+    step_rad = drawing.roll_step_rad
+    return step_rad * round(roll_rad / step_rad) if step_rad else roll_rad
+
+
+Array = NDArray[np.floating[Any]]
+Surface = tuple[Array, Array]
+"""Depth below the highest point in m; share from 0 to 1 of the cell that is covered."""
+
+_BESIDE_M = 1.0
+"""Depth in m beside an object, where nothing presses: far more than any foam."""
+_LOG_HALF_MM = (float(np.log(7.0)), 0.9)
+"""Mean and standard deviation of the prior of the logarithm of half a thickness in mm."""
+_FLAT_UNIT_M = 5e-3
+"""Half length and half width of a flat object are relative to this, in m."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ShapeModel:
+    """One kind of shape.
+
+    Attributes
+    ----------
+    kind
+        What it is called in an answer.
+    mean, sd
+        Prior, normal: of the logarithm of h in mm, then of the shape's own parameters.
+    turns
+        Whether a turn about the closing axis changes what the pads see.
+    surface
+        From h in m (B, 1, 1), own parameters (B, n, 1, 1), u and v in m (B, n_x, n_y) and the
+        length of a cell in m to the surface.
+    dimensions_m
+        From h in m and own parameters (n,) to dimensions in m by their names; those of
+        `simulator.world.shape_files` where there are such.
+    starts
+        From h, half length and half width of the pressed patch in m to own parameters from which
+        a fit may start.
+    """
+
+    kind: str
+    mean: tuple[float, ...]
+    sd: tuple[float, ...]
+    turns: bool
+    surface: Callable[[Array, Array, Array, Array, float], Surface]
+    dimensions_m: Callable[[float, Array], dict[str, float]]
+    starts: Callable[[float, float, float], tuple[tuple[float, ...], ...]]
+
+    @property
+    def n_own(self) -> int:
+        """Number of parameters: log h and the shape's own."""
+        return len(self.mean)
+
+
+def _covered(half_m: Array, at_m: Array, cell_m: float) -> Array:
+    """Return the share of cells, at a distance from the middle, that lie within a half length."""
+    share: Array = np.clip((half_m - np.abs(at_m)) / cell_m + 0.5, 0.0, 1.0)
+    return share
+
+
+def _cap(h_m: Array, squared: Array) -> Surface:
+    lag_m = h_m * (1.0 - np.sqrt(np.maximum(1.0 - squared, 0.0)))
+    inside = squared < 1.0
+    return np.where(inside, lag_m, _BESIDE_M), inside.astype(squared.dtype)
+
+
+def _sphere(h_m: Array, own: Array, u_m: Array, v_m: Array, cell_m: float) -> Surface:
+    del own, cell_m
+    return _cap(h_m, (u_m * u_m + v_m * v_m) / (h_m * h_m))
+
+
+def _oval(h_m: Array, own: Array, u_m: Array, v_m: Array, cell_m: float) -> Surface:
+    del cell_m
+    half_m = h_m * np.exp(own[:, 0])
+    return _cap(h_m, (u_m / half_m) ** 2 + (v_m / h_m) ** 2)
+
+
+def _cylinder(h_m: Array, own: Array, u_m: Array, v_m: Array, cell_m: float) -> Surface:
+    lag_m, inside = _cap(h_m, (v_m / h_m) ** 2)
+    return lag_m, inside * _covered(h_m * np.exp(own[:, 0]), u_m, cell_m)
+
+
+def _flat(h_m: Array, own: Array, u_m: Array, v_m: Array, cell_m: float) -> Surface:
+    del h_m
+    long_m, wide_m = _FLAT_UNIT_M * np.exp(own[:, 0]), _FLAT_UNIT_M * np.exp(own[:, 1])
+    share = _covered(long_m, u_m, cell_m) * _covered(wide_m, v_m, cell_m)
+    return np.zeros_like(u_m), share
+
+
+def _dumbbell(h_m: Array, own: Array, u_m: Array, v_m: Array, cell_m: float) -> Surface:
+    lag_m, inside = _cap(h_m, (v_m / h_m) ** 2)
+    half_m = h_m * np.exp(own[:, 0])
+    waist_m = half_m / (1.0 + np.exp(-own[:, 1]))
+    share = _covered(half_m, u_m, cell_m) - _covered(waist_m, u_m, cell_m)
+    return lag_m, inside * np.maximum(share, 0.0)
+
+
+def _size(kind: str) -> Callable[[float, Array], dict[str, float]]:
+    def dimensions_m(h_m: float, own: Array) -> dict[str, float]:
+        if kind == "sphere":
+            return {"diameter": 2.0 * h_m}
+        if kind == "flat":
+            long_m, wide_m = (float(x) for x in np.sort(2.0 * _FLAT_UNIT_M * np.exp(own))[::-1])
+            return {"height": 2.0 * h_m, "length": long_m, "width": wide_m}
+        sizes = {"diameter": 2.0 * h_m, "length": 2.0 * h_m * float(np.exp(own[0]))}
+        if kind == "dumbbell":
+            sizes["waist_length"] = sizes["length"] / (1.0 + float(np.exp(-own[1])))
+        return sizes
+
+    return dimensions_m
+
+
+def _starts(kind: str) -> Callable[[float, float, float], tuple[tuple[float, ...], ...]]:
+    def starts(h_m: float, long_m: float, wide_m: float) -> tuple[tuple[float, ...], ...]:
+        ratio, long, wide = (
+            float(np.log(x)) for x in (long_m / h_m, long_m / _FLAT_UNIT_M, wide_m / _FLAT_UNIT_M)
+        )
+        if kind == "sphere":
+            return ((),)
+        if kind == "oval":
+            return ((0.15,), (0.5,), (0.9,))
+        if kind == "flat":
+            return ((long, wide), (long - 0.15, wide - 0.3), (long + 0.15, wide))
+        lengths = (ratio - 0.2, ratio, ratio + 0.2)
+        return tuple((x,) if kind == "cylinder" else (x, 0.0) for x in lengths)
+
+    return starts
+
+
+def _model(
+    kind: str,
+    surface: Callable[[Array, Array, Array, Array, float], Surface],
+    own: tuple[tuple[float, float], ...] = (),
+) -> ShapeModel:
+    priors = (_LOG_HALF_MM, *own)
+    return ShapeModel(
+        kind=kind,
+        mean=tuple(mean for mean, _ in priors),
+        sd=tuple(sd for _, sd in priors),
+        turns=bool(own),
+        surface=surface,
+        dimensions_m=_size(kind),
+        starts=_starts(kind),
+    )
+
+
+SHAPE_MODELS: Mapping[str, ShapeModel] = MappingProxyType(
+    {
+        model.kind: model
+        for model in (
+            _model("sphere", _sphere),
+            # length over diameter: from a little more than a ball on
+            _model("oval", _oval, ((0.5, 0.35),)),
+            _model("cylinder", _cylinder, ((0.9, 0.6),)),
+            # length and width over 10 mm
+            _model("flat", _flat, ((0.3, 0.5), (0.0, 0.5))),
+            # length over diameter; share of the waist in the length, as a logit
+            _model("dumbbell", _dumbbell, ((0.3, 0.3), (0.0, 0.6))),
+        )
+    }
+)
+"""The kinds that are compared, by name."""

@@ -1,0 +1,228 @@
+"""Pressed pads: a grasp reduced to the data that shapes are fitted to, at levels of the load."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from recognition.errors import ContactError
+from recognition.grasp import Grasp, PadArray
+from recognition.ramp.levels import LOAD_FRACTIONS, load_levels
+from recognition.ramp.ramp import Ramp, Rest, find_ramp, learn_rest
+from recognition.shape.foam import FoamModel, PadBed
+
+LEVELS = (0.3, 0.7, 1.0)
+"""Levels of the load that are fitted, of `recognition.ramp.levels.LOAD_FRACTIONS`."""
+
+SPREAD_STEP = 0.1
+"""Logarithm of the factor between neighbouring spreads of `PressedPads`."""
+
+SPREAD_STEPS = 10
+"""Spreads on either side of the expected one."""
+
+_WINDOW_M = 13e-3
+"""Largest half width in m of the part of a pad on which pressures are worked out."""
+_BESIDE_M = 3.5e-3
+"""Width in m of the unloaded rim of that part, beside two standard deviations of the load."""
+_CELL_M = 0.75e-3
+"""Longest side in m of a cell of the grid on which pressures are worked out."""
+_TOUCHED_SHARE = 0.25
+"""Share of the largest reading from which taxels count for centre and spread of the load."""
+_TOUCHED_SD = 3.0
+"""The same in standard deviations."""
+_MODEL_SHARE = 0.02
+"""Error of the model as a share of the reading."""
+_MODEL_FLOOR = 0.0015
+"""Error of the model as a share of full scale."""
+_TAXEL_SHARE = 0.04
+"""Error of a taxel's gain: a share of its reading, the same at all levels."""
+_LEVEL_SHARE = 0.015
+"""Error of a reading at one level: a share of it."""
+_PRESSED_SD = 3.0
+"""Standard deviations from which a taxel counts as pressed."""
+_SAME_PLACE_M = 1e-4
+"""Difference in m up to which taxels of facing pads are at the same place."""
+_MIN_QUIET = 4
+"""Fewest frames before the touch that correct the rest."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PressedPads:
+    """Both pads of one grasp, laid on each other, at some levels of the load; K levels.
+
+    Attributes
+    ----------
+    bed
+        The pad, cropped to what can be pressed.
+    along : (S, rows, n_x) float32
+    across : (S, columns, n_y) float32
+        Those of `bed` for spreads of the pressure from e^(-`SPREAD_STEPS` `SPREAD_STEP`) to
+        e^(`SPREAD_STEPS` `SPREAD_STEP`) times as wide.
+    share : (K, n_taxels) float64
+        Mean rise of both pads' taxels as a share of the full scale.
+    sd : (K, n_taxels) float64
+        Standard deviation of each: noise, and what the model is not better than.
+    pressed : (n_taxels,) bool
+        Taxels that stand out of the noise at the last level: only these show how a shape fits.
+    whitener : (n_taxels, K, K) float64
+        Turns the deviations of one taxel at all levels into independent ones of variance 1: beside
+        noise a taxel has errors that grow with its load, its gain and what no model explains.
+    aperture_m : (K,) float64
+        Opening in m; NaN where unknown.
+    force_n
+        Commanded force at the last level in N; NaN where unknown.
+    centre_m : (2,) float64
+        Centroid of the load in the pads' plane.
+    spread_m2 : (2, 2) float64
+        Second moments of the load about it.
+    """
+
+    bed: PadBed
+    along: NDArray[np.float32]
+    across: NDArray[np.float32]
+    share: NDArray[np.float64]
+    sd: NDArray[np.float64]
+    pressed: NDArray[np.bool_]
+    whitener: NDArray[np.float64]
+    aperture_m: NDArray[np.float64]
+    force_n: float
+    centre_m: NDArray[np.float64]
+    spread_m2: NDArray[np.float64]
+
+    def informative(self, n_data: int) -> NDArray[np.bool_]:
+        """Return which of ``n_data`` residuals depend on a shape: not those of untouched taxels.
+
+        Residuals are ordered taxel by taxel, in each by level; others follow.
+        """
+        found = np.ones(n_data, dtype=bool)
+        levels = np.repeat(self.pressed, len(self.share))
+        found[: len(levels)] = levels
+        return found
+
+
+def reduce_to_pads(grasp: Grasp, foam: FoamModel, rest: Rest | None = None) -> PressedPads:
+    """Return a grasp reduced to pressed pads.
+
+    Parameters
+    ----------
+    grasp
+        From the open gripper on.
+    foam
+        For the spread of the pressure and the offset of the opening.
+    rest
+        The untouched pads; taken from the grasp's own first frames by default.
+
+    Raises
+    ------
+    ContactError
+        A pad was not touched, or the pads do not face each other taxel by taxel.
+    ValueError
+        The grasp does not come from the pads of ``rest``.
+    """
+    rest = rest or learn_rest([grasp])
+    pads = grasp.pads
+    first = _facing_pads(pads, rest)
+    levels = load_levels([grasp], rest)
+    if not levels.touched[0]:
+        raise ContactError("not both pads were touched; grip harder or tare again")
+    chosen = [LOAD_FRACTIONS.index(level) for level in LEVELS]
+    maps = np.stack([m[0, chosen] for m in levels.maps])
+    rest_share, rest_sd = _remaining_rest(find_ramp(grasp, rest), pads.adc_max)
+    maps -= rest_share[:, None]
+    noise = np.hypot(levels.noise[0, chosen], rest_sd)
+    totals = maps.sum(axis=2)
+    # Both pads carry the same force: what differs is their gain.
+    gain = totals.sum(axis=1)
+    if not np.all(gain > 0.0):
+        raise ContactError("a pad carries no load at the end of the ramp")
+    maps *= (gain.mean() / gain)[:, None, None]
+    if _mirrored(maps[:, -1], pads.pad_shape[first]):
+        rows, columns = pads.pad_shape[first]
+        turned = maps[1].reshape(-1, rows, columns)[:, :, ::-1]
+        maps[1] = turned.reshape(len(turned), -1)
+    share = maps.mean(axis=0)
+    sd = np.sqrt(
+        (noise**2).sum(axis=1)[:, None] / 4.0 + _MODEL_FLOOR**2 + (_MODEL_SHARE * share) ** 2
+    )
+    xy_m = pads.taxel_xy_m[pads.taxels_of(first)]
+    centre_m, spread_m2 = _centre_and_spread(share[-1], sd[-1], xy_m)
+    half_m = np.minimum(_BESIDE_M + 2.0 * np.sqrt(np.diag(spread_m2)), _WINDOW_M)
+    factors = np.exp(SPREAD_STEP * np.arange(-SPREAD_STEPS, SPREAD_STEPS + 1))
+    beds = [
+        PadBed(pads, first, foam.spread_m * float(factor), cell_m=_CELL_M).cropped(centre_m, half_m)
+        for factor in factors
+    ]
+    return PressedPads(
+        bed=beds[SPREAD_STEPS],
+        along=np.stack([bed.along for bed in beds]).astype(np.float32),
+        across=np.stack([bed.across for bed in beds]).astype(np.float32),
+        share=share,
+        sd=sd,
+        pressed=share[-1] > _PRESSED_SD * sd[-1],
+        whitener=_whitener(share, noise),
+        aperture_m=levels.aperture_mm[0, chosen] * 1e-3 - foam.aperture_offset_m,
+        force_n=float(levels.force_n[0]),
+        centre_m=centre_m,
+        spread_m2=spread_m2,
+    )
+
+
+def _facing_pads(pads: PadArray, rest: Rest) -> int:
+    """Return the first of the two gripping pads; ContactError where they do not face each other."""
+    if len(rest.gripping) != 2:
+        raise ContactError(f"{len(rest.gripping)} pads grip; size and shape need two")
+    first, second = rest.gripping
+    same = np.array_equal(pads.pad_shape[first], pads.pad_shape[second]) and np.allclose(
+        pads.taxel_xy_m[pads.taxels_of(first)],
+        pads.taxel_xy_m[pads.taxels_of(second)],
+        atol=_SAME_PLACE_M,
+    )
+    if not same:
+        raise ContactError(f"pads {first} and {second} do not face each other taxel by taxel")
+    return first
+
+
+def _centre_and_spread(
+    top: NDArray[np.float64], sd: NDArray[np.float64], xy_m: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return centre (2,) in m and second moments (2, 2) in m² of the load at the last level."""
+    least = max(_TOUCHED_SHARE * float(top.max()), _TOUCHED_SD * float(sd.min()))
+    load = np.where(top > least, top, 0.0)
+    if not load.any():
+        load = np.where(top == top.max(), 1.0, 0.0)
+    load = load / load.sum()
+    centre_m = load @ xy_m
+    away_m = xy_m - centre_m
+    return centre_m, (load[:, None] * away_m).T @ away_m
+
+
+def _whitener(share: NDArray[np.float64], noise: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the whitening matrices (n_taxels, K, K) of shares (K, n_taxels) under noise (K, 2)."""
+    alone = (noise**2).sum(axis=1) / 4.0 + _MODEL_FLOOR**2
+    by_taxel = share.T
+    covariance = (_TAXEL_SHARE**2) * by_taxel[:, :, None] * by_taxel[:, None, :]
+    variance = alone + (_LEVEL_SHARE * by_taxel) ** 2
+    covariance += variance[:, :, None] * np.eye(len(share))
+    whitener: NDArray[np.float64] = np.linalg.inv(np.linalg.cholesky(covariance))
+    return whitener
+
+
+def _remaining_rest(ramp: Ramp, adc_max: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return the rest that frames before the touch still show, and its noise (2,).
+
+    Both are shares of the full scale; the first has the shape (2, n_taxels).
+    """
+    end = int(ramp.touch.min()) - ramp.smoothing
+    if end < _MIN_QUIET:
+        return np.zeros((2, ramp.rise[0].shape[1])), ramp.noise_counts / adc_max
+    left = np.stack([rise[:end].mean(axis=0) for rise in ramp.rise])
+    return left / adc_max, ramp.noise_counts / (adc_max * np.sqrt(end))
+
+
+def _mirrored(maps: NDArray[np.float64], shape: NDArray[np.int64]) -> bool:
+    """Return whether the second pad counts its columns from the other side.
+
+    Facing pads see one contact: whichever order makes their readings (2, n_taxels) more alike.
+    """
+    one, two = (m.reshape(shape) for m in maps)
+    return float((one * two[:, ::-1]).sum()) > float((one * two).sum())

@@ -1,0 +1,156 @@
+"""Search over kinds of shape and possible foams: which fits are worth their time.
+
+No pad follows the law of `recognition.shape.foam` exactly, and a foam is often known as little more
+than a guess. So every kind of shape is fitted under several foams, and the answers are weighted by
+how well each explains the grasp: the foam as it is known, separate columns of another stiffness,
+and columns that push each other in nearly as an elastic body does.
+
+The foam as it is known comes first. Where the two likeliest kinds gain nothing by another foam, the
+known one is it, and the other foams are not tried. Nor is a kind tried again under a further foam
+that was far from the others under the last one. What is not tried keeps its place with the
+parameters of the last fit, at which its evidence is a lower bound: grasps are fused hypothesis by
+hypothesis.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from recognition.shape.fit import ShapeFit, fit_shape
+from recognition.shape.foam import FoamModel
+from recognition.shape.models import SHAPE_MODELS
+from recognition.shape.pressed_pads import PressedPads
+from recognition.shape.residuals import PadUncertainty, ShapeProblem
+
+_KNOWN_PROBABILITY = 0.5
+"""Prior probability that the foam is as it is known."""
+_SIDEWAYS = 0.7
+"""`FoamModel.sideways` of columns that push each other in."""
+_DEPTH_SD_M = 0.25e-3
+"""Standard deviation in m of the depth of both pads together under a foam that is not known."""
+_LOOSE = {"modulus": 1.5, "gain": 0.2, "spread": 0.35, "stiffening": 1.5, "bend": 0.12}
+"""Uncertainty of a foam that is not known, see `PadUncertainty`."""
+_FAR = 12.0
+"""A kind whose logarithmic evidence is so much less is not fitted under a further foam."""
+_SURE = 3.0
+"""By so much the known foam must be the likelier one for others not to be tried."""
+_N_PROBED = 2
+"""Likeliest kinds that are tried under a second foam before all others are."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PossibleFoam:
+    """One way the pads may be.
+
+    Attributes
+    ----------
+    foam, uncertainty
+        Foam and sensor, and the uncertainty of both.
+    probability
+        Prior probability of it.
+    """
+
+    foam: FoamModel
+    uncertainty: PadUncertainty
+    probability: float
+
+
+def possible_foams(foam: FoamModel, uncertainty: PadUncertainty) -> tuple[PossibleFoam, ...]:
+    """Return what the pads may be, the known foam first; probabilities sum to 1."""
+    wider = {
+        name: max(getattr(uncertainty, name), sd * uncertainty.other_foams)
+        for name, sd in _LOOSE.items()
+    }
+    loose = replace(
+        uncertainty,
+        **wider,
+        aperture_m=math.hypot(uncertainty.aperture_m, _DEPTH_SD_M),
+        aperture_jitter_m=2.0 * uncertainty.aperture_jitter_m,
+    )
+    rest = 0.5 * (1.0 - _KNOWN_PROBABILITY)
+    return (
+        PossibleFoam(foam=foam, uncertainty=uncertainty, probability=_KNOWN_PROBABILITY),
+        PossibleFoam(foam=replace(foam, sideways=0.0), uncertainty=loose, probability=rest),
+        PossibleFoam(foam=replace(foam, sideways=_SIDEWAYS), uncertainty=loose, probability=rest),
+    )
+
+
+Fits = dict[str, ShapeFit]
+"""Fits by kind of shape."""
+
+
+def all_fits(
+    data: PressedPads, foam: FoamModel, uncertainty: PadUncertainty
+) -> tuple[list[ShapeFit], list[float]]:
+    """Return fits of all kinds under all possible foams, and how likely each is beforehand.
+
+    The order is the same for all grasps: foam by foam, in each all kinds. The second list holds
+    logarithms of probabilities.
+    """
+    known, *others = possible_foams(foam, uncertainty)
+    last: Fits = {
+        kind: fit_shape(model, data, known.foam, known.uncertainty)
+        for kind, model in SHAPE_MODELS.items()
+    }
+    fits = list(last.values())
+    evidence = _evidence(last, uncertainty)
+    probed: Fits = {}
+    for kind in sorted(evidence, key=lambda kind: -evidence[kind])[:_N_PROBED]:
+        probed[kind] = _fit(kind, data, others[0], last)
+    gain = max(_evidence(probed, uncertainty).values()) - max(evidence.values())
+    sure = gain + np.log(others[0].probability / known.probability) < -_SURE
+    for number, possible in enumerate(others):
+        here: Fits = {}
+        far = _far(last, uncertainty) if number else frozenset()
+        pads_of: ShapeFit | None = None
+        for kind in SHAPE_MODELS:
+            if number == 0 and kind in probed:
+                here[kind] = probed[kind]
+            elif sure or kind in far:
+                here[kind] = _as_it_was(last[kind], data, possible)
+            else:
+                here[kind] = _fit(kind, data, possible, last, pads_of)
+            pads_of = here[kind]
+        last = here
+        fits += here.values()
+    log_prior = [
+        float(np.log(possible.probability)) for possible in (known, *others) for _ in SHAPE_MODELS
+    ]
+    return fits, log_prior
+
+
+def _fit(
+    kind: str,
+    data: PressedPads,
+    possible: PossibleFoam,
+    last: Fits,
+    pads_of: ShapeFit | None = None,
+) -> ShapeFit:
+    return fit_shape(
+        SHAPE_MODELS[kind],
+        data,
+        possible.foam,
+        possible.uncertainty,
+        near=last[kind],
+        pads_of=pads_of,
+    )
+
+
+def _as_it_was(fit: ShapeFit, data: PressedPads, possible: PossibleFoam) -> ShapeFit:
+    """Return the last fit with the priors of another foam."""
+    problem = ShapeProblem(fit.model, data, possible.foam, possible.uncertainty)
+    return replace(fit, prior_sd=problem.sd)
+
+
+def _evidence(fits: Mapping[str, ShapeFit], uncertainty: PadUncertainty) -> dict[str, float]:
+    scale = max(1.0, uncertainty.misfit, min(fit.misfit for fit in fits.values()))
+    return {kind: fit.at_scale(scale).log_evidence(scale) for kind, fit in fits.items()}
+
+
+def _far(last: Mapping[str, ShapeFit], uncertainty: PadUncertainty) -> frozenset[str]:
+    """Return the kinds that are too unlikely under the last foam to be worth another one."""
+    evidence = _evidence(last, uncertainty)
+    best = max(evidence.values())
+    return frozenset(kind for kind, value in evidence.items() if value < best - _FAR)

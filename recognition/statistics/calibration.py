@@ -1,0 +1,75 @@
+"""Calibration: from scores to probabilities by one temperature, fitted out of sample."""
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+from scipy.special import log_softmax
+
+UNIFORM_SHARE = 0.002
+"""Share of the uniform distribution in each posterior: no taught object is ever impossible."""
+
+_LOG_TEMPERATURES = (-3.0, 7.0)
+"""Range of the logarithm of the temperature that is searched."""
+_N_TEMPERATURES = 41
+"""Temperatures that are tried before the search is refined: the loss may have several minima."""
+
+
+def blocked_folds(classes: NDArray[np.int64], n_folds: int) -> list[NDArray[np.bool_]]:
+    """Return for each fold a mask of the rows held out: one run in time of each class.
+
+    Rows of one class must stand in the order of time. Classes with too few rows keep at least one
+    of them outside of every fold.
+    """
+    n = len(classes)
+    fold_of = np.full(n, -1, dtype=np.int64)
+    for k in np.unique(classes):
+        rows = np.flatnonzero(classes == k)
+        folds = min(n_folds, len(rows))
+        if folds > 1:
+            fold_of[rows] = np.arange(len(rows)) * folds // len(rows)
+    return [fold_of == fold for fold in range(n_folds) if np.any(fold_of == fold)]
+
+
+def out_of_sample(
+    fit_and_score: Callable[[NDArray[np.bool_], NDArray[np.bool_]], NDArray[np.float64]],
+    folds: Sequence[NDArray[np.bool_]],
+    n_scores: int,
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Return scores of each row by a fit without its fold.
+
+    `fit_and_score` takes the masks of the rows to fit on and to score. The scores are (n,
+    n_scores), the second result is a mask of the rows that were in any fold.
+    """
+    n = len(folds[0])
+    scores = np.full((n, n_scores), np.nan)
+    scored = np.zeros(n, dtype=np.bool_)
+    for held_out in folds:
+        scores[held_out] = fit_and_score(~held_out, held_out)
+        scored |= held_out
+    return scores, scored
+
+
+def fit_temperature(scores: NDArray[np.float64], classes: NDArray[np.int64]) -> float:
+    """Return the temperature T for which softmax(scores / T) is likeliest, scores (n, C)."""
+    rows = np.arange(len(classes))
+
+    def loss(log_t: float) -> float:
+        p = to_probability(scores, float(np.exp(log_t)))
+        return -float(np.log(p[rows, classes]).mean())
+
+    # The uniform share bounds the loss of each row, so there may be several minima.
+    grid = np.linspace(*_LOG_TEMPERATURES, _N_TEMPERATURES)
+    best = float(grid[int(np.argmin([loss(float(t)) for t in grid]))])
+    step = float(grid[1] - grid[0])
+    found = minimize_scalar(loss, bounds=(best - step, best + step), method="bounded")
+    return float(np.exp(found.x))
+
+
+def to_probability(scores: NDArray[np.float64], temperature: float) -> NDArray[np.float64]:
+    """Return (n, C) probabilities: softmax(scores / T) with a small uniform share."""
+    p = np.exp(log_softmax(scores / temperature, axis=1))
+    p = (1.0 - UNIFORM_SHARE) * p + UNIFORM_SHARE / scores.shape[1]
+    normalised: NDArray[np.float64] = p / p.sum(axis=1, keepdims=True)
+    return normalised

@@ -1,0 +1,217 @@
+"""Fusion of the posteriors of several grasps of one object, and the stop rule of a sequence."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum, unique
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+from scipy.special import expit, log_softmax, logit, logsumexp
+
+from recognition.recognizer import DEPENDENCE, UNKNOWN, Posterior
+
+FLATTENING = 0.005
+"""Share of the uniform distribution that each grasp gets before it is fused."""
+_RUN_LENGTHS = (2, 3)
+"""Lengths of the runs of held-out grasps that the dependence is fitted on; longer ones are few."""
+_PRIOR_SPREAD = 0.25
+"""Standard deviation of the prior of the dependence about `DEPENDENCE`."""
+
+
+def evidence(probability: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the logarithm of flattened probabilities over the uniform ones, (n, C) for (n, C)."""
+    n_labels = probability.shape[1]
+    flattened = (1.0 - FLATTENING) * probability + FLATTENING / n_labels
+    log_ratio: NDArray[np.float64] = np.log(flattened * n_labels)
+    return log_ratio
+
+
+def independent_share(n_grasps: int, dependence: float) -> float:
+    """Return the weight of each of n grasps: together they weigh n / (1 + (n - 1) dependence)."""
+    return 1.0 / (1.0 + (n_grasps - 1) * dependence)
+
+
+def fit_dependence(
+    probability: NDArray[np.float64], classes: NDArray[np.int64], run: NDArray[np.int64]
+) -> float:
+    """Return the dependence under which fused grasps are likeliest to name their object.
+
+    Runs of two and three grasps are fused as `recognition.statistics.fusion.fuse` does. Where
+    these are few, or sure anyway, the result stays near `DEPENDENCE`.
+
+    Parameters
+    ----------
+    probability : (n, C)
+        Probabilities of each grasp by fits without it; rows of a class in the order of time.
+    classes : (n,)
+        Class of the object in each grasp.
+    run : (n,)
+        Grasps of one class with the same number follow each other and were held out together.
+    """
+    each = evidence(probability)
+    sums: list[tuple[int, NDArray[np.float64], NDArray[np.int64]]] = []
+    for length in _RUN_LENGTHS:
+        first = np.arange(len(classes) - length + 1)
+        last = first + length - 1
+        whole = first[(classes[first] == classes[last]) & (run[first] == run[last])]
+        if len(whole):
+            total = sum((each[whole + i] for i in range(1, length)), each[whole])
+            sums.append((length, total, classes[whole]))
+
+    def loss(dependence: float) -> float:
+        value = 0.5 * ((dependence - DEPENDENCE) / _PRIOR_SPREAD) ** 2
+        for length, total, truth in sums:
+            p = log_softmax(independent_share(length, dependence) * total, axis=1)
+            # Windows overlap: each grasp stands in as many as a window is long.
+            value -= float(p[np.arange(len(truth)), truth].sum()) / length
+        return float(value)
+
+    found = minimize_scalar(loss, bounds=(0.0, 1.0), method="bounded")
+    return float(found.x)
+
+
+_MAX_UNKNOWN_LOGIT = 4.0
+"""Largest log odds of an untaught object that one grasp contributes, either way: 1.8 and 98.2 %."""
+
+
+@unique
+class DecisionKind(Enum):
+    """Kinds of decision after some grasps."""
+
+    DECIDED = "decided"
+    UNKNOWN = "unknown"
+    CONTINUE = "continue"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Decision:
+    """Decision after some grasps of one object.
+
+    Attributes
+    ----------
+    kind
+        Decided, unknown object, or one more grasp.
+    label
+        The object where decided, ``UNKNOWN`` where unknown, the likeliest so far otherwise.
+    probability
+        Probability that `label` is right.
+    """
+
+    kind: DecisionKind
+    label: str
+    probability: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class StopRule:
+    """Stop rule of a sequence of grasps.
+
+    Attributes
+    ----------
+    error_rate
+        A label is given as soon as the probability that it is wrong is at most this.
+    max_grasps
+        Number of grasps after which the answer must be given.
+    min_grasps
+        Number of grasps before which none is given.
+    max_unknown
+        Largest probability of an untaught object with which a label is given.
+    min_unknown
+        Probability of an untaught object from which the search ends before `max_grasps`.
+    min_probability
+        Smallest probability with which a label is given after the last grasp.
+
+    Raises
+    ------
+    ValueError
+        A value is outside of its range.
+    """
+
+    error_rate: float = 0.01
+    max_grasps: int = 5
+    min_grasps: int = 1
+    max_unknown: float = 0.5
+    min_unknown: float = 0.95
+    min_probability: float = 0.5
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.error_rate < 1.0:
+            raise ValueError(f"error_rate is {self.error_rate}, must be above 0 and below 1")
+        if not 1 <= self.min_grasps <= self.max_grasps:
+            raise ValueError(
+                f"min_grasps is {self.min_grasps}, must be from 1 to max_grasps {self.max_grasps}"
+            )
+        for name in ("max_unknown", "min_unknown", "min_probability"):
+            value = getattr(self, name)
+            if not 0.0 <= value <= 1.0:
+                raise ValueError(f"{name} is {value}, must be from 0 to 1")
+        if self.min_unknown < self.max_unknown:
+            raise ValueError(
+                f"min_unknown {self.min_unknown} is below max_unknown {self.max_unknown}: "
+                "a grasp could call for a label and for UNKNOWN at once"
+            )
+
+
+def fuse(posteriors: Sequence[Posterior], *, dependence: float | None = None) -> Posterior:
+    """Fuse the posteriors of several grasps of one object.
+
+    Log posteriors over the uniform prior are summed, so that the prior counts once, and the sum is
+    tempered as if n grasps were n / (1 + (n - 1) dependence) independent ones. Without a
+    `dependence` it is the mean of those of the posteriors. Grasps that contradict each other make
+    an untaught object likelier. The order does not matter; one posterior alone comes back
+    with its order of labels, slightly flattened.
+
+    Raises
+    ------
+    ValueError
+        There is no posterior, the labels differ, or `dependence` is not from 0 to 1.
+    """
+    if not posteriors:
+        raise ValueError("no posteriors to fuse: grasp at least once")
+    if dependence is None:
+        dependence = float(np.mean(sorted(p.dependence for p in posteriors)))
+    if not 0.0 <= dependence <= 1.0:
+        raise ValueError(f"dependence is {dependence}, must be from 0 to 1")
+    labels = posteriors[0].labels
+    for p in posteriors:
+        if p.labels != labels:
+            raise ValueError(f"posteriors have different labels: {labels} and {p.labels}")
+    n, n_labels = len(posteriors), len(labels)
+    weight = independent_share(n, dependence)
+    each = evidence(np.stack([p.probability for p in posteriors]))
+    total = weight * np.sort(each, axis=0).sum(axis=0)
+    probability = np.exp(log_softmax(total))
+    limit = float(expit(_MAX_UNKNOWN_LOGIT))
+    log_odds = sorted(float(logit(np.clip(p.unknown, 1.0 - limit, limit))) for p in posteriors)
+    agreement = float(logsumexp(total) - np.log(n_labels))
+    unknown = float(expit(weight * sum(log_odds) - min(agreement, 0.0)))
+    return Posterior(
+        labels=labels,
+        probability=probability / probability.sum(),
+        unknown=unknown,
+        dependence=dependence,
+    )
+
+
+def decide(posteriors: Sequence[Posterior], rule: StopRule) -> Decision:
+    """Return the decision after the grasps so far: the object, an untaught one, or one more grasp.
+
+    Raises ValueError where there is no posterior or the labels differ.
+    """
+    fused = fuse(posteriors)
+    n, best = len(posteriors), float(fused.probability.max())
+    if n >= rule.min_grasps:
+        if fused.unknown <= rule.max_unknown and 1.0 - best <= rule.error_rate:
+            return Decision(kind=DecisionKind.DECIDED, label=fused.best, probability=best)
+        if fused.unknown >= rule.min_unknown:
+            return _unknown(fused.unknown)
+    if n < rule.max_grasps:
+        return Decision(kind=DecisionKind.CONTINUE, label=fused.best, probability=best)
+    if fused.unknown <= rule.max_unknown and best >= rule.min_probability:
+        return Decision(kind=DecisionKind.DECIDED, label=fused.best, probability=best)
+    return _unknown(max(fused.unknown, 1.0 - best))
+
+
+def _unknown(probability: float) -> Decision:
+    return Decision(kind=DecisionKind.UNKNOWN, label=UNKNOWN, probability=probability)

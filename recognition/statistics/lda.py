@@ -1,0 +1,242 @@
+"""Linear discriminant analysis (LDA) with a shrunken covariance."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_factor, solve_triangular
+
+_RANK_TOLERANCE = 1e-9
+"""Singular values of the means below this share of the largest one span no axis."""
+_SPREAD_FLOOR = 1e-2
+"""Least unit of a feature, as a share of its deviation over all grasps: rounding is no
+variation."""
+_DIAGONAL_FLOOR = 1e-9
+"""Added to the diagonal of the covariance, in squared units of the features, for its
+factorisation."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LinearDiscriminant:
+    """Gaussian classes with one covariance, seen in the space that separates them.
+
+    Attributes
+    ----------
+    mean, scale : (F,) float64
+        Features are centred and scaled by these before all else.
+    projection : (F, r) float64
+        From scaled features to the discriminant space, where each class has unit covariance.
+    centres : (C, r) float64
+        Classes in the discriminant space.
+    whitening : (F, F) float64 or None
+        From scaled features to the whole space in which each class has unit covariance; None
+        where it was not kept.
+    """
+
+    mean: NDArray[np.float64]
+    scale: NDArray[np.float64]
+    projection: NDArray[np.float64]
+    centres: NDArray[np.float64]
+    whitening: NDArray[np.float64] | None = None
+
+    def project(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (n, r): features (n, F) in the discriminant space."""
+        projected: NDArray[np.float64] = ((features - self.mean) / self.scale) @ self.projection
+        return projected
+
+    def distances(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (n, C): squared distance of each row to each class, in standard deviations."""
+        return squared_distances(self.project(features), self.centres)
+
+    def beside(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (n,): squared distance of each row from all classes in the other directions.
+
+        Those are the directions outside of the discriminant space, where classes hardly differ.
+        ValueError where the whitening was not kept.
+        """
+        if self.whitening is None:
+            raise ValueError("the discriminant was fitted without keeping its whitening")
+        scaled = (features - self.mean) / self.scale
+        every = ((scaled @ self.whitening) ** 2).sum(axis=1)
+        within = ((scaled @ self.projection) ** 2).sum(axis=1)
+        return np.asarray(np.maximum(every - within, 0.0), dtype=np.float64)
+
+    def to_arrays(self, prefix: str) -> dict[str, NDArray[Any]]:
+        """Return everything as plain arrays under names that begin with the prefix."""
+        arrays = {
+            f"{prefix}mean": self.mean,
+            f"{prefix}scale": self.scale,
+            f"{prefix}projection": self.projection,
+            f"{prefix}centres": self.centres,
+        }
+        if self.whitening is not None:
+            arrays[f"{prefix}whitening"] = self.whitening
+        return arrays
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], prefix: str) -> Self:
+        """Rebuild from `to_arrays`; KeyError where an array is missing."""
+        return cls(
+            mean=arrays[f"{prefix}mean"],
+            scale=arrays[f"{prefix}scale"],
+            projection=arrays[f"{prefix}projection"],
+            centres=arrays[f"{prefix}centres"],
+            whitening=arrays.get(f"{prefix}whitening"),
+        )
+
+
+def squared_distances(
+    points: NDArray[np.float64], others: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Return (n, m) squared distances between points (n, r) and others (m, r)."""
+    squared = (points**2).sum(axis=1)[:, None] + (others**2).sum(axis=1)
+    squared -= 2.0 * (points @ others.T)
+    return np.asarray(np.maximum(squared, 0.0, out=squared), dtype=np.float64)
+
+
+def fit_lda(
+    features: NDArray[np.float64],
+    classes: NDArray[np.int64],
+    n_classes: int,
+    *,
+    shrinkage: float | None = None,
+    min_shrinkage: float = 0.0,
+    n_independent: int | None = None,
+    weight: NDArray[np.float64] | None = None,
+    max_rank: int | None = None,
+    nuisance: NDArray[np.float64] | None = None,
+    keep_whitening: bool = False,
+) -> LinearDiscriminant:
+    """Fit a linear discriminant to labelled rows.
+
+    Parameters
+    ----------
+    features : (n, F)
+        Finite features.
+    classes : (n,)
+        Class of each row, 0 to n_classes - 1; each class at least once.
+    n_classes
+        Number of classes C.
+    shrinkage
+        Share of the identity in the correlation matrix, 0 to 1; None for the oracle approximating
+        shrinkage (Chen et al. 2010, eq. 23).
+    min_shrinkage
+        The least share where it is not given.
+    n_independent
+        Number of independent rows where others are variations of them; None for all.
+    weight : (n,)
+        How much each row counts, above 0; None for all alike.
+    max_rank
+        The most axes r of the discriminant space, those that separate best; None for as many as
+        the means of the classes span. A single class keeps all.
+    nuisance : (m, F)
+        Deviations that the rows do not show; the mean of their squares adds to the covariance.
+    keep_whitening
+        Whether `LinearDiscriminant.beside` is wanted.
+
+    Raises
+    ------
+    ValueError
+        There are no more rows than classes, or a class has none.
+    """
+    n, n_features = features.shape
+    count = np.bincount(classes, minlength=n_classes).astype(np.float64)
+    if n <= n_classes or np.any(count == 0):
+        raise ValueError(
+            f"{n} grasps of {n_classes} objects do not show how grasps of one object vary: "
+            "teach each object at least three times"
+        )
+    weight = np.ones(n) if weight is None else weight
+    means = _class_means(features, classes, n_classes, weight)
+    within = (features - means[classes]) * np.sqrt(weight)[:, None]
+    mean = means.mean(axis=0)
+    freedom = float(weight.sum()) * (1.0 - n_classes / n)
+    scale = _units(features, within, freedom, nuisance)
+    within = within / scale
+    covariance = within.T @ within / freedom
+    if shrinkage is None:
+        independent = n if n_independent is None else n_independent
+        rho = max(min_shrinkage, _oas(covariance, max(1, independent - n_classes)))
+    else:
+        rho = float(shrinkage)
+    if nuisance is not None:
+        deviation = nuisance / scale
+        covariance += deviation.T @ deviation / len(deviation)
+    level = float(np.trace(covariance)) / n_features
+    covariance *= 1.0 - rho
+    covariance[np.diag_indices(n_features)] += rho * level + _DIAGONAL_FLOOR
+    lower = np.tril(cho_factor(covariance, lower=True)[0])
+    whitening = None
+    if keep_whitening or n_classes == 1:
+        whitening = solve_triangular(lower, np.eye(n_features), lower=True).T
+    if whitening is not None and n_classes == 1:
+        # One class has nothing to separate from: the whole whitened space shows how far a grasp is.
+        projection, centres = whitening, np.zeros((1, n_features))
+    else:
+        offsets = (means - mean) / scale
+        projection = _separating_axes(lower, offsets, max_rank)
+        centres = offsets @ projection
+    return LinearDiscriminant(
+        mean=mean,
+        scale=scale,
+        projection=projection,
+        centres=centres,
+        whitening=whitening if keep_whitening else None,
+    )
+
+
+def _class_means(
+    features: NDArray[np.float64],
+    classes: NDArray[np.int64],
+    n_classes: int,
+    weight: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """Return the weighted mean of each class, (C, F)."""
+    members = np.zeros((n_classes, len(features)))
+    members[classes, np.arange(len(features))] = weight
+    means: NDArray[np.float64] = (members @ features) / members.sum(axis=1)[:, None]
+    return means
+
+
+def _units(
+    features: NDArray[np.float64],
+    within: NDArray[np.float64],
+    freedom: float,
+    nuisance: NDArray[np.float64] | None,
+) -> NDArray[np.float64]:
+    """Return the deviation of each feature within a class, (F,): its unit; 1 for a constant one."""
+    variance = (within**2).sum(axis=0) / freedom
+    if nuisance is not None:
+        variance += (nuisance**2).mean(axis=0)
+    spread = np.sqrt(variance)
+    overall = features.std(axis=0)
+    scale = np.sqrt(spread**2 + (_SPREAD_FLOOR * overall) ** 2)
+    return np.where(scale > 1e-12, scale, 1.0)
+
+
+def _separating_axes(
+    lower: NDArray[np.float64], offsets: NDArray[np.float64], max_rank: int | None
+) -> NDArray[np.float64]:
+    """Return the projection (F, r) onto the space of the class means, its axes independent.
+
+    `lower` is the Cholesky factor of the covariance, `offsets` (C, F) are the means of the classes.
+    """
+    whitened = solve_triangular(lower, offsets.T, lower=True)
+    left, singular, _ = np.linalg.svd(whitened, full_matrices=False)
+    rank = int(np.sum(singular > _RANK_TOLERANCE * max(float(singular[0]), 1e-300)))
+    axes = left[:, : rank if max_rank is None else min(rank, max_rank)]
+    projection: NDArray[np.float64] = solve_triangular(lower, axes, lower=True, trans="T")
+    return projection
+
+
+def _oas(covariance: NDArray[np.float64], freedom: int) -> float:
+    """Return the oracle approximating shrinkage, 0 to 1 (Chen et al. 2010, eq. 23)."""
+    p = len(covariance)
+    trace2 = float(np.trace(covariance)) ** 2
+    squares = float((covariance**2).sum())
+    below = (freedom + 1 - 2 / p) * (squares - trace2 / p)
+    if below <= 0:
+        return 1.0
+    return min(1.0, ((1 - 2 / p) * squares + trace2) / below)

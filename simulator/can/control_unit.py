@@ -1,0 +1,414 @@
+"""The tactile control unit as a CANopen device after CiA 301.
+
+After each SYNC it latches one scan and sends it as one burst of TPDO1, at the rate of the wire.
+canopen's LocalNode serves SDO and makes heartbeat, boot-up and EMCY; this module adds services by
+NMT state, resets, SYNC, the history of errors and the synchronous window.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import canopen
+from canopen.nmt import NMT_COMMANDS
+
+from simulator.can.faults import ControlUnitFaults
+from simulator.can.object_dictionary import SdoGate, UnitDictionary
+from simulator.can.scanner import ScannedWorld, Scanner
+from simulator.can.wire import mean_bits
+from simulator.errors import SimulatorSettingsError, SimulatorStateError
+from tactile.layout import TaxelLayout
+from tactile.unit import object_dictionary
+from tactile.unit.object_dictionary import TransmissionMode
+
+EMCY_WINDOW = 0xFF01
+"""EMCY code: a burst was cut short, it does not fit into the synchronous window (0x1007)."""
+EMCY_OVERRUN = 0xFF02
+"""EMCY code: a SYNC came while the burst before it was still being sent; it was passed over."""
+REGISTER_GENERIC = 0x01
+REGISTER_MANUFACTURER = 0x80
+"""Bits of the error register 0x1001 (CiA 301, 7.5.2.2)."""
+
+_OPERATIONAL, _STOPPED = "OPERATIONAL", "STOPPED"
+_RESETS = (NMT_COMMANDS["RESET"], NMT_COMMANDS["RESET COMMUNICATION"])
+_CHANGES_OF_STATE = tuple(
+    NMT_COMMANDS[state] for state in ("OPERATIONAL", "STOPPED", "PRE-OPERATIONAL")
+)
+"""NMT commands that canopen's node carries out itself."""
+_WORST_BITS = 135
+"""Longest message of 8 data bytes on the wire in bits, all stuff bits included (ISO 11898-1)."""
+_MAX_HISTORY = 8
+"""Error codes that object 0x1003 keeps: its sub-indices in the EDS."""
+_ON_EACH_SYNC, _MOST_SYNCS = 1, 240
+"""Transmission type of a PDO (0x1800:02): after each SYNC, up to after each 240th (CiA 301)."""
+
+
+class PeriodicTask:
+    """A message that is sent again and again; canopen's heartbeat producer holds one."""
+
+    __slots__ = ("_stop", "can_id", "data", "due_s", "period_s")
+
+    def __init__(
+        self,
+        can_id: int,
+        data: bytes,
+        period_s: float,
+        due_s: float,
+        stop: Callable[["PeriodicTask"], None],
+    ) -> None:
+        self.can_id = can_id
+        self.data = data
+        self.period_s = period_s
+        self.due_s = due_s
+        self._stop = stop
+
+    def update(self, data: Sequence[int]) -> None:
+        """Send other data from the next time on."""
+        self.data = bytes(data)
+
+    def stop(self) -> None:
+        """Send no more."""
+        self._stop(self)
+
+
+class DeviceNetwork:
+    """The network of one canopen LocalNode in the time of the simulation: no bus, no thread.
+
+    Takes the messages of the node and keeps its periodic ones. It has those methods of
+    ``canopen.Network`` that a LocalNode calls.
+
+    Parameters
+    ----------
+    send
+        Takes time in s, identifier and data of each message.
+
+    Attributes
+    ----------
+    now_s
+        Present time in s; set by the owner.
+    """
+
+    __slots__ = ("_send", "_tasks", "now_s")
+
+    def __init__(self, send: Callable[[float, int, bytes], None], now_s: float) -> None:
+        self._send = send
+        self._tasks: list[PeriodicTask] = []
+        self.now_s = now_s
+
+    def subscribe(self, can_id: int, callback: Callable[..., Any]) -> None:
+        """Do nothing: the owner hands messages to the node itself, by the rules of NMT."""
+
+    def unsubscribe(self, can_id: int, callback: Callable[..., Any] | None = None) -> None:
+        """Do nothing, see `subscribe`."""
+
+    def send_message(self, can_id: int, data: Sequence[int], remote: bool = False) -> None:
+        """Send a message now; remote frames are not what this device sends."""
+        if remote:
+            raise ValueError(f"the control unit sends no remote frames (identifier 0x{can_id:03X})")
+        self._send(self.now_s, can_id, bytes(data))
+
+    def send_periodic(
+        self, can_id: int, data: Sequence[int], period: float, remote: bool = False
+    ) -> PeriodicTask:
+        """Send a message every ``period`` s, for the first time after one period."""
+        if remote:
+            raise ValueError(f"the control unit sends no remote frames (identifier 0x{can_id:03X})")
+        task = PeriodicTask(can_id, bytes(data), period, self.now_s + period, self._tasks.remove)
+        self._tasks.append(task)
+        return task
+
+    def next_due_s(self) -> float:
+        """Return when the next periodic message is due in s, infinity without any."""
+        return min((task.due_s for task in self._tasks), default=math.inf)
+
+    def run(self, now_s: float, *, mute: bool) -> None:
+        """Send what is due until ``now_s`` s at its own times; ``mute`` skips the sending."""
+        for task in self._tasks:
+            while task.due_s <= now_s:
+                if not mute:
+                    self._send(task.due_s, task.can_id, task.data)
+                task.due_s += task.period_s
+
+
+SendBurst = Callable[[float, int, list[bytes]], float]
+"""Takes the time in s at which messages are ready, their identifier and their data; sends them one
+after the other and returns when the last one is through, in s."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ControlUnitSettings:
+    """Settings of one control unit.
+
+    Attributes
+    ----------
+    node_id
+        1 to 127.
+    bitrate
+        Bit rate in bit/s that its CAN controller is set to.
+    serial_number
+        Object 0x1018:04.
+    identity
+        Other sub-indices of 0x1018 that differ from the EDS, to stand for a wrong device.
+    boards
+        Object 0x2103: serial numbers of the pads' boards on finger 0 and finger 1.
+    boot_s
+        Time in s from power-on or reset to the boot-up message.
+    """
+
+    node_id: int = 5
+    bitrate: int = 1_000_000
+    serial_number: int = 1
+    identity: Mapping[int, int] = field(default_factory=dict)
+    boards: tuple[int, int] = (1, 2)
+    boot_s: float = 0.02
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.node_id <= 127:
+            raise SimulatorSettingsError(f"node_id is {self.node_id}, must be 1 to 127")
+        if self.bitrate <= 0:
+            raise SimulatorSettingsError(f"bitrate is {self.bitrate}, must be positive")
+        if not (math.isfinite(self.boot_s) and self.boot_s >= 0.0):
+            raise SimulatorSettingsError(f"boot_s is {self.boot_s}, must be at least 0")
+
+
+class SimulatedControlUnit:
+    """One control unit; it has no clock, the time is an argument.
+
+    Parameters
+    ----------
+    world
+        Where the scans come from.
+    layout
+        The taxels.
+    settings
+        Node id, identity, bit rate.
+    faults
+        Knobs that may be turned at any time.
+    start_s
+        Time of power-on in s.
+
+    Attributes
+    ----------
+    dictionary, scanner
+        Its objects, and the scanner that makes messages of a scan.
+    """
+
+    __slots__ = (
+        "_boot_due_s",
+        "_burst_end_s",
+        "_gate",
+        "_layout",
+        "_network",
+        "_node",
+        "_send",
+        "_sync_count",
+        "_sync_id",
+        "dictionary",
+        "faults",
+        "scanner",
+        "settings",
+    )
+
+    def __init__(
+        self,
+        world: ScannedWorld,
+        layout: TaxelLayout,
+        settings: ControlUnitSettings | None = None,
+        *,
+        faults: ControlUnitFaults | None = None,
+        start_s: float = 0.0,
+    ) -> None:
+        self.settings = settings or ControlUnitSettings()
+        self.faults = faults or ControlUnitFaults()
+        self._layout = layout
+        self._send: SendBurst | None = None
+        self._boot_due_s = math.inf
+        self._sync_id = 0
+        self.scanner = Scanner(world, layout, self.faults)
+        node_id = self.settings.node_id
+        self._node = _local_node(node_id)
+        self._network = DeviceNetwork(self._emit, start_s)
+        self._node.associate_network(self._network)
+        self.dictionary = UnitDictionary(
+            self._node,
+            layout,
+            self.scanner,
+            serial_number=self.settings.serial_number,
+            identity=self.settings.identity,
+            boards=self._boards,
+        )
+        sdo = self._node.sdo
+        self._gate = SdoGate(
+            serve=lambda data: sdo.on_request(sdo.rx_cobid, data, self._network.now_s),
+            respond=lambda data: self._network.send_message(sdo.tx_cobid, data),
+        )
+        self.power_cycle()
+
+    @property
+    def state(self) -> str:
+        """NMT state by the names of CiA 301: INITIALISING, PRE-OPERATIONAL, ..."""
+        return str(self._node.nmt.state)
+
+    def connect(self, send: SendBurst) -> None:
+        """Plug the unit into a bus."""
+        self._send = send
+
+    def next_event_s(self) -> float:
+        """Return when the unit next sends something by itself, in s; infinity for never."""
+        return min(self._boot_due_s, self._network.next_due_s())
+
+    def advance(self, now_s: float) -> None:
+        """Let the time pass until ``now_s`` s: boot-up, heartbeat."""
+        if now_s < self._boot_due_s and now_s < self._network.next_due_s():
+            self._network.now_s = now_s
+            return
+        if self._boot_due_s <= now_s:
+            self._network.now_s = self._boot_due_s
+            self._boot_due_s = math.inf
+            # canopen sends the boot-up on entering, and starts the heartbeat on leaving this state.
+            self._node.nmt.state = "INITIALISING"
+            self._node.nmt.state = "PRE-OPERATIONAL"
+        self._network.run(now_s, mute=self.faults.dead or self.faults.heartbeat_off)
+        self._network.now_s = now_s
+
+    def receive(self, can_id: int, data: bytes, now_s: float) -> None:
+        """Take one message from the bus at ``now_s`` s and answer it."""
+        self.advance(now_s)
+        if self.faults.dead or math.isfinite(self._boot_due_s):
+            return
+        if can_id == object_dictionary.COB_NMT:
+            self._nmt(data)
+        elif self.state == _STOPPED:
+            return
+        elif can_id == self._sync_id:
+            self._sync()
+        elif can_id == self._node.sdo.rx_cobid:
+            self._gate.request(data)
+            self._sync_id = self.dictionary.sync_cob_id
+
+    def command(self, state: str, now_s: float) -> None:
+        """Take the NMT command for a state at ``now_s`` s, as another master would send it.
+
+        Parameters
+        ----------
+        state
+            Name as in ``canopen.nmt.NMT_COMMANDS``.
+        now_s
+            Time in s.
+        """
+        command = bytes((NMT_COMMANDS[state], self.settings.node_id))
+        self.receive(object_dictionary.COB_NMT, command, now_s)
+
+    def emergency(self, code: int, *, register: int = REGISTER_GENERIC, data: bytes = b"") -> None:
+        """Report an error: EMCY, error register and history; code 0 reports that all are gone.
+
+        Parameters
+        ----------
+        code
+            Error code after CiA 301, 16 bit.
+        register
+            Bits of the error register that it sets.
+        data
+            Up to 5 manufacturer-specific bytes.
+        """
+        dictionary = self.dictionary
+        if code == 0:
+            dictionary.error_register = 0
+        else:
+            dictionary.error_register |= register | REGISTER_GENERIC
+            dictionary.errors.insert(0, code)
+            del dictionary.errors[_MAX_HISTORY:]
+        if not math.isfinite(self._boot_due_s) and self.state != _STOPPED:
+            self._node.emcy.send(code, dictionary.error_register, data)
+
+    def power_cycle(self) -> None:
+        """Lose power and come back: all values at their defaults, one boot-up after the boot."""
+        self._reset(everything=True)
+
+    def _boards(self) -> tuple[int, int]:
+        first, second = self.settings.boards
+        return (second, first) if self.faults.pads_swapped else (first, second)
+
+    def _reset(self, *, everything: bool) -> None:
+        self._node.nmt.stop_heartbeat()
+        self._gate.reset()
+        self.dictionary.reset(self._layout, everything=everything)
+        if everything:
+            self.scanner.reset()
+        self._sync_id = self.dictionary.sync_cob_id
+        self._sync_count = 0
+        self._burst_end_s = -math.inf
+        self._boot_due_s = self._network.now_s + self.settings.boot_s
+
+    def _nmt(self, data: bytes) -> None:
+        if len(data) != 2 or data[1] not in {0, self.settings.node_id}:
+            return
+        if data[0] in _RESETS:
+            self._reset(everything=data[0] == NMT_COMMANDS["RESET"])
+        elif data[0] in _CHANGES_OF_STATE:
+            self._node.nmt.on_command(0, data, self._network.now_s)
+
+    def _sync(self) -> None:
+        if self.state != _OPERATIONAL:
+            return
+        now_s = self._network.now_s
+        if now_s < self._burst_end_s:
+            self._passed_over(EMCY_OVERRUN)
+            return
+        kind = self.dictionary.number(object_dictionary.TPDO1_PARAMETER, 2)
+        self._sync_count += 1
+        if _ON_EACH_SYNC < kind <= _MOST_SYNCS and self._sync_count % kind:
+            return
+        self.scanner.latch()
+        mode = self.dictionary.number(object_dictionary.MODE)
+        if mode & TransmissionMode.RAW:
+            self._send_frame(now_s)
+        if mode & TransmissionMode.FEATURES:
+            touch = self.dictionary.number(
+                object_dictionary.THRESHOLDS, object_dictionary.THRESHOLD_TOUCH
+            )
+            firsts, seconds = self.scanner.feature_messages(touch)
+            for first, second in zip(firsts, seconds, strict=True):
+                self._send_pdo(2, now_s, [first])
+                self._send_pdo(3, now_s, [second])
+
+    def _send_frame(self, now_s: float) -> None:
+        messages = self.scanner.frame_messages()
+        window_s = 1e-6 * self.dictionary.number(object_dictionary.SYNC_WINDOW_US)
+        bit_s = 1.0 / self.settings.bitrate
+        if window_s and len(messages) * _WORST_BITS * bit_s > window_s:
+            used_s, fitting = 0.0, 0
+            for message in messages:
+                used_s += mean_bits(message) * bit_s
+                if used_s > window_s:
+                    break
+                fitting += 1
+            if fitting < len(messages):
+                messages = messages[:fitting]
+                self._passed_over(EMCY_WINDOW)
+        self._send_pdo(1, now_s, messages)
+
+    def _passed_over(self, code: int) -> None:
+        """Mark the next frame, and send an EMCY once for what goes wrong again and again."""
+        self.scanner.overrun = True
+        if code not in self.dictionary.errors:
+            self.emergency(code, register=REGISTER_MANUFACTURER)
+
+    def _send_pdo(self, pdo: int, now_s: float, messages: list[bytes]) -> None:
+        can_id = self.dictionary.pdo_cob_id(pdo)
+        if can_id is not None and messages and self._send is not None:
+            self._burst_end_s = self._send(now_s + self.faults.late_s, can_id, messages)
+
+    def _emit(self, t_s: float, can_id: int, data: bytes) -> None:
+        if can_id == self._node.sdo.tx_cobid:
+            self._gate.response(data)
+        if self._send is None:
+            raise SimulatorStateError("the control unit is not connected to a bus: connect() first")
+        if not self.faults.dead:
+            self._send(t_s, can_id, [data])
+
+
+def _local_node(node_id: int) -> Any:
+    """Return canopen's node on the unit's dictionary; most of its interface has no types."""
+    return canopen.LocalNode(node_id, object_dictionary.of_node(node_id))

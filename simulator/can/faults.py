@@ -1,0 +1,187 @@
+"""Fault knobs of the CAN link and of the control unit; all of them are off by default."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.errors import SimulatorSettingsError
+
+_RATES = (
+    "drop_rate",
+    "duplicate_rate",
+    "swap_rate",
+    "corrupt_rate",
+    "truncate_rate",
+    "wrong_dlc_rate",
+)
+"""Knobs that are probabilities."""
+_SWAP_S = 1.5e-4
+"""Delay in s of a swapped message: longer than the one after it takes at 1 Mbit/s (135 us)."""
+
+
+@dataclass(slots=True, kw_only=True)
+class CanLinkFaults:
+    """Knobs of the way between the control unit and the host.
+
+    Attributes
+    ----------
+    drop_rate, duplicate_rate, swap_rate, corrupt_rate, truncate_rate
+        Probability from 0 to 1 that a message to the host is lost, comes twice, comes after its
+        successor, has one bit turned after the CAN checksum, or has fewer bytes than its length
+        code (as an adapter on a serial line makes them).
+    wrong_dlc_rate
+        Probability that a message comes with fewer bytes and a length code that fits them.
+    drop_next
+        So many of the next messages to the host are lost.
+    delay_s
+        Messages to the host come so much later, in s.
+    flood_hz
+        Messages with an unknown identifier and random content that come every second.
+    error_passive, bus_off
+        The host's CAN controller reports that state with an error frame, once each time it is
+        switched on (and the way back from error-passive); while it is bus-off nothing passes in
+        either direction.
+    unplugged
+        The host's adapter is gone: sending and receiving fail.
+    """
+
+    drop_rate: float = 0.0
+    duplicate_rate: float = 0.0
+    swap_rate: float = 0.0
+    corrupt_rate: float = 0.0
+    truncate_rate: float = 0.0
+    wrong_dlc_rate: float = 0.0
+    drop_next: int = 0
+    delay_s: float = 0.0
+    flood_hz: float = 0.0
+    error_passive: bool = False
+    bus_off: bool = False
+    unplugged: bool = False
+
+    @property
+    def disturbs(self) -> bool:
+        """Whether messages to the host are to be looked at one by one."""
+        return bool(
+            self.drop_next
+            or self.delay_s
+            or self.bus_off
+            or self.drop_rate
+            or self.duplicate_rate
+            or self.swap_rate
+            or self.corrupt_rate
+            or self.truncate_rate
+            or self.wrong_dlc_rate
+        )
+
+    def check(self) -> None:
+        """Refuse impossible values; the bus calls it when a fault is in use."""
+        for name in _RATES:
+            rate = getattr(self, name)
+            if not 0.0 <= rate <= 1.0:
+                raise SimulatorSettingsError(f"fault {name} is {rate}, must be from 0 to 1")
+        for name in ("drop_next", "delay_s", "flood_hz"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value >= 0):
+                raise SimulatorSettingsError(f"fault {name} is {value}, must be at least 0")
+
+
+@dataclass(slots=True, kw_only=True)
+class ControlUnitFaults:
+    """Knobs inside the control unit.
+
+    Attributes
+    ----------
+    dead
+        The unit neither hears nor sends anything; it comes back where it stopped.
+    heartbeat_off
+        The heartbeat stops, all else goes on.
+    frozen
+        The converter returns its last scan for ever; counter and checksum are valid.
+    converter_fault
+        The self-test of the converter fails: a bit in the status of the frames.
+    stuck_counts
+        Taxels that always read the counts given.
+    dead_taxels
+        Taxels that always read 0.
+    offset_counts
+        Drift that is added to all taxels.
+    gain
+        Factor on all taxels before the offset.
+    late_s
+        The burst of a frame begins so long after its SYNC, in s.
+    pads_swapped
+        The connectors of the two fingers are exchanged: each half of a scan stands where the
+        other belongs.
+    """
+
+    dead: bool = False
+    heartbeat_off: bool = False
+    frozen: bool = False
+    converter_fault: bool = False
+    stuck_counts: dict[int, int] = field(default_factory=dict)
+    dead_taxels: set[int] = field(default_factory=set)
+    offset_counts: float = 0.0
+    gain: float = 1.0
+    late_s: float = 0.0
+    pads_swapped: bool = False
+
+    def apply(self, counts: NDArray[np.uint16], adc_max: int) -> NDArray[np.uint16]:
+        """Return converted counts (n_taxels,) with these faults; IndexError for no taxel."""
+        if self.pads_swapped:
+            counts = np.roll(counts, counts.size // 2)
+        if self.offset_counts or self.gain != 1.0:
+            shifted = np.rint(self.gain * counts + self.offset_counts)
+            counts = np.clip(shifted, 0, adc_max).astype(np.uint16)
+        for taxel, stuck in self.stuck_counts.items():
+            counts[taxel] = stuck
+        if self.dead_taxels:
+            counts[list(self.dead_taxels)] = 0
+        return counts
+
+
+@dataclass(slots=True)
+class Disturber:
+    """Applies the faults of a link to single messages, given as (time in s, identifier, data).
+
+    Attributes
+    ----------
+    faults
+        The knobs.
+    rng
+        Source of chance.
+    """
+
+    faults: CanLinkFaults
+    rng: np.random.Generator
+
+    def pass_on(self, t_s: float, data: bytes) -> Iterable[tuple[float, int, bytes]]:
+        """Return what becomes of one message: any number of (arrival in s, length code, data)."""
+        faults = self.faults
+        faults.check()
+        if faults.bus_off:
+            return
+        if faults.drop_next:
+            faults.drop_next -= 1
+            return
+        chance = self.rng.random(5).tolist()
+        if chance[0] < faults.drop_rate:
+            return
+        t_s += faults.delay_s
+        if chance[1] < faults.swap_rate:
+            t_s += _SWAP_S
+        if data and chance[2] < faults.corrupt_rate:
+            bit = int(self.rng.integers(8 * len(data)))
+            turned = bytearray(data)
+            turned[bit // 8] ^= 1 << bit % 8
+            data = bytes(turned)
+        if data and faults.wrong_dlc_rate and self.rng.random() < faults.wrong_dlc_rate:
+            data = data[: int(self.rng.integers(len(data)))]
+        code = len(data)
+        if data and chance[3] < faults.truncate_rate:
+            data = data[: int(self.rng.integers(len(data)))]
+        yield t_s, code, data
+        if chance[4] < faults.duplicate_rate:
+            yield t_s, code, data

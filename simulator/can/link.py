@@ -1,0 +1,251 @@
+"""The way between the control unit and the host's CAN adapter: wire time, faults, capture.
+
+`simulator.can.memory_bus` puts python-can's interface on it, `simulator.can.slcan` the serial one.
+"""
+
+import bisect
+import math
+from collections import deque
+from collections.abc import Callable
+from typing import Protocol
+
+import can
+import numpy as np
+
+from simulator.can.control_unit import SendBurst
+from simulator.can.faults import CanLinkFaults, Disturber
+from simulator.can.wire import CanWire
+from simulator.errors import SimulatorStateError
+
+Capture = Callable[[float, int, bytes], None]
+"""Takes time in s, identifier and data of each message that has gone over the wire."""
+
+_ERROR_CONTROLLER, _ERROR_BUS_OFF = 0x04, 0x40
+"""Classes of error frames as SocketCAN has them in the identifier (linux/can/error.h)."""
+_CONTROLLER_PASSIVE, _CONTROLLER_ACTIVE = 0x30, 0x40
+"""States of the controller in data byte 1 of such a frame."""
+_FLOOD_ID = 0x6FF
+"""Identifier of flooding messages: an SDO request to node 127, which no unit here is."""
+_INBOX_LIMIT = 100_000
+"""Messages that the adapter's memory holds: half a minute of frames at 50 Hz."""
+
+
+class CanDevice(Protocol):
+    """A device as the bus on which it is needs it."""
+
+    def connect(self, send: SendBurst) -> None:
+        """Plug the device in."""
+        ...
+
+    def receive(self, can_id: int, data: bytes, now_s: float) -> None:
+        """Take one message."""
+        ...
+
+    def advance(self, now_s: float) -> None:
+        """Let the time pass."""
+        ...
+
+    def next_event_s(self) -> float:
+        """Return when the device next sends something by itself, in s."""
+        ...
+
+
+class CanLink:
+    """One device, one wire, and the host's adapter.
+
+    What the host sends reaches the device at once and in order; the time it takes on the wire
+    moves what follows. What the device sends arrives when its last bit is through.
+
+    Parameters
+    ----------
+    device
+        The control unit.
+    bitrate
+        Bits per second.
+    faults
+        Knobs that may be turned at any time.
+    seed
+        Seed of the faults that come by chance.
+
+    Attributes
+    ----------
+    capture
+        Called with each message that goes over the wire, lost ones included, in its order.
+    faults
+        The knobs.
+    lost
+        Messages that nobody fetched until the adapter's memory was full.
+    """
+
+    __slots__ = (
+        "_device",
+        "_disturber",
+        "_flood_due_s",
+        "_inbox",
+        "_reported",
+        "_wire",
+        "capture",
+        "faults",
+        "lost",
+    )
+
+    def __init__(
+        self,
+        device: CanDevice,
+        *,
+        bitrate: int,
+        faults: CanLinkFaults | None = None,
+        seed: int = 0,
+    ) -> None:
+        self.capture: list[Capture] = []
+        self.faults = faults or CanLinkFaults()
+        self.lost = 0
+        self._device = device
+        self._wire = CanWire(bitrate)
+        self._disturber = Disturber(self.faults, np.random.default_rng(seed))
+        self._inbox: deque[can.Message] = deque()
+        self._flood_due_s = math.inf
+        self._reported = (False, False)
+        device.connect(self._deliver)
+
+    def send(self, can_id: int, data: bytes, now_s: float, *, extended: bool = False) -> None:
+        """Send a message of the host; it reaches the device before this returns."""
+        through_s = self._wire.occupy(now_s, data, extended=extended)
+        for capture in self.capture:
+            capture(through_s, can_id, data)
+        if not extended and not self.faults.bus_off:
+            self._device.receive(can_id, data, now_s)
+
+    def take(self, now_s: float) -> can.Message | None:
+        """Return the next message that has arrived until ``now_s`` s."""
+        inbox = self._inbox
+        if inbox and inbox[0].timestamp <= now_s:
+            return inbox.popleft()
+        return None
+
+    def advance(self, now_s: float) -> None:
+        """Let device and faults act until ``now_s`` s."""
+        self._device.advance(now_s)
+        faults = self.faults
+        if faults.flood_hz:
+            self._flood(now_s)
+        elif self._flood_due_s != math.inf:
+            self._flood_due_s = math.inf
+        if (faults.error_passive, faults.bus_off) != self._reported:
+            self._report_state(now_s)
+
+    def next_event_s(self) -> float:
+        """Return when something arrives or the device next sends by itself; infinity for never."""
+        next_s = min(self._device.next_event_s(), self._flood_due_s)
+        return min(next_s, self._inbox[0].timestamp) if self._inbox else next_s
+
+    def clear(self) -> None:
+        """Forget the messages that were not fetched, as an adapter does that is closed."""
+        self._inbox.clear()
+
+    def _deliver(self, ready_s: float, can_id: int, burst: list[bytes]) -> float:
+        """Put the device's messages on the wire, one after the other, and into the inbox."""
+        through_s = ready_s
+        occupy, inbox = self._wire.occupy, self._inbox
+        disturbs = self.faults.disturbs
+        if len(inbox) > _INBOX_LIMIT:
+            self.lost += len(burst)
+            return ready_s
+        for data in burst:
+            through_s = occupy(ready_s, data)
+            for capture in self.capture:
+                capture(through_s, can_id, data)
+            if not disturbs:
+                inbox.append(can.Message(through_s, can_id, False, data=data))
+                continue
+            for arrival_s, code, changed in self._disturber.pass_on(through_s, data):
+                message = can.Message(arrival_s, can_id, False, dlc=code, data=changed)
+                bisect.insort(inbox, message, key=_arrival_s)
+        return through_s
+
+    def _flood(self, now_s: float) -> None:
+        self.faults.check()
+        if math.isinf(self._flood_due_s):
+            self._flood_due_s = now_s
+        while self._flood_due_s <= now_s:
+            data = self._disturber.rng.bytes(8)
+            message = can.Message(
+                self._wire.occupy(self._flood_due_s, data), _FLOOD_ID, False, data=data
+            )
+            bisect.insort(self._inbox, message, key=_arrival_s)
+            self._flood_due_s += 1.0 / self.faults.flood_hz
+
+    def _report_state(self, now_s: float) -> None:
+        """Report a state of the controller once, as SocketCAN does: by an error frame."""
+        passive, off = self.faults.error_passive, self.faults.bus_off
+        if passive != self._reported[0]:
+            state = _CONTROLLER_PASSIVE if passive else _CONTROLLER_ACTIVE
+            self._error_frame(now_s, _ERROR_CONTROLLER, state)
+        if off and not self._reported[1]:
+            self._error_frame(now_s, _ERROR_BUS_OFF, 0)
+        self._reported = (passive, off)
+
+    def _error_frame(self, now_s: float, error_class: int, controller: int) -> None:
+        data = bytes((0, controller, 0, 0, 0, 0, 0, 0))
+        self._inbox.appendleft(
+            can.Message(now_s, error_class, False, is_error_frame=True, data=data)
+        )
+
+
+def _arrival_s(message: can.Message) -> float:
+    return message.timestamp
+
+
+class CanDevices:
+    """The devices on the bus as one: the cell's control unit, and those that join it.
+
+    Parameters
+    ----------
+    unit
+        The cell's control unit.
+    """
+
+    __slots__ = ("_devices", "_send")
+
+    def __init__(self, unit: CanDevice) -> None:
+        self._devices: list[CanDevice] = [unit]
+        self._send: SendBurst | None = None
+
+    def connect(self, send: SendBurst) -> None:
+        """Plug all of them in."""
+        self._send = send
+        for device in self._devices:
+            device.connect(send)
+
+    def add(self, device: CanDevice) -> Callable[[], None]:
+        """Let another device join; returns the function that takes it off the bus again."""
+        if self._send is not None:
+            device.connect(self._send)
+        self._devices.append(device)
+        return lambda: self._devices.remove(device)
+
+    def send(self, ready_s: float, can_id: int, burst: list[bytes]) -> float:
+        """Send messages of no device; returns when the last is through, in s.
+
+        Raises
+        ------
+        SimulatorStateError
+            If no bus is connected.
+        """
+        if self._send is None:
+            raise SimulatorStateError("the devices are not connected to a bus: connect() first")
+        return self._send(ready_s, can_id, burst)
+
+    def receive(self, can_id: int, data: bytes, now_s: float) -> None:
+        """Pass one message on to every device."""
+        for device in tuple(self._devices):
+            device.receive(can_id, data, now_s)
+
+    def advance(self, now_s: float) -> None:
+        """Let the time pass for all of them."""
+        for device in self._devices:
+            device.advance(now_s)
+
+    def next_event_s(self) -> float:
+        """Return when one of them next sends something by itself, in s."""
+        return min(device.next_event_s() for device in self._devices)

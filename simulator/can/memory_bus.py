@@ -1,0 +1,124 @@
+"""A CAN bus in memory: the host and one control unit, one thread, virtual time."""
+
+import math
+
+import can
+
+from simulator.can.faults import CanLinkFaults
+from simulator.can.link import CanDevice, CanLink, Capture
+from simulator.clock import VirtualClock
+from simulator.errors import SimulatorStateError
+
+
+class InMemoryCanBus(can.BusABC):
+    """The host's end of the bus, with the interface of python-can.
+
+    Waiting in ``recv`` moves the clock. What is sent reaches the device before ``send`` returns.
+    Messages carry as time stamp the time at which they were through the wire, in s of the clock.
+
+    Parameters
+    ----------
+    device
+        The control unit.
+    clock
+        Whose time it is.
+    bitrate
+        Bits per second.
+    faults
+        Knobs that may be turned at any time.
+    seed
+        Seed of the faults that come by chance.
+    """
+
+    def __init__(
+        self,
+        device: CanDevice,
+        clock: VirtualClock,
+        *,
+        bitrate: int = 1_000_000,
+        faults: CanLinkFaults | None = None,
+        seed: int = 0,
+    ) -> None:
+        self.channel_info = f"simulated CAN bus at {bitrate} bit/s"
+        self._link = CanLink(device, bitrate=bitrate, faults=faults, seed=seed)
+        self._clock = clock
+        clock.on_advance.append(self._link.advance)
+        super().__init__(channel="simulated")
+
+    @property
+    def capture(self) -> list[Capture]:
+        """Hooks that are called with each message on the wire, lost ones included, in order."""
+        return self._link.capture
+
+    @property
+    def faults(self) -> CanLinkFaults:
+        """Knobs of the link."""
+        return self._link.faults
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Send a message; it reaches the device before this returns.
+
+        Raises
+        ------
+        can.CanOperationError
+            If the adapter is unplugged, the controller is bus-off or the bus was shut down.
+        """
+        del timeout
+        self._check_open()
+        if self.faults.bus_off:
+            raise can.CanOperationError("the CAN controller is bus-off: nothing was sent")
+        if msg.is_remote_frame or msg.is_error_frame or msg.is_fd:
+            raise can.CanOperationError("the simulated bus carries classic data frames only")
+        self._link.send(
+            msg.arbitration_id,
+            bytes(msg.data),
+            self._clock.monotonic(),
+            extended=msg.is_extended_id,
+        )
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """Return the next message, or None when none comes within ``timeout`` s.
+
+        Waiting moves the clock; with None it moves until something comes.
+
+        Raises
+        ------
+        can.CanOperationError
+            If the adapter is unplugged or the bus was shut down.
+        SimulatorStateError
+            If it shall wait without limit on a bus on which nothing will ever come.
+        """
+        clock, link = self._clock, self._link
+        now_s = clock.monotonic()
+        deadline_s = math.inf if timeout is None else now_s + max(timeout, 0.0)
+        while True:
+            self._check_open()
+            message = link.take(now_s)
+            if message is not None:
+                if self._filters is None or self._matches_filters(message):
+                    return message
+                continue
+            link.advance(now_s)
+            next_s = min(link.next_event_s(), deadline_s)
+            if next_s <= now_s < deadline_s:
+                continue
+            if now_s >= deadline_s:
+                return link.take(now_s)
+            if math.isinf(next_s):
+                raise SimulatorStateError(
+                    "recv() without a time-out on a bus on which nothing will ever come"
+                )
+            clock.advance_to(next_s)
+            now_s = clock.monotonic()
+
+    def shutdown(self) -> None:
+        """Leave the bus; a second call changes nothing."""
+        if not self._is_shutdown:
+            self._clock.on_advance.remove(self._link.advance)
+        super().shutdown()
+
+    def _check_open(self) -> None:
+        if self._is_shutdown:
+            raise can.CanOperationError("the bus was shut down: open a new one")
+        if self.faults.unplugged:
+            raise can.CanOperationError("the CAN adapter is gone: plug it in and start again")

@@ -1,0 +1,391 @@
+"""The control unit's object dictionary: its EDS, filled, and the guard of its SDO server.
+
+canopen's LocalNode keeps the values and serves them by SDO. What it leaves open is done here:
+values that live elsewhere in the unit, limits from the EDS, sub-indices of plain variables, the
+rules of CiA 301 on which object may be written when, and requests that its server cannot answer.
+"""
+
+import struct
+from collections.abc import Callable, Mapping
+from enum import Enum, IntEnum
+from typing import Any
+
+import canopen
+from canopen.objectdictionary import ODVariable
+
+from simulator.can.scanner import Scanner
+from tactile.layout import TaxelLayout
+from tactile.unit import object_dictionary
+
+UNKNOWN_COMMAND = 0x0504_0001
+OUT_OF_MEMORY = 0x0504_0005
+NOT_MAPPABLE = 0x0604_0041
+TOO_LONG = 0x0607_0012
+TOO_SHORT = 0x0607_0013
+NO_SUBINDEX = 0x0609_0011
+VALUE_RANGE = 0x0609_0030
+VALUE_HIGH = 0x0609_0031
+VALUE_LOW = 0x0609_0032
+NOT_STORED = 0x0800_0020
+WRONG_STATE = 0x0800_0022
+NO_DATA = 0x0800_0024
+"""SDO abort codes (CiA 301, 7.2.4.3.17)."""
+
+MAX_DOWNLOAD_BYTES = 1024
+"""A download of more than this is refused: no object of the unit is that long."""
+
+_ABORT = struct.Struct("<BHBL")
+"""An SDO abort: command, index, sub-index, abort code."""
+_INITIATE = struct.Struct("<BHB")
+"""Head of a request that begins a transfer: command, index, sub-index."""
+_SDO_BYTES = 8
+_SEGMENT_BYTES = 7
+_COMMAND_SHIFT = 5
+"""The command specifier is in the three top bits of the first byte."""
+_SIZE_INDICATED, _EXPEDITED = 0x01, 0x02
+"""Bits of the first byte of an initiate: its size stands behind, its data stand behind."""
+_LAST_SEGMENT = 0x01
+"""Bit of the first byte of a segment: no more segments follow."""
+_COB_ID_BITS = 0x7FF
+"""Bits of a COB-ID entry that are the identifier of 11 bits."""
+_FRAME_BIT_AND_COB_ID = 0x3FFF_FFFF
+"""A COB-ID entry without its two top bits: zero beside 11 bits, or the identifier is of 29 bits."""
+_LOWEST_PDO_COB_ID, _HIGHEST_PDO_COB_ID = 0x181, 0x57F
+"""Identifiers that PDOs have in the pre-defined connection set."""
+_PDO_INVALID = 1 << 31
+"""Top bit of a PDO's COB-ID entry: the PDO is switched off."""
+_EDS_FULL_SCALE = 255
+"""Full scale in counts for which the thresholds of the EDS are given."""
+_COMMUNICATION_PROFILE = range(0x1000, 0x2000)
+"""Objects that a reset of the communication sets to their defaults (CiA 301)."""
+_TPDO_PARAMETERS = (0x1800, 0x1801, 0x1802)
+_TPDO_MAPPINGS = (0x1A00, 0x1A01, 0x1A02)
+"""Communication and mapping parameters of TPDO1 to TPDO3."""
+
+
+class _ClientCommand(IntEnum):
+    """Command specifiers of an SDO client (CiA 301, 7.2.4.3)."""
+
+    DOWNLOAD_SEGMENT = 0
+    INITIATE_DOWNLOAD = 1
+    INITIATE_UPLOAD = 2
+    UPLOAD_SEGMENT = 3
+    ABORT = 4
+
+
+class _ServerCommand(IntEnum):
+    """Command specifiers of an SDO server."""
+
+    UPLOAD_SEGMENT = 0
+    INITIATE_UPLOAD = 2
+    ABORT = 4
+
+
+class _Transfer(Enum):
+    """Transfer of several segments that is going on."""
+
+    NONE = 0
+    UPLOAD = 1
+    DOWNLOAD = 2
+
+
+class SdoGate:
+    """Gate of an SDO server: passes the requests on that canopen's server can answer.
+
+    That server answers expedited and segmented transfers. It has no notion of a segment without a
+    transfer, of a transfer without an end or of block transfers, and fails on requests that are too
+    short. The gate refuses those with the abort codes of CiA 301.
+
+    Parameters
+    ----------
+    serve
+        Hands a request to the server.
+    respond
+        Sends 8 bytes to the client.
+    """
+
+    __slots__ = ("_index", "_received", "_respond", "_serve", "_size", "_subindex", "_transfer")
+
+    def __init__(
+        self, serve: Callable[[bytearray], None], respond: Callable[[bytes], None]
+    ) -> None:
+        self._serve = serve
+        self._respond = respond
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the transfer that is going on."""
+        self._transfer = _Transfer.NONE
+        self._index, self._subindex = 0, 0
+        self._received = 0
+        self._size: int | None = None
+
+    def request(self, data: bytes) -> None:
+        """Answer one request; requests that are not 8 bytes long are no SDO and stay unheard."""
+        if len(data) != _SDO_BYTES:
+            return
+        command = data[0] >> _COMMAND_SHIFT
+        if command == _ClientCommand.DOWNLOAD_SEGMENT:
+            self._download_segment(data)
+        elif command == _ClientCommand.INITIATE_DOWNLOAD:
+            self._initiate_download(data)
+        elif command == _ClientCommand.INITIATE_UPLOAD:
+            _, self._index, self._subindex = _INITIATE.unpack_from(data)
+            self._transfer = _Transfer.NONE
+            self._serve(bytearray(data))
+        elif command == _ClientCommand.UPLOAD_SEGMENT:
+            if self._transfer is _Transfer.UPLOAD:
+                self._serve(bytearray(data))
+            else:
+                self._abort(UNKNOWN_COMMAND)
+        elif command == _ClientCommand.ABORT:
+            self.reset()
+        else:  # block transfers and what is not defined
+            _, self._index, self._subindex = _INITIATE.unpack_from(data)
+            self._abort(UNKNOWN_COMMAND)
+
+    def response(self, data: bytes) -> None:
+        """Follow the transfer by a response of the server; call it with each of them."""
+        command = data[0] >> _COMMAND_SHIFT
+        if command == _ServerCommand.INITIATE_UPLOAD:
+            if not data[0] & _EXPEDITED:
+                self._transfer = _Transfer.UPLOAD
+        elif command == _ServerCommand.UPLOAD_SEGMENT:
+            if data[0] & _LAST_SEGMENT:
+                self._transfer = _Transfer.NONE
+        elif command == _ServerCommand.ABORT:
+            self._transfer = _Transfer.NONE
+
+    def _initiate_download(self, data: bytes) -> None:
+        _, self._index, self._subindex = _INITIATE.unpack_from(data)
+        self._transfer = _Transfer.NONE
+        if not data[0] & _EXPEDITED:
+            sized = data[0] & _SIZE_INDICATED
+            self._size = int.from_bytes(data[_INITIATE.size :], "little") if sized else None
+            if self._size is not None and self._size > MAX_DOWNLOAD_BYTES:
+                self._abort(OUT_OF_MEMORY)
+                return
+            self._received = 0
+            self._transfer = _Transfer.DOWNLOAD
+        self._serve(bytearray(data))
+
+    def _download_segment(self, data: bytes) -> None:
+        if self._transfer is not _Transfer.DOWNLOAD:
+            self._abort(UNKNOWN_COMMAND)
+            return
+        last = bool(data[0] & _LAST_SEGMENT)
+        self._received += _SEGMENT_BYTES - (data[0] >> 1 & 0x07)  # less the bytes without data
+        if self._received > MAX_DOWNLOAD_BYTES:
+            self._abort(OUT_OF_MEMORY)
+        elif self._size is not None and self._received > self._size:
+            self._abort(TOO_LONG)
+        elif last and self._size is not None and self._received < self._size:
+            self._abort(TOO_SHORT)
+        else:
+            self._serve(bytearray(data))
+            if last:
+                self._transfer = _Transfer.NONE
+
+    def _abort(self, code: int) -> None:
+        self._transfer = _Transfer.NONE
+        command = _ServerCommand.ABORT << _COMMAND_SHIFT
+        self._respond(_ABORT.pack(command, self._index, self._subindex, code))
+
+
+class UnitDictionary:
+    """Object dictionary of one unit: constants, live values, and the checks of what is written.
+
+    Parameters
+    ----------
+    node
+        The canopen LocalNode, made from the unit's EDS; this class adds its callbacks to it.
+    layout
+        The taxels, for the objects that describe them.
+    scanner
+        Where tare and last frame live.
+    serial_number
+        Object 0x1018:04.
+    identity
+        Other sub-indices of 0x1018 that differ from the EDS.
+    boards
+        Returns object 0x2103: the serial numbers of the pads' boards as they are plugged in.
+
+    Attributes
+    ----------
+    errors
+        Error codes of 0x1003, the newest first.
+    error_register
+        Object 0x1001.
+    """
+
+    __slots__ = ("_constants", "_live", "_node", "_scanner", "error_register", "errors")
+
+    def __init__(
+        self,
+        node: Any,
+        layout: TaxelLayout,
+        scanner: Scanner,
+        *,
+        serial_number: int,
+        identity: Mapping[int, int] | None = None,
+        boards: Callable[[], tuple[int, int]] = lambda: (0, 0),
+    ) -> None:
+        self._node: Any = node
+        self._scanner = scanner
+        self.errors: list[int] = []
+        self.error_register = 0
+        form = scanner.frame_format
+        scale = layout.adc_max / _EDS_FULL_SCALE
+        shapes = bytes(size for pad in layout.pads for size in (pad.rows, pad.columns))
+        self._constants: dict[tuple[int, int], int | str | bytes] = {
+            (object_dictionary.LAYOUT, object_dictionary.LAYOUT_PADS): layout.n_pads,
+            (object_dictionary.LAYOUT, object_dictionary.LAYOUT_TAXELS): layout.n_taxels,
+            (object_dictionary.LAYOUT, object_dictionary.LAYOUT_HASH): layout.layout_hash,
+            (object_dictionary.LAYOUT, object_dictionary.LAYOUT_ADC_MAX): layout.adc_max,
+            (object_dictionary.FORMAT, object_dictionary.FORMAT_SAMPLE_BITS): layout.sample_bits,
+            (object_dictionary.FORMAT, object_dictionary.FORMAT_SAMPLE_BYTES): form.sample_bytes,
+            (object_dictionary.FORMAT, object_dictionary.FORMAT_MESSAGES): form.n_messages,
+            (object_dictionary.FORMAT, object_dictionary.FORMAT_HEADER_BYTES): form.header_bytes,
+            (object_dictionary.PAD_SHAPES, 0): shapes,
+            (object_dictionary.IDENTITY, object_dictionary.IDENTITY_SERIAL): serial_number,
+        }
+        for subindex, value in (identity or {}).items():
+            self._constants[(object_dictionary.IDENTITY, subindex)] = value
+        self._live: dict[int, Callable[[int], int | bytes | None]] = {
+            object_dictionary.ERROR_REGISTER: lambda _subindex: self.error_register,
+            object_dictionary.ERROR_HISTORY: self._read_history,
+            object_dictionary.LAST_FRAME: self._read_frame,
+            object_dictionary.LAST_FRAME_COUNTER: lambda _subindex: scanner.read_counter,
+            object_dictionary.TARE: self._read_tare,
+            object_dictionary.BOARDS: lambda subindex: boards()[subindex - 1] if subindex else None,
+        }
+        # The EDS gives thresholds for 8 bit; a unit with a finer converter scales them.
+        self._defaults(scale)
+        node.add_read_callback(self._read)
+        node.add_write_callback(self._check)
+        node.add_write_callback(self._act)
+
+    def pretend(
+        self, index: int, subindex: int, value: int | str | bytes | None
+    ) -> int | str | bytes | None:
+        """Let a constant read as another value; returns what it was, None for the EDS's own."""
+        before = self._constants.get((index, subindex))
+        if value is None:
+            self._constants.pop((index, subindex), None)
+        else:
+            self._constants[index, subindex] = value
+        return before
+
+    def reset(self, layout: TaxelLayout, *, everything: bool) -> None:
+        """Go back to the defaults: the communication profile, or all objects."""
+        for index in list(self._node.data_store):
+            if everything or index in _COMMUNICATION_PROFILE:
+                del self._node.data_store[index]
+        if everything:
+            self._defaults(layout.adc_max / _EDS_FULL_SCALE)
+        self.errors.clear()
+        self.error_register = 0
+
+    def number(self, index: int, subindex: int = 0) -> int:
+        """Return the value of an unsigned object."""
+        return int.from_bytes(self._node.get_data(index, subindex), "little")
+
+    @property
+    def sync_cob_id(self) -> int:
+        """Identifier of SYNC, object 0x1005."""
+        return self.number(object_dictionary.SYNC_COB_ID) & _COB_ID_BITS
+
+    def pdo_cob_id(self, pdo: int) -> int | None:
+        """Return the identifier of TPDO ``pdo`` (1 to 3), None while it is switched off."""
+        value = self.number(_TPDO_PARAMETERS[pdo - 1], 1)
+        return None if value & _PDO_INVALID else value & _COB_ID_BITS
+
+    def _defaults(self, scale: float) -> None:
+        if scale == 1.0:
+            return
+        for subindex in (
+            object_dictionary.THRESHOLD_TOUCH,
+            object_dictionary.THRESHOLD_TARE_SPREAD,
+        ):
+            default = self._node.object_dictionary[object_dictionary.THRESHOLDS][subindex].default
+            data = round(default * scale).to_bytes(2, "little")
+            self._node.data_store.setdefault(object_dictionary.THRESHOLDS, {})[subindex] = data
+
+    def _read(self, *, index: int, subindex: int, od: ODVariable) -> int | str | bytes | None:
+        if subindex != od.subindex:
+            raise canopen.SdoAbortedError(NO_SUBINDEX)
+        constant = self._constants.get((index, subindex))
+        if constant is not None:
+            return constant
+        read = self._live.get(index)
+        return None if read is None else read(subindex)
+
+    def _read_history(self, subindex: int) -> int:
+        if subindex > len(self.errors):
+            raise canopen.SdoAbortedError(NO_DATA)
+        return self.errors[subindex - 1] if subindex else len(self.errors)
+
+    def _read_frame(self, _subindex: int) -> bytes:
+        frame = self._scanner.last_frame()
+        if frame is None:
+            raise canopen.SdoAbortedError(NO_DATA)
+        return frame
+
+    def _read_tare(self, subindex: int) -> int | None:
+        if subindex == object_dictionary.TARE_RESULT:
+            return int(self._scanner.tare_result)
+        return self._scanner.tare_largest if subindex == object_dictionary.TARE_LARGEST else None
+
+    def _check(self, *, index: int, subindex: int, od: ODVariable, data: bytes) -> None:
+        if subindex != od.subindex:
+            raise canopen.SdoAbortedError(NO_SUBINDEX)
+        value = int.from_bytes(data, "little")
+        if od.max is not None and value > od.max:
+            raise canopen.SdoAbortedError(VALUE_HIGH)
+        if od.min is not None and value < od.min:
+            raise canopen.SdoAbortedError(VALUE_LOW)
+        cob_id = value & _FRAME_BIT_AND_COB_ID
+        if index == object_dictionary.SYNC_COB_ID and not 1 <= cob_id <= _COB_ID_BITS:
+            raise canopen.SdoAbortedError(VALUE_RANGE)
+        if index == object_dictionary.SYNC_OVERFLOW:
+            if value == 1:
+                raise canopen.SdoAbortedError(VALUE_RANGE)
+            if self.number(object_dictionary.SYNC_PERIOD_US):
+                raise canopen.SdoAbortedError(WRONG_STATE)
+        if index in _TPDO_PARAMETERS and subindex == 1:
+            self._check_cob_id(self.number(index, 1), value)
+        if index in _TPDO_MAPPINGS:
+            self._check_mapping(_TPDO_MAPPINGS.index(index), subindex, value)
+
+    def _check_cob_id(self, present: int, value: int) -> None:
+        both_on = not (present & _PDO_INVALID or value & _PDO_INVALID)
+        if not _LOWEST_PDO_COB_ID <= value & _FRAME_BIT_AND_COB_ID <= _HIGHEST_PDO_COB_ID:
+            raise canopen.SdoAbortedError(VALUE_RANGE)
+        if both_on and (present ^ value) & _COB_ID_BITS:
+            raise canopen.SdoAbortedError(VALUE_RANGE)
+
+    def _check_mapping(self, pdo: int, subindex: int, value: int) -> None:
+        """Let the fixed mapping be written again, in the order of CiA 301, but not changed."""
+        mapping: Any = self._node.object_dictionary[_TPDO_MAPPINGS[pdo]]
+        if not self.number(_TPDO_PARAMETERS[pdo], 1) & _PDO_INVALID:
+            raise canopen.SdoAbortedError(WRONG_STATE)
+        if subindex == 0 and value not in {0, mapping[0].default}:
+            raise canopen.SdoAbortedError(NOT_MAPPABLE)
+        if subindex and value != mapping[subindex].default:
+            raise canopen.SdoAbortedError(NOT_MAPPABLE)
+
+    def _act(self, *, index: int, subindex: int, od: ODVariable, data: bytes) -> None:
+        del od
+        if (index, subindex) != (object_dictionary.TARE, object_dictionary.TARE_COMMAND):
+            return
+        command = int.from_bytes(data, "little")
+        if command == object_dictionary.TARE_SIGNATURE:
+            self._scanner.start_tare(
+                self.number(object_dictionary.TARE, object_dictionary.TARE_FRAMES),
+                self.number(object_dictionary.THRESHOLDS, object_dictionary.THRESHOLD_TOUCH),
+                self.number(object_dictionary.THRESHOLDS, object_dictionary.THRESHOLD_TARE_SPREAD),
+            )
+        elif command == object_dictionary.TARE_CLEAR_SIGNATURE:
+            self._scanner.clear_tare()
+        else:
+            raise canopen.SdoAbortedError(NOT_STORED)

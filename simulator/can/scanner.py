@@ -1,0 +1,161 @@
+"""The scanner of the control unit: from a scan to messages, with faults, tare and status."""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.can.faults import ControlUnitFaults
+from tactile.frames.codec import FrameFormat, FrameStatus, encode_frame
+from tactile.frames.pad_features import encode_features, pad_features
+from tactile.layout import TaxelLayout
+from tactile.unit.object_dictionary import TareResult
+
+
+class ScannedWorld(Protocol):
+    """The world as a scanner needs it."""
+
+    def scan(self) -> NDArray[np.uint16]:
+        """Convert all taxels at this moment; counts (n_taxels,)."""
+        ...
+
+
+@dataclass(slots=True)
+class _Tare:
+    """A tare that is being taken: what it needs, and the scans so far."""
+
+    frames_wanted: int
+    touch_counts: int
+    spread_counts: int
+    frames: list[NDArray[np.uint16]]
+
+
+class Scanner:
+    """Latches scans and turns them into messages.
+
+    Attributes
+    ----------
+    frame_format
+        How frames are cut into messages.
+    counter
+        Number of the last scan, modulo 65536.
+    read_counter
+        Number of the scan that `last_frame` last returned.
+    tare_result, tare_largest
+        Objects 0x2130:02 and 0x2130:04.
+    overrun
+        Whether the status of the next frame shows that the one before it was not sent in time.
+    """
+
+    __slots__ = (
+        "_counts",
+        "_faults",
+        "_layout",
+        "_offsets",
+        "_raw",
+        "_tare",
+        "_world",
+        "counter",
+        "frame_format",
+        "overrun",
+        "read_counter",
+        "tare_largest",
+        "tare_result",
+    )
+
+    def __init__(self, world: ScannedWorld, layout: TaxelLayout, faults: ControlUnitFaults) -> None:
+        self._world = world
+        self._layout = layout
+        self._faults = faults
+        self.frame_format = FrameFormat.of(layout)
+        self.reset()
+
+    def reset(self) -> None:
+        """Go back to what a unit is after power-on: no zero, no frame, counter at 0."""
+        self.counter = 0xFFFF
+        self.read_counter = 0
+        self.overrun = False
+        self.tare_result = TareResult.NONE
+        self.tare_largest = 0
+        self._offsets: NDArray[np.int32] | None = None
+        self._tare: _Tare | None = None
+        self._raw: NDArray[np.uint16] | None = None
+        self._counts: NDArray[np.uint16] | None = None
+
+    def latch(self) -> None:
+        """Take a scan: it becomes the frame with the next counter."""
+        faults = self._faults
+        if not faults.frozen or self._raw is None:
+            self._raw = faults.apply(self._world.scan(), self._layout.adc_max)
+        counts = self._raw
+        if self._tare is not None:
+            self._collect(self._tare, counts)
+        if self._offsets is not None:
+            counts = np.maximum(counts.astype(np.int32) - self._offsets, 0).astype(np.uint16)
+        self._counts = counts
+        self.counter = (self.counter + 1) & 0xFFFF
+
+    def frame_messages(self) -> list[bytes]:
+        """Return the burst of the latched frame."""
+        status = FrameStatus(0)
+        if self._offsets is not None:
+            status |= FrameStatus.TARED
+        if self._raw is not None and int(self._raw.max()) >= self._layout.adc_max:
+            status |= FrameStatus.SATURATED
+        if self._faults.converter_fault:
+            status |= FrameStatus.CONVERTER_FAULT
+        if self.overrun:
+            status |= FrameStatus.OVERRUN
+            self.overrun = False
+        return encode_frame(self.frame_format, self._latched(), self.counter, int(status))
+
+    def feature_messages(self, touch_counts: int) -> tuple[list[bytes], list[bytes]]:
+        """Return the messages of TPDO2 and of TPDO3 for all pads of the latched frame."""
+        pairs = [
+            encode_features(features)
+            for features in pad_features(self._layout, self._latched(), self.counter, touch_counts)
+        ]
+        return [first for first, _ in pairs], [second for _, second in pairs]
+
+    def last_frame(self) -> bytes | None:
+        """Return the samples of the last frame as they go over the bus, None before the first.
+
+        Scans go on while the samples are uploaded: ``read_counter`` stays at this frame's.
+        """
+        if self._counts is None:
+            return None
+        self.read_counter = self.counter
+        return self._counts.astype("<u1" if self._layout.sample_bytes == 1 else "<u2").tobytes()
+
+    def start_tare(self, n_frames: int, touch_counts: int, spread_counts: int) -> None:
+        """Take a zero from the next ``n_frames`` scans, unless they are touched or uneven."""
+        self._tare = _Tare(n_frames, touch_counts, spread_counts, [])
+        self.tare_result = TareResult.RUNNING
+        self.tare_largest = 0
+
+    def clear_tare(self) -> None:
+        """Go back to raw counts."""
+        self._tare = None
+        self._offsets = None
+        self.tare_result = TareResult.NONE
+
+    def _latched(self) -> NDArray[np.uint16]:
+        if self._counts is None:
+            raise RuntimeError("no scan has been latched yet")
+        return self._counts
+
+    def _collect(self, tare: _Tare, counts: NDArray[np.uint16]) -> None:
+        tare.frames.append(counts)
+        self.tare_largest = max(self.tare_largest, int(counts.max()))
+        if len(tare.frames) < tare.frames_wanted:
+            return
+        self._tare = None
+        frames = np.stack(tare.frames).astype(np.int32)
+        if self.tare_largest > tare.touch_counts:
+            self.tare_result = TareResult.REFUSED_TOUCHED
+        elif int(np.ptp(frames, axis=0).max()) > tare.spread_counts:
+            self.tare_result = TareResult.REFUSED_SPREAD
+        else:
+            self._offsets = np.rint(frames.mean(axis=0)).astype(np.int32)
+            self.tare_result = TareResult.DONE

@@ -1,0 +1,219 @@
+"""A serial CAN adapter: the LAWICEL (slcan) ASCII protocol in front of the simulated bus.
+
+Written from the manual of the LAWICEL CANUSB. Commands end with CR; CR acknowledges, BEL refuses.
+The adapter has no loop and no port of its own: bytes in, bytes out, time as an argument.
+"""
+
+import string
+
+import can
+
+from simulator.can.link import CanLink
+
+BIT_RATES = (10_000, 20_000, 50_000, 100_000, 125_000, 250_000, 500_000, 800_000, 1_000_000)
+"""Bit rate by the digit of the command S."""
+OUTPUT_LIMIT = 1 << 18
+"""Bytes that wait for a client that does not read; what comes then is lost (flag 0x01)."""
+
+_OK, _REFUSED = b"\r", b"\a"
+_LINE_LIMIT = 32
+"""Longest command in characters: T, 8 of the identifier, 1 of the length, 16 of data, and room."""
+_VERSION = b"V1013\r"
+"""Answer to V: hardware version 1.0, software version 1.3."""
+_SERIAL = b"NSIM1\r"
+"""Answer to N: serial number."""
+_FLAG_QUEUE_FULL, _FLAG_PASSIVE, _FLAG_BUS_ERROR = 0x01, 0x20, 0x80
+"""Bits of the answer to F."""
+_TIME_WRAP_MS = 60_000
+"""Time stamps begin anew after so many ms."""
+_HEX_DIGITS = frozenset(string.hexdigits)
+_STANDARD_ID_MAX, _EXTENDED_ID_MAX = 0x7FF, 0x1FFF_FFFF
+"""Largest identifiers of 11 and of 29 bits."""
+_MAX_DATA_BYTES = 8
+"""Data bytes of a classic CAN message (ISO 11898-1)."""
+
+
+class SlcanAdapter:
+    """The adapter between a serial line and the bus.
+
+    Parameters
+    ----------
+    link
+        The bus behind it.
+    bitrate
+        Bit rate of the bus in bit/s; an adapter that is opened with another one hears and reaches
+        nobody.
+    """
+
+    __slots__ = (
+        "_bitrate",
+        "_chosen",
+        "_input",
+        "_link",
+        "_listen_only",
+        "_open",
+        "_output",
+        "_overflow",
+        "_passing_over",
+        "_stamps",
+    )
+
+    def __init__(self, link: CanLink, *, bitrate: int) -> None:
+        self._link = link
+        self._bitrate = bitrate
+        self._chosen = bitrate
+        self._input = bytearray()
+        self._output = bytearray()
+        self._overflow = False
+        self._passing_over = False
+        self._open = False
+        self._listen_only = False
+        self._stamps = False
+
+    def receive(self, data: bytes, now_s: float, *, sent_after_s: float | None = None) -> None:
+        """Take bytes of the client and carry out the commands that are complete.
+
+        Parameters
+        ----------
+        data
+            The bytes.
+        now_s
+            Present time in s.
+        sent_after_s
+            Earliest time in s at which the client may have sent them, where an endpoint cannot
+            date them better: commands that waited there are spread evenly from then until now, so
+            that two SYNCs that a stalled simulator reads at once are still apart. None = ``now_s``.
+        """
+        self._input += data
+        *lines, rest = self._input.split(b"\r")
+        self._input = rest
+        if lines and self._passing_over:
+            del lines[0]  # the end of a line that was refused for its length
+            self._passing_over = False
+        since_s = now_s if sent_after_s is None else min(sent_after_s, now_s)
+        for number, line in enumerate(lines, start=1):
+            if line:
+                at_s = since_s + (now_s - since_s) * number / len(lines)
+                self._put(self._command(line, at_s))
+        if self._passing_over:
+            self._input = bytearray()
+        elif len(rest) > _LINE_LIMIT:
+            self._input = bytearray()
+            self._passing_over = True
+            self._put(_REFUSED)
+
+    def transmit(self, now_s: float) -> bytes:
+        """Return the bytes for the client until ``now_s`` s."""
+        self._link.advance(now_s)
+        deaf = not self._open or self._chosen != self._bitrate
+        while (message := self._link.take(now_s)) is not None:
+            if not (deaf or message.is_error_frame):
+                self._put(_text(message, stamped=self._stamps))
+        output = bytes(self._output)
+        self._output.clear()
+        return output
+
+    def put_back(self, data: bytes) -> None:
+        """Take bytes back that could not be written; they come first the next time."""
+        self._output[0:0] = data
+
+    def next_event_s(self) -> float:
+        """Return when the next bytes for the client may be due, infinity for never."""
+        return self._link.next_event_s()
+
+    def reset(self) -> None:
+        """Lose power: channel closed, nothing waits."""
+        self._input.clear()
+        self._output.clear()
+        self._link.clear()
+        self._open = self._listen_only = self._stamps = self._overflow = False
+        self._passing_over = False
+        self._chosen = self._bitrate
+
+    def _put(self, data: bytes) -> None:
+        if len(self._output) + len(data) > OUTPUT_LIMIT:
+            self._overflow = True
+        else:
+            self._output += data
+
+    def _command(self, line: bytes | bytearray, now_s: float) -> bytes:
+        try:
+            text = line.decode("ascii")
+        except UnicodeDecodeError:
+            return _REFUSED
+        name, rest = text[0], text[1:]
+        if name in "tTrR":
+            return self._send(name, rest, now_s)
+        if name in "OLC" and not rest:
+            return self._channel(name)
+        if name in "SsZmMWX":
+            return self._set_up(name, rest)
+        if rest:
+            return _REFUSED
+        answers = {"V": _VERSION, "v": _VERSION, "N": _SERIAL}
+        return self._flags() if name == "F" else answers.get(name, _REFUSED)
+
+    def _channel(self, name: str) -> bytes:
+        if self._open == (name != "C"):
+            return _REFUSED
+        self._open = name != "C"
+        self._listen_only = name == "L"
+        self._link.clear()
+        return _OK
+
+    def _set_up(self, name: str, rest: str) -> bytes:
+        """Carry out a setting; all of them are refused while the channel is open."""
+        if self._open:
+            return _REFUSED
+        if name == "S":
+            if len(rest) != 1 or not "0" <= rest <= "8":
+                return _REFUSED
+            self._chosen = BIT_RATES[int(rest)]
+        elif name == "Z":
+            if rest not in {"0", "1"}:
+                return _REFUSED
+            self._stamps = rest == "1"
+        elif name == "s":
+            # Bit timing registers: which rate they make depends on the clock of the controller.
+            self._chosen = self._bitrate
+        return _OK
+
+    def _send(self, name: str, rest: str, now_s: float) -> bytes:
+        extended = name in "TR"
+        digits = 8 if extended else 3
+        if not self._open or self._listen_only or not set(rest) <= _HEX_DIGITS:
+            return _REFUSED
+        try:
+            can_id = int(rest[:digits], 16)
+            length = int(rest[digits])
+            data = bytes.fromhex(rest[digits + 1 :])
+        except (ValueError, IndexError):
+            return _REFUSED
+        remote = name in "rR"
+        largest = _EXTENDED_ID_MAX if extended else _STANDARD_ID_MAX
+        if can_id > largest or length > _MAX_DATA_BYTES:
+            return _REFUSED
+        if len(data) != (0 if remote else length):
+            return _REFUSED
+        if not remote and self._chosen == self._bitrate:
+            self._link.send(can_id, data, now_s, extended=extended)
+        return b"Z\r" if extended else b"z\r"
+
+    def _flags(self) -> bytes:
+        if not self._open:
+            return _REFUSED
+        flags = _FLAG_QUEUE_FULL if self._overflow else 0
+        flags |= _FLAG_PASSIVE if self._link.faults.error_passive else 0
+        flags |= _FLAG_BUS_ERROR if self._link.faults.bus_off else 0
+        self._overflow = False
+        return b"F%02X\r" % flags
+
+
+def _text(message: can.Message, *, stamped: bool) -> bytes:
+    head = (
+        b"T%08X%d" % (message.arbitration_id, message.dlc)
+        if message.is_extended_id
+        else b"t%03X%d" % (message.arbitration_id, message.dlc)
+    )
+    stamp = b"%04X" % (int(1e3 * message.timestamp) % _TIME_WRAP_MS) if stamped else b""
+    return head + message.data.hex().upper().encode("ascii") + stamp + b"\r"

@@ -1,0 +1,144 @@
+"""The simulated cell: one world, the devices in it, and the ends of their buses in memory."""
+
+from collections.abc import Callable
+from types import TracebackType
+from typing import Self
+
+from simulator.can.control_unit import SimulatedControlUnit
+from simulator.can.memory_bus import InMemoryCanBus
+from simulator.clock import VirtualClock
+from simulator.devices import CellDevices
+from simulator.errors import PortUnplugged
+from simulator.faults.injector import FaultInjector, InjectedFault
+from simulator.servo.bus import MemoryServoStream
+from simulator.settings import SimulatorSettings
+from simulator.world.recorded import RecordedWorld
+from simulator.world.shapes import ObjectPose
+from simulator.world.world import PhysicalWorld
+
+
+class SimulatedCell:
+    """The simulated cell in virtual time: everything in one thread, as fast as the machine goes.
+
+    Parameters
+    ----------
+    settings
+        What the cell is made of.
+    clock
+        Its time; inject the same one into everything that talks to the cell.
+    lost_error
+        Makes the exception that `servo_stream` raises while its cable is out, from a text.
+
+    Attributes
+    ----------
+    settings, clock
+        As given.
+    devices
+        World and devices.
+    injector
+        Faults by name.
+    servo_stream
+        The host's end of the servo bus.
+    can_bus
+        The host's end of the CAN bus.
+    """
+
+    def __init__(
+        self,
+        settings: SimulatorSettings | None = None,
+        clock: VirtualClock | None = None,
+        *,
+        lost_error: Callable[[str], Exception] = PortUnplugged,
+    ) -> None:
+        self.settings = settings or SimulatorSettings()
+        self.clock = clock or VirtualClock()
+        self.devices = CellDevices(self.settings, start_s=self.clock.monotonic())
+        self.injector = FaultInjector(self.devices, self.clock.monotonic())
+        self.clock.on_advance += [self.devices.advance_to, self.injector.advance]
+        self._lost_error = lost_error
+        self.servo_stream = self._new_stream()
+        self.can_bus = self._new_bus()
+        for text in self.settings.faults:
+            self.inject(text)
+
+    @property
+    def world(self) -> PhysicalWorld | RecordedWorld:
+        """What is between the fingers."""
+        return self.devices.world
+
+    @property
+    def recorded(self) -> RecordedWorld:
+        """The world that plays grasps; see `CellDevices.recorded`."""
+        return self.devices.recorded
+
+    @property
+    def unit(self) -> SimulatedControlUnit:
+        """The control unit."""
+        return self.devices.unit
+
+    def inject(self, text: str) -> InjectedFault:
+        """Inject a fault by its text, as ``can.loss=0.05@contact+0.5s``.
+
+        Its times count from now. See `simulator.faults.injector.VOCABULARY` for what there is.
+
+        Raises
+        ------
+        SimulatorSettingsError
+            If the vocabulary has no such fault, or its value does not fit this cell.
+        SimulatorStateError
+            If a fault on the same knob is there at that time.
+        """
+        return self.injector.inject(text)
+
+    def place(self, label: str, pose: ObjectPose | None = None) -> ObjectPose:
+        """Put an object between the open pads; see `PhysicalWorld.place`."""
+        return self.devices.physical.place(label, pose)
+
+    def remove(self) -> None:
+        """Take the object away."""
+        self.devices.physical.remove()
+
+    def play(self, index: int) -> int:
+        """Load one of the settings' grasps; see `CellDevices.play`."""
+        return self.devices.play(index)
+
+    def replace_host(self) -> None:
+        """Cut the host off as if its process were killed, and make ends for the next one.
+
+        The old ends fail from now on; the devices notice nothing but silence.
+        """
+        self.servo_stream.close()
+        self.can_bus.shutdown()
+        self.servo_stream = self._new_stream()
+        self.can_bus = self._new_bus()
+
+    def _new_stream(self) -> MemoryServoStream:
+        return MemoryServoStream(self.devices.servo_bus, self.clock, lost_error=self._lost_error)
+
+    def _new_bus(self) -> InMemoryCanBus:
+        return InMemoryCanBus(
+            self.devices.can_devices,
+            self.clock,
+            bitrate=self.settings.can_bitrate,
+            faults=self.devices.faults.can,
+            seed=self.settings.seed,
+        )
+
+    def close(self) -> None:
+        """Give both buses back; the cell cannot be used afterwards."""
+        self.servo_stream.close()
+        self.can_bus.shutdown()
+        for callback in (self.devices.advance_to, self.injector.advance):
+            if callback in self.clock.on_advance:
+                self.clock.on_advance.remove(callback)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc_value: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()

@@ -1,0 +1,371 @@
+"""Named faults of the CAN link, of the control unit and of its taxels."""
+
+import re
+from collections.abc import Iterable
+
+import numpy as np
+
+from simulator.errors import SimulatorSettingsError
+from simulator.faults.entry import (
+    SHARE,
+    Effect,
+    FaultEntry,
+    FaultKind,
+    Number,
+    Setting,
+    Target,
+    knob_fault,
+    moment_fault,
+    turned,
+    unplugging,
+)
+from tactile.unit import object_dictionary
+
+_BURST_PERIOD_S = 0.5
+"""Period in s of the bursts of ``can.intermittent``: a loose contact that comes and goes."""
+_SHORT_EMERGENCY = b"\x10\x81\x01"
+"""The first three of the eight bytes of an EMCY: code 0x8110 (CAN overrun), error register."""
+
+
+def _bursts(target: Target) -> Effect:
+    faults, began_s, share = target.devices.faults.can, target.now_s, target.number
+
+    def act(now_s: float) -> None:
+        in_burst = (now_s - began_s) % _BURST_PERIOD_S < share * _BURST_PERIOD_S
+        faults.drop_rate = 1.0 if in_burst else 0.0
+
+    undo = turned(faults, "drop_rate", 1.0 if share else 0.0)
+    return Effect(undo=undo, act=act)
+
+
+def _short_emergency(target: Target) -> None:
+    devices = target.devices
+    identifier = object_dictionary.COB_EMCY + devices.settings.node_id
+    devices.can_devices.send(target.now_s, identifier, [_SHORT_EMERGENCY])
+
+
+def _lose_next(target: Target) -> None:
+    target.devices.faults.can.drop_next += int(target.number)
+
+
+def _share(name: str, kind: FaultKind, meaning: str, knob: str) -> FaultEntry:
+    return knob_fault(name, kind, meaning, "can", knob, value=SHARE)
+
+
+def _hertz(default: float) -> Number:
+    return Number(unit="Hz", low=0.1, high=20_000.0, default=default)
+
+
+CAN = (
+    _share("can.loss", FaultKind.INTERMITTENT, "messages to the host are lost", "drop_rate"),
+    FaultEntry(
+        name="can.intermittent",
+        kind=FaultKind.INTERMITTENT,
+        meaning="all messages to the host are lost in this share of each half second",
+        value=Number(unit="share", low=0.0, high=1.0, default=0.2),
+        apply=_bursts,
+        knob="drop_rate",
+    ),
+    moment_fault(
+        "can.lose_next",
+        FaultKind.INTERMITTENT,
+        "so many of the next messages to the host are lost",
+        _lose_next,
+        Number(unit="messages", low=1, high=100_000, default=1, whole=True),
+    ),
+    _share("can.duplicate", FaultKind.WRONG, "messages come twice", "duplicate_rate"),
+    _share("can.swapped", FaultKind.WRONG, "messages come after their successor", "swap_rate"),
+    _share("can.garbage", FaultKind.GARBAGE, "one bit turns behind the CRC", "corrupt_rate"),
+    _share("can.short", FaultKind.GARBAGE, "fewer bytes than the length code", "truncate_rate"),
+    _share("can.wrong_dlc", FaultKind.WRONG, "messages of another length", "wrong_dlc_rate"),
+    knob_fault(
+        "can.delayed",
+        FaultKind.DELAYED,
+        "messages to the host come late",
+        "can",
+        "delay_s",
+        value=Number(unit="s", low=0.0, high=60.0, default=0.1),
+    ),
+    knob_fault(
+        "can.flood",
+        FaultKind.GARBAGE,
+        "messages of an unknown identifier with random content fill the bus",
+        "can",
+        "flood_hz",
+        value=_hertz(8000.0),
+    ),
+    knob_fault(
+        "can.unknown_id",
+        FaultKind.WRONG,
+        "now and then a message of an unknown identifier",
+        "can",
+        "flood_hz",
+        value=_hertz(20.0),
+    ),
+    moment_fault(
+        "can.short_emergency",
+        FaultKind.WRONG,
+        "an emergency message of three bytes instead of eight",
+        _short_emergency,
+    ),
+    knob_fault(
+        "can.passive",
+        FaultKind.SLOW,
+        "the host's controller is error-passive",
+        "can",
+        "error_passive",
+    ),
+    knob_fault(
+        "can.off",
+        FaultKind.OFF,
+        "the host's controller is bus-off: nothing passes",
+        "can",
+        "bus_off",
+    ),
+    FaultEntry(
+        name="can.unplugged",
+        kind=FaultKind.UNPLUGGED,
+        meaning="the host's adapter is gone",
+        apply=unplugging("can"),
+        knob="can_plug",
+    ),
+)
+
+
+_IDENTITY = {
+    "vendor": (object_dictionary.IDENTITY, object_dictionary.IDENTITY_VENDOR),
+    "product": (object_dictionary.IDENTITY, object_dictionary.IDENTITY_PRODUCT),
+    "revision": (object_dictionary.IDENTITY, object_dictionary.IDENTITY_REVISION),
+    "serial": (object_dictionary.IDENTITY, object_dictionary.IDENTITY_SERIAL),
+    "taxels": (object_dictionary.LAYOUT, object_dictionary.LAYOUT_TAXELS),
+    "pads": (object_dictionary.LAYOUT, object_dictionary.LAYOUT_PADS),
+}
+"""Names that ``unit.wrong`` takes, and the object that each of them changes."""
+_TAXELS = re.compile(r"(\d{1,6})(?:-(\d{1,6}))?")
+"""One taxel or a range of them, first and last."""
+
+
+def _emergency(target: Target) -> None:
+    target.devices.unit.emergency(int(target.number))
+
+
+def _reboot(target: Target) -> None:
+    target.devices.unit.power_cycle()
+
+
+def _pre_operational(target: Target) -> None:
+    target.devices.unit.command("PRE-OPERATIONAL", target.now_s)
+
+
+def _check_identity(target: Target) -> None:
+    name, number = target.setting
+    if name not in _IDENTITY:
+        raise SimulatorSettingsError(
+            f"unit.wrong takes one of {', '.join(_IDENTITY)} and a number; got {name!r}"
+        )
+    if not 0 <= number < 2**32:
+        raise SimulatorSettingsError(f"unit.wrong: {number} is no number of 32 bits")
+
+
+def _wrong_identity(target: Target) -> Effect:
+    name, number = target.setting
+    dictionary = target.devices.unit.dictionary
+    index, subindex = _IDENTITY[name]
+    before = dictionary.pretend(index, subindex, number)
+
+    def undo() -> None:
+        dictionary.pretend(index, subindex, before)
+
+    return Effect(undo=undo)
+
+
+def _second_node(target: Target) -> Effect:
+    devices = target.devices
+    return Effect(undo=devices.can_devices.add(devices.second_unit(target.now_s)))
+
+
+def _some_taxels(target: Target) -> list[int]:
+    n_taxels = target.devices.settings.layout.n_taxels
+    order = np.random.default_rng(target.devices.settings.seed).permutation(n_taxels)
+    return [int(taxel) for taxel in order[: round(target.number * n_taxels)]]
+
+
+def _stuck(target: Target, taxels: Iterable[int], counts: int) -> Effect:
+    """Let taxels read the same counts for ever; those that are stuck already stay so."""
+    faults = target.devices.faults.unit
+    stuck = faults.stuck_counts | dict.fromkeys(taxels, counts)
+    return Effect(undo=turned(faults, "stuck_counts", stuck))
+
+
+def _stuck_share(target: Target) -> Effect:
+    return _stuck(target, _some_taxels(target), target.devices.settings.layout.adc_max)
+
+
+def _dead_taxels(target: Target) -> Effect:
+    dead = set(_some_taxels(target))
+    return Effect(undo=turned(target.devices.faults.unit, "dead_taxels", dead))
+
+
+def _chosen_taxels(target: Target) -> tuple[range, int]:
+    """Return the taxels that ``taxels.stuck_at`` names, and their counts."""
+    name, counts = target.setting
+    layout = target.devices.settings.layout
+    match = _TAXELS.fullmatch(name)
+    if match is None:
+        raise SimulatorSettingsError(
+            f"taxels.stuck_at takes one taxel or a range, as 3:200 or 3-5:200; got {name!r:.40}"
+        )
+    first, last = int(match[1]), int(match[2] or match[1])
+    if not (first <= last < layout.n_taxels and 0 <= counts <= layout.adc_max):
+        raise SimulatorSettingsError(
+            f"taxels.stuck_at: taxels are 0 to {layout.n_taxels - 1}, counts 0 to {layout.adc_max}"
+        )
+    return range(first, last + 1), counts
+
+
+def _check_taxels(target: Target) -> None:
+    _chosen_taxels(target)
+
+
+def _check_pad(target: Target) -> None:
+    layout = target.devices.settings.layout
+    if target.number >= layout.n_pads:
+        raise SimulatorSettingsError(f"taxels.saturated: pads are 0 to {layout.n_pads - 1}")
+
+
+def _saturated_pad(target: Target) -> Effect:
+    layout = target.devices.settings.layout
+    pad = layout.taxels_of(int(target.number))
+    return _stuck(target, range(layout.n_taxels)[pad], layout.adc_max)
+
+
+UNIT = (
+    knob_fault(
+        "unit.off",
+        FaultKind.OFF,
+        "the control unit neither hears nor sends anything",
+        "unit",
+        "dead",
+    ),
+    knob_fault(
+        "unit.heartbeat_off",
+        FaultKind.OFF,
+        "the heartbeat stops, all else goes on",
+        "unit",
+        "heartbeat_off",
+    ),
+    knob_fault(
+        "unit.stuck",
+        FaultKind.STUCK,
+        "valid frames with the counts of the last scan for ever",
+        "unit",
+        "frozen",
+    ),
+    knob_fault(
+        "unit.converter_fault",
+        FaultKind.WRONG,
+        "the converter fails its self-test, and the status of each frame shows it",
+        "unit",
+        "converter_fault",
+    ),
+    knob_fault(
+        "unit.slow",
+        FaultKind.SLOW,
+        "the burst of a frame begins late after its SYNC",
+        "unit",
+        "late_s",
+        value=Number(unit="s", low=0.0, high=1.0, default=0.008),
+    ),
+    moment_fault(
+        "unit.reboot", FaultKind.REBOOT, "the unit loses its supply and boots anew", _reboot
+    ),
+    moment_fault(
+        "unit.emergency",
+        FaultKind.WRONG,
+        "the unit reports an error (EMCY)",
+        _emergency,
+        Number(unit="code", low=0, high=0xFFFF, default=0x5000, whole=True),
+    ),
+    moment_fault(
+        "unit.pre_operational",
+        FaultKind.OFF,
+        "the unit falls back to pre-operational, as on another master's command",
+        _pre_operational,
+    ),
+    FaultEntry(
+        name="unit.wrong",
+        kind=FaultKind.WRONG,
+        meaning="the unit is another one (vendor, product, revision, serial, taxels, pads)",
+        check=_check_identity,
+        value=Setting(unit="name:number", default="serial:99"),
+        apply=_wrong_identity,
+        knob="identity",
+    ),
+    FaultEntry(
+        name="unit.second_node",
+        kind=FaultKind.WRONG,
+        meaning="another unit with the same node id joins the bus",
+        apply=_second_node,
+        knob="second_node",
+    ),
+    knob_fault(
+        "unit.pads_swapped",
+        FaultKind.WRONG,
+        "the pads of the two fingers are exchanged at the unit",
+        "unit",
+        "pads_swapped",
+    ),
+)
+
+TAXELS = (
+    FaultEntry(
+        name="taxels.stuck",
+        kind=FaultKind.STUCK,
+        meaning="this share of the taxels reads full scale",
+        value=SHARE,
+        apply=_stuck_share,
+        knob="stuck_counts",
+    ),
+    FaultEntry(
+        name="taxels.stuck_at",
+        kind=FaultKind.STUCK,
+        meaning="one taxel, or a range of them, reads these counts (0 for dead ones)",
+        check=_check_taxels,
+        value=Setting(unit="taxel:counts", default="0:0"),
+        apply=lambda target: _stuck(target, *_chosen_taxels(target)),
+        knob="stuck_counts",
+    ),
+    FaultEntry(
+        name="taxels.off",
+        kind=FaultKind.OFF,
+        meaning="this share of the taxels reads 0",
+        value=SHARE,
+        apply=_dead_taxels,
+        knob="dead_taxels",
+    ),
+    FaultEntry(
+        name="taxels.saturated",
+        kind=FaultKind.STUCK,
+        meaning="all taxels of this pad read full scale",
+        value=Number(unit="pad", low=0, high=1000, default=0, whole=True),
+        apply=_saturated_pad,
+        check=_check_pad,
+        knob="stuck_counts",
+    ),
+    knob_fault(
+        "taxels.offset",
+        FaultKind.WRONG,
+        "so many counts come on top of each taxel",
+        "unit",
+        "offset_counts",
+        value=Number(unit="counts", low=-65_535.0, high=65_535.0, default=20.0),
+    ),
+    knob_fault(
+        "taxels.gain",
+        FaultKind.WRONG,
+        "each taxel reads so many times its counts",
+        "unit",
+        "gain",
+        value=Number(unit="factor", low=0.0, high=100.0, default=0.5),
+    ),
+)

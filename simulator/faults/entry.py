@@ -1,0 +1,290 @@
+"""One named fault: its kind, its value, and how it is applied to a simulated cell."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import NamedTuple
+
+from simulator.devices import CellDevices
+from simulator.errors import SimulatorSettingsError
+
+
+class FaultKind(StrEnum):
+    """Effect of a fault on its component."""
+
+    OFF = "off"
+    STUCK = "stuck"
+    GARBAGE = "garbage"
+    WRONG = "wrong"
+    SLOW = "slow"
+    DELAYED = "delayed"
+    INTERMITTENT = "intermittent"
+    REBOOT = "reboot"
+    UNPLUGGED = "unplugged"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Number:
+    """A value that is a number.
+
+    Attributes
+    ----------
+    unit
+        Its unit; ``share`` for a probability.
+    low, high
+        Its range.
+    default
+        What holds where the text names none.
+    whole
+        Whether it is an integer; it may be written as hexadecimal then.
+    """
+
+    unit: str
+    low: float
+    high: float
+    default: float
+    whole: bool = False
+
+    @property
+    def text(self) -> str:
+        """The value as a column of the table shows it."""
+        if self.whole:
+            return f"{self.unit}, {self.low:.0f} to {self.high:.0f}, default {self.default:.0f}"
+        return f"{self.unit}, {self.low:g} to {self.high:g}, default {self.default:g}"
+
+    def read(self, name: str, text: str) -> float:
+        """Return the number that a text stands for. Raises SimulatorSettingsError."""
+        value = math.nan
+        try:
+            if self.whole:
+                value = float(int(text, 0))
+            elif self.unit == "s" and text.endswith("s"):
+                factor = 1e-3 if text.endswith("ms") else 1.0
+                value = factor * float(text.removesuffix("ms").removesuffix("s"))
+            else:
+                value = float(text)
+        except (ValueError, OverflowError):
+            pass
+        if not self.low <= value <= self.high:
+            raise SimulatorSettingsError(f"fault {name} takes {self.text}; got {text!r:.40}")
+        return value
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setting:
+    """A value that is a name and a whole number, as ``current_limit:100``.
+
+    Attributes
+    ----------
+    unit
+        What the name and the number are.
+    default
+        What holds where the text names none.
+    """
+
+    unit: str
+    default: str
+
+    @property
+    def text(self) -> str:
+        """The value as a column of the table shows it."""
+        return f"{self.unit}, default {self.default}"
+
+    def read(self, name: str, text: str) -> tuple[str, int]:
+        """Return name and number. Raises SimulatorSettingsError."""
+        item, _, number = text.partition(":")
+        try:
+            return item, int(number, 0)
+        except ValueError:
+            raise SimulatorSettingsError(
+                f"fault {name} takes {self.unit}, as {self.default}; got {text!r:.40}"
+            ) from None
+
+
+FaultValue = float | tuple[str, int] | None
+"""Number, name and number, or nothing, as the entry of the fault wants it."""
+
+Undo = Callable[[], None]
+"""Takes back what a fault has done."""
+
+
+class Plug(NamedTuple):
+    """A cable that can be pulled.
+
+    Attributes
+    ----------
+    pull, plug_in
+        Pull the cable; plug it in again.
+    """
+
+    pull: Callable[[], None]
+    plug_in: Callable[[], None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Effect:
+    """A fault at work on a cell.
+
+    Attributes
+    ----------
+    undo
+        Takes back what the fault has done.
+    act
+        Called with the time in s as often as the world moves on, for faults that go on happening.
+    """
+
+    undo: Undo
+    act: Callable[[float], None] | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Target:
+    """Cell, servo and value to which a fault is applied.
+
+    Attributes
+    ----------
+    devices
+        The simulated cell.
+    plugs
+        Its cables by name: ``can`` and ``servos``.
+    servo
+        Position of the servo in the settings, for faults of one servo.
+    value
+        The value, checked.
+    now_s
+        Time in s.
+    """
+
+    devices: CellDevices
+    plugs: Mapping[str, Plug]
+    servo: int
+    value: FaultValue
+    now_s: float
+
+    @property
+    def number(self) -> float:
+        """The value of a fault whose value is a number."""
+        if not isinstance(self.value, float):
+            raise SimulatorSettingsError(f"the value {self.value!r} is no number")
+        return self.value
+
+    @property
+    def setting(self) -> tuple[str, int]:
+        """The value of a fault whose value is a setting."""
+        if not isinstance(self.value, tuple):
+            raise SimulatorSettingsError(f"the value {self.value!r} is no setting")
+        return self.value
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FaultEntry:
+    """One fault of the vocabulary.
+
+    Attributes
+    ----------
+    name
+        ``component.fault``; ``servoN`` stands for servo1, servo2, ... in the order of the config.
+    kind
+        What it does to the component.
+    meaning
+        One line.
+    apply
+        Begins the fault on a target.
+    value
+        What may stand behind ``=``; None for nothing.
+    moment
+        Whether it happens and is over, so that it has no end.
+    check
+        Refuses what does not fit the cell, with SimulatorSettingsError, before anything is changed.
+    knob
+        Faults of one knob (and one servo) exclude each other at the same time.
+    """
+
+    name: str
+    kind: FaultKind
+    meaning: str
+    apply: Callable[[Target], Effect]
+    value: Number | Setting | None = None
+    moment: bool = False
+    check: Callable[[Target], None] | None = None
+    knob: str = ""
+
+
+Apply = Callable[[Target], Effect]
+
+SHARE = Number(unit="share", low=0.0, high=1.0, default=0.05)
+"""Share of the traffic, or of the taxels, that a fault meets."""
+
+
+def turned(owner: object, name: str, value: object) -> Undo:
+    """Turn one knob and return what turns it back."""
+    before = getattr(owner, name)
+    setattr(owner, name, value)
+    return lambda: setattr(owner, name, before)
+
+
+def nothing() -> None:
+    """Take nothing back: the undo of a fault that is over as it happens."""
+
+
+def turning(part: str, knob: str, position: Callable[[Target], object]) -> Apply:
+    """Return what turns a knob of one part of the cell to a position while a fault lasts."""
+    return lambda target: Effect(
+        undo=turned(getattr(target.devices.faults, part), knob, position(target))
+    )
+
+
+def unplugging(plug: str) -> Apply:
+    """Return what pulls a cable: ``can`` or ``servos``."""
+
+    def apply(target: Target) -> Effect:
+        cable = target.plugs[plug]
+        cable.pull()
+        return Effect(undo=cable.plug_in)
+
+    return apply
+
+
+def moment_fault(
+    name: str,
+    kind: FaultKind,
+    meaning: str,
+    act: Callable[[Target], None],
+    value: Number | None = None,
+) -> FaultEntry:
+    """Return a fault that is over as it happens."""
+
+    def apply(target: Target) -> Effect:
+        act(target)
+        return Effect(undo=nothing)
+
+    return FaultEntry(name=name, kind=kind, meaning=meaning, value=value, apply=apply, moment=True)
+
+
+def knob_fault(
+    name: str,
+    kind: FaultKind,
+    meaning: str,
+    part: str,
+    knob: str,
+    *,
+    value: Number | None = None,
+) -> FaultEntry:
+    """Return a fault that turns one knob of a part of the cell: to its number, or on without one.
+
+    Parameters
+    ----------
+    name, kind, meaning, value
+        As `FaultEntry` has them.
+    part
+        ``can``, ``unit`` or ``servo_wire``: a field of `simulator.devices.CellFaults`.
+    knob
+        Name of the knob.
+    """
+
+    def position(target: Target) -> object:
+        return True if value is None else target.number
+
+    apply = turning(part, knob, position)
+    return FaultEntry(name=name, kind=kind, meaning=meaning, value=value, apply=apply, knob=knob)

@@ -1,0 +1,323 @@
+"""The vocabulary of faults, and the injector that begins and ends them on a simulated cell.
+
+A text such as ``can.loss=0.05@2s`` or ``servo1.reboot@contact+0.5s`` names a fault, its value and
+when it begins; `simulator.faults.text` has the form. Nothing here can reach real hardware.
+"""
+
+import math
+import re
+from collections.abc import Mapping
+
+from simulator.can.faults import CanLinkFaults
+from simulator.clock import ROUNDING_S
+from simulator.devices import CellDevices
+from simulator.errors import SimulatorSettingsError, SimulatorStateError
+from simulator.faults.can import CAN, TAXELS, UNIT
+from simulator.faults.entry import Effect, FaultEntry, FaultValue, Plug, Target
+from simulator.faults.object import OBJECT
+from simulator.faults.servos import SERVO, SERVOS
+from simulator.faults.text import FaultEvent, FaultText, When, parse_fault
+from simulator.servo.faults import WireFaults
+
+VOCABULARY: dict[str, FaultEntry] = {
+    entry.name: entry for entry in (*CAN, *UNIT, *TAXELS, *SERVOS, *SERVO, *OBJECT)
+}
+"""Every fault that there is by its name; ``servoN`` stands for each servo of the config."""
+
+CONTACT_N = 0.02
+"""Force in N on both pads that is the event ``contact``: above what noise of the world leaves."""
+MOVING_RAD_S = 0.02
+"""Speed of a servo in rad/s that is the event ``moving``: about 1 mm/s at the pads."""
+_SERVO = re.compile(r"servo([1-9][0-9]?)\.(.+)")
+
+
+def check_fault(text: str, n_servos: int = 2) -> tuple[FaultText, FaultEntry, int, FaultValue]:
+    """Return the parts of a text, its entry, the position of the servo it names, and its value.
+
+    Parameters
+    ----------
+    text
+        The fault.
+    n_servos
+        Number of servos of the cell.
+
+    Raises
+    ------
+    SimulatorSettingsError
+        If the text has no such form, or name, value or moment are not in the vocabulary.
+    """
+    parsed = parse_fault(text)
+    name, servo = parsed.name, 0
+    match = _SERVO.fullmatch(name)
+    if match:
+        servo = int(match[1]) - 1
+        name = f"servoN.{match[2]}"
+    entry = VOCABULARY.get(name)
+    if entry is None:
+        known = ", ".join(VOCABULARY)
+        raise SimulatorSettingsError(f"there is no fault {parsed.name!r}; there are {known}")
+    if servo >= n_servos:
+        raise SimulatorSettingsError(f"fault {parsed.name}: this cell has {n_servos} servos")
+    if entry.moment and parsed.end:
+        raise SimulatorSettingsError(f"fault {parsed.name} is over as it happens: it has no end")
+    if entry.value is None:
+        if parsed.value is not None:
+            raise SimulatorSettingsError(f"fault {parsed.name} takes no value")
+        return parsed, entry, servo, None
+    written = str(entry.value.default) if parsed.value is None else parsed.value
+    return parsed, entry, servo, entry.value.read(parsed.name, written)
+
+
+class InjectedFault:
+    """A fault on a cell: waiting for its moment, there, or over.
+
+    Attributes
+    ----------
+    text
+        As it was injected.
+    entry
+        What it is.
+    began_s, ended_s
+        Time of the cell in s at which it began and was undone; None before.
+    servo
+        Position of the servo that it names.
+    window
+        When it begins and ends: an event and the time after it, or no event and the time.
+    """
+
+    __slots__ = ("_injector", "_value", "began_s", "ended_s", "entry", "servo", "text", "window")
+
+    def __init__(self, injector: "FaultInjector", text: str, injected_s: float) -> None:
+        self._injector = injector
+        parsed, self.entry, self.servo, self._value = check_fault(text, injector.n_servos)
+        self.text = parsed.text
+        self.began_s: float | None = None
+        self.ended_s: float | None = None
+        self.window = (
+            _due(parsed.start, injected_s) if parsed.start else (None, injected_s),
+            _due(parsed.end, injected_s) if parsed.end else (None, math.inf),
+        )
+
+    @property
+    def value(self) -> float:
+        """Its value where that is a number, else NaN."""
+        return self._value if isinstance(self._value, float) else math.nan
+
+    @property
+    def over(self) -> bool:
+        """Whether it has ended or, as a moment, has happened."""
+        return self.ended_s is not None
+
+    @property
+    def begins_at_once(self) -> bool:
+        """Whether it began with its injection."""
+        event, due_s = self.window[0]
+        return event is None and due_s <= self._injector.now_s
+
+    def clear(self) -> None:
+        """Undo it, or let it never begin; clearing again changes nothing."""
+        self._injector.end(self)
+
+    def target(self, devices: CellDevices, plugs: Mapping[str, Plug], now_s: float) -> Target:
+        """Return where and with which value it is applied."""
+        return Target(
+            devices=devices, plugs=plugs, servo=self.servo, value=self._value, now_s=now_s
+        )
+
+    def starts_by(self, now_s: float, seen_s: dict[FaultEvent, float]) -> bool:
+        """Return whether its start has come."""
+        return _come(self.window[0], now_s, seen_s)
+
+    def ends_by(self, now_s: float, seen_s: dict[FaultEvent, float]) -> bool:
+        """Return whether its end has come."""
+        return _come(self.window[1], now_s, seen_s)
+
+    def meets(self, other: "InjectedFault") -> bool:
+        """Return whether both turn the same knob and may do so at the same time."""
+        if not self.entry.knob or self.entry.knob != other.entry.knob:
+            return False
+        if self.entry.name.startswith("servoN") and other.entry.name.startswith("servoN"):
+            shared = self.entry.knob == "delay" or self.servo == other.servo
+            if not shared:
+                return False
+        (start, start_s), (end, end_s) = self.window
+        (other_start, other_start_s), (other_end, other_end_s) = other.window
+        if end is None and other_start is None and end_s <= other_start_s:
+            return False
+        return not (other_end is None and start is None and other_end_s <= start_s)
+
+
+class FaultInjector:
+    """Begins and ends faults at their moments; `advance` is called as the world moves on.
+
+    Parameters
+    ----------
+    devices
+        The cell.
+    start_s
+        Time at the start in s.
+    plugs
+        Cables of the cell, ``can`` and ``servos``; by default those of buses in memory, which are
+        knobs of the devices.
+
+    Attributes
+    ----------
+    now_s
+        Time of the cell in s.
+    """
+
+    __slots__ = ("_devices", "_effects", "_pending", "_plugs", "_seen_s", "now_s")
+
+    def __init__(
+        self, devices: CellDevices, start_s: float, *, plugs: Mapping[str, Plug] | None = None
+    ) -> None:
+        self._devices = devices
+        self._plugs = plugs or {
+            "can": _plug(devices.faults.can),
+            "servos": _plug(devices.faults.servo_wire),
+        }
+        self._pending: list[InjectedFault] = []
+        self._effects: dict[InjectedFault, Effect] = {}
+        self._seen_s: dict[InjectedFault, dict[FaultEvent, float]] = {}
+        self.now_s = start_s
+
+    @property
+    def n_servos(self) -> int:
+        """Number of servos of the cell."""
+        return len(self._devices.settings.servos)
+
+    @property
+    def faults(self) -> tuple[InjectedFault, ...]:
+        """Faults that are there or wait for their moment."""
+        return (*self._effects, *self._pending)
+
+    def inject(self, text: str) -> InjectedFault:
+        """Inject a fault; without a start it begins before this returns.
+
+        Raises
+        ------
+        SimulatorSettingsError
+            If the text is no fault of the vocabulary, or its value does not fit this cell.
+        SimulatorStateError
+            If a fault on the same knob is there at that time.
+        """
+        fault = InjectedFault(self, text, self.now_s)
+        for other in self.faults:
+            if fault.meets(other):
+                raise SimulatorStateError(
+                    f"{other.text} is injected and turns the same knob as {fault.text}: "
+                    "clear it first, or give both a start and an end"
+                )
+        if fault.entry.name.startswith("object."):
+            _ = self._devices.physical
+        if fault.entry.check is not None:
+            fault.entry.check(fault.target(self._devices, self._plugs, self.now_s))
+        self._seen_s[fault] = {}
+        if fault.begins_at_once:
+            self._begin(fault, self.now_s)
+        else:
+            self._pending.append(fault)
+        return fault
+
+    def clear(self, text: str) -> int:
+        """End the faults with this text, or those of this name; returns how many they were.
+
+        Raises
+        ------
+        SimulatorStateError
+            If there is none.
+        """
+        wanted = text.strip()
+        found = [
+            fault
+            for fault in self.faults
+            if wanted in (fault.text, re.split("[=@]", fault.text, maxsplit=1)[0])
+        ]
+        if not found:
+            there = ", ".join(fault.text for fault in self.faults) or "none"
+            raise SimulatorStateError(f"no fault {wanted!r} is injected; there is {there}")
+        for fault in found:
+            self.end(fault)
+        return len(found)
+
+    def clear_all(self) -> None:
+        """End every fault."""
+        for fault in self.faults:
+            self.end(fault)
+
+    def end(self, fault: InjectedFault) -> None:
+        """End a fault, or let it never begin; one that is over stays as it is."""
+        if fault.over:
+            return
+        effect = self._effects.pop(fault, None)
+        if effect is not None:
+            effect.undo()
+        else:
+            self._pending.remove(fault)
+        fault.ended_s = self.now_s
+        del self._seen_s[fault]
+
+    def advance(self, now_s: float) -> None:
+        """Begin, continue and end the faults that are due at ``now_s`` s."""
+        self.now_s = now_s
+        if not self._pending and not self._effects:
+            return
+        for fault in self.faults:
+            seen_s = self._seen_s[fault]
+            self._look(seen_s, now_s)
+            if fault in self._effects:
+                act = self._effects[fault].act
+                if act is not None:
+                    act(now_s)
+            elif fault.starts_by(now_s, seen_s):
+                self._begin(fault, now_s)
+            if not fault.over and fault.began_s is not None and fault.ends_by(now_s, seen_s):
+                self.end(fault)
+
+    def _begin(self, fault: InjectedFault, now_s: float) -> None:
+        effect = fault.entry.apply(fault.target(self._devices, self._plugs, now_s))
+        fault.began_s = now_s
+        if fault in self._pending:
+            self._pending.remove(fault)
+        if fault.entry.moment:
+            fault.ended_s = now_s
+            del self._seen_s[fault]
+        else:
+            self._effects[fault] = effect
+
+    def _look(self, seen_s: dict[FaultEvent, float], now_s: float) -> None:
+        devices = self._devices
+        if FaultEvent.CONTACT not in seen_s and min(devices.world.contact_force_n()) > CONTACT_N:
+            seen_s[FaultEvent.CONTACT] = now_s
+        if FaultEvent.MOVING not in seen_s and any(
+            abs(motor.velocity_rad_s) > MOVING_RAD_S for motor in devices.mechanics.motors
+        ):
+            seen_s[FaultEvent.MOVING] = now_s
+
+
+_Due = tuple[FaultEvent | None, float]
+"""An event and the time after it in s; without an event, the time of the cell in s."""
+
+
+def _due(when: When, injected_s: float) -> _Due:
+    if when.event is FaultEvent.INJECTED:
+        return None, injected_s + when.offset_s
+    return when.event, when.offset_s
+
+
+def _come(due: _Due, now_s: float, seen_s: dict[FaultEvent, float]) -> bool:
+    event, after_s = due
+    since_s = 0.0 if event is None else seen_s.get(event, math.inf)
+    return since_s + after_s <= now_s + ROUNDING_S
+
+
+def _plug(knobs: CanLinkFaults | WireFaults) -> Plug:
+    """Return the cable of a bus in memory: a knob of the bus."""
+
+    def pull() -> None:
+        knobs.unplugged = True
+
+    def plug_in() -> None:
+        knobs.unplugged = False
+
+    return Plug(pull=pull, plug_in=plug_in)

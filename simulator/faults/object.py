@@ -1,0 +1,64 @@
+"""Named faults of the object between the fingers."""
+
+from simulator.faults.entry import (
+    Effect,
+    FaultEntry,
+    FaultKind,
+    Number,
+    Target,
+    moment_fault,
+    nothing,
+)
+
+_SLIDE_M = 1e-4
+"""Way in m by which a sliding part moves at once: its forces are worked out anew each time."""
+_SWELLING_M_S = 0.02
+"""Speed in m/s at which something trapped grows: slower than fingers close in an approach."""
+
+
+def _gone(target: Target) -> None:
+    target.devices.physical.remove()
+
+
+def _slips(target: Target) -> Effect:
+    world, speed_m_s, last_s = target.devices.physical, 1e-3 * target.number, target.now_s
+
+    def act(now_s: float) -> None:
+        nonlocal last_s
+        way_m = (now_s - last_s) * speed_m_s
+        if way_m >= _SLIDE_M:
+            world.slide(way_m)
+            last_s = now_s
+
+    return Effect(undo=nothing, act=act)
+
+
+def _trapped(target: Target) -> Effect:
+    world, began_s = target.devices.physical, target.now_s
+
+    def act(now_s: float) -> None:
+        grown_m = (now_s - began_s) * _SWELLING_M_S
+        world.swell(min(grown_m, 1e-3 * target.number))
+
+    return Effect(undo=lambda: world.swell(0.0), act=act)
+
+
+OBJECT = (
+    moment_fault("object.gone", FaultKind.OFF, "the part is taken out of the fingers", _gone),
+    FaultEntry(
+        name="object.slips",
+        kind=FaultKind.WRONG,
+        meaning="the part slides along the pads until it has left them",
+        value=Number(unit="mm/s", low=0.1, high=1000.0, default=20.0),
+        apply=_slips,
+        knob="slips",
+    ),
+    FaultEntry(
+        name="object.trapped",
+        kind=FaultKind.WRONG,
+        meaning="something trapped beside the part grows by so much at 20 mm/s and pushes back",
+        value=Number(unit="mm", low=0.0, high=10.0, default=3.0),
+        apply=_trapped,
+        knob="trapped",
+    ),
+)

@@ -1,0 +1,278 @@
+"""Named faults of the servo bus and of single servos."""
+
+from gripper.dynamixel.control_table import REGISTERS
+from simulator.errors import SimulatorSettingsError
+from simulator.faults.entry import (
+    SHARE,
+    Effect,
+    FaultEntry,
+    FaultKind,
+    Number,
+    Setting,
+    Target,
+    knob_fault,
+    moment_fault,
+    turned,
+    turning,
+    unplugging,
+)
+from simulator.servo.control_table import EEPROM_END
+from simulator.servo.faults import ServoFaultKnobs, Trigger
+from simulator.servo.firmware import WatchdogStop
+from simulator.servo.motor import AMBIENT_C
+
+_LATE = Number(unit="s", low=0.0, high=1.0, default=0.04)
+"""How late an answer comes in s."""
+
+
+def _late(target: Target, servo_ids: frozenset[int] | None) -> Effect:
+    wire = target.devices.faults.servo_wire
+    time_back = turned(wire, "delay_s", target.number)
+    trigger_back = turned(wire, "delay", Trigger(probability=1.0, servo_ids=servo_ids))
+
+    def undo() -> None:
+        trigger_back()
+        time_back()
+
+    return Effect(undo=undo)
+
+
+def _silence(target: Target, servo_ids: list[int]) -> Effect:
+    silent = target.devices.faults.servo_wire.silent
+    added = [servo_id for servo_id in servo_ids if servo_id not in silent]
+    silent.update(added)
+    return Effect(undo=lambda: silent.difference_update(added))
+
+
+def _all_silent(target: Target) -> Effect:
+    return _silence(target, [servo.servo_id for servo in target.devices.settings.servos])
+
+
+def _id(target: Target) -> int:
+    return target.devices.settings.servos[target.servo].servo_id
+
+
+def _knobs(target: Target) -> ServoFaultKnobs:
+    return target.devices.faults.servos[_id(target)]
+
+
+def _reboot(target: Target) -> None:
+    _knobs(target).reboot(target.now_s)
+
+
+def _overload(target: Target) -> None:
+    _knobs(target).overload()
+
+
+def _overheat(target: Target) -> Effect:
+    knobs = _knobs(target)
+    knobs.overheat(target.number)
+    return Effect(undo=lambda: knobs.overheat(AMBIENT_C))
+
+
+def _stuck(target: Target) -> Effect:
+    knobs = _knobs(target)
+    knobs.stick_encoder()
+    return Effect(undo=lambda: knobs.stick_encoder(stuck=False))
+
+
+def _jump(target: Target) -> None:
+    _knobs(target).jump_encoder(target.number)
+
+
+def _supply(target: Target) -> Effect:
+    knobs = _knobs(target)
+    knobs.supply(target.number)
+    return Effect(undo=knobs.supply)
+
+
+def _error(target: Target) -> Effect:
+    knobs = _knobs(target)
+    knobs.hardware_error(int(target.number))
+    return Effect(undo=lambda: knobs.hardware_error(0))
+
+
+def _watchdog_off(target: Target) -> Effect:
+    core = target.devices.servo_bus.servos[target.servo].core
+    return Effect(undo=turned(core, "watchdog_stop", WatchdogStop.KEEPS_TURNING))
+
+
+def _check_register(target: Target) -> None:
+    name, number = target.setting
+    register = REGISTERS.get(name)
+    if register is None or register.address >= EEPROM_END:
+        raise SimulatorSettingsError(f"{name!r} is no EEPROM register, as current_limit is")
+    if register.writable:
+        registers = target.devices.servo_bus.servos[target.servo].core.registers
+        before = registers.get(name)
+        registers.configure(name, number)
+        registers.put(name, before)
+    elif not 0 <= number < 256**register.size:
+        raise SimulatorSettingsError(f"{name} = {number} does not fit into {register.size} bytes")
+
+
+def _wrong(target: Target) -> Effect:
+    name, number = target.setting
+    registers = target.devices.servo_bus.servos[target.servo].core.registers
+    before = registers.get(name)
+    registers.put(name, number)
+    return Effect(undo=lambda: registers.put(name, before))
+
+
+def _lose_next(target: Target) -> None:
+    target.devices.faults.servo_wire.drop.next_packets += int(target.number)
+
+
+def _share(name: str, kind: FaultKind, meaning: str, knob: str) -> FaultEntry:
+    def trigger(target: Target) -> Trigger:
+        return Trigger(probability=target.number)
+
+    return FaultEntry(
+        name=name,
+        kind=kind,
+        meaning=meaning,
+        value=SHARE,
+        apply=turning("servo_wire", knob, trigger),
+        knob=knob,
+    )
+
+
+SERVOS = (
+    _share("servos.loss", FaultKind.INTERMITTENT, "answers are lost", "drop"),
+    moment_fault(
+        "servos.lose_next",
+        FaultKind.INTERMITTENT,
+        "so many of the next answers are lost",
+        _lose_next,
+        Number(unit="answers", low=1, high=100_000, default=1, whole=True),
+    ),
+    _share("servos.lost_requests", FaultKind.INTERMITTENT, "requests are lost", "lose_request"),
+    _share("servos.corrupt", FaultKind.GARBAGE, "one bit of an answer turns", "bit_flip"),
+    _share(
+        "servos.corrupt_requests",
+        FaultKind.GARBAGE,
+        "one bit of a request turns",
+        "corrupt_request",
+    ),
+    _share("servos.duplicate", FaultKind.WRONG, "answers come twice", "duplicate"),
+    _share("servos.garbage", FaultKind.GARBAGE, "noise comes before an answer", "garbage"),
+    _share("servos.truncated", FaultKind.GARBAGE, "answers lack their end", "truncate"),
+    _share("servos.wrong_id", FaultKind.WRONG, "answers name another servo", "wrong_id"),
+    FaultEntry(
+        name="servos.delayed",
+        kind=FaultKind.DELAYED,
+        meaning="all answers come late",
+        value=_LATE,
+        apply=lambda target: _late(target, None),
+        knob="delay",
+    ),
+    FaultEntry(
+        name="servos.fragmented",
+        kind=FaultKind.SLOW,
+        meaning="answers come in pieces of so many bytes, 2 ms apart",
+        value=Number(unit="bytes", low=1, high=1000, default=8, whole=True),
+        apply=turning("servo_wire", "fragment_bytes", lambda target: int(target.number)),
+        knob="fragment_bytes",
+    ),
+    FaultEntry(
+        name="servos.off",
+        kind=FaultKind.OFF,
+        meaning="no servo hears or answers",
+        apply=_all_silent,
+        knob="silent",
+    ),
+    knob_fault(
+        "servos.echo", FaultKind.WRONG, "the host hears its own bytes", "servo_wire", "echo"
+    ),
+    FaultEntry(
+        name="servos.unplugged",
+        kind=FaultKind.UNPLUGGED,
+        meaning="the adapter of the servo bus is gone",
+        apply=unplugging("servos"),
+        knob="servo_plug",
+    ),
+)
+
+SERVO = (
+    FaultEntry(
+        name="servoN.off",
+        kind=FaultKind.OFF,
+        meaning="the servo neither hears nor answers; its torque stays as it is",
+        apply=lambda target: _silence(target, [_id(target)]),
+        knob="silent",
+    ),
+    FaultEntry(
+        name="servoN.slow",
+        kind=FaultKind.SLOW,
+        meaning="its answers come late",
+        value=_LATE,
+        apply=lambda target: _late(target, frozenset({_id(target)})),
+        knob="delay",
+    ),
+    moment_fault(
+        "servoN.reboot",
+        FaultKind.REBOOT,
+        "it reboots by itself: torque off, RAM at its defaults",
+        _reboot,
+    ),
+    moment_fault(
+        "servoN.overload",
+        FaultKind.OFF,
+        "its overload protection latches and switches the torque off",
+        _overload,
+    ),
+    FaultEntry(
+        name="servoN.overheat",
+        kind=FaultKind.WRONG,
+        meaning="its inside has this temperature, and cools down slowly",
+        value=Number(unit="degC", low=-20.0, high=150.0, default=90.0),
+        apply=_overheat,
+        knob="temperature",
+    ),
+    FaultEntry(
+        name="servoN.supply",
+        kind=FaultKind.WRONG,
+        meaning="its supply has this voltage",
+        value=Number(unit="V", low=0.0, high=30.0, default=6.0),
+        apply=_supply,
+        knob="supply",
+    ),
+    FaultEntry(
+        name="servoN.error",
+        kind=FaultKind.WRONG,
+        meaning="these bits of Hardware Error Status (16 shock, 8 encoder)",
+        value=Number(unit="bits", low=1, high=63, default=16, whole=True),
+        apply=_error,
+        knob="error",
+    ),
+    FaultEntry(
+        name="servoN.stuck",
+        kind=FaultKind.STUCK,
+        meaning="its encoder reports the same angle for ever",
+        apply=_stuck,
+        knob="stuck",
+    ),
+    moment_fault(
+        "servoN.jump",
+        FaultKind.WRONG,
+        "its encoder reports so much more from one moment to the next",
+        _jump,
+        Number(unit="rad", low=-6.3, high=6.3, default=0.5),
+    ),
+    FaultEntry(
+        name="servoN.watchdog_off",
+        kind=FaultKind.WRONG,
+        meaning="its bus watchdog trips and the motor goes on (330 size)",
+        apply=_watchdog_off,
+        knob="watchdog",
+    ),
+    FaultEntry(
+        name="servoN.wrong",
+        kind=FaultKind.WRONG,
+        meaning="an EEPROM register differs from what the config asks for",
+        value=Setting(unit="register:number", default="current_limit:100"),
+        apply=_wrong,
+        check=_check_register,
+        knob="eeprom",
+    ),
+)

@@ -1,0 +1,236 @@
+"""The simulated cell as a process in real time: two terminals and a socket for its clients."""
+
+import os
+import select
+import shutil
+import signal
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from types import FrameType, TracebackType
+from typing import Any, Self
+
+from simulator.can.link import CanLink
+from simulator.can.slcan import SlcanAdapter
+from simulator.devices import CellDevices
+from simulator.errors import EndpointError
+from simulator.faults.entry import Plug
+from simulator.faults.injector import FaultInjector
+from simulator.realtime.requests import CellRequests
+from simulator.realtime.socket_server import PositionerServer
+from simulator.realtime.terminals import ServoPty, SlcanPty
+from simulator.settings import SimulatorSettings
+from simulator.world.world import STEP_S
+
+PIECE_S = 0.02
+"""Longest stretch in s that the world catches up between two looks at the clients."""
+FORGIVEN_S = 0.25
+"""A stall longer than this in s is left out instead of caught up."""
+POWERED_BEFORE_S = 0.1
+"""The devices have had power for so long in s when clients can connect: they have booted."""
+_STDIN_READ_SIZE = 4096
+"""Most bytes that are read of standard input at once, and dropped."""
+
+Announce = Callable[[dict[str, Any]], None]
+
+
+class RealTimeCell:
+    """World, devices and endpoints of a cell in real time; its owner has the loop and the time.
+
+    Parameters
+    ----------
+    settings
+        What the cell is made of.
+    folder
+        Where the links to the terminals and the socket are made.
+    now_s
+        Present time in s.
+
+    Attributes
+    ----------
+    devices
+        World and devices.
+    injector
+        Faults by name.
+    """
+
+    def __init__(self, settings: SimulatorSettings, folder: Path, now_s: float) -> None:
+        self.devices = CellDevices(settings, start_s=now_s - POWERED_BEFORE_S)
+        self.devices.world.skip_to(now_s)
+        self._world_s = now_s
+        self._adapter = SlcanAdapter(
+            CanLink(
+                self.devices.can_devices,
+                bitrate=settings.can_bitrate,
+                faults=self.devices.faults.can,
+                seed=settings.seed,
+            ),
+            bitrate=settings.can_bitrate,
+        )
+        with ExitStack() as undo:
+            self._servo_pty = ServoPty(self.devices.servo_bus, folder / "servos")
+            undo.callback(self._servo_pty.close)
+            self._can_pty = SlcanPty(self._adapter, folder / "can")
+            undo.callback(self._can_pty.close)
+            self.injector = FaultInjector(
+                self.devices,
+                now_s - POWERED_BEFORE_S,
+                plugs={
+                    "servos": Plug(self._servo_pty.unplug, self._servo_pty.plug_in),
+                    "can": Plug(self._can_pty.unplug, self._can_pty.plug_in),
+                },
+            )
+            requests = CellRequests(self.devices, self.injector)
+            self._server = PositionerServer(folder / "positioner.sock", requests)
+            undo.callback(self._server.close)
+            self.step(now_s, [])
+            for text in settings.faults:
+                self.injector.inject(text)
+            undo.pop_all()
+
+    def announcement(self) -> dict[str, Any]:
+        """Return addresses and settings for clients; plain values for JSON."""
+        settings = self.devices.settings
+        return {
+            "servo_port": self._servo_pty.port,
+            "servo_baud_rate": settings.servo_baud_rate,
+            "servo_ids": [servo.servo_id for servo in settings.servos],
+            "can_interface": "slcan",
+            "can_channel": self._can_pty.channel,
+            "can_bitrate": settings.can_bitrate,
+            "node_id": settings.node_id,
+            "positioner_socket": str(self._server.path),
+            "pid": os.getpid(),
+            "config": None,
+        }
+
+    def descriptors(self) -> list[int]:
+        """Return the descriptors whose input wakes the cell."""
+        ptys = [pty.fileno() for pty in (self._servo_pty, self._can_pty) if pty.plugged_in]
+        return [*ptys, *self._server.filenos()]
+
+    def step(self, now_s: float, readable: list[int]) -> float:
+        """Let the time pass and serve the clients; return when to come again at the latest, in s.
+
+        Parameters
+        ----------
+        now_s
+            Present time in s.
+        readable
+            Those of `descriptors` that have input.
+        """
+        if now_s - self._world_s > FORGIVEN_S:
+            self._world_s = now_s - PIECE_S
+            self.devices.world.skip_to(self._world_s)
+        self._world_s = min(now_s, self._world_s + PIECE_S)
+        # First what clients sent while this process did not run: it came before now.
+        servo_due_s = self._servo_pty.poll(now_s)
+        can_due_s = self._can_pty.poll(now_s)
+        self.devices.advance_to(self._world_s)
+        self.injector.advance(self._world_s)
+        self._server.poll(readable)
+        due_s = min(self._world_s + STEP_S, can_due_s)
+        return due_s if servo_due_s is None else min(due_s, servo_due_s)
+
+    def close(self) -> None:
+        """Give terminals, links and socket back; closing again changes nothing."""
+        self._server.close()
+        self._can_pty.close()
+        self._servo_pty.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self,
+        exc_type: type[BaseException] | None,
+        exc_value: BaseException | None,
+        traceback: TracebackType | None,
+    ) -> None:
+        self.close()
+
+
+def serve(
+    settings: SimulatorSettings,
+    announce: Announce,
+    *,
+    folder: Path | None = None,
+    until_stdin_ends: bool = False,
+    until_parent_ends: bool = False,
+) -> None:
+    """Run a simulated cell until SIGTERM or SIGINT, in the main thread of a process of its own.
+
+    Parameters
+    ----------
+    settings
+        What the cell is made of.
+    announce
+        Called once, when clients can connect, with plain values for JSON: ``servo_port``,
+        ``servo_baud_rate``, ``servo_ids``, ``can_interface``, ``can_channel``, ``can_bitrate``,
+        ``node_id``, ``positioner_socket``, ``pid``, and ``config``, which is None here.
+    folder
+        Where links to the terminals and the socket are made; by default a temporary folder, which
+        is removed at the end.
+    until_stdin_ends
+        Also end when standard input is closed.
+    until_parent_ends
+        Also end when the process that started this one is gone.
+
+    Raises
+    ------
+    EndpointError
+        If terminals or socket cannot be made.
+    """
+    parent = os.getppid()
+    with ExitStack() as stack:
+        stop = stack.enter_context(_signals())
+        place = stack.enter_context(_folder(folder))
+        cell = stack.enter_context(RealTimeCell(settings, place, time.monotonic()))
+        announce(cell.announcement())
+        stdin = sys.stdin.fileno() if until_stdin_ends else None
+        due_s = time.monotonic()
+        while not stop:
+            waited = [*cell.descriptors(), *([] if stdin is None else [stdin])]
+            timeout_s = max(0.0, due_s - time.monotonic())
+            readable, _, _ = select.select(waited, [], [], timeout_s)
+            if stdin is not None and stdin in readable and not os.read(stdin, _STDIN_READ_SIZE):
+                return
+            if until_parent_ends and os.getppid() != parent:
+                return
+            due_s = cell.step(time.monotonic(), readable)
+
+
+@contextmanager
+def _signals() -> Iterator[list[int]]:
+    """Collect SIGTERM and SIGINT in a list; give the handlers back at the end."""
+    received: list[int] = []
+
+    def note(number: int, _frame: FrameType | None) -> None:
+        received.append(number)
+
+    before = {number: signal.signal(number, note) for number in (signal.SIGTERM, signal.SIGINT)}
+    try:
+        yield received
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+@contextmanager
+def _folder(wanted: Path | None) -> Iterator[Path]:
+    """Give the folder for links and socket; a temporary one is removed at the end."""
+    if wanted is not None:
+        try:
+            wanted.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise EndpointError(f"the folder {wanted} cannot be made: {error}") from error
+        yield wanted
+        return
+    temporary = Path(tempfile.mkdtemp(prefix="tactile-cell-"))
+    try:
+        yield temporary
+    finally:
+        shutil.rmtree(temporary)

@@ -1,0 +1,137 @@
+"""Requests of other processes to a simulated cell: objects, recorded grasps, state, faults."""
+
+import math
+from collections.abc import Callable
+from dataclasses import fields
+from typing import Any
+
+from simulator.devices import CellDevices
+from simulator.errors import SimulatorSettingsError
+from simulator.faults.injector import FaultInjector
+from simulator.world.shapes import ObjectPose
+
+_POSE_FIELDS = tuple(entry.name for entry in fields(ObjectPose))
+_FARTHEST = 100.0
+"""Largest coordinate or angle of a pose in m or rad: far beyond any cell, and safe to square."""
+
+
+class CellRequests:
+    """Carries out requests, given as JSON objects.
+
+    Requests and their replies:
+
+    - ``{"place": label, "pose": {"x_m": ..}}``: ``{"pose": {..}}``, where it came to rest
+    - ``{"remove": true}``: ``{"removed": true}``
+    - ``{"play": index}``: ``{"frames": n}`` of that recorded grasp
+    - ``{"state": true}``: what is placed, forces, opening, frames left, faults
+    - ``{"inject": "can.loss=0.05@2s"}``: the same back; see `simulator.faults.injector`
+    - ``{"clear": "can.loss"}``: ``{"cleared": n}``; by the whole text or by the name
+
+    Parameters
+    ----------
+    devices
+        The cell.
+    injector
+        Its faults.
+    """
+
+    def __init__(self, devices: CellDevices, injector: FaultInjector) -> None:
+        self._devices = devices
+        self._injector = injector
+        self._requests: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
+            "place": self._place,
+            "remove": self._remove,
+            "play": self._play,
+            "state": self._state,
+            "inject": self._inject,
+            "clear": self._clear,
+        }
+
+    def __call__(self, request: dict[str, Any]) -> dict[str, Any]:
+        """Carry out one request.
+
+        Raises
+        ------
+        SimulatorSettingsError, SimulatorStateError
+            If it cannot be carried out; nothing has changed then.
+        """
+        named = [name for name in self._requests if name in request]
+        if len(named) != 1:
+            raise SimulatorSettingsError(
+                f"a request names one of {', '.join(self._requests)}; got {', '.join(request)}"
+            )
+        return self._requests[named[0]](request)
+
+    def _place(self, request: dict[str, Any]) -> dict[str, Any]:
+        label, wanted = request["place"], request.get("pose", {})
+        if not isinstance(label, str) or not isinstance(wanted, dict):
+            raise SimulatorSettingsError("place takes a label, pose an object of numbers")
+        if label.startswith("mesh:") and label not in self._devices.settings.objects:
+            raise SimulatorSettingsError("mesh files are named in the settings, not in requests")
+        unknown = set(wanted) - set(_POSE_FIELDS)
+        if unknown:
+            raise SimulatorSettingsError(
+                f"a pose has {', '.join(_POSE_FIELDS)}; got {', '.join(sorted(unknown))}"
+            )
+        numbers = {name: _number(name, value) for name, value in wanted.items()}
+        for name, number in numbers.items():
+            if abs(number) > _FARTHEST:
+                raise SimulatorSettingsError(f"{name} is {number:g}, limit {_FARTHEST:g} m or rad")
+        pose = ObjectPose(**numbers)
+        reached = self._devices.physical.place(label, pose)
+        return {"pose": {name: getattr(reached, name) for name in _POSE_FIELDS}}
+
+    def _remove(self, request: dict[str, Any]) -> dict[str, Any]:
+        _is_true(request, "remove")
+        self._devices.physical.remove()
+        return {"removed": True}
+
+    def _play(self, request: dict[str, Any]) -> dict[str, Any]:
+        index = request["play"]
+        if type(index) is not int:
+            raise SimulatorSettingsError(f"play takes the number of a grasp, got {index!r}")
+        return {"frames": self._devices.play(index)}
+
+    def _state(self, request: dict[str, Any]) -> dict[str, Any]:
+        _is_true(request, "state")
+        devices = self._devices
+        plays = bool(devices.settings.grasps)
+        placed = None if plays else devices.physical.placed
+        return {
+            "placed": None if placed is None else placed[0],
+            "contact_force_n": list(devices.world.contact_force_n()),
+            "aperture_m": devices.mechanics.aperture_m,
+            "frames_left": devices.recorded.remaining if plays else 0,
+            "control_unit": devices.unit.state,
+            "faults": {fault.text: fault.began_s for fault in self._injector.faults},
+        }
+
+    def _inject(self, request: dict[str, Any]) -> dict[str, Any]:
+        self._injector.inject(_text(request, "inject"))
+        return {"inject": request["inject"]}
+
+    def _clear(self, request: dict[str, Any]) -> dict[str, Any]:
+        return {"cleared": self._injector.clear(_text(request, "clear"))}
+
+
+def _is_true(request: dict[str, Any], name: str) -> None:
+    if request[name] is not True:
+        raise SimulatorSettingsError(f"{name} takes true, got {request[name]!r}")
+
+
+def _text(request: dict[str, Any], name: str) -> str:
+    if not isinstance(request[name], str):
+        raise SimulatorSettingsError(f"{name} takes the text of a fault, got {request[name]!r:.40}")
+    return str(request[name])
+
+
+def _number(name: str, value: Any) -> float:
+    number = math.nan
+    if isinstance(value, int | float) and not isinstance(value, bool):
+        try:
+            number = float(value)
+        except OverflowError:  # JSON has integers beyond any float
+            number = math.inf
+    if not math.isfinite(number):
+        raise SimulatorSettingsError(f"{name} is {value!r:.40}, must be a finite number")
+    return number

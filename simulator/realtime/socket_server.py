@@ -1,0 +1,136 @@
+"""The server of the positioner's Unix socket: JSON lines, bounded, without a loop of its own."""
+
+import json
+import os
+import socket
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from simulator.errors import EndpointError, SimulatorError
+
+LINE_LIMIT = 65536
+"""Longest request in bytes; a client that sends more is disconnected."""
+CLIENT_LIMIT = 8
+"""Most clients at a time; one more is disconnected at once."""
+
+Handler = Callable[[dict[str, Any]], dict[str, Any]]
+"""Carries out one request and returns the reply; a SimulatorError becomes an error reply."""
+
+
+class _Client:
+    __slots__ = ("connection", "received")
+
+    def __init__(self, connection: socket.socket) -> None:
+        self.connection = connection
+        self.received = bytearray()
+
+
+class PositionerServer:
+    """Serves requests of other processes on this machine.
+
+    A request is one JSON object on a line; the reply is one too, ``{"error": text}`` when the
+    request was refused. The socket can be used by its owner only.
+
+    Parameters
+    ----------
+    path
+        Where the socket is made; a socket that is there already is replaced.
+    handle
+        Carries out requests.
+
+    Raises
+    ------
+    EndpointError
+        If the socket cannot be made.
+    """
+
+    def __init__(self, path: Path, handle: Handler) -> None:
+        self.path = path
+        self._handle = handle
+        self._clients: dict[int, _Client] = {}
+        self._listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK)
+        try:
+            if path.is_socket():
+                path.unlink()
+            self._listener.bind(str(path))
+            os.chmod(path, 0o600)
+            self._listener.listen(CLIENT_LIMIT)
+        except OSError as error:
+            self._listener.close()
+            raise EndpointError(f"no socket for the positioner at {path}: {error}") from error
+
+    def filenos(self) -> list[int]:
+        """Return the descriptors to wait on."""
+        return [self._listener.fileno(), *self._clients]
+
+    def poll(self, readable: list[int]) -> None:
+        """Serve what is ready among the descriptors; never waits."""
+        for descriptor in readable:
+            if descriptor == self._listener.fileno():
+                self._accept()
+            elif descriptor in self._clients:
+                self._serve(self._clients[descriptor])
+
+    def close(self) -> None:
+        """Disconnect everybody and remove the socket; closing again changes nothing."""
+        for client in list(self._clients.values()):
+            self._drop(client)
+        if self._listener.fileno() >= 0:
+            self._listener.close()
+            self.path.unlink(missing_ok=True)
+
+    def _accept(self) -> None:
+        try:
+            connection, _ = self._listener.accept()
+        except BlockingIOError:
+            return
+        if len(self._clients) >= CLIENT_LIMIT:
+            connection.close()
+            return
+        connection.setblocking(False)
+        self._clients[connection.fileno()] = _Client(connection)
+
+    def _serve(self, client: _Client) -> None:
+        try:
+            data = client.connection.recv(LINE_LIMIT)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:
+            self._drop(client)
+            return
+        client.received += data
+        *lines, rest = client.received.split(b"\n")
+        client.received = rest
+        replies = b"".join(self._answer(bytes(line)) for line in lines if line.strip())
+        if len(rest) > LINE_LIMIT:
+            replies += _line({"error": f"a request has at most {LINE_LIMIT} bytes"})
+        try:
+            client.connection.sendall(replies)
+        except OSError:
+            self._drop(client)  # a client that does not take its replies is gone
+            return
+        if len(rest) > LINE_LIMIT:
+            self._drop(client)
+
+    def _answer(self, line: bytes) -> bytes:
+        try:
+            request = json.loads(line)
+        except (ValueError, RecursionError) as error:
+            return _line({"error": f"the request is no JSON: {error}"})
+        if not isinstance(request, dict):
+            return _line({"error": "a request is a JSON object"})
+        try:
+            return _line(self._handle(request))
+        except SimulatorError as error:
+            return _line({"error": str(error)})
+
+    def _drop(self, client: _Client) -> None:
+        self._clients.pop(client.connection.fileno(), None)
+        client.connection.close()
+
+
+def _line(reply: dict[str, Any]) -> bytes:
+    return json.dumps(reply, allow_nan=False).encode() + b"\n"

@@ -1,0 +1,373 @@
+"""The servos on their half-duplex bus: who hears what, who answers, and when.
+
+Wire time is ten bits a byte; an answer starts after the instruction has passed and the servo's
+return delay is over, and servos that answer one after the other wait for each other.
+"""
+
+import heapq
+import itertools
+from collections.abc import Callable, Iterable, Sequence
+
+from simulator.clock import ROUNDING_S, VirtualClock
+from simulator.errors import PortUnplugged, SimulatorSettingsError
+from simulator.servo.device import SimulatedServo
+from simulator.servo.faults import WireFaults
+from simulator.servo.protocol2 import (
+    BROADCAST_ID,
+    FAST_BLOCK_OVERHEAD,
+    MAX_ID,
+    MAX_LENGTH,
+    STATUS,
+    FastBlock,
+    Instruction,
+    Packet,
+    PacketParser,
+    StatusError,
+    encode_fast_status,
+    encode_status,
+    words,
+)
+
+BITS_PER_BYTE = 10
+"""Bits on the line for one byte: start bit, 8 data bits, stop bit."""
+_RESET_ALL = b"\xff"
+"""Parameter of a Factory Reset of all values, the ID included."""
+_FIRMWARE_REFUSING_RESET = 42
+"""First firmware version that does not reset its ID on a broadcast (e-Manual, Factory Reset)."""
+_READ_REQUEST_BYTES = 5
+"""Bytes of one servo in a Bulk Read: ID, address, size."""
+
+
+class ServoBusDevice:
+    """All servos behind one serial port.
+
+    Parameters
+    ----------
+    servos
+        The servos; their IDs differ.
+    baudrate
+        Line rate of the host in baud; a servo with another Baud Rate (8) stays silent.
+    usb_latency_s
+        Time in s that the adapter adds to every answer.
+    crc_error_reply
+        Whether a servo answers a damaged packet that names it with a CRC Error; silence otherwise.
+
+    Attributes
+    ----------
+    baudrate
+        As above; an endpoint sets it to what the client chose.
+    faults
+        Knobs of the wire.
+    """
+
+    def __init__(
+        self,
+        servos: Sequence[SimulatedServo],
+        baudrate: int,
+        *,
+        usb_latency_s: float = 0.0,
+        crc_error_reply: bool = True,
+    ) -> None:
+        ids = [servo.servo_id for servo in servos]
+        if len(set(ids)) != len(ids):
+            raise SimulatorSettingsError(f"the IDs of the servos differ, got {ids}")
+        if baudrate <= 0 or usb_latency_s < 0.0:
+            raise SimulatorSettingsError(
+                f"baudrate is positive and usb_latency_s not negative, got {baudrate} and "
+                f"{usb_latency_s}"
+            )
+        self.servos = tuple(servos)
+        self.baudrate = baudrate
+        self.faults = WireFaults()
+        self._usb_latency_s = usb_latency_s
+        self._crc_error_reply = crc_error_reply
+        self._parser = PacketParser()
+        self._line_free_s = float("-inf")
+        self._queue: list[tuple[float, int, bytes]] = []
+        self._order = itertools.count()
+
+    def advance_to(self, now_s: float) -> None:
+        """Let watchdogs and protections act; call it once a step of the mechanics."""
+        for servo in self.servos:
+            servo.supervise(now_s)
+
+    def receive(self, data: bytes, now_s: float, *, sent_after_s: float | None = None) -> None:
+        """Take bytes that the host sent.
+
+        Parameters
+        ----------
+        data
+            The bytes.
+        now_s
+            Time in s at which their transfer begins.
+        sent_after_s
+            Earliest time in s at which the host may have sent them, where an endpoint cannot date
+            them better: a watchdog that ran out since then was fed in time. None = ``now_s``.
+        """
+        faults = self.faults
+        if faults.unplugged:
+            return
+        self.advance_to(now_s if sent_after_s is None else min(sent_after_s, now_s))
+        end_s = max(now_s, self._line_free_s) + self._wire_s(len(data))
+        self._line_free_s = end_s
+        if faults.echo:
+            self._send_at(end_s + self._usb_latency_s, data)
+        for packet in self._parser.push(faults.request(data)):
+            self._dispatch(packet, end_s)
+
+    def transmit(self, now_s: float) -> bytes:
+        """Return the bytes that have reached the host by ``now_s``."""
+        queue = self._queue
+        if not queue or queue[0][0] > now_s + ROUNDING_S:
+            return b""
+        pieces = []
+        while queue and queue[0][0] <= now_s + ROUNDING_S:
+            pieces.append(heapq.heappop(queue)[2])
+        return b"" if self.faults.unplugged else b"".join(pieces)
+
+    def next_event_s(self) -> float | None:
+        """Return when the next bytes reach the host, None when none are under way."""
+        return self._queue[0][0] if self._queue else None
+
+    def drop_pending(self) -> None:
+        """Forget bytes under way and half a packet, as an adapter does that loses its supply."""
+        self._queue.clear()
+        self._parser.reset()
+
+    # Dispatch
+
+    def _dispatch(self, packet: Packet, now_s: float) -> None:
+        if packet.instruction == STATUS:
+            return
+        hearing = [s for s in self.servos if self._hears(s, now_s)]
+        if not packet.intact:
+            self._answer_damaged(packet, hearing, now_s)
+            return
+        for servo in hearing:
+            servo.core.feed(now_s)
+        if packet.packet_id == BROADCAST_ID:
+            self._broadcast(packet, hearing, now_s)
+        elif packet.packet_id <= MAX_ID:
+            self._unicast(packet, hearing, now_s)
+
+    def _hears(self, servo: SimulatedServo, now_s: float) -> bool:
+        return (
+            servo.baudrate == self.baudrate
+            and now_s >= servo.core.silent_until_s
+            and servo.servo_id not in self.faults.silent
+        )
+
+    def _answer_damaged(
+        self, packet: Packet, hearing: Iterable[SimulatedServo], now_s: float
+    ) -> None:
+        if not self._crc_error_reply:
+            return
+        for servo in hearing:
+            if servo.servo_id == packet.packet_id and servo.answers(packet.instruction):
+                error, _ = servo.status(StatusError.CRC)
+                self._reply(servo, encode_status(servo.servo_id, error), now_s)
+
+    def _unicast(self, packet: Packet, hearing: Iterable[SimulatedServo], now_s: float) -> None:
+        for servo in hearing:
+            own_id = servo.servo_id
+            if packet.packet_id not in {own_id, servo.secondary_id}:
+                continue
+            delay_s, speaks = servo.return_delay_s, servo.answers(packet.instruction)
+            error, data = servo.execute(packet.instruction, packet.parameters, now_s)
+            if packet.packet_id == own_id and speaks:
+                self._reply(servo, encode_status(own_id, error, data), now_s, delay_s)
+
+    def _broadcast(self, packet: Packet, hearing: list[SimulatedServo], now_s: float) -> None:
+        instruction, parameters = packet.instruction, packet.parameters
+        if instruction == Instruction.PING:
+            for servo in sorted(hearing, key=lambda s: s.servo_id):
+                error, data = servo.execute(instruction, b"", now_s)
+                self._reply(servo, encode_status(servo.servo_id, error, data), now_s)
+        elif instruction in {Instruction.SYNC_READ, Instruction.FAST_SYNC_READ}:
+            self._chain(instruction, _sync_requests(parameters), hearing, now_s)
+        elif instruction in {Instruction.BULK_READ, Instruction.FAST_BULK_READ}:
+            self._chain(instruction, _bulk_requests(parameters), hearing, now_s)
+        elif instruction in {Instruction.SYNC_WRITE, Instruction.BULK_WRITE}:
+            sync = instruction == Instruction.SYNC_WRITE
+            writes = _sync_writes(parameters) if sync else _bulk_writes(parameters)
+            for servo_id, address, data in writes:
+                for servo in hearing:
+                    if servo_id in {servo.servo_id, servo.secondary_id}:
+                        servo.write(address, data, now_s)
+        elif instruction not in {Instruction.READ, Instruction.BACKUP}:
+            for servo in hearing:
+                if not _refuses_broadcast(servo, packet):
+                    servo.execute(instruction, parameters, now_s)
+
+    def _chain(
+        self,
+        instruction: int,
+        requests: Sequence[tuple[int, int, int]],
+        hearing: Iterable[SimulatedServo],
+        now_s: float,
+    ) -> None:
+        """Let servos answer one after the other; the first that does not ends the chain."""
+        by_id = {servo.servo_id: servo for servo in hearing}
+        fast = instruction in {Instruction.FAST_SYNC_READ, Instruction.FAST_BULK_READ}
+        if fast and sum(size + FAST_BLOCK_OVERHEAD for _, _, size in requests) >= MAX_LENGTH:
+            # The joint status would not fit into a packet.
+            return
+        speakers: list[SimulatedServo] = []
+        blocks: list[FastBlock] = []
+        for servo_id, address, size in requests:
+            servo = by_id.get(servo_id)
+            if servo is None or not servo.answers(instruction):
+                break
+            if fast and not servo.has_fast_reads:
+                break
+            error, data = servo.read(address, size, now_s)
+            if fast:
+                speakers.append(servo)
+                blocks.append(FastBlock(servo_id, error, data or bytes(size)))
+            else:
+                self._reply(servo, encode_status(servo_id, error, data), now_s)
+        if fast:
+            pieces = encode_fast_status([size for _, _, size in requests], blocks)
+            for servo, piece in zip(speakers, pieces, strict=True):
+                self._reply(servo, piece, now_s, servo.return_delay_s if piece is pieces[0] else 0)
+
+    # Line
+
+    def _wire_s(self, size: int) -> float:
+        return size * BITS_PER_BYTE / self.baudrate
+
+    def _reply(
+        self, servo: SimulatedServo, packet: bytes, now_s: float, delay_s: float | None = None
+    ) -> None:
+        pause_s = servo.return_delay_s if delay_s is None else delay_s
+        end_s = max(now_s, self._line_free_s) + pause_s + self._wire_s(len(packet))
+        self._line_free_s = end_s
+        for late_s, data in self.faults.answer(servo.servo_id, packet):
+            self._send_at(end_s + self._usb_latency_s + late_s, data)
+
+    def _send_at(self, due_s: float, data: bytes) -> None:
+        heapq.heappush(self._queue, (due_s, next(self._order), data))
+
+
+def _refuses_broadcast(servo: SimulatedServo, packet: Packet) -> bool:
+    return (
+        packet.instruction == Instruction.FACTORY_RESET
+        and packet.parameters == _RESET_ALL
+        and servo.core.firmware >= _FIRMWARE_REFUSING_RESET
+    )
+
+
+def _sync_requests(parameters: bytes) -> list[tuple[int, int, int]]:
+    """Return (ID, address, size) of each servo in a sync read; none when it is cut off."""
+    if len(parameters) < 5:
+        return []
+    address, size = words(parameters[:4])
+    return [(servo_id, address, size) for servo_id in parameters[4:]]
+
+
+def _bulk_requests(parameters: bytes) -> list[tuple[int, int, int]]:
+    """Return (ID, address, size) of each servo in a bulk read; none when it is cut off."""
+    if len(parameters) % _READ_REQUEST_BYTES:
+        return []
+    requests = []
+    for start in range(0, len(parameters), _READ_REQUEST_BYTES):
+        address, size = words(parameters[start + 1 : start + _READ_REQUEST_BYTES])
+        requests.append((parameters[start], address, size))
+    return requests
+
+
+def _sync_writes(parameters: bytes) -> list[tuple[int, int, bytes]]:
+    """Return (ID, address, data) of each servo in a sync write; none when it is cut off."""
+    if len(parameters) < 6:
+        return []
+    address, size = words(parameters[:4])
+    rest = parameters[4:]
+    if size == 0 or len(rest) % (size + 1):
+        return []
+    return [(rest[i], address, rest[i + 1 : i + 1 + size]) for i in range(0, len(rest), size + 1)]
+
+
+def _bulk_writes(parameters: bytes) -> list[tuple[int, int, bytes]]:
+    """Return (ID, address, data) of each servo in a bulk write; none when it is cut off."""
+    writes = []
+    at = 0
+    while at < len(parameters):
+        if len(parameters) < at + 5:
+            return []
+        address, size = words(parameters[at + 1 : at + 5])
+        data = parameters[at + 5 : at + 5 + size]
+        if size == 0 or len(data) != size:
+            return []
+        writes.append((parameters[at], address, data))
+        at += 5 + size
+    return writes
+
+
+class MemoryServoStream:
+    """The host's end of the servo bus in memory: bytes, with the time that the wire takes.
+
+    Writing does not wait for the wire, as with a USB adapter; answers arrive whole when their last
+    byte has passed.
+
+    Parameters
+    ----------
+    device
+        The servos.
+    clock
+        Its time; `read` waits by its ``sleep``.
+    lost_error
+        Makes the exception raised while the cable is out or after `close`, from a text.
+    """
+
+    def __init__(
+        self,
+        device: ServoBusDevice,
+        clock: VirtualClock,
+        *,
+        lost_error: Callable[[str], Exception] = PortUnplugged,
+    ) -> None:
+        self._device = device
+        self._clock = clock
+        self._lost_error = lost_error
+        self._input = bytearray()
+        self._closed = False
+
+    def write(self, data: bytes) -> None:
+        """Send bytes to the servos; raises ``lost_error`` while the cable is out."""
+        self._check()
+        self._device.receive(data, self._clock.monotonic())
+
+    def read(self, size: int, timeout_s: float) -> bytes:
+        """Return up to ``size`` bytes as soon as one is there, ``b""`` after ``timeout_s`` s."""
+        self._check()
+        deadline_s = self._clock.monotonic() + timeout_s
+        while True:
+            now_s = self._clock.monotonic()
+            self._input += self._device.transmit(now_s)
+            if self._input or now_s >= deadline_s:
+                found = bytes(self._input[:size])
+                del self._input[:size]
+                return found
+            due_s = self._device.next_event_s()
+            until_s = deadline_s if due_s is None else min(due_s, deadline_s)
+            self._clock.sleep(max(until_s - now_s, ROUNDING_S))
+            self._check()
+
+    def drop_input(self) -> None:
+        """Forget the bytes that have arrived and were not read."""
+        self._check()
+        self._device.transmit(self._clock.monotonic())
+        self._input.clear()
+
+    def close(self) -> None:
+        """Close the stream; closing it again changes nothing."""
+        self._closed = True
+
+    def _check(self) -> None:
+        if self._closed:
+            raise self._lost_error("the servo stream is closed; open a new one")
+        if self._device.faults.unplugged:
+            raise self._lost_error(
+                "the cable to the simulated servos is out (fault servos.unplugged); plug it in "
+                "and open the port again"
+            )

@@ -1,0 +1,403 @@
+"""The control table of a simulated servo: bytes, access rules and ranges.
+
+Addresses come from `gripper.dynamixel.control_table`; what else an item accepts (minimum, maximum)
+stands here after the tables of the ROBOTIS e-Manual. Bytes between the items read as 0, as on
+the servo.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from gripper.dynamixel.control_table import (
+    FEEDFORWARD_1ST_GAIN,
+    GOAL_POSITION,
+    GOAL_PWM,
+    LED,
+    REGISTERS,
+    SERVO_ID,
+    STATUS_RETURN_LEVEL,
+    TORQUE_ENABLE,
+    VELOCITY_I_GAIN,
+    Register,
+)
+from gripper.dynamixel.models import OperatingMode, ServoModel
+from simulator.errors import SimulatorSettingsError
+from simulator.servo.protocol2 import StatusError
+
+TABLE_SIZE = 700
+"""Bytes that can be addressed; the last items of the X series end at 661."""
+EEPROM_END = TORQUE_ENABLE.address
+"""First byte after the EEPROM items."""
+RAM_END = 168
+"""First byte after the RAM items that a boot resets; indirect addresses begin there."""
+GAINS = (
+    "velocity_i_gain",
+    "velocity_p_gain",
+    "position_d_gain",
+    "position_i_gain",
+    "position_p_gain",
+    "feedforward_2nd_gain",
+    "feedforward_1st_gain",
+)
+"""Items that a change of Operating Mode sets to their defaults."""
+_X330_MODELS = frozenset({1190, 1200, 1210, 1220, 1230, 1240})
+"""Model numbers of XL330-M077, XL330-M288, XC330-M181, -T181, -M288 and -T288."""
+_X330_PWM_SLOPE = 140
+"""Factory value of PWM Slope (62), which the 330 size alone has."""
+_X330_FIRMWARE_WITH_LOWER_INDIRECT_DATA = 52
+"""First firmware of the 330 size whose indirect data begin at 208 instead of 224."""
+_BACKED_UP_RAM = (
+    (LED.address, STATUS_RETURN_LEVEL.end),
+    (VELOCITY_I_GAIN.address, FEEDFORWARD_1ST_GAIN.end),
+    (GOAL_PWM.address, GOAL_POSITION.address),
+)
+"""RAM items that Control Table Backup keeps: first byte, first byte after them."""
+_MODES = frozenset(OperatingMode)
+_RANGES: dict[str, tuple[int, int]] = {
+    "id": (0, 252),
+    "baud_rate": (0, 7),
+    "return_delay_time": (0, 254),
+    "drive_mode": (0, 13),
+    "secondary_id": (0, 255),
+    "protocol_type": (2, 2),
+    "homing_offset": (-1_044_479, 1_044_479),
+    "moving_threshold": (0, 1023),
+    "temperature_limit": (0, 100),
+    "pwm_limit": (0, 885),
+    "max_position_limit": (0, 4095),
+    "min_position_limit": (0, 4095),
+    "startup_configuration": (0, 3),
+    "torque_enable": (0, 1),
+    "led": (0, 1),
+    "status_return_level": (0, 2),
+    "velocity_i_gain": (0, 16383),
+    "velocity_p_gain": (0, 16383),
+    "position_d_gain": (0, 16383),
+    "position_i_gain": (0, 16383),
+    "position_p_gain": (0, 16383),
+    "feedforward_2nd_gain": (0, 16383),
+    "feedforward_1st_gain": (0, 16383),
+    "bus_watchdog": (0, 127),
+    "profile_acceleration": (0, 32767),
+    "profile_velocity": (0, 32767),
+}
+"""Least and largest raw value of items that do not take all that fits (e-Manual, control tables).
+Those that differ between models are added for the model."""
+
+
+class Item(NamedTuple):
+    """One item with its rules.
+
+    Attributes
+    ----------
+    name, address, size, signed, writable, eeprom
+        As in `gripper.dynamixel.control_table.Register`.
+    minimum, maximum
+        Accepted raw values; anything else is a Data Range Error.
+    """
+
+    name: str
+    address: int
+    size: int
+    signed: bool
+    writable: bool
+    eeprom: bool
+    minimum: int
+    maximum: int
+
+
+class IndirectArea(NamedTuple):
+    """One block of indirect addresses and the data that they give access to.
+
+    Attributes
+    ----------
+    address
+        First indirect address (2 bytes each).
+    data
+        First byte of indirect data.
+    entries
+        Number of entries.
+    """
+
+    address: int
+    data: int
+    entries: int
+
+
+def indirect_areas(model: ServoModel, firmware: int) -> tuple[IndirectArea, ...]:
+    """Return the indirect blocks of a model: two of 28 on X430, one of 20 on X330."""
+    if not is_x330(model):
+        return (IndirectArea(168, 224, 28), IndirectArea(578, 634, 28))
+    data = 208 if firmware >= _X330_FIRMWARE_WITH_LOWER_INDIRECT_DATA else 224
+    return (IndirectArea(168, data, 20),)
+
+
+def is_x330(model: ServoModel) -> bool:
+    """Return whether the model is of the 330 size, whose table differs in a few places."""
+    return model.number in _X330_MODELS
+
+
+def _whole_range(register: Register) -> tuple[int, int]:
+    bits = 8 * register.size
+    return (-(1 << bits - 1), (1 << bits - 1) - 1) if register.signed else (0, (1 << bits) - 1)
+
+
+def _items(model: ServoModel, firmware: int) -> dict[int, Item]:
+    ranges = dict(_RANGES)
+    ranges["current_limit"] = (0, model.current_limit_raw)
+    ranges["velocity_limit"] = (0, 2047 if is_x330(model) else 1023)
+    for name in ("max_voltage_limit", "min_voltage_limit"):
+        ranges[name] = (model.min_voltage_raw, model.max_voltage_raw)
+    registers = list(REGISTERS.values())
+    if is_x330(model):
+        ranges["baud_rate"] = (0, 6)
+        registers.append(Register(name="pwm_slope", address=62, size=1, eeprom=True))
+        ranges["pwm_slope"] = (1, 255)
+    for area in indirect_areas(model, firmware):
+        for i in range(area.entries):
+            name = f"indirect_address_{area.address + 2 * i}"
+            registers.append(Register(name=name, address=area.address + 2 * i, size=2))
+            ranges[name] = (EEPROM_END, TABLE_SIZE - 1)
+            registers.append(
+                Register(name=f"indirect_data_{area.data + i}", address=area.data + i, size=1)
+            )
+    return {
+        r.address: Item(
+            r.name,
+            r.address,
+            r.size,
+            r.signed,
+            r.writable,
+            r.eeprom,
+            *ranges.get(r.name, _whole_range(r)),
+        )
+        for r in registers
+    }
+
+
+class ControlTable:
+    """Bytes of one servo with the access rules of its items.
+
+    Parameters
+    ----------
+    model
+        The servo model.
+    firmware
+        Firmware version (register 6).
+    """
+
+    __slots__ = (
+        "_defined",
+        "_indirect",
+        "_indirect_end",
+        "_indirect_start",
+        "_items",
+        "_plans",
+        "data",
+    )
+
+    def __init__(self, model: ServoModel, firmware: int) -> None:
+        self.data = bytearray(TABLE_SIZE)
+        self._items = _items(model, firmware)
+        self._defined = bytearray(TABLE_SIZE)
+        for item in self._items.values():
+            self._defined[item.address : item.address + item.size] = b"\x01" * item.size
+        self._plans: dict[tuple[int, int], tuple[Item, ...] | StatusError] = {}
+        self._indirect: dict[int, int] = {}
+        for area in indirect_areas(model, firmware):
+            for i in range(area.entries):
+                self._indirect[area.data + i] = area.address + 2 * i
+                self.set(area.address + 2 * i, 2, area.data + i)
+        self._indirect_start = min(self._indirect)
+        self._indirect_end = max(self._indirect) + 1
+
+    @property
+    def items(self) -> tuple[Item, ...]:
+        """All items in the order of their addresses."""
+        return tuple(self._items[address] for address in sorted(self._items))
+
+    def get(self, address: int, size: int, *, signed: bool = False) -> int:
+        """Return the raw value of ``size`` bytes at ``address``."""
+        return int.from_bytes(self.data[address : address + size], "little", signed=signed)
+
+    def set(self, address: int, size: int, value: int) -> None:
+        """Set ``size`` bytes at ``address`` without any check; wraps to the size."""
+        value &= (1 << 8 * size) - 1
+        self.data[address : address + size] = value.to_bytes(size, "little")
+
+    def read(self, address: int, size: int) -> bytes | StatusError:
+        """Return ``size`` bytes from ``address`` as a Read instruction does.
+
+        Undefined bytes after a defined start read as 0; an undefined start or a range beyond the
+        end of the table is an Access Error.
+        """
+        if size == 0 or address + size > TABLE_SIZE or not self._defined[address]:
+            return StatusError.ACCESS
+        if address + size <= self._indirect_start or address >= self._indirect_end:
+            return bytes(self.data[address : address + size])
+        return bytes(self.data[self._target(a)] for a in range(address, address + size))
+
+    def plan(self, address: int, size: int) -> tuple[Item, ...] | StatusError:
+        """Return the items that a write covers whole, or why it cannot be done."""
+        key = (address, size)
+        plan = self._plans.get(key)
+        if plan is None:
+            plan = self._plans[key] = self._make_plan(address, size)
+        return plan
+
+    def redirect(self, address: int, data: bytes) -> list[tuple[int, bytes]]:
+        """Split a write into contiguous pieces behind the indirect addresses.
+
+        A write that touches no indirect data comes back as one piece as it is.
+        """
+        end = address + len(data)
+        if end <= self._indirect_start or address >= self._indirect_end:
+            return [(address, data)]
+        pieces: list[tuple[int, bytes]] = []
+        for i, byte in enumerate(data):
+            target = self._target(address + i)
+            if pieces and pieces[-1][0] + len(pieces[-1][1]) == target:
+                pieces[-1] = (pieces[-1][0], pieces[-1][1] + bytes((byte,)))
+            else:
+                pieces.append((target, bytes((byte,))))
+        return pieces
+
+    def reads_through(self, address: int, size: int) -> bool:
+        """Return whether a read touches indirect data, which may lead anywhere."""
+        return address < self._indirect_end and address + size > self._indirect_start
+
+    def _target(self, address: int) -> int:
+        pointer = self._indirect.get(address)
+        return address if pointer is None else self.get(pointer, 2)
+
+    def _make_plan(self, address: int, size: int) -> tuple[Item, ...] | StatusError:
+        items = []
+        position, end = address, address + size
+        while position < end:
+            item = self._items.get(position)
+            if item is None:
+                inside = position < TABLE_SIZE and self._defined[position]
+                return StatusError.DATA_LENGTH if inside else StatusError.ACCESS
+            if not item.writable:
+                return StatusError.ACCESS
+            if position + item.size > end:
+                return StatusError.DATA_LENGTH
+            items.append(item)
+            position += item.size
+        return tuple(items) if items else StatusError.DATA_LENGTH
+
+
+def in_range(item: Item, value: int) -> bool:
+    """Return whether an item accepts a raw value, limits set in other items left aside."""
+    if item.name == "operating_mode":
+        return value in _MODES
+    return item.minimum <= value <= item.maximum
+
+
+class ServoRegisters:
+    """Control table of one servo by the names of its items, with factory values and backup.
+
+    Parameters
+    ----------
+    model, firmware
+        Model and firmware version.
+    settings
+        Raw values of EEPROM items by register name, over the factory's; SimulatorSettingsError for
+        an unknown name or a value out of range.
+
+    Attributes
+    ----------
+    table
+        The control table.
+    """
+
+    __slots__ = ("_backup", "_factory", "firmware", "model", "table")
+
+    def __init__(self, model: ServoModel, firmware: int, settings: Mapping[str, int]) -> None:
+        self.model = model
+        self.firmware = firmware
+        self.table = ControlTable(model, firmware)
+        self._factory = {
+            **model.factory_defaults,
+            "firmware_version": firmware,
+            **({"pwm_slope": _X330_PWM_SLOPE} if is_x330(model) else {}),
+        }
+        self._backup: bytes | None = None
+        self.load_factory()
+        for name, value in settings.items():
+            self.configure(name, value)
+
+    def configure(self, name: str, value: int) -> None:
+        """Set an EEPROM item; SimulatorSettingsError for another item or a value out of range."""
+        register = REGISTERS.get(name)
+        if register is None or not register.eeprom:
+            raise SimulatorSettingsError(f"{name!r} is not an EEPROM item of the control table")
+        plan = self.table.plan(register.address, register.size)
+        if not isinstance(plan, tuple) or not in_range(plan[0], value):
+            raise SimulatorSettingsError(f"{name} = {value} is outside the range of the item")
+        self.table.set(register.address, register.size, value)
+
+    def get(self, name: str) -> int:
+        """Return the raw value of an item by its name."""
+        register = REGISTERS[name]
+        return self.table.get(register.address, register.size, signed=register.signed)
+
+    def put(self, name: str, value: int) -> None:
+        """Set an item by its name, without access rules or side effects."""
+        register = REGISTERS[name]
+        self.table.set(register.address, register.size, value)
+
+    def load_factory(self, *, keep: tuple[str, ...] = ()) -> None:
+        """Set the EEPROM to the factory's values, except the items named in ``keep``."""
+        kept = {name: self.get(name) for name in keep}
+        self.table.data[0:EEPROM_END] = bytes(EEPROM_END)
+        for item in self.table.items:
+            if item.address < EEPROM_END:
+                value = kept.get(item.name, self._factory.get(item.name, 0))
+                self.table.set(item.address, item.size, value)
+
+    def load_gains(self) -> None:
+        """Set the gains to the defaults of the model."""
+        for name in GAINS:
+            self.put(name, self._factory.get(name, 0))
+
+    def load_ram(self) -> None:
+        """Set the RAM to its values after a boot."""
+        self.table.data[EEPROM_END:RAM_END] = bytes(RAM_END - EEPROM_END)
+        self.put("status_return_level", self._factory["status_return_level"])
+        self.put("goal_pwm", self.get("pwm_limit"))
+        self.put("goal_current", self.get("current_limit"))
+        self.put("backup_ready", int(self._backup is not None))
+        self.load_gains()
+
+    def change_mode(self) -> None:
+        """Carry out what writing Operating Mode does to other registers."""
+        self.load_gains()
+        self.put("profile_acceleration", 0)
+        self.put("profile_velocity", 0)
+        if self.get("operating_mode") == OperatingMode.CURRENT_BASED_POSITION:
+            self.put("pwm_limit", self._factory["pwm_limit"])
+        self.put("goal_pwm", self.get("pwm_limit"))
+        self.put("goal_current", self.get("current_limit"))
+
+    @property
+    def has_backup(self) -> bool:
+        """Whether Control Table Backup has been carried out."""
+        return self._backup is not None
+
+    def store_backup(self) -> None:
+        """Keep a copy of EEPROM and RAM (Control Table Backup)."""
+        self._backup = bytes(self.table.data)
+        self.put("backup_ready", 1)
+
+    def restore_eeprom(self) -> None:
+        """Bring the EEPROM of the backup back; without one nothing changes."""
+        if self._backup is not None:
+            start = SERVO_ID.address
+            self.table.data[start:EEPROM_END] = self._backup[start:EEPROM_END]
+
+    def restore_ram(self) -> None:
+        """Bring gains, goals and profile of the backup back; without one nothing changes."""
+        if self._backup is not None:
+            for start, end in _BACKED_UP_RAM:
+                self.table.data[start:end] = self._backup[start:end]

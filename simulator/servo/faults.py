@@ -1,0 +1,244 @@
+"""Fault knobs of the servo link and of the servos; all off until they are turned.
+
+The knobs of the wire act on packets between the host and the servos, those of a servo on the servo
+itself. A run with the same seed and the same traffic is always the same.
+"""
+
+import random
+from dataclasses import dataclass, field, fields
+from typing import NamedTuple
+
+from simulator.errors import SimulatorSettingsError
+from simulator.servo.device import SimulatedServo
+from simulator.servo.motor import OVERLOAD_BUDGET_S, ServoMotor
+from simulator.servo.protocol2 import crc16
+
+
+@dataclass(slots=True, kw_only=True)
+class Trigger:
+    """Choice of the packets that a fault hits; off as it is made.
+
+    Attributes
+    ----------
+    probability
+        Chance for each packet, 0 to 1.
+    every
+        Hits each n-th packet; 0 = never.
+    next_packets
+        Hits this many of the next packets, then goes off; counts down.
+    servo_ids
+        Only packets of these servos; None = all.
+    """
+
+    probability: float = 0.0
+    every: int = 0
+    next_packets: int = 0
+    servo_ids: frozenset[int] | None = None
+    _seen: int = field(default=0, init=False, repr=False)
+
+    @property
+    def active(self) -> bool:
+        """Whether any of the conditions is on."""
+        return self.probability > 0.0 or self.every > 0 or self.next_packets > 0
+
+    def fires(self, servo_id: int, generator: random.Random) -> bool:
+        """Return whether the fault hits this packet; SimulatorSettingsError for a bad setting."""
+        if not 0.0 <= self.probability <= 1.0 or self.every < 0 or self.next_packets < 0:
+            raise SimulatorSettingsError(f"a trigger has a setting out of range: {self}")
+        if self.servo_ids is not None and servo_id not in self.servo_ids:
+            return False
+        if self.next_packets:
+            self.next_packets -= 1
+            return True
+        self._seen += 1
+        if self.every and self._seen % self.every == 0:
+            return True
+        return self.probability > 0.0 and generator.random() < self.probability
+
+
+class Piece(NamedTuple):
+    """Bytes that leave for the host.
+
+    Attributes
+    ----------
+    delay_s
+        How much later than without faults, s.
+    data
+        The bytes.
+    """
+
+    delay_s: float
+    data: bytes
+
+
+@dataclass(slots=True, kw_only=True)
+class WireFaults:
+    """Knobs of the wire between host and servos.
+
+    Attributes
+    ----------
+    seed
+        Seed of all chances.
+    lose_request, corrupt_request
+        A write of the host is lost; one bit of it flips.
+    drop, delay, duplicate, bit_flip, truncate, garbage, wrong_id
+        What happens to an answer. A dropped answer was heard by the other servos.
+    delay_s
+        How late a delayed answer is, s.
+    truncate_bytes
+        How many bytes a truncated answer lacks at its end.
+    garbage_data
+        What comes in front of an answer hit by ``garbage``.
+    silent
+        Servos that neither hear nor answer: later ones of a sync read stay silent too.
+    echo
+        The host receives its own bytes back, as on a half-duplex adapter without switching.
+    fragment_bytes, fragment_gap_s
+        Answers come in pieces of so many bytes with pauses between; 0 = whole.
+    unplugged
+        The adapter is gone: nothing passes.
+    """
+
+    seed: int = 0
+    lose_request: Trigger = field(default_factory=Trigger)
+    corrupt_request: Trigger = field(default_factory=Trigger)
+    drop: Trigger = field(default_factory=Trigger)
+    delay: Trigger = field(default_factory=Trigger)
+    duplicate: Trigger = field(default_factory=Trigger)
+    bit_flip: Trigger = field(default_factory=Trigger)
+    truncate: Trigger = field(default_factory=Trigger)
+    garbage: Trigger = field(default_factory=Trigger)
+    wrong_id: Trigger = field(default_factory=Trigger)
+    delay_s: float = 0.04
+    truncate_bytes: int = 3
+    garbage_data: bytes = b"\xaa\xff\xff\xfd\x55"
+    silent: set[int] = field(default_factory=set)
+    echo: bool = False
+    fragment_bytes: int = 0
+    fragment_gap_s: float = 0.002
+    unplugged: bool = False
+    _generator: random.Random | None = field(default=None, init=False, repr=False)
+
+    def reset(self) -> None:
+        """Turn every knob back to off."""
+        fresh = WireFaults(seed=self.seed)
+        for entry in fields(self):
+            setattr(self, entry.name, getattr(fresh, entry.name))
+
+    def request(self, data: bytes) -> bytes:
+        """Return what the servos hear of the bytes that the host wrote in one go."""
+        if self.lose_request.active and self.lose_request.fires(-1, self._random()):
+            return b""
+        if self.corrupt_request.active and self.corrupt_request.fires(-1, self._random()):
+            return self._flip(data)
+        return data
+
+    def answer(self, servo_id: int, packet: bytes) -> list[Piece]:
+        """Return what the host receives of one answer; in the usual case the packet as it is."""
+        if not self._any_answer_fault():
+            return [Piece(0.0, packet)]
+        generator = self._random()
+        if self.drop.fires(servo_id, generator):
+            return []
+        delay_s = self.delay_s if self.delay.fires(servo_id, generator) else 0.0
+        if self.wrong_id.fires(servo_id, generator):
+            body = packet[:4] + bytes(((packet[4] + 1) % 253,)) + packet[5:-2]
+            packet = body + crc16(body).to_bytes(2, "little")
+        if self.bit_flip.fires(servo_id, generator):
+            packet = self._flip(packet)
+        if self.truncate.fires(servo_id, generator):
+            packet = packet[: max(0, len(packet) - self.truncate_bytes)]
+        copies = 2 if self.duplicate.fires(servo_id, generator) else 1
+        if self.garbage.fires(servo_id, generator):
+            packet = self.garbage_data + packet
+        return self._fragments(delay_s, packet * copies)
+
+    def _any_answer_fault(self) -> bool:
+        return self.fragment_bytes > 0 or any(
+            trigger.active
+            for trigger in (
+                self.drop,
+                self.delay,
+                self.duplicate,
+                self.bit_flip,
+                self.truncate,
+                self.garbage,
+                self.wrong_id,
+            )
+        )
+
+    def _fragments(self, delay_s: float, packet: bytes) -> list[Piece]:
+        size = self.fragment_bytes
+        if size <= 0:
+            return [Piece(delay_s, packet)]
+        return [
+            Piece(delay_s + i * self.fragment_gap_s, packet[start : start + size])
+            for i, start in enumerate(range(0, len(packet), size))
+        ]
+
+    def _flip(self, data: bytes) -> bytes:
+        if not data:
+            return data
+        bit = self._random().randrange(8 * len(data))
+        flipped = bytearray(data)
+        flipped[bit // 8] ^= 1 << bit % 8
+        return bytes(flipped)
+
+    def _random(self) -> random.Random:
+        if self._generator is None:
+            self._generator = random.Random(self.seed)
+        return self._generator
+
+
+class ServoFaultKnobs:
+    """Knobs of one servo: heat, load, supply, reboot, encoder.
+
+    Parameters
+    ----------
+    servo
+        The servo.
+    motor
+        Its motor.
+    """
+
+    __slots__ = ("_motor", "_servo")
+
+    def __init__(self, servo: SimulatedServo, motor: ServoMotor) -> None:
+        self._servo = servo
+        self._motor = motor
+
+    def overheat(self, temperature_c: float) -> None:
+        """Heat the motor to a temperature in degC; it cools down again by itself."""
+        self._motor.temperature_c = temperature_c
+
+    def overload(self) -> None:
+        """Use up the overload budget, as a long stall does."""
+        self._motor.load_excess_s = 2.0 * OVERLOAD_BUDGET_S
+
+    def supply(self, voltage_v: float | None = None) -> None:
+        """Set the supply in V; None brings the nominal voltage back."""
+        nominal_v = self._motor.model.nominal_voltage_v
+        self._motor.voltage_v = nominal_v if voltage_v is None else voltage_v
+
+    def hardware_error(self, bits: int) -> None:
+        """Force bits of Hardware Error Status (electrical shock 16, encoder 8); 0 ends it."""
+        self._servo.core.injected_error = bits
+
+    def reboot(self, now_s: float) -> None:
+        """Let the servo reboot by itself, as after a dip of its supply."""
+        self._servo.core.boot(now_s)
+
+    def stick_encoder(self, *, stuck: bool = True) -> None:
+        """Let the encoder report its present angle for ever, or work again."""
+        self._motor.stuck_at_rad = self._motor.angle_rad if stuck else None
+
+    def jump_encoder(self, angle_rad: float) -> None:
+        """Let the encoder report so many rad more from now on, until it is cleared."""
+        self._motor.encoder_offset_rad += angle_rad
+
+    def clear(self) -> None:
+        """Turn every knob of the servo back; latched errors stay until a reboot."""
+        self.supply()
+        self.hardware_error(0)
+        self.stick_encoder(stuck=False)
+        self._motor.encoder_offset_rad = 0.0

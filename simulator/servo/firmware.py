@@ -1,0 +1,464 @@
+"""The firmware of a simulated servo: boot, torque, goals, bus watchdog, protections.
+
+`simulator.servo.device` answers instructions with it; `simulator.servo.motor` carries out what it
+commands.
+"""
+
+import math
+import struct
+from collections.abc import Mapping
+from enum import Enum
+from typing import Protocol
+
+from gripper.dynamixel.control_table import (
+    DRIVE_MODE,
+    GOAL_PWM,
+    HARDWARE_ERROR_STATUS,
+    MAX_VOLTAGE_LIMIT,
+    OPERATING_MODE,
+    PRESENT_TEMPERATURE,
+    RAD_PER_PULSE,
+    RAD_S2_PER_ACCELERATION_UNIT,
+    RAD_S_PER_VELOCITY_UNIT,
+    REALTIME_TICK,
+    SHUTDOWN,
+    TEMPERATURE_LIMIT,
+    TICK_MODULO,
+    TORQUE_ENABLE,
+    WATCHDOG_TRIPPED_RAW,
+    WATCHDOG_UNIT_S,
+)
+from gripper.dynamixel.models import PULSES_PER_TURN, HardwareError, OperatingMode, ServoModel
+from simulator.servo.control_table import ControlTable, ServoRegisters, is_x330
+from simulator.servo.motor import OVERLOAD_BUDGET_S, PWM_COUNTS, DriveCommand, DriveMode
+
+PRESENT_START, PRESENT_END = REALTIME_TICK.address, PRESENT_TEMPERATURE.end
+"""Addresses of the items that show the present state, 120 to 146."""
+GOAL_START, GOAL_END = GOAL_PWM.address, PRESENT_START
+"""Addresses of goals and profile, 100 to 119."""
+IN_POSITION_PULSES = 20
+"""Distance to Goal Position in pulses at which Moving Status shows arrival (e-Manual, 123)."""
+HOMING_OFFSET_MODE_3 = 1024
+"""Largest Homing Offset in pulses that position mode obeys; a larger one is ignored there."""
+REBOOT_S = 0.35
+"""Time in s during which a rebooting servo does not hear or answer anything; an assumption."""
+REVERSE_MODE, TIME_BASED_PROFILE, TORQUE_ON_BY_GOAL = 0x01, 0x04, 0x08
+"""Bits of Drive Mode (e-Manual, 10)."""
+_TICKS_PER_S, _ROUNDING_TICKS = 1000.0, 1e-6
+"""Rate of Realtime Tick (e-Manual, 120), and the part of a tick that rounding may take away."""
+_TORQUE_AT_BOOT, _RESTORE_AT_BOOT = 0x01, 0x02
+"""Bits of Startup Configuration (e-Manual, 60)."""
+_ARRIVED, _PROFILE_ONGOING, _TRAPEZOIDAL_PROFILE = 0x01, 0x02, 0x30
+"""Bits of Moving Status (e-Manual, 123)."""
+_FOLLOWS_POSITION = frozenset(
+    {
+        OperatingMode.POSITION,
+        OperatingMode.EXTENDED_POSITION,
+        OperatingMode.CURRENT_BASED_POSITION,
+    }
+)
+_PRESENT = struct.Struct("<HBBhhiiiiHB")
+"""Registers 120 to 146: tick, moving, moving status, PWM, current, velocity, position, velocity and
+position trajectory, voltage, temperature."""
+_GOALS = struct.Struct("<hhiIIi")
+"""Registers 100 to 119: PWM, current, velocity, profile acceleration and velocity, position."""
+_VOLTAGE_LIMITS = struct.Struct("<HH")
+"""Registers 32 to 35: highest and lowest voltage in units of 0.1 V."""
+_TORQUE = TORQUE_ENABLE.address
+_MODE = OPERATING_MODE.address
+_DRIVE = DRIVE_MODE.address
+_HARDWARE_ERROR = HARDWARE_ERROR_STATUS.address
+"""Addresses of single bytes that are looked at in each step of the motor."""
+
+
+class ServoPlant(Protocol):
+    """The motor as the firmware sees it; `simulator.servo.motor.ServoMotor` is one."""
+
+    current_a: float
+    duty: float
+    temperature_c: float
+    voltage_v: float
+    reference_rad: float
+    reference_velocity_rad_s: float
+    load_excess_s: float
+
+    @property
+    def sensed_rad(self) -> float:
+        """Angle that the encoder reports, rad."""
+        ...
+
+    @property
+    def sensed_velocity_rad_s(self) -> float:
+        """Velocity that follows from the encoder, rad/s."""
+        ...
+
+    def drive(self, command: DriveCommand) -> None:
+        """Take a new command."""
+        ...
+
+
+class ServoPosition:
+    """Angle of the motor as position in counts, with turns and offsets, and the present values.
+
+    Parameters
+    ----------
+    registers
+        The servo's registers.
+    plant
+        Its motor.
+    """
+
+    __slots__ = ("_plant", "_registers", "_turn_offset")
+
+    def __init__(self, registers: ServoRegisters, plant: ServoPlant) -> None:
+        self._registers = registers
+        self._plant = plant
+        self._turn_offset = 0
+
+    @property
+    def sign(self) -> int:
+        """-1 in reverse mode (Drive Mode bit 0), else 1."""
+        return -1 if self._registers.table.data[_DRIVE] & REVERSE_MODE else 1
+
+    def present_raw(self) -> int:
+        """Return Present Position: sensed angle in counts, folded, with Homing Offset."""
+        return self.to_raw(self._plant.sensed_rad)
+
+    def fold_turns(self) -> None:
+        """Fall back to one turn: actual position 0 to 4095 before Homing Offset."""
+        actual = self.sign * _counts(self._plant.sensed_rad)
+        self._turn_offset = -(actual // PULSES_PER_TURN) * PULSES_PER_TURN
+
+    def to_raw(self, angle_rad: float) -> int:
+        """Return the position in counts of a motor angle in rad."""
+        return self.sign * _counts(angle_rad) + self._turn_offset + self._homing()
+
+    def to_rad(self, raw: int) -> float:
+        """Return the motor angle in rad of a position in counts."""
+        return self.sign * (raw - self._homing() - self._turn_offset) * RAD_PER_PULSE
+
+    def _homing(self) -> int:
+        offset = self._registers.get("homing_offset")
+        one_turn = self._registers.table.data[_MODE] == OperatingMode.POSITION
+        return 0 if one_turn and abs(offset) > HOMING_OFFSET_MODE_3 else offset
+
+    def refresh(self, uptime_s: float, *, following: bool) -> None:
+        """Bring registers 120 to 146 up to date.
+
+        Parameters
+        ----------
+        uptime_s
+            Time since the boot in s.
+        following
+            Whether the motor follows Goal Position.
+        """
+        plant, sign, registers = self._plant, self.sign, self._registers
+        velocity_raw = round(sign * plant.sensed_velocity_rad_s / RAD_S_PER_VELOCITY_UNIT)
+        position_raw = self.present_raw()
+        trajectory_raw = self.to_raw(plant.reference_rad)
+        goal_raw = registers.get("goal_position")
+        status = _ARRIVED if abs(position_raw - goal_raw) <= IN_POSITION_PULSES else 0
+        if following:
+            status |= _PROFILE_ONGOING if trajectory_raw != goal_raw else 0
+            status |= _TRAPEZOIDAL_PROFILE if registers.get("profile_velocity") else 0
+        _PRESENT.pack_into(
+            registers.table.data,
+            PRESENT_START,
+            math.floor(uptime_s * _TICKS_PER_S + _ROUNDING_TICKS) % TICK_MODULO,
+            abs(velocity_raw) > registers.get("moving_threshold"),
+            status,
+            round(sign * plant.duty * PWM_COUNTS),
+            round(sign * plant.current_a / registers.model.current_unit_a),
+            velocity_raw,
+            position_raw,
+            round(sign * plant.reference_velocity_rad_s / RAD_S_PER_VELOCITY_UNIT),
+            trajectory_raw,
+            max(0, round(plant.voltage_v * 10.0)),
+            min(max(round(plant.temperature_c), 0), 255),
+        )
+
+
+def _counts(angle_rad: float) -> int:
+    return math.floor(angle_rad / RAD_PER_PULSE + 0.5)
+
+
+def goal_command(
+    registers: ServoRegisters, position: ServoPosition, reference_rad: float
+) -> DriveCommand:
+    """Return the command to the motor that follows from Operating Mode, goals, limits and gains.
+
+    Parameters
+    ----------
+    registers, position
+        The servo's registers and counts.
+    reference_rad
+        Where the profile is now, rad; a time-based profile starts there.
+    """
+    data = registers.table.data
+    mode, sign = data[_MODE], position.sign
+    pwm, current, velocity, acceleration, profile, goal = _GOALS.unpack_from(data, GOAL_START)
+    # A limit that was lowered after the goal was written still holds.
+    pwm = _bounded(pwm, registers.get("pwm_limit"))
+    current = _bounded(current, registers.get("current_limit"))
+    velocity = _bounded(velocity, registers.get("velocity_limit"))
+    duty = abs(pwm) / PWM_COUNTS
+    current_a = current * registers.model.current_unit_a
+    if mode == OperatingMode.CURRENT:
+        return DriveCommand(DriveMode.CURRENT, current_a=sign * current_a, duty=duty)
+    if mode == OperatingMode.VELOCITY:
+        speed = sign * velocity * RAD_S_PER_VELOCITY_UNIT
+        return DriveCommand(DriveMode.VELOCITY, velocity_rad_s=speed, duty=duty)
+    if mode == OperatingMode.PWM:
+        return DriveCommand(DriveMode.PWM, duty=sign * pwm / PWM_COUNTS)
+    goal_rad = position.to_rad(goal)
+    speed, ramp = _profile(registers, abs(goal_rad - reference_rad), profile, acceleration)
+    limited = mode == OperatingMode.CURRENT_BASED_POSITION
+    return DriveCommand(
+        DriveMode.CURRENT_POSITION if limited else DriveMode.POSITION,
+        current_a=abs(current_a),
+        position_rad=goal_rad,
+        duty=duty,
+        p_gain=registers.get("position_p_gain"),
+        d_gain=registers.get("position_d_gain"),
+        profile_velocity_rad_s=speed,
+        profile_acceleration_rad_s2=ramp,
+    )
+
+
+def hold_command(registers: ServoRegisters, angle_rad: float) -> DriveCommand:
+    """Return the command that holds an angle in rad within the present current and PWM limits."""
+    return DriveCommand(
+        DriveMode.CURRENT_POSITION,
+        current_a=abs(registers.get("goal_current")) * registers.model.current_unit_a,
+        position_rad=angle_rad,
+        duty=abs(registers.get("goal_pwm")) / PWM_COUNTS,
+        p_gain=registers.get("position_p_gain"),
+        d_gain=registers.get("position_d_gain"),
+    )
+
+
+def _bounded(raw: int, limit: int) -> int:
+    return min(max(raw, -limit), limit)
+
+
+def _profile(
+    registers: ServoRegisters, way_rad: float, profile: int, acceleration: int
+) -> tuple[float, float]:
+    """Return velocity and acceleration limits of the profile; 0 = none.
+
+    The 330 size has no profile in current-based position mode.
+    """
+    data = registers.table.data
+    limited = data[_MODE] == OperatingMode.CURRENT_BASED_POSITION
+    if profile == 0 or (limited and is_x330(registers.model)):
+        return 0.0, 0.0
+    if data[_DRIVE] & TIME_BASED_PROFILE:  # Profile Velocity is the time for the way in ms
+        return way_rad / (profile * 1e-3), 0.0
+    return profile * RAD_S_PER_VELOCITY_UNIT, acceleration * RAD_S2_PER_ACCELERATION_UNIT
+
+
+class WatchdogStop(Enum):
+    """Reaction of the motor when the bus watchdog trips; the e-Manual only has that it stops.
+
+    HOLD keeps the present position within the present current limit. ZERO_CURRENT lets the winding
+    go without current. KEEPS_TURNING is the fault of the 330 size: register 98 reads -1 and the
+    motor goes on.
+    """
+
+    HOLD = "hold"
+    ZERO_CURRENT = "zero_current"
+    KEEPS_TURNING = "keeps_turning"
+
+
+class ServoCore:
+    """Firmware of one servo: its registers, and what follows from them.
+
+    Parameters
+    ----------
+    servo_id
+        Content of register 7.
+    model, firmware
+        Model and firmware version.
+    plant
+        The motor.
+    settings
+        Raw values of EEPROM items by register name, over the factory's.
+    watchdog_stop
+        What a tripped bus watchdog does to the motor.
+
+    Attributes
+    ----------
+    registers, position
+        The servo's registers and counts.
+    injected_error
+        Bits of Hardware Error Status that a fault knob forces.
+    silent_until_s
+        End of a reboot's blackout.
+    """
+
+    def __init__(
+        self,
+        servo_id: int,
+        model: ServoModel,
+        plant: ServoPlant,
+        *,
+        firmware: int,
+        settings: Mapping[str, int] | None = None,
+        watchdog_stop: WatchdogStop = WatchdogStop.HOLD,
+    ) -> None:
+        self.registers = ServoRegisters(model, firmware, {**(settings or {}), "id": servo_id})
+        self.position = ServoPosition(self.registers, plant)
+        self.plant = plant
+        self.watchdog_stop = watchdog_stop
+        self.injected_error = 0
+        self.silent_until_s = -math.inf
+        self._fed_s = 0.0
+        self._watchdog_s = math.inf
+        self._stopped = False  # by the watchdog, until the next goal
+        self._booted_s = 0.0
+        self.boot(0.0, blackout_s=0.0)
+
+    @property
+    def table(self) -> ControlTable:
+        """The control table."""
+        return self.registers.table
+
+    @property
+    def model(self) -> ServoModel:
+        """The servo model."""
+        return self.registers.model
+
+    @property
+    def firmware(self) -> int:
+        """Firmware version."""
+        return self.registers.firmware
+
+    @property
+    def torque_on(self) -> bool:
+        """Whether Torque Enable is 1."""
+        return self.table.data[_TORQUE] != 0
+
+    @property
+    def watchdog_tripped(self) -> bool:
+        """Whether Bus Watchdog reads -1."""
+        return self.registers.get("bus_watchdog") == WATCHDOG_TRIPPED_RAW
+
+    @property
+    def latched(self) -> bool:
+        """Whether a hardware error keeps the torque off until a reboot."""
+        return bool(self.table.data[_HARDWARE_ERROR] & self.table.data[SHUTDOWN.address])
+
+    @property
+    def moving(self) -> bool:
+        """Whether the velocity is above Moving Threshold (register 24)."""
+        threshold = self.registers.get("moving_threshold") * RAD_S_PER_VELOCITY_UNIT
+        return abs(self.plant.sensed_velocity_rad_s) > threshold
+
+    def boot(self, now_s: float, *, blackout_s: float = REBOOT_S) -> None:
+        """Start the firmware anew: RAM to its defaults, one turn, torque as configured."""
+        self.registers.load_ram()
+        self.silent_until_s = now_s + blackout_s
+        self._booted_s = now_s
+        self._fed_s = now_s
+        self._watchdog_s = math.inf
+        self._stopped = False
+        self.plant.load_excess_s = 0.0
+        self.position.fold_turns()
+        self.registers.put("goal_position", self.position.present_raw())
+        startup = self.registers.get("startup_configuration")
+        if startup & _RESTORE_AT_BOOT:
+            self.registers.restore_ram()
+        self.table.data[_TORQUE] = startup & _TORQUE_AT_BOOT
+        self.apply_goals()
+
+    def restore_backup(self, now_s: float) -> bool:
+        """Bring EEPROM and RAM back and boot; False when there is no backup."""
+        if not self.registers.has_backup:
+            return False
+        self.registers.restore_eeprom()
+        self.boot(now_s)
+        self.registers.restore_ram()
+        return True
+
+    def refresh(self, now_s: float) -> None:
+        """Bring registers 120 to 146 up to date."""
+        follows = self.table.data[_MODE] in _FOLLOWS_POSITION
+        following = self.torque_on and not self._stopped and follows
+        self.position.refresh(now_s - self._booted_s, following=following)
+
+    def goal_written(self) -> None:
+        """Carry out new goals; a motor that the watchdog stopped follows goals again."""
+        self._stopped = False
+        by_goal = self.table.data[_DRIVE] & TORQUE_ON_BY_GOAL
+        if by_goal and not self.torque_on and not self.latched:
+            self.set_torque(on=True)
+            return
+        self.apply_goals()
+
+    def apply_goals(self) -> None:
+        """Turn mode, goals, limits and gains into a command for the motor."""
+        if self._stopped:
+            return
+        if self.torque_on:
+            command = goal_command(self.registers, self.position, self.plant.reference_rad)
+        else:
+            command = DriveCommand()
+        self.plant.drive(command)
+
+    def change_mode(self) -> None:
+        """Carry out the side effects of writing Operating Mode."""
+        self.registers.change_mode()
+        if self.table.data[_MODE] == OperatingMode.POSITION:
+            self.position.fold_turns()
+
+    def set_torque(self, *, on: bool) -> None:
+        """Switch the torque; switching it on in position mode falls back to one turn."""
+        one_turn = self.table.data[_MODE] == OperatingMode.POSITION
+        if on and not self.torque_on and one_turn:
+            self.position.fold_turns()
+        self.table.data[_TORQUE] = 1 if on else 0
+        self._stopped = self._stopped and on
+        self.apply_goals()
+
+    def set_watchdog(self, raw: int, now_s: float) -> None:
+        """Arm, disarm or clear the bus watchdog; a stopped motor waits for the next goal."""
+        self._watchdog_s = raw * WATCHDOG_UNIT_S if raw > 0 else math.inf
+        self._fed_s = now_s
+
+    def feed(self, now_s: float) -> None:
+        """Note that an instruction packet was on the bus."""
+        self._fed_s = now_s
+
+    def supervise(self, now_s: float) -> None:
+        """Let watchdog and protections act; call it at least once a motor step."""
+        data = self.table.data
+        if data[_TORQUE] == 0:
+            self._fed_s = now_s
+        elif now_s - self._fed_s > self._watchdog_s:
+            self._trip()
+        plant = self.plant
+        bits = self.injected_error
+        if plant.temperature_c > data[TEMPERATURE_LIMIT.address]:
+            bits |= HardwareError.OVERHEATING
+        if plant.load_excess_s > OVERLOAD_BUDGET_S:
+            bits |= HardwareError.OVERLOAD
+        highest_raw, lowest_raw = _VOLTAGE_LIMITS.unpack_from(data, MAX_VOLTAGE_LIMIT.address)
+        if not lowest_raw <= plant.voltage_v * 10.0 <= highest_raw:
+            bits |= HardwareError.INPUT_VOLTAGE
+        if bits and bits & ~data[_HARDWARE_ERROR]:
+            data[_HARDWARE_ERROR] |= bits
+            if self.latched and self.torque_on:
+                self.set_torque(on=False)
+
+    def _trip(self) -> None:
+        self._watchdog_s = math.inf
+        self.registers.put("bus_watchdog", WATCHDOG_TRIPPED_RAW)
+        self.registers.put("profile_acceleration", 0)
+        self.registers.put("profile_velocity", 0)
+        if self.watchdog_stop is WatchdogStop.KEEPS_TURNING:
+            return
+        self._stopped = True
+        if self.watchdog_stop is WatchdogStop.ZERO_CURRENT:
+            self.plant.drive(DriveCommand(DriveMode.CURRENT))
+        else:
+            self.plant.drive(hold_command(self.registers, self.plant.sensed_rad))

@@ -1,0 +1,320 @@
+"""Motion of the simulated fingers: one or two servos, friction, end stops, contact forces.
+
+Semi-implicit Euler steps with the contact stiffness taken implicitly, and Karnopp's friction: an
+axis that has come to rest stays at rest until the torque exceeds the stiction, so a gripper that
+holds a part does not creep.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from gripper.dynamixel.control_table import RAD_PER_PULSE
+from simulator.errors import SimulatorSettingsError, require_positive
+from simulator.servo.motor import ServoMotor
+
+STICTION_RATIO = 1.05
+"""Torque that sets an axis at rest in motion, over its Coulomb friction; an assumption."""
+LONGEST_STEP_S = 1e-3
+"""Longest step in s of the integration: stable for the stiffest foam against the lightest rotor."""
+FINGER_INERTIA_KG_M2 = 2e-4
+"""Inertia of one finger and its link about the servo's axis in kg m²; an assumption."""
+_ROUNDING_STEPS = 1e-9
+"""Part of a step that rounding may add to a whole number of steps."""
+_LARGEST_LINK_ANGLE_RAD = math.radians(80.0)
+"""Angle of a parallelogram's link at its open end stop, short of its singular position at 90°."""
+
+
+class FingerLinkage(Protocol):
+    """Geometry between one servo angle and the half opening of the fingers that it drives.
+
+    The half opening is the distance of a finger's pad from the centre plane in m; the linkage angle
+    grows with it. The formulas are the simulator's own and on purpose not shared with the driver:
+    an error in one of the two shows as a disagreement.
+    """
+
+    @property
+    def half_opening_max_m(self) -> float:
+        """Largest half opening in m that the geometry allows."""
+        ...
+
+    def half_opening_m(self, angle_rad: float) -> float:
+        """Return the half opening in m at a linkage angle in rad."""
+        ...
+
+    def slope_m_rad(self, angle_rad: float) -> float:
+        """Return d(half opening)/d(angle) in m/rad, which turns force into torque."""
+        ...
+
+    def angle_rad(self, half_opening_m: float) -> float:
+        """Return the linkage angle in rad; SimulatorSettingsError when out of reach."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ParallelogramLinkage:
+    """A finger on a parallelogram: the pad stays parallel, half opening = L sin(angle) + offset.
+
+    Attributes
+    ----------
+    link_m
+        Length L of the parallelogram's link in m.
+    offset_m
+        Half opening in m at the angle 0.
+    """
+
+    link_m: float = 0.06
+    offset_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        require_positive(link_m=self.link_m)
+
+    @property
+    def half_opening_max_m(self) -> float:
+        """Half opening in m with the link at its largest angle."""
+        return self.link_m * math.sin(_LARGEST_LINK_ANGLE_RAD) + self.offset_m
+
+    def half_opening_m(self, angle_rad: float) -> float:
+        """Return the half opening in m at a linkage angle in rad."""
+        return self.link_m * math.sin(angle_rad) + self.offset_m
+
+    def slope_m_rad(self, angle_rad: float) -> float:
+        """Return d(half opening)/d(angle) in m/rad."""
+        return self.link_m * math.cos(angle_rad)
+
+    def angle_rad(self, half_opening_m: float) -> float:
+        """Return the linkage angle in rad; SimulatorSettingsError when out of reach."""
+        ratio = (half_opening_m - self.offset_m) / self.link_m
+        if not -1.0 <= ratio <= 1.0:
+            raise SimulatorSettingsError(
+                f"half opening {half_opening_m} m is out of reach of a link of {self.link_m} m "
+                f"with an offset of {self.offset_m} m"
+            )
+        return math.asin(ratio)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RackLinkage:
+    """A finger on a rack: half opening = pinion radius x angle + offset.
+
+    Attributes
+    ----------
+    pinion_radius_m
+        Radius of the pinion's pitch circle in m.
+    offset_m
+        Half opening in m at the angle 0.
+    travel_m
+        Largest half opening in m.
+    """
+
+    pinion_radius_m: float = 0.01
+    offset_m: float = 0.0
+    travel_m: float = 0.05
+
+    def __post_init__(self) -> None:
+        require_positive(pinion_radius_m=self.pinion_radius_m, travel_m=self.travel_m)
+
+    @property
+    def half_opening_max_m(self) -> float:
+        """Largest half opening in m."""
+        return self.travel_m
+
+    def half_opening_m(self, angle_rad: float) -> float:
+        """Return the half opening in m at a pinion angle in rad."""
+        return self.pinion_radius_m * angle_rad + self.offset_m
+
+    def slope_m_rad(self, angle_rad: float) -> float:
+        """Return the pinion radius in m/rad, the same at every angle."""
+        return self.pinion_radius_m
+
+    def angle_rad(self, half_opening_m: float) -> float:
+        """Return the pinion angle in rad; SimulatorSettingsError when beyond the travel."""
+        if not -self.travel_m <= half_opening_m <= self.travel_m:
+            raise SimulatorSettingsError(
+                f"half opening {half_opening_m} m is beyond the rack's travel of {self.travel_m} m"
+            )
+        return (half_opening_m - self.offset_m) / self.pinion_radius_m
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServoMount:
+    """Mounting of a servo in the gripper: direction and zero.
+
+    Attributes
+    ----------
+    direction
+        +1 when the fingers open with a growing position, -1 when they close.
+    zero_raw
+        Raw position at the linkage angle 0.
+    """
+
+    direction: int = 1
+    zero_raw: int = 2048
+
+    def __post_init__(self) -> None:
+        if self.direction not in {-1, 1}:
+            raise SimulatorSettingsError(f"direction is 1 or -1, got {self.direction}")
+
+
+class FingerMechanics:
+    """Two fingers that one servo drives together, or two servos one each.
+
+    Parameters
+    ----------
+    motors
+        One or two motors; their angles are set to the start aperture.
+    mounts
+        How each motor sits in the gripper.
+    linkage
+        From servo angle to half opening.
+    aperture_m
+        Distance between the pads at the start, m.
+    half_opening_min_m
+        Closed end stop in m, at least 0: there the fingers touch each other.
+    stiction_ratio
+        Torque that sets an axis at rest in motion, over its Coulomb friction; at least 1.
+    """
+
+    __slots__ = (
+        "_axes",
+        "_driven",
+        "_linkage",
+        "_lower_rad",
+        "_stiction_ratio",
+        "_upper_rad",
+        "motors",
+    )
+
+    def __init__(
+        self,
+        motors: Sequence[ServoMotor],
+        mounts: Sequence[ServoMount],
+        linkage: FingerLinkage,
+        *,
+        aperture_m: float,
+        half_opening_min_m: float = 0.0,
+        stiction_ratio: float = STICTION_RATIO,
+    ) -> None:
+        if len(motors) not in {1, 2} or len(mounts) != len(motors):
+            raise SimulatorSettingsError(
+                f"a gripper has one or two motors, each with a mount; got {len(motors)} motors "
+                f"and {len(mounts)} mounts"
+            )
+        if not 0.0 <= half_opening_min_m < linkage.half_opening_max_m:
+            raise SimulatorSettingsError(
+                f"half_opening_min_m is at least 0 and below {linkage.half_opening_max_m}, "
+                f"got {half_opening_min_m}"
+            )
+        if not 1.0 <= stiction_ratio < math.inf:
+            raise SimulatorSettingsError(f"stiction_ratio is at least 1, got {stiction_ratio}")
+        self.motors = tuple(motors)
+        self._stiction_ratio = stiction_ratio
+        self._linkage = linkage
+        self._axes = tuple((m.direction, m.zero_raw * RAD_PER_PULSE) for m in mounts)
+        self._lower_rad = linkage.angle_rad(half_opening_min_m)
+        self._upper_rad = linkage.angle_rad(linkage.half_opening_max_m)
+        self._driven = False
+        self.drive_to(aperture_m)
+        self._driven = False
+
+    @property
+    def finger_position_m(self) -> tuple[float, float]:
+        """Half openings of finger 0 and finger 1 from the centre plane in m."""
+        first = self._half_opening_m(0)
+        return (first, first) if len(self.motors) == 1 else (first, self._half_opening_m(1))
+
+    @property
+    def aperture_m(self) -> float:
+        """Distance between the two pads in m."""
+        first, second = self.finger_position_m
+        return first + second
+
+    def drive_to(self, aperture_m: float) -> None:
+        """Put both fingers evenly at a recorded aperture in m; steps leave them where they are."""
+        half_m = 0.5 * aperture_m
+        if not (math.isfinite(half_m) and 0.0 <= half_m <= self._linkage.half_opening_max_m):
+            raise SimulatorSettingsError(
+                f"aperture {aperture_m} m is outside 0 to {2 * self._linkage.half_opening_max_m} m"
+            )
+        theta = self._linkage.angle_rad(half_m)
+        self._driven = True
+        for motor, (direction, zero_rad) in zip(self.motors, self._axes, strict=True):
+            motor.angle_rad = zero_rad + direction * theta
+            motor.velocity_rad_s = 0.0
+
+    def step(
+        self,
+        dt_s: float,
+        contact_force_n: tuple[float, float],
+        contact_stiffness_n_m: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
+        """Advance the fingers by ``dt_s`` s.
+
+        Parameters
+        ----------
+        dt_s
+            Time step in s; one above `LONGEST_STEP_S` is taken in pieces.
+        contact_force_n
+            Force on each pad in N at the present position, positive when it pushes the finger open.
+        contact_stiffness_n_m
+            How fast that force falls when the finger opens, N/m, at least 0.
+        """
+        if dt_s <= LONGEST_STEP_S:
+            self._step(dt_s, contact_force_n, contact_stiffness_n_m)
+            return
+        pieces = math.ceil(dt_s / LONGEST_STEP_S - _ROUNDING_STEPS)
+        start = self.finger_position_m
+        for _ in range(pieces):
+            x0, x1 = self.finger_position_m
+            force = (
+                max(0.0, contact_force_n[0] - contact_stiffness_n_m[0] * (x0 - start[0])),
+                max(0.0, contact_force_n[1] - contact_stiffness_n_m[1] * (x1 - start[1])),
+            )
+            self._step(dt_s / pieces, force, contact_stiffness_n_m)
+
+    def _step(
+        self, dt_s: float, force_n: tuple[float, float], stiffness_n_m: tuple[float, float]
+    ) -> None:
+        motors = self.motors
+        if self._driven:
+            for motor in motors:
+                motor.torque_nm(dt_s)
+        elif len(motors) == 1:
+            self._move(0, dt_s, force_n[0] + force_n[1], stiffness_n_m[0] + stiffness_n_m[1])
+        else:
+            self._move(0, dt_s, force_n[0], stiffness_n_m[0])
+            self._move(1, dt_s, force_n[1], stiffness_n_m[1])
+
+    def _move(self, axis: int, dt_s: float, force_n: float, stiffness_n_m: float) -> None:
+        motor = self.motors[axis]
+        direction, zero_rad = self._axes[axis]
+        theta = direction * (motor.angle_rad - zero_rad)
+        slope = direction * self._linkage.slope_m_rad(theta)
+        torque = motor.torque_nm(dt_s) + slope * force_n
+        velocity = motor.velocity_rad_s
+        friction = motor.friction_nm
+        if velocity == 0.0:
+            if abs(torque) <= self._stiction_ratio * friction:
+                return
+            torque -= math.copysign(friction, torque)
+        else:
+            torque -= math.copysign(friction, velocity)
+        inertia = motor.inertia_kg_m2 + FINGER_INERTIA_KG_M2
+        new = (inertia * velocity + dt_s * torque) / (
+            inertia + dt_s * motor.viscous_nm_s + dt_s * dt_s * slope * slope * stiffness_n_m
+        )
+        if new * velocity < 0.0:
+            new = 0.0
+        theta += direction * new * dt_s
+        if theta < self._lower_rad:
+            theta, new = self._lower_rad, 0.0
+        elif theta > self._upper_rad:
+            theta, new = self._upper_rad, 0.0
+        motor.velocity_rad_s = new
+        motor.angle_rad = zero_rad + direction * theta
+
+    def _half_opening_m(self, axis: int) -> float:
+        direction, zero_rad = self._axes[axis]
+        theta = direction * (self.motors[axis].angle_rad - zero_rad)
+        return max(0.0, self._linkage.half_opening_m(theta))

@@ -1,0 +1,262 @@
+"""DYNAMIXEL Protocol 2.0 on the wire: checksum, byte stuffing, packets and a strict parser.
+
+Source: ROBOTIS e-Manual, "DYNAMIXEL Protocol 2.0". An instruction packet is
+``FF FF FD 00 | ID | LEN | INST | parameters | CRC``, a status packet has 55 as its instruction and
+the error byte as its first parameter. From INST to the last parameter an FD is inserted after every
+``FF FF FD``; LEN and CRC count the inserted bytes. Only the status packets of the fast reads are
+not stuffed.
+"""
+
+import struct
+from collections.abc import Sequence
+from enum import IntEnum
+from typing import NamedTuple
+
+HEADER = b"\xff\xff\xfd"
+"""First three bytes of a packet; a byte that is not FD follows."""
+BROADCAST_ID = 0xFE
+"""ID of all servos."""
+MAX_ID = 252
+"""Largest ID of a single servo."""
+STATUS = 0x55
+"""Instruction code of a status packet."""
+MAX_LENGTH = 1024
+"""Largest LEN of a packet; the parser takes a larger one for the mark of a damaged header."""
+
+_START = HEADER + b"\x00"
+_ID_AND_LENGTH = struct.Struct("<BH")
+_STUFFED = HEADER + b"\xfd"
+_OVERHEAD = 7
+"""Bytes before INST: header, reserved byte, ID, LEN."""
+_CRC_SIZE = 2
+FAST_BLOCK_OVERHEAD = 4
+"""Bytes of one servo in a joint status beside its data: error, ID, CRC."""
+_CRC_POLYNOMIAL = 0x8005
+"""Polynomial of the CRC-16 (e-Manual, "CRC Calculation")."""
+
+
+def words(data: bytes | bytearray) -> tuple[int, ...]:
+    """Return the 16-bit unsigned numbers, low byte first, of which bytes consist."""
+    return struct.unpack(f"<{len(data) // 2}H", data)
+
+
+class Instruction(IntEnum):
+    """Instruction codes of Protocol 2.0 that a servo carries out."""
+
+    PING = 0x01
+    READ = 0x02
+    WRITE = 0x03
+    REG_WRITE = 0x04
+    ACTION = 0x05
+    FACTORY_RESET = 0x06
+    REBOOT = 0x08
+    CLEAR = 0x10
+    BACKUP = 0x20
+    SYNC_READ = 0x82
+    SYNC_WRITE = 0x83
+    FAST_SYNC_READ = 0x8A
+    BULK_READ = 0x92
+    BULK_WRITE = 0x93
+    FAST_BULK_READ = 0x9A
+
+
+class StatusError(IntEnum):
+    """Error numbers in bits 0 to 6 of the error byte of a status packet."""
+
+    NONE = 0
+    RESULT_FAIL = 1
+    INSTRUCTION = 2
+    CRC = 3
+    DATA_RANGE = 4
+    DATA_LENGTH = 5
+    DATA_LIMIT = 6
+    ACCESS = 7
+
+
+ALERT = 0x80
+"""Bit 7 of the error byte: Hardware Error Status is not zero."""
+
+
+def _crc_table() -> tuple[int, ...]:
+    table = []
+    for byte in range(256):
+        value = byte << 8
+        for _ in range(8):
+            value = (value << 1) ^ _CRC_POLYNOMIAL if value & 0x8000 else value << 1
+        table.append(value & 0xFFFF)
+    return tuple(table)
+
+
+_CRC_TABLE = _crc_table()
+
+
+def crc16(data: bytes | bytearray, initial: int = 0) -> int:
+    """Return the CRC-16 of Protocol 2.0 (polynomial 8005, initial value 0, no reflection).
+
+    ``initial`` continues a checksum over bytes that came before.
+    """
+    crc = initial
+    table = _CRC_TABLE
+    for byte in data:
+        crc = ((crc & 0xFF) << 8) ^ table[(crc >> 8) ^ byte]
+    return crc
+
+
+def stuff(body: bytes) -> bytes:
+    """Insert an FD after every ``FF FF FD`` of ``body`` (INST to last parameter)."""
+    return body.replace(HEADER, _STUFFED)
+
+
+def unstuff(body: bytes) -> bytes:
+    """Remove the FD after every ``FF FF FD`` of ``body``; the inverse of `stuff`."""
+    return body.replace(_STUFFED, HEADER)
+
+
+def _packet(packet_id: int, body: bytes) -> bytes:
+    length = len(body) + _CRC_SIZE
+    head = _START + _ID_AND_LENGTH.pack(packet_id, length) + body
+    return head + crc16(head).to_bytes(_CRC_SIZE, "little")
+
+
+def encode_instruction(packet_id: int, instruction: int, parameters: bytes = b"") -> bytes:
+    """Return the stuffed instruction packet for a servo, or for all with `BROADCAST_ID`."""
+    return _packet(packet_id, stuff(bytes((instruction,)) + parameters))
+
+
+def encode_status(packet_id: int, error: int, parameters: bytes = b"") -> bytes:
+    """Return the stuffed status packet of a servo; ``error`` is the whole error byte."""
+    return _packet(packet_id, stuff(bytes((STATUS, error)) + parameters))
+
+
+class FastBlock(NamedTuple):
+    """The part of one servo in the joint status of a fast read.
+
+    Attributes
+    ----------
+    servo_id
+        The servo.
+    error
+        Its error byte.
+    data
+        What it read; its length is the one asked for.
+    """
+
+    servo_id: int
+    error: int
+    data: bytes
+
+
+def encode_fast_status(lengths: Sequence[int], blocks: Sequence[FastBlock]) -> tuple[bytes, ...]:
+    """Return the pieces of one joint status, one for each servo that answers, not stuffed.
+
+    ``lengths`` are the data lengths of all servos that were asked, in the order of the request:
+    LEN counts them even if fewer ``blocks`` follow, because each servo only adds its own piece.
+    The checksum of each piece covers everything before it, earlier checksums included.
+    """
+    length = 1 + sum(lengths) + FAST_BLOCK_OVERHEAD * len(lengths)
+    lead = _START + _ID_AND_LENGTH.pack(BROADCAST_ID, length) + bytes((STATUS,))
+    crc = 0
+    pieces = []
+    for block in blocks:
+        piece = lead + bytes((block.error, block.servo_id)) + block.data
+        crc = crc16(piece, crc)
+        tail = crc.to_bytes(_CRC_SIZE, "little")
+        crc = crc16(tail, crc)
+        pieces.append(piece + tail)
+        lead = b""
+    return tuple(pieces)
+
+
+class Packet(NamedTuple):
+    """One packet as the parser found it.
+
+    Attributes
+    ----------
+    packet_id
+        ID field: 0 to 252 or `BROADCAST_ID`.
+    instruction
+        Instruction code; `STATUS` for a status packet.
+    parameters
+        Parameters with the stuffing removed (error byte first in a status packet).
+    intact
+        False when the checksum is wrong: nothing in the packet may be used.
+    """
+
+    packet_id: int
+    instruction: int
+    parameters: bytes
+    intact: bool
+
+
+class PacketParser:
+    """Finds packets in a stream of bytes, as strictly as a servo does.
+
+    A header is ``FF FF FD`` not followed by FD, wherever it stands: one inside a packet means that
+    the packet was cut off (or was not stuffed) and that a new one starts there. After a wrong
+    checksum the search goes on at the last bytes of the packet, because the packet may have lost
+    some and swallowed the head of its successor.
+    """
+
+    __slots__ = ("_buffer",)
+
+    def __init__(self) -> None:
+        self._buffer = b""
+
+    def reset(self) -> None:
+        """Forget what came of a packet that is not complete."""
+        self._buffer = b""
+
+    def push(self, data: bytes) -> list[Packet]:
+        """Take bytes from the wire and return the packets that they complete, in order."""
+        buffer = self._buffer + data
+        packets: list[Packet] = []
+        start = 0
+        while True:
+            found = self._next_header(buffer, start)
+            if found < 0:
+                start = max(start, len(buffer) - 2)
+                break
+            start = found
+            if len(buffer) < start + _OVERHEAD:
+                break
+            _, length = _ID_AND_LENGTH.unpack_from(buffer, start + len(_START))
+            if not 3 <= length <= MAX_LENGTH:
+                start += 1
+                continue
+            end = start + _OVERHEAD + length
+            inner = self._next_header(buffer, start + 4, end - _CRC_SIZE)
+            if inner >= 0:
+                start = inner
+                continue
+            if len(buffer) < end:
+                break
+            packet = self._take(buffer[start:end])
+            packets.append(packet)
+            start = end if packet.intact else max(start + 4, end - 4)
+        self._buffer = buffer[start:]
+        return packets
+
+    @staticmethod
+    def _next_header(buffer: bytes, start: int, end: int | None = None) -> int:
+        """Return where the next header starts whose FD lies before ``end``, -1 without one."""
+        while True:
+            start = buffer.find(HEADER, start, end)
+            if start < 0:
+                return -1
+            if start + 3 < len(buffer):
+                following = buffer[start + 3]
+                if following == 0 or (end is not None and following != 0xFD):
+                    return start
+            elif end is None:
+                return start
+            else:
+                return -1
+            start += 3
+
+    @staticmethod
+    def _take(raw: bytes) -> Packet:
+        body = raw[_OVERHEAD:-_CRC_SIZE]
+        intact = crc16(raw[:-_CRC_SIZE]) == int.from_bytes(raw[-_CRC_SIZE:], "little")
+        if HEADER in body:
+            body = unstuff(body)
+        return Packet(raw[len(_START)], body[0], body[1:], intact)

@@ -1,0 +1,124 @@
+"""The foam on a pad: what a rigid surface that is pressed into it meets.
+
+The foam is a bed of columns side by side, each with the non-linear law of an elastomeric foam: at
+first linear, then stiffening as its cells close (densification). Between the surface and the
+electrodes below, the pressure spreads; `simulator.world.taxels` does that.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.errors import SimulatorSettingsError, require_positive
+
+TABLE_STEP_M = 10e-6
+"""Spacing of the depths for which the force is worked out ahead, in m: 1/300 of the foam."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Foam:
+    """A sheet of conductive foam.
+
+    Attributes
+    ----------
+    thickness_m
+        Thickness of the sheet in m; the paper's pads have 3 mm.
+    modulus_pa
+        Young's modulus at small strain in Pa: 150 kPa, the only reading of the paper's threshold
+        (4.9 kPa at 3.3 % strain) that is a foam.
+    densification
+        How fast it stiffens: at a strain of one half the secant modulus is ``1 + densification``
+        times the modulus.
+    limit_strain
+        From here on the law goes on along its tangent.
+    spread_m
+        Standard deviation in m of the spreading of a pressure on its way through the sheet: about
+        half the thickness.
+    """
+
+    thickness_m: float = 3e-3
+    modulus_pa: float = 150e3
+    densification: float = 0.5
+    limit_strain: float = 0.9
+    spread_m: float = 1.5e-3
+
+    def __post_init__(self) -> None:
+        require_positive(
+            thickness_m=self.thickness_m, modulus_pa=self.modulus_pa, spread_m=self.spread_m
+        )
+        if not (math.isfinite(self.densification) and self.densification >= 0.0):
+            raise SimulatorSettingsError(
+                f"foam: densification is {self.densification}, must be at least 0"
+            )
+        if not 0.0 < self.limit_strain < 1.0:
+            raise SimulatorSettingsError(
+                f"foam: limit_strain is {self.limit_strain}, must be within (0, 1)"
+            )
+
+    def pressure_pa(self, indentation_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the pressure in Pa of columns that are pressed in by ``indentation_m``.
+
+        With strain e the pressure is E e (1 + d (e / (1 - e))^2); no pull at negative indentation.
+        """
+        strain = np.maximum(indentation_m, 0.0) / self.thickness_m
+        bent = np.minimum(strain, self.limit_strain)
+        closing = bent / (1.0 - bent)
+        stress = bent * (1.0 + self.densification * closing**2)
+        limit_closing = self.limit_strain / (1.0 - self.limit_strain)
+        tangent = 1.0 + self.densification * limit_closing**2 * (
+            1.0 + 2.0 / (1.0 - self.limit_strain)
+        )
+        pressure: NDArray[np.float64] = self.modulus_pa * (stress + tangent * (strain - bent))
+        return pressure
+
+
+class ForceTable:
+    """Force over depth of one rigid surface against one pad, worked out ahead.
+
+    Parameters
+    ----------
+    foam
+        The pad's foam.
+    reach_m
+        Reach of the surface towards the pad in m over a grid, -inf where there is none.
+    cell_area_m2
+        Area of a cell of the grid in m².
+
+    Attributes
+    ----------
+    reach_max_m
+        Highest point of the surface in m.
+    """
+
+    __slots__ = ("_force_n", "_last", "_stiffness_n_m", "reach_max_m")
+
+    def __init__(self, foam: Foam, reach_m: NDArray[np.float64], cell_area_m2: float) -> None:
+        surface_m = reach_m[np.isfinite(reach_m)]
+        if surface_m.size == 0:
+            raise SimulatorSettingsError(
+                "the object lies beside the pad: nothing of it can be pressed"
+            )
+        self.reach_max_m = float(surface_m.max())
+        depth_m = np.arange(0.0, foam.thickness_m + TABLE_STEP_M, TABLE_STEP_M)
+        lag_m = self.reach_max_m - np.sort(surface_m)[::-1]
+        force_n = np.array(
+            [
+                foam.pressure_pa(d_m - lag_m[: np.searchsorted(lag_m, d_m, side="right")]).sum()
+                for d_m in depth_m
+            ]
+        )
+        force_n *= cell_area_m2
+        # Plain floats: looking one up costs a tenth of indexing an array.
+        self._force_n: list[float] = force_n.tolist()
+        self._stiffness_n_m: list[float] = (np.diff(force_n) / TABLE_STEP_M).tolist()
+        self._last = len(self._stiffness_n_m) - 1
+
+    def lookup(self, depth_m: float) -> tuple[float, float]:
+        """Return force in N and stiffness in N/m when the highest point is ``depth_m`` m deep."""
+        if depth_m <= 0.0:
+            return 0.0, 0.0
+        i = min(int(depth_m / TABLE_STEP_M), self._last)
+        stiffness_n_m = self._stiffness_n_m[i]
+        return self._force_n[i] + stiffness_n_m * (depth_m - i * TABLE_STEP_M), stiffness_n_m

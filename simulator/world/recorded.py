@@ -1,0 +1,131 @@
+"""A world that plays recorded grasps: real frames over the simulated links."""
+
+import math
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from simulator.clock import ROUNDING_S
+from simulator.errors import SimulatorSettingsError
+from simulator.world.world import STEP_S
+from tactile.layout import TaxelLayout
+
+
+class DrivenFingers(Protocol):
+    """Mechanics as a recorded world needs them."""
+
+    def drive_to(self, aperture_m: float) -> None:
+        """Put both fingers at the recorded aperture in m."""
+        ...
+
+    def step(
+        self,
+        dt_s: float,
+        contact_force_n: tuple[float, float],
+        contact_stiffness_n_m: tuple[float, float],
+    ) -> None:
+        """Move on by ``dt_s`` s."""
+        ...
+
+
+class RecordedWorld:
+    """Plays one recorded grasp: each scan takes its next frame and the fingers go along.
+
+    Before a grasp is loaded the pads read zero. After its last frame that frame stays: the hand
+    still holds; once `remaining` is 0 the next grasp is due. A record has no contact forces, so
+    `contact_force_n` is zero and the servos' currents are those of the free fingers.
+
+    Parameters
+    ----------
+    layout
+        The taxels that the frames belong to.
+    fingers
+        The mechanics that follow the recorded aperture.
+    start_s
+        Time at the start in s.
+    """
+
+    __slots__ = ("_aperture_m", "_counts", "_fingers", "_frame", "_layout", "_next", "_time_s")
+
+    def __init__(
+        self, layout: TaxelLayout, fingers: DrivenFingers, *, start_s: float = 0.0
+    ) -> None:
+        self._layout = layout
+        self._fingers = fingers
+        self._time_s = start_s
+        self._counts = np.zeros((0, layout.n_taxels), dtype=np.uint16)
+        self._aperture_m: list[float] = []
+        self._frame = np.zeros(layout.n_taxels, dtype=np.uint16)
+        self._next = 0
+
+    @property
+    def remaining(self) -> int:
+        """Number of frames of the loaded grasp that no scan has taken yet."""
+        return len(self._counts) - self._next
+
+    def load(self, counts: ArrayLike, aperture_m: ArrayLike) -> None:
+        """Take a grasp to play from its first frame; the fingers go to its first aperture.
+
+        Parameters
+        ----------
+        counts : (n, n_taxels) unsigned
+            Frames in the order of time.
+        aperture_m : (n,) float
+            Opening between the fingers in m; NaN leaves the fingers where they are.
+
+        Raises
+        ------
+        SimulatorSettingsError
+            If shapes or values do not fit the layout.
+        """
+        frames = np.array(counts)
+        openings_m = np.array(aperture_m, dtype=np.float64)
+        n_taxels, adc_max = self._layout.n_taxels, self._layout.adc_max
+        if frames.ndim != 2 or frames.shape[1] != n_taxels or len(frames) == 0:
+            raise SimulatorSettingsError(
+                f"counts have shape {frames.shape}, layout {self._layout.name} needs "
+                f"(n, {n_taxels}) with n of at least 1"
+            )
+        if openings_m.shape != (len(frames),):
+            raise SimulatorSettingsError(
+                f"aperture_m has shape {openings_m.shape}, expected ({len(frames)},)"
+            )
+        if not np.issubdtype(frames.dtype, np.integer):
+            raise SimulatorSettingsError(f"counts are {frames.dtype}, expected integers")
+        if int(frames.min()) < 0 or int(frames.max()) > adc_max:
+            raise SimulatorSettingsError(
+                f"counts span {frames.min()} to {frames.max()}, "
+                f"layout {self._layout.name} allows 0 to {adc_max}"
+            )
+        self._counts = frames.astype(np.uint16)
+        self._aperture_m = openings_m.tolist()
+        self._next = 0
+        self._drive()
+
+    def advance_to(self, now_s: float) -> None:
+        """Let the servos' time pass until ``now_s`` s."""
+        while self._time_s + STEP_S <= now_s + ROUNDING_S:
+            self._time_s += STEP_S
+            self._fingers.step(STEP_S, (0.0, 0.0), (0.0, 0.0))
+
+    def skip_to(self, now_s: float) -> None:
+        """Leave out the time until ``now_s`` s: nothing has happened meanwhile."""
+        self._time_s = max(self._time_s, now_s)
+
+    def contact_force_n(self) -> tuple[float, float]:
+        """Return zeros: the record has no contact forces."""
+        return 0.0, 0.0
+
+    def scan(self) -> NDArray[np.uint16]:
+        """Take the next frame of the grasp, or the last one again; counts (n_taxels,)."""
+        if self._next < len(self._counts):
+            self._drive()
+            self._frame = self._counts[self._next]
+            self._next += 1
+        return self._frame.copy()
+
+    def _drive(self) -> None:
+        aperture_m = self._aperture_m[self._next]
+        if not math.isnan(aperture_m):
+            self._fingers.drive_to(aperture_m)

@@ -1,0 +1,192 @@
+"""Taxels of a pad: from the pressure on the foam to counts, with the noise of the converter."""
+
+import math
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.errors import SimulatorSettingsError
+from simulator.world.foam import Foam
+from tactile.layout import Pad
+
+NoiseKind = Literal["clipped_normal", "symmetric", "uniform", "none"]
+
+_SIGMA_COUNTS = 10.0
+"""Standard deviation of the normal distribution in counts; the paper names none."""
+_LEAST_COUNTS, _LIMIT_COUNTS = 1.0, 20.0
+"""The paper's range of the noise in counts."""
+_FULL_SCALE_COUNTS = 255.0
+"""Full scale of the paper's converter in counts."""
+_LEVEL_MAX = 4.0
+"""Largest factor on the noise: a third of full scale, more drowns any touch."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NoiseModel:
+    """Noise of the converter, new for each taxel and each frame.
+
+    The paper adds "values from a normal distribution in the range [1, 20]" to counts of 8 bit. A
+    normal variable has no such range, so there are readings to choose from; all are scaled with
+    the converter's full scale.
+
+    Attributes
+    ----------
+    kind
+        ``clipped_normal``: the magnitude of N(0, 10) clipped to [1, 20], never negative.
+        ``symmetric``: N(0, 10) clipped to [-20, 20]. ``uniform``: even over [1, 20].
+        ``none``: nothing.
+    level
+        Factor from 0 to 4 on all of it; 1 is the paper's upper limit, 8 % of full scale.
+    """
+
+    kind: NoiseKind = "clipped_normal"
+    level: float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.kind not in get_args(NoiseKind):
+            raise SimulatorSettingsError(
+                f"noise kind is {self.kind!r}, must be one of {get_args(NoiseKind)}"
+            )
+        if not (math.isfinite(self.level) and 0.0 <= self.level <= _LEVEL_MAX):
+            raise SimulatorSettingsError(
+                f"noise level is {self.level}, must be from 0 to {_LEVEL_MAX:g}"
+            )
+
+    def sample(self, rng: np.random.Generator, n: int, adc_max: int) -> NDArray[np.float64]:
+        """Return noise in counts for ``n`` taxels of a converter with full scale ``adc_max``."""
+        if self.kind == "none" or self.level == 0.0:
+            return np.zeros(n)
+        if self.kind == "uniform":
+            counts = rng.uniform(_LEAST_COUNTS, _LIMIT_COUNTS, n)
+        else:
+            counts = _SIGMA_COUNTS * rng.standard_normal(n)
+            if self.kind == "clipped_normal":
+                counts = np.clip(np.abs(counts), _LEAST_COUNTS, _LIMIT_COUNTS)
+            else:
+                counts = np.clip(counts, -_LIMIT_COUNTS, _LIMIT_COUNTS)
+        noise: NDArray[np.float64] = counts * (self.level * adc_max / _FULL_SCALE_COUNTS)
+        return noise
+
+
+CELL_M = 0.35e-3
+"""Longest side in m of a cell of the grid on which pressures are worked out."""
+
+RESISTANCE_AT_REST_MOHM = 1.579
+"""Resistance of an untouched taxel in MOhm, equation (11) of the paper."""
+RESISTANCE_DECAY_PER_N = 0.449
+"""Decay of the resistance over the force in 1/N, equation (11) of the paper."""
+
+
+def resistance_mohm(force_n: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the resistance in MOhm of taxels under ``force_n`` N: equation (11), first term.
+
+    The second term is below 1e-10 MOhm at all forces.
+    """
+    resistance: NDArray[np.float64] = RESISTANCE_AT_REST_MOHM * np.exp(
+        -RESISTANCE_DECAY_PER_N * force_n
+    )
+    return resistance
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorLaw:
+    """Law by which force becomes counts; without force the converter reads 0.
+
+    Attributes
+    ----------
+    gain
+        Factor on the force that a taxel feels.
+    full_scale_n
+        Force in N that reads the full scale of a sensor whose counts are proportional to the
+        force; None: equation (11), constant current and an inverting stage.
+    """
+
+    gain: float = 1.0
+    full_scale_n: float | None = None
+
+
+EQUATION_11 = SensorLaw()
+"""The sensor of the paper."""
+
+
+def ideal_counts(
+    force_n: NDArray[np.float64], adc_max: int, law: SensorLaw = EQUATION_11
+) -> NDArray[np.float64]:
+    """Return what the converter reads under ``force_n`` N, before noise, limits and rounding."""
+    felt_n = law.gain * force_n
+    if law.full_scale_n is not None:
+        return adc_max * (felt_n / law.full_scale_n)
+    return adc_max * (1.0 - resistance_mohm(felt_n) / RESISTANCE_AT_REST_MOHM)
+
+
+class PadGrid:
+    """A fine grid over one pad, and how pressure on it reaches the taxels.
+
+    The grid's cells divide the taxels evenly. A pressure on a cell arrives as a Gaussian, mirrored
+    at the pad's edges, so that no force is lost; a taxel feels what falls on its own cell of the
+    layout. Both directions are independent: two small matrices do the spreading and the
+    integration at once.
+
+    Attributes
+    ----------
+    pad
+        The pad.
+    x_m : (n_x, 1) float64
+    y_m : (1, n_y) float64
+        Centres of the grid's cells in the plane of the pad in m.
+    cell_area_m2
+        Area of a cell in m².
+    """
+
+    __slots__ = ("_across", "_along", "cell_area_m2", "pad", "x_m", "y_m")
+
+    def __init__(self, pad: Pad, foam: Foam) -> None:
+        self.pad = pad
+        x_m, self._along = _share_of_taxels(pad.rows, pad.pitch_x_m, foam.spread_m)
+        y_m, across = _share_of_taxels(pad.columns, pad.pitch_y_m, foam.spread_m)
+        self._across = across.T
+        self.x_m = x_m[:, np.newaxis]
+        self.y_m = y_m[np.newaxis, :]
+        self.cell_area_m2 = float((x_m[1] - x_m[0]) * (y_m[1] - y_m[0]))
+
+    def same_points_as(self, other: "PadGrid") -> bool:
+        """Return whether two grids have their cells at the same points of their pads' planes."""
+        return np.array_equal(self.x_m, other.x_m) and np.array_equal(self.y_m, other.y_m)
+
+    def taxel_force_n(
+        self, pressure_pa: NDArray[np.float64], window: tuple[slice, slice]
+    ) -> NDArray[np.float64]:
+        """Return the force in N on each taxel, shape (rows * columns,), row-major.
+
+        Parameters
+        ----------
+        pressure_pa
+            Pressure in Pa on the cells of ``window``; all others carry none.
+        window
+            Rows and columns of the grid.
+        """
+        rows, columns = window
+        force_n: NDArray[np.float64] = (
+            self._along[:, rows] @ pressure_pa @ self._across[columns] * self.cell_area_m2
+        )
+        return force_n.ravel()
+
+
+def _share_of_taxels(
+    n_taxels: int, pitch_m: float, spread_m: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return cell centres (n,) in m and each taxel's share of each cell, (n_taxels, n)."""
+    per_taxel = max(2, math.ceil(pitch_m / CELL_M))
+    half_m = 0.5 * n_taxels * pitch_m
+    edges_m = np.linspace(-half_m, half_m, n_taxels * per_taxel + 1)
+    centres_m = 0.5 * (edges_m[:-1] + edges_m[1:])
+    taxel_edges_m = edges_m[::per_taxel]
+    erf = np.vectorize(math.erf, otypes=[np.float64])
+    share = np.zeros((n_taxels, len(centres_m)))
+    # The mirror images in both edges stand for what would be lost beyond them.
+    for image_m in (centres_m, 2.0 * half_m - centres_m, -2.0 * half_m - centres_m):
+        reached = erf((taxel_edges_m[:, np.newaxis] - image_m) / (math.sqrt(2.0) * spread_m))
+        share += 0.5 * np.diff(reached, axis=0)
+    return centres_m, share / share.sum(axis=0)

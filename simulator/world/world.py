@@ -1,0 +1,240 @@
+"""The world between the fingers: an object floats between two foam pads, time passes in steps."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.clock import ROUNDING_S
+from simulator.errors import SimulatorSettingsError, SimulatorStateError
+from simulator.world.foam import Foam
+from simulator.world.press import Press
+from simulator.world.shape_files import parse_shape
+from simulator.world.shapes import PAPER_OBJECTS, ObjectPose, Shape, resting_pose
+from simulator.world.taxels import EQUATION_11, NoiseModel, PadGrid, SensorLaw, ideal_counts
+from tactile.layout import TaxelLayout
+
+STEP_S = 1e-3
+"""Length of a step of the world in s."""
+
+
+class Fingers(Protocol):
+    """Mechanics that carry the pads, as the world needs them."""
+
+    @property
+    def finger_position_m(self) -> tuple[float, float]:
+        """Half openings in m: distance of each undeformed pad from the centre plane."""
+        ...
+
+    def step(
+        self,
+        dt_s: float,
+        contact_force_n: tuple[float, float],
+        contact_stiffness_n_m: tuple[float, float],
+    ) -> None:
+        """Move on by ``dt_s`` s under the forces in N that push the fingers open."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WorldSettings:
+    """Settings of the world.
+
+    Attributes
+    ----------
+    foam
+        The sheet on each inner pad.
+    law
+        How force becomes counts.
+    noise
+        Noise of the converter.
+    seed
+        Seed of all noise.
+    nest_friction_n
+        Force in N that it takes to move the object along the closing axis: the nest in which it
+        stands holds it that much.
+    objects
+        Objects that can be placed by their name.
+    """
+
+    foam: Foam = field(default_factory=Foam)
+    law: SensorLaw = EQUATION_11
+    noise: NoiseModel = field(default_factory=NoiseModel)
+    seed: int = 0
+    nest_friction_n: float = 0.05
+    objects: Mapping[str, Shape] = field(default_factory=lambda: PAPER_OBJECTS)
+
+
+class PhysicalWorld:
+    """Two opposing pads, moved by servos, and a rigid object that floats between them.
+
+    Nothing here commands a force: the grip is what foam and object push back with at the positions
+    that the mechanics have reached. The other pads touch nothing, and the gripping pads do not
+    touch each other: the mechanics' end stop is where they would meet.
+
+    Parameters
+    ----------
+    layout
+        The taxels; the inner pad of each finger grips.
+    fingers
+        The mechanics that carry the pads; stepped by this world.
+    settings
+        Foam, noise, objects.
+    start_s
+        Time at the start in s.
+    """
+
+    __slots__ = (
+        "_fingers",
+        "_force_n",
+        "_grids",
+        "_layout",
+        "_placed",
+        "_press",
+        "_rng",
+        "_settings",
+        "_stiffness_n_m",
+        "_time_s",
+    )
+
+    def __init__(
+        self,
+        layout: TaxelLayout,
+        fingers: Fingers,
+        settings: WorldSettings | None = None,
+        *,
+        start_s: float = 0.0,
+    ) -> None:
+        self._layout = layout
+        self._fingers = fingers
+        self._settings = settings or WorldSettings()
+        self._grids = tuple(
+            PadGrid(layout.pads[pad], self._settings.foam) for pad in layout.gripping_pads
+        )
+        self._rng = np.random.default_rng(self._settings.seed)
+        self._time_s = start_s
+        self._press: Press | None = None
+        self._placed: tuple[str, ObjectPose] | None = None
+        self._force_n = (0.0, 0.0)
+        self._stiffness_n_m = (0.0, 0.0)
+
+    @property
+    def placed(self) -> tuple[str, ObjectPose] | None:
+        """Name of the object and the pose in which it came to rest, None without one."""
+        return self._placed
+
+    @property
+    def object_z_m(self) -> float:
+        """Position to which the object has floated along the closing axis in m; NaN without one."""
+        return self._press.z_m if self._press else math.nan
+
+    def place(self, label: str, pose: ObjectPose | None = None) -> ObjectPose:
+        """Put an object between the open pads, in the place of the present one.
+
+        Parameters
+        ----------
+        label
+            Name of one of the settings' objects, or a shape as text
+            (`simulator.world.shape_files`).
+        pose
+            Where it goes; by default the pads' centre.
+
+        Returns
+        -------
+        ObjectPose
+            Where it came to rest: a box settles on a face.
+
+        Raises
+        ------
+        SimulatorSettingsError
+            If the shape is unknown or lies beside the pads.
+        SimulatorStateError
+            If the fingers are not open wide enough for it, or hold an object.
+        """
+        if max(self._force_n) > self._settings.nest_friction_n:
+            raise SimulatorStateError(
+                f"the fingers hold an object with {max(self._force_n):.2f} N: release it first"
+            )
+        shape = self._settings.objects.get(label) or parse_shape(label)
+        pose = resting_pose(shape, pose or ObjectPose())
+        press = Press(shape, pose, self._grids, self._settings.foam)
+        near_m, far_m = self._fingers.finger_position_m
+        need_m = press.reach_m
+        if need_m[0] - pose.z_m > near_m or need_m[1] + pose.z_m > far_m:
+            raise SimulatorStateError(
+                f"the pads are {1e3 * near_m:.2f} and {1e3 * far_m:.2f} mm from the centre plane, "
+                f"{label} reaches {1e3 * (need_m[0] - pose.z_m):.2f} and "
+                f"{1e3 * (need_m[1] + pose.z_m):.2f} mm: open the gripper first"
+            )
+        self._press = press
+        self._placed = (label, pose)
+        self._force_n = self._stiffness_n_m = (0.0, 0.0)
+        return pose
+
+    def remove(self) -> None:
+        """Take the object away, also out of closed fingers; without one nothing changes."""
+        self._press = None
+        self._placed = None
+        self._force_n = self._stiffness_n_m = (0.0, 0.0)
+
+    def slide(self, along_m: float) -> None:
+        """Move the object along the fingers by so many m, in the grip or not; off the pads it goes.
+
+        Without an object nothing changes.
+        """
+        if self._placed is None or self._press is None:
+            return
+        label, pose = self._placed
+        pose = replace(pose, x_m=pose.x_m + along_m, z_m=self._press.z_m)
+        shape = self._settings.objects.get(label) or parse_shape(label)
+        try:
+            press = Press(shape, pose, self._grids, self._settings.foam)
+        except SimulatorSettingsError:
+            self.remove()
+            return
+        press.swell_m = self._press.swell_m
+        self._press, self._placed = press, (label, pose)
+
+    def swell(self, thickness_m: float) -> None:
+        """Let the object reach so many m further, half towards each finger; 0 ends it."""
+        if self._press is not None:
+            self._press.swell_m = 0.5 * thickness_m
+
+    def advance_to(self, now_s: float) -> None:
+        """Step the fingers and the object until ``now_s`` s; a rest below a step waits."""
+        fingers = self._fingers
+        while self._time_s + STEP_S <= now_s + ROUNDING_S:
+            self._time_s += STEP_S
+            fingers.step(STEP_S, self._force_n, self._stiffness_n_m)
+            if self._press is not None:
+                self._force_n, self._stiffness_n_m = self._press.settle(
+                    fingers.finger_position_m, self._settings.nest_friction_n
+                )
+
+    def skip_to(self, now_s: float) -> None:
+        """Leave out the time until ``now_s`` s: nothing has happened meanwhile."""
+        self._time_s = max(self._time_s, now_s)
+
+    def contact_force_n(self) -> tuple[float, float]:
+        """Return the force in N with which each pad is pressed; equal up to the nest's friction."""
+        return self._force_n
+
+    def taxel_force_n(self) -> NDArray[np.float64]:
+        """Return the force in N on each taxel at this moment, shape (n_taxels,)."""
+        force_n = np.zeros(self._layout.n_taxels)
+        if self._press is not None and max(self._force_n) > 0.0:
+            position_m = self._fingers.finger_position_m
+            for side, pad in enumerate(self._layout.gripping_pads):
+                force_n[self._layout.taxels_of(pad)] = self._press.taxel_force_n(side, position_m)
+        return force_n
+
+    def scan(self) -> NDArray[np.uint16]:
+        """Convert all taxels: the sensor's law, new noise, rounding; counts (n_taxels,)."""
+        adc_max = self._layout.adc_max
+        counts = ideal_counts(self.taxel_force_n(), adc_max, self._settings.law)
+        counts += self._settings.noise.sample(self._rng, self._layout.n_taxels, adc_max)
+        converted: NDArray[np.uint16] = np.rint(np.clip(counts, 0.0, adc_max)).astype(np.uint16)
+        return converted

@@ -1,0 +1,387 @@
+"""CAN buses: opened, locked and closed, with the traps of python-can's drivers closed.
+
+python-can 4.6 reads a serial adapter byte by byte, takes damaged lines for messages and ends its
+receive thread on others, and does not notice that a socketcand server is gone; its buses have no
+lock against a second program. Subclasses of its drivers mend that here, nothing else is replaced.
+"""
+
+import contextlib
+import fcntl
+import hashlib
+import logging
+import os
+import re
+import select
+import socket
+import tempfile
+import time
+from collections import deque
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import can
+from can.interfaces.slcan import slcanBus
+from can.interfaces.socketcand import SocketCanDaemonBus
+
+from tactile.errors import BusNotOpened
+
+CanBus = can.BusABC
+"""An open bus, for those who pass it on and have no business with python-can."""
+
+_SHARED = ("virtual",)
+"""Interfaces within one program, which need no lock."""
+_ANSWER_S = 2.0
+"""Longest wait in s for the greeting of a socketcand server."""
+_GREETING = b"< hi >"
+_DRIVERS_SOCKET = "_SocketCanDaemonBus__socket"
+"""Attribute of python-can's driver that is its socket."""
+_SEND_TIMEOUT_S = 0.1
+"""Longest wait in s for an adapter to take a message: five frame periods at 50 Hz."""
+_LONGEST_LINE = 32
+"""The longest line of a classic message is T + 8 + 1 + 16 characters, its end and a time stamp."""
+_MESSAGE = re.compile(
+    "(?:[tr][0-7][0-9A-Fa-f]{2}|[TR][01][0-9A-Fa-f]{7})([0-8])((?:[0-9A-Fa-f]{2})*)"
+)
+"""A message of slcan: identifier of 3 or 8 digits, length, data and time stamp."""
+_STAMP_DIGITS = 4
+_FLAGS = re.compile("F([0-9A-Fa-f]{2})")
+"""Answer of a serial adapter to F."""
+_FLAG_PASSIVE = 0x20
+_FLAGS_EVERY_S = 0.05
+"""Period in s of that question: a tenth of the time for which a controller may be passive."""
+_FLAGS_UNANSWERED = 10
+"""An adapter that has not answered so often does not have the command."""
+_ERROR_CONTROLLER, _PASSIVE, _ACTIVE = 0x04, 0x30, 0x40
+"""Error frame as SocketCAN makes it: class of the identifier, and data byte 1."""
+_MESSAGE_KINDS = frozenset("tTrRdDbBx")
+"""First letters of what the driver takes for messages; d, D, b, B are CAN FD, x is not standard."""
+
+
+class BusLock:
+    """Lock file of a CAN interface or of its adapter's port: one program at a time.
+
+    The exclusive mode of a serial port does not keep out a program with the rights of an
+    administrator, and a CAN interface of the system has none: both programs would command the same
+    control unit. The operating system drops the lock when the program ends.
+
+    Parameters
+    ----------
+    interface, channel
+        As for `tactile.can.bus.open_bus`.
+
+    Raises
+    ------
+    OSError
+        BlockingIOError when another program holds it; FileNotFoundError for a serial port that is
+        not there.
+    """
+
+    def __init__(self, interface: str, channel: str) -> None:
+        self._handle: int | None = None
+        if interface in _SHARED:
+            return
+        # The lock follows the device, not the link that names it; servo ports have the same.
+        name = os.path.realpath(channel, strict=True) if interface == "slcan" else channel
+        digest = hashlib.sha256(name.encode()).hexdigest()[:16]
+        handle = _open_lock_file(Path(tempfile.gettempdir()) / f"serial-port-{digest}.lock")
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BaseException:
+            os.close(handle)
+            raise
+        self._handle = handle
+
+    def release(self) -> None:
+        """Give the lock back; a second time nothing happens."""
+        if self._handle is not None:
+            os.close(self._handle)
+            self._handle = None
+
+
+def _open_lock_file(path: Path) -> int:
+    """Open a lock file, also one that another user has made."""
+    flags = os.O_RDONLY | os.O_CLOEXEC | os.O_NOFOLLOW
+    with suppress(FileNotFoundError):
+        return os.open(path, flags)
+    return os.open(path, flags | os.O_CREAT, 0o644)
+
+
+class WatchedSocketcandBus(SocketCanDaemonBus):
+    """socketcand client that raises ``can.CanOperationError`` when its server is gone.
+
+    The driver it derives from takes a closed connection for silence and spins on it.
+    """
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        message: can.Message | None
+        message, filtered = super()._recv_internal(timeout)  # type: ignore[no-untyped-call]
+        if message is None:
+            self._check_server()
+        return message, filtered
+
+    def _check_server(self) -> None:
+        connection: socket.socket = vars(self)[_DRIVERS_SOCKET]
+        with contextlib.suppress(BlockingIOError):
+            if not connection.recv(1, socket.MSG_PEEK | socket.MSG_DONTWAIT):
+                raise can.CanOperationError("the socketcand server has closed the connection")
+
+
+def open_socketcand(address: str) -> can.BusABC:
+    """Connect to a socketcand server.
+
+    Parameters
+    ----------
+    address
+        ``HOST:PORT/CHANNEL``.
+
+    Raises
+    ------
+    OSError, ValueError, can.CanError
+        When the address is none, or the server refuses or does not answer within 2 s.
+    """
+    place, _, channel = address.partition("/")
+    host, _, port = place.rpartition(":")
+    if not channel or not host:
+        raise ValueError("not of the form HOST:PORT/CHANNEL")
+    with socket.create_connection((host, int(port)), _ANSWER_S) as knock:
+        # The driver tries for 10 s to reach a server that refuses, and waits without end for one
+        # that accepts but is stopped.
+        if knock.recv(len(_GREETING)) != _GREETING:
+            raise can.CanInitializationError("the server does not speak socketcand")
+    # Each message that two packets share is a warning there.
+    logging.getLogger("can.interfaces.socketcand").setLevel(logging.ERROR)
+    return WatchedSocketcandBus(  # type: ignore[no-untyped-call]
+        channel, host=host, port=int(port), tcp_tune=True
+    )
+
+
+def _is_whole(line: str) -> bool:
+    """Return whether a line is one message with as many data as its length; a stamp may follow.
+
+    python-can's own parsing takes signs, blanks and underscores in numbers, identifiers beyond
+    29 bits, and data that are shorter than their length.
+    """
+    match = _MESSAGE.fullmatch(line)
+    if match is None:
+        return False
+    digits = 0 if line[0] in "rR" else 2 * int(match[1])
+    return len(match[2]) in (digits, digits + _STAMP_DIGITS)
+
+
+class BulkSlcanBus(slcanBus):
+    """slcan that reads what is there at once, and survives damaged lines.
+
+    The driver it derives from reads byte by byte (92 µs a message), waits 2 s after opening, waits
+    without end for the adapter to take its output, and raises for ever on one bad character. Here
+    bad lines are dropped and counted; a failing port still raises ``can.CanOperationError``. A
+    serial adapter has no error frames: it is asked for its flags 20 times a second, and one that
+    becomes error-passive, or active again, gives an error frame as SocketCAN does.
+
+    Parameters
+    ----------
+    channel
+        Serial port.
+    bitrate
+        CAN bit rate in bit/s.
+    tty_baudrate
+        Speed of the serial port in baud.
+    """
+
+    def __init__(self, channel: str, *, bitrate: int, tty_baudrate: int) -> None:
+        self._lines: deque[str] = deque()
+        self._changes: deque[can.Message] = deque()
+        self._passing_over = False
+        self._passive = False
+        self._flags_due_s = time.monotonic()
+        self._flags_unanswered = 0
+        self.bad_lines = 0
+        super().__init__(
+            channel, bitrate=bitrate, tty_baudrate=tty_baudrate, sleep_after_open=0.0, timeout=0.0
+        )
+
+    def set_bitrate(self, bitrate: int, data_bitrate: int | None = None) -> None:
+        """Lock the port, then set the bit rate in bit/s: the first command to the adapter."""
+        try:
+            self.serialPortOrig.exclusive = True
+        except OSError:
+            self.serialPortOrig.close()
+            raise
+        super().set_bitrate(bitrate, data_bitrate)
+
+    def _write(self, string: str) -> None:
+        with can.exceptions.error_check("the serial port of the CAN adapter cannot be written"):
+            self.serialPortOrig.write(string.encode("ascii") + self.LINE_TERMINATOR)
+
+    def _read(self, timeout: float | None) -> str | None:
+        if not self._lines:
+            with can.exceptions.error_check("the serial port of the CAN adapter cannot be read"):
+                if select.select([self.serialPortOrig.fileno()], [], [], timeout)[0]:
+                    # Zero bytes on a readable port mean that its other end is gone: raises.
+                    self._buffer += self.serialPortOrig.read(self.serialPortOrig.in_waiting or 1)
+            self._split()
+        return self._lines.popleft() if self._lines else None
+
+    def _split(self) -> None:
+        """Take the whole lines out of what was read; of an overlong line the end, too, is bad."""
+        *lines, rest = self._buffer.replace(b"\a", b"\r").split(b"\r")
+        self._buffer = bytearray(rest)
+        if lines and self._passing_over:
+            del lines[0]
+            self._passing_over = False
+        if len(rest) > _LONGEST_LINE or self._passing_over:
+            self.bad_lines += not self._passing_over
+            self._buffer.clear()
+            self._passing_over = True
+        for line in lines:
+            text = line.decode("ascii", errors="replace")
+            if flags := _FLAGS.fullmatch(text):
+                self._take_flags(int(flags[1], 16))
+            elif text[:1] in _MESSAGE_KINDS and not _is_whole(text):
+                self.bad_lines += 1
+            elif text:  # empty lines acknowledge commands
+                self._lines.append(text)
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        self._ask_for_flags()
+        while True:
+            if self._changes:
+                return self._changes.popleft(), False
+            try:
+                message, filtered = super()._recv_internal(timeout)
+            except (ValueError, IndexError, KeyError):
+                self.bad_lines += 1
+            else:
+                if message is not None or not (self._lines or self._changes):
+                    return message, filtered
+            timeout = 0.0
+
+    def _ask_for_flags(self) -> None:
+        now_s = time.monotonic()
+        if now_s >= self._flags_due_s and self._flags_unanswered < _FLAGS_UNANSWERED:
+            self._flags_due_s = now_s + _FLAGS_EVERY_S
+            self._flags_unanswered += 1
+            self._write("F")
+
+    def _take_flags(self, flags: int) -> None:
+        """Make an error frame if the controller became error-passive or active again."""
+        self._flags_unanswered = 0
+        passive = bool(flags & _FLAG_PASSIVE)
+        if passive == self._passive:
+            return
+        self._passive = passive
+        state = _PASSIVE if passive else _ACTIVE
+        frame = can.Message(
+            arbitration_id=_ERROR_CONTROLLER,
+            is_extended_id=False,
+            is_error_frame=True,
+            data=bytes((0, state, 0, 0, 0, 0, 0, 0)),
+        )
+        self._changes.append(frame)
+
+    def shutdown(self) -> None:
+        """Close channel and port; the port also when the adapter is gone."""
+        try:
+            super().shutdown()
+        finally:
+            self.serialPortOrig.close()
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Send a message; ``can.CanOperationError`` if the adapter does not take it in 0.1 s."""
+        super().send(msg, _SEND_TIMEOUT_S if timeout is None else timeout)
+
+
+def open_bus(
+    interface: str,
+    channel: str,
+    *,
+    bitrate: int = 500_000,
+    tty_baudrate: int = 1_000_000,
+) -> can.BusABC:
+    """Open a CAN bus; configuration files and environment variables of python-can do not count.
+
+    Parameters
+    ----------
+    interface
+        python-can's name: ``socketcan``, ``slcan``, ``socketcand``, ``virtual``, ...
+    channel
+        Interface or port; for ``socketcand`` as ``HOST:PORT/CHANNEL``.
+    bitrate
+        CAN bit rate in bit/s. SocketCAN interfaces have theirs from the system.
+    tty_baudrate
+        Speed of the serial port of an ``slcan`` adapter in baud.
+
+    Raises
+    ------
+    BusNotOpened
+        When the bus cannot be opened; the message names what to check.
+    """
+    try:
+        lock = BusLock(interface, channel)
+        try:
+            bus = _open(interface, channel, bitrate=bitrate, tty_baudrate=tty_baudrate)
+        except BaseException:
+            lock.release()
+            raise
+        return _holding(bus, lock)
+    except BlockingIOError as error:
+        raise BusNotOpened(
+            f"CAN interface {interface!r}, channel {channel!r}, is used by another program of this "
+            "kind: end that program first"
+        ) from error
+    except (can.CanError, OSError, ValueError, NotImplementedError, ImportError) as error:
+        cause = error.__cause__ or error
+        raise BusNotOpened(
+            f"CAN interface {interface!r}, channel {channel!r}, cannot be opened: {cause}. "
+            f"{_ADVICE.get(interface, 'Check the names of interface and channel')}"
+        ) from error
+
+
+def _open(interface: str, channel: str, *, bitrate: int, tty_baudrate: int) -> can.BusABC:
+    if interface == "slcan":
+        return BulkSlcanBus(channel, bitrate=bitrate, tty_baudrate=tty_baudrate)
+    options: dict[str, Any] = {"bitrate": bitrate}
+    if interface == "socketcan":
+        # The driver would leave a socket open where there is no such interface.
+        socket.if_nametoindex(channel)
+        options = {}
+    elif interface == "socketcand":
+        return open_socketcand(channel)
+    return can.Bus(channel, interface=interface, ignore_config=True, **options)
+
+
+def _holding(bus: can.BusABC, lock: BusLock) -> can.BusABC:
+    """Have the bus give its lock back when it is shut down."""
+    shutdown = bus.shutdown
+
+    def shut_down_and_release() -> None:
+        try:
+            shutdown()
+        finally:
+            lock.release()
+
+    bus.shutdown = shut_down_and_release  # type: ignore[method-assign]
+    return bus
+
+
+_ADVICE = {
+    "slcan": "Check that the adapter is plugged in, that the port is its port, that no other "
+    "program has it open, and that you may read and write it (group dialout)",
+    "socketcan": "Check `ip link`: the interface must exist and be up, with the bit rate set "
+    "(ip link set CHANNEL up type can bitrate RATE)",
+    "socketcand": "Check that the server runs and that the channel is written HOST:PORT/CHANNEL",
+}
+"""Advice by interface for a bus that cannot be opened."""
+
+
+def bad_lines(bus: can.BusABC) -> int:
+    """Return how many damaged lines a bus behind a serial adapter has dropped; 0 for others."""
+    return bus.bad_lines if isinstance(bus, BulkSlcanBus) else 0
+
+
+def close_bus(bus: can.BusABC) -> None:
+    """Close a bus in whatever state it is; errors of an adapter that is gone are passed over."""
+    try:
+        bus.shutdown()
+    except (can.CanError, OSError):
+        return

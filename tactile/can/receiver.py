@@ -1,0 +1,191 @@
+"""Sources of received CAN messages: a bus that is asked directly, or one supervised thread."""
+
+import threading
+from collections import deque
+from typing import Protocol
+
+import can
+
+from tactile.clock import Clock
+from tactile.errors import BusOff, ReceiveLoopDead
+
+Stamped = tuple[float, can.Message]
+"""Monotonic time of reception in s, and the message."""
+_POLL_S = 0.0005
+"""Longest pause in s between two looks at a bus or a queue: four messages at 1 Mbit/s."""
+_RECEIVE_S = 0.05
+"""Longest wait in s of the thread for a message: so fast it ends when it shall."""
+_JOIN_S = 2.0
+"""Longest wait in s for the thread's end."""
+
+
+class MessageSource(Protocol):
+    """Source of messages in the order of reception, each with its monotonic time."""
+
+    def start(self) -> None:
+        """Begin to receive; what came before is dropped."""
+        ...
+
+    def drain(self) -> list[Stamped]:
+        """Return all messages that came since the last call; does not wait.
+
+        Raises BusOff when the interface failed, ReceiveLoopDead when nothing receives any more.
+        """
+        ...
+
+    def wait(self, timeout_s: float) -> None:
+        """Let time pass, at most ``timeout_s``, for messages to come."""
+        ...
+
+    def close(self) -> None:
+        """Stop to receive; does not raise."""
+        ...
+
+
+def interface_failed(error: Exception) -> BusOff:
+    """Return the fault for an error that a CAN interface raised."""
+    return BusOff(
+        f"the CAN interface failed: {str(error) or type(error).__name__}; "
+        "check that the adapter is plugged in and its interface is up, then start the link again"
+    )
+
+
+class PolledSource:
+    """Source that asks the bus in the caller's thread: for buses in memory, in virtual time.
+
+    Parameters
+    ----------
+    bus
+        An open bus.
+    clock
+        Stamps the messages and waits.
+    limit
+        Most messages handed out at once, so that a flooded bus does not hold up the caller.
+    """
+
+    def __init__(self, bus: can.BusABC, clock: Clock, *, limit: int = 4096) -> None:
+        self._bus = bus
+        self._clock = clock
+        self._limit = limit
+
+    def start(self) -> None:
+        """Drop what came before."""
+        while self.drain():
+            pass
+
+    def drain(self) -> list[Stamped]:
+        """Return all messages that came since the last call."""
+        messages: list[Stamped] = []
+        now_s = self._clock.monotonic()
+        try:
+            while len(messages) < self._limit:
+                message = self._bus.recv(0)
+                if message is None:
+                    break
+                messages.append((now_s, message))
+        except (can.CanError, OSError) as error:
+            raise interface_failed(error) from error
+        return messages
+
+    def wait(self, timeout_s: float) -> None:
+        """Sleep for a short while, at most ``timeout_s``."""
+        self._clock.sleep(min(timeout_s, _POLL_S))
+
+    def close(self) -> None:
+        """Nothing to stop."""
+
+
+class ThreadedReceiver:
+    """Source with one thread that stamps and queues messages; its end is a fault, not a silence.
+
+    Parameters
+    ----------
+    bus
+        An open bus whose ``recv`` may block.
+    clock
+        Stamps the messages; real time.
+    limit
+        Most messages that wait to be taken; one more and the receiver gives up.
+    hang_s
+        The receiver counts as hung when it did not come round for this long.
+    """
+
+    def __init__(
+        self, bus: can.BusABC, clock: Clock, *, limit: int = 20_000, hang_s: float = 1.0
+    ) -> None:
+        self._bus = bus
+        self._clock = clock
+        self._limit = limit
+        self._hang_s = hang_s
+        self._queue: deque[Stamped] = deque()
+        self._stop = threading.Event()
+        self._error: Exception | None = None
+        self._overrun = False
+        self._thread: threading.Thread | None = None
+        self._alive_s = 0.0
+
+    def start(self) -> None:
+        """Start the thread; what the bus has received before is dropped."""
+        if self._thread is not None and self._thread.is_alive():
+            raise ReceiveLoopDead("the receive thread runs already; close the link first")
+        PolledSource(self._bus, self._clock).start()
+        self._queue.clear()
+        self._stop.clear()
+        self._error = None
+        self._overrun = False
+        self._alive_s = self._clock.monotonic()
+        self._thread = threading.Thread(target=self._run, name="tactile-receive", daemon=True)
+        self._thread.start()
+
+    def _run(self) -> None:
+        try:
+            while not self._stop.is_set():
+                message = self._bus.recv(_RECEIVE_S)
+                self._alive_s = self._clock.monotonic()
+                if message is None:
+                    continue
+                if len(self._queue) >= self._limit:
+                    self._overrun = True
+                    return
+                self._queue.append((self._alive_s, message))
+        except Exception as error:
+            # Whatever ends the thread is raised by drain().
+            self._error = error
+
+    def drain(self) -> list[Stamped]:
+        """Return all messages that came since the last call."""
+        thread = self._thread
+        if thread is None:
+            raise ReceiveLoopDead("the receive thread is not running; start the link")
+        error = self._error
+        if error is not None:
+            if isinstance(error, can.CanError | OSError):
+                raise interface_failed(error) from error
+            raise ReceiveLoopDead(
+                f"the receive thread ended with {type(error).__name__}: {error}; start the link "
+                "again"
+            ) from error
+        if self._overrun:
+            raise ReceiveLoopDead(
+                f"{self._limit} CAN messages wait to be processed: the host is too slow or the "
+                "bus is flooded; start the link again"
+            )
+        silent_s = self._clock.monotonic() - self._alive_s
+        if silent_s > self._hang_s:
+            raise ReceiveLoopDead(
+                f"the receive thread did not come round for {silent_s:.2f} s, allowed are "
+                f"{self._hang_s:g} s: the CAN driver hangs; unplug the adapter and start again"
+            )
+        queue = self._queue
+        return [queue.popleft() for _ in range(len(queue))]
+
+    def wait(self, timeout_s: float) -> None:
+        """Sleep for a short while, at most ``timeout_s``."""
+        self._clock.sleep(min(timeout_s, _POLL_S))
+
+    def close(self) -> None:
+        """End the thread and wait for it, at most 2 s."""
+        self._stop.set()
+        if self._thread is not None:
+            self._thread.join(_JOIN_S)
+            self._thread = None

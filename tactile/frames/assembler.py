@@ -1,0 +1,203 @@
+"""The assembler of frames from bursts of messages; a frame that is not whole is dropped."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tactile.frames.codec import (
+    CRC_BYTES,
+    INDEX_BITS,
+    MESSAGE_BYTES,
+    PHASE_SHIFT,
+    PHASES,
+    TRAILER,
+    FrameFormat,
+    TactileFrame,
+    crc16,
+)
+
+_COUNTER_MASK = 0xFFFF
+"""The frame counter has 16 bits."""
+_HALF_TURN = 0x8000
+"""A counter that is this much or more ahead of the last one is behind it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameStatistics:
+    """Counts of messages and frames since the last reset.
+
+    Attributes
+    ----------
+    complete
+        Frames handed out.
+    lost
+        Frames missing between two handed out, by their counters.
+    torn
+        Frames begun and given up because messages were missing.
+    duplicate
+        Messages received twice, dropped.
+    reordered
+        Messages received after one with a higher index, or after a newer frame had begun; used.
+    stale
+        Whole frames that were not newer than the last one handed out, dropped.
+    short
+        Messages that are not of 8 bytes, dropped.
+    corrupt
+        Frames or messages refused: wrong CRC, wrong phase, index beyond the burst.
+    """
+
+    complete: int = 0
+    lost: int = 0
+    torn: int = 0
+    duplicate: int = 0
+    reordered: int = 0
+    stale: int = 0
+    short: int = 0
+    corrupt: int = 0
+
+
+class _Burst:
+    """The messages of one frame so far, by index."""
+
+    __slots__ = ("missing", "next_index", "parts", "phase")
+
+    def __init__(self, phase: int, n_messages: int) -> None:
+        self.phase = phase
+        self.parts: list[bytes | None] = [None] * n_messages
+        self.missing = n_messages
+        self.next_index = 0
+
+
+class FrameAssembler:
+    """Collects messages by index, in any order, and hands out whole frames only.
+
+    Two bursts are open at a time: the newest one and the one before it, each with messages of its
+    own phase only, so a message that comes late completes its own frame and never another one. A
+    frame is handed out when all its messages are there, the CRC over all data holds, its counter
+    fits its phase and is newer than the last frame's.
+
+    Parameters
+    ----------
+    frame_format
+        Size of the frames.
+    """
+
+    def __init__(self, frame_format: FrameFormat) -> None:
+        self._format = frame_format
+        self._n = frame_format.n_messages
+        self._long_header = frame_format.header_bytes == 2
+        self._dtype = "<u1" if frame_format.sample_bytes == 1 else "<u2"
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all messages, the last counter and the statistics: the unit starts anew."""
+        self._current: _Burst | None = None
+        self._previous: _Burst | None = None
+        self._last_counter: int | None = None
+        self._complete = self._lost = self._torn = self._duplicate = 0
+        self._reordered = self._stale = self._short = self._corrupt = 0
+
+    @property
+    def statistics(self) -> FrameStatistics:
+        """Counts since the last reset."""
+        return FrameStatistics(
+            complete=self._complete,
+            lost=self._lost,
+            torn=self._torn,
+            duplicate=self._duplicate,
+            reordered=self._reordered,
+            stale=self._stale,
+            short=self._short,
+            corrupt=self._corrupt,
+        )
+
+    @property
+    def n_short(self) -> int:
+        """Messages that were not of 8 bytes; see `FrameStatistics.short`."""
+        return self._short
+
+    def push(self, data: bytes | bytearray, dlc: int, t_s: float) -> TactileFrame | None:
+        """Take one message and return the frame that it completes, if any.
+
+        Parameters
+        ----------
+        data
+            Payload of the message.
+        dlc
+            Length that the message claims; must be 8 and fit ``data``.
+        t_s
+            Monotonic time of reception in s.
+        """
+        if dlc != MESSAGE_BYTES or len(data) != MESSAGE_BYTES:
+            self._short += 1
+            return None
+        head = data[0]
+        index = head & INDEX_BITS
+        if self._long_header:
+            index = index << 8 | data[1]
+        if index >= self._n:
+            self._corrupt += 1
+            return None
+        burst = self._current
+        phase = head >> PHASE_SHIFT
+        if burst is None or burst.phase != phase or burst.parts[index] is not None:
+            burst = self._burst_for(phase, index, data)
+            if burst is None:
+                return None
+        burst.parts[index] = bytes(data)
+        if index < burst.next_index:
+            self._reordered += 1
+        else:
+            burst.next_index = index + 1
+        burst.missing -= 1
+        return None if burst.missing else self._finish(burst, t_s)
+
+    def _burst_for(self, phase: int, index: int, data: bytes | bytearray) -> _Burst | None:
+        """Return the burst that a message out of the usual run belongs to, None to drop it."""
+        for burst in (self._current, self._previous):
+            if burst is None or burst.phase != phase:
+                continue
+            part = burst.parts[index]
+            if part is None:
+                burst.next_index = max(burst.next_index, index + 1)
+                return burst
+            if part == data:
+                self._duplicate += 1
+                return None
+        if self._previous is not None and self._previous.missing:
+            self._torn += 1
+        self._previous = self._current
+        self._current = _Burst(phase, self._n)
+        if self._previous is not None and self._previous.phase == phase:
+            # Same phase, other content: four scans later. The two must not share messages.
+            if self._previous.missing:
+                self._torn += 1
+            self._previous = None
+        return self._current
+
+    def _finish(self, burst: _Burst, t_s: float) -> TactileFrame | None:
+        header = self._format.header_bytes
+        whole = np.frombuffer(b"".join(part for part in burst.parts if part), dtype=np.uint8)
+        payload = whole.reshape(self._n, MESSAGE_BYTES)[:, header:].tobytes()
+        if burst is self._current:
+            # The burst before is over: what of its phase comes now is its late duplicate or, after
+            # two lost frames, a new frame, which must not be compared with it.
+            if self._previous is not None and self._previous.missing:
+                self._torn += 1
+            self._previous = None
+        counter, status, crc = TRAILER.unpack(payload[-TRAILER.size :])
+        if crc16(payload[:-CRC_BYTES]) != crc or counter % PHASES != burst.phase:
+            self._corrupt += 1
+            return None
+        if self._last_counter is not None:
+            step = (counter - self._last_counter) & _COUNTER_MASK
+            if step == 0 or step >= _HALF_TURN:
+                self._stale += 1
+                return None
+            self._lost += step - 1
+        self._last_counter = counter
+        self._complete += 1
+        counts = np.frombuffer(payload, dtype=self._dtype, count=self._format.n_taxels)
+        counts = counts.astype(np.uint16)
+        counts.setflags(write=False)
+        return TactileFrame(t_s=t_s, counter=counter, status=status, counts=counts)

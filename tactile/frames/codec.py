@@ -1,0 +1,167 @@
+"""The codec of the tactile transport: one frame of samples <-> one burst of 8-byte messages. Pure.
+
+A message is a header and data. The header carries the frame's phase (counter modulo 4) in the two
+top bits and the message's index in the burst below: one byte while 64 messages are enough, else two
+(high byte first). The data of all messages of a burst, one after the other, are the samples (u8 or
+u16 little-endian), zero bytes up to the trailer, and the trailer that ends the last message: frame
+counter u16 LE, status u8, and CRC-16/CCITT-FALSE u16 LE over all data before it.
+"""
+
+import binascii
+import struct
+from dataclasses import dataclass
+from enum import IntFlag
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile.errors import FrameError, LayoutError
+from tactile.layout import TaxelLayout
+
+MESSAGE_BYTES = 8
+"""Data bytes of every message: all that a classic CAN message has."""
+TRAILER = struct.Struct("<HBH")
+"""End of the last message: frame counter, status, CRC."""
+CRC_BYTES = 2
+CRC_START = 0xFFFF
+"""Start value of CRC-16/CCITT-FALSE."""
+PHASES = 4
+"""Frames until the phase, the counter's two lowest bits, comes again."""
+PHASE_SHIFT = 6
+"""The phase is in the two top bits of the first header byte."""
+INDEX_BITS = 0x3F
+"""Bits of the first header byte that are the message's index, or its high byte."""
+_SHORT_INDEX_LIMIT = INDEX_BITS + 1
+_LONG_INDEX_LIMIT = _SHORT_INDEX_LIMIT * 256
+"""Messages that a header of one byte, or of two, can number."""
+
+
+class FrameStatus(IntFlag):
+    """Status byte of a frame."""
+
+    TARED = 0x01
+    """The unit has subtracted a zero of its own from the samples."""
+    SATURATED = 0x02
+    """At least one sample is at full scale."""
+    CONVERTER_FAULT = 0x04
+    """The unit's converter or multiplexer failed its self-test: the samples are void."""
+    OVERRUN = 0x08
+    """The burst before this one was not finished within the synchronous window."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameFormat:
+    """Cut of a frame of a given size into messages.
+
+    Attributes
+    ----------
+    n_taxels
+        Samples in a frame.
+    sample_bytes
+        1 or 2.
+    """
+
+    n_taxels: int
+    sample_bytes: int
+
+    def __post_init__(self) -> None:
+        if self.sample_bytes not in (1, 2):
+            raise LayoutError(f"{self.sample_bytes} bytes a sample, must be 1 or 2")
+        if self.n_taxels < 1:
+            raise LayoutError(f"{self.n_taxels} taxels, must be at least 1")
+        if self.n_messages > _LONG_INDEX_LIMIT:
+            raise LayoutError(
+                f"{self.n_taxels} taxels need {self.n_messages} messages a frame, "
+                f"the index ends at {_LONG_INDEX_LIMIT}"
+            )
+
+    @classmethod
+    def of(cls, layout: TaxelLayout) -> "FrameFormat":
+        """Return the format of a layout's frames."""
+        return cls(n_taxels=layout.n_taxels, sample_bytes=layout.sample_bytes)
+
+    @property
+    def samples_bytes(self) -> int:
+        """Bytes of all samples of a frame."""
+        return self.n_taxels * self.sample_bytes
+
+    @property
+    def header_bytes(self) -> int:
+        """Bytes of the header of each message: 1 or 2."""
+        content = self.samples_bytes + TRAILER.size
+        return 1 if content <= _SHORT_INDEX_LIMIT * (MESSAGE_BYTES - 1) else 2
+
+    @property
+    def data_bytes(self) -> int:
+        """Bytes of data in each message: 7 or 6."""
+        return MESSAGE_BYTES - self.header_bytes
+
+    @property
+    def n_messages(self) -> int:
+        """Messages of one frame."""
+        return -(-(self.samples_bytes + TRAILER.size) // self.data_bytes)
+
+    @property
+    def payload_bytes(self) -> int:
+        """Bytes of data of all messages of a frame."""
+        return self.n_messages * self.data_bytes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TactileFrame:
+    """One whole scan of all taxels.
+
+    Attributes
+    ----------
+    t_s
+        Monotonic time in s at which its last message was received.
+    counter
+        Number of the scan, modulo 65536.
+    status
+        `FrameStatus` bits.
+    counts : (n_taxels,) uint16
+        Samples in the order of the layout.
+    """
+
+    t_s: float
+    counter: int
+    status: int
+    counts: NDArray[np.uint16]
+
+
+def crc16(data: bytes) -> int:
+    """Return the CRC-16/CCITT-FALSE: polynomial 0x1021, start 0xFFFF."""
+    return binascii.crc_hqx(data, CRC_START)
+
+
+def encode_frame(
+    frame_format: FrameFormat, counts: NDArray[np.uint16], counter: int, status: int
+) -> list[bytes]:
+    """Return the messages of one frame in the order of sending, 8 bytes each.
+
+    Raises FrameError for counts of another shape or beyond the sample size, and for a counter or
+    a status out of range.
+    """
+    values = np.asarray(counts)
+    limit = (1 << 8 * frame_format.sample_bytes) - 1
+    if values.shape != (frame_format.n_taxels,):
+        raise FrameError(f"counts have shape {values.shape}, expected ({frame_format.n_taxels},)")
+    if not np.issubdtype(values.dtype, np.integer):
+        raise FrameError(f"counts are {values.dtype}, expected integers")
+    if int(values.min()) < 0 or int(values.max()) > limit:
+        raise FrameError(f"counts span {values.min()} to {values.max()}, allowed are 0 to {limit}")
+    if not 0 <= counter <= 0xFFFF:
+        raise FrameError(f"counter is {counter}, allowed are 0 to 65535")
+    if not 0 <= status <= 0xFF:
+        raise FrameError(f"status is {status}, allowed are 0 to 255")
+    payload = bytearray(values.astype("<u1" if frame_format.sample_bytes == 1 else "<u2").tobytes())
+    payload.extend(bytes(frame_format.payload_bytes - len(payload) - TRAILER.size))
+    payload.extend(TRAILER.pack(counter, status, 0)[:-CRC_BYTES])
+    payload.extend(crc16(bytes(payload)).to_bytes(CRC_BYTES, "little"))
+    phase_bits = (counter % PHASES) << PHASE_SHIFT
+    step = frame_format.data_bytes
+    if frame_format.header_bytes == 1:
+        headers = [bytes((phase_bits | i,)) for i in range(frame_format.n_messages)]
+    else:
+        headers = [bytes((phase_bits | i >> 8, i & 0xFF)) for i in range(frame_format.n_messages)]
+    return [header + bytes(payload[i * step : (i + 1) * step]) for i, header in enumerate(headers)]

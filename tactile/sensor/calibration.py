@@ -1,0 +1,116 @@
+"""Calibrations from counts to newtons: the law of the paper's foam, and a straight line.
+
+The foam's resistance falls with the force F on a taxel, equation (11) of the paper:
+R = 1.579 exp(-0.449 F) - 8.365e-11 exp(-32.34 F), R in MΩ and F in N. The second term is below
+1e-10 MΩ everywhere and left out. The converter reads the voltage of a constant current inverted:
+counts = adc_max (1 - R / R0) with R0 = R(0), so R0 itself cancels and no force gives 0 counts.
+"""
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile.errors import CalibrationError
+
+FOAM_EXPONENT_PER_N = 0.449
+"""Decay of the resistance over the force in 1/N, equation (11)."""
+Array = NDArray[np.float64]
+
+
+class Calibration(Protocol):
+    """Turns tared counts into forces, taxel by taxel."""
+
+    @property
+    def adc_max(self) -> int:
+        """Full scale of the counts that the calibration is for."""
+        ...
+
+    def force_n(self, tared_counts: Array) -> Array:
+        """Return the force on each taxel in N, same shape; odd in the noise around zero."""
+        ...
+
+    def counts(self, force_n: Array) -> Array:
+        """Return the tared counts, not rounded, that forces in N give."""
+        ...
+
+
+def _checked_gain(gain: Array | float) -> Array:
+    array = np.array(gain, dtype=np.float64)
+    if not np.all(np.isfinite(array) & (array > 0.0)):
+        raise CalibrationError("taxel gains must be finite and above 0")
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoamCalibration:
+    """The paper's foam, equation (11), behind the inverted constant-current converter.
+
+    Below zero the law goes on as its tangent, so that noise around zero averages out. At full scale
+    it gives the smallest force that is rounded to full scale: such a taxel is saturated and its
+    force unknown above that.
+
+    Attributes
+    ----------
+    adc_max
+        Full scale in counts.
+    gain : (n_taxels,) float64 or scalar
+        True force over the law's force, for each taxel as its own force cell.
+    """
+
+    adc_max: int
+    gain: Array | float = 1.0
+
+    def __post_init__(self) -> None:
+        if self.adc_max < 1:
+            raise CalibrationError(f"adc_max is {self.adc_max}, must be at least 1")
+        object.__setattr__(self, "gain", _checked_gain(self.gain))
+
+    @property
+    def force_max_n(self) -> float:
+        """Force in N at which a taxel without offset and gain saturates."""
+        return float(-np.log(0.5 / self.adc_max) / FOAM_EXPONENT_PER_N)
+
+    def force_n(self, tared_counts: Array) -> Array:
+        """Return the force on each taxel in N."""
+        counts = np.minimum(np.asarray(tared_counts, dtype=np.float64), self.adc_max - 0.5)
+        share = counts / self.adc_max
+        law = -np.log1p(-np.maximum(share, 0.0)) + np.minimum(share, 0.0)
+        return np.asarray(self.gain * law / FOAM_EXPONENT_PER_N, dtype=np.float64)
+
+    def counts(self, force_n: Array) -> Array:
+        """Return the tared counts, not rounded, that forces in N give."""
+        share = FOAM_EXPONENT_PER_N * np.asarray(force_n, dtype=np.float64) / self.gain
+        law = -np.expm1(-np.maximum(share, 0.0)) + np.minimum(share, 0.0)
+        return np.asarray(self.adc_max * law, dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearCalibration:
+    """A sensor whose counts are proportional to the force.
+
+    Attributes
+    ----------
+    force_per_count_n : (n_taxels,) float64 or scalar
+        Force of one count in N.
+    adc_max
+        Full scale in counts.
+    """
+
+    force_per_count_n: Array | float
+    adc_max: int
+
+    def __post_init__(self) -> None:
+        if self.adc_max < 1:
+            raise CalibrationError(f"adc_max is {self.adc_max}, must be at least 1")
+        object.__setattr__(self, "force_per_count_n", _checked_gain(self.force_per_count_n))
+
+    def force_n(self, tared_counts: Array) -> Array:
+        """Return the force on each taxel in N."""
+        return np.asarray(self.force_per_count_n * np.asarray(tared_counts), dtype=np.float64)
+
+    def counts(self, force_n: Array) -> Array:
+        """Return the tared counts, not rounded, that forces in N give."""
+        return np.asarray(np.asarray(force_n) / self.force_per_count_n, dtype=np.float64)

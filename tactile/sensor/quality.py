@@ -1,0 +1,216 @@
+"""The quality of samples, judged frame by frame: frozen, stuck, dead or drifted taxels. Pure.
+
+`tactile.sensor.tare` judges untouched frames once, when the zero is taken; this goes on from there.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile.errors import FrameTimeout, require_at_least
+from tactile.frames.codec import TactileFrame
+from tactile.layout import TaxelLayout
+from tactile.sensor.filters import Neighbourhood, Values
+from tactile.sensor.tare import TareResult
+
+Mask = NDArray[np.bool_]
+
+_MIDDLE = 4
+"""Place of a taxel among its own 3 x 3 neighbours."""
+_JUMP_SHARE, _DROP_SHARE, _CALM_SHARE = 0.5, 0.25, 0.1
+"""Of the full scale: a taxel that goes to full scale from below the first, or to 0 from above the
+second, while its neighbours change by less than the third, is broken. It is no touch: the foam
+spreads every force over the neighbours."""
+_CONSECUTIVE = 2
+"""Frames whose counters differ by no more than this are compared for jumps."""
+_ROUNDING_S = 1e-3
+"""Allowance in s for the jitter of the frames' times."""
+_DRIFT_SIGMA = 6.0
+"""Standard deviations of the median by which a pad may differ from its zero by chance."""
+_MEDIAN_SPREAD = 1.25
+"""Standard deviation of a median over that of a mean, for normal noise."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class QualityLimits:
+    """Limits beyond which samples are refused.
+
+    Attributes
+    ----------
+    frozen_s
+        All samples may stay identical for this long in s, where the zero has seen noise.
+    stuck_frames
+        A taxel that repeats itself so often while others do not is bad.
+    force_step_n, width_step_m
+        Without noise: identical samples are frozen ones once the wanted force has changed by so
+        many N, or the opening by so many m while the pads are touched.
+    drift_share
+        Of the full scale: so far the untouched pads may be from their zero.
+    """
+
+    frozen_s: float = 0.08
+    stuck_frames: int = 25
+    force_step_n: float = 1.0
+    width_step_m: float = 5e-4
+    drift_share: float = 0.01
+
+    def __post_init__(self) -> None:
+        require_at_least(
+            self, frozen_s=0.0, stuck_frames=8, force_step_n=0.0, width_step_m=0.0, drift_share=0.0
+        )
+
+
+class QualityWatch:
+    """Watch over the raw frames from one tare to the next.
+
+    Parameters
+    ----------
+    hood
+        Neighbours of the taxels.
+    limits
+        What is allowed.
+    mean_frames
+        Frames that the tared counts are averaged over.
+    """
+
+    def __init__(self, hood: Neighbourhood, limits: QualityLimits, mean_frames: int) -> None:
+        self._hood = hood
+        self._layout: TaxelLayout = hood.layout
+        self._limits = limits
+        self._mean_frames = mean_frames
+        grips = np.zeros(self._layout.n_taxels, dtype=np.bool_)
+        for pad in self._layout.gripping_pads:
+            grips[self._layout.taxels_of(pad)] = True
+        self._beside = np.flatnonzero(~grips)
+        """Taxels that no grasp presses: what they all do is drift."""
+        self._aim = (0.0, 0.0)
+        self.begin(None)
+
+    def begin(self, tare: TareResult | None, last: TactileFrame | None = None) -> None:
+        """Start anew with a zero and the last frame of it, or without."""
+        n = self._layout.n_taxels
+        self._tare = tare
+        self._last = last
+        self._changed_s = 0.0 if last is None else last.t_s
+        self._aim_at_change = self._aim
+        self._repeats = np.zeros(n, dtype=np.int64)
+        self._broken = np.zeros(n, dtype=np.bool_)
+
+    @property
+    def bad(self) -> Mask:
+        """Taxels that do not measure, (n_taxels,) bool."""
+        tare = self._tare
+        if tare is None:
+            return self._broken.copy()
+        bad: Mask = tare.health.bad | self._broken
+        if tare.health.noisy:
+            bad |= self._repeats >= self._limits.stuck_frames
+        return bad
+
+    def aim(self, force_n: float, aperture_m: float) -> None:
+        """Take the wanted force in N and the opening between the pads in m."""
+        self._aim = (force_n, aperture_m)
+
+    def step(self, frame: TactileFrame, *, touched: bool) -> None:
+        """Take the next frame; ``touched`` is whether the last one had a touch.
+
+        Raises FrameTimeout when the samples are frozen.
+        """
+        last, self._last = self._last, frame
+        if last is None:
+            self._changed_s, self._aim_at_change = frame.t_s, self._aim
+            return
+        same = frame.counts == last.counts
+        saturated = frame.counts >= self._layout.adc_max
+        self._repeats = np.where(same & ~saturated, self._repeats + 1, 0)
+        if (frame.counter - last.counter) & 0xFFFF <= _CONSECUTIVE:
+            self._look_for_jumps(last.counts, frame.counts, saturated)
+        if self._tare is None or not same.all():
+            self._changed_s, self._aim_at_change = frame.t_s, self._aim
+            return
+        self._check_frozen(frame.t_s - self._changed_s, touched=touched)
+
+    def _check_frozen(self, frozen_s: float, *, touched: bool) -> None:
+        limits = self._limits
+        if frozen_s < limits.frozen_s - _ROUNDING_S:
+            return
+        if self._tare is not None and self._tare.health.noisy:
+            why = f"allowed are {limits.frozen_s:g} s"
+        else:
+            force_n = abs(self._aim[0] - self._aim_at_change[0])
+            width_m = abs(self._aim[1] - self._aim_at_change[1]) if touched else 0.0
+            if force_n < limits.force_step_n and width_m < limits.width_step_m:
+                return
+            why = f"while the force changed by {force_n:.1f} N, the width by {1e3 * width_m:.1f} mm"
+        raise FrameTimeout(
+            f"all samples have been identical for {frozen_s:.3f} s, {why}: the unit sends frames "
+            "but measures nothing; restart it, then close and start the sensor and tare again"
+        )
+
+    def _look_for_jumps(
+        self, before: NDArray[np.uint16], now: NDArray[np.uint16], saturated: Mask
+    ) -> None:
+        """Find taxels that went to full scale or to 0 at once beside calm neighbours."""
+        full = self._layout.adc_max
+        jumped = saturated & (before < _JUMP_SHARE * full)
+        dropped = (now == 0) & (before > _DROP_SHARE * full)
+        odd = jumped | dropped
+        if not odd.any():
+            return
+        change = np.append(np.abs(now.astype(np.int64) - before), 0)
+        neighbours = np.delete(self._hood.index[odd], _MIDDLE, axis=1)
+        alone = ~np.append(odd, False)[neighbours].any(axis=1)
+        calm = change[neighbours].max(axis=1) < _CALM_SHARE * full
+        self._broken[np.flatnonzero(odd)[alone & calm]] = True
+
+    def drift_beside(self, tared: Values, void: Mask) -> str:
+        """Return a message if the pads that no grasp presses are from their zero, else "".
+
+        Parameters
+        ----------
+        tared : (n_taxels,) float64
+            Tared counts, averaged.
+        void : (n_taxels,) bool
+            Taxels that are bad or at full scale, which do not count.
+        """
+        if self._tare is None:
+            return ""
+        return self._drift_of(self._beside, "the pads beside the grip", tared, void)
+
+    def drift_anywhere(self, tared: Values, void: Mask) -> str:
+        """Return a message if a pad is from its zero while nothing grips, else "".
+
+        Half of a pad's taxels may be touched. Parameters as `drift_beside`.
+        """
+        if self._tare is None:
+            return ""
+        for index, pad in enumerate(self._layout.pads):
+            taxels = np.arange(self._layout.n_taxels)[self._layout.taxels_of(index)]
+            drifted = self._drift_of(taxels, f"pad {pad.name}", tared, void)
+            if drifted:
+                return drifted
+        return ""
+
+    def _drift_of(self, taxels: NDArray[np.int64], what: str, tared: Values, void: Mask) -> str:
+        good = taxels[~void[taxels]]
+        if 2 * len(good) <= len(taxels):
+            return ""
+        drift, limit = float(np.median(tared[good])), self._drift_limit(good)
+        if abs(drift) <= limit:
+            return ""
+        return (
+            f"the zero of {what} has drifted by {drift:+.1f} counts, allowed are {limit:.1f}: let "
+            "the sensor come to an even temperature, clear the pads, then start the cell to take "
+            "a new zero"
+        )
+
+    def _drift_limit(self, taxels: NDArray[np.int64]) -> float:
+        """Return the allowed drift in counts: the limit, or what noise alone may do."""
+        tare = self._tare
+        if tare is None:
+            return 0.0
+        noise = float(np.median(tare.noise_counts[taxels]))
+        share = np.sqrt((1.0 / self._mean_frames + 1.0 / tare.n_frames) / len(taxels))
+        by_chance = _DRIFT_SIGMA * _MEDIAN_SPREAD * noise * float(share)
+        return max(self._limits.drift_share * self._layout.adc_max, by_chance)

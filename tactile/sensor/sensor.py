@@ -1,0 +1,433 @@
+"""The tactile sensor: whole frames in, forces on taxels, pads and fingers out."""
+
+from dataclasses import dataclass, field
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile.clock import Clock
+from tactile.errors import CalibrationError, FrameTimeout, ZeroDrifted, require_at_least
+from tactile.frames.codec import FrameStatus, TactileFrame
+from tactile.layout import TaxelLayout
+from tactile.sensor.calibration import Calibration
+from tactile.sensor.filters import (
+    ActiveTaxels,
+    MovingMean,
+    Neighbourhood,
+    TouchThresholds,
+    Values,
+    fill_bad,
+)
+from tactile.sensor.quality import QualityLimits, QualityWatch
+from tactile.sensor.tare import TareLimits, TareResult, compute_tare, too_many_bad
+from tactile.unit.settings import NodeIdentity
+
+Centres = tuple[tuple[float, float], tuple[float, float]]
+"""Centre of force on the pad of finger 0 and of finger 1: along the finger and across, in m."""
+
+
+class ForceCentres:
+    """Centre of force on both gripping pads: the taxels' mean position, weighted by force.
+
+    Parameters
+    ----------
+    layout
+        The taxels.
+    """
+
+    def __init__(self, layout: TaxelLayout) -> None:
+        self._taxels = tuple(np.flatnonzero(layout.taxel_pad == p) for p in layout.gripping_pads)
+        self._xy_m = tuple(layout.taxel_xy_m[taxels] for taxels in self._taxels)
+
+    def of(self, force_n: NDArray[np.float64]) -> Centres | None:
+        """Return the centres in m, along the fingers and across; None where a pad has no force.
+
+        Parameters
+        ----------
+        force_n : (n_taxels,) float64
+            Normal force on each taxel in N.
+        """
+        found: list[tuple[float, float]] = []
+        for taxels, xy_m in zip(self._taxels, self._xy_m, strict=True):
+            weights = force_n[taxels]
+            total_n = float(weights.sum())
+            if not total_n > 0.0:
+                return None
+            x_m, y_m = weights @ xy_m / total_n
+            found.append((float(x_m), float(y_m)))
+        return found[0], found[1]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorSettings:
+    """Settings of the way from frames to forces.
+
+    The defaults suit 50 frames/s and one-sided noise of up to 8 % of the full scale on each taxel
+    and frame; the thresholds follow the noise that the tare finds.
+
+    Attributes
+    ----------
+    mean_frames
+        Frames averaged: the force follows a step completely after so many.
+    touch
+        Thresholds above which a taxel is touched.
+    noise_floor_share
+        Noise of a taxel is taken to be at least this share of the full scale.
+    gap_s
+        A longer gap between frames starts the mean anew, in s.
+    quality
+        Limits beyond which samples are refused.
+    bad_share
+        Forces are not ok with a larger share of bad taxels on a gripping pad.
+    poll_s
+        Pause between two polls while waiting, in s.
+    tare_limits
+        Limits beyond which a zero is refused.
+    """
+
+    mean_frames: int = 3
+    touch: TouchThresholds = field(default_factory=TouchThresholds)
+    noise_floor_share: float = 0.002
+    gap_s: float = 0.1
+    quality: QualityLimits = field(default_factory=QualityLimits)
+    bad_share: float = 0.05
+    poll_s: float = 0.001
+    tare_limits: TareLimits = field(default_factory=TareLimits)
+
+    def __post_init__(self) -> None:
+        require_at_least(
+            self, mean_frames=1, gap_s=0.0, bad_share=0.0, noise_floor_share=1e-6, poll_s=1e-6
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SensorStatistics:
+    """Counts since the start of the sensor.
+
+    Attributes
+    ----------
+    bad_taxels
+        Taxels that do not measure now; masked and filled from their neighbours.
+    saturated_frames
+        Frames with healthy taxels at full scale.
+    void_frames
+        Frames after the tare whose finger forces were not fit for control.
+    """
+
+    bad_taxels: int = 0
+    saturated_frames: int = 0
+    void_frames: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TactileReading:
+    """One frame and its forces in newtons. Arrays are read-only.
+
+    Attributes
+    ----------
+    frame
+        The raw frame.
+    tared_counts : (n_taxels,) float64
+        Counts above the zero, averaged over the last frames, bad taxels filled from neighbours.
+    force_n : (n_taxels,) float64
+        Normal force on each active taxel in N, 0 on the others.
+    pad_force_n : (n_pads,) float64
+        Sum over each pad in N.
+    finger_force_n
+        Force on the gripping pad of finger 0 and of finger 1 in N.
+    active, saturated, bad : (n_taxels,) bool
+        Touched taxels; taxels at full scale in this frame; taxels that do not measure: dead,
+        stuck or constantly at full scale, filled from their neighbours.
+    ok
+        Whether the finger forces may be used for control.
+    reason
+        Why not, empty if ok.
+    """
+
+    frame: TactileFrame
+    tared_counts: Values
+    force_n: Values
+    pad_force_n: Values
+    finger_force_n: tuple[float, float]
+    active: NDArray[np.bool_]
+    saturated: NDArray[np.bool_]
+    bad: NDArray[np.bool_]
+    ok: bool
+    reason: str
+
+    @property
+    def t_s(self) -> float:
+        """Monotonic time of reception in s."""
+        return self.frame.t_s
+
+
+class FrameSource(Protocol):
+    """Source of frames; `TactileLink` is one."""
+
+    def start(self) -> NodeIdentity:
+        """Begin."""
+        ...
+
+    def poll(self) -> tuple[TactileFrame, ...]:
+        """Return the whole frames since the last call, oldest first; does not wait."""
+        ...
+
+    def close(self) -> None:
+        """End."""
+        ...
+
+
+class TactileSensor:
+    """The tactile sensor: tares the frames of a link and turns them into forces.
+
+    Parameters
+    ----------
+    link
+        Source of frames.
+    layout
+        Its taxels.
+    calibration
+        Counts to forces; must be for the layout's full scale.
+    clock
+        Monotonic time.
+    settings
+        Filters and limits.
+    """
+
+    def __init__(
+        self,
+        link: FrameSource,
+        layout: TaxelLayout,
+        calibration: Calibration,
+        *,
+        clock: Clock,
+        settings: SensorSettings | None = None,
+    ) -> None:
+        if calibration.adc_max != layout.adc_max:
+            raise CalibrationError(
+                f"the calibration is for a full scale of {calibration.adc_max} counts, layout "
+                f"{layout.name} has {layout.adc_max}"
+            )
+        self._link = link
+        self._layout = layout
+        self._calibration = calibration
+        self._clock = clock
+        self._settings = settings or SensorSettings()
+        self._hood = Neighbourhood(layout)
+        self._mean = MovingMean(self._settings.mean_frames)
+        self._quality = QualityWatch(self._hood, self._settings.quality, self._settings.mean_frames)
+        self._pad_starts = [layout.taxels_of(pad).start for pad in range(layout.n_pads)]
+        self._grips = tuple(layout.taxels_of(pad) for pad in layout.gripping_pads)
+        self._reset()
+
+    def _reset(self) -> None:
+        self._mean.reset()
+        self._tare: TareResult | None = None
+        self._tare_status = 0
+        self._touch: ActiveTaxels | None = None
+        self._latest: TactileReading | None = None
+        self._last_s: float | None = None
+        self._frozen: FrameTimeout | None = None
+        self._saturated_frames = self._void_frames = 0
+        self._quality.begin(None)
+
+    @property
+    def layout(self) -> TaxelLayout:
+        """The taxels."""
+        return self._layout
+
+    @property
+    def latest(self) -> TactileReading | None:
+        """The newest reading that `poll` has given, None before; its age is in its ``t_s``."""
+        return self._latest
+
+    @property
+    def statistics(self) -> SensorStatistics:
+        """Counts since the start."""
+        return SensorStatistics(
+            bad_taxels=int(np.count_nonzero(self._quality.bad)),
+            saturated_frames=self._saturated_frames,
+            void_frames=self._void_frames,
+        )
+
+    @property
+    def tare_result(self) -> TareResult | None:
+        """The zero in use, None before the first tare after a start."""
+        return self._tare
+
+    def start(self) -> NodeIdentity:
+        """Start the link; the zero of an earlier start is forgotten."""
+        self._reset()
+        return self._link.start()
+
+    def close(self) -> None:
+        """Close the link."""
+        self._link.close()
+
+    def poll(self) -> tuple[TactileReading, ...]:
+        """Return the readings that came since the last call, oldest first; does not wait.
+
+        Raises what the link raises, and FrameTimeout, from then on always, when the samples are
+        frozen.
+        """
+        if self._frozen is not None:
+            raise self._frozen
+        readings = tuple(self._reading(frame) for frame in self._link.poll())
+        if readings:
+            self._latest = readings[-1]
+        return readings
+
+    def read(self, timeout_s: float = 0.5) -> TactileReading:
+        """Wait for a reading newer than this call; FrameTimeout after ``timeout_s``."""
+        self.poll()
+        deadline_s = self._clock.monotonic() + timeout_s
+        while not (readings := self.poll()):
+            self._wait(deadline_s, f"no frame within {timeout_s:g} s")
+        return readings[-1]
+
+    def tare(self, n_frames: int = 100, timeout_s: float = 5.0) -> TareResult:
+        """Take the zero from the next ``n_frames`` frames; the pads must be untouched.
+
+        The error of the zero is the noise over the square root of ``n_frames``, and enters every
+        later force on as many taxels as are touched.
+
+        Raises TareRefused when they are not, when the counts drift or too many taxels are bad (the
+        zero in use stays), and FrameTimeout when the frames do not come within ``timeout_s``.
+        """
+        frames: list[TactileFrame] = []
+        self.poll()
+        deadline_s = self._clock.monotonic() + timeout_s
+        while len(frames) < n_frames:
+            new = self._link.poll()
+            frames += new
+            if not new:
+                self._wait(
+                    deadline_s,
+                    f"{len(frames)} of {n_frames} frames for the tare within {timeout_s:g} s",
+                )
+        counts = np.stack([frame.counts for frame in frames[:n_frames]])
+        result = compute_tare(
+            self._hood, counts, self._settings.tare_limits, frames[n_frames - 1].t_s
+        )
+        self._mean.reset()
+        self._tare = result
+        self._tare_status = frames[n_frames - 1].status
+        self._touch = self._new_touch(result)
+        self._last_s = None
+        self._quality.begin(result, frames[n_frames - 1])
+        return result
+
+    def aim(self, force_n: float, aperture_m: float) -> None:
+        """Take the wanted force in N and the opening between the pads in m.
+
+        A sensor without noise can only be seen to be frozen by samples that do not follow these.
+        """
+        self._quality.aim(force_n, aperture_m)
+
+    def check_zero(self) -> None:
+        """Compare the newest reading of untouched pads with the zero.
+
+        Before the first tare, and before the first reading after it, there is nothing to compare.
+
+        Raises
+        ------
+        ZeroDrifted
+            When a pad as a whole has moved: forces and shapes measured with this zero are wrong.
+        """
+        if self._latest is not None and self._mean.full:
+            latest = self._latest
+            drift = self._quality.drift_anywhere(latest.tared_counts, latest.bad | latest.saturated)
+            if drift:
+                raise ZeroDrifted(drift)
+
+    def _new_touch(self, tare: TareResult) -> ActiveTaxels:
+        """Return a finder of touched taxels that takes the typical noise of each pad.
+
+        The noise of a single taxel is measured too poorly in a hundred frames.
+        """
+        noise = np.full(
+            self._layout.n_taxels, self._settings.noise_floor_share * self._layout.adc_max
+        )
+        for pad in range(self._layout.n_pads):
+            taxels = self._layout.taxels_of(pad)
+            noise[taxels] = np.maximum(noise[taxels], np.median(tare.noise_counts[taxels]))
+        noise /= np.sqrt(self._settings.mean_frames)
+        return ActiveTaxels(self._hood, self._settings.touch, noise)
+
+    def _wait(self, deadline_s: float, failure: str) -> None:
+        left_s = deadline_s - self._clock.monotonic()
+        if left_s <= 0.0:
+            raise FrameTimeout(
+                f"{failure}: check that the control unit is powered and that SYNC is running"
+            )
+        self._clock.sleep(min(left_s, self._settings.poll_s))
+
+    def _reading(self, frame: TactileFrame) -> TactileReading:
+        self._watch_changes(frame)
+        saturated = frame.counts >= self._layout.adc_max
+        tare = self._tare
+        counts = frame.counts.astype(np.float64)
+        bad = self._quality.bad
+        if tare is not None:
+            counts -= tare.offset_counts
+        tared = self._mean.step(fill_bad(self._hood, counts, bad))
+        active = np.zeros_like(bad) if self._touch is None else self._touch.step(tared)
+        force_n = np.where(active, self._calibration.force_n(tared), 0.0)
+        pad_force_n = np.add.reduceat(force_n, self._pad_starts)
+        reason = self._objection(frame, saturated & ~bad, bad, tared)
+        for array in (tared, active, force_n, pad_force_n, saturated, bad):
+            array.setflags(write=False)
+        self._saturated_frames += bool((saturated & ~bad).any())
+        self._void_frames += bool(reason) and self._mean.full
+        first, second = self._layout.gripping_pads
+        return TactileReading(
+            frame=frame,
+            tared_counts=tared,
+            force_n=force_n,
+            pad_force_n=pad_force_n,
+            finger_force_n=(float(pad_force_n[first]), float(pad_force_n[second])),
+            active=active,
+            saturated=saturated,
+            bad=bad,
+            ok=not reason,
+            reason=reason,
+        )
+
+    def _watch_changes(self, frame: TactileFrame) -> None:
+        last_s, self._last_s = self._last_s, frame.t_s
+        if last_s is not None and frame.t_s - last_s > self._settings.gap_s:
+            self._mean.reset()
+        latest = self._latest
+        try:
+            self._quality.step(frame, touched=latest is not None and bool(latest.active.any()))
+        except FrameTimeout as fault:
+            self._frozen = fault
+            raise
+
+    def _objection(
+        self,
+        frame: TactileFrame,
+        saturated: NDArray[np.bool_],
+        bad: NDArray[np.bool_],
+        tared: Values,
+    ) -> str:
+        if self._tare is None:
+            return "not tared since the start"
+        if frame.status & FrameStatus.CONVERTER_FAULT:
+            return "the unit's converter failed its self-test"
+        if (frame.status ^ self._tare_status) & FrameStatus.TARED:
+            return "the unit has taken or dropped a zero of its own since the tare"
+        if not self._mean.full:
+            return "too few frames since the tare or the last gap"
+        grip = self._grip_objection(saturated, bad)
+        return grip or self._quality.drift_beside(tared, bad | saturated)
+
+    def _grip_objection(self, saturated: NDArray[np.bool_], bad: NDArray[np.bool_]) -> str:
+        for finger, taxels in enumerate(self._grips):
+            if saturated[taxels].any():
+                return f"{np.count_nonzero(saturated[taxels])} taxels of finger {finger} saturated"
+            n_bad = int(np.count_nonzero(bad[taxels]))
+            if too_many_bad(n_bad, taxels.stop - taxels.start, self._settings.bad_share):
+                return f"{np.count_nonzero(bad[taxels])} taxels of finger {finger} bad"
+        return ""

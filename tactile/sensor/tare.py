@@ -1,0 +1,233 @@
+"""The tare: the zero of each taxel from untouched frames, or a refusal. Pure.
+
+A palm that rests on the sensor while it is zeroed spoils every later force, so the zero is refused
+when anything looks like a touch, and never taken or corrected by itself.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile.errors import TareRefused
+from tactile.sensor.filters import Neighbourhood, Values, fill_bad, spatial_mean
+
+Mask = NDArray[np.bool_]
+
+LEAST_FRAMES = 8
+"""In fewer frames a healthy taxel may repeat itself by chance and seem to be constant."""
+_NOISY_SHARE = 0.5
+"""The sensor shows noise if fewer of its taxels than this share are constant."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TaxelHealth:
+    """Health of each taxel, judged from untouched frames.
+
+    Attributes
+    ----------
+    dead : (n_taxels,) bool
+        Constantly 0 while the others show noise.
+    stuck : (n_taxels,) bool
+        Constant at another value while the others show noise.
+    saturated : (n_taxels,) bool
+        Constantly at full scale, whatever the others do.
+    noisy : bool
+        Whether the sensor shows noise; without, dead and stuck taxels cannot be found.
+    """
+
+    dead: Mask
+    stuck: Mask
+    saturated: Mask
+    noisy: bool
+
+    @property
+    def bad(self) -> Mask:
+        """Taxels that do not measure, (n_taxels,) bool."""
+        bad: Mask = self.dead | self.stuck | self.saturated
+        return bad
+
+    def summary(self) -> str:
+        """Return the numbers of bad taxels in words."""
+        return (
+            f"{np.count_nonzero(self.dead)} dead, {np.count_nonzero(self.stuck)} stuck, "
+            f"{np.count_nonzero(self.saturated)} saturated"
+        )
+
+
+def assess_health(frames: NDArray[np.uint16], adc_max: int) -> TaxelHealth:
+    """Judge the taxels from untouched frames.
+
+    Parameters
+    ----------
+    frames : (n_frames, n_taxels) uint16
+        Raw counts of consecutive frames, at least 8.
+    adc_max
+        Full scale.
+
+    Raises
+    ------
+    ValueError
+        For fewer than 8 frames.
+    """
+    if len(frames) < LEAST_FRAMES:
+        raise ValueError(f"{len(frames)} frames, at least {LEAST_FRAMES} are needed")
+    low, high = frames.min(axis=0), frames.max(axis=0)
+    constant = low == high
+    noisy = bool(np.count_nonzero(constant) < _NOISY_SHARE * len(constant))
+    saturated = low >= adc_max
+    flat = constant & ~saturated if noisy else np.zeros_like(constant)
+    dead, stuck = flat & (low == 0), flat & (low > 0)
+    for mask in (dead, stuck, saturated):
+        mask.setflags(write=False)
+    return TaxelHealth(dead=dead, stuck=stuck, saturated=saturated, noisy=noisy)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TareLimits:
+    """Limits beyond which a zero is refused; counts as shares of the full scale.
+
+    Attributes
+    ----------
+    offset_share
+        No healthy taxel's mean may exceed this: pressed, or out of order.
+    bump_share
+        No region, smoothed over 3 x 3 taxels, may stand out of its pad's median by more.
+    pad_share
+        No gripping pad's median may stand out of that of the pads that nothing grips by more:
+        something large presses it evenly. Not judged where a layout has no such pads.
+    drift_share
+        No region may differ by more between the first and the second half of the frames.
+    bad_share
+        At most this share of the taxels of any pad may be bad; one of a pad always may, unless
+        the share is 0.
+    """
+
+    offset_share: float = 0.12
+    bump_share: float = 0.016
+    pad_share: float = 0.016
+    drift_share: float = 0.024
+    bad_share: float = 0.05
+
+    def __post_init__(self) -> None:
+        for name in ("offset_share", "bump_share", "pad_share", "drift_share", "bad_share"):
+            value = getattr(self, name)
+            if not (0.0 < value <= 1.0 or (name == "bad_share" and value == 0.0)):
+                raise ValueError(f"{name} is {value}, must be above 0 and at most 1")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class TareResult:
+    """The zero.
+
+    Attributes
+    ----------
+    offset_counts : (n_taxels,) float64
+        Mean counts without a touch; bad taxels have their neighbours' mean.
+    noise_counts : (n_taxels,) float64
+        Standard deviation of the counts.
+    health
+        Broken taxels.
+    n_frames
+        Frames averaged.
+    t_s
+        Monotonic time of the last one in s.
+    """
+
+    offset_counts: Values
+    noise_counts: Values
+    health: TaxelHealth
+    n_frames: int
+    t_s: float
+
+
+def too_many_bad(n_bad: int, n_taxels: int, share: float) -> bool:
+    """Return whether more taxels of a pad are bad than a share allows; 1 of a small pad may be."""
+    return n_bad > (max(1.0, share * n_taxels) if share > 0.0 else 0.0)
+
+
+def compute_tare(
+    hood: Neighbourhood, frames: NDArray[np.uint16], limits: TareLimits, t_s: float
+) -> TareResult:
+    """Compute the zero from frames, shape (n_frames, n_taxels); raises TareRefused."""
+    layout = hood.layout
+    if len(frames) < LEAST_FRAMES:
+        raise TareRefused(f"a tare of {len(frames)} frames, at least {LEAST_FRAMES} are needed")
+    health = assess_health(frames, layout.adc_max)
+    for index, pad in enumerate(layout.pads):
+        n_bad = int(np.count_nonzero(health.bad[layout.taxels_of(index)]))
+        if too_many_bad(n_bad, pad.n_taxels, limits.bad_share):
+            raise TareRefused(
+                f"{n_bad / pad.n_taxels:.0%} of the taxels of pad {pad.name} are bad "
+                f"({health.summary()} on all pads), allowed are {limits.bad_share:.0%}: "
+                "check its cable, or replace it"
+            )
+    offset = fill_bad(hood, frames.mean(axis=0, dtype=np.float64), health.bad)
+    _refuse_touch(hood, offset, limits)
+    half = len(frames) // 2
+    change = frames[half:].mean(axis=0) - frames[:half].mean(axis=0)
+    drift = np.abs(spatial_mean(hood, fill_bad(hood, change, health.bad)))
+    worst = int(np.argmax(drift))
+    if drift[worst] > limits.drift_share * layout.adc_max:
+        raise TareRefused(
+            f"the counts of {_place(hood, worst)} moved by {drift[worst]:.1f} while the zero was "
+            f"taken, allowed are {limits.drift_share * layout.adc_max:.1f}: keep the fingers still "
+            "and untouched, let the sensor warm up, and try again"
+        )
+    _refuse_pressed_pad(hood, offset, limits)
+    noise = frames.std(axis=0, dtype=np.float64)
+    for array in (offset, noise):
+        array.setflags(write=False)
+    return TareResult(
+        offset_counts=offset, noise_counts=noise, health=health, n_frames=len(frames), t_s=t_s
+    )
+
+
+def _place(hood: Neighbourhood, taxel: int) -> str:
+    pad = hood.layout.pads[int(hood.layout.taxel_pad[taxel])]
+    first = hood.layout.taxels_of(int(hood.layout.taxel_pad[taxel])).start
+    row, column = divmod(taxel - first, pad.columns)
+    return f"pad {pad.name}, row {row}, column {column}"
+
+
+def _refuse_touch(hood: Neighbourhood, offset: Values, limits: TareLimits) -> None:
+    layout = hood.layout
+    worst = int(np.argmax(offset))
+    limit = limits.offset_share * layout.adc_max
+    if offset[worst] > limit:
+        raise TareRefused(
+            f"{_place(hood, worst)} reads {offset[worst]:.1f} counts, allowed are {limit:.1f} for "
+            "an untouched taxel: clear the pads and try again"
+        )
+    smooth = spatial_mean(hood, offset)
+    limit = limits.bump_share * layout.adc_max
+    for index in range(layout.n_pads):
+        taxels = layout.taxels_of(index)
+        bump = smooth[taxels] - np.median(smooth[taxels])
+        highest = int(np.argmax(bump))
+        if bump[highest] > limit:
+            raise TareRefused(
+                f"{_place(hood, taxels.start + highest)} stands {bump[highest]:.1f} counts out of "
+                f"its pad, allowed are {limit:.1f}: something touches the pad; clear it and try "
+                "again"
+            )
+
+
+def _refuse_pressed_pad(hood: Neighbourhood, offset: Values, limits: TareLimits) -> None:
+    layout = hood.layout
+    beside = [
+        np.median(offset[layout.taxels_of(pad)])
+        for pad in range(layout.n_pads)
+        if pad not in layout.gripping_pads
+    ]
+    if not beside:
+        return
+    limit = limits.pad_share * layout.adc_max
+    for pad in layout.gripping_pads:
+        excess = float(np.median(offset[layout.taxels_of(pad)])) - float(np.median(beside))
+        if excess > limit:
+            raise TareRefused(
+                f"pad {layout.pads[pad].name} reads {excess:.1f} counts more than the pads that "
+                f"nothing grips, allowed are {limit:.1f}: something presses on all of it; clear "
+                "it and try again"
+            )

@@ -1,0 +1,184 @@
+"""Commissioning of the control unit: checks of its identity and taxels, and its set-up."""
+
+from dataclasses import dataclass
+
+from tactile.errors import IdentityMismatch
+from tactile.frames.codec import FrameFormat
+from tactile.layout import TaxelLayout
+from tactile.unit import object_dictionary
+from tactile.unit.sdo import ObjectAccess
+from tactile.unit.settings import ExpectedIdentity, LinkSettings, NodeIdentity
+
+_COB_ID_MASK = 0x1FFFFFFF | 1 << 31
+"""Identifier and valid bit of a PDO's COB-ID entry; the bit between them only forbids RTR."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Check:
+    """One row of a comparison; ``expected`` None accepts anything."""
+
+    what: str
+    expected: int | str | None
+    found: int | str
+
+    @property
+    def ok(self) -> bool:
+        """Whether what was found is accepted."""
+        return self.expected is None or self.expected == self.found
+
+
+def read_identity(objects: ObjectAccess) -> NodeIdentity:
+    """Read the identity object, the device name and the boards of the pads."""
+    return NodeIdentity(
+        vendor_id=objects.read_unsigned(
+            object_dictionary.IDENTITY, object_dictionary.IDENTITY_VENDOR
+        ),
+        product_code=objects.read_unsigned(
+            object_dictionary.IDENTITY, object_dictionary.IDENTITY_PRODUCT
+        ),
+        revision=objects.read_unsigned(
+            object_dictionary.IDENTITY, object_dictionary.IDENTITY_REVISION
+        ),
+        serial=objects.read_unsigned(object_dictionary.IDENTITY, object_dictionary.IDENTITY_SERIAL),
+        name=objects.read_text(object_dictionary.DEVICE_NAME),
+        boards=(
+            objects.read_unsigned(object_dictionary.BOARDS, 1),
+            objects.read_unsigned(object_dictionary.BOARDS, 2),
+        ),
+    )
+
+
+def identity_checks(identity: NodeIdentity, expected: ExpectedIdentity) -> list[Check]:
+    """Return the comparison of the identity that was found with the expected one."""
+    major = None if expected.revision is None else expected.revision >> 16
+    return [
+        Check(what="vendor-ID", expected=expected.vendor_id, found=identity.vendor_id),
+        Check(what="product code", expected=expected.product_code, found=identity.product_code),
+        Check(what="major revision", expected=major, found=identity.revision >> 16),
+        Check(what="serial number", expected=expected.serial, found=identity.serial),
+        *(
+            Check(
+                what=f"pads' board of finger {finger}",
+                expected=None if expected.boards is None else expected.boards[finger],
+                found=identity.boards[finger],
+            )
+            for finger in (0, 1)
+        ),
+    ]
+
+
+def refuse_swapped_boards(identity: NodeIdentity, expected: ExpectedIdentity, name: str) -> None:
+    """Raise IdentityMismatch if each finger has the pads of the other one."""
+    boards = expected.boards
+    if boards is not None and boards[0] != boards[1] and identity.boards == boards[::-1]:
+        raise IdentityMismatch(
+            f"the pads of the two fingers are exchanged at {name}: the board of finger 0 is "
+            f"{identity.boards[0]}, expected {boards[0]}, that of finger 1 is "
+            f"{identity.boards[1]}, expected {boards[1]}. Exchange their cables at the unit, or "
+            "correct tactile.board_serial_numbers"
+        )
+
+
+def layout_checks(objects: ObjectAccess, layout: TaxelLayout, node_id: int) -> list[Check]:
+    """Return the comparison of taxels, frame format and mapping of the frame messages."""
+    frame_format = FrameFormat.of(layout)
+    unsigned = (
+        ("taxels", object_dictionary.LAYOUT, object_dictionary.LAYOUT_TAXELS, layout.n_taxels),
+        ("full scale", object_dictionary.LAYOUT, object_dictionary.LAYOUT_ADC_MAX, layout.adc_max),
+        (
+            "sample bytes",
+            object_dictionary.FORMAT,
+            object_dictionary.FORMAT_SAMPLE_BYTES,
+            layout.sample_bytes,
+        ),
+        (
+            "messages per frame",
+            object_dictionary.FORMAT,
+            object_dictionary.FORMAT_MESSAGES,
+            frame_format.n_messages,
+        ),
+        (
+            "header bytes",
+            object_dictionary.FORMAT,
+            object_dictionary.FORMAT_HEADER_BYTES,
+            frame_format.header_bytes,
+        ),
+        ("TPDO1 entries", object_dictionary.TPDO1_MAPPING, 0, len(object_dictionary.TPDO1_ENTRIES)),
+        *(
+            (f"TPDO1 entry {sub}", object_dictionary.TPDO1_MAPPING, sub, entry)
+            for sub, entry in enumerate(object_dictionary.TPDO1_ENTRIES, start=1)
+        ),
+    )
+    checks = [
+        Check(
+            what="layout hash",
+            expected=layout.layout_hash,
+            found=objects.read_text(object_dictionary.LAYOUT, object_dictionary.LAYOUT_HASH),
+        )
+    ]
+    checks += [
+        Check(what=what, expected=expected, found=objects.read_unsigned(index, sub))
+        for what, index, sub, expected in unsigned
+    ]
+    checks.append(
+        Check(
+            what="TPDO1 COB-ID",
+            expected=object_dictionary.COB_TPDO1 + node_id,
+            found=objects.read_unsigned(object_dictionary.TPDO1_PARAMETER, 1) & _COB_ID_MASK,
+        )
+    )
+    return checks
+
+
+def _shown(value: int | str | None) -> str:
+    return f"{value} (0x{value:X})" if isinstance(value, int) else str(value)
+
+
+def refuse_mismatch(checks: list[Check], name: str) -> None:
+    """Raise IdentityMismatch with expected and found values if any check failed."""
+    failed = [check for check in checks if not check.ok]
+    if failed:
+        rows = "; ".join(
+            f"{check.what}: expected {_shown(check.expected)}, found {_shown(check.found)}"
+            for check in failed
+        )
+        raise IdentityMismatch(
+            f"{name} is not the configured unit: {rows}. Check which unit is plugged in, and the "
+            "node-ID, serial number and layout in the configuration"
+        )
+
+
+def set_up(objects: ObjectAccess, settings: LinkSettings) -> None:
+    """Write periods and mode, drop a zero that the unit may hold, and read all of it back.
+
+    The samples stay raw: the zero is the host's, because a unit's own one clips noise at zero
+    counts and so biases it.
+    """
+    # name, index, value, bytes of the object
+    writes = (
+        ("SYNC COB-ID", object_dictionary.SYNC_COB_ID, object_dictionary.COB_SYNC, 4),
+        ("SYNC window in us", object_dictionary.SYNC_WINDOW_US, round(settings.window_s * 1e6), 4),
+        (
+            "SYNC period in us",
+            object_dictionary.SYNC_PERIOD_US,
+            round(settings.sync_period_s * 1e6),
+            4,
+        ),
+        ("heartbeat in ms", object_dictionary.HEARTBEAT_MS, round(settings.heartbeat_s * 1e3), 2),
+        ("mode", object_dictionary.MODE, int(settings.mode), 1),
+    )
+    checks = []
+    for what, index, value, n_bytes in writes:
+        objects.write_unsigned(index, 0, value, n_bytes)
+        checks.append(Check(what=what, expected=value, found=objects.read_unsigned(index)))
+    refuse_mismatch(checks, "the control unit did not keep its set-up and so")
+    if (
+        objects.read_unsigned(object_dictionary.TARE, object_dictionary.TARE_RESULT)
+        == object_dictionary.TareResult.DONE
+    ):
+        objects.write_unsigned(
+            object_dictionary.TARE,
+            object_dictionary.TARE_COMMAND,
+            object_dictionary.TARE_CLEAR_SIGNATURE,
+            4,
+        )

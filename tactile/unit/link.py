@@ -1,0 +1,219 @@
+"""The link to the control unit: starts it, supervises it, and hands out whole frames or a fault.
+
+canopen does the SDO service; the frame messages go past it, from the raw COB-ID to the assembler.
+"""
+
+from collections.abc import Callable
+from typing import TypeVar
+
+import can
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile.can.bus import close_bus, open_bus
+from tactile.can.receiver import MessageSource, PolledSource, ThreadedReceiver
+from tactile.clock import Clock
+from tactile.errors import LinkFault, LinkStateError, NodeMissing
+from tactile.frames.codec import TactileFrame
+from tactile.frames.pad_features import PadFeatures
+from tactile.layout import TaxelLayout
+from tactile.unit.commissioning import (
+    identity_checks,
+    layout_checks,
+    read_identity,
+    refuse_mismatch,
+    refuse_swapped_boards,
+    set_up,
+)
+from tactile.unit.sdo import read_last_frame, take_unit_tare
+from tactile.unit.session import LinkSession
+from tactile.unit.settings import ExpectedIdentity, LinkSettings, LinkStatistics, NodeIdentity
+from tactile.unit.supervision import OPERATIONAL
+
+__all__ = [
+    "ExpectedIdentity",
+    "LinkSettings",
+    "LinkStatistics",
+    "NodeIdentity",
+    "TactileLink",
+    "close_bus",
+    "open_bus",
+]
+
+_Result = TypeVar("_Result")
+
+
+class TactileLink:
+    """One control unit on one CAN bus.
+
+    `start`, then call `poll` often: it takes in what was received, sends SYNC when due and looks
+    at all deadlines, in the caller's thread. A fault is raised at once and again by every later
+    call until `close` and `start`. The bus stays the caller's: `close` leaves it open.
+
+    Parameters
+    ----------
+    bus
+        An open bus.
+    node_id
+        CANopen node-ID of the unit, 1 to 127.
+    layout
+        The taxels that the unit must have.
+    clock
+        Monotonic time; real time if ``settings.threaded``.
+    settings
+        Periods and limits.
+    source
+        Where messages come from; by default a thread or the bus, after ``settings.threaded``.
+    """
+
+    def __init__(
+        self,
+        bus: can.BusABC,
+        *,
+        node_id: int,
+        layout: TaxelLayout,
+        clock: Clock,
+        settings: LinkSettings | None = None,
+        source: MessageSource | None = None,
+    ) -> None:
+        if not 1 <= node_id <= 127:
+            raise ValueError(f"node-ID is {node_id}, must be 1 to 127")
+        self._bus = bus
+        self._node_id = node_id
+        self._layout = layout
+        self._clock = clock
+        self._settings = settings or LinkSettings()
+        self._source: MessageSource = source or (
+            ThreadedReceiver(bus, clock) if self._settings.threaded else PolledSource(bus, clock)
+        )
+        self._session = self._new_session()
+        self._running = False
+        self._fault: LinkFault | None = None
+
+    def _new_session(self) -> LinkSession:
+        return LinkSession(
+            self._bus,
+            self._source,
+            node_id=self._node_id,
+            layout=self._layout,
+            clock=self._clock,
+            settings=self._settings,
+        )
+
+    @property
+    def layout(self) -> TaxelLayout:
+        """The taxels of the unit."""
+        return self._layout
+
+    @property
+    def settings(self) -> LinkSettings:
+        """Periods and limits."""
+        return self._settings
+
+    @property
+    def statistics(self) -> LinkStatistics:
+        """Counts since the last start."""
+        return self._session.statistics
+
+    @property
+    def fault(self) -> LinkFault | None:
+        """The latched fault, None while there is none."""
+        return self._fault
+
+    @property
+    def last_frame_s(self) -> float | None:
+        """Monotonic time in s at which the last whole frame was received, None before."""
+        return self._session.last_frame_s
+
+    def start(self) -> NodeIdentity:
+        """Reset the unit's communication, check it, set it up and start its frames.
+
+        Returns its identity when it is operational. Raises NodeMissing when it does not show up
+        in time, IdentityMismatch when it is another one, and any other LinkFault. Allowed again
+        after `close`, which clears a latched fault.
+        """
+        if self._running:
+            raise LinkStateError("the link runs already: close it before starting again")
+        self._running = True
+        self._fault = None
+        self._session = self._new_session()
+        return self._guarded(self._commission)
+
+    def _commission(self) -> NodeIdentity:
+        session = self._session
+        supervisor = session.supervisor
+        self._source.start()
+        session.command("RESET COMMUNICATION")
+        session.wait_for(lambda: supervisor.boot_ups > 0, "did not boot")
+        identity = read_identity(session.objects)
+        refuse_swapped_boards(identity, self._settings.identity, session.name)
+        refuse_mismatch(identity_checks(identity, self._settings.identity), session.name)
+        checks = layout_checks(session.objects, self._layout, self._node_id)
+        refuse_mismatch(checks, session.name)
+        set_up(session.objects, self._settings)
+        if supervisor.boot_ups > 1:
+            raise NodeMissing(
+                f"{session.name} booted {supervisor.boot_ups} times while it was set up: its "
+                "supply is unstable, or two units have the same node-ID"
+            )
+        session.command("OPERATIONAL")
+        session.wait_for(lambda: supervisor.state == OPERATIONAL, "did not become operational")
+        session.enter_operation()
+        session.service()
+        return identity
+
+    def poll(self) -> tuple[TactileFrame, ...]:
+        """Return the whole frames that came since the last call, oldest first; does not wait."""
+        self._guarded(self._session.service)
+        return self._session.take_frames()
+
+    def take_features(self) -> tuple[PadFeatures, ...]:
+        """Return the pad features that came since the last call; none in the mode RAW."""
+        return self._session.features.take()
+
+    def tare_unit(self, *, timeout_s: float = 5.0) -> None:
+        """Let the unit take a zero of its own and subtract it; raises TareRefused if it will not.
+
+        Not needed for `TactileSensor`, which tares on the host: the unit clips at zero counts.
+        """
+        self._guarded(
+            lambda: take_unit_tare(
+                self._session.objects,
+                clock=self._clock,
+                pump=self._session.pump,
+                timeout_s=timeout_s,
+            )
+        )
+
+    def read_last_frame(self) -> tuple[int, NDArray[np.uint16]]:
+        """Read the last complete frame by SDO: its counter and its counts, shape (n_taxels,).
+
+        For diagnosis, and to check the path of the frame messages. Frames that come meanwhile
+        are handed out by the next `poll`.
+        """
+        return self._guarded(lambda: read_last_frame(self._session.objects, self._layout))
+
+    def close(self) -> None:
+        """Stop the frames and the receiver; does not raise on a dead bus, leaves the bus open."""
+        if self._running:
+            self._running = False
+            self._session.leave_operation()
+            try:
+                self._session.command("PRE-OPERATIONAL")
+            except LinkFault as fault:
+                # The command does not reach the unit any more; its frames end with the SYNCs.
+                self._fault = self._fault or fault
+        self._source.close()
+
+    def _guarded(self, action: Callable[[], _Result]) -> _Result:
+        """Return the result of an action that needs a sound link; a fault latches."""
+        if self._fault is not None:
+            raise self._fault
+        if not self._running:
+            raise LinkStateError("the link is not running: start it first")
+        try:
+            return action()
+        except LinkFault as fault:
+            self._fault = fault
+            self._session.leave_operation()
+            raise

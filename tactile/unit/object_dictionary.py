@@ -1,0 +1,121 @@
+"""The control unit's object dictionary: its EDS, the names of its objects, its identifiers.
+
+Indices and sub-indices as in `control_unit.eds`; the communication profile follows CiA 301.
+"""
+
+from enum import IntEnum
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import canopen
+
+EDS_PATH = Path(__file__).with_name("control_unit.eds")
+
+COB_NMT = 0x000
+COB_SYNC = 0x080
+COB_EMCY = 0x080
+COB_TPDO1 = 0x180
+COB_TPDO2 = 0x280
+COB_TPDO3 = 0x380
+COB_SDO_RESPONSE = 0x580
+COB_SDO_REQUEST = 0x600
+COB_HEARTBEAT = 0x700
+"""Identifiers of the pre-defined connection set (CiA 301, 7.3.5). All but those of NMT and SYNC are
+those of a node after adding its node-ID."""
+
+VENDOR_ID = 0x00005443
+"""Placeholder: vendor-IDs are assigned by CiA, this one is not."""
+PRODUCT_CODE = 0x00000408
+"""The project's own choice: the number of taxels of the paper's sensor, as digits."""
+REVISION = 0x00010000
+"""Major revision 1 (behaviour on the bus) in the upper 16 bits, minor revision 0 below."""
+
+DEVICE_TYPE = 0x1000
+ERROR_REGISTER = 0x1001
+ERROR_HISTORY = 0x1003
+SYNC_COB_ID = 0x1005
+SYNC_PERIOD_US = 0x1006
+"""U32, period of SYNC in µs as the host produces it."""
+SYNC_WINDOW_US = 0x1007
+"""U32, synchronous window in µs: a burst that is not finished inside it is given up."""
+DEVICE_NAME = 0x1008
+EMCY_COB_ID = 0x1014
+HEARTBEAT_MS = 0x1017
+"""U16, period of the heartbeat in ms, 0 = none."""
+IDENTITY = 0x1018
+IDENTITY_VENDOR = 1
+IDENTITY_PRODUCT = 2
+IDENTITY_REVISION = 3
+IDENTITY_SERIAL = 4
+SYNC_OVERFLOW = 0x1019
+TPDO1_PARAMETER = 0x1800
+TPDO1_MAPPING = 0x1A00
+TPDO1_ENTRIES = (0x2110_01_08, 0x2110_02_38)
+"""The mapping of the frame messages: header U8, data U56."""
+
+LAYOUT = 0x2100
+LAYOUT_PADS = 1
+LAYOUT_TAXELS = 2
+LAYOUT_HASH = 3
+"""Visible string, `TaxelLayout.layout_hash`."""
+LAYOUT_ADC_MAX = 4
+FORMAT = 0x2101
+FORMAT_SAMPLE_BITS = 1
+FORMAT_SAMPLE_BYTES = 2
+FORMAT_MESSAGES = 3
+FORMAT_HEADER_BYTES = 4
+PAD_SHAPES = 0x2102
+"""Domain: rows and columns of each pad, one byte each."""
+BOARDS = 0x2103
+"""U32 each: serial number of the pads' board of finger 0 (:01) and finger 1 (:02), 0 for none."""
+FRAME_MESSAGE = 0x2110
+THRESHOLDS = 0x2120
+THRESHOLD_TOUCH = 1
+"""U16, counts above which a taxel is touched: enters the features, and refuses the tare."""
+THRESHOLD_TARE_SPREAD = 2
+"""U16, span of a taxel's counts above which the tare is refused."""
+TARE = 0x2130
+TARE_COMMAND = 1
+TARE_RESULT = 2
+TARE_FRAMES = 3
+TARE_LARGEST = 4
+TARE_SIGNATURE = int.from_bytes(b"tare", "little")
+"""U32 to write to `TARE_COMMAND`, so that no stray write takes a zero."""
+TARE_CLEAR_SIGNATURE = int.from_bytes(b"zero", "little")
+"""U32 to write to `TARE_COMMAND` to go back to raw counts."""
+MODE = 0x2150
+LAST_FRAME = 0x2200
+"""Domain: the samples of the last complete frame, as in the frame messages."""
+LAST_FRAME_COUNTER = 0x2201
+"""U16: counter of the frame that the last upload of `LAST_FRAME` gave."""
+
+
+class TareResult(IntEnum):
+    """Result of the unit's own tare, object 0x2130:02."""
+
+    NONE = 0
+    RUNNING = 1
+    DONE = 2
+    REFUSED_TOUCHED = 3
+    REFUSED_SPREAD = 4
+
+
+class TransmissionMode(IntEnum):
+    """Content of the unit's answer to each SYNC, object 0x2150."""
+
+    RAW = 1
+    FEATURES = 2
+    BOTH = 3
+
+
+@cache
+def of_node(node_id: int) -> "canopen.ObjectDictionary":
+    """Return the dictionary of the EDS for a node-ID; all links and units of a process share it.
+
+    Nothing writes to it: canopen keeps the values of a node in the node.
+    """
+    import canopen  # noqa: PLC0415  settings need the constants only, and canopen is slow to load
+
+    return canopen.import_od(str(EDS_PATH), node_id)

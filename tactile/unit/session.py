@@ -1,0 +1,293 @@
+"""The session of a link, from one start to its end: messages, SYNC, supervision, statistics."""
+
+from collections.abc import Callable
+
+import can
+import canopen
+from canopen.nmt import NMT_COMMANDS
+
+from tactile.can.bus import bad_lines
+from tactile.can.receiver import MessageSource, interface_failed
+from tactile.clock import Clock
+from tactile.errors import DuplicateNode, NodeMissing
+from tactile.frames.assembler import FrameAssembler
+from tactile.frames.codec import FrameFormat, TactileFrame
+from tactile.frames.flow import FrameFlow
+from tactile.frames.pad_features import FeatureCollector
+from tactile.layout import TaxelLayout
+from tactile.unit import object_dictionary
+from tactile.unit.sdo import ObjectAccess, PolledSdoClient
+from tactile.unit.settings import LinkSettings, LinkStatistics
+from tactile.unit.supervision import NodeSupervisor, SupervisionLimits, TrafficLimit
+
+_FUNCTION_BITS, _NODE_BITS = 0x780, 0x07F
+"""Bits of a COB-ID that are its function and its node-ID (CiA 301, 7.3.5)."""
+_SURPLUS_ANSWERS = 3
+"""So many SDO answers more than requests are those of a second unit, not a message doubled once."""
+_BURST_S, _LEAST_BURST = 0.05, 10.0
+"""Foreign or damaged messages of so many seconds, and at least so many, may come at once."""
+_LEAST_GAP = 0.9
+"""Of the period: after a late SYNC the next one waits so long, or it would cut into the burst."""
+_SYNC_EARLY_S = 1e-6
+"""A caller that polls in step with SYNC must not miss it by a rounding error."""
+
+
+class LinkSession:
+    """One control unit from the start of the link to its end.
+
+    Parameters
+    ----------
+    bus
+        An open bus.
+    source
+        Where its messages come from; already started.
+    node_id
+        CANopen node-ID of the unit.
+    layout
+        Its taxels.
+    clock
+        Monotonic time.
+    settings
+        Periods and limits.
+    """
+
+    def __init__(
+        self,
+        bus: can.BusABC,
+        source: MessageSource,
+        *,
+        node_id: int,
+        layout: TaxelLayout,
+        clock: Clock,
+        settings: LinkSettings,
+    ) -> None:
+        self.name = f"the control unit (node-ID {node_id})"
+        self._source = source
+        self._node_id = node_id
+        self._clock = clock
+        self._settings = settings
+        self._bus = bus
+        self._network = canopen.Network(bus)
+        self._client = PolledSdoClient(
+            node_id=node_id,
+            dictionary=object_dictionary.of_node(node_id),
+            clock=clock,
+            service=self.service,
+            wait=source.wait,
+            timeout_s=settings.sdo_timeout_s,
+        )
+        self._client.network = self._network
+        self.objects = ObjectAccess(self._client, name=self.name)
+        self.supervisor = _supervisor(self.name, settings)
+        frame_format = FrameFormat.of(layout)
+        self._assembler = FrameAssembler(frame_format)
+        self._flow = _flow(self.name, settings, frame_format)
+        self._foreign_limit = _limit(
+            "messages of other nodes or unknown COB-IDs",
+            "find out who sends them, or raise tactile.foreign_max_hz where they belong there",
+            settings.max_foreign_hz,
+        )
+        self._malformed_limit = _limit(
+            "damaged messages",
+            "check cable, termination, bit rate and adapter",
+            settings.max_malformed_hz,
+        )
+        self.features = FeatureCollector()
+        self.last_frame_s: float | None = None
+        self._frames: list[TactileFrame] = []
+        self._nodes_heard: set[int] = set()
+        self._next_sync_s: float | None = None
+        self._syncs = self._late_syncs = self._foreign = self._malformed = 0
+        self._bad_lines = bad_lines(bus)
+        self._unusable = 0
+        self._handlers: dict[int, Callable[[bytes, float], None]] = {
+            object_dictionary.COB_EMCY + node_id: self._on_emergency,
+            object_dictionary.COB_TPDO2 + node_id: self._on_features_first,
+            object_dictionary.COB_TPDO3 + node_id: self._on_features_second,
+            object_dictionary.COB_SDO_RESPONSE + node_id: self._on_sdo_response,
+            object_dictionary.COB_HEARTBEAT + node_id: self.supervisor.on_heartbeat,
+        }
+
+    @property
+    def statistics(self) -> LinkStatistics:
+        """Counts since the start."""
+        return LinkStatistics(
+            frames=self._assembler.statistics,
+            recent_loss_rate=self._flow.recent_loss_rate,
+            syncs=self._syncs,
+            late_syncs=self._late_syncs,
+            foreign=self._foreign,
+            malformed=self._unusable_now(),
+            error_frames=self.supervisor.error_frames,
+        )
+
+    def take_frames(self) -> tuple[TactileFrame, ...]:
+        """Return the whole frames since the last call."""
+        frames = tuple(self._frames)
+        self._frames.clear()
+        return frames
+
+    def enter_operation(self) -> None:
+        """Send SYNC from now on, and watch heartbeat, state and frames."""
+        now_s = self._clock.monotonic()
+        self.supervisor.enter_operation(now_s)
+        self._next_sync_s = now_s
+
+    def leave_operation(self) -> None:
+        """Send no SYNC any more."""
+        self._next_sync_s = None
+
+    def command(self, name: str) -> None:
+        """Send an NMT command to the unit, by its name in ``canopen.nmt.NMT_COMMANDS``."""
+        self._send(object_dictionary.COB_NMT, bytes((NMT_COMMANDS[name], self._node_id)))
+
+    def service(self) -> None:
+        """Take in what was received, look at the deadlines, send SYNC when due."""
+        frame_id = object_dictionary.COB_TPDO1 + self._node_id
+        push = self._assembler.push
+        n_frame_messages = 0
+        for t_s, message in self._source.drain():
+            if message.is_error_frame:
+                self.supervisor.on_error_frame(message.arbitration_id, message.data, t_s)
+            elif message.is_remote_frame or message.is_extended_id:
+                self._malformed += 1
+            elif message.arbitration_id == frame_id:
+                n_frame_messages += 1
+                frame = push(message.data, message.dlc, t_s)
+                if frame is not None:
+                    self._on_frame(frame)
+            else:
+                self._dispatch(message, t_s)
+        self._flow.messages(n_frame_messages)
+        now_s = self._clock.monotonic()
+        self._check_unusable(now_s)
+        if self._next_sync_s is None:
+            self._check_answers()
+        self.supervisor.check(now_s)
+        if self._next_sync_s is not None and now_s >= self._next_sync_s - _SYNC_EARLY_S:
+            self._sync(now_s, self._next_sync_s)
+
+    def pump(self) -> None:
+        """Do one round of `service` and let a little time pass."""
+        self.service()
+        self._source.wait(self._settings.sync_period_s)
+
+    def wait_for(self, condition: Callable[[], bool], failure: str) -> None:
+        """Serve until a condition holds; NodeMissing with ``failure`` after the start-up time."""
+        timeout_s = self._settings.startup_timeout_s
+        deadline_s = self._clock.monotonic() + timeout_s
+        self.service()
+        while not condition():
+            left_s = deadline_s - self._clock.monotonic()
+            if left_s <= 0.0:
+                heard = ", ".join(str(node) for node in sorted(self._nodes_heard))
+                found = f"node-IDs heard: {heard}" if heard else "no node is heard on this bus"
+                raise NodeMissing(
+                    f"{self.name} {failure} within {timeout_s:g} s; {found}. Check the unit's "
+                    "supply, node-ID, bit rate, CAN cable and termination"
+                )
+            self._source.wait(left_s)
+            self.service()
+
+    def _send(self, cob_id: int, data: bytes) -> None:
+        try:
+            self._network.send_message(cob_id, data)
+        except (can.CanError, OSError) as error:
+            raise interface_failed(error) from error
+
+    def _dispatch(self, message: can.Message, t_s: float) -> None:
+        cob_id = message.arbitration_id
+        if cob_id & _FUNCTION_BITS == object_dictionary.COB_HEARTBEAT:
+            self._nodes_heard.add(cob_id & _NODE_BITS)
+        handler = self._handlers.get(cob_id)
+        if handler is None:
+            self._foreign += 1
+            self._foreign_limit.add(t_s)
+        elif len(message.data) != message.dlc:
+            self._malformed += 1
+        else:
+            handler(bytes(message.data), t_s)
+
+    def _unusable_now(self) -> int:
+        """Return how many messages could not be used, damaged frame messages left out."""
+        return (
+            self._malformed
+            + self.features.malformed
+            + self.supervisor.short_emergencies
+            + bad_lines(self._bus)
+            - self._bad_lines
+        )
+
+    def _check_unusable(self, now_s: float) -> None:
+        unusable = self._unusable_now() + self._assembler.n_short
+        if unusable > self._unusable:
+            new, self._unusable = unusable - self._unusable, unusable
+            self._malformed_limit.add(now_s, new)
+
+    def _check_answers(self) -> None:
+        """Refuse a unit that gave more answers than it was asked for; DuplicateNode."""
+        if self._client.surplus >= _SURPLUS_ANSWERS:
+            raise DuplicateNode(
+                f"{self._client.surplus} SDO answers more came from {self.name} than were asked "
+                "for: a second unit has the same node-ID, or another program talks to the unit; "
+                "leave one of them on the bus, then start the link again"
+            )
+
+    def _sync(self, now_s: float, due_s: float) -> None:
+        self._flow.before_sync()
+        self._send(object_dictionary.COB_SYNC, b"")
+        self._syncs += 1
+        period_s = self._settings.sync_period_s
+        if now_s - due_s >= period_s:
+            self._late_syncs += 1
+            due_s = now_s
+        self._next_sync_s = max(due_s + period_s, now_s + _LEAST_GAP * period_s)
+
+    def _on_frame(self, frame: TactileFrame) -> None:
+        self._frames.append(frame)
+        self.last_frame_s = frame.t_s
+        self._flow.on_frame(frame.counter)
+
+    def _on_features_first(self, data: bytes, t_s: float) -> None:
+        self.features.push_first(data)
+
+    def _on_features_second(self, data: bytes, t_s: float) -> None:
+        features = self.features.push_second(data)
+        if (
+            features is not None
+            and self._settings.mode is object_dictionary.TransmissionMode.FEATURES
+        ):
+            self.last_frame_s = t_s
+            self._flow.answered()
+
+    def _on_emergency(self, data: bytes, t_s: float) -> None:
+        self.supervisor.on_emergency(data)
+
+    def _on_sdo_response(self, data: bytes, t_s: float) -> None:
+        self._client.on_response(object_dictionary.COB_SDO_RESPONSE + self._node_id, data, t_s)
+
+
+def _supervisor(name: str, settings: LinkSettings) -> NodeSupervisor:
+    limits = SupervisionLimits(
+        heartbeat_s=settings.heartbeat_s,
+        heartbeat_factor=settings.heartbeat_factor,
+        passive_s=settings.error_passive_s,
+    )
+    return NodeSupervisor(name, limits)
+
+
+def _flow(name: str, settings: LinkSettings, frame_format: FrameFormat) -> FrameFlow:
+    whole_frames = settings.mode & object_dictionary.TransmissionMode.RAW
+    return FrameFlow(
+        name,
+        timeout_periods=settings.frame_timeout_periods,
+        max_loss_rate=settings.max_loss_rate,
+        window_frames=settings.loss_window_frames,
+        late_periods=settings.late_periods,
+        burst_messages=frame_format.n_messages if whole_frames else 0,
+    )
+
+
+def _limit(what: str, advice: str, rate_hz: float) -> TrafficLimit:
+    burst = max(_LEAST_BURST, _BURST_S * rate_hz)
+    return TrafficLimit(what, advice, rate_hz=rate_hz, burst=burst)

@@ -1,0 +1,133 @@
+"""Settings of the link to the control unit, what identifies a unit, and what the link counts.
+
+Each number is declared once, with its default and range; the config file takes both from here.
+"""
+
+from dataclasses import dataclass, field, fields
+from math import inf
+from typing import Any
+
+from tactile.frames.assembler import FrameStatistics
+from tactile.unit import object_dictionary
+from tactile.unit.object_dictionary import TransmissionMode
+
+
+def setting(default: Any, low: float, high: float) -> Any:
+    """Return a dataclass field with its default and range, both ends allowed."""
+    return field(default=default, metadata={"low": low, "above": -inf, "high": high})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NodeIdentity:
+    """Identity object 0x1018 of the unit that answers, and its name."""
+
+    vendor_id: int
+    product_code: int
+    revision: int
+    serial: int
+    name: str = ""
+    boards: tuple[int, int] = (0, 0)
+    """Serial numbers of the pads' boards on finger 0 and finger 1; 0 where a board has none."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExpectedIdentity:
+    """Which unit is accepted; None accepts any.
+
+    The revision's upper 16 bits (the behaviour on the bus, CiA 301) must match, the lower may not.
+    """
+
+    vendor_id: int | None = object_dictionary.VENDOR_ID
+    product_code: int | None = object_dictionary.PRODUCT_CODE
+    revision: int | None = object_dictionary.REVISION
+    serial: int | None = None
+    boards: tuple[int, int] | None = None
+    """Serial numbers of the pads' boards on finger 0 and finger 1."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkSettings:
+    """Periods and limits of the link."""
+
+    sync_period_s: float = setting(0.02, 0.001, 1.0)
+    """Period of SYNC, and so of the frames, in s."""
+    sync_window_s: float | None = None
+    """The unit gives up a burst that takes longer than this, in s; at most the period. By
+    default 85 % of the period."""
+    heartbeat_s: float = setting(0.1, 0.005, 10.0)
+    """Period of the unit's heartbeat in s."""
+    heartbeat_factor: float = setting(1.5, 1.0, 10.0)
+    """The heartbeat is lost after this many periods."""
+    startup_timeout_s: float = setting(3.0, 0.01, 120.0)
+    """The unit must have booted, and later be operational, within this time in s."""
+    sdo_timeout_s: float = setting(0.3, 0.005, 10.0)
+    """Longest wait for one SDO response in s."""
+    frame_timeout_periods: int = setting(3, 1, 1000)
+    """So many SYNCs without a whole frame are a fault."""
+    max_loss_rate: float = setting(0.05, 0.0, 1.0)
+    loss_window_frames: int = setting(50, 1, 10_000)
+    """A larger share of frames lost among so many is a fault."""
+    late_periods: int = setting(2, 1, 1000)
+    """Frames that come so many periods later than before, three times, are a fault."""
+    max_foreign_hz: float = setting(2000.0, 0.0, 1e5)
+    """So many messages of other nodes or unknown COB-IDs may come every second."""
+    max_malformed_hz: float = setting(20.0, 0.0, 1e5)
+    """So many damaged or unusable messages may come every second."""
+    error_passive_s: float = setting(0.5, 0.0, 10.0)
+    """The host's CAN controller may be error-passive for this long, in s."""
+    identity: ExpectedIdentity = field(default_factory=ExpectedIdentity)
+    """Which unit is accepted."""
+    mode: TransmissionMode = TransmissionMode.RAW
+    """Samples, features, or both."""
+    threaded: bool = True
+    """True: a thread receives (real buses). False: `poll` asks the bus (buses in memory)."""
+
+    def __post_init__(self) -> None:
+        for one in fields(self):
+            value = getattr(self, one.name)
+            if "low" in one.metadata and not one.metadata["low"] <= value <= one.metadata["high"]:
+                raise ValueError(
+                    f"{one.name} is {value}, must be {one.metadata['low']:g} to "
+                    f"{one.metadata['high']:g}"
+                )
+        if not 0.0005 <= self.window_s <= self.sync_period_s:
+            raise ValueError(
+                f"sync_window_s is {self.window_s}, must be 0.0005 to {self.sync_period_s:g}"
+            )
+
+    @property
+    def window_s(self) -> float:
+        """Synchronous window in s."""
+        return 0.85 * self.sync_period_s if self.sync_window_s is None else self.sync_window_s
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkStatistics:
+    """What the link counted since its start.
+
+    Attributes
+    ----------
+    frames
+        Frames and frame messages.
+    recent_loss_rate
+        Share of frames lost in the window of `LinkSettings.loss_window_frames`.
+    syncs
+        SYNC messages sent.
+    late_syncs
+        SYNCs that were due more than one period ago when `poll` came to send them: not made up for.
+    foreign
+        Messages of other nodes or of unknown COB-IDs.
+    malformed
+        Emergencies, features and remote or extended messages that cannot be used, and lines of a
+        serial adapter that are none.
+    error_frames
+        Error frames of the host's CAN controller.
+    """
+
+    frames: FrameStatistics
+    recent_loss_rate: float
+    syncs: int
+    late_syncs: int
+    foreign: int
+    malformed: int
+    error_frames: int

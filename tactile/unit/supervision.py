@@ -1,0 +1,277 @@
+"""Supervision of the control unit: boot-up, heartbeat, emergencies, bus errors.
+
+Time is an argument. canopen leaves this to its user: it has no heartbeat consumer, hides boot-ups
+and drops error frames. Every method raises a `LinkFault` at once when its message is one.
+"""
+
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+from canopen.emcy import EMCY_STRUCT, EmcyError
+from canopen.nmt import COMMAND_TO_STATE, NMT_COMMANDS, NMT_STATES
+
+from tactile.errors import (
+    BusDisturbed,
+    BusErrorPassive,
+    BusOff,
+    DuplicateNode,
+    HeartbeatLost,
+    NodeEmergency,
+    NodeRebooted,
+    NodeStateChanged,
+)
+
+BOOT_UP = 0
+"""State byte of a boot-up message (CiA 301, 7.2.8.3.3); canopen calls that state INITIALISING."""
+OPERATIONAL = COMMAND_TO_STATE[NMT_COMMANDS["OPERATIONAL"]]
+_STATE_BITS = 0x7F
+"""Bits of a heartbeat that are the state; the top bit is reserved."""
+
+ERROR_RESET = 0x0000
+WINDOW_EXCEEDED = 0xFF01
+SYNC_OVERRUN = 0xFF02
+CONVERTER_FAULT = 0xFF03
+MULTIPLEXER_FAULT = 0xFF04
+ZERO_LOST = 0xFF05
+"""Emergency codes that the control unit defines itself; the first one is from CiA 301."""
+
+EMERGENCY_TEXTS: Mapping[int, str] = MappingProxyType(
+    {
+        ERROR_RESET: "no error",
+        WINDOW_EXCEEDED: "a burst was cut short, it does not fit into the synchronous window",
+        SYNC_OVERRUN: "a SYNC came while the burst before it was still being sent",
+        CONVERTER_FAULT: "converter self-test failed",
+        MULTIPLEXER_FAULT: "multiplexer self-test failed",
+        ZERO_LOST: "the stored zero is damaged",
+        0x8110: "CAN overrun, messages lost",
+        0x8120: "CAN error-passive",
+        0x8130: "heartbeat or life guard error",
+        0x8140: "recovered from bus-off",
+        0x8150: "CAN identifier collision",
+        0x8210: "PDO not processed, too short",
+        0x8220: "PDO too long",
+        0x8240: "unexpected SYNC length",
+        0x8250: "RPDO time-out",
+    }
+)
+"""Emergency codes that mean one thing: the unit's own, and those of CiA 301, 7.2.7.1, that canopen
+has only as groups."""
+
+_DOUBLED_BEATS = 16
+_DOUBLED_PERIODS = 10.0
+"""So many heartbeats within so many periods are those of two units; a host that stalls for a third
+of that time sees fewer."""
+
+_CLASS_CONTROLLER = 0x0004
+_CLASS_BUS_OFF = 0x0040
+_CLASS_RESTARTED = 0x0100
+"""Classes of error frames as SocketCAN puts them into the identifier (linux/can/error.h)."""
+_PASSIVE = 0x10 | 0x20
+_ACTIVE = 0x40
+"""State of the controller in data byte 1 of an error frame: passive in receiving or sending."""
+
+
+def state_name(state: int) -> str:
+    """Return the name of an NMT state as a heartbeat has it."""
+    if state == BOOT_UP:
+        return "boot-up"
+    return NMT_STATES.get(state, f"unknown state {state}").lower()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Emergency:
+    """An emergency message.
+
+    Attributes
+    ----------
+    code
+        Emergency error code; 0 = the error is gone.
+    register
+        Error register, object 0x1001.
+    detail
+        The five manufacturer-specific bytes.
+    """
+
+    code: int
+    register: int
+    detail: bytes
+
+    @property
+    def text(self) -> str:
+        """Meaning of the code, or of its group where it has none of its own."""
+        exact = EMERGENCY_TEXTS.get(self.code)
+        if exact is not None:
+            return exact
+        group: str = EmcyError(self.code, self.register, self.detail, 0.0).get_desc()
+        return group.lower() or "unknown code"
+
+
+def decode_emergency(data: bytes) -> Emergency | None:
+    """Return the content of an EMCY message; None unless it has exactly 8 bytes (CiA 301)."""
+    if len(data) != EMCY_STRUCT.size:
+        return None
+    code, register, detail = EMCY_STRUCT.unpack(data)
+    return Emergency(code=code, register=register, detail=detail)
+
+
+class TrafficLimit:
+    """Limit of useless messages, a leaky bucket: messages fill it, time empties it.
+
+    Parameters
+    ----------
+    what
+        The messages, in the plural, for the error.
+    advice
+        What to do about them.
+    rate_hz
+        So many a second may come for ever.
+    burst
+        So many may come at once.
+    """
+
+    def __init__(self, what: str, advice: str, *, rate_hz: float, burst: float) -> None:
+        self._what = what
+        self._advice = advice
+        self._rate_hz = rate_hz
+        self._burst = burst
+        self._level = 0.0
+        self._since_s: float | None = None
+        self._at_s = 0.0
+        self._n = 0
+
+    def add(self, t_s: float, n: int = 1) -> None:
+        """Take ``n`` messages that came at ``t_s`` s; BusDisturbed if they are too many."""
+        self._level = max(0.0, self._level - self._rate_hz * max(0.0, t_s - self._at_s))
+        if self._level == 0.0 or self._since_s is None:
+            self._since_s, self._n = t_s, 0
+        self._at_s = t_s
+        self._level += n
+        self._n += n
+        if self._level > self._burst:
+            raise BusDisturbed(
+                f"{self._n} {self._what} came within {1e3 * (t_s - self._since_s):.0f} ms, "
+                f"allowed are {self._rate_hz:g} a second: {self._advice}, then start the link again"
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SupervisionLimits:
+    """Deadlines of a supervisor.
+
+    Attributes
+    ----------
+    heartbeat_s
+        Period of the unit's heartbeat in s.
+    heartbeat_factor
+        The heartbeat is lost after this many periods without one.
+    passive_s
+        The controller may be error-passive for this long.
+    """
+
+    heartbeat_s: float
+    heartbeat_factor: float = 1.5
+    passive_s: float = 0.5
+
+
+class NodeSupervisor:
+    """Supervisor of one node: its state, its heartbeat, its emergencies, the host's controller.
+
+    Parameters
+    ----------
+    name
+        The node in messages.
+    limits
+        Deadlines.
+    """
+
+    def __init__(self, name: str, limits: SupervisionLimits) -> None:
+        self._name = name
+        self._limits = limits
+        self._in_operation = False
+        self._heartbeat_at_s: float | None = None
+        self._beats: deque[float] = deque(maxlen=_DOUBLED_BEATS)
+        self._passive_since_s: float | None = None
+        self.state: int | None = None
+        self.boot_ups = 0
+        self.short_emergencies = 0
+        self.error_frames = 0
+
+    def enter_operation(self, now_s: float) -> None:
+        """Demand from now on that the unit is operational and its heartbeat goes on."""
+        self._in_operation = True
+        self._heartbeat_at_s = now_s
+
+    def on_heartbeat(self, data: bytes, t_s: float) -> None:
+        """Take a message of COB-ID 0x700 + node."""
+        if len(data) != 1:
+            return
+        self.state = data[0] & _STATE_BITS
+        self._heartbeat_at_s = t_s
+        if self.state == BOOT_UP:
+            self.boot_ups += 1
+            if self._in_operation:
+                raise NodeRebooted(
+                    f"{self._name} sent a boot-up message while in operation: it restarted, or a "
+                    "second unit has the same node-ID; its set-up is gone, check its supply, then "
+                    "start the link and tare again"
+                )
+        elif self._in_operation and self.state != OPERATIONAL:
+            raise NodeStateChanged(
+                f"{self._name} is {state_name(self.state)}, expected operational: another NMT "
+                "master, or an error in the unit (object 0x1029); start the link again"
+            )
+        elif self._in_operation:
+            self._count_beat(t_s)
+
+    def _count_beat(self, t_s: float) -> None:
+        self._beats.append(t_s)
+        limit_s = _DOUBLED_PERIODS * self._limits.heartbeat_s
+        if len(self._beats) == _DOUBLED_BEATS and t_s - self._beats[0] < limit_s:
+            raise DuplicateNode(
+                f"{_DOUBLED_BEATS} heartbeats came from {self._name} within "
+                f"{t_s - self._beats[0]:.2f} s, its period is {self._limits.heartbeat_s:g} s: a "
+                "second unit has the same node-ID; leave one on the bus, then start the link again"
+            )
+
+    def on_emergency(self, data: bytes) -> None:
+        """Take a message of COB-ID 0x080 + node."""
+        emergency = decode_emergency(data)
+        if emergency is None:
+            self.short_emergencies += 1
+        elif emergency.code != ERROR_RESET:
+            raise NodeEmergency(emergency.code, emergency.register, emergency.text, self._name)
+
+    def on_error_frame(self, classes: int, data: bytes | bytearray, t_s: float) -> None:
+        """Take an error frame of the host's own CAN controller."""
+        self.error_frames += 1
+        if classes & _CLASS_BUS_OFF:
+            raise BusOff(
+                "the CAN controller of the host is bus-off: check wiring, termination and bit "
+                "rate, restart the interface, then start the link again"
+            )
+        controller = data[1] if classes & _CLASS_CONTROLLER and len(data) > 1 else 0
+        if controller & _ACTIVE or classes & _CLASS_RESTARTED:
+            self._passive_since_s = None
+        elif controller & _PASSIVE and self._passive_since_s is None:
+            self._passive_since_s = t_s
+
+    def check(self, now_s: float) -> None:
+        """Raise the fault of a deadline that is over."""
+        passive_since_s = self._passive_since_s
+        if passive_since_s is not None and now_s - passive_since_s >= self._limits.passive_s:
+            raise BusErrorPassive(
+                f"the CAN controller of the host has been error-passive for "
+                f"{now_s - passive_since_s:.2f} s, allowed are {self._limits.passive_s:g} s: check "
+                "wiring, termination and bit rate, then start the link again"
+            )
+        if not self._in_operation or self._heartbeat_at_s is None:
+            return
+        limit_s = self._limits.heartbeat_factor * self._limits.heartbeat_s
+        silent_s = now_s - self._heartbeat_at_s
+        if silent_s > limit_s:
+            raise HeartbeatLost(
+                f"no heartbeat from {self._name} for {silent_s:.3f} s, allowed are {limit_s:g} s: "
+                "check its supply and its CAN cable, then start the link again"
+            )

@@ -1,0 +1,197 @@
+import json
+from pathlib import Path
+
+import jsonschema
+import pytest
+from ruamel.yaml import YAML
+
+from cell.config.file import (
+    MAX_BYTES,
+    config_schema,
+    config_text,
+    load_config,
+    parse_config,
+    schema_text,
+)
+from cell.config.model import CellConfig
+from cell.errors import ConfigError
+
+CONFIG_FOLDER = Path(__file__).parents[3] / "config"
+
+
+def complaint(text: str) -> str:
+    with pytest.raises(ConfigError) as caught:
+        parse_config(text, source="cell.yaml")
+    return str(caught.value)
+
+
+def test_without_a_file_it_is_the_simulated_cell() -> None:
+    assert load_config(None) == CellConfig()
+    assert CellConfig().simulated
+
+
+def test_the_committed_simulated_cell_is_the_built_in_default() -> None:
+    assert load_config(CONFIG_FOLDER / "simulated-cell.yaml") == CellConfig()
+
+
+@pytest.mark.parametrize("name", ["simulated-cell", "paper-gripper", "pinch-13x6"])
+def test_committed_configs_are_valid_and_name_the_schema(name: str) -> None:
+    path = CONFIG_FOLDER / f"{name}.yaml"
+    load_config(path)
+    text = path.read_text(encoding="utf-8")
+    assert text.startswith("# yaml-language-server: $schema=tactile-cell.schema.json\n")
+    jsonschema.validate(YAML(typ="safe", pure=True).load(text), config_schema())
+
+
+def test_the_committed_schema_is_the_generated_one() -> None:
+    committed = (CONFIG_FOLDER / "tactile-cell.schema.json").read_text(encoding="utf-8")
+    assert committed == schema_text()
+
+
+def test_every_key_of_the_schema_says_what_it_means() -> None:
+    def walk(node: object) -> None:
+        if isinstance(node, dict):
+            for name, entry in node.get("properties", {}).items():
+                assert entry.get("description"), f"{name} has no description"
+            for entry in node.values():
+                walk(entry)
+
+    walk(json.loads(schema_text()))
+
+
+def test_a_list_with_a_bad_entry_is_not_called_empty() -> None:
+    message = complaint("gripper: {servos: [{id: 1, model: XL430-W250}]}\n")
+    assert "at least 1 item" not in message
+
+
+def test_the_written_config_shows_every_key_of_the_schema() -> None:
+    text = config_text(CellConfig())
+    sections = json.loads(schema_text())
+    keys = {
+        key
+        for section in (sections, *sections["$defs"].values())
+        for key in section.get("properties", ())
+    }
+    assert [key for key in sorted(keys) if f"{key}:" not in text] == []
+    assert "One of: parallel_linkage, rack_pinion." in text
+    assert "# host_timeout_s:" in text
+
+
+def test_written_config_reads_back_equal() -> None:
+    for comments in (True, False):
+        text = config_text(CellConfig(), comments=comments)
+        assert parse_config(text, source="x") == CellConfig()
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        ("gripper:\n  baud_rate: 9600\n", ["cell.yaml:2", "gripper.baud_rate", "9600"]),
+        ("gripper:\n  foo: 1\n", ["cell.yaml:2", "gripper.foo", "unknown key"]),
+        (
+            "gripper:\n  linkage: {kind: rack_pinion, pinion_radius_mm: 9, link_mm: 3}\n",
+            ["gripper.linkage.link_mm: unknown key; it is a key of gripper.linkage of kind"],
+        ),
+        ("gripper:\n\tport: x\n", ["cell.yaml:2:1", "a tab; indent with spaces"]),
+        ("tactile: {layout: papr}\n", ["tactile.layout: ", "'paper' or 'pinch'"]),
+        ("gripper: {servos: [{id: 1, model: XL430-W250}]}\n", ["no Goal Current", "XM430-W350"]),
+        ("gripper: {current_max_a: 2.4}\n", ["current_max_a 2.4", "servo 1 (XM430-W350)", "2.3 A"]),
+        (
+            "tactile: {calibration: {kind: linear, force_per_count_n: 0.001}}\n",
+            ["asks for 8 N", "saturated at 0.255 N", "up to 2.04 N"],
+        ),
+        ("tactile:\n  node_id: '5'\n", ["cell.yaml:2", "tactile.node_id", "'5'"]),
+        ("gripper:\n  force_max_n: .nan\n", ["cell.yaml:2", "gripper.force_max_n", "finite"]),
+        (
+            "gripper:\n  servos:\n    - id: 1\n    - id: 300\n",
+            ["cell.yaml:4", "gripper.servos.1.id", "252"],
+        ),
+        ("gripper:\n  servos:\n    - id: 1\n    - id: 1\n", ["gripper", "[1, 1] repeat"]),
+        ("gripper:\n  linkage: {kind: rack_pinion}\n", ["pinion_radius_mm", "required"]),
+        ("gripper:\n  aperture_min_mm: 50\n", ["below", "aperture_open_mm"]),
+        ("gripper:\n  contact_force_n: 4\n  force_max_n: 3\n", ["contact_force_n", "force_max_n"]),
+        ("gripper:\n  force_max_n: 5\n", ["sequence asks for 8 N", "force_max_n is 5 N"]),
+        ("gripper:\n  force_max_n: 8.2\n", ["sequence asks for 8 N", "ramps up to 7.81 N"]),
+        ("gripper:\n  contact_force_n: 2.5\n", ["asks for 2 N", "contact_force_n is 2.5 N"]),
+        ("gripper:\n  force_max_n: 51\n", ["gripper.force_max_n", "50"]),
+        ("sequence:\n  x_mm: [3, 1]\n", ["x_mm", "[3, 1]", "low"]),
+        ("sequence:\n  kind: list\n", ["poses"]),
+        ("gripper: {port: /dev/ttyUSB0}\n", ["both be `simulated` or both be real"]),
+        (
+            "gripper: {port: /dev/ttyUSB0}\ntactile: {interface: socketcan}\n",
+            ["tactile.channel is empty"],
+        ),
+        (
+            "gripper: {port: /dev/ttyUSB0}\ntactile: {interface: socketcan, channel: can0}\n",
+            ["positioner.kind is simulated but the cell is not"],
+        ),
+        (
+            "simulator:\n  objects:\n    - {label: a, shape: s}\n    - {label: a, shape: s}\n",
+            ["repeat"],
+        ),
+        ("name: a\nname: b\n", ["duplicate key"]),
+        ("a: &x [1]\nb: *x\n", ["cell.yaml:1", "aliases are not allowed"]),
+        ("- 1\n", ["mapping"]),
+        ("name: [\n", ["not YAML"]),
+        ("name: !!python/object:os.system x\n", ["not YAML"]),
+        ("name: " + "[" * 30 + "]" * 30 + "\n", ["levels"]),
+    ],
+)
+def test_complaints_name_line_key_and_limit(text: str, parts: list[str]) -> None:
+    message = complaint(text)
+    for part in parts:
+        assert part in message
+
+
+@pytest.mark.parametrize(
+    ("text", "begin"),
+    [
+        ("gripper:\n  force_max_n: 99\n", "cell.yaml:2:3: gripper.force_max_n: "),
+        ("gripper:\n  forc_max_n: 3\n", "cell.yaml:2:3: gripper.forc_max_n: unknown key; is "),
+        (
+            "gripper:\n  servos:\n    - {id: 1, modl: x}\n",
+            "cell.yaml:3:15: gripper.servos.0.modl: unknown key; is model meant? ",
+        ),
+        ("name: a\nname: b\n", "cell.yaml:2:1: not YAML 1.2: "),
+        ("gripper:\n\tport: x\n", "cell.yaml:2:1: not YAML 1.2: "),
+        ("name: a\nseed: \0\n", "cell.yaml:2:7: not YAML 1.2: "),
+        ("a: &x [1]\nb: *x\n", "cell.yaml:1:4: aliases are not allowed"),
+        ("[" * 200, "cell.yaml:1:101: more than 100 open brackets"),
+        ("- 1\n", "cell.yaml:1:1: a config is a mapping"),
+    ],
+)
+def test_each_complaint_begins_with_its_place(text: str, begin: str) -> None:
+    assert complaint(text).startswith(begin)
+
+
+def test_a_file_that_was_cut_off_within_a_line_is_refused(tmp_path: Path) -> None:
+    whole = "gripper:\n  force_max_n: 12.5\n"
+    path = tmp_path / "cell.yaml"
+    for end in range(len("gripper:\n") + 1, len(whole)):
+        path.write_text(whole[:end])
+        with pytest.raises(ConfigError, match=rf"cell.yaml:2:{end - 8}: .*may be cut off"):
+            load_config(path)
+    path.write_text(whole)
+    assert load_config(path).gripper.force_max_n == 12.5
+
+
+def test_all_complaints_come_at_once() -> None:
+    message = complaint("gripper:\n  baud_rate: 1\nseed: -1\n")
+    assert message.count("\n") == 1
+
+
+def test_missing_unreadable_and_oversized_files_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigError, match="cannot be read"):
+        load_config(tmp_path / "none.yaml")
+    binary = tmp_path / "binary.yaml"
+    binary.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ConfigError, match="cannot be read"):
+        load_config(binary)
+    large = tmp_path / "large.yaml"
+    large.write_text("#" * (MAX_BYTES + 1))
+    with pytest.raises(ConfigError, match="at most"):
+        load_config(large)
+
+
+def test_empty_file_is_the_default() -> None:
+    assert parse_config("", source="x") == CellConfig()

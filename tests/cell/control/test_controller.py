@@ -1,0 +1,727 @@
+"""The controller in virtual time: what it does, and what it leaves when something goes wrong."""
+
+import re
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+
+from cell.config.model import CellConfig
+from cell.control.plan import GraspStep, Pose, plan
+from cell.control.records import GraspCollector
+from cell.control.states import CellState
+from cell.data.recording_reader import read_recording
+from cell.errors import (
+    CellStateError,
+    CellStopped,
+    ConfigError,
+    NoPartFound,
+    PlanRefused,
+    PositionerError,
+)
+from cell.learning.pad_knowledge import PadKnowledge
+from cell.learning.shapes import in_words, shape_reader
+from gripper.errors import BusTimeout, GripperError, LimitExceeded, PortLost, ServoFault
+from gripper.state import GraspResult, GripperPhase
+from recognition.shape.foam import FoamModel
+from recognition.statistics.fusion import DecisionKind
+from tactile.errors import BusOff, LinkFault, TareRefused
+
+RAMPING, OPENING = GripperPhase.RAMPING, GripperPhase.OPENING
+APPROACHING, RELEASING = GripperPhase.APPROACHING, GripperPhase.RELEASING
+OPEN_M = CellConfig().gripper.aperture_open_mm * 1e-3
+
+
+# -- grasps ----------------------------------------------------------------------------------
+
+
+def test_start_verifies_opens_and_zeroes(bench: Any) -> None:
+    assert bench.controller.state is CellState.STOPPED
+    bench.controller.start()
+    assert bench.controller.state is CellState.IDLE
+    assert bench.controller.sensor.tare_result is not None
+    assert bench.controller.gripper.read_state().aperture_m == pytest.approx(OPEN_M, abs=5e-4)
+    assert not bench.controller.holding
+
+
+def test_a_grasp_reaches_its_force_and_lets_go(bench: Any) -> None:
+    bench.ready()
+    held_n: list[float] = []
+    bench.once_in(RELEASING, lambda: held_n.append(bench.grip_n))
+    record = bench.grasp(4.0, Pose(x_m=1e-3))
+    assert record.outcome.result is GraspResult.FORCE_REACHED
+    assert record.outcome.final_force_n == pytest.approx(4.0, abs=0.5)
+    assert held_n[0] > 2.0
+    assert record.reached.x_m == 1e-3
+    assert record.step.force_n == 4.0
+    assert bench.controller.state is CellState.IDLE
+    assert bench.grip_n == 0.0
+    assert bench.controller.gripper.read_state().aperture_m == pytest.approx(OPEN_M, abs=5e-4)
+
+
+def test_each_frame_has_the_opening_and_the_set_point_of_its_period(bench: Any) -> None:
+    record = bench.ready().grasp(4.0)
+    grasp, cycles = record.grasp, record.cycles
+    assert grasp.pads.same_as(bench.controller.pads)
+    assert grasp.label == ""
+    assert grasp.source == "tactile-cell"
+    np.testing.assert_allclose(np.diff(grasp.t_s), 0.02, atol=2e-3)
+    assert np.all(np.diff(grasp.aperture_m) < 2e-4)
+    assert grasp.aperture_m[0] == pytest.approx(OPEN_M, abs=1e-3)
+    assert grasp.aperture_m[-1] < 9.5e-3
+    assert grasp.force_n[0] == 0.0
+    assert grasp.force_n[-1] == 4.0
+    assert np.all(np.diff(grasp.force_n) >= 0.0)
+    pairs = {(cycle.state.aperture_m, cycle.setpoint_n) for cycle in cycles}
+    assert set(zip(grasp.aperture_m.tolist(), grasp.force_n.tolist(), strict=True)) <= pairs
+    phases = [cycle.phase for cycle in cycles]
+    assert phases == sorted(phases, key=[APPROACHING, RAMPING].index)
+    pressed = grasp.counts.astype(int)
+    assert pressed[-1].max() > pressed[0].max() + 40
+
+
+def test_known_objects_are_collected_with_their_label(bench: Any) -> None:
+    bench.controller.start()
+    steps = plan(bench.cell.controller._sequence, 2, seed=4)
+    records = list(bench.controller.collect("box", steps))
+    assert [record.grasp.label for record in records] == ["box", "box"]
+    assert [record.step for record in records] == list(steps)
+    assert records[0].grasp.start_ms <= records[1].grasp.start_ms
+
+
+def test_a_machine_clock_set_back_leaves_the_grasps_in_order(
+    bench: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench.controller.start()
+    steps = plan(bench.cell.controller._sequence, 1, seed=4)
+    (before,) = bench.controller.collect("box", steps)
+    monkeypatch.setattr("time.time_ns", lambda: 1_000_000_000)
+    (after,) = bench.controller.collect("box", steps)
+    assert after.grasp.start_ms == before.grasp.start_ms + 1
+
+
+def test_the_same_seed_gives_the_same_grasp(make_bench: Callable[..., Any]) -> None:
+    grasps = [make_bench().ready().grasp().grasp for _ in range(2)]
+    np.testing.assert_array_equal(grasps[0].counts, grasps[1].counts)
+    np.testing.assert_array_equal(grasps[0].aperture_m, grasps[1].aperture_m)
+
+
+def test_an_empty_gripper_is_no_part_and_no_fault(
+    make_bench: Callable[..., Any], tmp_path: Path
+) -> None:
+    bench = make_bench(folder=tmp_path).ready()
+    bench.once_in(APPROACHING, bench.simulated.remove)
+    with pytest.raises(NoPartFound, match=r"no contact at pose x \+0\.0 mm.*is the object in"):
+        bench.grasp()
+    assert bench.controller.state is CellState.IDLE
+    assert bench.controller.fault is None
+    assert bench.controller.gripper.read_state().aperture_m == pytest.approx(OPEN_M, abs=5e-4)
+    assert bench.grasp().outcome.result is not GraspResult.NO_CONTACT
+    bench.cell.close()
+    recording = read_recording(tmp_path / "recording.mcap")
+    assert len(recording.grasps) == 1
+    assert [event["kind"] for event in recording.events] == ["no part"]
+
+
+class Sure:
+    """A recogniser that is sure of its first label after so many grasps."""
+
+    name, labels, uses_aperture = "sure", ("ball", "box"), False
+
+    def __init__(self, after: int) -> None:
+        self.left = after
+        self.seen = 0
+
+    def posterior(self, grasp: Any) -> Any:
+        from recognition.recognizer import Posterior
+
+        assert grasp.label == ""
+        self.seen += 1
+        self.left -= 1
+        share = 0.55 if self.left > 0 else 1.0 - 1e-9
+        return Posterior(labels=self.labels, probability=np.array([share, 1 - share]), unknown=0.01)
+
+
+def test_identifying_ends_as_soon_as_it_is_sure(bench: Any) -> None:
+    bench.ready()
+    told: list[int] = []
+    steps = plan(bench.controller._sequence, 5, seed=1)
+    found = bench.controller.identify(
+        Sure(2), steps, on_grasp=lambda number, *_told: told.append(number)
+    )
+    assert (found.label, found.decision.kind) == ("ball", DecisionKind.DECIDED)
+    assert told == [1, 2]
+    assert len(found.records) == len(found.posteriors) == 2
+    assert found.probability == pytest.approx(float(found.fused.probability.max()), abs=1e-6)
+    assert found.probability > 0.98
+
+
+def test_whoever_is_told_of_the_grasps_cannot_spoil_the_answer(
+    make_bench: Callable[..., Any], tmp_path: Path
+) -> None:
+    bench = make_bench(folder=tmp_path).ready()
+
+    def broken(*_told: Any) -> None:
+        raise RuntimeError("window closed")
+
+    found = bench.controller.identify(
+        Sure(2), plan(bench.controller._sequence, 3, seed=1), on_grasp=broken
+    )
+    assert found.label == "ball"
+    assert found.complaints == (
+        "after grasp 1: RuntimeError: window closed",
+        "after grasp 2: RuntimeError: window closed",
+    )
+    bench.cell.close()
+    events = read_recording(tmp_path / "recording.mcap").events
+    assert [event["text"] for event in events if event["kind"] == "callback"] == list(
+        found.complaints
+    )
+
+
+def test_shape_and_size_are_fused_over_the_grasps(
+    make_bench: Callable[..., Any], make_config: Callable[..., Any], tmp_path: Path
+) -> None:
+    bench = make_bench(folder=tmp_path).ready()
+    told: list[Any] = []
+    found = bench.controller.identify(
+        Sure(2),
+        plan(bench.controller._sequence, 3, seed=1),
+        read_shape=shape_reader(make_config()),
+        on_grasp=lambda *parts: told.append(parts[3]),
+    )
+    assert tuple(told) == found.shapes
+    assert len(found.shapes) == found.shape.n_grasps == 2
+    assert found.shape.kind == "sphere"
+    assert found.shape.low_m < 9.5e-3 < found.shape.high_m
+    assert in_words(found.shape).startswith("a sphere of 9.")
+    bench.cell.close()
+    (result,) = read_recording(tmp_path / "recording.mcap").results
+    assert result["shape"]["size_m"] == pytest.approx(found.shape.size_m, abs=1e-6)
+    assert [one["kind"] for one in result["grasp_shapes"]] == ["sphere", "sphere"]
+
+
+def test_the_label_does_not_hang_on_whoever_reads_the_shape(bench: Any) -> None:
+    bench.ready()
+    answers: list[Any] = [None, ValueError("no law")]
+
+    def read(_grasp: Any) -> None:
+        answer = answers.pop(0)
+        if answer is not None:
+            raise answer
+
+    found = bench.controller.identify(
+        Sure(2), plan(bench.controller._sequence, 2, seed=1), read_shape=read
+    )
+    assert (found.label, found.shapes, found.shape) == ("ball", (None, None), None)
+    assert found.complaints == ("shape of grasp 2: ValueError: no law",)
+
+
+def test_nor_on_whether_shapes_can_be_fused(bench: Any, make_config: Callable[..., Any]) -> None:
+    bench.ready()
+    read = shape_reader(make_config())
+    assert read is not None
+    found = bench.controller.identify(
+        Sure(2),
+        plan(bench.controller._sequence, 2, seed=1),
+        read_shape=lambda grasp: replace(read(grasp), evidence=()),
+    )
+    assert (found.label, found.shape) == ("ball", None)
+    (complaint,) = found.complaints
+    assert complaint.startswith("shape of all grasps: ValueError: a fused shape")
+
+
+def test_a_config_may_want_no_shapes(make_config: Callable[..., Any]) -> None:
+    config = make_config(recognition__shape=False)
+    assert shape_reader(config, PadKnowledge(foam=FoamModel())) is None
+    gauged = PadKnowledge(foam=FoamModel(), fit=cast("Any", "of a gauge"))
+    with pytest.raises(ConfigError, match="a gauge serves shape and size"):
+        shape_reader(config, gauged)
+
+
+def test_identifying_ends_with_its_plan(bench: Any) -> None:
+    bench.ready()
+    found = bench.controller.identify(Sure(99), plan(bench.controller._sequence, 2, seed=1))
+    assert len(found.records) == 2
+    assert found.decision.kind is not DecisionKind.CONTINUE
+
+
+def test_the_recording_holds_what_happened(make_bench: Callable[..., Any], tmp_path: Path) -> None:
+    bench = make_bench(folder=tmp_path)
+    assert bench.cell.recording_path == tmp_path / "recording.mcap"
+    bench.ready()
+    record = bench.controller.identify(Sure(1), [GraspStep(pose=Pose(), force_n=3.0)]).records[0]
+    bench.cell.close()
+    recording = read_recording(tmp_path / "recording.mcap")
+    assert recording.complete
+    assert recording.metadata["cell"] == "simulated cell"
+    (grasp,) = recording.grasps
+    np.testing.assert_array_equal(grasp.counts, record.grasp.counts)
+    np.testing.assert_allclose(grasp.aperture_m, record.grasp.aperture_m, atol=1e-8)
+    assert len(recording.poses) == 1
+    assert [result["label"] for result in recording.results] == ["ball"]
+    assert [loop["overruns"] for loop in recording.statistics] == [0, 0]
+    after_grasp, at_end = recording.statistics
+    assert 100 < after_grasp["cycles"] <= at_end["cycles"]
+    assert after_grasp["lateness_max_s"] < 1e-6
+    assert 2e-4 < after_grasp["transaction_p50_s"] < 5e-3
+    assert 1e-3 < after_grasp["sensor_age_max_s"] < 0.1
+    assert set(recording.cycles.phase) == {"OPENING", "APPROACHING", "RAMPING", "RELEASING"}
+
+
+@pytest.mark.parametrize(
+    ("force_n", "complaint"),
+    [
+        (40.0, r"asks for 40.* the limit is 14\.29 N"),
+        (14.9, r"14\.29 N, so that its overshoot stays below force_max_n = 15"),
+        (0.1, "could not hold a part"),
+        (-3.0, "must be finite"),
+        (float("nan"), "must be finite"),
+        (float("inf"), "must be finite"),
+    ],
+)
+def test_a_force_that_is_not_allowed_is_refused_before_anything_moves(
+    bench: Any, force_n: float, complaint: str
+) -> None:
+    bench.ready()
+    bad = GraspStep(pose=Pose(), force_n=force_n)
+    began_s = bench.simulated.clock.monotonic()
+    for ask in (
+        lambda: bench.controller.grasp(bad),
+        lambda: bench.controller.collect("ball", [GraspStep(pose=Pose(), force_n=3.0), bad]),
+        lambda: bench.controller.identify(Sure(2), [GraspStep(pose=Pose(), force_n=3.0), bad]),
+    ):
+        with pytest.raises(LimitExceeded, match=complaint):
+            ask()
+    assert bench.simulated.clock.monotonic() == began_s
+    assert bench.controller.state is CellState.IDLE
+    assert bench.controller.fault is None
+    assert bench.grasp().outcome.result is GraspResult.FORCE_REACHED
+
+
+def test_what_is_no_plan_is_refused_before_anything_moves(bench: Any) -> None:
+    bench.ready()
+    step = GraspStep(pose=Pose(), force_n=3.0)
+    nothing: Any = None
+    for ask, complaint in (
+        (lambda: bench.controller.grasp(nothing), "None is no step"),
+        (lambda: bench.controller.grasp(GraspStep(pose=nothing, force_n=3.0)), "is no step"),
+        (lambda: bench.controller.grasp(step, label=nothing), "None is no label"),
+        (lambda: bench.controller.collect("ball", []), "the plan is empty"),
+        (lambda: bench.controller.collect(nothing, [step]), "None is no label"),
+        (lambda: bench.controller.identify(Sure(1), []), "the plan is empty"),
+    ):
+        with pytest.raises(PlanRefused, match=complaint):
+            ask()
+    assert bench.controller.state is CellState.IDLE
+    assert bench.controller.fault is None
+
+
+# -- stopping --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("phase", "after_s", "least_n"),
+    [(RAMPING, 0.0, 0.3), (RAMPING, 0.3, 1.0), (APPROACHING, 0.0, 0.0), (APPROACHING, 0.5, 0.0)],
+)
+def test_cancelling_keeps_the_grip_until_it_is_released(
+    bench: Any, phase: GripperPhase, after_s: float, least_n: float
+) -> None:
+    bench.ready()
+    bench.once_in(phase, bench.controller.cancel, after_s)
+    left = "the grip is kept" if phase is RAMPING else r"stopped while closing, .* may be touched"
+    with pytest.raises(CellStopped, match=f"{left} until it is released on purpose"):
+        bench.grasp(6.0)
+    assert bench.controller.state is CellState.HELD
+    assert bench.controller.holding
+    assert bench.grip_n >= least_n
+    for _ in range(200):
+        bench.sleep(0.005)
+        bench.controller.tick()
+    assert least_n <= bench.grip_n < 6.0
+    bench.controller.release()
+    assert bench.controller.state is CellState.IDLE
+    assert bench.grip_n == 0.0
+    assert bench.grasp().outcome.result is not GraspResult.NO_CONTACT
+
+
+def test_cancelling_between_two_grasps_leaves_the_fingers_open(bench: Any) -> None:
+    bench.ready()
+    steps = [GraspStep(pose=Pose(), force_n=3.0)] * 3
+    records = bench.controller.collect("ball", steps)
+    next(records)
+    bench.controller.cancel()
+    with pytest.raises(CellStopped, match="between two grasps; the fingers are open"):
+        next(records)
+    assert bench.controller.state is CellState.IDLE
+    assert bench.grip_n == 0.0
+    assert len(list(bench.controller.collect("ball", steps[:1]))) == 1
+
+
+def test_a_cancel_between_two_parts_of_a_job_is_not_lost(bench: Any) -> None:
+    bench.ready()
+    bench.grasp()
+    bench.controller.cancel()
+    with pytest.raises(CellStopped):
+        bench.controller.identify(Sure(1), [GraspStep(pose=Pose(), force_n=3.0)])
+    bench.controller.cancel()
+    bench.controller.forget_cancel()
+    bench.grasp()
+
+
+def test_cancelling_from_another_thread_keeps_the_grip(bench: Any) -> None:
+    bench.ready()
+
+    def from_elsewhere() -> None:
+        thread = threading.Thread(target=bench.controller.cancel)
+        thread.start()
+        thread.join(10.0)
+
+    bench.once_in(RAMPING, from_elsewhere, 0.1)
+    with pytest.raises(CellStopped):
+        bench.grasp(6.0)
+    assert bench.controller.state is CellState.HELD
+    assert bench.grip_n > 0.3
+
+
+def test_cancelling_an_identification_keeps_what_was_recorded(
+    make_bench: Callable[..., Any], tmp_path: Path
+) -> None:
+    bench = make_bench(folder=tmp_path).ready()
+    bench.grasp()
+    bench.once_in(RAMPING, bench.controller.cancel, 0.2)
+    with pytest.raises(CellStopped):
+        bench.controller.identify(Sure(5), plan(bench.controller._sequence, 3, seed=1))
+    bench.controller.shutdown()
+    assert bench.grip_n > 0.3
+    bench.cell.close()
+    recording = read_recording(tmp_path / "recording.mcap")
+    assert recording.complete
+    assert len(recording.grasps) == 1
+    assert recording.results == ()
+    assert [event["kind"] for event in recording.events] == ["held"]
+
+
+@pytest.mark.parametrize("again", ["release", "release_held"])
+def test_a_release_can_be_stopped_too(bench: Any, again: str) -> None:
+    bench.ready()
+    bench.once_in(RAMPING, bench.controller.cancel, 0.2)
+    with pytest.raises(CellStopped):
+        bench.grasp(6.0)
+    if again == "release_held":
+        bench.controller.shutdown()
+    bench.once_in(RELEASING, bench.controller.cancel, 0.03)
+    with pytest.raises(CellStopped) as stopped:
+        getattr(bench.controller, again)()
+    stood_mm = bench.simulated.devices.mechanics.aperture_m * 1e3
+    told = re.search(
+        r"while letting go, at an opening of ([\d.]+) mm; a part may be half held until",
+        str(stopped.value),
+    )
+    assert told is not None
+    assert float(told[1]) == pytest.approx(stood_mm, abs=0.5)
+    bench.sleep(0.5)
+    assert bench.simulated.devices.mechanics.aperture_m * 1e3 == pytest.approx(stood_mm, abs=0.8)
+    assert bench.controller.holding
+    assert bench.controller.state.value == ("HELD" if again == "release" else "STOPPED")
+    getattr(bench.controller, again)()
+    assert not bench.controller.holding
+    assert bench.grip_n == 0.0
+
+
+@pytest.mark.parametrize("when", ["before", "while opening", "while zeroing"])
+def test_a_cancelled_start_leaves_the_cell_stopped(bench: Any, when: str) -> None:
+    if when == "before":
+        bench.controller.cancel()
+    elif when == "while opening":
+        bench.once_in(OPENING, bench.controller.cancel)
+    else:
+        bench.once_in(GripperPhase.IDLE, bench.controller.cancel, 0.2)
+    with pytest.raises(CellStopped, match="nothing is held"):
+        bench.controller.start()
+    assert bench.controller.state is CellState.STOPPED
+    bench.ready()
+    assert bench.grasp().outcome.result is not GraspResult.NO_CONTACT
+
+
+# -- faults ----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("fault", "error"),
+    [
+        ("can.unplugged", BusOff),
+        ("unit.off", LinkFault),
+        ("servos.off", BusTimeout),
+        ("servos.unplugged", PortLost),
+    ],
+)
+def test_a_fault_in_the_ramp_keeps_the_grip_and_latches(
+    make_bench: Callable[..., Any],
+    tmp_path: Path,
+    fault: str,
+    error: type[Exception],
+) -> None:
+    bench = make_bench(folder=tmp_path).ready()
+    bench.once_in(RAMPING, lambda: bench.simulated.inject(fault), 0.2)
+    with pytest.raises(error) as caught:
+        bench.grasp(6.0)
+    controller = bench.controller
+    assert controller.state is CellState.ABORTED
+    assert controller.fault == f"{error_name(caught.value)}: {caught.value}"
+    assert controller.holding
+    assert bench.grip_n > 0.5
+    for command in (
+        controller.start,
+        controller.release,
+        controller.release_held,
+        controller.reset,
+    ):
+        with pytest.raises(CellStateError, match=r"while the cell is ABORTED; allowed: clear; fau"):
+            command()
+    controller.tick()
+    bench.sleep(1.0)
+    assert bench.grip_n > 0.5
+
+    bench.simulated.injector.clear(fault)
+    controller.clear()
+    assert controller.fault is None
+    assert controller.state is CellState.RESETTING
+    controller.reset()
+    assert bench.grip_n > 0.5
+    controller.release_held()
+    assert bench.grip_n == 0.0
+    controller.start()
+    assert bench.grasp().outcome.result is not GraspResult.NO_CONTACT
+
+    bench.cell.close()
+    recording = read_recording(tmp_path / "recording.mcap")
+    assert recording.complete
+    assert len(recording.grasps) == 1
+    kinds = [event["kind"] for event in recording.events]
+    assert kinds[0] == "fault"
+    assert error_name(caught.value) in recording.events[0]["text"]
+    assert kinds[-1] == "release"
+
+
+def error_name(error: BaseException) -> str:
+    return type(error).__name__
+
+
+def test_an_overload_is_cleared_by_restarting_the_servo(bench: Any) -> None:
+    bench.ready()
+    bench.once_in(RAMPING, lambda: bench.simulated.inject("servo1.overload"), 0.2)
+    with pytest.raises(ServoFault, match="overload"):
+        bench.grasp(6.0)
+    controller = bench.controller
+    assert controller.state is CellState.ABORTED
+    for _ in range(2):
+        with pytest.raises(ServoFault, match="reboot=True"):
+            controller.clear()
+        assert controller.state is CellState.ABORTED
+        assert controller.fault is not None
+    assert "overload" in controller.fault
+    controller.clear(reboot=True)
+    controller.release_held()
+    controller.reset()
+    controller.start()
+    assert bench.grasp().outcome.result is not GraspResult.NO_CONTACT
+
+
+def test_a_fault_that_lasts_latches_again(bench: Any) -> None:
+    bench.ready()
+    bench.once_in(RAMPING, lambda: bench.simulated.inject("can.unplugged"), 0.2)
+    with pytest.raises(BusOff):
+        bench.grasp()
+    bench.controller.clear()
+    bench.controller.release_held()
+    bench.controller.reset()
+    with pytest.raises(LinkFault):
+        bench.controller.start()
+    assert bench.controller.state is CellState.ABORTED
+
+
+def test_a_stop_that_finds_the_servos_gone_is_a_fault(bench: Any) -> None:
+    bench.ready()
+
+    def stop_and_unplug() -> None:
+        bench.controller.cancel()
+        bench.simulated.inject("servos.unplugged")
+
+    bench.once_in(RAMPING, stop_and_unplug, 0.2)
+    with pytest.raises(GripperError):
+        bench.grasp(6.0)
+    assert bench.controller.state is CellState.ABORTED
+    assert bench.grip_n > 0.5
+
+
+def test_a_fault_between_grasps_shows_in_the_next_tick(bench: Any) -> None:
+    bench.ready()
+    for _ in range(20):
+        bench.sleep(0.005)
+        bench.controller.tick()
+    assert bench.controller.state is CellState.IDLE
+    bench.simulated.inject("unit.off")
+
+    def wait() -> None:
+        for _ in range(200):
+            bench.sleep(0.005)
+            bench.controller.tick()
+
+    with pytest.raises(LinkFault):
+        wait()
+    assert bench.controller.state is CellState.ABORTED
+    assert bench.controller.fault is not None
+
+
+def test_an_error_of_ours_keeps_the_grip_as_well(
+    bench: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench.ready()
+    add = GraspCollector.add
+
+    def failing(self: GraspCollector, cycle: Any, readings: Any) -> None:
+        if cycle.setpoint_n > 2.0:
+            raise KeyboardInterrupt
+        add(self, cycle, readings)
+
+    monkeypatch.setattr(GraspCollector, "add", failing)
+    with pytest.raises(KeyboardInterrupt):
+        bench.grasp(6.0)
+    assert bench.controller.fault == "KeyboardInterrupt: "
+    assert bench.grip_n > 0.5
+
+
+def test_a_touched_sensor_refuses_the_start(bench: Any) -> None:
+    bench.simulated.inject("taxels.stuck_at=0-59:200")
+    bench.simulated.inject("taxels.offset=60")
+    with pytest.raises((TareRefused, LinkFault)):
+        bench.controller.start()
+    assert bench.controller.state is CellState.ABORTED
+    assert not bench.controller.holding
+
+
+# -- states ----------------------------------------------------------------------------------
+
+
+def test_commands_in_the_wrong_state_say_what_is_allowed(bench: Any) -> None:
+    controller = bench.controller
+    for command, allowed in (
+        (bench.grasp, "start, release_held"),
+        (controller.release, "start, release_held"),
+        (controller.clear, "start, release_held"),
+        (controller.reset, "start, release_held"),
+    ):
+        with pytest.raises(CellStateError, match=f"while the cell is STOPPED; allowed: {allowed}"):
+            command()
+    controller.start()
+    with pytest.raises(CellStateError, match="'start' is not allowed while the cell is IDLE"):
+        controller.start()
+    with pytest.raises(CellStateError, match="IDLE; allowed: grasp, release, shutdown"):
+        controller.release_held()
+
+
+def test_nothing_but_release_follows_a_hold(bench: Any) -> None:
+    bench.ready()
+    bench.once_in(RAMPING, bench.controller.cancel)
+    with pytest.raises(CellStopped):
+        bench.grasp()
+    for command in (bench.grasp, bench.controller.start, bench.controller.clear):
+        with pytest.raises(CellStateError, match="HELD; allowed: release, shutdown"):
+            command()
+    bench.controller.cancel()
+    with pytest.raises(CellStateError, match="HELD"):
+        bench.grasp()
+
+
+def test_a_part_in_the_grip_of_an_earlier_run_is_not_touched_by_the_start(bench: Any) -> None:
+    bench.ready()
+    bench.once_in(RAMPING, bench.controller.cancel, 0.3)
+    with pytest.raises(CellStopped):
+        bench.grasp(6.0)
+    bench.controller.shutdown()
+    assert bench.controller.state is CellState.STOPPED
+    bench.sleep(2.0)
+    held_n = bench.grip_n
+    assert held_n > 1.0
+
+    with pytest.raises(CellStateError, match="a part may be in the grip; nothing was moved"):
+        bench.controller.start()
+    assert bench.grip_n == pytest.approx(held_n, abs=0.2)
+    bench.controller.clear()
+    bench.controller.reset()
+    bench.controller.release_held()
+    assert bench.grip_n == 0.0
+    bench.ready()
+    bench.grasp()
+
+
+def test_shutting_down_twice_is_harmless_and_an_idle_cell_lets_its_servos_rest(bench: Any) -> None:
+    bench.ready().grasp()
+    bench.controller.shutdown()
+    bench.controller.shutdown()
+    assert bench.controller.state is CellState.STOPPED
+    assert bench.controller.gripper.state is GripperPhase.OFF
+    bench.controller.tick()
+    bench.ready().grasp()
+
+
+# -- positioners -----------------------------------------------------------------------------
+
+
+def test_an_object_that_does_not_exist_is_refused_before_anything_closes(bench: Any) -> None:
+    bench.ready("unicorn")
+    with pytest.raises(PositionerError, match="unicorn cannot be placed"):
+        bench.grasp()
+    assert not bench.controller.holding
+    assert bench.controller.gripper.read_state().aperture_m == pytest.approx(OPEN_M, abs=5e-4)
+
+
+def test_the_cell_is_supervised_while_a_person_moves_the_object(
+    make_bench: Callable[..., Any], make_config: Callable[..., Any]
+) -> None:
+    moving = threading.Event()
+    asked: list[str] = []
+
+    def ask(text: str) -> str:
+        asked.append(text)
+        assert moving.wait(10.0)
+        return ""
+
+    bench = make_bench(make_config(positioner__kind="operator"), ask=ask)
+    bench.controller.start()
+    before_s = bench.simulated.clock.monotonic()
+    bench.simulated.clock.on_advance.append(
+        lambda now_s: moving.set() if now_s > before_s + 3.0 else None
+    )
+    bench.controller.present("ball")
+    assert "'ball'" in asked[0]
+    assert bench.controller.state is CellState.IDLE
+    assert len(bench.controller.local_hand._tap._new) < 5
+
+    bench.simulated.place("ball")
+    assert bench.grasp().outcome.result is not GraspResult.NO_CONTACT
+    assert len(asked) == 2
+
+
+def test_a_link_lost_while_a_person_moves_is_a_fault(
+    make_bench: Callable[..., Any], make_config: Callable[..., Any]
+) -> None:
+    lost = threading.Event()
+    bench = make_bench(
+        make_config(positioner__kind="operator"), ask=lambda _text: str(not lost.wait(10.0))
+    )
+    bench.controller.start()
+    bench.simulated.inject("unit.off")
+    dead_s = bench.simulated.clock.monotonic()
+    bench.simulated.clock.on_advance.append(
+        lambda now_s: lost.set() if now_s > dead_s + 5.0 or bench.controller.fault else None
+    )
+    threading.Timer(1.0, lost.set).start()
+    with pytest.raises(LinkFault):
+        bench.controller.present("ball")
+    assert bench.controller.state is CellState.ABORTED

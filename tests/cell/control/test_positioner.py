@@ -1,0 +1,157 @@
+import json
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from cell.control.plan import Pose
+from cell.control.positioner import (
+    CallbackPositioner,
+    OperatorPositioner,
+    SimulatedPositioner,
+    SocketPlacer,
+)
+from cell.errors import PositionerError
+
+POSE = Pose(x_m=1e-3, rotation_rad=1.0)
+
+
+class Table:
+    def __init__(self) -> None:
+        self.placed: list[tuple[str, Pose]] = []
+
+    def place(self, label: str, pose: Pose) -> Pose:
+        self.placed.append((label, pose))
+        return Pose(x_m=pose.x_m)
+
+
+def test_simulated_positioner_places_the_presented_object_and_says_where_it_rests() -> None:
+    table = Table()
+    positioner = SimulatedPositioner(table)
+    with pytest.raises(PositionerError, match="has no object to place"):
+        positioner.move_to(POSE)
+    positioner.present("ball")
+    positioner.present(None)
+    assert positioner.move_to(POSE) == Pose(x_m=1e-3)
+    assert table.placed == [("ball", POSE)]
+
+
+def test_operator_is_asked_and_can_stop() -> None:
+    asked: list[str] = []
+    answers = iter(["", "", "q"])
+
+    def ask(text: str) -> str:
+        asked.append(text)
+        return next(answers)
+
+    positioner = OperatorPositioner(ask)
+    positioner.present("ball")
+    assert positioner.move_to(POSE) == POSE
+    assert "'ball'" in asked[0]
+    assert "x +1.0 mm" in asked[1]
+    with pytest.raises(PositionerError, match="operator stopped"):
+        positioner.present(None)
+
+
+def test_operator_who_is_not_there_is_an_error() -> None:
+    def ask(_text: str) -> str:
+        raise EOFError
+
+    with pytest.raises(PositionerError, match="no operator"):
+        OperatorPositioner(ask).move_to(POSE)
+
+
+@pytest.mark.parametrize(
+    ("answer", "reached"), [(None, POSE), (True, POSE), (Pose(y_m=2e-3), Pose(y_m=2e-3))]
+)
+def test_host_moves(answer: Pose | bool | None, reached: Pose) -> None:
+    positioner = CallbackPositioner(lambda _pose: answer)
+    positioner.present("ignored")
+    assert positioner.move_to(POSE) == reached
+
+
+def test_host_can_refuse() -> None:
+    with pytest.raises(PositionerError, match="host refused"):
+        CallbackPositioner(lambda _pose: False).move_to(POSE)
+
+
+@pytest.mark.parametrize("answer", [0, 1, "yes"])
+def test_an_answer_of_the_host_that_is_none_moves_nothing(answer: object) -> None:
+    with pytest.raises(PositionerError, match="the host"):
+        CallbackPositioner(lambda _pose: answer).move_to(POSE)  # type: ignore[arg-type, return-value]
+
+
+@pytest.fixture
+def serve(tmp_path: Path) -> Iterator[Callable[[list[bytes]], str]]:
+    threads: list[threading.Thread] = []
+
+    def start(replies: list[bytes]) -> str:
+        path = str(tmp_path / "s")
+        listener = socket.socket(socket.AF_UNIX)
+        listener.bind(path)
+        listener.listen(1)
+
+        def run() -> None:
+            with listener, listener.accept()[0] as peer, peer.makefile("rb") as lines:
+                for reply in replies:
+                    lines.readline()
+                    peer.sendall(reply)
+
+        threads.append(threading.Thread(target=run))
+        threads[-1].start()
+        return path
+
+    yield start
+    for thread in threads:
+        thread.join(10.0)
+
+
+def test_socket_placer_speaks_json_lines(serve: Callable[[list[bytes]], str]) -> None:
+    reply = json.dumps({"ok": True, "pose": Pose(x_m=3e-3).as_dict()}).encode() + b"\n"
+    placer = SocketPlacer(serve([reply, b'{"error": "no such object"}\n', b"nonsense\n"]))
+    assert placer.place("ball", POSE) == Pose(x_m=3e-3)
+    with pytest.raises(PositionerError, match="no such object"):
+        placer.place("x", POSE)
+    with pytest.raises(PositionerError, match="gone"):
+        placer.place("x", POSE)
+    with pytest.raises(PositionerError, match=r"closed|gone"):
+        placer.place("x", POSE)
+    placer.close()
+
+
+def test_socket_without_a_simulator_is_a_clear_error(tmp_path: Path) -> None:
+    with pytest.raises(PositionerError, match="no simulated cell answers"):
+        SocketPlacer(str(tmp_path / "none"))
+
+
+@pytest.mark.parametrize(
+    "reply",
+    [
+        b'{"ok": true}\n',
+        b'{"pose": [1, 2]}\n',
+        b'{"pose": {"x_m": "far"}}\n',
+        b'{"pose": {"x_m": NaN, "y_m": 0, "rotation_rad": 0, "roll_rad": 0}}\n',
+        b"[" * 20_000 + b"\n",
+        b"x" * 70_000,
+        b"\xff\xfe\n",
+    ],
+)
+def test_a_reply_that_is_none_is_refused(serve: Callable[[list[bytes]], str], reply: bytes) -> None:
+    placer = SocketPlacer(serve([reply]))
+    with pytest.raises(PositionerError, match="simulated cell at"):
+        placer.place("ball", POSE)
+    placer.close()
+
+
+def test_a_reply_that_does_not_end_is_not_waited_for(tmp_path: Path) -> None:
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(tmp_path / "s"))
+        listener.listen(1)
+        placer = SocketPlacer(str(tmp_path / "s"), timeout_s=0.05)
+        with listener.accept()[0] as peer:
+            peer.sendall(b"{")
+            for _ in range(2):
+                with pytest.raises(PositionerError, match="is gone"):
+                    placer.place("ball", POSE)

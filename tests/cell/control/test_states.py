@@ -1,0 +1,327 @@
+"""The table of states, its page, and a cell that does in each state what the table says."""
+
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cell.control.states import (
+    COMPLETIONS,
+    OF_PHASE,
+    TRANSITIONS,
+    CellState,
+    Command,
+    Event,
+    GraspState,
+    answer,
+    grasp_state,
+    next_state,
+)
+from cell.data.recording_reader import read_recording
+from cell.errors import CellStateError, CellStopped
+from docs.tools.states_page import DOES, GRASP_DOES, states_page
+from gripper.errors import GripperError
+from gripper.state import GraspResult, GripperPhase
+from tactile.errors import BusOff
+
+IDLE = (CellState.STARTING, CellState.IDLE)
+HELD = (*IDLE, CellState.EXECUTE, CellState.HOLDING, CellState.HELD)
+ABORTED = (*IDLE, CellState.EXECUTE, CellState.ABORTING, CellState.ABORTED)
+RESETTING = (*ABORTED, CellState.CLEARING, CellState.RESETTING)
+WAY_TO: dict[CellState, tuple[CellState, ...]] = {
+    CellState.STOPPED: (),
+    CellState.STARTING: IDLE[:1],
+    CellState.IDLE: IDLE,
+    CellState.EXECUTE: HELD[:3],
+    CellState.HOLDING: HELD[:4],
+    CellState.HELD: HELD,
+    CellState.STOPPING: (*IDLE, CellState.STOPPING),
+    CellState.ABORTING: ABORTED[:4],
+    CellState.ABORTED: ABORTED,
+    CellState.CLEARING: RESETTING[:6],
+    CellState.RESETTING: RESETTING,
+}
+"""States that `Walk` goes through to each one."""
+
+LEAST_N = 0.5
+
+
+class Walk:
+    """Brings a cell into any state, acting ones too, and does something there once."""
+
+    def __init__(self, bench: Any) -> None:
+        self.bench = bench
+        self.controller = bench.controller
+
+    def there(self, state: CellState, act: Callable[[], object]) -> None:
+        if not state.acting:
+            self._wait_in(state)
+            act()
+            return
+        done: list[bool] = []
+
+        def look(_now_s: float) -> None:
+            if self.controller.state is state and not done:
+                done.append(True)
+                act()
+
+        self.bench.simulated.clock.on_advance.append(look)
+        self._pass_through(state)
+        self.bench.simulated.clock.on_advance.remove(look)
+        assert done, f"{state} was not seen"
+
+    def _wait_in(self, state: CellState) -> None:
+        if state is not CellState.STOPPED:
+            self.bench.ready()
+        if state is CellState.HELD:
+            self._grasp_until(self.controller.cancel)
+        elif state in (CellState.ABORTED, CellState.RESETTING):
+            self._grasp_until(self._unplug)
+            if state is CellState.RESETTING:
+                self.bench.simulated.injector.clear("can.unplugged")
+                self.controller.clear()
+        assert self.controller.state is state
+
+    def _pass_through(self, state: CellState) -> None:
+        if state is CellState.STARTING:
+            with suppress(CellStopped):
+                self.controller.start()
+        elif state is CellState.STOPPING:
+            self._wait_in(CellState.IDLE)
+            self.controller.shutdown()
+        elif state is CellState.CLEARING:
+            self._wait_in(CellState.ABORTED)
+            self.controller.clear()
+        elif state is CellState.ABORTING:
+            self._wait_in(CellState.ABORTED)
+        else:
+            self.bench.ready()
+            if state is CellState.HOLDING:
+                self._grasp_until(self.controller.cancel)
+            else:
+                with suppress(CellStopped):
+                    self.bench.grasp(6.0)
+
+    def _grasp_until(self, act: Callable[[], object]) -> None:
+        self.bench.once_in(GripperPhase.RAMPING, act, 0.3)
+        with pytest.raises((CellStopped, BusOff)):
+            self.bench.grasp(6.0)
+
+    def _unplug(self) -> None:
+        self.bench.simulated.inject("can.unplugged")
+
+    def give(self, command: Command) -> None:
+        if command is Command.GRASP:
+            self.bench.grasp(3.0)
+        else:
+            getattr(self.controller, command.value)()
+
+    def seen(self) -> tuple[Any, ...]:
+        """All that a refused command must leave alone; no packet may have been sent either."""
+        return (
+            self.controller.state,
+            self.controller.grasp_state,
+            self.controller.fault,
+            self.controller.gripper.state,
+            self.controller._life.cancelled,
+            repr(self.bench.cell.bus.statistics),
+            self.bench.simulated.clock.monotonic(),
+        )
+
+
+# -- the table -------------------------------------------------------------------------------
+
+
+def test_every_state_but_aborted_can_fault() -> None:
+    for state in CellState:
+        if state in (CellState.ABORTED, CellState.ABORTING):
+            continue
+        assert next_state(state, Event.FAULT) is CellState.ABORTING
+
+
+def test_leaving_a_fault_takes_clear_and_reset() -> None:
+    state = CellState.ABORTED
+    assert [e for (s, e) in TRANSITIONS if s is state] == [Event.CLEAR]
+    for event in (Event.CLEAR, Event.CLEARED, Event.RESET):
+        state = next_state(state, event)
+    assert state is CellState.STOPPED
+
+
+def test_every_state_can_be_reached_and_left() -> None:
+    reached = {CellState.STOPPED} | set(TRANSITIONS.values())
+    assert reached == set(CellState)
+    assert {state for state, _ in TRANSITIONS} == set(CellState)
+    for state, event in COMPLETIONS.items():
+        assert (state, event) in TRANSITIONS
+
+
+def test_refusal_names_what_is_allowed() -> None:
+    with pytest.raises(
+        ValueError, match=r"'grasp' is not allowed .* HELD; allowed: release, shutdown"
+    ):
+        next_state(CellState.HELD, Event.EXECUTE)
+
+
+def test_numbers_are_those_that_hosts_know() -> None:
+    assert {state.value: state.number for state in CellState} == {
+        "STOPPED": 0,
+        "RESETTING": 1,
+        "IDLE": 2,
+        "STARTING": 3,
+        "EXECUTE": 4,
+        "ABORTING": 7,
+        "ABORTED": 8,
+        "STOPPING": 9,
+        "CLEARING": 10,
+        "HOLDING": 14,
+        "HELD": 15,
+    }
+    assert [state.number for state in GraspState] == list(range(8))
+
+
+def test_the_page_names_each_state_and_each_accepted_command() -> None:
+    assert set(DOES) == set(CellState)
+    assert set(GRASP_DOES) == set(GraspState)
+    page = states_page()
+    commands = page.partition("## Commands")[2].partition("## Diagram")[0]
+    rows = {line.split(" | ")[0].strip("| "): line for line in commands.splitlines()}
+    for state in CellState:
+        for command in Command:
+            shown = f"`{command.value}`" in rows[state.value]
+            assert shown == answer(state, command).accepted, (state, command)
+
+
+# -- the cell does as the table says ---------------------------------------------------------
+
+
+@pytest.mark.parametrize("state", CellState)
+def test_a_refused_command_changes_nothing(
+    state: CellState, make_bench: Callable[..., Any]
+) -> None:
+    walk = Walk(make_bench())
+    refused = [command for command in Command if not answer(state, command).accepted]
+    assert refused
+    left: list[Command] = []
+
+    def try_all() -> None:
+        before = walk.seen()
+        for command in refused:
+            with pytest.raises(CellStateError, match=f"the cell is {state.value}"):
+                walk.give(command)
+            assert walk.seen() == before, command
+            left.append(command)
+
+    walk.there(state, try_all)
+    assert left == refused
+
+
+ACCEPTED = [(s, c) for s in CellState for c in Command if answer(s, c).accepted]
+
+
+@pytest.mark.parametrize(("state", "command"), ACCEPTED)
+def test_an_accepted_command_goes_the_way_of_the_table(
+    state: CellState, command: Command, make_bench: Callable[..., Any], tmp_path: Path
+) -> None:
+    walk = Walk(make_bench(folder=tmp_path))
+    held = state in (CellState.HELD, CellState.ABORTED, CellState.RESETTING)
+    walk.there(state, lambda: walk.give(command))
+    if held:
+        released = command in (Command.RELEASE, Command.RELEASE_HELD)
+        assert (walk.bench.grip_n == 0.0) if released else (walk.bench.grip_n > LEAST_N)
+    path = answer(state, command).path
+    if state.acting and not path:
+        ends = next_state(state, COMPLETIONS[state])
+        path = (ends,)
+    way = [*WAY_TO[state], *path]
+    assert walk.controller.state is (way[-1] if way else CellState.STOPPED)
+    way += answer(walk.controller.state, Command.SHUTDOWN).path
+    walk.bench.cell.close()
+
+    recorded = [entry["state"] for entry in read_recording(tmp_path / "recording.mcap").states]
+    entered = [name for i, name in enumerate(recorded) if i == 0 or recorded[i - 1] != name]
+    assert entered == [state.value for state in way]
+
+
+def test_cancelling_twice_is_cancelling_once(bench: Any) -> None:
+    bench.ready()
+
+    def twice() -> None:
+        bench.controller.cancel()
+        bench.controller.cancel()
+
+    bench.once_in(GripperPhase.RAMPING, twice, 0.3)
+    with pytest.raises(CellStopped):
+        bench.grasp(6.0)
+    assert bench.controller.state is CellState.HELD
+    assert bench.grip_n > LEAST_N
+    bench.controller.release()
+    assert bench.grasp().outcome.result is GraspResult.FORCE_REACHED
+
+
+def test_no_torque_comes_on_by_itself(bench: Any) -> None:
+    bench.ready()
+    servos = [servo.core for servo in bench.simulated.devices.servo_bus.servos]
+    bench.simulated.inject("servo1.reboot@contact+0.2s")
+    with pytest.raises(GripperError):
+        bench.grasp(6.0)
+    assert bench.controller.state is CellState.ABORTED
+    before = [servo.torque_on for servo in servos]
+    assert not all(before)
+    came_on: list[float] = []
+
+    def look(now_s: float) -> None:
+        if any(servo.torque_on and not was for servo, was in zip(servos, before, strict=True)):
+            came_on.append(now_s)
+
+    bench.simulated.clock.on_advance.append(look)
+    for act in (bench.controller.tick, bench.controller.clear, bench.controller.reset):
+        act()
+        bench.sleep(1.0)
+    with pytest.raises(CellStateError, match="a part may be in the grip; nothing was moved"):
+        bench.controller.start()
+    bench.sleep(1.0)
+    assert came_on == []
+    assert [servo.torque_on for servo in servos] == before
+
+
+# -- the grip --------------------------------------------------------------------------------
+
+
+def test_the_state_of_the_grip_follows_a_grasp(bench: Any) -> None:
+    bench.ready()
+    seen: list[GraspState] = []
+
+    def look(_now_s: float) -> None:
+        now = bench.controller.grasp_state
+        if not seen or seen[-1] is not now:
+            seen.append(now)
+
+    bench.simulated.clock.on_advance.append(look)
+    bench.grasp()
+    moving = [state for state in seen if state is not GraspState.IDLE]
+    assert moving == [GraspState.POSITIONING, GraspState.GRIPPING, GraspState.RELEASING]
+    assert bench.controller.grasp_state is GraspState.IDLE
+
+
+def test_what_a_failed_grasp_leaves_is_shown_while_the_fingers_rest() -> None:
+    assert set(OF_PHASE) == set(GripperPhase)
+    for phase in (GripperPhase.OFF, GripperPhase.IDLE):
+        for result, state in (
+            (None, GraspState.IDLE),
+            (GraspResult.FORCE_REACHED, GraspState.IDLE),
+            (GraspResult.NO_CONTACT, GraspState.NO_PART_FOUND),
+            (GraspResult.PART_LOST, GraspState.PART_LOST),
+        ):
+            assert grasp_state(phase, result=result, fault=False, part_lost=False) is state
+    moving = grasp_state(
+        GripperPhase.APPROACHING, result=GraspResult.NO_CONTACT, fault=False, part_lost=False
+    )
+    assert moving is GraspState.GRIPPING
+
+
+@pytest.mark.parametrize(("lost", "state"), [(False, "ERROR"), (True, "PART LOST")])
+def test_a_fault_shows_in_the_state_of_the_grip(lost: bool, state: str) -> None:
+    for phase in GripperPhase:
+        assert grasp_state(phase, result=None, fault=True, part_lost=lost).value == state

@@ -1,0 +1,330 @@
+"""Data sets: what is written comes back, and what is damaged or hostile is refused."""
+
+import errno
+import os
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cell.data.dataset import read_dataset, write_dataset
+from cell.errors import CellError, DatasetError
+from recognition.grasp import Grasp, GraspCommand, PadArray
+
+PADS = PadArray(
+    pad_shape=np.array([[3, 2], [2, 2]]),
+    taxel_pad=np.repeat([0, 1], [6, 4]),
+    taxel_xy_m=np.arange(20).reshape(10, 2) * 1.3e-3,
+    adc_max=255,
+)
+
+
+def make_grasp(seed: int = 0, n_frames: int = 4, pads: PadArray = PADS, **changes: Any) -> Grasp:
+    rng = np.random.default_rng(seed)
+    values: dict[str, Any] = {
+        "pads": pads,
+        "counts": rng.integers(0, pads.adc_max + 1, (n_frames, pads.n_taxels)),
+        "t_s": np.arange(n_frames) / 32,
+        "aperture_m": np.linspace(0.03, 0.01, n_frames),
+        "force_n": np.linspace(0.0, 8.0, n_frames),
+        "label": "ball",
+        "shape": "sphere",
+        "source": "test",
+        "start_ms": 1_700_000_000_000 + seed,
+    }
+    return Grasp(**(values | changes))
+
+
+def arrays_of(path: Path) -> dict[str, NDArray[Any]]:
+    with np.load(path, allow_pickle=False) as archive:
+        return {name: archive[name] for name in archive.files}
+
+
+@pytest.fixture(scope="module")
+def good(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("dataset") / "good.npz"
+    write_dataset(path, [make_grasp(0), make_grasp(1, 2), make_grasp(2, 7, label="box")])
+    return path
+
+
+def test_what_is_written_comes_back(tmp_path: Path) -> None:
+    grasps = [
+        make_grasp(0),
+        make_grasp(1, 1, label="", shape="", source="", force_n=np.array([np.nan])),
+        make_grasp(2, 9, aperture_m=np.full(9, np.nan), label="Müller's <b>Kugel</b>"),
+    ]
+    write_dataset(tmp_path / "d.npz", grasps)
+    back = read_dataset(tmp_path / "d.npz")
+    assert len(back) == 3
+    assert all(grasp.pads is back[0].pads for grasp in back)
+    assert back[0].pads.same_as(PADS)
+    for was, now in zip(grasps, back, strict=True):
+        np.testing.assert_array_equal(now.counts, was.counts)
+        np.testing.assert_allclose(now.t_s, was.t_s, rtol=1e-6)
+        np.testing.assert_allclose(now.aperture_m, was.aperture_m, rtol=1e-6)
+        np.testing.assert_allclose(now.force_n, was.force_n, rtol=1e-6)
+        assert (now.label, now.shape, now.source) == (was.label, was.shape, was.source)
+        assert now.start_ms == was.start_ms
+
+
+def test_file_is_the_documented_format_for_numpy_alone(good: Path) -> None:
+    arrays = arrays_of(good)
+    assert str(arrays["format"]) == "grasp-dataset/1"
+    assert arrays["counts"].dtype == np.uint16
+    assert arrays["counts"].shape == (13, 10)
+    assert arrays["grasp_offsets"].tolist() == [0, 4, 6, 13]
+    assert {arrays[name].dtype.name for name in ("aperture_mm", "force_n", "t_s")} == {"float32"}
+    assert arrays["aperture_mm"][0] == pytest.approx(30.0)
+    with zipfile.ZipFile(good) as archive:
+        assert {m.compress_type for m in archive.infolist()} == {zipfile.ZIP_DEFLATED}
+
+
+def test_optional_arrays_are_left_out_where_nothing_is_known(tmp_path: Path) -> None:
+    blank = make_grasp(shape="", source="", force_n=np.full(4, np.nan))
+    write_dataset(tmp_path / "d.npz", [blank])
+    assert not {"force_n", "shape", "source"} & set(arrays_of(tmp_path / "d.npz"))
+    assert np.all(np.isnan(read_dataset(tmp_path / "d.npz")[0].force_n))
+
+
+def test_same_grasps_give_the_same_bytes(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        write_dataset(tmp_path / name, [make_grasp()])
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+
+
+@pytest.mark.shared_data
+def test_recorded_grasps_load_and_round_trip(tmp_path: Path) -> None:
+    folder = os.environ.get("TACTILE_CELL_DATA")
+    if folder is None:
+        pytest.skip("TACTILE_CELL_DATA does not name the folder with pinch36.npz")
+    grasps = read_dataset(Path(folder) / "pinch36.npz")
+    assert (len(grasps), sum(g.n_frames for g in grasps)) == (856, 46_861)
+    assert len({g.label for g in grasps}) == 36
+    write_dataset(tmp_path / "again.npz", grasps)
+    was, now = arrays_of(Path(folder) / "pinch36.npz"), arrays_of(tmp_path / "again.npz")
+    assert was.keys() == now.keys()
+    for name, array in was.items():
+        if array.dtype.kind == "f":
+            np.testing.assert_allclose(now[name], array, rtol=1e-6)
+        else:
+            np.testing.assert_array_equal(now[name], array)
+
+
+def test_placings_come_back_and_files_without_them_stay_valid(good: Path, tmp_path: Path) -> None:
+    asked = GraspCommand(x_m=1e-3, y_m=-2e-3, rotation_rad=0.5, roll_rad=6.0, force_n=4.0)
+    write_dataset(tmp_path / "d.npz", [make_grasp(0), make_grasp(1, command=asked)])
+    assert [grasp.command for grasp in read_dataset(tmp_path / "d.npz")] == [None, asked]
+    assert "pose" not in arrays_of(good)
+    assert [grasp.command for grasp in read_dataset(good)] == [None] * 3
+
+
+Change = Callable[[dict[str, NDArray[Any]]], Any]
+
+DAMAGE: dict[str, tuple[Change, str]] = {
+    "other format": (lambda a: a.update(format=np.array("grasp-dataset/2")), "expected"),
+    "format not text": (lambda a: a.update(format=np.array(1)), "not one text"),
+    "array missing": (lambda a: a.pop("counts"), "counts missing"),
+    "misspelt array": (lambda a: a.update(force_N=a.pop("force_n")), "unknown arrays 'force_N'"),
+    "wide counts": (lambda a: a.update(counts=a["counts"].astype(np.int32)), "expected uint16"),
+    "flat counts": (lambda a: a.update(counts=a["counts"].ravel()), "shape"),
+    "counts over full scale": (lambda a: a.update(adc_max=np.array(100)), "adc_max is 100"),
+    "no full scale": (lambda a: a.update(adc_max=np.array(0)), "from 1 to 65535"),
+    "taxel without pad": (lambda a: a.update(taxel_pad=a["taxel_pad"] + 1), "name pads"),
+    "taxel on wrong pad": (lambda a: a.update(taxel_pad=a["taxel_pad"] * 0), "pad_shape has"),
+    "empty pad": (lambda a: a.update(pad_shape=a["pad_shape"] * 0), "rows and columns"),
+    "taxel nowhere": (lambda a: a.update(taxel_xy_mm=a["taxel_xy_mm"] * np.nan), "not finite"),
+    "infinite aperture": (lambda a: a.update(aperture_mm=a["t_s"] + np.inf), "not finite"),
+    "time runs back": (lambda a: a.update(t_s=-a["t_s"]), "never fall"),
+    "time starts late": (lambda a: a.update(t_s=a["t_s"] + 1), "start at 0"),
+    "integer time": (lambda a: a.update(t_s=a["t_s"].astype(int)), "expected kind f"),
+    "offsets beyond": (lambda a: a.update(grasp_offsets=a["grasp_offsets"] + 1), "run from 0"),
+    "empty grasp": (lambda a: a.update(grasp_offsets=np.array([0, 4, 4, 13])), "must rise"),
+    "label as bytes": (lambda a: a.update(label=a["label"].astype("S")), "expected kind U"),
+    "label unprintable": (lambda a: a.update(label=np.array(["\x1b[2J"] * 3)), "not printable"),
+    "label endless": (lambda a: a.update(label=np.array(["x" * 300] * 3)), "limit 200"),
+    "label no text": (
+        lambda a: a.update(label=np.full(3, 0x7FFFFFFF, dtype="<u4").view("<U1")),
+        "no text",
+    ),
+    "label too few": (lambda a: a.update(label=a["label"][:2]), "shape"),
+    "pose with too few numbers": (lambda a: a.update(pose=np.zeros((3, 4))), "shape"),
+    "pose known in part": (
+        lambda a: a.update(pose=np.where(np.eye(3, 5), np.nan, 0.1)),
+        "known in part",
+    ),
+    "pose in mm": (lambda a: a.update(pose=np.full((3, 5), 2.0)), "offsets stand in m"),
+    "infinite pose": (lambda a: a.update(pose=np.full((3, 5), np.inf)), "not finite"),
+    "openings in metres": (
+        lambda a: a.update(aperture_mm=a["aperture_mm"] * 1e-3),
+        r"never exceeds 0\.03, expected 0\.2 .* in mm, not in m",
+    ),
+    "openings far below zero": (
+        lambda a: a.update(aperture_mm=-10.0 * a["aperture_mm"]),
+        "is -300 at 0, must be from -100",
+    ),
+    "openings in micrometres": (
+        lambda a: a.update(aperture_mm=a["aperture_mm"] * 1e3),
+        "is 30000 at 0, must be from -100 to 1000: openings stand in mm",
+    ),
+    "force far below zero": (
+        lambda a: a.update(force_n=-1e3 - a["force_n"]),
+        "is -1000 at 0, must be from -100",
+    ),
+    "places in metres": (
+        lambda a: a.update(taxel_xy_mm=a["taxel_xy_mm"] * 1e-3),
+        r"the 6 taxels of pad 0 over 0\.013, .* in mm, not in m",
+    ),
+    "places far away": (lambda a: a.update(taxel_xy_mm=a["taxel_xy_mm"] * 1e30), "must be from"),
+    "time in ms": (
+        lambda a: a.update(t_s=a["t_s"] * 1e3),
+        r"a frame each 31\.25 s in the mean of grasp 0, .* in s",
+    ),
+    "no time": (lambda a: a.update(t_s=a["t_s"] * 0), "a frame each 0 s"),
+    "start in the far future": (
+        lambda a: a.update(start_ms=np.full(3, np.iinfo(np.int64).max)),
+        "in ms since 1970",
+    ),
+    "start beyond 64 bits": (
+        lambda a: a.update(start_ms=np.full(3, 2**64 - 1, dtype=np.uint64)),
+        "64 bits",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", DAMAGE)
+def test_damage_is_refused_naming_file_and_array(name: str, good: Path, tmp_path: Path) -> None:
+    change, says = DAMAGE[name]
+    arrays = arrays_of(good)
+    change(arrays)
+    np.savez(tmp_path / "bad.npz", **arrays)  # type: ignore[arg-type]
+    with pytest.raises(DatasetError, match=says) as caught:
+        read_dataset(tmp_path / "bad.npz")
+    assert "bad.npz" in str(caught.value)
+
+
+class Bomb:
+    exploded = False
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return setattr, (Bomb, "exploded", True)
+
+
+def test_what_could_not_be_read_again_is_not_written(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match=r"cannot write .* start_ms is 2e\+15 at 1, must be"):
+        write_dataset(tmp_path / "d.npz", [make_grasp(), make_grasp(start_ms=2 * 10**15)])
+    assert not (tmp_path / "d.npz").exists()
+
+
+def test_a_recording_is_no_data_set_and_called_what_it_is(tmp_path: Path) -> None:
+    (tmp_path / "r.npz").write_bytes(b"\x89MCAP0\r\n" + bytes(100))
+    with pytest.raises(DatasetError, match=r"is a recording, no grasp data set; .* in \.mcap"):
+        read_dataset(tmp_path / "r.npz")
+
+
+def test_pickle_in_disguise_is_refused_and_not_run(good: Path, tmp_path: Path) -> None:
+    arrays = arrays_of(good) | {"label": np.array([Bomb()] * 3, dtype=object)}
+    np.savez(tmp_path / "evil.npz", **arrays)  # type: ignore[arg-type]
+    with pytest.raises(DatasetError, match="no pickled objects"):
+        read_dataset(tmp_path / "evil.npz")
+    assert not Bomb.exploded
+
+
+def test_zip_bomb_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        for i in range(4):
+            archive.writestr(f"a{i}.npy", bytes(5_000_000))
+    assert (tmp_path / "bomb.npz").stat().st_size < 50_000
+    with pytest.raises(DatasetError, match="unpacks to 20000000 bytes, the limit is 10000000"):
+        read_dataset(tmp_path / "bomb.npz", limit_bytes=10_000_000)
+
+
+def test_array_that_lies_about_its_size_is_refused(tmp_path: Path) -> None:
+    header = b"{'descr': '<u2', 'fortran_order': False, 'shape': (99999999999, 99), }\n"
+    body = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + bytes(64)
+    with zipfile.ZipFile(tmp_path / "lie.npz", "w") as archive:
+        archive.writestr("counts.npy", body)
+    with pytest.raises(DatasetError, match="do not fill shape"):
+        read_dataset(tmp_path / "lie.npz")
+
+
+@pytest.mark.parametrize(
+    ("members", "says"),
+    [
+        ([("a.txt", b"x")], "no array"),
+        ([("a.npy", b"x")], "no .npy header"),
+        ([("a.npy", b"\x93NUMPY\x02\x00" + b"\xff\xff\xff\x00" + bytes(9))], "header of"),
+        ([("a.npy", b"\x93NUMPY\x01\x00\x04\x00{1}\n")], "header cannot be read"),
+        ([("a.npy", b"\x93NUMPY\x01\x00\xc0\x0f" + b"(" * 4032)], "header cannot be read"),
+        ([(f"{i}.npy", b"") for i in range(600)], "at most 512"),
+    ],
+)
+def test_archives_of_something_else_are_refused(
+    members: list[tuple[str, bytes]], says: str, tmp_path: Path
+) -> None:
+    with zipfile.ZipFile(tmp_path / "x.npz", "w") as archive:
+        for name, data in members:
+            archive.writestr(name, data)
+    with pytest.raises(DatasetError, match=says):
+        read_dataset(tmp_path / "x.npz")
+
+
+@pytest.mark.parametrize("what", ["missing", "folder", "text", "empty"])
+def test_what_is_no_archive_is_refused_with_advice(what: str, tmp_path: Path) -> None:
+    path = tmp_path / what
+    if what == "folder":
+        path.mkdir()
+    elif what != "missing":
+        path.write_text("label: ball\n" if what == "text" else "")
+    with pytest.raises(DatasetError, match=r"check the path|take another copy"):
+        read_dataset(path)
+
+
+def test_nothing_to_write_other_pads_or_odd_text_are_refused(tmp_path: Path) -> None:
+    other = PadArray(
+        pad_shape=PADS.pad_shape, taxel_pad=PADS.taxel_pad, taxel_xy_m=PADS.taxel_xy_m, adc_max=256
+    )
+    for grasps, says in (
+        ([], "no grasp"),
+        ([make_grasp(), make_grasp(pads=other)], "grasp 1 was taken on other pads"),
+        ([make_grasp(label="a\0")], "printable"),
+    ):
+        with pytest.raises(DatasetError, match=says):
+            write_dataset(tmp_path / "d.npz", grasps)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("number", "says"),
+    [(errno.ENOSPC, "no space left"), (errno.EROFS, "not writable"), (errno.EIO, "Input/output")],
+)
+def test_full_disk_leaves_the_old_file(
+    number: int, says: str, good: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "d.npz"
+    path.write_bytes(good.read_bytes())
+    path.chmod(0o640)
+
+    def refuse(_handle: int) -> None:
+        raise OSError(number, os.strerror(number))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "fsync", refuse)
+        with pytest.raises(DatasetError, match=f"{says}.*unchanged"):
+            write_dataset(path, [make_grasp()])
+    assert path.read_bytes() == good.read_bytes()
+    assert list(tmp_path.iterdir()) == [path]
+    write_dataset(path, [make_grasp()])
+    assert len(read_dataset(path)) == 1
+    assert path.stat().st_mode & 0o777 == 0o640
+
+
+def test_missing_folder_and_device_files_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(DatasetError, match="does not exist; make it first"):
+        write_dataset(tmp_path / "nowhere" / "d.npz", [make_grasp()])
+    with pytest.raises(DatasetError, match="not a plain file"):
+        write_dataset("/dev/null", [make_grasp()])
+    assert issubclass(DatasetError, CellError)

@@ -1,0 +1,595 @@
+"""Recordings: others can read them, a cut or a full disk costs the rest and nothing else."""
+
+import errno
+import json
+import os
+import threading
+from dataclasses import dataclass, replace
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import jsonschema
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap.writer import CompressionType, Writer
+
+from cell.control.journal import loop_values
+from cell.control.plan import Pose
+from cell.control.states import CellState, GraspState
+from cell.data import recorder_sink, recording_reader, recording_schema
+from cell.data.recorder import Recorder
+from cell.data.recorder_sink import BackgroundFile, DirectFile
+from cell.data.recording_reader import read_recording, recording_grasps
+from cell.data.recording_values import plain_fields
+from cell.errors import RecordingError
+from gripper.force.timing import LoopStatistics
+from gripper.state import Cycle, ForceSample, GripperPhase, GripperState, ServoState
+from recognition.grasp import Grasp, GraspCommand, PadArray
+from recognition.shape.answer import ShapeAnswer, Thickness
+from tactile.frames.codec import TactileFrame
+
+PADS = PadArray(
+    pad_shape=np.array([[4, 3], [4, 3]]),
+    taxel_pad=np.repeat([0, 1], 12),
+    taxel_xy_m=np.arange(48).reshape(24, 2) * 1e-3,
+    adc_max=255,
+)
+
+
+def make_servo(**changes: Any) -> ServoState:
+    values: dict[str, Any] = {
+        "servo_id": 1,
+        "angle_rad": 0.123456789,
+        "velocity_rad_s": -0.02,
+        "current_a": 0.4,
+        "position_raw": 2048,
+        "temperature_c": 31.0,
+        "voltage_v": 12.1,
+        "tick_ms": 4711,
+        "alert": False,
+    }
+    return ServoState(**(values | changes))
+
+
+def make_state(t_s: float, **changes: Any) -> GripperState:
+    values: dict[str, Any] = {
+        "t_s": t_s,
+        "aperture_m": 0.0234,
+        "aperture_velocity_m_s": -0.001,
+        "current_a": 0.4,
+        "force_from_current_n": 3.9,
+        "temperature_c": 31.0,
+        "voltage_v": 12.1,
+        "servos": (make_servo(), make_servo(servo_id=2)),
+    }
+    return GripperState(**(values | changes))
+
+
+class Clock:
+    def __init__(self, now_s: float = 100.0) -> None:
+        self.now_s = now_s
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+
+def make_cycle(t_s: float, **changes: Any) -> Cycle:
+    values: dict[str, Any] = {
+        "t_s": t_s,
+        "phase": GripperPhase.RAMPING,
+        "state": make_state(t_s),
+        "force": ForceSample(t_s=t_s - 0.004, force_n=(3.9, 4.1)),
+        "setpoint_n": 4.0,
+        "goal_current_a": 0.41,
+        "level": 1,
+    }
+    return Cycle(**(values | changes))
+
+
+def make_frame(t_s: float, rng: np.random.Generator, n_taxels: int = 24) -> TactileFrame:
+    counts = np.clip(np.abs(rng.normal(0, 10, n_taxels)), 1, 20).astype(np.uint16)
+    return TactileFrame(t_s=t_s, counter=int(t_s * 50) & 0xFFFF, status=0, counts=counts)
+
+
+def record_grasp(recorder: Recorder, clock: Clock, label: str, n_frames: int = 20) -> Grasp:
+    rng = np.random.default_rng(int(clock.now_s * 1000))
+    recorder.pose(Pose(x_m=0.001, rotation_rad=0.3))
+    recorder.event("state", "EXECUTE")
+    frames = []
+    start_s = clock.now_s
+    for i in range(4 * n_frames):
+        clock.now_s = start_s + i * 0.005
+        recorder.cycle(make_cycle(clock.now_s))
+        if i % 4 == 0:
+            frames.append(make_frame(clock.now_s - 0.001, rng))
+            recorder.frame(frames[-1])
+    grasp = Grasp(
+        pads=PADS,
+        counts=np.stack([frame.counts for frame in frames]),
+        t_s=np.array([frame.t_s for frame in frames]) - frames[0].t_s,
+        aperture_m=np.linspace(0.03, 0.02, n_frames),
+        force_n=np.linspace(0.0, 8.0, n_frames),
+        label=label,
+        source="test",
+        start_ms=1_700_000_000_000,
+        command=GraspCommand(x_m=1e-3, y_m=0.0, rotation_rad=0.3, roll_rad=0.0, force_n=8.0)
+        if label.endswith("1")
+        else None,
+    )
+    recorder.grasp(grasp)
+    return grasp
+
+
+_THIN = Thickness(size_m=10e-3, low_m=9.6e-3, high_m=10.4e-3)
+_THICK = Thickness(size_m=15.9e-3, low_m=15.5e-3, high_m=16.3e-3, n_grasps=2)
+BAR = ShapeAnswer(
+    kind="flat",
+    probability={"flat": 0.75, "oval": 0.25},
+    size_m=_THICK.size_m,
+    low_m=_THICK.low_m,
+    high_m=_THICK.high_m,
+    dimensions_m={"height": 15.9e-3},
+    misfit=1.0,
+    thicknesses=(_THIN, _THICK),
+)
+
+
+def record(path: Path, n_grasps: int = 6) -> list[Grasp]:
+    clock = Clock()
+    with Recorder(
+        path, clock, pads=PADS, metadata={"config": "abc"}, wall_clock_ns=lambda: 1_700 * 10**9
+    ) as recorder:
+        recorder.state(CellState.HELD, GraspState.NO_PART_FOUND)
+        recorder.loop(loop_values(LoopStatistics(cycles=7, worst_lateness_s=0.5)))
+        grasps = [record_grasp(recorder, clock, f"object {i}") for i in range(n_grasps)]
+        recorder.result(
+            label="object 1",
+            probability=0.997,
+            labels=("object 0", "object 1"),
+            probabilities=(0.003, 0.997),
+            unknown=0.01,
+            n_grasps=n_grasps,
+            true_label="object 1",
+            shape=BAR,
+            grasp_shapes=(BAR, None),
+        )
+    return grasps
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Grasp]]:
+    path = tmp_path_factory.mktemp("recording") / "whole.mcap"
+    return path, record(path)
+
+
+def same(was: Grasp, now: Grasp) -> bool:
+    return (
+        np.array_equal(was.counts, now.counts)
+        and np.allclose(was.t_s, now.t_s, atol=2e-9)
+        and np.allclose(was.aperture_m, now.aperture_m, atol=2e-9, equal_nan=True)
+        and np.allclose(was.force_n, now.force_n, atol=2e-9, equal_nan=True)
+        and (was.label, was.shape, was.source) == (now.label, now.shape, now.source)
+        and was.start_ms == now.start_ms
+        and was.command == now.command
+        and was.pads.same_as(now.pads)
+    )
+
+
+def test_grasps_come_back_from_the_recording(whole: tuple[Path, list[Grasp]]) -> None:
+    path, grasps = whole
+    back = recording_grasps(path)
+    assert len(back) == len(grasps)
+    assert all(map(same, grasps, back))
+    assert all(grasp.pads is back[0].pads for grasp in back)
+
+
+def test_recording_holds_all_that_happened(whole: tuple[Path, list[Grasp]]) -> None:
+    recording = read_recording(whole[0])
+    assert recording.complete
+    assert recording.lost_reason == ""
+    assert len(recording.frames) == 120
+    assert recording.frames.number.tolist() == list(range(120))
+    assert recording.frames.counts.shape == (120, 24)
+    assert len(recording.cycles) == 480
+    assert recording.cycles.phase[0] == "RAMPING"
+    np.testing.assert_allclose(recording.cycles.force_n[0], [3.9, 4.1])
+    np.testing.assert_allclose(recording.cycles.t_s[:3], [100.0, 100.005, 100.01], atol=1e-9)
+    assert [pose["rotation_rad"] for pose in recording.poses] == [0.3] * 6
+    assert recording.events[0] == {"t_s": 100.0, "kind": "state", "text": "EXECUTE"}
+    assert recording.results[0]["true_label"] == "object 1"
+    felt = recording.results[0]["shape"]
+    assert (felt["kind"], felt["probability"], felt["n_grasps"]) == ("flat", 0.75, 3)
+    assert (felt["size_m"], felt["low_m"], felt["high_m"]) == (0.0159, 0.0155, 0.0163)
+    assert [t["size_m"] for t in felt["thicknesses"]] == [0.01, 0.0159]
+    assert felt["dimensions_m"] == {"height": 0.0159}
+    assert recording.results[0]["grasp_shapes"] == [felt, {}]
+    assert recording.states == (
+        {
+            "t_s": 100.0,
+            "state": "HELD",
+            "state_number": 15,
+            "grasp": "NO PART FOUND",
+            "grasp_number": 2,
+            "wall_ns": 1_700 * 10**9,
+        },
+    )
+    assert recording.metadata["config"] == "abc"
+    assert recording.wall_clock_start_ns == 1_700 * 10**9
+    assert recording.monotonic_start_ns == 100 * 10**9
+    assert recording.pads.same_as(PADS)
+    assert not recording.cycles.force_n.flags.writeable
+
+
+def test_foreign_reader_finds_schemas_that_each_message_fits(
+    whole: tuple[Path, list[Grasp]],
+) -> None:
+    validators: dict[str, jsonschema.Draft202012Validator] = {}
+    with whole[0].open("rb") as file:
+        for schema, channel, message in make_reader(file, validate_crcs=True).iter_messages():
+            assert schema is not None
+            assert (schema.encoding, channel.message_encoding) == ("jsonschema", "json")
+            content = json.loads(message.data)
+            if channel.topic not in validators:
+                fitting = jsonschema.Draft202012Validator(json.loads(schema.data))
+                validators[channel.topic] = fitting
+            validators[channel.topic].validate(content)
+            assert message.log_time == round(content["t_s"] * 1e9)
+    assert set(validators) == set(recording_schema.SCHEMAS)
+
+
+def test_schemas_have_plain_types_only_so_that_viewers_plot_them() -> None:
+    for content in recording_schema.SCHEMAS.values():
+        jsonschema.Draft202012Validator.check_schema(dict(content))
+        for values in content["properties"].values():
+            assert isinstance(values["type"], str)
+            assert values["description"]
+
+
+def test_unknown_values_are_left_out(tmp_path: Path) -> None:
+    nan = float("nan")
+    with Recorder(tmp_path / "r.mcap", Clock(), pads=PADS) as recorder:
+        recorder.cycle(make_cycle(1.0, force=None, setpoint_n=nan, level=None))
+        recorder.cycle(
+            make_cycle(
+                1.1,
+                force=ForceSample(t_s=1.0, force_n=(nan, 1.0), valid=False),
+                state=make_state(1.1, aperture_m=nan, servos=(make_servo(angle_rad=nan),)),
+            )
+        )
+    raw = recording_reader.read_raw(tmp_path / "r.mcap")
+    first, second = (content for _, content in raw.messages)
+    assert not {"force_n", "force_valid", "setpoint_n", "level"} & set(first)
+    assert second["force_valid"] is False
+    assert not {"force_n", "aperture_m"} & set(second)
+    assert second["level"] == 1
+    assert "angle_rad" not in second["servos"][0]
+    assert second["servos"][0]["voltage_v"] == 12.1
+    cycles = read_recording(tmp_path / "r.mcap").cycles
+    assert np.isnan(cycles.setpoint_n[0])
+    assert np.all(np.isnan(cycles.force_n))
+
+
+class Colour(Enum):
+    RED = 1
+
+
+@dataclass(frozen=True)
+class Mixed:
+    flag: bool = True
+    colour: Colour = Colour.RED
+    pair: tuple[float, ...] = (0.123456789, 2.0)
+    nothing: float | None = None
+    other: Path = Path("/x")
+
+
+def test_values_of_any_kind_become_plain_ones() -> None:
+    assert plain_fields(Mixed()) == {
+        "flag": True, "colour": "RED", "pair": [0.1234568, 2.0], "other": "/x",
+    }  # fmt: skip
+
+
+def test_recording_cut_anywhere_gives_every_whole_chunk(
+    whole: tuple[Path, list[Grasp]], tmp_path: Path
+) -> None:
+    path, grasps = whole
+    data = path.read_bytes()
+    cut = tmp_path / "cut.mcap"
+    n_frames, refused = [], []
+    for length in [*range(0, len(data), 997), len(data) - 1]:
+        cut.write_bytes(data[:length])
+        try:
+            recording = read_recording(cut)
+        except RecordingError:
+            refused.append(length)
+            continue
+        assert not recording.complete
+        assert recording.lost_reason
+        n_frames.append(len(recording.frames))
+        assert all(map(same, grasps, recording.grasps))
+        complete_grasps = len(recording.grasps) + recording.n_broken_grasps
+        assert complete_grasps <= len(recording.poses)
+    assert max(refused) < 3000
+    assert n_frames == sorted(n_frames)
+    assert n_frames[-1] == 120
+    assert len(set(n_frames)) > 4
+
+
+def test_cut_recording_is_salvaged_on_request_only(
+    whole: tuple[Path, list[Grasp]], tmp_path: Path
+) -> None:
+    data = whole[0].read_bytes()
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(data[: len(data) * 6 // 10])
+    with pytest.raises(RecordingError, match=r"not complete.*whole grasps can be salvaged"):
+        recording_grasps(cut)
+    salvaged = recording_grasps(cut, salvage=True)
+    assert 1 <= len(salvaged) < 6
+    assert all(map(same, whole[1], salvaged))
+
+
+def test_killed_program_leaves_a_readable_recording(tmp_path: Path) -> None:
+    clock = Clock()
+    recorder = Recorder(tmp_path / "r.mcap", clock, pads=PADS)
+    for i in range(4):
+        record_grasp(recorder, clock, f"{i}", n_frames=60)
+    (tmp_path / "seen.mcap").write_bytes((tmp_path / "r.mcap").read_bytes())
+    recorder.close()
+    recording = read_recording(tmp_path / "seen.mcap")
+    assert not recording.complete
+    assert len(recording.grasps) >= 2
+    lost = 240 - len(recording.frames)
+    assert lost * 4 * 450 < 2 * 65536  # about a chunk: four cycles go with a frame
+
+
+def foreign(path: Path, *, metadata: dict[str, str] | None, content: bytes = b"{}") -> Path:
+    with path.open("wb") as file:
+        writer = Writer(file, compression=CompressionType.NONE)
+        writer.start()
+        if metadata is not None:
+            metadata = metadata | {"crc32": recording_schema.metadata_crc32(metadata)}
+            writer.add_metadata(recording_schema.METADATA, metadata)
+        channel = writer.register_channel(recording_schema.FRAME, "json", 0)
+        other = writer.register_channel("/tf", "protobuf", 0)
+        writer.add_message(channel, 1, content, 1)
+        writer.add_message(other, 1, b"\x00\x01", 1)
+        writer.finish()
+    return path
+
+
+GOOD = {
+    "format": recording_schema.FORMAT,
+    "pads": json.dumps(
+        {"pad_shape": [[1, 1]], "taxel_pad": [0], "taxel_xy_m": [[0, 0]], "adc_max": 9}
+    ),
+    "wall_clock_start_ns": "1",
+    "monotonic_start_ns": "1",
+}
+
+
+@pytest.mark.parametrize(
+    ("metadata", "content", "says"),
+    [
+        (None, b"{}", "has no description"),
+        ({"format": "other/1"}, b"{}", "has the format 'other/1'"),
+        (GOOD, b"{}", "does not fit"),
+        (GOOD, b'{"t_s":1,"number":0,"counter":0,"status":0,"counts":[1,2]}', "does not fit"),
+        (GOOD, b'{"t_s":1,"number":0,"counter":0,"status":0,"counts":[70000]}', "does not fit"),
+        (GOOD | {"pads": "[" * 100_000}, b"{}", "does not fit"),
+    ],
+)
+def test_other_mcap_files_are_refused(
+    metadata: dict[str, str] | None, content: bytes, says: str, tmp_path: Path
+) -> None:
+    with pytest.raises(RecordingError, match=says):
+        read_recording(foreign(tmp_path / "f.mcap", metadata=metadata, content=content))
+
+
+@pytest.mark.parametrize("content", [b"{", b"[1]"])
+def test_message_that_is_no_object_is_reported(content: bytes, tmp_path: Path) -> None:
+    recording = read_recording(foreign(tmp_path / "f.mcap", metadata=GOOD, content=content))
+    assert "/tactile/frame" in recording.lost_reason
+    with pytest.raises(RecordingError, match="holds no whole grasp"):
+        recording_grasps(tmp_path / "f.mcap", salvage=True)
+
+
+def test_chunk_that_unpacks_without_end_is_not_unpacked(tmp_path: Path) -> None:
+    path = tmp_path / "bomb.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=1 << 30, compression=CompressionType.ZSTD)
+        writer.start()
+        crc32 = recording_schema.metadata_crc32(GOOD)
+        writer.add_metadata(recording_schema.METADATA, GOOD | {"crc32": crc32})
+        channel = writer.register_channel(recording_schema.FRAME, "json", 0)
+        writer.add_message(channel, 1, bytes(20 << 20), 1)
+        writer.finish()
+    assert path.stat().st_size < 10_000
+    recording = read_recording(path)
+    assert "limit 16777216" in recording.lost_reason
+    assert len(recording.frames) == 0
+
+
+def test_what_is_no_recording_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "text").write_text("hello")
+    for name, says in (("none", "check the path"), (".", "plain file"), ("text", "no recording")):
+        with pytest.raises(RecordingError, match=says):
+            read_recording(tmp_path / name)
+    monkeypatch.setattr(recording_reader, "MAX_FILE_BYTES", 4)
+    with pytest.raises(RecordingError, match="at most 4 are read"):
+        read_recording(tmp_path / "text")
+
+
+def fill_disk_after(monkeypatch: pytest.MonkeyPatch, n_bytes: int) -> None:
+    """Let the disk take ``n_bytes``, half of the write that goes beyond, then nothing."""
+    room = [n_bytes]
+    write = os.write
+
+    def limited(handle: int, data: Any) -> int:
+        if room[0] <= 0:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        taken = data[: max(1, room[0])]
+        room[0] -= len(taken)
+        return write(handle, taken)
+
+    monkeypatch.setattr(recorder_sink.os, "write", limited)
+
+
+def test_full_disk_stops_the_recording_and_nothing_else(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock, faults = Clock(), []
+    recorder = Recorder(tmp_path / "r.mcap", clock, pads=PADS, on_fault=faults.append)
+    fill_disk_after(monkeypatch, 30_000)
+    for i in range(12):
+        record_grasp(recorder, clock, f"{i}")
+    assert recorder.fault is not None
+    assert recorder.n_dropped > 100
+    assert faults == [recorder.fault]
+    with pytest.raises(RecordingError, match=r"No space left.*free space") as caught:
+        recorder.close()
+    assert caught.value is recorder.fault
+    recorder.close()
+    recording = read_recording(tmp_path / "r.mcap")
+    assert not recording.complete
+    assert recording.lost_reason == "the file is cut off or damaged (EndOfFile)"
+    assert len(recording.grasps) >= 2
+
+
+def test_fault_of_the_recording_does_not_hide_another_error(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recorder = Recorder(tmp_path / "r.mcap", Clock(), pads=PADS)
+    fill_disk_after(monkeypatch, 0)
+    with pytest.raises(ZeroDivisionError) as caught, recorder:
+        _ = 1 / 0
+    assert "No space left" in caught.value.__notes__[0]
+    with (
+        pytest.raises(RecordingError, match="No space left"),
+        Recorder(tmp_path / "s.mcap", Clock(), pads=PADS),
+    ):
+        pass
+
+
+def test_failing_close_is_a_fault(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recorder = Recorder(tmp_path / "r.mcap", Clock(), pads=PADS)
+
+    def refuse(_handle: int) -> None:
+        raise OSError(errno.EIO, "Input/output error")
+
+    monkeypatch.setattr(recorder_sink.os, "fsync", refuse)
+    with pytest.raises(RecordingError, match="Input/output error"):
+        recorder.close()
+
+
+def test_recorder_refuses_what_is_not_in_order(tmp_path: Path) -> None:
+    clock = Clock()
+    with pytest.raises(RecordingError, match="check folder"):
+        Recorder(tmp_path / "no" / "r.mcap", clock, pads=PADS)
+    recorder = Recorder(tmp_path / "r.mcap", clock, pads=PADS)
+    with pytest.raises(RecordingError, match="never overwritten"):
+        Recorder(tmp_path / "r.mcap", clock, pads=PADS)
+    grasp = record_grasp(recorder, clock, "ball")
+    rng = np.random.default_rng(0)
+    with pytest.raises(ValueError, match="the pads have 24"):
+        recorder.frame(make_frame(1.0, rng, n_taxels=23))
+    for t_s in (float("nan"), -1.0):
+        with pytest.raises(ValueError, match="no monotonic time"):
+            recorder.cycle(make_cycle(t_s))
+    with pytest.raises(ValueError, match="not the raw counts"):
+        recorder.grasp(replace(grasp, counts=grasp.counts // 2))
+    recorder.frame(make_frame(clock.now_s + 1, rng))
+    with pytest.raises(ValueError, match="are not the 20 of the grasp"):
+        recorder.grasp(grasp)
+    recorder.close()
+    with pytest.raises(RecordingError, match="is closed"):
+        recorder.event("state", "late")
+
+
+def test_writing_from_a_thread_gives_the_same_file(tmp_path: Path) -> None:
+    for name, background in (("direct", False), ("thread", True)):
+        clock = Clock()
+        with Recorder(
+            tmp_path / name, clock, pads=PADS, background=background, wall_clock_ns=lambda: 1
+        ) as recorder:
+            record_grasp(recorder, clock, "ball", n_frames=80)
+    assert (tmp_path / "direct").read_bytes() == (tmp_path / "thread").read_bytes()
+    assert not any(thread.name == "recording" for thread in threading.enumerate())
+
+
+class StuckDisk(DirectFile):
+    """Takes nothing until it is let go."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self.go_on = threading.Event()
+
+    def write(self, data: bytes, /) -> int:
+        self.go_on.wait(20.0)
+        return super().write(data)
+
+
+def test_slow_disk_is_an_error_not_a_delay(tmp_path: Path) -> None:
+    disk = StuckDisk(tmp_path / "slow")
+    file = BackgroundFile(disk, max_waiting_bytes=100, close_timeout_s=0.0)
+    file.write(bytes(60))
+    file.flush()
+    with pytest.raises(OSError, match="too slow: 60 bytes wait"):
+        file.write(bytes(60))
+    assert file.tell() == 60
+    with pytest.raises(OSError, match=r"within 0\.0 s"):
+        file.close()
+    disk.go_on.set()
+
+
+@pytest.mark.parametrize("cause", [OSError(errno.ENOSPC, "full"), RuntimeError("bug")])
+def test_disk_that_fails_in_the_thread_is_reported(
+    cause: Exception, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(_self: DirectFile, _data: bytes) -> int:
+        raise cause
+
+    monkeypatch.setattr(DirectFile, "write", refuse)
+    recorder = Recorder(tmp_path / "r.mcap", Clock(), pads=PADS, background=True)
+    with pytest.raises(RecordingError, match=r"full|thread died: RuntimeError: bug"):
+        recorder.close()
+
+
+def test_long_sequence_is_written_in_little_space(tmp_path: Path) -> None:
+    pads = PadArray(
+        pad_shape=np.array([[51, 8]]),
+        taxel_pad=np.zeros(408),
+        taxel_xy_m=np.zeros((408, 2)),
+        adc_max=255,
+    )
+    rng = np.random.default_rng(0)
+    counts = np.clip(np.abs(rng.normal(0, 10, (8, 80, 408))), 1, 20).astype(np.uint16)
+    clock = Clock()
+    n_grasps = 15
+    with Recorder(tmp_path / "r.mcap", clock, pads=pads) as recorder:
+        for i in range(n_grasps):
+            t_s = clock.now_s + i * 2.0 + np.arange(80) * 0.02
+            for k in range(300):
+                recorder.cycle(make_cycle(float(t_s[0]) + k * 0.005))
+            for k in range(80):
+                recorder.frame(
+                    TactileFrame(t_s=float(t_s[k]), counter=k, status=0, counts=counts[i % 8, k])
+                )
+            unknown = np.full(80, np.nan)
+            recorder.grasp(
+                Grasp(pads=pads, counts=counts[i % 8], t_s=t_s - t_s[0], aperture_m=unknown,
+                      force_n=unknown)
+            )  # fmt: skip
+    assert (tmp_path / "r.mcap").stat().st_size < 400_000 * n_grasps
+    assert len(recording_grasps(tmp_path / "r.mcap")) == n_grasps
+
+
+@pytest.mark.parametrize("background", [False, True])
+def test_a_recording_that_was_removed_meanwhile_is_told_at_its_end(
+    tmp_path: Path, background: bool
+) -> None:
+    path = tmp_path / "r.mcap"
+    recorder = Recorder(path, Clock(), pads=PADS, background=background)
+    path.unlink()
+    with pytest.raises(RecordingError, match="removed while it was written"):
+        recorder.close()

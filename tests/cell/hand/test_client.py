@@ -1,0 +1,294 @@
+"""The program's side of the process of the force loop, with the process played by the test."""
+
+import time
+from collections import deque
+from types import SimpleNamespace
+from typing import Any, ClassVar
+
+import pytest
+
+from cell.config.model import CellConfig
+from cell.errors import HandLost
+from cell.hand import client
+from cell.hand.client import HandProcess
+from cell.hand.interface import HandStatistics
+from cell.hand.messages import (
+    Alive,
+    Answer,
+    EndRamp,
+    Fault,
+    GraspUnder,
+    Progress,
+    Ready,
+    Shutdown,
+    send_error,
+)
+from gripper.dynamixel.transactions import BusStatistics
+from gripper.errors import BusTimeout, GraspStopped, LimitExceeded, fingers_left, note_fingers
+from gripper.force.ramp import ForceRamp
+from gripper.force.timing import LoopStatistics
+from gripper.state import Cycle, GripperPhase, GripperState
+from tactile.errors import HeartbeatLost
+from tactile.frames.assembler import FrameStatistics
+from tactile.unit.settings import LinkStatistics
+
+RAMP = ForceRamp.linear(3.0, 5.0)
+STATISTICS = HandStatistics(
+    loop=LoopStatistics(cycles=5),
+    servo_bus=BusStatistics(),
+    link=LinkStatistics(
+        frames=FrameStatistics(),
+        recent_loss_rate=0.0,
+        syncs=0,
+        late_syncs=0,
+        foreign=0,
+        malformed=0,
+        error_frames=0,
+    ),
+)
+
+
+def period(phase: GripperPhase = GripperPhase.RAMPING) -> Progress:
+    state = GripperState(
+        t_s=1.0,
+        aperture_m=0.01,
+        aperture_velocity_m_s=0.0,
+        current_a=0.1,
+        force_from_current_n=0.0,
+        temperature_c=30.0,
+        voltage_v=12.0,
+        servos=(),
+    )
+    cycle = Cycle(t_s=1.0, phase=phase, state=state, force=None, setpoint_n=1.0, goal_current_a=0.1)
+    return Progress(cycle=cycle, frames=())
+
+
+class FakeLoop:
+    """Plays `LoopProcess` from a script of what comes after each request."""
+
+    made: ClassVar[list["FakeLoop"]] = []
+
+    def __init__(self, _config: CellConfig) -> None:
+        self.ready = Ready(notes=("a note",), statistics=STATISTICS)
+        self.lost: HandLost | None = None
+        self.pid = 4711 + len(self.made)
+        self.script: deque[list[Any]] = deque()
+        self.coming: deque[Any] = deque()
+        self.sent: list[Any] = []
+        self.stops = 0
+        self.closed = False
+        self.made.append(self)
+
+    def stop(self) -> None:
+        self.stops += 1
+
+    def send(self, request: Any) -> None:
+        self.check()
+        if isinstance(request, EndRamp):
+            self.sent.append(request)
+            return
+        self.sent.append(request.command)
+        for event in self.script.popleft() if self.script else [None]:
+            self.coming.append(answer(request.number) if event is None else event)
+
+    def next(self, _patience_s: float) -> Any:
+        self.check()
+        event = self.coming.popleft()
+        if isinstance(event, BaseException):
+            if isinstance(event, HandLost):
+                self.abandon(event)
+            raise event
+        return event(len(self.sent)) if callable(event) else event
+
+    def waiting(self) -> bool:
+        self.check()
+        return bool(self.coming)
+
+    def check(self) -> None:
+        if self.lost is not None:
+            raise self.lost
+
+    def lose(self, what: str) -> None:
+        self.abandon(HandLost(what))
+        self.check()
+
+    def abandon(self, lost: HandLost) -> None:
+        self.lost = lost
+        self.close()
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def answer(number: int, error: BaseException | None = None, value: Any = "value") -> Answer:
+    return Answer(
+        number=number,
+        value=None if error else value,
+        error=None if error is None else send_error(error),
+        phase=GripperPhase.HOLDING,
+        statistics=STATISTICS,
+    )
+
+
+@pytest.fixture
+def hand(monkeypatch: pytest.MonkeyPatch) -> HandProcess:
+    monkeypatch.setattr(FakeLoop, "made", [])
+    monkeypatch.setattr(client, "LoopProcess", FakeLoop)
+    return HandProcess(CellConfig())
+
+
+def loop_of(_hand: HandProcess) -> FakeLoop:
+    return FakeLoop.made[-1]
+
+
+def nothing(_cycle: Any, _frames: Any) -> None:
+    pass
+
+
+def test_periods_reach_the_watch_and_the_answer_is_returned(hand: HandProcess) -> None:
+    seen: list[Any] = []
+    loop_of(hand).script.append([period(), period(), answer(99), None])
+    assert (
+        hand.grasp(RAMP, lambda cycle, _frames: seen.append((cycle.phase, hand.phase))) == "value"
+    )
+    assert seen == [(GripperPhase.RAMPING, GripperPhase.RAMPING)] * 2
+    assert hand.phase is GripperPhase.HOLDING
+    assert loop_of(hand).sent == [GraspUnder(ramp=RAMP)]
+    assert hand.notes == ("a note",)
+    assert hand.statistics.loop.cycles == 5
+
+
+def test_the_end_of_a_ramp_names_the_grasp_that_it_is_meant_for(hand: HandProcess) -> None:
+    loop = loop_of(hand)
+    hand.start()
+    loop.script.append([period(), period(), None])
+    hand.grasp(RAMP, lambda _cycle, _frames: hand.end_ramp())
+    assert loop.sent[1:] == [GraspUnder(ramp=RAMP), EndRamp(number=2), EndRamp(number=2)]
+    assert loop.stops == 0
+
+
+def test_a_ramp_beyond_a_limit_is_refused_without_asking_the_process(hand: HandProcess) -> None:
+    hand.check_ramp(RAMP)
+    with pytest.raises(LimitExceeded, match="the limit is 14"):
+        hand.check_ramp(ForceRamp.linear(14.9, 5.0))
+
+
+def test_where_the_fingers_stopped_comes_with_what_stopped_them(hand: HandProcess) -> None:
+    def fail(_cycle: Any, _frames: Any) -> None:
+        raise OSError("the disk is full")
+
+    stopped = GraspStopped("stopped on request")
+    note_fingers(stopped, "stopped while letting go")
+    loop_of(hand).script.append([period(), answer(1, stopped)])
+    with pytest.raises(OSError, match="disk is full") as caught:
+        hand.release(fail)
+    assert fingers_left(caught.value) == "the fingers stopped while letting go"
+
+
+def test_what_the_watch_raises_stops_the_command_and_comes_at_its_end(hand: HandProcess) -> None:
+    loop = loop_of(hand)
+    stopped = lambda number: answer(number, GraspStopped("stopped on request"))  # noqa: E731
+    loop.script.append([period(), period(), period(), stopped])
+    told: list[int] = []
+
+    def watch(_cycle: Any, _frames: Any) -> None:
+        told.append(1)
+        raise KeyError("of the watch")
+
+    with pytest.raises(KeyError, match="of the watch"):
+        hand.grasp(RAMP, watch)
+    assert (len(told), loop.stops, loop.lost) == (1, 1, None)
+    assert not loop.coming
+
+
+def test_an_error_of_the_process_is_raised_as_what_it_is(hand: HandProcess) -> None:
+    loop_of(hand).script.append([lambda number: answer(number, BusTimeout("cable"))])
+    with pytest.raises(BusTimeout, match="cable"):
+        hand.start()
+
+
+def test_a_fault_between_commands_comes_with_the_next_tick_or_command(hand: HandProcess) -> None:
+    loop = loop_of(hand)
+    hand.tick()
+    for call in (hand.tick, hand.start_sensor):
+        loop.coming.append(
+            Fault(error=send_error(HeartbeatLost("silent")), phase=GripperPhase.IDLE)
+        )
+        with pytest.raises(HeartbeatLost):
+            call()
+    assert loop.sent == []
+    assert hand.phase is GripperPhase.IDLE
+
+
+def test_a_fault_that_is_on_its_way_while_a_command_begins_stops_it(hand: HandProcess) -> None:
+    loop = loop_of(hand)
+    fault = Fault(error=send_error(HeartbeatLost("silent")), phase=GripperPhase.IDLE)
+    loop.script.append([fault, period(), None])
+    with pytest.raises(HeartbeatLost):
+        hand.open(nothing)
+    assert loop.stops == 1
+
+
+def test_a_fault_that_nobody_asked_for_does_not_spoil_the_end(hand: HandProcess) -> None:
+    loop = loop_of(hand)
+    assert hand.shutdown() == ""
+    loop.coming.append(Fault(error=send_error(HeartbeatLost("silent")), phase=GripperPhase.IDLE))
+    assert hand.shutdown() == "HeartbeatLost: silent"
+    assert loop.sent == [Shutdown(), Shutdown()]
+
+
+def test_a_lost_process_is_told_until_it_is_cleared(hand: HandProcess) -> None:
+    loop = loop_of(hand)
+    loop.script.append([period(), HandLost("killed")])
+    with pytest.raises(HandLost):
+        hand.grasp(RAMP, nothing)
+    assert hand.phase is GripperPhase.HELD_AFTER_FAULT
+    for call in (hand.tick, hand.keep_grip, hand.start):
+        with pytest.raises(HandLost, match="killed"):
+            call()
+    hand.close_sensor()
+    assert hand.shutdown() == ""
+    hand.clear_fault(reboot=False)
+    assert len(FakeLoop.made) == 2
+    hand.start()
+
+
+def test_a_process_that_says_that_it_ends_is_lost(hand: HandProcess) -> None:
+    fault = Fault(error=send_error(HandLost("told to end")), phase=GripperPhase.IDLE)
+    loop_of(hand).coming.append(fault)
+    with pytest.raises(HandLost, match="told to end"):
+        hand.tick()
+    assert loop_of(hand).closed
+    assert hand.phase is GripperPhase.IDLE
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_a_signal_while_waiting_stops_first_and_a_second_ends_at_once(
+    hand: HandProcess, again: bool
+) -> None:
+    loop = loop_of(hand)
+    more = [KeyboardInterrupt()] if again else []
+    loop.script.append([period(), KeyboardInterrupt(), *more, period(), None])
+    with pytest.raises(KeyboardInterrupt):
+        hand.grasp(RAMP, nothing)
+    assert loop.stops == 1
+    assert bool(loop.coming) is again
+
+
+def test_a_process_that_says_nothing_between_commands_is_lost(
+    hand: HandProcess, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = time.monotonic()
+    monkeypatch.setattr(client, "time", SimpleNamespace(monotonic=lambda: now_s))
+    loop = FakeLoop.made[0]
+    # The program was busy for long: what came meanwhile shows that somebody was there.
+    now_s += 60.0
+    loop.coming.append(Alive())
+    hand.tick()
+    now_s += 4.0
+    hand.tick()
+    now_s += 1.5
+    with pytest.raises(HandLost, match=r"nothing for 5\.5 s"):
+        hand.tick()
+    hand.clear_fault(reboot=False)
+    hand.tick()

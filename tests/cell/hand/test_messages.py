@@ -1,0 +1,436 @@
+"""What crosses to the process of the force loop, and what that process does with it."""
+
+import builtins
+import os
+import pickle
+import signal
+import socket
+import time
+from collections.abc import Iterator
+from multiprocessing.connection import Connection
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cell import errors as cell_errors
+from cell.config.model import CellConfig
+from cell.errors import CellStopped, HostSilent
+from cell.hand import messages, server
+from cell.hand.interface import HandStatistics
+from cell.hand.messages import (
+    Alive,
+    Answer,
+    Boot,
+    ClearFault,
+    CloseSensor,
+    EndRamp,
+    Fault,
+    GraspUnder,
+    Inspect,
+    KeepGrip,
+    Open,
+    Progress,
+    ReadSensor,
+    Ready,
+    Release,
+    Request,
+    Shutdown,
+    Start,
+    StartSensor,
+    Tare,
+    received_error,
+    send_error,
+)
+from cell.hand.server import HandServer, Outbox
+from gripper import errors as gripper_errors
+from gripper.dynamixel.transactions import BusStatistics
+from gripper.errors import BusTimeout, GraspStopped, ServoFault, ServoRejected, VerificationFailed
+from gripper.force.ramp import ForceRamp
+from gripper.force.timing import Distribution, LoopStatistics
+from gripper.state import (
+    Cycle,
+    ForceSample,
+    GripperPhase,
+    GripperState,
+    ServoState,
+    VerificationReport,
+    VerificationRow,
+)
+from tactile import errors as tactile_errors
+from tactile.errors import NodeEmergency
+from tactile.frames.assembler import FrameStatistics
+from tactile.frames.codec import TactileFrame
+from tactile.unit.settings import LinkStatistics
+
+RAMP = ForceRamp.staircase((2.0, 4.0), 5.0, 0.2)
+
+
+def statistics() -> HandStatistics:
+    return HandStatistics(
+        loop=LoopStatistics(cycles=9, lateness=Distribution(n=9, max_s=0.1)),
+        servo_bus=BusStatistics(transactions=3),
+        link=LinkStatistics(
+            frames=FrameStatistics(complete=4),
+            recent_loss_rate=0.0,
+            syncs=1,
+            late_syncs=0,
+            foreign=0,
+            malformed=0,
+            error_frames=0,
+        ),
+    )
+
+
+def cycle(t_s: float = 1.0) -> Cycle:
+    servo = ServoState(
+        servo_id=1,
+        angle_rad=0.1,
+        velocity_rad_s=0.0,
+        current_a=0.2,
+        position_raw=2048,
+        temperature_c=30.0,
+        voltage_v=12.0,
+        tick_ms=5,
+        alert=False,
+    )
+    state = GripperState(
+        t_s=t_s,
+        aperture_m=0.01,
+        aperture_velocity_m_s=0.0,
+        current_a=0.2,
+        force_from_current_n=1.0,
+        temperature_c=30.0,
+        voltage_v=12.0,
+        servos=(servo, servo),
+    )
+    return Cycle(
+        t_s=t_s,
+        phase=GripperPhase.RAMPING,
+        state=state,
+        force=ForceSample(t_s=t_s, force_n=(1.0, 2.0)),
+        setpoint_n=2.0,
+        goal_current_a=0.2,
+    )
+
+
+def frame() -> TactileFrame:
+    return TactileFrame(t_s=1.0, counter=3, status=0, counts=np.arange(408, dtype=np.uint16))
+
+
+COMMANDS = [
+    Start(),
+    StartSensor(),
+    CloseSensor(),
+    Open(),
+    Tare(n_frames=25),
+    GraspUnder(ramp=RAMP),
+    Release(),
+    Inspect(),
+    ReadSensor(timeout_s=0.5),
+    KeepGrip(),
+    ClearFault(reboot=True),
+    Shutdown(),
+]
+ANSWER = Answer(
+    number=3,
+    value=VerificationReport(rows=()),
+    error=None,
+    phase=GripperPhase.HOLDING,
+    statistics=statistics(),
+)
+EVENTS = [
+    Ready(notes=("the memory is not locked",), statistics=statistics()),
+    ANSWER,
+    Fault(error=send_error(BusTimeout("no answer")), phase=GripperPhase.OFF),
+    Alive(),
+]
+
+
+def test_the_list_of_commands_is_whole() -> None:
+    assert {type(command) for command in COMMANDS} == set(messages.Command.__args__)
+
+
+@pytest.mark.parametrize(
+    "message",
+    [
+        Boot(config=CellConfig()),
+        *(Request(number=7, command=command) for command in COMMANDS),
+        EndRamp(number=7),
+        *EVENTS,
+    ],
+    ids=lambda message: type(getattr(message, "command", message)).__name__,
+)
+def test_each_message_arrives_as_it_was_sent(message: Any) -> None:
+    assert pickle.loads(pickle.dumps(message)) == message
+
+
+def test_a_period_arrives_with_its_frames() -> None:
+    sent = Progress(cycle=cycle(), frames=(frame(), frame()))
+    got: Progress = pickle.loads(pickle.dumps(sent))
+    assert got.cycle == sent.cycle
+    np.testing.assert_array_equal(got.frames[1].counts, frame().counts)
+    assert len(pickle.dumps(sent)) < 5000
+
+
+ERRORS = [
+    ServoRejected(2, 5, "writing goal"),
+    ServoFault(1, 32, "it has switched its torque off"),
+    VerificationFailed(
+        VerificationReport(
+            rows=(VerificationRow(servo_id=1, item="x", expected="1", found="2", ok=False),)
+        ),
+        ["servo 1 x: expected 1, found 2"],
+    ),
+    NodeEmergency(0x8130, 0x11, "heartbeat lost", "unit 5"),
+    GraspStopped("stopped on request"),
+    CellStopped("stopped"),
+    FileNotFoundError(2, "No such file", "/dev/nothing"),
+    KeyError("x"),
+]
+
+
+@pytest.mark.parametrize("error", ERRORS, ids=lambda error: type(error).__name__)
+def test_an_error_arrives_as_what_it_is(error: BaseException) -> None:
+    got = received_error(pickle.loads(pickle.dumps(send_error(error))))
+    assert type(got) is type(error)
+    assert str(got) == str(error)
+    assert vars(got) == vars(error)
+
+
+def test_every_error_of_the_three_trees_can_cross() -> None:
+    for module in (gripper_errors, tactile_errors, cell_errors):
+        kinds = [kind for kind in vars(module).values() if isinstance(kind, type)]
+        kinds = [kind for kind in kinds if issubclass(kind, Exception)]
+        assert len(kinds) > 5
+        for kind in kinds:
+            error = kind.__new__(kind, "what happened")
+            error.args = ("what happened",)
+            got = received_error(pickle.loads(pickle.dumps(send_error(error))))
+            assert (type(got), str(got)) == (kind, "what happened")
+
+
+def test_an_error_of_nobodys_tree_is_named_and_its_origin_kept() -> None:
+    class Strange(builtins.Exception):
+        pass
+
+    try:
+        raise Strange("odd")
+    except Strange as error:
+        got = received_error(send_error(error))
+    assert type(got) is RuntimeError
+    assert "Strange: odd" in str(got)
+    assert "raise Strange" in got.__notes__[0]
+
+
+# -- the process's side, in this process -----------------------------------------------------
+
+
+class FakeHand:
+    """A hand that does what it is told, in no time."""
+
+    period_s = 0.001
+    phase = GripperPhase.HOLDING
+    statistics = statistics()
+
+    def __init__(self) -> None:
+        self.calls: list[str] = []
+        self.cycles = 10
+        self.stopped = False
+        self.ended_at: list[float] = []
+        self.now_s = 0.0
+        self.tick_error: Exception | None = None
+
+    def __getattr__(self, name: str) -> Any:
+        return lambda *_args, **_options: self.calls.append(name)
+
+    def request_stop(self) -> None:
+        self.stopped = True
+
+    def end_ramp(self) -> None:
+        self.ended_at.append(self.now_s)
+
+    def grasp(self, _ramp: ForceRamp, watch: Any) -> str:
+        self.stopped = False
+        for number in range(self.cycles):
+            if self.stopped:
+                raise GraspStopped("stopped on request")
+            self.now_s = float(number)
+            watch(cycle(float(number)), [frame()])
+        return "outcome"
+
+    def inspect(self) -> Any:
+        raise ServoFault(2, 4, "hot")
+
+    def tick(self) -> None:
+        self.calls.append("tick")
+        if self.tick_error is not None:
+            raise self.tick_error
+
+
+class Line:
+    """Both ends of the connection, and the server at the far one."""
+
+    def __init__(self, limit: int = 1000) -> None:
+        self.socket, theirs = socket.socketpair()
+        self.near = Connection(os.dup(self.socket.fileno()))
+        self.far = Connection(theirs.detach())
+        self.hand = FakeHand()
+        self.alive = 0
+        self.outbox = Outbox(self.far, limit=limit)
+        self.server = HandServer(
+            self.hand,  # type: ignore[arg-type]
+            self.far,
+            self.outbox,
+            parent=os.getppid(),
+        )
+
+    def ask(self, *commands: Any) -> None:
+        for number, command in enumerate(commands, start=1):
+            self.near.send(Request(number=number, command=command))
+
+    def serve(self) -> list[Any]:
+        """Serve until all requests are answered; return the events."""
+        self.socket.shutdown(socket.SHUT_WR)
+        self.server.serve()
+        return self.events()
+
+    def events(self) -> list[Any]:
+        found = []
+        while self.near.poll(0.0):
+            try:
+                found.append(self.near.recv())
+            except EOFError:
+                break
+            self.outbox.flush()
+        self.alive = sum(isinstance(event, Alive) for event in found)
+        return [event for event in found if not isinstance(event, Alive)]
+
+    def close(self) -> None:
+        self.near.close()
+        self.far.close()
+        self.socket.close()
+
+
+@pytest.fixture
+def line() -> Iterator[Line]:
+    one = Line()
+    yield one
+    one.close()
+
+
+def test_requests_are_answered_in_order_with_value_error_and_statistics(line: Line) -> None:
+    line.ask(GraspUnder(ramp=RAMP), Inspect(), Tare(n_frames=3))
+    events = line.serve()
+    assert [type(event) for event in events] == [Progress] * 10 + [Answer] * 3
+    grasped, inspected, tared = events[10:]
+    assert (grasped.number, grasped.value, grasped.error) == (1, "outcome", None)
+    assert grasped.statistics == statistics()
+    fault = received_error(inspected.error)
+    assert isinstance(fault, ServoFault)
+    assert fault.servo_id == 2
+    assert (tared.number, tared.value, tared.error) == (3, None, None)
+    assert [call for call in line.hand.calls if call != "tick"] == ["keep_grip", "tare"]
+
+
+def test_a_program_that_takes_nothing_freezes_the_loop_and_is_told_what_is_lost() -> None:
+    line = Line(limit=20)
+    line.hand.cycles = 2000
+    line.ask(GraspUnder(ramp=RAMP))
+    events = line.serve()
+    *periods, answer = events
+    error = received_error(answer.error)
+    assert isinstance(error, HostSilent)
+    assert "1 periods are lost" in str(error)
+    assert answer.statistics.undelivered == 1
+    assert 25 < len(periods) < 500
+    assert [event.cycle.t_s for event in periods] == [float(n) for n in range(len(periods))]
+    line.close()
+
+
+def test_the_end_of_a_ramp_counts_for_its_own_grasp_only(line: Line) -> None:
+    line.hand.cycles = 3
+    line.near.send(EndRamp(number=1))
+    line.near.send(Request(number=1, command=Tare(n_frames=3)))
+    line.near.send(Request(number=2, command=GraspUnder(ramp=RAMP)))
+    line.near.send(EndRamp(number=1))
+    line.near.send(EndRamp(number=2))
+    # One message is taken in each period; a command that comes during a grasp waits for its end.
+    line.near.send(Request(number=3, command=GraspUnder(ramp=RAMP)))
+    line.near.send(EndRamp(number=2))
+    events = line.serve()
+    assert [event.number for event in events if isinstance(event, Answer)] == [1, 2, 3]
+    assert [type(event) for event in events[1:5]] == [Progress] * 3 + [Answer]
+    assert line.hand.ended_at == [1.0]
+
+
+def test_between_commands_the_process_ticks_and_tells_once_what_it_found(line: Line) -> None:
+    line.hand.tick_error = BusTimeout("cable out")
+    line.server._supervise()
+    line.server._supervise()
+    (event,) = line.events()
+    assert isinstance(received_error(event.error), BusTimeout)
+    assert line.hand.calls == ["tick", "keep_grip"]
+    line.hand.tick_error = None
+    line.ask(Start())
+    line.serve()
+    line.server._supervise()
+    assert line.hand.calls[-1] == "tick"
+
+
+@pytest.mark.parametrize("cause", ["sigterm", "program", "parent"])
+def test_the_end_freezes_keeps_and_says_why(line: Line, cause: str) -> None:
+    line.hand.cycles = 50
+    reader, writer = os.pipe()
+    if cause == "sigterm":
+        line.server.terminate(signal.SIGTERM, None)
+    elif cause == "program":
+        os.write(writer, b"s")
+        os.close(writer)
+        line.server.listen(reader)
+    else:
+        line.server._parent = -1
+    line.server._execute(Request(number=1, command=GraspUnder(ramp=RAMP)))
+    line.server.serve()
+    line.server.end()
+    *periods, answer, last = line.events()
+    assert len(periods) == 1
+    assert isinstance(received_error(answer.error), GraspStopped)
+    assert type(received_error(last.error)).__name__ == "HandLost"
+    assert ("SIGTERM" if cause == "sigterm" else "program is gone") in str(
+        received_error(last.error)
+    )
+    assert line.hand.calls[-2:] == ["shutdown", "close"]
+
+
+def test_a_message_that_finds_nobody_is_given_up_at_once(line: Line) -> None:
+    line.near.close()
+    line.socket.close()
+    line.outbox.post(ANSWER)
+    begin_s = time.monotonic()
+    line.outbox.drain(5.0)
+    assert line.outbox.broken
+    assert time.monotonic() - begin_s < 1.0
+    line.server.serve()
+
+
+def test_between_commands_the_process_says_now_and_then_that_it_is_there(
+    line: Line, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = 100.0
+    monkeypatch.setattr(server, "time", SimpleNamespace(monotonic=lambda: now_s))
+    line.hand.tick_error = BusTimeout("cable out")
+    for _ in range(20):
+        now_s += 0.2
+        line.server._supervise()
+    line.events()
+    assert line.alive == 7
+    # To a program that takes nothing it says nothing more: the socket is for what matters.
+    for _ in range(100_000):
+        now_s += 1.0
+        line.server._supervise()
+        if not line.outbox.empty:
+            break
+    line.server._supervise()
+    assert len(line.outbox._waiting) == 1

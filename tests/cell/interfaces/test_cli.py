@@ -1,0 +1,917 @@
+"""The command line: each command on the simulated cell, what it writes, and its exit codes."""
+
+import contextlib
+import importlib.metadata
+import inspect
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import cell.interfaces.cli.session
+import cell.jobs.doctor
+from cell.config.file import config_text, load_config
+from cell.config.model import CellConfig
+from cell.data.dataset import read_dataset, write_dataset
+from cell.data.recorder import Recorder
+from cell.data.recording_reader import read_recording
+from cell.interfaces.cli import main
+from cell.interfaces.cli.app import app
+from cell.interfaces.cli.commands.run import confusion_table, print_result
+from cell.interfaces.cli.signals import stopping
+from cell.interfaces.cli.terminal import percent, print_error, progress_bar
+from cell.learning.model import load_model, save_model
+from recognition.recognizer import UNKNOWN
+from recognition.recognizers import TRAINERS, make_trainer
+
+RUNNER = CliRunner()
+BUILT_IN = "cell: the built-in simulated cell; --config FILE names another"
+EVALUATION = {"single_accuracy", "interval", "fused_accuracy", "unknown_auroc", "confusion"}
+
+
+def call(*arguments: object) -> str:
+    """Run a command that succeeds; return what it printed."""
+    result = RUNNER.invoke(app, [str(a) for a in arguments], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+@pytest.fixture
+def fail(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Callable[..., tuple[int, str]]:
+    """Return what runs the program as a shell does: exit code and what it complained."""
+
+    def run(*arguments: object) -> tuple[int, str]:
+        monkeypatch.setattr(sys, "argv", ["tactile-cell", *(str(a) for a in arguments)])
+        with pytest.raises(SystemExit) as caught:
+            main()
+        return int(caught.value.code or 0), " ".join(capsys.readouterr().err.split())
+
+    return run
+
+
+@pytest.fixture
+def config(taught: Any, tmp_path: Path) -> Path:
+    """Config file of the small cell, with its folder in the test's."""
+    path = tmp_path / "cell.yaml"
+    recording = taught.config.recording.model_copy(update={"directory": str(tmp_path / "out")})
+    path.write_text(config_text(taught.config.model_copy(update={"recording": recording})))
+    return path
+
+
+@pytest.fixture
+def dataset(taught: Any) -> Path:
+    path: Path = taught.result.dataset
+    return path
+
+
+@pytest.fixture
+def model(taught: Any) -> Path:
+    path: Path = taught.result.model
+    return path
+
+
+def read_json(path: Path) -> Any:
+    return json.loads(path.read_text(encoding="utf-8"))
+
+
+# -- commands on the cell --------------------------------------------------------------------------
+
+
+def test_run_teaches_identifies_and_writes_everything(config: Path, tmp_path: Path) -> None:
+    out, report = tmp_path / "elsewhere", tmp_path / "json" / "run.json"
+    text = call(
+        *("run", "--config", config, "--object", "ball", "--object", "box", "--teach", 4),
+        *("--trials", 1, "--out", out, "--seed", 7, "--json", report, "--capture", tmp_path / "c"),
+    )
+    data = read_json(report)
+    assert set(data) >= {
+        "seconds",
+        "n_taught",
+        "n_trials",
+        "labels",
+        "default",
+        "recognizers",
+        "report",
+        "recording",
+        "dataset",
+    }
+    assert (data["n_taught"], data["n_trials"], data["labels"]) == (8, 2, ["ball", "box"])
+    assert data["default"] == "force_ramp"
+    assert data["recognizers"][data["default"]].keys() >= {"accuracy", "confusion"}
+    assert data["health"]["tactile"]["lost"] == 0
+    for name in ("report", "recording", "dataset", "model"):
+        assert Path(data[name]).parent.parent == out
+        assert Path(data[name]).stat().st_size > 1000
+        assert data[name] in text
+    assert "held" in text
+    assert "force_ramp" in text
+    assert (tmp_path / "c").stat().st_size > 100_000
+    assert len(read_dataset(data["dataset"])) == 8
+
+
+def test_run_with_a_model_teaches_nothing_and_says_what_it_is(
+    config: Path, taught: Any, tmp_path: Path
+) -> None:
+    trainer = make_trainer("level_check", use_aperture=True)
+    pads = taught.grasps[0].pads
+    model = tmp_path / "level.npz"
+    save_model(model, trainer.fit(taught.grasps), trainer_name="level_check", pads=pads)
+    call("run", "-c", config, "--model", model, "--trials", 1, "--json", tmp_path / "r.json")
+    data = read_json(tmp_path / "r.json")
+    assert (data["n_taught"], data["dataset"], data["model"]) == (0, None, None)
+    assert data["default"] == "level_check"
+    assert set(data["recognizers"]) == {"level_check", "level_check_one_grasp"}
+    assert data["labels"] == ["ball", "box"]
+
+
+def test_the_paper_is_put_beside_its_five_objects(capsys: pytest.CaptureFixture[str]) -> None:
+    from cell.jobs.run import MainResult, score
+
+    labels = ("box", "ball", "oval", "cylinder", "dumbbell")
+    result = MainResult(
+        labels=labels,
+        default="force_ramp",
+        n_taught=0,
+        seconds=1.0,
+        scores={"force_ramp": score(labels, labels, labels)},
+        trials=(),
+        examples={},
+        recognizers={},
+        dataset=None,
+        model=None,
+        recording=None,
+    )
+    print_result(result)
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0].startswith("Paper, Table 1")
+    ball = next(line for line in lines if "ball" in line and "box" not in line)
+    assert [part.strip() for part in ball.strip("│ ").split("│")][1:] == ["0", "90", "0", "10", "0"]
+
+
+def test_teach_extends_a_data_set_with_other_poses(config: Path, tmp_path: Path) -> None:
+    path = tmp_path / "d.npz"
+    call("teach", "ball", "-n", 2, "-o", path, "-c", config, "--json", tmp_path / "t.json")
+    data = read_json(tmp_path / "t.json")
+    assert (data["label"], data["n_grasps"], data["dataset"]) == ("ball", 2, str(path))
+    assert len(read_recording(data["recording"]).grasps) == 2
+    text = call("teach", "box", "-n", 1, "-o", path, "-c", config)
+    assert "1 grasps of box added" in text
+    assert "2 were there" in text
+    grasps = read_dataset(path)
+    assert [grasp.label for grasp in grasps] == ["ball", "ball", "box"]
+
+
+def test_teach_finds_out_before_the_first_grasp_where_it_cannot_write(
+    config: Path, dataset: Path, tmp_path: Path, fail: Callable[..., tuple[int, str]]
+) -> None:
+    out = ("--out", tmp_path / "out")
+    code, said = fail("teach", "box", "-o", tmp_path / "gone" / "d.npz", "-c", config, *out)
+    assert code == 1
+    assert "does not exist; make it first" in said
+    other = tmp_path / "other.npz"
+    with np.load(dataset) as arrays:
+        np.savez(other, **{**arrays, "adc_max": np.array(4095)})
+    code, said = fail("teach", "box", "-o", other, "-c", config, *out)
+    assert code == 1
+    assert "a full scale of 255 instead of 4095" in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_identify_on_the_cell(config: Path, model: Path, tmp_path: Path) -> None:
+    text = call(
+        *("identify", "-m", model, "--object", "box", "-c", config),
+        *("--json", tmp_path / "i.json"),
+    )
+    data = read_json(tmp_path / "i.json")
+    assert "answer: box" in text
+    assert "(it was box)" in text
+    assert (data["label"], data["held"]) == ("box", "box")
+    assert set(data["probabilities"]) == {"ball", "box", UNKNOWN}
+    assert sum(data["probabilities"].values()) == pytest.approx(1.0)
+    assert f"answer: box {percent(data['probabilities']['box'])}" in text
+    assert data["n_grasps"] >= 1
+    low, high = data["shape"]["interval_mm"]
+    assert f"; flat, {data['shape']['size_mm']:.1f} mm ({low:.1f} to {high:.1f})" in text
+    assert len(data["shapes"]) == data["n_grasps"]
+    assert read_recording(data["recording"]).results[0]["label"] == "box"
+
+
+def test_identify_recorded_grasps(dataset: Path, model: Path, tmp_path: Path) -> None:
+    text = call("identify", dataset, "-m", model, "--json", tmp_path / "i.json")
+    answers = read_json(tmp_path / "i.json")["answers"]
+    assert [answer["truth"] for answer in answers] == ["ball"] * 5 + ["box"] * 5
+    assert text.count("(was ball)") == 5
+
+
+def test_identify_without_shapes(dataset: Path, config: Path, model: Path, tmp_path: Path) -> None:
+    config.write_text(config.read_text().replace("shape: true", "shape: false"))
+    text = call("identify", dataset, "-m", model, "-c", config, "--json", tmp_path / "i.json")
+    assert "mm" not in text
+    assert {answer["shape"] for answer in read_json(tmp_path / "i.json")["answers"]} == {None}
+
+
+def test_a_model_taught_for_it_ends_ramps_early(
+    config: Path,
+    model: Path,
+    dataset: Path,
+    tmp_path: Path,
+    fail: Callable[..., tuple[int, str]],
+) -> None:
+    text = config.read_text(encoding="utf-8")
+    config.write_text(text.replace("decide_early: false", "decide_early: true"), encoding="utf-8")
+    for command in ("identify", "run"):
+        code, said = fail(command, "-m", model, "-c", config)
+        assert code == 1
+        assert "train it with `tactile-cell train --early`" in said
+    assert not (tmp_path / "out").exists()
+    early = tmp_path / "early.npz"
+    text = call("train", dataset, "-o", early, "--early")
+    assert f"grasps, with ramps cut short: {early}" in text
+    said = call(
+        *("identify", "-m", early, "--object", "box", "-c", config),
+        *("--json", tmp_path / "i.json"),
+    )
+    ramps = read_json(tmp_path / "i.json")["ramps"]
+    (ended,) = [ramp for ramp in ramps if ramp["ended_early"]]
+    assert (ended["label"], ended["probability"] >= 0.98) == ("box", True)
+    assert ended["setpoint_n"] < ended["wanted_n"]
+    assert f"ended early at {ended['setpoint_n']:.1f} N: box" in said
+
+
+def test_release_names_the_cell_and_has_to_be_meant(
+    config: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    fail: Callable[..., tuple[int, str]],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for arguments in ((), ("--confirm",)):
+        code, said = fail("release", *arguments)
+        assert code == 2
+        assert "name the cell that holds the part; nothing was moved" in said
+        assert "`tactile-cell release --config FILE --confirm`" in said
+    Path("tactile-cell.yaml").write_text(config.read_text())
+    code, said = fail("release", "--confirm")
+    assert code == 2
+    assert "`tactile-cell release --config tactile-cell.yaml --confirm`" in said
+    code, said = fail("release", "-c", config)
+    assert code == 2
+    assert f"`tactile-cell release --config {config} --confirm`" in said
+    assert call("release", "-c", config, "--confirm") == (
+        "simulated cell: released; the fingers are open; it is simulated, nothing real was moved\n"
+    )
+
+
+def test_after_a_fault_of_real_ports_the_command_that_lets_go_is_printed_whole(
+    config: Path,
+    tmp_path: Path,
+    fail: Callable[..., tuple[int, str]],
+    meddle: Callable[..., list[Any]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    real = tmp_path / "a cell.yaml"
+    real.write_text(config.read_text())
+
+    def unplug(made: Any) -> None:
+        # From here on the command takes its cell for one with real ports.
+        monkeypatch.setattr(CellConfig, "simulated", property(lambda _config: False))
+        when_pressed(made, lambda: made.simulated.inject("can.unplugged"))
+
+    meddle(unplug)
+    code, said = fail("teach", "ball", "-o", tmp_path / "d.npz", "-c", real)
+    assert code == 1
+    assert "the grip is kept; recording so far: " in said
+    assert said.endswith(f"to let go of a part: tactile-cell release --config '{real}' --confirm")
+
+
+def test_the_first_line_names_the_cell(
+    config: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:
+    def first_line(*arguments: object) -> str:
+        result = RUNNER.invoke(app, [str(a) for a in arguments])
+        return result.stderr.splitlines()[0]
+
+    monkeypatch.chdir(tmp_path)
+    assert first_line("doctor") == BUILT_IN
+    assert first_line("doctor", "-c", config) == f"cell: simulated cell, simulated ({config})"
+    call("config", "init", "--example", "paper-gripper")
+    assert first_line("doctor") == (
+        "cell: paper gripper, real at /dev/ttyUSB0, socketcan can0 (tactile-cell.yaml)"
+    )
+    Path("tactile-cell.yaml").unlink()
+    Path("tactile-cell.yaml").symlink_to("gone.yaml")
+    result = RUNNER.invoke(app, ["doctor"])
+    assert "tactile-cell.yaml: cannot be read" in str(result.exception)
+
+
+@pytest.mark.parametrize("kind", ["operator", "callback"])
+def test_release_and_doctor_need_nobody_who_moves(config: Path, kind: str) -> None:
+    text = config.read_text(encoding="utf-8")
+    config.write_text(text.replace("kind: simulated", f"kind: {kind}"), encoding="utf-8")
+    assert load_config(config).positioner.kind == kind
+    call("release", "-c", config, "--confirm")
+    assert "fail" not in call("doctor", "-c", config)
+
+
+# -- commands over records -------------------------------------------------------------------------
+
+
+def test_train_writes_a_model(dataset: Path, tmp_path: Path) -> None:
+    path = tmp_path / "m.npz"
+    text = call(
+        *("train", dataset, dataset, "-o", path, "--recognizer", "level_check"),
+        *("--json", tmp_path / "t.json"),
+    )
+    assert "taught 2 objects with 20 grasps" in text
+    assert load_model(path).trainer_name == "level_check"
+    assert read_json(tmp_path / "t.json") == {
+        "model": str(path),
+        "recognizer": "level_check",
+        "n_grasps": 20,
+        "early": False,
+        "n_remembered": 0,
+        "labels": ["ball", "box"],
+    }
+
+
+def test_train_takes_recordings_and_leaves_out_what_has_no_label(
+    taught: Any, tmp_path: Path
+) -> None:
+    text = call("train", taught.result.recording, "-o", tmp_path / "m.npz", "--no-aperture")
+    assert "grasps without a label are left out" in text
+    assert "with 10 grasps" in text
+
+
+def test_evaluate_writes_the_figures_of_each_recognizer(dataset: Path, tmp_path: Path) -> None:
+    text = call("evaluate", dataset, "--fuse", "1,2", "--json", tmp_path / "e.json")
+    data = read_json(tmp_path / "e.json")
+    assert set(data) >= {"n_train", "n_test", "labels", "seconds", "default", "recognizers"}
+    assert (data["n_train"], data["n_test"], data["labels"]) == (6, 4, ["ball", "box"])
+    assert set(data["recognizers"]) == set(TRAINERS)
+    for name, figures in data["recognizers"].items():
+        assert set(figures) >= EVALUATION
+        assert set(figures["without_aperture"]) >= EVALUATION
+        assert name in text
+    assert "2 fused" in text
+    assert "tactile only" in text
+
+
+def test_evaluate_can_train_on_another_file(dataset: Path, taught: Any, tmp_path: Path) -> None:
+    call(
+        *("evaluate", taught.result.recording, "--train", dataset, "--recognizer", "force_ramp"),
+        *("--fuse", "1", "--json", tmp_path / "e.json"),
+    )
+    data = read_json(tmp_path / "e.json")
+    assert (data["split"], data["n_train"], data["n_test"]) == ("separate files", 10, 10)
+    assert list(data["recognizers"]) == ["force_ramp"]
+
+
+def test_replay_sends_and_compares(dataset: Path, tmp_path: Path) -> None:
+    text = call(
+        *("replay", dataset, "--limit", 1, "--json", tmp_path / "r.json"),
+        *("--capture", tmp_path / "c.pcap"),
+    )
+    data = read_json(tmp_path / "r.json")
+    assert set(data) >= {
+        "n_grasps",
+        "frames_sent",
+        "frames_received",
+        "frames_equal",
+        "accuracy",
+        "seconds",
+    }
+    assert data["n_grasps"] == 1
+    assert data["frames_equal"] is True
+    assert data["frames_sent"] == data["frames_received"] > 0
+    assert "bit for bit the same" in text
+
+
+def test_replay_takes_a_config_and_grasps_without_labels(
+    config: Path, tmp_path: Path, taught: Any
+) -> None:
+    from dataclasses import replace
+
+    path = tmp_path / "d.npz"
+    write_dataset(path, [replace(taught.grasps[0], label="")])
+    text = call("replay", path, "--config", config)
+    assert "one grasp:" not in text
+
+
+def test_a_replay_that_differs_fails(
+    dataset: Path, monkeypatch: pytest.MonkeyPatch, fail: Callable[..., tuple[int, str]]
+) -> None:
+    from cell.jobs import replay as replaying
+
+    play = replaying._Rig.play
+
+    def wrong(self: Any, number: int, grasp: Any) -> Any:
+        from dataclasses import replace
+
+        back = play(self, number, grasp)
+        counts = np.array(back.counts)
+        counts[3, 7] ^= 1
+        return replace(back, counts=counts)
+
+    monkeypatch.setattr(replaying._Rig, "play", wrong)
+    code, said = fail("replay", dataset, "--limit", 1)
+    assert code == 1
+    assert "frames differ: grasp 0, frame 3, taxel 7" in said
+
+
+def test_recordings_go_in_wherever_data_sets_do(taught: Any, model: Path, tmp_path: Path) -> None:
+    recording = taught.result.recording
+    call("identify", recording, "-m", model, "--json", tmp_path / "i.json")
+    answers = read_json(tmp_path / "i.json")["answers"]
+    assert [answer["truth"] for answer in answers[:10]] == ["ball"] * 5 + ["box"] * 5
+    text = call(
+        *("calibrate", recording, "--gauge", "ball", "-m", model, "-o", tmp_path / "today.npz")
+    )
+    assert "grasps of ball: gain" in text
+
+
+def test_what_is_not_measured_is_explained(dataset: Path) -> None:
+    text = call("evaluate", dataset, "--recognizer", "level_check", "--fuse", "1")
+    assert "nan" not in text
+    assert "which takes three objects (here 2)" in text
+
+
+def test_the_gauge_is_grasped_as_often_as_the_job_wants() -> None:
+    from cell.interfaces.cli.commands.calibrate import calibrate
+    from cell.jobs.calibrate import GAUGE_GRASPS
+
+    assert inspect.signature(calibrate).parameters["grasps"].default == GAUGE_GRASPS
+
+
+# -- config, doctor, simulate ----------------------------------------------------------------------
+
+
+def test_config_check_reads_shapes_too(
+    tmp_path: Path, fail: Callable[..., tuple[int, str]]
+) -> None:
+    path = tmp_path / "c.yaml"
+    path.write_text("simulator: {objects: [{label: a, shape: 'sphere:diameter=9'}]}\n")
+    code, said = fail("config", "check", path)
+    assert code == 2
+    assert "as in diameter=6mm" in said
+
+
+def test_config_init_check_and_schema(tmp_path: Path, fail: Callable[..., tuple[int, str]]) -> None:
+    path = tmp_path / "new.yaml"
+    call("config", "init", path)
+    assert load_config(path) == CellConfig()
+    assert "valid: simulated cell, simulated ports" in " ".join(
+        call("config", "check", path).split()
+    )
+    schema = json.loads(call("config", "schema"))
+    assert schema == read_json(tmp_path / "tactile-cell.schema.json")
+    call("config", "schema", "--output", tmp_path / "s.json")
+    assert read_json(tmp_path / "s.json") == schema
+    code, said = fail("config", "init", path)
+    assert code == 2
+    assert "--force" in said
+    call("config", "init", path, "--force")
+    path.write_text("gripper:\n  force_max_n: 99\n")
+    code, said = fail("config", "check", path)
+    assert code == 2
+    assert "new.yaml:2" in said
+
+
+def test_examples_are_the_configs_of_the_repository(tmp_path: Path) -> None:
+    files = sorted((Path(__file__).parents[3] / "config").glob("*.yaml"))
+    assert len(files) >= 3
+    for file in files:
+        call("config", "init", tmp_path / file.name, "--example", file.stem)
+        assert (tmp_path / file.name).read_text() == file.read_text()
+    result = RUNNER.invoke(app, ["config", "init", str(tmp_path / "x.yaml"), "--example", "none"])
+    assert result.exit_code == 2
+    assert all(file.stem in result.stderr for file in files)
+
+
+def test_doctor_passes_and_fails(
+    tmp_path: Path, config: Path, fail: Callable[..., tuple[int, str]]
+) -> None:
+    text = call("doctor", "-c", config, "--json", tmp_path / "d.json")
+    findings = read_json(tmp_path / "d.json")["findings"]
+    assert {"what", "verdict", "found", "advice"} == set(findings[0])
+    assert {finding["verdict"] for finding in findings} <= {"pass", "warn"}
+    assert text.count("pass") >= 10
+    config.write_text(
+        "gripper: {port: /dev/none}\n"
+        "tactile: {interface: slcan, channel: /dev/none}\n"
+        "positioner: {kind: operator}\n"
+    )
+    code, said = fail("doctor", "-c", config)
+    assert code == 1
+    assert "checks failed" in said
+
+
+def test_simulate_announces_one_line_and_a_ready_config(
+    config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from cell.jobs import simulate as simulating
+
+    served: list[Any] = []
+
+    def serve(
+        settings: Any,
+        announce: Callable[[dict[str, Any]], None],
+        *,
+        folder: Path,
+        until_parent_ends: bool,
+    ) -> None:
+        served.append(settings)
+        assert not until_parent_ends
+        announce(
+            {
+                "servo_port": "/dev/pts/7",
+                "can_interface": "slcan",
+                "can_channel": "/dev/pts/8",
+                "positioner_socket": str(folder / "positioner.sock"),
+                "config": None,
+            }
+        )
+
+    monkeypatch.setattr(simulating, "serve", serve)
+    output = call("simulate", "-c", config, "--out", tmp_path / "sim", "--seed", 11)
+    (line,) = output.splitlines()
+    hello = json.loads(line)
+    assert hello["config"] == str(tmp_path / "sim" / "cell.yaml")
+    assert served[0].seed == 11
+    ready = load_config(Path(hello["config"]))
+    assert ready.gripper.port == "/dev/pts/7"
+    assert (ready.tactile.interface, ready.tactile.channel) == ("slcan", "/dev/pts/8")
+    assert ready.positioner.socket == hello["positioner_socket"]
+    assert ready.tactile.tare_frames == 25
+    assert ready.seed == 11
+
+
+def test_simulate_plays_records_that_fit(
+    tmp_path: Path,
+    dataset: Path,
+    make_grasp: Callable[..., Any],
+    monkeypatch: pytest.MonkeyPatch,
+    fail: Callable[..., tuple[int, str]],
+) -> None:
+    from cell.jobs import simulate as simulating
+    from simulator.errors import EndpointError
+
+    served: list[Any] = []
+    monkeypatch.setattr(simulating, "serve", lambda settings, *_a, **_k: served.append(settings))
+    call("simulate", "--frames", dataset)
+    assert len(served[0].grasps) == 10
+    wide = tmp_path / "wide.npz"
+    write_dataset(wide, [make_grasp("a")])
+    code, said = fail("simulate", "--frames", wide)
+    assert code == 1
+    assert "opens to 40.0 mm" in said
+
+    def refuse(*_a: Any, **_k: Any) -> None:
+        raise EndpointError("no terminals left")
+
+    monkeypatch.setattr(simulating, "serve", refuse)
+    assert fail("simulate") == (1, f"{BUILT_IN} error: no terminals left")
+
+
+# -- exit codes ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("arguments", "complaint"),
+    [
+        (["nonsense"], "No such command"),
+        (["run", "--teach", "2"], "--teach"),
+        (["run", "--object", "unicorn"], "the simulated cell has no object unicorn; it has oval"),
+        (["run", "--config", "none.yaml"], "none.yaml"),
+        (["run", "--seed", "-1"], "--seed"),
+        (["identify"], "--model is missing"),
+        (["teach", "ball"], "output"),
+        (["teach", "ball", "-o", "x.txt"], "the name of a data set ends in .npz"),
+        (["train", "x.npz", "-o", "m"], "the name of a model file ends in .npz"),
+        (["recover", "x.mcap", "-o", "y.npz"], "the name of a recording ends in .mcap"),
+        (["train", "x.npz", "-o", "m.npz", "--recognizer", "magic"], "no recogniser is named"),
+        (["evaluate", "x.npz", "--recognizer", "magic"], "no recogniser is named 'magic'"),
+        (["replay", "x.npz", "--recognizer", "magic"], "no recogniser is named 'magic'"),
+        (["replay", "x.npz", "--limit", "0"], "--limit"),
+        (["release"], "--confirm"),
+    ],
+)
+def test_wrong_use_is_two(
+    fail: Callable[..., tuple[int, str]], arguments: list[str], complaint: str
+) -> None:
+    code, said = fail(*arguments)
+    assert code == 2
+    assert complaint in said
+
+
+@pytest.mark.parametrize("numbers", ["", "0", "1,x", "-1"])
+def test_numbers_to_fuse_are_checked(
+    fail: Callable[..., tuple[int, str]], dataset: Path, numbers: str
+) -> None:
+    code, said = fail("evaluate", dataset, "--fuse", numbers)
+    assert code == 2
+    assert "--fuse" in said
+
+
+def test_objects_of_a_real_cell_are_named(
+    config: Path, fail: Callable[..., tuple[int, str]]
+) -> None:
+    text = config.read_text(encoding="utf-8")
+    config.write_text(text.replace("kind: simulated", "kind: operator"), encoding="utf-8")
+    code, said = fail("run", "-c", config)
+    assert code == 2
+    assert "name the objects that are at hand" in said
+
+
+@pytest.fixture
+def files(
+    tmp_path: Path, taught: Any, config: Path, make_grasp: Callable[..., Any]
+) -> dict[str, Path]:
+    """Files that jobs refuse, and some that they take."""
+    names = ("other.npz", "nameless.npz", "empty.mcap", "pinch.yaml", "made.npz", "none.npz")
+    paths = {name.split(".")[0]: tmp_path / name for name in names}
+    write_dataset(paths["other"], [make_grasp("a")] * 3)
+    write_dataset(paths["nameless"], [make_grasp("")])
+    Recorder(paths["empty"], _Still(), pads=taught.grasps[0].pads).close()
+    paths["pinch"].write_text("tactile: {layout: pinch}\n")
+    return paths | {
+        "dataset": taught.result.dataset,
+        "model": taught.result.model,
+        "config": config,
+    }
+
+
+@pytest.mark.parametrize(
+    ("command", "complaint"),
+    [
+        ("train {none} -o {made}", "none.npz"),
+        ("train {dataset} {other} -o {made}", "different pads; train a model for each"),
+        ("train {nameless} -o {made}", "none of its 1 grasps has a label"),
+        ("train {empty} -o {made}", "holds no whole grasp"),
+        ("replay {empty}", "holds no whole grasp"),
+        ("evaluate {other}", "cannot be evaluated"),
+        ("evaluate {dataset} --split x --fuse 1", "not understood"),
+        ("identify {other} -m {model}", "teach on these pads"),
+        ("identify -m {dataset}", "is no model file"),
+        ("identify -m {model} -c {pinch}", "teach again on these pads"),
+        ("run -m {model} -c {pinch}", "teach again on these pads"),
+        ("identify {dataset} -m {model} --json {config}/x", "cannot be written"),
+        ("run -c {config} --out {config}", "cannot be made"),
+    ],
+)
+def test_failing_jobs_are_one(
+    fail: Callable[..., tuple[int, str]], files: dict[str, Path], command: str, complaint: str
+) -> None:
+    code, said = fail(*command.format(**files).split())
+    assert code == 1
+    assert complaint in said
+    assert not files["made"].exists()
+
+
+class _Still:
+    """A clock that stands."""
+
+    def monotonic(self) -> float:
+        return 1.0
+
+    def sleep(self, seconds: float) -> None:
+        """Return at once."""
+
+
+@pytest.fixture
+def meddle(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[Any], None]], list[Any]]:
+    """Return what does something to each cell that a command builds."""
+
+    def arrange(act: Callable[[Any], None]) -> list[Any]:
+        built: list[Any] = []
+        original = cell.interfaces.cli.session.build_cell
+
+        def build(*arguments: Any, **options: Any) -> Any:
+            built.append(original(*arguments, **options))
+            act(built[-1])
+            return built[-1]
+
+        monkeypatch.setattr(cell.interfaces.cli.session, "build_cell", build)
+        return built
+
+    return arrange
+
+
+def when_pressed(made: Any, act: Callable[[], None]) -> None:
+    done: list[bool] = []
+
+    def look(_now_s: float) -> None:
+        if not done and min(made.simulated.world.contact_force_n()) > 2.0:
+            done.append(True)
+            act()
+
+    made.simulated.clock.on_advance.append(look)
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_stops_the_job_keeps_the_grip_and_the_recording(
+    config: Path,
+    tmp_path: Path,
+    fail: Callable[..., tuple[int, str]],
+    meddle: Callable[..., list[Any]],
+    number: signal.Signals,
+) -> None:
+    before = signal.getsignal(number)
+    built = meddle(lambda made: when_pressed(made, lambda: os.kill(os.getpid(), number)))
+    code, said = fail("teach", "ball", "-n", 3, "-o", tmp_path / "d.npz", "-c", config)
+    assert code == 1
+    assert "the grip is kept until it is released on purpose. Recording so far: " in said
+    assert not (tmp_path / "d.npz").exists()
+    assert min(built[0].simulated.world.contact_force_n()) > 1.0
+    (recording,) = (tmp_path / "out").glob("teach-*/recording.mcap")
+    assert read_recording(recording).complete
+    assert signal.getsignal(number) is before
+
+
+def test_the_result_is_printed_where_no_report_can_be_made(
+    config: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in [name for name in sys.modules if name.split(".")[0] == "jinja2"]:
+        monkeypatch.setitem(sys.modules, name, None)
+    monkeypatch.setitem(sys.modules, "jinja2", None)
+    result = RUNNER.invoke(
+        app,
+        [
+            *("run", "-c", str(config), "--teach", "3", "--trials", "1", "--object", "ball"),
+            *("--object", "box", "--json", str(tmp_path / "r.json")),
+        ],
+    )
+    assert result.exit_code == 0, result.output
+    assert "NOTE: no report page: jinja2 missing; install this project with its extra" in (
+        result.stderr
+    )
+    assert "model:     " in result.stdout
+    assert "report:" not in result.stdout
+    assert read_json(tmp_path / "r.json")["report"] is None
+
+
+def test_a_report_that_cannot_be_written_does_not_cost_the_result(
+    config: Path,
+    fail: Callable[..., tuple[int, str]],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    from cell.errors import ReportError
+    from cell.jobs import run_report
+
+    def refuse(*_arguments: object) -> None:
+        raise ReportError("cannot write report: no space left")
+
+    printed: list[Any] = []
+    monkeypatch.setattr(run_report, "main_report", refuse)
+    monkeypatch.setattr("cell.interfaces.cli.commands.run.print_result", printed.append)
+    code, said = fail("run", "-c", config, "--teach", 3, "--trials", 1)
+    assert code == 1
+    assert said.endswith("error: cannot write report: no space left")
+    assert len(printed) == 1
+
+
+def test_the_version_is_printed() -> None:
+    assert call("--version") == f"tactile-cell {importlib.metadata.version('tactile-cell')}\n"
+
+
+HEAVY = {"numpy", "scipy", "matplotlib", "canopen", "can", "rich", "serial", "joblib"}
+"""Not pydantic: newer versions of typer load it themselves."""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "environment"),
+    [
+        (["--help"], {}),
+        (["run", "--help"], {}),
+        (["evaluate", "--help"], {}),
+        ([], {"COMP_WORDS": "tactile-cell tea", "COMP_CWORD": "1"}),
+        ([], {"COMP_WORDS": "tactile-cell run --", "COMP_CWORD": "2"}),
+        ([], {"COMP_WORDS": "tactile-cell config init --example p", "COMP_CWORD": "4"}),
+    ],
+)
+def test_help_and_completion_load_nothing_heavy(
+    arguments: list[str], environment: dict[str, str]
+) -> None:
+    program = (
+        "import sys, atexit\n"
+        "atexit.register(lambda: print(*sorted(sys.modules), file=sys.stderr))\n"
+        "sys.argv[0] = 'tactile-cell'\n"
+        "from cell.interfaces.cli import main\n"
+        "main()"
+    )
+    if environment:
+        environment = environment | {"_TACTILE_CELL_COMPLETE": "complete_bash"}
+    ended = subprocess.run(
+        [sys.executable, "-c", program, *arguments],
+        env=os.environ | environment,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ended.returncode == 0, ended.stderr
+    assert len(ended.stdout) > 3
+    loaded = set(ended.stderr.split())
+    assert "typer" in loaded
+    assert not {name.partition(".")[0] for name in loaded} & HEAVY
+    assert not any(name.startswith("cell.config.") for name in loaded)
+    assert len(loaded) < 400
+
+
+def test_a_second_signal_ends_at_once() -> None:
+    cancelled: list[bool] = []
+    with stopping(lambda: cancelled.append(True)):
+        signal.raise_signal(signal.SIGINT)
+        assert cancelled == [True]
+        with pytest.raises(KeyboardInterrupt):
+            signal.raise_signal(signal.SIGINT)
+    assert cancelled == [True]
+
+
+def test_an_interrupt_outside_a_sequence_is_one(
+    monkeypatch: pytest.MonkeyPatch, fail: Callable[..., tuple[int, str]]
+) -> None:
+    def interrupt(_config: Any) -> Any:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(cell.jobs.doctor, "examine", interrupt)
+    assert fail("doctor") == (1, f"{BUILT_IN} error: interrupted; nothing was let go")
+
+
+def test_a_fault_tells_that_the_grip_is_kept_and_where_the_recording_is(
+    config: Path,
+    tmp_path: Path,
+    fail: Callable[..., tuple[int, str]],
+    meddle: Callable[..., list[Any]],
+) -> None:
+    def unplug(made: Any) -> None:
+        when_pressed(made, lambda: made.simulated.inject("can.unplugged"))
+
+    meddle(unplug)
+    code, said = fail("run", "-c", config, "--trials", 1)
+    assert code == 1
+    assert "the CAN interface failed" in said
+    assert "the grip is kept; recording so far: " in said
+    (recording,) = (tmp_path / "out").glob("run-*/recording.mcap")
+    assert read_recording(recording).complete
+
+
+def test_an_empty_gripper_tells_that_nothing_is_held(
+    config: Path, tmp_path: Path, fail: Callable[..., tuple[int, str]], meddle: Callable[..., Any]
+) -> None:
+    def take_away(made: Any) -> None:
+        from gripper.state import GripperPhase
+
+        def look(_now_s: float) -> None:
+            if made.controller.gripper.state is GripperPhase.APPROACHING:
+                made.simulated.remove()
+
+        made.simulated.clock.on_advance.append(look)
+
+    meddle(take_away)
+    code, said = fail("teach", "ball", "-o", tmp_path / "d.npz", "-c", config)
+    assert code == 1
+    assert "is the object in place? nothing is held; recording so far" in said
+
+
+def test_tables_have_a_column_for_unknown_where_there_is_one() -> None:
+    assert len(confusion_table(["a", "b"], [[1, 0], [0, 1]]).columns) == 3
+    table = confusion_table(["a", "b"], [[1, 0, 2], [0, 1, 0]])
+    assert [column.header for column in table.columns] == ["held", "a", "b", UNKNOWN]
+
+
+def test_output_that_nobody_takes_is_an_error_in_plain_words() -> None:
+    program = [sys.executable, "-c", "from cell.interfaces.cli import main; main()", "simulate"]
+    with open("/dev/full", "w") as full:
+        ended = subprocess.run(
+            [*program, "--list-faults"], stdout=full, stderr=subprocess.PIPE, check=False
+        )
+        assert (ended.returncode, ended.stderr) == (1, b"error: No space left on device\n")
+        both = subprocess.run([*program, "--list-faults"], stdout=full, stderr=full, check=False)
+        assert both.returncode == 1
+
+
+def test_progress_and_complaints_end_no_job_when_the_terminal_is_gone(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with open("/dev/full", "w", buffering=1) as full:
+        monkeypatch.setattr(sys, "stderr", full)
+        print_error("unheard")
+        with progress_bar() as progress:
+            for done in range(3):
+                progress("task", done, 2)
+        monkeypatch.undo()
+        with contextlib.suppress(OSError):
+            full.close()

@@ -1,0 +1,215 @@
+"""An independent witness: cantools decodes a whole simulated grasp by our DBC file."""
+
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cantools
+import numpy as np
+import pytest
+from canopen.emcy import EMCY_STRUCT
+from typer.testing import CliRunner
+
+from cell.config.file import config_text
+from cell.config.model import CellConfig
+from cell.interfaces.cli.app import app
+from tactile.frames.assembler import FrameAssembler
+from tactile.frames.codec import FrameFormat, TactileFrame, crc16, encode_frame
+from tactile.frames.pad_features import PadFeatures, encode_features
+from tactile.layout import Pad, TaxelLayout, paper_layout, pinch_layout
+from tactile.unit.dbc import dbc_text
+
+NODE = 5
+HEARTBEAT_STATES = {0: "boot-up", 4: "stopped", 5: "operational", 127: "pre-operational"}
+
+
+def database(layout: TaxelLayout) -> Any:
+    """Return the file as cantools reads it, overlaps and lengths checked."""
+    text = dbc_text(layout, node_id=NODE, sync_period_ms=20, heartbeat_ms=100)
+    assert text.isascii()
+    return cantools.database.load_string(text, database_format="dbc", strict=True)
+
+
+def whole_sample(found: dict[str, Any], name: str) -> int:
+    if name in found:
+        return int(found[name])
+    return int(found[f"{name}_low"]) + 256 * int(found[f"{name}_high"])
+
+
+class Listener:
+    """Collects frames from decoded signals; knows nothing of the transport but the DBC file."""
+
+    def __init__(self, layout: TaxelLayout) -> None:
+        self.message = database(layout).get_message_by_name("TactileFrame")
+        digits = len(str(layout.n_taxels - 1))
+        self.names = [f"taxel_{i:0{digits}}" for i in range(layout.n_taxels)]
+        self.found: dict[str, Any] = {}
+
+    def take(self, data: bytes) -> dict[str, Any] | None:
+        """Return all signals of a frame after its last message."""
+        signals = self.message.decode(data, decode_choices=False)
+        if signals["frame_index"] == 0:
+            self.found = {}
+        self.found |= signals
+        return self.found if "frame_crc" in signals else None
+
+    def counts(self, found: dict[str, Any]) -> np.ndarray:
+        return np.array([whole_sample(found, name) for name in self.names], dtype=np.uint16)
+
+
+@pytest.mark.parametrize("layout", [paper_layout(), pinch_layout()], ids=lambda one: one.name)
+def test_a_whole_grasp_decodes_to_the_same_samples(
+    layout: TaxelLayout, make_config: Callable[..., CellConfig], make_bench: Callable[..., Any]
+) -> None:
+    bench = make_bench(make_config(tactile__layout=layout.name))
+    traffic: list[tuple[int, bytes]] = []
+    bench.simulated.can_bus.capture.append(
+        lambda _t_s, can_id, data: traffic.append((can_id, data))
+    )
+    record = bench.ready().grasp(4.0)
+    frames = bench.cell.link.statistics.frames.complete
+    bench.cell.close()
+
+    ours, listener, known = (
+        FrameAssembler(FrameFormat.of(layout)),
+        Listener(layout),
+        database(layout),
+    )
+    names: Counter[str] = Counter()
+    compared = []
+    for can_id, data in traffic:
+        decoded = known.decode_message(can_id, data)
+        name = known.get_message_by_frame_id(can_id).name
+        names[name] += 1
+        if name == "Heartbeat":
+            assert decoded["nmt_state"] == HEARTBEAT_STATES[data[0]]
+        if name == "TactileFrame":
+            frame, found = ours.push(data, len(data), 0.0), listener.take(data)
+            assert (frame is None) == (found is None)
+            if frame is not None and found is not None:
+                compared.append(frame)
+                same_frame(frame, found, listener)
+    assert names["TactileFrame"] == FrameFormat.of(layout).n_messages * len(compared)
+    assert set(names) == {"NMT", "SYNC", "Heartbeat", "SdoRequest", "SdoResponse", "TactileFrame"}
+    assert len(compared) in (frames, frames + 1)
+    counts = np.stack([frame.counts for frame in compared])
+    assert counts.max() > 0.3 * layout.adc_max
+    # What the job has kept of the grasp is among it, in order.
+    last = np.flatnonzero((counts == record.grasp.counts[-1]).all(axis=1))[-1]
+    np.testing.assert_array_equal(
+        counts[last + 1 - record.grasp.n_frames : last + 1], record.grasp.counts
+    )
+
+
+def same_frame(frame: TactileFrame, found: dict[str, Any], listener: Listener) -> None:
+    np.testing.assert_array_equal(listener.counts(found), frame.counts)
+    assert found["frame_counter"] == frame.counter
+    assert found["frame_status"] == frame.status
+    assert found["frame_phase"] == frame.counter % 4
+
+
+LONG = TaxelLayout(
+    name="long header",
+    pads=tuple(
+        Pad(
+            name=f'finger{finger}."inner"',
+            finger=finger,
+            face="inner",
+            rows=40,
+            columns=20,
+            pitch_x_m=1e-3,
+            pitch_y_m=1e-3,
+        )
+        for finger in (0, 1)
+    ),
+    sample_bits=16,
+    adc_max=65535,
+)
+
+
+@pytest.mark.parametrize("layout", [paper_layout(), pinch_layout(), LONG], ids=lambda one: one.name)
+def test_any_samples_decode_and_carry_their_checksum(layout: TaxelLayout) -> None:
+    form, listener = FrameFormat.of(layout), Listener(layout)
+    rng = np.random.default_rng(7)
+    for counter, status in ((0, 0), (0xFFFE, 3), (0x1235, 255)):
+        counts = rng.integers(0, layout.adc_max + 1, layout.n_taxels).astype(np.uint16)
+        messages = encode_frame(form, counts, counter, status)
+        *before, found = [listener.take(data) for data in messages]
+        assert before == [None] * (form.n_messages - 1)
+        assert found is not None
+        np.testing.assert_array_equal(listener.counts(found), counts)
+        assert (found["frame_counter"], found["frame_status"]) == (counter, status)
+        checked = b"".join(data[form.header_bytes :] for data in messages)[:-2]
+        assert found["frame_crc"] == crc16(checked)
+
+
+def test_a_short_message_is_refused() -> None:
+    with pytest.raises(cantools.database.DecodeError):
+        database(paper_layout()).decode_message(0x180 + NODE, bytes(5))
+
+
+def test_the_other_messages_say_what_they_mean() -> None:
+    known = database(paper_layout())
+    emergency = EMCY_STRUCT.pack(0xFF01, 0x81, b"\x01\0\0\0\0")
+    decoded = known.decode_message(0x080 + NODE, emergency)
+    assert str(decoded["emcy_code"]).startswith("a burst was cut short")
+    assert (decoded["emcy_register"], decoded["emcy_manufacturer"]) == (0x81, 1)
+    assert known.decode_message(0x000, bytes((1, NODE))) == {
+        "nmt_command": "start",
+        "nmt_node": NODE,
+    }
+    assert known.decode_message(0x080, b"") == {}
+    assert known.get_message_by_name("SYNC").cycle_time == 20
+    assert known.get_message_by_name("Heartbeat").cycle_time == 100
+    request = known.decode_message(0x600 + NODE, bytes.fromhex("4018100100000000"))
+    assert (request["sdo_request_index"], request["sdo_request_subindex"]) == (0x1018, 1)
+    taxel = known.get_message_by_name("TactileFrame").get_signal_by_name("taxel_205")
+    assert taxel.comment == "finger1.inner, row 0, column 1"
+    assert (taxel.unit, taxel.maximum) == ("count", 255)
+
+
+def test_features_decode() -> None:
+    known = database(paper_layout())
+    features = PadFeatures(
+        pad=5,
+        counter=0x81,
+        active=12,
+        peak_counts=200,
+        total_counts=70_000,
+        centroid_row=7.25,
+        centroid_column=1.5,
+    )
+    first, second = encode_features(features)
+    totals = known.decode_message(0x280 + NODE, first)
+    assert totals == {
+        "totals_pad": "finger1.inner",
+        "totals_phase": 1,
+        "active_taxels": 12,
+        "peak_counts": 200,
+        "total_counts": 70_000,
+    }
+    centroid = known.decode_message(0x380 + NODE, second)
+    assert (centroid["centroid_row"], centroid["centroid_column"]) == (7.25, 1.5)
+    assert (centroid["centroid_counter"], centroid["features_crc"]) == (
+        0x81,
+        crc16(first + second[:-2]),
+    )
+
+
+def test_the_command_writes_the_file_of_a_config(
+    make_config: Callable[..., CellConfig], tmp_path: Path
+) -> None:
+    config, output = tmp_path / "cell.yaml", tmp_path / "cell.dbc"
+    config.write_text(config_text(make_config(tactile__layout="pinch", tactile__node_id=9)))
+    call = CliRunner().invoke
+    assert call(app, ["dbc", "-c", str(config), "-o", str(output)]).exit_code == 0
+    assert call(app, ["dbc", "-c", str(config)]).stdout == output.read_text(encoding="ascii")
+    frame = cantools.database.load_file(output, strict=True).get_message_by_name("TactileFrame")
+    assert frame.frame_id == 0x189
+    assert frame.get_signal_by_name("taxel_155").multiplexer_ids == [44]
+
+
+def test_a_node_that_cannot_be_is_refused() -> None:
+    with pytest.raises(ValueError, match="node-ID is 128, must be 1 to 127"):
+        dbc_text(paper_layout(), node_id=128)

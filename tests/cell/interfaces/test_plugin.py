@@ -1,0 +1,570 @@
+"""The plugin as a host program sees it."""
+
+import importlib.metadata
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cell.config.model import CellConfig
+from cell.control.plan import Pose
+from cell.data.dataset import read_dataset, write_dataset
+from cell.errors import (
+    CellError,
+    CellStateError,
+    CellStopped,
+    ConfigError,
+    ModelError,
+    NoPartFound,
+    PartInGrip,
+)
+from cell.interfaces.plugin.plugin import Answer, IdentifyGoal, JobFailed, TeachGoal
+from cell.interfaces.plugin.worker import Job, JobOutcome
+from gripper.errors import ServoFault, VerificationFailed
+from gripper.state import GripperPhase
+from recognition.recognizer import UNKNOWN
+from tactile.errors import FrameTimeout, NodeMissing
+
+LIMIT_S = 60.0
+
+
+@pytest.fixture(scope="module")
+def plugin_class() -> Any:
+    """The class that a host finds by the entry point."""
+    (entry,) = importlib.metadata.entry_points(group="robot_cell.plugins", name="tactile_cell")
+    return entry.load()
+
+
+@pytest.fixture
+def make_plugin(
+    plugin_class: Any, make_config: Callable[..., CellConfig]
+) -> Iterator[Callable[..., Any]]:
+    """Return the maker of plugins on small simulated cells."""
+    made: list[Any] = []
+
+    def make(config: Any = None, **options: Any) -> Any:
+        made.append(plugin_class(config or make_config(), **options))
+        return made[-1]
+
+    yield make
+    for plugin in made:
+        plugin.close(LIMIT_S)
+
+
+@pytest.fixture
+def plugin(make_plugin: Callable[..., Any], taught: Any) -> Any:
+    """A plugin that knows ball and box."""
+    return make_plugin(model=taught.result.model)
+
+
+def grip_n(plugin: Any) -> float:
+    return min(plugin._cell.simulated.world.contact_force_n())
+
+
+def when(plugin: Any, phase: GripperPhase, act: Callable[[], object], *, above_n: float = 0.0):
+    """Do something once, in a phase of the gripper, with at least so much grip."""
+    done: list[bool] = []
+
+    def look(_now_s: float) -> None:
+        if (
+            not done
+            and plugin._cell.controller.gripper.state is phase
+            and grip_n(plugin) >= above_n
+        ):
+            done.append(True)
+            act()
+
+    plugin._cell.simulated.clock.on_advance.append(look)
+
+
+def test_a_gauge_says_under_which_foam_shapes_are_read(
+    make_plugin: Callable[..., Any], make_config: Callable[..., Any], taught: Any, tmp_path: Path
+) -> None:
+    gauge = tmp_path / "gauge.npz"
+    balls = [replace(grasp, label="master") for grasp in taught.grasps if grasp.label == "ball"]
+    write_dataset(gauge, balls)
+    with pytest.raises(ConfigError, match="describes the gauge"):
+        make_plugin(gauge_shape="sphere:diameter=9.5mm")
+    with pytest.raises(CellError, match="shape of the gauge 'master' is not known"):
+        make_plugin(gauge=gauge)
+
+    def read(**options: Any) -> Any:
+        shape = make_plugin(model=taught.result.model, **options)._model._read_shape(box)
+        return shape
+
+    box = taught.grasps[-1]
+    usual = read()
+    # The gauge is said to be 0.4 mm smaller than it is: so is what is measured then.
+    small = read(gauge=gauge, gauge_shape="sphere:diameter=9.1mm")
+    assert 1e3 * (usual.size_m - small.size_m) == pytest.approx(0.4, abs=0.15)
+
+
+# -- jobs --------------------------------------------------------------------------------------
+
+
+def test_a_plugin_is_ready_once_it_is_made(make_plugin: Callable[..., Any]) -> None:
+    plugin = make_plugin()
+    assert plugin.state() == "IDLE"
+    assert plugin.fault() is None
+    assert plugin.labels == ()
+    assert plugin.info() == {
+        "name": "simulated cell",
+        "simulated": True,
+        "n_taxels": 408,
+        "labels": (),
+    }
+
+
+def test_teach_then_identify(make_plugin: Callable[..., Any]) -> None:
+    plugin = make_plugin()
+    for label in ("ball", "box"):
+        job = plugin.start(TeachGoal(label=label, grasps=3, seed=len(label)))
+        assert plugin.result(job, LIMIT_S) == 3
+        status = plugin.feedback(job)
+        assert status.outcome is JobOutcome.SUCCEEDED
+        assert status.progress == {
+            "task": "teach",
+            "label": label,
+            "grasps": 3,
+            "missed": 0,
+            "of": 3,
+        }
+    assert plugin.labels == ("ball", "box")
+    job = plugin.start({"task": "identify", "max_grasps": 3, "present": "box", "seed": 9})
+    answer = plugin.result(job, LIMIT_S)
+    assert isinstance(answer, Answer)
+    assert answer.label in ("box", UNKNOWN)
+    assert list(answer.probabilities) == ["ball", "box", UNKNOWN]
+    assert sum(answer.probabilities.values()) == pytest.approx(1.0)
+    assert answer.probability == answer.probabilities[answer.label]
+    assert answer.probabilities["box"] > answer.probabilities["ball"]
+    assert 1 <= answer.n_grasps <= 3
+    shape = answer.shape
+    assert shape.kind == "flat"
+    assert shape.probability == max(shape.probabilities.values()) > 0.5
+    assert shape.interval_mm[0] < 10.0 < shape.interval_mm[1]
+    assert shape.thicknesses_mm == ((shape.size_mm, *shape.interval_mm),)
+    assert shape.dimensions_mm["height"] == pytest.approx(shape.size_mm, abs=0.1)
+    assert shape.n_grasps == answer.n_grasps
+    assert plugin.feedback(job).progress["shape"].startswith("flat, ")
+    progress = plugin.feedback(job).progress
+    assert (progress["task"], progress["grasps"], progress["of"]) == (
+        "identify",
+        answer.n_grasps,
+        3,
+    )
+    assert progress["best"] == "box"
+    assert plugin.state() == "IDLE"
+
+
+def test_start_does_not_wait_and_feedback_tells_how_far_it_is(plugin: Any) -> None:
+    go_on, ramping = threading.Event(), threading.Event()
+
+    def pause() -> None:
+        ramping.set()
+        assert go_on.wait(LIMIT_S)
+
+    when(plugin, GripperPhase.RAMPING, pause)
+    job = plugin.start(IdentifyGoal(present="ball"))
+    assert ramping.wait(LIMIT_S)
+    assert plugin.feedback(job).outcome is JobOutcome.EXECUTING
+    assert plugin.state() == "EXECUTE"
+    with pytest.raises(CellStateError, match="is not over"):
+        plugin.start(IdentifyGoal())
+    with pytest.raises(CellStateError, match="is not over"):
+        plugin.release()
+    with pytest.raises(TimeoutError, match="not over after 0 s"):
+        plugin.result(job, 0.0)
+    go_on.set()
+    assert plugin.result(job, LIMIT_S).label == "ball"
+
+
+# -- cancelling --------------------------------------------------------------------------------
+
+
+def test_a_cancelled_job_keeps_the_grip_until_release(plugin: Any) -> None:
+    jobs: list[Job] = []
+    started = threading.Event()
+
+    def cancel() -> None:
+        assert started.wait(LIMIT_S)
+        plugin.cancel(jobs[0])
+
+    when(plugin, GripperPhase.RAMPING, cancel, above_n=1.0)
+    jobs.append(plugin.start(IdentifyGoal(present="ball")))
+    started.set()
+    with pytest.raises(
+        JobFailed, match=r"CANCELED: stopped on request; the grip is kept"
+    ) as failed:
+        plugin.result(jobs[0], LIMIT_S)
+    assert failed.value.outcome is JobOutcome.CANCELED
+    assert isinstance(failed.value.__cause__, CellStopped)
+    assert plugin.feedback(jobs[0]).outcome is JobOutcome.CANCELED
+    assert plugin.state() == "HELD"
+    assert plugin.fault() is None
+    assert grip_n(plugin) > 0.8
+    for refused in (plugin.clear, plugin.reset, lambda: plugin.start(IdentifyGoal())):
+        with pytest.raises(CellStateError, match="cell is HELD; allowed: release, shutdown"):
+            refused()
+    with pytest.raises(CellStateError, match="'grasp' is not allowed"):
+        plugin.start(TeachGoal(label="ball"))
+    with pytest.raises(CellStateError, match="no job 3"):
+        plugin.feedback(Job(3))
+    plugin.release(LIMIT_S)
+    assert plugin.state() == "IDLE"
+    assert grip_n(plugin) == 0.0
+    plugin.cancel(jobs[0])
+    assert plugin.result(plugin.start(IdentifyGoal()), LIMIT_S).label == "ball"
+
+
+def test_a_job_that_is_cancelled_as_soon_as_it_is_accepted_is_cancelled(plugin: Any) -> None:
+    hold = threading.Event()
+    blocker = plugin._worker.start(lambda _report: hold.wait(LIMIT_S))
+    hold.set()
+    plugin.result(blocker, LIMIT_S)
+    for _ in range(3):
+        job = plugin.start(IdentifyGoal(present="ball"))
+        plugin.cancel(job)
+        with pytest.raises(JobFailed, match="CANCELED"):
+            plugin.result(job, LIMIT_S)
+        if plugin.state() == "HELD":
+            plugin.release(LIMIT_S)
+        assert plugin.state() == "IDLE"
+
+
+def test_a_cancel_that_came_too_late_does_not_stop_the_next_job(plugin: Any) -> None:
+    job = plugin.start(IdentifyGoal(present="ball"))
+    plugin.result(job, LIMIT_S)
+    plugin.cancel(job)
+    plugin._cell.controller.cancel()
+    assert plugin.result(plugin.start(IdentifyGoal()), LIMIT_S).label == "ball"
+
+
+def test_closing_while_a_job_runs_keeps_the_grip(plugin: Any) -> None:
+    pressed = threading.Event()
+    when(plugin, GripperPhase.RAMPING, pressed.set, above_n=1.0)
+    job = plugin.start(IdentifyGoal(present="ball"))
+    assert pressed.wait(LIMIT_S)
+    plugin.close(LIMIT_S)
+    status = plugin.feedback(job)
+    assert status.outcome in (JobOutcome.CANCELED, JobOutcome.SUCCEEDED)
+    if status.outcome is JobOutcome.CANCELED and plugin._cell.controller.holding:
+        assert grip_n(plugin) > 0.0
+    with pytest.raises(CellStateError, match="the cell is closed"):
+        plugin.start(IdentifyGoal())
+    plugin.close(LIMIT_S)
+
+
+# -- faults ------------------------------------------------------------------------------------
+
+
+def test_a_fault_latches_and_is_left_by_clear_release_reset(plugin: Any) -> None:
+    simulated = plugin._cell.simulated
+    when(
+        plugin,
+        GripperPhase.RAMPING,
+        lambda: simulated.inject("unit.off"),
+        above_n=1.0,
+    )
+    job = plugin.start(IdentifyGoal(present="ball"))
+    with pytest.raises(JobFailed, match="ABORTED: FrameTimeout") as failed:
+        plugin.result(job, LIMIT_S)
+    assert failed.value.outcome is JobOutcome.ABORTED
+    assert isinstance(failed.value.__cause__, FrameTimeout)
+    assert plugin.state() == "ABORTED"
+    assert plugin.fault().startswith("FrameTimeout: ")
+    assert grip_n(plugin) > 0.8
+    for refused in (lambda: plugin.start(IdentifyGoal()), plugin.release):
+        with pytest.raises(CellStateError, match="allowed: clear; fault: FrameTimeout"):
+            refused()
+    with pytest.raises(CellStateError, match="allowed: clear"):
+        plugin.reset(LIMIT_S)
+
+    simulated.injector.clear("unit.off")
+    plugin.clear()
+    assert (plugin.state(), plugin.fault()) == ("RESETTING", None)
+    assert grip_n(plugin) > 0.8
+    plugin.release(LIMIT_S)
+    assert grip_n(plugin) == 0.0
+    plugin.reset(LIMIT_S)
+    assert plugin.state() == "IDLE"
+    assert plugin.result(plugin.start(IdentifyGoal()), LIMIT_S).label == "ball"
+
+
+def test_a_reset_with_the_part_still_held_is_refused_and_can_be_repaired(plugin: Any) -> None:
+    simulated = plugin._cell.simulated
+    when(plugin, GripperPhase.RAMPING, lambda: simulated.inject("can.off"), above_n=1.0)
+    with pytest.raises(JobFailed, match="ABORTED"):
+        plugin.result(plugin.start(IdentifyGoal(present="ball")), LIMIT_S)
+    simulated.injector.clear("can.off")
+    plugin.clear()
+    with pytest.raises(PartInGrip, match=r"nothing was moved\. Clear the fault") as held:
+        plugin.reset(LIMIT_S)
+    assert "tactile-cell" not in str(held.value)
+    assert grip_n(plugin) > 0.8
+    plugin.clear()
+    plugin.release(LIMIT_S)
+    plugin.reset(LIMIT_S)
+    assert plugin.state() == "IDLE"
+
+
+def test_an_overloaded_servo_is_restarted_on_purpose(plugin: Any) -> None:
+    simulated = plugin._cell.simulated
+    when(plugin, GripperPhase.RAMPING, lambda: simulated.inject("servo2.overload"), above_n=1.0)
+    with pytest.raises(JobFailed, match="ABORTED: ServoFault"):
+        plugin.result(plugin.start(IdentifyGoal(present="ball")), LIMIT_S)
+    with pytest.raises(ServoFault, match="reboot=True"):
+        plugin.clear()
+    plugin.clear(reboot=True)
+    plugin.release(LIMIT_S)
+    plugin.reset(LIMIT_S)
+    assert plugin.result(plugin.start(IdentifyGoal()), LIMIT_S).label == "ball"
+
+
+@pytest.mark.parametrize(
+    ("fault", "error"),
+    [
+        ("unit.off", NodeMissing),
+        ("servo1.off", VerificationFailed),
+    ],
+)
+def test_a_device_that_is_missing_at_the_start_is_an_error_of_the_constructor(
+    plugin_class: Any,
+    make_config: Callable[..., CellConfig],
+    monkeypatch: pytest.MonkeyPatch,
+    fault: str,
+    error: type[Exception],
+) -> None:
+    import cell.build
+
+    original, built = cell.build.build_cell, []
+
+    def build(*arguments: Any, **options: Any) -> Any:
+        built.append(original(*arguments, **options))
+        built[-1].simulated.inject(fault)
+        return built[-1]
+
+    monkeypatch.setattr(cell.build, "build_cell", build)
+    threads = threading.active_count()
+    with pytest.raises(error):
+        plugin_class(make_config())
+    assert built[-1].simulated.clock.on_advance == []
+    assert threading.active_count() == threads
+
+
+# -- who moves ---------------------------------------------------------------------------------
+
+
+def test_the_host_moves_and_may_veto(make_plugin: Callable[..., Any]) -> None:
+    asked: list[Pose] = []
+    answers: list[Any] = [None, True, Pose(x_m=5e-4), False]
+
+    def mover(pose: Pose) -> Any:
+        asked.append(pose)
+        return answers[len(asked) - 1]
+
+    plugin = make_plugin(mover=mover)
+    job = plugin.start({"task": "teach", "label": "ball", "grasps": 3})
+    assert plugin.result(job, LIMIT_S) == 3
+    assert len(set(asked)) == 3
+    label, placed = plugin._cell.simulated.world.placed
+    assert label == "ball"
+    assert placed.x_m == pytest.approx(5e-4)
+    job = plugin.start(IdentifyGoal())
+    with pytest.raises(JobFailed, match="ABORTED: PositionerError: the host refused to move"):
+        plugin.result(job, LIMIT_S)
+    assert plugin.state() == "IDLE"
+    assert plugin.fault() is None
+    assert not plugin._cell.controller.holding
+    answers.append(None)
+    assert plugin.result(plugin.start(IdentifyGoal(max_grasps=1)), LIMIT_S).n_grasps == 1
+
+
+def test_teaching_beside_a_loaded_model_needs_the_grasps_that_trained_it(
+    make_plugin: Callable[..., Any], taught: Any, tmp_path: Path
+) -> None:
+    alone = tmp_path / "model.npz"
+    alone.write_bytes(taught.result.model.read_bytes())
+    plugin = make_plugin(model=alone)
+    with pytest.raises(CellStateError, match="teaching without them would lose these objects"):
+        plugin.start({"task": "teach", "label": "cone"})
+    balls = [grasp for grasp in taught.grasps if grasp.label == "ball"]
+    write_dataset(tmp_path / "balls.npz", balls)
+    with pytest.raises(ModelError, match="is not the one that trained"):
+        make_plugin(model=alone, training_set=tmp_path / "balls.npz")
+    plugin = make_plugin(model=alone, training_set=taught.result.dataset)
+    plugin.result(plugin.start({"task": "teach", "label": "oval", "grasps": 3}), LIMIT_S)
+    assert plugin.labels == ("ball", "box", "oval")
+
+
+def test_what_was_taught_and_saved_can_be_taught_further(
+    make_plugin: Callable[..., Any], tmp_path: Path
+) -> None:
+    first = make_plugin()
+    first.result(first.start({"task": "teach", "label": "ball", "grasps": 3}), LIMIT_S)
+    first.save(tmp_path / "parts.model.npz")
+    assert len(read_dataset(tmp_path / "parts.model.grasps.npz")) == 3
+    again = make_plugin(model=tmp_path / "parts.model.npz")
+    again.result(again.start({"task": "teach", "label": "box", "grasps": 3, "seed": 3}), LIMIT_S)
+    assert again.labels == ("ball", "box")
+    again.save(tmp_path / "parts.model.npz")
+    assert len(read_dataset(tmp_path / "parts.model.grasps.npz")) == 6
+
+
+# -- grasps that find no part --------------------------------------------------------------------
+
+
+def absent_in(plugin: Any, *numbers: int) -> None:
+    """Take the object away before the grasps with these numbers, from 1, close the fingers."""
+    world, place = plugin._cell.simulated, plugin._cell.controller._positioner.move_to
+    done: list[Pose] = []
+
+    def move_to(pose: Pose) -> Pose:
+        reached = place(pose)
+        done.append(pose)
+        if len(done) in numbers:
+            world.remove()
+        return reached
+
+    plugin._cell.controller._positioner.move_to = move_to
+
+
+def test_a_grasp_that_finds_no_part_is_left_out_and_counted(
+    make_plugin: Callable[..., Any],
+) -> None:
+    plugin = make_plugin()
+    absent_in(plugin, 1, 3)
+    job = plugin.start({"task": "teach", "label": "ball", "grasps": 5})
+    assert plugin.result(job, LIMIT_S) == 3
+    progress = plugin.feedback(job).progress
+    assert (progress["grasps"], progress["missed"], progress["of"]) == (3, 2, 5)
+    assert plugin.labels == ("ball",)
+
+
+def test_an_absent_object_ends_teaching_and_the_grasps_before_it_are_kept(
+    make_plugin: Callable[..., Any],
+) -> None:
+    plugin = make_plugin()
+    absent_in(plugin, 3, 4, 5)
+    job = plugin.start({"task": "teach", "label": "ball", "grasps": 20})
+    with pytest.raises(JobFailed) as failed:
+        plugin.result(job, LIMIT_S)
+    assert isinstance(failed.value.__cause__, NoPartFound)
+    assert plugin.feedback(job).progress["missed"] == 2
+    assert (plugin.state(), plugin.labels) == ("IDLE", ())
+    assert plugin.result(plugin.start(TeachGoal(label="ball", grasps=1, seed=5)), LIMIT_S) == 1
+    assert plugin.labels == ("ball",)
+
+
+# -- goals and models --------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("goal", "complaint"),
+    [
+        ({}, "goal has task None; write one of teach, identify"),
+        ({"task": "juggle"}, "goal has task 'juggle'"),
+        ({"task": "teach"}, "goal teach: label"),
+        ({"task": "teach", "label": ""}, "goal teach: label"),
+        ({"task": "teach", "label": "a", "grasps": 0}, "goal teach: grasps"),
+        ({"task": "teach", "label": "a", "grasps": "3"}, "goal teach: grasps"),
+        ({"task": "identify", "max_grasps": 101}, "goal identify: max_grasps"),
+        ({"task": "identify", "speed": 2}, "goal identify: speed"),
+    ],
+)
+def test_goals_are_checked(plugin: Any, goal: dict[str, Any], complaint: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        plugin.start(goal)
+    assert complaint in str(caught.value)
+    assert plugin.state() == "IDLE"
+
+
+def test_nothing_taught_is_nothing_to_identify_or_save(
+    make_plugin: Callable[..., Any], tmp_path: Path
+) -> None:
+    plugin = make_plugin()
+    with pytest.raises(CellStateError, match="nothing was taught"):
+        plugin.start(IdentifyGoal())
+    with pytest.raises(CellStateError, match="nothing was taught"):
+        plugin.save(tmp_path / "m.npz")
+    with pytest.raises(CellStateError, match="no job 99"):
+        plugin.feedback(Job(99))
+
+
+def test_too_few_grasps_to_learn_from_abort_the_job_not_the_cell(
+    make_plugin: Callable[..., Any],
+) -> None:
+    plugin = make_plugin()
+    job = plugin.start(TeachGoal(label="ball", grasps=1))
+    with pytest.raises(JobFailed, match=r"ABORTED: .*at least 3.*kept for the next teaching"):
+        plugin.result(job, LIMIT_S)
+    assert plugin.state() == "IDLE"
+    assert plugin.result(plugin.start(TeachGoal(label="ball", grasps=2)), LIMIT_S) == 2
+    assert plugin.labels == ("ball",)
+
+
+def test_a_model_is_saved_and_loaded(plugin: Any, tmp_path: Path, make_plugin: Any) -> None:
+    plugin.save(tmp_path / "m.npz")
+    again = make_plugin(model=str(tmp_path / "m.npz"))
+    assert again.labels == plugin.labels == ("ball", "box")
+    job = again.start(IdentifyGoal(present="box"))
+    assert again.result(job, LIMIT_S).label == "box"
+
+
+def test_a_model_of_other_pads_is_refused_before_the_cell_is_touched(
+    plugin_class: Any,
+    make_config: Callable[..., CellConfig],
+    taught: Any,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    import cell.build
+
+    touched: list[Any] = []
+    monkeypatch.setattr(cell.build, "build_cell", lambda *a, **_k: touched.append(a))
+    with pytest.raises(ModelError, match="teach again on these pads"):
+        plugin_class(make_config(tactile__layout="pinch"), model=taught.result.model)
+    with pytest.raises(ConfigError, match=r"none\.yaml"):
+        plugin_class(str(tmp_path / "none.yaml"))
+    assert touched == []
+
+
+def test_config_files_and_the_context_manager(plugin_class: Any, tmp_path: Path) -> None:
+    path = tmp_path / "cell.yaml"
+    path.write_text("name: from a file\ntactile: {tare_frames: 10}\n")
+    with plugin_class(path) as plugin:
+        assert plugin.info()["name"] == "from a file"
+    assert plugin.state() == "STOPPED"
+
+
+def test_an_idle_cell_in_real_time_is_supervised(
+    make_plugin: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    import cell.build
+
+    original = cell.build.build_cell
+
+    def build(*arguments: Any, **options: Any) -> Any:
+        made = original(*arguments, **options)
+        made.realtime = True
+        clock, tick = made.simulated.clock, made.controller.tick
+
+        def tick_in_time() -> None:
+            clock.sleep(0.005)
+            tick()
+
+        made.controller.tick = tick_in_time
+        return made
+
+    monkeypatch.setattr(cell.build, "build_cell", build)
+    plugin = make_plugin()
+    plugin._cell.simulated.inject("unit.off")
+    end_s = time.monotonic() + LIMIT_S
+    while plugin.fault() is None and time.monotonic() < end_s:
+        threading.Event().wait(0.01)
+    assert plugin.fault() is not None
+    assert plugin.state() == "ABORTED"

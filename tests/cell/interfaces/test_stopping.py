@@ -1,0 +1,175 @@
+"""What ends a sequence from outside: signals, the death of the parent, while somebody is asked."""
+
+import os
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from cell.control.positioner import PatientCaller
+from cell.control.states import CellState
+from cell.errors import CellStopped, PositionerError
+from cell.interfaces.cli import terminal as asking
+from cell.interfaces.cli.signals import stopping
+
+LIMIT_S = 10.0
+
+
+@pytest.fixture
+def hangup_ignored() -> Iterator[None]:
+    before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
+def test_the_death_of_the_parent_stops_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    stopped = threading.Event()
+    calls: list[int] = []
+
+    def stop() -> None:
+        calls.append(1)
+        stopped.set()
+
+    with stopping(stop):
+        assert not stopped.wait(0.15)
+        monkeypatch.setattr(os, "getppid", lambda: 1)
+        assert stopped.wait(LIMIT_S)
+    assert calls == [1]
+
+
+@pytest.mark.usefixtures("hangup_ignored")
+def test_a_program_under_nohup_outlives_terminal_and_parent(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    calls: list[int] = []
+    with stopping(lambda: calls.append(1)):
+        monkeypatch.setattr(os, "getppid", lambda: 1)
+        signal.raise_signal(signal.SIGHUP)
+        assert "parent" not in [thread.name for thread in threading.enumerate()]
+        assert calls == []
+        signal.raise_signal(signal.SIGTERM)
+        assert calls == [1]
+    assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
+
+
+def test_a_second_signal_leaves_little_time_to_close_files() -> None:
+    program = (
+        "import os, signal, time\n"
+        "from cell.interfaces.cli.signals import stopping\n"
+        "with stopping(lambda: None, end_within_s=0.05):\n"
+        "    try:\n"
+        "        os.kill(os.getpid(), signal.SIGTERM)\n"
+        "        os.kill(os.getpid(), signal.SIGTERM)\n"
+        "    except KeyboardInterrupt:\n"
+        "        print('closing', flush=True)\n"
+        "        time.sleep(60)\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, timeout=LIMIT_S, check=False
+    )
+    assert (ended.returncode, ended.stdout) == (-signal.SIGALRM, b"closing\n")
+    assert b"interrupted; nothing was let go" in ended.stderr
+
+
+def test_a_third_signal_does_not_cut_off_what_the_second_leaves_time_for() -> None:
+    program = (
+        "import os, signal, time\n"
+        "from cell.interfaces.cli.signals import stopping\n"
+        "try:\n"
+        "    with stopping(lambda: None, end_within_s=30.0):\n"
+        "        try:\n"
+        "            os.kill(os.getpid(), signal.SIGINT)\n"
+        "            os.kill(os.getpid(), signal.SIGINT)\n"
+        "        finally:\n"
+        "            os.kill(os.getpid(), signal.SIGTERM)\n"
+        "            print('closed', flush=True)\n"
+        "except KeyboardInterrupt:\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+        "    print('told', flush=True)\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, timeout=LIMIT_S, check=False
+    )
+    assert (ended.returncode, ended.stdout) == (0, b"closed\ntold\n")
+
+
+def test_a_stop_does_not_wait_for_whoever_moves_the_object(
+    make_bench: Callable[..., Any], make_config: Callable[..., Any]
+) -> None:
+    answered = threading.Event()
+    bench = make_bench(
+        make_config(positioner__kind="operator"),
+        ask=lambda _text: "" if answered.wait(LIMIT_S) else "q",
+    )
+    bench.controller.start()
+    clock = bench.simulated.clock
+    end_s = clock.monotonic() + 1.0
+    clock.on_advance.append(
+        lambda now_s: bench.controller.cancel() if end_s <= now_s < end_s + 0.01 else None
+    )
+    with pytest.raises(CellStopped, match="the fingers are open"):
+        bench.controller.present("ball")
+    assert bench.controller.state is CellState.IDLE
+    with pytest.raises(PositionerError, match="has not ended yet"):
+        bench.controller.present("ball")
+    answered.set()
+    for thread in threading.enumerate():
+        if thread.name == "positioner":
+            thread.join(LIMIT_S)
+    bench.controller.present("ball")
+
+
+def test_a_stop_while_the_object_is_moved_for_a_grasp_holds(
+    make_bench: Callable[..., Any], make_config: Callable[..., Any]
+) -> None:
+    moving, go_on = threading.Event(), threading.Event()
+
+    def ask(_text: str) -> str:
+        moving.set()
+        go_on.wait(LIMIT_S)
+        return ""
+
+    bench = make_bench(make_config(positioner__kind="operator"), ask=ask)
+    bench.controller.start()
+    bench.simulated.clock.on_advance.append(
+        lambda _now_s: bench.controller.cancel() if moving.is_set() else None
+    )
+    with pytest.raises(CellStopped, match="nothing is held"):
+        bench.grasp()
+    go_on.set()
+    assert bench.controller.state is CellState.HELD
+
+
+def test_what_supervision_raises_comes_at_once_and_what_the_call_raises_too() -> None:
+    caller = PatientCaller(time, 0.001)
+    blocked = threading.Event()
+
+    def lost() -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        caller.call(lambda: blocked.wait(LIMIT_S), lost)
+    blocked.set()
+    with pytest.raises(ZeroDivisionError):
+        PatientCaller(time, 0.001).call(lambda: 1 // 0, lambda: None)
+    assert PatientCaller(time, 0.001).call(lambda: 7, lambda: None) == 7
+
+
+def test_an_answer_from_a_pipe_is_read_line_by_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out_of, into = os.pipe()
+    os.write(into, b"done\nq\n")
+    os.close(into)
+    with os.fdopen(out_of) as pipe:
+        monkeypatch.setattr(asking.sys, "stdin", pipe)
+        monkeypatch.setattr(asking.sys, "__stdin__", pipe)
+        assert [asking.ask("next? "), asking.ask("next? ")] == ["done", "q"]
+        with pytest.raises(EOFError):
+            asking.ask("next? ")
+    assert capsys.readouterr().out == "next? " * 3

@@ -1,0 +1,181 @@
+"""The system check: findings that say what to do, and a machine that is left as it was."""
+
+import importlib.metadata
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import cell.jobs.doctor
+from cell.config.model import CellConfig
+from cell.jobs.doctor import Finding, Verdict, _boards, examine
+
+REAL = {
+    "gripper__port": "/dev/serial-that-is-not-there",
+    "tactile__interface": "slcan",
+    "tactile__channel": "/dev/can-that-is-not-there",
+    "positioner__kind": "operator",
+}
+
+
+def by_name(findings: list[Finding]) -> dict[str, Finding]:
+    return {finding.what: finding for finding in findings}
+
+
+def test_the_simulated_cell_is_well() -> None:
+    findings = by_name(list(examine(CellConfig())))
+    assert not [f for f in findings.values() if f.verdict is Verdict.FAIL]
+    assert all(f.advice for f in findings.values() if f.verdict is Verdict.WARN)
+    assert findings["servo 1 model_number"].verdict is Verdict.PASS
+    assert "serial 1" in findings["control unit"].found
+    assert findings["tactile frames"].found.endswith(" 0 lost or damaged")
+    assert findings["taxels at rest"].found.startswith("0 of 408")
+    assert findings["noise of the taxels"].verdict is Verdict.PASS
+    assert findings["pads' boards"].found == "serial 1 on finger 0, 2 on finger 1"
+    assert "servo port" not in findings
+
+
+def test_samples_that_never_move_are_a_warning(altered: Callable[..., list[Finding]]) -> None:
+    def freeze(simulated: Any) -> None:
+        simulated.inject("unit.stuck")
+
+    finding = by_name(altered(freeze))["noise of the taxels"]
+    assert (finding.verdict, finding.found) == (Verdict.WARN, "0 of 408 change at rest")
+
+
+@pytest.mark.parametrize(
+    ("boards", "named", "verdict", "advice"),
+    [
+        ((7, 8), [7, 8], Verdict.PASS, ""),
+        ((7, 8), None, Verdict.WARN, "write [7, 8] into the config"),
+        ((0, 0), None, Verdict.WARN, "cannot be told apart"),
+    ],
+)
+def test_pads_that_could_be_exchanged_unnoticed_are_a_warning(
+    make_config: Callable[..., CellConfig],
+    boards: tuple[int, int],
+    named: list[int] | None,
+    verdict: Verdict,
+    advice: str,
+) -> None:
+    config = make_config(tactile__board_serial_numbers=named, **REAL)
+    finding = _boards(boards, config)
+    assert finding.verdict is verdict
+    assert advice in finding.advice
+
+
+@pytest.fixture
+def altered(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[Any], None]], list[Finding]]:
+    """Return what examines a simulated cell after something was done to it."""
+
+    def run(act: Callable[[Any], None]) -> list[Finding]:
+        original = cell.jobs.doctor.build_cell
+
+        def build(*arguments: Any, **options: Any) -> Any:
+            made = original(*arguments, **options)
+            act(made.simulated)
+            return made
+
+        monkeypatch.setattr(cell.jobs.doctor, "build_cell", build)
+        return list(examine(CellConfig()))
+
+    return run
+
+
+def failed(findings: list[Finding]) -> list[Finding]:
+    return [finding for finding in findings if finding.verdict is Verdict.FAIL]
+
+
+def test_the_check_moves_nothing(altered: Callable[..., list[Finding]]) -> None:
+    cells: list[Any] = []
+    altered(cells.append)
+    (simulated,) = cells
+    before_m = simulated.settings.aperture_m
+    assert simulated.devices.mechanics.aperture_m == pytest.approx(before_m, abs=1e-6)
+    assert not any(servo.core.torque_on for servo in simulated.devices.servo_bus.servos)
+
+
+def test_a_dead_control_unit_fails(altered: Callable[..., list[Finding]]) -> None:
+    def kill(simulated: Any) -> None:
+        simulated.inject("unit.off")
+
+    (finding,) = failed(altered(kill))
+    assert finding.what == "control unit"
+    assert "did not boot" in finding.found
+    assert finding.advice
+
+
+def test_a_silent_servo_fails_and_the_control_unit_is_checked_all_the_same(
+    altered: Callable[..., list[Finding]],
+) -> None:
+    findings = altered(lambda simulated: simulated.inject("servo2.off"))
+    (finding,) = failed(findings)
+    assert finding.what == "servos"
+    assert "2" in finding.found
+    assert by_name(findings)["control unit"].verdict is Verdict.PASS
+
+
+def test_lost_frames_are_a_warning(altered: Callable[..., list[Finding]]) -> None:
+    def disturb(simulated: Any) -> None:
+        running_s: list[float] = []
+        dropped: list[bool] = []
+
+        def drop(now_s: float) -> None:
+            if simulated.unit.state == "OPERATIONAL":
+                running_s.append(now_s)
+                if not dropped and now_s - running_s[0] > 0.1:
+                    simulated.inject("can.lose_next=5")
+                    dropped.append(True)
+
+        simulated.clock.on_advance.append(drop)
+
+    finding = by_name(altered(disturb))["tactile frames"]
+    assert finding.verdict is Verdict.WARN
+    assert "terminating resistors" in finding.advice
+
+
+def test_saturated_taxels_are_a_warning(altered: Callable[..., list[Finding]]) -> None:
+    def touch(simulated: Any) -> None:
+        simulated.inject("taxels.stuck_at=5-6:255")
+
+    finding = by_name(altered(touch))["taxels at rest"]
+    assert finding.verdict is Verdict.WARN
+    assert finding.found.startswith("2 of 408")
+    assert "touching" in finding.advice
+
+
+def test_wrong_ports_are_named_with_what_to_do(make_config: Callable[..., CellConfig]) -> None:
+    findings = by_name(list(examine(make_config(**REAL))))
+    assert findings["servo port"].verdict is Verdict.FAIL
+    assert "does not exist" in findings["servo port"].found
+    assert "gripper.port" in findings["servo port"].advice
+    assert findings["links"].verdict is Verdict.FAIL
+    assert "can-that-is-not-there" in findings["links"].found
+
+
+def test_a_port_without_rights_and_one_with(
+    make_config: Callable[..., CellConfig], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    port = tmp_path / "ttyX"
+    port.write_text("")
+    config = make_config(**REAL | {"gripper__port": str(port)})
+    assert by_name(list(examine(config)))["servo port"].verdict is Verdict.PASS
+    monkeypatch.setattr("os.access", lambda *_: False)
+    finding = by_name(list(examine(config)))["servo port"]
+    assert finding.verdict is Verdict.FAIL
+    assert "dialout" in finding.advice
+
+
+def test_a_missing_extra_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
+    original = importlib.metadata.version
+
+    def version(name: str) -> str:
+        if name == "matplotlib":
+            raise importlib.metadata.PackageNotFoundError(name)
+        return original(name)
+
+    monkeypatch.setattr(importlib.metadata, "version", version)
+    finding = by_name(list(examine(CellConfig())))["matplotlib"]
+    assert finding.verdict is Verdict.WARN
+    assert finding.advice.startswith("if you want it: install this project with its extra `report`")

@@ -1,0 +1,143 @@
+"""Drift in evaluation, and taking it off: evaluate --drift --gauge, calibrate."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cell.config.file import config_text
+from cell.data.dataset import read_dataset, write_dataset
+from cell.errors import CellError, ConfigError, ModelError
+from cell.interfaces.cli.app import app
+from cell.jobs.calibrate import calibrate_model
+from cell.jobs.common import silent
+from cell.jobs.evaluate import evaluate_recognizers
+from cell.learning.model import load_model
+from recognition.drift.drift import Drift
+from recognition.recognizers import make_trainer
+
+RUNNER = CliRunner()
+DRIFT = Drift(gain=0.8, aperture_offset_m=-1e-3)
+
+
+def call(*arguments: object) -> str:
+    result = RUNNER.invoke(app, [str(a) for a in arguments], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+@pytest.fixture
+def drifted(taught: Any, tmp_path: Path) -> Path:
+    path = tmp_path / "drifted.npz"
+    write_dataset(path, [DRIFT.apply(grasp) for grasp in taught.grasps])
+    return path
+
+
+def test_evaluate_drifts_and_gauges(taught: Any, tmp_path: Path) -> None:
+    text = call(
+        *("evaluate", taught.result.dataset, "--recognizer", "force_ramp", "--fuse", "1"),
+        *("--drift", "gain=0.8,aperture_mm=-1", "--gauge", "ball", "--json", tmp_path / "e.json"),
+    )
+    data = json.loads((tmp_path / "e.json").read_text(encoding="utf-8"))
+    assert "gain 0.80, opening -1.0 mm" in text
+    assert "gauged with 2 grasps of ball" in text
+    assert data["drift"] == {"gain": 0.8, "aperture_mm": pytest.approx(-1.0)}
+    assert data["gauge"]["label"] == "ball"
+    assert data["gauge"]["gain"] == pytest.approx(0.8, rel=0.25)
+    assert data["gauge"]["aperture_mm"] == pytest.approx(-1.0, abs=0.5)
+    figures = data["recognizers"]["force_ramp"]
+    assert np.sum(figures["confusion"]) == 2
+    assert figures["single_accuracy"] == 1.0
+
+
+def test_a_gauge_that_the_data_set_does_not_hold_is_named_with_those_it_does(
+    taught: Any, tmp_path: Path
+) -> None:
+    with pytest.raises(CellError, match=r"none of its 10 grasps is of 'ghost', .* 'ball', 'box'"):
+        call(
+            *("calibrate", taught.result.dataset, "--gauge", "ghost"),
+            *("-m", taught.result.model, "-o", tmp_path / "m.npz"),
+        )
+
+
+def test_what_cannot_be_gauged_says_why(taught: Any, tmp_path: Path) -> None:
+    options = {"split": "chronological:0.6", "names": ["force_ramp"], "progress": silent}
+    with pytest.raises(CellError, match="was not taught"):
+        evaluate_recognizers(taught.grasps, gauge="ghost", **options)
+    of_ball = [grasp for grasp in taught.grasps if grasp.label == "ball"]
+    with pytest.raises(CellError, match="none is left"):
+        evaluate_recognizers(of_ball, gauge="ball", **options)
+    with pytest.raises(ConfigError, match="--drift"):
+        call("evaluate", taught.result.dataset, "--drift", "speed=3")
+    with pytest.raises(ConfigError, match="--model"):
+        call("calibrate", "--gauge", "ball", "-o", tmp_path / "m.npz")
+    model = load_model(taught.result.model)
+    with pytest.raises(CellError, match="about three times"):
+        calibrate_model(model, "ball", [])
+    with pytest.raises(CellError, match="'cube' was not taught: gauge with one of ball, box"):
+        call("calibrate", "--gauge", "cube", "-m", taught.result.model, "-o", tmp_path / "m.npz")
+    plain = make_trainer("shrinkage_lda").fit(taught.grasps)
+    with pytest.raises(ModelError, match="cannot be gauged"):
+        calibrate_model(
+            replace(model, recognizer=plain, trainer_name="shrinkage_lda"), "ball", taught.grasps
+        )
+
+
+def test_calibrate_writes_a_model_that_expects_the_drift(
+    taught: Any, drifted: Path, tmp_path: Path
+) -> None:
+    new = tmp_path / "gauged.npz"
+    text = call(
+        *("calibrate", drifted, "--gauge", "ball", "-m", taught.result.model, "-o", new),
+        *("--json", tmp_path / "c.json"),
+    )
+    assert "5 grasps of ball: gain 0." in text
+    found = json.loads((tmp_path / "c.json").read_text(encoding="utf-8"))
+    assert found["aperture_mm"] == pytest.approx(-1.0, abs=0.4)
+    recognizer = load_model(new).recognizer
+    grasps = read_dataset(drifted)
+    assert all(recognizer.posterior(grasp).decision() == grasp.label for grasp in grasps[::2])
+
+
+def test_calibrate_follows_grasps_that_nobody_named(taught: Any, tmp_path: Path) -> None:
+    unnamed = tmp_path / "shift.npz"
+    drift = Drift(gain=0.7, aperture_offset_m=-3e-3)
+    grasps = [drift.apply(grasp) for grasp in taught.grasps]
+    mixed = [grasp for k in range(5) for grasp in (grasps[k], grasps[k + 5])]
+    write_dataset(unnamed, [replace(g, label="", start_ms=k) for k, g in enumerate(mixed)])
+    new = tmp_path / "followed.npz"
+    text = call(
+        *("calibrate", unnamed, "-m", taught.result.model, "-o", new),
+        *("--json", tmp_path / "c.json"),
+    )
+    assert "10 grasps of a shift: gain" in text
+    found = json.loads((tmp_path / "c.json").read_text(encoding="utf-8"))
+    assert found["gauge"] is None
+    assert found["aperture_mm"] == pytest.approx(-3.0, abs=0.6)
+    recognizer = load_model(new).recognizer
+    assert all(recognizer.posterior(grasp).best == grasp.label for grasp in grasps)
+
+
+def test_what_cannot_be_followed_says_why(taught: Any, drifted: Path, tmp_path: Path) -> None:
+    with pytest.raises(CellError, match="2 objects in turn do not show a drift"):
+        call("calibrate", drifted, "-m", taught.result.model, "-o", tmp_path / "m.npz")
+    with pytest.raises(ConfigError, match="--gauge"):
+        call("calibrate", "-m", taught.result.model, "-o", tmp_path / "m.npz")
+
+
+def test_calibrate_on_the_cell_finds_that_nothing_drifted(taught: Any, tmp_path: Path) -> None:
+    recording = taught.config.recording.model_copy(update={"directory": str(tmp_path / "out")})
+    config = tmp_path / "cell.yaml"
+    config.write_text(config_text(taught.config.model_copy(update={"recording": recording})))
+    call(
+        *("calibrate", "--gauge", "ball", "-m", taught.result.model, "-o", tmp_path / "m.npz"),
+        *("-n", 1, "-c", config, "--json", tmp_path / "c.json"),
+    )
+    found = json.loads((tmp_path / "c.json").read_text(encoding="utf-8"))
+    assert found["n_grasps"] == 1
+    assert abs(found["aperture_mm"]) < 1.0
+    assert load_model(tmp_path / "m.npz").labels == ("ball", "box")

@@ -1,0 +1,108 @@
+"""Evaluation spread over processes and over a Dask cluster gives what one process gives."""
+
+from collections.abc import Iterator
+from dataclasses import fields
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.recognition._posed_grasps import draw_placing, posed_grasp
+from cell.errors import CellError
+from cell.jobs import parallel
+from cell.jobs.parallel import workers
+from recognition.evaluation.evaluation import Evaluation, evaluate
+from recognition.grasp import Grasp
+from recognition.recognizers import make_trainer
+
+SHAPES = {
+    "ball": "sphere:diameter=9.5mm",
+    "rod": "cylinder:diameter=6mm,length=20mm",
+    "oval": "ellipsoid:length=14mm,diameter=11.7mm",
+    "block": "box:length=15.9mm,width=10mm,height=10mm",
+}
+
+
+@pytest.fixture(scope="module")
+def parts() -> tuple[list[Grasp], list[Grasp]]:
+    rng = np.random.default_rng(5)
+    grasps = [
+        [posed_grasp(name, shape, draw_placing(rng), i) for i in range(12)]
+        for name, shape in SHAPES.items()
+    ]
+    return [g for row in grasps for g in row[:6]], [g for row in grasps for g in row[6:]]
+
+
+@pytest.fixture(scope="module")
+def alone(parts: tuple[list[Grasp], list[Grasp]]) -> Evaluation:
+    return evaluate(*parts, make_trainer("shrinkage_lda"))
+
+
+def assert_same(a: Evaluation, b: Evaluation) -> None:
+    for field in fields(Evaluation):
+        x, y = getattr(a, field.name), getattr(b, field.name)
+        if isinstance(x, tuple) and isinstance(x[0], str):
+            assert x == y
+        elif hasattr(x, "items"):
+            assert dict(x) == pytest.approx(dict(y))
+        elif x is None or isinstance(x, str):
+            assert x == y
+        else:
+            np.testing.assert_allclose(x, y)
+
+
+def test_two_processes_give_the_same_figures(parts: Any, alone: Evaluation) -> None:
+    with workers(2) as mapper:
+        assert_same(evaluate(*parts, make_trainer("shrinkage_lda"), mapper=mapper), alone)
+
+
+def test_one_process_works_here() -> None:
+    seen: list[int] = []
+    with workers(1) as mapper:
+        list(mapper(seen.append, [3, 1, 2]))
+    assert seen == [3, 1, 2]
+
+
+def test_a_number_of_processes_below_none_is_refused() -> None:
+    with pytest.raises(CellError, match="--jobs is -1"), workers(-1):
+        pass
+
+
+@pytest.mark.parametrize("address", ["nowhere", "tcp://127.0.0.1:9"])
+def test_a_scheduler_that_does_not_answer_is_named(
+    address: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(parallel, "CONNECT_TIMEOUT_S", 0.3)
+    complaint = f"no Dask scheduler answers at {address}"
+    with pytest.raises(CellError, match=complaint), workers(scheduler=address):
+        pass
+
+
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[Any]:
+    from distributed import LocalCluster
+
+    with LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=":0"
+    ) as made:
+        yield made
+
+
+@pytest.mark.timeout(60)
+def test_a_cluster_of_two_workers_gives_the_same_figures(
+    cluster: Any, parts: Any, alone: Evaluation
+) -> None:
+    with workers(scheduler=cluster.scheduler_address) as mapper:
+        assert_same(evaluate(*parts, make_trainer("shrinkage_lda"), mapper=mapper), alone)
+
+
+@pytest.mark.timeout(60)
+def test_a_cluster_without_workers_is_refused() -> None:
+    from distributed import LocalCluster
+
+    with (
+        LocalCluster(n_workers=0, processes=False, dashboard_address=":0") as empty,
+        pytest.raises(CellError, match="has no workers"),
+        workers(scheduler=empty.scheduler_address),
+    ):
+        pass

@@ -1,0 +1,281 @@
+"""Jobs over recorded grasps: evaluate, replay, identify."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cell.errors import CellError, ConfigError, ModelError, PositionerError
+from cell.jobs.common import silent
+from cell.jobs.evaluate import evaluate_recognizers
+from cell.jobs.identify import identify_on_cell, identify_recorded
+from cell.jobs.replay import replay_grasps
+from cell.learning.model import LoadedModel
+from cell.learning.taught_model import TaughtModel
+from recognition.grasp import PadArray
+from recognition.recognizers import DEFAULT_TRAINER, TRAINERS
+
+SPLIT = "chronological:0.6"
+FIGURES = {"single_accuracy", "interval", "fused_accuracy", "unknown_auroc", "confusion"}
+
+
+def play(grasps: Any, **changes: Any) -> Any:
+    options = {"split": SPLIT, "limit": None, "recognizer": "force_ramp", "progress": silent}
+    return replay_grasps(grasps, **options | changes)
+
+
+# -- evaluate ------------------------------------------------------------------------------------
+
+
+def test_recognizers_are_measured_on_grasps_that_did_not_teach_them(taught: Any) -> None:
+    told: list[tuple[str, int, int]] = []
+    result = evaluate_recognizers(
+        taught.grasps,
+        split=SPLIT,
+        names=list(TRAINERS),
+        fuse=(1, 2),
+        progress=lambda *step: told.append(step),
+    )
+    assert (result.n_train, result.n_test) == (6, 4)
+    assert result.labels == ("ball", "box")
+    assert result.default == DEFAULT_TRAINER
+    data = json.loads(json.dumps(result.as_json(), allow_nan=False))
+    assert set(data["recognizers"]) == set(TRAINERS)
+    for figures in data["recognizers"].values():
+        assert set(figures) >= FIGURES | {"without_aperture"}
+        assert set(figures["without_aperture"]) >= FIGURES
+        assert set(figures["fused_accuracy"]) == {"1", "2"}
+        assert np.sum(figures["confusion"]) == 4
+        low, high = figures["interval"]
+        assert low <= figures["single_accuracy"] <= high
+        assert figures["unknown_auroc"] is None
+    assert data["recognizers"][DEFAULT_TRAINER]["single_accuracy"] == 1.0
+    level_check = result.recognizers["level_check"]
+    assert level_check.without_aperture is level_check.full
+    assert told[-1] == ("evaluate", 6, 6)
+
+
+def test_a_file_to_train_on_replaces_the_split(taught: Any) -> None:
+    result = evaluate_recognizers(
+        taught.grasps[1:9], train=taught.grasps, split=SPLIT, names=["force_ramp"], progress=silent
+    )
+    assert (result.split, result.n_train, result.n_test) == ("separate files", 10, 8)
+    assert result.recognizers["force_ramp"].full.n == 8
+
+
+def test_the_seed_moves_a_shuffled_split(taught: Any) -> None:
+    scores = [
+        evaluate_recognizers(
+            taught.grasps, split="shuffled:0.6", names=["level_check"], seed=seed, progress=silent
+        ).as_json()
+        for seed in (1, 1)
+    ]
+    assert scores[0]["recognizers"] == scores[1]["recognizers"]
+
+
+def test_what_cannot_be_evaluated_says_why(taught: Any, make_grasp: Callable[..., Any]) -> None:
+    def evaluated(grasps: Any, **changes: Any) -> Any:
+        options = {"split": SPLIT, "names": ["force_ramp"], "progress": silent}
+        return evaluate_recognizers(grasps, **options | changes)
+
+    with pytest.raises(CellError, match="not understood"):
+        evaluated(taught.grasps, split="halves")
+    with pytest.raises(CellError, match="has no label"):
+        evaluated([make_grasp("")])
+    with pytest.raises(CellError, match=r"to train and .* to test; both need at least one"):
+        evaluated(taught.grasps, train=())
+    with pytest.raises(CellError, match="different pads"):
+        evaluated(taught.grasps, train=[make_grasp("ball")])
+    with pytest.raises(CellError, match="force_ramp cannot be evaluated"):
+        evaluated(taught.grasps[:3], train=taught.grasps[:2])
+
+
+# -- replay ---------------------------------------------------------------------------------------
+
+
+def test_replayed_grasps_come_back_bit_for_bit_and_are_named(taught: Any, tmp_path: Path) -> None:
+    told: list[tuple[str, int, int]] = []
+    result = play(
+        taught.grasps,
+        capture=tmp_path / "bus.pcap",
+        progress=lambda *step: told.append(step),
+    )
+    assert result.frames_equal
+    assert result.difference == ""
+    assert (result.n_grasps, result.n_train) == (4, 6)
+    assert result.frames_received == result.frames_sent > 4 * 40
+    assert result.aperture_error_m < 0.3e-3
+    assert result.accuracy == 1.0
+    assert told[-1] == ("replay", 4, 4)
+    assert (tmp_path / "bus.pcap").stat().st_size > 59 * 16 * result.frames_sent
+    data = json.loads(json.dumps(result.as_json(), allow_nan=False))
+    assert {
+        "n_grasps",
+        "frames_sent",
+        "frames_received",
+        "frames_equal",
+        "accuracy",
+        "seconds",
+    } <= set(data)
+    assert data["frames_equal"] is True
+
+
+def test_a_limit_spreads_over_the_rest(taught: Any) -> None:
+    result = play(taught.grasps, limit=2, recognizer="level_check")
+    assert result.n_grasps == 2
+    assert result.recognizer == "level_check"
+
+
+def test_grasps_without_labels_are_replayed_and_not_named(taught: Any) -> None:
+    nameless = [replace(grasp, label="") for grasp in taught.grasps[:2]]
+    result = play(nameless, limit=1)
+    assert result.frames_equal
+    assert (result.accuracy, result.interval, result.n_train) == (None, None, 0)
+    assert result.as_json()["accuracy"] is None
+
+
+def test_other_pads_wide_openings_and_unknown_ones_are_replayed(
+    make_grasp: Callable[..., Any],
+) -> None:
+    wide = make_grasp("", aperture_m=np.linspace(0.12, 0.02, 12))
+    partly = make_grasp("", aperture_m=np.where(np.arange(12) < 4, np.nan, 0.03))
+    still = make_grasp("", t_s=np.zeros(12), aperture_m=np.full(12, np.nan))
+    result = play([wide, partly, still])
+    assert result.frames_equal
+    assert result.frames_received == 36
+    assert result.aperture_error_m < 1e-3
+
+
+def test_a_configured_cell_plays_too(taught: Any) -> None:
+    nameless = [replace(taught.grasps[0], label="")]
+    assert replay_grasps(
+        nameless,
+        taught.config,
+        split=SPLIT,
+        limit=None,
+        recognizer="force_ramp",
+        progress=silent,
+    ).frames_equal
+
+
+def test_what_cannot_be_replayed_says_why(
+    taught: Any, make_grasp: Callable[..., Any], tmp_path: Path
+) -> None:
+    with pytest.raises(ConfigError, match="have 3 pads"):
+        play([make_grasp("", ((2, 2),) * 3)])
+    with pytest.raises(CellError, match="not understood"):
+        play(taught.grasps, split="?")
+    with pytest.raises(CellError, match="cannot be trained"):
+        play([taught.grasps[0], *taught.grasps[4:6]])
+    with pytest.raises(CellError, match=r"bus\.pcap"):
+        play([make_grasp("")], capture=tmp_path / "none" / "bus.pcap")
+
+
+# -- identify -------------------------------------------------------------------------------------
+
+
+def test_recorded_grasps_are_answered_one_by_one(taught: Any) -> None:
+    model = loaded(taught)
+    grasps = [taught.grasps[0], replace(taught.grasps[9], label="")]
+    answers = identify_recorded(model, grasps)
+    assert [answer.number for answer in answers] == [0, 1]
+    assert [answer.label for answer in answers] == ["ball", "box"]
+    assert [answer.truth for answer in answers] == ["ball", ""]
+    assert answers[0].probability > 0.5
+    assert answers[1].as_json() == {
+        "grasp": 1,
+        "label": "box",
+        "probability": answers[1].probability,
+        "unknown": answers[1].unknown,
+        "truth": None,
+    }
+
+
+def loaded(taught: Any) -> LoadedModel:
+    return LoadedModel(
+        recognizer=taught.result.recognizers["force_ramp"],
+        trainer_name="force_ramp",
+        labels=("ball", "box"),
+        pads=taught.grasps[0].pads,
+    )
+
+
+def test_grasps_on_other_pads_are_refused(taught: Any, make_grasp: Callable[..., Any]) -> None:
+    with pytest.raises(ModelError, match=r"taught on 408 taxels in 10 pads, these .* 24 in 2"):
+        identify_recorded(loaded(taught), [make_grasp("a")])
+
+
+@pytest.mark.parametrize("held", ["box", None])
+def test_the_cell_names_what_it_holds(
+    make_bench: Callable[..., Any], taught: Any, held: str | None
+) -> None:
+    bench = make_bench(taught.config)
+    bench.controller.start()
+    told: list[int] = []
+    found, truth = identify_on_cell(
+        bench.cell,
+        taught.config,
+        TaughtModel(taught.config, loaded(taught)),
+        held=held,
+        progress=lambda _task, done, _total: told.append(done),
+    )
+    assert truth in ("ball", "box")
+    assert held in (None, truth)
+    assert found.label == truth
+    assert told == list(range(1, len(found.records) + 1))
+
+
+def test_a_real_cell_is_not_told_what_it_holds(
+    make_bench: Callable[..., Any], make_config: Callable[..., Any], taught: Any
+) -> None:
+    asked: list[str] = []
+
+    def ask(text: str) -> str:
+        asked.append(text)
+        return "" if len(asked) == 1 else "q"
+
+    config = make_config(positioner__kind="operator")
+    bench = make_bench(config, ask=ask)
+    bench.controller.start()
+    model = TaughtModel(config, loaded(taught))
+    with pytest.raises(PositionerError, match="operator stopped"):
+        identify_on_cell(bench.cell, config, model, held=None, progress=silent)
+    assert "the object to identify" in asked[0]
+
+
+def test_a_model_of_other_pads_is_refused_before_the_cell_is_built(
+    make_config: Callable[..., Any], taught: Any
+) -> None:
+    with pytest.raises(ModelError, match="teach on these pads"):
+        TaughtModel(make_config(tactile__layout="pinch"), loaded(taught))
+
+
+def test_an_unknown_object_has_the_probability_of_being_unknown(taught: Any) -> None:
+    grasp = taught.grasps[0]
+    untouched = replace(grasp, counts=np.repeat(grasp.counts[:1], grasp.n_frames, 0))
+    (answer,) = identify_recorded(loaded(taught), [untouched])
+    assert (answer.label, answer.probability, answer.unknown) == ("UNKNOWN", 1.0, 1.0)
+
+
+def test_pads_that_differ_in_full_scale_or_place_are_told_apart(taught: Any) -> None:
+    grasp = taught.grasps[0]
+    pads = grasp.pads
+    finer = PadArray(
+        pad_shape=pads.pad_shape,
+        taxel_pad=pads.taxel_pad,
+        taxel_xy_m=pads.taxel_xy_m,
+        adc_max=4095,
+    )
+    moved = PadArray(
+        pad_shape=pads.pad_shape,
+        taxel_pad=pads.taxel_pad,
+        taxel_xy_m=1.1 * pads.taxel_xy_m,
+        adc_max=pads.adc_max,
+    )
+    for other, text in ((finer, "a full scale of 4095 instead of 255"), (moved, "at other places")):
+        with pytest.raises(ModelError, match=text):
+            identify_recorded(loaded(taught), [replace(grasp, pads=other)])

@@ -1,0 +1,297 @@
+"""The main job: teach, train, identify; its files, its figures, its page."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cell.data.dataset import read_dataset, read_grasps, write_dataset
+from cell.data.recording_reader import read_recording
+from cell.errors import CellError, CellStopped, DatasetError, NoPartFound
+from cell.jobs.common import job_folder, silent
+from cell.jobs.run import BASELINE, score, teach_and_identify
+from cell.jobs.run_report import main_report
+from cell.jobs.teach import (
+    append_to_dataset,
+    labelled,
+    name_recorded,
+    teach,
+    teach_to_dataset,
+)
+from cell.learning.collection import Collection
+from cell.learning.model import load_model
+from cell.learning.taught_model import TaughtModel
+from cell.learning.training import train
+from gripper.state import GripperPhase
+from recognition.recognizer import UNKNOWN
+
+
+def test_each_object_is_taught_and_identified(taught: Any) -> None:
+    result = taught.result
+    assert result.labels == ("ball", "box")
+    assert result.n_taught == 10
+    assert [trial.truth for trial in result.trials] == ["ball", "box"]
+    assert set(result.scores) == {"force_ramp", "force_ramp_one_grasp", BASELINE}
+    assert result.scores["force_ramp"].n == 2
+    assert result.scores["force_ramp"].accuracy == 1.0
+    assert set(result.examples) == {"ball", "box"}
+    assert result.seconds > 0.0
+
+
+def test_what_was_taught_is_written(taught: Any) -> None:
+    assert [grasp.label for grasp in taught.grasps] == ["ball"] * 5 + ["box"] * 5
+    loaded = load_model(taught.result.model, taught.grasps[0].pads)
+    assert loaded.trainer_name == "force_ramp"
+    assert loaded.labels == ("ball", "box")
+    recording = read_recording(taught.result.recording)
+    assert recording.complete
+    n_identified = sum(len(trial.found.records) for trial in taught.result.trials)
+    assert len(recording.grasps) == 10 + n_identified
+    assert len(recording.results) == 2
+    for was, now in zip(taught.grasps, recording.grasps, strict=False):
+        np.testing.assert_array_equal(was.counts, now.counts)
+        assert was.command
+        assert now.command
+        assert was.command.values == pytest.approx(now.command.values, abs=1e-9)
+    assert len({grasp.command for grasp in taught.grasps}) == 10
+
+
+def test_no_pose_of_teaching_is_met_again(taught: Any) -> None:
+    poses = [pose["x_m"] for pose in read_recording(taught.result.recording).poses]
+    assert len(set(poses)) == len(poses)
+
+
+def test_progress_reaches_its_end(taught: Any) -> None:
+    last = {task: (done, total) for task, done, total in taught.progress}
+    assert last == {
+        "teach ball": (5, 5),
+        "teach box": (5, 5),
+        "train": (2, 2),
+        "identify ball": (1, 1),
+        "identify box": (1, 1),
+    }
+
+
+def test_json_has_what_was_promised(taught: Any) -> None:
+    data = json.loads(json.dumps(taught.result.as_json(), allow_nan=False))
+    assert data["seconds"] >= 0.0
+    assert (data["n_taught"], data["n_trials"]) == (10, 2)
+    assert data["labels"] == ["ball", "box"]
+    assert data["default"] in data["recognizers"]
+    for figures in data["recognizers"].values():
+        assert 0.0 <= figures["accuracy"] <= 1.0
+        assert np.array(figures["confusion"]).shape == (2, 3)
+        assert figures["confusion_columns"] == ["ball", "box", UNKNOWN]
+    assert 1.0 <= data["grasps_per_trial"] <= 4.0
+    felt = data["identifications"]
+    assert [one["held"] for one in felt] == ["ball", "box"]
+    assert [one["shape"]["kind"] for one in felt] == ["sphere", "flat"]
+    for name in ("recording", "dataset", "model"):
+        assert Path(data[name]).is_file()
+    assert data["report"] is None
+
+
+def test_a_given_recognizer_is_not_taught(make_bench: Callable[..., Any], taught: Any) -> None:
+    bench = make_bench(taught.config)
+    bench.controller.start()
+    result = teach_and_identify(
+        bench.cell,
+        taught.config,
+        labels=["box"],
+        n_teach=99,
+        n_trials=1,
+        folder=Path("nowhere"),
+        progress=silent,
+        model=TaughtModel.load(taught.config, taught.result.model),
+    )
+    assert (result.n_taught, result.dataset, result.model) == (0, None, None)
+    assert set(result.scores) == {"force_ramp", "force_ramp_one_grasp"}
+    assert set(result.examples) == {"box"}
+
+
+def test_the_baseline_as_default_is_trained_once(
+    make_bench: Callable[..., Any], make_config: Callable[..., Any], tmp_path: Path
+) -> None:
+    config = make_config(recognition__recognizer=BASELINE, sequence__max_grasps=2)
+    bench = make_bench(config, folder=tmp_path)
+    bench.controller.start()
+    result = teach_and_identify(
+        bench.cell,
+        config,
+        labels=["ball", "box"],
+        n_teach=3,
+        n_trials=1,
+        folder=tmp_path,
+        progress=silent,
+    )
+    assert set(result.scores) == {BASELINE, f"{BASELINE}_one_grasp"}
+    page = main_report(result, config, bench.cell, tmp_path / "report.html").read_text()
+    assert "the paper&#39;s level check" not in page
+
+
+def test_the_page_shows_objects_figures_and_files(
+    make_bench: Callable[..., Any], taught: Any, tmp_path: Path
+) -> None:
+    bench = make_bench(taught.config)
+    path = main_report(taught.result, taught.config, bench.cell, tmp_path / "report.html")
+    page = path.read_text(encoding="utf-8")
+    assert "10 grasps taught, 2 identifications" in page
+    assert "right, force_ramp" in page
+    assert "XM430-W350 (id 1)" in page
+    assert str(taught.result.recording) in page
+    assert "Simulated cell" in page
+    assert page.count("<svg") + page.count("data:image/png") > 3
+
+
+def test_a_cancelled_job_ends_at_the_grasp(make_bench: Callable[..., Any], taught: Any) -> None:
+    bench = make_bench(taught.config)
+    bench.controller.start()
+    bench.once_in(GripperPhase.RAMPING, bench.controller.cancel, 0.1)
+    with pytest.raises(CellStopped):
+        teach_and_identify(
+            bench.cell,
+            taught.config,
+            labels=["ball"],
+            n_teach=3,
+            n_trials=1,
+            folder=Path("nowhere"),
+            progress=silent,
+        )
+    assert bench.grip_n > 0.3
+
+
+# -- scores ------------------------------------------------------------------------------------
+
+
+def test_scores_count_rows_of_truth_and_columns_of_answers() -> None:
+    result = score(["a", "a", "b", "b"], ["a", UNKNOWN, "a", "b"], ["a", "b"])
+    assert result.confusion == ((1, 0, 1), (1, 1, 0))
+    assert (result.n, result.n_right, result.accuracy) == (4, 2, 0.5)
+    low, high = result.interval
+    assert low < 0.5 < high
+
+
+def test_answers_that_were_not_asked_for_are_unknown_and_strange_truths_do_not_count() -> None:
+    result = score(["a", "z"], ["c", "a"], ["a", "b"])
+    assert result.confusion == ((0, 0, 1), (0, 0, 0))
+    assert result.n == 1
+
+
+def test_nothing_asked_is_no_accuracy() -> None:
+    result = score([], [], ["a"])
+    assert np.isnan(result.accuracy)
+    assert result.interval == (0.0, 1.0)
+
+
+# -- teaching ----------------------------------------------------------------------------------
+
+
+def test_teaching_tells_each_grasp(make_bench: Callable[..., Any], taught: Any) -> None:
+    bench = make_bench(taught.config)
+    bench.controller.start()
+    told: list[tuple[str, int, int]] = []
+    records = teach(
+        bench.cell, taught.config, "box", 2, seed=1, progress=lambda *step: told.append(step)
+    )
+    assert [record.grasp.label for record in records] == ["box", "box"]
+    assert told == [("teach box", 1, 2), ("teach box", 2, 2)]
+
+
+def test_teaching_goes_on_after_a_grasp_without_a_part_and_ends_where_none_has_one(
+    make_bench: Callable[..., Any], taught: Any
+) -> None:
+    bench = make_bench(taught.config)
+    bench.controller.start()
+    bench.once_in(GripperPhase.APPROACHING, bench.simulated.remove)
+    told: list[tuple[int, int]] = []
+    records = teach(
+        bench.cell, taught.config, "box", 2, seed=1, progress=lambda _task, *at: told.append(at)
+    )
+    assert (len(records), told) == (1, [(1, 2), (2, 2)])
+    bench.once_in(GripperPhase.APPROACHING, bench.simulated.remove)
+    with pytest.raises(NoPartFound):
+        teach(bench.cell, taught.config, "box", 1, seed=1, progress=silent)
+
+
+@pytest.mark.parametrize("dataset", ["d.npz", "gone/d.npz"])
+def test_what_was_grasped_before_a_stop_is_in_the_data_set(
+    make_bench: Callable[..., Any], taught: Any, tmp_path: Path, dataset: str
+) -> None:
+    bench = make_bench(taught.config, folder=tmp_path)
+    bench.controller.start()
+    collection, notes = Collection(label="box", n_planned=20), list[str]()
+
+    def progress(_task: str, done: int, _total: int) -> None:
+        if done == 2:
+            bench.once_in(GripperPhase.RAMPING, bench.controller.cancel)
+
+    def run() -> None:
+        teach_to_dataset(
+            bench.cell,
+            taught.config,
+            collection,
+            tmp_path / dataset,
+            (),
+            progress=progress,
+            note=notes.append,
+        )
+
+    if dataset == "d.npz":
+        with pytest.raises(CellStopped, match="the grip is kept"):
+            run()
+        assert [grasp.label for grasp in read_dataset(tmp_path / dataset)] == ["box", "box"]
+        assert notes == [f"2 of 20 grasps of box added to {tmp_path / dataset} (0 were there)"]
+    else:
+        with pytest.raises(DatasetError, match=r"recording\.mcap, which train takes"):
+            run()
+    assert str(collection) == "2 of 20 grasps of box"
+
+
+def test_recorded_grasps_get_their_label_and_go_in_wherever_data_sets_do(
+    taught: Any, tmp_path: Path
+) -> None:
+    recording, named = taught.result.recording, tmp_path / "named.npz"
+    n_identified = len(taught.result.records)
+    grasps, without = labelled(recording)
+    assert ({grasp.label for grasp in grasps}, without) == ({"ball", "box"}, n_identified)
+    unnamed = tmp_path / "unnamed.npz"
+    write_dataset(unnamed, [grasp for grasp in read_grasps(recording) if not grasp.label])
+    with pytest.raises(CellError, match=r"tactile-cell teach LABEL --from .*unnamed\.npz -o"):
+        labelled(unnamed)
+    assert name_recorded(recording, "thing", named) == (n_identified, 0)
+    assert name_recorded(unnamed, "other", named) == (n_identified, n_identified)
+    assert {grasp.label for grasp in labelled(named)[0]} == {"thing", "other"}
+    with pytest.raises(CellError, match="each of its grasps has a label"):
+        name_recorded(named, "thing", tmp_path / "again.npz")
+
+
+def test_training_on_too_little_says_what_is_missing(taught: Any) -> None:
+    with pytest.raises(CellError, match=r"cannot be trained on these 2 grasps: .*at least 3"):
+        train([taught.grasps[0], taught.grasps[5]], "force_ramp")
+    with pytest.raises(CellError, match="cannot be trained on these 0 grasps"):
+        train([], "level_check")
+
+
+def test_a_data_set_grows_on_the_same_pads_only(
+    tmp_path: Path, make_grasp: Callable[..., Any]
+) -> None:
+    path = tmp_path / "d.npz"
+    append_to_dataset(path, (), [make_grasp("a")])
+    append_to_dataset(path, read_dataset(path), [make_grasp("b")])
+    assert [grasp.label for grasp in read_dataset(path)] == ["a", "b"]
+    before = path.read_bytes()
+    with pytest.raises(CellError, match="on other pads"):
+        append_to_dataset(path, read_dataset(path), [make_grasp("c", ((2, 2), (2, 2)))])
+    assert path.read_bytes() == before
+
+
+def test_folders_of_jobs_are_never_shared(tmp_path: Path) -> None:
+    folders = {job_folder(tmp_path / "out", "run") for _ in range(3)}
+    assert len(folders) == 3
+    assert all(folder.is_dir() for folder in folders)
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(CellError, match="cannot be made"):
+        job_folder(tmp_path / "file", "run")

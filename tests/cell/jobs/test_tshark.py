@@ -1,0 +1,84 @@
+"""An independent witness: tshark decodes the CAN traffic of a whole job as CANopen."""
+
+import shutil
+import subprocess
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from cell.build import build_cell
+from cell.config.model import CellConfig
+from cell.jobs.common import silent
+from cell.jobs.run import teach_and_identify
+from simulator.can.capture import PcapWriter
+
+TSHARK = shutil.which("tshark")
+MESSAGES_A_FRAME = 59
+
+
+pytestmark = pytest.mark.skipif(
+    TSHARK is None, reason="tshark is not installed (Debian package tshark)"
+)
+
+
+def decode(capture: Path, *arguments: str) -> list[str]:
+    """Return what tshark prints of a capture whose CAN messages it takes for CANopen."""
+    done = subprocess.run(
+        [str(TSHARK), "-r", str(capture), "-d", "can.subdissector,canopen", *arguments],
+        capture_output=True,
+        text=True,
+        check=True,
+        timeout=100,
+    )
+    return done.stdout.splitlines()
+
+
+def test_a_captured_sequence_is_canopen_to_tshark(
+    make_config: Callable[..., CellConfig], tmp_path: Path
+) -> None:
+    capture = tmp_path / "sequence.pcap"
+    config = make_config()
+    cell = build_cell(config, capture=capture)
+    cell.controller.start()
+    result = teach_and_identify(
+        cell,
+        config,
+        labels=["ball", "box"],
+        n_teach=4,
+        n_trials=1,
+        folder=tmp_path,
+        progress=silent,
+    )
+    statistics = cell.link.statistics
+    cell.close()
+    assert (result.n_taught, len(result.trials)) == (8, 2)
+    assert statistics.frames.lost == statistics.frames.torn == statistics.error_frames == 0
+
+    assert decode(capture, "-Y", "_ws.malformed") == []
+    assert decode(capture, "-Y", "_ws.expert.severity >= 6291456") == []  # warnings and errors
+    fields = ("canopen.cob_id", "canopen.nmt_guard.state", "canopen.nmt_ctrl.cd", "can.len")
+    shown = [f for name in fields for f in ("-e", name)]
+    rows = [row.split("\t") for row in decode(capture, "-T", "fields", *shown)]
+    kinds = Counter(int(cob_id, 16) for cob_id, *_ in rows)
+    assert set(kinds) == {0x000, 0x080, 0x185, 0x585, 0x605, 0x705}
+    whole = statistics.frames.complete
+    assert kinds[0x080] == statistics.syncs
+    assert kinds[0x185] in (MESSAGES_A_FRAME * whole, MESSAGES_A_FRAME * (whole + 1))
+    assert kinds[0x585] == kinds[0x605] > 10
+    commands = [int(command, 0) for _, _, command, _ in rows if command]
+    assert commands == [130, 1, 128]  # reset communication, start, pre-operational at the end
+    states = [int(state, 0) for _, state, _, _ in rows if state]
+    assert states[0] == 0
+    assert set(states[states.index(5) :]) == {5}
+    assert {length for cob_id, *_, length in rows if int(cob_id, 16) == 0x185} == {"8"}
+
+
+def test_tshark_would_notice_a_message_that_is_cut_short(tmp_path: Path) -> None:
+    capture = tmp_path / "short.pcap"
+    with PcapWriter(capture) as pcap:
+        pcap(0.0, 0x605, bytes.fromhex("4018100100000000"))
+        pcap(0.001, 0x585, bytes.fromhex("431810"))
+    assert len(decode(capture, "-Y", "_ws.malformed")) == 1
+    assert len(decode(capture, "-Y", "_ws.expert.severity >= 6291456")) == 1

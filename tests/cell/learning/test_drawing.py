@@ -1,0 +1,352 @@
+"""Teaching from a drawing, the gauge, and shape and size on the command line."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from cell.config.file import config_text
+from cell.config.model import CellConfig
+from cell.config.sequence import SequenceConfig
+from cell.config.tactile import layout_from_config, make_calibration
+from cell.control.plan import Pose
+from cell.control.records import pad_array
+from cell.data.dataset import read_dataset, write_dataset
+from cell.errors import CellError, ConfigError
+from cell.interfaces.cli.app import app
+from cell.interfaces.plugin.goals import checked_goal
+from cell.jobs.teach_from_drawing import course_of, teach_drawing
+from cell.learning.model import load_model
+from cell.learning.pad_knowledge import PadKnowledge, calibrate_on_gauge, gauge_shape, usual_foam
+from cell.learning.shapes import reader_under
+from cell.learning.training import load_pose_memory
+from cell.learning.virtual_grasps import reaches_m
+from cell.simulation import drawn_shape, simulator_settings
+from recognition.ramp.ramp import find_ramp, learn_rest
+from recognition.recognizers import make_trainer
+from recognition.shape.foam import FoamModel, PadBed
+from simulator.world.taxels import ideal_counts
+
+BALL = "sphere:diameter=9.5mm"
+BOX = "box:length=15.9mm,width=10mm,height=10mm"
+CYLINDER = "cylinder:diameter=6mm,length=20mm"
+RATE_N_S, FRAME_S = 5.0, 0.02
+
+
+def call(*arguments: object) -> str:
+    result = CliRunner().invoke(app, [str(a) for a in arguments], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return result.output
+
+
+def refused(*arguments: object) -> str:
+    result = CliRunner().invoke(app, [str(a) for a in arguments])
+    assert result.exit_code != 0
+    return str(result.exception)
+
+
+def test_a_virtual_grasp_looks_like_the_cells_own(taught: Any) -> None:
+    config = taught.config
+    own = [g for g in taught.grasps if g.label == "ball"]
+    known = PadKnowledge(foam=FoamModel(), other_foams=1.0)
+    drawn = teach_drawing(config, "ball", drawn_shape(BALL), 40, kind="sphere", known=known)
+    first = drawn[0]
+    assert first.pads.same_as(own[0].pads)
+    assert first.source == "drawing"
+    assert first.shape == "sphere"
+    assert np.allclose(np.diff(first.t_s), np.median(np.diff(own[0].t_s)), atol=1e-6)
+    rest = learn_rest([*own, *drawn])
+    for quantity, tolerance in (
+        (lambda g: g.n_frames - g.force_n[-1] / RATE_N_S / FRAME_S, 0.2),
+        (lambda g: g.counts[:5].mean(), 0.1),
+        (lambda g: g.aperture_m[0], 0.05),
+        (lambda g: find_ramp(g, rest).load[-5:].mean() / g.force_n[-1], 0.15),
+    ):
+        real = np.median([quantity(g) for g in own])
+        assert np.median([quantity(g) for g in drawn]) == pytest.approx(real, rel=tolerance)
+    # The opening at the end depends on the force, which differs from grasp to grasp.
+    curve = np.polyfit(*np.array([(g.force_n[-1], g.aperture_m[-1]) for g in drawn]).T, 2)
+    off_m = [g.aperture_m[-1] - np.polyval(curve, g.force_n[-1]) for g in own]
+    assert np.mean(off_m) == pytest.approx(0.0, abs=0.3e-3)
+
+
+def test_the_set_point_begins_with_the_touch_and_ends_at_the_planned_force(taught: Any) -> None:
+    low_n, high_n = taught.config.sequence.force_n
+    for grasp in teach_drawing(taught.config, "box", drawn_shape(BOX), 5):
+        force_n = grasp.force_n
+        assert low_n <= force_n[-1] <= high_n
+        assert np.all(np.diff(force_n) >= -1e-9)
+        assert force_n[0] == 0.0
+        assert np.all(grasp.aperture_m[-5:] < 10e-3)
+
+
+def test_the_same_seed_gives_the_same_grasps() -> None:
+    config, ball = CellConfig(), drawn_shape(BALL)
+    one, same, other = (teach_drawing(config, "b", ball, 2, seed=s) for s in (3, 3, 4))
+    assert np.array_equal(one[1].counts, same[1].counts)
+    assert one[1].start_ms == 1000
+    assert one[1].n_frames != other[1].n_frames or not np.array_equal(
+        one[1].counts, other[1].counts
+    )
+
+
+def test_drawings_alone_name_what_the_cell_grasps(taught: Any, tmp_path: Path) -> None:
+    drawings, model, own = (tmp_path / name for name in ("d.npz", "m.npz", "own.npz"))
+    for label, text in (("ball", BALL), ("box", BOX), ("cylinder", CYLINDER)):
+        printed = call("teach", label, "--shape", text, "-o", drawings, "-n", 15)
+        assert f"15 virtual grasps of {label}" in printed
+        assert "not calibrated" in printed
+        assert "simulator.noise: clipped_normal, level 1" in printed
+    assert {g.source for g in read_dataset(drawings)} == {"drawing"}
+    call("train", drawings, "-o", model, "--recognizer", "shrinkage_lda", "--poses")
+    memory = load_pose_memory(load_model(model), SequenceConfig(kind="active"))
+    assert memory is not None
+    assert len(np.unique(memory.commands, axis=0)) == 45
+    call("train", drawings, "-o", model)
+    write_dataset(own, taught.grasps)
+    found = tmp_path / "found.json"
+    printed = call("identify", own, "--model", model, "--json", found)
+    answers = json.loads(found.read_text())["answers"]
+    assert [a["label"] for a in answers] == [g.label for g in taught.grasps]
+    sizes_mm = {"ball": 9.5, "box": 10.0}
+    kinds = {"ball": "sphere", "box": "flat"}
+    right = 0
+    for answer in answers:
+        low, high = answer["shape"]["interval_mm"]
+        assert low < sizes_mm[answer["truth"]] < high
+        right += answer["shape"]["kind"] == kinds[answer["truth"]]
+    assert right >= len(answers) - 1
+    assert "sphere, 9." in printed
+    assert "flat, " in printed
+
+
+def test_a_gauge_calibrates_and_is_printed(taught: Any, tmp_path: Path) -> None:
+    gauge, drawings, facts = (tmp_path / name for name in ("g.npz", "d.npz", "f.json"))
+    write_dataset(gauge, [g for g in taught.grasps if g.label == "ball"])
+    printed = call(
+        *("teach", "cube", "--shape", "box:length=8mm,width=8mm,height=8mm", "-n", 4),
+        *("--gauge", gauge, "-o", drawings, "--json", facts),
+    )
+    assert "from 5 grasps" in printed
+    assert "simulator.noise" not in printed
+    pads = json.loads(facts.read_text())["pads"]
+    foam = pads["foam"]
+    assert abs(np.log(foam["modulus_pa"] / 150e3)) < 3 * pads["modulus_sd"] + 0.05
+    assert foam["gain"] == pytest.approx(1.0, abs=0.15)
+    own_noise = np.concatenate([g.counts[:5] for g in taught.grasps]).mean()
+    assert read_dataset(drawings)[0].counts[:5].mean() == pytest.approx(own_noise, rel=0.15)
+
+
+def test_the_calibration_follows_another_foam() -> None:
+    config = CellConfig()
+    pads = pad_array(layout_from_config(config.tactile))
+    true = PadKnowledge(
+        foam=FoamModel(modulus_pa=210e3, gain=0.85),
+        modulus_sd=1e-6,
+        gain_sd=1e-6,
+        spread_sd=1e-6,
+        densification_sd=1e-6,
+        thickness_sd=1e-6,
+        aperture_sd_m=1e-9,
+    )
+    ball = drawn_shape(BALL)
+    known = calibrate_on_gauge(teach_drawing(config, "b", ball, 8, known=true), ball, pads)
+    assert known.foam.gain == pytest.approx(0.85, abs=0.07)
+    assert abs(np.log(known.foam.modulus_pa / 210e3)) < 3 * known.modulus_sd
+    assert known.rest is not None
+    assert known.trust.modulus == known.modulus_sd
+    assert 1.0 < known.other_foams < PadKnowledge(foam=known.foam).other_foams
+
+
+EXACT = {f"{name}_sd": 1e-6 for name in ("modulus", "gain", "spread", "densification", "thickness")}
+LINEAR = {"layout": "pinch", "calibration": {"kind": "linear", "force_per_count_n": 0.001}}
+
+
+def linear_config() -> CellConfig:
+    return CellConfig.model_validate({"tactile": LINEAR, "simulator": {"noise": "none"}})
+
+
+@pytest.mark.parametrize(
+    "tactile",
+    [LINEAR, {"calibration": {"kind": "paper", "gain": 1.3}}],
+    ids=["linear", "paper with a gain"],
+)
+def test_simulated_and_virtual_pads_read_as_the_config_says(
+    tactile: dict[str, Any],
+) -> None:
+    config = CellConfig.model_validate({"tactile": tactile})
+    layout = layout_from_config(config.tactile)
+    force_n = np.linspace(0.0, 4.0, 9)
+    counts = make_calibration(config.tactile, layout).counts(force_n)
+    law = simulator_settings(config).law
+    assert ideal_counts(force_n, layout.adc_max, law) == pytest.approx(counts)
+    assert layout.adc_max * usual_foam(config).response(force_n) == pytest.approx(counts)
+
+
+def test_virtual_grasps_follow_a_linear_sensor() -> None:
+    config = linear_config()
+    known = PadKnowledge(foam=usual_foam(config), **EXACT)
+    grasps = teach_drawing(config, "ball", drawn_shape(BALL), 4, known=known)
+    for grasp in grasps:
+        for pad in (0, 1):
+            pad_n = 0.001 * grasp.counts[-3:, grasp.pads.taxels_of(pad)].sum(axis=1).mean()
+            assert pad_n == pytest.approx(grasp.force_n[-1], rel=0.2)
+    read = reader_under(PadKnowledge(foam=usual_foam(config)))
+    for answer in map(read, grasps):
+        assert answer is not None
+        assert 1e3 * answer.size_m == pytest.approx(9.5, abs=0.8)
+
+
+def test_a_gauge_keeps_the_law_of_the_config(tmp_path: Path) -> None:
+    config = linear_config()
+    path, gauge, drawings = (tmp_path / name for name in ("c.yaml", "g.npz", "d.npz"))
+    path.write_text(config_text(config), encoding="utf-8")
+    true = PadKnowledge(foam=replace(usual_foam(config), gain=0.85), **EXACT)
+    write_dataset(gauge, teach_drawing(config, "b", drawn_shape(BALL), 8, known=true))
+    facts = tmp_path / "f.json"
+    printed = call(
+        *("teach", "cube", "--shape", BOX, "-n", 3, "-o", drawings, "-c", path),
+        *("--gauge", gauge, "--gauge-shape", BALL, "--json", facts),
+    )
+    assert "linear up to 4.09 N a taxel" in printed
+    foam = json.loads(facts.read_text())["pads"]["foam"]
+    assert foam["full_scale_n"] == pytest.approx(4.095)
+    assert foam["gain"] == pytest.approx(0.85, abs=0.09)
+
+
+def test_names_taught_without_a_gauge_hold_on_another_foam() -> None:
+    config = CellConfig()
+    things = {"ball": BALL, "box": BOX, "cylinder": CYLINDER}
+    other = PadKnowledge(
+        foam=FoamModel(modulus_pa=215e3, spread_m=1.1e-3, densification=0.7, thickness_m=2.7e-3),
+        modulus_sd=1e-6,
+        gain_sd=1e-6,
+        spread_sd=1e-6,
+    )
+    taught, met = (
+        [
+            grasp
+            for number, (label, text) in enumerate(things.items())
+            for grasp in teach_drawing(
+                config, label, drawn_shape(text), n, known=known, seed=seed + number
+            )
+        ]
+        for n, known, seed in ((30, None, 0), (12, other, 100))
+    )
+    recognizer = make_trainer("force_ramp").fit(taught)
+    answers = [recognizer.posterior(grasp) for grasp in met]
+    labels = [answer.labels[int(np.argmax(answer.probability))] for answer in answers]
+    assert labels == [grasp.label for grasp in met]
+    assert sum(answer.unknown > 0.5 for answer in answers) <= 4
+
+
+def test_an_object_aslant_reaches_further_towards_one_pad() -> None:
+    config = CellConfig()
+    layout = layout_from_config(config.tactile)
+    beds = [PadBed(pad_array(layout), pad, 1.5e-3) for pad in layout.gripping_pads]
+    pose = Pose(x_m=1e-3)
+    flat = reaches_m(drawn_shape(BOX), pose, beds)
+    tilted = reaches_m(drawn_shape(BOX), pose, beds, np.array([0.02, 0.0]))
+    inside = np.isfinite(flat[0])
+    lever_m = np.broadcast_to(0.02 * (beds[0].x_m - 1e-3), inside.shape)[inside]
+    assert np.allclose(tilted[0][inside] - flat[0][inside], lever_m)
+    assert np.allclose(tilted[1][inside] - flat[1][inside], -lever_m)
+    assert np.array_equal(np.isfinite(tilted[1]), inside)
+
+
+def test_a_mesh_is_a_drawing(tmp_path: Path) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    mesh, drawings = tmp_path / "cube.stl", tmp_path / "d.npz"
+    trimesh.creation.box((8.0, 8.0, 8.0)).export(mesh)
+    call("teach", "cube", "--mesh", mesh, "-n", 3, "-o", drawings)
+    grasps = read_dataset(drawings)
+    assert len(grasps) == 3
+    assert grasps[0].shape == "mesh"
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (("--shape", "cone:height=3mm"), "unknown shape"),
+        (("--shape", BALL, "--mesh", "x.stl"), "two drawings"),
+        (("--mesh", "missing.stl"), "cannot be read"),
+        (("--shape", BALL, "--gauge-shape", BALL), "name its grasps with --gauge"),
+        (("--gauge", "g.npz"), "add --shape or --mesh"),
+        (("--shape", "sphere:diameter=30mm"), "open it further"),
+    ],
+)
+def test_wrong_drawings_are_refused(tmp_path: Path, options: tuple[str, ...], message: str) -> None:
+    assert message in refused("teach", "part", "-o", tmp_path / "d.npz", *options)
+    assert not (tmp_path / "d.npz").exists()
+
+
+@pytest.mark.parametrize("label", ["", " ball", "x" * 201, "a\nb", "\x1b[2J", "\udc80", "UNKNOWN"])
+def test_a_label_that_nothing_can_carry_is_refused_before_the_first_grasp(
+    tmp_path: Path, label: str
+) -> None:
+    path = tmp_path / "d.npz"
+    assert "label" in refused("teach", "--shape", BALL, "-n", 1, "-o", path, "--", label)
+    assert not path.exists()
+    with pytest.raises(ConfigError):
+        checked_goal({"task": "teach", "label": label})
+
+
+def test_grasps_that_stand_twice_are_noted(tmp_path: Path) -> None:
+    path, nearest = tmp_path / "d.npz", ("--recognizer", "force_ramp")
+    call("teach", "ball", "--shape", BALL, "-n", 3, "-o", path)
+    said = call("train", path, path, "-o", tmp_path / "m.npz", *nearest)
+    assert "NOTE: 3 of 6 grasps stand twice" in said
+    said = call("evaluate", path, "--train", path, "--fuse", "1", *nearest)
+    assert "NOTE: 3 grasps are tested that were taught" in said
+    assert "NOTE" not in call("train", path, "-o", tmp_path / "m.npz", *nearest)
+
+
+def test_an_object_beside_the_pads_is_refused() -> None:
+    config = CellConfig()
+    sequence = config.sequence.model_copy(update={"x_mm": (60.0, 61.0)})
+    with pytest.raises(CellError, match="beside the pads"):
+        teach_drawing(config.model_copy(update={"sequence": sequence}), "b", drawn_shape(BALL), 1)
+
+
+def test_what_a_gauge_must_be(taught: Any, make_grasp: Callable[..., Any]) -> None:
+    config, ball = taught.config, drawn_shape(BALL)
+    pads = taught.grasps[0].pads
+    with pytest.raises(CellError, match="a gauge is one object, these grasps are of ball, box"):
+        gauge_shape(taught.grasps, None, config)
+    with pytest.raises(CellError, match="a gauge is one object, these grasps are of ball, box"):
+        gauge_shape(taught.grasps, BALL, config)
+    wrong = calibrate_on_gauge([g for g in taught.grasps if g.label == "box"], ball, pads)
+    assert "is this the gauge's shape?" in str(wrong)
+    with pytest.raises(CellError, match="'thing' is not known: add --gauge-shape"):
+        gauge_shape([make_grasp("thing")], None, config)
+    with pytest.raises(ConfigError, match="unknown shape"):
+        gauge_shape([make_grasp("thing")], "thing", config)
+    with pytest.raises(CellError, match="on 24 taxels, this cell has 408"):
+        calibrate_on_gauge([make_grasp("thing")], ball, pads)
+    with pytest.raises(CellError, match="the gauge cannot be used"):
+        calibrate_on_gauge(taught.grasps[:1], ball, pads)
+
+
+def test_untouched_pads_have_no_shape(taught: Any) -> None:
+    grasp = taught.grasps[0]
+    still = replace(grasp, counts=np.repeat(grasp.counts[:1], grasp.n_frames, axis=0))
+    read = reader_under(PadKnowledge(foam=FoamModel()))
+    known = read(grasp)
+    assert read(still) is None
+    assert known is not None
+    assert known.kind == "sphere"
+
+
+def test_one_servo_moves_both_fingers_in_larger_steps() -> None:
+    config = CellConfig()
+    known = PadKnowledge(foam=FoamModel())
+    alone = config.gripper.model_copy(update={"servos": config.gripper.servos[:1]})
+    both_m = course_of(config, known).aperture_step_m
+    one_m = course_of(config.model_copy(update={"gripper": alone}), known).aperture_step_m
+    assert one_m == pytest.approx(2 * both_m)
+    assert both_m == pytest.approx(60e-3 * 2 * np.pi / 4096)

@@ -1,0 +1,228 @@
+"""Model files: what was learnt comes back; what is damaged, foreign or hostile is refused."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cell.errors import ModelError
+from cell.learning.model import layout_hash, load_model, save_model
+from recognition.grasp import Grasp, PadArray
+from recognition.recognizer import Posterior
+from recognition.recognizers.level_check import LevelCheckRecognizer, LevelCheckTrainer
+
+PADS = PadArray(
+    pad_shape=np.array([[8, 5], [8, 5]]),
+    taxel_pad=np.repeat([0, 1], 40),
+    taxel_xy_m=np.tile([(r * 3e-3, c * 3e-3) for r in range(8) for c in range(5)], (2, 1)),
+    adc_max=255,
+)
+
+
+def press(label: str, *, height: float, width_m: float, seed: int = 0) -> Grasp:
+    """Press a round thing in the middle of both pads, ever harder."""
+    rng = np.random.default_rng(seed)
+    away_m = np.linalg.norm(PADS.taxel_xy_m - PADS.taxel_xy_m.mean(axis=0), axis=1)
+    share = np.concatenate([np.zeros(6), np.linspace(0, 1, 30)])
+    print_ = np.maximum(0.0, 1 - (away_m / width_m) ** 2)
+    counts = height * share[:, None] * print_ + rng.integers(1, 4, (36, 80))
+    return Grasp(
+        pads=PADS,
+        counts=counts.astype(np.uint16),
+        t_s=np.arange(36) / 30,
+        aperture_m=np.linspace(0.03, 0.02, 36),
+        force_n=share * 8,
+        label=label,
+    )
+
+
+@pytest.fixture(scope="module")
+def taught() -> LevelCheckRecognizer:
+    return LevelCheckTrainer().fit(
+        [press("ball", height=90, width_m=8e-3, seed=s) for s in range(4)]
+        + [press("box", height=200, width_m=11e-3, seed=s) for s in range(4, 8)]
+    )
+
+
+@pytest.fixture(scope="module")
+def good(taught: LevelCheckRecognizer, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("model") / "model.npz"
+    save_model(path, taught, trainer_name="level_check", pads=PADS)
+    return path
+
+
+def test_loaded_model_answers_like_the_taught_one(taught: LevelCheckRecognizer, good: Path) -> None:
+    loaded = load_model(good, PADS)
+    assert loaded.labels == ("ball", "box")
+    assert loaded.trainer_name == "level_check"
+    assert loaded.pads.same_as(PADS)
+    for seed in range(20, 24):
+        grasp = press("?", height=90 + 20 * (seed - 20), width_m=9e-3, seed=seed)
+        was, now = taught.posterior(grasp), loaded.recognizer.posterior(grasp)
+        np.testing.assert_array_equal(now.probability, was.probability)
+        assert now.unknown == was.unknown
+
+
+def test_sections_come_back_and_are_built_or_refused(
+    taught: LevelCheckRecognizer, good: Path, tmp_path: Path
+) -> None:
+    path = tmp_path / "more.npz"
+    more = {"memory": {"a": np.arange(3), "b.c": np.ones(2)}, "other": {"a": np.zeros(1)}}
+    save_model(path, taught, trainer_name="level_check", pads=PADS, sections=more)
+    loaded = load_model(path, PADS)
+    assert loaded.section("memory", lambda arrays: arrays["b.c"].tolist()) == [1.0, 1.0]
+    assert loaded.section("none", dict) is None
+    assert load_model(good).section("memory", dict) is None
+    with pytest.raises(ModelError, match=r"more\.npz does not suit this program .*KeyError"):
+        loaded.section("other", lambda arrays: arrays["b.c"])
+    for name in ("learnt", "a.b"):
+        with pytest.raises(ValueError, match="no name of a section"):
+            save_model(path, taught, trainer_name="level_check", pads=PADS, sections={name: {}})
+
+
+def test_file_is_plain_arrays_and_json(good: Path) -> None:
+    with np.load(good, allow_pickle=False) as archive:
+        header = json.loads(str(archive["model"]))
+        assert all(archive[name].dtype.kind in "biufU" for name in archive.files)
+    assert header["format"] == "tactile-cell-model/1"
+    assert header["layout_hash"] == layout_hash(PADS)
+    assert len(header["sha256"]) == 64
+
+
+def other_pads(**changes: Any) -> PadArray:
+    values = {
+        "pad_shape": PADS.pad_shape,
+        "taxel_pad": PADS.taxel_pad,
+        "taxel_xy_m": PADS.taxel_xy_m,
+        "adc_max": PADS.adc_max,
+    }
+    return PadArray(**(values | changes))
+
+
+@pytest.mark.parametrize(
+    "pads",
+    [
+        other_pads(adc_max=4095),
+        other_pads(taxel_xy_m=PADS.taxel_xy_m * 1.1),
+        other_pads(pad_shape=PADS.pad_shape[:, ::-1]),
+        other_pads(taxel_pad=PADS.taxel_pad[::-1]),
+    ],
+)
+def test_model_of_other_pads_is_refused(pads: PadArray, good: Path) -> None:
+    assert layout_hash(pads) != layout_hash(PADS)
+    with pytest.raises(ModelError, match=r"was taught on 8x5 \+ 8x5 .*; teach again"):
+        load_model(good, pads)
+
+
+def rewrite(
+    good: Path, path: Path, change: Callable[[dict[str, Any], dict[str, NDArray[Any]]], Any]
+) -> None:
+    """Change header and arrays of a model, leaving its checksum as it was."""
+    with np.load(good, allow_pickle=False) as archive:
+        arrays = {name: archive[name] for name in archive.files}
+    header = json.loads(str(arrays.pop("model")))
+    change(header, arrays)
+    np.savez(path, model=np.array(json.dumps(header)), **arrays)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        (lambda h, _: h.update(format="tactile-cell-model/2"), "not of the format"),
+        (lambda h, _: h.update(trainer="os"), "there are force_ramp"),
+        (lambda h, _: h.update({"class": "np"}), "no recogniser named 'np'"),
+        (lambda h, _: h.update({"class": "Posterior"}), "no recogniser named"),
+        (lambda h, _: h.update(labels=["ball", "egg"]), "names other labels"),
+        (lambda h, _: h.update(layout_hash="0" * 16), "layout hash"),
+        (lambda _, a: a.update({"learnt.mean": a["learnt.mean"] + 1}), "checksum"),
+        (lambda _, a: a.pop("learnt.mean"), "checksum"),
+    ],
+)
+def test_changed_model_is_refused(
+    change: Callable[..., Any], says: str, good: Path, tmp_path: Path
+) -> None:
+    rewrite(good, tmp_path / "m.npz", change)
+    with pytest.raises(ModelError, match=says):
+        load_model(tmp_path / "m.npz")
+
+
+@pytest.mark.parametrize(
+    "change", [{"level_check_version": np.array(99)}, {"mean": None}, {"mean": np.array("x")}]
+)
+def test_model_of_another_version_is_refused(
+    change: dict[str, Any],
+    taught: LevelCheckRecognizer,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    arrays = {n: a for n, a in (taught.to_arrays() | change).items() if a is not None}
+    monkeypatch.setattr(LevelCheckRecognizer, "to_arrays", lambda _self: arrays)
+    save_model(tmp_path / "m.npz", taught, trainer_name="level_check", pads=PADS)
+    with pytest.raises(ModelError, match=r"does not suit this program.*train it again"):
+        load_model(tmp_path / "m.npz")
+
+
+def test_damaged_pads_are_refused(
+    taught: LevelCheckRecognizer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    save_model(tmp_path / "m.npz", taught, trainer_name="level_check", pads=PADS)
+    monkeypatch.setattr("cell.learning.model._PADS", "elsewhere.")
+    with pytest.raises(ModelError, match="pads cannot be read"):
+        load_model(tmp_path / "m.npz")
+
+
+class Bomb:
+    exploded = False
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return setattr, (Bomb, "exploded", True)
+
+
+@pytest.mark.parametrize(
+    ("arrays", "says"),
+    [
+        ({"model": np.array([Bomb()], dtype=object)}, "no pickled objects"),
+        ({"counts": np.zeros(3)}, "it has no header; train a model first"),
+        ({"model": np.zeros(3)}, "it has no header"),
+        ({"model": np.array("{")}, "no JSON"),
+        ({"model": np.array("[" * 100_000)}, "no JSON"),
+        ({"model": np.array("[1]")}, "not of the format"),
+    ],
+)
+def test_what_is_no_model_is_refused_and_never_run(
+    arrays: dict[str, NDArray[Any]], says: str, tmp_path: Path
+) -> None:
+    np.savez(tmp_path / "m.npz", **arrays)  # type: ignore[arg-type]
+    with pytest.raises(ModelError, match=says):
+        load_model(tmp_path / "m.npz")
+    assert not Bomb.exploded
+
+
+def test_recogniser_of_unknown_kind_is_not_written(
+    taught: LevelCheckRecognizer, tmp_path: Path
+) -> None:
+    class Guess:
+        labels = ("ball",)
+
+        def posterior(self, grasp: Grasp) -> Posterior:
+            raise NotImplementedError
+
+        def to_arrays(self) -> dict[str, NDArray[Any]]:
+            raise NotImplementedError
+
+        @classmethod
+        def from_arrays(cls, arrays: Any) -> "Guess":
+            raise NotImplementedError
+
+    for recognizer, name, says in (
+        (taught, "magic", "there are force_ramp"),
+        (taught, "shrinkage_lda", "has no recogniser named"),
+        (Guess(), "level_check", "has no recogniser named 'Guess'"),
+    ):
+        with pytest.raises(ModelError, match=says):
+            save_model(tmp_path / "m.npz", recognizer, trainer_name=name, pads=PADS)
+    assert not list(tmp_path.iterdir())

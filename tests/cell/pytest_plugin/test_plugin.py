@@ -1,0 +1,163 @@
+"""The plugin as pytest sees it: options, docs, failures, and what it costs others."""
+
+import re
+import subprocess
+import sys
+from importlib.metadata import entry_points
+from pathlib import Path
+
+import pytest
+
+# In-process runs of pytester forget what they import; numpy does not bear being imported twice.
+import cell.build
+import cell.pytest_plugin.bench
+import cell.pytest_plugin.process
+import cell.pytest_plugin.virtual  # noqa: F401
+
+FIXTURES = (
+    "cell_config",
+    "simulated_cell",
+    "servo_bus",
+    "servo_stream",
+    "servo_clock",
+    "can_bus",
+    "can_clock",
+    "cell_process",
+    "inject_fault",
+)
+HEAVY = ("numpy", "scipy", "pydantic", "can", "canopen", "serial", "simulator", "gripper", "rich")
+
+
+def run(pytester: pytest.Pytester, *arguments: str) -> pytest.RunResult:
+    # Each run would import hypothesis anew, which takes longer than the run.
+    quick = ("-p", "no:cacheprovider", "-p", "no:xdist", "-p", "no:hypothesispytest")
+    return pytester.runpytest_inprocess(*quick, *arguments)
+
+
+def test_pytest_finds_the_plugin_and_pays_nothing_for_it() -> None:
+    (entry,) = entry_points(group="pytest11", name="tactile_cell")
+    assert entry.value == "cell.pytest_plugin"
+    code = f"import sys, {entry.value}; print([n for n in {HEAVY} if n in sys.modules])"
+    found = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60
+    )
+    assert found.stdout.strip() == "[]"
+
+
+def test_fixtures_and_options_say_what_they_are(pytester: pytest.Pytester) -> None:
+    fixtures = run(pytester, "--fixtures", "-v").stdout.str()
+    for name in FIXTURES:
+        _, _, text = fixtures.partition(f"\n{name} -- ")
+        assert len(text.split("\n\n")[0].split("\n", 1)[1].strip()) > 60, name
+    options = run(pytester, "--help").stdout.str()
+    for name in ("--cell-config", "--servo-port", "--can-interface", "--allow-motion"):
+        assert name in options
+    assert "cell_config (string):" in options
+
+
+def test_the_ini_option_names_the_config_and_the_command_line_overrules(
+    pytester: pytest.Pytester,
+) -> None:
+    pytester.makeini("[pytest]\ncell_config = cells/a.yaml")
+    folder = pytester.mkdir("cells")
+    (folder / "a.yaml").write_text(
+        "name: a\ngripper: {servos: [{id: 7, direction: -1}, {id: 8}]}\n"
+    )
+    (folder / "b.yaml").write_text("name: b\n")
+    pytester.makepyfile(
+        """
+        def test_name(cell_config, request):
+            servos = [(s.id, s.direction) for s in cell_config.gripper.servos]
+            print("FOUND", cell_config.name, servos, cell_config.gripper.baud_rate,
+                  cell_config.tactile.node_id, cell_config.tactile.bitrate)
+        """
+    )
+    result = run(pytester, "-s")
+    result.stdout.fnmatch_lines(["*FOUND a [[](7, -1), (8, 1)[]] 1000000 5 1000000"])
+    options = ("--servo-ids", "9,7", "--servo-baud-rate", "57600", "--node-id", "12")
+    result = run(pytester, "-s", *options, "--can-bitrate", "500000")
+    result.stdout.fnmatch_lines(["*FOUND a [[](9, 1), (7, -1)[]] 57600 12 500000"])
+    result = run(pytester, "-s", "--cell-config", "cells/b.yaml")
+    result.stdout.fnmatch_lines(["*FOUND b *"])
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--servo-ids", "1,x"), "*'1,x' is no list of servo IDs from 0 to 252*"),
+        (("--servo-ids", "253"), "*'253' is no list of servo IDs from 0 to 252*"),
+        (("--can-interface", "slcan"), "*--can-interface and --can-channel go together*"),
+        (("--can-channel", "can0"), "*--can-interface and --can-channel go together*"),
+    ],
+)
+def test_options_that_make_no_sense_are_refused(
+    pytester: pytest.Pytester, arguments: tuple[str, ...], message: str
+) -> None:
+    result = run(pytester, *arguments)
+    assert result.ret == pytest.ExitCode.USAGE_ERROR
+    result.stderr.fnmatch_lines([message])
+
+
+def test_a_wrong_config_is_named_without_a_traceback(pytester: pytest.Pytester) -> None:
+    (pytester.path / "cell.yaml").write_text("gripper: {forse_max_n: 9}\n")
+    pytester.makepyfile("def test_it(simulated_cell): pass")
+    result = run(pytester, "--cell-config", "cell.yaml")
+    result.assert_outcomes(errors=1)
+    result.stdout.fnmatch_lines(["cell.yaml:1:*gripper.forse_max_n: unknown key*"])
+    assert "exception" not in result.stdout.str()
+
+
+def test_hardware_is_named_in_the_header_and_takes_no_faults(pytester: pytest.Pytester) -> None:
+    pytester.makepyfile(
+        """
+        def test_gone(servo_bus): pass
+        def test_nothing_there(can_bus): pass
+        def test_fault(can_bus, inject_fault): inject_fault("can.loss=0.5")
+        """
+    )
+    virtual = ("--can-interface", "virtual", "--can-channel", "x")
+    result = run(pytester, *virtual, "--servo-port", "/dev/not-there")
+    result.assert_outcomes(passed=1, failed=1, errors=1)
+    result.stdout.fnmatch_lines(
+        [
+            "tactile-cell: REAL HARDWARE: servos at /dev/not-there, control unit at virtual x; "
+            "servos must not move (no --allow-motion)",
+            "*PortLost*/dev/not-there*",
+            "fault 'can.loss=0.5' refused: this test runs on hardware (control unit at virtual x)*",
+        ]
+    )
+    assert "REAL HARDWARE" not in run(pytester, "--collect-only").stdout.str()
+
+
+def test_faults_end_with_the_test_whatever_the_order_of_fixtures(
+    pytester: pytest.Pytester,
+) -> None:
+    pytester.makepyfile(
+        """
+        faults = []
+
+        def test_first(inject_fault, simulated_cell):
+            simulated_cell()
+            faults.append(inject_fault("can.loss=0.5"))
+            faults.append(inject_fault("servo1.off@5s"))
+
+        def test_second(cell_bench, inject_fault):
+            cell_bench.simulated
+            faults.append(inject_fault("servo2.off"))
+            assert 0, "fails with a fault in place"
+
+        def test_all_are_over():
+            assert len(faults) == 3 and all(fault.over for fault in faults)
+        """
+    )
+    run(pytester).assert_outcomes(passed=2, failed=1)
+
+
+def test_what_the_docs_show_works(pytester: pytest.Pytester) -> None:
+    page = (Path(__file__).parents[3] / "docs" / "how-to" / "test-your-cell.md").read_text()
+    (code,) = re.findall(r"```python\n(.*?)```", page, flags=re.DOTALL)
+    (mark,) = re.findall(r"`(pytest\.mark\.skipif\(.*?\))`", page)
+    pytester.makepyfile(f"{code}\n\n@{mark}\ndef test_of_the_simulator(): pass\n")
+    run(pytester).assert_outcomes(passed=2)
+    result = run(pytester, "--servo-port", "/dev/not-there", "-k", "of_the_simulator")
+    result.assert_outcomes(skipped=1, deselected=1)

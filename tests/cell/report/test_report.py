@@ -1,0 +1,710 @@
+"""The report page: complete, self-contained, small, and never interpreting what it shows."""
+
+import math
+import re
+import sys
+from dataclasses import fields, replace
+from html.parser import HTMLParser
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from cell.errors import ReportError
+from cell.report.build import (
+    facts,
+    frame_health,
+    identify_steps,
+    link_health,
+    loop_health,
+    pad_views,
+    paper_table,
+    pressure_levels,
+    servo_health,
+    timeline,
+    windows,
+)
+from cell.report.data import (
+    ConfusionTable,
+    ExampleGrasp,
+    FileEntry,
+    GraspTimeline,
+    HealthGroup,
+    IdentifySequence,
+    KeyFigure,
+    ObjectTrajectory,
+    PadView,
+    PressureLevel,
+    ReportData,
+    ShapeRow,
+    Trajectories,
+)
+from cell.report.pad_pictures import level_pictures
+from cell.report.page import (
+    label_order,
+    render_report,
+    sequence_view,
+    trajectories_view,
+    write_report,
+)
+from cell.report.shapes import MAX_BARS, shapes_view
+from gripper.dynamixel.transactions import BusStatistics
+from gripper.force.timing import LoopStatistics
+from gripper.state import Cycle, ForceSample, GripperPhase, GripperState
+from recognition.grasp import Grasp, PadArray
+from recognition.quadric.thresholds import find_thresholds
+from recognition.quadric.trajectory import sweep
+from recognition.recognizer import UNKNOWN, Posterior
+from recognition.shape.answer import ShapeAnswer, Thickness
+from tactile.frames.assembler import FrameStatistics
+from tactile.layout import paper_layout
+from tactile.unit.settings import LinkStatistics
+
+LABELS = ("ball", "box", "cylinder", "dumbbell", "oval")
+LAYOUT = paper_layout()
+PADS = PadArray(
+    pad_shape=LAYOUT.pad_shape,
+    taxel_pad=LAYOUT.taxel_pad,
+    taxel_xy_m=LAYOUT.taxel_xy_m,
+    adc_max=LAYOUT.adc_max,
+)
+SIZE_M = {  # half extents along and across the finger, sharpness of the edge
+    "ball": (6e-3, 6e-3, 2),
+    "box": (8e-3, 5e-3, 8),
+    "cylinder": (10e-3, 3.5e-3, 2),
+    "dumbbell": (7e-3, 5e-3, 2),
+    "oval": (8e-3, 7e-3, 2),
+}
+
+
+def felt(label: str, share: float, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Make up the counts of all taxels at a share of the full force."""
+    along_m, across_m, edge = SIZE_M[label]
+    x_m, y_m = PADS.taxel_xy_m.T - np.array([[3e-3], [1e-3]])
+    away = np.abs(x_m / along_m) ** edge + np.abs(y_m / across_m) ** edge
+    height = np.maximum(0.0, 1 - away / (0.3 + share)) * 210 * share**0.7
+    if label == "dumbbell":
+        height *= 0.35 + 0.65 * np.clip(np.abs(x_m) / 4e-3, 0, 1)
+    gripping = np.isin(PADS.taxel_pad, LAYOUT.gripping_pads)
+    noise = np.clip(np.abs(rng.normal(0, 10, PADS.n_taxels)), 1, 20)
+    return np.round(height * gripping + noise)
+
+
+def make_grasp(label: str, seed: int) -> Grasp:
+    rng = np.random.default_rng(seed)
+    force_n = np.concatenate([np.zeros(10), np.repeat([2.0, 4.0, 6.0, 8.0], 16)])
+    return Grasp(
+        pads=PADS,
+        counts=np.stack([felt(label, f / 8, rng) for f in force_n]),
+        t_s=np.arange(len(force_n)) * 0.02,
+        aperture_m=np.linspace(0.030, 0.012, len(force_n)),
+        force_n=force_n,
+        label=label,
+    )
+
+
+def make_timeline(seed: int) -> GraspTimeline:
+    rng = np.random.default_rng(seed)
+    t_s = np.arange(340) * 0.005
+    setpoint_n = np.clip(np.floor((t_s - 0.3) / 0.32) * 2 + 2, 0, 8) * (t_s > 0.3)
+    force_n = setpoint_n.copy()
+    for i in range(1, len(t_s)):
+        force_n[i] = force_n[i - 1] + 0.12 * (setpoint_n[i] - force_n[i - 1])
+    both = np.stack([force_n, force_n], axis=1) + rng.normal(0, 0.08, (len(t_s), 2))
+    return GraspTimeline(
+        t_s=t_s,
+        force_n=np.where(t_s[:, None] < 0.02, np.nan, both),
+        setpoint_n=setpoint_n,
+        goal_current_a=0.05 + force_n * 0.04 + rng.normal(0, 0.002, len(t_s)),
+        aperture_m=np.where(t_s < 0.3, 0.03 - 0.055 * t_s, 0.0135 - 0.0002 * force_n),
+        contact_t_s=0.3,
+    )
+
+
+def make_posterior(truth: str, sureness: float, unknown: float = 0.01) -> Posterior:
+    p = np.full(len(LABELS), (1 - sureness) / (len(LABELS) - 1))
+    p[LABELS.index(truth)] = sureness
+    return Posterior(labels=LABELS, probability=p, unknown=unknown)
+
+
+def make_sequences(n_each: int = 4) -> tuple[IdentifySequence, ...]:
+    rng = np.random.default_rng(5)
+    sequences = []
+    for truth in LABELS:
+        for repeat in range(n_each):
+            seen = "ball" if (truth, repeat) == ("cylinder", 2) else truth
+            grasps = [
+                make_posterior(seen, float(rng.uniform(0.4, 0.97)), float(rng.uniform(0, 0.1)))
+                for _ in range(1 + int(rng.integers(0, 4)))
+            ]
+            notes = [f"grasp {i + 1}: x +{i}.0 mm, 6.0 N" for i in range(len(grasps))]
+            steps = identify_steps(grasps, notes)
+            answer = UNKNOWN if (truth, repeat) == ("oval", 3) else seen
+            sequences.append(
+                IdentifySequence(
+                    truth=truth,
+                    answer=answer,
+                    steps=steps,
+                )
+            )
+    return tuple(sequences)
+
+
+def make_trajectories() -> Trajectories:
+    peaks = np.array([105.0, 150.0, 112.0, 128.0, 182.0])
+    matrices = np.zeros((5, 4, 4))
+    matrices[:, 0, 0], matrices[:, 1, 1] = -peaks / 30, -peaks / 12
+    matrices[:, 2, 3] = matrices[:, 3, 2] = -0.5
+    matrices[:, 3, 3] = peaks
+    swept = sweep(matrices)
+    force_n = np.linspace(1, 8, 15)
+    bands = [np.array([0.25 / p * 0.94, 0.25 / p * 1.05]) for p in peaks]
+    bands[2] = bands[0] * 0.97
+    levels = find_thresholds(bands)
+    return Trajectories(
+        objects=tuple(
+            ObjectTrajectory(
+                label=label,
+                sweep=swept.value[i],
+                ramp_force_n=force_n,
+                ramp_value=0.25 / (peaks[i] * (force_n / 8) ** 0.7),
+                low=float(levels.low[i]),
+                high=float(levels.high[i]),
+            )
+            for i, label in enumerate(LABELS)
+        ),
+        windows=windows(levels, LABELS),
+        caption="Levels are taken at 8 N.",
+    )
+
+
+def make_confusions() -> tuple[ConfusionTable, ...]:
+    sure = np.zeros((5, 6), dtype=int)
+    np.fill_diagonal(sure, 10)
+    sure[4, 4:] = (9, 1)
+    check = np.zeros((5, 6), dtype=int)
+    np.fill_diagonal(check, [6, 8, 5, 6, 9])
+    check[0, 2], check[2, 0], check[1, 3], check[3, 1], check[4, 5] = 4, 5, 2, 4, 1
+    return (
+        ConfusionTable(
+            name="force_ramp, up to 5 grasps",
+            labels=LABELS,
+            columns=(*LABELS, UNKNOWN),
+            counts=sure,
+            caption="This cell: other positions, rotations and forces than taught",
+        ),
+        ConfusionTable(
+            name="level_check, one grasp",
+            labels=LABELS,
+            columns=(*LABELS, UNKNOWN),
+            counts=check,
+            caption="The paper's classifier on the same first grasps",
+        ),
+        paper_table(),
+    )
+
+
+def demo() -> ReportData:
+    return ReportData(
+        title="Five small objects, taught and told apart",
+        subtitle="simulated cell, virtual time",
+        created="2026-11-20 03:40 UTC",
+        key_figures=(
+            KeyFigure(value="98.0 %", caption="named rightly", note="49 of 50; 89.5 to 99.6 %"),
+            KeyFigure(value="96.0 %", caption="the paper's Table 1", note="48 of 50"),
+            KeyFigure(value="2.3", caption="grasps a decision", note="at most 5"),
+            KeyFigure(value="41 s", caption="teaching and 50 trials", note="4 min of cell time"),
+        ),
+        facts=facts(
+            {
+                "Servos": "2 x XM430-W350, ids 1 and 2, current-based position mode",
+                "Linkage": "rack and pinion, radius 12 mm",
+                "Tactile sensor": "408 taxels, 8 bit, 50 frames a second",
+                "Forces": "2 to 8 N, cap 50 N",
+                "Noise": "clipped normal, 8 % of full scale",
+                "Seed": 1,
+                "Nothing": None,
+            }
+        ),
+        examples=tuple(
+            ExampleGrasp(
+                label=label,
+                pads=PADS,
+                pad_views=pad_views(LAYOUT),
+                levels=pressure_levels(make_grasp(label, i)),
+                timeline=make_timeline(i),
+                note="x +3.0 mm, y +1.0 mm, rotation 12 deg",
+            )
+            for i, label in enumerate(LABELS)
+        ),
+        trajectories=make_trajectories(),
+        sequences=make_sequences(),
+        shapes=(ShapeRow(truth="ball", answer="ball", shape=shape("sphere", 9.5)),),
+        confusions=make_confusions(),
+        health=(
+            frame_health(FrameStatistics(complete=12_211, lost=3)),
+            servo_health(BusStatistics(transactions=91_344, retries=2, timeouts=2)),
+            loop_health(LoopStatistics(cycles=45_000, worst_lateness_s=4.4e-4), 0.005),
+        ),
+        files=(
+            FileEntry(name="Recording", path="out/2026-11-20/run.mcap", note="7.4 MB, complete"),
+            FileEntry(name="Data set", path="out/2026-11-20/taught.npz"),
+        ),
+        notes=("Poses and forces of the trials were not among the taught ones.",),
+    )
+
+
+class Outline(HTMLParser):
+    """Collects what a page is made of, and checks that its tags are balanced."""
+
+    VOID = frozenset({"meta", "br", "link", "img", "input"})
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.tags: list[str] = []
+        self.ids: list[str] = []
+        self.references: list[str] = []
+        self.text: list[str] = []
+        self._open: list[str] = []
+        self.feed(page)
+        self.close()
+        assert not self._open
+
+    def handle_starttag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        self.tags.append(tag)
+        for name, value in attributes:
+            assert not name.startswith("on"), "no script may hide in an attribute"
+            if name == "id":
+                self.ids.append(str(value))
+            if name in {"src", "href", "xlink:href"}:
+                self.references.append(str(value))
+        if tag not in self.VOID:
+            self._open.append(tag)
+
+    def handle_startendtag(self, tag: str, attributes: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attributes)
+        if tag not in self.VOID:
+            self._open.pop()
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self._open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text.append(data)
+
+
+@pytest.fixture(scope="module")
+def demo_page(tmp_path_factory: pytest.TempPathFactory) -> str:
+    path = tmp_path_factory.mktemp("report") / "report.html"
+    write_report(path, demo())
+    return path.read_text("utf-8")
+
+
+def test_page_is_small(demo_page: str) -> None:
+    assert len(demo_page.encode()) < 3_000_000
+
+
+def test_page_needs_nothing_but_itself(demo_page: str) -> None:
+    outline = Outline(demo_page)
+    assert not {"script", "link", "img", "iframe", "object"} & set(outline.tags)
+    assert all(reference.startswith("#") for reference in outline.references)
+    assert {reference[1:] for reference in outline.references} <= set(outline.ids)
+    assert len(set(outline.ids)) == len(outline.ids)
+    assert "default-src 'none'" in demo_page
+    outside = set(re.findall(r"https?://[^\s\"'<]+", demo_page))
+    assert outside <= {"http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"}
+
+
+def test_page_shows_every_part(demo_page: str) -> None:
+    page, data = demo_page, demo()
+    text = " ".join("".join(Outline(page).text).split())
+    for part in ("result", "sequences", "examples", "trajectories", "health", "cell", "notes"):
+        assert f'<section id="{part}">' in page
+    for words in (
+        data.title, data.subtitle, data.created, "98.0 %", "rack and pinion", "8.0 N",
+        "Paper, Table 1", "48 of 50 right", "49 of 50 right", "out/2026-11-20/run.mcap",
+        "7.4 MB", "named ball", "set-point", "goal current / mA", "opening / mm", "closed",
+        "The other 8 pads were not touched.", "91,344", *LABELS,
+    ):  # fmt: skip
+        assert words in text, words
+    assert "Nothing" not in text
+    assert page.count('class="card example"') == 5
+    assert page.count('class="pad"') == 5 * 4 * 2
+    assert page.count('class="plot"') == 5 + 2
+
+
+def test_paper_table_is_that_of_the_paper() -> None:
+    table = paper_table()
+    at = {label: place for place, label in enumerate(table.labels)}
+    assert table.counts.sum() == 50
+    assert np.trace(table.counts) == 48
+    assert table.counts[at["cylinder"], at["ball"]] == table.counts[at["ball"], at["cylinder"]] == 1
+
+
+def test_tables_give_wilson_intervals(demo_page: str) -> None:
+    text = " ".join("".join(Outline(demo_page).text).split())
+    assert "90.0 %59.6 to 98.2" in text  # 9 of 10
+    assert "96.0 %86.5 to 98.9" in text  # 48 of 50
+    assert "100.0 %72.2 to 100.0" in text  # 10 of 10
+
+
+@pytest.mark.parametrize(
+    "part",
+    [field.name for field in fields(ReportData) if field.name not in {"title", "created"}],
+)
+def test_every_part_is_optional(part: str) -> None:
+    bare = ReportData(title="Nothing yet", created="now")
+    Outline(render_report(bare))
+    alone = replace(bare, **{part: getattr(small_demo(), part)})
+    outline = Outline(render_report(alone))
+    assert outline.tags.count("section") == (part not in {"subtitle", "key_figures"})
+
+
+def small_demo() -> ReportData:
+    full = demo()
+    return replace(full, examples=full.examples[:1], sequences=full.sequences[:2])
+
+
+NASTY = "<script>alert('x')</script>&\"$\\frac{1}{2}$ #010110 id=\""
+
+
+def test_labels_and_paths_are_shown_not_interpreted() -> None:
+    p = Posterior(labels=(NASTY, "b"), probability=np.array([0.7, 0.3]), unknown=0.1)
+    data = ReportData(
+        title=NASTY,
+        created=NASTY,
+        subtitle=NASTY,
+        key_figures=(KeyFigure(value=NASTY, caption=NASTY, note=NASTY),),
+        facts=((NASTY, NASTY),),
+        examples=(
+            ExampleGrasp(
+                label=NASTY,
+                pads=PADS,
+                pad_views=tuple(
+                    PadView(name=NASTY, finger=0, gripping=i % 2 == 0) for i in range(PADS.n_pads)
+                ),
+                levels=(PressureLevel(caption=NASTY, counts=np.zeros(PADS.n_taxels)),),
+                note=NASTY,
+            ),
+        ),
+        trajectories=Trajectories(
+            objects=(
+                ObjectTrajectory(
+                    label=NASTY,
+                    sweep=np.array([1.0, -2.0, np.nan]),
+                    ramp_force_n=np.array([1.0]),
+                    ramp_value=np.array([-1.0]),
+                    low=math.nan,
+                    high=math.nan,
+                ),
+            ),
+            caption=NASTY,
+        ),
+        sequences=(IdentifySequence(truth=None, answer=NASTY, steps=identify_steps([p], [NASTY])),),
+        confusions=(
+            ConfusionTable(
+                name=NASTY, labels=(NASTY,), columns=(NASTY,), counts=np.array([[0]]), caption=NASTY
+            ),
+        ),
+        health=(HealthGroup(title=NASTY, rows=()),),
+        files=(FileEntry(name=NASTY, path=NASTY, note=NASTY),),
+        notes=(NASTY,),
+    )
+    outline = Outline(render_report(data))
+    assert "script" not in outline.tags
+    assert sum(NASTY in text for text in outline.text) >= 14
+
+
+def test_pictures_are_well_formed(demo_page: str) -> None:
+    pictures = re.findall(r"<svg.*?</svg>", demo_page, flags=re.DOTALL)
+    assert len(pictures) == 47
+    for picture in pictures:
+        ElementTree.fromstring(picture)
+    assert "#0101" not in demo_page
+
+
+def test_same_data_give_the_same_page() -> None:
+    assert render_report(small_demo()) == render_report(small_demo())
+
+
+def test_darker_shade_means_more_pressure() -> None:
+    counts = np.zeros(PADS.n_taxels)
+    counts[:4] = (0.0, 50.0, 130.0, 255.0)
+    level = PressureLevel(caption="1 N", counts=counts)
+    views = pad_views(LAYOUT)
+    pictures = level_pictures(
+        ExampleGrasp(label="x", pads=PADS, pad_views=views, levels=(level,)), level
+    )
+    first = ElementTree.fromstring(pictures.gripping[0].svg)
+    rects = {path.get("class"): str(path.get("d")).count("z") for path in first}
+    assert rects == {"s0": 61, "s3": 1, "s7": 1, "s12": 1}
+    assert first.get("viewBox") == "0 0 55 20"
+    assert (pictures.gripping[0].touched, pictures.gripping[1].touched) == (True, False)
+    assert len(pictures.untouched) == 8
+
+
+def test_touched_side_of_the_finger_is_drawn_small() -> None:
+    counts = np.zeros(PADS.n_taxels)
+    counts[PADS.taxels_of(2)[3]] = 80.0
+    level = PressureLevel(caption="1 N", counts=counts)
+    example = ExampleGrasp(label="x", pads=PADS, pad_views=pad_views(LAYOUT), levels=(level,))
+    page = render_report(ReportData(title="t", created="c", examples=(example,)))
+    assert "finger0.side_a, 1 N" in page
+    assert "Not touched: finger0.outer, finger0.side_b," in page
+    assert page.count('class="pad"') == 3
+
+
+def test_levels_are_picked_by_force_or_else_by_load() -> None:
+    grasp = make_grasp("ball", 0)
+    levels = pressure_levels(grasp)
+    assert [level.caption for level in levels] == ["2.0 N", "4.0 N", "6.0 N", "8.0 N"]
+    np.testing.assert_allclose(levels[-1].counts, grasp.counts[-5:].mean(axis=0))
+    blind = replace(grasp, force_n=np.full(grasp.n_frames, np.nan))
+    levels = pressure_levels(blind, n_levels=2, n_frames=1)
+    assert [level.caption for level in levels] == ["50% of the load", "100% of the load"]
+    heaviest = int(np.argmax(grasp.counts.sum(axis=1)))
+    np.testing.assert_array_equal(levels[-1].counts, grasp.counts[heaviest])
+
+
+def test_pads_of_a_data_set_are_all_shown_large() -> None:
+    pads = PadArray(
+        pad_shape=np.array([[13, 6], [13, 6]]),
+        taxel_pad=np.repeat([0, 1], 78),
+        taxel_xy_m=np.tile([(r * 3.4e-3, c * 3.4e-3) for r in range(13) for c in range(6)], (2, 1)),
+        adc_max=4095,
+    )
+    views = tuple(PadView(name=f"pad {i}", finger=i, gripping=True) for i in (0, 1))
+    level = PressureLevel(caption="all", counts=np.ones(156))
+    example = ExampleGrasp(label="mug", pads=pads, pad_views=views, levels=(level,))
+    page = render_report(ReportData(title="t", created="c", examples=(example,)))
+    assert 'viewBox="0 0 44.2 20.4"' in page
+    assert "counts of 4095" in page
+
+
+def test_every_plot_colours_an_object_as_the_legend_does() -> None:
+    full = demo()
+    assert full.trajectories is not None
+    shuffled = tuple(sorted(full.trajectories.objects, key=lambda item: item.label[::-1]))
+    data = replace(full, trajectories=replace(full.trajectories, objects=shuffled))
+    labels = [item.label for item in shuffled]
+    colours = {label: place for place, label in enumerate(label_order(data))}
+    assert labels != sorted(labels, key=colours.__getitem__)
+    view = trajectories_view(data, colours)
+    assert view is not None
+    # Each object is one line of the sweep, in the order of the trajectories.
+    lines = re.findall(r"fill: none; stroke: var\(--c(\d)\)", view["sweep"])
+    assert [int(number) for number in lines] == [colours[label] for label in labels]
+    ramps = re.findall(r"fill: none; stroke: var\(--c(\d)\); stroke-width: 1.2", view["levels"])
+    assert [int(number) for number in ramps] == [colours[label] for label in labels]
+
+
+def test_the_figure_of_a_card_is_the_share_of_its_bar() -> None:
+    p = Posterior(labels=("ball", "cylinder"), probability=np.array([0.001, 0.999]), unknown=0.23)
+    steps = identify_steps([p])
+    for answer in ("cylinder", UNKNOWN):
+        sequence = IdentifySequence(truth=None, answer=answer, steps=steps)
+        view = sequence_view(sequence, {"ball": 0, "cylinder": 1})
+        bar = {part["label"]: part for part in view["steps"][0]["fused"]}
+        assert sum(float(part["share"]) for part in bar.values()) == pytest.approx(100.0)
+        assert view["probability"] == bar[answer]["text"]
+    assert bar["cylinder"]["text"] == "77 %"
+
+
+def test_many_labels_make_a_dense_table_and_few_sequences() -> None:
+    labels = tuple(f"object {i}" for i in range(36))
+    table = ConfusionTable(
+        name="all", labels=labels, columns=(*labels, UNKNOWN), counts=np.eye(36, 37, dtype=int)
+    )
+    p = Posterior(labels=labels, probability=np.full(36, 1 / 36), unknown=0.0)
+    sequence = IdentifySequence(truth=labels[0], answer=labels[1], steps=identify_steps([p]))
+    page = render_report(
+        ReportData(title="t", created="c", confusions=(table,), sequences=(sequence,) * 100)
+    )
+    assert 'class="confusion dense"' in page
+    assert page.count("card sequence wrong") == 80
+    assert "20 more are not drawn" in page
+    assert f'<th scope="col">{UNKNOWN}</th>' not in page  # nobody was named so
+
+
+def test_health_marks_what_is_wrong() -> None:
+    def states(group: HealthGroup) -> dict[str, str]:
+        return {row.name: row.state for row in group.rows}
+
+    good = states(frame_health(FrameStatistics(complete=1000)))
+    assert set(good.values()) == {"ok"}
+    some = states(frame_health(FrameStatistics(complete=1000, lost=1, corrupt=1)))
+    assert (some["lost"], some["corrupt"], some["torn"]) == ("warn", "bad", "ok")
+    assert states(frame_health(FrameStatistics(complete=100, lost=10)))["lost"] == "bad"
+    assert states(frame_health(FrameStatistics()))["whole frames"] == "bad"
+    bus = states(servo_health(BusStatistics(transactions=1000, retries=1, timeouts=20)))
+    assert (bus["transactions"], bus["retries"], bus["time-outs"]) == ("ok", "warn", "bad")
+    loop = loop_health(LoopStatistics(cycles=1000, late=2, worst_lateness_s=0.011), 0.005)
+    assert states(loop) == {
+        "periods": "plain", "late": "warn", "overruns": "ok", "without feedback": "ok",
+        "worst lateness": "bad", "reading the servos": "plain", "oldest force used": "plain",
+    }  # fmt: skip
+    assert states(loop_health(LoopStatistics(cycles=10, late=1), 0.005))["late"] == "bad"
+    assert (
+        states(loop_health(LoopStatistics(worst_lateness_s=0.004), 0.005))["worst lateness"]
+        == "warn"
+    )
+    link = LinkStatistics(
+        frames=FrameStatistics(complete=10), recent_loss_rate=0.0, syncs=10, late_syncs=1,
+        foreign=3, malformed=0, error_frames=11,
+    )  # fmt: skip
+    marks = states(link_health(link))
+    assert (marks["late SYNC"], marks["malformed"], marks["error frames"]) == ("warn", "ok", "bad")
+    assert marks["whole frames"] == "ok"
+
+
+def make_cycles(n: int) -> list[Cycle]:
+    force = ForceSample(t_s=0.0, force_n=(1.0, 3.0))
+    return [
+        Cycle(
+            t_s=50.0 + i * 0.005,
+            phase=GripperPhase.RAMPING,
+            state=GripperState(
+                t_s=50.0 + i * 0.005, aperture_m=0.02, aperture_velocity_m_s=0.0, current_a=0.1,
+                force_from_current_n=2.0, temperature_c=30.0, voltage_v=12.0, servos=(),
+            ),
+            force=force if i else None,
+            setpoint_n=2.0,
+            goal_current_a=0.1,
+        )
+        for i in range(n)
+    ]  # fmt: skip
+
+
+def test_timeline_starts_at_zero_and_keeps_gaps() -> None:
+    course = timeline(make_cycles(300), contact_t_s=50.5)
+    assert course.t_s[0] == 0.0
+    assert course.contact_t_s == pytest.approx(0.5)
+    assert np.all(np.isnan(course.force_n[0]))
+    assert course.force_n[1].tolist() == [1.0, 3.0]
+    assert course.goal_current_a[1] == 0.1
+    assert len(timeline(make_cycles(9000)).t_s) == 1500
+    assert len(timeline([]).t_s) == 0
+
+
+def test_windows_are_named_from_the_lowest_level_upwards() -> None:
+    levels = find_thresholds([[4.0, 5.0], [1.0, 2.0], [4.5, 6.0]])
+    named = windows(levels, ["high", "low", "higher"])
+    assert [(w.name, w.below, w.above, w.closed) for w in named] == [
+        ("A", "low", "high", False),
+        ("B", "high", "higher", True),
+    ]
+    assert named[0].threshold == pytest.approx(3.0)
+
+
+def test_table_that_does_not_fit_and_twice_the_same_label_are_refused() -> None:
+    with pytest.raises(ValueError, match="do not fit 2 rows"):
+        ConfusionTable(name="x", labels=("a", "b"), columns=("a",), counts=np.zeros((2, 2)))
+    twice = make_trajectories().objects[:1] * 2
+    with pytest.raises(ValueError, match="same label"):
+        render_report(ReportData(title="t", created="c", trajectories=Trajectories(objects=twice)))
+
+
+@pytest.mark.parametrize(
+    ("missing", "data"),
+    [("jinja2", ReportData(title="t", created="c")), ("matplotlib", None)],
+)
+def test_missing_extra_is_said_with_the_remedy(
+    missing: str, data: ReportData | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in [name for name in sys.modules if name.split(".")[0] == missing]:
+        monkeypatch.setitem(sys.modules, name, None)
+    monkeypatch.setitem(sys.modules, missing, None)
+    with pytest.raises(
+        ReportError, match=rf"needs {missing}; install this project with its extra `report`"
+    ):
+        render_report(data if data is not None else small_demo())
+
+
+def test_unwritable_place_is_a_clear_error(tmp_path: Path) -> None:
+    with pytest.raises(ReportError, match=r"cannot write report .* make it first"):
+        write_report(tmp_path / "no" / "r.html", ReportData(title="t", created="c"))
+
+
+# -- shape and size ----------------------------------------------------------------------------
+
+
+def shape(kind: str, *sizes_mm: float, half_mm: float = 0.3) -> ShapeAnswer:
+    thicknesses = tuple(
+        [
+            Thickness(size_m=1e-3 * s, low_m=1e-3 * (s - half_mm), high_m=1e-3 * (s + half_mm))
+            for s in sizes_mm
+        ]
+    )
+    main = thicknesses[0]
+    return ShapeAnswer(
+        kind=kind,
+        probability={kind: 1.0},
+        size_m=main.size_m,
+        low_m=main.low_m,
+        high_m=main.high_m,
+        dimensions_m={},
+        misfit=1.0,
+        thicknesses=thicknesses,
+    )
+
+
+def test_shape_and_size_stand_beside_each_identification() -> None:
+    named, strange = (
+        IdentifySequence(truth=None, answer=answer, steps=(), shape=shape("cylinder", 6.1))
+        for answer in ("pin", UNKNOWN)
+    )
+    page = render_report(ReportData(title="t", created="now", sequences=(named, strange)))
+    assert "cylinder, 6.1 mm (5.8 to 6.4)" in page
+    assert "a cylinder of 6.1 mm (5.8 to 6.4)" in page
+
+
+def test_all_shapes_are_drawn_on_one_scale() -> None:
+    rows = (
+        ShapeRow(truth="pin", answer="pin", shape=shape("cylinder", 6.0)),
+        ShapeRow(truth="pin", answer="pin", shape=shape("oval", 6.2)),
+        ShapeRow(truth="pin", answer="pin", shape=None),
+        ShapeRow(truth="bar", answer=UNKNOWN, shape=shape("flat", 10.0, 15.9)),
+    )
+    view = shapes_view(rows)
+    assert view is not None
+    pin, bar = view["groups"]
+    assert pin["label"] == "pin"
+    assert pin["kinds"] == "cylinder 1 of 3, oval 1 of 3, without shape 1 of 3"
+    assert pin["text"] == "median 6.1 mm, intervals 0.6 mm wide"
+    assert bar["kinds"] == "flat 1 of 1"
+    assert bar["text"] == "10.0 mm (9.7 to 10.3) and 15.9 mm (15.6 to 16.2)"
+    (both,) = bar["bars"]
+    scale = {float(tick["text"]): float(tick["at"]) for tick in view["ticks"]}
+    per_mm = (scale[16.0] - scale[10.0]) / 6.0
+    for mark, size_mm in zip(both["marks"], (10.0, 15.9), strict=True):
+        assert float(mark["at"]) == pytest.approx(scale[10.0] + per_mm * (size_mm - 10.0), abs=0.05)
+        assert float(mark["width"]) == pytest.approx(0.6 * per_mm, abs=0.05)
+    marks = [m for group in view["groups"] for b in group["bars"] for m in b["marks"]]
+    assert all(0.0 <= float(m["left"]) <= 100.0 - float(m["width"]) for m in marks)
+    (stranger,) = view["strangers"]
+    page = render_report(ReportData(title="t", created="now", shapes=rows))
+    assert f"UNKNOWN: {stranger['text']}" in page
+    assert "it was bar" in page
+    assert "without shape 1 of 3" in page
+
+
+def test_a_page_without_shapes_has_no_place_for_them() -> None:
+    rows = (ShapeRow(truth="pin", answer="pin", shape=None),)
+    assert shapes_view(rows) is None
+    page = render_report(ReportData(title="t", created="now", shapes=rows))
+    assert 'id="shapes"' not in page
+
+
+def test_many_shapes_are_counted_but_not_all_drawn() -> None:
+    one = shape("cylinder", 6.0)
+    rows = [ShapeRow(truth=None, answer="pin", shape=one)] * (MAX_BARS + 5)
+    view = shapes_view(rows)
+    assert view is not None
+    (group,) = view["groups"]
+    assert len(group["bars"]) == MAX_BARS
+    assert group["kinds"] == f"cylinder {MAX_BARS + 5} of {MAX_BARS + 5}"
+    strange = shapes_view([ShapeRow(truth=None, answer=UNKNOWN, shape=one)] * (MAX_BARS + 5))
+    assert strange is not None
+    assert (len(strange["strangers"]), strange["n_hidden"]) == (MAX_BARS, 5)

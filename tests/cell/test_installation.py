@@ -1,0 +1,56 @@
+"""What belongs together is found together: packages of one installation, extras, examples."""
+
+import subprocess
+import sys
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+import cell
+from cell import installation
+
+ROOT = Path(cell.__file__).parents[1]
+
+
+@pytest.mark.parametrize("name", ["gripper", "tactile", "recognition", "simulator"])
+def test_a_module_that_hides_a_package_is_named(name: str, tmp_path: Path) -> None:
+    hiding = tmp_path / f"{name}.py"
+    hiding.write_text("")
+    ended = subprocess.run(
+        [sys.executable, "-c", f"import sys; sys.path[:0] = [{str(tmp_path)!r}]; import cell"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert ended.returncode == 1
+    assert f"ImportError: {hiding} hides the package {name!r} of tactile-cell" in ended.stderr
+
+
+@pytest.mark.parametrize(
+    ("origin", "command"),
+    [
+        ('{"url": "file://HERE", "dir_info": {"editable": true}}', ": pip install -e 'HERE[mesh]'"),
+        ('{"url": "file://HERE", "dir_info": {}}', ": pip install 'HERE[mesh]'"),
+        ('{"url": "file:///gone", "dir_info": {}}', ""),
+        ('{"url": "https://host/x.whl", "archive_info": {}}', ""),
+        ("", ""),
+        ("not JSON", ""),
+    ],
+)
+def test_an_extra_is_added_to_the_installation_that_is_there(
+    origin: str, command: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = origin.replace("HERE", str(tmp_path)) or None
+    installed = SimpleNamespace(read_text={"direct_url.json": text}.get)
+    monkeypatch.setattr(installation, "distribution", {"tactile-cell": installed}.__getitem__)
+    assert installation.remedy("mesh") == (
+        "install this project with its extra `mesh`" + command.replace("HERE", str(tmp_path))
+    )
+
+
+def test_missing_packages_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert installation.missing_packages("report") == ()
+    monkeypatch.setitem(sys.modules, "jinja2", None)
+    assert installation.missing_packages("report") == ("jinja2",)

@@ -1,0 +1,337 @@
+"""A row of the fault campaign, the simulated cell that it runs on, and what was observed."""
+
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from cell.build import Cell, build_cell
+from cell.config.file import changed_config
+from cell.config.model import CellConfig
+from cell.control.controller import CellController
+from cell.control.plan import GraspStep, Pose
+from cell.control.records import GraspRecord
+from cell.control.states import CellState
+from cell.errors import CellError
+from gripper.errors import GripperError
+from gripper.state import GripperPhase
+from simulator.cell import SimulatedCell
+from tactile.errors import TactileError
+from tests.faults.invariants import InvariantMonitor
+
+COARSE_PADS = {
+    "name": "coarse",
+    "adc_max": 255,
+    "pads": [
+        {"finger": finger, "face": "inner", "rows": 6, "columns": 3}
+        | {"pitch_x_mm": 5.0, "pitch_y_mm": 5.0}
+        for finger in (0, 1)
+    ],
+}
+"""One pad of 6 x 3 taxels on each finger: frames of six messages."""
+JOB_BOUND_S = 60.0
+"""Every job has to be over within so many s of simulated time; the longest takes 15 s."""
+LATER_S = 1.0
+"""So many s after a fault the grip is looked at again, with no host."""
+OUTCOME_CHARACTERS = 160
+"""Longest text of an error on the page."""
+PRODUCT_ERRORS = (CellError, GripperError, TactileError)
+
+
+@dataclass(frozen=True, slots=True)
+class Observed:
+    """What the cell did about a fault.
+
+    Attributes
+    ----------
+    reaction
+        One of `tests.faults.table.REACTIONS`, or a word for what must not be, as ``LOST``.
+    detected_after_s
+        From the beginning of the fault until the cell detected it, in s; None where there is no
+        such time.
+    outcome
+        One line: the message to the operator, and what became of the grip.
+    """
+
+    reaction: str
+    detected_after_s: float | None
+    outcome: str
+
+
+@dataclass(frozen=True, slots=True)
+class FaultRow:
+    """One variant of one of the 42 kinds of fault.
+
+    Attributes
+    ----------
+    row
+        Kind of fault, 1 to 42.
+    variant
+        What makes it differ from the other variants of this kind; may be empty.
+    fault
+        The fault in plain words.
+    injected
+        Text of the simulator's vocabulary of faults, or how else it is brought about.
+    reaction
+        What the cell has to do.
+    limit_s
+        Within which time in s the cell has to detect it; None where no time applies.
+    scenario
+        Brings the fault about; None for `grasp_with_fault`.
+    changes
+        Changes of the config for it, see `campaign_config`.
+    real_time
+        Whether it runs real processes in real time.
+    """
+
+    row: int
+    variant: str
+    fault: str
+    injected: str
+    reaction: str
+    limit_s: float | None
+    scenario: "Callable[[FaultRow], Observed] | None" = None
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    real_time: bool = False
+
+    @property
+    def name(self) -> str:
+        """Number and variant, to find the row by."""
+        return "-".join((f"{self.row:02d}", *self.variant.split()))
+
+    def run(self) -> Observed:
+        """Bring the fault about; raises InvariantBroken where the cell did what it never may."""
+        return (self.scenario or grasp_with_fault)(self)
+
+    def complaint(self, observed: Observed) -> str:
+        """Return in what an observation differs from what the row requires; empty for nothing."""
+        if observed.reaction != self.reaction:
+            return f"reaction {observed.reaction}, required is {self.reaction}"
+        if self.limit_s is None:
+            return ""
+        if observed.detected_after_s is None:
+            return f"never detected, the limit is {1e3 * self.limit_s:.0f} ms"
+        if observed.detected_after_s > self.limit_s:
+            after_ms, limit_ms = 1e3 * observed.detected_after_s, 1e3 * self.limit_s
+            return f"detected after {after_ms:.0f} ms, limit {limit_ms:.0f} ms"
+        return ""
+
+
+def campaign_config(changes: Mapping[str, Any] | None = None) -> CellConfig:
+    """Return a config with short jobs; changes by dotted path, as ``{"tactile.layout": ...}``."""
+    short_jobs = {
+        "gripper.aperture_open_mm": 16.0,
+        "tactile.tare_frames": 10,
+        "sequence.ramp": {"kind": "linear", "rate_n_s": 10.0, "hold_s": 0.3},
+        "simulator.objects": [
+            {"label": "ball", "shape": "sphere:diameter=9.5mm"},
+            {"label": "box", "shape": "box:length=15.9mm,width=10mm,height=10mm"},
+        ],
+        "simulator.noise_level": 0.5,
+    }
+    return changed_config(CellConfig(), short_jobs | dict(changes or {}))
+
+
+@dataclass(kw_only=True)
+class CampaignCell:
+    """A simulated cell in virtual time, its controller, and the monitor that watches both.
+
+    Attributes
+    ----------
+    cell
+        Controller, links, recording.
+    monitor
+        The invariants.
+    """
+
+    cell: Cell
+    monitor: InvariantMonitor
+
+    @property
+    def controller(self) -> CellController:
+        """The product."""
+        return self.cell.controller
+
+    @property
+    def simulated(self) -> SimulatedCell:
+        """The hardware."""
+        if self.cell.simulated is None:
+            raise RuntimeError("the campaign runs on simulated cells")
+        return self.cell.simulated
+
+    @property
+    def now_s(self) -> float:
+        """Simulated time in s."""
+        return self.simulated.clock.monotonic()
+
+    @property
+    def grip_n(self) -> float:
+        """True force in N on the pad that carries less."""
+        return min(self.simulated.world.contact_force_n())
+
+    @property
+    def grip(self) -> str:
+        """State of the cell and what is held, in words."""
+        held = "the grip is kept" if self.controller.holding else "nothing is held"
+        return f"{self.controller.state.value}, {held} ({self.grip_n:.1f} N)"
+
+    def start(self) -> None:
+        """Start the cell and bring the ball."""
+        self.controller.start()
+        self.controller.present("ball")
+
+    def grasp(self) -> GraspRecord:
+        """Run one grasp with 3 N at the pads' centre."""
+        return self.controller.grasp(GraspStep(pose=Pose(), force_n=3.0))
+
+    def idle(self, seconds: float) -> None:
+        """Let time pass while the cell supervises its links."""
+        end_s = self.now_s + seconds
+        while self.now_s < end_s:
+            self.simulated.clock.sleep(self.controller.hand.period_s)
+            self.controller.tick()
+
+    @contextmanager
+    def first_time(self, happens: Callable[[], bool]) -> Iterator[list[float]]:
+        """Give a list that gets the time in s at which something is so first in the block."""
+        found: list[float] = []
+
+        def look(now_s: float) -> None:
+            if not found and happens():
+                found.append(now_s)
+
+        self.simulated.clock.on_advance.append(look)
+        try:
+            yield found
+        finally:
+            self.simulated.clock.on_advance.remove(look)
+
+    def once_in(
+        self, phase: GripperPhase, act: Callable[[], object], *, after_s: float = 0.1
+    ) -> list[float]:
+        """Do something once, so long after a phase began; return the list that gets its time."""
+        began: list[float] = []
+        seen: list[float] = []
+
+        def look(now_s: float) -> None:
+            if not began and self.controller.hand.phase is phase:
+                seen.append(now_s)
+                if now_s - seen[0] >= after_s:
+                    began.append(now_s)
+                    act()
+
+        self.simulated.clock.on_advance.append(look)
+        return began
+
+
+@contextmanager
+def campaign_cell(
+    changes: Mapping[str, Any] | None = None, *, folder: Path | None = None
+) -> Iterator[CampaignCell]:
+    """Give a cell that is not started yet; at the end its invariants are checked.
+
+    Raises
+    ------
+    InvariantBroken
+        If the cell did what none may ever do.
+    """
+    config = campaign_config(changes)
+    cell = build_cell(config, folder=folder)
+    assert cell.simulated is not None
+    monitor = InvariantMonitor(cell.simulated, config.gripper)
+    monitor.attach(cell)
+    try:
+        yield CampaignCell(cell=cell, monitor=monitor)
+    finally:
+        monitor.close()
+        cell.close()
+    monitor.check()
+
+
+def grasp_job(cell: CampaignCell) -> None:
+    """Start, bring the ball, and grasp it."""
+    cell.start()
+    cell.grasp()
+
+
+def grasp_with_fault(row: FaultRow, *, look_again: bool = True) -> Observed:
+    """Inject what a row names, grasp, and look again later: nobody may have let go.
+
+    Parameters
+    ----------
+    row
+        Its text names one fault or several; the detection of the first one counts.
+    look_again
+        False where the fault goes on without an end, and later shows nothing.
+    """
+    first, *more = row.injected.split(", ")
+    with campaign_cell(row.changes) as cell:
+        cell.monitor.limp_allowed = row.reaction == "LIMP"
+        for text in more:
+            cell.simulated.inject(text)
+        seen = observe(cell, first)
+        return later(cell, seen) if look_again else seen
+
+
+def observe(
+    cell: CampaignCell,
+    fault: str | Callable[[], Any] = "",
+    job: Callable[[CampaignCell], Any] = grasp_job,
+) -> Observed:
+    """Inject a fault, run a job, and return what became of both.
+
+    Parameters
+    ----------
+    cell
+        A cell that is not started, or one that is made ready for the job.
+    fault
+        Text of the vocabulary, or a function that brings it about at once; empty where the job
+        itself does.
+    job
+        What the cell shall do meanwhile.
+    """
+    monitor = cell.monitor
+    injected = cell.simulated.inject(fault) if isinstance(fault, str) and fault else None
+    if callable(fault):
+        fault()
+    began_s = cell.now_s
+    monitor.watch_from()
+    error: BaseException | None = None
+    try:
+        with monitor.bounded(JOB_BOUND_S):
+            job(cell)
+    except PRODUCT_ERRORS as caught:
+        error = caught
+    known_s = cell.now_s if monitor.latched_s is None else monitor.latched_s
+    if injected is not None:
+        if injected.began_s is None:
+            raise RuntimeError(f"{injected.text} has not begun when the job was over")
+        began_s = injected.began_s
+    if error is not None:
+        text = f"{type(error).__name__}: {error}"
+        if len(text) > OUTCOME_CHARACTERS:
+            text = f"{text[: OUTCOME_CHARACTERS - 3]}..."
+        return Observed(_reaction(cell), max(0.0, known_s - began_s), f"{text}; {cell.grip}")
+    if monitor.noted_s is not None:
+        after_s = max(0.0, monitor.noted_s - began_s)
+        return Observed("NOTE", after_s, f"counted; the job was done; {cell.grip}")
+    return Observed("NOTHING", None, f"the job was done; {cell.grip}")
+
+
+def _reaction(cell: CampaignCell) -> str:
+    """Name what an error has done: refused a start, kept the grip, or found it gone."""
+    if not cell.monitor.states & {CellState.IDLE, CellState.EXECUTE, CellState.HELD}:
+        return "REJECT"
+    servos = [servo.core for servo in cell.simulated.devices.servo_bus.servos]
+    if any(servo.latched or servo.silent_until_s > 0.0 for servo in servos):
+        return "ABORT"
+    return "HOLD" if all(servo.torque_on for servo in servos) else "LIMP"
+
+
+def later(cell: CampaignCell, seen: Observed) -> Observed:
+    """Let a second pass without a host and add what is left of the grip."""
+    if seen.reaction in {"NOTE", "NOTHING", "REJECT"}:
+        return seen
+    cell.simulated.clock.sleep(LATER_S)
+    return replace(seen, outcome=f"{seen.outcome}; {LATER_S:g} s later {cell.grip_n:.1f} N")

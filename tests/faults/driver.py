@@ -1,0 +1,308 @@
+"""A host program on simulated hardware, driven step by step, with every invariant checked."""
+
+import shutil
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from cell.build import Cell, build_cell
+from cell.control.controller import CellController
+from cell.control.plan import GraspStep, Pose
+from cell.simulation import simulated_cell
+from simulator.errors import SimulatorError
+from tests.faults.campaign import COARSE_PADS, PRODUCT_ERRORS, campaign_config
+from tests.faults.invariants import (
+    FrameWitness,
+    InvariantBroken,
+    InvariantMonitor,
+    Overrun,
+    recording_faults,
+    spoiling,
+)
+
+COMMAND_BOUND_S = 20.0
+"""Every command has to be over within so many s of simulated time."""
+_UNTRUSTED = ("object.trapped", "servoN.jump", "servoN.stuck")
+"""Faults after which position or force are not known: the torque may go off."""
+
+
+_SHORT_COMMANDS = {
+    "tactile.layout": COARSE_PADS,
+    "gripper.loop_rate_hz": 100.0,
+    "gripper.aperture_open_mm": 12.0,
+    "gripper.approach_speed_mm_s": 20.0,
+    "gripper.contact_timeout_s": 2.0,
+    "sequence.ramp": {"kind": "linear", "rate_n_s": 20.0, "hold_s": 0.05},
+    "sequence.max_grasps": 2,
+}
+"""Config whose commands take little time: coarse pads, a slow loop, short ways."""
+
+
+class Driver:
+    """Hardware that stays, host programs that come and go.
+
+    Parameters
+    ----------
+    self_test
+        Whether the start proves the servos' bus watchdog.
+
+    Attributes
+    ----------
+    steps
+        Steps so far.
+    log
+        What was done, to be read where an invariant was broken.
+    """
+
+    def __init__(self, *, self_test: bool) -> None:
+        self._config = campaign_config(_SHORT_COMMANDS | {"gripper.watchdog_self_test": self_test})
+        self._folder = Path(tempfile.mkdtemp(prefix="tactile-cell-machine-"))
+        self.simulated = simulated_cell(self._config)
+        self.simulated.place("ball")
+        self.monitor = InvariantMonitor(self.simulated, self._config.gripper)
+        self.steps = 0
+        self.log: list[str] = []
+        self._hosts = 0
+        self._scanned: set[bytes] = set()
+        self._counter = -1
+        self._untrusted = False
+        self.simulated.clock.on_advance.append(self._watch_scans)
+        self.cell = self._new_host()
+
+    @property
+    def controller(self) -> CellController:
+        """The product."""
+        return self.cell.controller
+
+    def command(
+        self, name: str, call: Callable[[], Any], *, release: bool = False, reboot: bool = False
+    ) -> bool:
+        """Run a command to its end; return whether it did what it was asked for."""
+        self._begin(name)
+        done = True
+        try:
+            with self.monitor.bounded(COMMAND_BOUND_S):
+                if release or reboot:
+                    with self.monitor.release_asked(motion=release):
+                        call()
+                else:
+                    call()
+        except PRODUCT_ERRORS as error:
+            done = False
+            self.log[-1] += f" -> {type(error).__name__}: {str(error)[:100]}"
+        except (InvariantBroken, Overrun) as error:
+            self.monitor.broken.append(str(error))
+        except Exception as error:
+            self.monitor.broken.append(f"{name} ended with {type(error).__name__}: {error}")
+        self._end()
+        return done
+
+    def start(self) -> bool:
+        """Start the cell."""
+        return self.command("start", self.controller.start)
+
+    def grasp(self, x_mm: float, force_n: float, turn_rad: float) -> bool:
+        """Grasp once."""
+        step = GraspStep(pose=Pose(x_m=1e-3 * x_mm, rotation_rad=turn_rad), force_n=force_n)
+        return self.command(
+            f"grasp x={x_mm} mm, {force_n} N, {turn_rad} rad", lambda: self.controller.grasp(step)
+        )
+
+    def identify(self, force_n: float) -> bool:
+        """Grasp and classify, with a recogniser that looks at its frames."""
+        step = GraspStep(pose=Pose(), force_n=force_n)
+        witness = FrameWitness(
+            lambda: self._scanned,
+            lambda: spoiling(self.simulated.injector.faults, self.simulated.clock.monotonic()),
+        )
+        return self.command(
+            f"identify {force_n} N", lambda: self.controller.identify(witness, [step])
+        )
+
+    def cancel(self) -> None:
+        """Ask for a stop while nothing runs: it is for the next command."""
+        self.command("cancel", self.controller.cancel)
+
+    def cancel_soon(self, after_s: float) -> None:
+        """Let another thread ask for a stop in so many s."""
+        due_s = self.simulated.clock.monotonic() + after_s
+        controller = self.controller
+        self._begin(f"cancel in {after_s} s")
+
+        def look(now_s: float) -> None:
+            if now_s >= due_s:
+                self.simulated.clock.on_advance.remove(look)
+                controller.cancel()
+
+        self.simulated.clock.on_advance.append(look)
+        self._end()
+
+    def release(self) -> bool:
+        """Let go."""
+        return self.command("release", self.controller.release, release=True)
+
+    def release_held(self) -> bool:
+        """Let go of what an earlier host or a cleared fault has left."""
+        return self.command("release_held", self.controller.release_held, release=True)
+
+    def clear(self, *, reboot: bool) -> bool:
+        """Acknowledge the fault. A servo that is rebooted lets go: it was asked for."""
+        name = f"clear reboot={reboot}"
+        return self.command(name, lambda: self.controller.clear(reboot=reboot), reboot=reboot)
+
+    def reset(self) -> bool:
+        """Leave the cleared fault behind."""
+        return self.command("reset", self.controller.reset)
+
+    def shutdown(self) -> bool:
+        """End the work with the devices."""
+        return self.command("shutdown", self.controller.shutdown)
+
+    def wait(self, seconds: float) -> None:
+        """Let time pass while the host ticks."""
+
+        def idle() -> None:
+            clock = self.simulated.clock
+            end_s = clock.monotonic() + seconds
+            while clock.monotonic() < end_s:
+                clock.sleep(self.controller.hand.period_s)
+                self.controller.tick()
+
+        self.command(f"wait {seconds} s", idle)
+
+    def restart(self) -> None:
+        """End the host program in order, and start another one."""
+        self._begin("restart the host")
+        self._finish_host()
+        self.cell = self._new_host()
+        self._end()
+
+    def kill(self, dead_s: float) -> None:
+        """Kill the host program; after a time another one comes."""
+        self._begin(f"kill the host for {dead_s} s")
+        recording = self.cell.recording_path
+        if recording is not None:
+            copy = self._folder / "killed.mcap"
+            shutil.copyfile(recording, copy)
+            self.monitor.broken += recording_faults(copy, whole=False)
+        self.monitor.attach(None)
+        self.simulated.replace_host()
+        self.cell.close()
+        self.simulated.clock.sleep(dead_s)
+        self.cell = self._new_host()
+        self._end()
+
+    def _new_host(self) -> Cell:
+        self._hosts += 1
+        folder = self._folder / f"host{self._hosts}"
+        folder.mkdir()
+        cell = build_cell(self._config, folder=folder, simulated=self.simulated)
+        self.monitor.attach(cell)
+        cell.controller.present("ball")
+        return cell
+
+    def _finish_host(self) -> None:
+        recording = self.cell.recording_path
+        try:
+            self.cell.close()
+        except Exception as error:
+            self.monitor.broken.append(f"close() raised {type(error).__name__}: {error}")
+        self.monitor.attach(None)
+        if recording is not None:
+            self.monitor.broken += recording_faults(recording, whole=True)
+            shutil.rmtree(recording.parent)
+
+    def inject(self, text: str) -> None:
+        """Inject a fault; one that is refused changes nothing."""
+        self._begin(f"inject {text}")
+        try:
+            fault = self.simulated.inject(text)
+        except SimulatorError as error:
+            self.log[-1] += f" -> {error}"
+        else:
+            self._untrusted = self._untrusted or fault.entry.name in _UNTRUSTED
+        self._trust()
+        self._end()
+
+    def heal(self) -> None:
+        """End all faults, and plug everything in."""
+        self._begin("heal")
+        self.simulated.injector.clear_all()
+        for knobs in self.simulated.devices.faults.servos.values():
+            knobs.clear()
+            knobs.overheat(25.0)
+        self._end()
+
+    def place(self, label: str) -> None:
+        """Bring another object, where the fingers let it."""
+        self._begin(f"place {label}")
+        try:
+            self.simulated.place(label)
+        except SimulatorError as error:
+            self.log[-1] += f" -> {error}"
+        else:
+            self.controller.present(label)
+        self._end()
+
+    def recover(self) -> bool:
+        """Do what a person does after a fault, until the cell is started again."""
+        self.heal()
+        if self.controller.fault is not None:
+            self.clear(reboot=True)
+        self.wait(0.5)
+        if self.controller.state.value == "RESETTING":
+            self.release_held()
+        if self.controller.state.value == "RESETTING":
+            self.reset()
+        if self.controller.state.value in {"HELD", "IDLE"}:
+            self.release()
+        if self.simulated.devices.physical.placed is None:
+            self.place("ball")
+        self._untrusted = False
+        return self.start() if self.controller.state.value == "STOPPED" else True
+
+    def make_ready(self, how: str) -> None:
+        """Do what may be needed before a grasp: nothing, a start, or all that a person does."""
+        if self.controller.state.value != "IDLE":
+            if how == "start":
+                self.start()
+            elif how.startswith("recover"):
+                self.recover()
+
+    def close(self) -> None:
+        """End everything; the last checks."""
+        self.monitor.close()
+        self._finish_host()
+        self.simulated.close()
+        shutil.rmtree(self._folder, ignore_errors=True)
+        self.check()
+
+    def check(self) -> None:
+        """Raise InvariantBroken with all steps so far, if anything was broken."""
+        if self.monitor.broken:
+            steps = "\n  ".join(self.log)
+            raise InvariantBroken(f"{'; '.join(self.monitor.broken[:3])}\nafter\n  {steps}")
+
+    def _begin(self, name: str) -> None:
+        now_s = self.simulated.clock.monotonic()
+        self.log.append(f"{now_s:8.3f} s {self._state():<10} {name}")
+        self.steps += 1
+
+    def _end(self) -> None:
+        self._trust()
+        self.check()
+
+    def _state(self) -> str:
+        return self.controller.state.value if self._hosts else ""
+
+    def _trust(self) -> None:
+        self.monitor.limp_allowed = self._untrusted
+
+    def _watch_scans(self, _now_s: float) -> None:
+        scanner = self.simulated.unit.scanner
+        if scanner.counter != self._counter:
+            self._counter = scanner.counter
+            frame = scanner.last_frame()
+            if frame is not None:
+                self._scanned.add(frame)

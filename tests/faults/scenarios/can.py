@@ -1,0 +1,188 @@
+"""Faults of the CAN link and the control unit that the vocabulary alone does not bring about."""
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import can
+
+from cell.control.states import CellState
+from cell.hand.local import LocalHand
+from gripper.force.ramp import ForceRamp
+from simulator.faults.injector import InjectedFault
+from tactile.can.receiver import ThreadedReceiver
+from tactile.errors import TareRefused
+from tests.faults.campaign import CampaignCell, FaultRow, Observed, campaign_cell, observe
+
+_SYNC_ID = 0x80
+"""COB-ID of SYNC, CiA 301."""
+_TOUCH_N = 0.02
+"""Force in N on both pads that is a contact, as in the simulator."""
+
+
+def fault_from_a_sync(row: FaultRow) -> Observed:
+    """Inject with a SYNC: its set is the first that is lost, and the time counts from it."""
+    injected: list[InjectedFault] = []
+
+    def inject(number: int) -> None:
+        if number == 0:
+            injected.append(cell.simulated.inject(row.injected.partition(",")[0]))
+
+    with campaign_cell(row.changes) as cell:
+        observed = observe(cell, lambda: _on_sync(cell, inject))
+        return _since(cell, observed, injected[0].began_s)
+
+
+def sets_lost(row: FaultRow, *, lost: Callable[[int], bool], crossing: int) -> Observed:
+    """Lose one message of some sets; time counts from the loss ``crossing``, the one too many.
+
+    Parameters
+    ----------
+    row
+        The row.
+    lost
+        Whether the set of a SYNC is lost, by its number from 0.
+    crossing
+        Number of that loss, from 1.
+    """
+    lost_s: list[float] = []
+
+    def lose(number: int) -> None:
+        if lost(number):
+            cell.simulated.inject("can.lose_next=1")
+            lost_s.append(cell.now_s)
+
+    with campaign_cell(row.changes) as cell:
+        observed = observe(cell, lambda: _on_sync(cell, lose))
+        timed = _since(cell, observed, lost_s[crossing - 1])
+    first_s = 1e3 * (lost_s[crossing - 1] - lost_s[0])
+    if crossing == 1:
+        return timed
+    return replace(timed, outcome=f"{timed.outcome} (first loss {first_s:.0f} ms before)")
+
+
+def receiver_dies(row: FaultRow) -> Observed:
+    """Let a real receive thread die; the link finds it dead in the middle of a grasp."""
+    began_s: list[float] = []
+
+    def die(number: int) -> None:
+        hand = cell.controller.hand
+        if number or not isinstance(hand, LocalHand):
+            return
+        bus = _DyingBus()
+        receiver = ThreadedReceiver(bus, time)
+        receiver.start()
+        for thread in threading.enumerate():
+            if thread.name == "tactile-receive":
+                thread.join(5.0)
+        bus.shutdown()
+        vars(vars(hand.link)["_session"])["_source"] = receiver
+        began_s.append(cell.now_s)
+
+    with campaign_cell(row.changes) as cell:
+        observed = observe(cell, lambda: _on_sync(cell, die))
+        return _since(cell, observed, began_s[0])
+
+
+class _DyingBus(can.BusABC):
+    """A bus whose driver fails with an error of its own at its second call."""
+
+    def __init__(self) -> None:
+        self.channel_info = "dying"
+        self._calls = 0
+        super().__init__("dying")
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Send nothing."""
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        """Return nothing, then fail."""
+        self._calls += 1
+        if self._calls > 1:
+            raise RuntimeError("the driver's buffer is damaged")
+        return None
+
+
+def adapter_comes_back(row: FaultRow) -> Observed:
+    """Pull the adapter out for a moment; back again, the cell must not go on by itself."""
+    with campaign_cell(row.changes) as cell:
+        observed = observe(cell, row.injected)
+        state = cell.controller.state
+        cell.simulated.clock.sleep(1.0)
+        cell.controller.tick()
+        if cell.controller.state is not state:
+            return replace(observed, reaction=f"went from {state} to {cell.controller.state}")
+        return observed
+
+
+def unit_reboots(row: FaultRow) -> Observed:
+    """Reboot in a grasp; after clear and reset the next job sets up and zeroes anew."""
+    with campaign_cell(row.changes) as cell:
+        observed = observe(cell, row.injected)
+        controller = cell.controller
+        controller.clear()
+        controller.reset()
+        with cell.monitor.release_asked():
+            controller.release_held()
+        controller.start()
+        cell.grasp()
+        again = controller.state is CellState.IDLE
+    return replace(observed, outcome=f"{observed.outcome}; next job {'done' if again else 'not'}")
+
+
+def drifts_between_grasps(row: FaultRow) -> Observed:
+    """Inject while the cell is started and waits, then grasp."""
+
+    def job(cell: CampaignCell) -> None:
+        cell.idle(0.2)
+        cell.grasp()
+
+    with campaign_cell(row.changes) as cell:
+        cell.start()
+        return observe(cell, row.injected.partition(" ")[0], job)
+
+
+def touched_while_zeroing(row: FaultRow) -> Observed:
+    """Take a zero while a part is between the pads."""
+    with campaign_cell(row.changes) as cell:
+        cell.start()
+        cell.simulated.place("ball")
+        hand = cell.controller.hand
+        hand.grasp(ForceRamp.linear(1.0, rate_n_s=10.0, hold_s=0.1), lambda _cycle, _frames: None)
+        began_s = cell.now_s
+        try:
+            hand.tare(10)
+        except TareRefused as error:
+            return Observed(
+                "REJECT",
+                cell.now_s - began_s,
+                f"TareRefused: {error}; the old zero stays, the grip is kept ({cell.grip_n:.1f} N)",
+            )
+        return Observed("NOTHING", None, "the zero was taken")
+
+
+def _on_sync(cell: CampaignCell, act: Callable[[int], None], *, after: int = 5) -> None:
+    """Call ``act`` just before each SYNC reaches the unit, once both pads touch.
+
+    It gets the number of the SYNC, from 0; the first ``after`` of them are left out, so that the
+    contact itself is over.
+    """
+    seen = [-after]
+
+    def look(_t_s: float, can_id: int, _data: bytes) -> None:
+        if can_id == _SYNC_ID and (seen[0] > -after or cell.grip_n > _TOUCH_N):
+            if seen[0] >= 0:
+                act(seen[0])
+            seen[0] += 1
+
+    cell.simulated.can_bus.capture.append(look)
+
+
+def _since(cell: CampaignCell, observed: Observed, began_s: float | None) -> Observed:
+    """Return the same with the time counted from ``began_s``."""
+    monitor = cell.monitor
+    known_s = monitor.latched_s if monitor.latched_s is not None else monitor.noted_s
+    if known_s is None or began_s is None:
+        return observed
+    return replace(observed, detected_after_s=max(0.0, known_s - began_s))

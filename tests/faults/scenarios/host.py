@@ -1,0 +1,312 @@
+"""Faults of the host program: a slow loop, errors in its code, silence, the clock, its commands."""
+
+import re
+import threading
+import time
+from collections.abc import Callable
+from functools import cache
+from typing import Any
+from unittest import mock
+
+import numpy as np
+
+from cell.control.plan import GraspStep, Pose
+from cell.control.records import GraspCollector, GraspRecord
+from cell.control.states import CellState
+from cell.errors import CellStateError, CellStopped
+from cell.interfaces.plugin.plugin import JobFailed, TactileCellPlugin, TeachGoal
+from gripper.state import GripperPhase
+from recognition.recognizer import Posterior
+from tests.faults.campaign import (
+    CampaignCell,
+    FaultRow,
+    Observed,
+    campaign_cell,
+    campaign_config,
+    grasp_job,
+    observe,
+)
+
+HOST_TIMEOUT_S = 0.3
+"""`host_timeout_s` of the row of a silent host."""
+_RATE_N_S = 10.0
+"""Rate of the campaign's ramp."""
+
+# -- 31: the loop is slow --------------------------------------------------------------------
+
+
+class _HeldUp:
+    """Holds up the force loop in the ramp, and looks whether it catches up afterwards."""
+
+    def __init__(self, cell: CampaignCell, stall_s: float, times: int) -> None:
+        self._cell = cell
+        self._stall_s = stall_s
+        self._left = times
+        self._late = 0
+        self._setpoint_n = 0.0
+        self._add = GraspCollector.add
+        self.ended_s: float | None = None
+        self.began_s: float | None = None
+        self.noted_s: float | None = None
+        self.worst_step_n = 0.0
+
+    def add(self, collector: GraspCollector, cycle: Any, frames: Any) -> None:
+        """Collect as always, then sleep."""
+        self._add(collector, cycle, frames)
+        if self._setpoint_n > 0.0:
+            self.worst_step_n = max(self.worst_step_n, cycle.setpoint_n - self._setpoint_n)
+        self._setpoint_n = cycle.setpoint_n
+        late = self._cell.controller.hand.statistics.loop.late
+        if self.began_s is not None and self.noted_s is None and late > self._late:
+            self.noted_s = self._cell.now_s
+        if cycle.setpoint_n > 2.0 and self._left:
+            if self.began_s is None:
+                self.began_s, self._late = self._cell.now_s, late
+            self._left -= 1
+            self._cell.simulated.clock.sleep(self._stall_s)
+            self.ended_s = self.ended_s or self._cell.now_s
+
+
+def loop_held_up(row: FaultRow, *, stall_s: float, times: int = 1) -> Observed:
+    """Hold up the force loop of a grasp for so long, in so many periods in a row."""
+    with campaign_cell(row.changes) as cell:
+        held_up = _HeldUp(cell, stall_s, times)
+
+        def add(collector: GraspCollector, cycle: Any, frames: Any) -> None:
+            held_up.add(collector, cycle, frames)
+
+        with mock.patch.object(GraspCollector, "add", add):
+            seen = observe(cell)
+        assert held_up.began_s is not None
+        assert held_up.ended_s is not None
+        if held_up.worst_step_n > _RATE_N_S * 2.0 * cell.controller.hand.period_s + 1e-9:
+            jump = f"the set-point jumped by {held_up.worst_step_n:.2f} N"
+            return Observed("CATCHES UP", None, jump)
+        step = f"largest step of the set-point {held_up.worst_step_n:.2f} N"
+        if seen.reaction == "NOTHING" and held_up.noted_s is not None:
+            after_s = held_up.noted_s - held_up.ended_s
+            return Observed("NOTE", after_s, f"counted as late; {step}; {seen.outcome}")
+        latched_s = cell.monitor.latched_s
+        after_s = None if latched_s is None else latched_s - held_up.began_s
+        return Observed(seen.reaction, after_s, f"{seen.outcome}; {step}")
+
+
+# -- 32: errors in the host's code -----------------------------------------------------------
+
+
+class SureRecognizer:
+    """A recogniser that is sure of its first label, or raises an error."""
+
+    name, labels, uses_aperture = "sure", ("ball", "box"), False
+
+    def __init__(self, error: Exception | None = None) -> None:
+        self._error = error
+
+    def posterior(self, grasp: Any) -> Posterior:
+        """Return the first label; raises the error that was given."""
+        if self._error is not None:
+            raise self._error
+        return Posterior(labels=self.labels, probability=np.array([1.0 - 1e-9, 1e-9]), unknown=0.01)
+
+
+def broken_callback(*_given: object) -> None:
+    """Raise, as a window that was closed does."""
+    raise ValueError("window closed")
+
+
+def error_between_grasps(
+    row: FaultRow, *, recognizer: SureRecognizer, on_grasp: Any = None
+) -> Observed:
+    """Identify with a recogniser or a callback that raises; both run between two grasps."""
+    with campaign_cell(row.changes) as cell:
+        cell.start()
+        try:
+            step = GraspStep(pose=Pose(), force_n=3.0)
+            found = cell.controller.identify(recognizer, [step], on_grasp=on_grasp)
+            end = f"{found.complaints[0]}; the answer is {found.label}"
+        except ValueError as error:
+            end = f"the job fails with {type(error).__name__}: {error}; no label"
+        state = cell.controller.state
+        unharmed = state is CellState.IDLE and cell.controller.fault is None
+        cell.grasp()
+        return Observed(
+            "NOTE" if unharmed else "HOLD", 0.0, f"{end}; {state.value}, the next grasp works"
+        )
+
+
+def error_in_the_loop(row: FaultRow) -> Observed:
+    """Let what collects the periods of the loop raise in the ramp."""
+
+    def broken(_collector: GraspCollector, cycle: Any, _frames: Any) -> None:
+        if cycle.setpoint_n > 1.0:
+            raise RuntimeError("sink broken")
+
+    def job(cell: CampaignCell) -> None:
+        cell.start()
+        try:
+            cell.grasp()
+        except RuntimeError as error:
+            raise CellStateError(str(error)) from error
+
+    with campaign_cell(row.changes) as cell, mock.patch.object(GraspCollector, "add", broken):
+        seen = observe(cell, job=job)
+        after_s = None if cell.monitor.latched_s is None else 0.0
+        return Observed(seen.reaction if cell.grip_n > 0.2 else "LOST", after_s, seen.outcome)
+
+
+def error_in_the_mover(row: FaultRow) -> Observed:
+    """Teach through the plugin with a robot whose driver raises."""
+
+    def broken(_pose: Pose) -> None:
+        raise ZeroDivisionError("robot driver")
+
+    with TactileCellPlugin(campaign_config(row.changes), mover=broken) as plugin:
+        job = plugin.start(TeachGoal(label="ball", grasps=3))
+        try:
+            plugin.result(job, 30.0)
+            end = "it was taught"
+        except JobFailed as error:
+            end = str(error)
+        status = plugin.status()
+        latched = status.state == CellState.ABORTED and status.fault is not None
+        return Observed(
+            "HOLD" if latched else "NOTHING",
+            0.0,
+            f"{end}; {status.state}, the fingers are open and empty",
+        )
+
+
+# -- 35: the host is silent ------------------------------------------------------------------
+
+
+def host_is_silent(row: FaultRow) -> Observed:
+    """Start a job through the plugin and make no call any more for a while."""
+    with TactileCellPlugin(campaign_config(row.changes)) as plugin:
+        job = plugin.start(TeachGoal(label="ball", grasps=1000))
+        threading.Event().wait(3.0 * HOST_TIMEOUT_S)
+        status, state = plugin.feedback(job), plugin.state()
+        if state == CellState.HELD:
+            plugin.release()
+        silent = re.search(r"host was silent for ([0-9.]+) s", status.error)
+        return Observed(
+            "HOLD" if silent is not None else status.outcome.value,
+            None if silent is None else float(silent[1]),
+            f"{state}, job {status.outcome.value}, readable later: {status.error[:90]}",
+        )
+
+
+# -- 40: the wall clock ----------------------------------------------------------------------
+
+
+def wall_clock_jumps(_row: FaultRow, *, step_s: float) -> Observed:
+    """Grasp without and with a jump of the wall clock in the ramp, and compare all values."""
+    before, before_s = _grasp_with_clock(0.0)
+    jumped, jumped_s = _grasp_with_clock(step_s)
+    same = (
+        np.array_equal(before.grasp.counts, jumped.grasp.counts)
+        and before.cycles == jumped.cycles
+        and before_s == jumped_s
+    )
+    return Observed(
+        "NOTHING" if same else "DIFFERENT",
+        None,
+        "each frame and each period of the loop is the same as without the jump; the recording "
+        "has both clocks at its start and at each change of state",
+    )
+
+
+@cache
+def _grasp_with_clock(step_s: float) -> tuple[GraspRecord, float]:
+    """Return a grasp during which the wall clock jumps, and how long it took in s."""
+    offset_s = [0.0]
+    now, now_ns = time.time, time.time_ns
+
+    def jumping_s() -> float:
+        return now() + offset_s[0]
+
+    def jumping_ns() -> int:
+        return now_ns() + int(offset_s[0] * 1e9)
+
+    with (
+        mock.patch("time.time", jumping_s),
+        mock.patch("time.time_ns", jumping_ns),
+        campaign_cell() as cell,
+    ):
+        jumped = cell.once_in(GripperPhase.RAMPING, lambda: offset_s.__setitem__(0, step_s))
+        cell.start()
+        record = cell.grasp()
+        assert jumped
+        return record, cell.now_s
+
+
+# -- 42: commands out of order ---------------------------------------------------------------
+
+
+def refused(row: FaultRow, *, prepare: Callable[[CampaignCell], object]) -> Observed:
+    """Give a command in a state that does not allow it, and look at what it changed."""
+    with campaign_cell(row.changes) as cell:
+        prepare(cell)
+        return _refusal(cell, row.injected)
+
+
+def refused_while_moving(row: FaultRow) -> Observed:
+    """Give a command in the ramp."""
+    with campaign_cell(row.changes) as cell:
+        refusals: list[Observed] = []
+        cell.once_in(GripperPhase.RAMPING, lambda: refusals.append(_refusal(cell, row.injected)))
+        grasp_job(cell)
+        return refusals[0]
+
+
+def aborted(cell: CampaignCell) -> None:
+    """Bring a cell to ABORTED, with the part in its grip."""
+    observe(cell, "can.off@contact+0.2s")
+
+
+def _refusal(cell: CampaignCell, command: str) -> Observed:
+    def seen() -> tuple[Any, ...]:
+        hand = cell.controller.hand
+        return (cell.controller.state, hand.phase, repr(hand.statistics.servo_bus), cell.now_s)
+
+    before = seen()
+    try:
+        getattr(cell.controller, command)()
+    except CellStateError as error:
+        same = seen() == before
+        return Observed("REJECT" if same else "CHANGED", 0.0, f"{error}; nothing was sent")
+    return Observed("NOTHING", None, "it was carried out")
+
+
+def start_cancelled(row: FaultRow) -> Observed:
+    """Cancel the start as soon as the fingers open."""
+    with campaign_cell(row.changes) as cell:
+        began = cell.once_in(GripperPhase.OPENING, cell.controller.cancel, after_s=0.0)
+        return _stopped(cell, began, cell.controller.start)
+
+
+def grasp_cancelled_twice(row: FaultRow) -> Observed:
+    """Cancel a grasp in its ramp, twice at the same moment."""
+    with campaign_cell(row.changes) as cell:
+
+        def cancel() -> None:
+            cell.controller.cancel()
+            cell.controller.cancel()
+
+        began = cell.once_in(GripperPhase.RAMPING, cancel)
+        return _stopped(cell, began, lambda: grasp_job(cell))
+
+
+def _stopped(cell: CampaignCell, began: list[float], job: Callable[[], object]) -> Observed:
+    try:
+        job()
+    except CellStopped as stop:
+        after_s = cell.now_s - began[0]
+        state = cell.controller.state
+        cell.idle(0.5)
+        settled = state in (CellState.HELD, CellState.STOPPED)
+        return Observed(
+            "HOLD" if settled else state.value,
+            after_s,
+            f"{stop}; {state.value} ({cell.grip_n:.1f} N)",
+        )
+    return Observed("NOTHING", None, "it went on")

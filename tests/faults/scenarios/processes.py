@@ -1,0 +1,399 @@
+"""Faults between processes: signals, kills, a host that holds the interpreter's lock.
+
+All but `signal_in_the_ramp` run the program and the simulated cell as processes, in real time.
+"""
+
+import atexit
+import contextlib
+import gc
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+from cell.build import build_cell
+from cell.config.file import load_config
+from cell.config.model import CellConfig
+from cell.control.plan import GraspStep, Pose
+from cell.data.recording_reader import read_recording
+from cell.errors import CellError, CellStateError
+from cell.interfaces.cli import main
+from cell.interfaces.cli.session import running_cell
+from cell.interfaces.plugin.plugin import TactileCellPlugin
+from cell.pytest_plugin.process import CellProcess
+from gripper.dynamixel.bus import ServoBus
+from gripper.dynamixel.control_table import BUS_WATCHDOG
+from gripper.dynamixel.serial_port import SerialStream
+from gripper.errors import GripperError
+from tests.faults.campaign import FaultRow, Observed, campaign_config
+
+HOG_S = 0.5
+"""Time in s for which a thread of the host holds the interpreter's lock."""
+HOGS = 4
+"""How often it does so."""
+_SUMS_PER_S = 4e7
+"""Numbers that sum() adds in a second, about: it holds the lock meanwhile."""
+_LIMIT_S = 30.0
+"""Patience in s with everything that is waited for."""
+_GRIPPED_N = 1.0
+"""Force in N at which a part counts as gripped."""
+_KEPT_N = 0.6
+"""Force in N with which a part counts as still held."""
+_LET_GO_ATTEMPTS = 5
+_PRIORITY = 60
+"""Of the simulated cell: above the force loop, as devices answer whatever the host does."""
+_TRIPPED = -1
+"""Value of the register Bus Watchdog after it has tripped (XM430 manual)."""
+_WATCHDOG_MARGIN_S = 0.06
+"""What the bus watchdogs may take longer than they are set to, in s."""
+_INTERRUPTED = (1, 130, -signal.SIGALRM)
+"""Exit codes: after the first signal, by the second, or cut off because closing took too long."""
+_STEP = GraspStep(pose=Pose(), force_n=4.0)
+_PROGRAM = (sys.executable, "-P", "-c", f"from {main.__module__} import main; main()")
+_MIDDLE = "import subprocess, sys; subprocess.Popen(sys.argv[1:], start_new_session=True).wait()"
+_HOST = f"""
+import sys
+from {TactileCellPlugin.__module__} import TactileCellPlugin
+plugin = TactileCellPlugin(sys.argv[1])
+plugin.start(dict(task="teach", label="box", grasps=50))
+sys.stdin.readline()
+raise RuntimeError("the host's own error")
+"""
+"""A host program that ends by an error of its own while a job runs, and closes nothing."""
+
+# -- 31: a thread of the host holds the interpreter's lock -------------------------------------
+
+
+def interpreter_lock_hogged(_row: FaultRow) -> Observed:
+    """Hold the interpreter's lock of the host program again and again while it grasps."""
+    cell = build_cell(_client_config())
+    try:
+        cell.controller.start()
+        cell.controller.present("box")
+        over = threading.Event()
+
+        def hog() -> None:
+            for _ in range(HOGS):
+                if over.is_set():
+                    return
+                sum(range(int(HOG_S * _SUMS_PER_S)))
+                gc.collect()
+
+        thread = threading.Thread(target=hog)
+        before = cell.health()["loop"]
+        thread.start()
+        try:
+            record = cell.controller.grasp(_STEP)
+        finally:
+            over.set()
+            thread.join()
+        loop = cell.health()["loop"]
+        gap_s = max(
+            after.t_s - cycle.t_s
+            for cycle, after in zip(record.cycles, record.cycles[1:], strict=False)
+        )
+        return Observed(
+            "NOTHING",
+            None,
+            f"the loop has its own process: {len(record.cycles)} periods, all delivered, "
+            f"longest {1e3 * gap_s:.0f} ms, {loop['late'] - before['late']} late",
+        )
+    finally:
+        cell.close()
+
+
+# -- 33: signals -----------------------------------------------------------------------------
+
+
+def signal_in_the_ramp(row: FaultRow) -> Observed:
+    """Send this process the signal of the row while a command presses a part, in virtual time."""
+    with tempfile.TemporaryDirectory() as name:
+        sent: list[float] = []
+        try:
+            with running_cell(campaign_config(row.changes), Path(name)) as cell:
+                simulated = cell.simulated
+                assert simulated is not None
+
+                def look(now_s: float) -> None:
+                    if not sent and min(simulated.world.contact_force_n()) > _GRIPPED_N:
+                        sent.append(now_s)
+                        signal.raise_signal(signal.Signals[row.variant])
+
+                simulated.clock.on_advance.append(look)
+                cell.controller.present("ball")
+                cell.controller.grasp(_STEP)
+        except CellError as error:
+            message = str(error).partition(" Recording so far")[0]
+            recording = read_recording(Path(name) / "recording.mcap")
+            held = [event for event in recording.events if event["kind"] == "held"]
+            grip_n = min(simulated.world.contact_force_n())
+            whole = recording.complete and held and grip_n > _KEPT_N
+            return Observed(
+                "HOLD" if whole else "LOST",
+                held[0]["t_s"] - sent[0] if held else None,
+                f"{message} ({grip_n:.1f} N); the recording is closed, exit code 1",
+            )
+    return Observed("NOTHING", None, "it went on")
+
+
+def second_signal(_row: FaultRow) -> Observed:
+    """Send the program a second signal at once."""
+    with _gripping() as client:
+        client.process.send_signal(signal.SIGINT)
+        client.process.send_signal(signal.SIGTERM)
+        began_s = time.monotonic()
+        ended_s = _wait_for_end(client.pid)
+        grip_n = _simulator().grip_n()
+        code = client.process.wait()
+        kept = grip_n > _KEPT_N and code in _INTERRUPTED
+        return Observed(
+            "HOLD" if kept else "LOST",
+            ended_s - began_s,
+            f"exit code {code}; the grip is kept ({grip_n:.1f} N)",
+        )
+
+
+def parent_dies(_row: FaultRow) -> Observed:
+    """Kill the process that has started the program."""
+    with _gripping(middle=True) as client:
+        client.process.kill()
+        began_s = time.monotonic()
+        _wait_for_end(client.pid)
+        grip_n = _simulator().grip_n()
+        (path,) = client.folder.glob("out/teach-*/recording.mcap")
+        recording = read_recording(path)
+        held = [event for event in recording.events if event["kind"] == "held"]
+        whole = recording.complete and bool(held) and grip_n > _KEPT_N
+        return Observed(
+            "HOLD" if whole else "LOST",
+            held[0]["t_s"] - began_s if held else None,
+            f"the orphan stops its sequence and ends; the grip is kept ({grip_n:.1f} N), "
+            "the recording is closed",
+        )
+
+
+def host_ends_by_an_error(_row: FaultRow) -> Observed:
+    """Let a host program end by an error of its own."""
+    with _gripping(host=True) as client:
+
+        def ends() -> None:
+            assert client.process.stdin is not None
+            client.process.stdin.close()
+            _wait_for_end(client.pid)
+
+        return _loop_left_alone(
+            client,
+            ends,
+            "nothing was closed; the process of the force loop freezes the goals and ends",
+        )
+
+
+# -- 34: SIGKILL -----------------------------------------------------------------------------
+
+
+def host_killed(_row: FaultRow) -> Observed:
+    """Kill the program; the process of its force loop is left."""
+    with _gripping() as client:
+        return _loop_left_alone(
+            client,
+            lambda: os.kill(client.pid, signal.SIGKILL),
+            "the process of the force loop freezes the goals, disarms the watchdog and ends",
+        )
+
+
+def all_killed(_row: FaultRow) -> Observed:
+    """Kill program and loop at once, as a loss of power does; then start again."""
+    config = _client_config()
+    with _gripping() as client:
+        os.killpg(client.pid, signal.SIGKILL)
+        wait_s = 1e-3 * config.gripper.watchdog_ms + _WATCHDOG_MARGIN_S
+        threading.Event().wait(wait_s)
+        if not _watchdogs_tripped(config):
+            return Observed("NOTHING", None, "no watchdog has tripped")
+        before = _simulator().ask(state=True)
+        cell = build_cell(config)
+        try:
+            cell.controller.start()
+            refusal = "the restart moved"
+        except CellStateError as error:
+            refusal = str(error)
+        state = cell.controller.state.value
+        cell.close()
+        after = _simulator().ask(state=True)
+        still = abs(after["aperture_m"] - before["aperture_m"]) < 2e-4
+        refused = "nothing was moved" in refusal and state == "ABORTED" and still
+        return Observed(
+            "HOLD" if refused else "MOVED",
+            wait_s,
+            f"the watchdogs of both servos have tripped; restart: {state}, {refusal} "
+            f"({min(after['contact_force_n']):.1f} N)",
+        )
+
+
+def _watchdogs_tripped(config: CellConfig) -> bool:
+    stream = SerialStream(config.gripper.port, config.gripper.baud_rate)
+    try:
+        bus = ServoBus(stream, baudrate=config.gripper.baud_rate, clock=time, period_s=0.05)
+        return all(bus.read(servo.id, BUS_WATCHDOG) == _TRIPPED for servo in config.gripper.servos)
+    finally:
+        stream.close()
+
+
+# -- The processes ---------------------------------------------------------------------------
+
+
+@cache
+def _simulator() -> CellProcess:
+    """Return the simulated cell of all rows: its process ends with this one."""
+    config = campaign_config(
+        {
+            "gripper.loop_rate_hz": 100.0,
+            "gripper.approach_speed_mm_s": 30.0,
+            "gripper.watchdog_ms": 500.0,
+            "gripper.force_stale_ms": 400.0,
+            "gripper.bus_loss_ms": 500.0,
+            "tactile.sync_period_ms": 50.0,
+            "sequence.x_mm": [0, 0],
+            "sequence.y_mm": [0, 0],
+            "sequence.force_n": [4, 5],
+        }
+    )
+    process = CellProcess(config)
+    for task in Path(f"/proc/{process.pid}/task").iterdir():
+        with contextlib.suppress(PermissionError, ProcessLookupError):
+            os.sched_setscheduler(int(task.name), os.SCHED_RR, os.sched_param(_PRIORITY))
+    atexit.register(process.end)
+    return process
+
+
+def _client_config() -> CellConfig:
+    return load_config(_simulator().config_path)
+
+
+@dataclass(kw_only=True)
+class _Client:
+    """The program with a part in its grip, in a process and session of its own.
+
+    Attributes
+    ----------
+    process
+        What was started: the program, or its parent.
+    pid
+        The program.
+    folder
+        Where its recording is.
+    """
+
+    process: "subprocess.Popen[bytes]"
+    pid: int
+    folder: Path
+
+
+@contextlib.contextmanager
+def _gripping(*, middle: bool = False, host: bool = False) -> Iterator[_Client]:
+    """Start a client that teaches, and wait until it presses; afterwards the part is let go.
+
+    It is the program, below another process where ``middle``, or else a host program.
+    """
+    cell = _simulator()
+    if cell.grip_n() > 0.0:
+        raise CellError("the part of the row before is still gripped")
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        command = [
+            *_PROGRAM,
+            *("teach", "box", "-n", "50", "-c", str(cell.config_path)),
+            *("-o", str(folder / "d.npz"), "--out", str(folder / "out")),
+        ]
+        if host:
+            command = [sys.executable, "-P", "-c", _HOST, str(cell.config_path)]
+        process = subprocess.Popen(
+            [sys.executable, "-c", _MIDDLE, *command] if middle else command,
+            stdin=subprocess.PIPE,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            start_new_session=True,
+        )
+        pid = process.pid
+        try:
+            _wait_for_grip(process)
+            pid = _child_of(process.pid) if middle else process.pid
+            yield _Client(process=process, pid=pid, folder=folder)
+        finally:
+            for group in {process.pid, pid}:
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(group, signal.SIGKILL)
+            process.wait()
+            for pipe in (process.stdin, process.stderr):
+                if pipe is not None:
+                    pipe.close()
+            _let_go()
+
+
+def _let_go() -> None:
+    """Bring the cell back to open fingers, as an operator would; a busy machine may need more."""
+    for attempt in range(_LET_GO_ATTEMPTS):
+        cell = build_cell(_client_config())
+        try:
+            cell.controller.release_held()
+            return
+        except GripperError:
+            if attempt + 1 == _LET_GO_ATTEMPTS:
+                raise
+        finally:
+            cell.close()
+
+
+def _loop_left_alone(client: _Client, ends: Callable[[], Any], outcome: str) -> Observed:
+    """End a program; the process of its force loop is left, and ends by itself."""
+    loop = _child_of(client.pid)
+    ends()
+    began_s = time.monotonic()
+    after_s = _wait_for_end(loop) - began_s
+    grip_n = _simulator().grip_n()
+    return Observed(
+        "HOLD" if grip_n > _KEPT_N else "LOST",
+        after_s,
+        f"{outcome}; the grip is kept ({grip_n:.1f} N)",
+    )
+
+
+def _wait_for_grip(process: "subprocess.Popen[bytes]") -> None:
+    end_s = time.monotonic() + _LIMIT_S
+    while _simulator().grip_n() < _GRIPPED_N:
+        if process.poll() is not None or time.monotonic() > end_s:
+            process.kill()
+            assert process.stderr is not None
+            raise CellError(f"nothing was gripped: {process.stderr.read().decode()[-300:]}")
+        threading.Event().wait(0.02)
+
+
+def _child_of(pid: int) -> int:
+    text = Path(f"/proc/{pid}/task/{pid}/children").read_text("ascii")
+    return int(text.split()[0])
+
+
+def _wait_for_end(pid: int) -> float:
+    """Wait until a process has ended and return the monotonic time of it in s."""
+    end_s = time.monotonic() + _LIMIT_S
+    while _alive(pid):
+        if time.monotonic() > end_s:
+            raise CellError(f"process {pid} does not end")
+        threading.Event().wait(0.005)
+    return time.monotonic()
+
+
+def _alive(pid: int) -> bool:
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text("utf-8").rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state != "Z"

@@ -1,0 +1,89 @@
+"""Faults of servos and part that need more than a grasp with a fault of the vocabulary."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from cell.errors import NoPartFound
+from gripper.state import GripperPhase
+from tests.faults.campaign import (
+    CampaignCell,
+    FaultRow,
+    Observed,
+    campaign_cell,
+    grasp_job,
+    later,
+    observe,
+)
+
+CAP_N = 6.0
+"""Cap of the force in N in the rows of something trapped: below the default, soon reached."""
+_WITH_THE_PART = frozenset({GripperPhase.APPROACHING, GripperPhase.RAMPING})
+
+
+def servo_is_warm(row: FaultRow) -> Observed:
+    """Grasp with a servo that is warm: less current, and that is counted."""
+    with campaign_cell(row.changes) as cell:
+        hand = cell.controller.hand
+        with cell.first_time(lambda: hand.statistics.loop.derated > 0) as noted_s:
+            seen = observe(cell, row.injected)
+        if seen.reaction != "NOTHING" or not noted_s:
+            return seen
+        began_s = next(f.began_s for f in cell.simulated.injector.faults)
+        derated = hand.statistics.loop.derated
+        return Observed(
+            "NOTE",
+            noted_s[0] - (began_s or 0.0),
+            f"the current was derated in {derated} periods; {seen.outcome}",
+        )
+
+
+def part_leaves(row: FaultRow) -> Observed:
+    """Grasp while the part goes; time runs until the fingers press no more."""
+    with campaign_cell(row.changes) as cell:
+        injected = cell.simulated.inject(row.injected)
+        refusals: list[str] = []
+
+        def job(cell: CampaignCell) -> None:
+            try:
+                grasp_job(cell)
+            except NoPartFound as error:
+                refusals.append(str(error))
+
+        with cell.first_time(_stopped_pressing(cell)) as known_s:
+            seen = observe(cell, job=job)
+        if not refusals or not known_s or injected.began_s is None:
+            return seen
+        return Observed(
+            row.reaction,
+            known_s[0] - injected.began_s,
+            f"{refusals[0]}; {cell.controller.state.value}, the fingers are open",
+        )
+
+
+def _stopped_pressing(cell: CampaignCell) -> Callable[[], bool]:
+    """Return a test for a grasp that has begun to close and closes no more."""
+    closing = False
+
+    def happens() -> bool:
+        nonlocal closing
+        phase = cell.controller.hand.phase
+        if phase in _WITH_THE_PART:
+            closing = True
+            return False
+        return closing
+
+    return happens
+
+
+def something_pushes(row: FaultRow) -> Observed:
+    """Grasp while something pushes back; time counts from the moment the cap is passed."""
+    with campaign_cell(row.changes) as cell:
+        cell.monitor.world_pushes = True
+        cell.monitor.limp_allowed = row.reaction == "LIMP"
+        world = cell.simulated.world
+        with cell.first_time(lambda: max(world.contact_force_n()) > CAP_N) as over_s:
+            seen = observe(cell, row.injected)
+        latched_s = cell.monitor.latched_s
+        if latched_s is None or not over_s:
+            return seen
+        return later(cell, replace(seen, detected_after_s=latched_s - over_s[0]))

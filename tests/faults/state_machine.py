@@ -1,0 +1,291 @@
+"""Random commands and random faults for a cell, and what must hold after each step."""
+
+import logging
+import time
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
+from multiprocessing import get_context
+from typing import Any
+
+from hypothesis import HealthCheck, Phase, seed, settings
+from hypothesis import strategies as st
+from hypothesis.stateful import (
+    RuleBasedStateMachine,
+    initialize,
+    rule,
+    run_state_machine_as_test,
+)
+
+from simulator.faults.entry import FaultEntry, Number
+from simulator.faults.injector import VOCABULARY
+from tests.faults.driver import Driver
+
+PIECES = 10
+"""Pieces that the tests run, each from a seed of its own."""
+STEPS = 300
+"""Steps of one of them; `make campaign` takes a million, from other seeds."""
+ROUNDS = 50
+"""Rules that are drawn for one cell before a new one takes its place."""
+_STEPS_OF_ROUNDS = 75
+"""About so many steps are driven by them: a grasp with a fault is two, a recovery seven."""
+_CHUNK_STEPS = 2000
+"""Steps of one piece of work for a process."""
+
+# Faults: every name of the vocabulary, any value, any moment
+
+_GENTLE = {
+    "can.flood": (10.0, 2000.0),
+    "can.delayed": (0.001, 0.5),
+    "can.lose_next": (1, 30),
+    "servos.lose_next": (1, 2),
+    "servos.fragmented": (1, 64),
+    "unit.slow": (0.001, 0.05),
+    "object.slips": (5.0, 200.0),
+    "servoN.supply": (5.0, 16.0),
+    "servoN.jump": (-0.5, 0.5),
+    "taxels.offset": (-60.0, 60.0),
+    "taxels.gain": (0.0, 3.0),
+    "taxels.saturated": (0.0, 1.0),
+}
+"""Where most of a fault's range is of no interest, the part that is drawn from."""
+_SETTINGS = (
+    "servoN.wrong=operating_mode:1",
+    "servoN.wrong=current_limit:100",
+    "servoN.wrong=temperature_limit:40",
+    "servoN.wrong=shutdown:0",
+    "servoN.wrong=return_delay_time:250",
+    "servoN.wrong=baud_rate:1",
+    "unit.wrong=serial:99",
+    "unit.wrong=product:7",
+    "unit.wrong=taxels:400",
+    "taxels.stuck_at=7:0",
+    "taxels.stuck_at=3:200",
+)
+
+
+def _values(entry: FaultEntry) -> st.SearchStrategy[str]:
+    if entry.value is None:
+        return st.just(entry.name)
+    if not isinstance(entry.value, Number):
+        return st.sampled_from([text for text in _SETTINGS if text.startswith(entry.name)])
+    low, high = _GENTLE.get(entry.name, (entry.value.low, entry.value.high))
+    if entry.value.whole:
+        number = st.integers(int(low), int(high)).map(str)
+    else:
+        number = st.floats(low, high).map(lambda value: f"{value:.4g}")
+    return st.one_of(st.just(entry.name), number.map(lambda value: f"{entry.name}={value}"))
+
+
+def _windows(entry: FaultEntry) -> st.SearchStrategy[str]:
+    at = st.one_of(
+        st.just(""),
+        st.integers(0, 900).map(lambda ms: f"@{ms}ms"),
+        st.integers(0, 300).map(lambda ms: f"@contact+{ms}ms"),
+        st.just("@moving"),
+    )
+    if entry.moment:
+        return at
+    timed = st.tuples(st.integers(0, 900), st.integers(10, 600)).map(
+        lambda pair: f"@{pair[0]}ms..{pair[0] + pair[1]}ms"
+    )
+    return st.one_of(at, timed)
+
+
+def fault_texts() -> st.SearchStrategy[str]:
+    """Return texts of every fault of the vocabulary, at random moments."""
+
+    def of(entry: FaultEntry) -> st.SearchStrategy[str]:
+        text = st.tuples(_values(entry), _windows(entry)).map("".join)
+        if not entry.name.startswith("servoN"):
+            return text
+        number = st.sampled_from(("servo1", "servo2"))
+        return st.tuples(number, text).map(lambda pair: pair[1].replace("servoN", pair[0]))
+
+    return st.sampled_from(sorted(VOCABULARY)).flatmap(lambda name: of(VOCABULARY[name]))
+
+
+_FAULTS = fault_texts()
+_FORCE = st.sampled_from((0.7, 1.0, 3.0, 3.0, 5.0, 8.0, 14.2, 14.9, 40.0))
+_TURN_RAD = st.sampled_from((0.0, 0.7, 1.57))
+_READY = st.sampled_from(("as it is", "start", "recover", "recover "))
+_X_MM = st.sampled_from((0.0, 1.0, -2.0, 4.0, 40.0))
+
+
+class CellMachine(RuleBasedStateMachine):
+    """A cell under random commands and faults; see `tests.faults.driver`."""
+
+    taken = 0
+
+    @initialize(self_test=st.booleans(), started=st.booleans())
+    def begin(self, self_test: bool, started: bool) -> None:
+        self.driver = Driver(self_test=self_test)
+        if started:
+            self.driver.start()
+
+    @rule()
+    def start(self) -> None:
+        self.driver.start()
+
+    @rule(ready=_READY, x_mm=_X_MM, force_n=_FORCE, turn_rad=_TURN_RAD)
+    def grasp(self, ready: str, x_mm: float, force_n: float, turn_rad: float) -> None:
+        self.driver.make_ready(ready)
+        self.driver.grasp(x_mm, force_n, turn_rad)
+
+    @rule(ready=_READY, force_n=_FORCE)
+    def identify(self, ready: str, force_n: float) -> None:
+        self.driver.make_ready(ready)
+        self.driver.identify(force_n)
+
+    @rule(ready=_READY, text=_FAULTS, force_n=_FORCE)
+    def grasp_with_a_fault(self, ready: str, text: str, force_n: float) -> None:
+        self.driver.make_ready(ready)
+        self.driver.inject(text)
+        self.driver.identify(force_n)
+
+    @rule(ready=_READY, first=_FAULTS, second=_FAULTS, force_n=_FORCE)
+    def grasp_with_two_faults(self, ready: str, first: str, second: str, force_n: float) -> None:
+        self.driver.make_ready(ready)
+        self.driver.inject(first)
+        self.driver.inject(second)
+        self.driver.grasp(0.0, force_n, 0.0)
+
+    @rule(ready=_READY, after_ms=st.integers(0, 900), force_n=_FORCE)
+    def grasp_and_cancel(self, ready: str, after_ms: int, force_n: float) -> None:
+        self.driver.make_ready(ready)
+        self.driver.cancel_soon(1e-3 * after_ms)
+        self.driver.grasp(0.0, force_n, 0.0)
+
+    @rule()
+    def cancel(self) -> None:
+        self.driver.cancel()
+
+    @rule()
+    def release(self) -> None:
+        self.driver.release()
+
+    @rule()
+    def release_held(self) -> None:
+        self.driver.release_held()
+
+    @rule(reboot=st.booleans())
+    def clear(self, reboot: bool) -> None:
+        self.driver.clear(reboot=reboot)
+
+    @rule()
+    def reset(self) -> None:
+        self.driver.reset()
+
+    @rule()
+    def shutdown(self) -> None:
+        self.driver.shutdown()
+
+    @rule(ms=st.sampled_from((5, 20, 100, 400)))
+    def wait(self, ms: int) -> None:
+        self.driver.wait(1e-3 * ms)
+
+    @rule()
+    def restart(self) -> None:
+        self.driver.restart()
+
+    @rule(dead_ms=st.sampled_from((0, 50, 300)))
+    def kill(self, dead_ms: int) -> None:
+        self.driver.kill(1e-3 * dead_ms)
+
+    @rule(text=_FAULTS)
+    def inject(self, text: str) -> None:
+        self.driver.inject(text)
+
+    @rule()
+    def heal(self) -> None:
+        self.driver.heal()
+
+    @rule(label=st.sampled_from(("ball", "box")))
+    def place(self, label: str) -> None:
+        self.driver.place(label)
+
+    @rule()
+    def recover(self) -> None:
+        self.driver.recover()
+
+    def teardown(self) -> None:
+        if hasattr(self, "driver"):
+            CellMachine.taken += self.driver.steps
+            self.driver.close()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Outcome:
+    """What a run of the machine has found.
+
+    Attributes
+    ----------
+    steps
+        Commands, faults and events that were driven.
+    seconds
+        How long it took in s.
+    defect
+        What was broken, with the steps that led there; empty for nothing.
+    """
+
+    steps: int
+    seconds: float
+    defect: str
+
+
+def run_machine(steps: int, number: int, *, shrink: bool = False) -> Outcome:
+    """Run at least so many steps, from a seed; what is found is returned, not raised."""
+    logging.disable(logging.CRITICAL)
+    began_s = time.monotonic()
+    CellMachine.taken = 0
+    defect, part = "", 0
+    try:
+        while CellMachine.taken < steps and not defect:
+            part += 1
+            defect = _run_part(steps - CellMachine.taken, 1000 * number + part, shrink=shrink)
+    finally:
+        logging.disable(logging.NOTSET)
+    return Outcome(steps=CellMachine.taken, seconds=time.monotonic() - began_s, defect=defect)
+
+
+def _run_part(steps: int, number: int, *, shrink: bool) -> str:
+    phases = (Phase.generate, Phase.shrink) if shrink else (Phase.generate,)
+    chosen = settings(
+        max_examples=max(1, steps // _STEPS_OF_ROUNDS),
+        stateful_step_count=ROUNDS,
+        deadline=None,
+        database=None,
+        phases=phases,
+        print_blob=False,
+        suppress_health_check=list(HealthCheck),
+    )
+    try:
+        run_state_machine_as_test(seed(number)(CellMachine), settings=chosen)
+    except Exception as error:
+        return f"seed {number}: {type(error).__name__}: {error}"
+    return ""
+
+
+def _chunk(job: tuple[int, int]) -> Outcome:
+    return run_machine(*job)
+
+
+def run_all(
+    steps: int, *, first_seed: int, jobs: int, seconds: float = 1e9, progress: Any = None
+) -> Outcome:
+    """Run the machine in pieces on several processes until steps, time or a defect end it."""
+    began_s = time.monotonic()
+    taken, number = 0, first_seed
+    defects: list[str] = []
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        while taken < steps and time.monotonic() - began_s < seconds and not defects:
+            pieces = []
+            for _ in range(jobs):
+                pieces.append((min(_CHUNK_STEPS, steps - taken), number))
+                number += 1
+            for outcome in pool.map(_chunk, pieces):
+                taken += outcome.steps
+                if outcome.defect:
+                    defects.append(outcome.defect)
+            if progress is not None:
+                progress(f"state machine: {taken:,} of {steps:,} steps")
+    return Outcome(steps=taken, seconds=time.monotonic() - began_s, defect="\n\n".join(defects))

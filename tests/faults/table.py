@@ -1,0 +1,457 @@
+"""The rows of the fault campaign as data: 42 kinds of fault in their variants.
+
+A record is: kind, variant, fault in plain words, what is injected, required reaction, limit in s
+until it is detected (None where no time applies); then, where the text of the simulator's
+vocabulary and one grasp do not do, the scenario, and changes of the config.
+"""
+
+import signal
+from collections.abc import Callable, Iterable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+from tests.faults.campaign import CampaignCell, FaultRow, campaign_config, grasp_with_fault
+from tests.faults.scenarios import can, files, host, processes, servo
+
+REACTIONS = {
+    "REJECT": "the start, command or file is refused, cause and remedy are named",
+    "NOTE": "counted and kept in the record; the job goes on",
+    "HOLD": "the ramp stops, goals stay at their last values, the grip is kept; clear and reset "
+    "needed",
+    "LIMP": "torque off: position or force of the fingers is not known, or the force is over the "
+    "cap",
+    "ABORT": "as HOLD, and a servo has lost its torque by itself: the part is possibly dropped",
+    "NO PART FOUND": "the fingers stop and open again, nothing is learnt or classified",
+    "PART LOST": "the same, after the part was touched",
+    "NOTHING": "the job is done as without the fault",
+}
+"""What a cell does about a fault."""
+
+LOOP_S = 1.0 / campaign_config().gripper.loop_rate_hz
+"""Period of the force loop: what was received is looked at so late at most."""
+SYNC_S = 0.02
+"""Period of SYNC."""
+BURST_S = 0.0075
+"""A frame is whole so long after its SYNC."""
+SETS_S = 0.06 + LOOP_S
+"""Three sets that are missing, counted from the first, and the next look."""
+BOOT_S = 0.02
+"""Of the control unit."""
+FORCE_STALE_S = 0.1
+"""`gripper.force_stale_ms`: control goes on so long on the last force that was good."""
+STUCK_S = 0.5
+"""A taxel that repeats itself is bad after 25 frames."""
+START_S = 3.0
+"""A start with a wrong unit is refused within this time."""
+BUS_LOST_S = 0.1
+"""`gripper.bus_loss_ms`."""
+ONE_SILENT_S = 0.025
+"""Three periods with their repetitions, and what is left of the one in which it began."""
+CYCLE_S = 0.006
+"""One period and the transaction that shows it."""
+VERIFY_S = 2.0
+"""All registers are verified within this time."""
+VERIFY_AGAIN_S = 3.0
+"""All verified registers have been read again, one of them every 60 ms."""
+SIGNAL_S = 0.5
+"""From a signal in real time until the program or its loop has ended."""
+LONG_HOLD = {"sequence.ramp.hold_s": 3.0}
+HOUR_S = 3600.0
+OVERRUNS_MAX = campaign_config().loop.overruns_max
+
+
+def _near(rows: Iterable[FaultRow]) -> tuple[FaultRow, ...]:
+    """Return rows for a cell whose fingers open little wider than the ball: short ways."""
+    return tuple(
+        replace(row, changes={"gripper.aperture_open_mm": 11.0} | dict(row.changes)) for row in rows
+    )
+
+
+# fmt: off
+CAN_BUS = _near((
+    FaultRow(1, "", "one tactile frame lost (one message of it)",
+             "drop_next=1 on the link, with a SYNC", "NOTE", BURST_S + SYNC_S + LOOP_S,
+             partial(can.sets_lost, lost=lambda number: number == 0, crossing=1)),
+    FaultRow(1, "two in a row", "two tactile frames lost in a row",
+             "drop_next=1 on the link, with two SYNCs", "NOTE", BURST_S + 2 * SYNC_S + LOOP_S,
+             partial(can.sets_lost, lost=lambda number: number < 2, crossing=1)),
+    FaultRow(2, "silence", "every set lost from one SYNC on",
+             "can.loss=1, with a SYNC", "HOLD", SETS_S, can.fault_from_a_sync),
+    FaultRow(2, "silence at any moment", "every set lost, beginning anywhere between two SYNCs",
+             "can.loss=1@contact+0.1s", "HOLD", SETS_S + SYNC_S),
+    FaultRow(2, "bursts", "all lost for 0.1 s of each 0.5 s",
+             "can.intermittent=0.2@contact+0.1s", "HOLD", SETS_S + SYNC_S),
+    FaultRow(2, "one set in five",
+             "20 % of the sets lost, evenly; the limit counts from the set that is one too many",
+             "drop_next=1 on the link, with each fifth SYNC", "HOLD", 0.06,
+             partial(can.sets_lost, lost=lambda number: number % 5 == 0, crossing=3)),
+    FaultRow(2, "one set in twenty",
+             "5 % of the sets lost, evenly; the limit counts from the set that is one too many",
+             "drop_next=1 on the link, with each 20th SYNC", "HOLD", 0.06,
+             partial(can.sets_lost, lost=lambda number: number % 20 == 0, crossing=3),
+             {"sequence.ramp.hold_s": 1.5}),
+    FaultRow(3, "", "every fifth message comes twice", "can.duplicate=0.2@contact", "NOTE", None),
+    FaultRow(4, "reordered", "messages come after their successor",
+             "can.swapped=0.2@contact", "NOTE", None),
+    FaultRow(4, "late by 100 ms",
+             "messages held back for 100 ms; the grip is held as for lost sets",
+             "can.delayed=0.1@contact+0.1s", "HOLD", SETS_S + SYNC_S),
+    FaultRow(4, "late by 45 ms",
+             "messages held back for 45 ms: fewer than three sets are missing; the third that is "
+             "too old is one too many",
+             "can.delayed=0.045@contact+0.1s", "HOLD", 0.045 + BURST_S + 3 * SYNC_S + LOOP_S),
+    FaultRow(5, "corrupt payload", "one bit turned in each message for one period",
+             "can.garbage=1@contact+0.1s..contact+0.12s", "NOTE", SYNC_S + BURST_S + LOOP_S),
+    FaultRow(5, "corrupt payload often", "a bit in 1 % of messages",
+             "can.garbage=0.01@contact+0.1s", "HOLD", 0.3),
+    FaultRow(5, "wrong length", "some of them",
+             "can.wrong_dlc=0.05@contact+0.1s..contact+0.12s", "NOTE", None),
+    FaultRow(5, "wrong length often", "every second of them",
+             "can.wrong_dlc=0.5@contact+0.1s", "HOLD", SETS_S),
+    FaultRow(5, "short payload", "fewer bytes than the length says",
+             "can.short=0.5@contact+0.1s", "HOLD", SETS_S),
+    FaultRow(5, "unknown COB-ID", "20 foreign messages a second",
+             "can.unknown_id=20@contact", "NOTE", 0.05 + LOOP_S),
+    FaultRow(5, "unknown COB-ID often", "4000 of them a second",
+             "can.unknown_id=4000@contact", "HOLD", 0.06),
+    FaultRow(5, "short EMCY", "an emergency of three bytes",
+             "can.short_emergency@contact", "NOTE", SYNC_S + LOOP_S),
+    FaultRow(6, "", "a flood of 8000 messages a second, the bus is full",
+             "can.flood@contact+0.1s", "HOLD", 0.06),
+    FaultRow(7, "for 0.3 s", "the host's controller is error-passive for 0.3 s",
+             "can.passive@contact..contact+0.3s", "NOTE", 0.05),
+    FaultRow(7, "lasting", "the host's controller stays error-passive",
+             "can.passive@contact", "HOLD", 0.5 + 2 * LOOP_S),
+    FaultRow(8, "bus-off", "the host's CAN controller goes bus-off",
+             "can.off@contact+0.2s", "HOLD", 0.1),
+    FaultRow(8, "unplugged", "the CAN adapter is pulled out",
+             "can.unplugged@contact+0.2s", "HOLD", 0.1),
+    FaultRow(8, "back again", "the CAN adapter is out for 50 ms; no silent reconnect",
+             "can.unplugged@contact+0.1s..contact+0.15s", "HOLD", 0.1, can.adapter_comes_back),
+    FaultRow(8, "receiver dead", "the receive thread ends with an error of the driver",
+             "a driver that raises RuntimeError in a real thread", "HOLD", 0.1, can.receiver_dies),
+))
+
+CONTROL_UNIT = _near((
+    FaultRow(9, "", "the unit reboots in the ramp; the limit counts its boot of 20 ms",
+             "unit.reboot@contact+0.1s", "HOLD", BOOT_S + LOOP_S, can.unit_reboots),
+    FaultRow(10, "heartbeat lost", "the heartbeat stops",
+             "unit.heartbeat_off@contact+0.1s", "HOLD", 0.15 + LOOP_S),
+    FaultRow(10, "never appears", "the unit is not there at the start",
+             "unit.off", "REJECT", START_S + 0.05),
+    FaultRow(10, "gone", "the unit falls silent",
+             "unit.off@contact+0.1s", "HOLD", 0.06 + SYNC_S + LOOP_S),
+    FaultRow(11, "pre-operational", "the unit falls to pre-operational; its next heartbeat says so",
+             "unit.pre_operational@contact+0.1s", "HOLD", 0.1 + LOOP_S),
+    FaultRow(11, "EMCY", "the unit sends an emergency",
+             "unit.emergency=0x5000@contact+0.1s", "HOLD", 2 * LOOP_S),
+    FaultRow(12, "second unit at the start", "two units with one node-ID",
+             "unit.second_node", "REJECT", START_S),
+    FaultRow(12, "second unit joins", "a second unit with the same node-ID boots in the ramp",
+             "unit.second_node@contact+0.1s", "HOLD", BOOT_S + 2 * LOOP_S),
+    FaultRow(12, "everything twice",
+             "two frames after each SYNC, as of a second unit that did not boot now",
+             "can.duplicate=1@contact", "HOLD", 6 * SYNC_S),
+    FaultRow(12, "another unit", "the left unit where the right one belongs",
+             "unit.wrong=serial:99", "REJECT", START_S, changes={"tactile.serial_number": 1}),
+    FaultRow(12, "another layout", "a unit with other pads",
+             "unit.wrong=taxels:400", "REJECT", START_S),
+    FaultRow(12, "pads swapped", "the pads of both fingers exchanged at the unit",
+             "unit.pads_swapped", "REJECT", START_S,
+             changes={"tactile.board_serial_numbers": [11, 12]}),
+))
+
+TAXELS = _near((
+    FaultRow(13, "", "frozen frames: valid, new counter, same samples",
+             "unit.stuck@contact+0.1s", "HOLD", 0.1),
+    FaultRow(13, "without noise",
+             "frozen frames of a sensor without noise, while the force grows by 1 N",
+             "unit.stuck@contact+0.1s", "HOLD", 0.2 + SYNC_S, changes={"simulator.noise": "none"}),
+    FaultRow(14, "few at the start", "four taxels at full scale",
+             "taxels.stuck=0.01", "NOTE", None),
+    FaultRow(14, "many at the start", "120 taxels at full scale",
+             "taxels.stuck=0.3", "REJECT", START_S),
+    FaultRow(14, "few online", "four taxels get stuck high",
+             "taxels.stuck=0.01@contact+0.1s", "NOTE", SYNC_S + BURST_S + LOOP_S),
+    FaultRow(14, "many online", "120 taxels get stuck high",
+             "taxels.stuck=0.3@contact+0.1s", "HOLD", FORCE_STALE_S + SYNC_S + BURST_S),
+    FaultRow(15, "few at the start", "four taxels read 0", "taxels.off=0.01", "NOTE", None),
+    FaultRow(15, "many at the start", "120 taxels read 0", "taxels.off=0.3", "REJECT", START_S),
+    FaultRow(15, "few online", "four taxels die",
+             "taxels.off=0.01@contact", "NOTE", STUCK_S + SYNC_S + BURST_S + LOOP_S,
+             changes={"sequence.ramp.hold_s": 0.5}),
+    FaultRow(15, "many online", "120 taxels die",
+             "taxels.off=0.3@contact+0.1s", "HOLD", STUCK_S + FORCE_STALE_S + SYNC_S + BURST_S),
+    FaultRow(16, "a gripping pad",
+             "a gripping pad saturates: its force is void with the next set, control goes on for "
+             "force_stale_ms",
+             "taxels.saturated=0@contact+0.1s", "HOLD", FORCE_STALE_S + SYNC_S + BURST_S),
+    FaultRow(16, "another pad", "an outer pad saturates",
+             "taxels.saturated=1@contact+0.1s", "NOTE", SYNC_S + BURST_S + LOOP_S),
+    FaultRow(17, "step up in the ramp",
+             "all taxels read 4 % more, as after a temperature step; no label is given",
+             "taxels.offset=10@contact+0.1s", "HOLD", FORCE_STALE_S + 2 * SYNC_S),
+    FaultRow(17, "step down in the ramp", "all taxels read 4 % less; no label is given",
+             "taxels.offset=-10@contact+0.1s", "HOLD", FORCE_STALE_S + 3 * SYNC_S),
+    FaultRow(17, "drift between grasps",
+             "the zero has drifted before the next grasp; it is refused with nothing moved",
+             "taxels.offset=10 in a cell that waits", "HOLD", None, can.drifts_between_grasps),
+    FaultRow(17, "touched while zeroing",
+             "a part is squeezed between the pads while the zero is taken",
+             "a zero of ten frames while a ball is gripped with 1 N", "REJECT", 0.25,
+             can.touched_while_zeroing),
+))
+
+SERVO_BUS = (
+    FaultRow(18, "one lost answer", "one answer of a servo is lost in the ramp",
+             "servos.loss=1@contact+0.2s..contact+203ms", "NOTE", LOOP_S),
+    FaultRow(18, "one lost request", "one request to the servos is lost in the ramp",
+             "servos.lost_requests=1@contact+0.2s..contact+203ms", "NOTE", LOOP_S),
+    FaultRow(18, "now and then", "one answer in twenty is lost, for the whole job",
+             "servos.loss=0.05", "NOTE", None),
+    FaultRow(19, "cable out", "the cable of the servo bus is pulled in the ramp",
+             "servos.unplugged@contact+0.2s", "HOLD", BUS_LOST_S),
+    FaultRow(19, "dead bus", "no servo answers any more in the ramp",
+             "servos.off@contact+0.2s", "HOLD", BUS_LOST_S),
+    FaultRow(19, "dead bus in the approach", "no servo answers any more while the fingers close",
+             "servos.off@moving+0.6s", "HOLD", BUS_LOST_S),
+    FaultRow(19, "all answers late", "all answers come 30 ms late from the ramp on",
+             "servos.delayed=0.03@contact+0.2s", "HOLD", BUS_LOST_S),
+    FaultRow(20, "bit errors", "one bit of every answer turns for 10 ms",
+             "servos.corrupt=1@contact+0.2s..contact+0.21s", "NOTE", LOOP_S),
+    FaultRow(20, "bit errors now and then",
+             "one bit of one answer in twenty turns, for the whole job",
+             "servos.corrupt=0.05", "NOTE", None),
+    FaultRow(20, "cut answers", "all answers lack their end from the ramp on",
+             "servos.truncated=1@contact+0.2s", "HOLD", BUS_LOST_S),
+    FaultRow(20, "wrong sender", "answers name another servo for 4 ms",
+             "servos.wrong_id=1@contact+0.2s..contact+204ms", "NOTE", LOOP_S),
+    FaultRow(20, "noise before answers",
+             "bytes of noise come before every answer, for the whole job",
+             "servos.garbage=1", "NOTE", None),
+    FaultRow(20, "own echo", "the adapter gives the host its own bytes back, for the whole job",
+             "servos.echo", "NOTE", None),
+    FaultRow(21, "second finger in the ramp", "servo 2 falls silent in the ramp, servo 1 answers",
+             "servo2.off@contact+0.2s", "HOLD", ONE_SILENT_S),
+    FaultRow(21, "first finger in the ramp", "servo 1 falls silent in the ramp, servo 2 answers",
+             "servo1.off@contact+0.2s", "HOLD", ONE_SILENT_S),
+    FaultRow(21, "in the approach", "servo 2 falls silent while the fingers close",
+             "servo2.off@moving+0.6s", "HOLD", ONE_SILENT_S),
+)
+
+SERVOS = (
+    FaultRow(22, "overload", "the overload protection of a servo latches in the ramp",
+             "servo1.overload@contact+0.2s", "ABORT", CYCLE_S),
+    FaultRow(22, "electrical shock", "the shock protection of a servo latches in the ramp",
+             "servo2.error=16@contact+0.2s", "ABORT", CYCLE_S),
+    FaultRow(23, "warm", "a servo comes near its largest temperature",
+             "servo1.overheat=66@contact+0.2s", "NOTE", 1.0, servo.servo_is_warm),
+    FaultRow(23, "hot", "a servo is warmer than temperature_max_c, below its own limit",
+             "servo1.overheat=74@contact+0.2s", "HOLD", 1.0),
+    FaultRow(23, "latched", "a servo switches its torque off for heat",
+             "servo1.overheat=90@contact+0.2s", "ABORT", CYCLE_S),
+    FaultRow(24, "dip", "the supply of a servo falls to 9 V in the ramp",
+             "servo2.supply=9@contact+0.2s", "HOLD", CYCLE_S),
+    FaultRow(24, "brown-out",
+             "the supply dips for 50 ms and the servo restarts; silent while it boots",
+             "servo2.reboot@contact+0.2s, servo2.supply=5@contact+0.2s..contact+0.25s",
+             "ABORT", ONE_SILENT_S),
+    FaultRow(25, "",
+             "a servo restarts in the ramp: it is silent while it boots, so three periods are "
+             "waited",
+             "servo1.reboot@contact+0.2s", "ABORT", ONE_SILENT_S),
+    *(FaultRow(26, variant, fault, f"servo2.wrong={register}", "REJECT", VERIFY_S)
+      for variant, fault, register in (
+          ("id", "a servo has another ID", "id:7"),
+          ("baud rate", "a servo is set to another baud rate", "baud_rate:1"),
+          ("model", "a servo is another model", "model_number:1060"),
+          ("current limit", "a current limit in the EEPROM is too low", "current_limit:100"),
+          ("drive mode", "a servo turns the other way round", "drive_mode:1"),
+          ("homing offset", "a servo has a homing offset", "homing_offset:500"),
+          ("shutdown", "a servo's protection is switched off", "shutdown:0"),
+          ("second id", "a servo also listens to the ID of the other", "secondary_id:1"))),
+    FaultRow(26, "while running", "somebody changes a register in a hold; one is read every 60 ms",
+             "servo2.wrong=shutdown:0@contact+0.3s", "HOLD", VERIFY_AGAIN_S, changes=LONG_HOLD),
+    FaultRow(27, "encoder jump", "the position of a servo leaps by 0.3 rad in the ramp",
+             "servo1.jump=0.3@contact+0.2s", "LIMP", CYCLE_S),
+    FaultRow(27, "out of range", "the position of a servo leaps to where its finger cannot be",
+             "servo2.jump=1.5@contact+0.2s", "LIMP", CYCLE_S),
+    FaultRow(27, "stuck encoder",
+             "a position stands still while the empty finger opens; only its goal tells",
+             "servo1.stuck@moving+0.05s", "HOLD", 4.0),
+    FaultRow(30, "",
+             "the bus watchdog of a servo trips and the motor turns on; the self-test is on",
+             "servo2.watchdog_off", "REJECT", 3.0, changes={"gripper.watchdog_self_test": True}),
+)
+
+GRIP = (
+    FaultRow(28, "no part",
+             "the part is taken away in the approach: the fingers close to their limit",
+             "object.gone@moving+0.6s", "NO PART FOUND", 1.5, servo.part_leaves, LONG_HOLD),
+    # The force is the mean of three frames of 20 ms: it is zero with the third.
+    FaultRow(28, "part lost in the ramp", "the part is taken out of the fingers in the ramp",
+             "object.gone@contact+0.3s", "PART LOST", 0.08, servo.part_leaves, LONG_HOLD),
+    FaultRow(28, "part lost in a hold", "the part is taken out of the fingers while it is held",
+             "object.gone@contact+1.5s", "PART LOST", 0.05, servo.part_leaves, LONG_HOLD),
+    # 2 mm of way, and the mean of the sensor; 50 ms would be 1 mm, its noise.
+    FaultRow(28, "part slips", "the held part slides along the pads with 20 mm/s",
+             "object.slips=20@contact+1.5s", "HOLD", 0.2,
+             partial(grasp_with_fault, look_again=False), LONG_HOLD),
+    # Three frames of the sensor, whose mean it gives.
+    *(FaultRow(29, f"reaction {reaction}",
+               f"something trapped pushes the force above its cap of {servo.CAP_N:g} N in a hold; "
+               "time counts from the cap",
+               "object.trapped=3@contact+0.8s", required, 0.06, servo.something_pushes,
+               LONG_HOLD | {"sequence.force_n": [2.0, 4.0], "gripper.force_max_n": servo.CAP_N,
+                            "gripper.over_force.reaction": reaction})
+      for reaction, required in (("lower", "HOLD"), ("open", "HOLD"), ("limp", "LIMP"))),
+)
+
+HOST_PROGRAM = (
+    *(FaultRow(31, f"{stall_ms} ms stall",
+               f"the loop is held up for {stall_ms} ms in the ramp, once",
+               "a sink that sleeps", reaction, limit_s,
+               partial(host.loop_held_up, stall_s=1e-3 * stall_ms))
+      for stall_ms, reaction, limit_s in (
+          (10, "NOTE", 2 * LOOP_S),
+          (50, "NOTE", 2 * LOOP_S),
+          (500, "HOLD", 0.5 + 2 * LOOP_S))),
+    FaultRow(31, "overruns in a row",
+             f"each period takes 10 ms too long; {OVERRUNS_MAX} in a row are the limit",
+             "a sink that sleeps, each time", "HOLD", (OVERRUNS_MAX + 2) * (0.010 + LOOP_S),
+             partial(host.loop_held_up, stall_s=0.010, times=1000)),
+    FaultRow(31, "interpreter lock hogged",
+             f"a thread of the host program holds Python's lock for {processes.HOG_S:g} s and "
+             "collects garbage, four times",
+             "sum() over a long range and gc.collect() beside a grasp, real time", "NOTHING", None,
+             processes.interpreter_lock_hogged, real_time=True),
+    FaultRow(32, "callback", "the callback that is told of each grasp raises",
+             "an exception", "NOTE", LOOP_S,
+             partial(host.error_between_grasps, recognizer=host.SureRecognizer(),
+                     on_grasp=host.broken_callback)),
+    FaultRow(32, "recogniser", "the recogniser raises", "an exception", "NOTE", LOOP_S,
+             partial(host.error_between_grasps,
+                     recognizer=host.SureRecognizer(ValueError("no such feature")))),
+    FaultRow(32, "sink", "what collects the periods of the loop raises",
+             "an exception", "HOLD", LOOP_S, host.error_in_the_loop),
+    FaultRow(32, "mover", "the host's callback that moves the robot raises",
+             "an exception", "HOLD", LOOP_S, host.error_in_the_mover),
+    *(FaultRow(33, number.name, f"{number.name} in the ramp",
+               "a signal to the command that grasps", "HOLD", 0.02, processes.signal_in_the_ramp)
+      for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)),
+    FaultRow(33, "second signal", "a second signal follows at once: the program ends",
+             "SIGINT and SIGTERM, real time", "HOLD", SIGNAL_S,
+             processes.second_signal, real_time=True),
+    FaultRow(33, "parent dies", "the process that started the program dies",
+             "SIGKILL to the parent, real time", "HOLD", SIGNAL_S,
+             processes.parent_dies, real_time=True),
+    FaultRow(33, "uncaught error",
+             "a host program ends by an error of its own mid-job and closes nothing",
+             "an exception in the main thread, real time", "HOLD", SIGNAL_S,
+             processes.host_ends_by_an_error, real_time=True),
+    FaultRow(34, "host program killed",
+             "the program is killed in the ramp; its force loop is left",
+             "SIGKILL, real time", "HOLD", SIGNAL_S, processes.host_killed, real_time=True),
+    FaultRow(34, "all killed",
+             "program and force loop are killed at once, as by a loss of power; then a restart",
+             "SIGKILL to both, real time", "HOLD", 0.6, processes.all_killed, real_time=True),
+    FaultRow(35, "silent host",
+             "the host that has loaded the plugin makes no call any more, mid-job",
+             f"no call for {host.HOST_TIMEOUT_S:g} s (host_timeout_s)", "HOLD",
+             2.0 * host.HOST_TIMEOUT_S, host.host_is_silent,
+             {"host_timeout_s": host.HOST_TIMEOUT_S}, real_time=True),
+    *(FaultRow(40, variant, "the wall clock jumps in the ramp", f"{step_s:+g} s", "NOTHING", None,
+               partial(host.wall_clock_jumps, step_s=step_s))
+      for variant, step_s in (
+          ("an hour on", HOUR_S), ("an hour back", -HOUR_S), ("NTP step", -0.4))),
+)
+
+DISK_AND_PORTS = (
+    # From the first write that is refused; of a slow disk, until 64 KiB wait for it.
+    FaultRow(36, "full disk", "the disk is full from the contact on, when_lost: finish",
+             "ENOSPC", "NOTE", 2 * LOOP_S, files.disk_refuses, {"recording.when_lost": "finish"}),
+    FaultRow(36, "full disk and hold", "the disk is full from the contact on, when_lost: hold",
+             "ENOSPC", "HOLD", 2 * LOOP_S, files.disk_refuses, {"recording.when_lost": "hold"}),
+    FaultRow(36, "slow disk", "the disk stands still from then on",
+             "a write that waits", "NOTE", 10.0, partial(files.disk_refuses, slow=True),
+             {"recording.when_lost": "finish"}),
+    FaultRow(36, "read-only", "the folder of the recording cannot be written",
+             "a folder below /proc", "REJECT", None, files.folder_is_read_only),
+    FaultRow(37, "truncated", "the recording is truncated", "bytes of the file", "REJECT", None,
+             partial(files.damaged_recording, damage=files.cut)),
+    FaultRow(37, "bit-flipped", "the recording is bit-flipped", "bytes of the file", "REJECT", None,
+             partial(files.damaged_recording, damage=files.flipped)),
+    FaultRow(41, "the servo port", "a second program opens the servo port",
+             "the same pseudo-terminal again", "REJECT", None, files.servo_port_opened_twice),
+    FaultRow(41, "the CAN adapter's port", "a second program opens the CAN adapter's port",
+             "the same pseudo-terminal again", "REJECT", None, files.can_port_opened_twice),
+)
+
+BAD_CONFIGS = (
+    # Variant, text of the file, word of the cause in the refusal.
+    ("corrupt", "gripper: {force_max_n: [\n", "not YAML"),
+    ("partial", "gripper:\n  force_max_n: 1", "cut off"),
+    ("duplicate key", "gripper:\n  force_max_n: 5\n  force_max_n: 50\n", "force_max_n"),
+    ("NaN", "gripper:\n  force_max_n: .nan\n", "gripper.force_max_n"),
+    ("out of range", "gripper:\n  force_max_n: 51.0\n", "gripper.force_max_n"),
+    ("misspelt", "gripper:\n  forc_max_n: 5.0\n", "is force_max_n meant"),
+    ("wrong type", "gripper:\n  force_max_n: '5'\n", "gripper.force_max_n"),
+    ("alias bomb", "a: &a [x, x]\nb: &b [*a, *a]\nc: [*b, *b]\n", "aliases"),
+)
+BAD_MODELS: tuple[tuple[str, Callable[[Path], bytes]], ...] = (
+    ("corrupt", lambda _marker: files.flipped(files.model_file(), 0x01)),
+    ("cut off", lambda _marker: files.model_file()[:-400]),
+    ("other taxel map", lambda _marker: files.model_file("pinch")),
+    ("other version", files.model_of_other_version),
+    ("pickle", files.evil_pickle),
+    ("pickle in an archive", files.evil_archive),
+    ("archive that unpacks to 2 GiB", files.archive_bomb),
+)
+CONFIGS_AND_MODELS = (
+    *(FaultRow(38, variant, f"config: {variant}", f"`{text.strip().splitlines()[-1].strip()}`",
+               "REJECT", None, partial(files.bad_config, text=text, word=word))
+      for variant, text, word in BAD_CONFIGS),
+    *(FaultRow(39, variant, f"model: {variant}", "bytes of the file", "REJECT", None,
+               partial(files.bad_model, content=content))
+      for variant, content in BAD_MODELS),
+)
+
+COMMANDS = (
+    *(FaultRow(42, variant, f"`{command}` while the cell is {state}", command, "REJECT", LOOP_S,
+               scenario)
+      for variant, command, state, scenario in (
+          ("double start", "start", "IDLE", partial(host.refused, prepare=CampaignCell.start)),
+          ("release while moving", "release", "EXECUTE", host.refused_while_moving),
+          ("start while moving", "start", "EXECUTE", host.refused_while_moving),
+          ("shutdown while moving", "shutdown", "EXECUTE", host.refused_while_moving),
+          ("reset without clear", "reset", "ABORTED", partial(host.refused, prepare=host.aborted)),
+          ("release without clear", "release", "ABORTED",
+           partial(host.refused, prepare=host.aborted)))),
+    FaultRow(42, "cancel during start", "the start is cancelled while the fingers open",
+             "cancel", "HOLD", 2 * LOOP_S, host.start_cancelled),
+    FaultRow(42, "cancel twice", "a grasp is cancelled twice in the ramp",
+             "cancel", "HOLD", 2 * LOOP_S, host.grasp_cancelled_twice),
+)
+# fmt: on
+
+GROUPS = {
+    "CAN bus": CAN_BUS,
+    "control unit": CONTROL_UNIT,
+    "taxels": TAXELS,
+    "servo bus": SERVO_BUS,
+    "servos": SERVOS,
+    "grip": GRIP,
+    "host program": HOST_PROGRAM,
+    "disk, recordings, ports": DISK_AND_PORTS,
+    "configs and models": CONFIGS_AND_MODELS,
+    "commands out of order": COMMANDS,
+}
+"""The rows by what fails."""
+
+ROWS: tuple[FaultRow, ...] = tuple(
+    sorted(
+        (row for rows in GROUPS.values() for row in rows), key=lambda row: (row.row, row.variant)
+    )
+)
+"""All rows, in the order of the page."""

@@ -1,0 +1,1 @@
+"""Properties over bad input, for every parser; `harness` says how many inputs each meets."""

@@ -1,0 +1,227 @@
+"""Properties over bad input: damage for good bytes, limits of time and memory, how many inputs.
+
+Each property meets some dozens of inputs, the same ones in every run. With FUZZ_EXAMPLES (inputs
+for each property) or FUZZ_SECONDS (longest time for each in s) they are as many, and new ones.
+"""
+
+import functools
+import logging
+import os
+import resource
+import signal
+import time
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from recognition.grasp import Grasp, PadArray
+
+LONG_RUN = not {"FUZZ_EXAMPLES", "FUZZ_SECONDS"}.isdisjoint(os.environ)
+LONG_EXAMPLES = float(os.environ.get("FUZZ_EXAMPLES", "inf"))
+LONG_SECONDS = float(os.environ.get("FUZZ_SECONDS", "inf"))
+ROUND_EXAMPLES = 500
+"""Hypothesis keeps what it has tried: rounds bound its memory, and the clock is read after each."""
+MEMORY_KB = 64 << 10
+"""What one input may take beyond what the process has: four times the largest chunk unpacked."""
+
+Damage = tuple[str, int, int, bytes]
+"""Kind, place, size and new bytes of one damage; see `spoilt`."""
+
+
+def damages(*, at_least: int = 0, at_most: int = 4) -> st.SearchStrategy[list[Damage]]:
+    """Return lists of damages."""
+    one = st.tuples(
+        st.sampled_from(["flip", "set", "put", "cut", "end", "double", "move"]),
+        st.integers(0, 1 << 16),
+        st.integers(1, 8) | st.integers(1, 200),
+        st.binary(min_size=1, max_size=8)
+        | st.sampled_from([b"\0\0\0\0", b"\x7f", b"\xff\xff\xfd\0", b"\n", b'"', b"-", b":", b"["]),
+    )
+    return st.lists(one, min_size=at_least, max_size=at_most)
+
+
+def spoilt(data: bytes, damages: Iterable[Damage]) -> bytes:
+    """Return the bytes with bits flipped, pieces overwritten, put in, lost, doubled or moved."""
+    out = bytearray(data)
+    for kind, place, size, new in damages:
+        at = place % (len(out) + 1)
+        if kind == "flip":
+            out[at : at + 1] = bytes(byte ^ 1 << size % 8 for byte in out[at : at + 1])
+        elif kind == "set":
+            out[at : at + len(new)] = new
+        else:
+            _rearrange(out, kind, at, size, new)
+    return bytes(out)
+
+
+def disturbed(messages: Sequence[bytes], damages: Iterable[Damage]) -> list[bytes]:
+    """Return the messages with some of them spoilt, lost, doubled or moved, and others put in."""
+    out = list(messages)
+    for kind, place, size, new in damages:
+        at = place % (len(out) + 1)
+        if kind in ("flip", "set"):
+            out[at : at + 1] = [spoilt(one, [(kind, size, size, new)]) for one in out[at : at + 1]]
+        else:
+            _rearrange(out, kind, at, size, [new])
+    return out
+
+
+def _rearrange(out: Any, kind: str, at: int, size: int, new: Any) -> None:
+    piece = out[at : at + size]
+    if kind == "put":
+        out[at:at] = new
+    elif kind == "double":
+        out[at:at] = piece
+    else:
+        del out[at : None if kind == "end" else at + size]
+        if kind == "move":
+            to = size % (len(out) + 1)
+            out[to:to] = piece
+
+
+def pieces(data: bytes, size: int) -> list[bytes]:
+    """Cut bytes as a driver hands them out."""
+    return [data[at : at + size] for at in range(0, len(data), size)]
+
+
+json_values = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers(-(10**400), 10**400)
+    | st.floats()
+    | st.text(max_size=6)
+    | st.sampled_from([1e308, -1e308, 1e-320, 1 << 40]),
+    lambda inner: (
+        st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=5), inner, max_size=3)
+    ),
+    max_leaves=8,
+)
+
+
+def bad_input(*, examples: int = 60, limit_s: float = 0.5, **inputs: st.SearchStrategy[Any]) -> Any:
+    """Make a property of a test that returns what became of its input, in a few words.
+
+    It fails if any input breaks an assertion, takes more than ``limit_s`` s of processor time or
+    64 MB, and if the same became of all inputs: then they prove nothing.
+    """
+
+    def decorate(test: Callable[..., str]) -> Callable[..., None]:
+        found: Counter[str] = Counter()
+
+        @functools.wraps(test)
+        def within_limits(*args: Any, **kwargs: Any) -> None:
+            with limits(limit_s):
+                outcome = test(*args, **kwargs)
+            found[outcome] += 1
+
+        one_round = settings(
+            max_examples=int(min(LONG_EXAMPLES, ROUND_EXAMPLES)) if LONG_RUN else examples,
+            derandomize=not LONG_RUN,
+            deadline=None,
+            suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
+        )(given(**inputs)(within_limits))
+
+        @functools.wraps(one_round)
+        def rounds(*args: Any, **kwargs: Any) -> None:
+            found.clear()
+            end_s = time.monotonic() + LONG_SECONDS
+            logging.disable(logging.CRITICAL)  # libraries log each damage, pytest keeps it all
+            try:
+                one_round(*args, **kwargs)
+                while LONG_RUN and time.monotonic() < end_s and found.total() < LONG_EXAMPLES:
+                    one_round(*args, **kwargs)
+            finally:
+                logging.disable(logging.NOTSET)
+            counts = "; ".join(f"{outcome} {count:,}" for outcome, count in found.most_common())
+            print(counts)  # noqa: T201  pytest -rP shows it
+            assert len(found) > 1, f"the same became of all inputs: {dict(found)}"
+
+        return rounds
+
+    return decorate
+
+
+class _Hangs(BaseException):
+    """No parser catches this."""
+
+
+@contextmanager
+def limits(cpu_s: float) -> Iterator[None]:
+    """Fail if the block takes more processor time, or 64 MB more memory than there was before."""
+
+    def hangs(*_: object) -> None:
+        raise _Hangs
+
+    usual = signal.signal(signal.SIGVTALRM, hangs)
+    with suppress(OSError):  # Linux measures the peak from here on; elsewhere it only rises
+        Path("/proc/self/clear_refs").write_bytes(b"5")
+    before_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    signal.setitimer(signal.ITIMER_VIRTUAL, cpu_s)
+    try:
+        yield
+    except _Hangs:
+        raise AssertionError(f"more than {cpu_s} s of processor time") from None
+    finally:
+        signal.setitimer(signal.ITIMER_VIRTUAL, 0.0)
+        signal.signal(signal.SIGVTALRM, usual)
+    grown_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before_kb
+    assert grown_kb < MEMORY_KB, f"{grown_kb >> 10} MB of memory"
+
+
+class Clock:
+    """Time that passes in waiting only."""
+
+    now_s = 0.0
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def sleep(self, seconds: float, /) -> None:
+        self.now_s += seconds
+
+
+@functools.cache
+def good_grasps() -> tuple[Grasp, ...]:
+    """Return twelve grasps of two objects, six frames each, by two pads of 8 x 5 taxels."""
+    pads = PadArray(
+        pad_shape=np.array([[8, 5], [8, 5]]),
+        taxel_pad=np.repeat([0, 1], 40),
+        taxel_xy_m=np.tile([(r * 3e-3, c * 3e-3) for r in range(8) for c in range(5)], (2, 1)),
+        adc_max=255,
+    )
+    rng = np.random.default_rng(3)
+    share = np.linspace(0.0, 1.0, 6)[:, None]
+    away_m = np.linalg.norm(pads.taxel_xy_m - pads.taxel_xy_m.mean(axis=0), axis=1)
+
+    def grasp(i: int) -> Grasp:
+        touch = np.maximum(0.0, 1 - (away_m / (8e-3 if i % 2 else 11e-3)) ** 2)
+        counts = (90 + 100 * (i % 2)) * share * touch + rng.integers(1, 4, (6, len(away_m)))
+        return Grasp(
+            pads=pads,
+            counts=counts.astype(np.uint16),
+            t_s=np.arange(6) / 30,
+            aperture_m=np.linspace(0.03, 0.02, 6),
+            force_n=share[:, 0] * 8,
+            label=("ball", "box")[i % 2],
+            source="made",
+            start_ms=1_700_000_000_000 + i,
+        )
+
+    return tuple(grasp(i) for i in range(12))
+
+
+def same_grasps(ours: Sequence[Grasp], others: Sequence[Grasp]) -> bool:
+    """Return whether grasps are equal in every value."""
+    arrays = ("counts", "t_s", "aperture_m", "force_n")
+    return len(ours) == len(others) and all(
+        (a.label, a.source, a.start_ms) == (b.label, b.source, b.start_ms)
+        and a.pads.same_as(b.pads)
+        and all(np.array_equal(getattr(a, n) + 0.0, getattr(b, n) + 0.0, True) for n in arrays)
+        for a, b in zip(ours, others, strict=True)
+    )

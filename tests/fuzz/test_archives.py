@@ -1,0 +1,286 @@
+"""Bad archives that people hand around: grasp data sets and taught models."""
+
+import contextlib
+import functools
+import io
+import json
+import pickle
+import tempfile
+import tracemalloc
+import zipfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from cell.data.dataset import read_dataset, write_dataset
+from cell.errors import DatasetError, ModelError
+from cell.learning.model import _digest, load_model, save_model
+from recognition.errors import RecognitionError
+from recognition.grasp import Grasp
+from recognition.recognizers.level_check import LevelCheckTrainer
+from recognition.recognizers.shrinkage_lda import ShrinkageLdaTrainer
+from tests.fuzz.harness import bad_input, damages, good_grasps, json_values, same_grasps, spoilt
+
+TRAINERS = {"level_check": LevelCheckTrainer(), "shrinkage_lda": ShrinkageLdaTrainer()}
+exploded: list[str] = []
+"""What a pickle that is loaded puts here."""
+
+
+class Bomb:
+    """An object that shows whether its pickle was loaded."""
+
+    def __reduce__(self) -> tuple[Callable[..., Any], tuple[str]]:
+        return exploded.append, ("a pickle was loaded",)
+
+
+def npy_of(array: NDArray[Any]) -> bytes:
+    stream = io.BytesIO()
+    np.save(stream, array, allow_pickle=True)
+    return stream.getvalue()
+
+
+def npy_with(header: str, body: bytes = b"") -> bytes:
+    text = header.encode()
+    return b"\x93NUMPY\x01\0" + len(text).to_bytes(2, "little") + text + body
+
+
+def array_of(data: bytes) -> NDArray[Any]:
+    array: NDArray[Any] = np.load(io.BytesIO(data), allow_pickle=False)
+    return array
+
+
+def members_of(data: bytes) -> dict[str, bytes]:
+    with zipfile.ZipFile(io.BytesIO(data)) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+def archive_of(members: dict[str, bytes], method: int = zipfile.ZIP_STORED) -> bytes:
+    """Return a whole archive with right checksums."""
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w", method) as archive:
+        for name, data in members.items():
+            archive.writestr(zipfile.ZipInfo(name), data, method)
+    return stream.getvalue()
+
+
+sizes = st.integers(-2, 10**13) | st.sampled_from([10**300, True, 3.0])
+headers = st.fixed_dictionaries(
+    {
+        "descr": st.sampled_from(["<f8", "<f2", "<U4", "<U0", "|O", "<i8", ">u2", "|V8", "<m8[s]"])
+        | st.lists(st.tuples(st.just("a"), st.just("<f8")), max_size=2)
+        | st.none(),
+        "shape": st.lists(sizes, max_size=4).map(tuple) | st.none() | st.text(max_size=4),
+        "fortran_order": st.booleans() | st.none(),
+    }
+).map(repr) | st.sampled_from(["{'descr': '<f8', 'shape': (1,) * 40}", "{" * 100, "(" * 2000])
+names = st.sampled_from(["x.npy", "../x.npy", "/etc/x.npy", "a", ".npy"])
+KINDS = ("element", "element", "element", "cut", "double", "text", "scalar")
+values = st.tuples(
+    st.sampled_from(KINDS),
+    st.integers(0, 9999),
+    st.sampled_from([np.nan, np.inf, -1.0, 0.0, 1.0, 1e300, 1e-300, 1e9, -1e9]),
+)
+ways = (
+    st.tuples(st.just("lose"), st.none())
+    | st.tuples(st.just("add"), names)
+    | st.tuples(st.just("new"), st.sampled_from([pickle.dumps(Bomb()), npy_of(np.array([Bomb()]))]))
+    | st.tuples(st.just("new"), headers.map(npy_with))
+    | st.tuples(st.just("header"), headers)
+    | st.tuples(st.just("spoil"), damages(at_least=1))
+    | st.tuples(st.just("values"), values)
+    | st.tuples(st.just("values"), values)
+)
+changes = st.lists(st.tuples(st.integers(0, 99), ways), max_size=2)
+methods = st.sampled_from(
+    [zipfile.ZIP_STORED] * 5 + [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA]
+)
+
+
+def changed(good: dict[str, bytes], changes: list[tuple[int, tuple[str, Any]]]) -> dict[str, bytes]:
+    """Return the files with some of them changed, added or left out."""
+    members = dict(good)
+    for number, (way, what) in changes:
+        name = list(members)[number % len(members)]
+        data = members[name]
+        if way == "lose" and len(members) > 1:
+            del members[name]
+        elif way == "add":
+            members[what] = data
+        elif way == "new":
+            members[name] = what
+        elif way == "header":
+            members[name] = npy_with(what, data[data.find(b"\n") + 1 :])
+        elif way == "spoil":
+            members[name] = spoilt(data, what)
+        elif way == "values" and data is good.get(name):
+            members[name] = npy_of(other_values(array_of(data), *what))
+    return members
+
+
+def other_values(array: NDArray[Any], kind: str, place: int, value: float) -> NDArray[Any]:
+    if kind == "element" and array.size and array.dtype.kind in "iuf":
+        out = array.copy()
+        if array.dtype.kind != "f":
+            value = min(max(np.nan_to_num(value), 0), np.iinfo(array.dtype).max)
+        with np.errstate(over="ignore"):
+            out.reshape(-1)[place % out.size] = value
+        return out
+    if kind == "cut":
+        return array.reshape(-1)[: place % max(1, array.size)]
+    if kind == "double" and array.ndim:
+        return np.concatenate([array, array])
+    return {"text": np.array(["x"] * (place % 4)), "scalar": np.array(value)}.get(kind, array[None])
+
+
+@functools.cache
+def good_dataset() -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        write_dataset(Path(folder) / "good.npz", good_grasps())
+        return (Path(folder) / "good.npz").read_bytes()
+
+
+def grasps_of(path: Path, data: bytes) -> tuple[Grasp, ...] | None:
+    """Return the grasps of a data set; None where it is refused. No pickle may have run."""
+    path.write_bytes(data)
+    try:
+        return read_dataset(path, limit_bytes=4 << 20)
+    except DatasetError:
+        return None
+    finally:
+        assert not exploded
+
+
+@bad_input(harm=damages(), examples=100)
+def test_a_damaged_data_set_is_refused_or_unchanged(tmp_path, harm):
+    found = grasps_of(tmp_path / "x.npz", spoilt(good_dataset(), harm))
+    right = grasps_of(tmp_path / "good.npz", good_dataset())
+    assert found is None or same_grasps(found, right)
+    return "refused" if found is None else "unchanged"
+
+
+@bad_input(changes=changes, method=methods, examples=100)
+def test_a_data_set_of_other_arrays_is_refused_or_valid(tmp_path, changes, method):
+    members = changed(members_of(good_dataset()), changes)
+    found = grasps_of(tmp_path / "x.npz", archive_of(members, method))
+    return "refused" if found is None else "read"
+
+
+@functools.cache
+def good_model(kind: str) -> tuple[bytes, dict[str, NDArray[Any]]]:
+    """Return a model file, and what was learnt."""
+    recognizer = TRAINERS[kind].fit(good_grasps())
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "good.npz"
+        save_model(path, recognizer, trainer_name=kind, pads=good_grasps()[0].pads)
+        return path.read_bytes(), dict(recognizer.to_arrays())
+
+
+def loaded(path: Path, data: bytes, kind: str) -> str:
+    """Return what became of a model in a good one's place: it gives numbers, or is refused."""
+    path.write_bytes(data)
+    grasp = good_grasps()[0]
+    try:
+        recognizer = load_model(path, grasp.pads).recognizer
+        probability = recognizer.posterior(grasp).probability
+    except ModelError:
+        return "refused"
+    except RecognitionError:
+        return "refused when asked"
+    finally:
+        assert not exploded
+    assert np.all(np.isfinite(probability))
+    found, right = recognizer.to_arrays(), good_model(kind)[1]
+    same = found.keys() == right.keys() and all(np.array_equal(found[n], right[n]) for n in right)
+    return "unchanged" if same else "another model"
+
+
+@bad_input(kind=st.sampled_from(list(TRAINERS)), harm=damages(), examples=80, limit_s=2.0)
+def test_a_damaged_model_is_refused_or_unchanged(tmp_path, kind, harm):
+    outcome = loaded(tmp_path / "x.npz", spoilt(good_model(kind)[0], harm), kind)
+    assert outcome != "another model"
+    return outcome
+
+
+def forged(members: dict[str, bytes], entries: dict[str, Any]) -> dict[str, bytes]:
+    """Return a model's files with other entries in its header, and the right checksum there."""
+    arrays = {name[:-4]: array_of(data) for name, data in members.items()}
+    header = json.loads(str(arrays.pop("model"))) | entries | {"sha256": _digest(arrays)}
+    return members | {"model.npy": npy_of(np.array(json.dumps(header)))}
+
+
+@bad_input(
+    kind=st.sampled_from(list(TRAINERS)),
+    changes=changes,
+    method=methods,
+    entries=st.none()
+    | st.just({})
+    | st.dictionaries(st.sampled_from(["format", "trainer", "class", "labels"]), json_values),
+    examples=150,
+    limit_s=2.0,
+)
+def test_a_model_of_other_arrays_is_refused_or_answers(tmp_path, *, kind, changes, method, entries):
+    members = changed(members_of(good_model(kind)[0]), changes)
+    if entries is not None:
+        with contextlib.suppress(Exception):  # of arrays that numpy cannot read
+            members = forged(members, entries)
+    outcome = loaded(tmp_path / "x.npz", archive_of(members, method), kind)
+    assert entries is not None or outcome != "another model"
+    return outcome
+
+
+@pytest.mark.parametrize(
+    ("kinds", "array", "value"),
+    [
+        (TRAINERS, "pads.adc_max", np.array(np.inf)),
+        (TRAINERS, "pads.taxel_xy_m", np.full((80, 2), np.nan)),
+        (["level_check"], "learnt.labels", np.array(["ball", "box", "x"])),
+        (["level_check"], "learnt.labels", np.array("ball")),
+    ],
+)
+def test_a_model_that_could_not_answer_is_refused_when_it_is_loaded(tmp_path, kinds, array, value):
+    for kind in kinds:
+        members = members_of(good_model(kind)[0])
+        assert f"{array}.npy" in members
+        data = archive_of(forged(members | {f"{array}.npy": npy_of(value)}, {}))
+        assert loaded(tmp_path / "x.npz", data, kind) == "refused"
+
+
+def refusal(path: Path, data: bytes) -> str:
+    """Return why a data set is refused; it is refused before anything large is unpacked."""
+    path.write_bytes(data)
+    tracemalloc.start()
+    try:
+        with pytest.raises(DatasetError) as refused:
+            read_dataset(path)
+        assert tracemalloc.get_traced_memory()[1] < 4 << 20
+    finally:
+        tracemalloc.stop()
+    return str(refused.value)
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
+def test_packings_that_unpack_without_a_bound_are_refused(tmp_path: Path, method: int) -> None:
+    data = bytearray(archive_of({"counts.npy": bytes(30 << 20)}, method))
+    directory = data.rindex(b"PK\x01\x02")
+    data[directory + 24 : directory + 28] = (100).to_bytes(4, "little")
+    assert "packed by method" in refusal(tmp_path / "x.npz", data)
+
+
+def test_texts_without_a_size_are_refused(tmp_path: Path) -> None:
+    texts = npy_with("{'descr': '<U0', 'fortran_order': False, 'shape': (300000000,), }")
+    assert "has no size" in refusal(tmp_path / "x.npz", archive_of({"label.npy": texts}))
+
+
+def test_an_archive_that_lost_an_optional_array_is_refused(tmp_path: Path) -> None:
+    data = bytearray(good_dataset())
+    last = data.rindex(b"PK\x01\x02")
+    before = data.rindex(b"PK\x01\x02", 0, last)
+    # The comment of one entry swallows the entry behind it, which is the source of the grasps.
+    data[before + 32 : before + 34] = (data.rindex(b"PK\x05\x06") - last).to_bytes(2, "little")
+    assert "source.npy" not in members_of(bytes(data))
+    assert "12 arrays found, 13 stated" in refusal(tmp_path / "x.npz", data)

@@ -1,0 +1,301 @@
+"""Bad CAN messages: frames, features, emergencies, a link in operation, SDO at both ends."""
+
+import functools
+from collections.abc import Callable, Iterable, Iterator
+from types import SimpleNamespace
+
+import can
+import canopen
+import numpy as np
+import pytest
+from hypothesis import strategies as st
+
+from simulator.devices import CellDevices
+from simulator.settings import SimulatorSettings
+from tactile.errors import NodeMissing, TactileError
+from tactile.frames.assembler import FrameAssembler
+from tactile.frames.codec import FrameFormat, TactileFrame, encode_frame
+from tactile.frames.pad_features import FeatureCollector, PadFeatures, encode_features
+from tactile.layout import paper_layout
+from tactile.unit import object_dictionary
+from tactile.unit.sdo import MAX_OBJECT_BYTES, ObjectAccess, PolledSdoClient
+from tactile.unit.session import LinkSession
+from tactile.unit.settings import LinkSettings
+from tactile.unit.supervision import decode_emergency
+from tests.fuzz.harness import Clock, bad_input, damages, disturbed, pieces
+
+NODE = 5
+SMALL = FrameFormat(n_taxels=8, sample_bytes=2)
+PAPER = FrameFormat.of(paper_layout())
+
+
+def burst(frame_format: FrameFormat, counter: int) -> list[bytes]:
+    counts = np.arange(frame_format.n_taxels) * (counter + 1) % 256
+    return encode_frame(frame_format, counts, counter & 0xFFFF, counter & 0xFF)
+
+
+def assert_came(frame: TactileFrame, frame_format: FrameFormat, messages: Iterable[bytes]) -> None:
+    """Fail if a frame holds anything but messages that came, under the checksum that came."""
+    parts = encode_frame(frame_format, frame.counts, frame.counter, frame.status)
+    assert set(parts) <= set(messages)
+
+
+@bad_input(
+    size=st.sampled_from([SMALL, SMALL, SMALL, PAPER]),
+    first=st.sampled_from([0, 7, 0xFFFE]),
+    steps=st.lists(st.sampled_from([1, 1, 1, 0, 2, 4]), max_size=3),
+    harm=damages(),
+    lengths=st.dictionaries(st.integers(0, 20), st.integers(0, 15), max_size=2),
+    examples=120,
+)
+def test_frames_are_made_of_what_came_and_never_go_back(*, size, first, steps, harm, lengths):
+    counters = [first + sum(steps[:n]) for n in range(len(steps) + 1)]
+    messages = disturbed([data for counter in counters for data in burst(size, counter)], harm)
+    assembler = FrameAssembler(size)
+    found: list[TactileFrame] = []
+    for number, data in enumerate(messages):
+        frame = assembler.push(data, lengths.get(number, len(data)), 0.0)
+        if frame is not None:
+            assert_came(frame, size, messages)
+            assert not found or 0 < (frame.counter - found[-1].counter) % 0x10000 < 0x8000
+            found.append(frame)
+    assert assembler.statistics.complete == len(found)
+    return "whole frames" if found else "dropped"
+
+
+features = st.builds(
+    PadFeatures,
+    pad=st.integers(0, 63),
+    counter=st.integers(0, 255),
+    active=st.integers(0, 255),
+    peak_counts=st.integers(0, 0xFFFF),
+    total_counts=st.integers(0, 0xFFFF_FFFF),
+    centroid_row=st.integers(0, 0xFFFF).map(lambda raw: raw / 256),
+    centroid_column=st.integers(0, 0xFFFF).map(lambda raw: raw / 256),
+)
+
+
+@bad_input(
+    sent=st.lists(features.map(encode_features), min_size=1, max_size=3),
+    first_harm=damages(at_most=2),
+    second_harm=damages(at_most=2),
+)
+def test_features_are_made_of_what_came(sent, first_harm, second_harm):
+    firsts = disturbed([first for first, _ in sent], first_harm)
+    seconds = disturbed([second for _, second in sent], second_harm)
+    collector = FeatureCollector()
+    for data in firsts:
+        collector.push_first(data)
+    for data in seconds:
+        collector.push_second(data)
+    found = [encode_features(entry) for entry in collector.take()]
+    assert all(first in firsts and second in seconds for first, second in found)
+    return "whole features" if found else "dropped"
+
+
+@bad_input(data=st.binary(min_size=8, max_size=8) | st.binary(max_size=64))
+def test_an_emergency_has_eight_bytes_and_a_text(data):
+    emergency = decode_emergency(data)
+    assert (emergency is not None) == (len(data) == 8)
+    if emergency is None:
+        return "dropped"
+    assert int.from_bytes(data[:2], "little") == emergency.code
+    assert bytes([emergency.register]) + emergency.detail == data[2:]
+    assert emergency.text
+    return "understood"
+
+
+class QuietBus(can.BusABC):
+    """A bus that takes everything; `on_send` answers."""
+
+    def __init__(self) -> None:
+        super().__init__("quiet")
+        self.on_send: Callable[[bytes], None] = lambda data: None
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        self.on_send(bytes(msg.data))
+
+
+@pytest.fixture
+def bus() -> Iterator[QuietBus]:
+    bus = QuietBus()
+    yield bus
+    bus.shutdown()
+
+
+def message(can_id: int, data: bytes, kind: str = "data", dlc: int | None = None) -> can.Message:
+    made = can.Message(
+        arbitration_id=can_id,
+        is_extended_id=kind == "extended",
+        is_remote_frame=kind == "remote",
+        is_error_frame=kind == "error",
+        data=data[:8],
+    )
+    made.dlc = made.dlc if dlc is None else dlc
+    return made
+
+
+strangers = st.builds(
+    message,
+    st.sampled_from([0x180, 0x280, 0x380, 0x580, 0x600, 0x700, 0x80]).map(NODE.__add__)
+    | st.integers(0, 0x7FF),
+    st.binary(min_size=8, max_size=8) | st.binary(max_size=8),
+    st.sampled_from(["data"] * 8 + ["extended", "remote", "error"]),
+    st.none() | st.none() | st.integers(0, 15),
+)
+some = st.lists(strangers, max_size=4)
+
+
+@bad_input(before=some, harm=damages(), after=some)
+def test_a_link_in_operation_gives_frames_that_came_or_its_own_errors(bus, before, harm, after):
+    sent = [message(0x180 + NODE, data) for data in disturbed(burst(PAPER, 9), harm)]
+    messages = [*before, *sent, *after]
+    session = LinkSession(
+        bus,
+        SimpleNamespace(
+            drain=lambda: [(0.0, one) for one in messages], wait=lambda timeout_s: None
+        ),
+        node_id=NODE,
+        layout=paper_layout(),
+        clock=Clock(),
+        settings=LinkSettings(),
+    )
+    session.enter_operation()
+    try:
+        session.service()
+    except TactileError:
+        return "refused"
+    frames = session.take_frames()
+    for frame in frames:
+        assert_came(frame, PAPER, [bytes(one.data) for one in messages])
+    return "whole frames" if frames else "dropped"
+
+
+class Unit:
+    """A simulated control unit, at its defaults, and what it sends."""
+
+    def __init__(self) -> None:
+        self.simulated = simulated_unit()
+        self.sent: list[tuple[int, bytes]] = []
+        self.simulated.connect(self._take)
+        self.simulated.power_cycle()
+        self.now_s = self.simulated.next_event_s() + 0.01
+        self.simulated.advance(self.now_s)
+
+    def _take(self, ready_s: float, can_id: int, burst: list[bytes]) -> float:
+        self.sent += [(can_id, data) for data in burst]
+        return ready_s
+
+    def answers(self, data: bytes, can_id: int = 0x600 + NODE) -> list[bytes]:
+        """Return the SDO responses to one message."""
+        self.sent.clear()
+        self.simulated.receive(can_id, data, self.now_s)
+        assert all(len(data) <= 8 for _, data in self.sent)
+        return [data for can_id, data in self.sent if can_id == 0x580 + NODE]
+
+
+@functools.cache
+def simulated_unit():
+    return CellDevices(SimulatorSettings()).unit
+
+
+requests = st.builds(
+    lambda command, index, subindex, data: (
+        bytes((command, *index.to_bytes(2, "little"), subindex)) + data
+    ),
+    st.sampled_from([0x40, 0x23, 0x2F, 0x2B, 0x21, 0x20, 0x60, 0x70, 0x00, 0x10, 0x01]),
+    st.sampled_from([0x1000, 0x1005, 0x1008, 0x1014, 0x1017, 0x1018, 0x1800, 0x1A00])
+    | st.integers(0x2100, 0x2210)
+    | st.integers(0, 0xFFFF),
+    st.integers(0, 6),
+    st.sampled_from([bytes(4), b"\x01\0\0\0"]) | st.binary(min_size=4, max_size=4),
+)
+
+
+@bad_input(
+    other=st.tuples(st.binary(max_size=8), st.sampled_from([0, 0x80]) | st.integers(0, 0x7FF)),
+    requests=st.lists(requests, min_size=1, max_size=6),
+    harm=damages(at_most=2),
+)
+def test_the_simulated_unit_answers_each_request_once_or_not_at_all(other, requests, harm):
+    unit = Unit()
+    unit.answers(*other)
+    answers = [unit.answers(data[:8]) for data in disturbed(requests, harm)]
+    assert all(len(one) <= 1 and all(len(data) == 8 for data in one) for one in answers)
+    return "answered" if any(one and one[0][0] != 0x80 for one in answers) else "refused"
+
+
+def read(bus: QuietBus, index: int, subindex: int, answer: Callable[[bytes], list[bytes]]) -> bytes:
+    """Return an object as our client reads it; `answer` gives the responses to a request."""
+    clock = Clock()
+    client = PolledSdoClient(
+        node_id=NODE,
+        dictionary=object_dictionary.of_node(NODE),
+        clock=clock,
+        service=lambda: None,
+        wait=clock.sleep,
+        timeout_s=0.1,
+    )
+    client.network = canopen.Network(bus)
+    n_requests = 0
+
+    def respond(request: bytes) -> None:
+        nonlocal n_requests
+        n_requests += 1
+        assert n_requests < 20_000
+        for data in answer(request):
+            client.on_response(0x580 + NODE, data, 0.0)
+
+    bus.on_send = respond
+    return ObjectAccess(client, name="the unit").read(index, subindex)
+
+
+@bad_input(
+    place=st.sampled_from(
+        [
+            (object_dictionary.IDENTITY, 1),
+            (object_dictionary.DEVICE_NAME, 0),
+            (object_dictionary.LAYOUT, 3),
+            (object_dictionary.LAYOUT, 2),
+            (object_dictionary.FORMAT, 2),
+        ]
+    ),
+    script=st.lists(
+        st.tuples(damages(at_most=1), st.just([]) | st.lists(st.binary(min_size=8, max_size=8))),
+        max_size=8,
+    ),
+)
+def test_an_object_is_read_as_it_came_or_not_at_all(bus, place, script):
+    unit, rest, came = Unit(), iter(script), []
+    right = read(bus, *place, unit.answers)
+
+    def answer(request: bytes) -> list[bytes]:
+        harm, before = next(rest, ([], []))
+        answers = before + disturbed(unit.answers(request), harm)
+        came.extend(answers)
+        return answers
+
+    try:
+        found = read(bus, *place, answer)
+    except TactileError:
+        return "refused"
+    assert all(any(piece in data for data in came) for piece in pieces(found, 7))
+    assert found == right or any(harm or before for harm, before in script)
+    return "read" if found == right else "another value: SDO has no checksum"
+
+
+def test_an_object_without_an_end_is_given_up(bus: QuietBus) -> None:
+    head = b"\x41" + object_dictionary.DEVICE_NAME.to_bytes(2, "little") + bytes(5)
+    with pytest.raises(NodeMissing, match=f"more than {MAX_OBJECT_BYTES} bytes"):
+        read(
+            bus,
+            object_dictionary.DEVICE_NAME,
+            0,
+            lambda r: [head if r[0] == 0x40 else bytes((r[0] & 0x10, *bytes(7)))],
+        )
+
+
+def test_an_object_shorter_than_announced_is_refused(bus: QuietBus) -> None:
+    answers = iter([b"\x41\x08\x10\0\x14\0\0\0", b"\x0da" + bytes(6)] * 3)
+    with pytest.raises(NodeMissing, match="1 bytes came, 20 were announced"):
+        read(bus, object_dictionary.DEVICE_NAME, 0, lambda _: [next(answers)])

@@ -1,0 +1,269 @@
+"""Bad text of people and other programs: configs, shapes, meshes, requests and replies."""
+
+import itertools
+import json
+import math
+import socket
+import struct
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import strategies as st
+
+from cell.config.file import MAX_BYTES, config_text, parse_config
+from cell.config.model import CellConfig
+from cell.errors import ConfigError
+from simulator.devices import CellDevices
+from simulator.errors import SimulatorSettingsError
+from simulator.faults.injector import FaultInjector
+from simulator.realtime.requests import CellRequests
+from simulator.realtime.socket_server import LINE_LIMIT, PositionerServer
+from simulator.settings import SimulatorSettings
+from simulator.world.shape_files import load_mesh, parse_shape
+from simulator.world.shapes import PAPER_OBJECTS, Shape
+from tests.fuzz.harness import bad_input, damages, json_values, spoilt
+
+YAML = (
+    "[", "]", "{", "}", "- ", ": ", "? ", "&a ", "*a", "<<: ", "!!binary ", "!!set ", "!!omap ",
+    "!!timestamp ", "!!python/object/apply:os.system ", "!x ", "| ", "> ", "'", '"', "\\x", "# ",
+    "%YAML 1.1\n", "---\n", "...\n", ".inf", ".nan", "1e999", "0x1F", "1_0", "2001-01-01", "~",
+    "null", "yes", "true", "9" * 400, "\t", "\0", "\ud7ff", "\u2028", "\ufeff", "-1", "0o7",
+)  # fmt: skip
+
+
+def sections() -> list[str]:
+    """Return the short sections of the built-in config."""
+    lines = config_text(CellConfig(), comments=False).splitlines(keepends=True)
+    starts = [i for i, line in enumerate(lines) if line[0] not in " -\n#"] + [len(lines)]
+    whole = ["".join(lines[a:b]) for a, b in itertools.pairwise(starts)]
+    return [section for section in whole if len(section) < 500]
+
+
+def text_of(data: bytes) -> str:
+    return data.decode("utf-8", errors="replace")
+
+
+def put_in(text: str, places: list[tuple[int, int, str]]) -> str:
+    """Return the text with pieces put in, instead of some characters."""
+    for place, size, piece in places:
+        at = place % len(text)
+        text = text[:at] + piece + text[at + size :]
+    return text
+
+
+configs = (
+    st.builds(
+        put_in,
+        st.sampled_from(sections()),
+        st.lists(
+            st.tuples(st.integers(0, 999), st.integers(0, 2), st.sampled_from(YAML)), max_size=3
+        ),
+    )
+    | st.lists(st.sampled_from(YAML), min_size=1, max_size=12).map("".join)
+    | st.builds(str.__mul__, st.sampled_from("[{-?&"), st.integers(1, 3000))
+    | st.builds(
+        lambda s, harm: text_of(spoilt(s.encode(), harm)), st.sampled_from(sections()), damages()
+    )
+    | st.dictionaries(st.sampled_from([*CellConfig.model_fields, "x", "1"]), json_values).map(
+        json.dumps
+    )
+)
+
+
+@bad_input(text=configs, examples=120, limit_s=3.0)
+def test_a_config_is_refused_or_of_plain_numbers(text):
+    try:
+        config = parse_config(text, source="x")
+    except ConfigError:
+        return "refused"
+    json.dumps(config.model_dump(mode="json"), allow_nan=False)
+    return "read"
+
+
+@pytest.mark.parametrize("text", ["? [1, 2]\n: 3\n", "2001-01-01: 3\n"])
+def test_keys_that_are_no_text_are_refused(text: str) -> None:
+    with pytest.raises(ConfigError, match="no plain text"):
+        parse_config(text, source="x")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "[" * 20_000,
+        "".join(f"key{i}: 1\n" for i in range(4500)),
+        "a: b\n" * 12_000,
+        "x" * (MAX_BYTES + 1),
+    ],
+    ids=["brackets", "keys", "same key", "long"],
+)
+def test_a_config_that_would_take_minutes_is_refused_soon(text: str) -> None:
+    begin_s = time.process_time()
+    with pytest.raises(ConfigError) as error:
+        parse_config(text, source="x")
+    assert time.process_time() - begin_s < 10.0
+    assert len(str(error.value)) < 5000
+
+
+SHAPES = (
+    *PAPER_OBJECTS,
+    "ball:diameter=9mm",
+    "cylinder:diameter=6mm,length=20mm",
+    "box:length=10mm,width=1.5cm,height=.01m",
+    "ellipsoid:length=14mm,diameter=12mm",
+    "ellipsoid:length=14mm,width=12mm,height=10mm",
+    "dumbbell:length=13mm,diameter=10mm,waist_diameter=5mm,waist_length=4mm",
+    "mesh:file=/nonexistent/x.stl",
+)
+LENGTHS = (
+    "0", "9" * 400, "1", "0." + "0" * 330 + "1", "٣", "1e5", "-1", "nan", ",", "=", ":", "mm", "m",
+)  # fmt: skip
+
+
+def assert_heights(shape: Shape) -> None:
+    """Fail if a shape has heights that are no numbers."""
+    x_m, y_m = np.meshgrid(np.linspace(-0.01, 0.01, 5), np.linspace(-0.01, 0.01, 5))
+    low_m, high_m = shape.heights(x_m, y_m, 0.3)
+    assert not np.any(np.isnan(low_m))
+    assert not np.any(np.isnan(high_m))
+
+
+@bad_input(
+    text=st.sampled_from(SHAPES),
+    places=st.lists(
+        st.tuples(st.integers(0, 99), st.integers(0, 3), st.sampled_from(LENGTHS)), max_size=2
+    ),
+    harm=st.just([]) | damages(at_most=2),
+    examples=120,
+)
+def test_a_shape_is_refused_or_has_heights(text, places, harm):
+    try:
+        shape = parse_shape(text_of(spoilt(put_in(text, places).encode(), harm)))
+    except SimulatorSettingsError:
+        return "refused"
+    assert_heights(shape)
+    return "read"
+
+
+BOX = trimesh.creation.box((10.0, 6.0, 6.0))
+MESHES = (BOX.export(file_type="stl"), BOX.export(file_type="stl_ascii").encode())
+counts = st.tuples(
+    st.just(80), st.sampled_from([0, 1, 1 << 31, (1 << 32) - 1]).map(struct.Struct("<I").pack)
+)
+coordinates = st.tuples(
+    st.integers(0, 140).map(lambda n: 84 + 4 * n),
+    st.sampled_from([math.nan, math.inf, 3e38, -3e38, 1e-40, 0.0, 1.0]).map(
+        struct.Struct("<f").pack
+    ),
+)
+
+
+@bad_input(
+    data=st.sampled_from(MESHES),
+    words=st.lists(counts | coordinates, max_size=2),
+    harm=st.just([]) | damages(),
+    examples=100,
+    limit_s=2.0,
+)
+def test_a_mesh_is_refused_or_has_heights(tmp_path, data, words, harm):
+    for at, word in words:
+        data = data[:at] + word + data[at + 4 :]
+    (tmp_path / "x.stl").write_bytes(spoilt(data, harm))
+    try:
+        shape = load_mesh(tmp_path / "x.stl")
+    except SimulatorSettingsError:
+        return "refused"
+    assert_heights(shape)
+    return "read"
+
+
+@pytest.mark.parametrize(
+    "text", [b"solid \xff\nendsolid", b"solid x\nvertex nan 0 0\nendsolid", b""]
+)
+def test_a_mesh_of_other_bytes_is_refused(tmp_path: Path, text: bytes) -> None:
+    path = tmp_path / "x.stl"
+    path.write_bytes(text)
+    with pytest.raises(SimulatorSettingsError, match="cannot be read as STL"):
+        load_mesh(path)
+
+
+REQUESTS: tuple[dict[str, Any], ...] = (
+    {"state": True},
+    {"remove": True},
+    {"place": "ball", "pose": {"x_m": 0.001, "rotation_rad": 0.1}},
+    {"inject": "can.loss=0.05@2s"},
+    {"clear": "can.loss"},
+    {"inject": "servos.delayed=0.01@contact"},
+    {"inject": "taxels.stuck_at=3:5"},
+    {"inject": "servo1.overheat"},
+    {"inject": "unit.emergency=0x8110"},
+    {"play": 0},
+)
+inner = st.dictionaries(st.sampled_from(["x_m", "y_m", "-1", "²", "3"]), json_values, max_size=2)
+whole_requests = st.sampled_from(REQUESTS) | st.builds(
+    lambda request, others: request | others,
+    st.sampled_from(REQUESTS),
+    st.dictionaries(
+        st.sampled_from(["pose", "place", "inject", "clear", "play", "x"]),
+        json_values | inner,
+        max_size=1,
+    ),
+)
+requests = (
+    st.builds(
+        lambda request, harm: spoilt(json.dumps(request).encode(), harm),
+        whole_requests,
+        st.just([]) | damages(),
+    )
+    | json_values.map(lambda value: json.dumps(value).encode())
+    | st.builds(bytes.__mul__, st.sampled_from([b"[", b'{"a":', b"\xff"]), st.integers(1, 12_000))
+)
+
+
+def replies(folder: Path, data: bytes) -> list[bytes]:
+    """Return what a simulated cell answers on its socket until it has nothing more to say."""
+    devices = CellDevices(SimulatorSettings())
+    devices.unit.connect(lambda ready_s, _can_id, _burst: ready_s)
+    devices.unit.advance(0.1)
+    server = PositionerServer(folder / "socket", CellRequests(devices, FaultInjector(devices, 0.1)))
+    try:
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client:
+            client.connect(str(server.path))
+            client.sendall(data)
+            client.shutdown(socket.SHUT_WR)
+            for _ in range(5):
+                server.poll(server.filenos())
+            client.settimeout(1.0)
+            found = b"".join(iter(lambda: client.recv(LINE_LIMIT), b""))
+    finally:
+        server.close()
+    return found.splitlines()
+
+
+@bad_input(lines=st.lists(requests, min_size=1, max_size=2), limit_s=3.0)
+def test_each_request_line_gets_one_reply(tmp_path, lines):
+    data = b"\n".join(lines) + b"\n"
+    found = [json.loads(reply) for reply in replies(tmp_path, data)]
+    assert len(found) == sum(bool(line.strip()) for line in data.split(b"\n"))
+    assert all(isinstance(reply, dict) for reply in found)
+    return "refused" if all("error" in reply for reply in found) else "carried out"
+
+
+@pytest.mark.parametrize(
+    ("data", "reason"),
+    [
+        (b"[" * (LINE_LIMIT + 1), "at most 65536 bytes"),
+        (
+            b'{"place": "ball", "pose": {"y_m": 1%s}}\n' % (b"0" * 400),
+            "must be a finite number",
+        ),
+        (b'{"place": "ball", "pose": {"y_m": 1e308}}\n', "y_m is 1e+308, limit 100 m"),
+    ],
+    ids=["no end", "beyond any float", "beyond the cell"],
+)
+def test_requests_beyond_limits_are_refused(tmp_path: Path, data: bytes, reason: str) -> None:
+    (reply,) = replies(tmp_path, data)
+    assert reason in json.loads(reply)["error"]

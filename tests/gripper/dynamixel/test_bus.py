@@ -1,0 +1,404 @@
+"""Exact exchanges: everything that is asked for and answered, byte by byte."""
+
+import threading
+
+import pytest
+
+from gripper.dynamixel.bus import ServoBus, ServoIdentity
+from gripper.dynamixel.control_table import (
+    BUS_WATCHDOG,
+    GOAL_CURRENT,
+    GOAL_POSITION,
+    GOAL_VELOCITY,
+    HARDWARE_ERROR_STATUS,
+    PRESENT_CURRENT,
+    PRESENT_POSITION,
+    TORQUE_ENABLE,
+)
+from gripper.errors import (
+    BusBusy,
+    BusCorrupt,
+    BusTimeout,
+    LimitExceeded,
+    PortLost,
+    ServoRejected,
+)
+
+PING_1 = "FFFFFD00 01 0300 01 194E"
+PONG_1 = "FFFFFD00 01 0700 55 00 060426 655D"
+READ_132 = "FFFFFD00 01 0700 02 8400 0400 1D15"
+IS_166 = "FFFFFD00 01 0800 55 00 A6000000 8CC0"
+SYNC_132 = "FFFFFD00 FE 0900 82 8400 0400 01 02 CEFA"
+TWO_IS_2079 = "FFFFFD00 02 0800 55 00 1F080000 BABE"
+ACK = "FFFFFD00 01 0400 55 00 A10C"
+
+
+def test_ping(script, bus) -> None:
+    script.expect(PING_1, PONG_1)
+    assert bus.ping(1) == ServoIdentity(servo_id=1, model_number=1030, firmware=38)
+
+
+def test_read_and_acknowledged_writes(script, bus) -> None:
+    script.expect(READ_132, IS_166)
+    script.expect("FFFFFD00 01 0900 03 7400 00020000 CA89", ACK)
+    script.expect("FFFFFD00 01 0600 03 4000 01 DB66", ACK)
+    script.expect("FFFFFD00 01 0600 03 6200 05 68E4", ACK)
+    script.expect("FFFFFD00 01 0600 03 6200 00 76E4", ACK)
+    script.expect("FFFFFD00 01 0300 08 2F4E", ACK)
+    assert bus.read(1, PRESENT_POSITION) == 166
+    bus.write(1, GOAL_POSITION, 512)
+    bus.write(1, TORQUE_ENABLE, 1)
+    bus.write(1, BUS_WATCHDOG, 5)
+    bus.write(1, BUS_WATCHDOG, 0)
+    bus.reboot(1)
+
+
+def test_stuffed_write_reaches_the_wire(script, bus) -> None:
+    script.expect("FFFFFD00 01 0A00 03 7400 FFFFFDFDFF 23E5", ACK)
+    bus.write(1, GOAL_POSITION, -131073)
+
+
+def test_sync_read_and_sync_write(script, bus) -> None:
+    script.expect(SYNC_132, IS_166, TWO_IS_2079)
+    script.expect("FFFFFD00 FE 1100 83 7400 0400 01 96000000 02 AA000000 8287")
+    script.expect("FFFFFD00 FE 0D00 83 6600 0200 01 6400 02 9CFF E1DB")
+    script.expect("FFFFFD00 FE 0F00 83 6600 0600 01 FFFFFDFDFFFFFF 67DC")
+    read = bus.sync_read([1, 2], PRESENT_POSITION, PRESENT_POSITION)
+    assert read == {1: {"present_position": 166}, 2: {"present_position": 2079}}
+    bus.sync_write({1: 150, 2: 170}, GOAL_POSITION)
+    bus.sync_write({1: 100, 2: -100}, GOAL_CURRENT)
+    bus.sync_write({1: (-1, -3)}, GOAL_CURRENT, GOAL_VELOCITY)
+
+
+def test_stuffed_answer_is_sign_extended(script, bus) -> None:
+    second = "FFFFFD00 02 0E00 55 00 0100 03000000 00100000"
+    script.expect(
+        "FFFFFD00 FE 0900 82 7E00 0A00 01 02 3892",
+        "FFFFFD00 01 0F00 55 00 FFFFFDFDFFFFFF00080000 49F0",
+        (0.0005, second + crc_of(second)),
+    )
+    assert bus.sync_read([1, 2], PRESENT_CURRENT, PRESENT_POSITION) == {
+        1: {"present_current": -1, "present_velocity": -3, "present_position": 2048},
+        2: {"present_current": 1, "present_velocity": 3, "present_position": 4096},
+    }
+
+
+def test_alert_accompanies_data_and_is_kept(script, bus) -> None:
+    script.expect("FFFFFD00 01 0700 02 4600 0100 3CA3", "FFFFFD00 01 0500 55 80 20 9921")
+    assert bus.read(1, HARDWARE_ERROR_STATUS) == 0x20
+    assert bus.alert(1)
+    script.expect(READ_132, IS_166)
+    bus.read(1, PRESENT_POSITION)
+    assert not bus.alert(1)
+
+
+@pytest.mark.parametrize(
+    ("error", "crc"),
+    [
+        ("01", "A48C"),
+        ("02", "AE8C"),
+        ("04", "BA8C"),
+        ("05", "BF0C"),
+        ("06", "B50C"),
+        ("07", "B08C"),
+    ],
+)
+def test_an_error_status_is_an_error_and_never_data(script, bus, error: str, crc: str) -> None:
+    script.expect(READ_132, f"FFFFFD00 01 0400 55 {error} {crc}")
+    with pytest.raises(ServoRejected) as refused:
+        bus.read(1, PRESENT_POSITION)
+    assert refused.value.code == int(error)
+    assert refused.value.servo_id == 1
+    script.expect(SYNC_132, f"FFFFFD00 01 0400 55 {error} {crc}", TWO_IS_2079)
+    with pytest.raises(ServoRejected):
+        bus.sync_read([1, 2], PRESENT_POSITION, PRESENT_POSITION)
+
+
+def test_error_with_alert_is_still_an_error(script, bus) -> None:
+    script.expect(READ_132, "FFFFFD00 01 0400 55 87 B30F")
+    with pytest.raises(ServoRejected, match="Access"):
+        bus.read(1, PRESENT_POSITION)
+    assert bus.alert(1)
+
+
+def test_a_request_that_the_servo_received_damaged_is_sent_again(script, bus) -> None:
+    script.expect(READ_132, "FFFFFD00 01 0400 55 03 AB0C")
+    script.expect(PING_1, PONG_1)
+    script.expect(READ_132, IS_166)
+    assert bus.read(1, PRESENT_POSITION) == 166
+
+
+def test_a_lost_answer_is_asked_for_again_behind_a_ping(script, bus, clock) -> None:
+    script.expect(READ_132)
+    script.expect(PING_1, (0.0003, PONG_1))
+    script.expect(READ_132, (0.0003, IS_166))
+    with bus.in_loop():
+        assert bus.read(1, PRESENT_POSITION) == 166
+    assert clock.monotonic() < 0.005
+    assert (bus.statistics.timeouts, bus.statistics.retries) == (1, 1)
+    assert bus.misses(1) == 0
+
+
+def test_a_lost_answer_of_a_sync_read_costs_less_than_a_period(script, bus, clock) -> None:
+    bus.return_delay_s = 0.0
+    assert bus.return_delay_s == 0.0
+    script.expect(SYNC_132, (0.0003, IS_166))
+    script.expect("FFFFFD00 02 0300 01 2B4E".replace("2B4E", ping_crc(2)), (0.0003, PONG_2))
+    script.expect(read_132(2), (0.0003, TWO_IS_2079))
+    with bus.in_loop():
+        read = bus.sync_read([1, 2], PRESENT_POSITION, PRESENT_POSITION)
+    assert read[2]["present_position"] == 2079
+    assert clock.monotonic() < 0.004
+
+
+def test_a_request_that_arrives_damaged_is_sent_again(script, bus) -> None:
+    refused = "FFFFFD00 01 0400 55 03 AB0C"
+    pong = "FFFFFD00 01 0700 55 00 060426 655D"
+    script.expect(SYNC_132, (0.0003, refused), (0.0006, "FFFFFD00 02 0400 55 03" + crc_of_two()))
+    script.expect(PING_1, (0.0003, pong))
+    script.expect(READ_132, (0.0003, IS_166))
+    script.expect("FFFFFD00 02 0300 01" + ping_crc(2), (0.0003, PONG_2))
+    script.expect(read_132(2), (0.0003, TWO_IS_2079))
+    with bus.in_loop():
+        read = bus.sync_read([1, 2], PRESENT_POSITION, PRESENT_POSITION)
+    assert [read[i]["present_position"] for i in (1, 2)] == [166, 2079]
+
+
+def crc_of_two() -> str:
+    return crc_of("FFFFFD00 02 0400 55 03")
+
+
+def test_a_silent_servo_is_a_timeout_within_a_bounded_time(script, bus, clock) -> None:
+    script.expect(READ_132)
+    script.expect(PING_1)
+    with bus.in_loop(), pytest.raises(BusTimeout, match="no answer of servo 1, twice"):
+        bus.read(1, PRESENT_POSITION)
+    assert clock.monotonic() < 0.006
+    assert bus.misses(1) == 2
+    assert isinstance(BusTimeout("x"), TimeoutError)
+
+
+def test_outside_of_the_loop_a_retry_waits_for_a_slow_servo(script, bus, clock) -> None:
+    script.expect(READ_132)
+    script.expect(PING_1, (0.03, PONG_1))
+    script.expect(READ_132, (0.03, IS_166))
+    assert bus.read(1, PRESENT_POSITION) == 166
+    assert bus.statistics.retries == 1
+    script.expect(READ_132)
+    for _ in range(3):
+        script.expect(PING_1)
+    before_s = clock.monotonic()
+    with pytest.raises(BusTimeout):
+        bus.read(1, PRESENT_POSITION)
+    assert clock.monotonic() - before_s < 0.16
+
+
+def test_where_there_is_time_a_ping_that_overtakes_a_late_answer_proves_nothing(
+    script, bus
+) -> None:
+    script.expect(READ_132, (0.030, IS_166))
+    script.expect(PING_1, (0.0003, PONG_1))
+    newer = "FFFFFD00 01 0800 55 00 1F080000"
+    script.expect(READ_132, (0.0003, newer + crc_of(newer)))
+    assert bus.read(1, PRESENT_POSITION) == 2079
+    assert bus.statistics.late == 1
+
+
+def test_both_servos_silent_gives_up_within_the_period(script, bus, clock) -> None:
+    script.expect(SYNC_132)
+    script.expect(PING_1)
+    with bus.in_loop(), pytest.raises(BusTimeout):
+        bus.sync_read([1, 2], PRESENT_POSITION, PRESENT_POSITION)
+    assert clock.monotonic() < 0.0055
+
+
+def test_no_time_left_in_the_period_means_no_retry(script, clock) -> None:
+    bus = ServoBus(script, baudrate=1_000_000, clock=clock, period_s=0.001)
+    script.expect(SYNC_132)
+    with bus.in_loop(), pytest.raises(BusTimeout):
+        bus.sync_read([1, 2], PRESENT_POSITION, PRESENT_POSITION)
+
+
+def test_a_late_answer_is_never_taken_for_the_next_one(script, bus) -> None:
+    late = "FFFFFD00 01 0800 55 00 A6000000 8CC0"
+    script.expect(READ_132, (0.030, late))
+    script.expect(PING_1)
+    with bus.in_loop(), pytest.raises(BusTimeout):
+        bus.read(1, PRESENT_POSITION)
+    script.expect(
+        SYNC_132,
+        (
+            0.0002,
+            "FFFFFD00 01 0800 55 00 1F080000 86BE".replace(
+                "86BE", crc_of("FFFFFD00010800550 01F080000")
+            ),
+        ),
+        (0.0003, TWO_IS_2079),
+    )
+    read = bus.sync_read([1, 2], PRESENT_POSITION, PRESENT_POSITION)
+    assert read[1]["present_position"] == 2079
+    assert bus.statistics.late == 1
+
+
+def test_an_answer_late_by_less_than_the_ping_is_dropped(script, bus) -> None:
+    script.expect(READ_132, (0.0028, IS_166))
+    script.expect(PING_1, (0.0008, PONG_1))
+    script.expect(
+        READ_132,
+        (0.0003, "FFFFFD00 01 0800 55 00 1F080000" + crc_of("FFFFFD000108005500 1F080000")),
+    )
+    assert bus.read(1, PRESENT_POSITION) == 2079
+    assert bus.statistics.late >= 1
+
+
+def test_the_line_is_quiet_before_the_next_request_after_a_failure(script, bus, clock) -> None:
+    script.expect(READ_132)
+    script.expect(PING_1)
+    with bus.in_loop(), pytest.raises(BusTimeout):
+        bus.read(1, PRESENT_POSITION)
+    before_s = clock.monotonic()
+    script.expect(READ_132, IS_166)
+    assert bus.read(1, PRESENT_POSITION) == 166
+    assert clock.monotonic() - before_s >= 0.05
+    before_s = clock.monotonic()
+    bus.expect_late_answer()
+    script.expect(READ_132, IS_166)
+    assert bus.read(1, PRESENT_POSITION) == 166
+    assert clock.monotonic() - before_s >= 0.05
+
+
+def test_a_line_that_never_falls_quiet_is_named_with_what_was_heard(script, bus, clock) -> None:
+    script.expect(READ_132)
+    script.expect(PING_1)
+    with bus.in_loop(), pytest.raises(BusTimeout):
+        bus.read(1, PRESENT_POSITION)
+    script.chatter = b"\xa5\x5a"
+    before_s = clock.monotonic()
+    with pytest.raises(
+        BusCorrupt, match=r"quiet within 0\.5 s: \d{3,} bytes .* are a5 5a a5 5a.*noise"
+    ):
+        bus.read(1, PRESENT_POSITION)
+    assert 0.5 <= clock.monotonic() - before_s < 0.6
+    script.chatter = b""
+    script.expect(READ_132, IS_166)
+    assert bus.read(1, PRESENT_POSITION) == 166
+
+
+def test_chatter_in_a_transaction_ends_it_in_bounded_time(script, bus, clock) -> None:
+    script.expect(READ_132)
+    script.expect(PING_1)
+    script.chatter = b"\xff\xff"
+    with bus.in_loop(), pytest.raises(BusCorrupt, match="damaged"):
+        bus.read(1, PRESENT_POSITION)
+    assert clock.monotonic() < 0.03
+
+
+def test_damaged_foreign_and_short_answers_are_dropped(script, bus) -> None:
+    script.expect(READ_132, "FFFFFD00 01 0800 55 00 A6000001 8CC0", TWO_IS_2079, ACK, IS_166)
+    assert bus.read(1, PRESENT_POSITION) == 166
+    assert bus.statistics.late == 2
+
+
+def test_own_echo_is_dropped(script, bus) -> None:
+    script.expect(READ_132, READ_132, (0.0003, IS_166))
+    assert bus.read(1, PRESENT_POSITION) == 166
+
+
+def test_pieces_with_gaps_make_one_answer(script, bus) -> None:
+    whole = IS_166.replace(" ", "")
+    script.expect(READ_132, *[(0.0001 * i, whole[6 * i : 6 * i + 6]) for i in range(5)])
+    assert bus.read(1, PRESENT_POSITION) == 166
+
+
+def test_a_false_long_length_hides_no_answer(script, bus) -> None:
+    script.expect(READ_132, "FFFFFD00 01 E803 55", IS_166)
+    assert bus.read(1, PRESENT_POSITION) == 166
+
+
+def test_twice_damaged_is_corrupt(script, bus) -> None:
+    script.expect(READ_132, "FFFFFD00 01 0800 55 00 A6000001 8CC0")
+    script.expect(PING_1)
+    with bus.in_loop(), pytest.raises(BusCorrupt, match="damaged"):
+        bus.read(1, PRESENT_POSITION)
+    assert bus.statistics.corrupt == 1
+
+
+def test_a_reboot_is_sent_once(script, bus) -> None:
+    script.expect("FFFFFD00 01 0300 08 2F4E")
+    with pytest.raises(BusTimeout):
+        bus.reboot(1)
+
+
+def test_wrong_use_is_refused_before_anything_is_sent(bus) -> None:
+    with pytest.raises(LimitExceeded, match="read-only"):
+        bus.write(1, PRESENT_POSITION, 0)
+    with pytest.raises(LimitExceeded, match="fit"):
+        bus.write(1, GOAL_CURRENT, 40000)
+    with pytest.raises(LimitExceeded, match="ID 253"):
+        bus.ping(253)
+    with pytest.raises(LimitExceeded, match="contiguous"):
+        bus.sync_write({1: (1, 2)}, GOAL_CURRENT, GOAL_POSITION)
+    with pytest.raises(LimitExceeded, match="writable"):
+        bus.sync_write({1: 1}, PRESENT_POSITION)
+    with pytest.raises(LimitExceeded, match="at least one"):
+        bus.sync_write({}, GOAL_POSITION)
+
+
+def test_a_closed_bus_is_lost(script, bus) -> None:
+    bus.close()
+    assert script.closed
+    with pytest.raises(PortLost, match="closed"):
+        bus.ping(1)
+
+
+def test_another_threads_transaction_is_waited_for_only_so_long(script, clock) -> None:
+    bus = ServoBus(script, baudrate=1_000_000, clock=clock, lock_timeout_s=0.01)
+    entered, leave = threading.Event(), threading.Event()
+
+    def occupy() -> None:
+        with bus._transactions.exclusive():
+            entered.set()
+            leave.wait(5.0)
+
+    thread = threading.Thread(target=occupy)
+    thread.start()
+    entered.wait(5.0)
+    with pytest.raises(BusBusy):
+        bus.ping(1)
+    leave.set()
+    thread.join()
+    script.expect(PING_1, PONG_1)
+    assert bus.ping(1).firmware == 38
+
+
+def test_an_exception_in_the_stream_leaves_the_bus_usable(script, bus) -> None:
+    with pytest.raises(AssertionError):
+        bus.ping(1)
+    script.expect(PING_1, PONG_1)
+    assert bus.ping(1).model_number == 1030
+
+
+def crc_of(text: str) -> str:
+    """CRC-16 with polynomial 0x8005 of a packet, as it goes over the wire."""
+    crc = 0
+    for byte in bytes.fromhex(text.replace(" ", "")):
+        crc ^= byte << 8
+        for _ in range(8):
+            crc = (crc << 1 ^ 0x8005 if crc & 0x8000 else crc << 1) & 0xFFFF
+    return crc.to_bytes(2, "little").hex()
+
+
+def ping_crc(servo_id: int) -> str:
+    return crc_of(f"FFFFFD00 {servo_id:02X} 0300 01")
+
+
+def read_132(servo_id: int) -> str:
+    text = f"FFFFFD00 {servo_id:02X} 0700 02 8400 0400"
+    return text + crc_of(text)
+
+
+PONG_2 = "FFFFFD00 02 0700 55 00 060426 6F6D"
+
+
+def test_the_tests_own_crc_is_right() -> None:
+    assert crc_of("313233343536373839") == "e8fe"

@@ -1,0 +1,109 @@
+import subprocess
+import sys
+from itertools import pairwise
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gripper.dynamixel.control_table import (
+    BUS_WATCHDOG,
+    GOAL_CURRENT,
+    GOAL_POSITION,
+    GOAL_PWM,
+    PRESENT_CURRENT,
+    PRESENT_POSITION,
+    PRESENT_TEMPERATURE,
+    PRESENT_VELOCITY,
+    RAD_PER_PULSE,
+    RAD_S_PER_VELOCITY_UNIT,
+    REALTIME_TICK,
+    REGISTERS,
+    SHUTDOWN,
+    TORQUE_ENABLE,
+    registers_between,
+)
+from gripper.dynamixel.models import MODELS, XM430_W350, model_by_number, require_current_control
+from gripper.errors import LimitExceeded, hardware_error_names
+
+
+def test_addresses_sizes_and_signs_are_those_of_the_manual() -> None:
+    assert (GOAL_CURRENT.address, GOAL_CURRENT.size, GOAL_CURRENT.signed) == (102, 2, True)
+    assert (GOAL_POSITION.address, GOAL_POSITION.size, GOAL_POSITION.signed) == (116, 4, True)
+    assert (BUS_WATCHDOG.address, BUS_WATCHDOG.signed, BUS_WATCHDOG.lsb) == (98, True, 0.02)
+    assert REALTIME_TICK.lsb == 0.001
+    assert pytest.approx(0.0239691, rel=1e-3) == RAD_S_PER_VELOCITY_UNIT
+    assert pytest.approx(0.00153398, rel=1e-5) == RAD_PER_PULSE
+    signed = {r.address for r in REGISTERS.values() if r.signed}
+    assert signed == {20, 98, 100, 102, 104, 116, 124, 126, 128, 132, 136, 140}
+    assert SHUTDOWN.eeprom
+    assert not TORQUE_ENABLE.eeprom
+    assert not PRESENT_POSITION.writable
+
+
+def test_no_two_items_overlap() -> None:
+    ordered = list(REGISTERS.values())
+    for before, after in pairwise(ordered):
+        assert before.end <= after.address
+
+
+@settings(derandomize=True, max_examples=60)
+@given(st.sampled_from(sorted(REGISTERS)), st.data())
+def test_encoding_comes_back(name: str, data: st.DataObject) -> None:
+    register = REGISTERS[name]
+    bits = 8 * register.size
+    low, high = (-(1 << bits - 1), (1 << bits - 1) - 1) if register.signed else (0, (1 << bits) - 1)
+    raw = data.draw(st.integers(low, high))
+    assert register.decode(register.encode(raw)) == raw
+    with pytest.raises(LimitExceeded, match=name):
+        register.encode(high + 1)
+
+
+def test_wrong_length_is_no_value() -> None:
+    with pytest.raises(LimitExceeded, match="present_current has 2 bytes, got 1"):
+        PRESENT_CURRENT.decode(b"\x01")
+
+
+def test_blocks_must_be_contiguous() -> None:
+    names = [r.name for r in registers_between(PRESENT_CURRENT, PRESENT_POSITION)]
+    assert names == ["present_current", "present_velocity", "present_position"]
+    assert sum(r.size for r in registers_between(REALTIME_TICK, PRESENT_TEMPERATURE)) == 27
+    with pytest.raises(LimitExceeded, match="contiguous"):
+        registers_between(TORQUE_ENABLE, GOAL_PWM)
+    with pytest.raises(LimitExceeded, match="contiguous"):
+        registers_between(PRESENT_VELOCITY, PRESENT_CURRENT)
+
+
+def test_models_carry_the_data_sheet() -> None:
+    assert {m.number for m in MODELS.values()} == {1020, 1030, 1200, 1240}
+    assert model_by_number(1200).name == "XL330-M288"
+    assert XM430_W350.current_raw(0.46) == 171
+    assert XM430_W350.current_a(500) == pytest.approx(1.345)
+    assert MODELS["XL330-M288"].factory_defaults["shutdown"] == 53
+    for model in MODELS.values():
+        stall_nm = model.kt_nm_a * model.stall_current_a - model.friction_nm
+        assert stall_nm == pytest.approx(model.stall_torque_nm, rel=0.07)
+
+
+def test_models_without_current_control_are_refused_with_the_reason() -> None:
+    with pytest.raises(LimitExceeded, match="no Goal Current"):
+        require_current_control("XL430-W250")
+    with pytest.raises(LimitExceeded, match="not known"):
+        require_current_control("AX-12")
+    with pytest.raises(LimitExceeded, match="4711"):
+        model_by_number(4711)
+
+
+def test_hardware_error_bits_have_names() -> None:
+    assert hardware_error_names(0x25) == ("input voltage", "overheating", "overload")
+    assert hardware_error_names(0x02) == ("undefined bit 1",)
+
+
+def test_pure_modules_load_no_vendor_library() -> None:
+    code = (
+        "import sys, gripper, gripper.dynamixel.control_table, "
+        "gripper.force.ramp, gripper.force.controller;"
+        "print([m for m in sys.modules if m.split('.')[0] in ('serial', 'dynamixel_sdk')])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -1,0 +1,229 @@
+"""Holding: slips, unequal fingers, heat, and the way out of too much force."""
+
+import pytest
+
+from gripper.errors import ForceImbalance, PartSlipped
+from gripper.force.controller import SetpointFilter
+from gripper.force.ramp import ForceRamp
+from gripper.force.slip import SlipWatch
+from gripper.settings import GripperSettings, ServoSettings
+from gripper.state import ForceSample, GraspResult, GripperPhase
+
+RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
+SETTINGS = GripperSettings(servos=(ServoSettings(servo_id=1),))
+
+
+def held(cell, ramp: ForceRamp = RAMP) -> None:
+    cell.gripper.start()
+    assert cell.gripper.grasp(ramp).result is GraspResult.FORCE_REACHED
+
+
+def test_a_part_that_slips_is_reported_and_not_gripped_again(cell) -> None:
+    held(cell)
+    begun_s = cell.clock.monotonic()
+    closed_m = []
+
+    def slip(cycle) -> None:
+        closed_m.append(cycle.state.aperture_m)
+        if cycle.t_s > begun_s + 1.0:
+            cell.part.width_m -= 1e-5
+
+    with pytest.raises(PartSlipped, match="slips"):
+        cell.gripper.hold(3.0, slip)
+    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
+    assert cell.clock.monotonic() - begun_s < 2.0
+    goal = cell.register(0, "goal_current")
+    cell.clock.sleep(1.0)
+    assert cell.register(0, "goal_current") == goal
+    cell.gripper.clear_fault()
+    cell.gripper.release()
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_a_quiet_hold_with_a_noisy_sensor_shows_no_slip(make_cell, seed) -> None:
+    cell = make_cell(noise_n=0.3, seed=seed)
+    held(cell)
+    cell.gripper.hold(6.0)
+    assert cell.force_n == pytest.approx(4.0, abs=0.3)
+
+
+def test_a_sudden_drop_is_a_slip_within_a_tenth_of_a_second() -> None:
+    watch = SlipWatch(SETTINGS)
+    found_s = None
+    for i in range(400):
+        t_s = 0.005 * i
+        force_n = 4.0 if t_s < 1.0 else 3.0
+        sample = ForceSample(t_s=0.02 * (i // 4), force_n=(force_n, force_n))
+        if found_s is None and watch.check(t_s, 0.01, sample, setpoint_n=4.0) is not None:
+            found_s = t_s
+    assert found_s is not None
+    assert 1.0 < found_s < 1.1
+
+
+def test_fingers_that_close_after_the_part_show_a_slip() -> None:
+    watch = SlipWatch(SETTINGS)
+    told = [
+        watch.check(
+            0.005 * i,
+            0.01 - 4e-6 * i,
+            ForceSample(t_s=0.005 * i, force_n=(4.0, 4.0)),
+            setpoint_n=4.0,
+        )
+        for i in range(600)
+    ]
+    first = next(i for i, text in enumerate(told) if text)
+    assert 1.5 < 4e-3 * (first - 60) < 1.6
+    assert "closed by 1.5" in str(told[first])
+
+
+def test_a_finger_that_pushes_alone_freezes_both(cell, monkeypatch) -> None:
+    held(cell)
+    measure = cell.sensor.measure
+    monkeypatch.setattr(
+        cell.sensor, "measure", lambda now_s, force_n: measure(now_s, (force_n[0], 0.2))
+    )
+    begun_s = cell.clock.monotonic()
+    with pytest.raises(ForceImbalance, match="both are frozen"):
+        cell.gripper.hold(2.0)
+    assert cell.clock.monotonic() - begun_s < 0.5
+    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
+    assert cell.force_n > 3.0
+
+
+def test_a_warm_servo_gets_less_current_before_it_is_too_hot(make_cell) -> None:
+    assert SETTINGS.current_cap_a(60.0) == SETTINGS.current_max_a
+    assert SETTINGS.current_cap_a(65.0) == pytest.approx(0.75 * SETTINGS.current_max_a)
+    assert SETTINGS.current_cap_a(90.0) == pytest.approx(0.5 * SETTINGS.current_max_a)
+    cell = make_cell(current_max_a=0.5, temperature_max_c=70.0)
+    cell.gripper.start()
+    for knob in cell.knobs:
+        knob.overheat(69.0)
+    currents_a: list[float] = []
+    ramp = ForceRamp.linear(9.0, rate_n_s=10.0)
+    outcome = cell.gripper.grasp(ramp, lambda c: currents_a.append(c.goal_current_a))
+    assert outcome.result is GraspResult.FORCE_NOT_REACHED
+    assert max(currents_a) < 0.3
+    assert cell.gripper.state is GripperPhase.HOLDING
+
+
+def test_the_step_down_from_too_much_force_is_as_configured(make_cell) -> None:
+    cell = make_cell(force_max_n=6.0, over_force_share=0.8)
+    held(cell)
+    written: list[int] = []
+    cell.sensor.gain = 2.5
+    with pytest.raises(ValueError, match="force_max_n is 6"):
+        cell.gripper.hold(1.0, lambda _: written.append(cell.register(0, "goal_current")))
+    assert abs(cell.register(0, "goal_current")) == pytest.approx(0.8 * abs(written[-1]), abs=2)
+
+
+def test_the_reference_arrives_without_a_knee_and_never_passes_the_set_point() -> None:
+    reference = SetpointFilter(1.0, 0.1)
+    forces_n, rates_n_s = [], []
+    for i in range(200):
+        setpoint_n = min(4.0, 1.0 + 10.0 * 0.005 * (i + 1))
+        forces_n.append(reference.step(0.005, setpoint_n, 4.0))
+        rates_n_s.append(reference.rate_n_s)
+        assert forces_n[-1] <= setpoint_n + 1e-12
+    assert forces_n == sorted(forces_n)
+    assert max(rates_n_s) <= 10.0 + 1e-6
+    assert forces_n[120] == pytest.approx(4.0, abs=0.03)
+    assert forces_n[-1] == 4.0
+    down = [reference.step(0.005, max(2.0, 4.0 - 0.05 * i), 2.0) for i in range(200)]
+    assert down == sorted(down, reverse=True)
+    assert down[-1] == 2.0
+
+
+def pressed(t_s: float, x_m: float, *, force_n: float = 5.0, second: bool = True) -> ForceSample:
+    first = (x_m, 0.0)
+    return ForceSample(
+        t_s=t_s,
+        force_n=(force_n, force_n),
+        centre_m=(first, first if second else (0.0, 0.0)),
+    )
+
+
+@pytest.mark.parametrize(("force_n", "at_least_m"), [(5.0, 0.0015), (2.0, 0.003)])
+def test_a_part_that_slides_along_the_pads_is_a_slip(force_n, at_least_m) -> None:
+    watch = SlipWatch(SETTINGS)
+    found: list[float] = []
+    for i in range(200):
+        t_s = 0.02 * i
+        x_m = 0.02 * max(0.0, t_s - 1.0)
+        if not found and watch.check(
+            t_s, 0.01, pressed(t_s, x_m, force_n=force_n), setpoint_n=force_n
+        ):
+            found.append(x_m)
+    assert at_least_m < found[0] < at_least_m + 0.0009
+
+
+def test_what_one_pad_sees_alone_is_no_slide() -> None:
+    watch = SlipWatch(SETTINGS)
+    for i in range(200):
+        t_s = 0.02 * i
+        sample = pressed(t_s, 0.01 * (i > 50), second=False)
+        assert watch.check(t_s, 0.01, sample, setpoint_n=4.0) is None
+
+
+def test_a_part_taken_away_in_the_ramp_is_lost_with_the_third_frame(cell) -> None:
+    cell.gripper.start()
+    taken_s: list[float] = []
+
+    def take(cycle) -> None:
+        if cycle.setpoint_n > 3.0 and not taken_s:
+            taken_s.append(cycle.t_s)
+            cell.part.present = False
+
+    outcome = cell.gripper.grasp(ForceRamp.linear(8.0, rate_n_s=5.0), take)
+    assert outcome.result is GraspResult.PART_LOST
+    assert cell.clock.monotonic() - taken_s[0] < 0.07
+    stopped_m = cell.mechanics.aperture_m
+    cell.clock.sleep(1.0)
+    assert stopped_m - cell.mechanics.aperture_m < 0.003
+
+
+def test_a_long_hold_at_a_level_of_the_ramp_is_watched_too(cell) -> None:
+    cell.gripper.start()
+
+    def slip(cycle) -> None:
+        if cycle.level is not None:
+            cell.part.width_m -= 1e-5
+
+    with pytest.raises(PartSlipped):
+        cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=5.0), slip)
+    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
+
+
+def test_force_beyond_the_set_point_that_is_given_back_is_no_slip() -> None:
+    watch = SlipWatch(SETTINGS)
+    for i in range(400):
+        t_s = 0.005 * i
+        sample = ForceSample(t_s=0.02 * (i // 4), force_n=(4.4, 4.4) if t_s < 1.0 else (3.1, 3.1))
+        assert watch.check(t_s, 0.01, sample, setpoint_n=3.0) is None
+
+
+@pytest.mark.parametrize("stalls_s", [0.05, 0.15, 0.2])
+def test_a_part_is_not_lost_because_the_loop_stalls(make_cell, stalls_s) -> None:
+    cell = make_cell(force_stale_s=0.3, stall_max_s=0.25, watchdog_s=0.5, bus_loss_s=0.3)
+    cell.gripper.start()
+    periods = 0
+
+    def stall(cycle) -> None:
+        nonlocal periods
+        periods += 1
+        if periods % 40 == 0:
+            cell.clock.sleep(stalls_s)
+
+    assert cell.gripper.grasp(RAMP, stall).result is GraspResult.FORCE_REACHED
+    cell.gripper.hold(1.5, stall)
+    assert cell.force_n == pytest.approx(4.0, abs=0.5)
+
+
+def test_a_part_is_not_lost_because_the_pads_say_nothing(make_cell) -> None:
+    cell = make_cell(force_stale_s=0.3, watchdog_s=0.5)
+    cell.gripper.start()
+
+    def silence(cycle) -> None:
+        cell.sensor.valid = not 2.0 < cycle.setpoint_n < 3.0
+
+    outcome = cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=5.0), silence)
+    assert outcome.result is GraspResult.FORCE_REACHED

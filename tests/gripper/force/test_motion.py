@@ -1,0 +1,156 @@
+from gripper.force.loop import Moment
+from gripper.force.motion import Approach, ApproachEvent, ContactDetector
+from gripper.kinematics import ParallelLinkage
+from gripper.settings import GripperSettings, ServoSettings
+from gripper.state import ForceSample, GripperState, ServoState
+
+LINKAGE = ParallelLinkage(link_m=0.06)
+SETTINGS = GripperSettings(
+    servos=(ServoSettings(servo_id=1), ServoSettings(servo_id=2)), contact_timeout_s=3.0
+)
+DT_S = 0.005
+
+
+def sample(t_s: float, first_n: float, second_n: float, valid: bool = True) -> ForceSample:
+    return ForceSample(t_s=t_s, force_n=(first_n, second_n), valid=valid)
+
+
+def state(t_s: float, aperture_m: float, speed_m_s: float, current_a: float = 0.1) -> GripperState:
+    angle_rad = LINKAGE.angles_rad(aperture_m)[0]
+    servos = tuple(
+        ServoState(
+            servo_id=i,
+            angle_rad=angle_rad,
+            velocity_rad_s=0.5 * speed_m_s / 0.06,
+            current_a=-current_a,
+            position_raw=2048,
+            temperature_c=30.0,
+            voltage_v=12.0,
+            tick_ms=0,
+            alert=False,
+        )
+        for i in (1, 2)
+    )
+    return GripperState(
+        t_s=t_s,
+        aperture_m=aperture_m,
+        aperture_velocity_m_s=speed_m_s,
+        current_a=current_a,
+        force_from_current_n=0.0,
+        temperature_c=30.0,
+        voltage_v=12.0,
+        servos=servos,
+    )
+
+
+def new_approach(aperture_m: float = 0.02) -> Approach:
+    return Approach(SETTINGS, LINKAGE, state(0.0, aperture_m, 0.0))
+
+
+def step(
+    approach: Approach, t_s: float, dt_s: float, at: GripperState, seen: ForceSample | None
+) -> tuple[ApproachEvent, tuple[float, ...]]:
+    action = approach.step(Moment(now_s=t_s, dt_s=dt_s, state=at, sample=seen))
+    assert action.goals is not None
+    assert action.done == (approach.event is not ApproachEvent.CLOSING)
+    return approach.event, tuple(goal.angle_rad for goal in action.goals)
+
+
+def test_contact_takes_several_new_samples_on_each_pad() -> None:
+    detector = ContactDetector(0.5, 3)
+    for _ in range(5):
+        detector.push(sample(0.0, 1.0, 1.0))
+    assert detector.touched == (False, False)
+    detector.push(sample(0.02, 1.0, 0.4))
+    detector.push(sample(0.04, 1.0, 1.0))
+    assert detector.touched == (True, False)
+    detector.push(sample(0.06, 0.1, 1.0))
+    assert detector.touched == (False, False)
+
+
+def test_both_pads_end_the_approach() -> None:
+    approach = new_approach()
+    events = []
+    for i in range(3):
+        at = state(0.02 * i, 0.02, -0.02)
+        events.append(step(approach, 0.02 * i, DT_S, at, sample(0.02 * i, 1.0, 1.0))[0])
+    assert events == [ApproachEvent.CLOSING, ApproachEvent.CLOSING, ApproachEvent.CONTACT]
+
+
+def test_a_finger_that_touches_waits_while_the_other_closes_on() -> None:
+    approach = new_approach()
+    goals = [LINKAGE.angles_rad(0.02)]
+    for i in range(40):
+        t_s = 0.02 * i
+        at = state(t_s, 0.02 - 0.0004 * i, -0.02)
+        event, angles = step(approach, t_s, 0.01, at, sample(t_s, 1.0, 0.0))
+        assert event is ApproachEvent.CLOSING
+        goals.append(tuple(angles))
+    assert goals[-1][0] == goals[10][0]
+    assert goals[-1][1] < goals[10][1]
+    _, angles = step(approach, 1.0, 0.01, state(1.0, 0.004, -0.02), sample(1.0, 0.0, 0.0))
+    assert angles[0] == angles[1]
+
+
+def test_a_finger_slowed_down_waits_for_the_pads_and_goes_on_without_them() -> None:
+    approach = new_approach()
+    step(approach, 0.0, DT_S, state(0.0, 0.02, -0.02), None)
+    at = state(0.005, 0.0199, -0.005)
+    _, angles = step(approach, 0.005, DT_S, at, None)
+    assert tuple(angles) == tuple(servo.angle_rad for servo in at.servos)
+    _, later = step(approach, 0.1, DT_S, state(0.1, 0.0198, 0.0), None)
+    assert tuple(later) == tuple(angles)
+    _, after = step(approach, 0.2, DT_S, state(0.2, 0.0198, 0.0), None)
+    assert all(a < b for a, b in zip(after, angles, strict=True))
+
+
+def test_the_goal_runs_ahead_by_a_little_only() -> None:
+    approach = new_approach()
+    for i in range(200):
+        _, angles = step(approach, 0.005 * i, DT_S, state(0.005 * i, 0.02, 0.0), None)
+    assert LINKAGE.aperture_m(angles) >= 0.02 - 0.0061
+
+
+def test_closed_without_contact_is_the_limit_even_when_the_pads_touch_each_other() -> None:
+    approach = new_approach(0.0004)
+    event, _ = step(approach, 0.0, DT_S, state(0.0, 0.0004, -0.02), sample(0.0, 5.0, 5.0))
+    assert event is ApproachEvent.LIMIT
+
+
+def test_time_out_is_the_limit() -> None:
+    event, _ = step(new_approach(), 3.0, DT_S, state(3.0, 0.02, -0.02), None)
+    assert event is ApproachEvent.LIMIT
+
+
+def test_a_standstill_at_the_current_limit_without_pads_is_an_obstruction() -> None:
+    approach = new_approach()
+    closing_a = approach.current_a
+    event, i = ApproachEvent.CLOSING, 0
+    while event is ApproachEvent.CLOSING:
+        t_s = DT_S * i
+        event, _ = step(approach, t_s, DT_S, state(t_s, 0.01, 0.0, approach.current_a), None)
+        i += 1
+    assert event is ApproachEvent.OBSTRUCTED
+    assert 0.4 < DT_S * i < 0.7
+    assert closing_a < approach.current_a <= closing_a * 1.6 + 1e-9
+
+
+def test_a_standstill_with_one_pad_is_a_contact() -> None:
+    approach = new_approach()
+    closing_a = approach.current_a
+    event, i = ApproachEvent.CLOSING, 0
+    while event is ApproachEvent.CLOSING:
+        t_s = DT_S * i
+        at = state(t_s, 0.01, 0.0, approach.current_a)
+        event, _ = step(approach, t_s, DT_S, at, sample(t_s, 0.0, 1.0))
+        i += 1
+    assert event is ApproachEvent.CONTACT
+    assert approach.current_a == closing_a
+
+
+def test_an_invalid_sample_shows_no_contact() -> None:
+    approach = new_approach()
+    for i in range(5):
+        at = state(0.02 * i, 0.02, -0.02)
+        event, _ = step(approach, 0.02 * i, DT_S, at, sample(0.02 * i, 9.0, 9.0, valid=False))
+    assert event is ApproachEvent.CLOSING

@@ -1,0 +1,135 @@
+from itertools import pairwise
+from math import inf, nan, pi
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gripper.errors import LimitExceeded
+from gripper.force.ramp import ForceRamp, RampSegment
+
+FORCES = st.floats(0.0, 50.0).map(lambda force_n: round(force_n, 6))
+RATES = st.floats(0.1, 20.0)
+HOLDS = st.floats(0.0, 2.0)
+
+
+@st.composite
+def ramps(draw: st.DrawFn) -> ForceRamp:
+    kind = draw(st.sampled_from(["linear", "staircase", "s_curve"]))
+    if kind == "linear":
+        return ForceRamp.linear(draw(FORCES), draw(RATES), draw(HOLDS), draw(FORCES))
+    if kind == "s_curve":
+        return ForceRamp.s_curve(
+            draw(FORCES), draw(st.floats(0.05, 5.0)), draw(HOLDS), draw(FORCES)
+        )
+    levels = sorted(draw(st.lists(FORCES, min_size=1, max_size=5)))
+    return ForceRamp.staircase(levels, draw(RATES), draw(HOLDS))
+
+
+@settings(derandomize=True, max_examples=80)
+@given(ramps())
+def test_monotone_bounded_rate_limited_and_ending_at_the_target(ramp: ForceRamp) -> None:
+    n = 200
+    step_s = max(ramp.duration_s, 1e-3) / n
+    values = [ramp.setpoint_n(i * step_s) for i in range(n + 1)]
+    low_n, high_n = sorted((ramp.start_n, ramp.final_n))
+    changes = [b - a for a, b in pairwise(values)]
+    assert all(low_n - 1e-9 <= v <= high_n + 1e-9 for v in values)
+    assert all(c >= -1e-9 for c in changes) or all(c <= 1e-9 for c in changes)
+    assert all(abs(c) <= ramp.max_rate_n_s * step_s + 1e-9 for c in changes)
+    assert ramp.setpoint_n(-1.0) == ramp.start_n
+    assert ramp.setpoint_n(ramp.duration_s + 1.0) == ramp.final_n
+
+
+@settings(derandomize=True, max_examples=80)
+@given(ramps(), st.floats(-1.0, 60.0))
+def test_begun_at_a_measured_force_the_setpoint_does_not_jump(
+    ramp: ForceRamp, now_n: float
+) -> None:
+    begun = ramp.starting_from(now_n)
+    assert begun.setpoint_n(0.0) == pytest.approx(max(0.0, now_n), abs=1e-9)
+    assert begun.final_n == ramp.final_n
+    assert begun.max_rate_n_s <= max(ramp.max_rate_n_s, 1.0) * (1.0 + 1e-6)
+
+
+def test_linear() -> None:
+    ramp = ForceRamp.linear(8.0, rate_n_s=2.0, hold_s=1.0)
+    assert ramp.duration_s == 5.0
+    assert ramp.setpoint_n(1.5) == 3.0
+    assert ramp.level_at(1.0) is None
+    assert ramp.level_at(4.5) == 0
+    assert ramp.max_rate_n_s == 2.0
+    assert ForceRamp.linear(2.0, 2.0, start_n=4.0).setpoint_n(0.5) == 3.0
+
+
+def test_staircase_names_its_levels() -> None:
+    ramp = ForceRamp.staircase((1.0, 3.0, 4.0), rate_n_s=2.0, hold_s=0.5)
+    assert ramp.duration_s == pytest.approx(0.5 + 1.0 + 0.5 + 3 * 0.5)
+    times_s = [0.2, 0.7, 1.5, 2.2, 2.7, 3.2, 99.0]
+    assert [ramp.level_at(t) for t in times_s] == [None, 0, None, 1, None, 2, 2]
+    assert [ramp.setpoint_n(t) for t in (0.7, 2.2, 3.2)] == [1.0, 3.0, 4.0]
+    late = ramp.starting_from(2.0)
+    assert late.level_at(0.1) is None
+    assert late.level_at(0.6) == 1
+
+
+def test_s_curve_is_smooth_at_its_ends() -> None:
+    ramp = ForceRamp.s_curve(10.0, duration_s=2.0)
+    assert ramp.setpoint_n(1.0) == pytest.approx(5.0)
+    assert ramp.max_rate_n_s == pytest.approx(5.0 * pi / 2.0)
+    assert ramp.setpoint_n(0.02) < 0.01
+
+
+def test_a_start_above_the_measured_force_is_approached_at_the_ramps_rate() -> None:
+    begun = ForceRamp.linear(8.0, 2.0, 1.0, start_n=3.0).starting_from(1.0)
+    assert begun.setpoint_n(0.5) == pytest.approx(2.0)
+    assert begun.setpoint_n(2.0) == pytest.approx(5.0)
+    down = ForceRamp.linear(2.0, 2.0, 1.0, start_n=3.0).starting_from(4.0)
+    assert down.setpoint_n(0.25) == pytest.approx(3.5)
+
+
+def test_a_measured_force_beyond_the_end_is_lowered_and_the_hold_kept() -> None:
+    begun = ForceRamp.linear(2.0, 2.0, 1.0).starting_from(3.0)
+    assert begun.setpoint_n(0.25) == pytest.approx(2.5)
+    assert begun.duration_s == pytest.approx(1.5)
+
+
+@pytest.mark.parametrize("bad", [nan, inf, -1.0])
+def test_nonsense_is_refused(bad: float) -> None:
+    with pytest.raises(LimitExceeded, match="force_n"):
+        ForceRamp.linear(bad, 1.0)
+    with pytest.raises(LimitExceeded, match="rate_n_s"):
+        ForceRamp.linear(1.0, bad)
+    with pytest.raises(LimitExceeded, match="duration_s"):
+        ForceRamp.s_curve(1.0, bad)
+    with pytest.raises(LimitExceeded, match=r"levels_n\[1\]"):
+        ForceRamp.staircase((1.0, bad), 1.0, 0.1)
+
+
+def test_ramps_that_jump_or_turn_round_cannot_exist() -> None:
+    with pytest.raises(LimitExceeded, match="not both"):
+        ForceRamp.staircase((3.0, 1.0), 1.0, 0.1)
+    with pytest.raises(LimitExceeded, match="empty"):
+        ForceRamp.staircase((), 1.0, 0.1)
+    with pytest.raises(LimitExceeded, match="at least one"):
+        ForceRamp(segments=())
+    with pytest.raises(LimitExceeded, match="ends at"):
+        ForceRamp(
+            segments=(
+                RampSegment(duration_s=1.0, start_n=0.0, end_n=1.0),
+                RampSegment(duration_s=1.0, start_n=2.0, end_n=3.0),
+            )
+        )
+    with pytest.raises(LimitExceeded, match="above 0"):
+        ForceRamp(segments=(RampSegment(duration_s=0.0, start_n=0.0, end_n=1.0),))
+
+
+def test_an_ended_ramp_stays_at_its_force_and_names_the_level_it_was_at_or_on_its_way_to() -> None:
+    ramp = ForceRamp.staircase((2.0, 4.0), rate_n_s=4.0, hold_s=1.0)
+    for elapsed_s, force_n, level in ((0.25, 1.0, 0), (0.6, 2.0, 0), (1.75, 3.0, 1), (9.0, 4.0, 1)):
+        ended = ramp.ended_at(elapsed_s)
+        assert ended.duration_s == 0.0
+        assert (ended.start_n, ended.final_n) == (force_n, force_n)
+        assert {ended.level_at(t) for t in (0.0, 1.0)} == {level}
+    smooth = ForceRamp.s_curve(4.0, 2.0)
+    assert smooth.ended_at(1.0).final_n == pytest.approx(2.0)

@@ -1,0 +1,82 @@
+"""The self-test of the bus watchdog: it passes where the motor stops and nowhere else."""
+
+import pytest
+
+from gripper.errors import GripperStateError, LimitExceeded, WatchdogUnproven
+from gripper.force.ramp import ForceRamp
+from gripper.state import GraspResult, GripperPhase
+from simulator.servo.firmware import WatchdogStop
+
+RAMP = ForceRamp.linear(4.0, rate_n_s=5.0)
+
+
+def let_stop(cell, how: WatchdogStop, *indices: int) -> None:
+    for index in indices:
+        cell.servos[index].core.watchdog_stop = how
+
+
+@pytest.mark.parametrize("how", [WatchdogStop.HOLD, WatchdogStop.ZERO_CURRENT])
+@pytest.mark.parametrize("watchdog_s", [0.1, 0.2, 0.4])
+def test_a_watchdog_that_stops_the_motors_is_proven_once(make_cell, how, watchdog_s) -> None:
+    cell = make_cell(watchdog_self_test=True, watchdog_s=watchdog_s)
+    let_stop(cell, how, 0, 1)
+    cell.gripper.start()
+    with pytest.raises(GripperStateError, match="open the gripper, its self-test follows"):
+        cell.gripper.grasp(RAMP)
+    least_m = [1.0]
+    cell.clock.on_advance.append(
+        lambda _: least_m.append(
+            min(least_m[-1], cell.mechanics.aperture_m if cell.gripper.watchdog_proofs == () else 1)
+        )
+    )
+    cell.gripper.open(0.02)
+    assert cell.mechanics.aperture_m == pytest.approx(0.02, abs=8e-4)
+    assert [proof.ok for proof in cell.gripper.watchdog_proofs] == [True, True]
+    assert min(least_m) > 0.0122
+    assert cell.register(0, "bus_watchdog") == round(watchdog_s / 0.02)
+    opened_s = cell.clock.monotonic()
+    cell.gripper.open(0.021)
+    assert cell.clock.monotonic() - opened_s < 0.5
+    assert cell.gripper.grasp(RAMP).result is GraspResult.FORCE_REACHED
+
+
+def test_a_motor_that_turns_on_is_found_and_no_grasp_is_begun(make_cell) -> None:
+    cell = make_cell(watchdog_self_test=True)
+    let_stop(cell, WatchdogStop.KEEPS_TURNING, 1)
+    cell.gripper.start()
+    with pytest.raises(WatchdogUnproven, match=r"servo 2: register 98 tripped.*unattended") as bad:
+        cell.gripper.open()
+    assert "servo 1:" not in str(bad.value)
+    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
+    cell.gripper.clear_fault()
+    assert cell.gripper.state is GripperPhase.IDLE
+    with pytest.raises(GripperStateError, match="self-test"):
+        cell.gripper.grasp(RAMP)
+    with pytest.raises(WatchdogUnproven):
+        cell.gripper.open()
+
+
+def test_a_watchdog_that_never_trips_is_found(make_cell, monkeypatch) -> None:
+    cell = make_cell(watchdog_self_test=True)
+    monkeypatch.setattr(cell.servos[0].core, "set_watchdog", lambda *_: None)
+    cell.gripper.start()
+    with pytest.raises(WatchdogUnproven, match="servo 1: register 98 did not trip"):
+        cell.gripper.open()
+
+
+def test_it_is_off_unless_asked_for_and_refuses_a_long_way(make_cell) -> None:
+    plain = make_cell()
+    plain.gripper.start()
+    plain.gripper.open()
+    assert plain.gripper.watchdog_proofs == ()
+    cell = make_cell(watchdog_self_test=True, watchdog_s=2.0)
+    cell.gripper.start()
+    with pytest.raises(LimitExceeded, match="shorten watchdog_s"):
+        cell.gripper.open()
+
+
+def test_it_needs_open_fingers(make_cell, make_part) -> None:
+    cell = make_cell(watchdog_self_test=True, aperture_min_m=0.01, part=make_part(present=False))
+    cell.gripper.start()
+    with pytest.raises(LimitExceeded, match="open them first"):
+        cell.gripper.open(0.0105)

@@ -1,0 +1,290 @@
+"""What each kind of fault does to torque and goals: hold, stand still, open a step, go limp."""
+
+import re
+from contextlib import suppress
+
+import pytest
+
+from gripper.errors import (
+    BusTimeout,
+    FeedbackImplausible,
+    FingerSilent,
+    ForceAboveCap,
+    GraspStopped,
+    GripperStateError,
+    LimitExceeded,
+    ServoFault,
+    copy_fingers,
+    fingers_left,
+    note_fingers,
+)
+from gripper.force.ramp import ForceRamp
+from gripper.settings import OverForce
+from gripper.state import GraspResult, GripperPhase
+
+RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
+
+
+def held(cell) -> None:
+    cell.gripper.start()
+    assert cell.gripper.grasp(RAMP).result is GraspResult.FORCE_REACHED
+
+
+def after(cell, delay_s: float, act):
+    """Return an observer that acts once, so long after now, and the time at which it did."""
+    due_s = cell.clock.monotonic() + delay_s
+    done_s: list[float] = []
+
+    def observe(cycle) -> None:
+        if not done_s and cycle.t_s >= due_s:
+            done_s.append(cell.clock.monotonic())
+            act()
+
+    return observe, done_s
+
+
+def torques(cell) -> list[int]:
+    return [cell.register(i, "torque_enable") for i in range(2)]
+
+
+def test_an_encoder_that_leaps_ends_in_limp_fingers_within_a_cycle(cell) -> None:
+    held(cell)
+    observe, done_s = after(cell, 0.5, lambda: leap(cell, 0.3))
+    with pytest.raises(FeedbackImplausible, match=r"servo 1: its position leapt by.*switched off"):
+        cell.gripper.hold(2.0, observe)
+    assert cell.clock.monotonic() - done_s[0] < 0.008
+    assert torques(cell) == [0, 0]
+    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
+    cell.gripper.clear_fault()
+    assert cell.gripper.state is GripperPhase.OFF
+    assert torques(cell) == [0, 0]
+
+
+def leap(cell, by_rad: float) -> None:
+    motor = cell.motors[0]
+    motor.stuck_at_rad = motor.angle_rad + by_rad
+
+
+@pytest.mark.parametrize("step_rad", [0.02, -0.02])
+def test_a_finger_that_creeps_out_of_its_range_ends_in_limp_fingers(cell, step_rad) -> None:
+    held(cell)
+    motor = cell.motors[0]
+
+    def creep(_) -> None:
+        stuck = motor.stuck_at_rad
+        motor.stuck_at_rad = (motor.angle_rad if stuck is None else stuck) + step_rad
+
+    with pytest.raises(FeedbackImplausible, match="it can be from"):
+        cell.gripper.hold(2.0, creep)
+    assert torques(cell) == [0, 0]
+
+
+def test_a_current_that_cannot_be_ends_in_limp_fingers(cell, monkeypatch) -> None:
+    held(cell)
+    model = type(cell.settings.servos[0].servo_model)
+    real = model.current_a
+
+    def absurd(self, raw: int) -> float:
+        return real(self, raw) * 12.0
+
+    observe, _ = after(cell, 0.3, lambda: monkeypatch.setattr(model, "current_a", absurd))
+    with pytest.raises(FeedbackImplausible, match=r"at most 1\.50 A are possible"):
+        cell.gripper.hold(2.0, observe)
+    assert torques(cell) == [0, 0]
+
+
+@pytest.mark.parametrize("way", list(OverForce))
+def test_too_much_force_is_answered_as_configured_and_never_pushed_on(make_cell, way) -> None:
+    cell = make_cell(force_max_n=6.0, over_force=way, over_force_open_m=0.001)
+    held(cell)
+    before_m, force_n = cell.mechanics.aperture_m, cell.force_n
+    observe, done_s = after(cell, 0.5, lambda: swell(cell, 0.0012))
+    with pytest.raises(ForceAboveCap, match="force_max_n is 6"):
+        cell.gripper.hold(2.0, observe)
+    # One set of the sensor and its delay.
+    assert cell.clock.monotonic() - done_s[0] < 0.1
+    peak_n = cell.peak_n
+    cell.clock.sleep(1.0)
+    assert cell.peak_n <= peak_n + 0.2
+    assert torques(cell) == ([0, 0] if way is OverForce.LIMP else [1, 1])
+    if way is OverForce.OPEN:
+        assert 0.0 < cell.mechanics.aperture_m - before_m < 0.004
+    assert cell.force_n < peak_n
+    assert force_n == pytest.approx(4.0, abs=0.5)
+
+
+def swell(cell, more_m: float) -> None:
+    cell.part.width_m += more_m
+
+
+def test_the_other_finger_stands_still_when_a_servo_drops_its_torque(cell) -> None:
+    held(cell)
+    observe, done_s = after(cell, 0.5, cell.knobs[1].overload)
+    with pytest.raises(ServoFault, match="overload") as fault:
+        cell.gripper.hold(2.0, observe)
+    assert fault.value.torque_lost
+    assert cell.clock.monotonic() - done_s[0] < 0.02
+    # The goal is where the finger was, not beyond: it pushes nothing ahead of itself.
+    goal, present = cell.register(0, "goal_position"), cell.register(0, "present_position")
+    assert abs(goal - present) < 12
+    living_m = cell.mechanics.finger_position_m[0]
+    cell.part.present = False
+    cell.clock.sleep(1.0)
+    assert abs(cell.mechanics.finger_position_m[0] - living_m) < 0.0008
+
+
+@pytest.mark.parametrize("silent", [1, 2])
+def test_a_finger_that_falls_silent_in_a_hold_freezes_the_other_one(cell, silent) -> None:
+    held(cell)
+    observe, done_s = after(cell, 0.5, lambda: cell.device.faults.silent.add(silent))
+    with pytest.raises(FingerSilent, match="the part may still be gripped"):
+        cell.gripper.hold(2.0, observe)
+    assert cell.clock.monotonic() - done_s[0] < 0.03
+    cell.clock.sleep(2.0)
+    assert cell.force_n > 1.5
+    assert cell.force_n < 4.5
+    assert torques_of(cell, 3 - silent) == 1
+    # Its watchdog is disarmed: its grip depends on nobody.
+    assert cell.register(2 - silent, "bus_watchdog") == 0
+
+
+def torques_of(cell, servo_id: int) -> int:
+    return cell.register(servo_id - 1, "torque_enable")
+
+
+def test_a_dip_of_the_supply_is_told_and_the_grip_kept(cell) -> None:
+    held(cell)
+    observe, done_s = after(cell, 0.5, lambda: cell.knobs[0].supply(9.0))
+    with pytest.raises(ServoFault, match=r"input voltage") as fault:
+        cell.gripper.hold(2.0, observe)
+    assert cell.clock.monotonic() - done_s[0] < 0.015
+    assert not fault.value.torque_lost
+    assert torques(cell) == [1, 1]
+    assert cell.force_n > 3.0
+
+
+def test_a_restart_too_short_to_be_silent_is_seen_by_the_servos_clock(cell) -> None:
+    held(cell)
+    core = cell.servos[0].core
+    observe, done_s = after(cell, 0.5, lambda: core.boot(cell.clock.monotonic(), blackout_s=0.0))
+    with pytest.raises(ServoFault, match="its torque is off") as fault:
+        cell.gripper.hold(2.0, observe)
+    assert fault.value.torque_lost
+    assert cell.clock.monotonic() - done_s[0] < 0.015
+    cell.clock.sleep(1.0)
+    assert torques(cell) == [0, 1]
+
+
+# Fingers on their way stop where they are.
+
+
+class Fails(Exception):
+    """What an observer may raise."""
+
+
+def in_the_way(cell, how: str):
+    """Return an observer that stops, fails, stalls or silences while the fingers open fast."""
+
+    def observe(cycle) -> None:
+        if cycle.phase.moving and cycle.state.aperture_velocity_m_s > 0.03:
+            if how == "stop":
+                cell.gripper.request_stop()
+            elif how == "fail":
+                raise Fails("the disk is full")
+            elif how == "stall":
+                cell.clock.sleep(0.3)
+            elif how == "deaf":
+                cell.gripper.request_stop()
+                cell.gripper._bus.sync_write = lambda *_a, **_k: None
+            elif how == "silent":
+                cell.device.faults.silent.add(1)
+            else:
+                cell.device.faults.silent.update((1, 2))
+
+    return observe
+
+
+@pytest.mark.parametrize(
+    ("how", "error", "left"),
+    [
+        ("stop", GraspStopped, "stopped"),
+        ("fail", Fails, "stopped"),
+        ("stall", LimitExceeded, "stopped"),
+        ("silent", FingerSilent, "were seen last"),
+        ("deaf", ServoFault, "were seen last"),
+        ("dead", BusTimeout, "were seen last"),
+    ],
+)
+@pytest.mark.parametrize("command", ["release", "open"])
+def test_fingers_on_their_way_stop_where_they_are(make_cell, command, how, error, left) -> None:
+    cell = make_cell(aperture_open_m=0.04)
+    if command == "release":
+        held(cell)
+    else:
+        cell.gripper.start()
+    with pytest.raises(error) as caught:
+        getattr(cell.gripper, command)(observer=in_the_way(cell, how))
+    told = fingers_left(caught.value)
+    doing = "letting go" if command == "release" else "opening"
+    assert told.startswith(f"the fingers {left} while {doing}, at an opening of ")
+    assert ("half held" in told) == (command == "release")
+    assert ("watchdog" in told) == (left != "stopped")
+    if left != "stopped":
+        cell.gripper.keep_grip()
+        cell.gripper.close()
+    cell.clock.sleep(0.25)
+    stood_m = cell.mechanics.aperture_m
+    assert stood_m < 0.036
+    with suppress(BusTimeout):
+        cell.gripper.keep_grip()
+    cell.clock.sleep(2.0)
+    assert cell.mechanics.aperture_m == pytest.approx(stood_m, abs=3e-4)
+    if how in {"stop", "fail"}:
+        said_mm = float(re.findall(r"([\d.]+) mm", told)[0])
+        assert said_mm == pytest.approx(stood_m * 1e3, abs=1.0)
+    if how == "stop":
+        expected = GripperPhase.HELD_AFTER_FAULT if command == "release" else GripperPhase.IDLE
+        assert cell.gripper.state is expected
+        getattr(cell.gripper, command)()
+        assert cell.mechanics.aperture_m == pytest.approx(0.04, abs=1e-3)
+
+
+def test_a_stop_at_the_begin_of_a_release_lets_nothing_fall(cell) -> None:
+    held(cell)
+    with pytest.raises(GraspStopped):
+        cell.gripper.release(lambda _: cell.gripper.request_stop())
+    cell.clock.sleep(1.0)
+    assert cell.force_n > 0.5
+    with pytest.raises(GripperStateError):
+        cell.gripper.hold(0.1)
+    cell.gripper.release()
+    assert cell.force_n == 0.0
+
+
+def test_a_stop_in_the_approach_goes_no_farther(make_cell, make_part) -> None:
+    cell = make_cell(part=make_part(present=False), approach_speed_m_s=0.02)
+    cell.gripper.start()
+
+    def stop(cycle) -> None:
+        if cycle.state.aperture_m < 0.012:
+            cell.gripper.request_stop()
+
+    with pytest.raises(GraspStopped) as caught:
+        cell.gripper.grasp(RAMP, stop)
+    assert "closing, at an opening of 1" in fingers_left(caught.value)
+    cell.clock.sleep(1.0)
+    assert cell.mechanics.aperture_m > 0.0115
+
+
+def test_no_note_is_made_where_fingers_hold(cell) -> None:
+    held(cell)
+    with pytest.raises(GraspStopped) as caught:
+        cell.gripper.hold(1.0, lambda _: cell.gripper.request_stop())
+    assert fingers_left(caught.value) == ""
+    other = Fails("x")
+    copy_fingers(caught.value, other)
+    assert fingers_left(other) == ""
+    note_fingers(caught.value, "stopped")
+    copy_fingers(caught.value, other)
+    copy_fingers(caught.value, other)
+    assert other.__notes__ == ["the fingers stopped"]

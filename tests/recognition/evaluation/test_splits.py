@@ -1,0 +1,89 @@
+"""Splits and figures of merit against hand-made numbers."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from recognition.evaluation.metrics import (
+    auroc,
+    confusion_matrix,
+    expected_calibration_error,
+    wilson_interval,
+)
+from recognition.evaluation.splits import chronological_split, parse_split, shuffled_split
+from recognition.grasp import by_label
+
+
+def test_chronological_split_teaches_with_the_earlier_part(train):
+    first, last = chronological_split(train[::-1], 0.6)
+    assert len(first) + len(last) == len(train)
+    for label, members in by_label(train).items():
+        early = [g.start_ms for g in first if g.label == label]
+        late = [g.start_ms for g in last if g.label == label]
+        assert len(early) == round(0.6 * len(members))
+        assert max(early) < min(late)
+
+
+def test_shuffled_split_is_seeded_and_mixes_the_times(train):
+    a, b = shuffled_split(train, 0.5, 1)
+    assert [id(g) for g in a] == [id(g) for g in shuffled_split(train, 0.5, 1)[0]]
+    assert [id(g) for g in a] != [id(g) for g in shuffled_split(train, 0.5, 2)[0]]
+    assert not {id(g) for g in a} & {id(g) for g in b}
+    assert max(g.start_ms for g in a) > min(g.start_ms for g in b)
+
+
+@pytest.mark.parametrize("fraction", [0.05, 0.95])
+def test_both_parts_get_something(train, fraction):
+    first, last = chronological_split(train, fraction)
+    assert {g.label for g in first} == {g.label for g in last} == {g.label for g in train}
+
+
+def test_split_text(train):
+    assert parse_split("chronological:0.6")(train) == chronological_split(train, 0.6)
+    assert parse_split("shuffled:0.8", seed=3)(train) == shuffled_split(train, 0.8, 3)
+
+
+@pytest.mark.parametrize("text", ["", "random:0.5", "chronological", "shuffled:2", "shuffled:nan"])
+def test_split_text_that_is_not_understood_is_refused(text):
+    with pytest.raises(ValueError, match="chronological:FRACTION"):
+        parse_split(text)
+
+
+def test_a_grasp_without_label_and_a_wrong_fraction_are_refused(train):
+    with pytest.raises(ValueError, match="no label"):
+        chronological_split([dataclasses.replace(train[0], label="")], 0.5)
+    with pytest.raises(ValueError, match="fraction"):
+        chronological_split(train, 1.0)
+
+
+def test_confusion_counts_truth_by_answer():
+    table = confusion_matrix(["a", "a", "b"], ["a", "b", "b"], ("a", "b"))
+    assert table.tolist() == [[1, 1], [0, 1]]
+    with pytest.raises(ValueError, match="not listed"):
+        confusion_matrix(["c"], ["a"], ("a", "b"))
+    with pytest.raises(ValueError, match="answers"):
+        confusion_matrix(["a"], [], ("a", "b"))
+
+
+def test_wilson_interval_of_known_cases():
+    assert wilson_interval(9, 10) == pytest.approx((0.5958, 0.9821), abs=1e-4)
+    assert wilson_interval(0, 10) == pytest.approx((0.0, 0.2775), abs=1e-4)
+    assert wilson_interval(0, 0) == (0.0, 1.0)
+    with pytest.raises(ValueError, match="no proportion"):
+        wilson_interval(3, 2)
+
+
+def test_calibration_error_of_known_cases():
+    assert expected_calibration_error([0.95, 0.95], [1, 1]) == pytest.approx(0.05)
+    assert expected_calibration_error([0.75] * 4, [1, 1, 1, 0]) == pytest.approx(0.0)
+    assert expected_calibration_error([1.0, 0.2], [0, 1]) == pytest.approx(0.9)
+    with pytest.raises(ValueError, match="equal"):
+        expected_calibration_error([0.5], [1, 0])
+
+
+def test_auroc_counts_pairs_in_order():
+    assert auroc([0, 1], [2, 3]) == 1.0
+    assert auroc([0, 2], [1, 3]) == 0.75
+    assert auroc([1, 1], [1, 1]) == 0.5
+    assert np.isnan(auroc([], [1]))

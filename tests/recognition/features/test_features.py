@@ -1,0 +1,137 @@
+"""Features of a patch and of the opening, and what they must not depend on."""
+
+import numpy as np
+import pytest
+
+from recognition.features.aperture import aperture_features
+from recognition.features.footprint import describe_footprint, pad_grid, pressed
+from recognition.features.patch import harmonic_features, profile_features, surface_features
+from recognition.ramp.levels import load_levels
+from recognition.ramp.ramp import learn_rest
+
+K = 5
+
+
+@pytest.fixture(scope="module")
+def grid(factory):
+    return pad_grid(factory.pads(shapes=((24, 24),)), 0)
+
+
+def patch(grid, *, sx=8.0, sy=5.0, turn=0.0, at=(0.0, 0.0), height=0.6):
+    dx, dy = (grid.xy_mm - np.array(at)).T
+    u = np.cos(turn) * dx + np.sin(turn) * dy
+    v = np.cos(turn) * dy - np.sin(turn) * dx
+    return np.broadcast_to(height * np.exp(-((u / sx) ** 2 + (v / sy) ** 2) / 2), (1, K, len(u)))
+
+
+QUIET = np.zeros((1, K))
+
+
+def answers(maps, grid):
+    """Return energies and strongest answers (in 1/mm) of the harmonics to one patch, flat."""
+    return np.exp(harmonic_features(maps, QUIET, grid)[0])
+
+
+def test_pitch_comes_from_the_positions(factory):
+    assert pad_grid(factory.pads(), 1).pitch_mm == pytest.approx([3.0, 3.0])
+    assert pad_grid(factory.pads(shapes=((5, 1),)), 0).pitch_mm == pytest.approx([3.0, 1.0])
+
+
+def test_axes_are_the_widths_of_the_patch(grid):
+    found = describe_footprint(patch(grid), QUIET, grid).log_axes[0, -1]
+    assert np.exp(found[:2]) == pytest.approx([64 + 2.25, 25 + 2.25], rel=0.05)
+
+
+@pytest.mark.parametrize("turn", [0.0, 0.4, np.pi / 2])
+@pytest.mark.parametrize("at", [(0.0, 0.0), (3.0, -3.0), (1.3, 0.7)])
+def test_shape_does_not_change_when_the_patch_moves_or_turns(grid, turn, at):
+    still = describe_footprint(patch(grid), QUIET, grid)
+    moved = describe_footprint(patch(grid, turn=turn, at=at), QUIET, grid)
+    for name in ("log_load", "log_extent", "log_axes", "tails", "harmonics"):
+        assert getattr(moved, name) == pytest.approx(getattr(still, name), abs=0.12), name
+    assert surface_features(patch(grid, turn=turn, at=at), QUIET, grid) == pytest.approx(
+        surface_features(patch(grid), QUIET, grid), abs=0.06
+    )
+    assert answers(patch(grid, turn=turn, at=at), grid) == pytest.approx(
+        answers(patch(grid), grid), abs=0.02
+    )
+
+
+def test_centroid_and_direction_say_where_it_lies(grid):
+    moved = describe_footprint(patch(grid, turn=np.pi / 4, at=(3.0, -3.0)), QUIET, grid)
+    assert moved.centroid_mm[0, -1] == pytest.approx([3.0, -3.0], abs=0.1)
+    assert moved.direction[0, -1, 0] == pytest.approx(0.0, abs=0.02)
+    assert moved.direction[0, -1, 1] > 0.3
+
+
+def test_gain_moves_the_load_and_leaves_the_form(grid):
+    weak = describe_footprint(patch(grid, height=0.3), QUIET, grid)
+    strong = describe_footprint(patch(grid, height=0.6), QUIET, grid)
+    assert strong.log_load - weak.log_load == pytest.approx(np.log(2), abs=0.05)
+    assert strong.log_axes == pytest.approx(weak.log_axes, abs=0.05)
+    assert surface_features(patch(grid, height=0.3), QUIET, grid) == pytest.approx(
+        surface_features(patch(grid, height=0.6), QUIET, grid), abs=0.05
+    )
+    assert answers(patch(grid, height=0.3), grid) == pytest.approx(
+        answers(patch(grid, height=0.6), grid), abs=0.02
+    )
+
+
+def test_noise_below_three_sigma_is_not_a_patch():
+    maps = np.array([[[0.02, 0.05, 0.5]]])
+    assert pressed(maps, np.array([[0.01]]))[0, 0].tolist() == [0.0, 0.05, 0.5]
+
+
+def test_an_empty_pad_gives_finite_numbers(grid):
+    nothing = np.zeros((1, K, len(grid.xy_mm)))
+    f = describe_footprint(nothing, QUIET, grid)
+    for name in ("log_load", "log_extent", "log_axes", "tails", "harmonics", "profile"):
+        assert np.all(np.isfinite(getattr(f, name))), name
+    assert np.all(np.isfinite(profile_features(nothing, QUIET, grid)))
+    assert np.all(np.isfinite(surface_features(nothing, QUIET, grid)))
+    assert np.all(np.isfinite(harmonic_features(nothing, QUIET, grid)))
+
+
+def test_harmonics_are_the_answers_of_the_plain_formula(factory):
+    pad = pad_grid(factory.pads(shapes=((7, 5),)), 0)
+    maps = np.random.default_rng(3).uniform(0.05, 0.6, (1, K, 35))
+    found = harmonic_features(maps, QUIET, pad).reshape(2, 3, 6, 2)
+    area = float(np.prod(pad.pitch_mm))
+    root = np.sqrt(maps[0, 4] / (maps[0, 4].sum() * area))
+    for w, width in enumerate((2.0, 3.4, 5.4)):
+        answers = []
+        for x in pad.xy_mm[0, 0] + pad.pitch_mm[0] * np.arange(-3, 10):
+            for y in pad.xy_mm[0, 1] + pad.pitch_mm[1] * np.arange(-3, 8):
+                z = ((pad.xy_mm - (x, y)) @ (1, 1j)) / width
+                window = np.exp(-0.5 * np.abs(z) ** 2) * area / (2 * np.pi * width**2)
+                waves = [np.ones(35), np.abs(z) ** 2 - 2, *(z**m for m in (1, 2, 3, 4))]
+                answers.append([abs(np.sum(root * window * wave)) for wave in waves])
+        strength = np.array(answers)
+        energy = (strength**2).sum(axis=0) * area
+        assert found[1, w, :, 0] == pytest.approx(np.log(energy + 2e-4))
+        assert found[1, w, :, 1] == pytest.approx(np.log(strength.max(axis=0) + 1.3e-3))
+
+
+def test_harmonics_tell_two_bumps_from_one_patch_of_their_size(grid):
+    apart = patch(grid, sx=3.0, sy=3.0, at=(6.0, 0.0)) + patch(grid, sx=3.0, sy=3.0, at=(-6.0, 0.0))
+    one = patch(grid, sx=np.hypot(6.0, 3.0), sy=3.0, height=apart.max())
+    axes = [describe_footprint(m, QUIET, grid).log_axes[0, -1] for m in (apart, one)]
+    assert axes[0] == pytest.approx(axes[1], abs=0.15)
+    assert np.abs(np.log(answers(apart, grid) / answers(one, grid))).max() > 0.5
+
+
+def test_centred_part_of_the_profile_does_not_move_with_the_patch(grid):
+    n = grid.shape[0]
+    still = profile_features(patch(grid), QUIET, grid)[0]
+    moved = profile_features(patch(grid, at=(6.0, 0.0)), QUIET, grid)[0]
+    reach = len(still) // 2 - n
+    assert moved[n : n + reach] == pytest.approx(still[n : n + reach], abs=0.02)
+    assert moved[:n] == pytest.approx(np.roll(still[:n], 2), abs=0.02)
+
+
+def test_opening_features_give_size_and_squeeze(train):
+    levels = load_levels(train, learn_rest(train))
+    features = aperture_features(levels)
+    final, touch = features[:, 0], features[:, 1]
+    assert final == pytest.approx([g.aperture_m[-1] * 1e3 for g in train], abs=0.15)
+    assert np.all(touch > final)

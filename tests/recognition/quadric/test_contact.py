@@ -1,0 +1,160 @@
+import numpy as np
+import pytest
+
+from recognition.errors import ContactError
+from recognition.grasp import Grasp, PadArray
+from recognition.quadric.contact import (
+    ContactPatch,
+    contact_patches,
+    estimate_baseline,
+    main_patch,
+    noise_threshold,
+    robust_noise,
+)
+
+
+def _pads(*shapes, adc_max=255, pitch_m=0.004):
+    taxel_pad, xy = [], []
+    for pad, (rows, columns) in enumerate(shapes):
+        row, column = np.divmod(np.arange(rows * columns), columns)
+        taxel_pad.append(np.full(rows * columns, pad))
+        xy.append(np.stack([row - (rows - 1) / 2, column - (columns - 1) / 2], axis=1) * pitch_m)
+    return PadArray(
+        pad_shape=np.array(shapes),
+        taxel_pad=np.concatenate(taxel_pad),
+        taxel_xy_m=np.concatenate(xy),
+        adc_max=adc_max,
+    )
+
+
+def _grasp(pads, counts):
+    n = len(counts)
+    nothing = np.full(n, np.nan)
+    return Grasp(
+        pads=pads, counts=counts, t_s=np.arange(n) * 0.02, aperture_m=nothing, force_n=nothing
+    )
+
+
+def _ramp(pads, rng, *, n_quiet, n_frames=30, offset=0.0, noise=3.0):
+    """A bump on pad 0 that grows after n_quiet frames; pad 1 stays untouched."""
+    bump = np.zeros(pads.n_taxels)
+    bump[: 16 * 4] = 150.0 * np.exp(-np.sum((pads.taxel_xy_m[:64] / 0.006) ** 2, axis=1))
+    load = np.clip((np.arange(n_frames) - n_quiet + 1) / (n_frames - n_quiet), 0, 1)
+    counts = offset + load[:, None] * bump + rng.normal(scale=noise, size=(n_frames, pads.n_taxels))
+    return _grasp(pads, np.clip(np.round(counts), 0, 255))
+
+
+PADS = _pads((16, 4), (16, 4))
+
+
+def test_baseline_is_the_mean_of_each_taxel_before_contact():
+    rng = np.random.default_rng(0)
+    offset = rng.uniform(20, 60, PADS.n_taxels)
+    found = estimate_baseline(_ramp(PADS, rng, n_quiet=12, offset=offset))
+    assert 9 <= found.quiet_frames[0] <= 13
+    assert found.quiet_frames[1] == 30
+    # twelve frames of noise 3 leave a standard deviation of 0.9
+    assert np.abs(found.counts - offset).max() < 4.0
+    assert np.abs(found.counts - offset).mean() < 1.0
+    assert found.noise_counts == pytest.approx([3.0, 3.0], rel=0.15)
+
+
+def test_baseline_of_a_grasp_that_begins_in_contact_is_the_pads_median():
+    rng = np.random.default_rng(1)
+    grasp = _ramp(PADS, rng, n_quiet=0, n_frames=12, offset=30.0)
+    found = estimate_baseline(grasp)
+    assert found.quiet_frames.tolist() == [0, 12]
+    assert np.ptp(found.counts[:64]) == 0.0
+    assert found.counts[0] == pytest.approx(30.0, abs=2.0)
+
+
+def test_baseline_of_one_frame():
+    counts = np.full((1, PADS.n_taxels), 7)
+    counts[0, 20:23] = 90
+    found = estimate_baseline(_grasp(PADS, counts))
+    assert found.counts == pytest.approx(np.full(PADS.n_taxels, 7.0))
+    assert found.quiet_frames.tolist() == [0, 0]
+
+
+def test_noise_of_the_paper_is_found_with_its_one_sided_offset():
+    rng = np.random.default_rng(2)
+    noise = np.clip(np.abs(rng.normal(scale=10, size=(40, PADS.n_taxels))), 1, 20)
+    found = estimate_baseline(_grasp(PADS, np.round(noise)))
+    assert found.counts.mean() == pytest.approx(noise.mean(), abs=0.3)
+    assert found.noise_counts == pytest.approx([noise.std()] * 2, rel=0.2)
+
+
+def test_robust_noise_ignores_outliers_and_never_falls_below_rounding():
+    rng = np.random.default_rng(3)
+    values = rng.normal(scale=5.0, size=5000)
+    values[:200] = 1e4
+    assert robust_noise(values) == pytest.approx(5.0, rel=0.1)
+    assert robust_noise(np.zeros(100)) == pytest.approx(1 / np.sqrt(12), rel=0.01)
+    assert robust_noise([]) == robust_noise(np.zeros(3))
+
+
+def test_threshold_falls_with_averaging_down_to_one_count_of_255():
+    assert noise_threshold(5.0, 1, 255) == pytest.approx(20.0)
+    assert noise_threshold(5.0, 4, 255) == pytest.approx(10.0)
+    assert noise_threshold(0.3, 100, 255) == pytest.approx(1.02)
+    with pytest.raises(ContactError, match="over 0 frames"):
+        noise_threshold(1.0, 0, 255)
+
+
+def test_patches_join_over_corners_and_come_by_load():
+    grid = np.zeros((16, 4))
+    grid[2, 1], grid[3, 2] = 50.0, 60.0  # touch over a corner
+    grid[10:12, 0] = 20.0
+    grid[15, 3] = 5.0
+    first, second, third = contact_patches(grid, PADS, 1, 2.0)
+    assert first.taxels.tolist() == [64 + 9, 64 + 14]
+    assert first.load == 110.0
+    assert second.load == 40.0
+    assert third.height.tolist() == [5.0]
+    assert first.xy_m == pytest.approx(PADS.taxel_xy_m[first.taxels])
+    assert len(contact_patches(grid, PADS, 1, 2.0, min_taxels=2)) == 2
+    assert contact_patches(grid, PADS, 1, 200.0) == ()
+
+
+def test_the_rim_takes_unloaded_neighbours_along_and_leaves_other_patches():
+    grid = np.zeros((16, 4))
+    grid[5, 1] = 80.0
+    grid[7, 1] = 30.0  # two rows away: another patch
+    patch = main_patch(grid, PADS, 0, 2.0, rim=1)
+    assert len(patch.taxels) == 9
+    assert sorted(patch.height)[-2:] == [0.0, 80.0]
+    assert 7 * 4 + 1 not in main_patch(grid, PADS, 0, 2.0, rim=2).taxels
+    corner = np.zeros((16, 4))
+    corner[0, 0] = 9.0
+    assert len(main_patch(corner, PADS, 0, 2.0, rim=1).taxels) == 4
+
+
+def test_the_three_shapes_of_heights_mean_the_same():
+    pads = _pads((2, 3), (4, 2))
+    everything = np.arange(14.0)
+    for height in (everything, everything[6:], everything[6:].reshape(4, 2)):
+        patch = main_patch(height, pads, 1, 8.5)
+        assert patch.taxels.tolist() == list(range(9, 14))
+
+
+@pytest.mark.parametrize(
+    ("height", "message"),
+    [
+        (np.zeros(128), "pad 0 is not touched: largest height 0 counts, threshold 2"),
+        (np.zeros((4, 16)), r"shape \(4, 16\) fit neither pad 0 with 64"),
+        (np.full(64, np.nan), "not finite"),
+    ],
+)
+def test_refusals_name_the_cause(height, message):
+    with pytest.raises(ContactError, match=message):
+        main_patch(height, PADS, 0, 2.0)
+
+
+def test_a_patch_is_never_empty_and_frozen():
+    with pytest.raises(ContactError, match="at least one taxel"):
+        ContactPatch(pad=0, taxels=[], xy_m=np.zeros((0, 2)), height=[], weight=[])
+    with pytest.raises(ContactError, match="height is not finite"):
+        ContactPatch(pad=0, taxels=[1], xy_m=np.zeros((1, 2)), height=[np.inf], weight=[1])
+    patch = ContactPatch(pad=0, taxels=[1], xy_m=np.zeros((1, 2)), height=[3.0], weight=[1])
+    with pytest.raises(ValueError, match="read-only"):
+        patch.height[0] = 1.0

@@ -1,0 +1,112 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from recognition.errors import QuadricError
+from recognition.quadric.eigen import (
+    Reading,
+    bordered,
+    check_symmetric,
+    eigenvalues,
+    rayleigh_quotient,
+    smallest_eigenvalue,
+)
+
+GRADED = np.array([-1e2, -3.0, 1e-3, 40.0])
+symmetric = arrays(np.float64, (4, 4), elements=st.floats(-10, 10)).map(lambda a: a + a.T)
+
+
+def _rotated(values, rng):
+    n = len(values)
+    basis, _ = np.linalg.qr(rng.normal(size=(n, n)))
+    Q = basis @ np.diag(values) @ basis.T
+    return 0.5 * (Q + Q.T)
+
+
+def test_the_three_readings_of_smallest():
+    Q = np.diag(GRADED)
+    assert smallest_eigenvalue(Q).value == pytest.approx(1e-3, rel=1e-12)
+    assert smallest_eigenvalue(Q, Reading.ALGEBRAIC_MINIMUM).value == pytest.approx(-1e2)
+    assert smallest_eigenvalue(Q, Reading.COVARIANCE).value == pytest.approx(1e-6, rel=1e-12)
+
+
+def test_covariance_reading_is_the_smallest_eigenvalue_of_the_gram_matrix():
+    Q = _rotated(np.array([-4.0, -1.0, 0.5, 2.0]), np.random.default_rng(1))
+    gram = np.linalg.eigvalsh(Q.T @ Q)[0]
+    assert smallest_eigenvalue(Q, Reading.COVARIANCE).value == pytest.approx(gram, rel=1e-10)
+
+
+def test_graded_spectrum_keeps_ten_digits():
+    rng = np.random.default_rng(2)
+    batch = np.stack([_rotated(GRADED, rng) for _ in range(500)])
+    found = smallest_eigenvalue(batch)
+    assert found.value.shape == (500,)
+    # eps * |lambda|max / |lambda|min is 2.2e-11; forming the matrices costs as much again
+    assert np.abs(found.value / 1e-3 - 1.0).max() < 3e-10
+    assert not found.degenerate.any()
+
+
+def test_five_by_five_and_batches_of_any_depth():
+    rng = np.random.default_rng(3)
+    values = np.array([-7.0, -2.0, 0.25, 1.0, 9.0])
+    batch = np.stack([[_rotated(values, rng) for _ in range(3)] for _ in range(2)])
+    assert smallest_eigenvalue(batch).value == pytest.approx(np.full((2, 3), 0.25))
+    assert eigenvalues(batch).shape == (2, 3, 5)
+
+
+def test_a_singular_matrix_is_flagged_and_stands_at_the_floor():
+    cylinder = np.diag([1.0 / 9.0, 1.0 / 9.0, 0.0, -1.0])
+    rng = np.random.default_rng(4)
+    basis, _ = np.linalg.qr(rng.normal(size=(4, 4)))
+    turned = basis @ cylinder @ basis.T
+    found = smallest_eigenvalue(0.5 * (turned + turned.T))
+    assert found.degenerate
+    assert found.value == pytest.approx(4 * np.finfo(float).eps, rel=1e-6)
+
+
+def test_the_algebraic_minimum_of_a_semidefinite_matrix_is_flagged():
+    assert smallest_eigenvalue(np.diag([1.0, 2, 3, 0]), Reading.ALGEBRAIC_MINIMUM).degenerate
+
+
+@settings(derandomize=True, max_examples=60, deadline=None)
+@given(Q=symmetric, v=arrays(np.float64, 4, elements=st.floats(-5, 5)))
+def test_rayleigh_quotient_lies_between_the_extreme_eigenvalues(Q, v):
+    if v @ v < 1e-6:
+        return
+    low, high = eigenvalues(Q)[[0, -1]]
+    assert low - 1e-9 <= rayleigh_quotient(Q, v) <= high + 1e-9
+
+
+@settings(derandomize=True, max_examples=60, deadline=None)
+@given(Q=symmetric, w=arrays(np.float64, 5, elements=st.floats(-10, 10)))
+def test_bordering_never_raises_the_algebraic_minimum(Q, w):
+    border = bordered(Q, w)
+    assert np.array_equal(border[:4, :4], Q)
+    assert np.array_equal(border[4], w)
+    lower = smallest_eigenvalue(border, Reading.ALGEBRAIC_MINIMUM).value
+    assert lower <= smallest_eigenvalue(Q, Reading.ALGEBRAIC_MINIMUM).value + 1e-9
+
+
+@settings(derandomize=True, max_examples=60, deadline=None)
+@given(Q=symmetric, factor=st.floats(0.01, 100))
+def test_the_value_scales_with_the_matrix_whatever_its_sign(Q, factor):
+    value = smallest_eigenvalue(Q).value
+    assert smallest_eigenvalue(-factor * Q).value == pytest.approx(factor * value, abs=1e-11)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: check_symmetric(np.eye(3)), r"shape \(3, 3\)"),
+        (lambda: check_symmetric(np.full((4, 4), np.inf)), "not finite"),
+        (lambda: check_symmetric(np.triu(np.ones((4, 4)))), "differ by 1"),
+        (lambda: rayleigh_quotient(np.eye(4), np.ones(3)), r"shape \(3,\)"),
+        (lambda: rayleigh_quotient(np.eye(4), np.zeros(4)), "zero vector"),
+        (lambda: bordered(np.eye(5), np.ones(5)), "cannot border"),
+    ],
+)
+def test_refusals_name_the_cause(call, message):
+    with pytest.raises(QuadricError, match=message):
+        call()

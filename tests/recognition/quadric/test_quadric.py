@@ -1,0 +1,237 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from recognition.errors import QuadricError
+from recognition.quadric import invariants as inv
+from recognition.quadric import quadric
+from recognition.quadric.eigen import Reading, smallest_eigenvalue
+from recognition.quadric.quadric import (
+    Quadric,
+    fit_height_field,
+    height_field_matrix,
+)
+
+# the paper's objects as full quadrics in mm, k = -1
+OVAL = np.diag([1 / 7.0**2, 1 / 7.0**2, 1 / 5.85**2, -1.0])
+CYLINDER = np.diag([1 / 3.0**2, 1 / 3.0**2, 0.0, -1.0])
+BOX = np.diag([1 / 5.0**2, 1 / 7.95**2, 1 / 5.0**2, -1.0])
+BALL = np.diag([1 / 4.75**2, 1 / 4.75**2, 1 / 4.75**2, -1.0])
+
+
+def _grid(n=7, pitch_m=0.002):
+    along = (np.arange(n) - (n - 1) / 2) * pitch_m
+    return np.stack(np.meshgrid(along, along, indexing="ij"), axis=-1).reshape(-1, 2)
+
+
+def _similarity(rng):
+    return quadric.compose(
+        translate=quadric.translation(rng.uniform(-5, 5, 3)),
+        rotate=quadric.rotation_xyz(rng.uniform(0, 2 * np.pi, 3)),
+        scale=quadric.scaling(rng.uniform(0.3, 3.0)),
+    )
+
+
+# --- height field ---------------------------------------------------------------------------
+
+
+def test_fit_recovers_an_exact_height_field_in_millimetres():
+    xy_mm = _grid() * 1e3 + (3.0, -2.0)
+    x, y = xy_mm.T
+    expected = height_field_matrix(a=-1.5, b=-0.8, d=0.2, g=0.4, h=-0.3, k=100.0)
+    z = -1.5 * x**2 - 0.8 * y**2 + 2 * (0.2 * x * y + 0.4 * x - 0.3 * y) + 100.0
+    found = fit_height_field(xy_mm * 1e-3, z)
+    assert found.matrix_in(1e-3) == pytest.approx(expected, abs=1e-9)
+    assert found.centre_m == pytest.approx([0.003, -0.002])
+    assert found.residual < 1e-9
+    assert found.n_points == 49
+
+
+def test_paraboloid_of_the_paper_has_eigenvalues_of_order_1e_minus_3_and_1e2():
+    # peak 100 counts, radius 5 at the base: -4, -4, -0.0025, 100.0025
+    Q = height_field_matrix(a=-4.0, b=-4.0, k=100.0)
+    assert np.linalg.eigvalsh(Q) == pytest.approx([-4, -4, -0.0025, 100.0025], rel=1e-4)
+
+
+@settings(derandomize=True, max_examples=40, deadline=None)
+@given(
+    a=st.floats(-8, -1),
+    b=st.floats(-8, -1),
+    g=st.floats(-5, 5),
+    h=st.floats(-5, 5),
+    k=st.floats(60, 255),
+)
+def test_the_feature_is_the_inverse_peak_height(a, b, g, h, k):
+    Q = height_field_matrix(a=a, b=b, g=g, h=h, k=k)
+    peak = k - g * g / a - h * h / b
+    assert smallest_eigenvalue(Q).value == pytest.approx(0.25 / peak, rel=0.15)
+    assert np.linalg.det(Q) == pytest.approx(-0.25 * a * b, rel=1e-9)
+
+
+def test_extremum_of_a_ball_cap():
+    radius_m, indentation_m = 0.02135, 1e-3
+    xy = _grid(n=5, pitch_m=0.0018)
+    z = np.sqrt(radius_m**2 - np.sum(xy**2, axis=1)) - radius_m + indentation_m
+    cap = fit_height_field(xy, z)
+    assert cap.extremum == pytest.approx(indentation_m, rel=0.01)
+
+
+def test_a_trough_has_no_single_extremum():
+    xy = _grid()
+    trough = fit_height_field(xy, 100.0 - 1e6 * xy[:, 0] ** 2)
+    with pytest.raises(QuadricError, match="no single extremum"):
+        _ = trough.extremum
+
+
+@settings(derandomize=True, max_examples=25, deadline=None)
+@given(seed=st.integers(0, 10_000))
+def test_fit_does_not_depend_on_the_order_and_follows_motion_in_the_plane(seed):
+    rng = np.random.default_rng(seed)
+    xy = _grid(n=4) + rng.normal(scale=2e-4, size=(16, 2))
+    z = 100.0 - 2e6 * np.sum(xy**2, axis=1) + rng.normal(size=16)
+    w = rng.uniform(0.5, 2.0, 16)
+    first = fit_height_field(xy, z, w)
+    order = rng.permutation(16)
+    shuffled = fit_height_field(xy[order], z[order], w[order])
+    np.testing.assert_allclose(shuffled.Q, first.Q, atol=1e-7)
+    turn = rng.uniform(0, 2 * np.pi)
+    R = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    moved = fit_height_field(3.0 * xy @ R.T + (0.1, -0.2), z, w)
+    assert moved.residual == pytest.approx(first.residual)
+    same = smallest_eigenvalue(first.Q).value
+    assert smallest_eigenvalue(moved.Q).value == pytest.approx(same, rel=1e-6)
+
+
+def test_weight_zero_leaves_a_point_out():
+    xy = _grid()
+    z = 50.0 - 1e6 * np.sum(xy**2, axis=1)
+    spoilt, w = z.copy(), np.ones(49)
+    spoilt[10], w[10] = 1e4, 0.0
+    found = fit_height_field(xy, spoilt, w)
+    assert found.n_points == 48
+    assert found.matrix_in(1e-3) == pytest.approx(fit_height_field(xy, z).matrix_in(1e-3), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("xy", "z", "w", "message"),
+    [
+        (np.zeros((6, 2)), np.zeros(6), None, "6 points, a height field needs at least 7"),
+        (_grid(), np.zeros(49), np.r_[np.ones(6), np.zeros(43)], "6 points"),
+        (np.ones((9, 2)), np.zeros(9), None, "at one place"),
+        (_grid()[:14], np.zeros(14), None, "14 points do not determine .* two rows"),
+        (np.c_[np.arange(9.0), np.arange(9.0)], np.zeros(9), None, "condition"),
+        (np.zeros((9, 3)), np.zeros(9), None, "do not fit"),
+        (_grid(), np.full(49, np.nan), None, "not finite"),
+        (_grid(), np.zeros(49), -np.ones(49), "negative"),
+    ],
+)
+def test_degenerate_points_are_refused(xy, z, w, message):
+    with pytest.raises(QuadricError, match=message):
+        fit_height_field(xy, z, w)
+
+
+def test_a_quadric_is_frozen_and_finite():
+    found = fit_height_field(_grid(), np.arange(49.0))
+    with pytest.raises(ValueError, match="read-only"):
+        found.Q[0, 0] = 1.0
+    with pytest.raises(QuadricError, match="finite array of shape"):
+        Quadric(
+            Q=np.full((4, 4), np.nan),
+            residual=0,
+            condition=1,
+            n_points=7,
+            centre_m=[0, 0],
+            scale_m=1,
+        )
+
+
+# --- invariants -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("Q", "first", "second"),
+    [
+        (BALL, 3.0, 9.0),
+        (OVAL, 3.048, 9.260),
+        (BOX, 3.204, 10.847),
+        (np.diag([1 / 5.0**2, 1 / 5.0**2, -1 / 6.5**2, -1.0]), -10.81, 0.4366),
+    ],
+)
+def test_similarity_invariants_of_the_papers_objects(Q, first, second):
+    rng = np.random.default_rng(7)
+    at_rest = inv.similarity_invariants(Q)
+    assert at_rest == pytest.approx([first, second], rel=1e-3)
+    for _ in range(20):
+        moved = rng.uniform(0.1, 10.0) * quadric.congruence(Q, _similarity(rng))
+        assert inv.similarity_invariants(moved) == pytest.approx(at_rest, rel=1e-8)
+
+
+def test_a_cylinder_has_no_second_similarity_invariant():
+    first, second = inv.similarity_invariants(CYLINDER)
+    assert first == pytest.approx(4.0)
+    assert not np.isfinite(second)
+
+
+def test_rigid_motion_keeps_the_four_invariants_but_translation_changes_the_others():
+    rng = np.random.default_rng(8)
+    before = inv.invariants(OVAL)
+    turn = quadric.rotation_xyz(rng.uniform(0, 6, 3))
+    after = inv.invariants(quadric.congruence(OVAL, quadric.translation([3, -2, 1]) @ turn))
+    for name in ("i1", "i2", "i3", "d"):
+        assert getattr(after, name) == pytest.approx(getattr(before, name), rel=1e-9)
+    assert abs(after.d3 / before.d3 - 1) > 0.1
+    turned = inv.invariants(quadric.congruence(OVAL, turn))
+    assert turned.d3 == pytest.approx(before.d3, rel=1e-9)
+    moved_cylinder = inv.invariants(quadric.congruence(CYLINDER, quadric.translation([3, -2, 1])))
+    assert moved_cylinder.d3 == pytest.approx(inv.invariants(CYLINDER).d3, rel=1e-9)
+
+
+def test_size_survives_motion_and_a_factor():
+    rng = np.random.default_rng(9)
+    M = quadric.translation(rng.uniform(-5, 5, 3)) @ quadric.rotation_xyz(rng.uniform(0, 6, 3))
+    axes = np.sqrt(inv.squared_semi_axes(-3.0 * quadric.congruence(OVAL, M)))
+    assert np.sort(axes) == pytest.approx([5.85, 7.0, 7.0], rel=1e-9)
+    radii = np.sqrt(inv.cylinder_squared_radii(quadric.congruence(CYLINDER, M)))
+    assert radii == pytest.approx([3.0, 3.0], rel=1e-9)
+    with pytest.raises(QuadricError, match="no single centre"):
+        inv.squared_semi_axes(CYLINDER)
+
+
+@settings(derandomize=True, max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10_000), reading=st.sampled_from(list(Reading)))
+def test_the_corrected_feature_is_invariant_where_the_plain_one_is_not(seed, reading):
+    rng = np.random.default_rng(seed)
+    moved = rng.uniform(0.1, 10) * quadric.congruence(BOX, _similarity(rng))
+    at_rest = inv.corrected_eigenvalue(BOX, reading).value
+    assert inv.corrected_eigenvalue(moved, reading).value == pytest.approx(at_rest, rel=1e-7)
+
+
+def test_the_corrected_feature_of_a_cylinder_takes_a_given_centre_and_radius():
+    with pytest.raises(QuadricError, match="give the contact's centroid"):
+        inv.corrected_eigenvalue(CYLINDER)
+    with pytest.raises(QuadricError, match="give the contact's centroid"):
+        inv.corrected_eigenvalue(CYLINDER, radius=3.0)
+    found = inv.corrected_eigenvalue(
+        CYLINDER, Reading.ALGEBRAIC_MINIMUM, centre=[0.0, 0.0, 0.0], radius=3.0
+    )
+    assert found.value == pytest.approx(-1.0)
+
+
+def test_cones_have_no_corrected_feature():
+    cone = np.diag([1.0, 1.0, -1.0, 0.0])
+    with pytest.raises(QuadricError, match="cone"):
+        inv.corrected_eigenvalue(cone)
+    with pytest.raises(QuadricError, match="cone"):
+        inv.corrected_eigenvalue(cone, centre=np.zeros(3), radius=1.0)
+    with pytest.raises(QuadricError, match="4, 4"):
+        inv.invariants(np.eye(5))
+
+
+def test_rotation_about_the_origin_keeps_eigenvalues_and_translation_does_not():
+    turned = quadric.congruence(BALL, quadric.rotation_xyz([0.4, 1.2, -0.7]))
+    assert smallest_eigenvalue(turned).value == pytest.approx(smallest_eigenvalue(BALL).value)
+    pushed = quadric.congruence(BOX, quadric.translation([2.0, 2.0, 0.0]))
+    change = smallest_eigenvalue(pushed).value / smallest_eigenvalue(BOX).value
+    assert abs(change - 1) > 0.05
+    assert np.sign(np.linalg.eigvalsh(pushed)).sum() == np.sign(np.linalg.eigvalsh(BOX)).sum()

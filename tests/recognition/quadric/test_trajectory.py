@@ -1,0 +1,278 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from recognition.errors import QuadricError, TrajectoryError
+from recognition.quadric import quadric
+from recognition.quadric.eigen import Reading
+from recognition.quadric.quadric import height_field_matrix
+from recognition.quadric.thresholds import (
+    check_level,
+    find_thresholds,
+    noise_seen,
+    with_noise,
+)
+from recognition.quadric.trajectory import PAPER_SWEEP, Axes, SweepSettings, contact_classify, sweep
+
+# the paper's objects as full quadrics in mm, k = -1
+PAPER_OBJECTS = np.array(
+    [
+        np.diag([1 / 7.0**2, 1 / 7.0**2, 1 / 5.85**2, -1.0]),
+        np.diag([1 / 3.0**2, 1 / 3.0**2, 0.0, -1.0]),
+        np.diag([1 / 5.0**2, 1 / 7.95**2, 1 / 5.0**2, -1.0]),
+        np.diag([1 / 4.75**2, 1 / 4.75**2, 1 / 4.75**2, -1.0]),
+        np.diag([1 / 5.0**2, 1 / 5.0**2, -1 / 6.5**2, -1.0]),
+    ]
+)
+CAPS = np.array([height_field_matrix(a=-4.0, b=-4.0, k=peak) for peak in (50.0, 100.0, 200.0)])
+
+
+def _plain_loops(Q, grid, reading):
+    """Algorithm 1's training loops as printed, one matrix at a time."""
+    values = []
+    for scale in grid.scale:
+        for shift in grid.translation:
+            for angle in grid.angle_rad:
+                M = (
+                    quadric.translation([shift, shift, 0.0])
+                    @ quadric.rotation_z(angle)
+                    @ quadric.rotation_y(angle)
+                    @ quadric.rotation_x(angle)
+                    @ quadric.scaling(scale)
+                )
+                inverse = np.linalg.inv(M)
+                eigenvalues = np.linalg.eigvalsh(inverse.T @ Q @ inverse)
+                values.append(
+                    np.abs(eigenvalues).min()
+                    if reading is Reading.SMALLEST_MAGNITUDE
+                    else eigenvalues[0]
+                )
+    return np.array(values)
+
+
+def test_the_printed_grid_has_21607_points_an_object():
+    assert PAPER_SWEEP.n_evaluations == 21_607
+    assert PAPER_SWEEP.scale == pytest.approx(np.arange(31) * 0.1 + 1)
+    assert PAPER_SWEEP.translation == pytest.approx(np.arange(41) * 0.1 - 2)
+    assert PAPER_SWEEP.angle_rad == pytest.approx(np.arange(17) * np.pi / 8)
+
+
+def test_the_other_readings_of_the_loops_have_the_counts_of_their_products():
+    separate = SweepSettings(translation_axes=Axes.SEPARATE)
+    assert separate.n_evaluations == 885_887
+    everything = SweepSettings(
+        translation_axes=Axes.SEPARATE, rotation_axes=Axes.SEPARATE, max_evaluations=10**9
+    )
+    assert everything.n_evaluations == 256_021_343
+    with pytest.raises(TrajectoryError, match="256,021,343 points an object, limit 2,000,000"):
+        SweepSettings(translation_axes=Axes.SEPARATE, rotation_axes=Axes.SEPARATE)
+
+
+@pytest.mark.parametrize("reading", [Reading.SMALLEST_MAGNITUDE, Reading.ALGEBRAIC_MINIMUM])
+def test_the_sweep_is_the_printed_loops(reading):
+    grid = SweepSettings(
+        scale=np.array([1.0, 1.7, 4.0]),
+        translation=np.linspace(-2, 2, 5),
+        angle_rad=np.linspace(0, 2 * np.pi, 9),
+        reading=reading,
+    )
+    found = sweep(PAPER_OBJECTS[[0, 2, 4]], grid)
+    for index, Q in enumerate(PAPER_OBJECTS[[0, 2, 4]]):
+        assert found.value[index] == pytest.approx(_plain_loops(Q, grid, reading), rel=1e-9)
+    assert not found.degenerate.any()
+
+
+@pytest.mark.parametrize("order", ["TRS", "TSR", "RTS", "RST", "STR", "SRT"])
+def test_every_order_of_the_product_is_carried_out(order):
+    grid = SweepSettings(
+        scale=np.array([2.5]), translation=np.array([1.5]), angle_rad=np.array([0.7]), order=order
+    )
+    M = quadric.compose(
+        translate=quadric.translation([1.5, 1.5, 0]),
+        rotate=quadric.rotation_xyz([0.7, 0.7, 0.7]),
+        scale=quadric.scaling(2.5),
+        order=order,
+    )
+    moved = quadric.congruence(PAPER_OBJECTS[2], M)
+    expected = np.abs(np.linalg.eigvalsh(moved)).min()
+    assert sweep(PAPER_OBJECTS[2:3], grid).value[0, 0] == pytest.approx(expected, rel=1e-9)
+
+
+def test_separate_axes_run_in_loops_of_their_own():
+    grid = SweepSettings(
+        scale=np.array([1.0]),
+        translation=np.array([-1.0, 2.0]),
+        angle_rad=np.array([0.0, 0.5]),
+        translation_axes=Axes.SEPARATE,
+        rotation_axes=Axes.SEPARATE,
+    )
+    found = sweep(PAPER_OBJECTS[2:3], grid).value[0]
+    assert found.shape == (4 * 8,)
+    # x outer, y inner, then the three angles: point 1 * 8 + 1 is x = -1, y = 2, angle z = 0.5
+    M = quadric.translation([-1.0, 2.0, 0.0]) @ quadric.rotation_z(0.5)
+    expected = np.abs(np.linalg.eigvalsh(quadric.congruence(PAPER_OBJECTS[2], M))).min()
+    assert found[9] == pytest.approx(expected, rel=1e-9)
+
+
+def test_rotation_last_changes_nothing():
+    grid = SweepSettings(order="RTS")
+    value = sweep(PAPER_OBJECTS[2:3], grid).value.reshape(31, 41, 17)
+    assert np.ptp(value, axis=2).max() < 1e-12
+
+
+def test_full_quadrics_are_not_invariant_over_the_printed_grid():
+    magnitude = sweep(PAPER_OBJECTS)
+    expected = [(1.3e-3, 2.0e-2), None, (9.9e-4, 1.8e-2), (2.8e-3, 4.4e-2), (1.5e-3, 2.4e-2)]
+    for index, band in enumerate(expected):
+        if band is not None:
+            assert magnitude.spread[index] == pytest.approx(band, rel=0.05)
+    # an exact cylinder is singular everywhere: its level is rounding, and said to be
+    assert magnitude.degenerate.mean(axis=1) == pytest.approx([0, 1, 0, 0, 0])
+    lowest = sweep(PAPER_OBJECTS, SweepSettings(reading=Reading.ALGEBRAIC_MINIMUM))
+    expected_lowest = [-0.776, -0.333, -0.698, -0.668, -0.697]
+    assert lowest.spread[:, 1] == pytest.approx(expected_lowest, abs=2e-3)
+    assert lowest.spread[:, 0] == pytest.approx([-1, -1, -1, -1, -1.182], abs=1e-3)
+    levels = find_thresholds([magnitude.value[i] for i in (0, 2, 3, 4)])
+    assert len(levels.closed) == 3  # no two neighbours can be told apart
+
+
+def test_scale_alone_moves_the_smallest_eigenvalue_by_sixteen():
+    still = SweepSettings(translation=np.zeros(1), angle_rad=np.zeros(1))
+    value = sweep(PAPER_OBJECTS[3:4], still).value[0]
+    assert value == pytest.approx(value[0] / still.scale**2, rel=1e-9)
+    assert value[0] / value[-1] == pytest.approx(16.0)
+    caps = sweep(CAPS, still).value
+    assert caps[:, 0] / caps[:, -1] == pytest.approx([16.0] * 3, rel=0.05)
+
+
+def test_caps_in_counts_hardly_feel_translation_and_rotation():
+    def relative_range(**grid):
+        value = sweep(CAPS, SweepSettings(scale=np.ones(1), **grid)).value
+        return np.ptp(value, axis=1) / value[:, len(value[0]) // 2]
+
+    assert np.all(relative_range(angle_rad=np.zeros(1)) < 1e-3)
+    both = relative_range()
+    assert both == pytest.approx([0.12, 0.06, 0.03], rel=0.4)
+
+
+def test_contact_classify_names_caps_that_differ_in_height():
+    grid = SweepSettings(scale=np.ones(1))
+    for index, peak in enumerate((50.0, 100.0, 200.0)):
+        seen = height_field_matrix(a=-3.0, b=-5.0, g=1.0, k=peak * 1.03)
+        assert contact_classify(CAPS, seen, grid) == index
+    assert contact_classify(CAPS, height_field_matrix(a=-4, b=-4, k=500.0), grid) is None
+    assert contact_classify(CAPS, height_field_matrix(a=-4, b=0, k=100.0), grid) is None
+
+
+@pytest.mark.parametrize(
+    ("call", "error", "message"),
+    [
+        (lambda: sweep(np.eye(4)), TrajectoryError, r"shape \(4, 4\)"),
+        (lambda: sweep(np.zeros((2, 5, 5))), TrajectoryError, "expected"),
+        (lambda: sweep(np.full((1, 4, 4), np.nan)), QuadricError, "not finite"),
+        (lambda: SweepSettings(scale=np.array([])), TrajectoryError, "scale must be"),
+        (lambda: SweepSettings(angle_rad=np.array([np.inf])), TrajectoryError, "angle_rad"),
+        (lambda: SweepSettings(order="TR"), ValueError, "permutation"),
+    ],
+)
+def test_refusals_name_the_cause(call, error, message):
+    with pytest.raises(error, match=message):
+        call()
+
+
+def test_a_trajectory_is_read_only():
+    found = sweep(CAPS, SweepSettings(scale=np.ones(1), translation=np.zeros(1)))
+    with pytest.raises(ValueError, match="read-only"):
+        found.value[0, 0] = 1.0
+
+
+# --- thresholds -----------------------------------------------------------------------------
+
+
+def test_thresholds_are_the_middles_between_neighbouring_bands():
+    levels = find_thresholds([[5.0, 6.0], [1.0, 2.0], [8.0, 9.0]], margin=0.2)
+    assert levels.order.tolist() == [1, 0, 2]
+    assert levels.threshold == pytest.approx([3.5, 7.0])
+    assert levels.window == pytest.approx([3.0, 2.0])
+    assert levels.closed == ()
+    # inside the bands, on either side of the threshold 7, beyond the reach of every band
+    expected = {1.5: 1, 5.5: 0, 8.5: 2, 6.9: 0, 7.1: 2, 7.0: None, 3.5: None, 2.3: 1, 11.0: None}
+    assert {value: check_level(levels, value) for value in expected} == expected
+
+
+def test_nothing_is_told_in_a_closed_window():
+    levels = find_thresholds([[1.0, 4.0], [3.0, 6.0]])
+    assert levels.window == pytest.approx([-1.0])
+    assert levels.closed == ((0, 1),)
+    assert [check_level(levels, value) for value in (2.0, 3.5, 5.0)] == [0, None, 1]
+
+
+def test_coverage_trims_outliers_from_a_band():
+    values = np.concatenate([np.linspace(1, 2, 99), [50.0]])
+    assert find_thresholds([values]).high[0] == 50.0
+    assert find_thresholds([values], coverage=0.9).high[0] < 2.0
+
+
+def test_an_object_without_a_level_is_never_named():
+    levels = find_thresholds([[np.nan], [1.0, 2.0], []])
+    assert levels.order.tolist() == [1]
+    assert check_level(levels, 1.5) == 1
+    assert check_level(levels, 100.0) is None
+    with pytest.raises(TrajectoryError, match="none of 2 objects"):
+        find_thresholds([[np.nan], []])
+    with pytest.raises(TrajectoryError, match="coverage is 0"):
+        find_thresholds([[1.0]], coverage=0)
+
+
+@settings(derandomize=True, max_examples=80, deadline=None)
+@given(
+    bands=st.lists(st.lists(st.floats(0.1, 100), min_size=1, max_size=4), min_size=1, max_size=5),
+    value=st.floats(0.01, 200),
+)
+def test_a_named_value_lies_in_reach_and_in_no_second_band(bands, value):
+    levels = find_thresholds(bands)
+    named = check_level(levels, value)
+    inside = [i for i, band in enumerate(bands) if min(band) <= value <= max(band)]
+    if len(inside) == 1:
+        assert named == inside[0]
+    elif len(inside) > 1:
+        assert named is None
+    elif named is not None:
+        low, high = levels.reach()
+        assert low[named] <= value <= high[named]
+        assert levels.distance(value)[named] == np.min(levels.distance(value))
+
+
+def test_windows_narrow_with_the_noise_seen_until_they_close():
+    levels = find_thresholds([[1.0, 1.1], [1.3, 1.4], [3.0, 3.3]])
+    assert with_noise(levels, 0.0).window == pytest.approx(levels.window)
+    a_little = with_noise(levels, 0.05)
+    assert a_little.window == pytest.approx([1.3 * 0.95 - 1.1 * 1.05, 3.0 * 0.95 - 1.4 * 1.05])
+    assert a_little.closed == ()
+    assert check_level(a_little, 1.14) == 0
+    much = with_noise(levels, 0.2)
+    assert much.closed == ((0, 1),)
+    # a value that both may have caused names none, the other object is still named
+    assert [check_level(levels, value) for value in (1.15, 3.1)] == [0, 2]
+    assert [check_level(much, value) for value in (1.15, 3.1)] == [None, 2]
+    with pytest.raises(TrajectoryError, match="noise_share is 1"):
+        with_noise(levels, 1.0)
+
+
+def test_contact_classify_is_silent_where_the_noise_closes_the_window():
+    grid = SweepSettings(scale=np.ones(1))
+    close = np.array([height_field_matrix(a=-4.0, b=-4.0, k=peak) for peak in (100.0, 125.0)])
+    seen = height_field_matrix(a=-4.0, b=-4.0, k=108.0)
+    assert contact_classify(close, seen, grid) == 0
+    assert contact_classify(close, seen, grid, noise_share=0.2) is None
+
+
+def test_the_noise_of_a_level_is_that_of_its_repetitions():
+    rng = np.random.default_rng(5)
+    values = 2e-3 * (1 + 0.03 * rng.normal(size=4000))
+    assert noise_seen([*values, np.nan]) == pytest.approx(0.06, rel=0.05)
+    assert noise_seen([*values, 100.0]) < 0.065  # one stray value does not move it
+    for useless in ([1.0], [np.nan, 1.0], [0.0, 0.0, 1.0]):
+        with pytest.raises(TrajectoryError, match="do not show the noise"):
+            noise_seen(useless)

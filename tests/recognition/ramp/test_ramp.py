@@ -1,0 +1,185 @@
+"""Frames -> load above rest, touch and levels."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from recognition.ramp.levels import LOAD_FRACTIONS, load_levels, stack_levels
+from recognition.ramp.ramp import Rest, find_ramp, held_part, learn_rest
+
+
+def test_the_pads_that_rise_are_the_gripping_ones(factory):
+    pads = factory.pads(shapes=((4, 4), (10, 6), (6, 2), (10, 6)), adc_max=255)
+    grasps = factory.many(3, seed=3, pads=pads, gripping=(1, 3), noise_counts=16.0)
+    rest = learn_rest(grasps)
+    assert rest.gripping == (1, 3)
+    assert rest.noise_counts == pytest.approx([4.5, 4.5], abs=1.5)
+
+
+def test_rest_follows_an_offset_that_was_not_taught(factory, pads, train):
+    rest = learn_rest(train)
+    lifted = dataclasses.replace(train[0], counts=train[0].counts + 30)
+    assert find_ramp(lifted, rest).load == pytest.approx(find_ramp(train[0], rest).load)
+
+
+def test_touch_is_the_first_frame_of_the_lasting_contact(factory, pads, train):
+    ramp = find_ramp(train[0], learn_rest(train))
+    assert ramp.touched
+    assert ramp.start == pytest.approx(9, abs=2)
+    counts = train[0].counts.copy()
+    counts[4, :10] = 400
+    brushed = dataclasses.replace(train[0], counts=counts)
+    assert find_ramp(brushed, learn_rest(train)).start == pytest.approx(9, abs=2)
+
+
+def test_no_contact_is_not_touched(train):
+    rest = learn_rest(train)
+    empty = dataclasses.replace(train[0], counts=np.zeros_like(train[0].counts))
+    ramp = find_ramp(empty, rest)
+    assert not ramp.touched
+    assert ramp.start == empty.n_frames - 1
+
+
+def test_noise_alone_is_not_touched(factory):
+    pads = factory.pads(adc_max=255)
+    grasps = factory.many(3, seed=4, pads=pads, noise_counts=20.0)
+    rest = learn_rest(grasps)
+    rng = np.random.default_rng(0)
+    noise = np.clip(np.abs(rng.normal(0, 10, grasps[0].counts.shape)), 1, 20).astype(np.uint16)
+    assert not find_ramp(dataclasses.replace(grasps[0], counts=noise), rest).touched
+
+
+def test_a_grasp_that_begins_loaded_is_taken_against_the_taught_rest(train):
+    rest, whole = learn_rest(train), train[0]
+    tail = dataclasses.replace(
+        whole,
+        counts=whole.counts[20:],
+        t_s=whole.t_s[20:],
+        aperture_m=whole.aperture_m[20:],
+        force_n=whole.force_n[20:],
+    )
+    ramp = find_ramp(tail, rest)
+    assert ramp.start == 0
+    assert ramp.load[-1] == pytest.approx(find_ramp(whole, rest).load[-1], rel=1e-6)
+
+
+def test_levels_are_fractions_of_the_full_load(train):
+    levels = load_levels(train, learn_rest(train))
+    assert len(levels) == len(train)
+    total = sum(m.sum(axis=2) for m in levels.maps)
+    assert total / total[:, -1:] == pytest.approx(
+        np.broadcast_to(LOAD_FRACTIONS, total.shape), rel=0.15
+    )
+    assert np.all(np.diff(levels.level_time_s, axis=1) >= 0)
+    assert levels.noise == pytest.approx(0.0)
+
+
+def test_levels_of_one_grasp_are_those_among_many(train):
+    rest = learn_rest(train)
+    alone, among = load_levels(train[3:4], rest), load_levels(train, rest)
+    assert alone.maps[1][0] == pytest.approx(among.maps[1][3])
+    assert len(stack_levels([alone, among])) == 1 + len(train)
+
+
+def test_gaps_in_the_opening_are_bridged_and_a_missing_one_stays_missing(train):
+    rest = learn_rest(train)
+    holes = train[0].aperture_m.copy()
+    holes[::4] = np.nan
+    bridged = load_levels([dataclasses.replace(train[0], aperture_m=holes)], rest)
+    assert bridged.aperture_mm == pytest.approx(load_levels(train[:1], rest).aperture_mm, abs=0.2)
+    none = dataclasses.replace(train[0], aperture_m=np.full_like(holes, np.nan))
+    assert np.all(np.isnan(load_levels([none], rest).aperture_mm))
+
+
+def test_rest_refuses_what_it_cannot_learn_from(factory, train):
+    with pytest.raises(ValueError, match="no grasps"):
+        learn_rest([])
+    other = factory.many(1, seed=0, pads=factory.pads(shapes=((8, 6), (8, 6))))
+    with pytest.raises(ValueError, match="different pads"):
+        learn_rest([*train, *other])
+    with pytest.raises(ValueError, match="teach on these pads"):
+        find_ramp(other[0], learn_rest(train))
+
+
+def test_rest_comes_back_from_its_arrays(train):
+    rest = learn_rest(train)
+    again = Rest.from_arrays(rest.to_arrays())
+    again.check(train[0].pads)
+    assert again.gripping == rest.gripping
+    assert np.array_equal(again.counts, rest.counts)
+
+
+def _cut(grasp, frames):
+    return dataclasses.replace(
+        grasp,
+        counts=grasp.counts[frames],
+        t_s=0.02 * np.arange(len(frames)),
+        aperture_m=grasp.aperture_m[frames],
+        force_n=grasp.force_n[frames],
+    )
+
+
+def test_a_drift_of_all_taxels_is_no_load_however_large(factory):
+    pads = factory.pads(adc_max=255)
+    grasps = factory.many(3, seed=4, pads=pads, noise_counts=16.0)
+    rest = learn_rest(grasps)
+    whole = find_ramp(grasps[0], rest)
+    lifted = dataclasses.replace(grasps[0], counts=np.minimum(grasps[0].counts + 25, 255))
+    shifted = find_ramp(lifted, rest)
+    assert shifted.start == whole.start
+    assert shifted.load[-5:].mean() == pytest.approx(whole.load[-5:].mean(), rel=0.1)
+
+
+def test_what_follows_the_release_is_left_out(train):
+    rest, whole = learn_rest(train), train[0]
+    n = whole.n_frames
+    assert held_part(whole, rest)[0] is whole
+    let_go = _cut(whole, np.r_[0:n, n - 1 : -1 : -1])
+    held, _ = held_part(let_go, rest)
+    assert n - 2 <= held.n_frames <= n + n // 4
+    before, after = (load_levels([g], rest) for g in (whole, let_go))
+    for one, other in zip(before.maps, after.maps, strict=True):
+        assert other[0, -1] == pytest.approx(one[0, -1], abs=0.1 * one.max())
+    assert learn_rest([_cut(g, np.r_[0:n, n - 1 : -1 : -1]) for g in train]).gripping == (
+        rest.gripping
+    )
+
+
+def test_a_spike_of_one_frame_is_no_load(train):
+    rest = learn_rest(train)
+    counts = train[0].counts.copy()
+    counts[25, 3] = train[0].pads.adc_max
+    counts[30, 40] = train[0].pads.adc_max
+    spiky = find_ramp(dataclasses.replace(train[0], counts=counts), rest)
+    clean = find_ramp(train[0], rest)
+    limit = 0.2 * train[0].pads.adc_max
+    assert np.abs(spiky.load - clean.load).max() < limit
+
+
+def test_a_taxel_that_sticks_reads_as_those_beside_it(factory):
+    pads = factory.pads(shapes=((10, 6), (10, 6)), adc_max=255)
+    grasps = factory.many(3, seed=3, pads=pads, noise_counts=16.0)
+    rest = learn_rest(grasps)
+    clean = find_ramp(grasps[0], rest)
+    top = int(np.argmax(clean.rise[0][-5:].mean(axis=0)))
+    counts = grasps[0].counts.copy()
+    counts[:, [0, top]] = 255
+    ramp = find_ramp(dataclasses.replace(grasps[0], counts=counts), rest)
+    assert ramp.start == clean.start
+    assert abs(ramp.rise[0][-5:, 0].mean()) < 12
+    row, column = divmod(top, 6)
+    beside = [
+        r * 6 + c
+        for r, c in ((row - 1, column), (row + 1, column), (row, column - 1), (row, column + 1))
+        if 0 <= r < 10 and 0 <= c < 6
+    ]
+    assert ramp.rise[0][:, top] == pytest.approx(ramp.rise[0][:, beside].mean(axis=1))
+
+
+def test_a_load_that_is_held_all_the_time_is_not_stuck(train):
+    rest, whole = learn_rest(train), train[0]
+    held = _cut(whole, np.full(20, whole.n_frames - 1))
+    assert find_ramp(held, rest).load[-1] == pytest.approx(
+        (whole.counts[-1] - rest.counts).reshape(2, -1).sum(axis=1)
+    )

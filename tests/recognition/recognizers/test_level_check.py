@@ -1,0 +1,365 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from recognition.errors import ContactError, QuadricError, RecognitionError
+from recognition.grasp import Grasp, PadArray
+from recognition.quadric.eigen import Reading
+from recognition.quadric.level import (
+    LevelSettings,
+    frames_near,
+    grip_level,
+    gripping_pads,
+    ramp_levels,
+    usual_noise,
+)
+from recognition.quadric.thresholds import check_level, find_thresholds
+from recognition.recognizer import UNKNOWN
+from recognition.recognizers.level_check import LevelCheckRecognizer, LevelCheckTrainer
+
+PAPER_FINGER = ((16, 4), (16, 4), (16, 2), (16, 2), (6, 2))
+LAYOUTS = {
+    "paper": (PAPER_FINGER * 2, 255),
+    "two inner pads": (((16, 4), (16, 4)), 255),
+    "pinch": (((13, 6), (13, 6)), 4095),
+}
+
+
+def _pads(shapes, adc_max, pitch_m=0.0035):
+    taxel_pad, xy = [], []
+    for pad, (rows, columns) in enumerate(shapes):
+        row, column = np.divmod(np.arange(rows * columns), columns)
+        taxel_pad.append(np.full(rows * columns, pad))
+        xy.append(np.stack([row - (rows - 1) / 2, column - (columns - 1) / 2], axis=1) * pitch_m)
+    return PadArray(
+        pad_shape=np.array(shapes),
+        taxel_pad=np.concatenate(taxel_pad),
+        taxel_xy_m=np.concatenate(xy),
+        adc_max=adc_max,
+    )
+
+
+def _grasp(pads, peak, rng, *, label="", touched=None, noise=0.01, force=True, width_m=0.006):
+    """A force ramp: a cap of the given peak, as a part of full scale, on the touched pads."""
+    touched = (0, pads.n_pads // 2) if touched is None else touched
+    n_quiet, n_ramp, n_hold = 8, 20, 10
+    load = np.concatenate([np.zeros(n_quiet), np.linspace(0.05, 1, n_ramp), np.ones(n_hold)])
+    shift = rng.uniform(-0.002, 0.002, 2)
+    cap = np.maximum(1 - np.sum(((pads.taxel_xy_m - shift) / width_m) ** 2, axis=1), 0)
+    cap = np.where(np.isin(pads.taxel_pad, touched), peak * cap, 0.0)
+    counts = load[:, None] * cap + np.abs(rng.normal(scale=noise, size=(len(load), pads.n_taxels)))
+    nothing = np.full(len(load), np.nan)
+    return Grasp(
+        pads=pads,
+        counts=np.clip(np.round(counts * pads.adc_max), 0, pads.adc_max),
+        t_s=np.arange(len(load)) * 0.02,
+        aperture_m=nothing,
+        force_n=8.0 * load if force else nothing,
+        label=label,
+    )
+
+
+def _taught(pads, rng, **options):
+    peaks = {"low": 0.2, "middle": 0.4, "high": 0.8}
+    return [
+        _grasp(pads, peak, rng, label=label, **options)
+        for label, peak in peaks.items()
+        for _ in range(5)
+    ]
+
+
+@pytest.fixture(params=LAYOUTS)
+def pads(request):
+    return _pads(*LAYOUTS[request.param])
+
+
+@pytest.mark.parametrize("force", [True, False])
+def test_objects_that_press_differently_are_named_on_every_layout(pads, force):
+    rng = np.random.default_rng(10)
+    taught = LevelCheckTrainer().fit(_taught(pads, rng, force=force))
+    assert taught.labels == ("high", "low", "middle")
+    for label, peak in (("low", 0.2), ("middle", 0.4), ("high", 0.8)):
+        grasp = _grasp(pads, peak, rng, force=force)
+        posterior = taught.posterior(grasp)
+        assert posterior.best == label
+        assert posterior.decision() == label
+        assert posterior.probability.max() > 0.9
+        assert taught.check(grasp) == label
+
+
+def test_a_level_outside_every_band_is_unknown(pads):
+    rng = np.random.default_rng(11)
+    taught = LevelCheckTrainer().fit(_taught(pads, rng))
+    between = _grasp(pads, 0.28, rng)
+    assert taught.posterior(between).decision() == UNKNOWN
+    assert taught.check(between) == UNKNOWN
+
+
+def test_objects_with_one_level_share_the_probability_and_close_the_window():
+    pads = _pads(*LAYOUTS["pinch"])
+    rng = np.random.default_rng(12)
+    grasps = [_grasp(pads, 0.5, rng, label=label) for label in "ab" for _ in range(8)]
+    taught = LevelCheckTrainer().fit(grasps)
+    assert taught.levels.closed in (((0, 1),), ((1, 0),))
+    values = [taught.level(grasp) for grasp in grasps]
+    middle = grasps[int(np.argsort(values)[8])]
+    posterior = taught.posterior(middle)
+    assert posterior.unknown < 0.5
+    assert posterior.probability.min() > 0.1
+    assert taught.check(middle) == UNKNOWN
+
+
+def test_no_contact_and_contact_without_a_surface_are_unknown_and_uniform():
+    pads = _pads(*LAYOUTS["paper"])
+    rng = np.random.default_rng(13)
+    taught = LevelCheckTrainer().fit(_taught(pads, rng))
+    nothing = _grasp(pads, 0.0, rng)
+    tip_only = _grasp(pads, 0.5, rng, touched=(4,))  # a pad of 6 x 2: two rows are no surface
+    one_frame = dataclasses.replace(
+        nothing,
+        **{name: getattr(nothing, name)[:1] for name in ("counts", "t_s", "aperture_m", "force_n")},
+    )
+    for grasp in (tip_only, one_frame):
+        posterior = taught.posterior(grasp)
+        assert posterior.unknown == 1.0
+        assert posterior.probability == pytest.approx([1 / 3] * 3)
+        assert taught.check(grasp) == UNKNOWN
+    assert taught.posterior(nothing).decision() == UNKNOWN
+    with pytest.raises(QuadricError, match="no pad carries a surface: pad 4"):
+        grip_level(tip_only)
+    silent = dataclasses.replace(nothing, counts=np.zeros_like(nothing.counts))
+    with pytest.raises(ContactError, match="no pad is loaded"):
+        grip_level(silent)
+
+
+def test_arrays_hold_all_that_was_learnt():
+    pads = _pads(*LAYOUTS["pinch"])
+    rng = np.random.default_rng(14)
+    settings = LevelSettings(force_n=6.0, rim=0, reading=Reading.ALGEBRAIC_MINIMUM)
+    taught = LevelCheckTrainer(settings=settings).fit(_taught(pads, rng))
+    arrays = taught.to_arrays()
+    assert all(array.dtype.kind in "iufU" for array in arrays.values())
+    again = LevelCheckRecognizer.from_arrays(arrays)
+    assert again.settings == settings
+    grasp = _grasp(pads, 0.4, rng)
+    first, second = taught.posterior(grasp), again.posterior(grasp)
+    assert np.array_equal(first.probability, second.probability)
+    assert first.unknown == second.unknown
+    with pytest.raises(ValueError, match="'mean' is missing"):
+        LevelCheckRecognizer.from_arrays({k: v for k, v in arrays.items() if k != "mean"})
+    with pytest.raises(ValueError, match="version 99"):
+        LevelCheckRecognizer.from_arrays({**arrays, "level_check_version": np.array(99)})
+    for name, bad in (("spread", -arrays["spread"]), ("low", arrays["high"] + 1), ("mean", [1.0])):
+        with pytest.raises(ValueError, match=r"make no levels|mean has shape"):
+            LevelCheckRecognizer.from_arrays({**arrays, name: np.array(bad)})
+
+
+def test_other_pads_are_refused():
+    rng = np.random.default_rng(15)
+    pinch, inner = (_pads(*LAYOUTS[name]) for name in ("pinch", "two inner pads"))
+    taught = LevelCheckTrainer().fit(_taught(pinch, rng))
+    with pytest.raises(ValueError, match="2 pads with 128 taxels up to 255; taught were 2"):
+        taught.posterior(_grasp(inner, 0.4, rng))
+    with pytest.raises(ValueError, match="different pads"):
+        LevelCheckTrainer().fit([*_taught(pinch, rng), *_taught(inner, rng)])
+
+
+def test_an_object_without_any_surface_stays_without_a_level():
+    pads = _pads(*LAYOUTS["paper"])
+    rng = np.random.default_rng(16)
+    grasps = _taught(pads, rng)
+    spoilt = [_grasp(pads, 0.5, rng, touched=(4,), label="tip") for _ in range(3)]
+    taught = LevelCheckTrainer().fit([*grasps, *spoilt])
+    assert np.isnan(taught.low).tolist() == [label == "tip" for label in taught.labels]
+    posterior = taught.posterior(_grasp(pads, 0.8, rng))
+    assert posterior.best == "high"
+    assert posterior.probability[posterior.labels.index("tip")] < 0.01
+    again = LevelCheckRecognizer.from_arrays(taught.to_arrays())
+    assert np.array_equal(again.low, taught.low, equal_nan=True)
+    with pytest.raises(ValueError, match="none of 1 objects has a level"):
+        LevelCheckTrainer().fit(spoilt)
+
+
+def test_the_trainer_says_what_it_is_and_refuses_what_does_not_teach():
+    trainer = LevelCheckTrainer()
+    assert (trainer.name, trainer.uses_aperture) == ("level_check", False)
+    assert not LevelCheckTrainer(use_aperture=True).uses_aperture
+    with pytest.raises(ValueError, match="no grasps"):
+        trainer.fit([])
+    pads = _pads(*LAYOUTS["pinch"])
+    with pytest.raises(ValueError, match="no label"):
+        trainer.fit([_grasp(pads, 0.5, np.random.default_rng(0))])
+    with pytest.raises(RecognitionError, match="margin is 0"):
+        LevelCheckTrainer(margin=0.0)
+
+
+def test_one_touch_per_object_suffices():
+    pads = _pads(*LAYOUTS["pinch"])
+    rng = np.random.default_rng(17)
+    taught = LevelCheckTrainer().fit(_taught(pads, rng)[::5])
+    assert taught.posterior(_grasp(pads, 0.41, rng)).best == "middle"
+
+
+# --- the level of one grasp -----------------------------------------------------------------
+
+
+def test_the_level_is_a_quarter_over_the_fitted_peak_in_counts_of_255(pads):
+    rng = np.random.default_rng(18)
+    grasp = _grasp(pads, 0.5, rng, noise=0.0, width_m=0.012)
+    level = grip_level(grasp, LevelSettings(rim=0))
+    assert level == pytest.approx(0.25 / (0.5 * 255), rel=0.1)
+
+
+def test_noise_of_the_paper_moves_the_level_by_less_than_its_windows():
+    pads = _pads(*LAYOUTS["two inner pads"])
+    rng = np.random.default_rng(19)
+    quiet = grip_level(_grasp(pads, 0.5, np.random.default_rng(1), noise=0.0))
+    noisy = [grip_level(_grasp(pads, 0.5, rng, noise=10 / 255)) for _ in range(20)]
+    assert np.mean(noisy) == pytest.approx(quiet, rel=0.15)
+
+
+def test_gripping_pads_are_the_most_loaded_and_its_counterpart():
+    paper = _pads(*LAYOUTS["paper"])
+    load = np.array([9.0, 0, 0, 0, 6, 5, 0, 0, 0, 0])
+    assert gripping_pads(load, paper) == (0, 5)
+    assert gripping_pads(load[::-1], paper) == (9, 4)
+    load[5] = 0.1
+    assert gripping_pads(load, paper) == (0,)
+    assert gripping_pads([3.0], _pads(((16, 4),), 255)) == (0,)
+    odd = _pads(((16, 4), (13, 6), (16, 4)), 255)
+    assert gripping_pads([1.0, 5.0, 2.0], odd) == (1, 2)
+    with pytest.raises(ContactError, match="no pad is loaded"):
+        gripping_pads(np.zeros(10), paper)
+
+
+def test_frames_near_a_share_of_the_force_or_of_the_load():
+    pads = _pads(*LAYOUTS["pinch"])
+    rng = np.random.default_rng(20)
+    grasp = _grasp(pads, 0.5, rng)
+    assert frames_near(grasp, 1.0, 0.01).tolist() == list(range(27, 38))
+    half = frames_near(grasp, 0.5, 0.03)
+    assert grasp.force_n[half] == pytest.approx(np.full(len(half), 4.0), abs=0.3)
+    without = _grasp(pads, 0.5, rng, force=False)
+    assert set(frames_near(without, 1.0, 0.05)) >= set(range(28, 37))
+    assert len(frames_near(grasp, 0.513, 0.0)) == 1
+
+
+def test_a_fixed_force_that_was_not_reached_is_refused():
+    pads = _pads(*LAYOUTS["pinch"])
+    grasp = _grasp(pads, 0.5, np.random.default_rng(21))
+    half = grip_level(grasp, LevelSettings(force_n=4.0))
+    assert half == pytest.approx(2 * grip_level(grasp), rel=0.2)
+    with pytest.raises(ContactError, match=r"within 2 N of 20 N; the ramp reached 8 N"):
+        grip_level(grasp, LevelSettings(force_n=20.0))
+    taught = LevelCheckTrainer(settings=LevelSettings(force_n=4.0)).fit(
+        _taught(pads, np.random.default_rng(22), force=False)
+    )
+    assert (
+        taught.posterior(_grasp(pads, 0.8, np.random.default_rng(23), force=False)).best == "high"
+    )
+
+
+def test_lambda_of_force_falls_along_the_ramp_and_gives_thresholds_at_its_end():
+    pads = _pads(*LAYOUTS["paper"])
+    rng = np.random.default_rng(24)
+    shares = (0.01, 0.25, 0.5, 1.0)
+    settings = LevelSettings(tolerance=0.02)
+    values = ramp_levels(_grasp(pads, 0.6, rng), shares, settings)
+    assert np.all(np.diff(values[1:]) < 0)
+    taught = [
+        [ramp_levels(_grasp(pads, peak, rng), shares, settings) for _ in range(3)]
+        for peak in (0.3, 0.8)
+    ]
+    last = find_thresholds([np.array(values)[:, -1] for values in taught])
+    assert check_level(last, ramp_levels(_grasp(pads, 0.8, rng), shares, settings)[-1]) == 1
+    with pytest.raises(ContactError, match="above 0, up to 1"):
+        ramp_levels(_grasp(pads, 0.5, rng), [0.0])
+
+
+def test_steps_of_the_ramp_without_contact_are_nan():
+    pads = _pads(*LAYOUTS["paper"])
+    grasp = _grasp(pads, 0.5, np.random.default_rng(25), touched=(4,))
+    assert np.isnan(ramp_levels(grasp, (0.5, 1.0))).all()
+
+
+def test_levels_are_taken_at_the_force_that_every_taught_grasp_reached():
+    pads = _pads(*LAYOUTS["pinch"])
+    rng = np.random.default_rng(5)
+    taught = _taught(pads, rng)
+    weak = dataclasses.replace(taught[0], force_n=0.5 * taught[0].force_n)
+    recognizer = LevelCheckTrainer().fit([*taught, weak])
+    assert recognizer.settings.force_n == pytest.approx(4.0)
+    unknown_force = [
+        dataclasses.replace(grasp, force_n=np.full(grasp.n_frames, np.nan)) for grasp in taught
+    ]
+    assert LevelCheckTrainer().fit(unknown_force).settings.force_n is None
+    wanted = LevelSettings(force_n=3.0)
+    assert LevelCheckTrainer(settings=wanted).fit(taught).settings.force_n == 3.0
+
+
+def _held(pads, peak, rng, noise, n_frames):
+    """A step of force: quiet frames, then as many under load, noise either way."""
+    load = np.concatenate([np.zeros(12), np.ones(n_frames)])
+    cap = np.maximum(1 - np.sum((pads.taxel_xy_m / 0.006) ** 2, axis=1), 0) * peak
+    values = load[:, None] * cap + 0.2 + rng.normal(scale=noise, size=(len(load), pads.n_taxels))
+    return Grasp(
+        pads=pads,
+        counts=np.clip(np.round(values * pads.adc_max), 0, pads.adc_max),
+        t_s=np.arange(len(load)) * 0.02,
+        aperture_m=np.full(len(load), np.nan),
+        force_n=8.0 * load,
+    )
+
+
+def test_the_patch_does_not_grow_with_the_number_of_frames_averaged():
+    pads = _pads(*LAYOUTS["two inner pads"])
+    few, many = (_held(pads, 0.5, np.random.default_rng(3), 0.01, n) for n in (2, 40))
+
+    def spread_over(settings):
+        return abs(np.log(grip_level(few, settings) / grip_level(many, settings)))
+
+    assert spread_over(LevelSettings()) < 0.05
+    assert spread_over(LevelSettings(peak_share=0.0)) > 2 * spread_over(LevelSettings())
+
+
+def test_noise_of_the_whole_pad_does_not_hide_the_first_touch_in_the_baseline():
+    pads = _pads(*LAYOUTS["paper"])
+    quiet = grip_level(_grasp(pads, 0.6, np.random.default_rng(4), noise=0.0))
+    loud = [grip_level(_grasp(pads, 0.6, np.random.default_rng(4), noise=0.04)) for _ in range(3)]
+    assert np.mean(loud) == pytest.approx(quiet, rel=0.06)
+
+
+def test_more_noise_than_taught_is_seen_and_widens_bands_and_probabilities():
+    pads = _pads(*LAYOUTS["paper"])
+    rng = np.random.default_rng(6)
+    taught = LevelCheckTrainer().fit(_taught(pads, rng))
+    calm, loud = (_grasp(pads, 0.4, np.random.default_rng(7), noise=n) for n in (0.005, 0.1))
+    assert taught.more_noise(calm) == 0.0
+    assert 0.005 < taught.more_noise(loud) < 0.5
+    deaf = dataclasses.replace(taught, noise_per_count=0.0)
+    assert taught.posterior(calm).probability == pytest.approx(deaf.posterior(calm).probability)
+    assert taught.posterior(loud).probability.max() < deaf.posterior(loud).probability.max()
+    assert taught.posterior(loud).unknown <= deaf.posterior(loud).unknown
+    hopeless = dataclasses.replace(taught, noise_per_count=1e3)
+    assert hopeless.check(loud) == UNKNOWN
+    assert hopeless.posterior(loud).unknown == 1.0
+
+
+def test_noise_predicts_how_far_levels_of_one_touch_vary():
+    pads = _pads(*LAYOUTS["two inner pads"])
+    rng = np.random.default_rng(8)
+    grasps = [_held(pads, 0.5, rng, 0.03, 20) for _ in range(60)]
+    seen = np.std(np.log([grip_level(grasp) for grasp in grasps]))
+    counts, per_count = usual_noise(grasps, LevelSettings())
+    assert counts * per_count == pytest.approx(seen, rel=0.4)
+    assert counts == pytest.approx(0.03 * 255 * np.sqrt(1 / 20 + 1 / 12), rel=0.15)
+
+
+def test_taught_noise_that_is_no_number_is_refused():
+    pads = _pads(*LAYOUTS["pinch"])
+    arrays = LevelCheckTrainer().fit(_taught(pads, np.random.default_rng(9))).to_arrays()
+    with pytest.raises(ValueError, match="noise make no levels"):
+        LevelCheckRecognizer.from_arrays({**arrays, "noise_counts": np.array(np.nan)})
+    with pytest.raises(ValueError, match="'peak_share' is missing"):
+        LevelCheckRecognizer.from_arrays({k: v for k, v in arrays.items() if k != "peak_share"})

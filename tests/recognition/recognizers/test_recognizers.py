@@ -1,0 +1,235 @@
+"""The taught recognisers: right answers, strange grasps, odd input, and coming back from arrays."""
+
+import dataclasses
+import importlib
+import inspect
+import pkgutil
+
+import numpy as np
+import pytest
+
+import recognition.recognizers
+from recognition.recognizers import (
+    COMPARATORS,
+    DEFAULT_TRAINER,
+    RECOGNIZERS,
+    TRAINERS,
+    make_trainer,
+    trainer_names,
+)
+from recognition.recognizers.comparators.comparator import Comparator, ComparatorTrainer
+from recognition.recognizers.early_classifiers import EarlyTrainer
+
+OURS = ("force_ramp", "shrinkage_lda")
+
+
+@pytest.fixture(scope="module", params=OURS)
+def name(request):
+    return request.param
+
+
+@pytest.fixture(scope="module")
+def taught(name, train):
+    return make_trainer(name).fit(train)
+
+
+def accuracy(recognizer, grasps):
+    return np.mean([recognizer.posterior(g).best == g.label for g in grasps])
+
+
+def part(grasp, frames):
+    return dataclasses.replace(
+        grasp,
+        counts=grasp.counts[frames],
+        t_s=grasp.t_s[frames],
+        aperture_m=grasp.aperture_m[frames],
+        force_n=grasp.force_n[frames],
+    )
+
+
+def test_each_entry_makes_the_trainer_of_its_name():
+    assert len(set(trainer_names())) == len(RECOGNIZERS)
+    for entry in RECOGNIZERS:
+        assert make_trainer(entry.name).name == entry.name
+    assert {*TRAINERS, *COMPARATORS} == set(trainer_names())
+
+
+def test_every_trainer_and_comparator_of_the_chapter_has_an_entry():
+    modules = [
+        importlib.import_module(found.name)
+        for found in pkgutil.walk_packages(
+            recognition.recognizers.__path__, "recognition.recognizers."
+        )
+    ]
+    classes = {
+        one
+        for module in modules
+        for _, one in inspect.getmembers(module, inspect.isclass)
+        if one.__module__ == module.__name__
+    }
+    trainers = [make_trainer(name) for name in trainer_names()]
+    made = {type(trainer) for trainer in trainers}
+    made |= {trainer.kind for trainer in trainers if isinstance(trainer, ComparatorTrainer)}
+    wanted = {
+        one for one in classes if one.__name__.endswith("Trainer") and one is not EarlyTrainer
+    }
+    wanted |= {one for one in classes if issubclass(one, Comparator) and one is not Comparator}
+    assert wanted == made
+
+
+def test_registry_makes_each_trainer_both_ways():
+    assert DEFAULT_TRAINER in TRAINERS
+    for name in OURS:
+        assert make_trainer(name).name == name
+        assert make_trainer(name).uses_aperture
+        assert not make_trainer(name, use_aperture=False).uses_aperture
+    assert make_trainer("level_check").name == "level_check"
+    with pytest.raises(ValueError, match="force_ramp"):
+        make_trainer("oracle")
+
+
+def test_fresh_grasps_are_named(taught, fresh):
+    assert taught.labels == ("bar", "block", "disc", "egg", "pin")
+    assert accuracy(taught, fresh) >= 0.96
+
+
+def test_touch_alone_names_most(name, train, fresh):
+    assert accuracy(make_trainer(name, use_aperture=False).fit(train), fresh) >= 0.8
+
+
+def test_opening_is_not_looked_at_where_it_is_not_to_be_used(name, train, fresh):
+    blind = make_trainer(name, use_aperture=False).fit(train)
+    moved = dataclasses.replace(fresh[0], aperture_m=fresh[0].aperture_m * 2 + 0.03)
+    assert np.array_equal(blind.posterior(moved).probability, blind.posterior(fresh[0]).probability)
+
+
+def test_most_familiar_grasps_are_known_and_an_untaught_object_is_not(name, train, fresh):
+    recognizer = make_trainer(name).fit([g for g in train if g.label != "egg"])
+    unknown = {True: [], False: []}
+    for grasp in fresh:
+        unknown[grasp.label == "egg"].append(recognizer.posterior(grasp).unknown)
+    assert np.mean(np.array(unknown[False]) > 0.5) <= 0.15
+    assert np.median(unknown[True]) > max(0.5, float(np.median(unknown[False])))
+
+
+def test_8_bit_pads_among_others_with_one_sided_noise(name, factory):
+    pads = factory.pads(shapes=((12, 4), (12, 4), (6, 2), (12, 4)), adc_max=255)
+    options = {"pads": pads, "gripping": (0, 3), "noise_counts": 20.0, "n_ramp": 60}
+    recognizer = make_trainer(name).fit(factory.many(8, seed=5, **options))
+    assert accuracy(recognizer, factory.many(4, seed=6, **options)) >= 0.95
+
+
+def test_gain_of_a_pad_may_drift(name, taught, fresh):
+    def louder(grasp):
+        counts = grasp.counts.astype(float)
+        counts[:, :60] *= 1.2
+        return dataclasses.replace(
+            grasp, counts=np.minimum(np.round(counts), 4095).astype(np.uint16)
+        )
+
+    assert accuracy(taught, [louder(g) for g in fresh]) >= 0.9
+
+
+def test_a_grasp_without_contact_is_unknown(taught, fresh):
+    empty = dataclasses.replace(fresh[0], counts=np.zeros_like(fresh[0].counts))
+    assert taught.posterior(empty).unknown == 1.0
+
+
+@pytest.mark.parametrize(
+    "frames", [slice(0, 1), slice(-1, None), slice(-2, None), slice(0, 3), slice(0, 12)]
+)
+def test_short_grasps_get_an_answer(taught, fresh, frames):
+    for grasp in fresh[::5]:
+        found = taught.posterior(part(grasp, frames))
+        assert found.probability.sum() == pytest.approx(1.0)
+
+
+def test_odd_frames_get_an_answer(taught, fresh):
+    grasp = fresh[0]
+    full = np.full_like(grasp.counts, grasp.pads.adc_max)
+    dead = grasp.counts.copy()
+    dead[:, 25:32] = 0
+    one_pad = grasp.counts.copy()
+    one_pad[:, 60:] = 0
+    for counts in (full, dead, one_pad):
+        found = taught.posterior(dataclasses.replace(grasp, counts=counts))
+        assert np.all(np.isfinite(found.probability))
+    still = dataclasses.replace(grasp, t_s=np.zeros_like(grasp.t_s))
+    assert np.all(np.isfinite(taught.posterior(still).probability))
+
+
+def test_without_an_opening_touch_alone_answers(train, fresh):
+    taught = make_trainer("force_ramp").fit(train)
+    blind = [dataclasses.replace(g, aperture_m=np.full_like(g.aperture_m, np.nan)) for g in fresh]
+    assert accuracy(taught, blind) >= 0.8
+
+
+def test_taught_without_an_opening_it_answers_with_and_without(name, train, fresh):
+    blind = [dataclasses.replace(g, aperture_m=np.full_like(g.aperture_m, np.nan)) for g in train]
+    assert accuracy(make_trainer(name).fit(blind), fresh) >= 0.8
+
+
+def test_other_pads_are_refused(taught, factory):
+    other = factory.many(1, seed=0, pads=factory.pads(adc_max=255))
+    with pytest.raises(ValueError, match="teach on these pads"):
+        taught.posterior(other[0])
+
+
+def test_too_little_to_learn_from_is_refused(train):
+    plain = make_trainer("shrinkage_lda")
+    with pytest.raises(ValueError, match="two"):
+        plain.fit([g for g in train if g.label == "pin"])
+    with pytest.raises(ValueError, match="three times"):
+        plain.fit(train[::8])
+    with pytest.raises(ValueError, match="at least 3"):
+        make_trainer("force_ramp").fit(train[::8])
+
+
+def test_one_object_alone_is_told_from_all_others(train, fresh):
+    recognizer = make_trainer("force_ramp").fit([g for g in train if g.label == "pin"])
+    assert recognizer.labels == ("pin",)
+    answers = {True: [], False: []}
+    for grasp in fresh:
+        posterior = recognizer.posterior(grasp)
+        assert posterior.probability.tolist() == [1.0]
+        answers[grasp.label == "pin"].append(posterior.unknown > 0.5)
+    assert np.mean(answers[True]) <= 0.25
+    assert np.mean(answers[False]) >= 0.75
+
+
+def test_two_objects_suffice(name, train, fresh):
+    few = [g for g in train if g.label in ("bar", "egg")]
+    tested = [g for g in fresh if g.label in ("bar", "egg")]
+    assert accuracy(make_trainer(name).fit(few), tested) == 1.0
+
+
+def test_grasps_that_missed_teach_nothing(train, fresh):
+    missed = dataclasses.replace(train[0], counts=np.zeros_like(train[0].counts))
+    recognizer = make_trainer("force_ramp").fit([missed, *train])
+    assert accuracy(recognizer, fresh) >= 0.95
+    lost = [dataclasses.replace(g, counts=np.zeros_like(g.counts)) for g in train[:2]]
+    lost = [dataclasses.replace(g, label="ghost") for g in lost]
+    with pytest.raises(ValueError, match="ghost"):
+        make_trainer("force_ramp").fit([*train, *lost])
+
+
+@pytest.mark.parametrize("use_aperture", [True, False])
+def test_recogniser_comes_back_from_its_arrays(name, train, fresh, use_aperture):
+    taught = make_trainer(name, use_aperture=use_aperture).fit(train)
+    arrays = taught.to_arrays()
+    assert all(a.dtype != object for a in arrays.values())
+    again = type(taught).from_arrays(arrays)
+    for grasp in fresh[::4]:
+        a, b = taught.posterior(grasp), again.posterior(grasp)
+        assert np.array_equal(a.probability, b.probability)
+        assert a.unknown == b.unknown
+    del arrays["gripping"]
+    with pytest.raises(ValueError, match="gripping"):
+        type(taught).from_arrays(arrays)
+    with pytest.raises(ValueError, match="train again"):
+        type(taught).from_arrays({**taught.to_arrays(), "feature_version": np.array(0)})
+
+
+def test_teaching_twice_gives_the_same(name, train, fresh):
+    a, b = (make_trainer(name).fit(train).posterior(fresh[7]) for _ in range(2))
+    assert np.array_equal(a.probability, b.probability)

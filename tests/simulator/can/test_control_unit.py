@@ -1,0 +1,652 @@
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from simulator.can.control_unit import (
+    EMCY_OVERRUN,
+    EMCY_WINDOW,
+    ControlUnitSettings,
+    SimulatedControlUnit,
+)
+from simulator.can.faults import ControlUnitFaults
+from simulator.errors import SimulatorSettingsError, SimulatorStateError
+from tactile.frames.assembler import FrameAssembler
+from tactile.frames.codec import FrameFormat, FrameStatus, TactileFrame
+from tactile.frames.pad_features import decode_features
+from tactile.layout import TaxelLayout, paper_layout, pinch_layout
+from tactile.unit import object_dictionary
+from tactile.unit.object_dictionary import TareResult
+
+NMT, SYNC, EMCY, TPDO1, SDO_OUT, SDO_IN, HEARTBEAT = 0, 0x80, 0x85, 0x185, 0x585, 0x605, 0x705
+START, STOP, PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
+
+
+class Skin:
+    """A world whose taxels read what the test says."""
+
+    def __init__(self, layout: TaxelLayout) -> None:
+        self.counts = np.full(layout.n_taxels, 3, dtype=np.uint16)
+        self.scans = 0
+
+    def scan(self) -> np.ndarray:
+        self.scans += 1
+        return self.counts.copy()
+
+
+class Line:
+    """A unit on a line on which a message takes 100 us."""
+
+    def __init__(
+        self,
+        layout: TaxelLayout | None = None,
+        settings: ControlUnitSettings | None = None,
+        *,
+        boot: bool = True,
+    ) -> None:
+        self.layout = layout or paper_layout()
+        self.skin = Skin(self.layout)
+        self.faults = ControlUnitFaults()
+        self.unit = SimulatedControlUnit(self.skin, self.layout, settings, faults=self.faults)
+        self.heard: list[tuple[float, int, bytes]] = []
+        self.now_s = 0.0
+        self.unit.connect(self._hear)
+        if boot:
+            self.wait(0.05)
+            self.take()
+
+    def _hear(self, ready_s: float, can_id: int, messages: list[bytes]) -> float:
+        self.heard.extend((ready_s, can_id, message) for message in messages)
+        return ready_s + 100e-6 * len(messages)
+
+    def wait(self, seconds: float) -> None:
+        self.now_s += seconds
+        self.unit.advance(self.now_s)
+
+    def tell(self, can_id: int, data: bytes = b"") -> list[tuple[int, bytes]]:
+        """Send a message and return what comes back at once."""
+        self.unit.receive(can_id, data, self.now_s)
+        return self.take()
+
+    def take(self) -> list[tuple[int, bytes]]:
+        heard = [(can_id, data) for _, can_id, data in self.heard]
+        self.heard.clear()
+        return heard
+
+    def sdo(self, request: bytes) -> bytes:
+        [(can_id, data)] = self.tell(SDO_IN, request)
+        assert can_id == SDO_OUT
+        assert len(data) == 8
+        return data
+
+    def write(self, index: int, sub: int, value: int, size: int) -> int:
+        """Write an object by an expedited download; returns the abort code, 0 for success."""
+        command = 0x23 | (4 - size) << 2
+        data = self.sdo(struct.pack("<BHBL", command, index, sub, value))
+        if data[0] == 0x60:
+            assert data[1:4] == struct.pack("<HB", index, sub)
+            return 0
+        return abort_code(data)
+
+    def read(self, index: int, sub: int = 0) -> bytes:
+        """Read an object, expedited or in segments; a refusal is a KeyError with its code."""
+        data = self.sdo(struct.pack("<BHB4x", 0x40, index, sub))
+        if data[0] == 0x80:
+            raise KeyError(abort_code(data))
+        if data[0] & 0x02:
+            return data[4 : 8 - (data[0] >> 2 & 3)]
+        size, toggle, content = int.from_bytes(data[4:], "little"), 0, b""
+        while True:
+            segment = self.sdo(bytes((0x60 | toggle,)) + bytes(7))
+            assert segment[0] & 0xF0 == toggle
+            content += segment[1 : 8 - (segment[0] >> 1 & 7)]
+            toggle ^= 0x10
+            if segment[0] & 1:
+                assert len(content) == size
+                return content
+
+    def number(self, index: int, sub: int = 0) -> int:
+        return int.from_bytes(self.read(index, sub), "little")
+
+    def start(self) -> None:
+        assert self.tell(NMT, bytes((START, 5))) == []
+        assert self.unit.state == "OPERATIONAL"
+
+    def frame(self) -> TactileFrame:
+        """Send a SYNC and return the frame that comes."""
+        assembler = FrameAssembler(FrameFormat.of(self.layout))
+        frames = [
+            frame
+            for can_id, data in self.tell(SYNC)
+            if can_id == TPDO1
+            and (frame := assembler.push(data, len(data), self.now_s)) is not None
+        ]
+        self.wait(0.02)
+        [frame] = frames
+        return frame
+
+
+def abort_code(data: bytes) -> int:
+    assert data[0] == 0x80
+    return int.from_bytes(data[4:], "little")
+
+
+def test_one_boot_up_comes_after_power_on() -> None:
+    line = Line(boot=False)
+    assert line.unit.state == "INITIALISING"
+    assert line.unit.next_event_s() == pytest.approx(0.02)
+    assert line.tell(SDO_IN, bytes((0x40, 0, 0x10, 0, 0, 0, 0, 0))) == []
+    line.wait(0.019)
+    assert line.take() == []
+    line.wait(1.0)
+    assert line.heard == [(pytest.approx(0.02), HEARTBEAT, b"\x00")]
+    assert line.unit.state == "PRE-OPERATIONAL"
+
+
+def test_the_sdo_bytes_are_those_of_cia_301() -> None:
+    line = Line()
+    assert line.sdo(bytes.fromhex("40 18 10 01 00 00 00 00")) == bytes.fromhex(
+        "43 18 10 01 43 54 00 00"
+    )
+    assert line.sdo(bytes.fromhex("2B 17 10 00 64 00 00 00")) == bytes.fromhex(
+        "60 17 10 00 00 00 00 00"
+    )
+    assert line.sdo(bytes.fromhex("40 17 10 00 00 00 00 00")) == bytes.fromhex(
+        "4B 17 10 00 64 00 00 00"
+    )
+
+
+def test_the_heartbeat_tells_the_state_at_its_period() -> None:
+    line = Line()
+    assert line.write(object_dictionary.HEARTBEAT_MS, 0, 50, 2) == 0
+    line.wait(0.12)
+    start_s = 0.05
+    assert line.heard == [
+        (pytest.approx(start_s + 0.05), HEARTBEAT, b"\x7f"),
+        (pytest.approx(start_s + 0.10), HEARTBEAT, b"\x7f"),
+    ]
+    line.take()
+    line.start()
+    line.wait(0.05)
+    assert line.take() == [(HEARTBEAT, b"\x05")]
+    line.tell(NMT, bytes((STOP, 0)))
+    line.wait(0.05)
+    assert line.take() == [(HEARTBEAT, b"\x04")]
+    line.tell(NMT, bytes((PRE_OPERATIONAL, 5)))
+    line.wait(0.05)
+    assert line.take() == [(HEARTBEAT, b"\x7f")]
+    line.write(object_dictionary.HEARTBEAT_MS, 0, 0, 2)
+    line.wait(1.0)
+    assert line.take() == []
+
+
+def test_services_follow_the_nmt_state() -> None:
+    line = Line()
+    upload = struct.pack("<BHB4x", 0x40, object_dictionary.DEVICE_TYPE, 0)
+    assert line.tell(SYNC) == []
+    assert len(line.tell(SDO_IN, upload)) == 1
+    line.start()
+    assert len(line.tell(SYNC)) == 59
+    assert len(line.tell(SDO_IN, upload)) == 1
+    line.wait(0.02)
+    line.tell(NMT, bytes((STOP, 5)))
+    assert line.tell(SYNC) == []
+    assert line.tell(SDO_IN, upload) == []
+    line.unit.emergency(0x5000)
+    assert line.take() == []
+    assert line.skin.scans == 1
+
+
+@pytest.mark.parametrize("command", [b"", b"\x01", b"\x01\x06", b"\x01\x05\x00", b"\x63\x05"])
+def test_nmt_commands_that_are_not_meant_change_nothing(command: bytes) -> None:
+    line = Line()
+    assert line.tell(NMT, command) == []
+    assert line.unit.state == "PRE-OPERATIONAL"
+
+
+@pytest.mark.parametrize("command", [RESET_NODE, RESET_COMMUNICATION])
+def test_a_reset_brings_one_boot_up_and_the_defaults_back(command: int) -> None:
+    line = Line()
+    line.write(object_dictionary.HEARTBEAT_MS, 0, 50, 2)
+    line.write(object_dictionary.THRESHOLDS, object_dictionary.THRESHOLD_TOUCH, 77, 2)
+    line.start()
+    line.frame()
+    assert line.tell(NMT, bytes((command, 5))) == []
+    assert line.tell(SYNC) == []
+    line.take()
+    line.wait(1.0)
+    assert line.take() == [(HEARTBEAT, b"\x00")]
+    assert line.unit.state == "PRE-OPERATIONAL"
+    assert line.number(object_dictionary.HEARTBEAT_MS) == 0
+    kept = command == RESET_COMMUNICATION
+    assert line.number(object_dictionary.THRESHOLDS, object_dictionary.THRESHOLD_TOUCH) == (
+        77 if kept else 30
+    )
+    line.start()
+    assert line.frame().counter == (1 if kept else 0)
+
+
+@pytest.mark.parametrize("layout", [paper_layout(), pinch_layout()], ids=["paper", "pinch"])
+def test_each_sync_brings_one_whole_frame(layout: TaxelLayout) -> None:
+    line = Line(layout)
+    line.start()
+    line.skin.counts[:] = np.arange(layout.n_taxels) * 7 % (layout.adc_max + 1)
+    for counter in range(3):
+        frame = line.frame()
+        assert frame.counter == counter
+        assert np.array_equal(frame.counts, line.skin.counts)
+        assert frame.status == FrameStatus.SATURATED * bool(
+            line.skin.counts.max() == layout.adc_max
+        )
+    assert line.skin.scans == 3
+
+
+def test_a_sync_may_carry_a_counter() -> None:
+    line = Line()
+    line.start()
+    assert len(line.tell(SYNC, b"\x07")) == 59
+
+
+def test_the_sync_identifier_can_be_moved() -> None:
+    line = Line()
+    assert line.write(object_dictionary.SYNC_COB_ID, 0, 0x90, 4) == 0
+    line.start()
+    assert line.tell(SYNC) == []
+    assert len(line.tell(0x90)) == 59
+
+
+def test_a_synchronous_type_sends_after_each_nth_sync() -> None:
+    line = Line()
+    assert line.write(object_dictionary.TPDO1_PARAMETER, 2, 3, 1) == 0
+    line.start()
+    bursts = []
+    for _ in range(6):
+        bursts.append(len(line.tell(SYNC)))
+        line.wait(0.02)
+    assert bursts == [0, 0, 59, 0, 0, 59]
+
+
+def test_a_tpdo_that_is_switched_off_is_not_sent() -> None:
+    line = Line()
+    assert line.write(object_dictionary.TPDO1_PARAMETER, 1, 0x8000_0185, 4) == 0
+    line.start()
+    assert line.tell(SYNC) == []
+    assert line.write(object_dictionary.TPDO1_PARAMETER, 1, 0x0000_0186, 4) == 0
+    assert {can_id for can_id, _ in line.tell(SYNC)} == {0x186}
+
+
+def test_features_can_be_sent_instead_of_or_beside_the_samples() -> None:
+    line = Line()
+    line.skin.counts[0:2] = (100, 50)
+    line.start()
+    assert line.write(object_dictionary.MODE, 0, 2, 1) == 0
+    heard = line.tell(SYNC)
+    assert len(heard) == 20
+    first, second = heard[0], heard[1]
+    assert (first[0], second[0]) == (0x285, 0x385)
+    features = decode_features(first[1], second[1])
+    assert (features.pad, features.active, features.peak_counts) == (0, 2, 100)
+    assert features.total_counts == 150
+    line.wait(0.02)
+    assert line.write(object_dictionary.MODE, 0, 3, 1) == 0
+    assert len(line.tell(SYNC)) == 59 + 20
+
+
+def test_the_dictionary_describes_the_layout() -> None:
+    for layout in (paper_layout(), pinch_layout()):
+        line = Line(layout)
+        assert line.number(object_dictionary.LAYOUT, object_dictionary.LAYOUT_PADS) == layout.n_pads
+        assert (
+            line.number(object_dictionary.LAYOUT, object_dictionary.LAYOUT_TAXELS)
+            == layout.n_taxels
+        )
+        assert (
+            line.read(object_dictionary.LAYOUT, object_dictionary.LAYOUT_HASH)
+            == layout.layout_hash.encode()
+        )
+        assert (
+            line.number(object_dictionary.LAYOUT, object_dictionary.LAYOUT_ADC_MAX)
+            == layout.adc_max
+        )
+        assert (
+            line.number(object_dictionary.FORMAT, object_dictionary.FORMAT_MESSAGES)
+            == FrameFormat.of(layout).n_messages
+        )
+        shapes = line.read(object_dictionary.PAD_SHAPES)
+        assert [tuple(shapes[i : i + 2]) for i in range(0, len(shapes), 2)] == [
+            (pad.rows, pad.columns) for pad in layout.pads
+        ]
+        touch = line.number(object_dictionary.THRESHOLDS, object_dictionary.THRESHOLD_TOUCH)
+        assert touch == round(30 * layout.adc_max / 255)
+
+
+@pytest.mark.parametrize("layout", [paper_layout(), pinch_layout()], ids=["paper", "pinch"])
+def test_the_last_frame_can_be_read_in_segments(layout: TaxelLayout) -> None:
+    line = Line(layout)
+    with pytest.raises(KeyError, match=str(0x0800_0024)):
+        line.read(object_dictionary.LAST_FRAME)
+    line.start()
+    line.skin.counts[:] = np.arange(layout.n_taxels)[::-1] % 256
+    frame = line.frame()
+    samples = np.frombuffer(line.read(object_dictionary.LAST_FRAME), f"<u{layout.sample_bytes}")
+    assert np.array_equal(samples, frame.counts)
+    assert line.number(object_dictionary.LAST_FRAME_COUNTER) == frame.counter
+
+
+def test_the_identity_is_that_of_the_settings() -> None:
+    line = Line(settings=ControlUnitSettings(serial_number=4711, identity={1: 0xBAD}))
+    assert line.number(object_dictionary.IDENTITY, object_dictionary.IDENTITY_SERIAL) == 4711
+    assert line.number(object_dictionary.IDENTITY, object_dictionary.IDENTITY_VENDOR) == 0xBAD
+    assert (
+        line.number(object_dictionary.IDENTITY, object_dictionary.IDENTITY_PRODUCT)
+        == object_dictionary.PRODUCT_CODE
+    )
+
+
+def test_an_emergency_is_sent_and_remembered() -> None:
+    line = Line()
+    line.unit.emergency(0x5000, data=b"\x01\x02")
+    assert line.take() == [(EMCY, bytes.fromhex("00 50 01 01 02 00 00 00"))]
+    line.unit.emergency(0x8110, register=0x10)
+    assert line.take() == [(EMCY, bytes.fromhex("10 81 11 00 00 00 00 00"))]
+    assert line.number(object_dictionary.ERROR_HISTORY) == 2
+    assert line.number(object_dictionary.ERROR_HISTORY, 1) == 0x8110
+    assert line.number(object_dictionary.ERROR_HISTORY, 2) == 0x5000
+    assert line.number(object_dictionary.ERROR_REGISTER) == 0x11
+    with pytest.raises(KeyError, match=str(0x0800_0024)):
+        line.read(object_dictionary.ERROR_HISTORY, 3)
+    line.unit.emergency(0)
+    assert line.take() == [(EMCY, bytes(8))]
+    assert line.number(object_dictionary.ERROR_REGISTER) == 0
+    for code in range(0xFF10, 0xFF30):
+        line.unit.emergency(code)
+    line.take()
+    assert line.number(object_dictionary.ERROR_HISTORY) == 8
+
+
+def test_a_sync_during_a_burst_is_passed_over_and_told() -> None:
+    line = Line()
+    line.start()
+    assert len(line.tell(SYNC)) == 59
+    line.wait(0.003)
+    [(can_id, data)] = line.tell(SYNC)
+    assert can_id == EMCY
+    assert struct.unpack_from("<HB", data) == (EMCY_OVERRUN, 0x81)
+    line.wait(0.001)
+    assert line.tell(SYNC) == []
+    line.wait(0.003)
+    frame = line.frame()
+    assert frame.counter == 1
+    assert frame.status == FrameStatus.OVERRUN
+    assert line.frame().status == 0
+
+
+def test_a_burst_that_does_not_fit_the_window_is_cut_short_and_told() -> None:
+    line = Line()
+    line.write(object_dictionary.SYNC_WINDOW_US, 0, 3000, 4)
+    line.start()
+    heard = line.tell(SYNC)
+    assert heard[0][0] == EMCY
+    assert struct.unpack_from("<H", heard[0][1]) == (EMCY_WINDOW,)
+    assert 20 < len(heard) - 1 < 30
+    line.wait(0.02)
+    line.write(object_dictionary.SYNC_WINDOW_US, 0, 0, 4)
+    assert line.frame().status == FrameStatus.OVERRUN
+
+
+def test_the_unit_takes_a_zero_on_command() -> None:
+    line = Line()
+    line.skin.counts[:] = 12
+    line.start()
+    line.write(object_dictionary.TARE, object_dictionary.TARE_FRAMES, 4, 1)
+    assert line.write(object_dictionary.TARE, object_dictionary.TARE_COMMAND, 1, 4) == 0x0800_0020
+    assert (
+        line.write(
+            object_dictionary.TARE,
+            object_dictionary.TARE_COMMAND,
+            object_dictionary.TARE_SIGNATURE,
+            4,
+        )
+        == 0
+    )
+    for _ in range(3):
+        assert line.frame().status == 0
+        assert (
+            line.number(object_dictionary.TARE, object_dictionary.TARE_RESULT) == TareResult.RUNNING
+        )
+    assert line.frame().status == FrameStatus.TARED
+    assert line.number(object_dictionary.TARE, object_dictionary.TARE_RESULT) == TareResult.DONE
+    assert line.number(object_dictionary.TARE, object_dictionary.TARE_LARGEST) == 12
+    line.skin.counts[5] = 40
+    line.skin.counts[6] = 2
+    frame = line.frame()
+    assert frame.status == FrameStatus.TARED
+    assert frame.counts[4:7].tolist() == [0, 28, 0]
+    assert (
+        line.write(
+            object_dictionary.TARE,
+            object_dictionary.TARE_COMMAND,
+            object_dictionary.TARE_CLEAR_SIGNATURE,
+            4,
+        )
+        == 0
+    )
+    assert line.frame().counts[5] == 40
+
+
+@pytest.mark.parametrize(
+    ("counts", "result"),
+    [((31, 31), TareResult.REFUSED_TOUCHED), ((5, 17), TareResult.REFUSED_SPREAD)],
+)
+def test_a_touched_or_restless_skin_gives_no_zero(
+    counts: tuple[int, int], result: TareResult
+) -> None:
+    line = Line()
+    line.start()
+    line.write(object_dictionary.THRESHOLDS, object_dictionary.THRESHOLD_TARE_SPREAD, 11, 2)
+    line.write(object_dictionary.TARE, object_dictionary.TARE_FRAMES, 2, 1)
+    line.write(
+        object_dictionary.TARE, object_dictionary.TARE_COMMAND, object_dictionary.TARE_SIGNATURE, 4
+    )
+    for value in counts:
+        line.skin.counts[9] = value
+        line.frame()
+    assert line.number(object_dictionary.TARE, object_dictionary.TARE_RESULT) == result
+    assert line.frame().status == 0
+
+
+@pytest.mark.parametrize(
+    ("index", "sub", "value", "size", "code"),
+    [
+        (0x1018, 1, 1, 4, 0x0601_0002),
+        (0x7000, 0, 1, 4, 0x0602_0000),
+        (0x1018, 9, 1, 4, 0x0609_0011),
+        (0x1017, 1, 1, 2, 0x0609_0011),
+        (0x1017, 0, 1, 4, 0x0607_0010),
+        (0x2150, 0, 0, 1, 0x0609_0032),
+        (0x2150, 0, 9, 1, 0x0609_0031),
+        (0x1005, 0, 0, 4, 0x0609_0030),
+        (0x1019, 0, 1, 1, 0x0609_0030),
+        (0x1019, 0, 241, 1, 0x0609_0031),
+        (0x1800, 1, 0x186, 4, 0x0609_0030),
+        (0x1800, 1, 0x8000_0600, 4, 0x0609_0030),
+        (0x1A00, 0, 0, 1, 0x0800_0022),
+    ],
+)
+def test_writes_that_are_not_allowed_are_refused(
+    index: int, sub: int, value: int, size: int, code: int
+) -> None:
+    line = Line()
+    assert line.write(index, sub, value, size) == code
+
+
+def test_the_sync_counter_is_set_before_the_period() -> None:
+    line = Line()
+    assert line.write(object_dictionary.SYNC_OVERFLOW, 0, 240, 1) == 0
+    assert line.write(object_dictionary.SYNC_PERIOD_US, 0, 20_000, 4) == 0
+    assert line.write(object_dictionary.SYNC_OVERFLOW, 0, 0, 1) == 0x0800_0022
+
+
+def test_the_mapping_can_be_written_again_but_not_changed() -> None:
+    line = Line()
+    mapping, parameter = object_dictionary.TPDO1_MAPPING, object_dictionary.TPDO1_PARAMETER
+    assert line.write(parameter, 1, 0xC000_0185, 4) == 0
+    assert line.write(mapping, 0, 0, 1) == 0
+    assert line.write(mapping, 1, object_dictionary.TPDO1_ENTRIES[0], 4) == 0
+    assert line.write(mapping, 2, 0x2140_0108, 4) == 0x0604_0041
+    assert line.write(mapping, 2, object_dictionary.TPDO1_ENTRIES[1], 4) == 0
+    assert line.write(mapping, 0, 1, 1) == 0x0604_0041
+    assert line.write(mapping, 0, 2, 1) == 0
+    assert line.write(parameter, 1, 0x4000_0185, 4) == 0
+    line.start()
+    assert len(line.tell(SYNC)) == 59
+
+
+@pytest.mark.parametrize(
+    ("requests", "code"),
+    [
+        (["60 00 00 00 00 00 00 00"], 0x0504_0001),
+        (["00 00 00 00 00 00 00 00"], 0x0504_0001),
+        (["A0 00 22 00 7F 00 00 00"], 0x0504_0001),
+        (["C2 17 10 00 02 00 00 00"], 0x0504_0001),
+        (["E0 17 10 00 02 00 00 00"], 0x0504_0001),
+        (["40 08 10 00 00 00 00 00", "70 00 00 00 00 00 00 00"], 0x0503_0000),
+        (["40 08 10 00 00 00 00 00", "00 31 32 33 00 00 00 00"], 0x0504_0001),
+        (["21 17 10 00 02 00 00 00", "60 00 00 00 00 00 00 00"], 0x0504_0001),
+        (["21 17 10 00 FF FF FF FF"], 0x0504_0005),
+        (["21 17 10 00 02 00 00 00", "09 01 02 03 00 00 00 00"], 0x0607_0012),
+        (["21 17 10 00 02 00 00 00", "0D 01 00 00 00 00 00 00"], 0x0607_0013),
+        (["40 30 21 01 00 00 00 00"], 0x0601_0001),
+        (["40 17 10 01 00 00 00 00"], 0x0609_0011),
+    ],
+)
+def test_hostile_sdo_requests_are_aborted_and_leave_the_server_working(
+    requests: list[str], code: int
+) -> None:
+    line = Line()
+    *before, last = requests
+    for request in before:
+        assert line.sdo(bytes.fromhex(request))[0] != 0x80
+    assert abort_code(line.sdo(bytes.fromhex(last))) == code
+    assert line.read(object_dictionary.DEVICE_NAME) == b"Tactile control unit"
+    assert line.write(object_dictionary.HEARTBEAT_MS, 0, 100, 2) == 0
+
+
+def test_a_download_without_an_end_is_cut_off() -> None:
+    line = Line()
+    line.sdo(bytes.fromhex("20 17 10 00 00 00 00 00"))
+    toggle = 0
+    for _ in range(200):
+        data = line.sdo(bytes((toggle, *range(7))))
+        if data[0] == 0x80:
+            break
+        toggle ^= 0x10
+    assert abort_code(data) == 0x0504_0005
+
+
+def test_a_segmented_download_works() -> None:
+    line = Line()
+    assert line.sdo(bytes.fromhex("21 17 10 00 02 00 00 00"))[0] == 0x60
+    assert line.sdo(bytes.fromhex("0B 64 00 00 00 00 00 00"))[0] == 0x20
+    assert line.number(object_dictionary.HEARTBEAT_MS) == 100
+
+
+@pytest.mark.parametrize("request_hex", ["", "40", "40 00 10", "40 00 10 00 00 00 00"])
+def test_requests_that_are_too_short_are_not_heard(request_hex: str) -> None:
+    line = Line()
+    assert line.tell(SDO_IN, bytes.fromhex(request_hex)) == []
+
+
+def test_an_abort_of_the_client_ends_the_transfer() -> None:
+    line = Line()
+    line.sdo(bytes.fromhex("40 08 10 00 00 00 00 00"))
+    assert line.tell(SDO_IN, bytes.fromhex("80 08 10 00 00 00 04 05")) == []
+    assert abort_code(line.sdo(bytes.fromhex("60 00 00 00 00 00 00 00"))) == 0x0504_0001
+
+
+def test_faults_of_the_converter_show_in_the_frames() -> None:
+    line = Line()
+    line.start()
+    line.faults.stuck_counts[3] = 200
+    line.faults.dead_taxels.add(4)
+    line.faults.offset_counts = 10.0
+    line.faults.gain = 2.0
+    frame = line.frame()
+    assert frame.counts[2:6].tolist() == [16, 200, 0, 16]
+    line.faults.frozen = True
+    line.skin.counts[:] = 99
+    again = line.frame()
+    assert np.array_equal(again.counts, frame.counts)
+    assert again.counter == frame.counter + 1
+    line.faults.frozen = False
+    line.faults.converter_fault = True
+    assert line.frame().status == FrameStatus.CONVERTER_FAULT
+
+
+def test_a_dead_unit_neither_hears_nor_speaks() -> None:
+    line = Line()
+    line.write(object_dictionary.HEARTBEAT_MS, 0, 100, 2)
+    line.start()
+    line.faults.dead = True
+    line.wait(0.5)
+    assert line.tell(SYNC) == []
+    line.unit.emergency(0x5000)
+    assert line.take() == []
+    line.faults.dead = False
+    assert line.unit.state == "OPERATIONAL"
+    line.wait(0.1)
+    assert line.take() == [(HEARTBEAT, b"\x05")]
+
+
+def test_the_heartbeat_alone_can_fail() -> None:
+    line = Line()
+    line.write(object_dictionary.HEARTBEAT_MS, 0, 100, 2)
+    line.start()
+    line.faults.heartbeat_off = True
+    line.wait(0.5)
+    assert line.take() == []
+    assert len(line.tell(SYNC)) == 59
+
+
+def test_a_unit_that_is_on_no_bus_says_so() -> None:
+    unit = SimulatedControlUnit(Skin(paper_layout()), paper_layout())
+    with pytest.raises(SimulatorStateError, match="connect"):
+        unit.advance(1.0)
+
+
+@pytest.mark.parametrize(
+    "change", [{"node_id": 0}, {"node_id": 128}, {"bitrate": 0}, {"boot_s": -1.0}]
+)
+def test_impossible_settings_are_refused(change: dict[str, float]) -> None:
+    with pytest.raises(SimulatorSettingsError, match=next(iter(change))):
+        ControlUnitSettings(**change)  # type: ignore[arg-type]
+
+
+@given(
+    messages=st.lists(
+        st.tuples(
+            st.sampled_from([NMT, SYNC, EMCY, TPDO1, SDO_IN, SDO_OUT, HEARTBEAT, 0x606, 0x7FF]),
+            st.one_of(st.binary(max_size=8), st.binary(min_size=8, max_size=8)),
+        ),
+        max_size=25,
+    )
+)
+@settings(max_examples=60, derandomize=True, deadline=None)
+def test_no_traffic_upsets_the_unit(messages: list[tuple[int, bytes]]) -> None:
+    line = Line()
+    for can_id, data in messages:
+        for answered, answer in line.tell(can_id, data):
+            assert answered in {SDO_OUT, EMCY, HEARTBEAT} or 0x181 <= answered <= 0x57F
+            assert len(answer) == (1 if answered == HEARTBEAT else 8)
+        line.wait(0.01)
+    line.unit.power_cycle()
+    line.wait(0.1)
+    line.take()
+    assert (
+        line.number(object_dictionary.IDENTITY, object_dictionary.IDENTITY_VENDOR)
+        == object_dictionary.VENDOR_ID
+    )
+    line.start()
+    assert line.frame().counter == 0

@@ -1,0 +1,416 @@
+import itertools
+import math
+import random
+import struct
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from simulator.can.capture import PcapWriter
+from simulator.can.control_unit import ControlUnitSettings, SendBurst, SimulatedControlUnit
+from simulator.can.faults import CanLinkFaults
+from simulator.can.link import CanLink
+from simulator.can.memory_bus import InMemoryCanBus
+from simulator.can.wire import CanWire, crc15, exact_bits, mean_bits, stuff
+from simulator.clock import VirtualClock
+from simulator.errors import SimulatorSettingsError, SimulatorStateError
+from simulator.world.world import PhysicalWorld
+from tactile.frames.assembler import FrameAssembler
+from tactile.frames.codec import FrameFormat
+from tactile.layout import paper_layout
+
+SYNC_ID, TPDO_ID = 0x80, 0x185
+
+
+class OpenFingers:
+    finger_position_m = (0.02, 0.02)
+
+    def step(self, *_: object) -> None: ...
+
+
+class Echo:
+    """A device that sends what the test tells it to."""
+
+    def __init__(self) -> None:
+        self.heard: list[tuple[float, int, bytes]] = []
+        self.due_s = math.inf
+
+    def connect(self, send: SendBurst) -> None:
+        self.send = send
+
+    def receive(self, can_id: int, data: bytes, now_s: float) -> None:
+        self.heard.append((now_s, can_id, data))
+
+    def advance(self, now_s: float) -> None:
+        if now_s >= self.due_s:
+            due_s, self.due_s = self.due_s, math.inf
+            self.send(due_s, 0x705, [b"\x05"])
+
+    def next_event_s(self) -> float:
+        return self.due_s
+
+
+def message(can_id: int, *data: int) -> can.Message:
+    return can.Message(arbitration_id=can_id, is_extended_id=False, data=data)
+
+
+def echo_bus(faults: CanLinkFaults | None = None) -> tuple[Echo, InMemoryCanBus, VirtualClock]:
+    echo, clock = Echo(), VirtualClock(start_s=10.0)
+    return echo, InMemoryCanBus(echo, clock, faults=faults), clock
+
+
+def drain(bus: InMemoryCanBus) -> list[can.Message]:
+    found = []
+    while (one := bus.recv(0.01)) is not None:
+        found.append(one)
+    return found
+
+
+def real_bus(bitrate: int = 1_000_000) -> tuple[SimulatedControlUnit, InMemoryCanBus, VirtualClock]:
+    clock, layout = VirtualClock(), paper_layout()
+    world = PhysicalWorld(layout, OpenFingers())
+    clock.on_advance.append(world.advance_to)
+    unit = SimulatedControlUnit(world, layout, ControlUnitSettings(bitrate=bitrate))
+    bus = InMemoryCanBus(unit, clock, bitrate=bitrate)
+    assert bus.recv(0.1) is not None
+    bus.send(message(0, 1, 5))
+    return unit, bus, clock
+
+
+def bits_of(data: bytes) -> list[int]:
+    return [byte >> i & 1 for byte in data for i in range(7, -1, -1)]
+
+
+def test_the_checksum_is_that_of_can() -> None:
+    # CRC-15/CAN of the catalogue of parametrised CRC algorithms.
+    assert crc15(bits_of(b"123456789")) == 0x059E
+
+
+@pytest.mark.parametrize(
+    ("bits", "stuffed"),
+    [
+        ("0000", "0000"),
+        ("00000", "000001"),
+        ("111111", "1111101"),
+        ("0000011110", "000001111100"),
+    ],
+)
+def test_bits_are_stuffed_after_five_equal_ones(bits: str, stuffed: str) -> None:
+    assert "".join(map(str, stuff([int(bit) for bit in bits]))) == stuffed
+
+
+@given(data=st.binary(min_size=1, max_size=12))
+@settings(max_examples=100, derandomize=True, deadline=None)
+def test_stuffing_can_be_undone_and_leaves_no_run_of_six(data: bytes) -> None:
+    stuffed = stuff(bits_of(data))
+    assert "000000" not in "".join(map(str, stuffed))
+    assert "111111" not in "".join(map(str, stuffed))
+    plain: list[int] = []
+    run, last, drop = 0, -1, False
+    for bit in stuffed:
+        if drop:
+            assert bit != last
+            run, drop = 1, False
+        else:
+            plain.append(bit)
+            run = run + 1 if bit == last else 1
+            drop = run == 5
+        last = bit
+    assert plain == bits_of(data)
+
+
+def test_exact_bits_stay_within_the_bounds_of_the_standard() -> None:
+    rng = random.Random(5)
+    for _ in range(300):
+        data = bytes(rng.choice((0, 255, rng.randrange(256))) for _ in range(rng.randrange(9)))
+        low = 47 + 8 * len(data)
+        assert low <= exact_bits(rng.randrange(0x800), data) <= low + (33 + 8 * len(data)) // 4
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "mean"), [(0, 255, 113.8), (0, 0, 122.9), (255, 255, 122.9), (1, 20, 116.4)]
+)
+def test_the_estimate_is_the_mean_of_the_exact_count(low: int, high: int, mean: float) -> None:
+    rng = random.Random(7)
+    frames = [
+        bytes((rng.randrange(256), *(rng.randint(low, high) for _ in range(7))))
+        for _ in range(2000)
+    ]
+    exact = sum(exact_bits(TPDO_ID, data) for data in frames) / len(frames)
+    estimate = sum(map(mean_bits, frames)) / len(frames)
+    assert exact == pytest.approx(mean, rel=0.02)
+    assert estimate == pytest.approx(exact, rel=0.03)
+
+
+def test_messages_wait_for_each_other_on_the_wire() -> None:
+    wire = CanWire(500_000)
+    data = bytes(range(1, 9))
+    first_s = wire.occupy(1.0, data)
+    assert first_s - 1.0 == pytest.approx(mean_bits(data) / 500e3)
+    assert wire.occupy(1.0, data) == pytest.approx(1.0 + 2 * mean_bits(data) / 500e3)
+    assert wire.occupy(2.0, data, extended=True) == pytest.approx(
+        2.0 + (mean_bits(data) + 20) / 500e3
+    )
+    with pytest.raises(SimulatorSettingsError, match="bit rate"):
+        CanWire(0)
+
+
+def test_what_is_sent_is_there_at_once_and_in_order() -> None:
+    echo, bus, clock = echo_bus()
+    bus.send(message(0x123, 1, 2))
+    bus.send(message(0x124))
+    assert echo.heard == [(10.0, 0x123, b"\x01\x02"), (10.0, 0x124, b"")]
+    assert clock.monotonic() == 10.0
+
+
+def test_receiving_takes_the_time_on_the_wire() -> None:
+    echo, bus, clock = echo_bus()
+    data = bytes(range(1, 9))
+    echo.send(10.0, 0x185, [data, data])
+    assert bus.recv(0) is None
+    first, second = bus.recv(1.0), bus.recv(1.0)
+    assert first is not None
+    assert second is not None
+    assert bytes(first.data) == data
+    assert (first.dlc, first.is_extended_id, first.arbitration_id) == (8, False, 0x185)
+    step_s = mean_bits(data) * 1e-6
+    assert [first.timestamp, second.timestamp] == pytest.approx([10 + step_s, 10 + 2 * step_s])
+    assert clock.monotonic() == second.timestamp
+
+
+def test_waiting_moves_the_clock_to_the_time_out_and_no_further() -> None:
+    echo, bus, clock = echo_bus()
+    assert bus.recv(0.25) is None
+    assert clock.monotonic() == 10.25
+    assert bus.recv(-1.0) is None
+    assert clock.monotonic() == 10.25
+    echo.due_s = 10.5
+    heartbeat = bus.recv(5.0)
+    assert heartbeat is not None
+    assert heartbeat.timestamp == clock.monotonic() == pytest.approx(10.5, abs=1e-4)
+    with pytest.raises(SimulatorStateError, match="without a time-out"):
+        bus.recv()
+
+
+def test_what_comes_while_somebody_else_waits_is_there_afterwards() -> None:
+    echo, bus, clock = echo_bus()
+    echo.due_s = 10.1
+    clock.sleep(0.5)
+    heartbeat = bus.recv(0)
+    assert heartbeat is not None
+    assert heartbeat.timestamp == pytest.approx(10.1, abs=1e-4)
+
+
+def test_filters_are_obeyed() -> None:
+    echo, bus, _ = echo_bus()
+    bus.set_filters([{"can_id": 0x700, "can_mask": 0x780}])
+    echo.send(10.0, 0x185, [bytes(8)])
+    echo.send(10.0, 0x705, [b"\x05"])
+    assert [m.arbitration_id for m in drain(bus)] == [0x705]
+
+
+def test_a_bus_that_was_shut_down_is_of_no_use() -> None:
+    _, bus, clock = echo_bus()
+    bus.shutdown()
+    bus.shutdown()
+    assert clock.on_advance == []
+    with pytest.raises(can.CanOperationError, match="shut down"):
+        bus.recv(0)
+    with pytest.raises(can.CanOperationError, match="shut down"):
+        bus.send(message(1))
+
+
+@pytest.mark.parametrize("kind", ["is_remote_frame", "is_error_frame", "is_fd"])
+def test_only_classic_data_frames_are_carried(kind: str) -> None:
+    _, bus, _ = echo_bus()
+    with pytest.raises(can.CanOperationError, match="classic"):
+        bus.send(can.Message(arbitration_id=1, is_extended_id=False, **{kind: True}))
+
+
+def test_the_device_does_not_hear_extended_identifiers() -> None:
+    echo, bus, _ = echo_bus()
+    bus.send(can.Message(arbitration_id=0x80, is_extended_id=True))
+    assert echo.heard == []
+
+
+@pytest.mark.parametrize(("bitrate", "duration_s"), [(1_000_000, 6.9e-3), (500_000, 13.8e-3)])
+def test_a_burst_takes_as_long_as_its_bits(bitrate: int, duration_s: float) -> None:
+    _, bus, clock = real_bus(bitrate)
+    drain(bus)
+    start_s = clock.monotonic()
+    bus.send(message(SYNC_ID))
+    burst = drain(bus)
+    assert len(burst) == 59
+    assert burst[-1].timestamp - start_s == pytest.approx(duration_s, rel=0.05)
+
+
+def test_each_sync_becomes_one_whole_frame() -> None:
+    _, bus, clock = real_bus()
+    assembler = FrameAssembler(FrameFormat.of(paper_layout()))
+    frames = 0
+    for _ in range(100):
+        bus.send(message(SYNC_ID))
+        clock.sleep(0.01)
+        while (one := bus.recv(0)) is not None:
+            frames += assembler.push(bytes(one.data), one.dlc, one.timestamp) is not None
+    assert frames == 100
+
+
+def run_with(faults: CanLinkFaults, n: int = 400) -> list[can.Message]:
+    echo, bus, _ = echo_bus(faults)
+    echo.send(10.0, 0x185, [struct.pack("<Q", i) for i in range(n)])
+    return drain(bus)
+
+
+def numbers(messages: list[can.Message]) -> list[int]:
+    return [int.from_bytes(m.data, "little") for m in messages]
+
+
+def test_messages_can_be_lost_by_chance_or_by_number() -> None:
+    assert len(run_with(CanLinkFaults(drop_rate=0.1))) == pytest.approx(360, abs=25)
+    faults = CanLinkFaults(drop_next=3)
+    assert numbers(run_with(faults, 10)) == list(range(3, 10))
+    assert faults.drop_next == 0
+
+
+def test_messages_can_come_twice_or_after_their_successor() -> None:
+    twice = numbers(run_with(CanLinkFaults(duplicate_rate=0.1)))
+    assert len(twice) == pytest.approx(440, abs=25)
+    assert sorted(set(twice)) == list(range(400))
+    swapped = numbers(run_with(CanLinkFaults(swap_rate=0.1)))
+    assert sorted(swapped) == list(range(400))
+    moved = sum(a > b for a, b in itertools.pairwise(swapped))
+    assert 15 < moved < 70
+
+
+def test_messages_can_come_late() -> None:
+    late, usual = run_with(CanLinkFaults(delay_s=0.004), 3), run_with(CanLinkFaults(), 3)
+    for a, b in zip(late, usual, strict=True):
+        assert a.timestamp - b.timestamp == pytest.approx(0.004)
+
+
+def test_one_bit_can_turn() -> None:
+    changed = [
+        (a ^ b).bit_count() for a, b in enumerate(numbers(run_with(CanLinkFaults(corrupt_rate=1))))
+    ]
+    assert changed == [1] * 400
+
+
+def test_messages_can_be_shorter_than_they_say() -> None:
+    short = run_with(CanLinkFaults(truncate_rate=1.0), 50)
+    assert len(short) == 50
+    assert all(m.dlc == 8 and len(m.data) < 8 for m in short)
+
+
+def test_a_flood_comes_at_its_rate_until_it_is_switched_off() -> None:
+    faults = CanLinkFaults()
+    _, bus, clock = echo_bus(faults)
+    faults.flood_hz = 1000.0
+    clock.sleep(0.1)
+    faults.flood_hz = 0.0
+    flood = drain(bus)
+    assert len(flood) == pytest.approx(100, abs=2)
+    assert {m.arbitration_id for m in flood} == {0x6FF}
+    clock.sleep(0.1)
+    assert bus.recv(0) is None
+
+
+def test_the_controller_reports_its_state_once() -> None:
+    faults = CanLinkFaults(error_passive=True)
+    _, bus, _ = echo_bus(faults)
+    [passive] = drain(bus)
+    assert passive.is_error_frame
+    assert (passive.arbitration_id, passive.data[1]) == (0x04, 0x30)
+    faults.error_passive = False
+    [active] = drain(bus)
+    assert (active.arbitration_id, active.data[1]) == (0x04, 0x40)
+    faults.bus_off = True
+    [off] = drain(bus)
+    assert (off.is_error_frame, off.arbitration_id) == (True, 0x40)
+
+
+def test_bus_off_lets_nothing_pass() -> None:
+    faults = CanLinkFaults(bus_off=True)
+    echo, bus, _ = echo_bus(faults)
+    drain(bus)
+    echo.send(10.0, 0x705, [b"\x05"])
+    assert drain(bus) == []
+    with pytest.raises(can.CanOperationError, match="bus-off"):
+        bus.send(message(1))
+    assert echo.heard == []
+
+
+def test_an_adapter_that_is_gone_fails() -> None:
+    faults = CanLinkFaults(unplugged=True)
+    _, bus, _ = echo_bus(faults)
+    with pytest.raises(can.CanOperationError, match="gone"):
+        bus.recv(0)
+    with pytest.raises(can.CanOperationError, match="gone"):
+        bus.send(message(1))
+    faults.unplugged = False
+    assert bus.recv(0) is None
+
+
+@pytest.mark.parametrize(
+    "faults", [CanLinkFaults(drop_rate=1.1), CanLinkFaults(delay_s=-1.0, drop_next=1)]
+)
+def test_impossible_faults_are_refused(faults: CanLinkFaults) -> None:
+    with pytest.raises(SimulatorSettingsError, match="fault"):
+        run_with(faults, 1)
+
+
+def test_a_run_with_faults_repeats() -> None:
+    faults = [CanLinkFaults(drop_rate=0.3, corrupt_rate=0.3) for _ in range(2)]
+    assert numbers(run_with(faults[0])) == numbers(run_with(faults[1]))
+
+
+def test_everything_on_the_wire_is_captured(tmp_path: Path) -> None:
+    path = tmp_path / "bus.pcap"
+    _, bus, _ = real_bus()
+    bus.faults.drop_rate = 0.5
+    heard: list[tuple[float, int, bytes]] = []
+    with PcapWriter(path) as writer:
+        bus.capture.extend((writer, lambda *one: heard.append(one)))
+        bus.send(message(SYNC_ID))
+        bus.send(message(0x605, 0x40, 0, 0x10, 0, 0, 0, 0, 0))
+        drain(bus)
+    assert [can_id for _, can_id, _ in heard] == [SYNC_ID] + [TPDO_ID] * 59 + [0x605, 0x585]
+    times = [t_s for t_s, _, _ in heard]
+    assert times == sorted(times)
+    content = path.read_bytes()
+    assert struct.unpack_from("<L", content)[0] == 0xA1B23C4D
+    assert struct.unpack_from("<L", content, 20)[0] == 227
+    offset, packets = 24, []
+    while offset < len(content):
+        seconds, nanoseconds, size, original = struct.unpack_from("<LLLL", content, offset)
+        assert size == original
+        can_id, length, fd, _, _ = struct.unpack_from(">LBBBB", content, offset + 16)
+        assert fd == 0
+        data = content[offset + 24 : offset + 24 + length]
+        packets.append((seconds + 1e-9 * nanoseconds, can_id, data))
+        offset += 16 + size
+    assert [p[1:] for p in packets] == [h[1:] for h in heard]
+    np.testing.assert_allclose([p[0] for p in packets], times, atol=1e-9)
+
+
+def test_a_capture_marks_extended_identifiers(tmp_path: Path) -> None:
+    path = tmp_path / "one.pcap"
+    with PcapWriter(path) as writer:
+        writer(1.5, 0x123, b"\x01", extended=True)
+    assert struct.unpack_from(">L", path.read_bytes(), 24 + 16)[0] == 0x8000_0123
+
+
+def test_an_adapter_that_nobody_reads_loses_messages_and_counts_them() -> None:
+    echo = Echo()
+    link = CanLink(echo, bitrate=1_000_000)
+    for _ in range(11):
+        echo.send(0.0, 0x185, [bytes(8)] * 10_000)
+    assert link.lost == 0
+    echo.send(0.0, 0x185, [bytes(8)] * 7)
+    assert link.lost == 7
+    link.clear()
+    assert link.next_event_s() == math.inf

@@ -1,0 +1,228 @@
+import math
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from simulator.can.control_unit import SendBurst
+from simulator.can.faults import CanLinkFaults
+from simulator.can.link import CanLink
+from simulator.can.slcan import OUTPUT_LIMIT, SlcanAdapter
+
+
+class Device:
+    def __init__(self) -> None:
+        self.heard: list[tuple[int, bytes]] = []
+
+    def connect(self, send: SendBurst) -> None:
+        self.send = send
+
+    def receive(self, can_id: int, data: bytes, now_s: float) -> None:
+        self.heard.append((can_id, data))
+
+    def advance(self, now_s: float) -> None: ...
+
+    def next_event_s(self) -> float:
+        return math.inf
+
+
+class Line:
+    def __init__(self, *setup: bytes) -> None:
+        self.device = Device()
+        self.faults = CanLinkFaults()
+        self.adapter = SlcanAdapter(
+            CanLink(self.device, bitrate=1_000_000, faults=self.faults), bitrate=1_000_000
+        )
+        for command in setup:
+            assert self.say(command + b"\r") == b"\r"
+
+    def say(self, data: bytes, now_s: float = 1.0) -> bytes:
+        self.adapter.receive(data, now_s)
+        return self.adapter.transmit(now_s)
+
+
+def test_a_client_opens_with_the_commands_of_python_can() -> None:
+    line = Line()
+    # Close, bit rate, no data rate, open, open again: what it sends; what is refused does no harm.
+    assert line.say(b"C\rS8\r\rO\rO\r") == b"\a\r\r\a"
+    assert line.say(b"t1232AABB\r") == b"z\r"
+    assert line.device.heard == [(0x123, b"\xaa\xbb")]
+
+
+def test_messages_come_as_lines_when_they_are_through() -> None:
+    line = Line(b"O")
+    line.device.send(1.0, 0x185, [bytes(range(8)), b""])
+    assert line.say(b"", 1.0) == b""
+    assert line.adapter.next_event_s() == pytest.approx(1.000115, abs=1e-5)
+    assert line.say(b"", 1.00014) == b"t18580001020304050607\r"
+    assert line.say(b"", 1.001) == b"t1850\r"
+
+
+def test_a_closed_channel_neither_hears_nor_sends() -> None:
+    line = Line()
+    assert line.say(b"t1230\r") == b"\a"
+    line.device.send(1.0, 0x185, [bytes(8)])
+    assert line.say(b"", 2.0) == b""
+    line = Line(b"O")
+    line.device.send(1.0, 0x185, [bytes(8)])
+    assert line.say(b"C\rO\r") == b"\r\r"
+    assert line.say(b"", 2.0) == b""
+
+
+def test_another_bit_rate_reaches_nobody() -> None:
+    line = Line(b"S6", b"O")
+    assert line.say(b"t1230\r") == b"z\r"
+    assert line.device.heard == []
+    line.device.send(1.0, 0x185, [bytes(8)])
+    assert line.say(b"", 2.0) == b""
+
+
+def test_listening_only_sends_nothing() -> None:
+    line = Line(b"L")
+    assert line.say(b"t1230\r") == b"\a"
+    line.device.send(1.0, 0x705, [b"\x05"])
+    assert line.say(b"", 2.0) == b"t705105\r"
+
+
+def test_time_stamps_are_milliseconds_of_a_minute() -> None:
+    line = Line(b"Z1", b"O")
+    line.device.send(61.2345, 0x705, [b"\x05"])
+    assert line.say(b"", 70.0) == b"t70510504D2\r"
+
+
+@pytest.mark.parametrize(
+    ("command", "answer"),
+    [
+        (b"V", b"V1013\r"),
+        (b"v", b"V1013\r"),
+        (b"N", b"NSIM1\r"),
+        (b"F", b"F00\r"),
+        (b"T000001231FF", b"Z\r"),
+        (b"r1230", b"z\r"),
+        (b"R000001238", b"Z\r"),
+        (b"S8", b"\a"),
+        (b"x", b"\a"),
+        (b"V1", b"\a"),
+        (b"t12", b"\a"),
+        (b"t8000", b"\a"),
+        (b"t1239001122334455667788", b"\a"),
+        (b"t1232AA", b"\a"),
+        (b"t1231A", b"\a"),
+        (b"t1231AABB", b"\a"),
+        (b"t123x", b"\a"),
+        (b"t1_31AA", b"\a"),
+        (b"t 231AA", b"\a"),
+        (b"T200000000", b"\a"),
+        (b"r1231FF", b"\a"),
+        (b"\xff\xfe", b"\a"),
+    ],
+)
+def test_answers_of_an_open_adapter(command: bytes, answer: bytes) -> None:
+    assert Line(b"O").say(command + b"\r") == answer
+
+
+@pytest.mark.parametrize(
+    ("command", "answer"),
+    [
+        (b"S9", b"\a"),
+        (b"S", b"\a"),
+        (b"S88", b"\a"),
+        (b"Z2", b"\a"),
+        (b"s0014", b"\r"),
+        (b"M00000000", b"\r"),
+        (b"F", b"\a"),
+        (b"C", b"\a"),
+    ],
+)
+def test_answers_of_a_closed_adapter(command: bytes, answer: bytes) -> None:
+    assert Line().say(command + b"\r") == answer
+
+
+def test_commands_may_come_in_pieces() -> None:
+    line = Line(b"O")
+    assert line.say(b"t12") == b""
+    assert line.say(b"31FF\rV") == b"z\r"
+    assert line.say(b"\r") == b"V1013\r"
+    assert line.device.heard == [(0x123, b"\xff")]
+
+
+def test_a_line_without_an_end_is_dropped() -> None:
+    line = Line(b"O")
+    assert line.say(b"t" * 1000) == b"\a"
+    assert line.say(b"\rV\r") == b"V1013\r"
+
+
+def test_a_client_that_does_not_read_loses_messages_and_is_told() -> None:
+    line = Line(b"O")
+    text = b"t1858" + b"00" * 8 + b"\r"
+    line.adapter.put_back(b"x" * (OUTPUT_LIMIT - len(text)))
+    line.device.send(1.0, 0x185, [bytes(8), bytes(8)])
+    output = line.say(b"", 2.0)
+    assert output.endswith(b"x" + text)
+    assert len(output) == OUTPUT_LIMIT
+    assert line.say(b"F\r") == b"F01\r"
+    assert line.say(b"F\r") == b"F00\r"
+
+
+def test_the_flags_tell_the_state_of_the_controller() -> None:
+    line = Line(b"O")
+    line.faults.error_passive = True
+    assert line.say(b"F\r") == b"F20\r"
+    line.faults.bus_off = True
+    assert line.say(b"F\r") == b"FA0\r"
+
+
+def test_losing_power_closes_the_channel() -> None:
+    line = Line(b"S6", b"O")
+    line.say(b"t12")
+    line.adapter.reset()
+    assert line.say(b"V\r") == b"V1013\r"
+    assert line.say(b"O\rt1230\r") == b"\rz\r"
+    assert line.device.heard == [(0x123, b"")]
+
+
+@given(chunks=st.lists(st.binary(max_size=60), max_size=6))
+@settings(max_examples=150, derandomize=True, deadline=None)
+def test_no_input_upsets_the_adapter(chunks: list[bytes]) -> None:
+    line = Line(b"O")
+    for chunk in chunks:
+        line.say(chunk)
+    line.say(b"\rC\r")
+    assert line.say(b"O\r") == b"\r"
+    assert line.say(b"t1230\r") == b"z\r"
+
+
+@given(can_id=st.integers(0, 0x7FF), data=st.binary(max_size=8), lower=st.booleans())
+@settings(max_examples=100, derandomize=True, deadline=None)
+def test_what_is_sent_in_text_arrives(can_id: int, data: bytes, lower: bool) -> None:
+    line = Line(b"O")
+    text = f"{can_id:03X}{len(data)}{data.hex().upper()}"
+    assert line.say(b"t" + (text.lower() if lower else text).encode() + b"\r") == b"z\r"
+    assert line.device.heard == [(can_id, data)]
+    line.device.send(1.0, can_id, [data])
+    assert line.say(b"", 2.0) == f"t{text}\r".encode()
+
+
+def test_syncs_that_waited_are_spread_over_the_time_in_which_they_were_sent():
+    class Listener:
+        def __init__(self):
+            self.heard = []
+
+        def connect(self, send):
+            pass
+
+        def receive(self, can_id, data, now_s):
+            self.heard.append((can_id, now_s))
+
+        def advance(self, now_s):
+            pass
+
+        def next_event_s(self):
+            return float("inf")
+
+    device = Listener()
+    adapter = SlcanAdapter(CanLink(device, bitrate=1_000_000), bitrate=1_000_000)
+    adapter.receive(b"S8\rO\r", 1.0)
+    adapter.receive(b"t0800\rt0800\r", 1.06, sent_after_s=1.02)
+    assert [can_id for can_id, _ in device.heard] == [0x80, 0x80]
+    assert [t_s for _, t_s in device.heard] == pytest.approx([1.04, 1.06])

@@ -1,0 +1,265 @@
+"""Faults by name: the text form, the vocabulary, and when each begins and ends."""
+
+import math
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from simulator.cell import SimulatedCell
+from simulator.errors import SimulatorSettingsError, SimulatorStateError
+from simulator.faults.entry import FaultKind, Setting
+from simulator.faults.injector import VOCABULARY, check_fault
+from simulator.faults.text import FaultEvent, When, parse_fault
+from simulator.servo.firmware import WatchdogStop
+from simulator.settings import RecordedGrasp, SimulatorSettings
+from tactile.layout import pinch_layout
+
+
+@pytest.fixture
+def cell() -> Iterator[SimulatedCell]:
+    with SimulatedCell(SimulatorSettings(layout=pinch_layout())) as made:
+        yield made
+
+
+def test_a_text_is_name_value_start_and_end() -> None:
+    parsed = parse_fault("can.loss=0.05@2s..2500ms")
+    assert (parsed.name, parsed.value) == ("can.loss", "0.05")
+    assert parsed.start == When(event=FaultEvent.INJECTED, offset_s=2.0)
+    assert parsed.end == When(event=FaultEvent.INJECTED, offset_s=2.5)
+    parsed = parse_fault(" servo1.reboot@contact+0.5s ")
+    assert parsed.start == When(event=FaultEvent.CONTACT, offset_s=0.5)
+    assert parse_fault("unit.off@moving").start == When(event=FaultEvent.MOVING, offset_s=0.0)
+    assert parse_fault("unit.off").start is None
+
+
+@pytest.mark.parametrize(
+    ("text", "complaint"),
+    [
+        ("loss", "not of the form COMPONENT.FAULT"),
+        ("can.los", r"no fault 'can.los'; there are can.loss, can.intermittent"),
+        ("can.loss=2", r"takes share, 0 to 1, default 0.05; got '2'"),
+        ("can.loss=nan", "takes share"),
+        ("can.loss=", "no value behind its '='"),
+        ("can.off=1", "takes no value"),
+        ("can.loss@soon", "'soon' is no moment; write 2s, 250ms, contact"),
+        ("can.loss@2s..1s", "ends before it begins"),
+        ("can.loss@9999999s", "later than 86400 s"),
+        ("unit.reboot@1s..2s", "it has no end"),
+        ("servo3.off", "this cell has 2 servos"),
+        ("servo0.off", "there is no fault"),
+        ("unit.emergency=0x10000", "code, 0 to 65535"),
+        ("unit.emergency=1.5", "code, 0 to 65535"),
+        ("unit.wrong=serial", "takes name:number, as serial:99"),
+        ("unit.wrong=colour:1", "takes one of vendor, product"),
+        ("unit.wrong=serial:-1", "no number of 32 bits"),
+        ("servo1.wrong=goal_current:1", "no EEPROM register"),
+        ("servo1.wrong=current_limit:999999", "outside the range"),
+        ("servo1.wrong=model_number:70000", "does not fit into 2 bytes"),
+        ("taxels.saturated=2", "pads are 0 to 1"),
+        ("taxels.stuck_at=tip:3", "one taxel or a range, as 3:200 or 3-5:200; got 'tip'"),
+        ("taxels.stuck_at=150-156:3", "taxels are 0 to 155, counts 0 to 4095"),
+        ("taxels.stuck_at=5-3:3", "taxels are 0 to 155"),
+        ("taxels.stuck_at=5:4096", "counts 0 to 4095"),
+        ("x" * 300, "at most 200 letters"),
+    ],
+)
+def test_what_is_no_fault_is_refused_and_changes_nothing(
+    cell: SimulatedCell, text: str, complaint: str
+) -> None:
+    with pytest.raises(SimulatorSettingsError, match=complaint):
+        cell.inject(text)
+    assert cell.injector.faults == ()
+
+
+@given(st.text(max_size=60) | st.from_regex(r"(can|unit|servo1)\.[a-z]+=?[0-9.@a-z+s]*"))
+@settings(derandomize=True, max_examples=300, deadline=None)
+def test_any_text_is_a_fault_or_refused(text: str) -> None:
+    try:
+        check_fault(text)
+    except SimulatorSettingsError:
+        return
+
+
+def test_every_entry_says_what_it_is() -> None:
+    assert {entry.kind for entry in VOCABULARY.values()} == set(FaultKind)
+    for name, entry in VOCABULARY.items():
+        assert name == entry.name
+        assert entry.meaning
+        assert entry.value is None or entry.value.text
+        assert entry.moment or entry.knob
+
+
+@pytest.mark.parametrize("name", list(VOCABULARY))
+def test_every_fault_is_injected_and_leaves_no_trace_once_cleared(
+    cell: SimulatedCell, name: str
+) -> None:
+    cell.place("ball")
+    cell.clock.sleep(0.1)
+    before = _knobs(cell)
+    fault = cell.inject(name.replace("servoN", "servo2"))
+    assert fault.began_s == cell.clock.monotonic()
+    if fault.entry.moment:
+        assert fault.over
+        return
+    cell.clock.sleep(0.01)
+    assert cell.injector.faults == (fault,)
+    changed = _knobs(cell) != before or name in {"unit.second_node", "object.slips"}
+    assert changed, f"{name} turns nothing"
+    fault.clear()
+    assert fault.over
+    fault.clear()
+    if name != "object.slips":
+        assert _knobs(cell) == before
+    assert cell.injector.faults == ()
+
+
+def _knobs(cell: SimulatedCell) -> Any:
+    """Return all that a fault may turn."""
+    devices = cell.devices
+    world = devices.physical
+    identity = [devices.unit.dictionary.pretend(0x1018, 4, 1)]
+    devices.unit.dictionary.pretend(0x1018, 4, identity[0])
+    servos = [
+        (
+            servo.core.watchdog_stop,
+            servo.core.injected_error,
+            servo.core.registers.get("current_limit"),
+            round(servo.core.plant.temperature_c, 3),
+            servo.core.plant.voltage_v,
+        )
+        for servo in devices.servo_bus.servos
+    ]
+    stuck = [motor.stuck_at_rad is None for motor in devices.mechanics.motors]
+    press = None if world._press is None else world._press.swell_m
+    wire = repr(devices.faults.servo_wire).split("_generator", maxsplit=1)[0]
+    return (
+        repr(devices.faults.can),
+        repr(devices.faults.unit),
+        wire,
+        identity,
+        servos,
+        stuck,
+        press,
+    )
+
+
+def test_a_fault_begins_and_ends_at_its_times(cell: SimulatedCell) -> None:
+    cell.clock.sleep(1.0)
+    fault = cell.inject("can.loss=0.2@250ms..1s")
+    assert fault.began_s is None
+    cell.clock.sleep(0.2)
+    assert cell.devices.faults.can.drop_rate == 0.0
+    cell.clock.sleep(0.06)
+    assert cell.devices.faults.can.drop_rate == 0.2
+    assert fault.began_s == pytest.approx(1.25, abs=2e-3)
+    cell.clock.sleep(1.0)
+    assert cell.devices.faults.can.drop_rate == 0.0
+    assert fault.ended_s == pytest.approx(2.0, abs=2e-3)
+
+
+def test_a_fault_waits_for_the_contact_or_the_motion(cell: SimulatedCell) -> None:
+    cell.place("ball")
+    touched = cell.inject("unit.stuck@contact+20ms")
+    moved = cell.inject("unit.heartbeat_off@moving")
+    cell.clock.sleep(0.2)
+    assert (touched.began_s, moved.began_s) == (None, None)
+    for motor in cell.devices.mechanics.motors:
+        motor.velocity_rad_s = -0.5
+    cell.clock.sleep(0.002)
+    assert moved.began_s is not None
+    cell.devices.physical.swell(0.03)
+    cell.clock.sleep(0.01)
+    assert cell.devices.faults.unit.frozen is False
+    began_s = cell.clock.monotonic()
+    cell.clock.sleep(0.05)
+    assert touched.began_s is not None
+    assert touched.began_s < began_s + 0.02
+
+
+def test_two_faults_of_one_knob_are_refused_unless_their_times_differ(cell: SimulatedCell) -> None:
+    cell.inject("can.loss=0.1@1s..2s")
+    with pytest.raises(SimulatorStateError, match=r"can.loss=0.1@1s..2s is injected and turns"):
+        cell.inject("can.intermittent@1500ms")
+    cell.inject("can.loss=0.3@2s..3s")
+    cell.inject("servo1.supply=9")
+    cell.inject("servo2.supply=9")
+    cell.inject("servo1.slow")
+    with pytest.raises(SimulatorStateError, match="same knob"):
+        cell.inject("servo2.slow")
+    cell.clock.sleep(2.5)
+    assert cell.devices.faults.can.drop_rate == 0.3
+
+
+def test_a_fault_is_cleared_by_its_text_or_its_name(cell: SimulatedCell) -> None:
+    cell.inject("can.loss=0.5")
+    cell.inject("unit.off@3s")
+    assert cell.injector.clear("can.loss") == 1
+    assert cell.injector.clear("unit.off@3s") == 1
+    with pytest.raises(SimulatorStateError, match=r"no fault .* is injected; there is none"):
+        cell.injector.clear("unit.off")
+    cell.inject("can.delayed")
+    cell.inject("servos.off")
+    cell.injector.clear_all()
+    assert cell.devices.faults.can.delay_s == 0.0
+    assert cell.devices.faults.servo_wire.silent == set()
+
+
+def test_intermittent_loss_comes_in_bursts(cell: SimulatedCell) -> None:
+    cell.inject("can.intermittent=0.2")
+    lost = []
+    for _ in range(100):
+        cell.clock.sleep(0.01)
+        lost.append(cell.devices.faults.can.drop_rate)
+    assert np.mean(lost) == pytest.approx(0.2, abs=0.03)
+    assert np.count_nonzero(np.diff(lost)) == 4
+
+
+def test_chosen_taxels_read_the_counts_of_the_fault(cell: SimulatedCell) -> None:
+    cell.inject("taxels.stuck_at=3-5:200")
+    counts = cell.devices.faults.unit.apply(np.full(156, 7, np.uint16), adc_max=4095)
+    assert counts[:8].tolist() == [7, 7, 7, 200, 200, 200, 7, 7]
+
+
+def test_the_next_messages_and_answers_are_lost(cell: SimulatedCell) -> None:
+    cell.inject("can.lose_next=3")
+    cell.inject("can.lose_next=2")
+    cell.inject("servos.lose_next=4")
+    assert cell.devices.faults.can.drop_next == 5
+    assert cell.devices.faults.servo_wire.drop.next_packets == 4
+
+
+def test_a_part_slides_until_it_is_gone(cell: SimulatedCell) -> None:
+    cell.place("ball")
+    cell.inject("object.slips=500")
+    cell.clock.sleep(0.01)
+    placed = cell.devices.physical.placed
+    assert placed is not None
+    assert placed[1].x_m == pytest.approx(5e-3, abs=2e-4)
+    cell.clock.sleep(0.2)
+    assert cell.devices.physical.placed is None
+
+
+def test_the_watchdog_and_registers_of_one_servo_are_changed(cell: SimulatedCell) -> None:
+    first, second = cell.devices.servo_bus.servos
+    cell.inject("servo1.watchdog_off")
+    cell.inject("servo2.wrong=model_number:1060")
+    assert first.core.watchdog_stop is WatchdogStop.KEEPS_TURNING
+    assert second.core.watchdog_stop is WatchdogStop.HOLD
+    assert second.core.registers.get("model_number") == 1060
+    before = second.core.plant.sensed_rad
+    cell.inject("servo2.jump=-0.25")
+    assert second.core.plant.sensed_rad == pytest.approx(before - 0.25)
+    assert isinstance(VOCABULARY["servoN.wrong"].value, Setting)
+
+
+def test_a_cell_that_plays_grasps_has_no_object_to_lose() -> None:
+    grasp = RecordedGrasp(counts=np.zeros((3, 156), np.uint16), aperture_m=np.full(3, math.nan))
+    with (
+        SimulatedCell(SimulatorSettings(layout=pinch_layout(), grasps=(grasp,))) as cell,
+        pytest.raises(SimulatorStateError, match="no objects to place"),
+    ):
+        cell.inject("object.gone")

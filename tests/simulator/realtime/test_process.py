@@ -1,0 +1,325 @@
+import contextlib
+import errno
+import json
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import can
+import pytest
+import serial
+
+from simulator.errors import EndpointError, SimulatorSettingsError, SimulatorStateError
+from simulator.realtime.process import FORGIVEN_S, PIECE_S, RealTimeCell, serve
+from simulator.servo.protocol2 import Instruction, encode_instruction
+from simulator.settings import SimulatorSettings
+from tactile.frames.assembler import FrameAssembler
+from tactile.frames.codec import FrameFormat
+from tactile.layout import paper_layout
+
+SCRIPT = """
+import json, sys
+from pathlib import Path
+from simulator.realtime.process import serve
+from simulator.settings import SimulatorSettings
+
+serve(
+    SimulatorSettings(),
+    lambda line: print(json.dumps(line), flush=True),
+    folder=Path(sys.argv[1]) if sys.argv[1] else None,
+    until_stdin_ends="stdin" in sys.argv,
+    until_parent_ends="parent" in sys.argv,
+)
+"""
+LIMIT_S = 10.0
+
+
+class Stepped:
+    """A cell of real terminals in a time that the test makes."""
+
+    def __init__(self, folder: Path, settings: SimulatorSettings | None = None) -> None:
+        self.now_s = 100.0
+        self.cell = RealTimeCell(settings or SimulatorSettings(), folder, self.now_s)
+        self.hello = self.cell.announcement()
+
+    def run(self, seconds: float) -> None:
+        end_s = self.now_s + seconds
+        while self.now_s < end_s:
+            readable, _, _ = select.select(self.cell.descriptors(), [], [], 0)
+            due_s = self.cell.step(self.now_s, readable)
+            assert due_s > self.now_s
+            self.now_s = min(due_s, self.now_s + 1e-3)
+
+
+@pytest.fixture
+def stepped(tmp_path: Path) -> Iterator[Stepped]:
+    one = Stepped(tmp_path)
+    with one.cell:
+        yield one
+
+
+@contextlib.contextmanager
+def terminal(path: str) -> Iterator[int]:
+    descriptor = os.open(path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    try:
+        yield descriptor
+    finally:
+        os.close(descriptor)
+
+
+def received(descriptor: int) -> bytes:
+    """Return what has arrived; the kernel passes bytes on by itself, a little later."""
+    data = b""
+    while select.select([descriptor], [], [], 0.02)[0]:
+        data += os.read(descriptor, 1 << 16)
+    return data
+
+
+def test_the_announcement_is_plain_and_complete(stepped: Stepped, tmp_path: Path) -> None:
+    hello = stepped.hello
+    assert json.loads(json.dumps(hello)) == hello
+    assert hello == {
+        "servo_port": str(tmp_path / "servos"),
+        "servo_baud_rate": 1_000_000,
+        "servo_ids": [1, 2],
+        "can_interface": "slcan",
+        "can_channel": str(tmp_path / "can"),
+        "can_bitrate": 1_000_000,
+        "node_id": 5,
+        "positioner_socket": str(tmp_path / "positioner.sock"),
+        "pid": os.getpid(),
+        "config": None,
+    }
+
+
+def test_a_burst_goes_out_at_the_rate_of_the_bus(stepped: Stepped) -> None:
+    with terminal(stepped.hello["can_channel"]) as line:
+        os.write(line, b"S8\rO\r")
+        stepped.run(0.005)
+        assert received(line) == b"\r\r"
+        os.write(line, b"t00020105\rt0800\r")
+        stepped.run(0.0035)
+        early = received(line).split(b"\r")
+        stepped.run(0.01)
+        late = received(line).split(b"\r")
+    assert early[:2] == [b"z", b"z"]
+    messages = [one for one in (*early[2:], *late) if one]
+    assert len(messages) == 59
+    assert 15 < len([one for one in early[2:] if one]) < 45
+    assembler = FrameAssembler(FrameFormat.of(paper_layout()))
+    frames = [assembler.push(bytes.fromhex(one[5:].decode()), 8, 0.0) for one in messages]
+    assert frames[-1] is not None
+
+
+def test_pulling_and_plugging_the_cables_is_felt(stepped: Stepped) -> None:
+    paths = {"can": stepped.hello["can_channel"], "servos": stepped.hello["servo_port"]}
+    client = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    client.connect(stepped.hello["positioner_socket"])
+    client.settimeout(5.0)
+    for name, path in paths.items():
+        with terminal(path) as line:
+            client.sendall(json.dumps({"inject": f"{name}.unplugged"}).encode() + b"\n")
+            stepped.run(0.02)
+            assert json.loads(client.recv(4096)) == {"inject": f"{name}.unplugged"}
+            with pytest.raises(OSError, match="error") as caught:
+                os.write(line, b"V\r")
+            assert caught.value.errno == errno.EIO
+            assert not Path(path).exists()
+        client.sendall(json.dumps({"clear": f"{name}.unplugged"}).encode() + b"\n")
+        stepped.run(0.02)
+        assert json.loads(client.recv(4096)) == {"cleared": 1}
+        assert Path(path).is_symlink()
+    client.close()
+    with terminal(stepped.hello["can_channel"]) as line:
+        os.write(line, b"V\r")
+        stepped.run(0.005)
+        assert received(line) == b"V1013\r"
+
+
+def test_faults_of_the_settings_come_and_go_at_their_times(tmp_path: Path) -> None:
+    faults = ("can.unplugged@100ms..200ms", "servos.unplugged@150ms..250ms", "unit.off@1s")
+    stepped = Stepped(tmp_path, SimulatorSettings(faults=faults))
+    with stepped.cell:
+        stepped.run(0.025)
+        seen = []
+        for _ in range(6):
+            seen.append((stepped.cell._can_pty.plugged_in, stepped.cell._servo_pty.plugged_in))
+            stepped.run(0.05)
+        there, can_out, both_out, servos_out = (
+            (True, True),
+            (False, True),
+            (False, False),
+            (True, False),
+        )
+        assert seen == [there, there, can_out, both_out, servos_out, there]
+        assert not stepped.cell.devices.faults.unit.dead
+        stepped.run(0.75)
+        assert stepped.cell.devices.faults.unit.dead
+
+
+def test_a_cell_with_a_fault_that_does_not_fit_leaves_nothing_behind(tmp_path: Path) -> None:
+    with pytest.raises(SimulatorSettingsError, match="pads are 0 to 9"):
+        RealTimeCell(SimulatorSettings(faults=("taxels.saturated=10",)), tmp_path, 0.0)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_stall_is_caught_up_in_pieces_or_left_out(stepped: Stepped) -> None:
+    world, cell = stepped.cell.devices.world, stepped.cell
+    steps: list[float] = []
+    original = stepped.cell.devices.mechanics.step
+
+    class Counting:
+        finger_position_m = (0.015, 0.015)
+
+        def step(self, dt_s: float, *rest: Any) -> None:
+            steps.append(dt_s)
+            original(dt_s, *rest)
+
+    world._fingers = Counting()
+    now_s = stepped.now_s + 0.1
+    per_call = []
+    for _ in range(6):
+        steps.clear()
+        cell.step(now_s, [])
+        per_call.append(len(steps))
+    assert max(per_call) <= round(PIECE_S / 1e-3) + 1
+    assert sum(per_call) == pytest.approx(100, abs=1)
+    steps.clear()
+    for _ in range(20):
+        cell.step(now_s + 10 * FORGIVEN_S, [])
+    assert len(steps) <= round(PIECE_S / 1e-3) + 1
+
+
+def test_a_client_that_does_not_read_does_not_hold_up_the_cell(stepped: Stepped) -> None:
+    with terminal(stepped.hello["can_channel"]) as line:
+        os.write(line, b"O\rt00020105\r")
+        for _ in range(30):
+            os.write(line, b"t0800\r")
+            stepped.run(0.01)
+        assert b"t185800" in received(line)
+
+
+def test_folders_that_cannot_be_used_are_an_error(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(EndpointError, match="cannot be made"):
+        serve(SimulatorSettings(), lambda _line: None, folder=tmp_path / "file" / "below")
+    for name in ("servos", "can", "positioner.sock"):
+        folder = tmp_path / name
+        folder.mkdir()
+        (folder / name).write_text("of somebody else")
+        with pytest.raises(EndpointError):
+            RealTimeCell(SimulatorSettings(), folder, 0.0)
+        assert [one.name for one in folder.iterdir()] == [name]
+
+
+def test_an_unplugged_adapter_has_no_descriptor(stepped: Stepped) -> None:
+    stepped.cell._can_pty.unplug()
+    with pytest.raises(SimulatorStateError, match="unplugged"):
+        stepped.cell._can_pty.fileno()
+    assert len(stepped.cell.descriptors()) == 2
+    stepped.run(0.01)
+
+
+@contextlib.contextmanager
+def running(folder: str, *options: str) -> Iterator[tuple[subprocess.Popen[str], dict[str, Any]]]:
+    process = subprocess.Popen(
+        [sys.executable, "-c", SCRIPT, folder, *options],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stdout is not None
+        yield process, json.loads(process.stdout.readline())
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@pytest.mark.hil
+def test_another_process_serves_both_buses_and_the_positioner(tmp_path: Path) -> None:
+    with running(str(tmp_path)) as (process, hello):
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client:
+            client.settimeout(LIMIT_S)
+            client.connect(hello["positioner_socket"])
+            client.sendall(b'{"place": "ball", "pose": {"x_m": 0.001}}\n')
+            assert json.loads(client.recv(4096))["pose"]["x_m"] == 0.001
+
+        with serial.Serial(hello["servo_port"], hello["servo_baud_rate"], timeout=LIMIT_S) as line:
+            line.write(encode_instruction(2, Instruction.PING))
+            assert line.read(14)[:5] == bytes.fromhex("FF FF FD 00 02")
+
+        bus = can.Bus(
+            interface="slcan",
+            channel=hello["can_channel"],
+            bitrate=hello["can_bitrate"],
+            sleep_after_open=0,
+        )
+        try:
+            bus.send(can.Message(arbitration_id=0, is_extended_id=False, data=[1, 5]))
+            assembler = FrameAssembler(FrameFormat.of(paper_layout()))
+            frames = 0
+            for _ in range(5):
+                bus.send(can.Message(arbitration_id=0x80, is_extended_id=False))
+                end_s = time.monotonic() + LIMIT_S
+                while time.monotonic() < end_s:
+                    message = bus.recv(0.1)
+                    if message is None or message.arbitration_id != 0x185:
+                        continue
+                    frame = assembler.push(bytes(message.data), message.dlc, message.timestamp)
+                    if frame is not None:
+                        assert frame.counter == frames
+                        frames += 1
+                        break
+            assert frames == 5
+        finally:
+            bus.shutdown()
+
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(LIMIT_S) == 0
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("way", ["SIGINT", "stdin"])
+def test_it_ends_when_it_is_told_to_and_leaves_nothing_behind(way: str) -> None:
+    with running("", "stdin" if way == "stdin" else "") as (process, hello):
+        folder = Path(hello["positioner_socket"]).parent
+        assert folder.is_dir()
+        if way == "stdin":
+            assert process.stdin is not None
+            process.stdin.close()
+            process.stdin = None
+        else:
+            process.send_signal(signal.SIGINT)
+        assert process.wait(LIMIT_S) == 0
+        assert not folder.exists()
+
+
+def test_it_ends_with_its_parent() -> None:
+    # A shell that starts the cell in the background and goes away.
+    middle = (
+        "import subprocess, sys\n"
+        "child = subprocess.Popen([sys.executable, '-c', sys.argv[1], '', 'parent'],\n"
+        "                         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True)\n"
+        "print(child.stdout.readline(), end='')\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", middle, SCRIPT],
+        capture_output=True,
+        text=True,
+        timeout=LIMIT_S,
+        check=True,
+    )
+    hello = json.loads(done.stdout)
+    folder = Path(hello["positioner_socket"]).parent
+    end_s = time.monotonic() + LIMIT_S
+    while folder.exists() and time.monotonic() < end_s:
+        select.select([], [], [], 0.05)
+    assert not folder.exists()

@@ -1,0 +1,238 @@
+import json
+import socket
+import struct
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from simulator.cell import SimulatedCell
+from simulator.devices import CellDevices
+from simulator.errors import EndpointError, SimulatorError, SimulatorSettingsError
+from simulator.faults.injector import FaultInjector
+from simulator.realtime.requests import CellRequests
+from simulator.realtime.socket_server import CLIENT_LIMIT, LINE_LIMIT, PositionerServer
+from simulator.settings import RecordedGrasp, SimulatorSettings
+from tactile.layout import pinch_layout
+
+
+@pytest.fixture
+def devices() -> CellDevices:
+    cell = CellDevices(SimulatorSettings())
+    cell.unit.connect(lambda ready_s, _can_id, _messages: ready_s)
+    cell.unit.advance(0.1)
+    return cell
+
+
+@pytest.fixture
+def injector(devices: CellDevices) -> FaultInjector:
+    return FaultInjector(devices, 0.1)
+
+
+@pytest.fixture
+def requests(devices: CellDevices, injector: FaultInjector) -> CellRequests:
+    return CellRequests(devices, injector)
+
+
+def test_objects_are_placed_and_the_reply_says_where_they_rest(
+    requests: CellRequests, devices: CellDevices
+) -> None:
+    reply = requests({"place": "box", "pose": {"x_m": 0.001, "roll_rad": 1.5}})
+    assert reply["pose"] == {
+        "x_m": 0.001,
+        "y_m": 0.0,
+        "z_m": 0.0,
+        "rotation_rad": 0.0,
+        "roll_rad": pytest.approx(np.pi / 2),
+    }
+    state = requests({"state": True})
+    assert state["placed"] == "box"
+    assert state["aperture_m"] == pytest.approx(0.03)
+    assert state["control_unit"] == "PRE-OPERATIONAL"
+    assert json.loads(json.dumps(state)) == state
+    assert requests({"place": "sphere:diameter=8mm"})["pose"]["x_m"] == 0.0
+    assert requests({"remove": True}) == {"removed": True}
+    assert devices.physical.placed is None
+
+
+def test_recorded_grasps_are_played_by_number() -> None:
+    grasp = RecordedGrasp(counts=np.zeros((4, 156), np.uint16), aperture_m=np.full(4, 0.02))
+    devices = CellDevices(SimulatorSettings(layout=pinch_layout(), grasps=(grasp,)))
+    requests = CellRequests(devices, FaultInjector(devices, 0.0))
+    assert requests({"play": 0}) == {"frames": 4}
+    assert requests({"state": True})["frames_left"] == 4
+    for request in ({"play": 1}, {"play": "0"}, {"place": "ball"}):
+        with pytest.raises(SimulatorError):
+            requests(request)
+
+
+@pytest.mark.parametrize(
+    "request_",
+    [
+        {},
+        {"place": "ball", "remove": True},
+        {"dance": True},
+        {"place": 3},
+        {"place": "teapot"},
+        {"place": "mesh:file=/etc/passwd"},
+        {"place": "ball", "pose": [1]},
+        {"place": "ball", "pose": {"x_mm": 1.0}},
+        {"place": "ball", "pose": {"x_m": "1"}},
+        {"place": "ball", "pose": {"x_m": float("nan")}},
+        {"place": "ball", "pose": {"x_m": 1.0}},
+        {"remove": False},
+        {"state": 1},
+        {"play": 0},
+        {"inject": 5},
+        {"inject": "can.lost"},
+        {"inject": "can.loss=1.5"},
+        {"inject": "servo9.off"},
+        {"inject": "taxels.stuck_at=408:0"},
+        {"inject": "servos.delayed=" + "9" * 400},
+        {"clear": None},
+        {"clear": "can.loss"},
+        {"fault": "can.drop_rate", "value": 0.5},
+        {"unplug": "can"},
+    ],
+    ids=str,
+)
+def test_requests_that_make_no_sense_are_refused_and_change_nothing(
+    requests: CellRequests, devices: CellDevices, request_: dict[str, Any]
+) -> None:
+    before = repr((devices.faults.can, devices.faults.unit, devices.faults.servo_wire))
+    with pytest.raises(SimulatorError):
+        requests(request_)
+    assert repr((devices.faults.can, devices.faults.unit, devices.faults.servo_wire)) == before
+    assert devices.physical.placed is None
+
+
+class Served:
+    """A server and a way to ask it."""
+
+    def __init__(self, path: Path) -> None:
+        self.asked: list[dict[str, Any]] = []
+        self.server = PositionerServer(path, self._handle)
+
+    def _handle(self, request: dict[str, Any]) -> dict[str, Any]:
+        self.asked.append(request)
+        if "refuse" in request:
+            raise SimulatorSettingsError("no such thing")
+        return {"n": len(self.asked)}
+
+    def poll(self) -> None:
+        for _ in range(3):
+            self.server.poll(self.server.filenos())
+
+    def connect(self) -> socket.socket:
+        client = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        client.connect(str(self.server.path))
+        client.settimeout(5.0)
+        self.poll()
+        return client
+
+
+def test_each_request_is_answered_on_its_own_line(tmp_path: Path) -> None:
+    served = Served(tmp_path / "s")
+    with served.connect() as client:
+        client.sendall(b'{"a": 1}\n{"refuse": 1}\n\n{"b"')
+        served.poll()
+        assert client.recv(4096) == b'{"n": 1}\n{"error": "no such thing"}\n'
+        client.sendall(b": 2}\n")
+        served.poll()
+        assert client.recv(4096) == b'{"n": 3}\n'
+    served.poll()
+    assert len(served.server.filenos()) == 1
+    served.server.close()
+    served.server.close()
+    assert not (tmp_path / "s").exists()
+
+
+@pytest.mark.parametrize("line", [b"no json", b"[1]", b"\xff\xfe", b"[" * 50_000, b"1" * 5000])
+def test_lines_that_are_no_request_get_an_error(tmp_path: Path, line: bytes) -> None:
+    served = Served(tmp_path / "s")
+    with served.connect() as client:
+        client.sendall(line + b"\n")
+        served.poll()
+        assert "error" in json.loads(client.recv(4096))
+        client.sendall(b'{"a": 1}\n')
+        served.poll()
+        assert json.loads(client.recv(4096)) == {"n": 1}
+    served.server.close()
+
+
+def test_a_request_without_an_end_is_cut_off(tmp_path: Path) -> None:
+    served = Served(tmp_path / "s")
+    with served.connect() as client:
+        client.setblocking(False)
+        sent = 0
+        while sent <= LINE_LIMIT:
+            sent += client.send(b"x" * 10_000)
+            served.poll()
+        client.settimeout(5.0)
+        assert b"at most" in client.recv(4096)
+        assert client.recv(4096) == b""
+    served.server.close()
+
+
+def test_a_client_that_is_gone_is_forgotten(tmp_path: Path) -> None:
+    served = Served(tmp_path / "s")
+    client = served.connect()
+    client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
+    client.sendall(b'{"a": 1}\n')
+    client.close()
+    served.poll()
+    assert len(served.server.filenos()) == 1
+    served.server.close()
+
+
+def test_only_so_many_clients_are_served(tmp_path: Path) -> None:
+    served = Served(tmp_path / "s")
+    clients = [served.connect() for _ in range(CLIENT_LIMIT + 1)]
+    served.poll()
+    assert len(served.server.filenos()) == CLIENT_LIMIT + 1
+    assert clients[-1].recv(1) == b""
+    served.server.close()
+    for client in clients:
+        client.close()
+
+
+def test_the_socket_belongs_to_its_owner_and_replaces_a_stale_one(tmp_path: Path) -> None:
+    path = tmp_path / "s"
+    stale = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    stale.bind(str(path))
+    stale.close()
+    served = Served(path)
+    assert path.stat().st_mode & 0o777 == 0o600
+    served.server.close()
+
+
+def test_a_socket_that_cannot_be_made_is_an_error(tmp_path: Path) -> None:
+    (tmp_path / "s").write_text("a file of somebody else")
+    with pytest.raises(EndpointError, match="no socket"):
+        Served(tmp_path / "s")
+    assert (tmp_path / "s").read_text() == "a file of somebody else"
+
+
+def test_faults_are_injected_and_cleared_by_their_text(
+    requests: CellRequests, devices: CellDevices, injector: FaultInjector
+) -> None:
+    assert requests({"inject": "can.loss=0.5@50ms"}) == {"inject": "can.loss=0.5@50ms"}
+    assert requests({"state": True})["faults"] == {"can.loss=0.5@50ms": None}
+    injector.advance(0.2)
+    assert devices.faults.can.drop_rate == 0.5
+    began_s = requests({"state": True})["faults"]["can.loss=0.5@50ms"]
+    assert began_s == pytest.approx(0.2)
+    assert requests({"clear": "can.loss"}) == {"cleared": 1}
+    assert devices.faults.can.drop_rate == 0.0
+    for request in ({"inject": "can.lost"}, {"clear": "can.loss"}, {"inject": 5}, {"clear": None}):
+        with pytest.raises(SimulatorError):
+            requests(request)
+
+
+def test_the_settings_bring_their_faults_along() -> None:
+    with SimulatedCell(SimulatorSettings(faults=("can.loss=0.5@50ms", "unit.off"))) as cell:
+        assert cell.devices.faults.unit.dead
+        assert [fault.began_s for fault in cell.injector.faults] == [0.0, None]
+    with pytest.raises(SimulatorSettingsError, match=r"no fault 'can.lost'"):
+        SimulatedCell(SimulatorSettings(faults=("can.lost",)))

@@ -1,0 +1,196 @@
+"""The servo terminal: rates, link, unplugging; driven step by step with a made-up time."""
+
+import errno
+import fcntl
+import os
+import select
+import struct
+import termios
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from simulator.errors import EndpointError, SimulatorStateError
+from simulator.realtime.terminals import ServoPty
+from simulator.servo.bus import ServoBusDevice
+from simulator.servo.protocol2 import Instruction, encode_instruction
+
+PING = encode_instruction(1, Instruction.PING)
+
+
+@pytest.fixture
+def device(servo_bench) -> ServoBusDevice:
+    return servo_bench().device
+
+
+@pytest.fixture
+def endpoint(device, tmp_path: Path) -> Iterator[ServoPty]:
+    pty = ServoPty(device, tmp_path / "servos")
+    yield pty
+    pty.close()
+
+
+@pytest.fixture
+def client(endpoint) -> Iterator[int]:
+    descriptor = open_client(endpoint)
+    yield descriptor
+    os.close(descriptor)
+
+
+def open_client(endpoint: ServoPty, speed: int = termios.B1000000) -> int:
+    descriptor = os.open(endpoint.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    tty.setraw(descriptor)
+    settings = termios.tcgetattr(descriptor)
+    settings[4] = settings[5] = speed
+    termios.tcsetattr(descriptor, termios.TCSANOW, settings)
+    return descriptor
+
+
+def drain(descriptor: int) -> bytes:
+    try:
+        return os.read(descriptor, 4096)
+    except BlockingIOError:
+        return b""
+
+
+def test_a_ping_is_answered_when_its_time_has_come(endpoint, client):
+    os.write(client, PING)
+    due_s = endpoint.poll(1.0)
+    assert due_s == pytest.approx(1.0 + 24e-5)
+    assert drain(client) == b""
+    assert endpoint.poll(due_s) is None
+    assert len(drain(client)) == 14
+
+
+def test_a_packet_that_waited_feeds_the_watchdog(endpoint, device, client):
+    servo = device.servos[0]
+    servo.write(64, b"\x01", 1.0)
+    servo.write(98, b"\x05", 1.0)
+    endpoint.poll(1.0)
+    os.write(client, PING)
+    endpoint.poll(1.5)
+    device.advance_to(1.55)
+    assert not servo.core.watchdog_tripped
+    device.advance_to(1.61)
+    assert servo.core.watchdog_tripped
+
+
+def test_the_descriptor_becomes_readable(endpoint, client):
+    assert select.select([endpoint], [], [], 0.0)[0] == []
+    os.write(client, PING)
+    assert select.select([endpoint], [], [], 1.0)[0] == [endpoint]
+
+
+@pytest.mark.parametrize("speed", [termios.B9600, termios.B57600, termios.B4000000])
+def test_another_rate_is_met_with_silence(endpoint, speed: int):
+    descriptor = open_client(endpoint, speed)
+    os.write(descriptor, PING)
+    assert endpoint.poll(1.0) is None
+    os.close(descriptor)
+
+
+def test_the_rate_of_the_client_is_known(endpoint, client):
+    assert endpoint.client_baudrate == 1_000_000
+    settings = termios.tcgetattr(client)
+    settings[4] = settings[5] = termios.B57600
+    termios.tcsetattr(client, termios.TCSANOW, settings)
+    assert endpoint.client_baudrate == 57600
+
+
+@pytest.mark.parametrize("baudrate", [1_000_000, 1_234_567])
+def test_a_rate_set_as_a_number_is_known_too(endpoint, client, baudrate: int):
+    layout = struct.Struct("=4IB19s2I")
+    settings = list(layout.unpack(fcntl.ioctl(client, 0x802C542A, bytes(layout.size))))
+    settings[2] = settings[2] & ~0o10017 | 0o10000
+    settings[-2:] = [baudrate, baudrate]
+    fcntl.ioctl(client, 0x402C542B, layout.pack(*settings))
+    assert endpoint.client_baudrate == baudrate
+
+
+def test_a_client_may_come_and_go(endpoint):
+    for _ in range(3):
+        descriptor = open_client(endpoint)
+        os.write(descriptor, PING)
+        endpoint.poll(1.0)
+        endpoint.poll(2.0)
+        assert len(drain(descriptor)) == 14
+        os.close(descriptor)
+        assert endpoint.poll(3.0) is None
+
+
+def test_a_client_that_never_reads_does_not_block(endpoint, client):
+    everything = encode_instruction(1, Instruction.READ, bytes((0, 0, 0xB0, 2)))
+    due_s: float | None = 0.0
+    for i in range(200):
+        os.write(client, everything)
+        due_s = endpoint.poll(float(i))
+    assert due_s == 199.0
+    while drain(client):
+        due_s = endpoint.poll(300.0)
+    assert due_s is None
+
+
+def test_unplugging_breaks_the_client_and_the_link(endpoint, device, client):
+    old = os.readlink(endpoint.port)
+    os.write(client, PING)
+    endpoint.poll(1.0)
+    endpoint.unplug()
+    assert not endpoint.plugged_in
+    assert not os.path.lexists(endpoint.port)
+    assert endpoint.poll(2.0) is None
+    with pytest.raises(OSError, match=os.strerror(errno.EIO)):
+        os.write(client, PING)
+    with pytest.raises(SimulatorStateError, match="unplugged"):
+        endpoint.fileno()
+    assert device.next_event_s() is None
+    assert device.faults.unplugged
+    assert old.startswith("/dev/")
+
+
+def test_plugged_in_again_under_the_same_link(endpoint):
+    endpoint.unplug()
+    endpoint.plug_in()
+    endpoint.plug_in()
+    descriptor = open_client(endpoint)
+    os.write(descriptor, PING)
+    endpoint.poll(1.0)
+    endpoint.poll(2.0)
+    assert len(drain(descriptor)) == 14
+    os.close(descriptor)
+
+
+def test_closing_gives_everything_back(device, tmp_path):
+    endpoint = ServoPty(device, tmp_path / "servos")
+    descriptor = endpoint.fileno()
+    endpoint.close()
+    endpoint.close()
+    assert not os.path.lexists(tmp_path / "servos")
+    with pytest.raises(OSError, match=os.strerror(errno.EBADF)):
+        os.fstat(descriptor)
+
+
+def test_without_a_link_the_port_is_the_terminal(device):
+    endpoint = ServoPty(device)
+    assert endpoint.port.startswith("/dev/")
+    endpoint.close()
+
+
+def test_an_old_link_is_replaced_and_a_foreign_one_left(device, tmp_path):
+    path = tmp_path / "servos"
+    path.symlink_to("/nowhere")
+    endpoint = ServoPty(device, path)
+    assert os.readlink(path) != "/nowhere"
+    path.unlink()
+    path.symlink_to("/elsewhere")
+    endpoint.close()
+    assert os.readlink(path) == "/elsewhere"
+
+
+def test_a_file_in_the_place_of_the_link_is_refused(device, tmp_path):
+    path = tmp_path / "servos"
+    path.write_text("mine")
+    with pytest.raises(EndpointError, match="symbolic link"):
+        ServoPty(device, path)
+    assert path.read_text() == "mine"

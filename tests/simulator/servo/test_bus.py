@@ -1,0 +1,367 @@
+"""Several servos on one bus: broadcasts, chains of answers, wire time, faults of the wire."""
+
+from collections.abc import Callable
+
+import pytest
+
+from gripper.dynamixel.models import XM430_W350
+from simulator.errors import SimulatorSettingsError
+from simulator.servo.bus import ServoBusDevice
+from simulator.servo.device import SimulatedServo
+from simulator.servo.faults import Trigger, WireFaults
+from simulator.servo.motor import ServoMotor
+from simulator.servo.protocol2 import Instruction, PacketParser, encode_instruction, encode_status
+
+
+@pytest.fixture
+def bench(servo_bench: Callable):
+    return servo_bench()
+
+
+def ids(answer: bytes) -> list[int]:
+    return [p.packet_id for p in PacketParser().push(answer) if p.intact]
+
+
+def sync_read(address: int, size: int, *servo_ids: int, fast: bool = False) -> bytes:
+    code = Instruction.FAST_SYNC_READ if fast else Instruction.SYNC_READ
+    parameters = address.to_bytes(2, "little") + size.to_bytes(2, "little") + bytes(servo_ids)
+    return encode_instruction(0xFE, code, parameters)
+
+
+def test_everybody_answers_a_broadcast_ping_in_the_order_of_ids(servo_bench):
+    bench = servo_bench(count=3)
+    answer = bench.exchange(encode_instruction(0xFE, Instruction.PING))
+    assert answer == b"".join(encode_status(i, 0, bytes((0xFC, 0x03, 48))) for i in (1, 2, 3))
+
+
+@pytest.mark.parametrize(
+    ("instruction", "parameters"),
+    [
+        (Instruction.READ, "8400 0400"),
+        (Instruction.WRITE, "4100 01"),
+        (Instruction.REG_WRITE, "4100 01"),
+        (Instruction.ACTION, ""),
+        (Instruction.REBOOT, ""),
+        (Instruction.SYNC_WRITE, "4100 0100 01 01 02 01"),
+        (Instruction.BULK_WRITE, "01 4100 0100 01 02 4100 0100 01"),
+    ],
+)
+def test_broadcasts_are_not_acknowledged(bench, instruction: int, parameters: str):
+    assert bench.exchange(encode_instruction(0xFE, instruction, bytes.fromhex(parameters))) == b""
+
+
+def test_a_broadcast_write_reaches_all(bench):
+    bench.exchange(encode_instruction(0xFE, Instruction.WRITE, bytes((65, 0, 1))))
+    assert [bench.read(i, 65, 1) for i in (1, 2)] == [1, 1]
+
+
+def test_action_for_all_starts_all_at_once(bench):
+    for i in (1, 2):
+        bench.ask(i, Instruction.REG_WRITE, bytes((65, 0, 1)))
+    bench.exchange(encode_instruction(0xFE, Instruction.ACTION))
+    assert [bench.read(i, 65, 1) for i in (1, 2)] == [1, 1]
+
+
+def test_a_factory_reset_of_everything_is_refused_as_broadcast(bench):
+    bench.write(1, 31, 1, 60)
+    bench.exchange(encode_instruction(0xFE, Instruction.FACTORY_RESET, b"\xff"))
+    assert bench.read(1, 31, 1) == 60
+    bench.exchange(encode_instruction(0xFE, Instruction.FACTORY_RESET, b"\x02"))
+    bench.clock.sleep(0.5)
+    assert bench.read(1, 31, 1) == 80
+
+
+def test_sync_write_gives_each_servo_its_own_value(bench):
+    raw = bytes.fromhex("FFFFFD00FE0D0083660002000164 00029CFFE1DB".replace(" ", ""))
+    assert bench.exchange(raw) == b""
+    assert [bench.read(i, 102, 2, signed=True) for i in (1, 2)] == [100, -100]
+
+
+def test_bulk_write_gives_each_servo_its_own_item(bench):
+    raw = bytes.fromhex("FFFFFD00FE1000930120000200A000021F00010050B768")
+    assert bench.exchange(raw) == b""
+    assert (bench.read(1, 32, 2), bench.read(2, 31, 1)) == (160, 80)
+    other = bytes((2, 116, 0, 4, 0, 1, 2, 0, 0, 1, 84, 0, 2, 0, 3, 1))
+    assert bench.exchange(encode_instruction(0xFE, Instruction.BULK_WRITE, other)) == b""
+    assert (bench.read(2, 116, 4), bench.read(1, 84, 2)) == (0x201, 0x103)
+    assert bench.read(1, 80, 4) == 0
+
+
+def test_a_stuffed_sync_write_arrives(servo_bench):
+    bench = servo_bench(settings={"operating_mode": 0})
+    raw = bytes.fromhex("FFFFFD00FE0F008366000600 01FFFFFDFDFFFFFF67DC".replace(" ", ""))
+    assert bench.exchange(raw) == b""
+    assert bench.read(1, 102, 2, signed=True) == -1
+    assert bench.read(1, 104, 4, signed=True) == -3
+
+
+@pytest.mark.parametrize(
+    ("instruction", "parameters"),
+    [
+        (Instruction.SYNC_WRITE, "4100 0100 01 01 02"),
+        (Instruction.SYNC_WRITE, "4100"),
+        (Instruction.SYNC_WRITE, "4100 0000 01"),
+        (Instruction.BULK_WRITE, "01 4100 0200 01"),
+        (Instruction.BULK_WRITE, "01 4100"),
+        (Instruction.SYNC_READ, "8400 0400"),
+        (Instruction.BULK_READ, "01 9000 02"),
+        (Instruction.FAST_SYNC_READ, "8400"),
+    ],
+)
+def test_group_instructions_cut_off_are_passed_over(bench, instruction: int, parameters: str):
+    assert bench.exchange(encode_instruction(0xFE, instruction, bytes.fromhex(parameters))) == b""
+    assert [bench.read(i, 65, 1) for i in (1, 2)] == [0, 0]
+
+
+def test_a_sync_read_is_answered_in_the_order_of_the_request(servo_bench):
+    bench = servo_bench(count=3)
+    assert ids(bench.exchange(sync_read(132, 4, 3, 1, 2))) == [3, 1, 2]
+
+
+@pytest.mark.parametrize(
+    ("request_ids", "answered"), [((1, 9, 2), [1]), ((9, 1, 2), []), ((1, 2, 9), [1, 2])]
+)
+def test_a_servo_stays_silent_when_an_earlier_one_is_missing(bench, request_ids, answered):
+    assert ids(bench.exchange(sync_read(132, 4, *request_ids))) == answered
+
+
+def test_a_bulk_read_asks_for_different_items(bench):
+    raw = bytes.fromhex("FFFFFD00FE0D009201900002000292000100 1A05".replace(" ", ""))
+    answer = bench.exchange(raw)
+    expected = encode_status(1, 0, (120).to_bytes(2, "little")) + encode_status(2, 0, bytes((25,)))
+    assert answer == expected
+
+
+def test_a_refused_read_in_a_chain_carries_no_data(bench):
+    answer = bench.exchange(sync_read(71, 1, 1, 2))
+    assert answer == encode_status(1, 7) + encode_status(2, 7)
+
+
+def test_a_fast_sync_read_is_one_status(bench):
+    expected = bench.read(1, 132, 4), bench.read(2, 132, 4)
+    answer = bench.exchange(sync_read(132, 4, 1, 2, fast=True))
+    assert len(answer) == 8 + 2 * (4 + 4)
+    (packet,) = PacketParser().push(answer)
+    assert packet.intact
+    found = packet.parameters
+    assert found[:2] == b"\x00\x01"
+    assert int.from_bytes(found[2:6], "little") == expected[0]
+    assert found[8:10] == b"\x00\x02"
+    assert int.from_bytes(found[10:14], "little") == expected[1]
+
+
+def test_a_fast_bulk_read_is_one_status(bench):
+    parameters = bytes((1, 144, 0, 2, 0, 2, 146, 0, 1, 0))
+    answer = bench.exchange(encode_instruction(0xFE, Instruction.FAST_BULK_READ, parameters))
+    (packet,) = PacketParser().push(answer)
+    assert packet.intact
+    assert packet.parameters[:4] == bytes((0, 1, 120, 0))
+    assert packet.parameters[6:9] == bytes((0, 2, 25))
+
+
+@pytest.mark.parametrize(("missing", "length"), [(2, 8 + 8), (1, 0)])
+def test_a_missing_servo_truncates_a_fast_read(bench, missing: int, length: int):
+    bench.device.faults.silent.add(missing)
+    assert len(bench.exchange(sync_read(132, 4, 1, 2, fast=True))) == length
+
+
+def test_a_fast_read_that_fits_into_no_packet_is_passed_over(bench):
+    assert bench.exchange(sync_read(0, 600, 1, 2, fast=True)) == b""
+    assert bench.exchange(sync_read(0, 0xFFFF, 1, fast=True)) == b""
+
+
+def test_fast_reads_are_not_stuffed_and_others_are(bench):
+    bench.write(1, 168, 2, 102)
+    for i, target in enumerate((102, 103, 104, 105, 106, 107)):
+        bench.write(1, 168 + 2 * i, 2, target)
+    bench.write(1, 102, 2, -1)
+    bench.write(1, 104, 4, -3)
+    payload = bytes.fromhex("FFFFFDFFFFFF")
+    plain = bench.exchange(encode_instruction(1, Instruction.READ, bytes((224, 0, 6, 0))))
+    assert plain == encode_status(1, 0, payload)
+    assert bytes.fromhex("FFFFFDFDFFFFFF") in plain
+    fast = bench.exchange(sync_read(224, 6, 1, fast=True))
+    assert fast[8:16] == b"\x00\x01" + payload
+
+
+def test_status_packets_and_unused_ids_are_passed_over(bench):
+    assert bench.exchange(encode_status(1, 0)) == b""
+    assert bench.exchange(encode_instruction(253, Instruction.PING)) == b""
+
+
+def test_a_packet_that_was_not_stuffed_is_not_carried_out(servo_bench):
+    bench = servo_bench(settings={"operating_mode": 4})
+    before = bench.read(1, 116, 4)
+    assert (
+        bench.exchange(bytes.fromhex("FFFFFD000109000374 00FFFFFDFFCB05".replace(" ", ""))) == b""
+    )
+    assert bench.read(1, 116, 4) == before
+    stuffed = bytes.fromhex("FFFFFD00010A00037400FFFFFDFDFF23E5")
+    assert bench.exchange(stuffed) == encode_status(1, 0)
+    assert bench.read(1, 116, 4, signed=True) == -131073
+
+
+@pytest.mark.parametrize(("reply", "expected"), [(True, encode_status(1, 3)), (False, b"")])
+def test_a_damaged_packet(servo_bench, reply: bool, expected: bytes):
+    bench = servo_bench(crc_error_reply=reply)
+    raw = bytearray(encode_instruction(1, Instruction.WRITE, bytes((65, 0, 1))))
+    raw[-1] ^= 0x40
+    assert bench.exchange(bytes(raw)) == expected
+    assert bench.read(1, 65, 1) == 0
+
+
+def test_a_host_at_another_rate_is_not_heard(bench):
+    bench.device.baudrate = 57600
+    assert bench.exchange(encode_instruction(1, Instruction.PING)) == b""
+
+
+def test_same_ids_and_impossible_rates_are_refused():
+    def servo() -> SimulatedServo:
+        return SimulatedServo(1, XM430_W350, ServoMotor())
+
+    with pytest.raises(SimulatorSettingsError, match="IDs"):
+        ServoBusDevice([servo(), servo()], 1_000_000)
+    with pytest.raises(SimulatorSettingsError, match="baudrate"):
+        ServoBusDevice([servo()], 0)
+    with pytest.raises(SimulatorSettingsError, match="usb_latency_s"):
+        ServoBusDevice([servo()], 57600, usb_latency_s=-1.0)
+
+
+# Wire time
+
+
+def round_trip_s(bench, request: bytes) -> float:
+    start_s = bench.clock.monotonic()
+    bench.stream.write(request)
+    due_s = start_s
+    while bench.stream.read(256, 0.02):
+        due_s = bench.clock.monotonic()
+    return due_s - start_s
+
+
+def test_a_ping_takes_its_wire_time(bench):
+    wire_s = (10 + 14) * 10 / 1_000_000
+    assert round_trip_s(bench, encode_instruction(1, Instruction.PING)) == pytest.approx(wire_s)
+
+
+def test_slow_lines_return_delay_and_adapter_add_up(servo_bench):
+    bench = servo_bench(
+        baudrate=57600,
+        settings={"baud_rate": 1, "return_delay_time": 250},
+        usb_latency_s=0.001,
+    )
+    expected_s = (16 + 2 * 21) * 10 / 57600 + 2 * 500e-6 + 0.001
+    assert round_trip_s(bench, sync_read(126, 10, 1, 2)) == pytest.approx(expected_s)
+
+
+def test_a_fast_read_is_faster(bench):
+    normal_s = round_trip_s(bench, sync_read(126, 10, 1, 2))
+    fast_s = round_trip_s(bench, sync_read(126, 10, 1, 2, fast=True))
+    assert normal_s - fast_s == pytest.approx((2 * 21 - (8 + 2 * 14)) * 10 / 1e6, abs=1e-8)
+
+
+def test_bytes_wait_for_their_time():
+    servo = SimulatedServo(1, XM430_W350, ServoMotor(), settings={"baud_rate": 3})
+    device = ServoBusDevice([servo], 1_000_000)
+    device.receive(encode_instruction(1, Instruction.PING), 5.0)
+    due_s = device.next_event_s()
+    assert due_s == pytest.approx(5.0 + 24e-5 + 500e-6)
+    assert device.transmit(due_s - 1e-6) == b""
+    assert len(device.transmit(due_s)) == 14
+    assert device.next_event_s() is None
+
+
+# Faults of the wire
+
+
+PING = encode_instruction(1, Instruction.PING)
+PONG = encode_status(1, 0, bytes((0xFC, 0x03, 48)))
+
+
+def test_every_knob_is_off_at_first_and_after_a_reset(bench):
+    faults = bench.device.faults
+    assert faults == WireFaults()
+    faults.drop.every = 1
+    faults.silent.add(1)
+    faults.echo = True
+    assert bench.exchange(PING) == PING
+    faults.reset()
+    assert faults == WireFaults()
+    assert bench.exchange(PING) == PONG
+
+
+@pytest.mark.parametrize(
+    ("knob", "expected"),
+    [
+        ("drop", b""),
+        ("lose_request", b""),
+        ("duplicate", PONG + PONG),
+        ("truncate", PONG[:-3]),
+        ("garbage", b"\xaa\xff\xff\xfd\x55" + PONG),
+        ("wrong_id", encode_status(2, 0, PONG[9:-2])),
+    ],
+)
+def test_a_knob_hits_the_next_packet_only(bench, knob: str, expected: bytes):
+    getattr(bench.device.faults, knob).next_packets = 1
+    assert bench.exchange(PING) == expected
+    assert bench.exchange(PING) == PONG
+
+
+def test_a_bit_flip_changes_one_bit(bench):
+    bench.device.faults.bit_flip.next_packets = 1
+    answer = bench.exchange(PING)
+    difference = int.from_bytes(answer, "big") ^ int.from_bytes(PONG, "big")
+    assert difference.bit_count() == 1
+
+
+def test_a_damaged_request_is_not_carried_out(bench):
+    bench.device.faults.corrupt_request.every = 1
+    for _ in range(20):
+        bench.exchange(encode_instruction(1, Instruction.WRITE, bytes((65, 0, 1))))
+    assert bench.servos[0].core.table.data[65] == 0
+
+
+def test_a_delayed_answer_comes_with_the_next(bench):
+    bench.device.faults.delay = Trigger(next_packets=1)
+    bench.stream.write(PING)
+    assert bench.stream.read(64, 0.034) == b""
+    bench.stream.write(encode_instruction(2, Instruction.PING))
+    late = bench.stream.read(64, 0.02) + bench.stream.read(64, 0.02)
+    assert ids(late) == [2, 1]
+
+
+def test_answers_in_pieces(bench):
+    bench.device.faults.fragment_bytes = 3
+    start_s = bench.clock.monotonic()
+    bench.stream.write(PING)
+    assert bench.stream.read(64, 0.02) == PONG[:3]
+    assert bench.exchange(b"") == PONG[3:]
+    assert bench.clock.monotonic() - start_s > 4 * 0.002
+
+
+def test_a_knob_may_concern_one_servo(bench):
+    bench.device.faults.drop = Trigger(every=1, servo_ids=frozenset({1}))
+    assert ids(bench.exchange(sync_read(132, 4, 1, 2))) == [2]
+
+
+def test_chances_are_the_same_with_the_same_seed(servo_bench):
+    def lost(seed: int) -> list[int]:
+        bench = servo_bench()
+        bench.device.faults.seed = seed
+        bench.device.faults.drop.probability = 0.3
+        return [i for i in range(60) if not bench.exchange(PING, 0.001)]
+
+    assert lost(1) == lost(1) != lost(2)
+    assert 8 <= len(lost(1)) <= 30
+
+
+def test_every_third_answer(bench):
+    bench.device.faults.drop.every = 3
+    assert [bool(bench.exchange(PING, 0.001)) for _ in range(6)] == [True, True, False] * 2
+
+
+@pytest.mark.parametrize("trigger", [Trigger(probability=1.5), Trigger(every=-1, probability=0.5)])
+def test_an_impossible_knob_is_refused(bench, trigger: Trigger):
+    bench.device.faults.drop = trigger
+    with pytest.raises(SimulatorSettingsError):
+        bench.exchange(PING)

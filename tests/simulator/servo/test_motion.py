@@ -1,0 +1,370 @@
+"""Modes, watchdog and protections: what the servo does to its motor."""
+
+import math
+from collections.abc import Callable
+
+import pytest
+
+from gripper.dynamixel.control_table import RAD_S_PER_VELOCITY_UNIT
+from gripper.dynamixel.models import XC330_M288, XL330_M288
+from simulator.servo.faults import ServoFaultKnobs
+from simulator.servo.firmware import WatchdogStop
+from simulator.servo.motor import DriveMode
+from simulator.servo.protocol2 import Instruction, encode_instruction
+
+ALERT = 0x80
+
+
+@pytest.fixture
+def closing(servo_bench: Callable):
+    """Return a bench in mode 5 that presses both fingers on a wall with 100 counts of current."""
+
+    def make(**options):
+        bench = servo_bench(settings={"operating_mode": 5}, **options)
+        bench.clock.sleep(0.01)
+        for servo_id in (1, 2):
+            present = bench.read(servo_id, 132, 4)
+            assert bench.write(servo_id, 116, 4, present) == 0
+            assert bench.write(servo_id, 102, 2, 100) == 0
+            assert bench.write(servo_id, 64, 1, 1) == 0
+            assert bench.write(servo_id, 116, 4, 2048) == 0
+        bench.force_n = (9.0, 9.0)
+        return bench
+
+    return make
+
+
+def test_goal_current_is_a_limit_of_the_magnitude_in_mode_5(closing):
+    bench = closing()
+    bench.clock.sleep(0.3)
+    assert bench.read(1, 126, 2, signed=True) == -100
+    assert bench.read(2, 126, 2, signed=True) == 100
+    assert bench.write(1, 102, 2, -60) == 0
+    bench.clock.sleep(0.1)
+    assert bench.read(1, 126, 2, signed=True) == -60
+
+
+def test_position_mode_reaches_its_goal_and_says_so(servo_bench):
+    bench = servo_bench()
+    goal = bench.read(1, 132, 4) - 300
+    bench.write(1, 112, 4, 100)
+    bench.write(1, 64, 1, 1)
+    assert bench.write(1, 116, 4, goal) == 0
+    bench.clock.sleep(0.05)
+    assert bench.read(1, 122, 1) == 1
+    assert bench.read(1, 123, 1) == 0x32
+    assert bench.read(1, 128, 4, signed=True) < -50
+    bench.clock.sleep(1.5)
+    assert bench.read(1, 132, 4) == pytest.approx(goal, abs=12)
+    assert bench.read(1, 122, 1) == 0
+    assert bench.read(1, 123, 1) == 0x31
+    assert bench.read(1, 140, 4) == goal
+
+
+def test_the_velocity_profile_bounds_the_velocity(servo_bench):
+    bench = servo_bench(settings={"operating_mode": 5})
+    bench.write(1, 112, 4, 40)
+    bench.write(1, 116, 4, bench.read(1, 132, 4))
+    bench.write(1, 64, 1, 1)
+    bench.write(1, 116, 4, 2048)
+    fastest = 0.0
+    for _ in range(60):
+        bench.clock.sleep(0.005)
+        fastest = max(fastest, abs(bench.motors[0].velocity_rad_s))
+    assert fastest == pytest.approx(40 * RAD_S_PER_VELOCITY_UNIT, rel=0.25)
+
+
+def test_a_profile_acceleration_makes_a_slow_start(servo_bench):
+    def way(acceleration: int) -> int:
+        bench = servo_bench()
+        bench.write(1, 112, 4, 200)
+        bench.write(1, 108, 4, acceleration)
+        start = bench.read(1, 132, 4)
+        bench.write(1, 64, 1, 1)
+        bench.write(1, 116, 4, start - 600)
+        bench.clock.sleep(0.1)
+        return start - bench.read(1, 132, 4)
+
+    assert way(20) < 0.6 * way(0)
+
+
+def test_a_time_based_profile_takes_its_time(servo_bench):
+    bench = servo_bench(settings={"drive_mode": 4})
+    goal = bench.read(1, 132, 4) - 400
+    bench.write(1, 112, 4, 500)
+    bench.write(1, 64, 1, 1)
+    bench.write(1, 116, 4, goal)
+    bench.clock.sleep(0.25)
+    assert bench.read(1, 140, 4) == pytest.approx(goal + 200, abs=40)
+    bench.clock.sleep(0.35)
+    assert bench.read(1, 140, 4) == goal
+
+
+def test_the_330_size_ignores_the_profile_in_mode_5(servo_bench):
+    bench = servo_bench(model=XL330_M288, settings={"operating_mode": 5})
+    bench.write(1, 112, 4, 5)
+    bench.write(1, 64, 1, 1)
+    bench.write(1, 116, 4, 2048)
+    assert bench.motors[0].command.profile_velocity_rad_s == 0.0
+
+
+@pytest.mark.parametrize(
+    ("mode", "goal_item", "goal", "shown_item"),
+    [
+        (0, (102, 2), -80, (126, 2)),
+        (1, (104, 4), -40, (128, 4)),
+        (16, (100, 2), -200, (124, 2)),
+    ],
+    ids=["current", "velocity", "pwm"],
+)
+def test_current_velocity_and_pwm_modes(servo_bench, mode, goal_item, goal, shown_item):
+    bench = servo_bench(settings={"operating_mode": mode})
+    assert bench.write(1, *goal_item, 0) == 0
+    bench.write(1, 64, 1, 1)
+    assert bench.write(1, *goal_item, goal) == 0
+    bench.clock.sleep(0.2)
+    assert bench.read(1, *shown_item, signed=True) == pytest.approx(goal, abs=3)
+    assert bench.motors[0].velocity_rad_s < 0.0
+
+
+def test_a_limit_lowered_afterwards_bounds_the_goal(servo_bench):
+    bench = servo_bench(settings={"operating_mode": 0})
+    bench.write(1, 102, 2, -300)
+    bench.write(1, 38, 2, 90)
+    bench.write(1, 64, 1, 1)
+    bench.clock.sleep(0.05)
+    assert bench.read(1, 126, 2, signed=True) == -90
+
+
+def test_a_pwm_limit_lowered_afterwards_bounds_the_goal(servo_bench):
+    bench = servo_bench(settings={"operating_mode": 16})
+    bench.write(1, 100, 2, -700)
+    bench.write(1, 36, 2, 300)
+    bench.write(1, 64, 1, 1)
+    bench.clock.sleep(0.05)
+    assert bench.read(1, 124, 2, signed=True) == pytest.approx(-300, abs=2)
+
+
+def test_the_gains_reach_the_motor(servo_bench):
+    bench = servo_bench(model=XC330_M288, settings={"operating_mode": 5})
+    bench.write(1, 64, 1, 1)
+    assert (bench.motors[0].command.p_gain, bench.motors[0].command.d_gain) == (1100, 500)
+    bench.write(1, 80, 2, 700)
+    bench.write(1, 84, 2, 900)
+    assert (bench.motors[0].command.p_gain, bench.motors[0].command.d_gain) == (900, 700)
+    bench.write(1, 98, 1, 1)
+    bench.clock.sleep(0.05)
+    assert (bench.motors[0].command.p_gain, bench.motors[0].command.d_gain) == (900, 700)
+
+
+@pytest.mark.parametrize(("threshold", "moving"), [(30, 1), (300, 0)])
+def test_moving_follows_its_threshold(servo_bench, threshold: int, moving: int):
+    bench = servo_bench(settings={"operating_mode": 1, "moving_threshold": threshold})
+    bench.write(1, 64, 1, 1)
+    bench.write(1, 104, 4, -100)
+    bench.clock.sleep(0.1)
+    assert bench.read(1, 122, 1) == moving
+    assert bench.servos[0].core.moving == bool(moving)
+
+
+def test_reverse_mode_turns_the_motor_the_other_way(servo_bench):
+    bench = servo_bench(settings={"operating_mode": 1, "drive_mode": 1})
+    bench.write(1, 64, 1, 1)
+    bench.write(1, 104, 4, 40)
+    bench.clock.sleep(0.1)
+    assert bench.motors[0].velocity_rad_s < 0.0
+    assert bench.read(1, 128, 4, signed=True) == pytest.approx(40, abs=4)
+
+
+def test_torque_on_by_goal_update(servo_bench):
+    bench = servo_bench(settings={"drive_mode": 8})
+    assert bench.write(1, 112, 4, 10) == 0
+    assert bench.read(1, 64, 1) == 0
+    assert bench.write(1, 116, 4, 2100) == 0
+    assert bench.read(1, 64, 1) == 1
+
+
+def test_torque_off_leaves_the_winding_without_current(closing):
+    bench = closing()
+    bench.clock.sleep(0.2)
+    assert bench.write(1, 64, 1, 0) == 0
+    bench.clock.sleep(0.01)
+    assert bench.read(1, 126, 2, signed=True) == 0
+
+
+# Bus watchdog
+
+
+def test_the_watchdog_trips_and_locks_the_goals(closing):
+    bench = closing()
+    bench.write(1, 112, 4, 30)
+    assert bench.write(1, 98, 1, 5) == 0
+    bench.clock.sleep(0.07)
+    assert bench.servos[0].core.table.data[98] == 5
+    bench.clock.sleep(0.02)
+    assert bench.read(1, 98, 1, signed=True) == -1
+    assert bench.read(1, 112, 4) == 0
+    for address, size in ((100, 2), (102, 2), (104, 4), (116, 4)):
+        assert bench.write(1, address, size, 0) == 4
+    assert bench.write(1, 108, 4, 1) == 0
+    assert bench.read(1, 64, 1) == 1
+    assert bench.write(1, 98, 1, 0) == 0
+    assert bench.write(1, 102, 2, 50) == 0
+
+
+def test_any_packet_feeds_the_watchdog(closing):
+    bench = closing()
+    bench.write(1, 98, 1, 5)
+    for _ in range(10):
+        bench.clock.sleep(0.07)
+        bench.stream.write(encode_instruction(200, Instruction.PING))
+    assert bench.read(1, 98, 1) == 5
+
+
+def test_a_damaged_packet_does_not_feed_the_watchdog(closing):
+    bench = closing()
+    bench.write(1, 98, 1, 2)
+    bad = bytearray(encode_instruction(200, Instruction.PING))
+    bad[-1] ^= 1
+    bench.clock.sleep(0.03)
+    bench.stream.write(bytes(bad))
+    bench.clock.sleep(0.03)
+    assert bench.read(1, 98, 1, signed=True) == -1
+
+
+def test_the_watchdog_rests_while_the_torque_is_off(servo_bench):
+    bench = servo_bench()
+    bench.write(1, 98, 1, 1)
+    bench.clock.sleep(1.0)
+    assert bench.read(1, 98, 1) == 1
+
+
+def trip(bench):
+    bench.clock.sleep(0.3)
+    bench.write(1, 98, 1, 5)
+    bench.clock.sleep(0.11)
+    assert bench.servos[0].core.watchdog_tripped
+
+
+def test_a_trip_holds_the_present_position(closing):
+    bench = closing()
+    trip(bench)
+    command = bench.motors[0].command
+    assert command.mode is DriveMode.CURRENT_POSITION
+    assert command.current_a == pytest.approx(0.269)
+    held = bench.motors[0].angle_rad
+    bench.force_n = (0.0, 0.0)
+    bench.clock.sleep(0.5)
+    assert bench.motors[0].angle_rad == pytest.approx(held, abs=0.03)
+
+
+def test_a_trip_can_leave_the_motor_without_current(closing):
+    bench = closing(watchdog_stop=WatchdogStop.ZERO_CURRENT)
+    trip(bench)
+    bench.clock.sleep(0.05)
+    assert bench.read(1, 126, 2, signed=True) == 0
+    assert bench.read(1, 64, 1) == 1
+
+
+def test_the_330_fault_keeps_turning(closing):
+    bench = closing(watchdog_stop=WatchdogStop.KEEPS_TURNING)
+    trip(bench)
+    bench.clock.sleep(0.05)
+    assert bench.read(1, 126, 2, signed=True) == -100
+    assert bench.write(1, 102, 2, 0) == 4
+
+
+def test_a_cleared_motor_waits_for_a_goal(closing):
+    bench = closing()
+    trip(bench)
+    stopped = bench.motors[0].command
+    assert bench.write(1, 98, 1, 0) == 0
+    assert bench.write(1, 112, 4, 10) == 0
+    assert bench.motors[0].command == stopped
+    assert bench.write(1, 116, 4, 2048) == 0
+    assert bench.motors[0].command != stopped
+
+
+# Protections
+
+
+def knobs(bench) -> ServoFaultKnobs:
+    return ServoFaultKnobs(bench.servos[0], bench.motors[0])
+
+
+@pytest.mark.parametrize(
+    ("provoke", "bits"),
+    [
+        (lambda k: k.overload(), 0x20),
+        (lambda k: k.overheat(95.0), 0x04),
+        (lambda k: k.hardware_error(0x10), 0x10),
+    ],
+    ids=["overload", "overheating", "shock"],
+)
+def test_a_latched_error_drops_the_torque_until_a_reboot(closing, provoke, bits: int):
+    bench = closing()
+    bench.clock.sleep(0.1)
+    provoke(knobs(bench))
+    bench.clock.sleep(0.01)
+    assert bench.ask(1, Instruction.READ, bytes((70, 0, 1, 0))) == (ALERT, bytes((bits,)))
+    assert bench.read(1, 64, 1) == 0
+    assert bench.read(1, 126, 2) == 0
+    assert bench.write(1, 64, 1, 1) == ALERT | 1
+    assert bench.ask(2, Instruction.PING)[0] == 0
+    knobs(bench).clear()
+    bench.motors[0].temperature_c = 30.0
+    assert bench.read(1, 70, 1) == bits
+    assert bench.ask(1, Instruction.REBOOT)[0] == ALERT
+    bench.clock.sleep(0.5)
+    assert bench.ask(1, Instruction.PING)[0] == 0
+    assert bench.read(1, 70, 1) == 0
+
+
+@pytest.mark.parametrize("voltage_v", [9.0, 16.5])
+def test_a_wrong_supply_alerts_but_keeps_the_torque_by_default(closing, voltage_v: float):
+    bench = closing()
+    knobs(bench).supply(voltage_v)
+    bench.clock.sleep(0.01)
+    error, data = bench.ask(1, Instruction.READ, bytes((144, 0, 2, 0)))
+    assert (error, int.from_bytes(data, "little")) == (ALERT, round(10 * voltage_v))
+    assert bench.read(1, 64, 1) == 1
+    assert bench.write(1, 0, 2, 0) == ALERT | 7
+
+
+def test_the_xl330_shuts_down_on_a_wrong_supply(servo_bench):
+    bench = servo_bench(model=XL330_M288)
+    bench.write(1, 64, 1, 1)
+    knobs(bench).supply(3.0)
+    bench.clock.sleep(0.01)
+    assert bench.read(1, 64, 1) == 0
+
+
+def test_an_error_that_lasts_comes_back_after_the_reboot(closing):
+    bench = closing()
+    knobs(bench).overheat(95.0)
+    bench.clock.sleep(0.01)
+    bench.ask(1, Instruction.REBOOT)
+    bench.clock.sleep(0.5)
+    assert bench.read(1, 70, 1) == 0x04
+
+
+def test_a_servo_that_reboots_by_itself_goes_limp(closing):
+    bench = closing()
+    bench.clock.sleep(0.1)
+    knobs(bench).reboot(bench.clock.monotonic())
+    assert bench.exchange(encode_instruction(1, Instruction.PING)) == b""
+    bench.clock.sleep(0.5)
+    assert bench.read(1, 64, 1) == 0
+    assert bench.motors[0].command.mode is DriveMode.OFF
+
+
+def test_a_stuck_encoder_reports_one_position(closing):
+    bench = closing()
+    knobs(bench).stick_encoder()
+    stuck = bench.read(1, 132, 4)
+    bench.clock.sleep(0.05)
+    assert not math.isclose(bench.motors[0].angle_rad, bench.motors[0].sensed_rad, abs_tol=0.01)
+    assert bench.read(1, 132, 4) == stuck
+    assert bench.read(1, 128, 4) == 0
+    knobs(bench).clear()
+    assert bench.read(1, 132, 4) != stuck

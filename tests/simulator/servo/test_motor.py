@@ -1,0 +1,174 @@
+"""Electromechanics: torque figures of the data sheet, loops, heat, overload."""
+
+import math
+
+import pytest
+
+from gripper.dynamixel.models import MODELS, XM430_W350
+from simulator.errors import SimulatorSettingsError
+from simulator.servo.motor import AMBIENT_C, OVERLOAD_BUDGET_S, DriveCommand, DriveMode, ServoMotor
+
+STEP_S = 1e-3
+
+
+def stall(motor: ServoMotor, command: DriveCommand, duration_s: float = 0.1) -> float:
+    """Return the torque in N.m after the motor was held still for some time."""
+    motor.drive(command)
+    torque_nm = 0.0
+    for _ in range(round(duration_s / STEP_S)):
+        torque_nm = motor.torque_nm(STEP_S)
+    return torque_nm
+
+
+@pytest.mark.parametrize(("current_a", "torque_nm"), [(1.2, 1.90), (0.3, 0.309), (0.46, 0.592)])
+def test_torque_with_rising_load_follows_the_fit(current_a: float, torque_nm: float):
+    motor = ServoMotor(XM430_W350)
+    made_nm = stall(motor, DriveCommand(DriveMode.CURRENT, current_a=current_a))
+    assert made_nm - motor.friction_nm == pytest.approx(torque_nm, abs=0.005)
+
+
+@pytest.mark.parametrize("model", MODELS.values(), ids=lambda m: m.name)
+def test_full_voltage_gives_stall_current_and_no_load_speed(model):
+    motor = ServoMotor(model)
+    stall(motor, DriveCommand(DriveMode.PWM, duty=1.0))
+    assert motor.current_a == pytest.approx(model.stall_current_a, rel=1e-3)
+    assert motor.duty == pytest.approx(1.0, abs=1e-3)
+    motor.velocity_rad_s = model.no_load_rad_s
+    stall(motor, DriveCommand(DriveMode.PWM, duty=1.0))
+    assert motor.current_a * model.kt_nm_a == pytest.approx(model.friction_nm, rel=0.01)
+
+
+def test_the_current_loop_settles_within_a_few_ms():
+    motor = ServoMotor()
+    motor.drive(DriveCommand(DriveMode.CURRENT, current_a=1.0))
+    motor.torque_nm(STEP_S)
+    assert 0.2 < motor.current_a < 0.4
+    for _ in range(14):
+        motor.torque_nm(STEP_S)
+    assert motor.current_a == pytest.approx(1.0, abs=0.02)
+
+
+def test_back_emf_limits_the_current_at_speed():
+    motor = ServoMotor()
+    motor.velocity_rad_s = 0.8 * XM430_W350.no_load_rad_s
+    stall(motor, DriveCommand(DriveMode.CURRENT, current_a=2.0))
+    assert motor.current_a < 0.6
+
+
+def test_the_pwm_limit_bounds_the_current():
+    motor = ServoMotor()
+    stall(motor, DriveCommand(DriveMode.CURRENT, current_a=2.0, duty=0.1))
+    assert motor.current_a == pytest.approx(0.23, abs=0.005)
+
+
+def test_torque_off_means_no_current():
+    motor = ServoMotor()
+    stall(motor, DriveCommand(DriveMode.CURRENT, current_a=1.0))
+    assert stall(motor, DriveCommand(), STEP_S) == 0.0
+    assert (motor.current_a, motor.duty) == (0.0, 0.0)
+
+
+def test_the_velocity_loop_does_not_wind_up_beyond_the_stall_current():
+    motor = ServoMotor()
+    stall(motor, DriveCommand(DriveMode.VELOCITY, velocity_rad_s=2.0), 2.0)
+    assert motor.current_a == pytest.approx(XM430_W350.stall_current_a, rel=0.01)
+    motor.velocity_rad_s = 2.5
+    stall(motor, motor.command, 0.5)
+    assert motor.current_a < XM430_W350.stall_current_a / 2
+
+
+def test_another_mode_forgets_the_integral():
+    motor = ServoMotor()
+    stall(motor, DriveCommand(DriveMode.VELOCITY, velocity_rad_s=2.0), 2.0)
+    stall(motor, DriveCommand(DriveMode.CURRENT))
+    stall(motor, DriveCommand(DriveMode.VELOCITY))
+    assert motor.current_a == pytest.approx(0.0, abs=1e-6)
+
+
+def test_the_d_gain_brakes():
+    def current_a(d_gain: int) -> float:
+        motor = ServoMotor(angle_rad=1.0)
+        motor.velocity_rad_s = 1.0
+        stall(motor, DriveCommand(DriveMode.POSITION, position_rad=1.0, d_gain=d_gain))
+        return motor.current_a
+
+    assert current_a(1000) < current_a(0) < 0.0
+
+
+def test_a_fifth_of_the_stall_current_warms_by_15_degrees():
+    motor = ServoMotor()
+    command = DriveCommand(DriveMode.CURRENT, current_a=0.2 * XM430_W350.stall_current_a)
+    motor.drive(command)
+    for _ in range(40_000):
+        motor.torque_nm(0.05)
+    assert motor.temperature_c == pytest.approx(AMBIENT_C + 15.0, abs=0.3)
+    assert motor.load_excess_s == 0.0
+
+
+def test_heating_grows_with_the_square_of_the_current():
+    def rise_c(current_a: float) -> float:
+        motor = ServoMotor()
+        stall(motor, DriveCommand(DriveMode.CURRENT, current_a=current_a), 2.0)
+        return motor.temperature_c - AMBIENT_C
+
+    assert rise_c(1.0) == pytest.approx(4.0 * rise_c(0.5), rel=0.02)
+
+
+def test_941_ma_at_stall_overloads_after_about_5_s():
+    motor = ServoMotor()
+    motor.drive(DriveCommand(DriveMode.CURRENT, current_a=0.941))
+    elapsed_s = 0.0
+    while motor.load_excess_s <= OVERLOAD_BUDGET_S:
+        motor.torque_nm(STEP_S)
+        elapsed_s += STEP_S
+    assert elapsed_s == pytest.approx(5.0, abs=0.5)
+    stall(motor, DriveCommand(), 3.0)
+    assert motor.load_excess_s == 0.0
+
+
+@pytest.mark.parametrize("acceleration", [0.0, 5.0])
+def test_the_profile_ends_on_the_goal_from_both_sides(acceleration: float):
+    motor = ServoMotor(angle_rad=1.0)
+    for goal_rad in (2.0, 0.5):
+        motor.drive(
+            DriveCommand(
+                DriveMode.POSITION,
+                position_rad=goal_rad,
+                p_gain=800,
+                profile_velocity_rad_s=2.0,
+                profile_acceleration_rad_s2=acceleration,
+            )
+        )
+        fastest = 0.0
+        for _ in range(2000):
+            motor.torque_nm(STEP_S)
+            fastest = max(fastest, abs(motor.reference_velocity_rad_s))
+        assert motor.reference_rad == goal_rad
+        assert motor.reference_velocity_rad_s == 0.0
+        assert fastest <= 2.0
+
+
+def test_a_profile_turned_round_starts_slowly_again():
+    motor = ServoMotor(angle_rad=1.0)
+    command = DriveCommand(
+        DriveMode.POSITION,
+        position_rad=2.0,
+        profile_velocity_rad_s=2.0,
+        profile_acceleration_rad_s2=5.0,
+    )
+    stall(motor, command, 0.3)
+    assert motor.reference_velocity_rad_s > 1.0
+    stall(motor, command._replace(position_rad=0.0), STEP_S)
+    assert -0.01 < motor.reference_velocity_rad_s < 0.0
+
+
+def test_a_stuck_encoder_hides_the_motion():
+    motor = ServoMotor(angle_rad=1.0)
+    motor.stuck_at_rad = 1.0
+    motor.angle_rad, motor.velocity_rad_s = 1.5, 3.0
+    assert (motor.sensed_rad, motor.sensed_velocity_rad_s) == (1.0, 0.0)
+
+
+def test_an_angle_that_is_no_number_is_refused():
+    with pytest.raises(SimulatorSettingsError, match="finite"):
+        ServoMotor(angle_rad=math.nan)

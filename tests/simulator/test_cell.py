@@ -1,0 +1,203 @@
+import math
+
+import can
+import numpy as np
+import pytest
+
+from gripper.dynamixel.control_table import REGISTERS
+from gripper.dynamixel.models import XL330_M288
+from simulator.cell import SimulatedCell
+from simulator.clock import VirtualClock
+from simulator.errors import PortUnplugged, SimulatorSettingsError, SimulatorStateError
+from simulator.servo.mechanics import RackLinkage
+from simulator.servo.protocol2 import Instruction, encode_instruction
+from simulator.settings import RecordedGrasp, SimulatedServoSettings, SimulatorSettings
+from simulator.world.shapes import ObjectPose
+from tactile.frames.assembler import FrameAssembler
+from tactile.frames.codec import FrameFormat, TactileFrame
+from tactile.layout import pinch_layout
+
+
+class Host:
+    """A host that speaks raw bytes on both buses of a cell."""
+
+    def __init__(self, cell: SimulatedCell) -> None:
+        self.cell = cell
+        self.assembler = FrameAssembler(FrameFormat.of(cell.settings.layout))
+
+    def write(self, name: str, raw: int) -> None:
+        register = REGISTERS[name]
+        for servo in self.cell.settings.servos:
+            value = raw.to_bytes(register.size, "little", signed=raw < 0)
+            parameters = register.address.to_bytes(2, "little") + value
+            self.cell.servo_stream.write(
+                encode_instruction(servo.servo_id, Instruction.WRITE, parameters)
+            )
+            answer = self.cell.servo_stream.read(64, 0.05)
+            assert answer[4] == servo.servo_id
+            assert answer[8] == 0, f"servo refused {name}: {answer.hex()}"
+
+    def squeeze(self, current_a: float) -> None:
+        """Close with a motor current, after a short push that overcomes the friction."""
+        self.write("torque_enable", 0)
+        self.write("operating_mode", 0)
+        self.write("torque_enable", 1)
+        self.write("goal_current", -round(current_a / 2.69e-3))
+        self.cell.clock.sleep(1.0)
+
+    def send(self, can_id: int, *data: int) -> None:
+        self.cell.can_bus.send(can.Message(arbitration_id=can_id, is_extended_id=False, data=data))
+
+    def start_unit(self) -> None:
+        boot_up = self.cell.can_bus.recv(0.1)
+        assert boot_up is not None
+        assert (boot_up.arbitration_id, bytes(boot_up.data)) == (0x705, b"\0")
+        self.send(0, 1, 5)
+
+    def frame(self) -> TactileFrame:
+        self.send(0x80)
+        while True:
+            message = self.cell.can_bus.recv(0.02)
+            assert message is not None, "the burst ended before the frame was whole"
+            frame = self.assembler.push(
+                bytes(message.data), message.dlc, self.cell.clock.monotonic()
+            )
+            if frame is not None:
+                return frame
+
+
+def test_the_servos_current_becomes_the_grip_and_the_grip_becomes_counts() -> None:
+    with SimulatedCell() as cell:
+        host = Host(cell)
+        host.start_unit()
+        cell.place("box")
+        assert host.frame().counts.max() <= 20
+        forces_n, peaks, totals = [], [], []
+        for current_a in (0.2, 0.3, 0.5):
+            host.squeeze(current_a)
+            near_n, far_n = cell.world.contact_force_n()
+            # The nest holds 0.05 N.
+            assert near_n == pytest.approx(far_n, abs=0.06)
+            frame = host.frame()
+            forces_n.append(near_n)
+            peaks.append(int(frame.counts.max()))
+            totals.append(int(frame.counts.sum()))
+        assert forces_n == sorted(forces_n)
+        assert 1.0 < forces_n[0] < forces_n[-1] < 20.0
+        assert peaks == sorted(peaks)
+        assert totals == sorted(totals)
+        gripping = np.isin(cell.settings.layout.taxel_pad, cell.settings.layout.gripping_pads)
+        assert frame.counts[gripping].max() > 60
+        assert frame.counts[~gripping].max() <= 20
+
+
+def test_one_servo_can_drive_both_fingers() -> None:
+    settings = SimulatorSettings(
+        servos=(SimulatedServoSettings(servo_id=7, model=XL330_M288),),
+        linkage=RackLinkage(pinion_radius_m=8e-3, travel_m=0.04),
+        servo_baud_rate=57_600,
+    )
+    with SimulatedCell(settings) as cell:
+        cell.place("ball", ObjectPose(z_m=0.5e-3))
+        Host(cell).squeeze(0.3)
+        near_n, far_n = cell.world.contact_force_n()
+        assert near_n == pytest.approx(far_n, abs=0.06)
+        assert near_n > 0.5
+
+
+def test_two_cells_of_one_seed_are_the_same_and_of_another_are_not() -> None:
+    frames = []
+    for seed in (3, 3, 4):
+        with SimulatedCell(SimulatorSettings(seed=seed)) as cell:
+            host = Host(cell)
+            host.start_unit()
+            frames.append(host.frame().counts)
+    assert np.array_equal(frames[0], frames[1])
+    assert not np.array_equal(frames[0], frames[2])
+
+
+def test_everything_runs_on_the_clock_that_was_given() -> None:
+    clock = VirtualClock(start_s=1000.0)
+    with SimulatedCell(SimulatorSettings(layout=pinch_layout()), clock) as cell:
+        host = Host(cell)
+        host.start_unit()
+        assert clock.monotonic() == pytest.approx(1000.02, abs=1e-3)
+        start_s = clock.monotonic()
+        frame = host.frame()
+        assert frame.counts.shape == (156,)
+        assert clock.monotonic() - start_s == pytest.approx(5.3e-3, rel=0.05)
+    assert clock.on_advance == []
+
+
+def test_recorded_grasps_go_over_the_same_links() -> None:
+    layout = pinch_layout()
+    counts = (np.arange(5)[:, np.newaxis] * 100 + np.arange(156)).astype(np.uint16)
+    grasp = RecordedGrasp(counts=counts, aperture_m=np.linspace(0.03, 0.026, 5), label="ball")
+    with SimulatedCell(SimulatorSettings(layout=layout, grasps=(grasp,))) as cell:
+        host = Host(cell)
+        host.start_unit()
+        assert not host.frame().counts.any()
+        assert cell.play(0) == 5
+        for i in range(5):
+            assert np.array_equal(host.frame().counts, counts[i])
+            assert cell.devices.mechanics.aperture_m == pytest.approx(0.03 - 1e-3 * i)
+        assert cell.recorded.remaining == 0
+        with pytest.raises(SimulatorSettingsError, match="grasp 1 does not exist"):
+            cell.play(1)
+        with pytest.raises(SimulatorStateError, match="no objects to place"):
+            cell.place("ball")
+
+
+def test_a_cell_with_objects_plays_no_grasps() -> None:
+    with SimulatedCell() as cell, pytest.raises(SimulatorStateError, match="no grasps to play"):
+        cell.play(0)
+
+
+def test_objects_come_and_go() -> None:
+    with SimulatedCell() as cell:
+        pose = cell.place("box", ObjectPose(roll_rad=math.radians(100.0)))
+        assert math.degrees(pose.roll_rad) == pytest.approx(90.0)
+        assert cell.devices.physical.placed == ("box", pose)
+        cell.remove()
+        assert cell.devices.physical.placed is None
+
+
+def test_the_knobs_of_all_devices_are_in_one_place() -> None:
+    class Lost(Exception):
+        pass
+
+    with SimulatedCell(lost_error=Lost) as cell:
+        cell.devices.faults.servo_wire.unplugged = True
+        with pytest.raises(Lost):
+            cell.servo_stream.write(b"\0")
+        cell.devices.faults.servo_wire.unplugged = False
+        cell.devices.faults.can.unplugged = True
+        with pytest.raises(can.CanOperationError):
+            cell.can_bus.recv(0)
+        cell.devices.faults.can.unplugged = False
+        host = Host(cell)
+        host.start_unit()
+        cell.devices.faults.unit.dead_taxels.add(0)
+        assert host.frame().counts[0] == 0
+        assert set(cell.devices.faults.servos) == {1, 2}
+        cell.unit.emergency(0x5000)
+        emergency = cell.can_bus.recv(0.01)
+        assert emergency is not None
+        assert emergency.arbitration_id == 0x85
+
+
+def test_a_closed_cell_is_of_no_use() -> None:
+    cell = SimulatedCell()
+    cell.close()
+    cell.close()
+    with pytest.raises(PortUnplugged):
+        cell.servo_stream.write(b"\0")
+    with pytest.raises(can.CanOperationError):
+        cell.can_bus.recv(0)
+
+
+def test_impossible_settings_are_refused() -> None:
+    with pytest.raises(SimulatorSettingsError, match="aperture_m"):
+        SimulatorSettings(aperture_m=0.5)
+    with pytest.raises(SimulatorSettingsError, match="servo_baud_rate"):
+        SimulatedCell(SimulatorSettings(servo_baud_rate=12345))

@@ -1,0 +1,87 @@
+import math
+
+import numpy as np
+import pytest
+
+from simulator.errors import SimulatorSettingsError
+from simulator.world.recorded import RecordedWorld
+from tactile.layout import pinch_layout
+
+LAYOUT = pinch_layout()
+
+
+class Fingers:
+    def __init__(self) -> None:
+        self.driven_m: list[float] = []
+        self.steps = 0
+
+    def drive_to(self, aperture_m: float) -> None:
+        self.driven_m.append(aperture_m)
+
+    def step(
+        self,
+        dt_s: float,
+        contact_force_n: tuple[float, float],
+        contact_stiffness_n_m: tuple[float, float],
+    ) -> None:
+        assert (contact_force_n, contact_stiffness_n_m) == ((0.0, 0.0), (0.0, 0.0))
+        self.steps += round(dt_s / 1e-3)
+
+
+def grasp(n: int) -> np.ndarray:
+    counts = np.arange(n)[:, np.newaxis] + np.arange(LAYOUT.n_taxels)
+    return counts.astype(np.uint16)
+
+
+def test_each_scan_takes_the_next_frame_and_the_fingers_go_along() -> None:
+    fingers = Fingers()
+    world = RecordedWorld(LAYOUT, fingers)
+    assert not world.scan().any()
+    assert world.remaining == 0
+    counts = grasp(3)
+    world.load(counts, [0.03, math.nan, 0.02])
+    assert world.remaining == 3
+    assert fingers.driven_m == [0.03]
+    for i in range(3):
+        assert np.array_equal(world.scan(), counts[i])
+        assert world.remaining == 2 - i
+    assert fingers.driven_m == [0.03, 0.03, 0.02]
+    assert np.array_equal(world.scan(), counts[2])
+    assert world.contact_force_n() == (0.0, 0.0)
+
+
+def test_a_frame_that_was_handed_out_is_nobody_elses() -> None:
+    world = RecordedWorld(LAYOUT, Fingers())
+    world.load(grasp(2), [0.03, 0.03])
+    world.scan()[:] = 7
+    assert world.scan()[0] == 1
+
+
+def test_time_passes_for_the_servos() -> None:
+    fingers = Fingers()
+    world = RecordedWorld(LAYOUT, fingers, start_s=1.0)
+    world.advance_to(1.0255)
+    assert fingers.steps == 25
+    world.skip_to(2.0)
+    world.advance_to(2.001)
+    assert fingers.steps == 26
+
+
+@pytest.mark.parametrize(
+    ("counts", "aperture_m", "message"),
+    [
+        (np.zeros((0, 156), np.uint16), [], "shape"),
+        (np.zeros((2, 408), np.uint16), [0.0, 0.0], "shape"),
+        (np.zeros((2, 156), np.uint16), [0.0], "aperture_m"),
+        (np.zeros((2, 156)), [0.0, 0.0], "integers"),
+        (np.full((2, 156), 4096), [0.0, 0.0], "0 to 4095"),
+        (np.full((2, 156), -1), [0.0, 0.0], "0 to 4095"),
+    ],
+)
+def test_grasps_that_do_not_fit_are_refused(
+    counts: np.ndarray, aperture_m: list[float], message: str
+) -> None:
+    world = RecordedWorld(LAYOUT, Fingers())
+    with pytest.raises(SimulatorSettingsError, match=message):
+        world.load(counts, aperture_m)
+    assert world.remaining == 0

@@ -1,0 +1,284 @@
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from simulator.errors import SimulatorSettingsError
+from simulator.world.shape_files import MeshShape, load_mesh, parse_shape
+from simulator.world.shapes import (
+    PAPER_OBJECTS,
+    Box,
+    Ellipsoid,
+    ObjectPose,
+    Shape,
+    ball,
+    cylinder,
+    dumbbell,
+    ellipsoid,
+    posed_heights,
+    resting_pose,
+)
+
+AXIS_M = np.linspace(-15e-3, 15e-3, 121)
+GRID = np.meshgrid(AXIS_M, AXIS_M, indexing="ij")
+
+
+def extent_m(shape: Shape, pose: ObjectPose) -> tuple[float, float, float]:
+    """Return the object's extent along x and y and its thickness, read off its height maps."""
+    low, high = posed_heights(shape, pose, *GRID)
+    covered = np.isfinite(low)
+    x_m = GRID[0][covered]
+    y_m = GRID[1][covered]
+    return float(np.ptp(x_m)), float(np.ptp(y_m)), float(low.max() + high.max())
+
+
+@pytest.mark.parametrize(
+    ("name", "size_mm"),
+    [
+        ("oval", (14.0, 11.7, 11.7)),
+        ("cylinder", (20.0, 6.0, 6.0)),
+        ("box", (15.9, 10.0, 10.0)),
+        ("ball", (9.5, 9.5, 9.5)),
+        ("dumbbell", (13.0, 10.0, 10.0)),
+    ],
+)
+def test_the_papers_objects_have_the_papers_sizes(
+    name: str, size_mm: tuple[float, float, float]
+) -> None:
+    x_m, y_m, z_m = extent_m(PAPER_OBJECTS[name], ObjectPose())
+    assert (1e3 * x_m, 1e3 * y_m) == pytest.approx(size_mm[:2], abs=0.5)
+    assert 1e3 * z_m == pytest.approx(size_mm[2], abs=0.01)
+
+
+@pytest.mark.parametrize("name", PAPER_OBJECTS)
+def test_rotation_by_a_quarter_turn_swaps_the_extents(name: str) -> None:
+    shape = PAPER_OBJECTS[name]
+    straight = extent_m(shape, ObjectPose())
+    turned = extent_m(shape, ObjectPose(rotation_rad=0.5 * math.pi))
+    assert turned == pytest.approx((straight[1], straight[0], straight[2]), abs=0.3e-3)
+
+
+def test_rotation_is_counted_from_x_to_y() -> None:
+    pose = ObjectPose(rotation_rad=math.radians(30.0))
+    low, _ = posed_heights(PAPER_OBJECTS["cylinder"], pose, *GRID)
+    covered = np.isfinite(low)
+    direction = np.linalg.svd(np.cov(GRID[0][covered], GRID[1][covered]))[0][:, 0]
+    assert math.degrees(math.atan(direction[1] / direction[0])) == pytest.approx(30.0, abs=0.5)
+
+
+def test_an_offset_moves_the_highest_point() -> None:
+    low, _ = posed_heights(PAPER_OBJECTS["ball"], ObjectPose(x_m=3e-3, y_m=-2e-3), *GRID)
+    top = np.unravel_index(np.argmax(low), low.shape)
+    assert (GRID[0][top], GRID[1][top]) == pytest.approx((3e-3, -2e-3), abs=1e-9)
+
+
+def test_a_ball_has_the_height_of_a_circle() -> None:
+    low, high = ball(diameter_m=10e-3).heights(np.array([3e-3]), np.array([0.0]), 0.4)
+    assert low == pytest.approx([4e-3])
+    assert high == pytest.approx([4e-3])
+
+
+def test_roll_brings_another_side_of_a_box_up() -> None:
+    box = Box(length_m=20e-3, width_m=6e-3, height_m=12e-3)
+    flat = extent_m(box, ObjectPose())
+    rolled = extent_m(box, ObjectPose(roll_rad=0.5 * math.pi))
+    assert (flat[1], flat[2]) == pytest.approx((6e-3, 12e-3), abs=0.3e-3)
+    assert (rolled[1], rolled[2]) == pytest.approx((12e-3, 6e-3), abs=0.3e-3)
+
+
+def test_a_box_on_its_edge_is_a_roof() -> None:
+    box = Box(length_m=20e-3, width_m=10e-3, height_m=10e-3)
+    low, high = box.heights(np.zeros(2), np.array([0.0, 2e-3]), 0.25 * math.pi)
+    ridge_m = 5e-3 * math.sqrt(2.0)
+    assert high == pytest.approx([ridge_m, ridge_m - 2e-3])
+    assert low == pytest.approx([ridge_m, ridge_m - 2e-3])
+
+
+def test_an_ellipsoid_rolls_like_its_cross_section() -> None:
+    shape = Ellipsoid(length_m=14e-3, width_m=6e-3, height_m=10e-3)
+    tilted = shape.heights(np.zeros(1), np.zeros(1), 0.3)
+    expected_m = 1.0 / math.hypot(math.sin(0.3) / 3e-3, math.cos(0.3) / 5e-3)
+    assert tilted[0] == pytest.approx([expected_m])
+    low, high = shape.heights(np.zeros(1), np.array([1e-3]), 0.3)
+    assert low[0] != pytest.approx(high[0])
+    mirrored = shape.heights(np.zeros(1), np.array([-1e-3]), 0.3)
+    assert low == pytest.approx(mirrored[1])
+
+
+@pytest.mark.parametrize(
+    ("shape", "asked_deg", "reached_deg"),
+    [
+        (PAPER_OBJECTS["box"], 37.0, 0.0),
+        (PAPER_OBJECTS["box"], 50.0, 90.0),
+        (PAPER_OBJECTS["box"], -100.0, -90.0),
+        (PAPER_OBJECTS["ball"], 37.0, 37.0),
+        (PAPER_OBJECTS["cylinder"], 37.0, 37.0),
+        (Ellipsoid(length_m=9e-3, width_m=5e-3, height_m=7e-3), 80.0, 90.0),
+    ],
+)
+def test_an_object_comes_to_rest_on_its_nearest_side(
+    shape: Shape, asked_deg: float, reached_deg: float
+) -> None:
+    pose = resting_pose(shape, ObjectPose(x_m=1e-3, roll_rad=math.radians(asked_deg)))
+    assert math.degrees(pose.roll_rad) == pytest.approx(reached_deg)
+    assert pose.x_m == 1e-3
+
+
+def test_a_dumbbell_is_thin_in_the_middle_and_rounded_at_its_ends() -> None:
+    low, _ = PAPER_OBJECTS["dumbbell"].heights(np.array([0.0, 4e-3, 6.49e-3]), np.zeros(3), 0.0)
+    assert low == pytest.approx([3e-3, 5e-3, 3.4e-3], abs=0.2e-3)
+
+
+@given(
+    kind=st.sampled_from(sorted(PAPER_OBJECTS)),
+    rotation_rad=st.floats(-7.0, 7.0),
+    roll_rad=st.floats(-7.0, 7.0),
+)
+@settings(max_examples=25, derandomize=True, deadline=None)
+def test_no_pose_makes_an_object_thicker_than_its_longest_diagonal(
+    kind: str, rotation_rad: float, roll_rad: float
+) -> None:
+    pose = ObjectPose(rotation_rad=rotation_rad, roll_rad=roll_rad)
+    low, high = posed_heights(PAPER_OBJECTS[kind], pose, *GRID)
+    assert np.array_equal(np.isfinite(low), np.isfinite(high))
+    thickness_m = (low + high)[np.isfinite(low)]
+    assert thickness_m.size
+    assert thickness_m.min() >= 0.0
+    assert thickness_m.max() <= 22e-3
+
+
+@pytest.mark.parametrize(
+    ("text", "shape"),
+    [
+        ("ball", PAPER_OBJECTS["ball"]),
+        ("sphere:diameter=9.5mm", PAPER_OBJECTS["ball"]),
+        ("ellipsoid:length=14mm,diameter=11.7mm", PAPER_OBJECTS["oval"]),
+        ("ellipsoid: length=14 mm, width=1cm, height=9e-3m", None),
+        ("box:length=15.9mm,width=1cm,height=10000um", PAPER_OBJECTS["box"]),
+        ("cylinder:diameter=6mm,length=.02m", PAPER_OBJECTS["cylinder"]),
+        ("dumbbell:length=13mm,diameter=10mm", PAPER_OBJECTS["dumbbell"]),
+        ("dumbbell:length=13mm,diameter=10mm,waist_diameter=6mm,waist_length=6mm", None),
+    ],
+)
+def test_shapes_are_read_from_text(text: str, shape: Shape | None) -> None:
+    if "9e-3m" in text:
+        with pytest.raises(SimulatorSettingsError, match="unit"):
+            parse_shape(text)
+        return
+    expected = PAPER_OBJECTS["dumbbell"] if shape is None else shape
+    # Off the grid's points, so that none lies on a rim.
+    x_m, y_m = (a + 0.013e-3 for a in GRID)
+    for found, wanted in zip(
+        parse_shape(text).heights(x_m, y_m, 0.0), expected.heights(x_m, y_m, 0.0), strict=True
+    ):
+        np.testing.assert_allclose(found, wanted, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("cube", "unknown shape 'cube'"),
+        ("cylinder", None),
+        ("torus:diameter=3mm", "unknown shape"),
+        ("cylinder:diameter=6mm", "needs diameter, length"),
+        ("cylinder:diameter=6mm,length=20mm,width=3mm", "needs diameter, length"),
+        ("cylinder:diameter=6,length=20mm", "unit"),
+        ("cylinder:diameter=6mm,diameter=7mm", "twice"),
+        ("cylinder:diameter=-6mm,length=20mm", "unit"),
+        ("ball:diameter=0mm", "positive"),
+        ("ellipsoid:length=3mm", "width and height"),
+        ("dumbbell:length=13mm,diameter=10mm,waist_diameter=11mm", "smaller"),
+        ("mesh:file=/nowhere/part.stl", "cannot be read"),
+    ],
+)
+def test_texts_that_are_no_shape_are_refused(text: str, message: str | None) -> None:
+    if message is None:
+        assert parse_shape(text) is PAPER_OBJECTS["cylinder"]
+        return
+    with pytest.raises(SimulatorSettingsError, match=message):
+        parse_shape(text)
+
+
+def test_impossible_poses_and_sizes_are_refused() -> None:
+    with pytest.raises(SimulatorSettingsError, match="x_m"):
+        ObjectPose(x_m=math.nan)
+    with pytest.raises(SimulatorSettingsError, match="length_m"):
+        cylinder(diameter_m=6e-3, length_m=math.inf)
+    with pytest.raises(SimulatorSettingsError, match="smaller"):
+        dumbbell(length_m=1e-2, diameter_m=1e-2, waist_length_m=2e-2)
+    with pytest.raises(SimulatorSettingsError, match="ellipsoid"):
+        ellipsoid(length_m=1e-2, diameter_m=1e-2, width_m=1e-2)
+
+
+def test_a_mesh_of_a_box_is_that_box(tmp_path: Path) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    path = tmp_path / "box.stl"
+    mesh = trimesh.creation.box(extents=(16.0, 10.0, 6.0))
+    mesh.apply_translation((100.0, 5.0, -3.0))
+    path.write_bytes(mesh.export(file_type="stl"))
+    shape = parse_shape(f"mesh:file={path}")
+    box = Box(length_m=16e-3, width_m=10e-3, height_m=6e-3)
+    x_m, y_m = (a + 0.01e-3 for a in GRID)
+    for roll_rad in (0.0, 0.5 * math.pi):
+        for found, wanted in zip(
+            shape.heights(x_m, y_m, roll_rad), box.heights(x_m, y_m, roll_rad), strict=True
+        ):
+            np.testing.assert_allclose(found, wanted, atol=1e-9)
+    assert shape.roll_step_rad == 0.0
+
+
+def test_a_mesh_of_a_ball_is_round(tmp_path: Path) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    path = tmp_path / "ball.stl"
+    path.write_bytes(trimesh.creation.icosphere(radius=5.0).export(file_type="stl"))
+    low, high = load_mesh(path).heights(np.array([0.0, 3e-3, 6e-3]), np.zeros(3), 0.0)
+    assert low == pytest.approx([5e-3, 4e-3, -math.inf], abs=0.05e-3)
+    assert high == pytest.approx(low)
+
+
+def test_a_mesh_as_programs_export_it_is_read(tmp_path: Path) -> None:
+    """Keywords in capitals, a byte order mark, and a triangle that has shrunk to a line."""
+    trimesh = pytest.importorskip("trimesh")
+    path = tmp_path / "box.stl"
+    text = trimesh.creation.box(extents=(16.0, 10.0, 6.0)).export(file_type="stl_ascii")
+    line = (
+        "facet normal 0 0 0\nouter loop\nvertex 8 5 3\nvertex 8 5 3\nvertex -8 5 3\n"
+        "endloop\nendfacet\nendsolid"
+    )
+    text = text.replace("endsolid", line)
+    path.write_text("\ufeff" + text.upper(), encoding="utf-8")
+    low, high = load_mesh(path).heights(np.zeros(1), np.zeros(1), 0.0)
+    assert low[0] + high[0] == pytest.approx(6e-3)
+
+
+def test_a_mesh_in_another_unit_is_refused_with_its_size(tmp_path: Path) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    path = tmp_path / "box.stl"
+    path.write_bytes(trimesh.creation.box(extents=(0.6, 0.4, 0.2)).export(file_type="stl"))
+    with pytest.raises(SimulatorSettingsError, match=r"0\.6 x 0\.4 x 0\.2 mm .* Export it in mm"):
+        load_mesh(path)
+    path.write_bytes(path.read_bytes()[:-7])
+    with pytest.raises(SimulatorSettingsError, match=r"677 bytes, its count of 12 .* needs 684"):
+        load_mesh(path)
+
+
+def test_meshes_that_are_no_solid_are_refused(tmp_path: Path) -> None:
+    trimesh = pytest.importorskip("trimesh")
+    mesh = trimesh.creation.box(extents=(1.0, 1.0, 1.0))
+    open_box = trimesh.Trimesh(mesh.vertices, mesh.faces[:-2])
+    path = tmp_path / "open.stl"
+    path.write_bytes(open_box.export(file_type="stl"))
+    with pytest.raises(SimulatorSettingsError, match="no closed surface"):
+        load_mesh(path)
+    path.write_bytes(b"no mesh at all")
+    with pytest.raises(SimulatorSettingsError):
+        load_mesh(path)
+    with pytest.raises(SimulatorSettingsError, match="shape"):
+        MeshShape(triangles_m=np.zeros((0, 3, 3)))
+    with pytest.raises(SimulatorSettingsError, match="finite"):
+        MeshShape(triangles_m=np.full((1, 3, 3), np.nan))
+    with pytest.raises(SimulatorSettingsError, match="limit"):
+        MeshShape(triangles_m=np.zeros((200_001, 3, 3)))

@@ -1,0 +1,259 @@
+import itertools
+import math
+
+import numpy as np
+import pytest
+
+from simulator.errors import SimulatorSettingsError, SimulatorStateError
+from simulator.world.shapes import PAPER_OBJECTS, ObjectPose
+from simulator.world.taxels import NoiseModel
+from simulator.world.world import PhysicalWorld, WorldSettings
+from tactile.layout import TaxelLayout, paper_layout, pinch_layout
+
+QUIET = WorldSettings(noise=NoiseModel(kind="none"))
+
+
+class HandMovedFingers:
+    """Fingers that the test puts where it wants."""
+
+    def __init__(self, half_m: float = 12e-3) -> None:
+        self.finger_position_m = (half_m, half_m)
+        self.steps: list[tuple[tuple[float, float], tuple[float, float]]] = []
+
+    def step(
+        self,
+        dt_s: float,
+        contact_force_n: tuple[float, float],
+        contact_stiffness_n_m: tuple[float, float],
+    ) -> None:
+        assert dt_s == 1e-3
+        self.steps.append((contact_force_n, contact_stiffness_n_m))
+
+
+class Bench:
+    """A world with hand-moved fingers and a way to squeeze to a force."""
+
+    def __init__(self, layout: TaxelLayout | None = None, settings: WorldSettings = QUIET) -> None:
+        self.layout = layout or paper_layout()
+        self.fingers = HandMovedFingers()
+        self.world = PhysicalWorld(self.layout, self.fingers, settings)
+        self.now_s = 0.0
+
+    def go(self, near_m: float, far_m: float) -> tuple[float, float]:
+        self.fingers.finger_position_m = (near_m, far_m)
+        self.now_s += 1e-3
+        self.world.advance_to(self.now_s)
+        return self.world.contact_force_n()
+
+    def squeeze(self, force_n: float) -> None:
+        """Close both fingers evenly until the pads carry ``force_n`` within 0.5 %."""
+        low_m, high_m = 0.0, 12e-3
+        while high_m - low_m > 1e-7:
+            half_m = 0.5 * (low_m + high_m)
+            if self.go(half_m, half_m)[0] > force_n:
+                low_m = half_m
+            else:
+                high_m = half_m
+        assert self.go(high_m, high_m)[0] == pytest.approx(force_n, rel=5e-3)
+
+    def pad_force_n(self, finger: int) -> np.ndarray:
+        pad = self.layout.gripping_pads[finger]
+        shape = tuple(self.layout.pad_shape[pad])
+        return self.world.taxel_force_n()[self.layout.taxels_of(pad)].reshape(shape)
+
+
+def spread_m(bench: Bench, finger: int = 0) -> tuple[float, float, float]:
+    """Return the footprint's standard deviations along x and y and its covariance's angle."""
+    force_n = bench.pad_force_n(finger).ravel()
+    xy_m = bench.layout.taxel_xy_m[bench.layout.taxels_of(bench.layout.gripping_pads[finger])]
+    weights = force_n / force_n.sum()
+    offset_m = xy_m - weights @ xy_m
+    covariance = (weights[:, np.newaxis] * offset_m).T @ offset_m
+    angle = 0.5 * math.atan2(2.0 * covariance[0, 1], covariance[0, 0] - covariance[1, 1])
+    return math.sqrt(covariance[0, 0]), math.sqrt(covariance[1, 1]), angle
+
+
+@pytest.mark.parametrize("layout", [paper_layout(), pinch_layout()], ids=["paper", "pinch"])
+@pytest.mark.parametrize("name", PAPER_OBJECTS)
+def test_the_taxels_carry_the_contact_force(name: str, layout: TaxelLayout) -> None:
+    bench = Bench(layout)
+    bench.world.place(name, ObjectPose(x_m=2e-3, y_m=-1e-3, rotation_rad=0.7))
+    for force_n in (0.5, 4.0, 12.0):
+        bench.squeeze(force_n)
+        contact_n = bench.world.contact_force_n()
+        for finger in (0, 1):
+            assert bench.pad_force_n(finger).sum() == pytest.approx(contact_n[finger], rel=0.01)
+
+
+def test_only_the_inner_pads_feel_anything() -> None:
+    bench = Bench()
+    bench.world.place("box")
+    bench.squeeze(8.0)
+    counts = bench.world.scan()
+    gripping = np.isin(bench.layout.taxel_pad, bench.layout.gripping_pads)
+    assert counts[gripping].max() > 60
+    assert not counts[~gripping].any()
+
+
+@pytest.mark.parametrize("name", PAPER_OBJECTS)
+def test_peaks_lie_in_the_useful_range_of_8_bit_counts(name: str) -> None:
+    bench = Bench()
+    bench.world.place(name)
+    peaks = []
+    for force_n in (2.0, 4.0, 6.0, 8.0):
+        bench.squeeze(force_n)
+        peaks.append(int(bench.world.scan().max()))
+    assert peaks == sorted(peaks)
+    assert peaks[0] >= 15
+    assert 60 <= peaks[-1] <= 230
+
+
+def test_more_closing_is_more_force() -> None:
+    bench = Bench()
+    bench.world.place("oval")
+    forces_n = [bench.go(half_m, half_m)[0] for half_m in np.linspace(7e-3, 3.5e-3, 60)]
+    assert forces_n[0] == 0.0
+    touched = [force_n for force_n in forces_n if force_n > 0.0]
+    assert len(touched) > 20
+    assert all(b > a for a, b in itertools.pairwise(touched))
+
+
+def test_a_ball_prints_round_a_cylinder_long_and_a_box_flat() -> None:
+    layout = pinch_layout()
+    spreads = {}
+    for name in ("ball", "cylinder", "box"):
+        bench = Bench(layout)
+        bench.world.place(name)
+        bench.squeeze(6.0)
+        spreads[name] = spread_m(bench)
+    assert spreads["ball"][0] == pytest.approx(spreads["ball"][1], rel=0.05)
+    # A line of 20 mm has a standard deviation of 5.8 mm, a face of 15.9 x 10 mm 4.6 and 2.9 mm.
+    assert spreads["cylinder"][0] == pytest.approx(6.1e-3, rel=0.07)
+    assert spreads["cylinder"][1] < 0.45 * spreads["cylinder"][0]
+    assert spreads["box"][:2] == pytest.approx((4.9e-3, 3.4e-3), rel=0.1)
+
+    bench = Bench(layout)
+    bench.world.place("box")
+    bench.squeeze(8.0)
+    inside_n = bench.pad_force_n(0)[5:8, 2:4]
+    assert np.ptp(inside_n) < 0.15 * inside_n.mean()
+
+
+@pytest.mark.parametrize("angle_deg", [-60.0, 25.0, 80.0])
+def test_rotation_turns_the_footprint_the_same_way_on_both_pads(angle_deg: float) -> None:
+    bench = Bench(pinch_layout())
+    bench.world.place("cylinder", ObjectPose(rotation_rad=math.radians(angle_deg)))
+    bench.squeeze(5.0)
+    for finger in (0, 1):
+        assert math.degrees(spread_m(bench, finger)[2]) == pytest.approx(angle_deg, abs=4.0)
+
+
+def test_an_offset_moves_the_footprint() -> None:
+    bench = Bench()
+    bench.world.place("ball", ObjectPose(x_m=6e-3, y_m=2e-3))
+    bench.squeeze(4.0)
+    force_n = bench.pad_force_n(1).ravel()
+    xy_m = bench.layout.taxel_xy_m[bench.layout.taxels_of(bench.layout.gripping_pads[1])]
+    assert force_n @ xy_m / force_n.sum() == pytest.approx([6e-3, 2e-3], abs=0.3e-3)
+
+
+def test_roll_shows_another_side() -> None:
+    world_a, world_b = Bench(pinch_layout()), Bench(pinch_layout())
+    world_a.world.place("box:length=18mm,width=6mm,height=12mm")
+    world_b.world.place("box:length=18mm,width=6mm,height=12mm", ObjectPose(roll_rad=0.5 * math.pi))
+    world_a.squeeze(6.0)
+    world_b.squeeze(6.0)
+    assert spread_m(world_b)[1] > 1.4 * spread_m(world_a)[1]
+
+
+def test_the_object_floats_until_both_pads_push_equally() -> None:
+    bench = Bench()
+    friction_n = QUIET.nest_friction_n
+    bench.world.place("box", ObjectPose(z_m=1e-3))
+    assert bench.go(6.5e-3, 6.5e-3) == (0.0, 0.0)
+    assert bench.world.object_z_m == 1e-3
+    # Finger 1 meets it first and pushes it along with no more than the nest's friction.
+    force_n = bench.go(6.5e-3, 4.5e-3)
+    assert force_n == pytest.approx((0.0, friction_n), abs=1e-4)
+    assert bench.world.object_z_m < 0.0
+    near_n, far_n = bench.go(4.8e-3, 3.9e-3)
+    assert near_n > 3.0
+    assert abs(near_n - far_n) <= friction_n + 1e-4
+    assert -0.6e-3 < bench.world.object_z_m < -0.3e-3
+
+
+def test_the_object_stays_where_it_was_left() -> None:
+    bench = Bench()
+    bench.world.place("box")
+    bench.go(3.9e-3, 4.5e-3)
+    z_m = bench.world.object_z_m
+    assert bench.go(12e-3, 12e-3) == (0.0, 0.0)
+    assert bench.world.object_z_m == z_m != 0.0
+
+
+def test_the_mechanics_feel_force_and_stiffness_of_the_step_before() -> None:
+    bench = Bench()
+    bench.world.place("box")
+    bench.go(4.5e-3, 4.5e-3)
+    bench.go(4.49e-3, 4.49e-3)
+    force_n, stiffness_n_m = bench.fingers.steps[-1]
+    grown_n = bench.world.contact_force_n()
+    assert grown_n[0] - force_n[0] == pytest.approx(1e-5 * stiffness_n_m[0], rel=0.02)
+
+
+def test_time_passes_in_steps_of_a_millisecond() -> None:
+    bench = Bench()
+    bench.world.advance_to(0.0104)
+    assert len(bench.fingers.steps) == 10
+    bench.world.advance_to(0.0109)
+    assert len(bench.fingers.steps) == 10
+    bench.world.advance_to(0.011)
+    assert len(bench.fingers.steps) == 11
+    bench.world.skip_to(1.0)
+    bench.world.advance_to(1.001)
+    assert len(bench.fingers.steps) == 12
+
+
+def test_the_noise_is_new_for_each_frame_and_the_same_for_each_run() -> None:
+    worlds = [
+        PhysicalWorld(paper_layout(), HandMovedFingers(), WorldSettings(seed=7)) for _ in range(2)
+    ]
+    first, second = worlds[0].scan(), worlds[0].scan()
+    assert first.dtype == np.uint16
+    assert first.min() >= 1
+    assert first.max() <= 20
+    assert np.count_nonzero(first != second) > 300
+    assert np.array_equal(first, worlds[1].scan())
+
+
+def test_counts_stay_within_the_converter() -> None:
+    bench = Bench(settings=WorldSettings())
+    bench.world.place("ball")
+    bench.squeeze(60.0)
+    assert bench.world.scan().max() == 255
+
+
+def test_an_object_goes_only_between_open_fingers() -> None:
+    bench = Bench()
+    bench.world.place("box")
+    bench.go(4.5e-3, 4.5e-3)
+    with pytest.raises(SimulatorStateError, match="release it first"):
+        bench.world.place("ball")
+    assert bench.world.placed == ("box", ObjectPose())
+    bench.world.remove()
+    assert bench.world.placed is None
+    assert math.isnan(bench.world.object_z_m)
+    assert bench.world.contact_force_n() == (0.0, 0.0)
+    with pytest.raises(SimulatorStateError, match="open the gripper first"):
+        bench.world.place("box")
+    bench.go(12e-3, 12e-3)
+    assert bench.world.place("box", ObjectPose(roll_rad=1.5)).roll_rad == 0.5 * math.pi
+
+
+def test_what_cannot_be_placed_is_refused() -> None:
+    bench = Bench()
+    with pytest.raises(SimulatorSettingsError, match="unknown shape"):
+        bench.world.place("teapot")
+    with pytest.raises(SimulatorSettingsError, match=r"beside the pad finger0\.inner"):
+        bench.world.place("ball", ObjectPose(x_m=0.05))
+    assert bench.world.placed is None

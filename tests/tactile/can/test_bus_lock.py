@@ -1,0 +1,92 @@
+"""One program at a time on a CAN bus."""
+
+import fcntl
+import os
+import pty
+import subprocess
+import sys
+import tty
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tactile.can.bus import BusLock, close_bus, open_bus
+from tactile.errors import BusNotOpened
+
+HOLD = """
+import sys
+from tactile.can.bus import BusLock
+lock = BusLock(sys.argv[1], sys.argv[2])
+print("locked", flush=True)
+sys.stdin.readline()
+"""
+
+
+@pytest.fixture
+def port() -> Iterator[str]:
+    """A pseudo-terminal that takes no exclusive mode: as for an administrator."""
+    master, slave = pty.openpty()
+    tty.setraw(slave)
+    yield os.ttyname(slave)
+    os.close(master)
+    os.close(slave)
+
+
+def held_elsewhere(interface: str, channel: str) -> "subprocess.Popen[str]":
+    process = subprocess.Popen(
+        [sys.executable, "-c", HOLD, interface, channel],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    assert process.stdout is not None
+    assert process.stdout.readline() == "locked\n"
+    return process
+
+
+@pytest.mark.parametrize("interface", ["slcan", "socketcan"])
+def test_a_second_program_is_refused_until_the_first_has_ended(interface: str, port: str) -> None:
+    channel = port if interface == "slcan" else "can77"
+    with held_elsewhere(interface, channel) as other:
+        with pytest.raises(BusNotOpened, match="used by another program of this kind"):
+            open_bus(interface, channel)
+        other.kill()
+    BusLock(interface, channel).release()
+
+
+def test_a_link_to_the_port_is_the_same_port_and_closing_gives_it_back(
+    port: str, tmp_path: Path
+) -> None:
+    link = tmp_path / "adapter"
+    link.symlink_to(port)
+    bus = open_bus("slcan", port)
+    with pytest.raises(BusNotOpened, match="used by another program"):
+        open_bus("slcan", str(link))
+    close_bus(bus)
+    close_bus(open_bus("slcan", str(link)))
+
+
+def test_a_bus_that_cannot_be_opened_leaves_no_lock() -> None:
+    for _ in range(2):
+        with pytest.raises(BusNotOpened, match="ip link"):
+            open_bus("socketcan", "can78")
+
+
+def test_a_lock_file_of_another_user_is_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tempfile.gettempdir", lambda: str(tmp_path))
+    BusLock("socketcan", "can79").release()
+    (file,) = tmp_path.iterdir()
+    file.chmod(0o444)
+    lock = BusLock("socketcan", "can79")
+    with file.open() as other, pytest.raises(BlockingIOError):
+        fcntl.flock(other, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    lock.release()
+    lock.release()
+
+
+def test_buses_within_a_program_are_shared() -> None:
+    for lock in (BusLock("virtual", "a"), BusLock("virtual", "a")):
+        lock.release()

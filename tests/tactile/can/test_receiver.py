@@ -1,0 +1,420 @@
+"""Buses and receivers: slcan over a pseudo-terminal, the receive thread and its ends."""
+
+import contextlib
+import os
+import queue
+import socket
+import threading
+import time
+import tty
+from collections.abc import Iterator
+
+import can
+import numpy as np
+import pytest
+
+from tactile.can.bus import BulkSlcanBus, close_bus, open_bus
+from tactile.can.receiver import PolledSource, ThreadedReceiver
+from tactile.errors import BusNotOpened, BusOff, LinkFault, ReceiveLoopDead
+from tactile.frames.assembler import FrameAssembler
+from tactile.frames.codec import FrameFormat, encode_frame
+
+
+class QueueBus(can.BusABC):
+    """A bus whose ``recv`` blocks on a queue."""
+
+    def __init__(self) -> None:
+        self.queue: queue.Queue = queue.Queue()
+        self.taken = threading.Event()
+        super().__init__("queue")
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        raise NotImplementedError
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        try:
+            item = self.queue.get(timeout=timeout) if timeout else self.queue.get_nowait()
+        except queue.Empty:
+            return None
+        if isinstance(item, Exception):
+            raise item
+        if callable(item):
+            item()
+            return None
+        return item
+
+    def settle(self) -> None:
+        """Wait until the receiver has worked off the queue."""
+        done = threading.Event()
+        self.queue.put(done.set)
+        assert done.wait(5.0)
+
+
+@pytest.fixture
+def bus() -> Iterator[QueueBus]:
+    queue_bus = QueueBus()
+    yield queue_bus
+    queue_bus.shutdown()
+
+
+def message(number: int) -> can.Message:
+    return can.Message(arbitration_id=number, is_extended_id=False)
+
+
+def test_thread_stamps_and_queues_in_order(bus: QueueBus) -> None:
+    bus.queue.put(message(99))
+    receiver = ThreadedReceiver(bus, time)
+    receiver.start()
+    before_s = time.monotonic()
+    for number in range(50):
+        bus.queue.put(message(number))
+    bus.settle()
+    received = receiver.drain()
+    receiver.close()
+    assert [m.arbitration_id for _, m in received] == list(range(50))
+    stamps = [t_s for t_s, _ in received]
+    assert stamps == sorted(stamps)
+    assert before_s <= stamps[0] <= time.monotonic()
+    with pytest.raises(ReceiveLoopDead, match="not running"):
+        receiver.drain()
+
+
+def ended(bus: QueueBus, receiver: ThreadedReceiver, last: object) -> None:
+    receiver.start()
+    thread = next(t for t in threading.enumerate() if t.name == "tactile-receive")
+    bus.queue.put(last)
+    thread.join(5.0)
+    assert not thread.is_alive()
+
+
+@pytest.mark.parametrize(
+    ("error", "fault"),
+    [
+        (can.CanOperationError("unplugged"), BusOff),
+        (OSError(19, "no such device"), BusOff),
+        (RuntimeError("driver bug"), ReceiveLoopDead),
+    ],
+)
+def test_an_error_in_the_thread_is_a_fault_every_time(
+    bus: QueueBus, error: Exception, fault: type[LinkFault]
+) -> None:
+    receiver = ThreadedReceiver(bus, time)
+    ended(bus, receiver, error)
+    for _ in range(2):
+        with pytest.raises(fault, match="start the link again"):
+            receiver.drain()
+    receiver.close()
+    receiver.start()
+    assert receiver.drain() == []
+    with pytest.raises(ReceiveLoopDead, match="runs already"):
+        receiver.start()
+    receiver.close()
+
+
+def test_a_queue_that_nobody_empties_is_a_fault(bus: QueueBus) -> None:
+    receiver = ThreadedReceiver(bus, time, limit=5)
+    receiver.start()
+    for number in range(5):
+        bus.queue.put(message(number))
+    thread = next(t for t in threading.enumerate() if t.name == "tactile-receive")
+    bus.queue.put(message(5))
+    thread.join(5.0)
+    with pytest.raises(ReceiveLoopDead, match="5 CAN messages wait"):
+        receiver.drain()
+    receiver.close()
+
+
+def test_a_driver_that_hangs_is_a_fault(bus: QueueBus) -> None:
+    class LateClock:
+        offset_s = 0.0
+
+        def monotonic(self) -> float:
+            return time.monotonic() + self.offset_s
+
+        def sleep(self, seconds: float, /) -> None:
+            raise NotImplementedError
+
+    clock = LateClock()
+    receiver = ThreadedReceiver(bus, clock, hang_s=1.0)
+    hang, hanging = threading.Event(), threading.Event()
+    receiver.start()
+
+    def hold() -> None:
+        hanging.set()
+        hang.wait(10.0)
+
+    bus.queue.put(hold)
+    assert hanging.wait(5.0)
+    clock.offset_s = 1.5
+    with pytest.raises(ReceiveLoopDead, match=r"did not come round for 1\.\d+ s"):
+        receiver.drain()
+    hang.set()
+    receiver.close()
+
+
+def test_polled_source_bounds_what_it_takes_at_once(bus: QueueBus) -> None:
+    source = PolledSource(bus, time, limit=3)
+    for number in range(10):
+        bus.queue.put(message(number))
+    source.start()
+    assert source.drain() == []
+    for number in range(5):
+        bus.queue.put(message(number))
+    assert [m.arbitration_id for _, m in source.drain()] == [0, 1, 2]
+    assert [m.arbitration_id for _, m in source.drain()] == [3, 4]
+    bus.queue.put(can.CanOperationError(""))
+    with pytest.raises(BusOff, match="CanOperationError"):
+        source.drain()
+    source.close()
+
+
+# --- slcan ---------------------------------------------------------------------------------------
+
+
+class Adapter:
+    """The other end of a pseudo-terminal."""
+
+    def __init__(self) -> None:
+        self.master, slave = os.openpty()
+        tty.setraw(slave)
+        self.path = os.ttyname(slave)
+        self.slave = slave
+
+    def write(self, data: bytes) -> None:
+        os.write(self.master, data)
+
+    def read(self) -> bytes:
+        """Return what comes, but for questions after the flags."""
+        while not (data := os.read(self.master, 4096).replace(b"F\r", b"")):
+            pass
+        return data
+
+    def unplug(self) -> None:
+        os.close(self.master)
+        self.master = -1
+
+    def close(self) -> None:
+        for descriptor in (self.master, self.slave):
+            if descriptor >= 0:
+                os.close(descriptor)
+
+
+@pytest.fixture
+def adapter() -> Iterator[Adapter]:
+    one = Adapter()
+    yield one
+    one.close()
+
+
+@pytest.fixture
+def slcan(adapter: Adapter) -> Iterator[BulkSlcanBus]:
+    bus = open_bus("slcan", adapter.path, bitrate=1_000_000)
+    assert isinstance(bus, BulkSlcanBus)
+    yield bus
+    close_bus(bus)
+
+
+def received(bus: can.BusABC) -> list[can.Message]:
+    messages = []
+    while (found := bus.recv(0.2 if not messages else 0)) is not None:
+        messages.append(found)
+    return messages
+
+
+def test_slcan_opens_with_bit_rate_and_without_waiting(adapter: Adapter) -> None:
+    start_s = time.monotonic()
+    bus = open_bus("slcan", adapter.path, bitrate=500_000)
+    assert time.monotonic() - start_s < 1.0
+    sent = b""
+    while not sent.endswith(b"O\r"):
+        sent += adapter.read()
+    assert b"S6\r" in sent
+    bus.send(can.Message(arbitration_id=0x80, is_extended_id=False))
+    bus.send(can.Message(arbitration_id=0x605, data=b"\x40\x18", is_extended_id=False))
+    sent = adapter.read()
+    while len(sent) < 16:
+        sent += adapter.read()
+    assert sent == b"t0800\rt60524018\r"
+    close_bus(bus)
+    assert adapter.read() == b"C\r"
+
+
+def test_slcan_reads_a_burst_whole(adapter: Adapter, slcan: BulkSlcanBus) -> None:
+    frame_format = FrameFormat(n_taxels=408, sample_bytes=1)
+    counts = np.arange(408) & 255
+    lines = b"".join(
+        b"t1858" + m.hex().upper().encode() + b"\r"
+        for m in encode_frame(frame_format, counts, 9, 0)
+    )
+    adapter.write(b"z\r\r\a" + lines[:500])
+    messages = received(slcan)
+    adapter.write(lines[500:])
+    messages += received(slcan)
+    assembler = FrameAssembler(frame_format)
+    frames = [assembler.push(m.data, m.dlc, 0.0) for m in messages]
+    assert len(messages) == 59
+    frame = frames[-1]
+    assert frame is not None
+    np.testing.assert_array_equal(frame.counts, counts)
+
+
+def test_slcan_survives_damaged_lines_and_counts_them(
+    adapter: Adapter, slcan: BulkSlcanBus
+) -> None:
+    bad = [b"t1812ZZZZ", b"t1812\xff\xff", b"tZZZ0", b"t1818112233"]
+    good = [b"t1812AABB", b"T000000102FF1F", b"t1813112233"]
+    adapter.write(
+        b"".join(line + b"\r" for pair in zip(bad, [*good, b"z"], strict=True) for line in pair)
+    )
+    assert [(m.arbitration_id, m.dlc, bytes(m.data)) for m in received(slcan)] == [
+        (0x181, 2, b"\xaa\xbb"),
+        (0x10, 2, b"\xff\x1f"),
+        (0x181, 3, b"\x11\x22\x33"),
+    ]
+    assert slcan.bad_lines == len(bad)
+    adapter.write(b"x" * 100)
+    assert received(slcan) == []
+    adapter.write(b"\rt1811AA\r")
+    assert [bytes(m.data) for m in received(slcan)] == [b"\xaa"]
+
+
+def test_an_unplugged_adapter_is_bus_off_and_can_be_closed(
+    adapter: Adapter, slcan: BulkSlcanBus
+) -> None:
+    adapter.unplug()
+    with pytest.raises(BusOff, match="plugged in"):
+        PolledSource(slcan, time).drain()
+    close_bus(slcan)
+
+
+def test_one_port_is_opened_once_only(adapter: Adapter, slcan: BulkSlcanBus) -> None:
+    adapter.read()
+    with pytest.raises(BusNotOpened, match="used by another program"):
+        open_bus("slcan", adapter.path)
+    adapter.write(b"t1811AA\r")
+    assert [bytes(m.data) for m in received(slcan)] == [b"\xaa"]
+    slcan.send(can.Message(arbitration_id=0x80, is_extended_id=False))
+    assert adapter.read() == b"t0800\r"
+
+
+def test_an_adapter_that_is_error_passive_gives_an_error_frame_once(
+    adapter: Adapter, slcan: BulkSlcanBus
+) -> None:
+    adapter.write(b"F00\rF20\rt1811AA\rF20\rF04\r")
+    messages = received(slcan)
+    assert sorted(m.is_error_frame for m in messages) == [False, True, True]
+    changes = [(m.arbitration_id, m.data[1]) for m in messages if m.is_error_frame]
+    assert changes == [(0x04, 0x30), (0x04, 0x40)]
+
+
+def test_an_adapter_that_does_not_know_its_flags_is_left_in_peace(adapter: Adapter) -> None:
+    bus = open_bus("slcan", adapter.path)
+    for _ in range(14):
+        bus.recv(0.051)
+    assert os.read(adapter.master, 4096).count(b"F\r") == 10
+    close_bus(bus)
+
+
+@pytest.mark.parametrize(
+    ("interface", "channel", "says"),
+    [
+        ("slcan", "/dev/does-not-exist", "does-not-exist.*Check that the adapter is plugged in"),
+        ("slcan", "", "serial port"),
+        ("socketcan", "nocan7", "nocan7.*ip link"),
+        ("socketcand", "nowhere/can0", "HOST:PORT/CHANNEL"),
+        ("no-such-interface", "x", "Check the names"),
+    ],
+)
+def test_a_bus_that_cannot_be_opened_says_what_to_check(
+    interface: str, channel: str, says: str
+) -> None:
+    with pytest.raises(BusNotOpened, match=says):
+        open_bus(interface, channel)
+
+
+def test_a_bit_rate_that_slcan_does_not_know_is_refused(adapter: Adapter) -> None:
+    with pytest.raises(BusNotOpened, match="bitrate"):
+        open_bus("slcan", adapter.path, bitrate=123)
+
+
+def test_other_interfaces_are_opened_by_python_can() -> None:
+    bus = open_bus("virtual", "tactile-test")
+    bus.shutdown()
+
+
+# --- socketcand ----------------------------------------------------------------------------------
+
+
+class Server:
+    """A socketcand server on the loopback that plays its part as far as it is told to."""
+
+    def __init__(self, greeting: bytes = b"< hi >") -> None:
+        self.socket = socket.create_server(("127.0.0.1", 0))
+        self.address = f"127.0.0.1:{self.socket.getsockname()[1]}/can0"
+        self.greeting = greeting
+        self.clients: list[socket.socket] = []
+        self.connected = threading.Event()
+        self.thread = threading.Thread(target=self.run, daemon=True)
+        self.thread.start()
+
+    def run(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                client, _ = self.socket.accept()
+                self.clients.append(client)
+                client.sendall(self.greeting)
+                for _ in range(2):
+                    if not client.recv(100):
+                        break
+                    client.sendall(b"< ok >")
+                else:
+                    self.connected.set()
+
+    @property
+    def client(self) -> socket.socket:
+        """The connection that the driver uses."""
+        return self.clients[-1]
+
+    def close(self) -> None:
+        self.socket.shutdown(socket.SHUT_RDWR)
+        self.socket.close()
+        self.thread.join(5.0)
+        for client in self.clients:
+            client.close()
+
+
+@pytest.fixture
+def server() -> Iterator[Server]:
+    one = Server()
+    yield one
+    one.close()
+
+
+def test_a_socketcand_server_that_goes_away_is_noticed(server: Server) -> None:
+    bus = open_bus("socketcand", server.address)
+    assert server.connected.wait(5.0)
+    server.client.sendall(b"< frame 185 23.424242 0102 >")
+    message = bus.recv(2.0)
+    assert message is not None
+    assert (message.arbitration_id, bytes(message.data)) == (0x185, b"\1\2")
+    assert bus.recv(0.01) is None
+    receiver = ThreadedReceiver(bus, time)
+    receiver.start()
+    server.client.close()
+    thread = next(t for t in threading.enumerate() if t.name == "tactile-receive")
+    thread.join(0.5)
+    with pytest.raises(BusOff, match="server has closed the connection"):
+        receiver.drain()
+    receiver.close()
+    close_bus(bus)
+
+
+def test_a_socketcand_server_that_refuses_or_speaks_otherwise_is_named_at_once() -> None:
+    server = Server(b"HTTP/1")
+    with pytest.raises(BusNotOpened, match=r"does not speak socketcand.*server runs"):
+        open_bus("socketcand", server.address)
+    server.close()
+    start_s = time.monotonic()
+    with pytest.raises(BusNotOpened, match="refused"):
+        open_bus("socketcand", server.address)
+    assert time.monotonic() - start_s < 1.0

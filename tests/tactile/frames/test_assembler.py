@@ -1,0 +1,263 @@
+"""The assembler: every kind of damage costs frames, none yields a torn one."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tactile.frames.assembler import FrameAssembler
+from tactile.frames.codec import FrameFormat, TactileFrame, encode_frame
+
+N_FRAMES = 6
+N_MESSAGES = 59
+PAPER = FrameFormat(n_taxels=408, sample_bytes=1)
+RUNS = 120
+
+Stream = list[bytes]
+Damage = Callable[[Stream, np.random.Generator], Stream]
+
+
+def sent_frames(rng: np.random.Generator, n: int = N_FRAMES) -> dict[int, np.ndarray]:
+    start = int(rng.integers(0, 0x10000))
+    return {(start + i) & 0xFFFF: rng.integers(0, 256, 408) for i in range(n)}
+
+
+def stream_of(frames: dict[int, np.ndarray]) -> Stream:
+    return [
+        m for counter, counts in frames.items() for m in encode_frame(PAPER, counts, counter, 0)
+    ]
+
+
+def received(assembler: FrameAssembler, stream: Stream) -> list[TactileFrame]:
+    frames = (assembler.push(m, len(m), i * 1e-4) for i, m in enumerate(stream))
+    return [frame for frame in frames if frame is not None]
+
+
+def burst_loss(stream: Stream, rng: np.random.Generator) -> Stream:
+    length = int(rng.integers(1, 131))
+    start = int(rng.integers(0, len(stream) - length))
+    return stream[:start] + stream[start + length :]
+
+
+def loss_of_exactly_one_frame(stream: Stream, rng: np.random.Generator) -> Stream:
+    start = int(rng.integers(0, len(stream) - N_MESSAGES))
+    return stream[:start] + stream[start + N_MESSAGES :]
+
+
+def loss_of_exactly_four_frames(stream: Stream, rng: np.random.Generator) -> Stream:
+    start = int(rng.integers(0, len(stream) - 4 * N_MESSAGES))
+    return stream[:start] + stream[start + 4 * N_MESSAGES :]
+
+
+def delayed(stream: Stream, rng: np.random.Generator) -> Stream:
+    places = int(rng.integers(1, 71))
+    start = int(rng.integers(0, len(stream) - places))
+    message = stream[start]
+    rest = stream[:start] + stream[start + 1 :]
+    return [*rest[: start + places], message, *rest[start + places :]]
+
+
+def random_loss(stream: Stream, rng: np.random.Generator) -> Stream:
+    return [message for message in stream if rng.random() > 0.01]
+
+
+def bit_flip(stream: Stream, rng: np.random.Generator) -> Stream:
+    place, bit = int(rng.integers(0, len(stream))), int(rng.integers(0, 64))
+    flipped = bytearray(stream[place])
+    flipped[bit // 8] ^= 1 << bit % 8
+    return [*stream[:place], bytes(flipped), *stream[place + 1 :]]
+
+
+def everything(stream: Stream, rng: np.random.Generator) -> Stream:
+    for damage in (burst_loss, delayed, random_loss, bit_flip, duplicate, neighbour_swap):
+        if rng.random() < 0.6:
+            stream = damage(stream, rng)
+    return stream
+
+
+def duplicate(stream: Stream, rng: np.random.Generator) -> Stream:
+    place = int(rng.integers(0, len(stream)))
+    return stream[: place + 1] + stream[place:]
+
+
+def neighbour_swap(stream: Stream, rng: np.random.Generator) -> Stream:
+    place = int(rng.integers(0, len(stream) - 1))
+    return [*stream[:place], stream[place + 1], stream[place], *stream[place + 2 :]]
+
+
+@pytest.mark.parametrize(
+    ("damage", "least_good"),
+    [
+        (burst_loss, 2),
+        (loss_of_exactly_one_frame, 4),
+        (loss_of_exactly_four_frames, 1),
+        (delayed, 5),
+        (random_loss, 0),
+        (bit_flip, 4),
+        (duplicate, 6),
+        (neighbour_swap, 6),
+        (everything, 0),
+    ],
+)
+def test_no_damage_yields_a_torn_frame(damage: Damage, least_good: int) -> None:
+    rng = np.random.default_rng(20)
+    for _ in range(RUNS):
+        sent = sent_frames(rng)
+        assembler = FrameAssembler(PAPER)
+        frames = received(assembler, damage(stream_of(sent), rng))
+        for frame in frames:
+            np.testing.assert_array_equal(frame.counts, sent[frame.counter])
+        order = list(sent)
+        assert [order.index(frame.counter) for frame in frames] == sorted(
+            order.index(frame.counter) for frame in frames
+        )
+        assert len(frames) >= least_good
+        assert assembler.statistics.complete == len(frames)
+
+
+@pytest.mark.parametrize(
+    "damage", [burst_loss, loss_of_exactly_one_frame, loss_of_exactly_four_frames, random_loss]
+)
+def test_every_frame_that_lost_nothing_is_handed_out(damage: Damage) -> None:
+    rng = np.random.default_rng(21)
+    for _ in range(RUNS):
+        sent = sent_frames(rng)
+        stream = damage(stream_of(sent), rng)
+        left = set(stream)
+        whole = [
+            counter
+            for counter, counts in sent.items()
+            if left.issuperset(encode_frame(PAPER, counts, counter, 0))
+        ]
+        assert [f.counter for f in received(FrameAssembler(PAPER), stream)] == whole
+
+
+def test_idle_frames_of_equal_samples_are_not_mixed_up() -> None:
+    rng = np.random.default_rng(3)
+    counts = np.zeros(408, int)
+    for _ in range(RUNS):
+        stream = stream_of(dict.fromkeys(range(12), counts))
+        frames = received(FrameAssembler(PAPER), everything(stream, rng))
+        counters = [frame.counter for frame in frames]
+        assert counters == sorted(set(counters))
+        assert all(not frame.counts.any() for frame in frames)
+
+
+def test_undamaged_stream_is_all_there_across_the_counters_turn() -> None:
+    assembler = FrameAssembler(PAPER)
+    frames = received(
+        assembler, stream_of({c & 0xFFFF: np.full(408, c & 0xFF) for c in range(65530, 65546)})
+    )
+    assert len(frames) == 16
+    statistics = assembler.statistics
+    assert (statistics.complete, statistics.lost, statistics.torn) == (16, 0, 0)
+
+
+def test_lost_and_torn_are_counted() -> None:
+    messages = [encode_frame(PAPER, np.full(408, c), c, 0) for c in range(8)]
+    del messages[2][17]
+    stream = [m for c in (0, 1, 2, 3, 6, 7) for m in messages[c]]
+    assembler = FrameAssembler(PAPER)
+    assert [frame.counter for frame in received(assembler, stream)] == [0, 1, 3, 6, 7]
+    statistics = assembler.statistics
+    assert (statistics.lost, statistics.torn) == (3, 1)
+
+
+def test_a_late_message_completes_its_own_frame_while_the_next_one_arrives() -> None:
+    first, second = (encode_frame(PAPER, np.full(408, c), c, 0) for c in (0, 1))
+    late = first.pop(40)
+    stream = first + second[:20] + [late] + second[20:]
+    assembler = FrameAssembler(PAPER)
+    assert [frame.counter for frame in received(assembler, stream)] == [0, 1]
+    assert assembler.statistics.reordered == 1
+    assert assembler.statistics.torn == 0
+
+
+def test_a_message_later_than_the_next_frame_does_not_bring_back_an_older_frame() -> None:
+    first, second, third = (encode_frame(PAPER, np.full(408, c), c, 0) for c in (0, 1, 2))
+    late = first.pop(40)
+    assembler = FrameAssembler(PAPER)
+    counters = [frame.counter for frame in received(assembler, first + second + [late] + third)]
+    assert counters == [1, 2]
+
+
+def test_duplicates_and_swaps_are_counted_and_harmless() -> None:
+    messages = encode_frame(PAPER, np.arange(408) & 255, 9, 0)
+    swapped = [messages[1], messages[0], messages[0], *messages[2:], messages[58], messages[3]]
+    assembler = FrameAssembler(PAPER)
+    assert len(received(assembler, swapped)) == 1
+    assert assembler.statistics.reordered == 1
+    assert assembler.statistics.duplicate == 3
+
+
+def test_repeated_and_older_frames_are_stale() -> None:
+    newer, older = (encode_frame(PAPER, np.full(408, c), c, 0) for c in (9, 8))
+    other = encode_frame(PAPER, np.full(408, 77), 9, 0)
+    assembler = FrameAssembler(PAPER)
+    assert len(received(assembler, newer + older + other)) == 1
+    assert assembler.statistics.stale == 2
+
+
+@pytest.mark.parametrize("length", [0, 1, 3, 7])
+def test_short_messages_are_dropped_even_if_the_dlc_says_eight(length: int) -> None:
+    messages = encode_frame(PAPER, np.zeros(408, int), 0, 0)
+    assembler = FrameAssembler(PAPER)
+    assert assembler.push(messages[0][:length], 8, 0.0) is None
+    assert assembler.push(messages[0], length, 0.0) is None
+    assert assembler.statistics.short == 2
+    assert len(received(assembler, messages)) == 1
+
+
+def test_index_beyond_the_burst_is_refused() -> None:
+    assembler = FrameAssembler(PAPER)
+    assert assembler.push(bytes([59]) + bytes(7), 8, 0.0) is None
+    assert assembler.statistics.corrupt == 1
+
+
+def test_wrong_crc_is_refused_and_the_next_frame_is_taken() -> None:
+    first, second = (encode_frame(PAPER, np.full(408, c), c, 0) for c in (4, 5))
+    first[58] = first[58][:-1] + bytes([first[58][-1] ^ 1])
+    assembler = FrameAssembler(PAPER)
+    assert [frame.counter for frame in received(assembler, first + second)] == [5]
+    assert assembler.statistics.corrupt == 1
+
+
+def test_a_buffer_that_the_caller_reuses_does_no_harm() -> None:
+    assembler = FrameAssembler(PAPER)
+    buffer = bytearray(8)
+    frame = None
+    for message in encode_frame(PAPER, np.arange(408) & 255, 1, 0):
+        buffer[:] = message
+        frame = assembler.push(buffer, 8, 0.0)
+    assert frame is not None
+    np.testing.assert_array_equal(frame.counts, np.arange(408) & 255)
+
+
+@pytest.mark.parametrize("missing", [1, 2, 5, 6])
+def test_idle_frames_after_lost_ones_are_not_taken_for_duplicates(missing: int) -> None:
+    kept = [c for c in range(20) if not 8 <= c < 8 + missing]
+    frames = received(FrameAssembler(PAPER), stream_of(dict.fromkeys(kept, np.zeros(408, int))))
+    assert [frame.counter for frame in frames] == kept
+
+
+def test_reset_forgets_counter_and_statistics() -> None:
+    assembler = FrameAssembler(PAPER)
+    stream = stream_of({40: np.zeros(408, int)})
+    assert len(received(assembler, stream)) == 1
+    assembler.reset()
+    assert len(received(assembler, stream_of({0: np.zeros(408, int)}))) == 1
+    assert assembler.statistics.complete == 1
+
+
+@settings(derandomize=True, max_examples=60, deadline=None)
+@given(
+    data=st.lists(st.binary(min_size=8, max_size=8), max_size=300),
+    n_taxels=st.sampled_from([1, 5, 30, 500]),
+)
+def test_garbage_never_raises_and_never_becomes_a_frame(data: list[bytes], n_taxels: int) -> None:
+    assembler = FrameAssembler(FrameFormat(n_taxels=n_taxels, sample_bytes=1))
+    # A one-message frame passes garbage with probability 2**-16 and a fitting phase.
+    frames = [assembler.push(message, len(message), 0.0) for message in data]
+    assert [frame for frame in frames if frame is not None] == []

@@ -1,0 +1,69 @@
+"""Counts to forces: the paper's figures, inverses, behaviour at both ends."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tactile.errors import CalibrationError
+from tactile.sensor.calibration import FoamCalibration, LinearCalibration
+
+
+def test_equation_11_gives_the_papers_curve() -> None:
+    # 643 / 262 / 107 / 43.5 kOhm at 2 / 4 / 6 / 8 N: the first term alone.
+    force_n = np.array([2.0, 4.0, 6.0, 8.0])
+    expected = [0.643, 0.262, 0.107, 0.0435]
+    share = FoamCalibration(255).counts(force_n) / 255
+    np.testing.assert_allclose(1.579 * (1.0 - share), expected, rtol=5e-3)
+
+
+def test_converter_is_inverted_and_starts_at_zero() -> None:
+    calibration = FoamCalibration(255)
+    counts = calibration.counts(np.array([0.0, 2.0, 8.0, 100.0]))
+    np.testing.assert_allclose(counts, [0.0, 255 * (1 - 0.643 / 1.579), 248.0, 255.0], rtol=2e-3)
+
+
+@settings(derandomize=True, max_examples=50, deadline=None)
+@given(force_n=st.floats(-0.5, 9.0), gain=st.floats(0.5, 2.0), adc_max=st.sampled_from([255, 4095]))
+def test_counts_round_trip(force_n: float, gain: float, adc_max: int) -> None:
+    calibration = FoamCalibration(adc_max, gain=gain)
+    counts = calibration.counts(np.array([force_n]))
+    if counts[0] <= adc_max - 0.5:
+        assert calibration.force_n(counts)[0] == pytest.approx(force_n, abs=1e-9)
+
+
+def test_law_is_smooth_and_rising_through_zero() -> None:
+    force_n = FoamCalibration(255).force_n(np.arange(-20.0, 255.0))
+    steps = np.diff(force_n)
+    assert np.all(steps > 0)
+    assert steps[19] == pytest.approx(steps[20], rel=0.01)
+    assert force_n[20] == 0.0
+
+
+def test_full_scale_gives_the_smallest_force_that_saturates() -> None:
+    calibration = FoamCalibration(255)
+    force_n = calibration.force_n(np.array([254.5, 255.0, 400.0]))
+    np.testing.assert_allclose(force_n, calibration.force_max_n)
+    assert calibration.force_max_n == pytest.approx(13.88, abs=0.01)
+    assert np.rint(calibration.counts(np.array([calibration.force_max_n + 0.01])))[0] == 255
+
+
+def test_linear_calibration() -> None:
+    calibration = LinearCalibration(0.002, 4095)
+    np.testing.assert_allclose(calibration.force_n(np.array([-10.0, 0.0, 500.0])), [-0.02, 0, 1.0])
+    np.testing.assert_allclose(calibration.counts(np.array([1.0])), [500.0])
+
+
+@pytest.mark.parametrize("gain", [0.0, -1.0, float("nan"), [1.0, float("inf")]])
+def test_impossible_gains_are_refused(gain: object) -> None:
+    with pytest.raises(CalibrationError, match="gains"):
+        FoamCalibration(255, gain=gain)  # type: ignore[arg-type]
+    with pytest.raises(CalibrationError, match="gains"):
+        LinearCalibration(gain, 255)  # type: ignore[arg-type]
+
+
+def test_impossible_full_scale_is_refused() -> None:
+    with pytest.raises(CalibrationError, match="adc_max is 0"):
+        FoamCalibration(0)
+    with pytest.raises(CalibrationError, match="adc_max is 0"):
+        LinearCalibration(1.0, 0)

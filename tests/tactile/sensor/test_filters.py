@@ -1,0 +1,138 @@
+"""Filters: constants stay, borders hold, noise shrinks as computed."""
+
+import numpy as np
+import pytest
+
+from tactile.layout import paper_layout
+from tactile.sensor.filters import (
+    ActiveTaxels,
+    MovingMean,
+    Neighbourhood,
+    TouchThresholds,
+    dilate,
+    fill_bad,
+    regions_from,
+    smoothing_gain,
+    spatial_mean,
+)
+
+LAYOUT = paper_layout()
+HOOD = Neighbourhood(LAYOUT)
+N = LAYOUT.n_taxels
+
+
+def taxel(row: int, column: int) -> int:
+    return row * 4 + column
+
+
+def mask(*taxels: int) -> np.ndarray:
+    result = np.zeros(N, dtype=bool)
+    result[list(taxels)] = True
+    return result
+
+
+def test_constants_stay_constant_up_to_the_border() -> None:
+    values = np.full(N, 7.0)
+    np.testing.assert_allclose(spatial_mean(HOOD, values), values)
+
+
+def test_spatial_mean_is_binomial_inside() -> None:
+    values = np.zeros(N)
+    values[taxel(8, 1)] = 16.0
+    smooth = spatial_mean(HOOD, values)
+    assert [smooth[taxel(8, c)] for c in (0, 1, 2, 3)] == pytest.approx([16 * 2 / 12, 4, 2, 0])
+    assert smooth[taxel(7, 2)] == pytest.approx(1.0)
+
+
+def test_nothing_reaches_across_pads() -> None:
+    values = np.zeros(N)
+    values[LAYOUT.taxels_of(0)] = 5.0
+    other = np.ones(N, dtype=bool)
+    other[LAYOUT.taxels_of(0)] = False
+    assert not spatial_mean(HOOD, values)[other].any()
+    assert not dilate(HOOD, values > 0)[other].any()
+
+
+def test_bad_taxels_take_their_neighbours_mean() -> None:
+    values = np.arange(N, dtype=float)
+    broken = values.copy()
+    broken[[taxel(5, 1), taxel(9, 2)]] = [0.0, 255.0]
+    filled = fill_bad(HOOD, broken, mask(taxel(5, 1), taxel(9, 2)))
+    np.testing.assert_allclose(filled, values)
+    assert fill_bad(HOOD, values, mask()) is values
+
+
+def test_a_bad_taxel_without_good_neighbours_is_zero() -> None:
+    filled = fill_bad(HOOD, np.full(N, 9.0), np.ones(N, dtype=bool))
+    assert not filled.any()
+
+
+def test_regions_grow_through_allowed_taxels_only() -> None:
+    seed = mask(taxel(2, 0))
+    allowed = mask(taxel(2, 0), taxel(3, 1), taxel(4, 2), taxel(7, 0))
+    region = regions_from(HOOD, seed, allowed)
+    np.testing.assert_array_equal(region, mask(taxel(2, 0), taxel(3, 1), taxel(4, 2)))
+    assert not regions_from(HOOD, mask(taxel(9, 0)), allowed).any()
+
+
+def test_moving_mean_settles_after_its_window() -> None:
+    mean = MovingMean(3)
+    outputs = [mean.step(np.array([x]))[0] for x in (0, 0, 0, 6, 6, 6)]
+    assert outputs == [0, 0, 0, 2, 4, 6]
+    assert mean.full
+    mean.reset()
+    assert not mean.full
+
+
+def test_a_window_without_frames_is_refused() -> None:
+    with pytest.raises(ValueError, match="0 frames"):
+        MovingMean(0)
+
+
+@pytest.mark.parametrize("passes", [1, 2])
+def test_smoothing_gain_is_what_noise_shrinks_by(passes: int) -> None:
+    rng = np.random.default_rng(4)
+    smooth = []
+    for _ in range(400):
+        values = rng.normal(size=N)
+        for _ in range(passes):
+            values = spatial_mean(HOOD, values)
+        smooth.append(values)
+    measured = np.std(smooth, axis=0) / smoothing_gain(HOOD, passes)
+    assert np.mean(measured) == pytest.approx(1.0, abs=0.01)
+    assert np.all(np.abs(measured - 1.0) < 0.2)
+
+
+@pytest.mark.parametrize("change", [{"start": 3.0}, {"keep": 0.0}, {"keep": 9.0}, {"leave": 4.5}])
+def test_thresholds_out_of_order_are_refused(change: dict) -> None:
+    with pytest.raises(ValueError, match="must be leave <= join <= start"):
+        TouchThresholds(**change)
+
+
+def test_noise_of_zero_is_refused() -> None:
+    with pytest.raises(ValueError, match="above 0"):
+        ActiveTaxels(HOOD, TouchThresholds(), np.zeros(N))
+
+
+def touched_by(touch: ActiveTaxels, peak: float) -> set[int]:
+    counts = np.zeros(N)
+    counts[taxel(8, 1)] = peak
+    return set(np.flatnonzero(touch.step(counts)))
+
+
+def test_touch_starts_high_and_ends_low() -> None:
+    # One taxel of 16 counts is 4 counts after smoothing; the noise there is 0.375.
+    touch = ActiveTaxels(HOOD, TouchThresholds(), np.ones(N))
+    assert touched_by(touch, 5.0 * 0.375 * 4) == set()
+    assert taxel(8, 1) in touched_by(touch, 6.0 * 0.375 * 4)
+    assert taxel(8, 1) in touched_by(touch, 3.5 * 0.375 * 4)
+    assert touched_by(touch, 1.0 * 0.375 * 4) == set()
+    assert touched_by(touch, 5.0 * 0.375 * 4) == set()
+
+
+def test_a_light_flat_touch_is_seen_at_the_large_scale() -> None:
+    touch = ActiveTaxels(HOOD, TouchThresholds(), np.ones(N))
+    counts = np.zeros(N)
+    counts[[taxel(r, c) for r in range(6, 11) for c in range(4)]] = 1.9
+    assert np.all(spatial_mean(HOOD, counts)[taxel(8, 1)] / 0.375 < 5.5)
+    assert touch.step(counts)[taxel(8, 1)]

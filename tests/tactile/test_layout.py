@@ -1,0 +1,128 @@
+"""Layouts: sizes, positions, hash, refusals."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tactile.errors import LayoutError
+from tactile.layout import Pad, TaxelLayout, paper_layout, pinch_layout
+
+INNER = [
+    Pad(name=f"f{i}", finger=i, face="inner", rows=2, columns=3, pitch_x_m=0.002, pitch_y_m=0.003)
+    for i in (0, 1)
+]
+
+
+def test_paper_layout_has_204_taxels_a_finger_in_the_order_of_the_paper() -> None:
+    layout = paper_layout()
+    finger = [[16, 4], [16, 4], [16, 2], [16, 2], [6, 2]]
+    assert layout.pad_shape.tolist() == finger + finger
+    assert layout.n_taxels == 408
+    assert layout.sample_bytes == 1
+    assert [pad.face for pad in layout.pads[:5]] == ["inner", "outer", "side_a", "side_b", "tip"]
+    assert layout.gripping_pads == (0, 5)
+    assert [pad.finger for pad in layout.pads] == [0] * 5 + [1] * 5
+    assert layout.taxels_of(5) == slice(204, 268)
+    np.testing.assert_array_equal(np.bincount(layout.taxel_pad)[:5], [64, 64, 32, 32, 12])
+
+
+def test_paper_pitch_and_extent() -> None:
+    layout = paper_layout()
+    inner = layout.pads[0]
+    assert inner.pitch_x_m == pytest.approx(3.4375e-3)
+    assert inner.pitch_y_m == pytest.approx(5e-3)
+    assert inner.area_m2 * inner.n_taxels == pytest.approx(0.055 * 0.020)
+    assert np.all(np.abs(layout.position_m[:, 0]) <= 0.0275 + 1e-12)
+    assert np.all(np.abs(layout.position_m[:, 1]) <= 0.010 + 1e-12)
+    assert np.all((layout.position_m[:, 2] <= 0) & (layout.position_m[:, 2] >= -0.012))
+
+
+def test_normals_point_out_of_the_finger() -> None:
+    layout = paper_layout()
+    centre = np.array([0.0, 0.0, -0.006])
+    assert np.all(np.einsum("ij,ij->i", layout.position_m - centre, layout.normal) > 0)
+    np.testing.assert_allclose(np.linalg.norm(layout.normal, axis=1), 1.0)
+    np.testing.assert_array_equal(layout.normal[0], [0, 0, 1])
+
+
+def test_inner_pads_of_both_fingers_face_each_other_taxel_by_taxel() -> None:
+    layout = paper_layout()
+    first, second = (layout.taxels_of(pad) for pad in layout.gripping_pads)
+    np.testing.assert_array_equal(layout.position_m[first], layout.position_m[second])
+
+
+def test_pinch_layout_is_row_by_row_and_centred() -> None:
+    layout = pinch_layout()
+    assert (layout.n_taxels, layout.sample_bits, layout.adc_max) == (156, 16, 4095)
+    np.testing.assert_allclose(
+        layout.taxel_xy_m[:7] * 1e3,
+        [[-20.4, y] for y in (-8.5, -5.1, -1.7, 1.7, 5.1, 8.5)] + [[-17.0, -8.5]],
+        atol=1e-9,
+    )
+
+
+def test_arrays_cannot_be_written() -> None:
+    layout = paper_layout()
+    for array in (layout.taxel_xy_m, layout.position_m, layout.normal, layout.taxel_pad):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0
+
+
+def test_hash_covers_what_gives_the_samples_their_meaning() -> None:
+    layout = paper_layout()
+    assert layout == paper_layout()
+    assert hash(layout) == hash(paper_layout())
+    assert layout != pinch_layout()
+    assert layout != "paper"
+    pads = layout.pads
+    other = [
+        replace(layout, pads=(pads[5:] + pads[:5])),
+        replace(layout, pads=(replace(pads[0], pitch_x_m=3.4e-3), *pads[1:])),
+        replace(layout, adc_max=254),
+        replace(layout, sample_bits=16),
+    ]
+    assert len({layout.layout_hash, *(changed.layout_hash for changed in other)}) == 5
+    assert replace(layout, name="renamed").layout_hash == layout.layout_hash
+    assert len(layout.layout_hash) == 16
+    assert int(layout.layout_hash, 16) > 0
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"finger": 2}, "finger is 2"),
+        ({"face": "back"}, "back"),
+        ({"rows": 0}, "0 x 3"),
+        ({"columns": 256}, "2 x 256"),
+        ({"pitch_x_m": 0.0}, "pitch"),
+        ({"pitch_y_m": float("nan")}, "pitch"),
+        ({"centre_m": (0.0, float("inf"), 0.0)}, "finite"),
+        ({"y_axis": (0.0, 2.0, 0.0)}, "orthonormal"),
+        ({"y_axis": (1.0, 0.0, 0.0)}, "orthonormal"),
+    ],
+)
+def test_impossible_pads_are_refused(change: dict, says: str) -> None:
+    with pytest.raises(LayoutError, match=says):
+        replace(INNER[0], **change)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"sample_bits": 12}, "12"),
+        ({"adc_max": 256}, "256"),
+        ({"adc_max": 0}, "adc_max is 0"),
+        ({"pads": (INNER[0],)}, "1 and 0"),
+        ({"pads": (INNER[0], replace(INNER[0], name="b"), INNER[1])}, "2 and 1"),
+        ({"pads": (INNER[0], replace(INNER[1], name="f0"))}, "repeat"),
+    ],
+)
+def test_impossible_layouts_are_refused(change: dict, says: str) -> None:
+    with pytest.raises(LayoutError, match=says):
+        replace(TaxelLayout(name="small", pads=tuple(INNER)), **change)
+
+
+def test_unknown_pad_raises() -> None:
+    with pytest.raises(IndexError, match="pad 10"):
+        paper_layout().taxels_of(10)

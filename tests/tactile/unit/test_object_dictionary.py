@@ -1,0 +1,111 @@
+"""The EDS: valid by an independent checker, loads in canopen, agrees with the constants."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import canopen
+import pytest
+from canopen.objectdictionary import ODRecord
+
+from tactile.frames.codec import FrameFormat
+from tactile.layout import paper_layout
+from tactile.unit import object_dictionary
+
+
+@pytest.fixture(scope="module")
+def dictionary() -> canopen.ObjectDictionary:
+    return object_dictionary.of_node(5)
+
+
+def test_dcfchk_finds_nothing() -> None:
+    checker = Path(sys.executable).with_name("dcfchk")
+    done = subprocess.run(
+        [checker, "-n", "5", object_dictionary.EDS_PATH],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=30,
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+def test_pdo_records_are_records(dictionary: canopen.ObjectDictionary) -> None:
+    for index in (0x1800, 0x1801, 0x1802, 0x1A00, 0x1A01, 0x1A02):
+        assert isinstance(dictionary[index], ODRecord)
+
+
+def test_every_tpdo_maps_64_bits(dictionary: canopen.ObjectDictionary) -> None:
+    for index in (0x1A00, 0x1A01, 0x1A02):
+        entries = [dictionary[index][sub].default for sub in dictionary[index] if sub]
+        assert sum(entry & 0xFF for entry in entries) == 64
+        for entry in entries:
+            variable = dictionary[entry >> 16][entry >> 8 & 0xFF]
+            assert variable.pdo_mappable
+            assert len(variable) == entry & 0xFF
+    assert (
+        tuple(dictionary[0x1A00][sub].default for sub in (1, 2)) == object_dictionary.TPDO1_ENTRIES
+    )
+
+
+def test_cob_ids_follow_the_node_id(dictionary: canopen.ObjectDictionary) -> None:
+    assert dictionary[object_dictionary.TPDO1_PARAMETER][1].default == 0x185
+    assert dictionary[object_dictionary.EMCY_COB_ID].default == 0x85
+
+
+def test_defaults_are_the_papers_layout(dictionary: canopen.ObjectDictionary) -> None:
+    layout = paper_layout()
+    frame_format = FrameFormat.of(layout)
+    found = {
+        (index, sub): dictionary[index][sub].default
+        for index in (
+            object_dictionary.IDENTITY,
+            object_dictionary.LAYOUT,
+            object_dictionary.FORMAT,
+        )
+        for sub in (1, 2, 3, 4)
+    }
+    assert found == {
+        (
+            object_dictionary.IDENTITY,
+            object_dictionary.IDENTITY_VENDOR,
+        ): object_dictionary.VENDOR_ID,
+        (
+            object_dictionary.IDENTITY,
+            object_dictionary.IDENTITY_PRODUCT,
+        ): object_dictionary.PRODUCT_CODE,
+        (
+            object_dictionary.IDENTITY,
+            object_dictionary.IDENTITY_REVISION,
+        ): object_dictionary.REVISION,
+        (object_dictionary.IDENTITY, object_dictionary.IDENTITY_SERIAL): 1,
+        (object_dictionary.LAYOUT, object_dictionary.LAYOUT_PADS): layout.n_pads,
+        (object_dictionary.LAYOUT, object_dictionary.LAYOUT_TAXELS): layout.n_taxels,
+        (object_dictionary.LAYOUT, object_dictionary.LAYOUT_HASH): layout.layout_hash,
+        (object_dictionary.LAYOUT, object_dictionary.LAYOUT_ADC_MAX): layout.adc_max,
+        (object_dictionary.FORMAT, object_dictionary.FORMAT_SAMPLE_BITS): layout.sample_bits,
+        (object_dictionary.FORMAT, object_dictionary.FORMAT_SAMPLE_BYTES): layout.sample_bytes,
+        (object_dictionary.FORMAT, object_dictionary.FORMAT_MESSAGES): frame_format.n_messages,
+        (
+            object_dictionary.FORMAT,
+            object_dictionary.FORMAT_HEADER_BYTES,
+        ): frame_format.header_bytes,
+    }
+
+
+def test_every_index_constant_is_in_the_dictionary(dictionary: canopen.ObjectDictionary) -> None:
+    indices = {
+        value
+        for name, value in vars(object_dictionary).items()
+        if name.isupper() and isinstance(value, int) and 0x1000 <= value <= 0x2FFF
+    }
+    assert len(indices) > 20
+    assert indices <= set(dictionary)
+
+
+def test_layout_codec_and_sensor_do_not_load_the_can_libraries() -> None:
+    code = (
+        "import sys, tactile.layout, tactile.frames.assembler, tactile.unit.object_dictionary, "
+        "tactile.frames.pad_features, tactile.sensor.sensor; sys.exit('can' in sys.modules)"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False, timeout=30).returncode == 0

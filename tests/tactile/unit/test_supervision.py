@@ -1,0 +1,72 @@
+"""Emergency texts and the parts of the supervision that the link's tests do not reach."""
+
+import pytest
+
+from tactile.errors import BusErrorPassive, HeartbeatLost, LinkFault, NodeEmergency, TactileError
+from tactile.unit.supervision import (
+    Emergency,
+    NodeSupervisor,
+    SupervisionLimits,
+    decode_emergency,
+)
+
+
+@pytest.mark.parametrize(
+    ("code", "text"),
+    [
+        (0x0000, "no error"),
+        (0x8110, "CAN overrun, messages lost"),
+        (0x8130, "heartbeat or life guard error"),
+        (0x8199, "monitoring"),
+        (0x4212, "temperature"),
+        (0x4312, "temperature"),
+        (0xFF01, "a burst was cut short, it does not fit into the synchronous window"),
+        (0xFF77, "device specific"),
+        (0xAB00, "unknown code"),
+    ],
+)
+def test_texts(code: int, text: str) -> None:
+    assert Emergency(code=code, register=0, detail=bytes(5)).text == text
+
+
+def test_emergency_bytes() -> None:
+    emergency = Emergency(code=0x8110, register=0x11, detail=b"abcde")
+    assert decode_emergency(b"\x10\x81\x11abcde") == emergency
+    assert decode_emergency(b"\x10\x81\x11abcd") is None
+
+
+def make() -> NodeSupervisor:
+    return NodeSupervisor("the unit", SupervisionLimits(heartbeat_s=0.1))
+
+
+def test_heartbeat_is_not_missed_before_operation() -> None:
+    supervisor = make()
+    supervisor.on_heartbeat(b"\x7f", 1.0)
+    supervisor.check(100.0)
+    supervisor.enter_operation(100.0)
+    supervisor.check(100.149)
+    with pytest.raises(HeartbeatLost):
+        supervisor.check(100.151)
+
+
+def test_emergency_before_operation_is_a_fault_too() -> None:
+    with pytest.raises(NodeEmergency, match="the unit reports emergency 0x8120"):
+        make().on_emergency(b"\x20\x81\x11\0\0\0\0\0")
+
+
+def test_restart_of_the_controller_ends_error_passive() -> None:
+    supervisor = make()
+    supervisor.on_error_frame(0x04, bytes([0, 0x30]), 1.0)
+    supervisor.on_error_frame(0x100, b"", 1.2)
+    supervisor.check(2.0)
+    supervisor.on_error_frame(0x04, bytes([0, 0x10]), 3.0)
+    supervisor.on_error_frame(0x04, bytes([0, 0x10]), 3.4)
+    supervisor.on_error_frame(0x04, b"", 3.4)
+    with pytest.raises(BusErrorPassive, match=r"0\.50 s"):
+        supervisor.check(3.5)
+    assert supervisor.error_frames == 5
+
+
+def test_error_tree() -> None:
+    assert issubclass(LinkFault, TactileError)
+    assert issubclass(NodeEmergency, LinkFault)
