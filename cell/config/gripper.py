@@ -184,7 +184,7 @@ class GripperConfig(Section):
     """Time without answers of the servos after which their bus is given up in ms, 20 to 2000."""
     feedback_loss_max_share: float = setting_of(GripperSettings, "feedback_loss_max_share")
     """Share of the loop's periods that may lack the servos' answers, above 0 to 1; more is a fault.
-    It is counted over bus_loss_ms divided by this share: 1.4 s as they are here."""
+    Counted over a time of which bus_loss_ms is this share, about 1.5 s as they are here."""
     stall_max_ms: float = setting_of(GripperSettings, "stall_max_s", MILLI)
     """Lateness of one period after which the loop counts as stalled in ms, 10 to 5000."""
     watchdog_ms: float = setting_of(GripperSettings, "watchdog_s", MILLI)

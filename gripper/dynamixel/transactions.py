@@ -196,7 +196,7 @@ class Transactions:
     OWING   all repetitions lost                    SUSPECT BusTimeout or BusCorrupt
     any     `expect_late_answer`                    SUSPECT none
     SUSPECT next transaction, `Precaution.QUIET`    CLEAN   wait until the line is quiet
-    SUSPECT the same, where it is not quiet in time SUSPECT BusCorrupt, or in the loop the last error
+    SUSPECT the same, where it never falls quiet    SUSPECT BusCorrupt, BusTimeout
     SUSPECT next transaction, `Precaution.PING`     SUSPECT ping before the request
     SUSPECT next transaction, `Precaution.NONE`     SUSPECT none
     SUSPECT ``late_guard_s`` passed                 CLEAN   none
@@ -506,9 +506,7 @@ class Transactions:
             left_s = self._quiet_since_s + self._late_guard_s - now_s
             if left_s <= 0.0:
                 break
-            self._port.setPacketTimeoutMillis(
-                1000.0 * min(left_s, max(0.0, deadline_s - now_s))
-            )
+            self._port.setPacketTimeoutMillis(1000.0 * min(left_s, max(0.0, deadline_s - now_s)))
             status = self._handler.receive(self._port)
             self._heard.add(self._handler)
             now_s = self._clock.monotonic()
@@ -560,9 +558,7 @@ def _accepted(status: StatusPacket) -> StatusPacket:
     return status
 
 
-def given_up(
-    failure: NoAnswerError, request: Request, heard: Heard
-) -> BusTimeout | BusCorrupt:
+def given_up(failure: NoAnswerError, request: Request, heard: Heard) -> BusTimeout | BusCorrupt:
     """Return the error of a servo that is not asked again."""
     if failure.damaged:
         found = f" ({heard})" if heard else ""
