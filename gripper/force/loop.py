@@ -377,7 +377,8 @@ class BusLossMonitor:
                 f"{self._settings.bus_loss_s} s): a part may still be gripped; nothing more is "
                 f"written, the servos' own watchdog acts. {error}"
             ) from error
-        if self._lost > self._most_lost:
+        # A loss that lasts is one of the bus; the share is looked at when the next one begins.
+        if self._in_row == 1 and self._lost > self._most_lost:
             lost, periods = self._lost, self._recent.maxlen
             self._recent.clear()
             self._lost = 0
