@@ -8,7 +8,7 @@ DOCS := $(VENV)/.docs
 INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt --editable
 PYTEST_ARGS ?=
 
-.PHONY: run test wheel-test check format docs bench paper campaign soak vcan help clean distclean
+.PHONY: run test wheel-test check format docs bench paper campaign damage soak vcan help clean distclean
 
 run: $(RUN)  ## teach and identify the paper's five objects on the simulated cell
 	$(BIN)/tactile-cell run
@@ -41,6 +41,9 @@ campaign: $(DEV)  ## bad input, a million for each property; every fault; a mill
 	OPENBLAS_NUM_THREADS=1 FUZZ_EXAMPLES=$(or $(FUZZ_EXAMPLES),1000000) FUZZ_SECONDS=$(or $(FUZZ_SECONDS),inf) \
 		$(BIN)/python -m pytest tests/fuzz -n auto --dist worksteal --timeout 0 -q -rP
 	STATE_STEPS=1000000 STATE_SECONDS=$(or $(FUZZ_SECONDS),1e9) $(BIN)/python -m tests.faults
+
+damage: $(DEV)  ## each kind of damage to the bytes of both lines between two processes, five minutes
+	$(BIN)/python -m tests.hil.damage --all
 
 soak: $(DEV)  ## 10,000 grasps in virtual time, an hour: memory, files and threads stay flat
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.performance.soak --grasps $(or $(GRASPS),10000)

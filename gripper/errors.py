@@ -53,6 +53,10 @@ class BusCorrupt(GripperError):
     """Answers arrived damaged, of the wrong length or from the wrong servo."""
 
 
+class BusUnreliable(GripperError):
+    """Too large a share of the periods had no feedback of the servos; the grip is kept."""
+
+
 class BusBusy(GripperError):
     """Another thread holds the bus for longer than a transaction may take."""
 

@@ -206,6 +206,9 @@ class GripperSettings:
     """Oldest force sample in s that may be used."""
     bus_loss_s: float = setting(0.07, low=0.02, high=2.0)
     """Time without feedback in s after which the bus counts as lost."""
+    feedback_loss_max_share: float = setting(0.05, above=0.0, high=1.0)
+    """A larger share of periods without feedback is a fault; counted over so many periods that
+    one loss for ``bus_loss_s`` is just this share."""
     stall_max_s: float = setting(0.25, low=0.01, high=5.0)
     """Lateness of a period in s after which the loop counts as stalled."""
     overruns_max: int = setting(10, low=1, high=1000)

@@ -182,6 +182,9 @@ class GripperConfig(Section):
     """Oldest tactile force that control may use in ms, 10 to 1000."""
     bus_loss_ms: float = setting_of(GripperSettings, "bus_loss_s", MILLI)
     """Time without answers of the servos after which their bus is given up in ms, 20 to 2000."""
+    feedback_loss_max_share: float = setting_of(GripperSettings, "feedback_loss_max_share")
+    """Share of the loop's periods that may lack the servos' answers, above 0 to 1; more is a fault.
+    Counted over a time of which bus_loss_ms is this share, about 1.5 s as they are here."""
     stall_max_ms: float = setting_of(GripperSettings, "stall_max_s", MILLI)
     """Lateness of one period after which the loop counts as stalled in ms, 10 to 5000."""
     watchdog_ms: float = setting_of(GripperSettings, "watchdog_s", MILLI)

@@ -103,6 +103,7 @@ def make_hand(
         baudrate=config.gripper.baud_rate,
         clock=clock,
         period_s=1.0 / config.gripper.loop_rate_hz,
+        name=f"the servo line ({config.gripper.port})",
     )
     gripper = Gripper(
         bus, make_linkage(config), config.gripper_settings, clock=clock, force_sensor=tap

@@ -24,15 +24,16 @@ from simulator.realtime.process import serve
 _OPENING_OVERSHOOT_M = 2e-3
 """Distance in m by which opening fingers run past their goal at most; recorded grasps show it."""
 
-_LEAST_TIMEOUTS = (
+_LEAST_LIMITS = (
     ("tactile", "heartbeat_ms", 400),
     ("gripper", "force_stale_ms", 300.0),
     ("gripper", "bus_loss_ms", 250.0),
+    ("gripper", "feedback_loss_max_share", 0.25),
     ("gripper", "watchdog_ms", 500.0),
     ("loop", "overruns_max", 40),
 )
-"""Section, key and least value (ms, or periods) of a client's time-outs: cell and client share the
-processors of one machine, and an answer delayed by that is no fault."""
+"""Section, key and least value (ms, share, or periods) of a client's limits: cell and client share
+the processors of one machine, and an answer delayed by that is no fault."""
 
 
 @one_blas_thread()
@@ -127,7 +128,7 @@ def _client_config(config: CellConfig, found: dict[str, Any]) -> CellConfig:
     """Return the config with which another process reaches the simulated cell."""
     timeouts = {
         f"{section}.{key}": max(getattr(getattr(config, section), key), least)
-        for section, key, least in _LEAST_TIMEOUTS
+        for section, key, least in _LEAST_LIMITS
     }
     ports = {
         "name": f"{config.name} on pseudo-terminals"[:80],

@@ -60,6 +60,8 @@ class ServoBus:
         Quiet time in s after which nothing late is expected any more.
     lock_timeout_s
         Longest wait in s for another thread's transaction.
+    name
+        Name of the line in error messages.
     """
 
     def __init__(
@@ -73,6 +75,7 @@ class ServoBus:
         allowance_s: float = 0.0015,
         late_guard_s: float = 0.05,
         lock_timeout_s: float = 1.0,
+        name: str = "the servo line",
     ) -> None:
         self.baudrate = baudrate
         self._least_allowance_s = allowance_s
@@ -86,6 +89,7 @@ class ServoBus:
         self._transactions = Transactions(
             self._port,
             clock,
+            name=name,
             period_s=period_s,
             late_guard_s=late_guard_s,
             lock_timeout_s=lock_timeout_s,

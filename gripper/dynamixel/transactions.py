@@ -38,6 +38,8 @@ _LONGEST_QUIET_WAIT = 10.0
 be outstanding, so that only a line that never falls quiet reaches it."""
 _HEARD_BYTES = 16
 """Bytes of what was heard on a line that an error shows: a header and what follows it."""
+_PRINTABLE = frozenset(range(0x20, 0x7F)) | {0x0A, 0x0D}
+"""Bytes of a text line: a device that sends text, as a GPS receiver, is known by its words."""
 
 
 class Precaution(Enum):
@@ -59,8 +61,9 @@ class RetryPolicy:
     repetitions
         How often a lost answer is asked for again, each time behind a ping.
     patient
-        True where ping and repetition wait ``late_guard_s`` for their answers; False where they
-        wait for the time-out of a packet, and a sync read starts none after its period.
+        True where ping and repetition wait ``late_guard_s`` for their answers, and a quiet line is
+        waited for. False where they wait for the time-out of a packet, a sync read starts none
+        after its period, and on a line that is not quiet yet a transaction fails at once.
     """
 
     before_one: Precaution
@@ -130,6 +133,42 @@ class Request(NamedTuple):
     params: bytes = b""
 
 
+class Heard:
+    """What came since the last right answer and was none, for error messages."""
+
+    def __init__(self) -> None:
+        self._bytes = self._packets = 0
+        self._head = b""
+
+    def __bool__(self) -> bool:
+        return self._bytes + self._packets > 0
+
+    def __str__(self) -> str:
+        found = []
+        if self._packets:
+            found.append(f"{self._packets} whole packets that answer no request")
+        if self._bytes:
+            text = f" ({self._head!r})" if _PRINTABLE.issuperset(self._head) else ""
+            found.append(
+                f"{self._bytes} bytes that are no packet, the first are {self._head.hex(' ')}{text}"
+            )
+        return f"heard were {' and '.join(found) or 'no bytes'}"
+
+    def add(self, handler: CheckedPacketHandler) -> None:
+        """Add what the last `CheckedPacketHandler.receive` dropped."""
+        self._bytes += handler.dropped_bytes
+        self._head = (self._head + handler.dropped_head)[:_HEARD_BYTES]
+
+    def add_packet(self) -> None:
+        """Count a packet that answers no request."""
+        self._packets += 1
+
+    def forget(self) -> None:
+        """Begin anew: a right answer came."""
+        self._bytes = self._packets = 0
+        self._head = b""
+
+
 class NoAnswerError(Exception):
     """No right answer within the time-out; `Transactions` turns it into a typed error.
 
@@ -157,18 +196,22 @@ class Transactions:
     OWING   all repetitions lost                    SUSPECT BusTimeout or BusCorrupt
     any     `expect_late_answer`                    SUSPECT none
     SUSPECT next transaction, `Precaution.QUIET`    CLEAN   wait until the line is quiet
+    SUSPECT the same, where it never falls quiet    SUSPECT BusCorrupt, BusTimeout
     SUSPECT next transaction, `Precaution.PING`     SUSPECT ping before the request
     SUSPECT next transaction, `Precaution.NONE`     SUSPECT none
     SUSPECT ``late_guard_s`` passed                 CLEAN   none
     ======= ======================================= ======= ======================================
 
     Each wait ends: for an answer at the time-out of the packet or after ``late_guard_s``, for a
-    quiet line after ten times that.
+    quiet line after ten times that. In the loop a quiet line is not waited for: what has arrived
+    is dropped, and the transaction fails until nothing came for ``late_guard_s``.
 
     Parameters
     ----------
     port
         The line.
+    name
+        Name of the line in error messages.
     clock, period_s, late_guard_s, lock_timeout_s
         As in `gripper.dynamixel.bus.ServoBus`.
 
@@ -183,12 +226,14 @@ class Transactions:
         port: SdkPort,
         clock: Clock,
         *,
+        name: str,
         period_s: float,
         late_guard_s: float,
         lock_timeout_s: float,
     ) -> None:
         self.alerts: set[int] = set()
         self._port = port
+        self._name = name
         self._clock = clock
         self._period_s = period_s
         self._late_guard_s = late_guard_s
@@ -197,7 +242,10 @@ class Transactions:
         self._policy = BETWEEN_COMMANDS
         self._suspect = False
         self._suspect_since_s = 0.0
+        self._quiet_since_s: float | None = None
         self._outstanding = 0
+        self._heard = Heard()
+        self._last_error: BusTimeout | BusCorrupt | None = None
         self._misses: dict[int, int] = {}
         self._counts = dict.fromkeys(BusStatistics.__slots__, 0)
         self._lock = threading.RLock()
@@ -280,8 +328,7 @@ class Transactions:
             try:
                 status = self._exchange(request, patient=patient)
             except NoAnswerError as failure:
-                self._mark_suspect()
-                raise given_up(failure, request) from None
+                raise self._given_up(failure, request) from None
             return status, self._clock.monotonic() - sent_s
 
     def scan(self, ids: Sequence[int]) -> dict[int, StatusPacket]:
@@ -346,6 +393,7 @@ class Transactions:
     def _mark_suspect(self) -> None:
         self._suspect = True
         self._suspect_since_s = self._clock.monotonic()
+        self._quiet_since_s = None
 
     def _mark_clean(self) -> None:
         self._suspect = False
@@ -360,8 +408,13 @@ class Transactions:
                 self._ping(request.servo_id, deadline_s)
                 self._counts["retries"] += 1
                 return _accepted(self._exchange(request, patient=self._policy.patient))
+        raise self._given_up(failure, request) from None
+
+    def _given_up(self, failure: NoAnswerError, request: Request) -> BusTimeout | BusCorrupt:
+        """Return the error of a servo that is not asked again; the line is suspect from now on."""
         self._mark_suspect()
-        raise given_up(failure, request) from None
+        self._last_error = given_up(failure, request, self._heard)
+        return self._last_error
 
     def _ping(self, servo_id: int, deadline_s: float | None = None) -> None:
         """Ping a servo, so that none of its earlier answers is outstanding any more.
@@ -410,6 +463,7 @@ class Transactions:
         damaged = False
         while True:
             status = self._handler.receive(self._port)
+            self._heard.add(self._handler)
             if status is None:
                 self._outstanding += 1
                 self._misses[servo_id] = self.misses(servo_id) + 1
@@ -418,15 +472,18 @@ class Transactions:
                 raise NoAnswerError(damaged)
             if status.servo_id != servo_id:
                 self._counts["late"] += 1
+                self._heard.add_packet()
             elif status.error == 0 and len(status.data) != size:
                 # A servo that refuses answers without data; any other length answers an earlier
                 # request.
                 damaged = True
                 self._outstanding = max(0, self._outstanding - 1)
                 self._counts["late"] += 1
+                self._heard.add_packet()
             else:
                 self._counts["corrupt"] += self._handler.dropped_bytes > 0
                 self._misses[servo_id] = 0
+                self._heard.forget()
                 (self.alerts.add if status.alert else self.alerts.discard)(servo_id)
                 return status
 
@@ -436,36 +493,44 @@ class Transactions:
         Raises
         ------
         BusCorrupt
-            When bytes still come after ten times ``late_guard_s``.
+            When bytes still come after ten times ``late_guard_s``; in the loop when they do now.
+        BusTimeout
+            In the loop, while late answers of servos that fell silent may still come.
         """
-        quiet_since_s = self._clock.monotonic()
-        deadline_s = quiet_since_s + _LONGEST_QUIET_WAIT * self._late_guard_s
-        heard, heard_bytes = b"", 0
+        now_s = self._clock.monotonic()
+        if self._quiet_since_s is None:
+            self._quiet_since_s = now_s
+        patience_s = _LONGEST_QUIET_WAIT * self._late_guard_s if self._policy.patient else 0.0
+        deadline_s = now_s + patience_s
         while self._outstanding > 0:
-            now_s = self._clock.monotonic()
-            left_s = quiet_since_s + self._late_guard_s - now_s
+            left_s = self._quiet_since_s + self._late_guard_s - now_s
             if left_s <= 0.0:
                 break
-            if now_s >= deadline_s:
-                self._mark_suspect()
-                raise BusCorrupt(
-                    f"the servo line did not fall quiet within "
-                    f"{_LONGEST_QUIET_WAIT * self._late_guard_s:.2g} s: {heard_bytes} bytes came "
-                    f"that answer no request, the first are {heard.hex(' ')}. Another program or "
-                    f"device sends on the line, or it picks up noise: disconnect other hosts, "
-                    f"check cable, ground, termination and baud rate"
-                )
-            self._port.setPacketTimeoutMillis(1000.0 * left_s)
+            self._port.setPacketTimeoutMillis(1000.0 * min(left_s, max(0.0, deadline_s - now_s)))
             status = self._handler.receive(self._port)
-            dropped = self._handler.dropped_bytes
-            if status is not None or dropped:
-                quiet_since_s = self._clock.monotonic()
-                heard = (heard + self._handler.dropped_head)[:_HEARD_BYTES]
-                heard_bytes += dropped
+            self._heard.add(self._handler)
+            now_s = self._clock.monotonic()
             if status is not None:
                 self._outstanding -= 1
                 self._counts["late"] += 1
+                self._heard.add_packet()
+            if status is not None or self._handler.dropped_bytes:
+                self._quiet_since_s = now_s
+            if self._outstanding > 0 and now_s >= deadline_s:
+                self._suspect_since_s = now_s
+                raise self._not_quiet(patience_s)
+        self._quiet_since_s = None
         self._mark_clean()
+
+    def _not_quiet(self, patience_s: float) -> BusTimeout | BusCorrupt:
+        if not self._heard and self._last_error is not None:
+            return type(self._last_error)(*self._last_error.args)
+        within = f"within {patience_s:.2g} s" if patience_s else "yet"
+        return BusCorrupt(
+            f"{self._name} did not fall quiet {within}: {self._heard}. Another program or device "
+            f"sends on the line, or it picks up noise: disconnect other hosts, check cable, "
+            f"ground, termination and baud rate"
+        )
 
 
 def ping_request(servo_id: int) -> Request:
@@ -493,12 +558,13 @@ def _accepted(status: StatusPacket) -> StatusPacket:
     return status
 
 
-def given_up(failure: NoAnswerError, request: Request) -> BusTimeout | BusCorrupt:
+def given_up(failure: NoAnswerError, request: Request, heard: Heard) -> BusTimeout | BusCorrupt:
     """Return the error of a servo that is not asked again."""
     if failure.damaged:
+        found = f" ({heard})" if heard else ""
         return BusCorrupt(
             f"{request.action}: the answers of servo {request.servo_id} arrive damaged, twice in a "
-            f"row: check cable, termination and that no two servos share the ID"
+            f"row{found}: check cable, termination and that no two servos share the ID"
         )
     return BusTimeout(
         f"{request.action}: no answer of servo {request.servo_id}, twice in a row: check its "

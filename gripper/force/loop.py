@@ -1,13 +1,16 @@
 """The force loop: each period feedback and force in, one step of control, goals out."""
 
 import threading
+from collections import deque
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from math import ceil
 
 from gripper.errors import (
     BusCorrupt,
     BusTimeout,
+    BusUnreliable,
     FingerSilent,
     ForceSensorStale,
     GraspStopped,
@@ -125,6 +128,8 @@ class LoopRunner:
         ------
         BusTimeout, BusCorrupt
             When there was no feedback for ``bus_loss_s``, or none of one servo for three periods.
+        BusUnreliable
+            When too large a share of the periods had none.
         """
         asked_s = self._clock.monotonic()
         try:
@@ -172,7 +177,7 @@ class LoopRunner:
         if deadline_s < self._due_s:
             self._clock.sleep(self._due_s - deadline_s)
             deadline_s = self._due_s
-        self._bus_loss.answered()
+        self._bus_loss.begin()
         last_s = deadline_s - period_s
         fresh_s = deadline_s
         while True:
@@ -182,13 +187,15 @@ class LoopRunner:
                 state = self.read()
                 if state is None:
                     self._bus_loss.stop_fingers(phase)
+            # Pads and CAN are supervised in each period, whether the servos answer or not.
             sample = self._sensor.latest_force()
+            if sample is not None and sample.valid:
+                fresh_s = max(fresh_s, sample.t_s)
+                self._servos.note_force(sample)
+            if needs_force:
+                now_s = self._clock.monotonic() if state is None else state.t_s
+                self._check_force(now_s, fresh_s, sample)
             if state is not None:
-                if sample is not None and sample.valid:
-                    fresh_s = max(fresh_s, sample.t_s)
-                    self._servos.note_force(sample)
-                if needs_force:
-                    self._check_force(state.t_s, fresh_s, sample)
                 moment = Moment(
                     now_s=state.t_s,
                     dt_s=min(max(state.t_s - last_s, 0.0), _LONGEST_STEP * period_s),
@@ -288,10 +295,11 @@ class LoopRunner:
 
 
 class BusLossMonitor:
-    """Counter of the periods in a row without feedback.
+    """Counter of the periods without feedback, in a row and among the last ones.
 
-    A first lost answer is passed over, in the second period the stop goals are written, later the
-    bus counts as lost.
+    A first lost answer is passed over, in the second period in a row the stop goals are written,
+    after ``bus_loss_s`` the bus counts as lost. Periods that are lost here and there may add up to
+    the same time, as long as they are no larger share than ``feedback_loss_max_share``.
 
     Parameters
     ----------
@@ -305,10 +313,30 @@ class BusLossMonitor:
         self._since_s = 0.0
         self._in_row = 0
         self._one_sided = 0
+        # One loss of the bus that is just short enough, with the period in which it is noticed, is
+        # no larger share than the limit.
+        self._most_lost = max(
+            _LEAST_LOST_PERIODS, ceil(settings.bus_loss_s / settings.period_s) + 1
+        )
+        self._recent: deque[bool] = deque(
+            maxlen=ceil(self._most_lost / settings.feedback_loss_max_share)
+        )
+        self._lost = 0
+
+    def begin(self) -> None:
+        """Count the periods in a row anew: the servos were not asked for a while."""
+        self._in_row = self._one_sided = 0
 
     def answered(self) -> None:
-        """Start to count anew: all servos answered, or were not asked for a while."""
-        self._in_row = self._one_sided = 0
+        """Count a period with feedback."""
+        self.begin()
+        self._count(lost=False)
+
+    def _count(self, *, lost: bool) -> None:
+        if len(self._recent) == self._recent.maxlen:
+            self._lost -= self._recent.popleft()
+        self._recent.append(lost)
+        self._lost += lost
 
     def missed(self, error: BusTimeout | BusCorrupt, asked_s: float, now_s: float) -> None:
         """Count a period in which an answer was lost, and its repetition too.
@@ -326,7 +354,10 @@ class BusLossMonitor:
             In the third period in a row in which one servo is silent and the other one is not.
         BusTimeout, BusCorrupt
             When nothing was heard for ``bus_loss_s``.
+        BusUnreliable
+            When too many of the last periods had no feedback.
         """
+        self._count(lost=True)
         if self._in_row == 0:
             self._since_s = asked_s
         self._in_row += 1
@@ -345,6 +376,17 @@ class BusLossMonitor:
                 f"the servo bus was lost for {lost_s:.3f} s (bus_loss_s is "
                 f"{self._settings.bus_loss_s} s): a part may still be gripped; nothing more is "
                 f"written, the servos' own watchdog acts. {error}"
+            ) from error
+        # A loss that lasts is one of the bus; the share is looked at when the next one begins.
+        if self._in_row == 1 and self._lost > self._most_lost:
+            lost, periods = self._lost, self._recent.maxlen
+            self._recent.clear()
+            self._lost = 0
+            raise BusUnreliable(
+                f"{lost} of the last {periods} periods had no feedback of the servos, "
+                f"feedback_loss_max_share is {self._settings.feedback_loss_max_share:.0%}: the "
+                f"goals are frozen, the grip is kept; check cable, ground, termination and that "
+                f"nothing else sends on the servo line, then clear the fault. Last: {error}"
             ) from error
 
     def stop_fingers(self, phase: GripperPhase) -> None:

@@ -1,6 +1,7 @@
 """Feedback of the servos of one gripper in SI units, checked for being new and possible."""
 
 from math import pi, tau
+from typing import NamedTuple
 
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import (
@@ -22,10 +23,19 @@ from gripper.state import Clock, GripperState, ServoState
 
 _TICK_S = 1e-3
 """One count of Realtime Tick (register 120) in s."""
-_TICK_GRAIN_S = 0.004
-"""Tolerance in s of the progress of a tick: its resolution of 1 ms, and the time of an answer."""
+_TICK_LAG_S = 0.002
+"""Age in s from which on an answer is an old one: the resolution of the tick, and as much again."""
+_TICK_LEAD_S = 0.004
+"""Tolerance in s of the progress of a tick: its resolution, and the age of the answer before."""
 _TICK_RATE_ERROR = 0.03
 """Tolerance of the rate of a servo's clock, for which the e-Manual gives no figure."""
+_LEAST_RATE, _LARGEST_RATE = 1.0 / (1.0 + _TICK_RATE_ERROR), 1.0 / (1.0 - _TICK_RATE_ERROR)
+"""Seconds of the host that may pass in a second of a servo."""
+_TICK_RATE_TIME_S = 5.0
+"""Time in s over which the rate of a servo's clock is measured at least, once it runs so long: an
+error of the ends by 5 ms makes 0.1 % of it."""
+_TICK_PAUSE_S = 0.1
+"""Pause in s after which a tick is bounded by the tolerance of the clock alone."""
 _TICK_LONGEST_S = 10.0
 """Pause in s after which ticks are not compared: less than the 32.8 s of the modulo."""
 _TICK_LATEST_S = 0.5
@@ -169,18 +179,18 @@ class Feedback:
 
 
 class TickWatch:
-    """Comparison of the progress of each servo's tick (register 120) with the host's clock.
+    """Comparison of each servo's tick (register 120) with the host's clock.
 
-    A tick that lags behind is an old answer taken for a new one; a tick that has jumped is a
-    servo that has started anew.
+    An answer that was made before its request is an old answer taken for a new one; a tick that
+    has jumped is a servo that has started anew.
     """
 
     def __init__(self) -> None:
-        self._last: dict[int, tuple[int, float, float]] = {}
+        self._clocks: dict[int, TickClock] = {}
 
     def forget(self) -> None:
         """Compare the next tick with none before it, after servos were restarted on purpose."""
-        self._last.clear()
+        self._clocks.clear()
 
     def check(
         self, servo_id: int, tick_ms: int, sent_s: float, received_s: float
@@ -196,32 +206,135 @@ class TickWatch:
         sent_s, received_s
             Host's time before the request and after the answer in s.
         """
-        last = self._last.get(servo_id)
-        now = (tick_ms, sent_s, received_s)
-        if last is None:
-            self._last[servo_id] = now
+        clock = self._clocks.get(servo_id)
+        if clock is None or received_s - clock.sent_s > _TICK_LONGEST_S:
+            self._clocks[servo_id] = TickClock(tick_ms, sent_s, received_s)
             return None
-        last_tick_ms, last_sent_s, last_received_s = last
-        least_s = max(0.0, sent_s - last_received_s)
-        most_s = received_s - last_sent_s
-        if most_s > _TICK_LONGEST_S:
-            self._last[servo_id] = now
-            return None
-        passed_s = ((tick_ms - last_tick_ms) % TICK_MODULO) * _TICK_S
-        low_s = least_s * (1.0 - _TICK_RATE_ERROR) - _TICK_GRAIN_S
-        high_s = most_s * (1.0 + _TICK_RATE_ERROR) + _TICK_GRAIN_S
-        # A tick slightly back is a lag too, not a turn of the modulo; one far back is a restart.
-        if passed_s > TICK_MODULO * _TICK_S - _TICK_LATEST_S:
-            passed_s -= TICK_MODULO * _TICK_S
-        if passed_s >= low_s:
-            self._last[servo_id] = now
-        if low_s <= passed_s <= high_s:
-            return None
-        return BusCorrupt(
-            f"the tick of servo {servo_id} moved by {passed_s * 1e3:.0f} ms while "
-            f"{least_s * 1e3:.0f} to {most_s * 1e3:.0f} ms passed: an old answer, or the servo "
-            f"has restarted"
-        )
+        passed_s = clock.passed_s(tick_ms)
+        most_s = received_s - clock.sent_s
+        if passed_s > most_s * (1.0 + _TICK_RATE_ERROR) + _TICK_LEAD_S:
+            self._clocks[servo_id] = TickClock(tick_ms, sent_s, received_s)
+            return BusCorrupt(
+                f"the tick of servo {servo_id} moved by {passed_s * 1e3:.0f} ms while at most "
+                f"{most_s * 1e3:.0f} ms passed: the servo has restarted"
+            )
+        old_s = sent_s - clock.latest_s(passed_s)
+        if old_s > _TICK_LAG_S:
+            clock.refuse(tick_ms, passed_s)
+            return BusCorrupt(
+                f"an old answer of servo {servo_id}: by its tick it is at least "
+                f"{old_s * 1e3:.0f} ms older than the request; something on the line delays or "
+                f"repeats answers"
+            )
+        clock.add(tick_ms, passed_s, sent_s, received_s)
+        return None
+
+
+class TickClock:
+    """Latest host's time at which a servo's tick can have been reached, from its answers so far.
+
+    An answer was made before it was received: the least difference between host and tick so far,
+    carried on with the largest possible rate, bounds the age of every later answer. The rate is
+    bounded by the tolerance of a servo's clock at first, and soon by what the ticks of the last
+    seconds allow; a drift is followed so. While answers are refused as old the most likely rate
+    is taken instead: a lag that lasts is not accepted after a while.
+
+    Parameters
+    ----------
+    tick_ms
+        First tick in ms, modulo 32768.
+    sent_s, received_s
+        Host's time before its request and after the answer in s.
+
+    Attributes
+    ----------
+    sent_s
+        Host's time before the last request that was answered in time.
+    """
+
+    __slots__ = (
+        "_latest_s",
+        "_mark",
+        "_next_mark",
+        "_rate",
+        "_refused",
+        "_tick",
+        "_tick_s",
+        "sent_s",
+    )
+
+    def __init__(self, tick_ms: int, sent_s: float, received_s: float) -> None:
+        self.sent_s = sent_s
+        self._tick = tick_ms
+        self._tick_s = 0.0
+        self._latest_s = received_s
+        self._rate = _LARGEST_RATE
+        self._refused = False
+        self._mark = self._next_mark = TickMark(0.0, sent_s, received_s)
+
+    def passed_s(self, tick_ms: int) -> float:
+        """Return the progress of the tick since the last answer in s; negative where it is back."""
+        passed_s = ((tick_ms - self._tick) % TICK_MODULO) * _TICK_S
+        # A tick slightly back is a lag, not a turn of the modulo; one far back is a restart.
+        back = passed_s > TICK_MODULO * _TICK_S - _TICK_LATEST_S
+        return passed_s - TICK_MODULO * _TICK_S if back else passed_s
+
+    def latest_s(self, passed_s: float) -> float:
+        """Return the latest host's time of a tick in s, by its progress since the last answer."""
+        rate = self._rate
+        if passed_s > _TICK_PAUSE_S:
+            # What is older than a pause needs no sharp bound.
+            return self._latest_s + passed_s * _LARGEST_RATE
+        if self._refused:
+            rate = self._mark.rate(self._tick_s, self._latest_s - self._mark.latest_s + _TICK_S)
+        return self._latest_s + passed_s * min(rate, self._rate)
+
+    def refuse(self, tick_ms: int, passed_s: float) -> None:
+        """Take note of an old answer: what is known of its tick holds on, at the likely rate."""
+        self._latest_s = self.latest_s(passed_s)
+        self._go_on(tick_ms, passed_s)
+        self._refused = True
+
+    def add(self, tick_ms: int, passed_s: float, sent_s: float, received_s: float) -> None:
+        """Add an answer that is new."""
+        self._latest_s = min(self.latest_s(passed_s), received_s)
+        self._go_on(tick_ms, passed_s)
+        self._refused = False
+        self.sent_s = sent_s
+        if self._tick_s - self._next_mark.tick_s >= _TICK_RATE_TIME_S:
+            self._mark = self._next_mark
+            self._next_mark = TickMark(self._tick_s, sent_s, self._latest_s)
+            self._rate = _LARGEST_RATE
+        # Both ends may be off by the age that an answer may have.
+        host_s = received_s - self._mark.sent_s + 2.0 * _TICK_LAG_S
+        self._rate = min(self._rate, self._mark.rate(self._tick_s, host_s))
+
+    def _go_on(self, tick_ms: int, passed_s: float) -> None:
+        self._tick = tick_ms
+        self._tick_s += passed_s
+
+
+class TickMark(NamedTuple):
+    """Answer from which the rate of a servo's clock is measured.
+
+    Attributes
+    ----------
+    tick_s
+        Progress of the tick since the first answer in s.
+    sent_s, latest_s
+        Host's time before its request, and the latest one of its tick, in s.
+    """
+
+    tick_s: float
+    sent_s: float
+    latest_s: float
+
+    def rate(self, tick_s: float, host_s: float) -> float:
+        """Return the host's seconds per second of the servo that passed since, if possible ones."""
+        ticks_s = tick_s - self.tick_s
+        if ticks_s <= 0.0:
+            return _LARGEST_RATE
+        return min(_LARGEST_RATE, max(_LEAST_RATE, host_s / ticks_s))
 
 
 class FeedbackCheck:

@@ -17,12 +17,29 @@ from simulator.faults.entry import (
     unplugging,
 )
 from simulator.servo.control_table import EEPROM_END
-from simulator.servo.faults import ServoFaultKnobs, Trigger
+from simulator.servo.faults import Chatter, ServoFaultKnobs, Trigger
 from simulator.servo.firmware import WatchdogStop
 from simulator.servo.motor import AMBIENT_C
 
 _LATE = Number(unit="s", low=0.0, high=1.0, default=0.04)
 """How late an answer comes in s."""
+_SENTENCE = b"$GPGGA,092751.000,5321.6802,N,00630.3371,W,1,8,1.03,61.7,M,55.3,M,,*75\r\n"
+"""What a GPS receiver sends again and again (NMEA 0183)."""
+_BURST_BYTES = 40
+"""Bytes of a burst of noise: 0.4 ms at 1 Mbit/s."""
+
+
+def _chatter(name: str, meaning: str, data: bytes, every_s: float) -> FaultEntry:
+    return FaultEntry(
+        name=name,
+        kind=FaultKind.GARBAGE,
+        meaning=meaning,
+        value=Number(unit="s", low=1e-4, high=10.0, default=every_s),
+        apply=turning(
+            "servo_wire", "chatter", lambda target: Chatter(data=data, every_s=target.number)
+        ),
+        knob="chatter",
+    )
 
 
 def _late(target: Target, servo_ids: frozenset[int] | None) -> Effect:
@@ -174,6 +191,28 @@ SERVOS = (
         apply=turning("servo_wire", "fragment_bytes", lambda target: int(target.number)),
         knob="fragment_bytes",
     ),
+    knob_fault(
+        "servos.repeated",
+        FaultKind.WRONG,
+        "each answer comes again so much later",
+        "servo_wire",
+        "repeat_s",
+        value=Number(unit="s", low=1e-4, high=1.0, default=0.0095),
+    ),
+    knob_fault(
+        "servos.lagging",
+        FaultKind.WRONG,
+        "each answer is the servo's answer to the request of its kind before",
+        "servo_wire",
+        "lag",
+    ),
+    _chatter(
+        "servos.chatter", "another device sends a byte so often, into answers too", b"\xa5", 0.001
+    ),
+    _chatter(
+        "servos.bursts", "it sends 40 bytes so often", bytes(range(0xA5, 0xA5 + _BURST_BYTES)), 0.01
+    ),
+    _chatter("servos.sentences", "it sends a sentence of NMEA 0183 so often", _SENTENCE, 0.03),
     FaultEntry(
         name="servos.off",
         kind=FaultKind.OFF,

@@ -85,6 +85,7 @@ class ServoBusDevice:
         self._line_free_s = float("-inf")
         self._queue: list[tuple[float, int, bytes]] = []
         self._order = itertools.count()
+        self._chatter_s: float | None = None
 
     def advance_to(self, now_s: float) -> None:
         """Let watchdogs and protections act; call it once a step of the mechanics."""
@@ -117,6 +118,7 @@ class ServoBusDevice:
 
     def transmit(self, now_s: float) -> bytes:
         """Return the bytes that have reached the host by ``now_s``."""
+        self._hear_chatter(now_s)
         queue = self._queue
         if not queue or queue[0][0] > now_s + ROUNDING_S:
             return b""
@@ -127,7 +129,11 @@ class ServoBusDevice:
 
     def next_event_s(self) -> float | None:
         """Return when the next bytes reach the host, None when none are under way."""
-        return self._queue[0][0] if self._queue else None
+        due_s = self._queue[0][0] if self._queue else None
+        if self.faults.chatter is None or self._chatter_s is None:
+            return due_s
+        next_s = self.faults.chatter.next_s(self._chatter_s)
+        return next_s if due_s is None else min(due_s, next_s)
 
     def drop_pending(self) -> None:
         """Forget bytes under way and half a packet, as an adapter does that loses its supply."""
@@ -240,10 +246,36 @@ class ServoBusDevice:
         self, servo: SimulatedServo, packet: bytes, now_s: float, delay_s: float | None = None
     ) -> None:
         pause_s = servo.return_delay_s if delay_s is None else delay_s
-        end_s = max(now_s, self._line_free_s) + pause_s + self._wire_s(len(packet))
+        start_s = max(now_s, self._line_free_s) + pause_s
+        end_s = start_s + self._wire_s(len(packet))
         self._line_free_s = end_s
+        packet = self._met_by_chatter(packet, start_s, end_s)
         for late_s, data in self.faults.answer(servo.servo_id, packet):
             self._send_at(end_s + self._usb_latency_s + late_s, data)
+
+    def _hear_chatter(self, until_s: float) -> None:
+        """Let the host hear what another device has sent by a time."""
+        chatter = self.faults.chatter
+        if chatter is None:
+            self._chatter_s = None
+            return
+        if self._chatter_s is None:
+            self._chatter_s = until_s
+        for moment_s in chatter.moments_s(self._chatter_s, until_s):
+            self._send_at(moment_s + self._wire_s(len(chatter.data)), chatter.data)
+        self._chatter_s = max(self._chatter_s, until_s)
+
+    def _met_by_chatter(self, packet: bytes, start_s: float, end_s: float) -> bytes:
+        """Return an answer with the bytes in it that another device sends at the same time."""
+        chatter = self.faults.chatter
+        if chatter is None:
+            return packet
+        self._hear_chatter(start_s)
+        for moment_s in reversed(chatter.moments_s(start_s, end_s)):
+            place = round((moment_s - start_s) / self._wire_s(1))
+            packet = packet[:place] + chatter.data + packet[place:]
+        self._chatter_s = end_s
+        return packet
 
     def _send_at(self, due_s: float, data: bytes) -> None:
         heapq.heappush(self._queue, (due_s, next(self._order), data))

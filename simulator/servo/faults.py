@@ -4,6 +4,7 @@ The knobs of the wire act on packets between the host and the servos, those of a
 itself. A run with the same seed and the same traffic is always the same.
 """
 
+import math
 import random
 from dataclasses import dataclass, field, fields
 from typing import NamedTuple
@@ -12,6 +13,9 @@ from simulator.errors import SimulatorSettingsError
 from simulator.servo.device import SimulatedServo
 from simulator.servo.motor import OVERLOAD_BUDGET_S, ServoMotor
 from simulator.servo.protocol2 import crc16
+
+_ROUNDING = 1e-6
+"""Share of a period by which the time of a burst may be rounded."""
 
 
 @dataclass(slots=True, kw_only=True)
@@ -71,6 +75,34 @@ class Piece(NamedTuple):
     data: bytes
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Chatter:
+    """What another device sends on the wire, whoever speaks there.
+
+    Attributes
+    ----------
+    data
+        Bytes of one burst.
+    every_s
+        Time from the begin of a burst to that of the next one, s.
+    """
+
+    data: bytes
+    every_s: float
+
+    def moments_s(self, after_s: float, until_s: float) -> list[float]:
+        """Return the times in s at which bursts begin, after one time and up to another one."""
+        first, last = self._number(after_s) + 1, self._number(until_s)
+        return [number * self.every_s for number in range(first, last + 1)]
+
+    def next_s(self, after_s: float) -> float:
+        """Return when the next burst begins in s."""
+        return (self._number(after_s) + 1) * self.every_s
+
+    def _number(self, time_s: float) -> int:
+        return math.floor(time_s / self.every_s + _ROUNDING)
+
+
 @dataclass(slots=True, kw_only=True)
 class WireFaults:
     """Knobs of the wire between host and servos.
@@ -89,6 +121,12 @@ class WireFaults:
         How many bytes a truncated answer lacks at its end.
     garbage_data
         What comes in front of an answer hit by ``garbage``.
+    repeat_s
+        Each answer comes again so much later, s; 0 = it does not.
+    lag
+        Each answer is replaced by the servo's answer of the same length before it.
+    chatter
+        What another device sends; an answer that it meets on the wire is damaged. None = nothing.
     silent
         Servos that neither hear nor answer: later ones of a sync read stay silent too.
     echo
@@ -112,12 +150,16 @@ class WireFaults:
     delay_s: float = 0.04
     truncate_bytes: int = 3
     garbage_data: bytes = b"\xaa\xff\xff\xfd\x55"
+    repeat_s: float = 0.0
+    lag: bool = False
+    chatter: Chatter | None = None
     silent: set[int] = field(default_factory=set)
     echo: bool = False
     fragment_bytes: int = 0
     fragment_gap_s: float = 0.002
     unplugged: bool = False
     _generator: random.Random | None = field(default=None, init=False, repr=False)
+    _before: dict[tuple[int, int], bytes] = field(default_factory=dict, init=False, repr=False)
 
     def reset(self) -> None:
         """Turn every knob back to off."""
@@ -138,6 +180,9 @@ class WireFaults:
         if not self._any_answer_fault():
             return [Piece(0.0, packet)]
         generator = self._random()
+        if self.lag:
+            key = servo_id, len(packet)
+            packet, self._before[key] = self._before.get(key, packet), packet
         if self.drop.fires(servo_id, generator):
             return []
         delay_s = self.delay_s if self.delay.fires(servo_id, generator) else 0.0
@@ -151,19 +196,27 @@ class WireFaults:
         copies = 2 if self.duplicate.fires(servo_id, generator) else 1
         if self.garbage.fires(servo_id, generator):
             packet = self.garbage_data + packet
-        return self._fragments(delay_s, packet * copies)
+        pieces = self._fragments(delay_s, packet * copies)
+        if self.repeat_s > 0.0:
+            pieces += self._fragments(delay_s + self.repeat_s, packet)
+        return pieces
 
     def _any_answer_fault(self) -> bool:
-        return self.fragment_bytes > 0 or any(
-            trigger.active
-            for trigger in (
-                self.drop,
-                self.delay,
-                self.duplicate,
-                self.bit_flip,
-                self.truncate,
-                self.garbage,
-                self.wrong_id,
+        return (
+            self.fragment_bytes > 0
+            or self.repeat_s > 0.0
+            or self.lag
+            or any(
+                trigger.active
+                for trigger in (
+                    self.drop,
+                    self.delay,
+                    self.duplicate,
+                    self.bit_flip,
+                    self.truncate,
+                    self.garbage,
+                    self.wrong_id,
+                )
             )
         )
 

@@ -36,8 +36,15 @@ _BRAKING_S = 0.1
 """How long that may take, in s."""
 _WATCHDOG_S = 0.02
 """What a servo's bus watchdog may take longer than it is set to, in s."""
-_SILENT = ("PortLost", "BusTimeout", "BusCorrupt", "FingerSilent", "did not take the goal")
-"""Words of faults in which a servo hears nothing: its bus watchdog alone stops it."""
+_SILENT = (
+    "PortLost",
+    "BusTimeout",
+    "BusCorrupt",
+    "BusUnreliable",
+    "FingerSilent",
+    "did not take the goal",
+)
+"""Words of faults in which a servo may hear nothing: its bus watchdog alone stops it."""
 _FAULTED = (CellState.ABORTING, CellState.ABORTED, CellState.CLEARING, CellState.RESETTING)
 _COUNTERS = (
     attrgetter("lost", "torn", "duplicate", "reordered", "stale", "short", "corrupt"),

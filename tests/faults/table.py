@@ -46,6 +46,8 @@ START_S = 3.0
 """A start with a wrong unit is refused within this time."""
 BUS_LOST_S = 0.1
 """`gripper.bus_loss_ms`."""
+LOSSY_S = 1.5
+"""`gripper.bus_loss_ms` over `gripper.feedback_loss_max_share`, and some periods."""
 ONE_SILENT_S = 0.025
 """Three periods with their repetitions, and what is left of the one in which it began."""
 CYCLE_S = 0.006
@@ -210,6 +212,8 @@ SERVO_BUS = (
              "servos.lost_requests=1@contact+0.2s..contact+203ms", "NOTE", LOOP_S),
     FaultRow(18, "now and then", "one answer in twenty is lost, for the whole job",
              "servos.loss=0.05", "NOTE", None),
+    FaultRow(18, "often", "three answers in twenty are lost: above the share that is allowed",
+             "servos.loss=0.15@contact+0.2s", "HOLD", LOSSY_S, changes=LONG_HOLD),
     FaultRow(19, "cable out", "the cable of the servo bus is pulled in the ramp",
              "servos.unplugged@contact+0.2s", "HOLD", BUS_LOST_S),
     FaultRow(19, "dead bus", "no servo answers any more in the ramp",
@@ -218,6 +222,22 @@ SERVO_BUS = (
              "servos.off@moving+0.6s", "HOLD", BUS_LOST_S),
     FaultRow(19, "all answers late", "all answers come 30 ms late from the ramp on",
              "servos.delayed=0.03@contact+0.2s", "HOLD", BUS_LOST_S),
+    FaultRow(19, "answers come again",
+             "each answer comes again 9.5 ms later, when the next one is expected",
+             "servos.repeated=9.5ms@contact+0.2s", "HOLD", BUS_LOST_S),
+    FaultRow(19, "answers lag by one",
+             "each answer is the one to the request before, and so one period old",
+             "servos.lagging@contact+0.2s", "HOLD", BUS_LOST_S),
+    FaultRow(19, "answers lag and patience",
+             "the same with bus_loss_ms 500: a lag that lasts is never accepted",
+             "servos.lagging@contact+0.2s", "HOLD", 0.5 + 4 * LOOP_S,
+             changes=LONG_HOLD | {"gripper.bus_loss_ms": 500.0}),
+    *(FaultRow(20, variant, f"another device sends {what} from the ramp on, into answers too",
+               f"{text}@contact+0.2s", "HOLD", LOSSY_S, changes=LONG_HOLD)
+      for variant, what, text in (
+          ("chatter", "one byte each 0.7 ms", "servos.chatter=0.7ms"),
+          ("bursts", "40 bytes each 2.3 ms", "servos.bursts=2.3ms"),
+          ("sentences", "a sentence of NMEA 0183 each 3.1 ms", "servos.sentences=3.1ms"))),
     FaultRow(20, "bit errors", "one bit of every answer turns for 10 ms",
              "servos.corrupt=1@contact+0.2s..contact+0.21s", "NOTE", LOOP_S),
     FaultRow(20, "bit errors now and then",

@@ -150,7 +150,7 @@ def test_changed_bytes_of_the_adapter_end_in_a_fault_that_names_them(
     first_run, second_run = tmp_path / "a", tmp_path / "b"
     for folder in (first_run, second_run):
         folder.mkdir()
-    with relay_on(simulator.can_channel) as relay:
+    with relay_on("can", simulator.can_channel) as relay:
         config = config_on(simulator, relay.port)
         with meddled(simulator, config, first_run, lambda: relay.order(order)) as found:
             assert isinstance(found.error, faults), found.error

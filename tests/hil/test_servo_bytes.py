@@ -54,7 +54,7 @@ def line(
 ) -> Iterator[Line]:
     simulator = cell_process(parse_config(CONFIG, source="test"))
     first(simulator.pid)
-    with relay_on(simulator.servo_port) as relay:
+    with relay_on("servos", simulator.servo_port) as relay:
         config = load_config(simulator.config_path)
         gripper = config.gripper.model_copy(update={"port": relay.port})
         yield Line(simulator, relay, config.model_copy(update={"gripper": gripper}))

@@ -8,7 +8,7 @@ from gripper.dynamixel.models import XM430_W350
 from simulator.errors import SimulatorSettingsError
 from simulator.servo.bus import ServoBusDevice
 from simulator.servo.device import SimulatedServo
-from simulator.servo.faults import Trigger, WireFaults
+from simulator.servo.faults import Chatter, Trigger, WireFaults
 from simulator.servo.motor import ServoMotor
 from simulator.servo.protocol2 import Instruction, PacketParser, encode_instruction, encode_status
 
@@ -365,3 +365,45 @@ def test_an_impossible_knob_is_refused(bench, trigger: Trigger):
     bench.device.faults.drop = trigger
     with pytest.raises(SimulatorSettingsError):
         bench.exchange(PING)
+
+
+def test_each_answer_comes_again_later(bench):
+    bench.device.faults.repeat_s = 0.0095
+    assert bench.exchange(PING, 0.005) == PONG
+    assert bench.exchange(b"", 0.002) == b""
+    assert bench.exchange(b"", 0.005) == PONG
+    assert bench.exchange(b"", 0.02) == b""
+
+
+def test_a_lagging_answer_is_that_to_the_request_of_its_kind_before(bench):
+    bench.device.faults.lag = True
+    bench.servos[0].core.table.data[65] = 1
+    assert bench.exchange(read(65, 1))[9] == 1
+    bench.servos[0].core.table.data[65] = 2
+    assert bench.exchange(PING) == PONG
+    assert bench.exchange(read(65, 1))[9] == 1
+    assert bench.exchange(read(65, 1))[9] == 2
+
+
+def read(address: int, size: int) -> bytes:
+    return encode_instruction(1, Instruction.READ, bytes((address, 0, size, 0)))
+
+
+def test_chatter_comes_by_itself_and_into_answers(bench):
+    bench.device.faults.chatter = Chatter(data=b"\xa5", every_s=0.001)
+    heard = b""
+    start_s = bench.clock.monotonic()
+    while bench.clock.monotonic() < start_s + 0.02:
+        heard += bench.stream.read(64, 0.02)
+    assert set(heard) == {0xA5}
+    assert 19 <= len(heard) <= 21
+    bench.device.faults.chatter = Chatter(data=b"\xa5", every_s=0.00005)
+    bench.stream.write(PING)
+    heard = b""
+    start_s = bench.clock.monotonic()
+    while bench.clock.monotonic() < start_s + 0.003:
+        heard += bench.stream.read(64, 0.001)
+    assert PONG not in heard
+    assert heard.replace(b"\xa5", b"") == PONG
+    bench.device.faults.chatter = None
+    assert bench.exchange(PING)[-len(PONG) :] == PONG

@@ -1,0 +1,1 @@
+"""Real processes over pseudo-terminals, in real time."""

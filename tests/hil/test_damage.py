@@ -1,0 +1,61 @@
+"""A relay damages both lines: the right label or a named error, and the grip is kept."""
+
+import re
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from cell.config.file import changed_config, config_text
+from tests.hil import damage
+from tests.hil.damage import Bench
+
+pytestmark = pytest.mark.hil
+
+PROGRAM = [sys.executable, "-c", "from cell.interfaces.cli import main; main()"]
+LIMIT_S = 60.0
+"""Of a command that ends by itself; 8 s of it are the product's, the rest is the machine's."""
+
+
+@pytest.fixture(scope="module")
+def bench(free_machine: None, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Bench]:
+    with Bench(tmp_path_factory.mktemp("damage")) as one:
+        yield one
+
+
+@pytest.mark.parametrize("name", damage.SMALL)
+def test_a_job_under_damage_gives_the_right_label_or_a_named_error(bench: Bench, name: str) -> None:
+    (chosen,) = (one for one in damage.DAMAGES if one.name == name)
+    found = bench.run(chosen)
+    assert found.seconds < LIMIT_S
+
+
+def test_a_port_on_which_a_gps_receiver_speaks_is_named_with_what_was_heard(
+    bench: Bench, tmp_path: Path
+) -> None:
+    config = tmp_path / "cell.yaml"
+    gps = changed_config(bench.config, {"recording.directory": str(tmp_path)})
+    config.write_text(config_text(gps))
+    bench.drop_plugin()
+    relay = bench.relay("servos")
+    relay.order("instead 0.03 sentence")
+    began_s = time.monotonic()
+    try:
+        ended = subprocess.run(
+            [*PROGRAM, "release", "--confirm", "-c", config],
+            capture_output=True,
+            text=True,
+            timeout=LIMIT_S,
+            check=False,
+        )
+    finally:
+        relay.order("pass")
+    assert ended.returncode == 1
+    assert time.monotonic() - began_s < LIMIT_S
+    text = " ".join(ended.stderr.split())
+    assert f"the servo line ({gps.gripper.port})" in text
+    assert re.search(r"heard were \d+ bytes that are no packet, the first are .* \(b'", text), text
+    assert "Traceback" not in text
