@@ -23,6 +23,8 @@ _SHORTEST_TRAVEL_M = 1e-3
 """Way in m that a motion is planned for at least."""
 _OPENING_FORCE_N = 3.0
 """Force in N beside friction that the current of an opening allows: pads may stick to a part."""
+_CLOSING_SHARE = 0.9
+"""Share of the cap of the force that the current of a motion which closes may make."""
 _AGAINST_REST = 1.4
 """Current of a motion over that which moves the fingers freely: friction at rest is larger."""
 
@@ -61,6 +63,9 @@ class MoveTo:
         Feedback at the start.
     aperture_m
         Opening to reach in m.
+    only_open
+        True where no finger may close, as a release: one that is more open stays there, and none
+        is driven back where something pushes it open.
     """
 
     def __init__(
@@ -70,9 +75,14 @@ class MoveTo:
         state: GripperState,
         *,
         aperture_m: float,
+        only_open: bool = False,
     ) -> None:
+        self._only_open = only_open
         self._start_rad = state.angles_rad
         self._target_rad = linkage.angles_rad(aperture_m)
+        if only_open:
+            self._target_rad = tuple(map(max, self._target_rad, self._start_rad))
+            aperture_m = linkage.aperture_m(self._target_rad)
         travel_m = max(abs(aperture_m - state.aperture_m), _SHORTEST_TRAVEL_M)
         opening = aperture_m >= state.aperture_m
         speed_m_s = settings.open_speed_m_s if opening else settings.approach_speed_m_s
@@ -81,6 +91,12 @@ class MoveTo:
         self._current_a = min(
             _AGAINST_REST * motion_current_a(settings, paths, force_n), settings.current_max_a
         )
+        if not opening:
+            # The wider the fingers stand, the more force a current makes.
+            self._current_a = min(
+                self._current_a,
+                *(path.loading_current_a(_CLOSING_SHARE * settings.force_max_n) for path in paths),
+            )
         self._share_per_s = speed_m_s / travel_m
         self._share = 0.0
         self._aperture_m = aperture_m
@@ -96,11 +112,14 @@ class MoveTo:
         ):
             sign = 1.0 if target_rad >= start_rad else -1.0
             there = sign * (target_rad - servo.angle_rad) <= _REACHED_RAD
+            there = there or (self._only_open and start_rad >= target_rad)
             arrived = arrived and there
             end_rad = target_rad + sign * _OVERRUN_RAD
             angle_rad = (
                 servo.angle_rad if there else start_rad + self._share * (end_rad - start_rad)
             )
+            if self._only_open:
+                angle_rad = max(angle_rad, servo.angle_rad)
             goals.append(ServoGoal(angle_rad=angle_rad, current_a=self._current_a))
         if not arrived and moment.now_s > self._deadline_s:
             raise self._stuck(moment.state)

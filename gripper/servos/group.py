@@ -107,6 +107,11 @@ class ServoGroup:
         self._goals.write(goals, state, profile_velocity_raw=profile_velocity_raw)
 
     @property
+    def goals_in_force(self) -> bool:
+        """True while goals that were written here are in force."""
+        return bool(self._goals.last)
+
+    @property
     def goal_current_a(self) -> float:
         """Mean of the goal currents in A; 0 while no goal is in force."""
         goals = self._goals.last
@@ -119,6 +124,15 @@ class ServoGroup:
     def check_force(self) -> None:
         """Raise ForceAboveCap while the measured force is above the cap."""
         self._guard.check_force()
+
+    @property
+    def fresh_force(self) -> ForceSample | None:
+        """The newest valid force sample; None where it is older than ``force_stale_s``."""
+        sample = self._guard.newest_force
+        if sample is None:
+            return None
+        fresh = self._clock.monotonic() - sample.t_s <= self._settings.force_stale_s
+        return sample if fresh else None
 
     def force_is_too_high(self) -> bool:
         """Return whether the measured force is above the cap by more than noise."""
@@ -188,8 +202,8 @@ class ServoGroup:
         part_possible
             True when a part may be held: then a tripped watchdog is a fault.
         releasing
-            True when the part is to be let go: then it is not, and torque that was found on at the
-            start may be switched off to correct the mode.
+            True when the part is to be let go: then it is not, and torque that was found on may be
+            switched off to correct the mode.
 
         Raises
         ------
@@ -198,16 +212,9 @@ class ServoGroup:
         VerificationFailed
             When a servo to be released does not match the settings.
         """
-        health, goals_in_force = self._health, bool(self._goals.last)
-        if (
-            releasing
-            and not goals_in_force
-            and health.torque_on()
-            and not health.verify(correct=False).ok
-        ):
-            # The release was asked for: only with the torque off can the mode be corrected.
-            self.switch_off()
-            health.verify(correct=True, refuse=True)
+        health, goals_in_force = self._health, self.goals_in_force
+        if releasing and not goals_in_force:
+            health.make_releasable()
         if not health.torque_on_everywhere():
             self._switch_on(self._motion_current_a())
         elif not goals_in_force or health.watchdogs_tripped():
@@ -229,9 +236,18 @@ class ServoGroup:
         self._arm_watchdog()
 
     def disarm_watchdog(self) -> None:
-        """Disarm, or clear after a trip, the bus watchdog of each servo (register 98)."""
+        """Disarm, or clear after a trip, the bus watchdog of each servo (register 98).
+
+        An error is raised when all servos were tried: a silent one does not hinder the other.
+        """
+        failed: GripperError | None = None
         for servo_id in self._ids:
-            self._bus.write(servo_id, BUS_WATCHDOG, 0)
+            try:
+                self._bus.write(servo_id, BUS_WATCHDOG, 0)
+            except GripperError as error:
+                failed = failed or error
+        if failed is not None:
+            raise failed
 
     def disarm_each(self, *, but: Sequence[int] = ()) -> None:
         """Disarm the bus watchdog of every servo that answers, with exceptions."""
