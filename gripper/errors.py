@@ -122,6 +122,10 @@ class FeedbackImplausible(GripperError):
     """A servo reports what cannot be: where its finger is, is unknown; the torque goes off."""
 
 
+class PositionContradicted(GripperError):
+    """The pads contradict the position that a servo reports; goals are frozen, the grip kept."""
+
+
 class GripperStateError(GripperError):
     """The command is not allowed in the present state."""
 

@@ -10,11 +10,18 @@ from gripper.dynamixel.control_table import (
     GOAL_PWM,
     OPERATING_MODE,
     PWM_LIMIT,
+    RAD_PER_PULSE,
     TORQUE_ENABLE,
     WATCHDOG_TRIPPED_RAW,
 )
 from gripper.dynamixel.models import OperatingMode
-from gripper.errors import BusCorrupt, BusTimeout, GripperError, ServoFault
+from gripper.errors import (
+    BusCorrupt,
+    BusTimeout,
+    FeedbackImplausible,
+    GripperError,
+    ServoFault,
+)
 from gripper.kinematics import Linkage, motion_current_a, transmissions
 from gripper.servos import stop_goals
 from gripper.servos.feedback import Feedback
@@ -29,6 +36,13 @@ _STOP_TRIES = 3
 """Writes of the goals that stop a motion before a servo counts as not obeying."""
 _STALE_PERIODS = 2.0
 """Age of the feedback, in periods, from which on moving fingers are read again before a stop."""
+_STANDING_READS, _STANDING_S = 15, 0.01
+"""Readings after the torque has come on, and the time in s before each: the fingers must stand."""
+_STANDING_RAD = 0.03
+"""Way in rad within these readings that is no more standing: 2 mm of a finger of 60 mm."""
+_FARTHEST_GOAL_RAD = 1.0
+"""Distance in rad of a servo under torque from its goal that is still plausible: fingers of 60 mm
+move by 0.6 rad at most; the goals of the force loop lie 0.1 rad beyond what they press on."""
 _BOOT_S = 0.5
 """Wait in s after a reboot before a servo is asked: it hears nothing while it boots."""
 _BOOT_TIMEOUT_S = 3.0
@@ -211,12 +225,17 @@ class ServoGroup:
             When the watchdog tripped while a part was held.
         VerificationFailed
             When a servo to be released does not match the settings.
+        FeedbackImplausible
+            When a servo is not where it reports to be.
         """
         health, goals_in_force = self._health, self.goals_in_force
         if releasing and not goals_in_force:
             health.make_releasable()
-        if not health.torque_on_everywhere():
+        limp = not health.torque_on()
+        if limp or not health.torque_on_everywhere():
             self._switch_on(self._motion_current_a())
+            if limp:
+                self._check_standing()
         elif not goals_in_force or health.watchdogs_tripped():
             if part_possible and not releasing:
                 raise ServoFault(
@@ -308,6 +327,42 @@ class ServoGroup:
             self._bus.write(servo_id, TORQUE_ENABLE, 1)
         self._arm_watchdog()
 
+    def _check_standing(self) -> None:
+        """Raise FeedbackImplausible where a finger leaves the position that is its goal.
+
+        A servo that reports another count than it goes by runs to a goal made of that count.
+        """
+        begin = self.read_patiently()
+        for _ in range(_STANDING_READS):
+            self._clock.sleep(_STANDING_S)
+            for servo, before in zip(self.read_patiently().servos, begin.servos, strict=True):
+                moved_rad = servo.angle_rad - before.angle_rad
+                if abs(moved_rad) > _STANDING_RAD:
+                    raise FeedbackImplausible(
+                        f"servo {servo.servo_id}: it has moved by {moved_rad:+.3f} rad although "
+                        f"the position that it reported is its goal: it reports another position "
+                        f"than it goes by, so its torque is switched off. Restart the servo, check "
+                        f"its encoder and who else writes to it"
+                    )
+
+    def _check_goal_is_near(self, servo_id: int, position_raw: int) -> None:
+        """Raise FeedbackImplausible where a servo under torque is too far from its goal.
+
+        A count that is farther than a gripping program sets its goals is not the one that the
+        servo goes by; a goal made of it would move the finger there.
+        """
+        if self._bus.read(servo_id, TORQUE_ENABLE) == 0:
+            return
+        goal_raw = self._bus.read(servo_id, GOAL_POSITION)
+        away_rad = abs(position_raw - goal_raw) * RAD_PER_PULSE
+        if away_rad > _FARTHEST_GOAL_RAD:
+            raise FeedbackImplausible(
+                f"servo {servo_id}: it reports the position {position_raw} while it holds the goal "
+                f"{goal_raw}, {away_rad:.2f} rad away, at most {_FARTHEST_GOAL_RAD} rad are "
+                f"plausible: where its finger is, is unknown, so the torque is switched off and a "
+                f"held part possibly dropped. Check who else writes to this servo, and its encoder"
+            )
+
     def _motion_current_a(self) -> float:
         paths = transmissions(self._settings, self._linkage, self.read_patiently().angles_rad)
         return motion_current_a(self._settings, paths, self._settings.approach_force_n)
@@ -322,6 +377,8 @@ class ServoGroup:
             # The goals of the other modes limit this one too.
             self._bus.write(servo_id, GOAL_PWM, self._bus.read(servo_id, PWM_LIMIT))
         state = self.read_patiently()
+        for servo in state.servos:
+            self._check_goal_is_near(servo.servo_id, servo.position_raw)
         self._goals.write(
             [ServoGoal(angle_rad=angle, current_a=current_a) for angle in state.angles_rad], state
         )
