@@ -19,7 +19,7 @@ from gripper.errors import (
 from gripper.force.grasp import GraspRun
 from gripper.force.grip_control import GripControl
 from gripper.force.loop import LoopRunner, Observer
-from gripper.force.motion import MoveTo
+from gripper.force.motion import MoveTo, StandStill
 from gripper.force.ramp import ForceRamp, check_ramp
 from gripper.force.timing import LoopStatistics
 from gripper.kinematics import Linkage, OneFinger
@@ -192,6 +192,9 @@ class Gripper:
     ) -> GripperState:
         """Move the empty fingers to an opening in m, by default aperture_open_m.
 
+        Where the torque comes on for it, the fingers stand for 0.2 s first: one that does not is
+        not where its servo reports it to be, and the torque goes off.
+
         With the setting ``watchdog_self_test`` the first opening ends with that test: the fingers
         close by a few mm, stand until the watchdog has tripped, and open again.
 
@@ -210,7 +213,11 @@ class Gripper:
                 f"{self._settings.aperture_open_m}"
             )
         with self._life.command(GripperPhase.OPENING):
+            was_limp = not self._servos.goals_in_force
             self._make_ready()
+            if was_limp:
+                standing = StandStill(self._settings, self._servos.read_patiently())
+                self._runner.run(self._life.phase, standing.step, observer, needs_force=False)
             state = self._move_to(target_m, observer)
             if self._settings.watchdog_self_test and not self._watchdog_proofs:
                 self._watchdog_proofs = prove_watchdog(

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from enum import Enum
 
 from gripper.dynamixel.control_table import RAD_PER_PULSE, RAD_S_PER_VELOCITY_UNIT
-from gripper.errors import ServoFault
+from gripper.errors import FeedbackImplausible, ServoFault
 from gripper.force.loop import Action, Moment
 from gripper.kinematics import Linkage, motion_current_a, transmissions
 from gripper.servos.goals import OPENING_MARGIN_RAD, ServoGoal
@@ -19,6 +19,11 @@ _OVERRUN_RAD = 0.6 * OPENING_MARGIN_RAD
 """How far in rad beyond the opening the goal runs, so that friction does not stop short of it."""
 _MOVE_PATIENCE_S = 2.0
 """Time in s beyond that of the motion after which a finger counts as stuck."""
+_STANDING_S = 0.2
+"""Time in s for which empty fingers must stand after their torque has come on: friction at rest
+makes a motor slow to start."""
+_STANDING_RAD = 0.03
+"""Way in rad in that time that is no standing any more: 2 mm of a finger of 60 mm."""
 _SHORTEST_TRAVEL_M = 1e-3
 """Way in m that a motion is planned for at least."""
 _OPENING_FORCE_N = 3.0
@@ -50,6 +55,38 @@ _BOOST_PER_S = 2.0
 """Growth of that factor in 1/s; it falls twice as fast."""
 _REST_SAMPLES = 4
 """Samples whose mean is the force at the contact: 80 ms at 50 Hz."""
+
+
+class StandStill:
+    """Step of control that watches empty fingers whose torque has just come on: none may move.
+
+    A servo that goes by another position than it reports runs to a goal made of the reported one.
+
+    Parameters
+    ----------
+    settings
+        Of the gripper.
+    state
+        Feedback at the start; the goals are these positions.
+    """
+
+    def __init__(self, settings: GripperSettings, state: GripperState) -> None:
+        self._start_rad = state.angles_rad
+        self._periods = round(_STANDING_S / settings.period_s)
+
+    def step(self, moment: Moment) -> Action:
+        """Return no goals; FeedbackImplausible when a finger leaves its place."""
+        self._periods -= 1
+        for servo, start_rad in zip(moment.state.servos, self._start_rad, strict=True):
+            moved_rad = servo.angle_rad - start_rad
+            if abs(moved_rad) > _STANDING_RAD:
+                raise FeedbackImplausible(
+                    f"servo {servo.servo_id}: it has moved by {moved_rad:+.3f} rad although the "
+                    f"position that it reported is its goal: it goes by another position than it "
+                    f"reports, or something drives it, so the torque is switched off. Restart the "
+                    f"servo, check its encoder and who else writes to it"
+                )
+        return Action(done=self._periods <= 0)
 
 
 class MoveTo:

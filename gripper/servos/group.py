@@ -36,10 +36,6 @@ _STOP_TRIES = 3
 """Writes of the goals that stop a motion before a servo counts as not obeying."""
 _STALE_PERIODS = 2.0
 """Age of the feedback, in periods, from which on moving fingers are read again before a stop."""
-_STANDING_READS, _STANDING_S = 15, 0.01
-"""Readings after the torque has come on, and the time in s before each: the fingers must stand."""
-_STANDING_RAD = 0.03
-"""Way in rad within these readings that is no more standing: 2 mm of a finger of 60 mm."""
 _FARTHEST_GOAL_RAD = 1.0
 """Distance in rad of a servo under torque from its goal that is still plausible: fingers of 60 mm
 move by 0.6 rad at most; the goals of the force loop lie 0.1 rad beyond what they press on."""
@@ -226,16 +222,13 @@ class ServoGroup:
         VerificationFailed
             When a servo to be released does not match the settings.
         FeedbackImplausible
-            When a servo is not where it reports to be.
+            When a servo under torque reports a position far from its goal.
         """
         health, goals_in_force = self._health, self.goals_in_force
         if releasing and not goals_in_force:
             health.make_releasable()
-        limp = not health.torque_on()
-        if limp or not health.torque_on_everywhere():
+        if not health.torque_on_everywhere():
             self._switch_on(self._motion_current_a())
-            if limp:
-                self._check_standing()
         elif not goals_in_force or health.watchdogs_tripped():
             if part_possible and not releasing:
                 raise ServoFault(
@@ -326,24 +319,6 @@ class ServoGroup:
         for servo_id in self._ids:
             self._bus.write(servo_id, TORQUE_ENABLE, 1)
         self._arm_watchdog()
-
-    def _check_standing(self) -> None:
-        """Raise FeedbackImplausible where a finger leaves the position that is its goal.
-
-        A servo that reports another count than it goes by runs to a goal made of that count.
-        """
-        begin = self.read_patiently()
-        for _ in range(_STANDING_READS):
-            self._clock.sleep(_STANDING_S)
-            for servo, before in zip(self.read_patiently().servos, begin.servos, strict=True):
-                moved_rad = servo.angle_rad - before.angle_rad
-                if abs(moved_rad) > _STANDING_RAD:
-                    raise FeedbackImplausible(
-                        f"servo {servo.servo_id}: it has moved by {moved_rad:+.3f} rad although "
-                        f"the position that it reported is its goal: it reports another position "
-                        f"than it goes by, so its torque is switched off. Restart the servo, check "
-                        f"its encoder and who else writes to it"
-                    )
 
     def _check_goal_is_near(self, servo_id: int, position_raw: int) -> None:
         """Raise FeedbackImplausible where a servo under torque is too far from its goal.
