@@ -192,8 +192,9 @@ class Gripper:
     ) -> GripperState:
         """Move the empty fingers to an opening in m, by default aperture_open_m.
 
-        Where the torque comes on for it, the fingers stand for 0.2 s first: one that does not is
-        not where its servo reports it to be, and the torque goes off.
+        Where the torque comes on for it, and a servo counts in another turn than that of its zero,
+        the fingers stand for 0.2 s first: one that does not is not where its servo reports it to
+        be, and the torque goes off.
 
         With the setting ``watchdog_self_test`` the first opening ends with that test: the fingers
         close by a few mm, stand until the watchdog has tripped, and open again.
@@ -215,7 +216,7 @@ class Gripper:
         with self._life.command(GripperPhase.OPENING):
             was_limp = not self._servos.goals_in_force
             self._make_ready()
-            if was_limp:
+            if was_limp and self._servos.off_by_turns:
                 standing = StandStill(self._settings, self._servos.read_patiently())
                 self._runner.run(self._life.phase, standing.step, observer, needs_force=False)
             state = self._move_to(target_m, observer)

@@ -89,6 +89,11 @@ class Feedback:
         self._ticks = TickWatch()
         self._plausible = FeedbackCheck(settings, linkage)
 
+    @property
+    def off_by_turns(self) -> bool:
+        """Whether a servo counts in another turn than that of its zero; no reading, no turns."""
+        return any(self._turns.values())
+
     def read(self, *, under_torque: bool) -> GripperState:
         """Read the feedback of all servos in one transaction.
 

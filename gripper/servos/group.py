@@ -94,6 +94,11 @@ class ServoGroup:
         """The opening in m at the last reading; None before the first one."""
         return None if self._feedback.last is None else self._feedback.last.aperture_m
 
+    @property
+    def off_by_turns(self) -> bool:
+        """Whether a servo counts in another turn than that of its zero."""
+        return self._feedback.off_by_turns
+
     def silent_and_living(self) -> tuple[list[int], list[int]]:
         """Return the IDs of the servos that did not answer last, and of those that did."""
         silent = [servo_id for servo_id in self._ids if self._bus.misses(servo_id)]
