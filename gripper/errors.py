@@ -1,10 +1,8 @@
 """Errors of the gripper: one small tree, each message names cause, value, limit and remedy."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from gripper.state import VerificationReport
+from gripper.state import VerificationReport, hardware_error_names
 
 _RESULT_CODES = {
     1: "Result Fail: the command was not carried out",
@@ -17,14 +15,6 @@ _RESULT_CODES = {
 }
 """Error numbers of a status packet (e-Manual, Protocol 2.0, "Error")."""
 
-_HARDWARE_ERROR_BITS = {
-    0: "input voltage",
-    2: "overheating",
-    3: "encoder",
-    4: "electrical shock",
-    5: "overload",
-}
-"""Bits of Hardware Error Status (e-Manual, Control Table, register 70)."""
 _FINGERS = "the fingers "
 """Begin of each note about the fingers: what it is found by."""
 
@@ -111,7 +101,7 @@ class VerificationFailed(GripperError):
         Expected against found, row by row.
     """
 
-    def __init__(self, report: "VerificationReport", failed: Sequence[str]) -> None:
+    def __init__(self, report: VerificationReport, failed: Sequence[str]) -> None:
         super().__init__(
             "the servos do not match the settings: "
             + "; ".join(failed)
@@ -134,6 +124,10 @@ class ForceAboveCap(LimitExceeded):
 
 class FeedbackImplausible(GripperError):
     """A servo reports what cannot be: where its finger is, is unknown; the torque goes off."""
+
+
+class PositionContradicted(GripperError):
+    """The pads contradict the position that a servo reports; goals are frozen, the grip kept."""
 
 
 class GripperStateError(GripperError):
@@ -180,10 +174,3 @@ def copy_fingers(source: BaseException, target: BaseException) -> None:
     left = fingers_left(source)
     if left and not fingers_left(target):
         target.add_note(left)
-
-
-def hardware_error_names(bits: int) -> tuple[str, ...]:
-    """Return the names of the bits of Hardware Error Status (register 70), lowest bit first."""
-    return tuple(
-        _HARDWARE_ERROR_BITS.get(bit, f"undefined bit {bit}") for bit in range(8) if bits >> bit & 1
-    )

@@ -4,16 +4,25 @@ A part is let go by `Gripper.release` alone. Faults, exceptions, `keep_grip` and
 goals and torque as they are.
 """
 
+from collections.abc import Sequence
+from dataclasses import replace
+
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.latency import LinkTiming, check_link
-from gripper.errors import GripperError, GripperStateError, LimitExceeded, ServoFault
+from gripper.errors import (
+    BusTimeout,
+    GripperError,
+    GripperStateError,
+    LimitExceeded,
+    ServoFault,
+)
 from gripper.force.grasp import GraspRun
 from gripper.force.grip_control import GripControl
 from gripper.force.loop import LoopRunner, Observer
-from gripper.force.motion import MoveTo
+from gripper.force.motion import MoveTo, StandStill
 from gripper.force.ramp import ForceRamp, check_ramp
 from gripper.force.timing import LoopStatistics
-from gripper.kinematics import Linkage
+from gripper.kinematics import Linkage, OneFinger
 from gripper.lifecycle import Lifecycle, bus_is_lost
 from gripper.servos.group import ServoGroup
 from gripper.servos.health import ServoHealth
@@ -26,6 +35,8 @@ from gripper.state import (
     GraspResult,
     GripperPhase,
     GripperState,
+    ReleaseReport,
+    ServoCondition,
     VerificationReport,
 )
 
@@ -71,6 +82,8 @@ class Gripper:
         self._linkage = linkage
         self._settings = settings
         self._clock = clock
+        self._force_sensor = force_sensor
+        self._ids = [servo.servo_id for servo in settings.servos]
         self._health = ServoHealth(bus, settings)
         self._servos = ServoGroup(bus, linkage, settings, clock, self._health)
         self._runner = LoopRunner(self._servos, self._health, force_sensor, settings, clock)
@@ -78,6 +91,7 @@ class Gripper:
         self._life = Lifecycle(self._servos, self._runner, settings)
         self._watchdog_proofs: tuple[WatchdogProof, ...] = ()
         self._link_timing: LinkTiming | None = None
+        self._one_finger: Gripper | None = None
 
     @property
     def link_timing(self) -> LinkTiming | None:
@@ -125,6 +139,8 @@ class Gripper:
         ------
         VerificationFailed
             When a servo is missing, or with its torque off does not match the settings.
+        ServoFault
+            When no servo has torque and one reports a hardware error: see `clear_fault`.
         LinkTooSlow
             When the answers come too late for the rate of the loop.
         GripperStateError
@@ -133,9 +149,12 @@ class Gripper:
         self._life.check_ready("start")
         self._health.require_present()
         report = self._verify()
-        ids = [servo.servo_id for servo in self._settings.servos]
-        self._link_timing = check_link(self._bus, ids, self.period_s)
+        self._link_timing = check_link(self._bus, self._ids, self.period_s)
         return report
+
+    def conditions(self) -> tuple[ServoCondition, ...]:
+        """Read torque and errors of each servo, of those too that others hide; reads only."""
+        return self._health.conditions()
 
     def inspect(self) -> VerificationReport:
         """Compare the servos with the settings; reads only, changes nothing."""
@@ -155,6 +174,9 @@ class Gripper:
         """
         if self._life.running or self._life.phase is GripperPhase.OFF:
             return
+        if not self._servos.goals_in_force:
+            # Torque that was found on, or is lost: there is nothing here to be supervised.
+            return
         if self._life.fault is not None:
             with self._servos.in_loop():
                 self._runner.read()
@@ -169,6 +191,10 @@ class Gripper:
         self, aperture_m: float | None = None, observer: Observer | None = None
     ) -> GripperState:
         """Move the empty fingers to an opening in m, by default aperture_open_m.
+
+        Where the torque comes on for it, and a servo counts in another turn than that of its zero,
+        the fingers stand for 0.2 s first: one that does not is not where its servo reports it to
+        be, and the torque goes off.
 
         With the setting ``watchdog_self_test`` the first opening ends with that test: the fingers
         close by a few mm, stand until the watchdog has tripped, and open again.
@@ -188,7 +214,11 @@ class Gripper:
                 f"{self._settings.aperture_open_m}"
             )
         with self._life.command(GripperPhase.OPENING):
+            was_limp = not self._servos.goals_in_force
             self._make_ready()
+            if was_limp and self._servos.off_by_turns:
+                standing = StandStill(self._settings, self._servos.read_patiently())
+                self._runner.run(self._life.phase, standing.step, observer, needs_force=False)
             state = self._move_to(target_m, observer)
             if self._settings.watchdog_self_test and not self._watchdog_proofs:
                 self._watchdog_proofs = prove_watchdog(
@@ -272,28 +302,42 @@ class Gripper:
         self._life.phase = GripperPhase.HOLDING
         return state
 
-    def release(self, observer: Observer | None = None) -> GripperState:
+    def release(self, observer: Observer | None = None) -> ReleaseReport:
         """Let go: open to aperture_open_m. The only command that lets a part go.
 
-        Stopped or at fault on the way the fingers stand still; a note on the error names where.
+        Needs no start before it. Where this gripper has not given the torque itself, or has lost
+        it, a servo that is silent, or that an error of its own keeps without torque, is left as it
+        is and reported: the other finger opens alone. No finger closes, not even one that stands
+        wider open. Stopped or at fault on the way the fingers stand still; a note on the error
+        names where.
 
         Raises
         ------
         GripperStateError
             While a fault is latched: `clear_fault` comes first.
         VerificationFailed
-            When torque was found on at the start and a servo does not match the settings.
+            When no servo answers, or one does not match the settings; see the message for what
+            became of the torque.
+        ServoFault
+            When no servo can be moved.
         """
         self._life.check_ready("release")
+        if not self._servos.goals_in_force:
+            left = self._not_able()
+            if left:
+                return self._open_one_finger(left[0], observer)
         with self._life.command(GripperPhase.RELEASING):
             self._make_ready(releasing=True)
             # A part that a stop leaves half held is none whose force can be controlled.
             self._grasping.forget()
             self._life.controlled = False
-            state = self._move_to(self._settings.aperture_open_m, observer)
+            try:
+                state = self._move_to(self._settings.aperture_open_m, observer, only_open=True)
+            finally:
+                self._health.end_release()
         self._life.part_possible = False
         self._life.phase = GripperPhase.IDLE
-        return state
+        return ReleaseReport(state=state, opened=tuple(self._ids))
 
     def end_ramp(self) -> None:
         """Let the running ramp end at its present set-point, as if it had no more; from any thread.
@@ -313,6 +357,8 @@ class Gripper:
         Goals of a grip are frozen, fingers on their way stop where they are.
         """
         self._runner.request_stop()
+        if self._one_finger is not None:
+            self._one_finger.request_stop()
 
     def keep_grip(self) -> None:
         """Freeze in any state: no new goals, torque as it is, bus watchdog disarmed.
@@ -329,7 +375,10 @@ class Gripper:
         self._servos.disarm_watchdog()
 
     def clear_fault(self, *, reboot: bool = False) -> None:
-        """Acknowledge a latched fault; nothing moves, torque stays as it is.
+        """Acknowledge a fault, one from before the start too; nothing moves, torque stays as it is.
+
+        A servo that does not answer is no hindrance while another one does: `start` refuses it,
+        and `release` opens the other finger.
 
         Parameters
         ----------
@@ -340,28 +389,38 @@ class Gripper:
         Raises
         ------
         ServoFault
-            When a servo still reports a hardware error.
+            When a servo still reports a hardware error, and ``reboot`` is False.
+        BusTimeout, BusCorrupt
+            When no servo answers.
         """
         if self._life.running:
             raise GripperStateError("clear_fault is not possible while a command runs")
-        if self._life.fault is None:
-            return
-        faulty = self._health.hardware_errors()
+        conditions = self._health.conditions()
+        if not any(condition.answers for condition in conditions):
+            # Reading again raises what is wrong with the bus.
+            self._health.torque_on()
+        faulty = [condition for condition in conditions if condition.error_bits]
         if faulty and not reboot:
-            servo_id, bits = next(iter(faulty.items()))
             raise ServoFault(
-                servo_id, bits, "the error lasts: remove its cause, then clear it with reboot=True"
+                faulty[0].servo_id,
+                faulty[0].error_bits,
+                "the error lasts: remedy its cause, then clear it with a reboot",
             )
         if faulty:
-            self._servos.reboot(tuple(faulty))
-            self._life.controlled = False
+            self._servos.reboot([condition.servo_id for condition in faulty])
+            conditions = self._health.conditions()
         self._life.fault = None
         self._life.motion_unconfirmed = False
         self._runner.forget_stop()
-        if not self._health.torque_on():
+        if self._servos.goals_in_force and all(condition.torque_on for condition in conditions):
+            self._life.rest()
+        elif any(condition.torque_on or not condition.answers for condition in conditions):
+            # This gripper gave no goals, or not all of them are in force any more.
+            self._servos.forget()
+            self._life.part_possible, self._life.controlled = True, False
+            self._life.rest()
+        else:
             self._life.switched_off()
-            return
-        self._life.rest()
 
     def close(self) -> None:
         """End the work with the servos; the bus stays open for its owner.
@@ -402,10 +461,67 @@ class Gripper:
             raise GripperStateError(f"{command} needs a grasp before it")
         return control
 
-    def _move_to(self, aperture_m: float, observer: Observer | None) -> GripperState:
+    def _not_able(self) -> list[ServoCondition]:
+        """Return the servos that cannot be moved; raises where none can be."""
+        conditions = self._health.conditions()
+        if not any(condition.answers for condition in conditions):
+            self._health.require_present()
+            raise BusTimeout(
+                "the servos answer now and then only, and nothing was moved: check cable and "
+                "supply, then release again"
+            )
+        able = [condition.servo_id for condition in conditions if condition.able]
+        if not able:
+            raise _nothing_to_open(conditions)
+        if self._link_timing is None:
+            self._link_timing = check_link(self._bus, able, self.period_s)
+        self._life.part_possible |= any(c.torque_on or not c.answers for c in conditions)
+        return [condition for condition in conditions if not condition.able]
+
+    def _open_one_finger(self, left: ServoCondition, observer: Observer | None) -> ReleaseReport:
+        """Open one finger, by a gripper of its own; the servo of the other one is left alone."""
+        (servo_id,) = (servo_id for servo_id in self._ids if servo_id != left.servo_id)
+        index = self._ids.index(servo_id)
+        finger = Gripper(
+            self._bus,
+            OneFinger(linkage=self._linkage, index=index),
+            replace(self._settings, servos=(self._settings.servos[index],)),
+            clock=self._clock,
+            force_sensor=self._force_sensor,
+        )
+        finger._link_timing = self._link_timing
+        self._servos.forget()
+        self._one_finger = finger
+        try:
+            with self._life.delegated(GripperPhase.RELEASING, finger._life):
+                state = finger.release(observer).state
+                finger.close()
+        finally:
+            self._one_finger = None
+        self._grasping.forget()
+        self._life.switched_off()
+        return ReleaseReport(state=state, opened=(servo_id,), left=(left,))
+
+    def _move_to(
+        self, aperture_m: float, observer: Observer | None, *, only_open: bool = False
+    ) -> GripperState:
         state = self._servos.read_patiently()
-        move = MoveTo(self._settings, self._linkage, state, aperture_m=aperture_m)
+        move = MoveTo(
+            self._settings, self._linkage, state, aperture_m=aperture_m, only_open=only_open
+        )
         return self._runner.run(self._life.phase, move.step, observer, needs_force=False)
 
     def _make_ready(self, *, releasing: bool = False) -> None:
         self._servos.make_ready(part_possible=self._life.part_possible, releasing=releasing)
+
+
+def _nothing_to_open(conditions: Sequence[ServoCondition]) -> ServoFault:
+    """Return the error of a release that finds no servo that it could move."""
+    limp = next(condition for condition in conditions if condition.answers)
+    found = "; ".join(map(str, conditions))
+    return ServoFault(
+        limp.servo_id,
+        limp.error_bits,
+        f"no finger can be opened: {found}. Take the part out by hand, or remedy the cause, clear "
+        f"the error with a reboot and release again",
+    )

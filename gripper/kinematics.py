@@ -159,6 +159,44 @@ class RackPinion:
         return self.pinion_radius_m * (2.0 / self.n_servos)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OneFinger:
+    """One finger of a linkage with a servo for each, as if the other were its mirror image.
+
+    Attributes
+    ----------
+    linkage
+        The whole linkage.
+    index
+        Servo of the finger.
+    """
+
+    linkage: Linkage
+    index: int
+
+    @property
+    def n_servos(self) -> int:
+        """Return 1: the servo of the finger."""
+        return 1
+
+    def aperture_m(self, angles_rad: Sequence[float]) -> float:
+        """Return the opening in m with both fingers at the angle."""
+        _check_count(1, angles_rad)
+        return self.linkage.aperture_m(tuple(angles_rad) * self.linkage.n_servos)
+
+    def angles_rad(self, aperture_m: float) -> tuple[float, ...]:
+        """Return the angle of the finger for a centred opening in m."""
+        return (self.linkage.angles_rad(aperture_m)[self.index],)
+
+    def effective_radius_m(self, angle_rad: float) -> float:
+        """Return the torque of the servo for a grip force of 1 N, in N m / N."""
+        return self.linkage.effective_radius_m(angle_rad)
+
+    def opening_per_rad_m(self, angle_rad: float) -> float:
+        """Return the part of the opening in m that one rad opens, with the mirror image's."""
+        return self.linkage.n_servos * self.linkage.opening_per_rad_m(angle_rad)
+
+
 def _check_n_servos(n_servos: int) -> None:
     if n_servos not in (1, 2):
         raise LimitExceeded(f"n_servos is {n_servos}, must be 1 or 2")

@@ -32,13 +32,23 @@ _DOING = {
 class FingersLeft(StrEnum):
     """State in which a fault response leaves the fingers; its text stands before "while ...".
 
-    UNCONFIRMED: a servo did not confirm its goal, or nobody answers; the servos' own watchdog ends
-    the motion.
+    ONE_SIDED: one finger is silent or without torque, the other stands still. UNCONFIRMED: a
+    servo did not confirm its goal, or nobody answers; the servos' own watchdog ends the motion.
     """
 
     STOPPED = "stopped"
+    ONE_SIDED = "stopped, one of them silent or without torque,"
     LIMP = "lost their torque"
     UNCONFIRMED = "were seen last"
+
+
+_GRIP_LEFT = {
+    FingersLeft.ONE_SIDED: "stand still, one of them silent or without torque; a part may still be "
+    "gripped",
+    FingersLeft.LIMP: "have no torque any more; a part may have been dropped",
+    FingersLeft.UNCONFIRMED: "do not answer; a part may still be gripped",
+}
+"""Notes after a fault in a grip, where it is not simply kept."""
 
 
 def bus_is_lost(error: BaseException | None) -> bool:
@@ -136,6 +146,28 @@ class Lifecycle:
             self.running = False
 
     @contextmanager
+    def delegated(self, phase: GripperPhase, carrier: "Lifecycle") -> Iterator[None]:
+        """Run a command that a gripper of some of the servos carries out, and take over its fault.
+
+        That gripper has responded to the fault already: nothing is written here.
+        """
+        self._runner.forget_stop()
+        self.phase = phase
+        self.running = True
+        try:
+            yield
+        except GraspStopped:
+            self.rest()
+            raise
+        except BaseException as error:
+            self.fault = error
+            self.phase = GripperPhase.HELD_AFTER_FAULT
+            self.motion_unconfirmed = carrier.motion_unconfirmed
+            raise
+        finally:
+            self.running = False
+
+    @contextmanager
     def latching(self) -> Iterator[None]:
         """Latch whatever goes wrong as a fault and keep the grip; a stop on request is none."""
         try:
@@ -172,6 +204,7 @@ class Lifecycle:
     def _note_fingers(self, error: BaseException, phase: GripperPhase, left: FingersLeft) -> None:
         """Note on an error that ends a motion where the fingers are, and what they may hold."""
         if not phase.moving:
+            self._note_grip(error, left)
             return
         aperture_m = self._servos.aperture_m
         where = "" if aperture_m is None else f", at an opening of {aperture_m * 1e3:.1f} mm"
@@ -184,6 +217,14 @@ class Lifecycle:
         else:
             part = "a part may be touched"
         note_fingers(error, f"{left} while {_DOING[phase]}{where}{watchdog}; {part}")
+
+    def _note_grip(self, error: BaseException, left: FingersLeft) -> None:
+        """Note on an error that ends a grip what it has left of it, and what the pads measured."""
+        if left not in _GRIP_LEFT or not self.part_possible:
+            return
+        sample = self._servos.fresh_force
+        measured = "" if sample is None else f" (the pads measured {sample.grip_n:.1f} N just then)"
+        note_fingers(error, f"{_GRIP_LEFT[left]}{measured}")
 
 
 def fault_response(
@@ -237,4 +278,6 @@ def fault_response(
             elif not stops:
                 servos.freeze()
         servos.disarm_each(but=unconfirmed)
-    return FingersLeft.UNCONFIRMED if unconfirmed else FingersLeft.STOPPED
+    if unconfirmed:
+        return FingersLeft.UNCONFIRMED
+    return FingersLeft.ONE_SIDED if one_sided else FingersLeft.STOPPED

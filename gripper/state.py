@@ -4,6 +4,15 @@ from dataclasses import dataclass
 from enum import Enum
 from typing import Protocol
 
+_HARDWARE_ERROR_BITS = {
+    0: "input voltage",
+    2: "overheating",
+    3: "encoder",
+    4: "electrical shock",
+    5: "overload",
+}
+"""Bits of Hardware Error Status (e-Manual, Control Table, register 70)."""
+
 
 class Clock(Protocol):
     """A monotonic clock that can wait; the standard module ``time`` is one."""
@@ -166,6 +175,85 @@ class GripperState:
     def angles_rad(self) -> tuple[float, ...]:
         """Angle of each servo in rad."""
         return tuple(servo.angle_rad for servo in self.servos)
+
+
+def hardware_error_names(bits: int) -> tuple[str, ...]:
+    """Return the names of the bits of Hardware Error Status (register 70), lowest bit first."""
+    return tuple(
+        _HARDWARE_ERROR_BITS.get(bit, f"undefined bit {bit}") for bit in range(8) if bits >> bit & 1
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServoCondition:
+    """Torque and errors of one servo, as read one by one: a silent servo hides no other.
+
+    Attributes
+    ----------
+    servo_id
+        The servo.
+    answers
+        False where it did not answer; its torque is then unknown, and the rest False and 0.
+    torque_on
+        Whether its torque is on.
+    error_bits
+        Hardware Error Status (register 70).
+    shut_down
+        Whether one of these errors keeps the torque off until a reboot (register 63).
+    """
+
+    servo_id: int
+    answers: bool = True
+    torque_on: bool = False
+    error_bits: int = 0
+    shut_down: bool = False
+
+    @property
+    def able(self) -> bool:
+        """True when the servo can be moved, by switching its torque on where that is off."""
+        return self.answers and not self.shut_down
+
+    def __str__(self) -> str:
+        if not self.answers:
+            return f"servo {self.servo_id} does not answer"
+        torque = "its torque on" if self.torque_on else "no torque"
+        errors = ", ".join(hardware_error_names(self.error_bits))
+        return f"servo {self.servo_id} has {torque}" + (f" ({errors})" if errors else "")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ReleaseReport:
+    """End of a release: what was opened, and what could not be.
+
+    Attributes
+    ----------
+    state
+        Last feedback; of the servos that were opened alone.
+    opened
+        IDs of the servos whose fingers are open.
+    left
+        The servos that could not be moved.
+    """
+
+    state: GripperState
+    opened: tuple[int, ...]
+    left: tuple[ServoCondition, ...] = ()
+
+    def __str__(self) -> str:
+        if not self.left:
+            return "the fingers are open"
+        opened = ", ".join(map(str, self.opened))
+        remedies = []
+        if any(condition.shut_down for condition in self.left):
+            remedies.append("after its cause is remedied, clear the error with a reboot")
+        if any(not condition.answers for condition in self.left):
+            remedies.append(
+                "a servo that does not answer may still have its torque: check its supply and cable"
+            )
+        return (
+            f"the finger of servo {opened} is open, the other one was not moved: "
+            f"{'; '.join(map(str, self.left))}. {'; '.join(remedies).capitalize()}"
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

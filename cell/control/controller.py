@@ -23,7 +23,7 @@ from cell.errors import CellStateError, CellStopped, NoPartFound, PartInGrip, Pl
 from cell.hand.interface import Hand
 from cell.hand.local import LocalHand
 from gripper.gripper import Gripper
-from gripper.state import Clock, GripperPhase
+from gripper.state import Clock, GripperPhase, ReleaseReport
 from recognition.grasp import PadArray
 from recognition.recognizer import Recognizer
 from recognition.recognizers.early_classifiers import EarlyClassifiers, EarlyDecider
@@ -166,10 +166,11 @@ class CellController(CellView):
             self._hand.start()
             self._hand.start_sensor()
             if self._hand.phase is GripperPhase.HELD_AFTER_FAULT:
+                found = "; ".join(map(str, self._hand.conditions()))
                 raise PartInGrip(
-                    "the servos hold torque from an earlier run, a part may be in the grip; "
-                    "nothing was moved. Clear the fault and release the part on purpose, then "
-                    "start again"
+                    f"servos have torque from an earlier run, a part may be in the grip; nothing "
+                    f"was moved ({found}). Clear the fault and release the part on purpose, then "
+                    f"start again"
                 )
             self._hand.open(self._grasper.watch)
             self._hand.tare(self._tare_frames)
@@ -177,7 +178,9 @@ class CellController(CellView):
             self._life.complete()
 
     def clear(self, *, reboot: bool = False) -> None:
-        """Acknowledge the fault. The grip stays as it is.
+        """Acknowledge the fault, or before the start what an earlier run left in the servos.
+
+        The grip stays as it is; `reset` leads on.
 
         Parameters
         ----------
@@ -211,8 +214,10 @@ class CellController(CellView):
         """Withdraw a `cancel` that nothing has obeyed: what it was meant for is over."""
         self._life.cancelled = False
 
-    def release(self) -> None:
+    def release(self) -> ReleaseReport:
         """Let the part go: the only way to open the fingers of a started cell.
+
+        Returns what was opened: a servo that is silent or at fault is left as it is.
 
         Raises
         ------
@@ -225,14 +230,16 @@ class CellController(CellView):
         self._life.cancelled = False
         self._journal.note("release", "on request")
         with self._life.latching_faults():
-            self._hand.release(self._grasper.watch)
+            report = self._hand.release(self._grasper.watch)
             self._life.result = None
             self._life.complete()
+        return report
 
-    def release_held(self) -> None:
+    def release_held(self) -> ReleaseReport:
         """Let go of a part that an earlier run or a cleared fault has left in the grip.
 
-        For a cell that is not started; the control unit is not needed for it.
+        For a cell that is not started; the control unit is not needed for it. Returns what was
+        opened: a servo that is silent or at fault is left as it is.
 
         Raises
         ------
@@ -241,16 +248,16 @@ class CellController(CellView):
         CellStopped
             If it was cancelled on the way; the fingers stand still, the message names the opening.
         gripper.errors.GripperError
-            If the servos do not answer.
+            If no servo answers, or none of those that do can be moved.
         """
         self._life.go(Event.RELEASE_HELD)
         self._life.cancelled = False
         self._hand.close_sensor()
         self._journal.note("release", "on request, before the start")
         with self._life.latching_faults():
-            self._hand.start()
-            self._hand.release()
+            report = self._hand.release()
             self._life.complete()
+        return report
 
     def tick(self) -> None:
         """Keep both links alive and supervised while no sequence runs; call once a period."""

@@ -132,7 +132,8 @@ class CellLifecycle:
         self.go(Event.CLEAR)
         try:
             self._hand.clear_fault(reboot=reboot)
-        except BaseException:
+        except BaseException as error:
+            self.fault = self.fault or error_text(error)
             self.go(Event.FAULT)
             self.go(Event.ABORTED)
             raise

@@ -161,6 +161,7 @@ COMPLETIONS: dict[CellState, Event] = {
 TRANSITIONS: dict[tuple[CellState, Event], CellState] = {
     (CellState.STOPPED, Event.START): CellState.STARTING,
     (CellState.STOPPED, Event.RELEASE_HELD): CellState.STOPPING,
+    (CellState.STOPPED, Event.CLEAR): CellState.CLEARING,
     (CellState.STARTING, Event.STARTED): CellState.IDLE,
     (CellState.STARTING, Event.STOP): CellState.STOPPING,
     (CellState.IDLE, Event.EXECUTE): CellState.EXECUTE,

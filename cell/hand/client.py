@@ -21,6 +21,7 @@ from cell.hand.messages import (
     ClearFault,
     CloseSensor,
     Command,
+    Conditions,
     EndRamp,
     Event,
     Fault,
@@ -41,7 +42,13 @@ from cell.hand.messages import (
 )
 from gripper.errors import GripperError, copy_fingers
 from gripper.force.ramp import ForceRamp, check_ramp
-from gripper.state import GraspOutcome, GripperPhase, VerificationReport
+from gripper.state import (
+    GraspOutcome,
+    GripperPhase,
+    ReleaseReport,
+    ServoCondition,
+    VerificationReport,
+)
 from tactile.errors import TactileError
 from tactile.layout import TaxelLayout
 from tactile.sensor.sensor import TactileReading
@@ -307,9 +314,15 @@ class HandProcess:
         """Let the running ramp end where it is; see `Hand`."""
         self._loop.send(EndRamp(number=self._number))
 
-    def release(self, watch: Watch | None = None) -> None:
+    def release(self, watch: Watch | None = None) -> ReleaseReport:
         """Let go; see `Hand`."""
-        self._call(Release(), watch)
+        report: ReleaseReport = self._call(Release(), watch)
+        return report
+
+    def conditions(self) -> tuple[ServoCondition, ...]:
+        """Read torque and errors of each servo; see `Hand`."""
+        conditions: tuple[ServoCondition, ...] = self._call(Conditions())
+        return conditions
 
     def inspect(self) -> VerificationReport:
         """Compare the servos with the settings; reads only."""
@@ -344,7 +357,8 @@ class HandProcess:
         if self._loop.lost is not None:
             self._loop = LoopProcess(self._config)
             self._heard_s = time.monotonic()
-            return
+            if not reboot:
+                return
         self._call(ClearFault(reboot=reboot))
 
     def request_stop(self) -> None:

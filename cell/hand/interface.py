@@ -11,7 +11,14 @@ from typing import Protocol
 from gripper.dynamixel.transactions import BusStatistics
 from gripper.force.ramp import ForceRamp
 from gripper.force.timing import LoopStatistics
-from gripper.state import Cycle, GraspOutcome, GripperPhase, VerificationReport
+from gripper.state import (
+    Cycle,
+    GraspOutcome,
+    GripperPhase,
+    ReleaseReport,
+    ServoCondition,
+    VerificationReport,
+)
 from tactile.frames.codec import TactileFrame
 from tactile.layout import TaxelLayout
 from tactile.sensor.sensor import SensorStatistics, TactileReading
@@ -117,8 +124,12 @@ class Hand(Protocol):
         """
         ...
 
-    def release(self, watch: Watch | None = None) -> None:
-        """Let go: the only command that lets a part go."""
+    def release(self, watch: Watch | None = None) -> ReleaseReport:
+        """Let go, without a start too: the only command that lets a part go."""
+        ...
+
+    def conditions(self) -> tuple[ServoCondition, ...]:
+        """Read torque and errors of each servo, of those too that another one hides."""
         ...
 
     def inspect(self) -> VerificationReport:

@@ -6,7 +6,15 @@ from cell.hand.interface import HandStatistics, Watch
 from gripper.dynamixel.bus import ServoBus
 from gripper.force.ramp import ForceRamp
 from gripper.gripper import Gripper
-from gripper.state import Cycle, ForceSample, GraspOutcome, GripperPhase, VerificationReport
+from gripper.state import (
+    Cycle,
+    ForceSample,
+    GraspOutcome,
+    GripperPhase,
+    ReleaseReport,
+    ServoCondition,
+    VerificationReport,
+)
 from tactile.frames.codec import TactileFrame
 from tactile.layout import TaxelLayout
 from tactile.sensor.sensor import ForceCentres, TactileReading, TactileSensor
@@ -161,10 +169,15 @@ class LocalHand:
         """Let the running ramp end where it is; see `Hand`."""
         self.gripper.end_ramp()
 
-    def release(self, watch: Watch | None = None) -> None:
+    def release(self, watch: Watch | None = None) -> ReleaseReport:
         """Let go; see `Hand`."""
-        self.gripper.release(observer=None if watch is None else self._observer(watch))
+        report = self.gripper.release(observer=None if watch is None else self._observer(watch))
         self._check_zero()
+        return report
+
+    def conditions(self) -> tuple[ServoCondition, ...]:
+        """Read torque and errors of each servo; see `Hand`."""
+        return self.gripper.conditions()
 
     def inspect(self) -> VerificationReport:
         """Compare the servos with the settings; reads only."""

@@ -69,6 +69,11 @@ class Release:
 
 
 @dataclass(frozen=True, slots=True)
+class Conditions:
+    """`Hand.conditions`."""
+
+
+@dataclass(frozen=True, slots=True)
 class Inspect:
     """`Hand.inspect`."""
 
@@ -105,6 +110,7 @@ Command = (
     | Tare
     | GraspUnder
     | Release
+    | Conditions
     | Inspect
     | ReadSensor
     | KeepGrip

@@ -12,10 +12,11 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from multiprocessing.connection import Connection
+from operator import methodcaller
 from types import FrameType
 from typing import Any
 
@@ -30,6 +31,7 @@ from cell.hand.messages import (
     ClearFault,
     CloseSensor,
     Command,
+    Conditions,
     EndRamp,
     Event,
     Fault,
@@ -119,6 +121,16 @@ class Outbox:
         return bool(self._poller.poll(1e3 * timeout_s))
 
 
+_PLAIN: dict[type[Command], Callable[[LocalHand], Any]] = {
+    Start: methodcaller("start"),
+    StartSensor: methodcaller("start_sensor"),
+    CloseSensor: methodcaller("close_sensor"),
+    Conditions: methodcaller("conditions"),
+    Inspect: methodcaller("inspect"),
+    KeepGrip: methodcaller("keep_grip"),
+    Shutdown: methodcaller("shutdown"),
+}
+"""Methods of the hand for the commands without arguments."""
 WAITING_PERIODS = 1000
 """Periods that wait for a program that takes nothing, before the grip is frozen."""
 _LAST_WORDS_S = 0.5
@@ -277,14 +289,11 @@ class HandServer:
 
     def _run(self, command: Command) -> Any:
         hand = self._hand
+        plain = _PLAIN.get(type(command))
+        if plain is not None:
+            return plain(hand)
         value: Any = None
         match command:
-            case Start():
-                value = hand.start()
-            case StartSensor():
-                value = hand.start_sensor()
-            case CloseSensor():
-                hand.close_sensor()
             case Open():
                 hand.open(self._watch)
             case Tare(n_frames=n_frames):
@@ -292,17 +301,11 @@ class HandServer:
             case GraspUnder(ramp=ramp):
                 value = hand.grasp(ramp, self._watch)
             case Release():
-                hand.release(self._watch)
-            case Inspect():
-                value = hand.inspect()
+                value = hand.release(self._watch)
             case ReadSensor(timeout_s=timeout_s):
                 value = hand.read_sensor(timeout_s)
-            case KeepGrip():
-                hand.keep_grip()
             case ClearFault(reboot=reboot):
                 hand.clear_fault(reboot=reboot)
-            case Shutdown():
-                hand.shutdown()
         return value
 
     def _watch(self, cycle: Cycle, frames: Sequence[TactileFrame]) -> None:

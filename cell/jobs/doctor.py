@@ -14,6 +14,7 @@ from cell.build import Cell, build_cell
 from cell.config.model import CellConfig
 from cell.errors import CellError
 from cell.installation import EXTRAS, remedy
+from gripper.dynamixel.control_table import HARDWARE_ERROR_STATUS
 from gripper.dynamixel.serial_port import latency_timer_file, latency_timer_ms, serial_candidates
 from gripper.errors import GripperError, VerificationFailed
 from gripper.settings import CORRECTABLE
@@ -126,6 +127,7 @@ def _devices(config: CellConfig) -> Iterator[Finding]:
         return
     yield from _loop(cell)
     try:
+        yield from _guarded("servo torque", lambda: _torque(cell))
         yield from _guarded("servos", lambda: _servos(cell))
         yield from _guarded("control unit", lambda: _control_unit(cell, config))
     finally:
@@ -158,6 +160,36 @@ def _guarded(what: str, check: Callable[[], list[Finding]]) -> Iterator[Finding]
         )
 
 
+def _torque(cell: Cell) -> list[Finding]:
+    """Check who has torque: all servos, or none; one alone may press on a part."""
+    conditions = cell.controller.hand.conditions()
+    found = "; ".join(map(str, conditions))
+    limp = [condition for condition in conditions if condition.answers and not condition.torque_on]
+    if not any(condition.torque_on for condition in conditions):
+        failed = any(condition.shut_down for condition in conditions)
+        return [
+            Finding(
+                what="servo torque",
+                verdict=Verdict.FAIL if failed else Verdict.PASS,
+                found=found,
+                advice="remedy the cause of the error, then `tactile-cell clear --reboot`"
+                if failed
+                else "",
+            )
+        ]
+    advice = "a part may be in the grip: let go of it with `tactile-cell release --confirm`"
+    if any(condition.shut_down for condition in limp):
+        advice += ", then clear the error with `tactile-cell clear --reboot`"
+    return [
+        Finding(
+            what="servo torque",
+            verdict=Verdict.FAIL if limp else Verdict.WARN,
+            found=found,
+            advice=advice,
+        )
+    ]
+
+
 def _servos(cell: Cell) -> list[Finding]:
     return [
         Finding(
@@ -177,6 +209,8 @@ def _verdict(row: VerificationRow) -> Verdict:
 
 
 def _advice(row: VerificationRow) -> str:
+    if row.item == HARDWARE_ERROR_STATUS.name:
+        return "remedy its cause, then `tactile-cell clear --reboot`"
     if row.item in CORRECTABLE:
         return "the cell sets it at its start"
     return "correct it with the servo maker's wizard, or correct the config"

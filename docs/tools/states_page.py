@@ -49,7 +49,8 @@ DOES = {
         "Keeps what it holds, as far as the fault leaves the servos to do so.",
     ),
     CellState.CLEARING: (
-        "Acknowledges the fault, on request restarts servos; or lets go of what it left.",
+        "Acknowledges a fault, or before the start what is left of one; on request restarts "
+        "servos. Or lets go of what it left.",
         "`clear` leaves it as it is (a restarted servo drops its part); `release_held` opens.",
     ),
     CellState.RESETTING: (

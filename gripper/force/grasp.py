@@ -345,8 +345,9 @@ def _settled(
 def _check_part(control: GripControl, moment: Moment) -> None:
     if control.part_lost(moment):
         raise PartLost(
-            f"both pads are empty at an opening of {moment.state.aperture_m * 1e3:.1f} mm: "
-            f"the part has slipped out or was taken; the fingers stand still"
+            f"the part has slipped out or was taken: the pads are empty, or nothing holds the "
+            f"fingers apart any more, at an opening of {moment.state.aperture_m * 1e3:.1f} mm; the "
+            f"fingers stand still"
         )
 
 

@@ -4,7 +4,7 @@ from collections import deque
 from collections.abc import Sequence
 from statistics import median
 
-from gripper.errors import ForceImbalance
+from gripper.errors import ForceImbalance, PositionContradicted
 from gripper.force.controller import ForceController, History, SetpointFilter
 from gripper.force.loop import Moment
 from gripper.kinematics import Linkage, Transmission, transmissions
@@ -27,6 +27,12 @@ _RUNAWAY_RESERVE = 2.0
 """Closing speed that a ramp on the part may need, in multiples of that by its stiffness."""
 _GIVE_RAD = 0.03
 """How far in rad a goal may open beyond the contact: pads and part are deeper there by no more."""
+_CONTRADICTED_S = 0.1
+"""Time in s for which loaded pads contradict a position before that is an error: 5 samples."""
+_CONTRADICTED_ADVICE = (
+    "the goals are frozen and the grip kept. Look at the part, check encoder, horn and linkage, "
+    "then clear the fault and release"
+)
 _TORQUE_DOUBT = 0.02
 """Share of the cap of the force that the drive leaves free: torque of the servos, their inertia."""
 
@@ -97,6 +103,11 @@ class GripControl:
         self._friction_share = friction_share
         self._stiffness = stiffness
         self._contact_rad = state.angles_rad
+        self._deepest_rad = state.angles_rad
+        self._widest_m = state.aperture_m + _GIVE_RAD * sum(
+            linkage.opening_per_rad_m(angle_rad) for angle_rad in state.angles_rad
+        )
+        self._contradicted_s = 0.0
         self._filter = SetpointFilter(force_n, tuning.end_time_s)
         self._controller = ForceController(tuning, force_n=force_n, drive_n=drive_n, now_s=now_s)
         self._drive_n = drive_n
@@ -147,6 +158,8 @@ class GripControl:
             When the fingers press with different forces for too long.
         LimitExceeded
             When sensor and model disagree, see `ForceController.step`.
+        PositionContradicted
+            When the pads are loaded where the fingers, by their position, cannot press on a part.
         """
         self.setpoint_n = setpoint_n
         sample, state = moment.sample, moment.state
@@ -158,6 +171,7 @@ class GripControl:
             # A sample that is young enough was there before: nothing new to go by.
             return self._servo_goals(state, paths)
         self._add_sample(moment.dt_s, sample)
+        self._check_position(moment.dt_s, state)
         self._check_balance(moment.dt_s)
         filtered_n = self._filter.step(
             moment.dt_s, setpoint_n, setpoint_n if arrival_n is None else arrival_n
@@ -180,12 +194,38 @@ class GripControl:
         """Return whether the part is gone.
 
         Both pads have been empty for some time, or are at once where much force was; or the
-        fingers have closed fully, or run together as nothing holds them apart. Time without
-        samples, as in a stall, shows nothing.
+        fingers have closed fully and the pads are not loaded, or run together as nothing holds them
+        apart. Time without samples, as in a stall, shows nothing.
         """
-        closed = moment.state.aperture_m < self._settings.aperture_min_m
+        closed = moment.state.aperture_m < self._settings.aperture_min_m and not self._loaded
         empty = self._empty_s > _LOST_TIME_S
         return closed or empty or self._suddenly_empty(moment) or self._runs_away(moment.state)
+
+    @property
+    def _loaded(self) -> bool:
+        """Whether the mean of the last samples shows force on both pads."""
+        return bool(self._samples) and min(self._finger_means_n()) > self._empty_n
+
+    def _check_position(self, dt_s: float, state: GripperState) -> None:
+        """Raise PositionContradicted where loaded pads have contradicted the opening for long.
+
+        No part presses on both pads where the fingers stand wider open than at the contact, or
+        closed: then the count of a position drifts, and what is gripped is gripped all the same.
+        """
+        least_m = self._settings.aperture_min_m
+        if least_m <= state.aperture_m <= self._widest_m or not self._loaded:
+            self._contradicted_s = 0.0
+            return
+        self._contradicted_s += dt_s
+        if self._contradicted_s < _CONTRADICTED_S:
+            return
+        first_n, second_n = self._finger_means_n()
+        raise PositionContradicted(
+            f"the servos report an opening of {state.aperture_m * 1e3:.1f} mm while the pads "
+            f"measure {first_n:.2f} and {second_n:.2f} N on a part that can be from "
+            f"{least_m * 1e3:.1f} to {self._widest_m * 1e3:.1f} mm wide: a position is wrong, or "
+            f"the pads press on each other; {_CONTRADICTED_ADVICE}"
+        )
 
     def _suddenly_empty(self, moment: Moment) -> bool:
         """Return whether the newest sample is next to nothing where much force was asked for."""
@@ -267,16 +307,23 @@ class GripControl:
         """Return the goals that make the driving force."""
         drive_n = self._drive_n
         goals = []
-        for servo, path, settings, contact_rad in zip(
-            state.servos, paths, self._settings.servos, self._contact_rad, strict=True
+        self._deepest_rad = tuple(map(min, self._deepest_rad, state.angles_rad))
+        for servo, path, settings, contact_rad, deepest_rad in zip(
+            state.servos,
+            paths,
+            self._settings.servos,
+            self._contact_rad,
+            self._deepest_rad,
+            strict=True,
         ):
             current_a = min(
                 abs(drive_n) * path.radius_m / path.kt_nm_a, self._settings.current_max_a
             )
             margin_rad = closing_margin_rad(settings.servo_model, current_a)
             # In mode 5 the goal current is a magnitude: the side of the goal position is its sign.
+            # A position that drifts open must not take a closing goal to the open side with it.
             if drive_n >= 0.0:
-                angle_rad = servo.angle_rad - margin_rad
+                angle_rad = deepest_rad - margin_rad
             else:
                 angle_rad = min(servo.angle_rad + margin_rad, contact_rad + _GIVE_RAD)
             goals.append(ServoGoal(angle_rad=angle_rad, current_a=current_a))

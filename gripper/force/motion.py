@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from enum import Enum
 
 from gripper.dynamixel.control_table import RAD_PER_PULSE, RAD_S_PER_VELOCITY_UNIT
-from gripper.errors import ServoFault
+from gripper.errors import FeedbackImplausible, ServoFault
 from gripper.force.loop import Action, Moment
 from gripper.kinematics import Linkage, motion_current_a, transmissions
 from gripper.servos.goals import OPENING_MARGIN_RAD, ServoGoal
@@ -19,10 +19,17 @@ _OVERRUN_RAD = 0.6 * OPENING_MARGIN_RAD
 """How far in rad beyond the opening the goal runs, so that friction does not stop short of it."""
 _MOVE_PATIENCE_S = 2.0
 """Time in s beyond that of the motion after which a finger counts as stuck."""
+_STANDING_S = 0.2
+"""Time in s for which empty fingers must stand after their torque has come on: friction at rest
+makes a motor slow to start."""
+_STANDING_RAD = 0.03
+"""Way in rad in that time that is no standing any more: 2 mm of a finger of 60 mm."""
 _SHORTEST_TRAVEL_M = 1e-3
 """Way in m that a motion is planned for at least."""
 _OPENING_FORCE_N = 3.0
 """Force in N beside friction that the current of an opening allows: pads may stick to a part."""
+_CLOSING_SHARE = 0.9
+"""Share of the cap of the force that the current of a motion which closes may make."""
 _AGAINST_REST = 1.4
 """Current of a motion over that which moves the fingers freely: friction at rest is larger."""
 
@@ -50,6 +57,38 @@ _REST_SAMPLES = 4
 """Samples whose mean is the force at the contact: 80 ms at 50 Hz."""
 
 
+class StandStill:
+    """Step of control that watches empty fingers whose torque has just come on: none may move.
+
+    A servo that goes by another position than it reports runs to a goal made of the reported one.
+
+    Parameters
+    ----------
+    settings
+        Of the gripper.
+    state
+        Feedback at the start; the goals are these positions.
+    """
+
+    def __init__(self, settings: GripperSettings, state: GripperState) -> None:
+        self._start_rad = state.angles_rad
+        self._periods = round(_STANDING_S / settings.period_s)
+
+    def step(self, moment: Moment) -> Action:
+        """Return no goals; FeedbackImplausible when a finger leaves its place."""
+        self._periods -= 1
+        for servo, start_rad in zip(moment.state.servos, self._start_rad, strict=True):
+            moved_rad = servo.angle_rad - start_rad
+            if abs(moved_rad) > _STANDING_RAD:
+                raise FeedbackImplausible(
+                    f"servo {servo.servo_id}: it has moved by {moved_rad:+.3f} rad although the "
+                    f"position that it reported is its goal: it goes by another position than it "
+                    f"reports, or something drives it, so the torque is switched off. Restart the "
+                    f"servo, check its encoder and who else writes to it"
+                )
+        return Action(done=self._periods <= 0)
+
+
 class MoveTo:
     """Step of control that moves all servos evenly to an opening.
 
@@ -61,6 +100,9 @@ class MoveTo:
         Feedback at the start.
     aperture_m
         Opening to reach in m.
+    only_open
+        True where no finger may close, as a release: one that is more open stays there, and none
+        is driven back where something pushes it open.
     """
 
     def __init__(
@@ -70,9 +112,14 @@ class MoveTo:
         state: GripperState,
         *,
         aperture_m: float,
+        only_open: bool = False,
     ) -> None:
+        self._only_open = only_open
         self._start_rad = state.angles_rad
         self._target_rad = linkage.angles_rad(aperture_m)
+        if only_open:
+            self._target_rad = tuple(map(max, self._target_rad, self._start_rad))
+            aperture_m = linkage.aperture_m(self._target_rad)
         travel_m = max(abs(aperture_m - state.aperture_m), _SHORTEST_TRAVEL_M)
         opening = aperture_m >= state.aperture_m
         speed_m_s = settings.open_speed_m_s if opening else settings.approach_speed_m_s
@@ -81,6 +128,12 @@ class MoveTo:
         self._current_a = min(
             _AGAINST_REST * motion_current_a(settings, paths, force_n), settings.current_max_a
         )
+        if not opening:
+            # The wider the fingers stand, the more force a current makes.
+            self._current_a = min(
+                self._current_a,
+                *(path.loading_current_a(_CLOSING_SHARE * settings.force_max_n) for path in paths),
+            )
         self._share_per_s = speed_m_s / travel_m
         self._share = 0.0
         self._aperture_m = aperture_m
@@ -96,11 +149,14 @@ class MoveTo:
         ):
             sign = 1.0 if target_rad >= start_rad else -1.0
             there = sign * (target_rad - servo.angle_rad) <= _REACHED_RAD
+            there = there or (self._only_open and start_rad >= target_rad)
             arrived = arrived and there
             end_rad = target_rad + sign * _OVERRUN_RAD
             angle_rad = (
                 servo.angle_rad if there else start_rad + self._share * (end_rad - start_rad)
             )
+            if self._only_open:
+                angle_rad = max(angle_rad, servo.angle_rad)
             goals.append(ServoGoal(angle_rad=angle_rad, current_a=self._current_a))
         if not arrived and moment.now_s > self._deadline_s:
             raise self._stuck(moment.state)

@@ -72,7 +72,10 @@ class SlipWatch:
         settings = self._settings
         closed_m = self._aperture_m - aperture_m
         if closed_m > settings.slip_travel_m:
-            return f"the fingers have closed by {closed_m * 1e3:.2f} mm at a steady force"
+            return (
+                f"the fingers have closed by {closed_m * 1e3:.2f} mm at a steady force, unless a "
+                f"reported position drifts"
+            )
         last_s = self._recent[-1].t_s if self._recent else None
         if sample is None or not sample.valid or sample.t_s == last_s:
             return None

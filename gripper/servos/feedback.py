@@ -1,6 +1,6 @@
 """Feedback of the servos of one gripper in SI units, checked for being new and possible."""
 
-from math import pi, tau
+from math import pi
 from typing import NamedTuple
 
 from gripper.dynamixel.bus import ServoBus
@@ -15,6 +15,7 @@ from gripper.dynamixel.control_table import (
     REALTIME_TICK,
     TICK_MODULO,
 )
+from gripper.dynamixel.models import PULSES_PER_TURN
 from gripper.errors import BusCorrupt, FeedbackImplausible, LimitExceeded
 from gripper.kinematics import Linkage, transmissions
 from gripper.servos.health import ServoHealth
@@ -94,8 +95,14 @@ class Feedback:
         self._clock = clock
         self._health = health
         self._ids = [servo.servo_id for servo in settings.servos]
+        self._turns: dict[int, int] = {}
         self._ticks = TickWatch()
         self._plausible = FeedbackCheck(settings, linkage)
+
+    @property
+    def off_by_turns(self) -> bool:
+        """Whether a servo counts in another turn than that of its zero; no reading, no turns."""
+        return any(self._turns.values())
 
     def read(self, *, under_torque: bool) -> GripperState:
         """Read the feedback of all servos in one transaction.
@@ -127,6 +134,8 @@ class Feedback:
                 finally:
                     self._bus.expect_late_answer()
                 raise problem
+        if not under_torque:
+            self._turns.clear()
         servos = tuple(self._servo_state(s, raws[s.servo_id]) for s in self._settings.servos)
         if under_torque:
             self._plausible.check(servos, now_s)
@@ -135,17 +144,21 @@ class Feedback:
 
     def forget(self) -> None:
         """Compare the next feedback with none before it: servos were restarted or switched off."""
+        self._turns.clear()
         self._ticks.forget()
         self._plausible.forget()
 
     def _servo_state(self, servo: ServoSettings, raw: dict[str, int]) -> ServoState:
         position_raw = raw[PRESENT_POSITION.name]
-        turned = (position_raw - servo.zero_raw) * RAD_PER_PULSE * servo.direction
+        turned_raw = position_raw - servo.zero_raw
+        # A multi-turn count may be off by whole turns; fingers move by less than half a turn. Under
+        # torque it cannot lose or gain one: what does is no motion, and must show.
+        turns = self._turns.setdefault(servo.servo_id, round(turned_raw / PULSES_PER_TURN))
+        turned_rad = (turned_raw - turns * PULSES_PER_TURN) * RAD_PER_PULSE
         velocity_rad_s = raw[PRESENT_VELOCITY.name] * RAD_S_PER_VELOCITY_UNIT
         return ServoState(
             servo_id=servo.servo_id,
-            # A multi-turn count may be off by whole turns; fingers move by less than half a turn.
-            angle_rad=(turned + pi) % tau - pi,
+            angle_rad=turned_rad * servo.direction,
             velocity_rad_s=velocity_rad_s * servo.direction,
             current_a=servo.servo_model.current_a(raw[PRESENT_CURRENT.name]) * servo.direction,
             position_raw=position_raw,
@@ -381,6 +394,7 @@ class FeedbackCheck:
             self._check_current(index, servo)
             last = self._last.get(servo.servo_id)
             self._last[servo.servo_id] = (now_s, servo.angle_rad)
+            self._check_turn(servo)
             if last is None:
                 self._check_link(servo)
                 continue
@@ -397,6 +411,14 @@ class FeedbackCheck:
                 )
             self._check_range(index, servo, last_rad)
             self._check_link(servo)
+
+    def _check_turn(self, servo: ServoState) -> None:
+        if abs(servo.angle_rad) > pi:
+            raise FeedbackImplausible(
+                f"servo {servo.servo_id}: the count of its position ({servo.position_raw}) is off "
+                f"by {abs(servo.angle_rad) / (2.0 * pi):.2f} turns, which no motion makes while "
+                f"its torque is on: {_ADVICE}"
+            )
 
     def _check_current(self, index: int, servo: ServoState) -> None:
         settings = self._settings

@@ -103,6 +103,11 @@ class GoalGuard:
         if not self._forces or sample.t_s > self._forces[-1].t_s:
             self._forces.append(sample)
 
+    @property
+    def newest_force(self) -> ForceSample | None:
+        """The newest force sample; None before the first one."""
+        return self._forces[-1] if self._forces else None
+
     def force_is_too_high(self) -> bool:
         """Return whether the measured force is above the cap by more than noise.
 

@@ -10,11 +10,18 @@ from gripper.dynamixel.control_table import (
     GOAL_PWM,
     OPERATING_MODE,
     PWM_LIMIT,
+    RAD_PER_PULSE,
     TORQUE_ENABLE,
     WATCHDOG_TRIPPED_RAW,
 )
 from gripper.dynamixel.models import OperatingMode
-from gripper.errors import BusCorrupt, BusTimeout, GripperError, ServoFault
+from gripper.errors import (
+    BusCorrupt,
+    BusTimeout,
+    FeedbackImplausible,
+    GripperError,
+    ServoFault,
+)
 from gripper.kinematics import Linkage, motion_current_a, transmissions
 from gripper.servos import stop_goals
 from gripper.servos.feedback import Feedback
@@ -29,6 +36,9 @@ _STOP_TRIES = 3
 """Writes of the goals that stop a motion before a servo counts as not obeying."""
 _STALE_PERIODS = 2.0
 """Age of the feedback, in periods, from which on moving fingers are read again before a stop."""
+_FARTHEST_GOAL_RAD = 1.0
+"""Distance in rad of a servo under torque from its goal that is still plausible: fingers of 60 mm
+move by 0.6 rad at most; the goals of the force loop lie 0.1 rad beyond what they press on."""
 _BOOT_S = 0.5
 """Wait in s after a reboot before a servo is asked: it hears nothing while it boots."""
 _BOOT_TIMEOUT_S = 3.0
@@ -84,6 +94,11 @@ class ServoGroup:
         """The opening in m at the last reading; None before the first one."""
         return None if self._feedback.last is None else self._feedback.last.aperture_m
 
+    @property
+    def off_by_turns(self) -> bool:
+        """Whether a servo counts in another turn than that of its zero."""
+        return self._feedback.off_by_turns
+
     def silent_and_living(self) -> tuple[list[int], list[int]]:
         """Return the IDs of the servos that did not answer last, and of those that did."""
         silent = [servo_id for servo_id in self._ids if self._bus.misses(servo_id)]
@@ -107,6 +122,11 @@ class ServoGroup:
         self._goals.write(goals, state, profile_velocity_raw=profile_velocity_raw)
 
     @property
+    def goals_in_force(self) -> bool:
+        """True while goals that were written here are in force."""
+        return bool(self._goals.last)
+
+    @property
     def goal_current_a(self) -> float:
         """Mean of the goal currents in A; 0 while no goal is in force."""
         goals = self._goals.last
@@ -119,6 +139,15 @@ class ServoGroup:
     def check_force(self) -> None:
         """Raise ForceAboveCap while the measured force is above the cap."""
         self._guard.check_force()
+
+    @property
+    def fresh_force(self) -> ForceSample | None:
+        """The newest valid force sample; None where it is older than ``force_stale_s``."""
+        sample = self._guard.newest_force
+        if sample is None:
+            return None
+        fresh = self._clock.monotonic() - sample.t_s <= self._settings.force_stale_s
+        return sample if fresh else None
 
     def force_is_too_high(self) -> bool:
         """Return whether the measured force is above the cap by more than noise."""
@@ -188,8 +217,8 @@ class ServoGroup:
         part_possible
             True when a part may be held: then a tripped watchdog is a fault.
         releasing
-            True when the part is to be let go: then it is not, and torque that was found on at the
-            start may be switched off to correct the mode.
+            True when the part is to be let go: then it is not, and torque that was found on may be
+            switched off to correct the mode.
 
         Raises
         ------
@@ -197,17 +226,12 @@ class ServoGroup:
             When the watchdog tripped while a part was held.
         VerificationFailed
             When a servo to be released does not match the settings.
+        FeedbackImplausible
+            When a servo under torque reports a position far from its goal.
         """
-        health, goals_in_force = self._health, bool(self._goals.last)
-        if (
-            releasing
-            and not goals_in_force
-            and health.torque_on()
-            and not health.verify(correct=False).ok
-        ):
-            # The release was asked for: only with the torque off can the mode be corrected.
-            self.switch_off()
-            health.verify(correct=True, refuse=True)
+        health, goals_in_force = self._health, self.goals_in_force
+        if releasing and not goals_in_force:
+            health.make_releasable()
         if not health.torque_on_everywhere():
             self._switch_on(self._motion_current_a())
         elif not goals_in_force or health.watchdogs_tripped():
@@ -229,9 +253,18 @@ class ServoGroup:
         self._arm_watchdog()
 
     def disarm_watchdog(self) -> None:
-        """Disarm, or clear after a trip, the bus watchdog of each servo (register 98)."""
+        """Disarm, or clear after a trip, the bus watchdog of each servo (register 98).
+
+        An error is raised when all servos were tried: a silent one does not hinder the other.
+        """
+        failed: GripperError | None = None
         for servo_id in self._ids:
-            self._bus.write(servo_id, BUS_WATCHDOG, 0)
+            try:
+                self._bus.write(servo_id, BUS_WATCHDOG, 0)
+            except GripperError as error:
+                failed = failed or error
+        if failed is not None:
+            raise failed
 
     def disarm_each(self, *, but: Sequence[int] = ()) -> None:
         """Disarm the bus watchdog of every servo that answers, with exceptions."""
@@ -292,6 +325,24 @@ class ServoGroup:
             self._bus.write(servo_id, TORQUE_ENABLE, 1)
         self._arm_watchdog()
 
+    def _check_goal_is_near(self, servo_id: int, position_raw: int) -> None:
+        """Raise FeedbackImplausible where a servo under torque is too far from its goal.
+
+        A count that is farther than a gripping program sets its goals is not the one that the
+        servo goes by; a goal made of it would move the finger there.
+        """
+        if self._bus.read(servo_id, TORQUE_ENABLE) == 0:
+            return
+        goal_raw = self._bus.read(servo_id, GOAL_POSITION)
+        away_rad = abs(position_raw - goal_raw) * RAD_PER_PULSE
+        if away_rad > _FARTHEST_GOAL_RAD:
+            raise FeedbackImplausible(
+                f"servo {servo_id}: it reports the position {position_raw} while it holds the goal "
+                f"{goal_raw}, {away_rad:.2f} rad away, at most {_FARTHEST_GOAL_RAD} rad are "
+                f"plausible: where its finger is, is unknown, so the torque is switched off and a "
+                f"held part possibly dropped. Check who else writes to this servo, and its encoder"
+            )
+
     def _motion_current_a(self) -> float:
         paths = transmissions(self._settings, self._linkage, self.read_patiently().angles_rad)
         return motion_current_a(self._settings, paths, self._settings.approach_force_n)
@@ -306,6 +357,8 @@ class ServoGroup:
             # The goals of the other modes limit this one too.
             self._bus.write(servo_id, GOAL_PWM, self._bus.read(servo_id, PWM_LIMIT))
         state = self.read_patiently()
+        for servo in state.servos:
+            self._check_goal_is_near(servo.servo_id, servo.position_raw)
         self._goals.write(
             [ServoGoal(angle_rad=angle, current_a=current_a) for angle in state.angles_rad], state
         )

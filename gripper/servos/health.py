@@ -1,11 +1,14 @@
 """Health of the servos: their settings, torque, hardware errors and bus watchdog."""
 
+from contextlib import suppress
+
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import (
     BUS_WATCHDOG,
     HARDWARE_ERROR_STATUS,
     MODEL_NUMBER,
     REGISTERS,
+    SHUTDOWN,
     TORQUE_ENABLE,
     WATCHDOG_TRIPPED_RAW,
 )
@@ -13,10 +16,12 @@ from gripper.dynamixel.models import MODELS
 from gripper.errors import BusCorrupt, BusTimeout, ServoFault, ServoMissing, VerificationFailed
 from gripper.servos.verification import compare, requirements
 from gripper.settings import GripperSettings, ServoSettings
-from gripper.state import GripperState, VerificationReport, VerificationRow
+from gripper.state import GripperState, ServoCondition, VerificationReport, VerificationRow
 
 _CHECKS = 3
 """Checks that take turns on each servo: torque, a register of the start, bus watchdog."""
+_CONDITION_TRIES = 3
+"""Readings of a servo's condition before it counts as silent: one lost answer does not do."""
 
 
 class ServoHealth:
@@ -34,6 +39,7 @@ class ServoHealth:
         self._ids = [servo.servo_id for servo in settings.servos]
         self._polls = 0
         self._kept = 0
+        self._accepted: dict[int, int] = {}
 
     def torque_on(self) -> bool:
         """Read whether any servo has its torque on."""
@@ -42,6 +48,27 @@ class ServoHealth:
     def torque_on_everywhere(self) -> bool:
         """Read whether all servos have their torque on."""
         return all(self._bus.read(i, TORQUE_ENABLE) != 0 for i in self._ids)
+
+    def conditions(self) -> tuple[ServoCondition, ...]:
+        """Read torque and errors of each servo; one that does not answer is no error here."""
+        return tuple(self._condition(servo_id) for servo_id in self._ids)
+
+    def _condition(self, servo_id: int) -> ServoCondition:
+        for _ in range(_CONDITION_TRIES):
+            with suppress(BusTimeout, BusCorrupt):
+                return self._read_condition(servo_id)
+        return ServoCondition(servo_id=servo_id, answers=False)
+
+    def _read_condition(self, servo_id: int) -> ServoCondition:
+        torque_on = self._bus.read(servo_id, TORQUE_ENABLE) != 0
+        bits = self._bus.read(servo_id, HARDWARE_ERROR_STATUS)
+        shutdown_bits = self._bus.read(servo_id, SHUTDOWN) if bits else 0
+        return ServoCondition(
+            servo_id=servo_id,
+            torque_on=torque_on,
+            error_bits=bits,
+            shut_down=not torque_on and bits & shutdown_bits != 0,
+        )
 
     def require_present(self) -> None:
         """Ping every servo. Raises ServoMissing that names which IDs answer instead."""
@@ -89,7 +116,14 @@ class ServoHealth:
             True to rewrite the registers that may be corrected where they differ; needs the
             torque off.
         refuse
-            True to raise VerificationFailed when a row does not agree.
+            True to raise when a row does not agree.
+
+        Raises
+        ------
+        ServoFault
+            When nothing is wrong but errors that servos report: `clear` may mend them.
+        VerificationFailed
+            When another row does not agree.
         """
         rows: list[VerificationRow] = []
         for servo in self._settings.servos:
@@ -98,8 +132,44 @@ class ServoHealth:
             self._bus.return_delay_s = 0.0
         report = VerificationReport(rows=tuple(rows), torque_was_on=not correct)
         if refuse and not report.ok:
-            raise VerificationFailed(report, [str(row) for row in report.failed])
+            errors = [row for row in report.failed if row.item == HARDWARE_ERROR_STATUS.name]
+            if len(errors) < len(report.failed):
+                raise VerificationFailed(report, [str(row) for row in report.failed])
+            raise ServoFault(
+                errors[0].servo_id,
+                int(errors[0].found),
+                "it reports a hardware error from before the start and nothing has moved; remedy "
+                "its cause, then clear it with a reboot",
+                torque_lost=True,
+            )
         return report
+
+    def make_releasable(self) -> None:
+        """Correct the registers of servos that are to let go; switches their torque off for it.
+
+        An error that a servo reports now is no hindrance, neither here nor to `poll` until
+        `end_release`. VerificationFailed where another register does not agree and is not to be
+        corrected: the fingers have no torque then.
+        """
+        self._accepted = {
+            condition.servo_id: condition.error_bits for condition in self.conditions()
+        }
+        report = self.verify(correct=False)
+        if all(row.item == HARDWARE_ERROR_STATUS.name for row in report.failed):
+            return
+        for servo_id in self._ids:
+            self._bus.write(servo_id, BUS_WATCHDOG, 0)
+            self._bus.write(servo_id, TORQUE_ENABLE, 0)
+        report = self.verify(correct=True)
+        wrong = [str(row) for row in report.failed if row.item != HARDWARE_ERROR_STATUS.name]
+        if wrong:
+            raise VerificationFailed(
+                report, [*wrong, "the torque is off now and the fingers did not open"]
+            )
+
+    def end_release(self) -> None:
+        """Accept no error of a servo any more."""
+        self._accepted = {}
 
     def _verify_one(self, servo: ServoSettings, *, correct: bool) -> tuple[VerificationRow, ...]:
         settings = self._settings
@@ -180,14 +250,16 @@ class ServoHealth:
     def _check_hardware(self, servo_id: int) -> None:
         bits = self._bus.read(servo_id, HARDWARE_ERROR_STATUS)
         if bits:
-            dropped = self._bus.read(servo_id, TORQUE_ENABLE) == 0
+            lost = self._bus.read(servo_id, TORQUE_ENABLE) == 0
+            if not lost and bits == self._accepted.get(servo_id):
+                return
             detail = (
-                "it has switched its torque off, the part has possibly been dropped; after a "
-                "remedy clear the fault with a reboot"
-                if dropped
+                "it has switched its torque off; remedy the cause, then clear the fault with a "
+                "reboot"
+                if lost
                 else "it reports a hardware error and still has its torque"
             )
-            raise ServoFault(servo_id, bits, detail, torque_lost=dropped)
+            raise ServoFault(servo_id, bits, detail, torque_lost=lost)
 
     def check_torque(self, servo_id: int) -> None:
         """Raise ServoFault when a servo has lost the torque that it was given."""
@@ -196,15 +268,10 @@ class ServoHealth:
             raise ServoFault(
                 servo_id,
                 bits,
-                "its torque is off although nobody switched it off (a reboot or a shutdown); the "
-                "part has possibly been dropped",
+                "its torque is off although it was not switched off here: a reboot, a shutdown, "
+                "or another program on the bus",
                 torque_lost=True,
             )
-
-    def hardware_errors(self) -> dict[int, int]:
-        """Read Hardware Error Status (register 70) of all servos; those with an error, by ID."""
-        bits = {servo_id: self._bus.read(servo_id, HARDWARE_ERROR_STATUS) for servo_id in self._ids}
-        return {servo_id: found for servo_id, found in bits.items() if found}
 
     def watchdogs_tripped(self) -> frozenset[int]:
         """Read the bus watchdogs (register 98); the IDs of the servos whose one has tripped."""

@@ -1,6 +1,7 @@
 """Named faults of the servo bus and of single servos."""
 
-from gripper.dynamixel.control_table import REGISTERS
+from gripper.dynamixel.control_table import RAD_PER_PULSE, REGISTERS
+from gripper.dynamixel.models import PULSES_PER_TURN
 from simulator.errors import SimulatorSettingsError
 from simulator.faults.entry import (
     SHARE,
@@ -95,6 +96,21 @@ def _stuck(target: Target) -> Effect:
 
 def _jump(target: Target) -> None:
     _knobs(target).jump_encoder(target.number)
+
+
+def _turn(target: Target) -> Effect:
+    knobs = _knobs(target)
+    knobs.offset_report(int(target.number) * PULSES_PER_TURN)
+    return Effect(undo=lambda: knobs.offset_report(0))
+
+
+def _drift(target: Target) -> Effect:
+    knobs = _knobs(target)
+
+    def act(now_s: float) -> None:
+        knobs.offset_report(round(target.number * (now_s - target.now_s) / RAD_PER_PULSE))
+
+    return Effect(undo=lambda: knobs.offset_report(0), act=act)
 
 
 def _supply(target: Target) -> Effect:
@@ -297,6 +313,22 @@ SERVO = (
         "its encoder reports so much more from one moment to the next",
         _jump,
         Number(unit="rad", low=-6.3, high=6.3, default=0.5),
+    ),
+    FaultEntry(
+        name="servoN.turn",
+        kind=FaultKind.WRONG,
+        meaning="it reports its position so many turns off, and follows its goals as before",
+        value=Number(unit="turns", low=-10, high=10, default=1, whole=True),
+        apply=_turn,
+        knob="report",
+    ),
+    FaultEntry(
+        name="servoN.drift",
+        kind=FaultKind.WRONG,
+        meaning="the position that it reports drifts away, and it follows its goals as before",
+        value=Number(unit="rad/s", low=-6.3, high=6.3, default=0.1),
+        apply=_drift,
+        knob="report",
     ),
     FaultEntry(
         name="servoN.watchdog_off",

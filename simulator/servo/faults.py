@@ -289,8 +289,13 @@ class ServoFaultKnobs:
         """Let the encoder report so many rad more from now on, until it is cleared."""
         self._motor.encoder_offset_rad += angle_rad
 
+    def offset_report(self, offset_raw: int) -> None:
+        """Let the servo report so many counts more than it goes by itself; 0 ends it."""
+        self._servo.core.position.reported_offset_raw = offset_raw
+
     def clear(self) -> None:
         """Turn every knob of the servo back; latched errors stay until a reboot."""
+        self.offset_report(0)
         self.supply()
         self.hardware_error(0)
         self.stick_encoder(stuck=False)

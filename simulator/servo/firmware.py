@@ -106,11 +106,18 @@ class ServoPosition:
         The servo's registers.
     plant
         Its motor.
+
+    Attributes
+    ----------
+    reported_offset_raw
+        What a fault adds to the counts that are reported; the servo itself follows its goals as
+        without it.
     """
 
-    __slots__ = ("_plant", "_registers", "_turn_offset")
+    __slots__ = ("_plant", "_registers", "_turn_offset", "reported_offset_raw")
 
     def __init__(self, registers: ServoRegisters, plant: ServoPlant) -> None:
+        self.reported_offset_raw = 0
         self._registers = registers
         self._plant = plant
         self._turn_offset = 0
@@ -170,7 +177,7 @@ class ServoPosition:
             round(sign * plant.duty * PWM_COUNTS),
             round(sign * plant.current_a / registers.model.current_unit_a),
             velocity_raw,
-            position_raw,
+            position_raw + self.reported_offset_raw,
             round(sign * plant.reference_velocity_rad_s / RAD_S_PER_VELOCITY_UNIT),
             trajectory_raw,
             max(0, round(plant.voltage_v * 10.0)),

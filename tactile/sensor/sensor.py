@@ -379,7 +379,7 @@ class TactileSensor:
         for array in (tared, active, force_n, pad_force_n, saturated, bad):
             array.setflags(write=False)
         self._saturated_frames += bool((saturated & ~bad).any())
-        self._void_frames += bool(reason) and self._mean.full
+        self._void_frames += bool(reason) and self._mean.full and self._tare is not None
         first, second = self._layout.gripping_pads
         return TactileReading(
             frame=frame,

@@ -14,7 +14,7 @@ from cell.control.plan import GraspStep, Pose
 from cell.control.records import GraspRecord
 from cell.control.states import CellState
 from cell.errors import CellError
-from gripper.errors import GripperError
+from gripper.errors import GripperError, fingers_left
 from gripper.state import GripperPhase
 from simulator.cell import SimulatedCell
 from tactile.errors import TactileError
@@ -312,7 +312,9 @@ def observe(
         text = f"{type(error).__name__}: {error}"
         if len(text) > OUTCOME_CHARACTERS:
             text = f"{text[: OUTCOME_CHARACTERS - 3]}..."
-        return Observed(_reaction(cell), max(0.0, known_s - began_s), f"{text}; {cell.grip}")
+        left = fingers_left(error)
+        grip = f"{cell.controller.state.value}, {left} ({cell.grip_n:.1f} N)" if left else cell.grip
+        return Observed(_reaction(cell), max(0.0, known_s - began_s), f"{text}; {grip}")
     if monitor.noted_s is not None:
         after_s = max(0.0, monitor.noted_s - began_s)
         return Observed("NOTE", after_s, f"counted; the job was done; {cell.grip}")

@@ -23,7 +23,7 @@ from tests.faults.invariants import (
 
 COMMAND_BOUND_S = 20.0
 """Every command has to be over within so many s of simulated time."""
-_UNTRUSTED = ("object.trapped", "servoN.jump", "servoN.stuck")
+_UNTRUSTED = ("object.trapped", "servoN.jump", "servoN.stuck", "servoN.turn", "servoN.drift")
 """Faults after which position or force are not known: the torque may go off."""
 
 

@@ -43,6 +43,8 @@ _GENTLE = {
     "object.slips": (5.0, 200.0),
     "servoN.supply": (5.0, 16.0),
     "servoN.jump": (-0.5, 0.5),
+    "servoN.turn": (-2, 2),
+    "servoN.drift": (-0.5, 0.5),
     "taxels.offset": (-60.0, 60.0),
     "taxels.gain": (0.0, 3.0),
     "taxels.saturated": (0.0, 1.0),

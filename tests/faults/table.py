@@ -52,6 +52,10 @@ ONE_SILENT_S = 0.025
 """Three periods with their repetitions, and what is left of the one in which it began."""
 CYCLE_S = 0.006
 """One period and the transaction that shows it."""
+STANDING_S = 0.2
+"""Empty fingers are watched for so long after their torque has come on."""
+DRIFT_S = 0.5
+"""0.3 rad/s make the 5 to 7 mm that no part explains in 0.4 s; 0.1 s of contradiction count."""
 VERIFY_S = 2.0
 """All registers are verified within this time."""
 VERIFY_AGAIN_S = 3.0
@@ -297,6 +301,15 @@ SERVOS = (
              "servo1.jump=0.3@contact+0.2s", "LIMP", CYCLE_S),
     FaultRow(27, "out of range", "the position of a servo leaps to where its finger cannot be",
              "servo2.jump=1.5@contact+0.2s", "LIMP", CYCLE_S),
+    FaultRow(27, "off by a turn", "the position that a servo reports leaps by a turn in the ramp",
+             "servo1.turn@contact+0.5s", "LIMP", CYCLE_S),
+    FaultRow(27, "off by a turn at the start",
+             "a servo reports another turn than it goes by: it leaves its place with the torque",
+             "servo1.turn", "REJECT", 0.2 + STANDING_S),
+    FaultRow(27, "drift to open", "a reported position drifts, to wider than the part can be",
+             "servo1.drift=0.3@contact+0.2s", "HOLD", DRIFT_S, changes=LONG_HOLD),
+    FaultRow(27, "drift to closed", "a reported position drifts, to closed with loaded pads",
+             "servo1.drift=-0.3@contact+0.2s", "HOLD", DRIFT_S, changes=LONG_HOLD),
     FaultRow(27, "stuck encoder",
              "a position stands still while the empty finger opens; only its goal tells",
              "servo1.stuck@moving+0.05s", "HOLD", 4.0),

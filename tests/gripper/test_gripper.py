@@ -102,7 +102,7 @@ def test_one_grasp_from_start_to_close(make_cell, n_servos: int) -> None:
     assert setpoints[-1] == 8.0
     assert cycles[-1].level == 0
     gripper.hold(0.5)
-    released = gripper.release()
+    released = gripper.release().state
     assert released.aperture_m == pytest.approx(0.03, abs=0.0008)
     assert gripper.state is GripperPhase.IDLE
     gripper.close()
@@ -429,7 +429,7 @@ def test_zero_position_near_the_end_of_a_turn_does_not_matter(make_cell) -> None
     cell.gripper.start()
     cell.gripper.open()
     assert cell.gripper.grasp(RAMP).result is GraspResult.FORCE_REACHED
-    assert cell.gripper.release().aperture_m == pytest.approx(0.03, abs=0.0008)
+    assert cell.gripper.release().state.aperture_m == pytest.approx(0.03, abs=0.0008)
 
 
 @pytest.mark.parametrize(

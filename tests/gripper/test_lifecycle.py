@@ -65,14 +65,13 @@ def leap(cell, by_rad: float) -> None:
     motor.stuck_at_rad = motor.angle_rad + by_rad
 
 
-@pytest.mark.parametrize("step_rad", [0.02, -0.02])
-def test_a_finger_that_creeps_out_of_its_range_ends_in_limp_fingers(cell, step_rad) -> None:
+def test_a_finger_that_creeps_out_of_its_range_ends_in_limp_fingers(cell) -> None:
     held(cell)
     motor = cell.motors[0]
 
     def creep(_) -> None:
         stuck = motor.stuck_at_rad
-        motor.stuck_at_rad = (motor.angle_rad if stuck is None else stuck) + step_rad
+        motor.stuck_at_rad = (motor.angle_rad if stuck is None else stuck) - 0.02
 
     with pytest.raises(FeedbackImplausible, match="it can be from"):
         cell.gripper.hold(2.0, creep)

@@ -18,6 +18,7 @@ import pytest
 from cell.config.file import load_config
 from cell.data.recording_reader import read_recording
 from cell.interfaces.plugin.plugin import JobFailed, TactileCellPlugin, TeachGoal
+from gripper.errors import ServoFault
 
 pytestmark = pytest.mark.hil
 
@@ -207,6 +208,44 @@ def test_ctrl_c_keeps_the_grip_and_the_recording_and_release_lets_go(
     assert code == 0, err
     assert "the fingers are open" in out
     assert simulator.grip_n() == 0.0
+
+
+def test_a_part_that_one_finger_holds_alone_is_let_go(simulator: Simulator, tmp_path: Path) -> None:
+    simulator.ask(inject="servo1.overload@contact+0.3s")
+    client = start(
+        *("teach", "box", "--config", simulator.config),
+        *("-o", tmp_path / "d.npz", "--out", tmp_path / "out"),
+    )
+    with ending(client):
+        code, _out, err = end(client)
+    assert code == 1
+    assert "Hardware Error Status 0x20: overload" in err
+    assert "one of them silent or without torque; a part may still be gripped" in err
+    assert "the grip is kept" not in err
+    assert f"tactile-cell clear --config {simulator.config} --reboot" in err
+    assert simulator.grip_n() > 0.5
+
+    with TactileCellPlugin(simulator.config) as plugin:
+        assert plugin.state() == "ABORTED"
+        assert "servo 1 has no torque (overload)" in str(plugin.fault())
+        with pytest.raises(ServoFault, match="clear it with a reboot"):
+            plugin.clear(LIMIT_S)
+    assert simulator.grip_n() > 0.5
+
+    code, out, err = end(start("doctor", "--config", simulator.config))
+    assert code == 1
+    assert "fail servo torque: servo 1 has no torque (overload); servo 2 has its torque on" in out
+
+    code, out, err = end(start("release", "--confirm", "--config", simulator.config))
+    assert code == 0, err
+    assert "the finger of servo 2 is open, the other one was not moved: servo 1 has no" in out
+    assert simulator.grip_n() < 0.2
+
+    code, out, err = end(start("clear", "--reboot", "--config", simulator.config))
+    assert code == 0, err
+    assert "after the reboot servo 1 has no torque" in out
+    code, out, err = end(start("doctor", "--config", simulator.config))
+    assert code == 0, (out, err)
 
 
 def test_a_killed_cell_is_named_and_what_was_recorded_can_be_read(

@@ -9,6 +9,7 @@ import typer
 from cell.errors import CellError, ConfigError
 from cell.interfaces.cli.commands import (
     calibrate,
+    clear,
     config,
     dbc,
     doctor,
@@ -64,6 +65,7 @@ for command in (
     identify.identify,
     calibrate.calibrate,
     release.release,
+    clear.clear,
     evaluate.evaluate,
     replay.replay,
     recover.recover,

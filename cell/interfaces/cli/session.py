@@ -11,10 +11,16 @@ from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
 from cell.control.journal import loop_line
 from cell.control.records import pad_array
-from cell.errors import CellError, CellStopped, ConfigError
+from cell.errors import CellError, CellStopped, ConfigError, HandLost, PartInGrip
 from cell.interfaces.cli.signals import END_WITHIN_S, stopping
 from cell.interfaces.cli.terminal import ask, print_cell, print_line, print_note, write_json
-from gripper.errors import GripperError, fingers_left
+from gripper.errors import (
+    GripperError,
+    LinkTooSlow,
+    ServoFault,
+    VerificationFailed,
+    fingers_left,
+)
 from recognition.grasp import PadArray
 from tactile.errors import TactileError
 
@@ -73,6 +79,11 @@ def release_command(config_file: Path) -> str:
     return f"tactile-cell release --config {shlex.quote(str(config_file))} --confirm"
 
 
+def clear_command(config_file: Path) -> str:
+    """Return the command that restarts the servos at fault in the cell of that config file."""
+    return f"tactile-cell clear --config {shlex.quote(str(config_file))} --reboot"
+
+
 @contextmanager
 def running_cell(
     config: CellConfig,
@@ -113,12 +124,12 @@ def running_cell(
         if isinstance(error, CellStopped):
             text = f"{error}. Recording so far: {cell.recording_path}"
         else:
-            grip = fingers_left(error) or (
-                "the grip is kept" if cell.controller.holding else "nothing is held"
-            )
+            grip = _grip_left(error, cell)
             text = f"{error}\n{grip}; recording so far: {cell.recording_path}"
         if config_file is not None and not config.simulated:
             text += f"\nto let go of a part: {release_command(config_file)}"
+            if isinstance(error, ServoFault) and error.bits:
+                text += f"\nto clear the servo's error: {clear_command(config_file)}"
         write_json(
             json_file,
             {
@@ -128,6 +139,18 @@ def running_cell(
             },
         )
         raise CellError(text) from error
+
+
+def _grip_left(error: BaseException, cell: Cell) -> str:
+    """Return what an early end has left in the grip, as far as it is known."""
+    left = fingers_left(error)
+    if left:
+        return left
+    if isinstance(error, HandLost):
+        return "a part may still be gripped" if cell.controller.holding else "nothing is held"
+    if isinstance(error, PartInGrip | VerificationFailed | LinkTooSlow):
+        return "nothing was moved"
+    return "the grip is kept" if cell.controller.holding else "nothing is held"
 
 
 @contextmanager

@@ -10,16 +10,21 @@ from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 from types import TracebackType
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 from cell.config.file import load_config
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.control.states import CellState, CellStatus, Command
+from cell.errors import PartInGrip
 from cell.interfaces.plugin.answer import Answer, FeltShape
 from cell.interfaces.plugin.goals import IdentifyGoal, TeachGoal, checked_goal
 from cell.interfaces.plugin.host_watch import HostWatch
 from cell.interfaces.plugin.worker import CellWorker, Job, JobFailed, JobOutcome, JobStatus, Report
+from gripper.errors import ServoFault
+
+if TYPE_CHECKING:
+    from gripper.state import ReleaseReport
 
 __all__ = [
     "Answer",
@@ -82,7 +87,9 @@ class TactileCellPlugin:
         ConfigError, ModelError, DatasetError, CellError
             Before any hardware is touched.
         gripper.errors.GripperError, tactile.errors.TactileError
-            If a device is missing or differs from the config.
+            If a device is missing or differs from the config. What `clear` and `release` may mend,
+            a servo at fault or a part that an earlier run left in the grip, does not raise: the
+            cell is then ABORTED, and `fault` returns why.
         """
         checked = (
             config
@@ -110,6 +117,9 @@ class TactileCellPlugin:
         self._cell = build_cell(checked, mover=mover)
         try:
             self._cell.controller.start()
+        except (ServoFault, PartInGrip):
+            # The fault is latched: `clear` and `release` are the way on.
+            pass
         except BaseException:
             self._cell.close()
             raise
@@ -221,19 +231,23 @@ class TactileCellPlugin:
 
     # -- commands ------------------------------------------------------------------------------
 
-    def release(self, timeout_s: float = 30.0) -> None:
+    def release(self, timeout_s: float = 30.0) -> "ReleaseReport":
         """Let the part go and open the fingers; the only way to do so outside a sequence.
 
         After a fault: `clear`, then `release`, then `reset`. What goes wrong is raised as it is.
+        Returns what was opened: a servo that is silent or at fault is left as it is, and the other
+        finger opens alone.
         """
         controller = self._cell.controller
+        report: ReleaseReport
         if controller.state in (CellState.RESETTING, CellState.STOPPED):
-            self._call(controller.release_held, Command.RELEASE_HELD, timeout_s)
+            report = self._call(controller.release_held, Command.RELEASE_HELD, timeout_s)
         else:
-            self._call(controller.release, Command.RELEASE, timeout_s)
+            report = self._call(controller.release, Command.RELEASE, timeout_s)
+        return report
 
     def clear(self, timeout_s: float = 5.0, *, reboot: bool = False) -> None:
-        """Acknowledge a latched fault; the grip stays as it is.
+        """Acknowledge a latched fault, one that was there at loading too; the grip stays as it is.
 
         With ``reboot`` servos that report a hardware error are restarted: what one of them still
         held would drop. A fault that is still there is raised as it is.
@@ -295,12 +309,13 @@ class TactileCellPlugin:
     ) -> None:
         self.close()
 
-    def _call(self, work: Callable[[], None], command: Command | None, timeout_s: float) -> None:
-        """Run a command on the worker and wait for its end; its error is raised as it is."""
+    def _call(self, work: Callable[[], Any], command: Command | None, timeout_s: float) -> Any:
+        """Run a command on the worker and return what it does; its error is raised as it is."""
         with self._calling():
             status = self._worker.wait(self._accept(lambda _report: work(), command), timeout_s)
         if status.exception is not None:
             raise status.exception
+        return status.value
 
     def _accept(self, work: Callable[[Report], Any], command: Command | None) -> Job:
         """Start a job that no earlier `cancel` is meant for, where its command is allowed now."""

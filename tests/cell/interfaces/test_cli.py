@@ -272,6 +272,36 @@ def test_release_names_the_cell_and_has_to_be_meant(
     )
 
 
+def test_clear_shows_the_servos_and_restarts_them_where_that_is_asked_for(
+    config: Path, fail: Callable[..., tuple[int, str]], tmp_path: Path
+) -> None:
+    code, said = fail("clear")
+    assert code == 2
+    assert "`tactile-cell clear --config FILE`" in said
+    said = call("clear", "-c", config)
+    assert said == (
+        "simulated cell: servo 1 has no torque\nsimulated cell: servo 2 has no torque\n"
+    )
+
+    loaded = load_config(config)
+    overloaded = loaded.simulator.model_copy(update={"faults": ("servo1.overload",)})
+    faulty = tmp_path / "faulty.yaml"
+    faulty.write_text(config_text(loaded.model_copy(update={"simulator": overloaded})))
+    code, said = fail("clear", "-c", faulty)
+    assert code == 1
+    assert "the error lasts" in said
+    assert said.endswith(f": tactile-cell clear --config {faulty} --reboot")
+    said = call("clear", "--reboot", "-c", faulty)
+    assert "servo 1 has no torque (overload)\n" in said
+    assert said.endswith("after the reboot servo 1 has no torque\n")
+
+    silent = loaded.simulator.model_copy(update={"faults": ("servo2.off",)})
+    faulty.write_text(config_text(loaded.model_copy(update={"simulator": silent})))
+    code, said = fail("clear", "-c", faulty)
+    assert code == 1
+    assert "servo 2 does not answer: remedy the cause" in said
+
+
 def test_after_a_fault_of_real_ports_the_command_that_lets_go_is_printed_whole(
     config: Path,
     tmp_path: Path,

@@ -45,6 +45,38 @@ def test_samples_that_never_move_are_a_warning(altered: Callable[..., list[Findi
 
 
 @pytest.mark.parametrize(
+    ("left", "verdict", "found", "advice"),
+    [
+        (((), ()), Verdict.PASS, "servo 1 has no torque; servo 2 has no torque", ""),
+        (((), (0,)), Verdict.FAIL, "servo 1 has no torque (overload)", "clear --reboot"),
+        (((0, 1), ()), Verdict.WARN, "servo 2 has its torque on", "release --confirm"),
+        (((1,), ()), Verdict.FAIL, "servo 1 has no torque; servo 2 has", "release --confirm"),
+        (((1,), (0,)), Verdict.FAIL, "(overload); servo 2 has its torque on", "release --confirm"),
+    ],
+)
+def test_torque_that_is_left_on_is_named_with_the_way_on(
+    altered: Callable[..., list[Finding]],
+    left: tuple[tuple[int, ...], tuple[int, ...]],
+    verdict: Verdict,
+    found: str,
+    advice: str,
+) -> None:
+    on, overloaded = left
+
+    def alter(simulated: Any) -> None:
+        for index in overloaded:
+            simulated.inject(f"servo{index + 1}.overload")
+        simulated.clock.sleep(0.1)
+        for index in on:
+            simulated.devices.servo_bus.servos[index].core.registers.put("torque_enable", 1)
+
+    finding = by_name(altered(alter))["servo torque"]
+    assert finding.verdict is verdict
+    assert found in finding.found
+    assert advice in finding.advice
+
+
+@pytest.mark.parametrize(
     ("boards", "named", "verdict", "advice"),
     [
         ((7, 8), [7, 8], Verdict.PASS, ""),

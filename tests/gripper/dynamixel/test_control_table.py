@@ -24,7 +24,8 @@ from gripper.dynamixel.control_table import (
     registers_between,
 )
 from gripper.dynamixel.models import MODELS, XM430_W350, model_by_number, require_current_control
-from gripper.errors import LimitExceeded, hardware_error_names
+from gripper.errors import LimitExceeded
+from gripper.state import hardware_error_names
 
 
 def test_addresses_sizes_and_signs_are_those_of_the_manual() -> None:

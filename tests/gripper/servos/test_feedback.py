@@ -1,74 +1,88 @@
-"""The age of a servo's answers by its own clock: drift is followed, a lag is not."""
-
-import random
-from collections.abc import Callable
+"""Positions that cannot be: off by a turn, or another count than the servo goes by."""
 
 import pytest
 
-from gripper.servos.feedback import TickWatch
+from gripper.dynamixel.control_table import TORQUE_ENABLE
+from gripper.errors import FeedbackImplausible, fingers_left
+from gripper.force.ramp import ForceRamp
+from gripper.state import GraspResult, GripperPhase
 
-PERIOD_S = 0.005
-Rate = Callable[[float], float]
-
-
-def refused(
-    rate: Rate,
-    seconds: float,
-    *,
-    lags: Callable[[float], bool] = lambda _now_s: False,
-    pauses: bool = False,
-    seed: int = 1,
-) -> tuple[int, int, int]:
-    """Return how many new answers were refused, how many old ones, and how many old ones came.
-
-    A clock runs at a rate; where it lags each answer is the one of the period before.
-    """
-    generator, watch = random.Random(seed), TickWatch()
-    now_s, made_s, tick_s, before_ms = 0.0, 0.0, 30.0 * generator.random(), 0
-    new = old = came = 0
-    while now_s < seconds:
-        made_after_s = now_s + generator.uniform(0.0002, 0.0004)
-        tick_s += (made_after_s - made_s) * rate(now_s)
-        made_s = made_after_s
-        late_s = generator.uniform(0.0, 0.01) if generator.random() < 0.01 else 0.0
-        received_s = made_s + generator.uniform(0.0007, 0.002) + late_s
-        tick_ms = int(1e3 * tick_s) % 32768
-        if lags(now_s):
-            came += 1
-            old += watch.check(1, before_ms, now_s, received_s) is not None
-        else:
-            new += watch.check(1, tick_ms, now_s, received_s) is not None
-        before_ms = tick_ms
-        now_s = max(now_s + PERIOD_S, received_s)
-        if pauses and generator.random() < 0.002:
-            now_s += generator.uniform(0.0, 3.0)
-    return new, old, came
+RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
 
 
-@pytest.mark.parametrize("rate", [0.97, 0.99, 1.0, 1.01, 1.03])
-@pytest.mark.parametrize("pauses", [False, True])
-def test_a_clock_that_is_off_by_three_percent_is_none_that_lags(rate, pauses) -> None:
-    assert refused(lambda _now_s: rate, 60.0, pauses=pauses)[0] == 0
+def held(cell) -> None:
+    cell.gripper.start()
+    assert cell.gripper.grasp(RAMP).result is GraspResult.FORCE_REACHED
 
 
-@pytest.mark.parametrize("sign", [-1.0, 1.0])
-@pytest.mark.parametrize("seed", [1, 2])
-def test_a_clock_that_changes_its_rate_slowly_is_followed(sign, seed) -> None:
-    new, _, _ = refused(lambda now_s: 1.0 + sign * 1e-4 * now_s, 60.0, pauses=True, seed=seed)
-    assert new == 0
+def torques(cell) -> list[int]:
+    return [cell.register(i, "torque_enable") for i in range(2)]
 
 
-@pytest.mark.parametrize("rate", [0.97, 1.0, 1.03])
-@pytest.mark.parametrize("begins_s", [2.0, 5.1, 12.0])
-def test_a_lag_of_one_period_is_refused_for_as_long_as_it_lasts(rate, begins_s) -> None:
-    new, old, came = refused(
-        lambda _now_s: rate, begins_s + 2.0, lags=lambda now_s: now_s > begins_s
-    )
-    assert new == 0
-    assert old == came > 300
+@pytest.mark.parametrize("turns", [1, -1, 3])
+@pytest.mark.parametrize("index", [0, 1])
+def test_a_count_that_leaps_by_a_turn_moves_no_finger(cell, index, turns) -> None:
+    held(cell)
+    due_s = cell.clock.monotonic() + 0.3
+    leapt: list[tuple[float, int, float]] = []
+
+    def leap(cycle) -> None:
+        if not leapt and cycle.t_s >= due_s:
+            cell.knobs[index].offset_report(4096 * turns)
+            goal_raw = cell.servos[index].core.registers.get("goal_position")
+            leapt.append((cell.clock.monotonic(), goal_raw, cell.mechanics.aperture_m))
+
+    with pytest.raises(
+        FeedbackImplausible, match=f"servo {index + 1}: .* off by .* turns"
+    ) as error:
+        cell.gripper.hold(2.0, leap)
+    then_s, goal_raw, aperture_m = leapt[0]
+    assert cell.clock.monotonic() - then_s < 0.008
+    assert cell.servos[index].core.registers.get("goal_position") == goal_raw
+    assert torques(cell) == [0, 0]
+    assert fingers_left(error.value).startswith("the fingers have no torque any more; a part may")
+    assert "the pads measured" in fingers_left(error.value)
+    cell.clock.sleep(1.0)
+    assert cell.mechanics.aperture_m == pytest.approx(aperture_m, abs=0.002)
 
 
-def test_after_a_lag_new_answers_are_taken_at_once() -> None:
-    new, old, came = refused(lambda _now_s: 1.0, 20.0, lags=lambda now_s: now_s % 4.0 > 3.7)
-    assert new == 0
-    assert old == came > 200
+def test_a_leap_in_a_pause_is_found_before_the_next_goal(cell) -> None:
+    held(cell)
+    cell.gripper.keep_grip()
+    cell.clock.sleep(2.0)
+    goal_raw = cell.register(0, "goal_position")
+    cell.knobs[0].offset_report(4096)
+    with pytest.raises(FeedbackImplausible, match="off by"):
+        cell.gripper.release()
+    assert cell.register(0, "goal_position") == goal_raw
+    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
+
+
+def test_turns_of_a_servo_without_torque_do_not_matter(cell) -> None:
+    cell.gripper.start()
+    before_m = cell.gripper.read_state().aperture_m
+    cell.knobs[0].offset_report(2 * 4096)
+    assert cell.gripper.read_state().aperture_m == pytest.approx(before_m, abs=1e-4)
+
+
+def test_a_servo_that_goes_by_another_count_than_it_reports_is_made_limp_at_once(cell) -> None:
+    cell.knobs[1].offset_report(4096)
+    cell.gripper.start()
+    before_m = cell.mechanics.aperture_m
+    with pytest.raises(FeedbackImplausible, match=r"servo 2: it has moved by .* is its goal"):
+        cell.gripper.open()
+    assert torques(cell) == [0, 0]
+    cell.clock.sleep(1.0)
+    assert abs(cell.mechanics.aperture_m - before_m) < 0.004
+
+
+@pytest.mark.parametrize("offset_raw", [-4096, 800])
+def test_no_goal_is_made_of_a_position_far_from_the_one_in_force(cell, offset_raw) -> None:
+    held(cell)
+    cell.gripper.close()
+    cell.knobs[0].offset_report(offset_raw)
+    goal_raw = cell.register(0, "goal_position")
+    with pytest.raises(FeedbackImplausible, match=r"servo 1: .* holds the goal .* rad away"):
+        cell.new_gripper().release()
+    assert cell.register(0, "goal_position") == goal_raw
+    assert cell.bus.read(1, TORQUE_ENABLE) == 0

@@ -19,8 +19,9 @@ def release(
 ) -> None:
     """Let go of a part in the grip of an earlier run; it may fall.
 
-    The cell has to be named, even where a config file lies in the folder: the part falls in the
-    cell that is named and in no other.
+    A finger whose servo is silent or has switched itself off is left as it is and named; the other
+    one opens. The cell has to be named, even where a config file lies in the folder: the part
+    falls in the cell that is named and in no other.
     """
     from cell.errors import ConfigError
     from cell.interfaces.cli.options import FOLDER_CONFIG
@@ -44,10 +45,10 @@ def release(
     cell = build_cell(checked, mover=lambda _pose: False, ask=ask)
     try:
         with stopping(cell.controller.cancel, end_within_s=END_WITHIN_S):
-            cell.controller.release_held()
+            report = cell.controller.release_held()
     finally:
         cell.close()
     print_line(
-        f"{checked.name}: released; the fingers are open"
+        f"{checked.name}: released; {report}"
         + ("; it is simulated, nothing real was moved" if checked.simulated else "")
     )

@@ -1,0 +1,183 @@
+"""Letting go on purpose: with whatever servos still answer, and only ever opening."""
+
+import pytest
+
+from gripper.dynamixel.control_table import TORQUE_ENABLE
+from gripper.errors import (
+    BusTimeout,
+    GraspStopped,
+    ServoFault,
+    VerificationFailed,
+    fingers_left,
+)
+from gripper.force.ramp import ForceRamp
+from gripper.state import GraspResult, GripperPhase
+
+RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
+
+
+def held(cell) -> None:
+    cell.gripper.start()
+    assert cell.gripper.grasp(RAMP).result is GraspResult.FORCE_REACHED
+    cell.gripper.close()
+
+
+def overload(cell, index: int) -> None:
+    cell.knobs[index].overload()
+    cell.clock.sleep(0.1)
+    assert cell.register(index, "torque_enable") == 0
+
+
+def torques(cell) -> list[int]:
+    return [cell.register(i, "torque_enable") for i in range(len(cell.servos))]
+
+
+@pytest.mark.parametrize("limp", [0, 1])
+def test_the_other_finger_opens_where_a_servo_has_shut_down(cell, limp) -> None:
+    held(cell)
+    overload(cell, limp)
+    assert cell.force_n > 1.0
+    before_m = cell.mechanics.finger_position_m
+    gripper = cell.new_gripper()
+    report = gripper.release()
+    assert cell.force_n == 0.0
+    assert report.opened == (2 - limp,)
+    assert [c.servo_id for c in report.left] == [limp + 1]
+    assert f"servo {limp + 1} has no torque (overload)" in str(report)
+    assert "with a reboot" in str(report)
+    after_m = cell.mechanics.finger_position_m
+    assert after_m[1 - limp] == pytest.approx(0.015, abs=0.001)
+    # The limp finger gives way to the elastic part, and is not moved by more.
+    assert abs(after_m[limp] - before_m[limp]) < 0.001
+    assert torques(cell) == [0, 0]
+    assert gripper.state is GripperPhase.OFF
+    gripper.clear_fault(reboot=True)
+    assert gripper.start().ok
+    gripper.open()
+    assert cell.mechanics.finger_position_m[limp] == pytest.approx(0.015, abs=0.001)
+
+
+@pytest.mark.parametrize("how", ["torque 0", "reboot"])
+def test_a_servo_that_another_program_made_limp_opens_again(cell, how) -> None:
+    held(cell)
+    if how == "reboot":
+        cell.knobs[0].reboot(cell.clock.monotonic())
+        cell.clock.sleep(1.0)
+    else:
+        cell.bus.write(1, TORQUE_ENABLE, 0)
+    assert torques(cell) == [0, 1]
+    report = cell.new_gripper().release()
+    assert (report.opened, report.left) == ((1, 2), ())
+    assert str(report) == "the fingers are open"
+    assert cell.force_n == 0.0
+    assert report.state.aperture_m == pytest.approx(0.03, abs=0.001)
+
+
+def test_the_finger_that_answers_opens_where_the_other_is_silent(cell) -> None:
+    held(cell)
+    cell.device.faults.silent.add(1)
+    report = cell.new_gripper().release()
+    assert cell.force_n == 0.0
+    assert report.opened == (2,)
+    assert "servo 1 does not answer" in str(report)
+    assert "may still have its torque" in str(report)
+
+
+def test_a_started_gripper_lets_go_after_a_clear_too(cell) -> None:
+    cell.gripper.start()
+    cell.gripper.grasp(RAMP)
+    with pytest.raises(ServoFault) as fault:
+        cell.gripper.hold(1.0, lambda _: cell.bus.write(1, TORQUE_ENABLE, 0))
+    assert "may still be gripped (the pads measured" in fingers_left(fault.value)
+    cell.gripper.clear_fault()
+    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
+    for _ in range(8):
+        cell.gripper.tick()
+    assert cell.gripper.release().opened == (1, 2)
+    assert cell.force_n == 0.0
+    assert cell.gripper.state is GripperPhase.IDLE
+
+
+def test_an_error_that_leaves_the_torque_on_hinders_no_release(cell) -> None:
+    held(cell)
+    cell.knobs[0].supply(9.0)
+    cell.clock.sleep(0.1)
+    assert cell.register(0, "hardware_error_status") == 1
+    assert torques(cell) == [1, 1]
+    assert cell.new_gripper().release().opened == (1, 2)
+    assert cell.force_n == 0.0
+
+
+def test_nothing_is_opened_where_no_servo_can_be_moved_and_the_way_on_is_named(make_cell) -> None:
+    cell = make_cell(n_servos=1, linkage="rack")
+    held(cell)
+    overload(cell, 0)
+    with pytest.raises(ServoFault, match=r"no finger can be opened: servo 1 has no torque .*hand"):
+        cell.new_gripper().release()
+    cell.device.faults.silent.add(1)
+    with pytest.raises(BusTimeout, match="check supply"):
+        cell.new_gripper().release()
+
+
+def test_a_servo_that_does_not_match_is_made_limp_and_the_message_says_so(cell) -> None:
+    held(cell)
+    cell.servos[1].core.registers.put("drive_mode", 1)
+    with pytest.raises(VerificationFailed, match="torque is off now and the fingers did not open"):
+        cell.new_gripper().release()
+    assert torques(cell) == [0, 0]
+
+
+def test_a_release_of_one_finger_can_be_stopped_and_ended_later(make_cell) -> None:
+    cell = make_cell(aperture_open_m=0.04)
+    held(cell)
+    overload(cell, 0)
+    gripper = cell.new_gripper()
+
+    def stop(cycle) -> None:
+        if cycle.state.aperture_m > 0.02:
+            gripper.request_stop()
+
+    with pytest.raises(GraspStopped) as stopped:
+        gripper.release(stop)
+    assert "stopped while letting go" in fingers_left(stopped.value)
+    assert gripper.state is GripperPhase.HELD_AFTER_FAULT
+    gripper.keep_grip()
+    stood_m = cell.mechanics.finger_position_m[1]
+    assert stood_m < 0.015
+    cell.clock.sleep(1.0)
+    assert cell.mechanics.finger_position_m[1] == pytest.approx(stood_m, abs=3e-4)
+    assert torques(cell) == [0, 1]
+    assert gripper.release().opened == (2,)
+    assert cell.mechanics.finger_position_m[1] == pytest.approx(0.02, abs=0.001)
+
+
+def test_a_fault_of_the_finger_that_opens_is_latched(make_cell) -> None:
+    cell = make_cell(aperture_open_m=0.04)
+    held(cell)
+    overload(cell, 0)
+    gripper = cell.new_gripper()
+
+    def silence(cycle) -> None:
+        if cycle.state.aperture_m > 0.02:
+            cell.device.faults.silent.add(2)
+
+    with pytest.raises(BusTimeout) as lost:
+        gripper.release(silence)
+    assert "were seen last while letting go" in fingers_left(lost.value)
+    assert gripper.fault is lost.value
+    assert gripper.state is GripperPhase.HELD_AFTER_FAULT
+    gripper.keep_grip()
+    cell.clock.sleep(1.0)
+    # Its watchdog was left armed, and has stopped it.
+    assert cell.mechanics.finger_position_m[1] < 0.018
+
+
+def test_a_release_closes_no_finger_that_stands_wide_open(make_cell, make_part) -> None:
+    cell = make_cell(
+        aperture_m=0.07, aperture_open_m=0.018, force_max_n=9.0, part=make_part(present=False)
+    )
+    cell.gripper.start()
+    assert cell.gripper.release().state.aperture_m == pytest.approx(0.07, abs=0.002)
+    cell.clock.sleep(0.5)
+    assert cell.mechanics.aperture_m == pytest.approx(0.07, abs=0.002)
+    assert cell.gripper.open().aperture_m == pytest.approx(0.018, abs=0.001)
