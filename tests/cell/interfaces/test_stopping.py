@@ -27,6 +27,15 @@ def hangup_ignored() -> Iterator[None]:
     signal.signal(signal.SIGHUP, before)
 
 
+@pytest.fixture
+def hangup_heard() -> Iterator[None]:
+    """SIGHUP as in a terminal, also where the tests were started under nohup."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.usefixtures("hangup_heard")
 def test_the_death_of_the_parent_stops_once(monkeypatch: pytest.MonkeyPatch) -> None:
     stopped = threading.Event()
     calls: list[int] = []
