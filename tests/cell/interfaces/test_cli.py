@@ -8,7 +8,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +34,8 @@ from recognition.recognizers import TRAINERS, make_trainer
 
 RUNNER = CliRunner()
 BUILT_IN = "cell: the built-in simulated cell; --config FILE names another"
+LEFT_IGNORED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Signals that the program ignores when it ends."""
 EVALUATION = {"single_accuracy", "interval", "fused_accuracy", "unknown_auroc", "confusion"}
 
 
@@ -47,8 +49,9 @@ def call(*arguments: object) -> str:
 @pytest.fixture
 def fail(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Callable[..., tuple[int, str]]:
+) -> Iterator[Callable[..., tuple[int, str]]]:
     """Return what runs the program as a shell does: exit code and what it complained."""
+    before = {number: signal.getsignal(number) for number in LEFT_IGNORED}
 
     def run(*arguments: object) -> tuple[int, str]:
         monkeypatch.setattr(sys, "argv", ["tactile-cell", *(str(a) for a in arguments)])
@@ -56,7 +59,9 @@ def fail(
             main()
         return int(caught.value.code or 0), " ".join(capsys.readouterr().err.split())
 
-    return run
+    yield run
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 @pytest.fixture
