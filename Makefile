@@ -37,10 +37,9 @@ docs: $(DOCS)  ## the site in out/docs; a warning or a broken link inside is an 
 bench: $(DEV)  ## each figure that README and docs quote
 	$(BIN)/python -m benchmarks
 
-campaign: $(DEV)  ## bad input, a million for each property; every fault; a million random steps: days. FUZZ_SECONDS=40 for a look
-	OPENBLAS_NUM_THREADS=1 FUZZ_EXAMPLES=$(or $(FUZZ_EXAMPLES),1000000) FUZZ_SECONDS=$(or $(FUZZ_SECONDS),inf) \
-		$(BIN)/python -m pytest tests/fuzz -n auto --dist worksteal --timeout 0 -q -rP
-	STATE_STEPS=1000000 STATE_SECONDS=$(or $(FUZZ_SECONDS),1e9) $(BIN)/python -m tests.faults
+campaign: $(DEV)  ## every fault, then a million inputs and random steps from where the last one ended; CAMPAIGN_SECONDS=40 for a look
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.faults
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m tests.campaign --seconds $(or $(CAMPAIGN_SECONDS),inf)
 
 damage: $(DEV)  ## each kind of damage to the bytes of both lines between two processes, five minutes
 	$(BIN)/python -m tests.hil.damage --all

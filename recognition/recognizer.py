@@ -15,7 +15,7 @@ UNKNOWN = "UNKNOWN"
 DEPENDENCE = 0.2
 """Correlation, 0 to 1, of the log evidence of two grasps of one object where no fitted value
 exists: they share the object, the sensor and the errors of the recogniser. See
-docs/sequences.md."""
+docs/explanations/sequences.md."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

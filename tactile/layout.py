@@ -247,8 +247,6 @@ def _layout_hash(layout: TaxelLayout) -> str:
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-# The layouts that exist: the paper's two fingers of 204 taxels, and two plain opposing pads.
-
 FINGER_LENGTH_M = 0.055
 FINGER_WIDTH_M = 0.020
 FINGER_THICKNESS_M = 0.012

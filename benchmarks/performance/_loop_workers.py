@@ -1,6 +1,6 @@
 """The loops whose lateness is compared, each run as a process of its own that prints its figures.
 
-python -m benchmarks._loop_workers ours|plain|plain_idle RATE_HZ DURATION_S
+python -m benchmarks.performance._loop_workers ours|plain|plain_idle RATE_HZ DURATION_S
 """
 
 import json

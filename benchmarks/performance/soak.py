@@ -1,6 +1,6 @@
 """Ten thousand grasps in virtual time, in which memory stays flat and files and threads stay few.
 
-    python -m benchmarks.soak [--grasps N] [--report OUT.json]        (make soak)
+    python -m benchmarks.performance.soak [--grasps N] [--report OUT.json]        (make soak)
 
 Two kinds of work take turns in one process, because they leak in different ways: a cell that is
 built once and grasps all the time, and shifts, each with a cell of its own that records, teaches,
@@ -215,7 +215,9 @@ def _print_table(samples: Sequence[Sample], wall_s: float) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(prog="python -m benchmarks.soak", description=__doc__)
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.performance.soak", description=__doc__
+    )
     parser.add_argument("--grasps", type=int, default=10_000)
     parser.add_argument("--report", type=Path, help="JSON lines, one for each block")
     wanted = parser.parse_args(arguments)

@@ -7,8 +7,6 @@ from pydantic import AfterValidator, Field, model_validator
 from cell.config.section import Section
 from recognition.recognizer import UNKNOWN
 
-# What may be the name of an object: looked at before anything is grasped under it.
-
 LONGEST_LABEL = 200
 """Characters of a label that a data set holds."""
 

@@ -34,12 +34,6 @@ from cell.data.files import read_npz, savez, write_atomically
 from cell.errors import DatasetError
 from recognition.grasp import COMMAND_COLUMNS, Grasp, GraspCommand, PadArray
 
-# Numbers that a grasp cannot have: what a file holds in metres, ms or another unit by mistake.
-#
-# Each function returns what is wrong with an array, for the message of its reader; None for
-# nothing. The limits are far from any gripper's numbers and near enough to see a factor of
-# 1000.
-
 RANGES = {
     "aperture_mm": (-100.0, 1000.0, "openings stand in mm"),
     "force_n": (-100.0, 10_000.0, "grip forces stand in N"),
@@ -47,7 +41,8 @@ RANGES = {
     "pose": (-0.5, 0.5, "offsets stand in m"),
     "start_ms": (-1e15, 1e15, "times stand in ms since 1970"),
 }
-"""Smallest and largest number of an array, and its unit."""
+"""Smallest and largest number of an array, and its unit: far from any gripper's numbers, and near
+enough to show a wrong unit, a factor of 1000."""
 
 LEAST_OPENING_MM = 0.2
 """No fingers stay below it in all grasps of a data set, rest before the contact included."""
@@ -58,7 +53,7 @@ FRAME_PERIOD_S = (1e-5, 2.0)
 
 
 def beyond_range(name: str, values: NDArray[Any]) -> str | None:
-    """Say which number of an array is beyond its range; NaN is within."""
+    """Return which number of an array is beyond its range, None if none is; NaN is within."""
     low, high, unit = RANGES[name]
     flat = values.ravel()
     beyond = np.flatnonzero((flat < low) | (flat > high))

@@ -62,8 +62,8 @@ class Recorder:
     """Writes frames, cycles, poses, events, grasps and results of one sequence as they come.
 
     A disk that is full, gone or too slow never raises into the force loop: the recording stops
-    for good, `fault` says why, ``on_fault`` is called once, and `close` raises the fault. What was
-    written before can be read (`cell.data.recording_reader`).
+    for good, `fault` gives the reason and how many frames can be read, ``on_fault`` is called once,
+    and `close` raises the fault.
 
     Parameters
     ----------
@@ -115,6 +115,7 @@ class Recorder:
         self._n_frames = 0
         self._n_dropped = 0
         self._sequence: dict[str, int] = {}
+        self._marks: list[tuple[int, int]] = []
         self._newest: deque[tuple[float, int]] = deque(maxlen=_NEWEST_FRAMES)
         try:
             self._sink: RecordSink = DirectFile(self.path)
@@ -135,6 +136,7 @@ class Recorder:
             enable_data_crcs=True,
         )
         self._guarded(lambda: self._begin(wall_clock_ns(), dict(metadata or {})))
+        self._mark()
 
     def _begin(self, wall_ns: int, metadata: dict[str, str]) -> None:
         self._writer.start(profile="", library="tactile-cell")
@@ -165,17 +167,17 @@ class Recorder:
         counts = frame.counts
         if counts.shape != (self._pads.n_taxels,):
             raise ValueError(f"frame of shape {counts.shape}, the pads have {self._pads.n_taxels}")
+        self._n_frames += 1
         self._put(
             schema.FRAME,
             frame.t_s,
             {
-                "number": self._n_frames,
+                "number": self._n_frames - 1,
                 "counter": int(frame.counter),
                 "status": int(frame.status),
                 "counts": counts.tolist(),
             },
         )
-        self._n_frames += 1
         self._newest.append((frame.t_s, schema.counts_crc32(counts)))
 
     def cycle(self, cycle: "Cycle") -> None:
@@ -306,6 +308,26 @@ class Recorder:
         self._guarded(
             lambda: self._writer.add_message(channel, stamp_ns, data, stamp_ns, sequence=number)
         )
+        self._mark()
+
+    def _mark(self) -> None:
+        """Keep how long the file is with all frames so far, where a chunk has just been ended.
+
+        The first mark is the description of the recording, without which nothing can be read.
+        """
+        length = self._sink.tell()
+        if self._fault is None and (not self._marks or length > self._marks[-1][0]):
+            self._marks.append((length, self._n_frames))
+
+    def _what_is_left(self) -> str:
+        """Return what can be read of a recording that has stopped."""
+        written = self._sink.written_bytes()
+        frames = [n_frames for length, n_frames in self._marks if length <= written]
+        if not frames:
+            return "Nothing of it can be read"
+        if not frames[-1]:
+            return "No frame of it can be read"
+        return f"{frames[-1]} frames of it can be read"
 
     def _guarded(self, act: Callable[[], object]) -> None:
         if self._fault is not None:
@@ -315,8 +337,8 @@ class Recorder:
         except OSError as cause:
             reason = cause.strerror or str(cause)
             self._fault = RecordingError(
-                f"the recording {self.path} stopped after {self._n_frames} frames: {reason}. What "
-                "was written before can be read; free space or choose another disk, then repeat"
+                f"the recording {self.path} stopped after {self._n_frames} frames: {reason}. "
+                f"{self._what_is_left()}; free space or choose another disk, then repeat"
             )
             self._fault.__cause__ = cause
             if self._on_fault is not None:

@@ -22,6 +22,10 @@ class RecordSink(Protocol):
         """Return the number of bytes taken so far."""
         ...
 
+    def written_bytes(self) -> int:
+        """Return the number of bytes that the file has."""
+        ...
+
     def flush(self) -> None:
         """Nothing is held back by a sink."""
         ...
@@ -56,6 +60,10 @@ class DirectFile:
         return len(data)
 
     def tell(self) -> int:
+        """Return the number of bytes written."""
+        return self._length
+
+    def written_bytes(self) -> int:
         """Return the number of bytes written."""
         return self._length
 
@@ -129,6 +137,10 @@ class BackgroundFile:
     def tell(self) -> int:
         """Return the number of bytes taken."""
         return self._length
+
+    def written_bytes(self) -> int:
+        """Return the number of bytes that the thread has written."""
+        return self._sink.written_bytes()
 
     def flush(self) -> None:
         """Nothing is held back beyond the queue."""

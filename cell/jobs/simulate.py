@@ -52,7 +52,7 @@ def serve_simulated_cell(
     config
         The cell to simulate; its ports are replaced by the simulator's.
     frames
-        Data set to play instead of pressing objects.
+        Data set or recording to play instead of pressing objects.
     folder
         Where device links, socket and config are made; a temporary folder by default.
     announce

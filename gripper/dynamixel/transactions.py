@@ -337,7 +337,9 @@ class Transactions:
         with self.exclusive():
             for servo_id in ids:
                 with suppress(NoAnswerError):
-                    found[servo_id] = self._exchange(ping_request(servo_id))
+                    status = self._exchange(ping_request(servo_id))
+                    if status.error == 0:  # a servo that refuses does not say which it is
+                        found[servo_id] = status
             self._mark_suspect()
         return found
 

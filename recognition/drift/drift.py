@@ -26,7 +26,7 @@ _LOG_GAIN_SD = 0.3
 _OFFSET_SD_MM = 3.0
 """Standard deviation of the offset of the opening of a drift, in mm."""
 _DRIFT_PROBABILITY = 0.003
-"""Prior probability that a grasp was taken under any drift at all (docs/recognition.md)."""
+"""Prior probability that a grasp was taken under any drift at all (docs/explanations/drift.md)."""
 _LOG_GAINS = np.linspace(-0.6, 0.6, 13)
 """Logarithms of the gains of a grid: two standard deviations, in steps of 10 %."""
 _OFFSETS_MM = np.linspace(-8.0, 8.0, 33)

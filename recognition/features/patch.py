@@ -2,7 +2,7 @@
 
 Each function takes maps (n, K, n_taxels) above rest as a share of full scale, their noise (n, K)
 and the pad's grid, and returns (n, F). Constants without another source were chosen on the grasps
-that teach, of 36 recorded objects (docs/recognition.md).
+that teach, of 36 recorded objects (docs/explanations/recogniser.md).
 """
 
 from math import comb

@@ -17,7 +17,7 @@ from recognition.ramp.samples import (
     without_spikes,
 )
 
-# Chosen on recorded grasps, within the part that teaches (docs/recognition.md).
+# Chosen on recorded grasps, within the part that teaches (docs/explanations/recogniser.md).
 _TOUCH_FRACTION = 0.06
 """Share of a pad's largest load at which it counts as touched."""
 _TOUCH_SIGMAS = 4.0

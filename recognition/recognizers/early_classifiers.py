@@ -21,7 +21,7 @@ SHARES = (0.25, 0.5, 0.75)
 
 MAX_UNKNOWN = 0.1
 """Largest probability of an untaught object with which a ramp is ended: novelty shows later in a
-ramp than which of the taught objects it is (docs/sequences.md)."""
+ramp than which of the taught objects it is (docs/explanations/sequences.md)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -3,5 +3,5 @@
 `answer` is the entry: it reduces a grasp to pressed pads, fits all kinds of shape under all
 possible foams (`search`, `fit`, `residuals`, `models`, `foam`), and weighs them; `fusion` joins
 several grasps of one object; `foam_fit` calibrates the foam on a gauge. Constants without another
-source were chosen on simulated and recorded pads (docs/shape-and-size.md).
+source were chosen on simulated and recorded pads (docs/explanations/shape-and-size.md).
 """

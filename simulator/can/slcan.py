@@ -81,8 +81,10 @@ class SlcanAdapter:
             Present time in s.
         sent_after_s
             Earliest time in s at which the client may have sent them, where an endpoint cannot
-            date them better: commands that waited there are spread evenly from then until now, so
-            that two SYNCs that a stalled simulator reads at once are still apart. None = ``now_s``.
+            date them better: commands that waited there are spread evenly between then and now, a
+            single one to the middle. So two SYNCs, read at once or not, are at least half as far
+            apart as they were sent, however the simulator stalls, and a burst of 7.5 ms ends before
+            the next SYNC that comes after 18 ms. None = ``now_s``.
         """
         self._input += data
         *lines, rest = self._input.split(b"\r")
@@ -93,7 +95,7 @@ class SlcanAdapter:
         since_s = now_s if sent_after_s is None else min(sent_after_s, now_s)
         for number, line in enumerate(lines, start=1):
             if line:
-                at_s = since_s + (now_s - since_s) * number / len(lines)
+                at_s = since_s + (now_s - since_s) * (number - 0.5) / len(lines)
                 self._put(self._command(line, at_s))
         if self._passing_over:
             self._input = bytearray()

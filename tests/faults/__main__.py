@@ -1,4 +1,4 @@
-"""Run every row and the state machine, and write the page: ``python -m tests.faults``."""
+"""Run every row and write the page: ``python -m tests.faults``."""
 
 import argparse
 import logging
@@ -9,12 +9,9 @@ from pathlib import Path
 
 from tests.faults import page, table
 from tests.faults.results import AS_REQUIRED, Result, run_rows
-from tests.faults.state_machine import run_all
 
 ROOT = Path(__file__).parents[2]
 SUMMARY = ROOT / "docs" / "reference" / "fault-campaign.md"
-FIRST_SEED = 101
-"""Other seeds than those of the tests: other steps."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -25,19 +22,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         return
     results = run_rows(table.ROWS, jobs=given.jobs, progress=_print)
     print(page.totals(results), flush=True)
-    machine = run_all(
-        given.steps,
-        first_seed=given.seed,
-        jobs=given.jobs,
-        seconds=given.seconds,
-        progress=lambda text: print(text, flush=True),
-    )
-    print(f"state machine: {machine.steps:,} steps in {machine.seconds:.0f} s", flush=True)
     given.page.parent.mkdir(parents=True, exist_ok=True)
-    given.page.write_text(page.page(results, machine), encoding="utf-8")
+    given.page.write_text(page.page(results), encoding="utf-8")
     print(f"written: {given.page}")
-    if machine.defect:
-        sys.exit(f"DEFECT\n{machine.defect}")
     wrong = [result.row.name for result in results if result.verdict != AS_REQUIRED]
     if wrong:
         sys.exit(f"not as required: {', '.join(wrong)}")
@@ -57,20 +44,6 @@ def update_summary() -> None:
 
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m tests.faults", description=__doc__)
-    environment = os.environ
-    parser.add_argument(
-        "--steps",
-        type=int,
-        default=int(environment.get("STATE_STEPS", "10000")),
-        help="of the state machine; default: STATE_STEPS, or 10000",
-    )
-    parser.add_argument(
-        "--seconds",
-        type=float,
-        default=float(environment.get("STATE_SECONDS", "1e9")),
-        help="longest time of the state machine; default: STATE_SECONDS, or without end",
-    )
-    parser.add_argument("--seed", type=int, default=FIRST_SEED, help="of its first piece")
     parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
     parser.add_argument("--page", type=Path, default=ROOT / "out" / "fault-campaign.md")
     parser.add_argument("--summary", action="store_true", help=f"only update {SUMMARY.name}")

@@ -2,10 +2,7 @@
 
 import logging
 import time
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import get_context
-from typing import Any
 
 from hypothesis import HealthCheck, Phase, seed, settings
 from hypothesis import strategies as st
@@ -28,8 +25,6 @@ ROUNDS = 50
 """Rules that are drawn for one cell before a new one takes its place."""
 _STEPS_OF_ROUNDS = 75
 """About so many steps are driven by them: a grasp with a fault is two, a recovery seven."""
-_CHUNK_STEPS = 2000
-"""Steps of one piece of work for a process."""
 
 # Faults: every name of the vocabulary, any value, any moment
 
@@ -265,29 +260,3 @@ def _run_part(steps: int, number: int, *, shrink: bool) -> str:
     except Exception as error:
         return f"seed {number}: {type(error).__name__}: {error}"
     return ""
-
-
-def _chunk(job: tuple[int, int]) -> Outcome:
-    return run_machine(*job)
-
-
-def run_all(
-    steps: int, *, first_seed: int, jobs: int, seconds: float = 1e9, progress: Any = None
-) -> Outcome:
-    """Run the machine in pieces on several processes until steps, time or a defect end it."""
-    began_s = time.monotonic()
-    taken, number = 0, first_seed
-    defects: list[str] = []
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        while taken < steps and time.monotonic() - began_s < seconds and not defects:
-            pieces = []
-            for _ in range(jobs):
-                pieces.append((min(_CHUNK_STEPS, steps - taken), number))
-                number += 1
-            for outcome in pool.map(_chunk, pieces):
-                taken += outcome.steps
-                if outcome.defect:
-                    defects.append(outcome.defect)
-            if progress is not None:
-                progress(f"state machine: {taken:,} of {steps:,} steps")
-    return Outcome(steps=taken, seconds=time.monotonic() - began_s, defect="\n\n".join(defects))

@@ -12,7 +12,7 @@ from simulator.faults.injector import check_fault
 from tests.faults import driver
 from tests.faults.driver import Driver
 from tests.faults.invariants import InvariantBroken
-from tests.faults.state_machine import PIECES, STEPS, fault_texts, run_all, run_machine
+from tests.faults.state_machine import PIECES, STEPS, fault_texts, run_machine
 
 
 @pytest.mark.no_cover  # to count lines takes as long again as to run them
@@ -165,14 +165,6 @@ def test_an_error_without_a_type_and_a_command_without_an_end_are_found() -> Non
             cell.command("x", call)
         cell.monitor.broken.clear()
     cell.close()
-
-
-def test_the_campaign_runs_pieces_until_steps_or_time_are_over() -> None:
-    progress: list[str] = []
-    outcome = run_all(60, first_seed=3, jobs=1, progress=progress.append)
-    assert outcome.steps >= 60
-    assert not outcome.defect
-    assert progress == [f"state machine: {outcome.steps:,} of 60 steps"]
 
 
 def test_a_defect_is_reported_with_its_seed_and_steps(monkeypatch: pytest.MonkeyPatch) -> None:

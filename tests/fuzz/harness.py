@@ -1,49 +1,80 @@
 """Properties over bad input: damage for good bytes, limits of time and memory, how many inputs.
 
-Each property meets some dozens of inputs, the same ones in every run. With FUZZ_EXAMPLES (inputs
-for each property) or FUZZ_SECONDS (longest time for each in s) they are as many, and new ones.
+Under pytest each property meets some dozens of inputs of Hypothesis, the same ones in every run.
+`tests.campaign` gives it as many as are wanted, each from a seed. What a property is given is made
+by functions of a source of random numbers, so that a campaign needs no Hypothesis, which takes
+ten times as long as the parsers themselves; parsers of files have strategies of Hypothesis, too.
 """
 
 import functools
 import logging
-import os
 import resource
 import signal
-import time
+import tempfile
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
+from dataclasses import dataclass, field
 from pathlib import Path
+from random import Random
 from typing import Any
 
 import numpy as np
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, Phase, given, seed, settings
 from hypothesis import strategies as st
 
 from recognition.grasp import Grasp, PadArray
 
-LONG_RUN = not {"FUZZ_EXAMPLES", "FUZZ_SECONDS"}.isdisjoint(os.environ)
-LONG_EXAMPLES = float(os.environ.get("FUZZ_EXAMPLES", "inf"))
-LONG_SECONDS = float(os.environ.get("FUZZ_SECONDS", "inf"))
-ROUND_EXAMPLES = 500
-"""Hypothesis keeps what it has tried: rounds bound its memory, and the clock is read after each."""
+SEEDED_PIECE = 5000
+"""Inputs of one piece of a campaign, where they are made without Hypothesis."""
+DRAWN_PIECE = 200
+"""Inputs of one piece of a campaign, where Hypothesis draws them; it keeps what it has tried."""
+SHOWN_FAILURES = 3
+"""Failures of one piece that are kept as text."""
 MEMORY_KB = 64 << 10
 """What one input may take beyond what the process has: four times the largest chunk unpacked."""
 
+Maker = Callable[[Random], Any]
+"""Makes one input from random numbers."""
 Damage = tuple[str, int, int, bytes]
 """Kind, place, size and new bytes of one damage; see `spoilt`."""
+_KINDS = ("flip", "set", "put", "cut", "end", "double", "move")
+_PIECES = (b"\0\0\0\0", b"\x7f", b"\xff\xff\xfd\0", b"\n", b'"', b"-", b":", b"[")
+"""Bytes that mean something to one of the parsers."""
+
+
+def random_bytes(random: Random, least: int, most: int) -> bytes:
+    """Return so many random bytes."""
+    return bytes(random.randint(0, 255) for _ in range(random.randint(least, most)))
+
+
+def several(make: Maker, least: int, most: int) -> Maker:
+    """Return the maker of lists of so many inputs."""
+    return lambda random: [make(random) for _ in range(random.randint(least, most))]
+
+
+def drawn_damages(at_least: int = 0, at_most: int = 4) -> Maker:
+    """Return the maker of lists of damages."""
+    return several(_damage, at_least, at_most)
+
+
+def _damage(random: Random) -> Damage:
+    return (
+        random.choice(_KINDS),
+        random.randint(0, 1 << 16),
+        random.randint(1, random.choice((8, 200))),
+        random_bytes(random, 1, 8) if random.random() < 0.5 else random.choice(_PIECES),
+    )
 
 
 def damages(*, at_least: int = 0, at_most: int = 4) -> st.SearchStrategy[list[Damage]]:
-    """Return lists of damages."""
-    one = st.tuples(
-        st.sampled_from(["flip", "set", "put", "cut", "end", "double", "move"]),
-        st.integers(0, 1 << 16),
-        st.integers(1, 8) | st.integers(1, 200),
-        st.binary(min_size=1, max_size=8)
-        | st.sampled_from([b"\0\0\0\0", b"\x7f", b"\xff\xff\xfd\0", b"\n", b'"', b"-", b":", b"["]),
-    )
-    return st.lists(one, min_size=at_least, max_size=at_most)
+    """Return a strategy for lists of damages."""
+    return drawn(drawn_damages(at_least, at_most))
+
+
+def drawn(make: Maker) -> st.SearchStrategy[Any]:
+    """Return the strategy of what a maker makes: Hypothesis draws its random numbers."""
+    return st.builds(make, st.randoms(use_true_random=False))
 
 
 def spoilt(data: bytes, damages: Iterable[Damage]) -> bytes:
@@ -104,47 +135,160 @@ json_values = st.recursive(
 )
 
 
-def bad_input(*, examples: int = 60, limit_s: float = 0.5, **inputs: st.SearchStrategy[Any]) -> Any:
-    """Make a property of a test that returns what became of its input, in a few words.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Piece:
+    """What became of the inputs of one piece of a campaign.
+
+    Attributes
+    ----------
+    outcomes
+        How many inputs ended how.
+    failures
+        What was broken, with the seed and the input; empty for nothing.
+    """
+
+    outcomes: Mapping[str, int]
+    failures: Sequence[str] = ()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Property:
+    """A property of a parser, for campaigns.
+
+    Attributes
+    ----------
+    name
+        Module and function.
+    seeded
+        Whether its inputs are made without Hypothesis.
+    run
+        Tries the piece with that number: each number stands for the same inputs in every run.
+    """
+
+    name: str
+    seeded: bool
+    run: Callable[[int], Piece] = field(repr=False)
+
+
+PROPERTIES: dict[str, Property] = {}
+"""The properties of the modules that were imported, by name."""
+
+
+@contextmanager
+def _folder() -> Iterator[Path]:
+    with tempfile.TemporaryDirectory() as name:
+        yield Path(name)
+
+
+def bad_input(
+    *,
+    examples: int = 60,
+    limit_s: float = 0.5,
+    using: Mapping[str, Callable[[], AbstractContextManager[Any]]] | None = None,
+    **inputs: Maker | st.SearchStrategy[Any],
+) -> Any:
+    """Make a property of a function that returns what became of its input, in a few words.
 
     It fails if any input breaks an assertion, takes more than ``limit_s`` s of processor time or
     64 MB, and if the same became of all inputs: then they prove nothing.
+
+    Parameters
+    ----------
+    examples
+        Inputs under pytest.
+    limit_s
+        Processor time for one input in s.
+    using
+        What the function needs beside its inputs, by the name of its argument: opened once for all
+        of them. ``tmp_path`` needs no entry.
+    inputs
+        A maker or a strategy of Hypothesis for each input.
     """
+    strategies = {
+        name: drawn(how) if callable(how) else how  # no strategy can be called
+        for name, how in inputs.items()
+    }
+    makers = {name: how for name, how in inputs.items() if callable(how)}
 
-    def decorate(test: Callable[..., str]) -> Callable[..., None]:
+    def decorate(test: Callable[..., str]) -> Callable[[], None]:
         found: Counter[str] = Counter()
+        opening = dict(using or {})
+        if "tmp_path" in test.__code__.co_varnames[: test.__code__.co_argcount]:
+            opening["tmp_path"] = _folder
 
-        @functools.wraps(test)
-        def within_limits(*args: Any, **kwargs: Any) -> None:
-            with limits(limit_s):
-                outcome = test(*args, **kwargs)
-            found[outcome] += 1
+        def drawn_inputs(number: int | None, n_inputs: int) -> None:
+            """Give the function inputs that Hypothesis draws; without a number the same ones."""
+            with _opened(opening) as opened:
 
-        one_round = settings(
-            max_examples=int(min(LONG_EXAMPLES, ROUND_EXAMPLES)) if LONG_RUN else examples,
-            derandomize=not LONG_RUN,
-            deadline=None,
-            suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
-        )(given(**inputs)(within_limits))
+                def once(**values: Any) -> None:
+                    with limits(limit_s):
+                        outcome = test(**opened, **values)
+                    found[outcome] += 1
 
-        @functools.wraps(one_round)
-        def rounds(*args: Any, **kwargs: Any) -> None:
+                chosen = settings(
+                    max_examples=n_inputs,
+                    derandomize=number is None,
+                    database=None,
+                    deadline=None,
+                    phases=(Phase.generate, Phase.shrink),
+                    suppress_health_check=list(HealthCheck),
+                )
+                asked = chosen(given(**strategies)(once))
+                (asked if number is None else seed(number)(asked))()
+
+        def run(number: int) -> Piece:
             found.clear()
-            end_s = time.monotonic() + LONG_SECONDS
+            failures: list[str] = []
+            if len(makers) < len(inputs):
+                try:
+                    drawn_inputs(number, DRAWN_PIECE)
+                except (Exception, ExceptionGroup) as error:
+                    failures.append(_text(number, error))
+                return Piece(outcomes=dict(found), failures=failures)
+            with _opened(opening) as opened:
+                for input_seed in range(number * SEEDED_PIECE, (number + 1) * SEEDED_PIECE):
+                    random = Random(input_seed)
+                    values = {name: make(random) for name, make in makers.items()}
+                    try:
+                        with limits(limit_s):
+                            outcome = test(**opened, **values)
+                    except Exception as error:
+                        error.add_note(f"input: {values!r}")
+                        failures.append(_text(input_seed, error))
+                        outcome = "BROKEN"
+                    found[outcome] += 1
+            return Piece(outcomes=dict(found), failures=failures[:SHOWN_FAILURES])
+
+        def check() -> None:
+            found.clear()
             logging.disable(logging.CRITICAL)  # libraries log each damage, pytest keeps it all
             try:
-                one_round(*args, **kwargs)
-                while LONG_RUN and time.monotonic() < end_s and found.total() < LONG_EXAMPLES:
-                    one_round(*args, **kwargs)
+                drawn_inputs(None, examples)
             finally:
                 logging.disable(logging.NOTSET)
-            counts = "; ".join(f"{outcome} {count:,}" for outcome, count in found.most_common())
-            print(counts)  # noqa: T201  pytest -rP shows it
             assert len(found) > 1, f"the same became of all inputs: {dict(found)}"
 
-        return rounds
+        name = f"{test.__module__.rpartition('.')[2]}.{test.__name__}"
+        PROPERTIES[name] = Property(name=name, seeded=len(makers) == len(inputs), run=run)
+        for attribute in ("__module__", "__name__", "__qualname__", "__doc__"):
+            setattr(check, attribute, getattr(test, attribute))
+        return check
 
     return decorate
+
+
+@contextmanager
+def _opened(
+    opening: Mapping[str, Callable[[], AbstractContextManager[Any]]],
+) -> Iterator[dict[str, Any]]:
+    """Open what a property needs beside its inputs."""
+    with ExitStack() as stack:
+        yield {name: stack.enter_context(how()) for name, how in opening.items()}
+
+
+def _text(number: int, error: BaseException) -> str:
+    notes = "; ".join(getattr(error, "__notes__", ()))
+    return f"seed {number}: {type(error).__name__}: {error}; {notes}"[:2000]
 
 
 class _Hangs(BaseException):

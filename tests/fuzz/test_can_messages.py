@@ -2,13 +2,14 @@
 
 import functools
 from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from random import Random
 from types import SimpleNamespace
 
 import can
 import canopen
 import numpy as np
 import pytest
-from hypothesis import strategies as st
 
 from simulator.devices import CellDevices
 from simulator.settings import SimulatorSettings
@@ -22,7 +23,15 @@ from tactile.unit.sdo import MAX_OBJECT_BYTES, ObjectAccess, PolledSdoClient
 from tactile.unit.session import LinkSession
 from tactile.unit.settings import LinkSettings
 from tactile.unit.supervision import decode_emergency
-from tests.fuzz.harness import Clock, bad_input, damages, disturbed, pieces
+from tests.fuzz.harness import (
+    Clock,
+    bad_input,
+    disturbed,
+    drawn_damages,
+    pieces,
+    random_bytes,
+    several,
+)
 
 NODE = 5
 SMALL = FrameFormat(n_taxels=8, sample_bytes=2)
@@ -40,12 +49,17 @@ def assert_came(frame: TactileFrame, frame_format: FrameFormat, messages: Iterab
     assert set(parts) <= set(messages)
 
 
+def lengths(random: Random) -> dict[int, int]:
+    """Return wrong lengths of some messages, by their number."""
+    return {random.randint(0, 20): random.randint(0, 15) for _ in range(random.randint(0, 2))}
+
+
 @bad_input(
-    size=st.sampled_from([SMALL, SMALL, SMALL, PAPER]),
-    first=st.sampled_from([0, 7, 0xFFFE]),
-    steps=st.lists(st.sampled_from([1, 1, 1, 0, 2, 4]), max_size=3),
-    harm=damages(),
-    lengths=st.dictionaries(st.integers(0, 20), st.integers(0, 15), max_size=2),
+    size=lambda random: random.choice((SMALL, SMALL, SMALL, PAPER)),
+    first=lambda random: random.choice((0, 7, 0xFFFE)),
+    steps=several(lambda random: random.choice((1, 1, 1, 0, 2, 4)), 0, 3),
+    harm=drawn_damages(),
+    lengths=lengths,
     examples=120,
 )
 def test_frames_are_made_of_what_came_and_never_go_back(*, size, first, steps, harm, lengths):
@@ -63,22 +77,24 @@ def test_frames_are_made_of_what_came_and_never_go_back(*, size, first, steps, h
     return "whole frames" if found else "dropped"
 
 
-features = st.builds(
-    PadFeatures,
-    pad=st.integers(0, 63),
-    counter=st.integers(0, 255),
-    active=st.integers(0, 255),
-    peak_counts=st.integers(0, 0xFFFF),
-    total_counts=st.integers(0, 0xFFFF_FFFF),
-    centroid_row=st.integers(0, 0xFFFF).map(lambda raw: raw / 256),
-    centroid_column=st.integers(0, 0xFFFF).map(lambda raw: raw / 256),
-)
+def some_features(random: Random) -> tuple[bytes, bytes]:
+    return encode_features(
+        PadFeatures(
+            pad=random.randint(0, 63),
+            counter=random.randint(0, 255),
+            active=random.randint(0, 255),
+            peak_counts=random.randint(0, 0xFFFF),
+            total_counts=random.randint(0, 0xFFFF_FFFF),
+            centroid_row=random.randint(0, 0xFFFF) / 256,
+            centroid_column=random.randint(0, 0xFFFF) / 256,
+        )
+    )
 
 
 @bad_input(
-    sent=st.lists(features.map(encode_features), min_size=1, max_size=3),
-    first_harm=damages(at_most=2),
-    second_harm=damages(at_most=2),
+    sent=several(some_features, 1, 3),
+    first_harm=drawn_damages(at_most=2),
+    second_harm=drawn_damages(at_most=2),
 )
 def test_features_are_made_of_what_came(sent, first_harm, second_harm):
     firsts = disturbed([first for first, _ in sent], first_harm)
@@ -93,7 +109,7 @@ def test_features_are_made_of_what_came(sent, first_harm, second_harm):
     return "whole features" if found else "dropped"
 
 
-@bad_input(data=st.binary(min_size=8, max_size=8) | st.binary(max_size=64))
+@bad_input(data=lambda random: random_bytes(random, *random.choice(((8, 8), (0, 64)))))
 def test_an_emergency_has_eight_bytes_and_a_text(data):
     emergency = decode_emergency(data)
     assert (emergency is not None) == (len(data) == 8)
@@ -116,11 +132,19 @@ class QuietBus(can.BusABC):
         self.on_send(bytes(msg.data))
 
 
+@contextmanager
+def quiet_bus() -> Iterator[QuietBus]:
+    bus = QuietBus()
+    try:
+        yield bus
+    finally:
+        bus.shutdown()
+
+
 @pytest.fixture
 def bus() -> Iterator[QuietBus]:
-    bus = QuietBus()
-    yield bus
-    bus.shutdown()
+    with quiet_bus() as opened:
+        yield opened
 
 
 def message(can_id: int, data: bytes, kind: str = "data", dlc: int | None = None) -> can.Message:
@@ -135,18 +159,25 @@ def message(can_id: int, data: bytes, kind: str = "data", dlc: int | None = None
     return made
 
 
-strangers = st.builds(
-    message,
-    st.sampled_from([0x180, 0x280, 0x380, 0x580, 0x600, 0x700, 0x80]).map(NODE.__add__)
-    | st.integers(0, 0x7FF),
-    st.binary(min_size=8, max_size=8) | st.binary(max_size=8),
-    st.sampled_from(["data"] * 8 + ["extended", "remote", "error"]),
-    st.none() | st.none() | st.integers(0, 15),
+SERVICES = (0x180, 0x280, 0x380, 0x580, 0x600, 0x700, 0x80)
+
+
+def stranger(random: Random) -> can.Message:
+    of_node = NODE + random.choice(SERVICES)
+    return message(
+        of_node if random.random() < 0.5 else random.randint(0, 0x7FF),
+        random_bytes(random, *random.choice(((8, 8), (0, 8)))),
+        random.choice(("data",) * 8 + ("extended", "remote", "error")),
+        random.choice((None, None, random.randint(0, 15))),
+    )
+
+
+@bad_input(
+    before=several(stranger, 0, 4),
+    harm=drawn_damages(),
+    after=several(stranger, 0, 4),
+    using={"bus": quiet_bus},
 )
-some = st.lists(strangers, max_size=4)
-
-
-@bad_input(before=some, harm=damages(), after=some)
 def test_a_link_in_operation_gives_frames_that_came_or_its_own_errors(bus, before, harm, after):
     sent = [message(0x180 + NODE, data) for data in disturbed(burst(PAPER, 9), harm)]
     messages = [*before, *sent, *after]
@@ -199,23 +230,27 @@ def simulated_unit():
     return CellDevices(SimulatorSettings()).unit
 
 
-requests = st.builds(
-    lambda command, index, subindex, data: (
-        bytes((command, *index.to_bytes(2, "little"), subindex)) + data
-    ),
-    st.sampled_from([0x40, 0x23, 0x2F, 0x2B, 0x21, 0x20, 0x60, 0x70, 0x00, 0x10, 0x01]),
-    st.sampled_from([0x1000, 0x1005, 0x1008, 0x1014, 0x1017, 0x1018, 0x1800, 0x1A00])
-    | st.integers(0x2100, 0x2210)
-    | st.integers(0, 0xFFFF),
-    st.integers(0, 6),
-    st.sampled_from([bytes(4), b"\x01\0\0\0"]) | st.binary(min_size=4, max_size=4),
-)
+COMMANDS = (0x40, 0x23, 0x2F, 0x2B, 0x21, 0x20, 0x60, 0x70, 0x00, 0x10, 0x01)
+OBJECTS = (0x1000, 0x1005, 0x1008, 0x1014, 0x1017, 0x1018, 0x1800, 0x1A00)
+
+
+def a_request(random: Random) -> bytes:
+    index = random.choice(
+        (random.choice(OBJECTS), random.randint(0x2100, 0x2210), random.randint(0, 0xFFFF))
+    )
+    data = random.choice((bytes(4), b"\x01\0\0\0", random_bytes(random, 4, 4)))
+    head = (random.choice(COMMANDS), *index.to_bytes(2, "little"), random.randint(0, 6))
+    return bytes(head) + data
+
+
+def another_message(random: Random) -> tuple[bytes, int]:
+    return random_bytes(random, 0, 8), random.choice((0, 0x80, random.randint(0, 0x7FF)))
 
 
 @bad_input(
-    other=st.tuples(st.binary(max_size=8), st.sampled_from([0, 0x80]) | st.integers(0, 0x7FF)),
-    requests=st.lists(requests, min_size=1, max_size=6),
-    harm=damages(at_most=2),
+    other=another_message,
+    requests=several(a_request, 1, 6),
+    harm=drawn_damages(at_most=2),
 )
 def test_the_simulated_unit_answers_each_request_once_or_not_at_all(other, requests, harm):
     unit = Unit()
@@ -250,20 +285,25 @@ def read(bus: QuietBus, index: int, subindex: int, answer: Callable[[bytes], lis
     return ObjectAccess(client, name="the unit").read(index, subindex)
 
 
+PLACES = (
+    (object_dictionary.IDENTITY, 1),
+    (object_dictionary.DEVICE_NAME, 0),
+    (object_dictionary.LAYOUT, 3),
+    (object_dictionary.LAYOUT, 2),
+    (object_dictionary.FORMAT, 2),
+)
+
+
+def responses(random: Random) -> tuple[list, list[bytes]]:
+    """Return damage of one response, and what comes before it."""
+    before = several(lambda random: random_bytes(random, 8, 8), 0, 4)(random)
+    return drawn_damages(at_most=1)(random), before if random.random() < 0.5 else []
+
+
 @bad_input(
-    place=st.sampled_from(
-        [
-            (object_dictionary.IDENTITY, 1),
-            (object_dictionary.DEVICE_NAME, 0),
-            (object_dictionary.LAYOUT, 3),
-            (object_dictionary.LAYOUT, 2),
-            (object_dictionary.FORMAT, 2),
-        ]
-    ),
-    script=st.lists(
-        st.tuples(damages(at_most=1), st.just([]) | st.lists(st.binary(min_size=8, max_size=8))),
-        max_size=8,
-    ),
+    place=lambda random: random.choice(PLACES),
+    script=several(responses, 0, 8),
+    using={"bus": quiet_bus},
 )
 def test_an_object_is_read_as_it_came_or_not_at_all(bus, place, script):
     unit, rest, came = Unit(), iter(script), []

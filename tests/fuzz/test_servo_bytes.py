@@ -2,8 +2,7 @@
 
 from collections import deque
 from collections.abc import Iterator
-
-from hypothesis import strategies as st
+from random import Random
 
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import (
@@ -22,12 +21,24 @@ from simulator.servo.protocol2 import (
     encode_instruction,
     encode_status,
 )
-from tests.fuzz.harness import Clock, bad_input, damages, pieces, spoilt
+from tests.fuzz.harness import (
+    Clock,
+    Maker,
+    bad_input,
+    drawn_damages,
+    pieces,
+    random_bytes,
+    several,
+    spoilt,
+)
 
 BAUD = 1_000_000
 QUIET = bytes(8)
 """Before the last packet: one that lost its last bytes, both FF, would take them from a header."""
 START = b"\xff\xff\xfd\0"
+STUFFED = (b"\xff", b"\xff\xfd", b"\xff\xff\xfd", b"\0", b"\xfd", b"\x55")
+"""Parameters that have to be stuffed, or nearly."""
+REGISTERS = (CURRENT_LIMIT, FIRMWARE_VERSION, HOMING_OFFSET, VELOCITY_LIMIT)
 
 
 class Line:
@@ -94,22 +105,43 @@ def with_checksum(start: bytes) -> bytes:
     return start + crc16(start).to_bytes(2, "little")
 
 
-def streams(packets: st.SearchStrategy[bytes]) -> st.SearchStrategy[bytes]:
-    """Return packets, and false ones: other bytes, or wrong lengths under a right checksum."""
-    forged = st.binary(max_size=20).map(lambda rest: with_checksum(START + rest))
-    return st.lists(packets | packets | st.binary(max_size=14) | forged, max_size=4).map(b"".join)
+def streams(packet: Maker) -> Maker:
+    """Return the maker of packets, and of false ones: other bytes, or wrong lengths under a right
+    checksum."""
+
+    def one(random: Random) -> bytes:
+        kind = random.randrange(4)
+        if kind < 2:
+            return packet(random)
+        if kind == 2:
+            return random_bytes(random, 0, 14)
+        return with_checksum(START + random_bytes(random, 0, 20))
+
+    return lambda random: b"".join(several(one, 0, 4)(random))
 
 
-ids = st.integers(0, 252)
-parameters = st.binary(max_size=24) | st.lists(
-    st.sampled_from([b"\xff", b"\xff\xfd", b"\xff\xff\xfd", b"\0", b"\xfd", b"\x55"]), max_size=8
-).map(b"".join)
-statuses = st.builds(encode_status, ids, st.sampled_from([0, 0, 0x80, 4]), parameters)
-orders = st.builds(encode_instruction, ids, st.sampled_from([*Instruction]), parameters)
+def parameters(random: Random) -> bytes:
+    if random.random() < 0.5:
+        return random_bytes(random, 0, 24)
+    return b"".join(random.choice(STUFFED) for _ in range(random.randint(0, 8)))
+
+
+def a_status(random: Random) -> bytes:
+    error = random.choice((0, 0, 0x80, 4))
+    return encode_status(random.randint(0, 252), error, parameters(random))
+
+
+def an_order(random: Random) -> bytes:
+    instruction = random.choice([*Instruction])
+    return encode_instruction(random.randint(0, 252), instruction, parameters(random))
+
+
+def a_piece(random: Random) -> int:
+    return random.randint(1, 40)
 
 
 @bad_input(
-    stream=streams(statuses), harm=damages(), last=statuses, piece=st.integers(1, 40), examples=120
+    stream=streams(a_status), harm=drawn_damages(), last=a_status, piece=a_piece, examples=120
 )
 def test_status_packets_behind_any_bytes_are_found_and_nothing_else(stream, harm, last, piece):
     line = Line()
@@ -122,7 +154,7 @@ def test_status_packets_behind_any_bytes_are_found_and_nothing_else(stream, harm
 
 
 @bad_input(
-    stream=streams(orders), harm=damages(), last=orders, piece=st.integers(1, 40), examples=120
+    stream=streams(an_order), harm=drawn_damages(), last=an_order, piece=a_piece, examples=120
 )
 def test_instructions_behind_any_bytes_are_found_and_nothing_else(stream, harm, last, piece):
     wire = spoilt(stream, harm) + QUIET + last
@@ -132,19 +164,20 @@ def test_instructions_behind_any_bytes_are_found_and_nothing_else(stream, harm, 
     return check(wire, intact, last)
 
 
-answers = st.tuples(
-    st.sampled_from([0.0003, 0.0003, 0.0003, 0.01, 0.03]),
-    st.sampled_from([1, 1, 1, 2]),
-    st.sampled_from([0, 0, 0x80, 4]),
-    damages(at_most=2),
-)
-"""Delay in s, ID of the servo that answers, its error byte, damage."""
+def an_answer(random: Random) -> tuple[float, int, int, list]:
+    """Return delay in s, ID of the servo that answers, its error byte, damage."""
+    return (
+        random.choice((0.0003, 0.0003, 0.0003, 0.01, 0.03)),
+        random.choice((1, 1, 1, 2)),
+        random.choice((0, 0, 0x80, 4)),
+        drawn_damages(at_most=2)(random),
+    )
 
 
 @bad_input(
-    register=st.sampled_from([CURRENT_LIMIT, FIRMWARE_VERSION, HOMING_OFFSET, VELOCITY_LIMIT]),
-    data=st.binary(min_size=4, max_size=4),
-    script=st.lists(answers, max_size=8),
+    register=lambda random: random.choice(REGISTERS),
+    data=lambda random: random_bytes(random, 4, 4),
+    script=several(an_answer, 0, 8),
 )
 def test_a_register_is_read_as_it_was_sent_or_not_at_all(register, data, script):
     line, rest, wire = Line(), iter(script), bytearray()

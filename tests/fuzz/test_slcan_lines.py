@@ -4,14 +4,22 @@ import contextlib
 import os
 import re
 from collections.abc import Iterator
+from random import Random
 
 import pytest
-from hypothesis import strategies as st
 
 from simulator.can.faults import CanLinkFaults
 from simulator.can.slcan import OUTPUT_LIMIT, SlcanAdapter
 from tactile.can.bus import BulkSlcanBus
-from tests.fuzz.harness import bad_input, damages, pieces, spoilt
+from tests.fuzz.harness import (
+    Maker,
+    bad_input,
+    drawn_damages,
+    pieces,
+    random_bytes,
+    several,
+    spoilt,
+)
 
 _DATA = re.compile(
     rb"(?:t(?P<id>[0-7][0-9A-Fa-f]{2})|T(?P<xid>[01][0-9A-Fa-f]{7}))"
@@ -41,32 +49,51 @@ def line_of(can_id: int, extended: bool, data: bytes) -> bytes:
     return head + b"%d" % len(data) + data.hex().upper().encode()
 
 
-data_lines = st.builds(line_of, st.integers(0, (1 << 29) - 1), st.booleans(), st.binary(max_size=8))
-replies = st.sampled_from([b"", b"z", b"F00", b"F20", b"V1013", b"r1238", b"d1231FF"])
-commands = st.sampled_from(
-    [b"O", b"C", b"S8", b"L", b"Z1", b"F", b"V", b"N", b"s031C", b"M00000000", b"X1"]
-)
-alphabet = st.lists(st.sampled_from([*b"tTrRdDbB0123456789ABCDEF+-_ .\r\a"]), max_size=40).map(
-    bytes
-)
+REPLIES = (b"", b"z", b"F00", b"F20", b"V1013", b"r1238", b"d1231FF")
+COMMANDS = (b"O", b"C", b"S8", b"L", b"Z1", b"F", b"V", b"N", b"s031C", b"M00000000", b"X1")
+ALPHABET = b"tTrRdDbB0123456789ABCDEF+-_ .\r\a"
 
 
-def streams(others: st.SearchStrategy[bytes]) -> st.SearchStrategy[bytes]:
-    """Return lines of data and others, and bytes that only look like some."""
-    lines = st.lists(data_lines | data_lines | others, min_size=1, max_size=5)
-    return lines.map(b"\r".join) | lines.map(b"\r".join) | alphabet
+def streams(others: tuple[bytes, ...]) -> Maker:
+    """Return the maker of lines of data and others, and of bytes that only look like some."""
+
+    def line(random: Random) -> bytes:
+        if random.randrange(3) == 0:
+            return random.choice(others)
+        can_id = random.randrange(1 << 29)
+        return line_of(can_id, random.random() < 0.5, random_bytes(random, 0, 8))
+
+    def make(random: Random) -> bytes:
+        if random.randrange(3):
+            return b"\r".join(several(line, 1, 5)(random))
+        return bytes(random.choice(ALPHABET) for _ in range(random.randint(0, 40)))
+
+    return make
+
+
+def a_piece(random: Random) -> int:
+    return random.randint(1, 60)
+
+
+@contextlib.contextmanager
+def opened_terminal() -> Iterator[tuple[int, BulkSlcanBus]]:
+    """Open the adapter's end of a pseudo-terminal, and the driver behind the other."""
+    master, slave = os.openpty()
+    bus = BulkSlcanBus(os.ttyname(slave), bitrate=1_000_000, tty_baudrate=1_000_000)
+    os.set_blocking(master, False)
+    try:
+        yield master, bus
+    finally:
+        bus.shutdown()
+        os.close(slave)
+        os.close(master)
 
 
 @pytest.fixture
 def terminal() -> Iterator[tuple[int, BulkSlcanBus]]:
     """The adapter's end of a pseudo-terminal, and the driver behind the other."""
-    master, slave = os.openpty()
-    bus = BulkSlcanBus(os.ttyname(slave), bitrate=1_000_000, tty_baudrate=1_000_000)
-    os.set_blocking(master, False)
-    yield master, bus
-    bus.shutdown()
-    os.close(slave)
-    os.close(master)
+    with opened_terminal() as opened:
+        yield opened
 
 
 def received(master: int, bus: BulkSlcanBus, parts: list[bytes]) -> list[Message]:
@@ -84,7 +111,13 @@ def received(master: int, bus: BulkSlcanBus, parts: list[bytes]) -> list[Message
     return found
 
 
-@bad_input(stream=streams(replies), harm=damages(), piece=st.integers(1, 60), examples=120)
+@bad_input(
+    stream=streams(REPLIES),
+    harm=drawn_damages(),
+    piece=a_piece,
+    using={"terminal": opened_terminal},
+    examples=120,
+)
 def test_the_driver_takes_whole_lines_only(terminal, stream, harm, piece):
     # The end of a line, so that nothing of this input belongs to the next one.
     wire = spoilt(stream, harm) + b"\r"
@@ -123,7 +156,7 @@ def sent_by_adapter(parts: list[bytes]) -> list[Message]:
     return wire.sent
 
 
-@bad_input(stream=streams(commands), harm=damages(), piece=st.integers(1, 60), examples=120)
+@bad_input(stream=streams(COMMANDS), harm=drawn_damages(), piece=a_piece, examples=120)
 def test_the_simulated_adapter_sends_whole_lines_only(stream, harm, piece):
     wire = spoilt(stream, harm) + b"\r"
     sent = sent_by_adapter(pieces(wire, piece))

@@ -96,7 +96,7 @@ def main() -> None:
 
 def _fail(text: str, code: int) -> NoReturn:
     """Print why, and end; one more Ctrl-C meanwhile changes nothing."""
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
     from cell.interfaces.cli.terminal import (  # noqa: PLC0415
         discard_unwritable_output,
         print_error,
@@ -104,5 +104,4 @@ def _fail(text: str, code: int) -> NoReturn:
 
     print_error(text)
     discard_unwritable_output()
-    signal.signal(signal.SIGINT, before)
     sys.exit(code)

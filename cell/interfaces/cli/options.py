@@ -79,7 +79,10 @@ CaptureOption = Annotated[
 ]
 GaugeOption = Annotated[
     Path | None,
-    typer.Option("--gauge", help="Data set of grasps of one known object: calibrates the foam."),
+    typer.Option(
+        "--gauge",
+        help="Grasps of one known object, a data set or a recording: calibrates the foam.",
+    ),
 ]
 GaugeShapeOption = Annotated[
     str | None,

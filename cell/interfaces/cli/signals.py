@@ -1,5 +1,6 @@
 """Signals and the death of the parent: the first stops a sequence, the second ends the program."""
 
+import faulthandler
 import os
 import signal
 import threading
@@ -20,9 +21,9 @@ END_WITHIN_S = 0.4
 def stopping(cancel: Callable[[], None], *, end_within_s: float | None = None) -> Iterator[None]:
     """Within the block the first signal calls ``cancel``; a second raises KeyboardInterrupt.
 
-    With ``end_within_s`` the second signal is answered at once on standard error, and the system
-    ends this program so long after it (SIGALRM), whatever it does then; further signals change
-    nothing. What was recorded can be recovered, and the grip is kept.
+    With ``end_within_s`` the second signal is answered at once on standard error, and this program
+    ends so long after it with exit code 1, whatever it does then; further signals change nothing.
+    What was recorded can be recovered, and the grip is kept.
 
     The death of the process that started this one counts as a signal. A program that was started
     with SIGHUP ignored (``nohup``) is meant to outlive terminal and parent, and does.
@@ -36,7 +37,7 @@ def stopping(cancel: Callable[[], None], *, end_within_s: float | None = None) -
             if end_within_s is not None:
                 for number in watched:
                     signal.signal(number, signal.SIG_IGN)
-                signal.setitimer(signal.ITIMER_REAL, end_within_s)
+                _end_after(end_within_s)
                 with suppress(OSError):
                     os.write(2, f"\nerror: {INTERRUPTED}\n".encode())
             raise KeyboardInterrupt
@@ -58,6 +59,16 @@ def stopping(cancel: Callable[[], None], *, end_within_s: float | None = None) -
         if seen < 2 or end_within_s is None:
             for number, handler in before.items():
                 signal.signal(number, handler)
+
+
+def _end_after(timeout_s: float) -> None:
+    """End this program with exit code 1 after a time, also where it hangs outside the interpreter.
+
+    The clock of `faulthandler` needs no interpreter, and its exit code is 1. Its list of what the
+    threads do is for nobody here.
+    """
+    nowhere = os.open(os.devnull, os.O_WRONLY | os.O_CLOEXEC)  # as long as the program lasts
+    faulthandler.dump_traceback_later(timeout_s, exit=True, file=nowhere)
 
 
 def _watch_parent(cancel: Callable[[], None], over: threading.Event) -> None:

@@ -47,13 +47,18 @@ def checked_goal(goal: TeachGoal | IdentifyGoal | Mapping[str, Any]) -> TeachGoa
     Raises
     ------
     ConfigError
-        If the task or a field is unknown, or a value out of range.
+        If it is no goal, the task or a field is unknown, or a value out of range.
     """
     if isinstance(goal, TeachGoal | IdentifyGoal):
         return goal
+    if not isinstance(goal, Mapping):
+        raise ConfigError(
+            f"goal is {goal!r:.60}; write a TeachGoal, an IdentifyGoal, or a mapping with task and "
+            "the fields of these"
+        )
     fields = dict(goal)
     task = fields.pop("task", None)
-    if task not in _TASKS:
+    if not isinstance(task, str) or task not in _TASKS:
         raise ConfigError(f"goal has task {task!r}; write one of {', '.join(_TASKS)}")
     try:
         return _TASKS[task].validate_python(fields)

@@ -71,9 +71,13 @@ class HostWatch:
             self._reported = True
         self._silent(silent_s)
 
+    def end(self) -> None:
+        """Let the thread end, without waiting for it."""
+        self._over.set()
+
     def close(self) -> None:
         """End the thread."""
-        self._over.set()
+        self.end()
         self._thread.join()
 
     def _run(self) -> None:

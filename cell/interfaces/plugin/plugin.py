@@ -5,7 +5,10 @@ the plugin grasps and answers what it held. Libraries for recognition, CAN and s
 with the first cell, not with this module.
 """
 
+import sys
 import threading
+import warnings
+import weakref
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
@@ -48,7 +51,11 @@ class TactileCellPlugin:
 
     With ``host_timeout_s`` in the config a host that makes no call for so long while a job runs
     has the job stopped, with the grip kept. Any call counts, `alive` too; a job keeps its result.
+
+    A plugin that is dropped without `close` is closed by its thread, with a ResourceWarning.
     """
+
+    _closed = True
 
     def __init__(
         self,
@@ -127,15 +134,22 @@ class TactileCellPlugin:
             idle=self._cell.controller.tick,
             idle_period_s=1.0 / checked.gripper.loop_rate_hz if self._cell.realtime else None,
         )
+        self._ending = threading.Lock()
         self._watch: HostWatch | None = None
+        self._closed = False
         if checked.host_timeout_s is not None:
-            self._watch = HostWatch(
-                checked.host_timeout_s,
-                running=lambda: self._worker.running,
-                silent=lambda silent_s: self._cell.controller.cancel(
-                    f"because the host was silent for {silent_s:.2f} s"
-                ),
-            )
+            # Weakly: the thread of the watch must not keep a cell that its host has dropped.
+            worker, controller = weakref.ref(self._worker), weakref.ref(self._cell.controller)
+
+            def running() -> bool:
+                watched = worker()
+                return watched is not None and watched.running
+
+            def silent(silent_s: float) -> None:
+                if (watched := controller()) is not None:
+                    watched.cancel(f"because the host was silent for {silent_s:.2f} s")
+
+            self._watch = HostWatch(checked.host_timeout_s, running=running, silent=silent)
 
     # -- questions -----------------------------------------------------------------------------
 
@@ -184,10 +198,10 @@ class TactileCellPlugin:
         Raises
         ------
         ConfigError
-            If the goal has unknown fields or values out of range.
+            If the goal is none of these, has unknown fields or values out of range.
         CellStateError
-            If another job runs, the cell is not IDLE, nothing was taught yet, or a model was loaded
-            whose training set is not at hand: teaching would lose its objects.
+            If another job runs, the cell is not IDLE or is being closed, nothing was taught yet, or
+            a model was loaded whose training set is not at hand: teaching would lose its objects.
         """
         checked = checked_goal(goal)
         controller, model, tasks = self._cell.controller, self._model, self._tasks
@@ -202,7 +216,10 @@ class TactileCellPlugin:
         )
 
     def feedback(self, job: Job) -> JobStatus:
-        """Return state and progress of a job; never waits."""
+        """Return state and progress of a job; never waits.
+
+        Raises CellStateError for a job of another plugin, as `result` and `cancel` do.
+        """
         with self._calling():
             return self._worker.status(job)
 
@@ -291,12 +308,41 @@ class TactileCellPlugin:
         self._call(self._model.forget_drift, None, timeout_s)
 
     def close(self, timeout_s: float = 30.0) -> None:
-        """Stop what runs and disconnect; a held part stays held."""
+        """Stop what runs and disconnect; a held part stays held. A second call does nothing.
+
+        Jobs that were accepted end as cancelled, unless they were nearly done; further ones are
+        refused.
+
+        Raises
+        ------
+        CellStateError
+            If the mover calls this: a job cannot wait for its own end. Nothing changes.
+        TimeoutError
+            If the running job does not end in time, as while the mover has not returned. Jobs are
+            refused from then on; call this again to disconnect.
+        """
+        self._worker.check_outside()
+        with self._ending:
+            if self._watch is not None:
+                self._watch.close()
+            self._stop_jobs()
+            self._worker.close(timeout_s)
+            self._cell.close()
+            self._closed = True
+
+    def __del__(self) -> None:
+        if self._closed or sys.is_finalizing():
+            return
         if self._watch is not None:
-            self._watch.close()
-        self._cell.controller.cancel()
-        self._worker.close(timeout_s)
-        self._cell.close()
+            self._watch.end()
+        self._stop_jobs()
+        self._worker.end(self._cell.close)
+        warnings.warn(
+            f"the plugin of the cell {self._config.name!r} was dropped without close",
+            ResourceWarning,
+            source=self,
+            stacklevel=1,
+        )
 
     def __enter__(self) -> Self:
         return self
@@ -308,6 +354,12 @@ class TactileCellPlugin:
         trace: TracebackType | None,
     ) -> None:
         self.close()
+
+    def _stop_jobs(self) -> None:
+        """Refuse further jobs, then stop those that were accepted: a later one would go on."""
+        with self._starting:
+            self._worker.refuse()
+            self._cell.controller.cancel()
 
     def _call(self, work: Callable[[], Any], command: Command | None, timeout_s: float) -> Any:
         """Run a command on the worker and return what it does; its error is raised as it is."""

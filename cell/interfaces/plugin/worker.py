@@ -1,8 +1,11 @@
 """The worker: one thread that owns a cell, runs its jobs, and supervises it in between."""
 
+import functools
 import itertools
 import queue
 import threading
+import uuid
+import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
 from enum import StrEnum
@@ -28,9 +31,18 @@ class JobOutcome(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """Handle of a started job."""
+    """Handle of a started job.
+
+    Attributes
+    ----------
+    number
+        Its number among the jobs of its worker, from 1.
+    worker
+        Name of the worker that runs it: jobs of two cells have the same numbers.
+    """
 
     number: int
+    worker: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -79,7 +91,11 @@ Report = Callable[[dict[str, Any]], None]
 
 
 class CellWorker:
-    """Runs jobs on a thread of its own, at most one at a time."""
+    """Runs jobs on a thread of its own, at most one at a time.
+
+    The thread refers to its worker weakly while it waits, so that a cell that nobody uses any more
+    can be collected.
+    """
 
     def __init__(self, *, idle: Callable[[], None], idle_period_s: float | None) -> None:
         """Start the thread.
@@ -92,15 +108,19 @@ class CellWorker:
             That period in s; None for a cell whose time stands still while nothing runs.
         """
         self._idle = idle
-        self._idle_period_s = idle_period_s
-        self._queue: queue.SimpleQueue[tuple[Job, Callable[[Report], Any]] | None] = (
-            queue.SimpleQueue()
-        )
+        self._queue: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
+        self._name = uuid.uuid4().hex
+        self._refusing = False
         self._changed = threading.Condition()
         self._status: dict[Job, JobStatus] = {}
         self._numbers = itertools.count(1)
         self._idle_error: Exception | None = None
-        self._thread = threading.Thread(target=self._run, name="tactile-cell", daemon=True)
+        self._thread = threading.Thread(
+            target=_serve,
+            args=(weakref.ref(self), self._queue, idle_period_s),
+            name="tactile-cell",
+            daemon=True,
+        )
         self._thread.start()
 
     def start(
@@ -118,20 +138,21 @@ class CellWorker:
         Raises
         ------
         CellStateError
-            If another job is not over yet, or the thread has ended.
+            If another job is not over yet, or the cell is being closed.
         """
         with self._changed:
+            if self._refusing:
+                raise CellStateError("the cell is closed; load the plugin anew")
             running = [job for job, status in self._status.items() if not status.outcome.terminal]
             if running:
                 raise CellStateError(
                     f"job {running[0].number} is not over; wait for its result or cancel it"
                 )
-            if not self._thread.is_alive():
-                raise CellStateError("the cell is closed; load the plugin anew")
             accepted()
-            job = Job(next(self._numbers))
+            job = Job(next(self._numbers), self._name)
             self._status[job] = JobStatus(outcome=JobOutcome.ACCEPTED, progress={})
-        self._queue.put((job, work))
+            # Within the lock: whatever is accepted stands before the end in the queue.
+            self._queue.put(functools.partial(self._execute, job, work))
         return job
 
     def status(self, job: Job) -> JobStatus:
@@ -161,25 +182,49 @@ class CellWorker:
         """The last error of the supervision while no job ran."""
         return self._idle_error
 
-    def close(self, timeout_s: float) -> None:
-        """End the thread after the running job. Raises TimeoutError if that takes too long."""
+    def refuse(self) -> None:
+        """Accept no further job; those that are accepted go on to their end."""
+        with self._changed:
+            self._refusing = True
+
+    def end(self, last: Callable[[], None] = lambda: None) -> None:
+        """Accept no further job, and let the thread end after those that are accepted.
+
+        Parameters
+        ----------
+        last
+            Called on the thread before it ends.
+        """
+        self.refuse()
+        self._queue.put(last)
         self._queue.put(None)
+
+    def close(self, timeout_s: float) -> None:
+        """End the thread after the jobs that are accepted; further ones are refused.
+
+        Raises
+        ------
+        CellStateError
+            If a job calls this itself: it would wait for its own end.
+        TimeoutError
+            If that takes too long; the jobs go on.
+        """
+        self.check_outside()
+        self.end()
         self._thread.join(timeout_s)
         if self._thread.is_alive():
             raise TimeoutError(f"the cell's thread has not ended after {timeout_s:g} s")
 
-    def _run(self) -> None:
-        while True:
-            try:
-                item = self._queue.get(timeout=self._idle_period_s)
-            except queue.Empty:
-                self._supervise()
-                continue
-            if item is None:
-                return
-            self._execute(*item)
+    def check_outside(self) -> None:
+        """Raise CellStateError on the thread of the cell, which cannot wait for its own end."""
+        if threading.current_thread() is self._thread:
+            raise CellStateError(
+                "close was called by a job itself, as by its mover, and would wait for that job's "
+                "end; cancel the job here, and close from another thread"
+            )
 
-    def _supervise(self) -> None:
+    def supervise(self) -> None:
+        """Look after the cell once, while no job runs."""
         try:
             self._idle()
         except Exception as error:
@@ -207,3 +252,25 @@ class CellWorker:
         with self._changed:
             self._status[job] = status
             self._changed.notify_all()
+
+
+def _serve(
+    worker: "weakref.ref[CellWorker]",
+    work: "queue.SimpleQueue[Callable[[], None] | None]",
+    idle_period_s: float | None,
+) -> None:
+    """Carry out what stands in the queue until its end, or until the worker is gone."""
+    while True:
+        try:
+            item = work.get(timeout=idle_period_s)
+        except queue.Empty:
+            owner = worker()
+            if owner is None:
+                return
+            owner.supervise()
+            del owner
+            continue
+        if item is None:
+            return
+        item()
+        del item  # it refers to the worker, and to the cell

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 _PRIOR_GRASPS = 15.0
-"""Weight of the shared covariance in the covariance of a class, in grasps (docs/recognition.md)."""
+"""Weight of the shared covariance in the covariance of a class, in grasps
+(docs/explanations/recogniser.md)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -4,7 +4,7 @@ The likelihood of a class has heavy tails (multivariate t): grasps of another mi
 out than those that taught, and under a normal density a large drift would then be likelier than
 such a grasp. It is the geometric mean of two: around the centre of the class, with a covariance of
 its own, and around its taught grasps. Constants without another source were chosen on the grasps
-that teach, of 36 recorded objects (docs/recognition.md).
+that teach, of 36 recorded objects (docs/explanations/recogniser.md).
 """
 
 from collections.abc import Mapping

@@ -456,6 +456,27 @@ def test_full_disk_stops_the_recording_and_nothing_else(
     assert len(recording.grasps) >= 2
 
 
+@pytest.mark.parametrize("background", [False, True])
+@pytest.mark.parametrize("room", [0, 100, 9_000, 25_000, 30_000, 31_000])
+def test_a_recording_that_stopped_names_the_frames_that_can_be_read(
+    room: int, background: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    clock, path = Clock(), tmp_path / "r.mcap"
+    fill_disk_after(monkeypatch, room)
+    recorder = Recorder(path, clock, pads=PADS, background=background)
+    for i in range(12):
+        record_grasp(recorder, clock, f"{i}")
+    with pytest.raises(RecordingError) as caught:
+        recorder.close()
+    try:
+        readable = len(read_recording(path).frames)
+        expected = f"{readable} frames of it can be read" if readable else "No frame of it can be"
+    except RecordingError:
+        expected = "Nothing of it can be read"
+    assert expected in str(caught.value)
+    assert (expected == "Nothing of it can be read") == (room <= 100)
+
+
 def test_fault_of_the_recording_does_not_hide_another_error(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

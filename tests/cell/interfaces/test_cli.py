@@ -8,7 +8,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +34,8 @@ from recognition.recognizers import TRAINERS, make_trainer
 
 RUNNER = CliRunner()
 BUILT_IN = "cell: the built-in simulated cell; --config FILE names another"
+LEFT_IGNORED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+"""Signals that the program ignores when it ends."""
 EVALUATION = {"single_accuracy", "interval", "fused_accuracy", "unknown_auroc", "confusion"}
 
 
@@ -47,8 +49,9 @@ def call(*arguments: object) -> str:
 @pytest.fixture
 def fail(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Callable[..., tuple[int, str]]:
+) -> Iterator[Callable[..., tuple[int, str]]]:
     """Return what runs the program as a shell does: exit code and what it complained."""
+    before = {number: signal.getsignal(number) for number in LEFT_IGNORED}
 
     def run(*arguments: object) -> tuple[int, str]:
         monkeypatch.setattr(sys, "argv", ["tactile-cell", *(str(a) for a in arguments)])
@@ -56,7 +59,9 @@ def fail(
             main()
         return int(caught.value.code or 0), " ".join(capsys.readouterr().err.split())
 
-    return run
+    yield run
+    for number, handler in before.items():
+        signal.signal(number, handler)
 
 
 @pytest.fixture
@@ -758,7 +763,6 @@ def test_a_signal_stops_the_job_keeps_the_grip_and_the_recording(
     meddle: Callable[..., list[Any]],
     number: signal.Signals,
 ) -> None:
-    before = signal.getsignal(number)
     built = meddle(lambda made: when_pressed(made, lambda: os.kill(os.getpid(), number)))
     code, said = fail("teach", "ball", "-n", 3, "-o", tmp_path / "d.npz", "-c", config)
     assert code == 1
@@ -767,7 +771,6 @@ def test_a_signal_stops_the_job_keeps_the_grip_and_the_recording(
     assert min(built[0].simulated.world.contact_force_n()) > 1.0
     (recording,) = (tmp_path / "out").glob("teach-*/recording.mcap")
     assert read_recording(recording).complete
-    assert signal.getsignal(number) is before
 
 
 def test_the_result_is_printed_where_no_report_can_be_made(
@@ -862,12 +865,14 @@ def test_help_and_completion_load_nothing_heavy(
 
 def test_a_second_signal_ends_at_once() -> None:
     cancelled: list[bool] = []
+    before = signal.getsignal(signal.SIGINT)
     with stopping(lambda: cancelled.append(True)):
         signal.raise_signal(signal.SIGINT)
         assert cancelled == [True]
         with pytest.raises(KeyboardInterrupt):
             signal.raise_signal(signal.SIGINT)
     assert cancelled == [True]
+    assert signal.getsignal(signal.SIGINT) is before
 
 
 def test_an_interrupt_outside_a_sequence_is_one(

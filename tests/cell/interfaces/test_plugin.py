@@ -1,5 +1,6 @@
 """The plugin as a host program sees it."""
 
+import gc
 import importlib.metadata
 import threading
 import time
@@ -213,7 +214,7 @@ def test_a_cancelled_job_keeps_the_grip_until_release(plugin: Any) -> None:
     with pytest.raises(CellStateError, match="'grasp' is not allowed"):
         plugin.start(TeachGoal(label="ball"))
     with pytest.raises(CellStateError, match="no job 3"):
-        plugin.feedback(Job(3))
+        plugin.feedback(Job(3, "another"))
     plugin.release(LIMIT_S)
     assert plugin.state() == "IDLE"
     assert grip_n(plugin) == 0.0
@@ -257,6 +258,89 @@ def test_closing_while_a_job_runs_keeps_the_grip(plugin: Any) -> None:
     with pytest.raises(CellStateError, match="the cell is closed"):
         plugin.start(IdentifyGoal())
     plugin.close(LIMIT_S)
+
+
+def test_a_job_of_another_plugin_is_refused(
+    plugin: Any, make_plugin: Callable[..., Any], taught: Any
+) -> None:
+    other = make_plugin(model=taught.result.model)
+    ours, theirs = (one.start(IdentifyGoal(present="ball")) for one in (plugin, other))
+    assert ours.number == theirs.number
+    for ask in (plugin.feedback, plugin.cancel, lambda job: plugin.result(job, LIMIT_S)):
+        with pytest.raises(CellStateError, match="there is no job 1 in this cell"):
+            ask(theirs)
+    assert plugin.result(ours, LIMIT_S).label == other.result(theirs, LIMIT_S).label == "ball"
+
+
+def test_jobs_that_are_started_beside_a_close_end_or_are_refused(plugin: Any) -> None:
+    started: list[Job] = []
+    refused = threading.Event()
+
+    def start_again() -> None:
+        while not refused.is_set():
+            try:
+                started.append(plugin.start(IdentifyGoal()))
+            except CellStateError as error:
+                if "the cell is closed" in str(error):
+                    refused.set()
+
+    starter = threading.Thread(target=start_again)
+    starter.start()
+    plugin.close(LIMIT_S)
+    assert refused.wait(LIMIT_S)
+    starter.join()
+    assert all(plugin.feedback(job).outcome.terminal for job in started)
+
+
+def test_a_close_within_the_mover_is_refused_and_changes_nothing(
+    make_plugin: Callable[..., Any], taught: Any
+) -> None:
+    refused: list[CellStateError] = []
+
+    def mover(pose: Pose) -> None:
+        with pytest.raises(CellStateError, match="close from another thread") as caught:
+            plugin.close()
+        refused.append(caught.value)
+
+    plugin = make_plugin(mover=mover, model=taught.result.model)
+    for _ in range(2):
+        job = plugin.start(IdentifyGoal(present="ball", max_grasps=1))
+        assert plugin.result(job, LIMIT_S).label == "ball"
+    assert len(refused) == 2
+
+
+@pytest.mark.parametrize("host_timeout_s", [None, 1000.0])
+def test_a_plugin_that_is_dropped_disconnects_and_ends_its_threads(
+    plugin_class: Any,
+    make_config: Callable[..., CellConfig],
+    taught: Any,
+    host_timeout_s: float | None,
+) -> None:
+    class Host:
+        """A host whose mover refers to it, so that only the collector finds that nobody does."""
+
+        def __init__(self) -> None:
+            config = make_config().model_copy(update={"host_timeout_s": host_timeout_s})
+            self.plugin = plugin_class(config, mover=self.move, model=taught.result.model)
+
+        def move(self, pose: Pose) -> None:
+            return None
+
+    host = Host()
+    job = host.plugin.start(IdentifyGoal(present="ball", max_grasps=1))
+    assert host.plugin.result(job, LIMIT_S).label == "ball"
+    threads = [host.plugin._worker._thread]
+    if host_timeout_s is not None:
+        threads.append(host.plugin._watch._thread)
+    disconnected: list[bool] = []
+    host.plugin._cell._closing.callback(disconnected.append, True)
+    del host
+    with pytest.warns(ResourceWarning, match="dropped without close"):
+        gc.collect()
+    for thread in threads:
+        thread.join(LIMIT_S)
+        assert not thread.is_alive()
+    assert disconnected
 
 
 # -- faults ------------------------------------------------------------------------------------
@@ -484,6 +568,11 @@ def test_an_absent_object_ends_teaching_and_the_grasps_before_it_are_kept(
 @pytest.mark.parametrize(
     ("goal", "complaint"),
     [
+        (None, "goal is None; write a TeachGoal, an IdentifyGoal, or a mapping"),
+        ("teach", "goal is 'teach'; write"),
+        (["teach"], "goal is ['teach']; write"),
+        ({"task": ["teach"]}, "goal has task ['teach']; write one of"),
+        ({"task": "identify", 3: 1}, "goal identify: 3"),
         ({}, "goal has task None; write one of teach, identify"),
         ({"task": "juggle"}, "goal has task 'juggle'"),
         ({"task": "teach"}, "goal teach: label"),
@@ -494,7 +583,7 @@ def test_an_absent_object_ends_teaching_and_the_grasps_before_it_are_kept(
         ({"task": "identify", "speed": 2}, "goal identify: speed"),
     ],
 )
-def test_goals_are_checked(plugin: Any, goal: dict[str, Any], complaint: str) -> None:
+def test_goals_are_checked(plugin: Any, goal: Any, complaint: str) -> None:
     with pytest.raises(ConfigError) as caught:
         plugin.start(goal)
     assert complaint in str(caught.value)
@@ -510,7 +599,7 @@ def test_nothing_taught_is_nothing_to_identify_or_save(
     with pytest.raises(CellStateError, match="nothing was taught"):
         plugin.save(tmp_path / "m.npz")
     with pytest.raises(CellStateError, match="no job 99"):
-        plugin.feedback(Job(99))
+        plugin.feedback(Job(99, "another"))
 
 
 def test_too_few_grasps_to_learn_from_abort_the_job_not_the_cell(

@@ -27,6 +27,15 @@ def hangup_ignored() -> Iterator[None]:
     signal.signal(signal.SIGHUP, before)
 
 
+@pytest.fixture
+def hangup_heard() -> Iterator[None]:
+    """SIGHUP as in a terminal, also where the tests were started under nohup."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
+@pytest.mark.usefixtures("hangup_heard")
 def test_the_death_of_the_parent_stops_once(monkeypatch: pytest.MonkeyPatch) -> None:
     stopped = threading.Event()
     calls: list[int] = []
@@ -57,7 +66,8 @@ def test_a_program_under_nohup_outlives_terminal_and_parent(
     assert signal.getsignal(signal.SIGHUP) is signal.SIG_IGN
 
 
-def test_a_second_signal_leaves_little_time_to_close_files() -> None:
+@pytest.mark.parametrize("hanging", ["time.sleep(60)", "sum(range(1 << 40))"])
+def test_a_second_signal_leaves_little_time_to_close_files(hanging: str) -> None:
     program = (
         "import os, signal, time\n"
         "from cell.interfaces.cli.signals import stopping\n"
@@ -67,13 +77,50 @@ def test_a_second_signal_leaves_little_time_to_close_files() -> None:
         "        os.kill(os.getpid(), signal.SIGTERM)\n"
         "    except KeyboardInterrupt:\n"
         "        print('closing', flush=True)\n"
-        "        time.sleep(60)\n"
+        f"        {hanging}\n"
     )
     ended = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, timeout=LIMIT_S, check=False
     )
-    assert (ended.returncode, ended.stdout) == (-signal.SIGALRM, b"closing\n")
+    assert (ended.returncode, ended.stdout) == (1, b"closing\n")
     assert b"interrupted; nothing was let go" in ended.stderr
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_while_the_program_ends_leaves_its_exit_code(number: signal.Signals) -> None:
+    program = (
+        "import atexit, os, signal, sys\n"
+        "from cell.interfaces.cli import main\n"
+        "signal.signal(signal.SIGHUP, signal.SIG_DFL)\n"
+        f"atexit.register(lambda: os.kill(os.getpid(), {number:d}))\n"
+        "sys.argv = ['tactile-cell', 'config', 'check', '/nowhere/cell.yaml']\n"
+        "main()\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, timeout=LIMIT_S, check=False
+    )
+    assert ended.returncode == 2
+    assert b"/nowhere/cell.yaml" in ended.stderr
+    assert b"Traceback" not in ended.stderr
+
+
+def test_an_interrupt_that_turns_into_another_error_is_an_interrupt() -> None:
+    program = (
+        "import signal, sys, types\n"
+        "from cell.interfaces.cli import main\n"
+        "def run():\n"
+        "    try:\n"
+        "        signal.raise_signal(signal.SIGINT)\n"
+        "    except KeyboardInterrupt:\n"
+        "        raise ImportError('initialization failed')\n"
+        "sys.modules['cell.interfaces.cli.app'] = types.SimpleNamespace(main=run)\n"
+        "main()\n"
+    )
+    ended = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, timeout=LIMIT_S, check=False
+    )
+    assert ended.returncode == 1
+    assert ended.stderr == b"error: interrupted; nothing was let go\n"
 
 
 def test_a_third_signal_does_not_cut_off_what_the_second_leaves_time_for() -> None:

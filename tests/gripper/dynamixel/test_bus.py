@@ -38,6 +38,12 @@ def test_ping(script, bus) -> None:
     assert bus.ping(1) == ServoIdentity(servo_id=1, model_number=1030, firmware=38)
 
 
+def test_a_scan_leaves_out_a_servo_that_refuses_the_ping(script, bus) -> None:
+    refused = "FFFFFD00 01 0400 55 03"
+    script.expect(PING_1, refused + crc_of(refused))
+    assert bus.scan([1]) == ()
+
+
 def test_read_and_acknowledged_writes(script, bus) -> None:
     script.expect(READ_132, IS_166)
     script.expect("FFFFFD00 01 0900 03 7400 00020000 CA89", ACK)

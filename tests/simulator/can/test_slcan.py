@@ -1,4 +1,5 @@
 import math
+from random import Random
 
 import pytest
 from hypothesis import given, settings
@@ -8,6 +9,8 @@ from simulator.can.control_unit import SendBurst
 from simulator.can.faults import CanLinkFaults
 from simulator.can.link import CanLink
 from simulator.can.slcan import OUTPUT_LIMIT, SlcanAdapter
+from simulator.devices import CellDevices
+from simulator.settings import SimulatorSettings
 
 
 class Device:
@@ -225,4 +228,30 @@ def test_syncs_that_waited_are_spread_over_the_time_in_which_they_were_sent():
     adapter.receive(b"S8\rO\r", 1.0)
     adapter.receive(b"t0800\rt0800\r", 1.06, sent_after_s=1.02)
     assert [can_id for can_id, _ in device.heard] == [0x80, 0x80]
-    assert [t_s for _, t_s in device.heard] == pytest.approx([1.04, 1.06])
+    assert [t_s for _, t_s in device.heard] == pytest.approx([1.03, 1.05])
+
+
+def test_a_simulator_that_stalls_takes_no_sync_for_one_within_a_burst() -> None:
+    devices = CellDevices(SimulatorSettings())
+    link = CanLink(devices.can_devices, bitrate=1_000_000)
+    adapter = SlcanAdapter(link, bitrate=1_000_000)
+    random, emergency = Random(7), f"t{0x80 + devices.settings.node_id:03X}".encode()
+    adapter.receive(b"O\r", 0.0)
+    polled_s = 1.0
+    adapter.transmit(polled_s)
+    waiting = [(polled_s + 0.001, b"t0002%02X%02X\r" % (1, devices.settings.node_id))]
+    sync_s, told = polled_s + 0.02, b""
+    for _ in range(3000):
+        # Mostly it comes in time, sometimes it stalls for up to 30 ms.
+        now_s = polled_s + random.choice((0.001, 0.001, 0.001, random.uniform(0.001, 0.03)))
+        while sync_s <= now_s:
+            waiting.append((sync_s, b"t0800\r"))
+            sync_s += random.choice((0.018, 0.02, 0.022))
+        lines = b"".join(line for sent_s, line in waiting if sent_s <= now_s)
+        waiting = [(sent_s, line) for sent_s, line in waiting if sent_s > now_s]
+        if lines:
+            adapter.receive(lines, now_s, sent_after_s=polled_s)
+        told += adapter.transmit(now_s)
+        polled_s = now_s
+    assert told.count(b"t%03X" % (0x180 + devices.settings.node_id)) > 10_000
+    assert emergency not in told

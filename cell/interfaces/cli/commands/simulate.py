@@ -11,7 +11,7 @@ from cell.interfaces.cli.options import ConfigOption, FaultOption, SeedOption
 
 def simulate(
     frames: Annotated[
-        Path | None, typer.Option("--frames", help="Play the grasps of this data set instead.")
+        Path | None, typer.Option("--frames", help="Play the grasps of this data set or recording.")
     ] = None,
     config: ConfigOption = None,
     folder: Annotated[
