@@ -32,12 +32,15 @@ class Posterior:
         Probability from 0 to 1 that the object was never taught.
     dependence
         How far further grasps of the object repeat this one, 0 to 1; fusion weighs grasps by it.
+    occasion
+        How far the sensors were trusted to be as at teaching, and why; empty where it is not asked.
     """
 
     labels: tuple[str, ...]
     probability: NDArray[np.float64]
     unknown: float
     dependence: float = DEPENDENCE
+    occasion: str = ""
 
     def __post_init__(self) -> None:
         p = np.array(self.probability, dtype=np.float64)

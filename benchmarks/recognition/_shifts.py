@@ -9,7 +9,7 @@ from benchmarks._measure import line
 from cell.learning.drift import DriftTracker
 from recognition.drift.drift import NO_DRIFT, Drift
 from recognition.evaluation.metrics import auroc
-from recognition.evaluation.splits import chronological_split
+from recognition.evaluation.splits import a_day_later, chronological_split
 from recognition.grasp import Grasp, by_label
 from recognition.recognizer import Posterior
 from recognition.recognizers.force_ramp.recognizer import ForceRamp, ForceRampTrainer
@@ -17,8 +17,8 @@ from recognition.statistics.fusion import fuse
 
 DRIFTS = {
     "no drift": NO_DRIFT,
-    "gain 0.7, -4 mm": Drift(gain=0.7, aperture_offset_m=-4e-3),
-    "gain 1.2, +2 mm": Drift(gain=1.2, aperture_offset_m=2e-3),
+    "gain 0.7, -4 mm": Drift(gains=(0.7,), aperture_offset_m=-4e-3),
+    "gain 1.2, +2 mm": Drift(gains=(1.2,), aperture_offset_m=2e-3),
 }
 SEQUENCES = 30
 """Objects in turn of a shift."""
@@ -121,7 +121,8 @@ def adversary(name: str, benches: Sequence[Bench], *, n_shifts: int, n: int) -> 
                 labels = rng.permutation(sorted(bench.new)).tolist()[:n_objects]
                 shift = DriftTracker(bench.taught)
                 for _ in range(n):
-                    shift.add_grasps(_turn({label: bench.new[label] for label in labels}, rng))
+                    turn = _turn({label: bench.new[label] for label in labels}, rng)
+                    shift.add_grasps([a_day_later(grasp) for grasp in turn])
                 wrong += _is_wrong(shift.drift, NO_DRIFT)
                 total += 1
         what = "all new objects" if n_objects is None else f"{n_objects} new object"
@@ -133,7 +134,7 @@ def _run(
 ) -> list[_Answered]:
     answered = []
     for new, grasps in turns:
-        drifted = [drift.apply(grasp) for grasp in grasps]
+        drifted = [a_day_later(drift.apply(grasp)) for grasp in grasps]
         posteriors = []
         for grasp, felt in zip(grasps, drifted, strict=True):
             told = None if alone is None else alone.get(id(grasp))

@@ -113,7 +113,7 @@ class Grasper:
         collector = GraspCollector()
 
         def so_far() -> Grasp:
-            return collector.grasp(self.pads, start_ms=0)
+            return collector.grasp(self.pads, start_ms=start_ms)
 
         def watch(cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
             self._look(cycle, frames)

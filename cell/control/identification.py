@@ -6,7 +6,7 @@ from typing import Protocol
 
 from cell.control.plan import GraspStep
 from cell.control.records import GraspRecord
-from recognition.drift.tracking import DriftEstimate, DriftTracking
+from recognition.drift.estimate import DriftEstimate, DriftTracking
 from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN, Posterior, Recognizer
 from recognition.recognizers.early_classifiers import (

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
     from gripper.state import Cycle
-    from recognition.drift.tracking import DriftEstimate
+    from recognition.drift.estimate import DriftEstimate
     from recognition.shape.answer import ShapeAnswer
     from tactile.frames.codec import TactileFrame
 

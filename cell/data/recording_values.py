@@ -13,7 +13,7 @@ from cell.data.recording_schema import FORMAT, counts_crc32
 
 if TYPE_CHECKING:
     from gripper.state import Cycle
-    from recognition.drift.tracking import DriftEstimate
+    from recognition.drift.estimate import DriftEstimate
     from recognition.grasp import Grasp, PadArray
     from recognition.shape.answer import ShapeAnswer
 

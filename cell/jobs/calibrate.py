@@ -6,7 +6,8 @@ from cell.errors import CellError, ModelError
 from cell.jobs.identify import objects_in_turn
 from cell.learning.blas import one_blas_thread
 from cell.learning.model import LoadedModel, check_pads
-from recognition.drift.drift import Drift, GaugeResult
+from recognition.drift.drift import Drift
+from recognition.drift.estimate import DriftEstimate
 from recognition.grasp import Grasp
 from recognition.recognizers.force_ramp.recognizer import ForceRamp
 
@@ -20,7 +21,7 @@ MIN_OBJECTS = 5
 @one_blas_thread()
 def calibrate_model(
     model: LoadedModel, label: str, grasps: Sequence[Grasp]
-) -> tuple[ForceRamp, GaugeResult]:
+) -> tuple[ForceRamp, DriftEstimate]:
     """Return a copy of the taught recogniser that expects the drift which the grasps show.
 
     Parameters
@@ -72,7 +73,8 @@ def follow_shift(model: LoadedModel, grasps: Sequence[Grasp]) -> tuple[ForceRamp
     recognizer = recognizer.expecting_taught_objects()
     for run in runs:
         recognizer = recognizer.track_drift([grasp for _, grasp in run])
-    return recognizer, recognizer.drift_estimate.present
+    found = recognizer.drift_estimate
+    return recognizer.with_drift(found), found.drift
 
 
 def check_gauge(model: LoadedModel, label: str) -> None:

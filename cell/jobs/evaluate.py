@@ -11,9 +11,10 @@ from cell.errors import CellError
 from cell.jobs.calibrate import GAUGE_GRASPS
 from cell.jobs.common import Progress
 from cell.learning.blas import one_blas_thread
-from recognition.drift.drift import NO_DRIFT, Drift, GaugeResult
+from recognition.drift.drift import NO_DRIFT, Drift, drift_values
+from recognition.drift.estimate import DriftEstimate
 from recognition.evaluation.evaluation import Evaluation, Mapper, evaluate, one_by_one
-from recognition.evaluation.splits import parse_split
+from recognition.evaluation.splits import a_day_later, parse_split
 from recognition.grasp import Grasp
 from recognition.recognizers import DEFAULT_TRAINER, make_trainer
 from recognition.recognizers.force_ramp.recognizer import ForceRampTrainer
@@ -40,7 +41,8 @@ class EvaluationResult:
     recognizers: Mapping[str, RecognizerFigures]
     drift: Drift = NO_DRIFT
     gauge: str | None = None
-    gauged: GaugeResult | None = None
+    gauged: DriftEstimate | None = None
+    n_gauged: int = 0
 
     def as_json(self) -> dict[str, Any]:
         """Return what ``--json`` writes."""
@@ -51,13 +53,13 @@ class EvaluationResult:
             "labels": list(self.labels),
             "seconds": round(self.seconds, 2),
             "default": self.default,
-            "drift": _drift(self.drift),
+            "drift": drift_values(self.drift),
             "gauge": None
             if self.gauged is None
             else {
                 "label": self.gauge,
-                "n_grasps": self.gauged.n_grasps,
-                **_drift(self.gauged.drift),
+                "n_grasps": self.n_gauged,
+                **drift_values(self.gauged.drift),
             },
             "recognizers": {
                 name: _figures(figures.full)
@@ -100,7 +102,7 @@ def evaluate_recognizers(
     mapper
         Map function for the work, as `cell.jobs.parallel.workers` yields it.
     drift
-        Applied to the tested grasps.
+        Applied to the tested grasps, which are taken to be of another day then.
     gauge
         An object whose first tested grasps show the drift instead of being tested; it is then
         taken off all others, for every recogniser alike.
@@ -115,10 +117,10 @@ def evaluate_recognizers(
         split = "separate files"
     train_part, test_part = _parts(grasps, split, train, seed)
     if drift != NO_DRIFT:
-        test_part = tuple(drift.apply(grasp) for grasp in test_part)
-    gauged = None
+        test_part = tuple(a_day_later(drift.apply(grasp)) for grasp in test_part)
+    gauged, n_gauged = None, 0
     if gauge is not None:
-        gauged, test_part = _gauge(train_part, test_part, gauge)
+        gauged, n_gauged, test_part = _gauge(train_part, test_part, gauge)
     measure = partial(evaluate, train_part, test_part, fuse=fuse, seed=seed, mapper=mapper)
     figures = {}
     for number, name in enumerate(names):
@@ -144,6 +146,7 @@ def evaluate_recognizers(
         drift=drift,
         gauge=gauge,
         gauged=gauged,
+        n_gauged=n_gauged,
     )
 
 
@@ -170,8 +173,8 @@ def _parts(
 
 def _gauge(
     train: Sequence[Grasp], test: Sequence[Grasp], label: str
-) -> tuple[GaugeResult, tuple[Grasp, ...]]:
-    """Return what the first tested grasps of the object show, and the others corrected for it."""
+) -> tuple[DriftEstimate, int, tuple[Grasp, ...]]:
+    """Return what the first tested grasps of the object show, how many, and the others undone."""
     of_label = sorted((grasp for grasp in test if grasp.label == label), key=lambda g: g.start_ms)
     taken = of_label[:GAUGE_GRASPS]
     others = [grasp for grasp in test if not any(grasp is one for one in taken)]
@@ -181,11 +184,7 @@ def _gauge(
         found = ForceRampTrainer().fit(train).gauge(label, taken)
     except ValueError as error:
         raise CellError(f"cannot gauge: {error}") from error
-    return found, tuple(found.drift.undo(grasp) for grasp in others)
-
-
-def _drift(drift: Drift) -> dict[str, float]:
-    return {"gain": drift.gain, "aperture_mm": drift.aperture_offset_m * 1e3}
+    return found, len(taken), tuple(found.drift.undo(grasp) for grasp in others)
 
 
 def _figures(evaluation: Evaluation) -> dict[str, Any]:
@@ -199,6 +198,8 @@ def _figures(evaluation: Evaluation) -> dict[str, Any]:
         "unknown_auroc": _known(evaluation.unknown_auroc),
         "unknown_rejected": _known(evaluation.unknown_rejected),
         "known_rejected": evaluation.known_rejected,
+        "named_right": evaluation.named_right,
+        "named_wrong": evaluation.named_wrong,
         "calibration_error": evaluation.calibration_error,
         "labels": list(evaluation.labels),
         "confusion": [list(map(int, row)) for row in evaluation.confusion],

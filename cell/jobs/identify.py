@@ -12,10 +12,10 @@ from cell.config.model import CellConfig
 from cell.control.identification import Identification
 from cell.jobs.common import Progress
 from cell.learning.blas import one_blas_thread
-from cell.learning.drift import DriftTracker, drift_values
+from cell.learning.drift import DriftTracker, estimate_values
 from cell.learning.model import LoadedModel, check_pads
 from cell.learning.taught_model import TaughtModel
-from recognition.drift.tracking import DriftEstimate
+from recognition.drift.estimate import DriftEstimate
 from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN, Recognizer
 
@@ -53,7 +53,7 @@ class RecordedAnswer:
             "probability": self.probability,
             "unknown": self.unknown,
             "truth": self.truth or None,
-        } | ({} if self.drift is None else {"drift": drift_values(self.drift)})
+        } | ({} if self.drift is None else {"drift": estimate_values(self.drift)})
 
 
 @one_blas_thread()

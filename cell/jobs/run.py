@@ -15,10 +15,10 @@ from cell.control.records import GraspRecord
 from cell.jobs.common import Progress, progress_of
 from cell.learning.blas import one_blas_thread
 from cell.learning.collection import Collection
-from cell.learning.drift import drift_values
+from cell.learning.drift import estimate_values
 from cell.learning.taught_model import TaughtModel
 from cell.learning.training import train
-from recognition.drift.tracking import DriftEstimate
+from recognition.drift.estimate import DriftEstimate
 from recognition.evaluation.metrics import wilson_interval
 from recognition.recognizer import UNKNOWN, Posterior, Recognizer
 
@@ -162,7 +162,7 @@ class MainResult:
             ),
             "grasp_seconds": self.grasp_s,
             "ramps_ended_early": self.n_ended_early,
-            "drift": None if self.drift is None else drift_values(self.drift),
+            "drift": None if self.drift is None else estimate_values(self.drift),
             "remarks": list(self.remarks),
             "report": None if self.report is None else str(self.report),
             "recording": None if self.recording is None else str(self.recording),

@@ -6,8 +6,8 @@ from typing import Any
 
 from cell.control.records import GraspRecord
 from gripper.state import GraspResult
-from recognition.drift.drift import NO_DRIFT, Drift
-from recognition.drift.tracking import DriftEstimate, DriftTracking
+from recognition.drift.drift import NO_DRIFT, Drift, drift_text, drift_values
+from recognition.drift.estimate import DriftEstimate, DriftTracking
 from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer
 
@@ -104,21 +104,15 @@ class DriftTracker:
             return ""
         self._reported = estimate.likely
         if estimate.likely:
-            return f"the sensors have drifted: {drift_text(estimate.drift)}: gauge the cell"
+            shown = drift_text(estimate.drift)
+            return f"the sensors have drifted since teaching: {shown}: gauge the cell"
         return f"the sensors are as expected again: {drift_text(estimate.expected)}"
 
 
-def drift_text(drift: Drift) -> str:
-    """Return a drift as text for people."""
-    offset_mm = drift.aperture_offset_m * 1e3
-    return f"gain about {drift.gain:.2f}, opening about {offset_mm:+.1f} mm since teaching"
-
-
-def drift_values(estimate: DriftEstimate) -> dict[str, Any]:
+def estimate_values(estimate: DriftEstimate) -> dict[str, Any]:
     """Return the estimate of the drift as plain data."""
     return {
-        "gain": estimate.present.gain,
-        "aperture_mm": estimate.present.aperture_offset_m * 1e3,
+        **drift_values(estimate.present),
         "unchanged": estimate.unchanged,
         "n_objects": estimate.n_objects,
     }

@@ -27,9 +27,9 @@ from cell.learning.model import Arrays, LoadedModel, check_pads, load_model, sav
 from cell.learning.next_grasp import ActiveChooser
 from cell.learning.pad_knowledge import PadKnowledge
 from cell.learning.shapes import shape_reader
-from cell.learning.training import load_early, load_pose_memory, train
+from cell.learning.training import load_early, load_pose_memory, train, with_caution
 from recognition.drift.drift import NO_DRIFT
-from recognition.drift.tracking import DriftEstimate
+from recognition.drift.estimate import DriftEstimate
 from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer
 from recognition.recognizers.early_classifiers import EarlyClassifiers
@@ -225,7 +225,7 @@ class TaughtModel:
         if self.tracker is None:
             tracker = self._tracker_of(trained.recognizer)
         else:
-            taught = _expecting_as(self.tracker.taught, trained.recognizer)
+            taught = with_caution(_expecting_as(self.tracker.taught, trained.recognizer), wanted)
             tracker = self.tracker.continued_with(taught)
         with self._lock:
             self._trainer_name = trained.trainer_name
@@ -346,14 +346,15 @@ class TaughtModel:
     # -- inside --------------------------------------------------------------------------------
 
     def _tracker_of(self, recognizer: Recognizer) -> DriftTracker:
-        return DriftTracker(recognizer, follow=self._config.recognition.follow_drift)
+        wanted = self._config.recognition
+        return DriftTracker(with_caution(recognizer, wanted), follow=wanted.follow_drift)
 
 
 def _expecting_as(before: Recognizer, trained: Recognizer) -> Recognizer:
     """Return a newly trained recogniser that expects the drift that one was gauged for before."""
     gauged = isinstance(before, ForceRamp) and before.drift_estimate.expected != NO_DRIFT
     if isinstance(before, ForceRamp) and isinstance(trained, ForceRamp) and gauged:
-        return replace(trained, grid=before.grid)
+        return trained.expecting(before.drift_estimate.expected, gauged=before.gauged)
     return trained
 
 

@@ -5,8 +5,9 @@ a pose memory, by which an active sequence chooses its next grasp.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
+from cell.config.model import RecognitionConfig
 from cell.config.sequence import SequenceConfig
 from cell.errors import CellError, ModelError
 from cell.learning.blas import one_blas_thread
@@ -15,6 +16,7 @@ from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer
 from recognition.recognizers import make_trainer
 from recognition.recognizers.early_classifiers import EarlyClassifiers, EarlyTrainer
+from recognition.recognizers.force_ramp.recognizer import ForceRamp
 from recognition.statistics.next_grasp import PoseMemory, build_pose_memory
 
 EARLY_SECTION = "early"
@@ -22,6 +24,13 @@ EARLY_SECTION = "early"
 
 MEMORY_SECTION = "memory"
 """Section of a model file that holds the pose memory."""
+
+
+def with_caution(recognizer: Recognizer, config: RecognitionConfig) -> Recognizer:
+    """Return the recogniser with the caution of the config, where it is of a kind that has one."""
+    if isinstance(recognizer, ForceRamp):
+        return replace(recognizer, caution=config.caution)
+    return recognizer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,1 +1,1 @@
-"""Drift of gain and opening: its effect on grasps, a gauge for it, and following it."""
+"""Drift of gain and opening since teaching: its effect on grasps, and its estimate from them."""

@@ -9,7 +9,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from recognition.drift.tracking import DriftTracking
+from recognition.drift.estimate import DriftTracking
 from recognition.evaluation.metrics import (
     auroc,
     confusion_matrix,
@@ -17,8 +17,9 @@ from recognition.evaluation.metrics import (
     wilson_interval,
 )
 from recognition.grasp import Grasp, by_label
-from recognition.recognizer import Posterior, Recognizer, Trainer
+from recognition.recognizer import UNKNOWN, Posterior, Recognizer, Trainer
 from recognition.statistics import fusion
+from recognition.statistics.fusion import DecisionKind, StopRule, decide
 
 _BEFORE = 10
 """Grasps of a shift that are tracked before the first one that counts."""
@@ -93,6 +94,9 @@ class Evaluation:
         The same for random sets of k grasps of one label.
     calibration_error
         Expected calibration error of the probability of the likeliest label, ten bins.
+    named_right, named_wrong
+        Share of tested grasps of taught objects that one grasp names rightly and wrongly; the
+        others are called UNKNOWN.
     known_rejected
         Share of tested grasps of taught objects with ``unknown`` above 0.5.
     unknown_auroc
@@ -116,6 +120,8 @@ class Evaluation:
     fused_accuracy: Mapping[int, float]
     random_fused_accuracy: Mapping[int, float]
     calibration_error: float
+    named_right: float
+    named_wrong: float
     known_rejected: float
     unknown_auroc: float
     unknown_rejected: float
@@ -171,6 +177,11 @@ def evaluate(
         label: [p for p, t in zip(posteriors, truth, strict=True) if t == label]
         for label in sorted(set(truth))
     }
+    rule = StopRule(max_grasps=1)
+    names = [
+        decision.label if decision.kind is DecisionKind.DECIDED else UNKNOWN
+        for decision in (decide([p], rule) for p in posteriors)
+    ]
     known_scores = [p.unknown for p in posteriors]
     areas, new_scores = _leave_out(train, known, trainer, unknown_groups, mapper)
     if untaught:
@@ -188,6 +199,10 @@ def evaluate(
         random_fused_accuracy=MappingProxyType({k: _random(rows, k, seed) for k in fuse}),
         calibration_error=expected_calibration_error(
             [float(p.probability.max()) for p in posteriors], right
+        ),
+        named_right=float(np.mean([name == t for name, t in zip(names, truth, strict=True)])),
+        named_wrong=float(
+            np.mean([name not in (t, UNKNOWN) for name, t in zip(names, truth, strict=True)])
         ),
         known_rejected=float(np.mean(np.array(known_scores) > 0.5)),
         unknown_auroc=float(np.mean(areas)) if areas else float("nan"),

@@ -1,10 +1,14 @@
 """Splits of grasps into those that teach and those that test."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from recognition.grasp import Grasp, by_label
+
+_DAY_MS = 24 * 3_600_000
+"""A day in ms."""
 
 Split = Callable[[Sequence[Grasp]], tuple[tuple[Grasp, ...], tuple[Grasp, ...]]]
 
@@ -62,6 +66,11 @@ def parse_split(text: str, *, seed: int = 0) -> Split:
     if name == "chronological":
         return lambda grasps: chronological_split(grasps, fraction)
     return lambda grasps: shuffled_split(grasps, fraction, seed)
+
+
+def a_day_later(grasp: Grasp) -> Grasp:
+    """Return the grasp as if it had been taken on the next day: sensors drift from day to day."""
+    return replace(grasp, start_ms=grasp.start_ms + _DAY_MS)
 
 
 def _cut(n: int, fraction: float) -> int:

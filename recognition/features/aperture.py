@@ -9,8 +9,6 @@ _YIELD_SCALE_MM = 1 / 3
 """Yield in mm up to which its inverse hyperbolic sine is linear; beyond it grows as a logarithm."""
 _SIZE_OFFSET_MM = 3.0
 """Added to a size before its logarithm, in mm: small sizes would dominate without it."""
-_N_SIZES = 2
-"""Sizes in the vector: the opening at the end, and at the touch of both pads."""
 
 
 def aperture_features(levels: Levels) -> NDArray[np.float64]:
@@ -20,7 +18,6 @@ def aperture_features(levels: Levels) -> NDArray[np.float64]:
     """
     final = levels.aperture_mm[:, -1:]
     both = levels.touch_aperture_mm.min(axis=1, keepdims=True)
-    # Only the first four change with the zero of the opening.
     first = levels.touch_aperture_mm[:, :1] - levels.touch_aperture_mm[:, -1:]
     squeeze = both - final
     return np.concatenate(
@@ -34,16 +31,6 @@ def aperture_features(levels: Levels) -> NDArray[np.float64]:
         ],
         axis=1,
     )
-
-
-def undo_offsets(
-    features: NDArray[np.float64], offsets_mm: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Return (n, O, F): `aperture_features` (n, F) of openings that read less by each offset."""
-    n, n_features = features.shape
-    moved = np.broadcast_to(features[:, None], (n, len(offsets_mm), n_features)).copy()
-    moved[..., : 2 * _N_SIZES] = _sizes(features[:, None, :_N_SIZES] - offsets_mm[:, None])
-    return moved
 
 
 def _sizes(sizes_mm: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -1,9 +1,8 @@
 """Feature groups: the table of all features of a grasp, and the feature vector of each view.
 
-A new group is one function and one entry in `FEATURE_GROUPS`. The entry lists the views that use
-the group and whether a drift of the sensors changes it. An entry that no view uses, or a view
-without a group, is an error at import; a feature function without an entry is an error in the
-tests.
+A new group is one function and one entry in `FEATURE_GROUPS`. The entry lists the recognisers that
+use the group. An entry that none uses, or a recogniser without a group, is an error at import; a
+feature function without an entry is an error in the tests.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -25,39 +24,20 @@ from recognition.features.footprint import (
     pose_features,
 )
 from recognition.features.growth import growth_features
-from recognition.features.patch import harmonic_features, profile_features, surface_features
+from recognition.features.patch import harmonic_features, profile_features
 from recognition.ramp.levels import Levels
 
-FEATURE_VERSION = 4
+FEATURE_VERSION = 5
 """Changes with every change of a feature: models of another version are refused."""
 
 
 @unique
 class FeatureView(StrEnum):
-    """Users of feature vectors: one way of one recogniser to describe a grasp."""
+    """Recognisers that take feature vectors from the table."""
 
-    TOUCH = "touch"
-    """`force_ramp` by touch alone."""
-    TOUCH_AND_OPENING = "touch_and_opening"
-    """`force_ramp` by touch and opening."""
-    ONE_OBJECT_TOUCH = "one_object_touch"
-    """`force_ramp` with a single object, by touch alone. No other object shows which features
-    separate: few and plain ones do best."""
-    ONE_OBJECT_OPENING = "one_object_opening"
-    """`force_ramp` with a single object, by the opening."""
+    FORCE_RAMP = "force_ramp"
     SHRINKAGE_LDA = "shrinkage_lda"
     EXTRA_TREES = "extra_trees"
-
-
-@unique
-class Drifting(StrEnum):
-    """What of a drift of the sensors changes a feature group."""
-
-    GAIN = "gain"
-    """The gain of the pads."""
-    OFFSET = "offset"
-    """The zero of the opening."""
-    NOTHING = "nothing"
 
 
 class GraspDescription:
@@ -109,86 +89,52 @@ class FeatureGroup:
     features
         Returns the features, (n, F) float64.
     views
-        The views whose vectors contain the group.
-    drifting
-        What of a drift changes it.
+        The recognisers whose vectors contain the group.
     n_pads
         Fewest gripping pads it needs; with fewer it is left out.
+    opening
+        Whether it is for vectors with the opening only, or without it only; None: for both.
     """
 
     name: str
     features: Callable[[GraspDescription], NDArray[np.float64]]
-    views: frozenset[FeatureView]
-    drifting: Drifting = Drifting.GAIN
+    views: frozenset[FeatureView] = frozenset(FeatureView)
     n_pads: int = 1
+    opening: bool | None = None
 
-
-_ALL_TOUCH = frozenset(
-    {
-        FeatureView.TOUCH,
-        FeatureView.TOUCH_AND_OPENING,
-        FeatureView.SHRINKAGE_LDA,
-        FeatureView.EXTRA_TREES,
-    }
-)
 
 FEATURE_GROUPS: tuple[FeatureGroup, ...] = (
     # Size and form of the pressed patch, unchanged when it moves or turns on the pad.
-    FeatureGroup(name="patch", features=lambda of: patch_features(of.footprints), views=_ALL_TOUCH),
+    FeatureGroup(name="patch", features=lambda of: patch_features(of.footprints)),
     # Where the patch lies on the pad, and how it is turned.
     FeatureGroup(
         name="pose",
         features=lambda of: pose_features(of.footprints),
-        views=_ALL_TOUCH - {FeatureView.EXTRA_TREES},
+        views=frozenset({FeatureView.FORCE_RAMP, FeatureView.SHRINKAGE_LDA}),
     ),
     # One pad against the other.
     FeatureGroup(
         name="pads",
         features=lambda of: pad_difference_features(of.footprints),
-        views=_ALL_TOUCH,
         n_pads=2,
     ),
     # Growth of patch and load along the ramp.
-    FeatureGroup(
-        name="growth",
-        features=lambda of: growth_features(of.levels, of.footprints),
-        views=_ALL_TOUCH,
-    ),
+    FeatureGroup(name="growth", features=lambda of: growth_features(of.levels, of.footprints)),
     # Load per row and column of taxels.
     FeatureGroup(
         name="profile",
         features=lambda of: of.of_each_pad(profile_features),
-        views=frozenset({FeatureView.TOUCH, FeatureView.TOUCH_AND_OPENING}),
-    ),
-    # The patch as a quadric surface.
-    FeatureGroup(
-        name="surface",
-        features=lambda of: of.of_each_pad(surface_features),
-        views=frozenset(
-            {FeatureView.TOUCH, FeatureView.TOUCH_AND_OPENING, FeatureView.ONE_OBJECT_TOUCH}
-        ),
+        views=frozenset({FeatureView.FORCE_RAMP}),
     ),
     # The patch close up. The opening leaves too little open for it to add anything there.
     FeatureGroup(
         name="harmonics",
         features=lambda of: of.of_each_pad(harmonic_features),
-        views=frozenset({FeatureView.TOUCH}),
-        drifting=Drifting.NOTHING,
+        views=frozenset({FeatureView.FORCE_RAMP}),
+        opening=False,
     ),
     # The opening between the fingers; NaN where it is unknown.
-    FeatureGroup(
-        name="aperture",
-        features=lambda of: aperture_features(of.levels),
-        views=frozenset(
-            {
-                FeatureView.TOUCH_AND_OPENING,
-                FeatureView.ONE_OBJECT_OPENING,
-                FeatureView.SHRINKAGE_LDA,
-                FeatureView.EXTRA_TREES,
-            }
-        ),
-        drifting=Drifting.OFFSET,
-    ),
+    FeatureGroup(name="aperture", features=lambda of: aperture_features(of.levels), opening=True),
 )
 """All features of a grasp, in the order in which they stand in a vector."""
 
@@ -196,8 +142,7 @@ FEATURE_GROUPS: tuple[FeatureGroup, ...] = (
 def check_table(groups: Sequence[FeatureGroup]) -> None:
     """Check the table for groups and views that were forgotten.
 
-    Raises ValueError for a name used twice, a group that no view uses, a view without a group, and
-    for views of touch that would not agree on what a gain changes: both are taught with one array.
+    Raises ValueError for a name used twice, a group that no view uses, and a view without a group.
     """
     names = [group.name for group in groups]
     twice = sorted({name for name in names if names.count(name) > 1})
@@ -209,14 +154,6 @@ def check_table(groups: Sequence[FeatureGroup]) -> None:
     empty = [str(view) for view in FeatureView if not any(view in group.views for group in groups)]
     if empty:
         raise ValueError(f"views {empty} use no feature group: name them in the table's entries")
-    both = {FeatureView.TOUCH, FeatureView.TOUCH_AND_OPENING}
-    one_only = [
-        group.name
-        for group in groups
-        if group.drifting is Drifting.GAIN and len(both & group.views) == 1
-    ]
-    if one_only:
-        raise ValueError(f"feature groups {one_only} change with the gain: use them in both {both}")
 
 
 check_table(FEATURE_GROUPS)
@@ -232,10 +169,7 @@ def check_version(arrays: Mapping[str, NDArray[Any]]) -> None:
 
 
 def features_of(
-    levels: Levels,
-    grids: Sequence[PadGrid],
-    view: FeatureView,
-    drifting: Sequence[Drifting] = tuple(Drifting),
+    levels: Levels, grids: Sequence[PadGrid], view: FeatureView, *, opening: bool
 ) -> NDArray[np.float64]:
     """Return the feature vectors of a view, (n, F) float64.
 
@@ -247,13 +181,13 @@ def features_of(
         The gripping pads.
     view
         Which groups are wanted.
-    drifting
-        Only groups that these parts of a drift change; F is 0 where there are none.
+    opening
+        Whether the vectors have the opening between the fingers.
     """
     described = GraspDescription(levels, grids)
     parts = [
         group.features(described)
         for group in FEATURE_GROUPS
-        if view in group.views and group.drifting in drifting and group.n_pads <= len(grids)
+        if view in group.views and group.n_pads <= len(grids) and group.opening in (None, opening)
     ]
-    return np.concatenate([np.zeros((len(levels), 0)), *parts], axis=1)
+    return np.concatenate(parts, axis=1)

@@ -1,4 +1,4 @@
-"""Features of one pad's patch: load profiles, the patch as a quadric surface, circular harmonics.
+"""Features of one pad's patch: load profiles, circular harmonics.
 
 Each function takes maps (n, K, n_taxels) above rest as a share of full scale, their noise (n, K)
 and the pad's grid, and returns (n, F). Constants without another source were chosen on the grasps
@@ -15,17 +15,6 @@ from recognition.features.footprint import PadGrid, pressed
 _LEAST_LOAD = 0.01
 """Least load in full scales of a taxel that the shares of a profile are divided by."""
 
-_SCALE_MM = 5.0
-"""Unit of lengths in the fit, in mm, so that coefficients are of the order of 1."""
-_RIDGE = 1e-3
-"""Ridge on the normal matrix: a patch of a few taxels has no unique quadric without it."""
-_NEIGHBOUR_WEIGHT = 1e-4
-"""Weight of a free taxel beside the patch, against load shares that sum to 1."""
-_RESIDUAL_FLOOR = 0.02
-"""Added to the residual before its logarithm, as a share of the peak."""
-_SURFACE_LEVELS = (2, 4)
-"""Levels of `recognition.ramp.levels.LOAD_FRACTIONS` at which the quadric is fitted: 0.7 and 1."""
-
 _HARMONIC_LEVELS = (1, 4)
 """Levels of `recognition.ramp.levels.LOAD_FRACTIONS` for the harmonics: 0.5 and 1."""
 _WIDTHS_MM = (2.0, 3.4, 5.4)
@@ -34,6 +23,8 @@ _CRESTS = (1, 2, 3, 4)
 """Numbers of crests of the waves around a centre."""
 _MARGIN_MM = 6.8
 """Centres lie as far beyond the pad in mm: there the rim of a patch answers."""
+_PATCHES_AT_ONCE = 64
+"""Patches at a time: their answers stay in the processor's cache."""
 _MIN_LOAD = 1e-3
 """Least load in full scales of a taxel that a density is divided by."""
 _PEAK_FLOOR_PER_MM = 1.3e-3
@@ -81,74 +72,6 @@ def _centred(share: NDArray[np.float64]) -> NDArray[np.float64]:
     return moved
 
 
-def surface_features(
-    maps: NDArray[np.float64], noise: NDArray[np.float64], grid: PadGrid
-) -> NDArray[np.float64]:
-    """Return (n, F): curvatures, height, residual and eigenvalues of the patch as a quadric.
-
-    The height field z = a x² + b y² + 2 d xy + 2 g x + 2 h y + k of `recognition.quadric.quadric`
-    is fitted to all grasps at once: x and y from the centre of the load, z as a share of the peak,
-    each taxel weighted by its load. The features are the principal curvatures, k, the residual and
-    the three smallest eigenvalues of the property matrix. None of them changes when the patch
-    moves or turns on the pad, if taxels are fine enough.
-
-    Parameters
-    ----------
-    maps : (n, K, n_taxels)
-        Values above rest, as a fraction of full scale.
-    noise : (n, K)
-        Standard deviation of each value.
-    grid
-        The pad.
-    """
-    levels = [k for k in _SURFACE_LEVELS if k < maps.shape[1]]
-    patch = pressed(maps[:, levels], noise[:, levels])
-    theta, residual = _fit_height_fields(patch, grid)
-    a, b, d, _, _, k = np.moveaxis(theta, -1, 0)
-    mean, swing = (a + b) / 2, np.hypot((a - b) / 2, d)
-    Q = _property_matrices(theta)
-    size = np.sqrt((Q**2).sum(axis=(-1, -2)))[..., None]
-    features = np.concatenate(
-        [
-            np.arcsinh(3 * np.stack([mean - swing, mean + swing], axis=-1)),
-            np.stack([k, np.log(residual + _RESIDUAL_FLOOR)], axis=-1),
-            np.linalg.eigvalsh(Q)[..., :3] / size,
-        ],
-        axis=-1,
-    )
-    return features.reshape(len(maps), -1)
-
-
-def _fit_height_fields(
-    patch: NDArray[np.float64], grid: PadGrid
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return coefficients a, b, d, g, h, k (n, K, 6) and residuals (n, K) of patches."""
-    load = np.maximum(patch.sum(axis=-1), 1e-6)[..., None]
-    height = patch / np.maximum(patch.max(axis=-1), 1e-6)[..., None]
-    centre = (patch / load) @ grid.xy_mm
-    x = (grid.xy_mm[:, 0] - centre[..., 0, None]) / _SCALE_MM
-    y = (grid.xy_mm[:, 1] - centre[..., 1, None]) / _SCALE_MM
-    # Free taxels beside the patch count a little: they bound the surface at the rim.
-    weight = patch / load + _NEIGHBOUR_WEIGHT * np.exp(-(x * x + y * y))
-    design = np.stack([x * x, y * y, 2 * x * y, 2 * x, 2 * y, np.ones_like(x)], axis=-1)
-    weighted = np.swapaxes(design * weight[..., None], -1, -2)
-    normal = weighted @ design + _RIDGE * np.eye(6)
-    theta = np.linalg.solve(normal, weighted @ height[..., None])
-    error = height - (design @ theta)[..., 0]
-    return theta[..., 0], np.sqrt((weight * error**2).sum(axis=-1))
-
-
-def _property_matrices(theta: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return the paper's matrices Q (..., 4, 4) of height fields with coefficients (..., 6)."""
-    a, b, d, g, h, k = np.moveaxis(theta, -1, 0)
-    Q = np.zeros((*a.shape, 4, 4))
-    for row, column, value in ((0, 1, d), (0, 3, g), (1, 3, h), (2, 3, np.full_like(a, -0.5))):
-        Q[..., row, column] = Q[..., column, row] = value
-    for row, value in ((0, a), (1, b), (3, k)):
-        Q[..., row, row] = value
-    return Q
-
-
 def harmonic_features(
     maps: NDArray[np.float64], noise: NDArray[np.float64], grid: PadGrid
 ) -> NDArray[np.float64]:
@@ -176,15 +99,13 @@ def harmonic_features(
     area_mm2 = float(np.prod(grid.pitch_mm))
     load = np.maximum(patch.sum(axis=-1, keepdims=True), _MIN_LOAD)
     root_per_mm = np.sqrt(patch / (load * area_mm2)).reshape(-1, *grid.shape)
-    squared = _squared_answers(root_per_mm, grid)
-    features = np.stack(
-        [
-            np.log(squared.sum(axis=-1) * area_mm2 + _ENERGY_FLOOR),
-            np.log(np.sqrt(squared.max(axis=-1)) + _PEAK_FLOOR_PER_MM),
-        ],
-        axis=-1,
-    )
-    return features.reshape(len(maps), -1)
+    parts = []
+    for start in range(0, len(root_per_mm), _PATCHES_AT_ONCE):
+        squared = _squared_answers(root_per_mm[start : start + _PATCHES_AT_ONCE], grid)
+        energy = np.log(squared.sum(axis=-1) * area_mm2 + _ENERGY_FLOOR)
+        strongest = np.log(np.sqrt(squared.max(axis=-1)) + _PEAK_FLOOR_PER_MM)
+        parts.append(np.stack([energy, strongest], axis=-1))
+    return np.concatenate(parts).reshape(len(maps), -1)
 
 
 def _squared_answers(root: NDArray[np.float64], grid: PadGrid) -> NDArray[np.float64]:

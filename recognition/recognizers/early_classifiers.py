@@ -85,7 +85,7 @@ class EarlyClassifiers:
         if not isinstance(whole, ForceRamp):
             return self
         early = tuple(
-            replace(one, grid=whole.grid) if isinstance(one, ForceRamp) else one
+            one.with_drift_of(whole) if isinstance(one, ForceRamp) else one
             for one in self.recognizers
         )
         return replace(self, recognizers=early)

@@ -11,7 +11,6 @@ from scipy.special import expit
 from recognition.features.footprint import pad_grid
 from recognition.features.groups import (
     FEATURE_VERSION,
-    Drifting,
     FeatureView,
     check_version,
     features_of,
@@ -161,5 +160,4 @@ class ShrinkageLdaTrainer:
 
 def _features(levels: Levels, rest: Rest, use_aperture: bool) -> NDArray[np.float64]:
     grids = [pad_grid(rest.pads, pad) for pad in rest.gripping]
-    drifting = tuple(Drifting) if use_aperture else (Drifting.GAIN, Drifting.NOTHING)
-    return features_of(levels, grids, FeatureView.SHRINKAGE_LDA, drifting)
+    return features_of(levels, grids, FeatureView.SHRINKAGE_LDA, opening=use_aperture)

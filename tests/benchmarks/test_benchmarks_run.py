@@ -25,6 +25,9 @@ MODULES = command.modules()
 TESTED_ELSEWHERE = {"reproduction"}
 """`test_paper` prints the study that it has made, which takes longest of all."""
 
+IN_REAL_TIME = {"servo_bus"}
+"""Its processes miss each other's answers beside other tests."""
+
 
 @pytest.fixture(autouse=True)
 def one_blas_thread() -> Iterator[None]:
@@ -33,7 +36,13 @@ def one_blas_thread() -> Iterator[None]:
         yield
 
 
-@pytest.mark.parametrize("name", sorted(MODULES.keys() - TESTED_ELSEWHERE))
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=[pytest.mark.hil] if name in IN_REAL_TIME else [])
+        for name in sorted(MODULES.keys() - TESTED_ELSEWHERE)
+    ],
+)
 def test_it_prints_its_ratios(
     name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

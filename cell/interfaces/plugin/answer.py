@@ -8,7 +8,7 @@ from recognition.recognizer import UNKNOWN
 
 if TYPE_CHECKING:
     from cell.control.identification import Identification
-    from recognition.drift.tracking import DriftEstimate
+    from recognition.drift.estimate import DriftEstimate
     from recognition.shape.answer import ShapeAnswer
 
 
@@ -84,6 +84,10 @@ class Answer:
         Grasps whose ramp ended early, because it sufficed.
     drift
         Estimate of the drift of the sensors; None where it is not followed.
+    occasion
+        How far the sensors were trusted to be as at teaching, and why: ``within an hour of
+        teaching``, ``the drift was gauged`` or ``at another time than the teaching``. Empty for
+        recognisers that do not ask.
     remark
         Message for the operator, as that the sensors have drifted: once, empty otherwise.
     """
@@ -94,6 +98,7 @@ class Answer:
     shape: FeltShape | None = None
     n_ended_early: int = 0
     drift: "DriftEstimate | None" = None
+    occasion: str = ""
     remark: str = ""
 
     @property
@@ -116,5 +121,6 @@ class Answer:
             shape=None if found.shape is None else FeltShape.of(found.shape),
             n_ended_early=sum(record.early is not None for record in found.records),
             drift=found.drift,
+            occasion=found.fused.occasion,
             remark=found.remark,
         )

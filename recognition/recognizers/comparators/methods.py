@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recognition.features.footprint import PadGrid
-from recognition.features.groups import Drifting, FeatureView, features_of
+from recognition.features.groups import FeatureView, features_of
 from recognition.ramp.levels import Levels
 from recognition.recognizers.comparators.classifiers import (
     Forest,
@@ -77,8 +77,7 @@ class ContourNetwork(Comparator):
 def _moment_features(
     levels: Levels, grids: Sequence[PadGrid], use_aperture: bool
 ) -> NDArray[np.float64]:
-    drifting = tuple(Drifting) if use_aperture else (Drifting.GAIN, Drifting.NOTHING)
-    return features_of(levels, grids, FeatureView.EXTRA_TREES, drifting)
+    return features_of(levels, grids, FeatureView.EXTRA_TREES, opening=use_aperture)
 
 
 class ExtraTrees(Comparator):

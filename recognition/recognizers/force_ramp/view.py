@@ -1,33 +1,97 @@
-"""View of the default recogniser: class likelihoods, their temperature and a novelty detector."""
+"""View of the default recogniser: two discriminants, their temperature and a novelty detector.
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+One discriminant has the variation of grasps as they were taught, the other one that of sensors that
+have drifted besides. Their log likelihoods are pooled with a weight that depends on when and
+where a grasp was taken. Distances are measured in units of how far a grasp lies off in the
+directions in which objects do not differ: on another day grasps lie off in all directions, a new
+object mostly in those that separate objects.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from recognition.drift.discriminant import DriftDiscriminant, fit_drift_discriminant
-from recognition.drift.drift import DriftGrid
-from recognition.recognizers.force_ramp.likelihood import (
-    ClassLikelihood,
-    ClassScores,
-    fit_class_likelihood,
-)
-from recognition.recognizers.force_ramp.training_set import FeatureRows, TrainingSet
 from recognition.statistics.calibration import blocked_folds, fit_temperature, to_probability
+from recognition.statistics.class_spread import ClassSpread, fit_class_spread
 from recognition.statistics.fusion import fit_dependence
+from recognition.statistics.lda import LinearDiscriminant, fit_lda
 from recognition.statistics.novelty import NoveltyDetector, fit_novelty_detector
 
+_FREEDOM = 3.0
+"""Degrees of freedom of the t distribution of a grasp about its object: heavy tails."""
+_BESIDE_POWER = 0.85
+"""Power of the spread beside the classes by which distances are divided: objects left out of
+teaching are found best between 0.75 and 1; the larger, the fewer grasps of another day are called
+new."""
+_NUISANCE_SD = (0.1, 1.0)
+"""Standard deviations of the nuisance: of the logarithm of a gain, of the opening in mm. Twice as
+much changes the answers little: the direction counts."""
+_LEAST_DISTANCE = 0.1
+"""Added to squared distances before their logarithm: nearer grasps are no less novel."""
+_TOUCH_SHRINKAGE = 0.2
+"""Least shrinkage of the covariance by touch alone."""
 _BLOCKS = 3
-"""Blocks held out in turn: grasps in use lie far in time from all taught ones, so few large
-ones."""
+"""Blocks in time, held out in turn: few large ones, as grasps in use lie far in time."""
 _LEFT_OUT_GROUPS = 6
 """Groups into which objects are dealt out; each in turn is left out, as an object never taught."""
 _MIN_CLASSES_TO_LEAVE_OUT = 4
 """With fewer objects, too few would be left to teach: distance alone then decides on novelty."""
-_DRIFT_GRASPS = 500
-"""About as many held-out grasps suffice for the mean log likelihood of drifts without a drift."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Discriminants:
+    """The classes without and with drift as a nuisance.
+
+    Attributes
+    ----------
+    taught, drifted
+        The two discriminants.
+    spread
+        The covariance of each class in the first one, by touch alone: there the variation of an
+        object separates it from others. With the opening it would only fit the series that
+        taught.
+    """
+
+    taught: LinearDiscriminant
+    drifted: LinearDiscriminant
+    spread: ClassSpread | None
+
+    def score(
+        self, features: NDArray[np.float64], trust: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return scores (n, C) and the novelty (n,) of grasps with features (n, F).
+
+        ``trust`` from 0 to 1 is the weight of the discriminant without drift. Scores are log
+        likelihoods up to a constant of the grasp; the novelty is the logarithm of the squared
+        distance to the nearest class.
+        """
+        scores = np.zeros((len(features), len(self.taught.centres)))
+        novelty = np.zeros(len(features))
+        for weight, discriminant in ((trust, self.taught), (1.0 - trust, self.drifted)):
+            rank = float(discriminant.projection.shape[1])
+            relative = _beside(discriminant, features)
+            distances = discriminant.distances(features)
+            nearest = distances.min(axis=1)
+            if self.spread is not None and discriminant is self.taught:
+                z = discriminant.project(features)
+                distances = self.spread.distances(z, distances)
+                scores -= weight * self.spread.log_volume
+            distances /= relative[:, None]
+            scores -= weight * 0.5 * (rank + _FREEDOM) * np.log1p(distances / rank)
+            novelty += weight * np.log(nearest / relative + _LEAST_DISTANCE)
+        return scores, novelty
+
+
+def _beside(discriminant: LinearDiscriminant, features: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return (n,): the unit of squared distances, by the mean one in directions beside classes."""
+    n_features, rank = discriminant.projection.shape
+    if n_features == rank:
+        return np.ones(len(features))
+    beside = discriminant.beside(features) / (n_features - rank)
+    return np.asarray((1.0 + beside) ** _BESIDE_POWER, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -36,163 +100,160 @@ class View:
 
     Attributes
     ----------
-    likelihood
+    discriminants
         The classes.
+    means : (C, F) float64
+        Mean features of each class.
+    slopes : (d, F) float64
+        Change of the features with the logarithm of the gain of each gripping pad and, where the
+        view has the opening, with its zero in mm.
     temperature
         Log odds are divided by it.
     novelty
         Detector of objects that were never taught.
     dependence
         How far grasps of one object repeat each other, 0 to 1.
-    drift_discriminant
-        Discriminant of drifts; None where a single object was taught.
-    drift_bias : (G, O) float64
-        Mean log likelihood of each drift in grasps without one that were held out of teaching.
     """
 
-    likelihood: ClassLikelihood
+    discriminants: Discriminants
+    means: NDArray[np.float64]
+    slopes: NDArray[np.float64]
     temperature: float
     novelty: NoveltyDetector
     dependence: float
-    drift_discriminant: DriftDiscriminant | None
-    drift_bias: NDArray[np.float64]
 
     def probabilities(
-        self, rows: FeatureRows, grid: DriftGrid
+        self, features: NDArray[np.float64], *, trust: float, caution: float
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return calibrated probabilities (n, C), and (n,) that the object was never taught."""
-        found = self.likelihood.score(rows, grid.log_prior)
-        return (
-            to_probability(found.scores, self.temperature),
-            self.novelty.probability(found.novelty),
-        )
+        """Return probabilities of the classes (n, C), and that the object is new (n,).
+
+        ``trust`` and ``caution`` as `Discriminants.score` and `NoveltyDetector.probability`.
+        """
+        scores, novelty = self.discriminants.score(features, trust)
+        new = self.novelty.probability(novelty, caution=caution)
+        return to_probability(scores, self.temperature), new
+
+    def drift_step(
+        self, features: NDArray[np.float64], label: int
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the drift that grasps of one class show, (d,), and its covariance (d, d).
+
+        Generalised least squares over the variation of the grasps; they share the object and how
+        it lies, so that many count as little more than one.
+        """
+        taught = self.discriminants.taught
+        assert taught.whitening is not None
+        slopes = self.slopes / taught.scale @ taught.whitening
+        off = (features - self.means[label]) / taught.scale @ taught.whitening
+        spread = max(1.0, float(np.median((off**2).mean(axis=1))))
+        scatter = np.asarray(np.linalg.inv(slopes @ slopes.T), dtype=np.float64)
+        noise = spread * (1.0 + 1.0 / len(off))
+        values: NDArray[np.float64] = scatter @ (slopes @ np.median(off, axis=0))
+        return values, noise * scatter
 
     def to_arrays(self, prefix: str) -> dict[str, NDArray[Any]]:
         """Return everything as plain arrays under names that begin with the prefix."""
-        arrays = {
+        spread = self.discriminants.spread
+        return {
+            **self.discriminants.taught.to_arrays(f"{prefix}taught_"),
+            **self.discriminants.drifted.to_arrays(f"{prefix}drifted_"),
+            f"{prefix}means": self.means,
+            f"{prefix}slopes": self.slopes,
             f"{prefix}temperature": np.array(self.temperature),
-            f"{prefix}dependence": np.array(self.dependence),
-            f"{prefix}drift_bias": self.drift_bias,
-            f"{prefix}senses_drift": np.array(self.drift_discriminant is not None),
-            **self.likelihood.to_arrays(prefix),
+            **({} if spread is None else spread.to_arrays(f"{prefix}spread_")),
             **self.novelty.to_arrays(f"{prefix}novelty_"),
+            f"{prefix}dependence": np.array(self.dependence),
         }
-        if self.drift_discriminant is not None:
-            arrays |= self.drift_discriminant.to_arrays(f"{prefix}drift_")
-        return arrays
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], prefix: str) -> Self:
         """Rebuild from `to_arrays`; KeyError where an array is missing."""
-        discriminant = None
-        if bool(arrays[f"{prefix}senses_drift"]):
-            discriminant = DriftDiscriminant.from_arrays(arrays, f"{prefix}drift_")
         return cls(
-            drift_discriminant=discriminant,
-            drift_bias=arrays[f"{prefix}drift_bias"],
-            likelihood=ClassLikelihood.from_arrays(arrays, prefix),
+            discriminants=Discriminants(
+                taught=LinearDiscriminant.from_arrays(arrays, f"{prefix}taught_"),
+                drifted=LinearDiscriminant.from_arrays(arrays, f"{prefix}drifted_"),
+                spread=ClassSpread.from_arrays(arrays, f"{prefix}spread_"),
+            ),
+            means=arrays[f"{prefix}means"],
+            slopes=arrays[f"{prefix}slopes"],
             temperature=float(arrays[f"{prefix}temperature"]),
             novelty=NoveltyDetector.from_arrays(arrays, f"{prefix}novelty_"),
             dependence=float(arrays[f"{prefix}dependence"]),
         )
 
 
-def fit_view(training: TrainingSet) -> View:
-    """Teach a view. Raises ValueError where the rows do not show how grasps of a class vary."""
-    blocks = blocked_folds(training.classes, _BLOCKS)
-    fits = [fit_class_likelihood(training, ~held_out) for held_out in blocks]
-    reach = _reach(training, blocks, fits)
-    likelihood = replace(fit_class_likelihood(training), reach=reach)
-    found = _held_out_scores(training, blocks, [replace(fit, reach=reach) for fit in fits])
-    scored = np.any(blocks, axis=0)
-    scores, classes = found.scores[scored], training.classes[scored]
-    known, left_out = _leave_out(training, blocks, likelihood.n_novelty_features)
-    temperature = fit_temperature(scores, classes)
-    return View(
-        likelihood=likelihood,
-        temperature=temperature,
-        novelty=fit_novelty_detector(known, left_out, found.novelty[scored]),
-        dependence=fit_dependence(
-            to_probability(scores, temperature),
-            classes,
-            np.argmax(np.stack(blocks), axis=0)[scored],
-        ),
-        drift_discriminant=_drift_discriminant(training),
-        drift_bias=_drift_bias(training, blocks, fits),
-    )
+def fit_view(
+    features: NDArray[np.float64],
+    classes: NDArray[np.int64],
+    slopes: NDArray[np.float64],
+    *,
+    n_pads: int,
+    opening: bool,
+) -> View:
+    """Teach a view.
 
+    Parameters
+    ----------
+    features : (n, F)
+        Finite features of the grasps; rows of one class in the order of time.
+    classes : (n,)
+        Class of each row, 0 to C - 1.
+    slopes : (d, F)
+        As `View.slopes`.
+    n_pads
+        Number of gripping pads, whose gains the first slopes are of.
+    opening
+        Whether the features have the opening; if not, each class has a covariance of its own.
 
-def _held_out_scores(
-    training: TrainingSet, blocks: Sequence[NDArray[np.bool_]], fits: Sequence[ClassLikelihood]
-) -> ClassScores:
-    """Return scores of each grasp by the fit without its block; NaN for grasps in no block."""
-    n = len(training.classes)
-    novelty = np.full((n, fits[0].n_novelty_features), np.nan)
-    scores = np.full((n, training.n_classes), np.nan)
-    for held_out, fit in zip(blocks, fits, strict=True):
-        found = fit.score(training.rows.take(held_out), training.grid.log_prior)
-        scores[held_out], novelty[held_out] = found.scores, found.novelty
-    return ClassScores(scores=scores, novelty=novelty)
-
-
-def _drift_bias(
-    training: TrainingSet, blocks: Sequence[NDArray[np.bool_]], fits: Sequence[ClassLikelihood]
-) -> NDArray[np.float64]:
-    """Return the mean log likelihood (G, O) of drifts in held-out grasps, which have none."""
-    every = -(-len(training.classes) // _DRIFT_GRASPS)
-    drifts = []
-    for held_out, fit in zip(blocks, fits, strict=True):
-        rows = training.rows.take(held_out)
-        few = np.arange(len(rows.tactile)) % every == 0
-        drifts.append(fit.drift_log_likelihood(rows.take(few)))
-    return np.asarray(np.concatenate(drifts).mean(axis=0), dtype=np.float64)
-
-
-def _reach(
-    training: TrainingSet, blocks: Sequence[NDArray[np.bool_]], fits: Sequence[ClassLikelihood]
-) -> float:
-    """Return the median squared distance per axis of held-out grasps to their centres, at least 1.
-
-    By touch alone it is 1: a gain alone hardly turns one object into another.
+    Raises
+    ------
+    ValueError
+        The rows do not show how grasps of a class vary.
     """
-    if len(training.grid.offsets_mm) == 1:
-        return 1.0
-    found = [
-        fit.spread_of(training.features[held_out], training.classes[held_out])
-        for held_out, fit in zip(blocks, fits, strict=True)
-    ]
-    return max(1.0, float(np.median(np.concatenate(found))))
+    n_classes = int(classes.max()) + 1
+    sd = np.array([_NUISANCE_SD[0]] * n_pads + [_NUISANCE_SD[1]])[: len(slopes)]
+    nuisance = np.sqrt(len(slopes)) * sd[:, None] * slopes
 
+    def fit(rows: NDArray[np.bool_]) -> Discriminants:
+        names, numbers = np.unique(classes[rows], return_inverse=True)
+        taught, drifted = (
+            fit_lda(
+                features[rows],
+                numbers,
+                len(names),
+                min_shrinkage=0.0 if opening else _TOUCH_SHRINKAGE,
+                nuisance=added,
+                keep_whitening=True,
+            )
+            for added in (None, nuisance)
+        )
+        spread = None
+        if not opening and len(names) > 1:
+            spread = fit_class_spread(taught.project(features[rows]), numbers, taught.centres)
+        return Discriminants(taught=taught, drifted=drifted, spread=spread)
 
-def _drift_discriminant(training: TrainingSet) -> DriftDiscriminant | None:
-    """Return a discriminant of drifts, from gains and offsets half way to the end of the grid."""
-    rows, (n_gains, n_offsets) = training.rows, training.grid.log_prior.shape
-    gain, offset = n_gains // 2, n_offsets // 2
-    pairs = [(gain + step, offset) for step in (-(gain // 2), gain // 2) if step]
-    pairs += [(gain, offset + step) for step in (-(offset // 2), offset // 2) if step]
-    if not pairs:
-        return None
-    drifted = [np.concatenate([rows.tactile[:, g], rows.aperture[:, o]], axis=1) for g, o in pairs]
-    return fit_drift_discriminant(
-        training.features, np.stack(drifted), training.classes, training.n_classes
-    )
-
-
-def _leave_out(
-    training: TrainingSet, blocks: Sequence[NDArray[np.bool_]], n_features: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Return novelty features of held-out grasps of taught classes, and of left-out classes."""
-    known, left_out = [np.zeros((0, n_features))], [np.zeros((0, n_features))]
-    n_groups = (
-        min(_LEFT_OUT_GROUPS, training.n_classes)
-        if training.n_classes >= _MIN_CLASSES_TO_LEAVE_OUT
-        else 0
-    )
+    every = np.ones(len(classes), dtype=np.bool_)
+    blocks = blocked_folds(classes, _BLOCKS)
+    parts = [fit(~block).score(features[block], 1.0) for block in blocks]
+    rows = np.concatenate([np.flatnonzero(block) for block in blocks])
+    scores, kept = (np.concatenate(found) for found in zip(*parts, strict=True))
+    temperature = fit_temperature(scores, classes[rows])
+    known, new = [np.zeros(0)], [np.zeros(0)]
+    n_groups = min(_LEFT_OUT_GROUPS, n_classes) if n_classes >= _MIN_CLASSES_TO_LEAVE_OUT else 0
     for group in range(n_groups):
-        out = training.classes % n_groups == group
-        held_out = blocks[group % len(blocks)]
-        fit = fit_class_likelihood(training, ~out & ~held_out)
-        for mask, features in ((~out & held_out, known), (out, left_out)):
-            if np.any(mask):
-                features.append(fit.novelty(training.rows.take(mask), training.grid.log_prior))
-    return np.concatenate(known), np.concatenate(left_out)
+        out, block = classes % n_groups == group, blocks[group % len(blocks)]
+        without = fit(~out & ~block)
+        known.append(without.score(features[block & ~out], 1.0)[1])
+        new.append(without.score(features[out], 1.0)[1])
+    block_of = np.repeat(np.arange(len(blocks)), [int(block.sum()) for block in blocks])
+    order = np.argsort(rows)
+    return View(
+        discriminants=fit(every),
+        means=np.stack([features[classes == c].mean(axis=0) for c in range(n_classes)]),
+        slopes=slopes,
+        temperature=temperature,
+        novelty=fit_novelty_detector(np.concatenate(known), np.concatenate(new), kept),
+        dependence=fit_dependence(
+            to_probability(scores, temperature)[order], classes[rows][order], block_of[order]
+        ),
+    )

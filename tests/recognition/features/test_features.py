@@ -5,7 +5,7 @@ import pytest
 
 from recognition.features.aperture import aperture_features
 from recognition.features.footprint import describe_footprint, pad_grid, pressed
-from recognition.features.patch import harmonic_features, profile_features, surface_features
+from recognition.features.patch import harmonic_features, profile_features
 from recognition.ramp.levels import load_levels
 from recognition.ramp.ramp import learn_rest
 
@@ -49,9 +49,6 @@ def test_shape_does_not_change_when_the_patch_moves_or_turns(grid, turn, at):
     moved = describe_footprint(patch(grid, turn=turn, at=at), QUIET, grid)
     for name in ("log_load", "log_extent", "log_axes", "tails", "harmonics"):
         assert getattr(moved, name) == pytest.approx(getattr(still, name), abs=0.12), name
-    assert surface_features(patch(grid, turn=turn, at=at), QUIET, grid) == pytest.approx(
-        surface_features(patch(grid), QUIET, grid), abs=0.06
-    )
     assert answers(patch(grid, turn=turn, at=at), grid) == pytest.approx(
         answers(patch(grid), grid), abs=0.02
     )
@@ -69,9 +66,6 @@ def test_gain_moves_the_load_and_leaves_the_form(grid):
     strong = describe_footprint(patch(grid, height=0.6), QUIET, grid)
     assert strong.log_load - weak.log_load == pytest.approx(np.log(2), abs=0.05)
     assert strong.log_axes == pytest.approx(weak.log_axes, abs=0.05)
-    assert surface_features(patch(grid, height=0.3), QUIET, grid) == pytest.approx(
-        surface_features(patch(grid, height=0.6), QUIET, grid), abs=0.05
-    )
     assert answers(patch(grid, height=0.3), grid) == pytest.approx(
         answers(patch(grid, height=0.6), grid), abs=0.02
     )
@@ -88,7 +82,6 @@ def test_an_empty_pad_gives_finite_numbers(grid):
     for name in ("log_load", "log_extent", "log_axes", "tails", "harmonics", "profile"):
         assert np.all(np.isfinite(getattr(f, name))), name
     assert np.all(np.isfinite(profile_features(nothing, QUIET, grid)))
-    assert np.all(np.isfinite(surface_features(nothing, QUIET, grid)))
     assert np.all(np.isfinite(harmonic_features(nothing, QUIET, grid)))
 
 

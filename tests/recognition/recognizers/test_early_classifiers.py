@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from recognition.drift.drift import drift_grid
+from recognition.drift.drift import Drift
 from recognition.ramp.running_load import RunningLoad, load_so_far
 from recognition.recognizer import Posterior
 from recognition.recognizers import make_trainer
@@ -129,9 +129,9 @@ def test_heads_follow_the_drift_that_the_whole_ramps_show(train, early):
     few = [g for g in train if g.label == label][:3] + [g for g in train if g.label != label][:3]
     two = [replace(g, label="one" if g.label == label else "other") for g in few]
     whole = make_trainer("force_ramp", use_aperture=False).fit(two)
-    drifted = replace(whole, grid=drift_grid(share=0.5))
+    drifted = whole.expecting(Drift(gains=(0.8,)), gauged=True)
     early_classifiers = replace(early.early, recognizers=(whole, whole))
-    assert [one.grid for one in early_classifiers.with_drift_of(drifted).recognizers] == [
-        drifted.grid
-    ] * 2
+    for one in early_classifiers.with_drift_of(drifted).recognizers:
+        assert one.drift_estimate is drifted.drift_estimate
+        assert one.gauged
     assert early.early.with_drift_of(early.whole) is early.early

@@ -54,6 +54,7 @@ def calibrate(
     from cell.jobs.common import job_folder
     from cell.jobs.teach import teach as teach_object
     from cell.learning.model import load_model
+    from recognition.drift.drift import drift_text
 
     if model is None:
         raise ConfigError("--model is missing; `tactile-cell train` makes one")
@@ -64,11 +65,7 @@ def calibrate(
         taken = list(read_grasps(dataset))
         corrected, drift = follow_shift(loaded, taken)
         _write(output, corrected, loaded, None, len(taken), drift, json_file)
-        offset_mm = drift.aperture_offset_m * 1e3
-        print_line(
-            f"{len(taken)} grasps of a shift: gain {drift.gain:.2f}, opening {offset_mm:+.1f} mm: "
-            f"{output}"
-        )
+        print_line(f"{len(taken)} grasps of a shift: {drift_text(drift)}: {output}")
         return
     if dataset is not None:
         loaded = load_model(model)
@@ -92,16 +89,15 @@ def calibrate(
         corrected,
         loaded,
         gauge,
-        found.n_grasps,
+        len(taken),
         found.drift,
         json_file,
         log_gain_sd=found.log_gain_sd,
         aperture_sd_mm=found.offset_sd_m * 1e3,
     )
-    gain, offset_mm = found.drift.gain, found.drift.aperture_offset_m * 1e3
     print_line(
-        f"{found.n_grasps} grasps of {gauge}: gain {gain:.2f} (+-{100 * found.log_gain_sd:.0f} %), "
-        f"opening {offset_mm:+.1f} mm (+-{found.offset_sd_m * 1e3:.1f}): {output}"
+        f"{len(taken)} grasps of {gauge}: {drift_text(found.drift)} "
+        f"(+-{100 * found.log_gain_sd:.0f} %, +-{found.offset_sd_m * 1e3:.1f} mm): {output}"
     )
 
 
@@ -133,6 +129,7 @@ def _write(
 ) -> None:
     from cell.interfaces.cli.terminal import write_json
     from cell.learning.model import save_model
+    from recognition.drift.drift import drift_values
 
     save_model(
         output,
@@ -147,8 +144,7 @@ def _write(
             "model": str(output),
             "gauge": gauge,
             "n_grasps": n_grasps,
-            "gain": drift.gain,
-            "aperture_mm": drift.aperture_offset_m * 1e3,
+            **drift_values(drift),
             **spread,
         },
     )

@@ -105,10 +105,6 @@ def _figure(value: float, digits: int) -> str:
     return "-" if math.isnan(value) else f"{value:.{digits}f}"
 
 
-def _in_words(drift: "Drift") -> str:
-    return f"gain {drift.gain:.2f}, opening {drift.aperture_offset_m * 1e3:+.1f} mm"
-
-
 def _drift(text: str | None) -> "Drift":
     from cell.errors import ConfigError
     from recognition.drift.drift import NO_DRIFT, parse_drift
@@ -125,23 +121,24 @@ def _print_evaluation(result: "EvaluationResult") -> None:
     from rich.table import Table
 
     from cell.interfaces.cli.terminal import out, percent, print_line
-    from recognition.drift.drift import NO_DRIFT
+    from recognition.drift.drift import NO_DRIFT, drift_text
 
     print_line(
         f"{result.split}: {result.n_train} grasps to train, {result.n_test} to test, "
         f"{len(result.labels)} objects"
     )
     if result.drift != NO_DRIFT:
-        print_line(f"drift of the tested grasps: {_in_words(result.drift)}")
+        print_line(f"drift of the tested grasps: {drift_text(result.drift)}")
     if result.gauged is not None:
-        found = _in_words(result.gauged.drift)
-        print_line(f"gauged with {result.gauged.n_grasps} grasps of {result.gauge}: {found}")
+        found = drift_text(result.gauged.drift)
+        print_line(f"gauged with {result.n_gauged} grasps of {result.gauge}: {found}")
     fused = sorted({k for f in result.recognizers.values() for k in f.full.fused_accuracy} - {1})
     table = Table(header_style="bold")
     table.add_column("recogniser", no_wrap=True)
     table.add_column("one grasp (95 %)", justify="right", no_wrap=True)
     for k in fused:
         table.add_column(f"{k} fused", justify="right", no_wrap=True)
+    table.add_column("named, wrong", justify="right", no_wrap=True)
     table.add_column("AUROC", justify="right", no_wrap=True)
     for name, figures in result.recognizers.items():
         rows = [(name, figures.full)]
@@ -153,10 +150,14 @@ def _print_evaluation(result: "EvaluationResult") -> None:
                 shown,
                 f"{100 * evaluation.single_accuracy:.1f} ({100 * low:.1f}-{100 * high:.1f})",
                 *(_figure(100 * evaluation.fused_accuracy[k], 1) for k in fused),
+                f"{100 * evaluation.named_right:.1f}, {100 * evaluation.named_wrong:.1f}",
                 _figure(evaluation.unknown_auroc, 3),
             )
     out.print(table)
-    print_line("per cent right; AUROC: how well objects left out of teaching are set apart")
+    print_line(
+        "per cent right, whatever the probability of a new object; named, wrong: per cent that one"
+        " grasp names rightly and wrongly; AUROC: how well objects left out of teaching are found"
+    )
     if any(math.isnan(f.full.unknown_auroc) for f in result.recognizers.values()):
         print_line(
             f"-: not measured; AUROC leaves out one object and teaches the others, which takes "

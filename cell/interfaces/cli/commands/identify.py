@@ -1,5 +1,6 @@
 """`identify`: names the object in the grip, or the objects of recorded grasps."""
 
+from dataclasses import replace
 from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -64,7 +65,7 @@ def identify(
             raise ConfigError(
                 "--fault is for the simulated cell; recorded grasps are what they are"
             )
-        _identify_recorded(model, dataset, read_shape, follow=follow, json_file=json_file)
+        _identify_recorded(checked, model, dataset, read_shape, follow=follow, json_file=json_file)
         return
     if follow:
         raise ConfigError("--follow is for recorded grasps; a cell that grasps one object has none")
@@ -73,6 +74,7 @@ def identify(
 
 
 def _identify_recorded(
+    config: "CellConfig",
     model: Path,
     dataset: Path,
     read_shape: "ReadShape | None",
@@ -84,11 +86,14 @@ def _identify_recorded(
     from cell.errors import ModelError
     from cell.interfaces.cli.terminal import percent, print_line, write_json
     from cell.jobs.identify import identify_recorded
-    from cell.learning.drift import DriftTracker, drift_text
+    from cell.learning.drift import DriftTracker
     from cell.learning.model import load_model
     from cell.learning.shapes import NO_SHAPE
+    from cell.learning.training import with_caution
+    from recognition.drift.drift import drift_text
 
     loaded = load_model(model)
+    loaded = replace(loaded, recognizer=with_caution(loaded.recognizer, config.recognition))
     recorded = read_grasps(dataset)
     tracker = DriftTracker(loaded.recognizer)
     if follow and not tracker.follows:
@@ -129,7 +134,7 @@ def _identify_held(
     from cell.interfaces.cli.terminal import percent, print_line, progress_bar, write_json
     from cell.jobs.common import job_folder
     from cell.jobs.identify import identify_on_cell
-    from cell.learning.drift import drift_values
+    from cell.learning.drift import estimate_values
     from cell.learning.model import load_model
     from cell.learning.shapes import NO_SHAPE, beside
     from cell.learning.taught_model import TaughtModel
@@ -154,6 +159,8 @@ def _identify_held(
     was = f" (it was {truth})" if truth else ""
     felt = beside(found.label, found.shape)
     print_line(f"answer: {found.label} {percent(found.probabilities[found.label])}{felt}{was}")
+    if found.fused.occasion:
+        print_line(f"trust in the sensors: {found.fused.occasion}")
     write_json(
         json_file,
         {
@@ -162,10 +169,11 @@ def _identify_held(
             "probabilities": found.probabilities,
             "unknown": found.fused.unknown,
             "n_grasps": len(found.posteriors),
+            "occasion": found.fused.occasion,
             "shape": _plain(found.shape),
             "shapes": [_plain(shape) for shape in found.shapes],
             "ramps": [record.ramp_as_json() for record in found.records],
-            "drift": None if found.drift is None else drift_values(found.drift),
+            "drift": None if found.drift is None else estimate_values(found.drift),
             "held": truth,
             "recording": str(recording),
         },

@@ -1,0 +1,83 @@
+"""Class spread: a covariance for each class, between its own grasps and what all classes share."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+_PRIOR_GRASPS = 15.0
+"""Weight of the shared covariance in that of a class, in grasps."""
+_MOST_AXES = 48
+"""Axes that are taken into account, those that separate best: more cost time and memory."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ClassSpread:
+    """Covariances of C classes in a space where the one that all share is the identity.
+
+    Attributes
+    ----------
+    centres : (C, k) float64
+        The classes along the first k axes.
+    precision : (C, k, k) float64
+        Inverse of the covariance of each class along these axes.
+    log_volume : (C,) float64
+        Half the logarithm of its determinant.
+    """
+
+    centres: NDArray[np.float64]
+    precision: NDArray[np.float64]
+    log_volume: NDArray[np.float64]
+
+    def distances(self, z: NDArray[np.float64], plain: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (n, C) squared distances of points to the classes, by the covariance of each.
+
+        `z` (n, r) are the points, `plain` (n, C) their squared distances by the shared covariance.
+        """
+        off = z[:, None, : self.centres.shape[1]] - self.centres
+        own = np.einsum("nci,cij,ncj->nc", off, self.precision, off, optimize=True)
+        return np.asarray(np.maximum(plain - (off**2).sum(axis=-1) + own, 0.0), dtype=np.float64)
+
+    def to_arrays(self, prefix: str) -> dict[str, NDArray[Any]]:
+        """Return everything as plain arrays under names that begin with the prefix."""
+        return {
+            f"{prefix}centres": self.centres,
+            f"{prefix}precision": self.precision,
+            f"{prefix}log_volume": self.log_volume,
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], prefix: str) -> Self | None:
+        """Rebuild from `to_arrays`; None where there is none, KeyError where a part is missing."""
+        if f"{prefix}centres" not in arrays:
+            return None
+        return cls(
+            centres=arrays[f"{prefix}centres"],
+            precision=arrays[f"{prefix}precision"],
+            log_volume=arrays[f"{prefix}log_volume"],
+        )
+
+
+def fit_class_spread(
+    z: NDArray[np.float64], classes: NDArray[np.int64], centres: NDArray[np.float64]
+) -> ClassSpread:
+    """Return the spread of points z (n, r) with classes (n,) about their centres (C, r)."""
+    centres = centres[:, :_MOST_AXES]
+    off = z[:, : centres.shape[1]] - centres[classes]
+    # Taught grasps lie closer to their centre than others will; only the form counts here.
+    off = off / max(float(np.sqrt((off**2).mean())), 1e-6)
+    shared = _PRIOR_GRASPS * np.eye(centres.shape[1])
+    covariance = np.stack(
+        [
+            (shared + off[classes == c].T @ off[classes == c])
+            / (_PRIOR_GRASPS + np.count_nonzero(classes == c))
+            for c in range(len(centres))
+        ]
+    )
+    return ClassSpread(
+        centres=centres,
+        precision=np.linalg.inv(covariance),
+        log_volume=0.5 * np.linalg.slogdet(covariance)[1],
+    )
