@@ -177,13 +177,14 @@ class GripControl:
             moment.dt_s, setpoint_n, setpoint_n if arrival_n is None else arrival_n
         )
         speed_m_s = 0.5 * abs(state.aperture_velocity_m_s)
+        friction_n = self._friction_share * sum(path.friction_n for path in paths) / len(paths)
         self._drive_n = self._controller.step(
             moment.now_s,
             moment.dt_s,
             filtered_n,
             sample,
-            friction_n=self._friction_share * sum(path.friction_n for path in paths) / len(paths),
-            braking_n=self._braking_n(state),
+            friction_n=friction_n,
+            braking_n=self._braking_n(state, friction_n),
             motion_n=self._settings.force_loop.motion_doubt_n_s_m * speed_m_s,
             drive_max_n=self._drive_max_n(state, paths),
             taper=taper,
@@ -251,12 +252,22 @@ class GripControl:
             self._runaway_m = state.aperture_m
         return self._runaway_m - state.aperture_m >= self._settings.runaway_travel_m
 
-    def _braking_n(self, state: GripperState) -> float:
-        """Return what the drive is lowered by, in N, because the fingers run ahead."""
+    def _braking_n(self, state: GripperState, friction_n: float) -> float:
+        """Return what the drive is lowered by, in N, because the fingers run ahead.
+
+        Fingers that lag behind are driven on by no more than the square wave on the drive: a
+        stiffness that is far too small, as from pads that fail on the approach, makes the speed
+        that the ramp needs as large as can be.
+        """
+        tuning = self._settings.force_loop
         stiffness_n_m = self._stiffness.stiffness_n_m
         wanted_m_s = 0.0 if stiffness_n_m is None else self._filter.rate_n_s / stiffness_n_m
-        ahead_m_s = -state.aperture_velocity_m_s - wanted_m_s
-        return self._settings.force_loop.damping_n_s_m * 0.5 * ahead_m_s
+        closing_m_s = -state.aperture_velocity_m_s
+        reached_m_s = min(max(wanted_m_s, min(closing_m_s, 0.0)), max(closing_m_s, 0.0))
+        damping_n_s_m = 0.5 * tuning.damping_n_s_m
+        lag_n = damping_n_s_m * (wanted_m_s - reached_m_s)
+        most_n = tuning.dither_share * friction_n
+        return damping_n_s_m * (closing_m_s - reached_m_s) - min(max(lag_n, -most_n), most_n)
 
     def _drive_max_n(self, state: GripperState, paths: Sequence[Transmission]) -> float:
         """Return the largest driving force in N that the caps of current and force allow.

@@ -1,8 +1,9 @@
-"""Goals of a grip whose position drifts: pads and current show that the part is held."""
+"""Goals of a grip: drifting positions, wrong stiffness, fingers that run ahead."""
 
 import pytest
 
 from gripper.errors import PartLost, PartSlipped, PositionContradicted, fingers_left
+from gripper.force.grip_control import StiffnessEstimate
 from gripper.force.ramp import ForceRamp
 from gripper.state import GraspResult, GripperPhase
 
@@ -66,3 +67,14 @@ def test_a_part_that_is_taken_is_lost_and_no_contradiction(cell) -> None:
     cell.part.present = False
     with pytest.raises(PartLost, match="slipped out or was taken"):
         cell.gripper.hold(2.0)
+
+
+def test_a_stiffness_that_is_far_too_small_drives_no_force_beyond_the_ramp(
+    cell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A pad that showed a force before it touched makes a stiff part look like foam."""
+    monkeypatch.setattr(StiffnessEstimate, "stiffness_n_m", 136.0)
+    cell.gripper.start()
+    outcome = cell.gripper.grasp(ForceRamp.linear(6.0, rate_n_s=20.0, hold_s=0.3))
+    assert outcome.result is GraspResult.FORCE_REACHED
+    assert cell.peak_n < 7.0
