@@ -108,6 +108,8 @@ def test_an_interrupt_that_turns_into_another_error_is_an_interrupt() -> None:
     program = (
         "import signal, sys, types\n"
         "from cell.interfaces.cli import main\n"
+        # A shell that runs the tests in the background has them inherit SIGINT as ignored.
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"
         "def run():\n"
         "    try:\n"
         "        signal.raise_signal(signal.SIGINT)\n"
