@@ -38,6 +38,7 @@ from gripper.errors import (
     ForceSensorStale,
     GripperError,
     LimitExceeded,
+    ServoFault,
 )
 from tactile.errors import LinkFault, TactileError
 
@@ -173,7 +174,6 @@ SMALL = (
     "servos-flip-0.01-always",
     "servos-lag",
     "servos-noise-0.001-byte",
-    "servos-repeat_late-0.0095",
     "can-flip-1",
     "can-drop-0.0005-always",
 )
@@ -317,6 +317,8 @@ class Bench:
                 break
             try:
                 self._plugin = TactileCellPlugin(self._config, model=self._model)
+                if self._plugin.state() != "IDLE" and left:
+                    self._let_go(self._plugin)
             except (*SLOW_ERRORS, PartInGrip):
                 if not left:
                     raise
@@ -336,10 +338,10 @@ class Bench:
         try:
             for left in reversed(range(TRIES)):
                 try:
-                    plugin.clear(JOB_S)
+                    plugin.clear(JOB_S, reboot=left == 0)
                     plugin.release(JOB_S)
                     break
-                except SLOW_ERRORS:
+                except (*SLOW_ERRORS, ServoFault):
                     if not left:
                         raise
         finally:
