@@ -277,7 +277,8 @@ def fault_response(
                 servos.hold_position()
             elif not stops:
                 servos.freeze()
-        servos.disarm_each(but=unconfirmed)
+        with suppress(GripperError):
+            servos.disarm_watchdog(but=unconfirmed)
     if unconfirmed:
         return FingersLeft.UNCONFIRMED
     return FingersLeft.ONE_SIDED if one_sided else FingersLeft.STOPPED

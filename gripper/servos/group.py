@@ -252,26 +252,19 @@ class ServoGroup:
         self._hold_present_position(current_a)
         self._arm_watchdog()
 
-    def disarm_watchdog(self) -> None:
-        """Disarm, or clear after a trip, the bus watchdog of each servo (register 98).
+    def disarm_watchdog(self, *, but: Sequence[int] = ()) -> None:
+        """Disarm, or clear after a trip, the bus watchdog of each servo (register 98) but some.
 
         An error is raised when all servos were tried: a silent one does not hinder the other.
         """
         failed: GripperError | None = None
-        for servo_id in self._ids:
+        for servo_id in (servo_id for servo_id in self._ids if servo_id not in but):
             try:
                 self._bus.write(servo_id, BUS_WATCHDOG, 0)
             except GripperError as error:
                 failed = failed or error
         if failed is not None:
             raise failed
-
-    def disarm_each(self, *, but: Sequence[int] = ()) -> None:
-        """Disarm the bus watchdog of every servo that answers, with exceptions."""
-        for servo_id in self._ids:
-            if servo_id not in but:
-                with suppress(GripperError):
-                    self._bus.write(servo_id, BUS_WATCHDOG, 0)
 
     def switch_off(self) -> None:
         """Disarm the watchdog and switch the torque off."""
@@ -286,7 +279,8 @@ class ServoGroup:
         for servo_id in self._ids:
             with suppress(GripperError):
                 self._bus.write(servo_id, TORQUE_ENABLE, 0)
-        self.disarm_each()
+        with suppress(GripperError):
+            self.disarm_watchdog()
 
     def reboot(self, ids: Sequence[int]) -> None:
         """Reboot servos one after the other and wait until each answers; a part is let go.

@@ -103,9 +103,6 @@ def fit_lda(
     *,
     shrinkage: float | None = None,
     min_shrinkage: float = 0.0,
-    n_independent: int | None = None,
-    weight: NDArray[np.float64] | None = None,
-    max_rank: int | None = None,
     nuisance: NDArray[np.float64] | None = None,
     keep_whitening: bool = False,
 ) -> LinearDiscriminant:
@@ -124,13 +121,6 @@ def fit_lda(
         shrinkage (Chen et al. 2010, eq. 23).
     min_shrinkage
         The least share where it is not given.
-    n_independent
-        Number of independent rows where others are variations of them; None for all.
-    weight : (n,)
-        How much each row counts, above 0; None for all alike.
-    max_rank
-        The most axes r of the discriminant space, those that separate best; None for as many as
-        the means of the classes span. A single class keeps all.
     nuisance : (m, F)
         Deviations that the rows do not show; the mean of their squares adds to the covariance.
     keep_whitening
@@ -148,17 +138,15 @@ def fit_lda(
             f"{n} grasps of {n_classes} objects do not show how grasps of one object vary: "
             "teach each object at least three times"
         )
-    weight = np.ones(n) if weight is None else weight
-    means = _class_means(features, classes, n_classes, weight)
-    within = (features - means[classes]) * np.sqrt(weight)[:, None]
+    means = _class_means(features, classes, n_classes)
+    within = features - means[classes]
     mean = means.mean(axis=0)
-    freedom = float(weight.sum()) * (1.0 - n_classes / n)
+    freedom = float(n - n_classes)
     scale = _units(features, within, freedom, nuisance)
     within = within / scale
     covariance = within.T @ within / freedom
     if shrinkage is None:
-        independent = n if n_independent is None else n_independent
-        rho = max(min_shrinkage, _oas(covariance, max(1, independent - n_classes)))
+        rho = max(min_shrinkage, _oas(covariance, n - n_classes))
     else:
         rho = float(shrinkage)
     if nuisance is not None:
@@ -176,7 +164,7 @@ def fit_lda(
         projection, centres = whitening, np.zeros((1, n_features))
     else:
         offsets = (means - mean) / scale
-        projection = _separating_axes(lower, offsets, max_rank)
+        projection = _separating_axes(lower, offsets)
         centres = offsets @ projection
     return LinearDiscriminant(
         mean=mean,
@@ -191,11 +179,10 @@ def _class_means(
     features: NDArray[np.float64],
     classes: NDArray[np.int64],
     n_classes: int,
-    weight: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Return the weighted mean of each class, (C, F)."""
+    """Return the mean of each class, (C, F)."""
     members = np.zeros((n_classes, len(features)))
-    members[classes, np.arange(len(features))] = weight
+    members[classes, np.arange(len(features))] = 1.0
     means: NDArray[np.float64] = (members @ features) / members.sum(axis=1)[:, None]
     return means
 
@@ -217,7 +204,7 @@ def _units(
 
 
 def _separating_axes(
-    lower: NDArray[np.float64], offsets: NDArray[np.float64], max_rank: int | None
+    lower: NDArray[np.float64], offsets: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Return the projection (F, r) onto the space of the class means, its axes independent.
 
@@ -226,8 +213,7 @@ def _separating_axes(
     whitened = solve_triangular(lower, offsets.T, lower=True)
     left, singular, _ = np.linalg.svd(whitened, full_matrices=False)
     rank = int(np.sum(singular > _RANK_TOLERANCE * max(float(singular[0]), 1e-300)))
-    axes = left[:, : rank if max_rank is None else min(rank, max_rank)]
-    projection: NDArray[np.float64] = solve_triangular(lower, axes, lower=True, trans="T")
+    projection: NDArray[np.float64] = solve_triangular(lower, left[:, :rank], lower=True, trans="T")
     return projection
 
 

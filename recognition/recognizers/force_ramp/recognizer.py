@@ -142,7 +142,7 @@ class ForceRamp:
 
     def with_drift(self, found: DriftEstimate) -> "ForceRamp":
         """Return a copy that expects the gauged drift."""
-        return replace(self, drift_estimate=self._untracked(found.drift), gauged=True)
+        return self.expecting(found.drift, gauged=True)
 
     def expecting(self, drift: Drift, *, gauged: bool) -> "ForceRamp":
         """Return a copy that expects a drift and has tracked no grasps."""

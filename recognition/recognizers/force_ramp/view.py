@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from recognition.statistics.calibration import blocked_folds, fit_temperature, to_probability
 from recognition.statistics.class_spread import ClassSpread, fit_class_spread
 from recognition.statistics.fusion import fit_dependence
-from recognition.statistics.lda import LinearDiscriminant, fit_lda
+from recognition.statistics.lda import LinearDiscriminant, fit_lda, squared_distances
 from recognition.statistics.novelty import NoveltyDetector, fit_novelty_detector
 
 _FREEDOM = 3.0
@@ -42,56 +42,48 @@ _MIN_CLASSES_TO_LEAVE_OUT = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Discriminants:
-    """The classes without and with drift as a nuisance.
+class ClassModel:
+    """The classes under one covariance.
 
     Attributes
     ----------
-    taught, drifted
-        The two discriminants.
+    discriminant
+        The classes, its whitening kept.
     spread
-        The covariance of each class in the first one, by touch alone: there the variation of an
-        object separates it from others. With the opening it would only fit the series that
+        The covariance of each class beside the shared one, by touch alone: there the variation of
+        an object separates it from others. With the opening it would only fit the series that
         taught.
     """
 
-    taught: LinearDiscriminant
-    drifted: LinearDiscriminant
-    spread: ClassSpread | None
+    discriminant: LinearDiscriminant
+    spread: ClassSpread | None = None
 
     def score(
-        self, features: NDArray[np.float64], trust: float
+        self, features: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return scores (n, C) and the novelty (n,) of grasps with features (n, F).
 
-        ``trust`` from 0 to 1 is the weight of the discriminant without drift. Scores are log
-        likelihoods up to a constant of the grasp; the novelty is the logarithm of the squared
-        distance to the nearest class.
+        Scores are log likelihoods up to a constant of the grasp; the novelty is the logarithm of
+        the squared distance to the nearest class.
         """
-        scores = np.zeros((len(features), len(self.taught.centres)))
-        novelty = np.zeros(len(features))
-        for weight, discriminant in ((trust, self.taught), (1.0 - trust, self.drifted)):
-            rank = float(discriminant.projection.shape[1])
-            relative = _beside(discriminant, features)
-            distances = discriminant.distances(features)
-            nearest = distances.min(axis=1)
-            if self.spread is not None and discriminant is self.taught:
-                z = discriminant.project(features)
-                distances = self.spread.distances(z, distances)
-                scores -= weight * self.spread.log_volume
-            distances /= relative[:, None]
-            scores -= weight * 0.5 * (rank + _FREEDOM) * np.log1p(distances / rank)
-            novelty += weight * np.log(nearest / relative + _LEAST_DISTANCE)
-        return scores, novelty
+        z = self.discriminant.project(features)
+        distances = squared_distances(z, self.discriminant.centres)
+        unit = self._unit(features)
+        novelty = np.log(distances.min(axis=1) / unit + _LEAST_DISTANCE)
+        log_volume: NDArray[np.float64] | float = 0.0
+        if self.spread is not None:
+            distances, log_volume = self.spread.distances(z, distances), self.spread.log_volume
+        rank = z.shape[1]
+        tails = np.log1p(distances / unit[:, None] / rank)
+        return -0.5 * (rank + _FREEDOM) * tails - log_volume, novelty
 
-
-def _beside(discriminant: LinearDiscriminant, features: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (n,): the unit of squared distances, by the mean one in directions beside classes."""
-    n_features, rank = discriminant.projection.shape
-    if n_features == rank:
-        return np.ones(len(features))
-    beside = discriminant.beside(features) / (n_features - rank)
-    return np.asarray((1.0 + beside) ** _BESIDE_POWER, dtype=np.float64)
+    def _unit(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return (n,): the unit of squared distances, by the mean one beside the classes."""
+        n_features, rank = self.discriminant.projection.shape
+        if n_features == rank:
+            return np.ones(len(features))
+        beside = self.discriminant.beside(features) / (n_features - rank)
+        return np.asarray((1.0 + beside) ** _BESIDE_POWER, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -100,8 +92,10 @@ class View:
 
     Attributes
     ----------
-    discriminants
-        The classes.
+    taught
+        The classes with the variation of the taught grasps.
+    drifted
+        The same with drift as a nuisance.
     means : (C, F) float64
         Mean features of each class.
     slopes : (d, F) float64
@@ -115,7 +109,8 @@ class View:
         How far grasps of one object repeat each other, 0 to 1.
     """
 
-    discriminants: Discriminants
+    taught: ClassModel
+    drifted: ClassModel
     means: NDArray[np.float64]
     slopes: NDArray[np.float64]
     temperature: float
@@ -127,9 +122,13 @@ class View:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return probabilities of the classes (n, C), and that the object is new (n,).
 
-        ``trust`` and ``caution`` as `Discriminants.score` and `NoveltyDetector.probability`.
+        ``trust`` from 0 to 1 is the weight of the classes without drift, ``caution`` as in
+        `NoveltyDetector.probability`.
         """
-        scores, novelty = self.discriminants.score(features, trust)
+        scores, novelty = self.taught.score(features)
+        if trust < 1.0:
+            pooled = zip((scores, novelty), self.drifted.score(features), strict=True)
+            scores, novelty = (trust * one + (1.0 - trust) * other for one, other in pooled)
         new = self.novelty.probability(novelty, caution=caution)
         return to_probability(scores, self.temperature), new
 
@@ -141,7 +140,7 @@ class View:
         Generalised least squares over the variation of the grasps; they share the object and how
         it lies, so that many count as little more than one.
         """
-        taught = self.discriminants.taught
+        taught = self.taught.discriminant
         assert taught.whitening is not None
         slopes = self.slopes / taught.scale @ taught.whitening
         off = (features - self.means[label]) / taught.scale @ taught.whitening
@@ -153,10 +152,10 @@ class View:
 
     def to_arrays(self, prefix: str) -> dict[str, NDArray[Any]]:
         """Return everything as plain arrays under names that begin with the prefix."""
-        spread = self.discriminants.spread
+        spread = self.taught.spread
         return {
-            **self.discriminants.taught.to_arrays(f"{prefix}taught_"),
-            **self.discriminants.drifted.to_arrays(f"{prefix}drifted_"),
+            **self.taught.discriminant.to_arrays(f"{prefix}taught_"),
+            **self.drifted.discriminant.to_arrays(f"{prefix}drifted_"),
             f"{prefix}means": self.means,
             f"{prefix}slopes": self.slopes,
             f"{prefix}temperature": np.array(self.temperature),
@@ -169,10 +168,12 @@ class View:
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], prefix: str) -> Self:
         """Rebuild from `to_arrays`; KeyError where an array is missing."""
         return cls(
-            discriminants=Discriminants(
-                taught=LinearDiscriminant.from_arrays(arrays, f"{prefix}taught_"),
-                drifted=LinearDiscriminant.from_arrays(arrays, f"{prefix}drifted_"),
+            taught=ClassModel(
+                discriminant=LinearDiscriminant.from_arrays(arrays, f"{prefix}taught_"),
                 spread=ClassSpread.from_arrays(arrays, f"{prefix}spread_"),
+            ),
+            drifted=ClassModel(
+                discriminant=LinearDiscriminant.from_arrays(arrays, f"{prefix}drifted_")
             ),
             means=arrays[f"{prefix}means"],
             slopes=arrays[f"{prefix}slopes"],
@@ -214,27 +215,25 @@ def fit_view(
     sd = np.array([_NUISANCE_SD[0]] * n_pads + [_NUISANCE_SD[1]])[: len(slopes)]
     nuisance = np.sqrt(len(slopes)) * sd[:, None] * slopes
 
-    def fit(rows: NDArray[np.bool_]) -> Discriminants:
+    def teach(rows: NDArray[np.bool_], nuisance: NDArray[np.float64] | None = None) -> ClassModel:
         names, numbers = np.unique(classes[rows], return_inverse=True)
-        taught, drifted = (
-            fit_lda(
-                features[rows],
-                numbers,
-                len(names),
-                min_shrinkage=0.0 if opening else _TOUCH_SHRINKAGE,
-                nuisance=added,
-                keep_whitening=True,
-            )
-            for added in (None, nuisance)
+        discriminant = fit_lda(
+            features[rows],
+            numbers,
+            len(names),
+            min_shrinkage=0.0 if opening else _TOUCH_SHRINKAGE,
+            nuisance=nuisance,
+            keep_whitening=True,
         )
         spread = None
-        if not opening and len(names) > 1:
-            spread = fit_class_spread(taught.project(features[rows]), numbers, taught.centres)
-        return Discriminants(taught=taught, drifted=drifted, spread=spread)
+        if nuisance is None and not opening and len(names) > 1:
+            projected = discriminant.project(features[rows])
+            spread = fit_class_spread(projected, numbers, discriminant.centres)
+        return ClassModel(discriminant=discriminant, spread=spread)
 
     every = np.ones(len(classes), dtype=np.bool_)
     blocks = blocked_folds(classes, _BLOCKS)
-    parts = [fit(~block).score(features[block], 1.0) for block in blocks]
+    parts = [teach(~block).score(features[block]) for block in blocks]
     rows = np.concatenate([np.flatnonzero(block) for block in blocks])
     scores, kept = (np.concatenate(found) for found in zip(*parts, strict=True))
     temperature = fit_temperature(scores, classes[rows])
@@ -242,13 +241,14 @@ def fit_view(
     n_groups = min(_LEFT_OUT_GROUPS, n_classes) if n_classes >= _MIN_CLASSES_TO_LEAVE_OUT else 0
     for group in range(n_groups):
         out, block = classes % n_groups == group, blocks[group % len(blocks)]
-        without = fit(~out & ~block)
-        known.append(without.score(features[block & ~out], 1.0)[1])
-        new.append(without.score(features[out], 1.0)[1])
+        without = teach(~out & ~block)
+        known.append(without.score(features[block & ~out])[1])
+        new.append(without.score(features[out])[1])
     block_of = np.repeat(np.arange(len(blocks)), [int(block.sum()) for block in blocks])
     order = np.argsort(rows)
     return View(
-        discriminants=fit(every),
+        taught=teach(every),
+        drifted=teach(every, nuisance),
         means=np.stack([features[classes == c].mean(axis=0) for c in range(n_classes)]),
         slopes=slopes,
         temperature=temperature,
