@@ -18,6 +18,7 @@ BENCHMARKS = {
         "virtual_time",
     ),
     "recognition": (
+        "caution",
         "drawing",
         "drift",
         "early_end",
