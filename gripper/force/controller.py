@@ -359,6 +359,11 @@ class History:
         """Add the value of now."""
         self._entries.append((now_s, value))
 
+    @property
+    def newest(self) -> float:
+        """The value that was added last."""
+        return self._entries[-1][1]
+
     def at(self, t_s: float) -> float:
         """Return the value at a time in s; the oldest one where the time is before it."""
         for then_s, value in reversed(self._entries):

@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Sequence
+from math import inf
 from statistics import median
 
 from gripper.errors import ForceImbalance, PositionContradicted
@@ -67,6 +68,9 @@ class GripControl:
     state
         Feedback at the contact; the fingers are not driven open beyond it by more than a pad's
         thickness.
+    touch_m
+        Opening in m at which both pads were first loaded: the fingers are not driven open beyond
+        it, however much force the pads report.
     force_n
         Grip force at the contact in N.
     drive_n
@@ -90,6 +94,7 @@ class GripControl:
         linkage: Linkage,
         state: GripperState,
         *,
+        touch_m: float,
         force_n: float,
         drive_n: float,
         now_s: float,
@@ -104,6 +109,8 @@ class GripControl:
         self._stiffness = stiffness
         self._contact_rad = state.angles_rad
         self._deepest_rad = state.angles_rad
+        self._touch_m = touch_m
+        self._stop_rad: tuple[float, ...] | None = None
         self._widest_m = state.aperture_m + _GIVE_RAD * sum(
             linkage.opening_per_rad_m(angle_rad) for angle_rad in state.angles_rad
         )
@@ -319,12 +326,18 @@ class GripControl:
         drive_n = self._drive_n
         goals = []
         self._deepest_rad = tuple(map(min, self._deepest_rad, state.angles_rad))
-        for servo, path, settings, contact_rad, deepest_rad in zip(
+        if state.aperture_m < self._touch_m:
+            self._stop_rad = None
+        elif self._stop_rad is None:
+            self._stop_rad = state.angles_rad
+        stop_rad = self._stop_rad or (inf,) * len(paths)
+        for servo, path, settings, contact_rad, deepest_rad, widest_rad in zip(
             state.servos,
             paths,
             self._settings.servos,
             self._contact_rad,
             self._deepest_rad,
+            stop_rad,
             strict=True,
         ):
             current_a = min(
@@ -336,7 +349,7 @@ class GripControl:
             if drive_n >= 0.0:
                 angle_rad = deepest_rad - margin_rad
             else:
-                angle_rad = min(servo.angle_rad + margin_rad, contact_rad + _GIVE_RAD)
+                angle_rad = min(servo.angle_rad + margin_rad, contact_rad + _GIVE_RAD, widest_rad)
             goals.append(ServoGoal(angle_rad=angle_rad, current_a=current_a))
         return tuple(goals)
 

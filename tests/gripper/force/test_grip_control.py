@@ -1,8 +1,11 @@
 """Goals of a grip: drifting positions, wrong stiffness, fingers that run ahead."""
 
+from contextlib import suppress
+from dataclasses import replace
+
 import pytest
 
-from gripper.errors import PartLost, PartSlipped, PositionContradicted, fingers_left
+from gripper.errors import LimitExceeded, PartLost, PartSlipped, PositionContradicted, fingers_left
 from gripper.force.grip_control import StiffnessEstimate
 from gripper.force.ramp import ForceRamp
 from gripper.state import GraspResult, GripperPhase
@@ -78,3 +81,31 @@ def test_a_stiffness_that_is_far_too_small_drives_no_force_beyond_the_ramp(
     outcome = cell.gripper.grasp(ForceRamp.linear(6.0, rate_n_s=20.0, hold_s=0.3))
     assert outcome.result is GraspResult.FORCE_REACHED
     assert cell.peak_n < 7.0
+
+
+@pytest.mark.parametrize("factor", [1.5, 2.0])
+def test_pads_that_report_too_much_do_not_open_the_fingers_beyond_the_touch(
+    make_cell, make_part, factor
+) -> None:
+    """A light grip: the loop backs off from a force that is not there."""
+    cell = make_cell(part=make_part(stiffness_n_m=2000.0), approach_speed_m_s=0.02)
+    sensor = cell.gripper._runner._sensor
+    latest_force = sensor.latest_force
+    began_s: list[float] = []
+
+    def too_much():
+        sample = latest_force()
+        if sample is None or cell.gripper.state is not GripperPhase.RAMPING:
+            return sample
+        began_s[:] = began_s or [sample.t_s]
+        return replace(sample, force_n=tuple(factor * n + 1.0 for n in sample.force_n))
+
+    sensor.latest_force = too_much
+    cell.gripper.start()
+    least_n: list[float] = []
+    with suppress(LimitExceeded):
+        cell.gripper.grasp(
+            ForceRamp.linear(0.7, rate_n_s=20.0, hold_s=1.5),
+            lambda cycle: least_n.append(cell.force_n) if began_s else None,
+        )
+    assert min(least_n) > 0.05
