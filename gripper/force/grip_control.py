@@ -26,6 +26,13 @@ _SUDDEN_RATIO = 6.0
 """Force over that of an empty pad from which on one empty sample shows that the part is lost."""
 _RUNAWAY_RESERVE = 2.0
 """Closing speed that a ramp on the part may need, in multiples of that by its stiffness."""
+_RUNAWAY_HELD_SHARE = 0.5
+"""Share of the force before fingers ran ahead above which the pads show that the part is there."""
+_RUNAWAY_N = 1.0
+"""Force in N by which a part would be loaded more over the way of fingers that run ahead in a hold,
+from which on the way alone shows that it has gone."""
+_STEADY_S = 0.3
+"""Time in s of a hold until its fingers rest, whatever the part."""
 _GIVE_RAD = 0.03
 """How far in rad a goal may open beyond the contact: pads and part are deeper there by no more."""
 _CONTRADICTED_S = 0.1
@@ -124,7 +131,8 @@ class GripControl:
         self._empty_s = 0.0
         self._uneven_s = 0.0
         self._paused = False
-        self._runaway_m: float | None = None
+        self._runaway: tuple[float, float, float] | None = None
+        self._steady_s = 0.0
 
     @property
     def force_n(self) -> float:
@@ -207,7 +215,7 @@ class GripControl:
         """
         closed = moment.state.aperture_m < self._settings.aperture_min_m and not self._loaded
         empty = self._empty_s > _LOST_TIME_S
-        return closed or empty or self._suddenly_empty(moment) or self._runs_away(moment.state)
+        return closed or empty or self._suddenly_empty(moment) or self._runs_away(moment)
 
     @property
     def _loaded(self) -> bool:
@@ -244,20 +252,35 @@ class GripControl:
         much = min(self._filter.force_n, recent_n) > _SUDDEN_RATIO * self._empty_n
         return much and max(sample.force_n) < self._empty_n
 
-    def _runs_away(self, state: GripperState) -> bool:
-        """Return whether the fingers close faster, and farther, than any part lets them."""
-        stiffness_n_m = self._stiffness.stiffness_n_m
-        rate_n_s = self._filter.rate_n_s
+    def _runs_away(self, moment: Moment) -> bool:
+        """Return whether the fingers close faster, and farther, than any part lets them.
+
+        A soft part lets them run far where friction breaks, and its stiffness is not known well
+        before the force has grown: the pads decide, by a sample from after the beginning. In a
+        hold that is steady the way is enough.
+        """
+        state, sample, settings = moment.state, moment.sample, self._settings
+        stiffness_n_m, rate_n_s = self._stiffness.stiffness_n_m, self._filter.rate_n_s
+        self._steady_s = 0.0 if rate_n_s != 0.0 else self._steady_s + moment.dt_s
         if stiffness_n_m is None and rate_n_s != 0.0:
             return False
         wanted_m_s = 0.0 if stiffness_n_m is None else max(0.0, rate_n_s / stiffness_n_m)
         closing_m_s = -state.aperture_velocity_m_s
-        if closing_m_s <= self._settings.runaway_speed_m_s + _RUNAWAY_RESERVE * wanted_m_s:
-            self._runaway_m = None
+        if closing_m_s <= settings.runaway_speed_m_s + _RUNAWAY_RESERVE * wanted_m_s:
+            self._runaway = None
             return False
-        if self._runaway_m is None:
-            self._runaway_m = state.aperture_m
-        return self._runaway_m - state.aperture_m >= self._settings.runaway_travel_m
+        if self._runaway is None:
+            self._runaway = moment.now_s, state.aperture_m, self.force_n
+        began_s, began_m, began_n = self._runaway
+        travel_m = began_m - state.aperture_m
+        if sample is not None and sample.valid:
+            loaded = sample.grip_n > max(self._empty_n, _RUNAWAY_HELD_SHARE * began_n)
+            if sample.t_s - settings.force_loop.sensor_delay_s >= began_s:
+                if loaded:
+                    self._runaway = moment.now_s, state.aperture_m, self.force_n
+                return not loaded and travel_m >= settings.runaway_travel_m
+        yields_m = inf if stiffness_n_m is None else _RUNAWAY_N / stiffness_n_m
+        return self._steady_s > _STEADY_S and travel_m >= max(settings.runaway_travel_m, yields_m)
 
     def _braking_n(self, state: GripperState, friction_n: float) -> float:
         """Return what the drive is lowered by, in N, because the fingers run ahead.

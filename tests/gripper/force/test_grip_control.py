@@ -109,3 +109,38 @@ def test_pads_that_report_too_much_do_not_open_the_fingers_beyond_the_touch(
             lambda cycle: least_n.append(cell.force_n) if began_s else None,
         )
     assert min(least_n) > 0.05
+
+
+@pytest.mark.parametrize("believed_n_m", [700.0, 4600.0])
+def test_a_soft_part_that_yields_fast_is_not_lost(
+    make_cell, make_part, monkeypatch, believed_n_m
+) -> None:
+    """The first samples make foam look stiff; the pads show that it is there."""
+    monkeypatch.setattr(StiffnessEstimate, "stiffness_n_m", believed_n_m)
+    cell = make_cell(
+        part=make_part(width_m=0.05, stiffness_n_m=400.0),
+        aperture_m=0.055,
+        aperture_open_m=0.055,
+        slip_travel_m=0.05,
+    )
+    cell.gripper.start()
+    outcome = cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=20.0, hold_s=0.3))
+    assert outcome.result is GraspResult.FORCE_REACHED
+    assert cell.force_n == pytest.approx(4.0, abs=0.5)
+
+
+def test_a_soft_part_that_is_taken_in_the_ramp_is_lost(make_cell, make_part) -> None:
+    cell = make_cell(
+        part=make_part(width_m=0.05, stiffness_n_m=400.0), aperture_m=0.055, aperture_open_m=0.055
+    )
+    cell.gripper.start()
+    taken_s: list[float] = []
+
+    def take(cycle) -> None:
+        if not taken_s and cycle.setpoint_n > 2.5:
+            cell.part.present = False
+            taken_s.append(cycle.t_s)
+
+    outcome = cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=10.0, hold_s=0.3), take)
+    assert outcome.result is GraspResult.PART_LOST
+    assert cell.clock.monotonic() - taken_s[0] < 0.1
