@@ -183,7 +183,9 @@ class GripControl:
             self._paused = False
             self._empty_s = self._uneven_s = 0.0
         if sample is None or not sample.valid:
-            # A sample that is young enough was there before: nothing new to go by.
+            # A sample that is young enough was there before: nothing new to go by. The crest of the
+            # square wave must not stay meanwhile.
+            self._drive_n = min(self._drive_n, self._controller.drive_n)
             return self._servo_goals(state, paths)
         self._add_sample(moment.dt_s, sample)
         self._check_position(moment.dt_s, state)
