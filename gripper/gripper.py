@@ -372,8 +372,7 @@ class Gripper:
         if self._life.motion_unconfirmed:
             return
         self._life.rest()
-        # One that has tripped stays so, and the next command finds it: its servo holds less.
-        self._servos.disarm_watchdog(but=tuple(self._health.watchdogs_tripped()))
+        self._servos.disarm_watchdog(keep_trips=True)
 
     def clear_fault(self, *, reboot: bool = False) -> None:
         """Acknowledge a fault, one from before the start too; nothing moves, torque stays as it is.

@@ -254,14 +254,24 @@ class ServoGroup:
         self._hold_present_position(current_a)
         self._arm_watchdog()
 
-    def disarm_watchdog(self, *, but: Sequence[int] = ()) -> None:
+    def disarm_watchdog(self, *, but: Sequence[int] = (), keep_trips: bool = False) -> None:
         """Disarm, or clear after a trip, the bus watchdog of each servo (register 98) but some.
 
         An error is raised when all servos were tried: a silent one does not hinder the other.
+
+        Parameters
+        ----------
+        but
+            IDs of the servos whose watchdog stays armed.
+        keep_trips
+            True to leave a tripped one as it is: its servo holds less, and the next command finds
+            it so.
         """
         failed: GripperError | None = None
         for servo_id in (servo_id for servo_id in self._ids if servo_id not in but):
             try:
+                if keep_trips and self._bus.read(servo_id, BUS_WATCHDOG) == WATCHDOG_TRIPPED_RAW:
+                    continue
                 self._bus.write(servo_id, BUS_WATCHDOG, 0)
             except GripperError as error:
                 failed = failed or error

@@ -46,9 +46,7 @@ def test_the_figures_alone_are_written_anew(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = tmp_path / "page.md"
-    path.write_text(
-        f"# Page\n\n{force_ramps.BEGIN}\nstale\n{force_ramps.END}\n\nafter\n"
-    )
+    path.write_text(f"# Page\n\n{force_ramps.BEGIN}\nstale\n{force_ramps.END}\n\nafter\n")
     monkeypatch.setattr(force_ramps, "PAGE", path)
     good = Quality(overshoot_n=0.11, settling_s=0.02, holding_n=0.12)
     lost = Quality(overshoot_n=0.0, settling_s=1.5, holding_n=2.0, lost=True)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from gripper.errors import ServoFault
+from gripper.errors import BusTimeout, ServoFault
 from gripper.force.ramp import ForceRamp
 from gripper.state import GraspResult, GripperPhase
 
@@ -80,6 +80,16 @@ def test_a_trip_is_not_cleared_by_what_arms_or_disarms(tripped) -> None:
         tripped.gripper.hold(0.5)
     let_time_pass(tripped)
     assert tripped.peak_n < held_n + 0.1
+
+
+def test_a_silent_servo_does_not_keep_the_other_watchdog_armed(make_cell) -> None:
+    cell = make_cell()
+    cell.gripper.start()
+    cell.gripper.grasp(ForceRamp.linear(6.0, rate_n_s=20.0, hold_s=0.3))
+    cell.device.faults.silent = {1}
+    with pytest.raises(BusTimeout):
+        cell.gripper.keep_grip()
+    assert cell.servos[1].core.registers.get("bus_watchdog") == 0
 
 
 def test_a_trip_between_two_questions_is_found(make_cell, monkeypatch) -> None:
