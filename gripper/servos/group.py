@@ -237,7 +237,7 @@ class ServoGroup:
             health.make_releasable()
         if not health.torque_on_everywhere():
             self._switch_on(self._motion_current_a())
-        elif not goals_in_force or self._arm_watchdog():
+        elif not goals_in_force or self._finds_trip():
             if part_possible and not releasing:
                 raise ServoFault(
                     self._ids[0],
@@ -319,7 +319,11 @@ class ServoGroup:
                 self._clock.sleep(_BOOT_RETRY_S)
         self.forget()
 
-    def _arm_watchdog(self) -> bool:
+    def _arm_watchdog(self) -> None:
+        for servo_id in self._ids:
+            self._bus.write(servo_id, BUS_WATCHDOG, self._settings.watchdog_raw)
+
+    def _finds_trip(self) -> bool:
         """Arm the bus watchdogs that are not; return whether one has tripped and was left so.
 
         To arm a tripped one would clear it, and with the next goals the force would leap back.
@@ -398,19 +402,20 @@ class ServoGroup:
 
     def _check_goals_taken(self, state: GripperState, current_a: float) -> None:
         """Read the goals of the present positions back; ServoFault where one differs."""
+        found = self._bus.sync_read(self._ids, GOAL_CURRENT, GOAL_POSITION)
         for servo, settings in zip(state.servos, self._settings.servos, strict=True):
-            current_raw = settings.servo_model.current_raw(current_a)
-            for register, wrote in (
-                (GOAL_POSITION, servo.position_raw),
-                (GOAL_CURRENT, current_raw),
-            ):
-                found = self._bus.read(servo.servo_id, register)
-                if found != wrote:
+            wrote = {
+                GOAL_POSITION.name: servo.position_raw,
+                GOAL_CURRENT.name: settings.servo_model.current_raw(current_a),
+            }
+            for name, raw in wrote.items():
+                found_raw = found[servo.servo_id][name]
+                if found_raw != raw:
                     raise ServoFault(
                         servo.servo_id,
                         0,
-                        f"it did not take its {register.name}: wrote {wrote}, read {found}; "
-                        f"check the servo line, then clear the fault",
+                        f"it did not take its {name}: wrote {raw}, read {found_raw}; check the "
+                        f"servo line, then clear the fault",
                     )
 
     def _obeys(self, servo_id: int) -> bool:

@@ -175,7 +175,7 @@ def test_a_part_taken_away_in_the_ramp_is_lost_with_the_third_frame(cell) -> Non
 
     outcome = cell.gripper.grasp(ForceRamp.linear(8.0, rate_n_s=5.0), take)
     assert outcome.result is GraspResult.PART_LOST
-    assert cell.clock.monotonic() - taken_s[0] < 0.07
+    assert cell.clock.monotonic() - taken_s[0] < 0.09
     stopped_m = cell.mechanics.aperture_m
     cell.clock.sleep(1.0)
     assert stopped_m - cell.mechanics.aperture_m < 0.003

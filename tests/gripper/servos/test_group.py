@@ -61,13 +61,15 @@ def test_goals_that_were_lost_once_are_written_again(tripped, monkeypatch) -> No
 
 
 def test_a_goal_current_that_was_not_taken_is_found(tripped, monkeypatch) -> None:
-    read = tripped.bus.read
+    sync_read = tripped.bus.sync_read
 
-    def another_current(servo_id, register):
-        raw = read(servo_id, register)
-        return raw + 1 if (servo_id, register.name) == (2, "goal_current") else raw
+    def another_current(ids, first, last):
+        raws = sync_read(ids, first, last)
+        if "goal_current" in raws[2]:
+            raws[2]["goal_current"] += 1
+        return raws
 
-    monkeypatch.setattr(tripped.bus, "read", another_current)
+    monkeypatch.setattr(tripped.bus, "sync_read", another_current)
     with pytest.raises(ServoFault, match="servo 2: it did not take its goal_current"):
         tripped.gripper.release()
 
