@@ -29,8 +29,10 @@ _RUNAWAY_RESERVE = 2.0
 _RUNAWAY_HELD_SHARE = 0.5
 """Share of the force before fingers ran ahead above which the pads show that the part is there."""
 _RUNAWAY_N = 1.0
-"""Force in N by which a part would be loaded more over the way of fingers that run ahead in a hold,
-from which on the way alone shows that it has gone."""
+"""Force in N by which a part would be loaded more over the way of fingers that run ahead, from
+which on the way alone shows that it has gone; by a stiffness that is known well."""
+_KNOWN_N = 3.0
+"""Force in N from which on the stiffness is known well: it is taken anew with each 0.7 N."""
 _STEADY_S = 0.3
 """Time in s of a hold until its fingers rest, whatever the part."""
 _GIVE_RAD = 0.03
@@ -258,8 +260,8 @@ class GripControl:
         """Return whether the fingers close faster, and farther, than any part lets them.
 
         A soft part lets them run far where friction breaks, and its stiffness is not known well
-        before the force has grown: the pads decide, by a sample from after the beginning. In a
-        hold that is steady the way is enough.
+        before the force has grown: then the pads decide, by a sample from after the beginning.
+        Later, and in a hold that is steady, the way is enough.
         """
         state, sample, settings = moment.state, moment.sample, self._settings
         stiffness_n_m, rate_n_s = self._stiffness.stiffness_n_m, self._filter.rate_n_s
@@ -282,7 +284,8 @@ class GripControl:
                     self._runaway = moment.now_s, state.aperture_m, self.force_n
                 return not loaded and travel_m >= settings.runaway_travel_m
         yields_m = inf if stiffness_n_m is None else _RUNAWAY_N / stiffness_n_m
-        return self._steady_s > _STEADY_S and travel_m >= max(settings.runaway_travel_m, yields_m)
+        known = self._steady_s > _STEADY_S or began_n > _KNOWN_N
+        return known and travel_m >= max(settings.runaway_travel_m, yields_m)
 
     def _braking_n(self, state: GripperState, friction_n: float) -> float:
         """Return what the drive is lowered by, in N, because the fingers run ahead.

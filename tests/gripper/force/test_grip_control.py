@@ -174,7 +174,12 @@ def test_a_soft_part_that_yields_fast_is_not_lost(
     make_cell, make_part, monkeypatch, believed_n_m
 ) -> None:
     """The first samples make foam look stiff; the pads show that it is there."""
-    monkeypatch.setattr(StiffnessEstimate, "stiffness_n_m", believed_n_m)
+
+    def first_wrong(estimate: StiffnessEstimate) -> float | None:
+        small = estimate._anchor is None or estimate._anchor[0] < 2.0
+        return believed_n_m if small else estimate._stiffness_n_m
+
+    monkeypatch.setattr(StiffnessEstimate, "stiffness_n_m", property(first_wrong))
     cell = make_cell(
         part=make_part(width_m=0.05, stiffness_n_m=400.0),
         aperture_m=0.055,
@@ -182,7 +187,7 @@ def test_a_soft_part_that_yields_fast_is_not_lost(
         slip_travel_m=0.05,
     )
     cell.gripper.start()
-    outcome = cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=20.0, hold_s=0.3))
+    outcome = cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=10.0, hold_s=0.3))
     assert outcome.result is GraspResult.FORCE_REACHED
     assert cell.force_n == pytest.approx(4.0, abs=0.5)
 
