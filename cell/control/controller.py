@@ -72,6 +72,7 @@ class CellView:
         return CellStatus(
             state=self.state.value,
             state_number=self.state.number,
+            needs_reset=self.state.needs_reset,
             grasp=self.grasp_state.value,
             grasp_number=self.grasp_state.number,
             holding=self.holding,

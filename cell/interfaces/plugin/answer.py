@@ -90,11 +90,14 @@ class Answer:
         recognisers that do not ask.
     remark
         Message for the operator, as that the sensors have drifted: once, empty otherwise.
+    kept
+        Whether the part is still in the grip, for the host to release where it wants it.
     """
 
     label: str
     probabilities: Mapping[str, float] = field(hash=False)
     n_grasps: int
+    kept: bool = False
     shape: FeltShape | None = None
     n_ended_early: int = 0
     drift: "DriftEstimate | None" = None
@@ -124,3 +127,29 @@ class Answer:
             occasion=found.fused.occasion,
             remark=found.remark,
         )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verification:
+    """Result of the look at a part in the grip: whether it is still the one that was kept.
+
+    Attributes
+    ----------
+    held
+        Whether both pads are loaded.
+    same
+        Whether opening and footprint on the pads are those with which it was kept; None where
+        nothing is held.
+    force_n
+        Grip force in N.
+    opening_mm
+        Opening between the pads in mm.
+    reasons
+        What differs, in words with value and limit; empty where nothing does.
+    """
+
+    held: bool
+    same: bool | None
+    force_n: float
+    opening_mm: float
+    reasons: tuple[str, ...] = ()

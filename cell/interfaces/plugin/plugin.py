@@ -20,8 +20,15 @@ from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.control.states import CellState, CellStatus, Command
 from cell.errors import PartInGrip
-from cell.interfaces.plugin.answer import Answer, FeltShape
-from cell.interfaces.plugin.goals import IdentifyGoal, TeachGoal, checked_goal
+from cell.interfaces.plugin.answer import Answer, FeltShape, Verification
+from cell.interfaces.plugin.goals import (
+    Goal,
+    GripGoal,
+    IdentifyGoal,
+    TeachGoal,
+    VerifyGoal,
+    checked_goal,
+)
 from cell.interfaces.plugin.host_watch import HostWatch
 from cell.interfaces.plugin.worker import CellWorker, Job, JobFailed, JobOutcome, JobStatus, Report
 from gripper.errors import ServoFault
@@ -33,11 +40,14 @@ __all__ = [
     "Answer",
     "CellStatus",
     "FeltShape",
+    "GripGoal",
     "IdentifyGoal",
     "JobFailed",
     "JobOutcome",
     "TactileCellPlugin",
     "TeachGoal",
+    "Verification",
+    "VerifyGoal",
 ]
 
 
@@ -189,11 +199,11 @@ class TactileCellPlugin:
 
     # -- jobs ----------------------------------------------------------------------------------
 
-    def start(self, goal: TeachGoal | IdentifyGoal | Mapping[str, Any]) -> Job:
+    def start(self, goal: Goal | Mapping[str, Any]) -> Job:
         """Start a job and return its handle at once.
 
-        A goal is a `TeachGoal`, an `IdentifyGoal`, or a mapping with ``task`` ``teach`` or
-        ``identify`` and the fields of these.
+        A goal is a `TeachGoal`, `IdentifyGoal`, `GripGoal`, `VerifyGoal`, or a mapping with
+        ``task`` ``teach``, ``identify``, ``grip`` or ``verify`` and the fields of these.
 
         Raises
         ------
@@ -210,6 +220,8 @@ class TactileCellPlugin:
             return self._accept(
                 lambda report: tasks.teach(controller, model, checked, report), Command.GRASP
             )
+        if not isinstance(checked, IdentifyGoal):
+            raise NotImplementedError(type(checked).__name__)
         model.check_taught()
         return self._accept(
             lambda report: tasks.identify(controller, model, checked, report), Command.GRASP
