@@ -14,6 +14,7 @@ from cell.config.gripper import GripperConfig, gripper_settings
 from cell.config.section import SIMULATED, OneOf, Section, setting_of
 from cell.config.sequence import SequenceConfig
 from cell.config.simulator import SimulatorConfig
+from cell.config.sort import SortConfig
 from cell.config.tactile import TactileConfig, layout_from_config, make_calibration
 from cell.errors import ConfigError
 from gripper.settings import GripperSettings
@@ -89,6 +90,8 @@ class CellConfig(Section):
     """Control unit and CAN bus."""
     sequence: SequenceConfig = SequenceConfig()
     """Poses, forces and stop rule."""
+    sort: SortConfig = SortConfig()
+    """Places of named parts."""
     positioner: PositionerConfig = PositionerConfig()
     """Who moves the object or the gripper."""
     recognition: RecognitionConfig = RecognitionConfig()
