@@ -174,6 +174,7 @@ def build_cell(
             for note in hand.notes:
                 recorder.event("note", note)
         controller = CellController(
+            name=config.name,
             hand=hand,
             positioner=positioner,
             sequence=config.sequence,

@@ -116,6 +116,7 @@ class CellController(CellView):
     def __init__(
         self,
         *,
+        name: str,
         hand: Hand,
         positioner: Positioner,
         sequence: SequenceConfig,
@@ -138,6 +139,7 @@ class CellController(CellView):
         )
         super().__init__(hand, life)
         self._grasper = Grasper(
+            name,
             hand,
             positioner,
             life=self._life,
