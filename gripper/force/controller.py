@@ -169,7 +169,7 @@ class ForceController:
         self._drive_n = min(max(wanted_n, lowest_n), drive_max_n)
         self._move_model(now_s, friction_n)
         crest_n = min(self._dither * friction_n, drive_max_n - self._drive_n)
-        return self._drive_n - braking_n + crest_n
+        return min(self._drive_n - braking_n + crest_n, drive_max_n)
 
     def _edge_n(
         self, now_s: float, setpoint_n: float, friction_n: float, *, rate_n_s: float, held: bool

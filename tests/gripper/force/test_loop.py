@@ -121,6 +121,23 @@ def test_a_saturated_drive_winds_nothing_up() -> None:
     assert forces_n[-1] == pytest.approx(6.0, abs=0.35)
 
 
+def test_fingers_that_lag_behind_are_not_driven_beyond_the_largest_drive() -> None:
+    loop = new_loop()
+    for i in range(600):
+        now_s = 0.005 * i
+        drive_n = loop.step(
+            now_s,
+            0.005,
+            12.0,
+            ForceSample(t_s=now_s, force_n=(6.0, 6.0)),
+            friction_n=FRICTION_N,
+            drive_max_n=10.0,
+            braking_n=-1.0,
+        )
+        assert drive_n <= 10.0
+    assert drive_n == pytest.approx(10.0)
+
+
 def test_the_drive_never_pushes_open_by_more_than_friction_needs() -> None:
     loop, finger = new_loop(3.0), Finger(FRICTION_N, force_n=3.0)
     follow(loop, finger, ramp(5.0, 0.6, 2.0, start_n=3.0))
