@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, assert_never
 
 from cell.config.model import CellConfig
+from cell.control.axes import AxesPositioner, make_axes
 from cell.control.controller import CellController
 from cell.control.journal import loop_values
 from cell.control.plan import Pose
@@ -16,9 +17,11 @@ from cell.control.positioner import (
     HostThenSimulated,
     ObjectPlacer,
     OperatorPositioner,
+    PatientCaller,
     Positioner,
     SimulatedPositioner,
     SocketPlacer,
+    Supervise,
 )
 from cell.control.records import pad_array
 from cell.data.recorder import Recorder
@@ -28,8 +31,9 @@ from cell.hand.client import HandProcess
 from cell.hand.interface import Hand
 from cell.simulation import InProcessPlacer, capture_traffic, simulated_cell
 from gripper.dynamixel.bus import ServoBus
-from gripper.state import Clock
+from gripper.state import Clock, GripperPhase
 from simulator.cell import SimulatedCell
+from tactile.can.bus import CanBus, close_bus, open_bus
 from tactile.unit.link import TactileLink
 
 Mover = Callable[[Pose], Pose | bool | None]
@@ -150,7 +154,7 @@ def build_cell(
             clock = simulated.clock
         if capture is not None:
             capture_traffic(simulated, capture, undo)
-        positioner = _positioner(config, simulated, mover, ask, undo)
+        positioner = _positioner(config, simulated, mover, ask, undo, phase=lambda: hand.phase)
         hand = _hand(config, simulated)
         undo.callback(hand.close)
         recorder = None
@@ -205,6 +209,8 @@ def _positioner(
     mover: Mover | None,
     ask: Callable[[str], str] | None,
     undo: ExitStack,
+    *,
+    phase: Callable[[], GripperPhase],
 ) -> Positioner:
     """Return the positioner that the config names; mypy refuses a kind that has no case here."""
     placer: ObjectPlacer | None = None
@@ -230,5 +236,46 @@ def _positioner(
             if placer is None:
                 raise ConfigError("positioner.kind is simulated, but there is no simulated cell")
             return SimulatedPositioner(placer)
+        case "axes":
+            return _axes(config, simulated, placer, ask, undo, phase=phase)
         case kind:
             assert_never(kind)
+
+
+def _axes(
+    config: CellConfig,
+    simulated: SimulatedCell | None,
+    placer: ObjectPlacer | None,
+    ask: Callable[[str], str] | None,
+    undo: ExitStack,
+    *,
+    phase: Callable[[], GripperPhase],
+) -> AxesPositioner:
+    """Return the positioner with axes; objects are brought by the simulator, a person or the host.
+
+    The bus of the control unit is shared on SocketCAN, where the system lets two programs use it.
+    """
+    wanted, period_s = config.positioner, 1.0 / config.gripper.loop_rate_hz
+    clock: Clock = time
+    bus: CanBus
+    if simulated is not None and simulated.axes_can_bus is not None:
+        bus, clock = simulated.axes_can_bus, simulated.clock
+    else:
+        can = wanted.can
+        shared = (can.interface, can.channel) == (config.tactile.interface, config.tactile.channel)
+        nodes = [axis.node_id for axis in wanted.axes]
+        bus = open_bus(can.interface, can.channel, bitrate=can.bitrate, shared=shared, nodes=nodes)
+        undo.callback(close_bus, bus)
+    patient = PatientCaller(clock, period_s)
+
+    def bring(label: str | None, supervise: Supervise) -> None:
+        if placer is not None:
+            if label is not None:
+                placer.place(label, Pose())
+        elif ask is not None:
+            operator = OperatorPositioner(ask)
+            patient.call(lambda: operator.present(label), supervise)
+
+    moved = [axis.moves for axis in wanted.axes]
+    axes = make_axes(wanted, bus, clock, period_s)
+    return AxesPositioner(axes, moved, bring=bring, phase=phase)

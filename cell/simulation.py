@@ -9,13 +9,16 @@ from numpy.typing import NDArray
 
 from cell.config.gripper import ParallelLinkageConfig
 from cell.config.model import CellConfig
+from cell.config.positioner import PositionerConfig
 from cell.config.tactile import LinearCalibrationConfig, layout_from_config, make_calibration
+from cell.control.axes import si_per_unit
 from cell.control.plan import Pose
 from cell.errors import ConfigError, PositionerError
 from gripper.dynamixel.models import MODELS
 from gripper.errors import PortLost
 from recognition.grasp import Grasp
 from simulator.can.capture import PcapWriter
+from simulator.can.drive import DriveMount
 from simulator.cell import SimulatedCell
 from simulator.errors import SimulatorError
 from simulator.faults.injector import VOCABULARY, check_fault
@@ -35,6 +38,8 @@ _NOISE_DRAWS = 200
 _NOISE_PER_CONTACT = 1.5
 """Largest noise of a pad's force, as a share of the contact force: at 2 the cell finds no part, at
 1.2 it does (linear calibrations of 0.05 and 0.03 N a count)."""
+_SWITCH_MARGIN = 5.0
+"""Way in mm or degrees from a limit of a simulated axis to a limit switch that is not its home."""
 _LINKAGE_MARGIN_M = 1e-3
 """Opening in m that a simulated linkage keeps to its end stop."""
 
@@ -98,10 +103,36 @@ def simulator_settings(
                 RecordedGrasp(counts=grasp.counts, aperture_m=grasp.aperture_m, label=grasp.label)
                 for grasp in grasps
             ),
+            axes=_mounts(config.positioner),
             faults=settings.faults,
         )
     except SimulatorError as error:
         raise ConfigError(f"simulator: {error}") from error
+
+
+def _mounts(config: PositionerConfig) -> dict[str, DriveMount]:
+    """Return the simulated drives of a config's axes, mounted as the config describes them.
+
+    An axis begins in the middle of its limits, or at its home where homing does not search it.
+    """
+    mounts: dict[str, DriveMount] = {}
+    for axis in config.axes:
+        si = si_per_unit(axis.moves)
+        low, high = axis.low - _SWITCH_MARGIN, axis.high + _SWITCH_MARGIN
+        start = axis.home
+        if axis.homing == "negative_switch":
+            low, start = axis.home, 0.5 * (axis.low + axis.high)
+        elif axis.homing == "positive_switch":
+            high, start = axis.home, 0.5 * (axis.low + axis.high)
+        mounts[axis.moves] = DriveMount(
+            node_id=axis.node_id,
+            increments=axis.increments / si,
+            absolute=axis.homing == "none",
+            start=start * si,
+            low_switch=low * si,
+            high_switch=high * si,
+        )
+    return mounts
 
 
 def _check_noise(config: CellConfig, layout: TaxelLayout) -> None:

@@ -41,6 +41,8 @@ class SimulatedCell:
         The host's end of the servo bus.
     can_bus
         The host's end of the CAN bus.
+    axes_can_bus
+        The host's end of the bus of the axes' drives; None in a cell without any.
     """
 
     def __init__(
@@ -58,6 +60,7 @@ class SimulatedCell:
         self._lost_error = lost_error
         self.servo_stream = self._new_stream()
         self.can_bus = self._new_bus()
+        self.axes_can_bus = self._new_axes_bus()
         for text in self.settings.faults:
             self.inject(text)
 
@@ -91,8 +94,8 @@ class SimulatedCell:
         return self.injector.inject(text)
 
     def place(self, label: str, pose: ObjectPose | None = None) -> ObjectPose:
-        """Put an object between the open pads; see `PhysicalWorld.place`."""
-        return self.devices.physical.place(label, pose)
+        """Put an object between the open pads; see `CellDevices.place`."""
+        return self.devices.place(label, pose)
 
     def remove(self) -> None:
         """Take the object away."""
@@ -107,10 +110,10 @@ class SimulatedCell:
 
         The old ends fail from now on; the devices notice nothing but silence.
         """
-        self.servo_stream.close()
-        self.can_bus.shutdown()
+        self._close_ends()
         self.servo_stream = self._new_stream()
         self.can_bus = self._new_bus()
+        self.axes_can_bus = self._new_axes_bus()
 
     def _new_stream(self) -> MemoryServoStream:
         return MemoryServoStream(self.devices.servo_bus, self.clock, lost_error=self._lost_error)
@@ -124,10 +127,19 @@ class SimulatedCell:
             seed=self.settings.seed,
         )
 
-    def close(self) -> None:
-        """Give both buses back; the cell cannot be used afterwards."""
+    def _new_axes_bus(self) -> InMemoryCanBus | None:
+        devices = self.devices.axes_can_devices
+        return None if devices is None else InMemoryCanBus(devices, self.clock)
+
+    def _close_ends(self) -> None:
         self.servo_stream.close()
         self.can_bus.shutdown()
+        if self.axes_can_bus is not None:
+            self.axes_can_bus.shutdown()
+
+    def close(self) -> None:
+        """Give all buses back; the cell cannot be used afterwards."""
+        self._close_ends()
         for callback in (self.devices.advance_to, self.injector.advance):
             if callback in self.clock.on_advance:
                 self.clock.on_advance.remove(callback)

@@ -301,7 +301,7 @@ class CellController(CellView):
             self._check_cancelled_between()
             self.tick()
 
-        self._grasper.patiently(lambda: self._positioner.present(label), supervise)
+        self._grasper.patiently(lambda: self._positioner.present(label, supervise), supervise)
 
     def grasp(
         self, step: GraspStep, looks: EarlyDecider | None = None, *, label: str = ""

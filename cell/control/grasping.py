@@ -169,6 +169,6 @@ class Grasper:
             self._life.check_cancelled()
             self._hand.tick()
 
-        reached = self.patiently(lambda: self._positioner.move_to(pose), supervise)
+        reached = self.patiently(lambda: self._positioner.move_to(pose, supervise), supervise)
         self._journal.pose(reached)
         return reached

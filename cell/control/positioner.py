@@ -20,22 +20,34 @@ _LONGEST_REPLY = 65536
 """Bytes of a reply of the simulated cell after which it is taken for garbage; a pose takes 200."""
 
 
+Supervise = Callable[[], None]
+"""Looks at the cell while something moves; what it raises ends the motion."""
+
+
+def unwatched() -> None:
+    """Supervise nothing."""
+
+
 class Positioner(Protocol):
-    """Moves the object, or the gripper around it, to the next pose of a sequence."""
+    """Moves the object, or the gripper around it, to the next pose of a sequence.
+
+    A positioner whose calls block is called on a thread of its own, and the cell supervised
+    meanwhile. One that does not block and yet takes its time calls ``supervise`` once a period.
+    """
 
     @property
     def blocks(self) -> bool:
         """Whether a call may take long, so that the cell must be supervised meanwhile."""
         ...
 
-    def present(self, label: str | None) -> None:
+    def present(self, label: str | None, supervise: Supervise = unwatched) -> None:
         """Have the object with this label in reach; None: the one to be identified.
 
         Raises PositionerError if there is no such object.
         """
         ...
 
-    def move_to(self, pose: Pose) -> Pose:
+    def move_to(self, pose: Pose, supervise: Supervise = unwatched) -> Pose:
         """Go to the pose and return the one that was reached; the fingers are open meanwhile.
 
         Raises PositionerError if it cannot be reached.
@@ -106,12 +118,12 @@ class SimulatedPositioner:
         self._placer = placer
         self._label = label
 
-    def present(self, label: str | None) -> None:
+    def present(self, label: str | None, supervise: Supervise = unwatched) -> None:
         """Choose the object that the following poses are for; None keeps the present one."""
         if label is not None:
             self._label = label
 
-    def move_to(self, pose: Pose) -> Pose:
+    def move_to(self, pose: Pose, supervise: Supervise = unwatched) -> Pose:
         """Place the chosen object at the pose; see `Positioner`."""
         if self._label is None:
             raise PositionerError(
@@ -196,12 +208,12 @@ class OperatorPositioner:
     def __init__(self, ask: Callable[[str], str]) -> None:
         self._ask = ask
 
-    def present(self, label: str | None) -> None:
+    def present(self, label: str | None, supervise: Supervise = unwatched) -> None:
         """Ask for an object; see `Positioner`."""
         what = "the object to identify" if label is None else f"the object {label!r}"
         self._confirm(f"Put {what} between the open fingers")
 
-    def move_to(self, pose: Pose) -> Pose:
+    def move_to(self, pose: Pose, supervise: Supervise = unwatched) -> Pose:
         """Ask for a pose; see `Positioner`."""
         self._confirm(
             f"Move the object to x {pose.x_m * 1e3:+.1f} mm, y {pose.y_m * 1e3:+.1f} mm, turned by "
@@ -231,10 +243,10 @@ class CallbackPositioner:
     def __init__(self, move: Callable[[Pose], Pose | bool | None]) -> None:
         self._move = move
 
-    def present(self, label: str | None) -> None:
+    def present(self, label: str | None, supervise: Supervise = unwatched) -> None:
         """Do nothing: the host brings the objects."""
 
-    def move_to(self, pose: Pose) -> Pose:
+    def move_to(self, pose: Pose, supervise: Supervise = unwatched) -> Pose:
         """Call the host; see `Positioner`."""
         reached = self._move(pose)
         if reached is False:
@@ -259,10 +271,10 @@ class HostThenSimulated:
         self._host = host
         self._simulated = simulated
 
-    def present(self, label: str | None) -> None:
+    def present(self, label: str | None, supervise: Supervise = unwatched) -> None:
         """Choose the object of the simulated cell."""
         self._simulated.present(label)
 
-    def move_to(self, pose: Pose) -> Pose:
+    def move_to(self, pose: Pose, supervise: Supervise = unwatched) -> Pose:
         """Call the host, then place the object at the pose that it answered."""
         return self._simulated.move_to(self._host.move_to(pose))

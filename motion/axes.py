@@ -1,0 +1,247 @@
+"""Axes in m and rad: limits, motion of several axes together, the stop of all of them."""
+
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Protocol
+
+from motion.bus import Watch, unwatched
+from motion.errors import AxisLimitExceeded, MotionError, PositionNotReached
+
+_POLL_S = 0.005
+"""Period in s in which moving axes are asked."""
+_STOP_S = 1.0
+"""Longest time in s until axes that were stopped stand still."""
+_TIME_FACTOR, _TIME_S = 2.0, 2.0
+"""A way may take so many times its time by velocity and acceleration, and so many s more."""
+
+
+class AxisDevice(Protocol):
+    """A drive or servo that moves one axis, in its own increments."""
+
+    name: str
+
+    def identify(self) -> str:
+        """Return state and position in words; nothing moves."""
+        ...
+
+    def prepare(self) -> None:
+        """Set up, clear a fault, enable, find the home; the axis may move."""
+        ...
+
+    def wake(self) -> None:
+        """Look whether the device is as it was left."""
+        ...
+
+    def go_to(self, target: int) -> None:
+        """Begin to move."""
+        ...
+
+    def arrived(self) -> bool:
+        """Return whether the target is reached; raises what went wrong."""
+        ...
+
+    @property
+    def position(self) -> int:
+        """Present position in increments."""
+        ...
+
+    def stop(self) -> None:
+        """Send a stop and wait for nothing."""
+        ...
+
+    def standing(self) -> bool:
+        """Return whether the axis stands still after a stop."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Axis:
+    """One axis: its device, and what its increments are.
+
+    Attributes
+    ----------
+    name
+        What it moves.
+    device
+        Drive or servo.
+    increments
+        Increments in one m or rad; negative where the device counts the other way.
+    low, high
+        Limits in m or rad.
+    velocity, acceleration
+        Of its profile in m/s and m/s², or rad/s and rad/s²; for the longest time of a way.
+    unit, shown
+        Unit of messages, and how many of it are one m or rad.
+    """
+
+    name: str
+    device: AxisDevice
+    increments: float
+    low: float
+    high: float
+    velocity: float
+    acceleration: float
+    unit: str
+    shown: float
+
+    @property
+    def position(self) -> float:
+        """Present position in m or rad."""
+        return self.device.position / self.increments
+
+    def target(self, position: float) -> int:
+        """Return a position in increments.
+
+        Raises
+        ------
+        AxisLimitExceeded
+            If it is no number or outside the limits of the axis.
+        """
+        if not self.low <= position <= self.high:
+            raise AxisLimitExceeded(
+                f"axis {self.name} was asked for {self.in_words(position)}, its limits are "
+                f"{self.in_words(self.low)} to {self.in_words(self.high)}; nothing has moved"
+            )
+        return round(position * self.increments)
+
+    def in_words(self, position: float) -> str:
+        """Return a position with its unit."""
+        return f"{position * self.shown:.2f} {self.unit}"
+
+    def longest_s(self, way: float) -> float:
+        """Return the longest time in s that a way in m or rad may take."""
+        time_s = abs(way) / self.velocity + self.velocity / self.acceleration
+        return _TIME_FACTOR * time_s + _TIME_S
+
+
+class Axes:
+    """All axes of a positioner, moved together and stopped together.
+
+    Parameters
+    ----------
+    axes
+        The axes.
+    watch
+        Supervision of whatever waits.
+    """
+
+    def __init__(self, axes: Sequence[Axis], watch: Watch) -> None:
+        self._axes = {axis.name: axis for axis in axes}
+        self._watch = watch
+        self._ready = False
+
+    def inspect(self) -> dict[str, str | MotionError]:
+        """Return for each axis what its device is doing, or what is wrong; nothing moves."""
+        found: dict[str, str | MotionError] = {}
+        for axis in self._axes.values():
+            try:
+                found[axis.device.name] = axis.device.identify()
+            except MotionError as error:
+                found[axis.device.name] = error
+        return found
+
+    def move(
+        self, targets: Mapping[str, float], supervise: Callable[[], None] = unwatched
+    ) -> dict[str, float]:
+        """Move to positions in m or rad by axis; return the positions that were reached.
+
+        The first motion, and the first one after a fault, prepares the devices: it clears their
+        faults, enables them and finds their homes, one axis after the other.
+
+        Raises
+        ------
+        AxisLimitExceeded
+            If a target is outside its limits; nothing has moved.
+        PositionNotReached
+            If a way takes too long; all axes were stopped.
+        MotionError
+            If a device is at fault or silent. All axes were stopped, and are prepared anew.
+
+        What ``supervise`` raises stops all axes too.
+        """
+        increments = {name: self._axes[name].target(value) for name, value in targets.items()}
+        self._watch.supervise = supervise
+        try:
+            for axis in self._axes.values():
+                if self._ready:
+                    axis.device.wake()
+                else:
+                    axis.device.prepare()
+            self._ready = True
+            return self._move(targets, increments)
+        except BaseException as error:
+            self._ready = False
+            raised = self.stop()
+            if isinstance(error, MotionError):
+                raise type(error)(f"{error}; {raised}") from error
+            raise
+        finally:
+            self._watch.supervise = unwatched
+
+    def _move(
+        self, targets: Mapping[str, float], increments: Mapping[str, int]
+    ) -> dict[str, float]:
+        longest_s = max(
+            axis.longest_s(targets[name] - axis.position)
+            for name, axis in self._axes.items()
+            if name in targets
+        )
+        end_s = self._watch.clock.monotonic() + longest_s
+        for name, target in increments.items():
+            self._axes[name].device.go_to(target)
+        under_way = list(increments)
+        while under_way:
+            under_way = [name for name in under_way if not self._axes[name].device.arrived()]
+            if under_way and self._watch.clock.monotonic() > end_s:
+                where = ", ".join(
+                    f"{name} is at {axis.in_words(axis.position)} instead of "
+                    f"{axis.in_words(targets[name])}"
+                    for name, axis in self._axes.items()
+                    if name in under_way
+                )
+                raise PositionNotReached(
+                    f"after {longest_s:.1f} s {where}: is something in its way?"
+                )
+            self._watch.pause(_POLL_S)
+        return {name: self._axes[name].position for name in targets}
+
+    def stop(self) -> str:
+        """Stop all axes at once, wait until they stand, and return in words which do."""
+        devices = [axis.device for axis in self._axes.values()]
+        for device in devices:
+            with suppress(MotionError):
+                device.stop()
+        self._watch.supervise = _once_more(self._watch.supervise)
+        end_s = self._watch.clock.monotonic() + _STOP_S
+        moving = devices
+        while moving and self._watch.clock.monotonic() < end_s:
+            self._watch.pause(_POLL_S)
+            moving = [device for device in moving if not _stands(device)]
+        if not moving:
+            return "all axes stand still"
+        names = ", ".join(device.name for device in moving)
+        return f"not confirmed to stand still: {names}"
+
+
+def _stands(device: AxisDevice) -> bool:
+    try:
+        return device.standing()
+    except MotionError:
+        return False
+
+
+def _once_more(supervise: Callable[[], None]) -> Callable[[], None]:
+    """Return a supervision that goes on while axes are stopped, and ends with what it raises."""
+    alive = True
+
+    def guarded() -> None:
+        nonlocal alive
+        if alive:
+            try:
+                supervise()
+            except BaseException:
+                # The stop of the axes comes first; what was raised before says why.
+                alive = False
+
+    return guarded
