@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any, assert_never
 
 from cell.config.model import CellConfig
-from cell.control.axes import AxesPositioner, make_axes
+from cell.config.positioner import ServoAxisConfig
+from cell.control.axes import AxesBuilder, AxesPositioner
 from cell.control.controller import CellController
 from cell.control.journal import loop_values
 from cell.control.plan import Pose
@@ -31,6 +32,7 @@ from cell.hand.client import HandProcess
 from cell.hand.interface import Hand
 from cell.simulation import InProcessPlacer, capture_traffic, simulated_cell
 from gripper.dynamixel.bus import ServoBus
+from gripper.dynamixel.serial_port import ByteStream, SerialStream
 from gripper.state import Clock, GripperPhase
 from simulator.cell import SimulatedCell
 from tactile.can.bus import CanBus, close_bus, open_bus
@@ -251,21 +253,27 @@ def _axes(
     *,
     phase: Callable[[], GripperPhase],
 ) -> AxesPositioner:
-    """Return the positioner with axes; objects are brought by the simulator, a person or the host.
-
-    The bus of the control unit is shared on SocketCAN, where the system lets two programs use it.
-    """
+    """Return the positioner with axes; simulator, person or host bring the objects."""
     wanted, period_s = config.positioner, 1.0 / config.gripper.loop_rate_hz
-    clock: Clock = time
-    bus: CanBus
-    if simulated is not None and simulated.axes_can_bus is not None:
-        bus, clock = simulated.axes_can_bus, simulated.clock
-    else:
-        can = wanted.can
-        shared = (can.interface, can.channel) == (config.tactile.interface, config.tactile.channel)
-        nodes = [axis.node_id for axis in wanted.axes]
-        bus = open_bus(can.interface, can.channel, bitrate=can.bitrate, shared=shared, nodes=nodes)
-        undo.callback(close_bus, bus)
+    clock: Clock = time if simulated is None else simulated.clock
+    builder = AxesBuilder(clock, period_s)
+    if wanted.drives:
+        bus: CanBus
+        if simulated is not None and simulated.axes_can_bus is not None:
+            bus = simulated.axes_can_bus
+        else:
+            bus = _drive_bus(config)
+            undo.callback(close_bus, bus)
+        builder.add_drives(wanted.drives, bus)
+    for axis in wanted.axes:
+        if isinstance(axis, ServoAxisConfig):
+            stream: ByteStream
+            if simulated is not None:
+                stream = simulated.axes_streams[axis.moves]
+            else:
+                stream = SerialStream(axis.port, axis.baud_rate)
+                undo.callback(stream.close)
+            builder.add_servo(axis, stream)
     patient = PatientCaller(clock, period_s)
 
     def bring(label: str | None, supervise: Supervise) -> None:
@@ -277,5 +285,19 @@ def _axes(
             patient.call(lambda: operator.present(label), supervise)
 
     moved = [axis.moves for axis in wanted.axes]
-    axes = make_axes(wanted, bus, clock, period_s)
-    return AxesPositioner(axes, moved, bring=bring, phase=phase)
+    return AxesPositioner(builder.axes(), moved, bring=bring, phase=phase)
+
+
+def _drive_bus(config: CellConfig) -> CanBus:
+    """Open the bus of the drives.
+
+    The control unit's own is shared on SocketCAN, where the system lets two programs use it.
+    """
+    can, own = config.positioner.can, config.tactile
+    return open_bus(
+        can.interface,
+        can.channel,
+        bitrate=can.bitrate,
+        shared=(can.interface, can.channel) == (own.interface, own.channel),
+        nodes=[axis.node_id for axis in config.positioner.drives],
+    )

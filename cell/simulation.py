@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cell.config.gripper import ParallelLinkageConfig
 from cell.config.model import CellConfig
-from cell.config.positioner import PositionerConfig
+from cell.config.positioner import DriveAxisConfig, PositionerConfig, ServoAxisConfig
 from cell.config.tactile import LinearCalibrationConfig, layout_from_config, make_calibration
 from cell.control.axes import si_per_unit
 from cell.control.plan import Pose
@@ -23,6 +23,7 @@ from simulator.cell import SimulatedCell
 from simulator.errors import SimulatorError
 from simulator.faults.injector import VOCABULARY, check_fault
 from simulator.servo.mechanics import FingerLinkage, ParallelogramLinkage, RackLinkage, ServoMount
+from simulator.servo.wrist import WristMount
 from simulator.settings import RecordedGrasp, SimulatedServoSettings, SimulatorSettings
 from simulator.world.shape_files import parse_shape
 from simulator.world.shapes import ObjectPose, Shape
@@ -110,29 +111,46 @@ def simulator_settings(
         raise ConfigError(f"simulator: {error}") from error
 
 
-def _mounts(config: PositionerConfig) -> dict[str, DriveMount]:
-    """Return the simulated drives of a config's axes, mounted as the config describes them.
+def _mounts(config: PositionerConfig) -> dict[str, DriveMount | WristMount]:
+    """Return the simulated axes of a config, mounted as it describes them."""
+    return {
+        axis.moves: _drive_mount(axis) if isinstance(axis, DriveAxisConfig) else _wrist_mount(axis)
+        for axis in config.axes
+    }
 
-    An axis begins in the middle of its limits, or at its home where homing does not search it.
-    """
-    mounts: dict[str, DriveMount] = {}
-    for axis in config.axes:
-        si = si_per_unit(axis.moves)
-        low, high = axis.low - _SWITCH_MARGIN, axis.high + _SWITCH_MARGIN
+
+def _drive_mount(axis: DriveAxisConfig) -> DriveMount:
+    """Return the mount of a drive that begins at its home, or where it has to search for it."""
+    si = si_per_unit(axis.moves)
+    low, high = axis.low - _SWITCH_MARGIN, axis.high + _SWITCH_MARGIN
+    start = 0.5 * (axis.low + axis.high)
+    if axis.homing == "negative_switch":
+        low = axis.home
+    elif axis.homing == "positive_switch":
+        high = axis.home
+    elif axis.homing == "here":
         start = axis.home
-        if axis.homing == "negative_switch":
-            low, start = axis.home, 0.5 * (axis.low + axis.high)
-        elif axis.homing == "positive_switch":
-            high, start = axis.home, 0.5 * (axis.low + axis.high)
-        mounts[axis.moves] = DriveMount(
-            node_id=axis.node_id,
-            increments=axis.increments / si,
-            absolute=axis.homing == "none",
-            start=start * si,
-            low_switch=low * si,
-            high_switch=high * si,
-        )
-    return mounts
+    return DriveMount(
+        node_id=axis.node_id,
+        increments=axis.increments / si,
+        absolute=axis.homing == "none",
+        start=start * si,
+        low_switch=low * si,
+        high_switch=high * si,
+    )
+
+
+def _wrist_mount(axis: ServoAxisConfig) -> WristMount:
+    """Return the mount of a servo that begins in the middle of its limits."""
+    si = si_per_unit(axis.moves)
+    return WristMount(
+        servo_id=axis.id,
+        model=MODELS[axis.model],
+        baud_rate=axis.baud_rate,
+        increments=axis.increments / si,
+        zero=axis.zero_pulse,
+        start=0.5 * (axis.low + axis.high) * si,
+    )
 
 
 def _check_noise(config: CellConfig, layout: TaxelLayout) -> None:

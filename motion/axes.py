@@ -25,8 +25,8 @@ class AxisDevice(Protocol):
         """Return state and position in words; nothing moves."""
         ...
 
-    def prepare(self) -> None:
-        """Set up, clear a fault, enable, find the home; the axis may move."""
+    def prepare(self, *, reset: bool) -> None:
+        """Set up, enable, find the home; the axis may move. A fault is cleared with ``reset``."""
         ...
 
     def wake(self) -> None:
@@ -130,6 +130,7 @@ class Axes:
         self._axes = {axis.name: axis for axis in axes}
         self._watch = watch
         self._ready = False
+        self._reported = False
 
     def inspect(self) -> dict[str, str | MotionError]:
         """Return for each axis what its device is doing, or what is wrong; nothing moves."""
@@ -146,8 +147,9 @@ class Axes:
     ) -> dict[str, float]:
         """Move to positions in m or rad by axis; return the positions that were reached.
 
-        The first motion, and the first one after a fault, prepares the devices: it clears their
-        faults, enables them and finds their homes, one axis after the other.
+        The first motion, and the first one after a fault, prepares the devices: it enables them and
+        finds their homes, one axis after the other. A fault of a device is cleared only when it was
+        raised before: whoever moves again has seen it.
 
         Raises
         ------
@@ -167,13 +169,14 @@ class Axes:
                 if self._ready:
                     axis.device.wake()
                 else:
-                    axis.device.prepare()
-            self._ready = True
+                    axis.device.prepare(reset=self._reported)
+            self._ready, self._reported = True, False
             return self._move(targets, increments)
         except BaseException as error:
             self._ready = False
             raised = self.stop()
             if isinstance(error, MotionError):
+                self._reported = True
                 raise type(error)(f"{error}; {raised}") from error
             raise
         finally:

@@ -173,8 +173,10 @@ class Cia402Drive:
             words += f", {od.error_text(self._read(od.ERROR_CODE))}"
         return words
 
-    def prepare(self) -> None:
-        """Set the drive up, clear its fault, enable it and find its home; the axis may move.
+    def prepare(self, *, reset: bool) -> None:
+        """Set the drive up, enable it and find its home; the axis may move.
+
+        A drive at fault is reset with ``reset`` only.
 
         Raises
         ------
@@ -188,7 +190,7 @@ class Cia402Drive:
         self._write(od.HEARTBEAT_MS, 0, round(1e3 * HEARTBEAT_S))
         self._until(lambda: self._heard_s is not None, _START_S, "sends no heartbeat", AxisMissing)
         self._set_up()
-        if self._state() in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+        if reset and self._state() in (State.FAULT, State.FAULT_REACTION_ACTIVE):
             self._reset_fault()
         self._emergency = 0
         self._supervised = True
@@ -264,6 +266,7 @@ class Cia402Drive:
 
     def check(self) -> None:
         """Raise what heartbeat and emergencies have shown since the last look."""
+        self._bus.service()
         if not self._supervised:
             return
         if self._booted:
@@ -401,7 +404,7 @@ class Cia402Drive:
             if self._bus.clock.monotonic() > end_s:
                 raise error(f"{self.name} {failure} (waited {timeout_s:g} s)")
             self._bus.watch.pause(_POLL_S)
-            self._bus.service()
+            self.check()
 
     def _state(self) -> State:
         return State.of(self._status())

@@ -11,6 +11,7 @@ from simulator.devices import CellDevices
 from simulator.errors import PortUnplugged
 from simulator.faults.injector import FaultInjector, InjectedFault
 from simulator.servo.bus import MemoryServoStream
+from simulator.servo.wrist import SimulatedWrist
 from simulator.settings import SimulatorSettings
 from simulator.world.recorded import RecordedWorld
 from simulator.world.shapes import ObjectPose
@@ -43,6 +44,8 @@ class SimulatedCell:
         The host's end of the CAN bus.
     axes_can_bus
         The host's end of the bus of the axes' drives; None in a cell without any.
+    axes_streams
+        The host's ends of the lines of the axes' servos, by what they move.
     """
 
     def __init__(
@@ -61,6 +64,7 @@ class SimulatedCell:
         self.servo_stream = self._new_stream()
         self.can_bus = self._new_bus()
         self.axes_can_bus = self._new_axes_bus()
+        self.axes_streams = self._new_axes_streams()
         for text in self.settings.faults:
             self.inject(text)
 
@@ -114,6 +118,7 @@ class SimulatedCell:
         self.servo_stream = self._new_stream()
         self.can_bus = self._new_bus()
         self.axes_can_bus = self._new_axes_bus()
+        self.axes_streams = self._new_axes_streams()
 
     def _new_stream(self) -> MemoryServoStream:
         return MemoryServoStream(self.devices.servo_bus, self.clock, lost_error=self._lost_error)
@@ -131,7 +136,16 @@ class SimulatedCell:
         devices = self.devices.axes_can_devices
         return None if devices is None else InMemoryCanBus(devices, self.clock)
 
+    def _new_axes_streams(self) -> dict[str, MemoryServoStream]:
+        return {
+            moves: MemoryServoStream(axis.bus, self.clock, lost_error=self._lost_error)
+            for moves, axis in self.devices.axes.items()
+            if isinstance(axis, SimulatedWrist)
+        }
+
     def _close_ends(self) -> None:
+        for stream in self.axes_streams.values():
+            stream.close()
         self.servo_stream.close()
         self.can_bus.shutdown()
         if self.axes_can_bus is not None:

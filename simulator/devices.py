@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 from simulator.can.control_unit import ControlUnitSettings, SimulatedControlUnit
-from simulator.can.drive import SimulatedDrive
+from simulator.can.drive import DriveMount, SimulatedDrive
 from simulator.can.faults import CanLinkFaults, ControlUnitFaults
 from simulator.can.link import CanDevices
 from simulator.errors import SimulatorSettingsError, SimulatorStateError
@@ -12,6 +12,7 @@ from simulator.servo.device import BAUD_RATES, SimulatedServo
 from simulator.servo.faults import ServoFaultKnobs, WireFaults
 from simulator.servo.mechanics import FingerMechanics
 from simulator.servo.motor import ServoMotor
+from simulator.servo.wrist import SimulatedWrist
 from simulator.settings import SimulatorSettings
 from simulator.world.recorded import RecordedWorld
 from simulator.world.shapes import ObjectPose
@@ -63,8 +64,8 @@ class CellDevices:
         The control unit.
     can_devices
         The control unit, and who joins it on its bus.
-    drives
-        The drives of the axes, by what they move.
+    axes
+        The drives and servos that carry the object, by what they move.
     axes_can_devices
         The drives on a bus of their own; None without any.
     stage
@@ -74,9 +75,9 @@ class CellDevices:
     """
 
     __slots__ = (
+        "axes",
         "axes_can_devices",
         "can_devices",
-        "drives",
         "faults",
         "mechanics",
         "servo_bus",
@@ -133,13 +134,15 @@ class CellDevices:
             unit=unit_faults,
         )
         self.can_devices = CanDevices(self.unit)
-        self.drives = {
-            moves: SimulatedDrive(mount, start_s=start_s) for moves, mount in settings.axes.items()
+        self.axes: dict[str, SimulatedDrive | SimulatedWrist] = {
+            moves: SimulatedDrive(mount, start_s=start_s)
+            if isinstance(mount, DriveMount)
+            else SimulatedWrist(mount, start_s=start_s)
+            for moves, mount in settings.axes.items()
         }
-        self.axes_can_devices = CanDevices(*self.drives.values()) if self.drives else None
-        self.stage = (
-            Stage(self.world, self.drives) if isinstance(self.world, PhysicalWorld) else None
-        )
+        drives = [axis for axis in self.axes.values() if isinstance(axis, SimulatedDrive)]
+        self.axes_can_devices = CanDevices(*drives) if drives else None
+        self.stage = Stage(self.world, self.axes) if isinstance(self.world, PhysicalWorld) else None
 
     def second_unit(self, now_s: float) -> SimulatedControlUnit:
         """Return another control unit with the same node id, switched on at ``now_s`` s."""
@@ -208,8 +211,8 @@ class CellDevices:
 
     def advance_to(self, now_s: float) -> None:
         """Let the time pass for axes, fingers, object and servos until ``now_s`` s."""
-        for drive in self.drives.values():
-            drive.advance(now_s)
+        for axis in self.axes.values():
+            axis.advance(now_s)
         if self.stage is not None:
             self.stage.advance()
         self.world.advance_to(now_s)

@@ -142,11 +142,17 @@ class CellConfig(Section):
         """Refuse axes that the sequence does not fit, or of which only one side is simulated."""
         positioner = self.positioner
         positioner.check_sequence(self.sequence)
-        if positioner.kind == "axes" and simulated != (positioner.can.interface == SIMULATED):
-            raise ValueError(
-                "positioner.can.interface must be `simulated` if and only if gripper.port is: "
-                "axes and fingers move one object"
-            )
+        for port in positioner.ports:
+            if simulated != (port == SIMULATED):
+                raise ValueError(
+                    f"an axis of the positioner is on {port!r}, gripper.port is "
+                    f"{self.gripper.port!r}: both are `simulated`, or none"
+                )
+            if port == self.gripper.port != SIMULATED:
+                raise ValueError(
+                    f"an axis of the positioner is on {port!r}, the port of the fingers: its "
+                    "servo needs a port of its own"
+                )
 
     def _check_full_scale(self, most_n: float) -> None:
         """Refuse a calibration under which the ramp's end is beyond what a few taxels measure."""

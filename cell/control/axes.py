@@ -4,16 +4,25 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from math import radians
 
-from cell.config.positioner import DriveAxisConfig, PositionerConfig
+from cell.config.positioner import DriveAxisConfig, ServoAxisConfig
 from cell.control.plan import Pose
 from cell.control.positioner import unwatched
 from cell.errors import PositionerError, PositionerFault
+from gripper.dynamixel.bus import ServoBus
+from gripper.dynamixel.control_table import (
+    RAD_PER_PULSE,
+    RAD_S2_PER_ACCELERATION_UNIT,
+    RAD_S_PER_VELOCITY_UNIT,
+)
+from gripper.dynamixel.models import MODELS
+from gripper.dynamixel.serial_port import ByteStream
 from gripper.state import Clock, GripperPhase
-from motion.axes import Axes, Axis
+from motion.axes import Axes, Axis, AxisDevice
 from motion.bus import DriveBus, Watch
 from motion.drive import Cia402Drive, DriveSettings
 from motion.errors import AxisLimitExceeded, MotionError, PositionNotReached
 from motion.object_dictionary import HomingMethod
+from motion.servo import ServoAxis, ServoAxisSettings
 from tactile.can.bus import CanBus
 
 _FIELDS = {"x": "x_m", "y": "y_m", "rotation": "rotation_rad", "roll": "roll_rad"}
@@ -36,52 +45,53 @@ def si_per_unit(moves: str) -> float:
     return 1e-3 if moves in ("x", "y") else radians(1.0)
 
 
-def make_axes(config: PositionerConfig, bus: CanBus, clock: Clock, period_s: float) -> Axes:
-    """Return the axes of a config on an open bus; nothing moves yet.
+class AxesBuilder:
+    """Makes the axes of a config on open buses; nothing moves.
 
     Parameters
     ----------
-    config
-        The positioner's section.
-    bus
-        Bus of the drives.
     clock
         Source of time.
     period_s
         While an axis moves, the cell is supervised once in so many s.
     """
-    watch = Watch(clock, period_s)
-    drives = DriveBus(bus, watch)
-    return Axes([_drive_axis(axis, drives) for axis in config.axes], watch)
+
+    def __init__(self, clock: Clock, period_s: float) -> None:
+        self._watch = Watch(clock, period_s)
+        self._axes: list[Axis] = []
+
+    def add_drives(self, configs: Sequence[DriveAxisConfig], bus: CanBus) -> None:
+        """Add the axes with drives on one CAN bus."""
+        drives = DriveBus(bus, self._watch)
+        for config in configs:
+            device = Cia402Drive(
+                drives, config.node_id, f"axis {config.moves}", _drive_settings(config)
+            )
+            self._axes.append(_axis(config, device))
+
+    def add_servo(self, config: ServoAxisConfig, stream: ByteStream) -> None:
+        """Add an axis with a servo alone on its line."""
+        bus = ServoBus(
+            stream,
+            baudrate=config.baud_rate,
+            clock=self._watch.clock,
+            name=f"the line of axis {config.moves} ({config.port})",
+        )
+        device = ServoAxis(
+            bus, config.id, f"axis {config.moves}", _servo_settings(config), self._watch
+        )
+        self._axes.append(_axis(config, device))
+
+    def axes(self) -> Axes:
+        """Return all of them."""
+        return Axes(self._axes, self._watch)
 
 
-def _drive_axis(config: DriveAxisConfig, bus: DriveBus) -> Axis:
-    def increments(value: float) -> int:
-        return round(value * config.increments)
-
-    def count(value: float) -> int:
-        return max(1, abs(increments(value)))
-
-    low, high = sorted((increments(config.low), increments(config.high)))
-    homing = _HOMING[config.homing]
-    if config.increments < 0 and homing is not None and homing is not HomingMethod.HERE:
-        # The switch at the lower end of the axis is the positive one of a drive that is turned.
-        homing = HomingMethod(HomingMethod.NEGATIVE_SWITCH + HomingMethod.POSITIVE_SWITCH - homing)
-    settings = DriveSettings(
-        low=low,
-        high=high,
-        velocity=count(config.velocity),
-        acceleration=count(config.acceleration),
-        window=count(config.window),
-        following_error=count(config.following_error),
-        homing=homing,
-        home=increments(config.home),
-        homing_velocity=count(config.homing_velocity),
-    )
+def _axis(config: DriveAxisConfig | ServoAxisConfig, device: AxisDevice) -> Axis:
     si = si_per_unit(config.moves)
     return Axis(
         name=config.moves,
-        device=Cia402Drive(bus, config.node_id, f"axis {config.moves}", settings),
+        device=device,
         increments=config.increments / si,
         low=config.low * si,
         high=config.high * si,
@@ -89,6 +99,52 @@ def _drive_axis(config: DriveAxisConfig, bus: DriveBus) -> Axis:
         acceleration=config.acceleration * si,
         unit="mm" if config.moves in ("x", "y") else "deg",
         shown=1.0 / si,
+    )
+
+
+def _limits(config: DriveAxisConfig | ServoAxisConfig) -> tuple[int, int]:
+    """Return the limits in increments, the smaller one first."""
+    one, other = round(config.low * config.increments), round(config.high * config.increments)
+    return min(one, other), max(one, other)
+
+
+def _count(config: DriveAxisConfig | ServoAxisConfig, value: float) -> int:
+    """Return a way, speed or acceleration in increments, at least 1."""
+    return max(1, abs(round(value * config.increments)))
+
+
+def _drive_settings(config: DriveAxisConfig) -> DriveSettings:
+    homing = _HOMING[config.homing]
+    if config.increments < 0 and homing is not None and homing is not HomingMethod.HERE:
+        # The switch at the lower end of the axis is the positive one of a drive that is turned.
+        homing = HomingMethod(HomingMethod.NEGATIVE_SWITCH + HomingMethod.POSITIVE_SWITCH - homing)
+    low, high = _limits(config)
+    return DriveSettings(
+        low=low,
+        high=high,
+        velocity=_count(config, config.velocity),
+        acceleration=_count(config, config.acceleration),
+        window=_count(config, config.window),
+        following_error=_count(config, config.following_error),
+        homing=homing,
+        home=round(config.home * config.increments),
+        homing_velocity=_count(config, config.homing_velocity),
+    )
+
+
+def _servo_settings(config: ServoAxisConfig) -> ServoAxisSettings:
+    low, high = _limits(config)
+    rad = abs(config.increments) * RAD_PER_PULSE
+    return ServoAxisSettings(
+        model=MODELS[config.model],
+        low=low,
+        high=high,
+        zero=config.zero_pulse,
+        velocity=max(1, round(config.velocity * rad / RAD_S_PER_VELOCITY_UNIT)),
+        acceleration=max(1, round(config.acceleration * rad / RAD_S2_PER_ACCELERATION_UNIT)),
+        window=_count(config, config.window),
+        lag=_count(config, config.lag),
+        current_a=config.current_max_a,
     )
 
 
