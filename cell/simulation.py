@@ -75,7 +75,7 @@ def simulator_settings(
                 f"the linkage reaches {reach_m * 1e3:.1f} mm"
             )
         for text in settings.faults:
-            check_fault(text, len(config.gripper.servos))
+            check_fault(text, len(config.gripper.servos), len(config.positioner.axes))
         _check_noise(config, layout or layout_from_config(config.tactile))
         return SimulatorSettings(
             layout=layout or layout_from_config(config.tactile),

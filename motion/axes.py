@@ -10,8 +10,8 @@ from motion.errors import AxisLimitExceeded, MotionError, PositionNotReached
 
 _POLL_S = 0.005
 """Period in s in which moving axes are asked."""
-_STOP_S = 1.0
-"""Longest time in s until axes that were stopped stand still."""
+_STOP_S = 0.2
+"""Time in s that a stop may take beyond that of braking: the way of the command, settling."""
 _TIME_FACTOR, _TIME_S = 2.0, 2.0
 """A way may take so many times its time by velocity and acceleration, and so many s more."""
 
@@ -216,7 +216,8 @@ class Axes:
             with suppress(MotionError):
                 device.stop()
         self._watch.supervise = _once_more(self._watch.supervise)
-        end_s = self._watch.clock.monotonic() + _STOP_S
+        braking_s = max(axis.velocity / axis.acceleration for axis in self._axes.values())
+        end_s = self._watch.clock.monotonic() + braking_s + _STOP_S
         moving = devices
         while moving and self._watch.clock.monotonic() < end_s:
             self._watch.pause(_POLL_S)

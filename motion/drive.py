@@ -27,10 +27,10 @@ from motion.errors import (
 from motion.object_dictionary import Control, HomingMethod, OperatingMode, State, Status
 from tactile.can.sdo_client import COB_SDO_RESPONSE, PolledSdoClient
 
-HEARTBEAT_S = 0.1
+HEARTBEAT_S = 0.05
 """Period in s of the drive's heartbeat (1017h)."""
-_HEARTBEAT_FACTOR = 1.5
-"""A drive that has sent none for so many periods is lost."""
+_HEARTBEAT_FACTOR = 2.5
+"""A drive that has sent none for so many periods is lost: one message may be."""
 _SDO_TIMEOUT_S = 0.05
 """Longest wait in s for one answer: fifty times what a drive needs."""
 _ATTEMPTS = 3
@@ -92,6 +92,8 @@ class DriveSettings:
 
 _FOLLOWING_MS, _WINDOW_MS = 50, 20
 """Times in ms for which a following error is allowed, and a position has to be reached."""
+_STILL_SHARE = 0.01
+"""Share of its profile velocity up to which a drive stands still: encoders have noise."""
 _ZERO_SPEED_SHARE = 5
 """A switch is left at this part of the speed with which it was searched."""
 
@@ -189,6 +191,10 @@ class Cia402Drive:
         self._bus.send(od.COB_NMT, bytes((NMT_COMMANDS["OPERATIONAL"], self._node_id)))
         self._write(od.HEARTBEAT_MS, 0, round(1e3 * HEARTBEAT_S))
         self._until(lambda: self._heard_s is not None, _START_S, "sends no heartbeat", AxisMissing)
+        if self._state() is State.OPERATION_ENABLED:
+            # It may still be on its way: nobody could stop a drive that was silent.
+            self._write(od.CONTROLWORD, 0, Control.QUICK_STOP)
+            self._until(self.standing, self._braking_s, "does not stop")
         self._set_up()
         if reset and self._state() in (State.FAULT, State.FAULT_REACTION_ACTIVE):
             self._reset_fault()
@@ -203,12 +209,14 @@ class Cia402Drive:
         """Look whether the drive is as it was left: alive, enabled, without a fault."""
         self._bus.drop_old()
         self._heard_s = self._bus.clock.monotonic()
-        state = self._state()
-        if state is not State.OPERATION_ENABLED:
+        self._supervised = True
+        status = self._status()
+        if State.of(status) is State.SWITCH_ON_DISABLED:
             raise AxisRestarted(
-                f"{self.name} is in {state.words}, it was left in OPERATION ENABLED: it has "
-                "restarted or somebody else commands it; clear the fault and start again"
+                f"{self.name} is in SWITCH ON DISABLED, it was left in OPERATION ENABLED: it has "
+                "restarted, or somebody else commands it; clear the fault and start again"
             )
+        self._check_status(status)
 
     def go_to(self, target: int) -> None:
         """Begin to move; the only place where a target is written, and its limits with it.
@@ -262,7 +270,8 @@ class Cia402Drive:
     def standing(self) -> bool:
         """Return whether the axis stands still after a stop."""
         self._supervised = False
-        return self._state() is not State.OPERATION_ENABLED and self._read(od.VELOCITY) == 0
+        still = abs(self._read(od.VELOCITY)) <= self._settings.velocity * _STILL_SHARE
+        return still and self._state() is not State.OPERATION_ENABLED
 
     def check(self) -> None:
         """Raise what heartbeat and emergencies have shown since the last look."""
@@ -284,6 +293,10 @@ class Cia402Drive:
                 "where it has moved is not known. Check its supply and CAN cable, then clear the "
                 "fault and start again"
             )
+
+    @property
+    def _braking_s(self) -> float:
+        return _STATE_S + self._settings.velocity / self._settings.acceleration
 
     # -- parts -----------------------------------------------------------------------------------
 

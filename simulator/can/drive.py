@@ -28,6 +28,8 @@ _REGISTER_GENERIC = 0x01
 _SWITCHED_ON_BIT, _VOLTAGE_BIT, _NO_QUICK_STOP_BIT, _ENABLE_BIT = 0x1, 0x2, 0x4, 0x8
 _START_BIT, _HALT_BIT, _RESET_BIT = 0x10, 0x100, 0x80
 """Bits of the controlword (CiA 402-2)."""
+_STANDING = 100.0
+"""Speed of the mechanism in increments/s up to which it stands."""
 _POWERED = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
 """States in which the motor has current."""
 
@@ -101,7 +103,7 @@ class SimulatedDrive:
             od.MODE_DISPLAY: lambda: self._number(od.MODE),
             od.ERROR_CODE: lambda: self._error_code,
             od.POSITION: lambda: round(self.motion.actual - self._zero),
-            od.VELOCITY: lambda: round(self.motion.speed),
+            od.VELOCITY: lambda: round(self.motion.actual_speed),
             od.FOLLOWING_ERROR: lambda: round(self.motion.demand - self.motion.actual),
             od.DIGITAL_INPUTS: self._inputs,
         }
@@ -118,8 +120,12 @@ class SimulatedDrive:
 
     @property
     def moving(self) -> bool:
-        """Whether the set-point moves."""
-        return self.motion.speed != 0.0
+        """Whether the set-point moves, or the mechanism is not there yet."""
+        return not self._stands or abs(self.motion.actual_speed) > _STANDING
+
+    @property
+    def _stands(self) -> bool:
+        return self.motion.speed == 0.0
 
     @property
     def statusword(self) -> int:
@@ -221,7 +227,7 @@ class SimulatedDrive:
         elif index == od.MODE:
             if value not in (0, OperatingMode.PROFILE_POSITION, OperatingMode.HOMING):
                 raise canopen.SdoAbortedError(VALUE_RANGE)
-            if self.moving:
+            if not self._stands:
                 raise canopen.SdoAbortedError(WRONG_STATE)
             self._acknowledged = self._reached = False
         elif index == od.HOMING_METHOD and value not in [0, *HomingMethod]:
@@ -310,7 +316,7 @@ class SimulatedDrive:
         elif self.state is State.OPERATION_ENABLED:
             self._watch_switches()
         motion.step(STEP_S)
-        if self.state is State.FAULT_REACTION_ACTIVE and not self.moving:
+        if self.state is State.FAULT_REACTION_ACTIVE and self._stands:
             self._switch_off(State.FAULT)
         if self.state is State.OPERATION_ENABLED:
             self._watch_lag()

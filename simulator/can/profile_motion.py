@@ -20,8 +20,8 @@ class ProfileMotion:
     ----------
     demand, speed
         Set-point and its velocity in increments and increments/s.
-    actual
-        Where the mechanism is.
+    actual, actual_speed
+        Where the mechanism is, and its velocity.
     blocked
         Whether something holds the mechanism.
     braking
@@ -33,6 +33,7 @@ class ProfileMotion:
         "_limits",
         "_switches",
         "actual",
+        "actual_speed",
         "blocked",
         "braking",
         "demand",
@@ -41,7 +42,7 @@ class ProfileMotion:
 
     def __init__(self, position: float, low: float, high: float) -> None:
         self.demand = self.actual = position
-        self.speed = 0.0
+        self.speed = self.actual_speed = 0.0
         self.blocked = False
         self.braking = 0.0
         self._goal: float | None = None
@@ -86,6 +87,9 @@ class ProfileMotion:
         self.demand += self.speed * dt_s
         if self._goal is not None and abs(self._goal - self.demand) <= 0.5 + abs(wanted) * dt_s:
             self.demand, self.speed, self._goal = self._goal, 0.0, None
+        self.actual_speed = 0.0
         if not self.blocked:
             share = 1.0 - math.exp(-dt_s / FOLLOWING_TIME_CONSTANT_S)
-            self.actual += (self.demand - self.actual) * share
+            way = (self.demand - self.actual) * share
+            self.actual += way
+            self.actual_speed = way / dt_s

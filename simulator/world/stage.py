@@ -10,11 +10,11 @@ from simulator.world.world import PhysicalWorld
 
 FIELDS = {"x": "x_m", "y": "y_m", "rotation": "rotation_rad", "roll": "roll_rad"}
 """What an axis can move, and the field of the pose that it is."""
-_MOVING_STEP = 2e-4
-"""Way in m, or in rad divided by `_RAD_PER_M`, after which a moving object is put anew: each time
-its height maps are worked out."""
-_RESTING_STEP = 1e-6
-"""The same once the axes stand."""
+_FREE_STEP, _GRIPPED_STEP = 2e-3, 2e-4
+"""Way in m, or in rad divided by `_RAD_PER_M`, after which an object on its way is put anew between
+open fingers, and between fingers that press it: each time its height maps are worked out."""
+_RESTING_STEP = 2e-5
+"""The same once the axes stand: 0.02 mm or 0.06 degrees."""
 _RAD_PER_M = 50.0
 """Angle in rad that counts as a way of 1 m: 0.01 rad as 0.2 mm, an edge 20 mm from the centre."""
 
@@ -87,8 +87,10 @@ class Stage:
             self._carried = None
             return
         wanted = self._at(pose)
-        moving = any(axis.moving for axis in self._axes.values())
-        if _way(self._shown, wanted) > (_MOVING_STEP if moving else _RESTING_STEP):
+        step = _GRIPPED_STEP if max(self._world.contact_force_n()) > 0.0 else _FREE_STEP
+        if not any(axis.moving for axis in self._axes.values()):
+            step = _RESTING_STEP
+        if _way(self._shown, wanted) > step:
             self._beside = not self._world.carry(label, wanted)
             self._shown = wanted
 

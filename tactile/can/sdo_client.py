@@ -1,5 +1,6 @@
 """SDO client of canopen without its real-time wait: waits by our own clock."""
 
+import logging
 from collections.abc import Callable
 
 import canopen
@@ -22,6 +23,9 @@ taxels."""
 COB_SDO_RESPONSE = 0x580
 COB_SDO_REQUEST = 0x600
 """Identifiers of the pre-defined connection set (CiA 301, 7.3.5), before adding the node-ID."""
+
+# Each request that is repeated because its answer was lost is an error there.
+logging.getLogger(SdoClient.__module__).setLevel(logging.CRITICAL)
 
 
 class PolledSdoClient(SdoClient):
