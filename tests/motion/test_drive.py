@@ -114,6 +114,7 @@ def test_a_drive_that_fails_is_named_and_goes_on_once_it_is_well(
         bench.move(0.015)
     stopped = "not confirmed to stand still" if fail == "dead" else "all axes stand still"
     assert stopped in str(caught.value)
+    bench.clock.sleep(0.2)
     assert simulated.dead or not simulated.motion.speed
     simulated.motion.blocked = simulated.dead = False
     simulated.forced_switch = 0
