@@ -34,6 +34,7 @@ from cell.simulation import InProcessPlacer, capture_traffic, simulated_cell
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.serial_port import ByteStream, SerialStream
 from gripper.state import Clock, GripperPhase
+from motion.axes import Axes
 from simulator.cell import SimulatedCell
 from tactile.can.bus import CanBus, close_bus, open_bus
 from tactile.unit.link import TactileLink
@@ -54,11 +55,14 @@ class Cell:
         Whether time passes by itself; in a simulated cell it passes while a caller waits.
     simulated
         The simulated cell, where there is one in this process.
+    axes
+        The axes of its positioner; None where something else moves the object.
     """
 
     controller: CellController
     realtime: bool
     simulated: SimulatedCell | None
+    axes: Axes | None
     _recorder: Recorder | None
     _closing: ExitStack
 
@@ -185,6 +189,7 @@ def build_cell(
             controller=controller,
             realtime=simulated is None,
             simulated=simulated,
+            axes=positioner.axes if isinstance(positioner, AxesPositioner) else None,
             _recorder=recorder,
             _closing=undo.pop_all(),
         )

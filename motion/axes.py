@@ -29,6 +29,10 @@ class AxisDevice(Protocol):
         """Set up, enable, find the home; the axis may move. A fault is cleared with ``reset``."""
         ...
 
+    def clear_fault(self, *, reboot: bool) -> None:
+        """Clear a fault; a device that must restart for it does so with ``reboot`` only."""
+        ...
+
     def wake(self) -> None:
         """Look whether the device is as it was left."""
         ...
@@ -141,6 +145,23 @@ class Axes:
             except MotionError as error:
                 found[axis.device.name] = error
         return found
+
+    def clear_faults(self, *, reboot: bool) -> None:
+        """Clear the faults of all devices, also those of an earlier program; nothing moves.
+
+        Parameters
+        ----------
+        reboot
+            True to restart servos at fault, which drop what they carry.
+
+        Raises
+        ------
+        MotionError
+            If a device does not answer or stays at fault.
+        """
+        self._ready = False
+        for axis in self._axes.values():
+            axis.device.clear_fault(reboot=reboot)
 
     def move(
         self, targets: Mapping[str, float], supervise: Callable[[], None] = unwatched

@@ -1,11 +1,13 @@
 """Bus of the drives: one caller's thread, messages handed to the drives, time let pass."""
 
+import math
 from collections.abc import Callable
 
 import can
 import canopen
 
 from motion.errors import AxisSilent
+from motion.object_dictionary import COB_HEARTBEAT
 from tactile.can.receiver import PolledSource
 from tactile.clock import Clock
 from tactile.errors import LinkFault
@@ -52,6 +54,14 @@ class Watch:
             self.look()
 
 
+HOST_NODE = 127
+"""Node-ID of the host's own heartbeat: the last one, which no drive here has."""
+HOST_HEARTBEAT_S, HOST_LOST_S = 0.05, 0.25
+"""Period in s of that heartbeat while an axis moves, and after which a drive misses it."""
+_OPERATIONAL = b"\x05"
+"""NMT state in it (CiA 301, 7.2.8.3.3)."""
+
+
 class DriveBus:
     """CAN bus of one to three drives, asked by the thread that moves them.
 
@@ -69,6 +79,7 @@ class DriveBus:
         self.network = canopen.Network(bus)
         self._source = PolledSource(bus, watch.clock)
         self._handlers: dict[int, Callable[[bytes], None]] = {}
+        self._beat_due_s = math.inf
 
     def subscribe(self, cob_id: int, handler: Callable[[bytes], None]) -> None:
         """Have messages with an identifier handed to a drive."""
@@ -81,8 +92,18 @@ class DriveBus:
         except (can.CanError, OSError) as error:
             raise _lost(error) from error
 
+    def beat(self) -> None:
+        """Send the host's heartbeat now and from now on, for drives that stop when it is lost."""
+        self._beat_due_s = self.clock.monotonic() + HOST_HEARTBEAT_S
+        self.send(COB_HEARTBEAT + HOST_NODE, _OPERATIONAL)
+
     def service(self) -> None:
-        """Hand out what was received. Raises AxisSilent when the interface fails."""
+        """Hand out what was received, send the heartbeat when it is due.
+
+        Raises AxisSilent when the interface fails.
+        """
+        if self.clock.monotonic() >= self._beat_due_s:
+            self.beat()
         try:
             for _, message in self._source.drain():
                 handler = self._handlers.get(message.arbitration_id)

@@ -14,7 +14,7 @@ from canopen.nmt import NMT_COMMANDS
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from motion import object_dictionary as od
-from motion.bus import DriveBus
+from motion.bus import HOST_LOST_S, HOST_NODE, DriveBus
 from motion.errors import (
     AxisFault,
     AxisLimitExceeded,
@@ -44,6 +44,8 @@ _POLL_S = 0.005
 _BOOT_UP, _STATE_BITS = 0, 0x7F
 """Heartbeat of a boot-up, and the bits that are the NMT state (CiA 301, 7.2.8.3.3)."""
 _EMCY_BYTES = 8
+_WATCHED_HOST = HOST_NODE << 16 | round(1e3 * HOST_LOST_S)
+"""Consumer heartbeat time (1016h): the node-ID that is watched, and the longest silence in ms."""
 _QUICK_STOP_REQUEST = struct.pack("<BHBHH", 0x2B, od.CONTROLWORD, 0, Control.QUICK_STOP, 0)
 """SDO request that writes a controlword of two bytes (CiA 301, 7.2.4.3.3)."""
 
@@ -196,7 +198,7 @@ class Cia402Drive:
             self._write(od.CONTROLWORD, 0, Control.QUICK_STOP)
             self._until(self.standing, self._braking_s, "does not stop")
         self._set_up()
-        if reset and self._state() in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+        if reset:
             self._reset_fault()
         self._emergency = 0
         self._supervised = True
@@ -204,6 +206,18 @@ class Cia402Drive:
         if self._settings.homing is not None:
             self._home(self._settings.homing)
         self._set_mode(OperatingMode.PROFILE_POSITION)
+
+    def clear_fault(self, *, reboot: bool) -> None:
+        """Clear the fault of the drive; it needs no restart, and is neither enabled nor moved.
+
+        Raises
+        ------
+        MotionError
+            If it is missing, or its fault stays.
+        """
+        del reboot
+        self.identify()
+        self._reset_fault()
 
     def wake(self) -> None:
         """Look whether the drive is as it was left: alive, enabled, without a fault."""
@@ -231,6 +245,8 @@ class Cia402Drive:
             raise AxisLimitExceeded(
                 f"{self.name} was asked for {target} increments, its limits are {low} to {high}"
             )
+        self._write(od.CONSUMER_HEARTBEAT, 1, _WATCHED_HOST)
+        self._bus.beat()
         self._write(od.TARGET_POSITION, 0, target)
         self.target = target
         self._write(od.CONTROLWORD, 0, Control.NEW_SET_POINT)
@@ -255,7 +271,10 @@ class Cia402Drive:
         self._check_status(status)
         if self.target is None or not status & Status.TARGET_REACHED:
             return False
-        return abs(self.position - self.target) <= self._settings.window
+        if abs(self.position - self.target) > self._settings.window:
+            return False
+        self._write(od.CONSUMER_HEARTBEAT, 1, 0)
+        return True
 
     @property
     def position(self) -> int:
@@ -314,6 +333,8 @@ class Cia402Drive:
             (od.PROFILE_DECELERATION, 0, wanted.acceleration),
             (od.QUICK_STOP_DECELERATION, 0, 2 * wanted.acceleration),
             (od.QUICK_STOP_OPTION, 0, od.STAY_IN_QUICK_STOP),
+            (od.ABORT_CONNECTION, 0, od.STOP_WHEN_HOST_IS_LOST),
+            (od.CONSUMER_HEARTBEAT, 1, 0),
         ):
             self._write(index, subindex, value)
             found = self._read(index, subindex)
@@ -339,6 +360,8 @@ class Cia402Drive:
             self._bus.watch.pause(_POLL_S)
 
     def _reset_fault(self) -> None:
+        if self._state() not in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+            return
         code = self._read(od.ERROR_CODE)
         self._write(od.CONTROLWORD, 0, Control.DISABLE_VOLTAGE)
         self._write(od.CONTROLWORD, 0, Control.FAULT_RESET)

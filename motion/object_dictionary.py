@@ -25,9 +25,11 @@ DEVICE_TYPE = 0x1000
 PROFILE_402 = 402
 """Lower 16 bits of the device type of a drive."""
 CONSUMER_HEARTBEAT = 0x1016
+"""U32 each: node-ID that is watched << 16, and its longest silence in ms; 0 for none."""
 HEARTBEAT_MS = 0x1017
 ABORT_CONNECTION = 0x6007
-"""I16, what the drive does when the host's heartbeat is lost; 3 is quick stop."""
+STOP_WHEN_HOST_IS_LOST = 3
+"""Value of it: a quick stop when the heartbeat of the host (1016h) is lost."""
 ERROR_CODE = 0x603F
 CONTROLWORD = 0x6040
 STATUSWORD = 0x6041
@@ -131,7 +133,8 @@ INPUT_NEGATIVE_SWITCH, INPUT_POSITIVE_SWITCH = 0x1, 0x2
 """Bits of the digital inputs (60FDh): limit switches."""
 
 FOLLOWING_ERROR_CODE = 0x8611
-"""Error code of a following error."""
+HOST_LOST_CODE = 0x8130
+"""Error codes of a following error, and of a lost heartbeat."""
 _ERROR_TEXTS: Mapping[int, str] = MappingProxyType(
     {
         0x2310: "continuous over-current",
@@ -141,7 +144,7 @@ _ERROR_TEXTS: Mapping[int, str] = MappingProxyType(
         0x4310: "the motor is too hot",
         0x7121: "the motor is blocked",
         0x7305: "the encoder failed",
-        0x8130: "the host's heartbeat was lost",
+        HOST_LOST_CODE: "the host's heartbeat was lost",
         FOLLOWING_ERROR_CODE: "following error: the axis does not follow its set-point",
         0x8612: "a position limit was passed",
     }

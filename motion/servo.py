@@ -148,15 +148,7 @@ class ServoAxis:
         MotionError
             If it is missing, stays at fault, or stands outside its limits.
         """
-        self.identify()
-        error = self._read_error()
-        if error and not reset:
-            raise AxisFault(self._fault_text(error))
-        if error:
-            self._ask(lambda: self._bus.reboot(self._id))
-            self._watch.pause(_REBOOT_S)
-            if error := self._read_error():
-                raise AxisFault(self._fault_text(error))
+        self.clear_fault(reboot=reset)
         mode = OperatingMode.EXTENDED_POSITION
         self._write(BUS_WATCHDOG, 0)
         if self._ask(lambda: self._bus.read(self._id, OPERATING_MODE)) != mode:
@@ -176,6 +168,23 @@ class ServoAxis:
         self._write(GOAL_POSITION, at)
         self._write(TORQUE_ENABLE, 1)
         self._target = None
+
+    def clear_fault(self, *, reboot: bool) -> None:
+        """Restart a servo at fault, with ``reboot`` only: it loses its torque until it is used.
+
+        Raises
+        ------
+        MotionError
+            If it is missing, or at fault without ``reboot`` or after it.
+        """
+        self.identify()
+        error = self._read_error()
+        if error and reboot:
+            self._ask(lambda: self._bus.reboot(self._id))
+            self._watch.pause(_REBOOT_S)
+            error = self._read_error()
+        if error:
+            raise AxisFault(self._fault_text(error))
 
     def wake(self) -> None:
         """Look whether the servo is as it was left: alive, with torque, without a fault."""

@@ -24,7 +24,8 @@ STEP_S = 1e-3
 BOOT_S = 0.02
 """Time in s from power-on to the boot-up message."""
 _RESETS = (NMT_COMMANDS["RESET"], NMT_COMMANDS["RESET COMMUNICATION"])
-_REGISTER_GENERIC = 0x01
+_REGISTER_GENERIC, _REGISTER_COMMUNICATION = 0x01, 0x11
+"""Bits of the error register 1001h (CiA 301, 7.5.2.2)."""
 _SWITCHED_ON_BIT, _VOLTAGE_BIT, _NO_QUICK_STOP_BIT, _ENABLE_BIT = 0x1, 0x2, 0x4, 0x8
 _START_BIT, _HALT_BIT, _RESET_BIT = 0x10, 0x100, 0x80
 """Bits of the controlword (CiA 402-2)."""
@@ -108,7 +109,7 @@ class SimulatedDrive:
             od.DIGITAL_INPUTS: self._inputs,
         }
         self._stepped_s = start_s
-        self._boot_due_s = math.inf
+        self._boot_due_s = self._host_due_s = math.inf
         self._zero = 0.0
         self._error_code = self._control = 0
         self.power_cycle()
@@ -157,6 +158,12 @@ class SimulatedDrive:
             self.state = State.SWITCH_ON_DISABLED
         self._network.run(now_s, mute=self.dead)
         self._network.now_s = now_s
+        if now_s >= self._host_due_s:
+            self._host_due_s = math.inf
+            self._node.emcy.send(od.HOST_LOST_CODE, _REGISTER_COMMUNICATION, b"")
+            stops = self._number(od.ABORT_CONNECTION) == od.STOP_WHEN_HOST_IS_LOST
+            if stops and self.state is State.OPERATION_ENABLED:
+                self._quick_stop()
         while self._stepped_s + STEP_S <= now_s + 1e-9:
             self._stepped_s += STEP_S
             self._step()
@@ -171,6 +178,8 @@ class SimulatedDrive:
                 self.power_cycle()
             else:
                 self._node.nmt.on_command(0, data, now_s)
+        elif can_id == od.COB_HEARTBEAT + (self._number(od.CONSUMER_HEARTBEAT, 1) >> 16):
+            self._host_due_s = now_s + 1e-3 * (self._number(od.CONSUMER_HEARTBEAT, 1) & 0xFFFF)
         elif can_id == self._node.sdo.rx_cobid and self._node.nmt.state != "STOPPED":
             self._gate.request(data)
 
@@ -182,6 +191,7 @@ class SimulatedDrive:
         self.state = State.NOT_READY_TO_SWITCH_ON
         self._error_code = self._control = 0
         self._acknowledged = self._reached = self._at_switch = False
+        self._host_due_s = math.inf
         self._homing: int | None = None
         self._leaving = self._braking_at_home = False
         self._lag_s = 0.0
@@ -230,6 +240,9 @@ class SimulatedDrive:
             if not self._stands:
                 raise canopen.SdoAbortedError(WRONG_STATE)
             self._acknowledged = self._reached = False
+        elif index == od.CONSUMER_HEARTBEAT:
+            # Supervision begins with the first heartbeat (CiA 301, 7.2.8.3.3).
+            self._host_due_s = math.inf
         elif index == od.HOMING_METHOD and value not in [0, *HomingMethod]:
             raise canopen.SdoAbortedError(VALUE_RANGE)
 

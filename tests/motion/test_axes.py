@@ -8,6 +8,7 @@ import pytest
 from motion.axes import Axes, Axis
 from motion.bus import Watch
 from motion.errors import AxisFault, AxisLimitExceeded, AxisMissing, AxisRestarted, AxisSilent
+from motion.object_dictionary import State
 from simulator.clock import VirtualClock
 
 NEAR_RAD = math.radians(1.0)
@@ -27,6 +28,9 @@ class Device:
 
     def prepare(self, *, reset: bool) -> None:
         self.calls.append(f"prepare {reset}")
+
+    def clear_fault(self, *, reboot: bool) -> None:
+        self.calls.append(f"clear {reboot}")
 
     def wake(self) -> None:
         self.calls.append("wake")
@@ -171,3 +175,20 @@ def test_a_wrist_is_refused_that_is_another_or_stands_outside(make_wrist: Any) -
     registers.put("model_number", 1030)
     with pytest.raises(AxisMissing, match="has model number 1030, a XM430-W350 has 1020"):
         bench.move(1.0)
+
+
+def test_faults_of_an_earlier_program_are_cleared_without_motion(
+    make_wrist: Any, make_drive: Any
+) -> None:
+    bench = make_drive()
+    bench.simulated.fail(0x2310)
+    bench.axes.clear_faults(reboot=False)
+    assert bench.simulated.state is State.SWITCH_ON_DISABLED
+    bench.move(0.0)
+    wrist = make_wrist()
+    wrist.simulated.knobs.overload()
+    wrist.clock.sleep(0.1)
+    with pytest.raises(AxisFault, match="hardware error overload"):
+        wrist.axes.clear_faults(reboot=False)
+    wrist.axes.clear_faults(reboot=True)
+    wrist.move(1.0)

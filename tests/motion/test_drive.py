@@ -238,3 +238,17 @@ def test_messages_that_are_none_are_passed_over(
     message = can.Message(is_extended_id=False, **frame)
     bench.once_moving(lambda: bench.bus._link._inbox.appendleft(message))
     assert bench.move(0.01) == pytest.approx(0.01, abs=NEAR_M)
+
+
+def test_a_drive_whose_host_is_gone_stops_by_itself(make_drive: MakeDrive) -> None:
+    bench = make_drive(homing=None)
+    bench.move(-0.02)
+    bench.clock.sleep(5.0)  # while it stands, nobody has to send anything
+    assert bench.simulated.state is State.OPERATION_ENABLED
+    bench.drive.go_to(20_000)
+    bench.clock.sleep(1.0)
+    assert bench.simulated.state is State.QUICK_STOP_ACTIVE
+    assert -0.02 < bench.simulated.position < 0.0
+    with pytest.raises(AxisFault, match="left OPERATION ENABLED for QUICK STOP ACTIVE"):
+        bench.move(0.0)
+    bench.move(0.0)
