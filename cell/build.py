@@ -267,7 +267,7 @@ def _axes(
         if simulated is not None and simulated.axes_can_bus is not None:
             bus = simulated.axes_can_bus
         else:
-            bus = _drive_bus(config)
+            bus = drive_bus(config)
             undo.callback(close_bus, bus)
         builder.add_drives(wanted.drives, bus)
     for axis in wanted.axes:
@@ -293,7 +293,7 @@ def _axes(
     return AxesPositioner(builder.axes(), moved, bring=bring, phase=phase)
 
 
-def _drive_bus(config: CellConfig) -> CanBus:
+def drive_bus(config: CellConfig) -> CanBus:
     """Open the bus of the drives.
 
     The control unit's own is shared on SocketCAN, where the system lets two programs use it.
