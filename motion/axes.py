@@ -45,6 +45,10 @@ class AxisDevice(Protocol):
         """Return whether the target is reached; raises what went wrong."""
         ...
 
+    def rest(self) -> None:
+        """End a motion that has arrived: nobody has to watch the device any more."""
+        ...
+
     @property
     def position(self) -> int:
         """Present position in increments."""
@@ -214,10 +218,9 @@ class Axes:
         end_s = self._watch.clock.monotonic() + longest_s
         for name, target in increments.items():
             self._axes[name].device.go_to(target)
-        under_way = list(increments)
-        while under_way:
-            under_way = [name for name in under_way if not self._axes[name].device.arrived()]
-            if under_way and self._watch.clock.monotonic() > end_s:
+        # Those that have arrived are asked on: one that fails then stops the others too.
+        while under_way := [name for name in targets if not self._axes[name].device.arrived()]:
+            if self._watch.clock.monotonic() > end_s:
                 where = ", ".join(
                     f"{name} is at {axis.in_words(axis.position)} instead of "
                     f"{axis.in_words(targets[name])}"
@@ -228,6 +231,8 @@ class Axes:
                     f"after {longest_s:.1f} s {where}: is something in its way?"
                 )
             self._watch.pause(_POLL_S)
+        for name in targets:
+            self._axes[name].device.rest()
         return {name: self._axes[name].position for name in targets}
 
     def stop(self) -> str:
@@ -236,7 +241,7 @@ class Axes:
         for device in devices:
             with suppress(MotionError):
                 device.stop()
-        self._watch.supervise = _once_more(self._watch.supervise)
+        self._watch.supervise = _undisturbed(self._watch.supervise)
         braking_s = max(axis.velocity / axis.acceleration for axis in self._axes.values())
         end_s = self._watch.clock.monotonic() + braking_s + _STOP_S
         moving = devices
@@ -256,17 +261,12 @@ def _stands(device: AxisDevice) -> bool:
         return False
 
 
-def _once_more(supervise: Callable[[], None]) -> Callable[[], None]:
-    """Return a supervision that goes on while axes are stopped, and ends with what it raises."""
-    alive = True
+def _undisturbed(supervise: Callable[[], None]) -> Callable[[], None]:
+    """Return a supervision that goes on while axes are stopped, whatever it raises."""
 
     def guarded() -> None:
-        nonlocal alive
-        if alive:
-            try:
-                supervise()
-            except BaseException:
-                # The stop of the axes comes first; what was raised before says why.
-                alive = False
+        # The stop of the axes comes first; what was raised before is what ends the motion.
+        with suppress(Exception):
+            supervise()
 
     return guarded

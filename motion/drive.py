@@ -271,10 +271,11 @@ class Cia402Drive:
         self._check_status(status)
         if self.target is None or not status & Status.TARGET_REACHED:
             return False
-        if abs(self.position - self.target) > self._settings.window:
-            return False
+        return abs(self.position - self.target) <= self._settings.window
+
+    def rest(self) -> None:
+        """Let the drive miss the host's heartbeat from now on."""
         self._write(od.CONSUMER_HEARTBEAT, 1, 0)
-        return True
 
     @property
     def position(self) -> int:

@@ -225,10 +225,11 @@ class ServoAxis:
         self._check_load(values)
         near = abs(self._axis(values["present_position"]) - self._target) <= self._settings.window
         on_goal = self._axis(values["position_trajectory"]) == self._target
-        if not (near and on_goal and abs(values["present_velocity"]) <= _STANDING):
-            return False
+        return near and on_goal and abs(values["present_velocity"]) <= _STANDING
+
+    def rest(self) -> None:
+        """Disarm the bus watchdog: nobody asks the servo while it stands."""
         self._write(BUS_WATCHDOG, 0)
-        return True
 
     @property
     def position(self) -> int:

@@ -43,7 +43,10 @@ class Device:
         self._seen += 1
         if self._seen == self._fails_at:
             raise AxisFault(f"{self.name} is at fault")
-        return self._seen % self._looks == 0
+        return self._seen >= self._looks
+
+    def rest(self) -> None:
+        self.calls.append("rest")
 
     def stop(self) -> None:
         self.calls.append("stop")
@@ -67,9 +70,9 @@ def test_all_axes_move_at_once_and_are_prepared_once() -> None:
     one, two = Device("x"), Device("y")
     axes = axes_of(one, two)
     assert axes.move({"x": 0.5, "y": -0.25}) == {"x": 0.5, "y": -0.25}
-    assert one.calls == ["prepare False", "go 50"]
+    assert one.calls == ["prepare False", "go 50", "rest"]
     axes.move({"x": 0.0, "y": 0.0})
-    assert two.calls == ["prepare False", "go -25", "wake", "go 0"]
+    assert two.calls == ["prepare False", "go -25", "rest", "wake", "go 0", "rest"]
 
 
 def test_one_target_beyond_its_limit_moves_none() -> None:
@@ -86,7 +89,14 @@ def test_when_one_axis_fails_all_are_stopped_and_prepared_anew() -> None:
         axes.move({"x": 0.5, "y": 0.5})
     assert one.calls[-1] == two.calls[-1] == "stop"
     axes.move({"x": 0.0, "y": 0.0})
-    assert two.calls[-2:] == ["prepare True", "go 0"]
+    assert two.calls[-3:] == ["prepare True", "go 0", "rest"]
+
+
+def test_an_axis_that_fails_after_it_has_arrived_stops_the_others() -> None:
+    one, two = Device("x", looks=2, fails_at=5), Device("y", looks=9)
+    with pytest.raises(AxisFault, match="x is at fault"):
+        axes_of(one, two).move({"x": 0.5, "y": 0.5})
+    assert two.calls[-1] == "stop"
 
 
 def test_a_wrist_turns_between_its_limits(make_wrist: Any) -> None:

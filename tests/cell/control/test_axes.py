@@ -135,6 +135,8 @@ def test_a_cancel_stops_the_axes_on_their_way(bench: Any) -> None:
     assert not any(axis.moving for axis in axes.values())
     assert axes["x"].position < 0.0
     assert bench.controller.state is CellState.HELD
+    bench.controller.release()
+    assert bench.grasp(3.0, Pose(x_m=5e-3)).reached.x_m == pytest.approx(5e-3, abs=NEAR_M)
 
 
 def test_a_drive_at_fault_is_a_fault_of_the_cell_until_it_is_cleared(bench: Any) -> None:
