@@ -140,6 +140,11 @@ class Axes:
         self._ready = False
         self._reported = False
 
+    @property
+    def ready(self) -> bool:
+        """Whether the axes are enabled and know their positions: no motion begins with homing."""
+        return self._ready
+
     def inspect(self) -> dict[str, str | MotionError]:
         """Return for each axis what its device is doing, or what is wrong; nothing moves."""
         found: dict[str, str | MotionError] = {}
@@ -185,7 +190,8 @@ class Axes:
         MotionError
             If a device is at fault or silent. All axes were stopped, and are prepared anew.
 
-        What ``supervise`` raises stops all axes too.
+        What ``supervise`` raises stops all axes too; they know their positions then, and go on from
+        there.
         """
         increments = {name: self._axes[name].target(value) for name, value in targets.items()}
         self._watch.supervise = supervise
@@ -198,10 +204,9 @@ class Axes:
             self._ready, self._reported = True, False
             return self._move(targets, increments)
         except BaseException as error:
-            self._ready = False
             raised = self.stop()
             if isinstance(error, MotionError):
-                self._reported = True
+                self._ready, self._reported = False, True
                 raise type(error)(f"{error}; {raised}") from error
             raise
         finally:

@@ -132,7 +132,7 @@ class Cia402Drive:
         self._heard_s: float | None = None
         self._booted = False
         self._emergency = 0
-        self._supervised = False
+        self._supervised = self._stopped = False
         self.target: int | None = None
         bus.subscribe(
             COB_SDO_RESPONSE + node_id,
@@ -224,6 +224,9 @@ class Cia402Drive:
         self._bus.drop_old()
         self._heard_s = self._bus.clock.monotonic()
         self._supervised = True
+        if self._stopped and self._state() is State.QUICK_STOP_ACTIVE:
+            self._enable()
+        self._stopped = False
         status = self._status()
         if State.of(status) is State.SWITCH_ON_DISABLED:
             raise AxisRestarted(
@@ -284,7 +287,7 @@ class Cia402Drive:
 
     def stop(self) -> None:
         """Send a quick stop and wait for nothing; also a drive that is silent may still hear."""
-        self.target = None
+        self.target, self._stopped = None, True
         self._bus.send(od.COB_SDO_REQUEST + self._node_id, _QUICK_STOP_REQUEST)
 
     def standing(self) -> bool:

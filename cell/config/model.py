@@ -15,6 +15,7 @@ from cell.config.positioner import PositionerConfig
 from cell.config.section import SIMULATED, OneOf, Section, setting_of
 from cell.config.sequence import SequenceConfig
 from cell.config.simulator import SimulatorConfig
+from cell.config.sort import SortConfig
 from cell.config.tactile import TactileConfig, layout_from_config, make_calibration
 from cell.errors import ConfigError
 from gripper.settings import GripperSettings
@@ -81,6 +82,8 @@ class CellConfig(Section):
     """Control unit and CAN bus."""
     sequence: SequenceConfig = SequenceConfig()
     """Poses, forces and stop rule."""
+    sort: SortConfig = SortConfig()
+    """Places of named parts."""
     positioner: PositionerConfig = PositionerConfig()
     """Who moves the object or the gripper."""
     recognition: RecognitionConfig = RecognitionConfig()
@@ -106,6 +109,20 @@ class CellConfig(Section):
             raise ValueError(
                 f"sequence asks for {least_n:g} N, gripper.contact_force_n is "
                 f"{self.gripper.contact_force_n:g} N: less could not hold a part"
+            )
+        contact_n = self.gripper.contact_force_n
+        if self.sequence.regrasp == "none" and least_n < 3.0 * contact_n:
+            raise ValueError(
+                f"sequence asks for {least_n:g} N; with sequence.regrasp none a further ramp "
+                f"begins at twice gripper.contact_force_n = {contact_n:g} N: ask for three times "
+                "that at least"
+            )
+        carry_n = self.sequence.carry_force_n
+        if not self.gripper.contact_force_n <= carry_n <= allowed_n:
+            raise ValueError(
+                f"sequence.carry_force_n is {carry_n:g} N, a part is held with "
+                f"gripper.contact_force_n = {self.gripper.contact_force_n:g} N at least and, under "
+                f"gripper.force_max_n = {self.gripper.force_max_n:g} N, {allowed_n:.2f} N at most"
             )
         self._check_full_scale(most_n)
         simulated = (self.gripper.port == SIMULATED, self.tactile.interface == SIMULATED)

@@ -6,7 +6,7 @@ from math import radians
 
 from cell.config.positioner import DriveAxisConfig, ServoAxisConfig
 from cell.control.plan import Pose
-from cell.control.positioner import unwatched
+from cell.control.positioner import Destination, unwatched
 from cell.errors import PositionerError, PositionerFault
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import (
@@ -35,6 +35,8 @@ _HOMING = {
 }
 _FINGERS_REST = (GripperPhase.OFF, GripperPhase.IDLE)
 """Phases of the gripper in which nothing is held and no finger moves."""
+_FINGERS_HOLD = (GripperPhase.HOLDING,)
+"""Phases in which a part is held and no finger moves."""
 
 Bring = Callable[[str | None, Callable[[], None]], None]
 """Has somebody bring an object: its label or None, and the supervision of the wait."""
@@ -149,7 +151,7 @@ def _servo_settings(config: ServoAxisConfig) -> ServoAxisSettings:
 
 
 class AxesPositioner:
-    """Moves the object with axes of the cell's own, only while the fingers rest and are empty.
+    """Moves the object with axes of the cell's own: between open fingers, or kept in the grip.
 
     Parameters
     ----------
@@ -193,6 +195,35 @@ class AxesPositioner:
         PositionerFault
             If a drive is at fault or silent; all axes were stopped.
         """
+        reached = self._move(pose, _FINGERS_REST, supervise)
+        return replace(pose, **{_FIELDS[part]: value for part, value in reached.items()})
+
+    def carry_to(self, destination: Destination, supervise: Callable[[], None] = unwatched) -> None:
+        """Move all axes to a place with the part that is kept in the grip.
+
+        Raises
+        ------
+        PositionerError
+            If the place has no pose, or as `move_to`. The part is still kept.
+        PositionerFault
+            As `move_to`. The part is still kept.
+        """
+        if destination.pose is None:
+            raise PositionerError(
+                f"the place {destination.place} of {destination.label} has no pose: write it "
+                "into sort.places for the axes, or bring the part as a host; the part is kept"
+            )
+        if not self.axes.ready:
+            raise PositionerError(
+                f"the axes have to find their homes before they go to {destination.place}, which "
+                "they do with empty fingers only: release the part; it is kept meanwhile"
+            )
+        self._move(destination.pose, _FINGERS_HOLD, supervise)
+
+    def _move(
+        self, pose: Pose, phases: Sequence[GripperPhase], supervise: Callable[[], None]
+    ) -> dict[str, float]:
+        """Move to a pose in one of some phases of the gripper; return where the axes are."""
         for part, name in _FIELDS.items():
             value = getattr(pose, name)
             if part not in self._moved and value != 0.0:
@@ -201,16 +232,15 @@ class AxesPositioner:
                     f"with 0 there, or add an axis (positioner.axes)"
                 )
         phase = self._phase()
-        if phase not in _FINGERS_REST:
+        if phase not in phases:
             raise PositionerError(
-                f"the fingers are {phase.value}: axes move only while they rest and hold nothing; "
-                "release the part first"
+                f"the fingers are {phase.value}: axes move only while they rest and hold nothing, "
+                "or carry a part that is kept"
             )
         targets = {part: getattr(pose, _FIELDS[part]) for part in self._moved}
         try:
-            reached = self.axes.move(targets, supervise)
+            return self.axes.move(targets, supervise)
         except (AxisLimitExceeded, PositionNotReached) as error:
             raise PositionerError(str(error)) from error
         except MotionError as error:
             raise PositionerFault(f"{type(error).__name__}: {error}") from error
-        return replace(pose, **{_FIELDS[part]: value for part, value in reached.items()})

@@ -17,8 +17,8 @@ from cell.control.states import (
 )
 from cell.errors import CellStateError, CellStopped, HandLost, PositionerError, error_text
 from cell.hand.interface import Hand
-from gripper.errors import GraspStopped, GripperError, PartLost, fingers_left
-from gripper.state import GraspResult, GripperPhase
+from gripper.errors import GraspStopped, GripperError, PartLost, PartSlipped, fingers_left
+from gripper.state import Clock, GraspResult, GripperPhase
 
 _HOLDING = (
     GripperPhase.APPROACHING,
@@ -46,6 +46,8 @@ class CellLifecycle:
         Ends the tactile link when a start is given up.
     changed
         Called after each change of state.
+    clock
+        Monotonic time.
 
     Attributes
     ----------
@@ -66,11 +68,14 @@ class CellLifecycle:
         note: Callable[[str, str], None],
         close_sensor: Callable[[], None],
         changed: Callable[[], None],
+        clock: Clock,
     ) -> None:
         self._hand = hand
         self._note = note
         self._close_sensor = close_sensor
         self._changed = changed
+        self._clock = clock
+        self._kept: tuple[float, str] | None = None
         self._state = CellState.STOPPED
         self._part_lost = False
         self.result: GraspResult | None = None
@@ -113,6 +118,8 @@ class CellLifecycle:
             self._state = next_state(self._state, event)
         except ValueError as error:
             raise self._refused(str(error)) from None
+        if event in (Event.RELEASE, Event.RELEASE_HELD, Event.START):
+            self._kept = None
         self._changed()
 
     def _refused(self, text: str) -> CellStateError:
@@ -121,6 +128,14 @@ class CellLifecycle:
     def complete(self) -> None:
         """Leave the acting state with the event with which it ends when all goes well."""
         self.go(COMPLETIONS[self._state])
+
+    def keep(self, *, since: str) -> None:
+        """Leave EXECUTE with the part held for the host, ``since`` e.g. the answer.
+
+        A fault from then on names the time since then; a part that is kept already stays so.
+        """
+        self._kept = self._kept or (self._clock.monotonic(), since)
+        self.go(Event.KEPT)
 
     def check_cancelled(self) -> None:
         """Raise GraspStopped if a stop was requested."""
@@ -167,8 +182,10 @@ class CellLifecycle:
 
     def _latch(self, error: BaseException) -> None:
         """Keep the grip and go where a fault leads; what is seen last does not hide the first."""
-        self.fault = error_text(error)
-        self._part_lost = isinstance(error, PartLost)
+        self.fault = error_text(error) + self._carried_for()
+        # A kept part that slips is no longer where the host has it.
+        lost = (PartLost, PartSlipped) if self._kept else PartLost
+        self._part_lost = isinstance(error, lost)
         self.go(Event.FAULT)
         try:
             self._note("fault", self.fault)
@@ -177,6 +194,13 @@ class CellLifecycle:
             self._note("fault", f"the grip could not be confirmed: {second}")
         finally:
             self.complete()
+
+    def _carried_for(self) -> str:
+        """Return as text how long a kept part was held until now; empty where none is kept."""
+        if self._kept is None:
+            return ""
+        since_s, since = self._kept
+        return f"; {self._clock.monotonic() - since_s:.1f} s after the {since}"
 
     def _left(self, stop: GraspStopped) -> str:
         """Return what a stop has left as text: fingers on their way, a grip, or nothing held."""

@@ -1,6 +1,6 @@
 """States of the cell and its grip, the table of transitions, and the commands of a host.
 
-Names are those of PackML, numbers those of its enumeration in OPC UA (OPC 30060, table 203). The
+Names are those of PackML, numbers those of PackTags (OPC 30050), which PLC programmers know. The
 lifecycle walks this table; the page ``docs/reference/states.md`` and the tests are made from it.
 """
 
@@ -82,6 +82,7 @@ class CellState(StrEnum):
     STARTING = "STARTING"
     IDLE = "IDLE"
     EXECUTE = "EXECUTE"
+    COMPLETE = "COMPLETE"
     HOLDING = "HOLDING"
     HELD = "HELD"
     STOPPING = "STOPPING"
@@ -92,13 +93,18 @@ class CellState(StrEnum):
 
     @property
     def number(self) -> int:
-        """Number of the state for hosts: StateEnumeration of OPC 30060."""
+        """Number of the state for hosts, that of PackTags: see also `needs_reset`."""
         return _NUMBERS[self]
 
     @property
     def acting(self) -> bool:
         """Whether the state is left by itself, because a command runs or a fault is handled."""
         return self in COMPLETIONS
+
+    @property
+    def needs_reset(self) -> bool:
+        """Whether an acknowledged fault waits for a reset, which has the number of STOPPED."""
+        return self is CellState.RESETTING
 
 
 class Event(StrEnum):
@@ -108,6 +114,8 @@ class Event(StrEnum):
     STARTED = "started"
     EXECUTE = "execute"
     DONE = "done"
+    KEPT = "kept"
+    VERIFY = "verify"
     HOLD = "hold"
     HELD = "held"
     RELEASE = "release"
@@ -126,6 +134,8 @@ class Command(StrEnum):
 
     START = "start"
     GRASP = "grasp"
+    GRIP = "grip"
+    VERIFY = "verify"
     CANCEL = "cancel"
     RELEASE = "release"
     RELEASE_HELD = "release_held"
@@ -135,18 +145,21 @@ class Command(StrEnum):
 
 
 _NUMBERS = {
-    CellState.STOPPED: 0,
-    CellState.RESETTING: 1,
-    CellState.IDLE: 2,
-    CellState.STARTING: 3,
-    CellState.EXECUTE: 4,
-    CellState.ABORTING: 7,
-    CellState.ABORTED: 8,
-    CellState.STOPPING: 9,
-    CellState.CLEARING: 10,
-    CellState.HOLDING: 14,
-    CellState.HELD: 15,
+    CellState.CLEARING: 1,
+    CellState.STOPPED: 2,
+    CellState.RESETTING: 2,
+    CellState.IDLE: 4,
+    CellState.EXECUTE: 6,
+    CellState.STOPPING: 7,
+    CellState.ABORTING: 8,
+    CellState.ABORTED: 9,
+    CellState.HOLDING: 10,
+    CellState.HELD: 11,
+    CellState.STARTING: 15,
+    CellState.COMPLETE: 17,
 }
+"""Number of each state in PackTags (OPC 30050; Beckhoff `E_PMLState`). PackML's Resetting is what
+happens in STARTING; the cell's RESETTING waits stopped until a fault is reset."""
 
 COMPLETIONS: dict[CellState, Event] = {
     CellState.STARTING: Event.STARTED,
@@ -156,7 +169,8 @@ COMPLETIONS: dict[CellState, Event] = {
     CellState.ABORTING: Event.ABORTED,
     CellState.CLEARING: Event.CLEARED,
 }
-"""The event with which each acting state ends when all goes well."""
+"""The event with which each acting state ends when all goes well. EXECUTE ends with KEPT instead
+where the part is held for the host."""
 
 TRANSITIONS: dict[tuple[CellState, Event], CellState] = {
     (CellState.STOPPED, Event.START): CellState.STARTING,
@@ -168,7 +182,11 @@ TRANSITIONS: dict[tuple[CellState, Event], CellState] = {
     (CellState.IDLE, Event.RELEASE): CellState.EXECUTE,
     (CellState.IDLE, Event.STOP): CellState.STOPPING,
     (CellState.EXECUTE, Event.DONE): CellState.IDLE,
+    (CellState.EXECUTE, Event.KEPT): CellState.COMPLETE,
     (CellState.EXECUTE, Event.HOLD): CellState.HOLDING,
+    (CellState.COMPLETE, Event.VERIFY): CellState.EXECUTE,
+    (CellState.COMPLETE, Event.RELEASE): CellState.EXECUTE,
+    (CellState.COMPLETE, Event.STOP): CellState.STOPPING,
     (CellState.HOLDING, Event.HELD): CellState.HELD,
     (CellState.HELD, Event.RELEASE): CellState.EXECUTE,
     (CellState.HELD, Event.STOP): CellState.STOPPING,
@@ -189,6 +207,8 @@ TRANSITIONS: dict[tuple[CellState, Event], CellState] = {
 _EVENT_OF = {
     Command.START: Event.START,
     Command.GRASP: Event.EXECUTE,
+    Command.GRIP: Event.EXECUTE,
+    Command.VERIFY: Event.VERIFY,
     Command.RELEASE: Event.RELEASE,
     Command.RELEASE_HELD: Event.RELEASE_HELD,
     Command.CLEAR: Event.CLEAR,
@@ -196,6 +216,9 @@ _EVENT_OF = {
     Command.SHUTDOWN: Event.STOP,
 }
 """Event of each command; a cancel leads to different ones."""
+
+_KEEPING = (Command.GRIP, Command.VERIFY)
+"""Commands that end with the part held for the host."""
 
 _CANCELLED = {CellState.EXECUTE: Event.HOLD, CellState.STARTING: Event.STOP}
 """What a cancel of the running command leads to; other acting states end as they would."""
@@ -258,13 +281,14 @@ def answer(state: CellState, command: Command) -> Answer:
     event = _EVENT_OF[command]
     if (state, event) not in TRANSITIONS:
         return Answer(False)
-    return Answer(True, _path(state, event))
+    return Answer(True, _path(state, event, kept=command in _KEEPING))
 
 
-def _path(state: CellState, event: Event) -> tuple[CellState, ...]:
+def _path(state: CellState, event: Event, *, kept: bool = False) -> tuple[CellState, ...]:
     path = [next_state(state, event)]
     while path[-1].acting:
-        path.append(next_state(path[-1], COMPLETIONS[path[-1]]))
+        keeps = kept and path[-1] is CellState.EXECUTE
+        path.append(next_state(path[-1], Event.KEPT if keeps else COMPLETIONS[path[-1]]))
     return tuple(path)
 
 
@@ -275,7 +299,9 @@ class CellStatus:
     Attributes
     ----------
     state, state_number
-        PackML name, and number in OPC 30060, StateEnumeration.
+        PackML name, and number in PackTags.
+    needs_reset
+        Whether an acknowledged fault waits for `reset`; the number is then that of STOPPED.
     grasp, grasp_number
         State of the grip, and its number.
     holding
@@ -286,6 +312,7 @@ class CellStatus:
 
     state: str
     state_number: int
+    needs_reset: bool
     grasp: str
     grasp_number: int
     holding: bool

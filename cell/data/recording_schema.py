@@ -166,7 +166,7 @@ SCHEMAS: Final[Mapping[str, Mapping[str, Any]]] = {
         ("t_s", "state", "state_number", "grasp", "grasp_number", "wall_ns"),
         t_s=_number("monotonic time at which one of the two states changed, s"),
         state=_text("state of the cell (PackML)"),
-        state_number=_integer("its number in OPC 30060, StateEnumeration"),
+        state_number=_integer("its number in PackTags (OPC 30050)"),
         grasp=_text("state of the grip"),
         grasp_number=_integer("its number, 0 to 7"),
         wall_ns={"type": "integer", "description": "wall clock, ns since 1970; for people only"},

@@ -25,8 +25,14 @@ DOES = {
         "Open and empty, torque on, bus watchdog armed.",
     ),
     CellState.EXECUTE: (
-        "A grasp runs (pose, approach, ramp, hold, letting go), or a release.",
+        "A grasp runs (pose, approach, ramp, hold, letting go or keeping), a release or a look at "
+        "a kept part (`verify`).",
         "Closes, holds, opens; opens only as the planned end of a grasp or by `release`.",
+    ),
+    CellState.COMPLETE: (
+        "The part was named or gripped and is held for the host. The links are supervised, and the "
+        "force is controlled (`tick`).",
+        "Holds the part with `sequence.carry_force_n`, until `release`; slip and loss are faults.",
     ),
     CellState.HOLDING: (
         "A stop on request is being obeyed: the ramp is frozen.",
@@ -64,7 +70,7 @@ GRASP_DOES = {
     GraspState.IDLE: "The fingers rest; nothing is held as far as the gripper knows.",
     GraspState.GRIPPING: "Approach and force ramp.",
     GraspState.NO_PART_FOUND: "The last grasp touched nothing; until the fingers move again.",
-    GraspState.PART_LOST: "Both pads became empty in a grasp or while holding.",
+    GraspState.PART_LOST: "Both pads became empty in a grasp or hold, or a kept part slipped.",
     GraspState.HOLDING: "Force is held, or goals are frozen and a part may be in the grip.",
     GraspState.RELEASING: "The fingers open to let go.",
     GraspState.POSITIONING: "Empty fingers move to an opening.",
@@ -82,8 +88,8 @@ def states_page() -> str:
             "## Commands\n",
             "What a command leads to when nothing goes wrong; all that is not named is refused.",
             "A `cancel` that nothing obeys counts for the next start or grasp, and a release",
-            "withdraws it; in CLEARING and STOPPING it stops a `release_held`. Any fault leads to",
-            "ABORTING.\n",
+            "withdraws it; in CLEARING and STOPPING it stops a `release_held`. An identification",
+            "that keeps the part goes from EXECUTE to COMPLETE. Any fault leads to ABORTING.\n",
             _commands(),
             "## Diagram\n",
             _diagram(),

@@ -1,4 +1,4 @@
-"""The stage: carries the object to where the axes are, in the grip or not."""
+"""The stage: carries the object to where the axes are, unless the fingers hold it."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -10,9 +10,11 @@ from simulator.world.world import PhysicalWorld
 
 FIELDS = {"x": "x_m", "y": "y_m", "rotation": "rotation_rad", "roll": "roll_rad"}
 """What an axis can move, and the field of the pose that it is."""
-_FREE_STEP, _GRIPPED_STEP = 2e-3, 2e-4
-"""Way in m, or in rad divided by `_RAD_PER_M`, after which an object on its way is put anew between
-open fingers, and between fingers that press it: each time its height maps are worked out."""
+_MOVING_STEP = 2e-3
+"""Way in m, or in rad divided by `_RAD_PER_M`, after which an object on its way between open
+fingers is put anew: each time its height maps are worked out."""
+_GRIPPED_N = 0.05
+"""Force in N on both pads from which they hold the object: the friction of its nest."""
 _RESTING_STEP = 2e-5
 """The same once the axes stand: 0.02 mm or 0.06 degrees."""
 _RAD_PER_M = 50.0
@@ -35,6 +37,8 @@ class MovedAxis(Protocol):
 
 class Stage:
     """What carries the object: its pose in the world follows the true positions of the axes.
+
+    An object that the fingers hold stays between them: the axes move both to another place.
 
     Parameters
     ----------
@@ -87,10 +91,15 @@ class Stage:
             self._carried = None
             return
         wanted = self._at(pose)
-        step = _GRIPPED_STEP if max(self._world.contact_force_n()) > 0.0 else _FREE_STEP
+        step = _MOVING_STEP
         if not any(axis.moving for axis in self._axes.values()):
             step = _RESTING_STEP
-        if _way(self._shown, wanted) > step:
+        if _way(self._shown, wanted) <= step:
+            return
+        if min(self._world.contact_force_n()) > _GRIPPED_N:
+            # It goes with the fingers that hold it, and stays where they let go.
+            self._carried = None
+        else:
             self._beside = not self._world.carry(label, wanted)
             self._shown = wanted
 

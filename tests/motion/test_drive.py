@@ -147,7 +147,7 @@ def test_a_fault_between_two_motions_is_found_before_the_next(make_drive: MakeDr
 
 
 def test_what_the_supervision_raises_stops_the_axis(make_drive: MakeDrive) -> None:
-    bench = make_drive(homing=None)
+    bench = make_drive(homing_velocity=5_000)
     bench.move(-0.02)
 
     def supervise() -> None:
@@ -157,8 +157,13 @@ def test_what_the_supervision_raises_stops_the_axis(make_drive: MakeDrive) -> No
     with pytest.raises(KeyError):
         bench.axes.move({"x": 0.02}, supervise)
     assert bench.simulated.state is State.QUICK_STOP_ACTIVE
+    bench.clock.sleep(0.1)
     assert not bench.simulated.motion.speed
     assert bench.simulated.position < -0.015
+    bench.clock.sleep(1.0)  # the drive misses its host meanwhile, and has stopped already
+    began_s = bench.clock.monotonic()
+    assert bench.move(-0.02) == pytest.approx(-0.02, abs=NEAR_M)
+    assert bench.clock.monotonic() - began_s < 1.0  # it knows its position, and is not homed
 
 
 def test_a_way_that_takes_too_long_is_stopped(make_drive: MakeDrive) -> None:

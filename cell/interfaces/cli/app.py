@@ -20,6 +20,7 @@ from cell.interfaces.cli.commands import (
     replay,
     run,
     simulate,
+    sort,
     teach,
     train,
 )
@@ -60,6 +61,7 @@ def options(
 
 for command in (
     run.run,
+    sort.sort,
     teach.teach,
     train.train,
     identify.identify,

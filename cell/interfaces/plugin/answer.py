@@ -8,6 +8,7 @@ from recognition.recognizer import UNKNOWN
 
 if TYPE_CHECKING:
     from cell.control.identification import Identification
+    from cell.control.keeping import HeldCheck
     from recognition.drift.estimate import DriftEstimate
     from recognition.shape.answer import ShapeAnswer
 
@@ -90,11 +91,14 @@ class Answer:
         cell than the teaching``. Empty for recognisers that do not ask.
     remark
         Message for the operator, as that the sensors have drifted: once, empty otherwise.
+    kept
+        Whether the part is still in the grip, for the host to release where it wants it.
     """
 
     label: str
     probabilities: Mapping[str, float] = field(hash=False)
     n_grasps: int
+    kept: bool = False
     shape: FeltShape | None = None
     n_ended_early: int = 0
     drift: "DriftEstimate | None" = None
@@ -123,4 +127,64 @@ class Answer:
             drift=found.drift,
             occasion=found.fused.occasion,
             remark=found.remark,
+            kept=found.kept,
         )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verification:
+    """Result of the look at a part in the grip: whether it is still the one that was kept.
+
+    Attributes
+    ----------
+    held
+        Whether both pads are loaded.
+    same
+        Whether opening and footprint on the pads are those with which it was kept; None where
+        nothing is held.
+    force_n
+        Grip force in N.
+    opening_mm
+        Opening between the pads in mm.
+    reasons
+        What differs, in words with value and limit; empty where nothing does.
+    """
+
+    held: bool
+    same: bool | None
+    force_n: float
+    opening_mm: float
+    reasons: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, check: "HeldCheck") -> Self:
+        """Return a comparison of the held part in mm."""
+        return cls(
+            held=check.held,
+            same=check.same,
+            force_n=check.force_n,
+            opening_mm=1e3 * check.opening_m,
+            reasons=check.reasons,
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SortAnswer:
+    """Count of a sort.
+
+    Attributes
+    ----------
+    n_parts
+        Parts that were let go at a place.
+    n_missed
+        Turns in which no part was found.
+    n_rejected
+        Parts at the place of the rejects: never taught, or not what they were any more.
+    places
+        Parts at each place.
+    """
+
+    n_parts: int
+    n_missed: int
+    n_rejected: int
+    places: Mapping[str, int] = field(hash=False)

@@ -1,7 +1,7 @@
 """Goals of a host's jobs, as values or as mappings, and their checks."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
@@ -11,6 +11,12 @@ from cell.errors import ConfigError
 
 class _Goal(BaseModel):
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+
+
+ForceN = Annotated[float, Field(gt=0.0, le=50.0)]
+"""Force in N, up to 50; the limits of the config are below."""
+Keep = Literal["never", "when_named", "always"]
+"""When an identification keeps the part in the grip."""
 
 
 class TeachGoal(_Goal):
@@ -33,15 +39,55 @@ class IdentifyGoal(_Goal):
     """Seed of the plan of poses and forces."""
     present: str | None = None
     """Object to place first, where the positioner can do so (simulated cell)."""
+    keep: Keep = "never"
+    """Whether the part stays in the grip for the host: ``never``, ``when_named`` or ``always``."""
+    force_n: ForceN | None = None
+    """Force at the end of each ramp in N, or None for the forces of the plan."""
 
 
-_TASKS: dict[str, TypeAdapter[TeachGoal] | TypeAdapter[IdentifyGoal]] = {
+class GripGoal(_Goal):
+    """Grip a part and keep it, without a name."""
+
+    force_n: ForceN
+    """Force at the end of the ramp in N; it is then held with ``sequence.carry_force_n``."""
+    present: str | None = None
+    """Object to place between the fingers first, where the positioner can do so (simulated cell);
+    without one it does not move."""
+
+
+class VerifyGoal(_Goal):
+    """Measure whether the part in the grip is still the one that was named or gripped."""
+
+
+class SortGoal(_Goal):
+    """Name parts one after the other and let each go at its place."""
+
+    parts: int = Field(default=1, ge=1, le=1_000_000)
+    """How many parts."""
+    feed: tuple[str, ...] = ()
+    """Objects to place, one for each part and then again from the first, where the positioner can
+    do so (simulated cell)."""
+    seed: int = Field(default=1, ge=0)
+    """Seed of the poses and forces of the first part; each further one has the next."""
+    max_grasps: int | None = Field(default=None, ge=1, le=100)
+    """Most grasps of a part, or None for the number in the config."""
+    force_n: ForceN | None = None
+    """Force at the end of each ramp in N, or None for the forces of the plan."""
+
+
+Goal = TeachGoal | IdentifyGoal | GripGoal | VerifyGoal | SortGoal
+"""Goal of a job."""
+
+_TASKS: dict[str, TypeAdapter[Any]] = {
     "teach": TypeAdapter(TeachGoal),
     "identify": TypeAdapter(IdentifyGoal),
+    "grip": TypeAdapter(GripGoal),
+    "verify": TypeAdapter(VerifyGoal),
+    "sort": TypeAdapter(SortGoal),
 }
 
 
-def checked_goal(goal: TeachGoal | IdentifyGoal | Mapping[str, Any]) -> TeachGoal | IdentifyGoal:
+def checked_goal(goal: Goal | Mapping[str, Any]) -> Goal:
     """Return a goal, from a mapping with ``task`` and the fields of the goal too.
 
     Raises
@@ -49,19 +95,20 @@ def checked_goal(goal: TeachGoal | IdentifyGoal | Mapping[str, Any]) -> TeachGoa
     ConfigError
         If it is no goal, the task or a field is unknown, or a value out of range.
     """
-    if isinstance(goal, TeachGoal | IdentifyGoal):
+    if isinstance(goal, Goal):
         return goal
     if not isinstance(goal, Mapping):
         raise ConfigError(
-            f"goal is {goal!r:.60}; write a TeachGoal, an IdentifyGoal, or a mapping with task and "
-            "the fields of these"
+            f"goal is {goal!r:.60}; write a goal, as IdentifyGoal, or a mapping with task and its "
+            "fields"
         )
     fields = dict(goal)
     task = fields.pop("task", None)
     if not isinstance(task, str) or task not in _TASKS:
         raise ConfigError(f"goal has task {task!r}; write one of {', '.join(_TASKS)}")
     try:
-        return _TASKS[task].validate_python(fields)
+        checked: Goal = _TASKS[task].validate_python(fields)
+        return checked
     except ValidationError as error:
         complaints = "; ".join(
             f"{'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors()

@@ -5,6 +5,7 @@ the plugin grasps and answers what it held. Libraries for recognition, CAN and s
 with the first cell, not with this module.
 """
 
+import functools
 import sys
 import threading
 import warnings
@@ -20,24 +21,38 @@ from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.control.states import CellState, CellStatus, Command
 from cell.errors import PartInGrip
-from cell.interfaces.plugin.answer import Answer, FeltShape
-from cell.interfaces.plugin.goals import IdentifyGoal, TeachGoal, checked_goal
+from cell.interfaces.plugin.answer import Answer, FeltShape, SortAnswer, Verification
+from cell.interfaces.plugin.goals import (
+    Goal,
+    GripGoal,
+    IdentifyGoal,
+    SortGoal,
+    TeachGoal,
+    VerifyGoal,
+    checked_goal,
+)
 from cell.interfaces.plugin.host_watch import HostWatch
 from cell.interfaces.plugin.worker import CellWorker, Job, JobFailed, JobOutcome, JobStatus, Report
 from gripper.errors import ServoFault
 
 if TYPE_CHECKING:
+    from cell.control.positioner import Places
     from gripper.state import ReleaseReport
 
 __all__ = [
     "Answer",
     "CellStatus",
     "FeltShape",
+    "GripGoal",
     "IdentifyGoal",
     "JobFailed",
     "JobOutcome",
+    "SortAnswer",
+    "SortGoal",
     "TactileCellPlugin",
     "TeachGoal",
+    "Verification",
+    "VerifyGoal",
 ]
 
 
@@ -62,6 +77,7 @@ class TactileCellPlugin:
         config: Path | str | CellConfig | None = None,
         *,
         mover: Callable[[Pose], Pose | bool | None] | None = None,
+        places: "Places | None" = None,
         model: Path | str | None = None,
         training_set: Path | str | None = None,
         gauge: Path | str | None = None,
@@ -76,6 +92,9 @@ class TactileCellPlugin:
         mover
             Called with each pose that the sequence wants the object at; returns None or True when
             it is reached, False to refuse, or the pose reached instead.
+        places
+            Called by a sort with the `Destination` of a part that the grip holds; brings it there
+            and returns None or True, or False to refuse. The part is let go after that.
         model
             File of a taught model, as `save` or ``tactile-cell train`` writes it; without one,
             teach first.
@@ -121,7 +140,7 @@ class TactileCellPlugin:
             if model is None
             else TaughtModel.load(checked, model, training_set=training_set, known=known)
         )
-        self._cell = build_cell(checked, mover=mover)
+        self._cell = build_cell(checked, mover=mover, places=places)
         try:
             self._cell.controller.start()
         except (ServoFault, PartInGrip):
@@ -189,31 +208,45 @@ class TactileCellPlugin:
 
     # -- jobs ----------------------------------------------------------------------------------
 
-    def start(self, goal: TeachGoal | IdentifyGoal | Mapping[str, Any]) -> Job:
+    def start(self, goal: Goal | Mapping[str, Any]) -> Job:
         """Start a job and return its handle at once.
 
-        A goal is a `TeachGoal`, an `IdentifyGoal`, or a mapping with ``task`` ``teach`` or
-        ``identify`` and the fields of these.
+        A goal is a `TeachGoal`, `IdentifyGoal`, `GripGoal`, `VerifyGoal` or `SortGoal`, or a
+        mapping with ``task`` ``teach``, ``identify``, ``grip``, ``verify`` or ``sort`` and the
+        fields of these.
 
         Raises
         ------
         ConfigError
-            If the goal is none of these, has unknown fields or values out of range.
+            If the goal is none of these, has unknown fields or values out of range, or a taught
+            part has no place to be sorted to.
         CellStateError
-            If another job runs, the cell is not IDLE or is being closed, nothing was taught yet, or
-            a model was loaded whose training set is not at hand: teaching would lose its objects.
+            If another job runs, the cell is not IDLE (for a verify: not COMPLETE) or is being
+            closed, nothing was taught yet, or a model was loaded whose training set is not at hand:
+            teaching would lose its objects.
         """
         checked = checked_goal(goal)
         controller, model, tasks = self._cell.controller, self._model, self._tasks
-        if isinstance(checked, TeachGoal):
-            model.check_extendable()
-            return self._accept(
-                lambda report: tasks.teach(controller, model, checked, report), Command.GRASP
-            )
-        model.check_taught()
-        return self._accept(
-            lambda report: tasks.identify(controller, model, checked, report), Command.GRASP
-        )
+        work: Callable[[Report], Any]
+        command = Command.GRASP
+        match checked:
+            case TeachGoal():
+                model.check_extendable()
+                work = functools.partial(tasks.teach, controller, model, checked)
+            case IdentifyGoal():
+                model.check_taught()
+                work = functools.partial(tasks.identify, controller, model, checked)
+            case GripGoal():
+                work = functools.partial(tasks.grip, controller, checked)
+                command = Command.GRIP
+            case VerifyGoal():
+                work = functools.partial(tasks.verify, controller)
+                command = Command.VERIFY
+            case SortGoal():
+                model.check_taught()
+                places = tasks.Places(self._config, model.labels)
+                work = functools.partial(tasks.sort, controller, model, places, checked)
+        return self._accept(work, command)
 
     def feedback(self, job: Job) -> JobStatus:
         """Return state and progress of a job; never waits.
@@ -224,7 +257,10 @@ class TactileCellPlugin:
             return self._worker.status(job)
 
     def result(self, job: Job, timeout_s: float) -> Any:
-        """Wait for a job and return its `Answer`, or the number of grasps taught.
+        """Wait for a job and return its result.
+
+        That is an `Answer` of an identification, a `Verification` of a grip or a verify, a
+        `SortAnswer` of a sort, and the number of grasps taught.
 
         Raises
         ------
@@ -241,7 +277,10 @@ class TactileCellPlugin:
         return status.value
 
     def cancel(self, job: Job) -> None:
-        """Stop a job; what is held stays held. Does nothing to a job that is over."""
+        """Stop a job; what is held stays held. Does nothing to a job that is over.
+
+        A part that is kept is held already: nothing changes then.
+        """
         with self._starting:
             if not self.feedback(job).outcome.terminal:
                 self._cell.controller.cancel()
@@ -250,6 +289,8 @@ class TactileCellPlugin:
 
     def release(self, timeout_s: float = 30.0) -> "ReleaseReport":
         """Let the part go and open the fingers; the only way to do so outside a sequence.
+
+        Of a kept part too, where the host wants it.
 
         After a fault: `clear`, then `release`, then `reset`. What goes wrong is raised as it is.
         Returns what was opened: a servo that is silent or at fault is left as it is, and the other

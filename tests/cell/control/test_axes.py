@@ -10,8 +10,9 @@ import pytest
 from cell.config.model import CellConfig
 from cell.control.axes import AxesPositioner
 from cell.control.plan import GraspStep, Pose
+from cell.control.positioner import Destination
 from cell.control.states import CellState
-from cell.errors import CellStopped, PositionerError, PositionerFault
+from cell.errors import CellStateError, CellStopped, PositionerError, PositionerFault
 from gripper.state import GripperPhase
 from tests.faults.scenarios.axes import CHANGES
 
@@ -109,6 +110,7 @@ def test_no_axis_moves_while_the_fingers_hold(bench: Any) -> None:
     bench.ready()
     positioner = bench.controller._positioner
     assert isinstance(positioner, AxesPositioner)
+    there = Destination(label="ball", place="bin", pose=POSE)
     for phase in GripperPhase:
         positioner._phase = lambda phase=phase: phase
         if phase in (GripperPhase.OFF, GripperPhase.IDLE):
@@ -117,7 +119,44 @@ def test_no_axis_moves_while_the_fingers_hold(bench: Any) -> None:
         before = true_pose(bench)
         with pytest.raises(PositionerError, match=f"the fingers are {phase.value}: axes move only"):
             positioner.move_to(POSE)
+        if phase is not GripperPhase.HOLDING:
+            with pytest.raises(PositionerError, match="axes move only while they rest"):
+                positioner.carry_to(there)
         assert true_pose(bench) == before
+
+
+def test_a_kept_part_is_carried_to_its_place_by_the_axes(bench: Any) -> None:
+    there = Destination(label="ball", place="bin", pose=Pose(x_m=5e-3, roll_rad=1.0))
+    bench.ready()
+    with pytest.raises(CellStateError):
+        bench.controller.carry_to(there)
+    bench.controller.grip(3.0, Pose(x_m=1e-3))
+    held = bench.grip_n
+    assert held > 1.0
+    bench.controller.carry_to(there)
+    assert true_pose(bench).x_m == pytest.approx(5e-3, abs=NEAR_M)
+    assert bench.grip_n == pytest.approx(held, abs=0.3)
+    with pytest.raises(PositionerError, match="the place bin of ball has no pose"):
+        bench.controller.carry_to(Destination(label="ball", place="bin"))
+    with pytest.raises(PositionerError, match=r"its limits are -6.00 mm"):
+        bench.controller.carry_to(Destination(label="ball", place="far", pose=Pose(x_m=0.1)))
+    assert bench.grip_n == pytest.approx(held, abs=0.3)
+    bench.controller.release()
+    bench.controller.present("box")
+    assert near(bench.grasp(3.0, POSE).reached, POSE)
+
+
+def test_a_drive_that_fails_in_a_carry_leaves_the_part_in_the_grip(bench: Any) -> None:
+    bench.ready()
+    bench.controller.grip(3.0, Pose())
+    bench.simulated.inject("axis2.fault")
+    there = Destination(label="ball", place="bin", pose=Pose(x_m=5e-3))
+    with pytest.raises(PositionerFault, match="drive 12"):
+        bench.controller.carry_to(there)
+    assert bench.controller.state is CellState.ABORTED
+    bench.sleep(1.0)
+    assert bench.grip_n > 1.0
+    assert not any(axis.moving for axis in bench.simulated.devices.axes.values())
 
 
 def test_a_cancel_stops_the_axes_on_their_way(bench: Any) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from cell.control.plan import Pose
 from cell.control.states import (
     COMPLETIONS,
     OF_PHASE,
@@ -28,6 +29,7 @@ from tactile.errors import BusOff
 
 IDLE = (CellState.STARTING, CellState.IDLE)
 HELD = (*IDLE, CellState.EXECUTE, CellState.HOLDING, CellState.HELD)
+COMPLETE = (*IDLE, CellState.EXECUTE, CellState.COMPLETE)
 ABORTED = (*IDLE, CellState.EXECUTE, CellState.ABORTING, CellState.ABORTED)
 RESETTING = (*ABORTED, CellState.CLEARING, CellState.RESETTING)
 WAY_TO: dict[CellState, tuple[CellState, ...]] = {
@@ -37,6 +39,7 @@ WAY_TO: dict[CellState, tuple[CellState, ...]] = {
     CellState.EXECUTE: HELD[:3],
     CellState.HOLDING: HELD[:4],
     CellState.HELD: HELD,
+    CellState.COMPLETE: COMPLETE,
     CellState.STOPPING: (*IDLE, CellState.STOPPING),
     CellState.ABORTING: ABORTED[:4],
     CellState.ABORTED: ABORTED,
@@ -75,7 +78,9 @@ class Walk:
     def _wait_in(self, state: CellState) -> None:
         if state is not CellState.STOPPED:
             self.bench.ready()
-        if state is CellState.HELD:
+        if state is CellState.COMPLETE:
+            self.controller.grip(3.0, Pose())
+        elif state is CellState.HELD:
             self._grasp_until(self.controller.cancel)
         elif state in (CellState.ABORTED, CellState.RESETTING):
             self._grasp_until(self._unplug)
@@ -115,6 +120,8 @@ class Walk:
     def give(self, command: Command) -> None:
         if command is Command.GRASP:
             self.bench.grasp(3.0)
+        elif command is Command.GRIP:
+            self.controller.grip(3.0, Pose())
         else:
             getattr(self.controller, command.value)()
 
@@ -166,18 +173,20 @@ def test_refusal_names_what_is_allowed() -> None:
 
 def test_numbers_are_those_that_hosts_know() -> None:
     assert {state.value: state.number for state in CellState} == {
-        "STOPPED": 0,
-        "RESETTING": 1,
-        "IDLE": 2,
-        "STARTING": 3,
-        "EXECUTE": 4,
-        "ABORTING": 7,
-        "ABORTED": 8,
-        "STOPPING": 9,
-        "CLEARING": 10,
-        "HOLDING": 14,
-        "HELD": 15,
+        "CLEARING": 1,
+        "STOPPED": 2,
+        "RESETTING": 2,
+        "IDLE": 4,
+        "EXECUTE": 6,
+        "STOPPING": 7,
+        "ABORTING": 8,
+        "ABORTED": 9,
+        "HOLDING": 10,
+        "HELD": 11,
+        "STARTING": 15,
+        "COMPLETE": 17,
     }
+    assert [state for state in CellState if state.needs_reset] == [CellState.RESETTING]
     assert [state.number for state in GraspState] == list(range(8))
 
 
@@ -225,7 +234,7 @@ def test_an_accepted_command_goes_the_way_of_the_table(
     state: CellState, command: Command, make_bench: Callable[..., Any], tmp_path: Path
 ) -> None:
     walk = Walk(make_bench(folder=tmp_path))
-    held = state in (CellState.HELD, CellState.ABORTED, CellState.RESETTING)
+    held = state in (CellState.COMPLETE, CellState.HELD, CellState.ABORTED, CellState.RESETTING)
     walk.there(state, lambda: walk.give(command))
     if held:
         released = command in (Command.RELEASE, Command.RELEASE_HELD)

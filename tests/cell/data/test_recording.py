@@ -209,7 +209,7 @@ def test_recording_holds_all_that_happened(whole: tuple[Path, list[Grasp]]) -> N
         {
             "t_s": 100.0,
             "state": "HELD",
-            "state_number": 15,
+            "state_number": 11,
             "grasp": "NO PART FOUND",
             "grasp_number": 2,
             "wall_ns": 1_700 * 10**9,

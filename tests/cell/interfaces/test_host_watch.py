@@ -132,7 +132,7 @@ def test_a_host_that_says_it_is_alive_is_left_alone(
 def test_status_has_names_and_numbers(make_config: Callable[..., CellConfig]) -> None:
     with TactileCellPlugin(make_config()) as plugin:
         status = plugin.status()
-        assert (status.state, status.state_number) == ("IDLE", 2)
+        assert (status.state, status.state_number) == ("IDLE", 4)
         assert (status.grasp, status.grasp_number) == ("IDLE", 0)
         assert (status.holding, status.fault) == (False, None)
         with pytest.raises(CellStateError):
