@@ -334,6 +334,24 @@ def test_a_run_moves_the_axes_to_each_pose(tmp_path: Path) -> None:
     assert {pose["y_m"] for pose in recording.poses} == {0.0}
 
 
+def test_a_sort_carries_each_part_to_its_place_with_the_axes(tmp_path: Path) -> None:
+    path = tmp_path / "axes.yaml"
+    places = [
+        {"label": label, "place": label, "pose": {"x_mm": x_mm}}
+        for label, x_mm in (("ball", -5.0), ("box", 5.0))
+    ]
+    sort = {"places": places, "reject_pose": {}}
+    objects = [
+        {"label": "ball", "shape": "sphere:diameter=9.5mm"},
+        {"label": "box", "shape": "box:length=15.9mm,width=10mm,height=10mm"},
+    ]
+    changes = {"gripper.aperture_open_mm": 18.0, "sort": sort, "simulator.objects": objects}
+    path.write_text(config_text(changed_config(CellConfig(), AXES | changes)))
+    said = call("sort", "-c", path, "--out", tmp_path, "--parts", 2, "--teach", 3)
+    assert "2 parts sorted" in said
+    assert "mistakes: none" in said
+
+
 def test_after_a_fault_of_real_ports_the_command_that_lets_go_is_printed_whole(
     config: Path,
     tmp_path: Path,
