@@ -300,9 +300,9 @@ class Grasper:
 
     def _move_to(self, pose: Pose) -> Pose:
         def supervise() -> None:
-            self._life.check_cancelled()
             self._hand.tick()
+            self._life.check_cancelled()
 
-        reached = self.patiently(lambda: self._positioner.move_to(pose), supervise)
+        reached = self.patiently(lambda: self._positioner.move_to(pose, supervise), supervise)
         self._journal.pose(reached)
         return reached
