@@ -16,6 +16,7 @@ from docutils.utils.math.latex2mathml import tex2mathml
 
 sys.path.insert(0, str(Path(__file__).parent / "tools"))
 
+from catalogue_page import catalogue_page
 from command_page import command_page
 from config_page import config_page
 from faults_page import faults_page
@@ -23,6 +24,7 @@ from recording_page import recording_page
 from states_page import states_page
 
 MAKERS: dict[str, Callable[[], str]] = {
+    "catalogue": catalogue_page,
     "command line": command_page,
     "config": config_page,
     "faults": faults_page,

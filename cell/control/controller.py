@@ -77,6 +77,7 @@ class CellView:
             grasp_number=self.grasp_state.number,
             holding=self.holding,
             fault=self.fault,
+            fault_number=self._life.fault_number,
         )
 
     @property

@@ -61,10 +61,10 @@ class Journal:
         self._recorder = recorder
         self._states: tuple[CellState, GraspState] | None = None
 
-    def note(self, kind: str, text: str) -> None:
-        """Record that something happened."""
+    def note(self, kind: str, text: str, fault_number: int = 0) -> None:
+        """Record that something happened; a fault with its number."""
         if self._recorder is not None:
-            self._recorder.event(kind, text)
+            self._recorder.event(kind, text, fault_number)
 
     def states(self, state: CellState, grasp: GraspState) -> None:
         """Record both states where one of them has changed."""

@@ -306,8 +306,8 @@ class CellStatus:
         State of the grip, and its number.
     holding
         Whether a part may be in the grip.
-    fault
-        The fault, while one is latched.
+    fault, fault_number
+        The fault, while one is latched, and its number in the fault catalogue; 0 for none.
     """
 
     state: str
@@ -317,3 +317,4 @@ class CellStatus:
     grasp_number: int
     holding: bool
     fault: str | None
+    fault_number: int

@@ -12,6 +12,7 @@ from enum import StrEnum
 from typing import Any
 
 from cell.errors import CellError, CellStateError, CellStopped, error_text
+from cell.fault_catalogue import fault_number
 
 
 class JobOutcome(StrEnum):
@@ -69,6 +70,11 @@ class JobStatus:
     error: str = ""
     exception: BaseException | None = None
 
+    @property
+    def fault_number(self) -> int:
+        """Number of that error in the fault catalogue; 0 where it did not fail."""
+        return fault_number(self.exception)
+
 
 class JobFailed(CellError):
     """A job was cancelled or aborted; the error that ended it is the cause of this one.
@@ -79,12 +85,15 @@ class JobFailed(CellError):
         The job.
     outcome
         ``CANCELED`` or ``ABORTED``.
+    fault_number
+        Number of the error that ended it, in the fault catalogue.
     """
 
     def __init__(self, job: Job, status: JobStatus) -> None:
         super().__init__(f"job {job.number} {status.outcome.value}: {status.error}")
         self.job = job
         self.outcome = status.outcome
+        self.fault_number = status.fault_number
 
 
 Report = Callable[[dict[str, Any]], None]
