@@ -14,6 +14,7 @@ from cell.control.identification import (
 )
 from cell.control.journal import Journal
 from cell.control.lifecycle import ON_REQUEST, CellLifecycle
+from cell.control.live import LiveValues, live_values
 from cell.control.plan import GraspStep
 from cell.control.positioner import Positioner
 from cell.control.records import GraspRecord
@@ -124,6 +125,7 @@ class CellController(CellView):
         wall_ms: Callable[[], int] = lambda: time.time_ns() // 1_000_000,
     ) -> None:
         self._positioner = positioner
+        self._clock = clock
         self._sequence = sequence
         self._tare_frames = tare_frames
         self._journal = Journal(recorder)
@@ -144,6 +146,12 @@ class CellController(CellView):
             wall_ms=wall_ms,
         )
         self.pads: PadArray = self._grasper.pads
+
+    @property
+    def live(self) -> LiveValues:
+        """What was measured last, from any thread; motions alone deliver new values."""
+        cycle, frame = self._journal.newest
+        return live_values(cycle, frame, self._clock.monotonic())
 
     # -- commands ------------------------------------------------------------------------------
 

@@ -15,6 +15,10 @@ from cell.errors import CellError, CellStateError, CellStopped, error_text
 from cell.fault_catalogue import fault_number
 
 
+KEPT_JOBS = 100
+"""Newest jobs whose end can be asked for: a resident program must not grow with each job."""
+
+
 class JobOutcome(StrEnum):
     """State of a job, in the terms of ROS 2 actions."""
 
@@ -160,6 +164,8 @@ class CellWorker:
             accepted()
             job = Job(next(self._numbers), self._name)
             self._status[job] = JobStatus(outcome=JobOutcome.ACCEPTED, progress={})
+            if len(self._status) > KEPT_JOBS:
+                del self._status[next(iter(self._status))]
             # Within the lock: whatever is accepted stands before the end in the queue.
             self._queue.put(functools.partial(self._execute, job, work))
         return job
