@@ -13,9 +13,11 @@ from cell.control.journal import loop_values
 from cell.control.plan import Pose
 from cell.control.positioner import (
     CallbackPositioner,
+    HostPlaces,
     HostThenSimulated,
     ObjectPlacer,
     OperatorPositioner,
+    Places,
     Positioner,
     SimulatedPositioner,
     SocketPlacer,
@@ -111,6 +113,7 @@ def build_cell(
     *,
     folder: Path | None = None,
     mover: Mover | None = None,
+    places: Places | None = None,
     ask: Callable[[str], str] | None = None,
     capture: Path | None = None,
     simulated: SimulatedCell | None = None,
@@ -125,6 +128,8 @@ def build_cell(
         Where the recording goes; None makes none.
     mover
         Moves for a positioner of kind ``callback``.
+    places
+        Brings kept parts to their places, instead of the positioner.
     ask
         Asks the operator for a positioner of kind ``operator``.
     capture
@@ -151,6 +156,8 @@ def build_cell(
         if capture is not None:
             capture_traffic(simulated, capture, undo)
         positioner = _positioner(config, simulated, mover, ask, undo)
+        if places is not None:
+            positioner = HostPlaces(positioner, places)
         hand = _hand(config, simulated)
         undo.callback(hand.close)
         recorder = None
@@ -171,6 +178,7 @@ def build_cell(
             positioner=positioner,
             sequence=config.sequence,
             tare_frames=config.tactile.tare_frames,
+            contact_force_n=config.gripper.contact_force_n,
             clock=clock,
             recorder=recorder,
         )

@@ -18,7 +18,7 @@ from gripper.errors import (
 )
 from gripper.force.grasp import GraspRun
 from gripper.force.grip_control import GripControl
-from gripper.force.loop import LoopRunner, Observer
+from gripper.force.loop import LoopRunner, Observer, Running
 from gripper.force.motion import MoveTo, StandStill
 from gripper.force.ramp import ForceRamp, check_ramp
 from gripper.force.timing import LoopStatistics
@@ -39,6 +39,10 @@ from gripper.state import (
     ServoCondition,
     VerificationReport,
 )
+
+CARRY_RATE_N_S = 10.0
+"""Rate in N/s at which a held force goes to that of the carry: twice that of `Gripper.back_off`,
+because a host waits for the answer."""
 
 
 class Gripper:
@@ -92,6 +96,7 @@ class Gripper:
         self._watchdog_proofs: tuple[WatchdogProof, ...] = ()
         self._link_timing: LinkTiming | None = None
         self._one_finger: Gripper | None = None
+        self._carried: Running | None = None
 
     @property
     def link_timing(self) -> LinkTiming | None:
@@ -164,8 +169,10 @@ class Gripper:
         """Read the feedback of all servos in one transaction."""
         return self._servos.read_patiently()
 
-    def tick(self) -> None:
+    def tick(self, observer: Observer | None = None) -> None:
         """Feed the bus watchdog and check the servos between commands.
+
+        While a part is carried this is one period of the force loop, which ``observer`` gets.
 
         Raises
         ------
@@ -182,6 +189,10 @@ class Gripper:
                 self._runner.read()
             return
         with self._life.latching():
+            if self._carried is not None:
+                self._carried.observer = observer
+                self._runner.period(self._carried)
+                return
             with self._servos.in_loop():
                 state = self._runner.read()
             if state is not None:
@@ -282,6 +293,61 @@ class Gripper:
         self._life.phase = GripperPhase.HOLDING
         return state
 
+    def carry(
+        self, force_n: float, duration_s: float = 0.0, observer: Observer | None = None
+    ) -> GripperState:
+        """Bring the held force to ``force_n``, hold it for a time in s, and keep controlling it.
+
+        From then on each `tick` is a period of the force loop, with all supervision of `hold`,
+        until a release, a stop or a fault. The bus watchdog is disarmed meanwhile: the grip of a
+        carried part must not end because a process does.
+
+        Raises
+        ------
+        LimitExceeded
+            When no ramp may end at that force.
+        PartLost, PartSlipped
+            As `hold`.
+        """
+        control = self._held_control("carry")
+        ramp = ForceRamp.linear(force_n, CARRY_RATE_N_S, start_n=control.setpoint_n)
+        self.check_ramp(ramp)
+        self._carried = None
+        with self._life.command(GripperPhase.HOLDING):
+            self._make_ready()
+            if force_n != control.setpoint_n:
+                state = self._grasping.follow(control, ramp, observer)
+            if duration_s > 0.0 or force_n == control.setpoint_n:
+                state = self._grasping.hold(control, max(duration_s, self.period_s), observer)
+            self._servos.disarm_watchdog()
+        self._life.phase = GripperPhase.HOLDING
+        self._carried = self._grasping.hold_on(control, state.t_s)
+        return state
+
+    def squeeze(self, ramp: ForceRamp, observer: Observer | None = None) -> GraspOutcome:
+        """Follow a further ramp up from the present set-point, in the same grip, and hold.
+
+        Raises
+        ------
+        LimitExceeded
+            When a limit is against the ramp, or the present set-point is not below its end.
+        PartLost, PartSlipped
+            As `hold`.
+        """
+        control = self._held_control("squeeze")
+        self.check_ramp(ramp)
+        if not control.setpoint_n < ramp.final_n:
+            raise LimitExceeded(
+                f"a further ramp to {ramp.final_n} N is not above the held {control.setpoint_n} "
+                f"N: back off first"
+            )
+        self._carried = None
+        with self._life.command(GripperPhase.RAMPING):
+            self._make_ready()
+            outcome = self._grasping.squeeze(control, ramp, observer)
+        self._life.phase = GripperPhase.HOLDING
+        return outcome
+
     def back_off(
         self, force_n: float, observer: Observer | None = None, *, rate_n_s: float = 5.0
     ) -> GripperState:
@@ -298,7 +364,7 @@ class Gripper:
         ramp = self._grasping.back_off_ramp(control, force_n, rate_n_s)
         with self._life.command(GripperPhase.BACKING_OFF):
             self._make_ready()
-            state = self._grasping.follow_down(control, ramp, observer)
+            state = self._grasping.follow(control, ramp, observer)
         self._life.phase = GripperPhase.HOLDING
         return state
 
@@ -322,6 +388,7 @@ class Gripper:
             When no servo can be moved.
         """
         self._life.check_ready("release")
+        self._carried = None
         if not self._servos.goals_in_force:
             left = self._not_able()
             if left:
@@ -371,6 +438,7 @@ class Gripper:
             return
         if self._life.motion_unconfirmed:
             return
+        self._freeze_carried()
         self._life.rest()
         self._servos.disarm_watchdog()
 
@@ -412,6 +480,7 @@ class Gripper:
         self._life.fault = None
         self._life.motion_unconfirmed = False
         self._runner.forget_stop()
+        self._carried = None
         if self._servos.goals_in_force and all(condition.torque_on for condition in conditions):
             self._life.rest()
         elif any(condition.torque_on or not condition.answers for condition in conditions):
@@ -436,6 +505,7 @@ class Gripper:
             if self._life.phase is GripperPhase.IDLE and self._life.fault is None:
                 self._servos.switch_off()
             else:
+                self._freeze_carried()
                 self._servos.disarm_watchdog()
         except GripperError:
             # Without a bus nothing can be changed any more; the grip stays as it is.
@@ -453,6 +523,13 @@ class Gripper:
             self._life.part_possible = True
             self._life.controlled = False
         return self._health.verify(correct=False, refuse=not held_before)
+
+    def _freeze_carried(self) -> None:
+        """Freeze the goals of a carried part, whose force nobody controls any more."""
+        if self._carried is not None:
+            self._carried = None
+            if self._life.fault is None:
+                self._servos.freeze()
 
     def _held_control(self, command: str) -> GripControl:
         self._life.check_ready(command, GripperPhase.HOLDING)

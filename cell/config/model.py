@@ -167,6 +167,19 @@ class CellConfig(Section):
                 f"sequence asks for {least_n:g} N, gripper.contact_force_n is "
                 f"{self.gripper.contact_force_n:g} N: less could not hold a part"
             )
+        contact_n = self.gripper.contact_force_n
+        if self.sequence.regrasp == "none" and least_n < 2.0 * contact_n:
+            raise ValueError(
+                f"sequence asks for {least_n:g} N; with sequence.regrasp none a further ramp "
+                f"begins at gripper.contact_force_n = {contact_n:g} N: ask for twice that at least"
+            )
+        carry_n = self.sequence.carry_force_n
+        if not self.gripper.contact_force_n <= carry_n <= allowed_n:
+            raise ValueError(
+                f"sequence.carry_force_n is {carry_n:g} N, a part is held with "
+                f"gripper.contact_force_n = {self.gripper.contact_force_n:g} N at least and, under "
+                f"gripper.force_max_n = {self.gripper.force_max_n:g} N, {allowed_n:.2f} N at most"
+            )
         self._check_full_scale(most_n)
         simulated = (self.gripper.port == SIMULATED, self.tactile.interface == SIMULATED)
         if simulated[0] != simulated[1]:

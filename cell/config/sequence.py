@@ -101,6 +101,12 @@ class SequenceConfig(Section):
     decide_early: bool = False
     """Whether a force ramp ends as soon as what was felt until then is sure enough; a model file
     needs `train --early`."""
+    carry_force_n: float = Field(default=4.0, gt=0.0, le=50.0)
+    """Force in N with which a part that is kept is held for the host, up to 50."""
+    regrasp: Literal["fixture", "none"] = "fixture"
+    """fixture: a part that is let go stays where it is, so that further grasps take it at other
+    poses; none: it would be gone, so that one grasp has to do, with further ramps in the same
+    grip."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:
@@ -112,6 +118,11 @@ class SequenceConfig(Section):
         if self.kind == "list" and not self.poses:
             raise ValueError("a sequence of kind list needs at least one entry in poses")
         return self
+
+    def with_force(self, force_n: float) -> Self:
+        """Return the same poses with one force at the end of each ramp, in N."""
+        poses = tuple(pose.model_copy(update={"force_n": force_n}) for pose in self.poses)
+        return self.model_copy(update={"force_n": (force_n, force_n), "poses": poses})
 
     @property
     def forces_n(self) -> Range:

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 
 from cell.config.sequence import SequenceConfig
 from cell.control.grasping import NOTHING_HELD, Grasper
@@ -13,10 +14,11 @@ from cell.control.identification import (
     grasp_and_classify,
 )
 from cell.control.journal import Journal
+from cell.control.keeping import HeldCheck, Judge, Keep
 from cell.control.lifecycle import ON_REQUEST, CellLifecycle
 from cell.control.live import LiveValues, live_values
-from cell.control.plan import GraspStep
-from cell.control.positioner import Positioner
+from cell.control.plan import GraspStep, Pose
+from cell.control.positioner import Destination, Positioner
 from cell.control.records import GraspRecord
 from cell.control.states import CellState, CellStatus, Command, Event, GraspState
 from cell.data.recorder import Recorder
@@ -120,6 +122,7 @@ class CellController(CellView):
         positioner: Positioner,
         sequence: SequenceConfig,
         tare_frames: int,
+        contact_force_n: float,
         clock: Clock,
         recorder: Recorder | None = None,
         wall_ms: Callable[[], int] = lambda: time.time_ns() // 1_000_000,
@@ -134,6 +137,7 @@ class CellController(CellView):
             note=self._journal.note,
             close_sensor=hand.close_sensor,
             changed=self._record_state,
+            clock=clock,
         )
         super().__init__(hand, life)
         self._grasper = Grasper(
@@ -142,6 +146,7 @@ class CellController(CellView):
             life=self._life,
             journal=self._journal,
             sequence=sequence,
+            contact_force_n=contact_force_n,
             clock=clock,
             wall_ms=wall_ms,
         )
@@ -270,8 +275,11 @@ class CellController(CellView):
         return report
 
     def tick(self) -> None:
-        """Keep both links alive and supervised while no sequence runs; call once a period."""
-        if self._life.state in (CellState.IDLE, CellState.HELD):
+        """Keep both links alive and supervised while no sequence runs; call once a period.
+
+        While a part is kept its force is controlled, and its slip or loss is a fault.
+        """
+        if self._life.state in (CellState.IDLE, CellState.HELD, CellState.COMPLETE):
             with self._life.latching_faults():
                 self._hand.tick()
 
@@ -332,20 +340,77 @@ class CellController(CellView):
         """
         self._check_cancelled_between()
         self._grasper.check(step, label)
-        self._life.go(Event.EXECUTE)
-        try:
-            with self._life.latching_faults():
-                record = self._grasper.grasp(step, label, looks)
+        return self._grasp(step, looks, label=label)[0]
+
+    def grip(self, force_n: float, pose: Pose | None = None) -> GraspRecord:
+        """Close with a force ramp and keep the part: COMPLETE, without a name.
+
+        Without a ``pose`` the positioner does not move: the part is where it shall be gripped.
+
+        Raises
+        ------
+        NoPartFound, CellStopped, PlanRefused, gripper.errors.LimitExceeded
+            As `grasp`.
+        """
+        self._check_cancelled_between()
+        self._grasper.check(GraspStep(pose=Pose(), force_n=force_n))
+        with self._executing(Event.EXECUTE):
+            record = self._grasper.grip(force_n, pose)
+            if record.outcome.result in NOTHING_HELD:
                 self._life.complete()
-        finally:
-            self._journal.loop(self._hand.statistics)
-        missing = NOTHING_HELD.get(record.outcome.result)
-        if missing is not None:
-            raise NoPartFound(
-                f"{missing} at pose {step.pose}, at an opening of "
-                f"{record.outcome.final_aperture_m * 1e3:.1f} mm; is the object in place?"
-            )
+            else:
+                self._life.keep(since="grip")
+        self._check_found(record)
         return record
+
+    def verify(self) -> HeldCheck:
+        """Measure whether the part in the grip is still the one that was kept; it stays there.
+
+        Raises
+        ------
+        CellStateError
+            If no part is kept.
+        CellStopped
+            If it was cancelled: the part is then HELD, with a force that nobody controls.
+        gripper.errors.PartLost, gripper.errors.PartSlipped
+            If the part is gone or slips; that is a fault as at any other time of a carry.
+        """
+        with self._executing(Event.VERIFY):
+            check = self._grasper.verify()
+            self._life.keep(since="answer")
+        found = "; ".join(check.reasons) or "the same part"
+        self._journal.note("verify", found)
+        return check
+
+    def carry_to(self, destination: Destination) -> None:
+        """Have the positioner bring the kept part to a place; the part stays in the grip.
+
+        Raises
+        ------
+        CellStateError
+            If no part is kept.
+        CellStopped
+            If it was cancelled on the way. The part is still kept.
+        PositionerError
+            If the place was refused or cannot be reached. The part is still kept.
+        gripper.errors.PartLost, gripper.errors.PartSlipped
+            If the part is gone or slips on the way.
+        """
+        self.check(Command.VERIFY)
+
+        def supervise() -> None:
+            if self._life.cancelled:
+                self._life.cancelled = False
+                raise CellStopped(
+                    f"stopped {self._life.stop_reason} on the way to {destination.place}; the part "
+                    f"is kept until it is released on purpose"
+                )
+            self.tick()
+
+        supervise()
+        self._grasper.patiently(lambda: self._positioner.carry_to(destination), supervise)
+        self._journal.note("place", f"{destination.label} at {destination.place}")
+        supervise()
 
     def collect(
         self,
@@ -393,8 +458,12 @@ class CellController(CellView):
         chooser: StepChooser | None = None,
         read_shape: ReadShape | None = None,
         on_grasp: OnGrasp | None = None,
+        keep: Keep = Keep.NEVER,
     ) -> Identification:
         """Grasp and classify until the stop rule is satisfied or the plan is at its end.
+
+        A part that is to be kept is held while its grasp is looked at. It stays in the grip after
+        the last one, and the cell is COMPLETE, until `release`.
 
         With ``early`` a ramp ends as soon as it satisfies the stop rule together with the grasps
         before it. With a ``chooser`` each step of the plan is a proposal that it may replace. With
@@ -408,11 +477,21 @@ class CellController(CellView):
             If the plan is empty or one of its steps cannot be carried out; nothing has moved.
         """
         steps = self._checked(plan)
+
+        def grasp(
+            step: GraspStep, looks: EarlyDecider | None, judge: Judge | None
+        ) -> tuple[GraspRecord, bool]:
+            self._check_cancelled_between()
+            self._grasper.check(step)
+            return self._grasp(step, looks, judge)
+
         result = grasp_and_classify(
-            self.grasp,
+            grasp,
             recognizer,
             steps,
             error_rate=self._sequence.error_rate,
+            keep=keep,
+            regrasps=self._sequence.regrasp == "fixture",
             early=early,
             chooser=chooser,
             read_shape=read_shape,
@@ -426,6 +505,42 @@ class CellController(CellView):
         self._journal.note(kind, text)
 
     # -- inside --------------------------------------------------------------------------------
+
+    def _grasp(
+        self,
+        step: GraspStep,
+        looks: EarlyDecider | None,
+        judge: Judge | None = None,
+        *,
+        label: str = "",
+    ) -> tuple[GraspRecord, bool]:
+        with self._executing(Event.EXECUTE):
+            record, kept = self._grasper.grasp(step, label, looks, judge)
+            if kept:
+                self._life.keep(since="answer")
+            else:
+                self._life.complete()
+        self._check_found(record)
+        return record, kept
+
+    @contextmanager
+    def _executing(self, event: Event) -> Iterator[None]:
+        """Run a command of the hand; what goes wrong is latched, and the loop's timing recorded."""
+        self._life.go(event)
+        try:
+            with self._life.latching_faults():
+                yield
+        finally:
+            self._journal.loop(self._hand.statistics)
+
+    def _check_found(self, record: GraspRecord) -> None:
+        """Raise NoPartFound where a grasp has found nothing."""
+        missing = NOTHING_HELD.get(record.outcome.result)
+        if missing is not None:
+            raise NoPartFound(
+                f"{missing} at pose {record.step.pose}, at an opening of "
+                f"{record.outcome.final_aperture_m * 1e3:.1f} mm; is the object in place?"
+            )
 
     def _checked(self, plan: Sequence[GraspStep], label: str = "") -> tuple[GraspStep, ...]:
         """Return the steps of a plan. Raises where one of them, or the plan, is refused."""

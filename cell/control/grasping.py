@@ -1,7 +1,11 @@
-"""One grasp of a sequence: the move to its pose, the grasp, its record, the release."""
+"""One grasp of a sequence: the move to its pose, the grasp, its record; released or kept."""
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
 
 from cell.config.sequence import (
     LinearRampConfig,
@@ -10,11 +14,21 @@ from cell.config.sequence import (
     StaircaseRampConfig,
 )
 from cell.control.journal import Journal
+from cell.control.keeping import (
+    LOOK_S,
+    HeldCheck,
+    HeldPart,
+    Judge,
+    compared,
+    measured,
+    open_counts,
+    spliced,
+)
 from cell.control.lifecycle import CellLifecycle
 from cell.control.plan import GraspStep, Pose
 from cell.control.positioner import PatientCaller, Positioner
 from cell.control.records import GraspCollector, GraspRecord, pad_array
-from cell.errors import PlanRefused
+from cell.errors import CellStateError, PlanRefused
 from cell.hand.interface import Hand
 from gripper.force.ramp import ForceRamp
 from gripper.state import Clock, Cycle, GraspResult
@@ -47,6 +61,14 @@ NOTHING_HELD = {
 """Results of a grasp after which nothing is held and nothing can be learnt."""
 
 
+SOURCE = "tactile-cell"
+"""Source of the grasps of a cell, as data sets name it."""
+
+BACK_OFF_SHARE = 0.3
+"""Share of its end from which a further ramp in the same grip begins: the least level of load at
+which a recogniser takes footprints (`recognition.ramp.levels`)."""
+
+
 class Grasper:
     """Takes hand and positioner through one grasp after the other, and records them.
 
@@ -59,7 +81,9 @@ class Grasper:
     journal
         Gets what happens.
     sequence
-        How the force grows.
+        How the force grows, and with which one a part is carried.
+    contact_force_n
+        Least force in N with which a part is held.
     clock, wall_ms
         Monotonic time, and the time that people read in ms since 1970. Somebody may set the
         machine's clock back: the grasps of a run stay in order all the same.
@@ -73,6 +97,7 @@ class Grasper:
         life: CellLifecycle,
         journal: Journal,
         sequence: SequenceConfig,
+        contact_force_n: float,
         clock: Clock,
         wall_ms: Callable[[], int],
     ) -> None:
@@ -81,6 +106,8 @@ class Grasper:
         self._life = life
         self._journal = journal
         self._sequence = sequence
+        self._contact_n = contact_force_n
+        self._held: tuple[NDArray[np.float64], HeldPart] | None = None
         self._wall_ms = wall_ms
         self._last_start_ms = 0
         self._patient = PatientCaller(clock, hand.period_s)
@@ -107,9 +134,49 @@ class Grasper:
     def _ramp(self, step: GraspStep) -> ForceRamp:
         return force_ramp(self._sequence.ramp, step.force_n)
 
-    def grasp(self, step: GraspStep, label: str, looks: EarlyDecider | None = None) -> GraspRecord:
-        """Go to the pose, grasp, record, let go; with ``looks`` end the ramp where these decide."""
-        reached = self._move_to(step.pose)
+    def grasp(
+        self,
+        step: GraspStep,
+        label: str,
+        looks: EarlyDecider | None = None,
+        judge: Judge | None = None,
+    ) -> tuple[GraspRecord, bool]:
+        """Go to the pose, grasp, record, let go; with ``looks`` end the ramp where these decide.
+
+        With a ``judge`` the part is held with the force of a carry while it looks at the record:
+        it decides whether the part is let go, squeezed once more, or kept. Returns the record of
+        the grasp, and whether the part was kept.
+        """
+        record = self._close(step, self._move_to(step.pose), label, looks)
+        kept = False
+        if judge is not None and record.outcome.result not in NOTHING_HELD:
+            kept = self._judged(record, judge)
+        if not kept:
+            self._hand.release(self.watch)
+        return record, kept
+
+    def grip(self, force_n: float, pose: Pose | None) -> GraspRecord:
+        """Close where the part is, or at a pose, and keep it; where there is none, open again."""
+        step = GraspStep(pose=pose or Pose(), force_n=force_n)
+        reached = step.pose if pose is None else self._move_to(pose)
+        record = self._close(step, reached, "", None)
+        if record.outcome.result in NOTHING_HELD:
+            self._hand.release(self.watch)
+        else:
+            self._keep(record)
+        return record
+
+    def verify(self) -> HeldCheck:
+        """Measure the held part once more and compare it with what was kept."""
+        if self._held is None:
+            raise CellStateError("no part was kept, so that there is nothing to compare with")
+        zero, then = self._held
+        return compared(self._look_at_held(zero), then, carry_n=self._sequence.carry_force_n)
+
+    def _close(
+        self, step: GraspStep, reached: Pose, label: str, looks: EarlyDecider | None
+    ) -> GraspRecord:
+        """Open, close and follow the ramp; record that, and return while holding."""
         collector = GraspCollector()
 
         def so_far() -> Grasp:
@@ -121,15 +188,16 @@ class Grasper:
             if looks is not None and any(looks.add_frame(frame.counts, so_far) for frame in frames):
                 self._hand.end_ramp()
 
+        self._held = None
         self._hand.open(self.watch)
-        start_ms = self._last_start_ms = max(self._wall_ms(), self._last_start_ms + 1)
+        start_ms = self._next_start_ms()
         outcome = self._hand.grasp(self._ramp(step), watch)
         self._life.result = outcome.result
         record = GraspRecord(
             grasp=collector.grasp(
                 self.pads,
                 label=label,
-                source="tactile-cell",
+                source=SOURCE,
                 start_ms=start_ms,
                 command=step.command,
             ),
@@ -146,8 +214,66 @@ class Grasper:
             self._journal.grasp(record.grasp)
             if record.ended:
                 self._journal.note("ramp", record.ended)
-        self._hand.release(self.watch)
         return record
+
+    def _judged(self, record: GraspRecord, judge: Judge) -> bool:
+        """Hold the part until it is judged; return whether it was kept."""
+        first = record
+        while True:
+            self._hand.carry(self._sequence.carry_force_n, 0.0, self.watch)
+            verdict = judge(record)
+            self._life.check_cancelled()
+            if verdict.further is None:
+                break
+            record = self._squeeze(first, replace(verdict.further, pose=first.step.pose))
+        if verdict.keep:
+            self._keep(first)
+        return verdict.keep
+
+    def _squeeze(self, first: GraspRecord, step: GraspStep) -> GraspRecord:
+        """Back off and follow a further ramp in the same grip; return its record."""
+        from_n = min(BACK_OFF_SHARE * step.force_n, self._sequence.carry_force_n)
+        from_n = max(from_n, self._contact_n)
+        self._hand.carry(from_n, 0.0, self.watch)
+        collector = GraspCollector()
+
+        def watch(cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
+            self._look(cycle, frames)
+            collector.add(cycle, frames)
+
+        start_ms = self._next_start_ms()
+        outcome = self._hand.squeeze(self._ramp(step), watch)
+        further = collector.grasp(self.pads, source=SOURCE, start_ms=start_ms, command=step.command)
+        self._journal.note("ramp", f"further ramp to {step.force_n:.1f} N in the same grip")
+        return GraspRecord(
+            grasp=spliced(first.grasp, further, from_n),
+            step=step,
+            reached=first.reached,
+            outcome=outcome,
+            cycles=collector.cycles,
+            same_grip=True,
+        )
+
+    def _keep(self, record: GraspRecord) -> None:
+        """Hold the part of a record for the host, and measure it for a later comparison."""
+        zero = open_counts(record.grasp)
+        self._held = (zero, self._look_at_held(zero))
+
+    def _look_at_held(self, zero: NDArray[np.float64]) -> HeldPart:
+        collector = GraspCollector()
+
+        def watch(cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
+            self._look(cycle, frames)
+            collector.add(cycle, frames)
+
+        carry_n = self._sequence.carry_force_n
+        self._hand.carry(carry_n, 0.0, self.watch)
+        self._hand.carry(carry_n, LOOK_S, watch)
+        return measured(collector, zero)
+
+    def _next_start_ms(self) -> int:
+        self._last_start_ms = max(self._wall_ms(), self._last_start_ms + 1)
+        return self._last_start_ms
 
     def watch(self, cycle: Cycle, _frames: Sequence[TactileFrame]) -> None:
         """Record one period of a motion, in which no frame matters; obey a stop."""

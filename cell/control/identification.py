@@ -1,9 +1,10 @@
 """The grasp-then-classify sequence: grasp, classify, stop or go on."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
+from cell.control.keeping import Judge, Keep, Verdict
 from cell.control.plan import GraspStep
 from cell.control.records import GraspRecord
 from recognition.drift.estimate import DriftEstimate, DriftTracking
@@ -17,6 +18,10 @@ from recognition.recognizers.early_classifiers import (
 from recognition.shape.answer import ShapeAnswer
 from recognition.shape.fusion import fuse_shapes
 from recognition.statistics.fusion import Decision, DecisionKind, StopRule, decide, fuse
+
+SAME_GRIP_DEPENDENCE = 0.8
+"""Correlation of the log evidence of two ramps in one grip: pose and part are the same, what
+differs is the noise of the frames and the friction of the pads."""
 
 ReadShape = Callable[[Grasp], ShapeAnswer | None]
 """Function from a grasp to its shape and size; None where its pads do not show them."""
@@ -53,6 +58,8 @@ class Identification:
         Shape and size by all grasps together; None where none of them shows it.
     remark
         Message for the operator, as that the sensors have drifted; empty where there is none.
+    kept
+        Whether the part is still in the grip, for the host.
     """
 
     label: str
@@ -66,6 +73,7 @@ class Identification:
     shapes: tuple[ShapeAnswer | None, ...] = ()
     shape: ShapeAnswer | None = None
     remark: str = ""
+    kept: bool = False
 
     @property
     def probabilities(self) -> dict[str, float]:
@@ -93,12 +101,121 @@ What it raises does not end the sequence, whose answer does not depend on it; it
 """
 
 
+class Evidence:
+    """Answers to the grasps of one sequence so far, and the decision after each.
+
+    Parameters
+    ----------
+    recognizer
+        Answers a grasp.
+    rule
+        When the sequence ends.
+    read_shape
+        Reads shape and size of a grasp, which the label does not depend on.
+    on_grasp
+        Called after each grasp.
+
+    Attributes
+    ----------
+    posteriors, records
+        Of the grasps so far, in order.
+    """
+
+    def __init__(
+        self,
+        recognizer: Recognizer,
+        rule: StopRule,
+        *,
+        read_shape: ReadShape | None,
+        on_grasp: OnGrasp | None,
+    ) -> None:
+        self._recognizer = recognizer
+        self._rule = rule
+        self._read_shape = read_shape
+        self._on_grasp = on_grasp
+        self.posteriors: list[Posterior] = []
+        self.records: list[GraspRecord] = []
+        self._complaints: list[str] = []
+        self._shapes: list[ShapeAnswer | None] = []
+        self._decision: Decision | None = None
+
+    @property
+    def decision(self) -> Decision:
+        """Decision after the grasps so far. Raises ValueError before the first one."""
+        if self._decision is None:
+            raise ValueError("nothing was grasped yet")
+        return self._decision
+
+    @property
+    def over(self) -> bool:
+        """Whether no further grasp is wanted."""
+        return self.decision.kind is not DecisionKind.CONTINUE
+
+    def add(self, record: GraspRecord) -> None:
+        """Take a grasp into account."""
+        posterior = (
+            self._recognizer.posterior(record.grasp)
+            if record.early is None
+            else record.early.posterior
+        )
+        if record.same_grip:
+            posterior = replace(posterior, dependence=SAME_GRIP_DEPENDENCE)
+        self.records.append(record)
+        self.posteriors.append(posterior)
+        number = len(self.records)
+        shape: ShapeAnswer | None = None
+        if self._read_shape is not None:
+            try:
+                shape = self._read_shape(record.grasp)
+            except Exception as error:
+                self._complain(f"shape of grasp {number}", error)
+            self._shapes.append(shape)
+        if self._on_grasp is not None:
+            try:
+                self._on_grasp(number, record, posterior, shape)
+            except Exception as error:
+                self._complain(f"after grasp {number}", error)
+        self._decision = decide(self.posteriors, self._rule)
+
+    def identification(self, *, kept: bool) -> Identification:
+        """Return the answer of the sequence."""
+        shape = self._fused_shape()
+        tracked = self._recognizer
+        return Identification(
+            label=self.decision.label,
+            probability=self.decision.probability,
+            decision=self.decision,
+            posteriors=tuple(self.posteriors),
+            fused=fuse(self.posteriors),
+            records=tuple(self.records),
+            drift=tracked.drift_estimate if isinstance(tracked, DriftTracking) else None,
+            complaints=tuple(self._complaints),
+            shapes=tuple(self._shapes),
+            shape=shape,
+            kept=kept,
+        )
+
+    def _complain(self, when: str, error: Exception) -> None:
+        self._complaints.append(f"{when}: {type(error).__name__}: {error}")
+
+    def _fused_shape(self) -> ShapeAnswer | None:
+        """Return shape and size by all grasps; an error is a complaint, never the label's."""
+        read = [shape for shape in self._shapes if shape is not None]
+        try:
+            return fuse_shapes(read) if read else None
+        except Exception as error:
+            self._complain("shape of all grasps", error)
+            return None
+
+
 def grasp_and_classify(
-    grasp: Callable[[GraspStep, EarlyDecider | None], GraspRecord],
+    grasp: Callable[[GraspStep, EarlyDecider | None, Judge | None], tuple[GraspRecord, bool]],
     recognizer: Recognizer,
     plan: Sequence[GraspStep],
     *,
     error_rate: float,
+    keep: Keep = Keep.NEVER,
+    regrasps: bool = True,
     early: EarlyClassifiers | None = None,
     chooser: StepChooser | None = None,
     read_shape: ReadShape | None = None,
@@ -109,71 +226,47 @@ def grasp_and_classify(
     Parameters
     ----------
     grasp
-        Carries one step out, and ends its ramp where the looks at it decide.
+        Carries one step out, ends its ramp where the looks at it decide, and does with the part
+        what the judge decides; returns the record, and whether the part was kept.
     recognizer
         Answers a grasp.
     plan
         Steps in order, at least one; with a ``chooser`` each is a proposal that it may replace.
     error_rate
         Wanted rate of wrong answers at which the sequence stops early.
+    keep
+        When the part stays in the grip: a grasp is then looked at while its part is held.
+    regrasps
+        False where a part must not be let go before the answer: the steps after the first one are
+        further ramps in the same grip.
     read_shape
-        Reads shape and size of a grasp, which the label does not depend on. It is called between
-        two grasps, while the fingers are open.
+        Reads shape and size of a grasp, which the label does not depend on.
     early
         Looks at each ramp while it runs: together with the earlier grasps it may decide before the
         ramp is at its end, whose answer is then the one of that moment. None: whole ramps only.
     """
     rule = StopRule(error_rate=error_rate, max_grasps=len(plan))
-    posteriors: list[Posterior] = []
-    records: list[GraspRecord] = []
-    complaints: list[str] = []
-    shapes: list[ShapeAnswer | None] = []
+    evidence = Evidence(recognizer, rule, read_shape=read_shape, on_grasp=on_grasp)
     heads = None if early is None else early.with_drift_of(recognizer)
-    for number, step in enumerate(plan, start=1):
-        record = grasp(
-            step if chooser is None else chooser.next_step(posteriors, step),
-            None if heads is None else EarlyDecider(heads, posteriors, rule_during_ramp(rule)),
-        )
-        posterior = (
-            recognizer.posterior(record.grasp) if record.early is None else record.early.posterior
-        )
-        records.append(record)
-        posteriors.append(posterior)
-        shape: ShapeAnswer | None = None
-        if read_shape is not None:
-            try:
-                shape = read_shape(record.grasp)
-            except Exception as error:
-                complaints.append(f"shape of grasp {number}: {type(error).__name__}: {error}")
-            shapes.append(shape)
-        if on_grasp is not None:
-            try:
-                on_grasp(number, record, posterior, shape)
-            except Exception as error:
-                complaints.append(f"after grasp {number}: {type(error).__name__}: {error}")
-        decision = decide(posteriors, rule)
-        if decision.kind is not DecisionKind.CONTINUE:
-            break
-    shape = _fused(shapes, complaints)
-    return Identification(
-        label=decision.label,
-        probability=decision.probability,
-        decision=decision,
-        posteriors=tuple(posteriors),
-        fused=fuse(posteriors),
-        records=tuple(records),
-        drift=recognizer.drift_estimate if isinstance(recognizer, DriftTracking) else None,
-        complaints=tuple(complaints),
-        shapes=tuple(shapes),
-        shape=shape,
-    )
+    steps = iter(plan)
+    holds = keep is not Keep.NEVER or not regrasps
 
+    def next_step() -> GraspStep:
+        planned = next(steps)
+        return planned if chooser is None else chooser.next_step(evidence.posteriors, planned)
 
-def _fused(shapes: Sequence[ShapeAnswer | None], complaints: list[str]) -> ShapeAnswer | None:
-    """Return shape and size by all grasps; what goes wrong is a complaint, never the label's."""
-    read = [shape for shape in shapes if shape is not None]
-    try:
-        return fuse_shapes(read) if read else None
-    except Exception as error:
-        complaints.append(f"shape of all grasps: {type(error).__name__}: {error}")
-        return None
+    def judge(record: GraspRecord) -> Verdict:
+        evidence.add(record)
+        if evidence.over:
+            return Verdict(keep=keep.keeps(evidence.decision.label))
+        return Verdict() if regrasps else Verdict(further=next_step())
+
+    kept = False
+    while not (evidence.records and evidence.over):
+        looks = None
+        if heads is not None:
+            looks = EarlyDecider(heads, evidence.posteriors, rule_during_ramp(rule))
+        record, kept = grasp(next_step(), looks, judge if holds else None)
+        if not holds:
+            evidence.add(record)
+    return evidence.identification(kept=kept)

@@ -19,7 +19,7 @@ from cell.errors import CellStateError, CellStopped, HandLost, PositionerError, 
 from cell.fault_catalogue import fault_number
 from cell.hand.interface import Hand
 from gripper.errors import GraspStopped, GripperError, PartLost, fingers_left
-from gripper.state import GraspResult, GripperPhase
+from gripper.state import Clock, GraspResult, GripperPhase
 
 _HOLDING = (
     GripperPhase.APPROACHING,
@@ -47,6 +47,8 @@ class CellLifecycle:
         Ends the tactile link when a start is given up.
     changed
         Called after each change of state.
+    clock
+        Monotonic time.
 
     Attributes
     ----------
@@ -67,11 +69,14 @@ class CellLifecycle:
         note: Callable[[str, str, int], None],
         close_sensor: Callable[[], None],
         changed: Callable[[], None],
+        clock: Clock,
     ) -> None:
         self._hand = hand
         self._note = note
         self._close_sensor = close_sensor
         self._changed = changed
+        self._clock = clock
+        self._kept: tuple[float, str] | None = None
         self._state = CellState.STOPPED
         self._part_lost = False
         self.result: GraspResult | None = None
@@ -115,6 +120,8 @@ class CellLifecycle:
             self._state = next_state(self._state, event)
         except ValueError as error:
             raise self._refused(str(error)) from None
+        if event in (Event.RELEASE, Event.RELEASE_HELD, Event.START):
+            self._kept = None
         self._changed()
 
     def _refused(self, text: str) -> CellStateError:
@@ -123,6 +130,14 @@ class CellLifecycle:
     def complete(self) -> None:
         """Leave the acting state with the event with which it ends when all goes well."""
         self.go(COMPLETIONS[self._state])
+
+    def keep(self, *, since: str) -> None:
+        """Leave EXECUTE with the part held for the host, ``since`` e.g. the answer.
+
+        A fault from then on names the time since then; a part that is kept already stays so.
+        """
+        self._kept = self._kept or (self._clock.monotonic(), since)
+        self.go(Event.KEPT)
 
     def check_cancelled(self) -> None:
         """Raise GraspStopped if a stop was requested."""
@@ -170,7 +185,8 @@ class CellLifecycle:
 
     def _latch(self, error: BaseException) -> None:
         """Keep the grip and go where a fault leads; what is seen last does not hide the first."""
-        self.fault, self.fault_number = error_text(error), fault_number(error)
+        self.fault = error_text(error) + self._carried_for()
+        self.fault_number = fault_number(error)
         self._part_lost = isinstance(error, PartLost)
         self.go(Event.FAULT)
         try:
@@ -181,6 +197,13 @@ class CellLifecycle:
             self._note("fault", text, fault_number(second))
         finally:
             self.complete()
+
+    def _carried_for(self) -> str:
+        """Return as text how long a kept part was held until now; empty where none is kept."""
+        if self._kept is None:
+            return ""
+        since_s, since = self._kept
+        return f"; {self._clock.monotonic() - since_s:.1f} s after the {since}"
 
     def _left(self, stop: GraspStopped) -> str:
         """Return what a stop has left as text: fingers on their way, a grip, or nothing held."""

@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Protocol, TypeVar
 
 from cell.control.plan import Pose
@@ -18,6 +18,25 @@ _T = TypeVar("_T")
 
 _LONGEST_REPLY = 65536
 """Bytes of a reply of the simulated cell after which it is taken for garbage; a pose takes 200."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Destination:
+    """Place that a named part is brought to.
+
+    Attributes
+    ----------
+    label
+        Name of the part, or ``UNKNOWN``.
+    place
+        Name of the place.
+    pose
+        Where that is, for a positioner with axes of its own; None where only the host can find it.
+    """
+
+    label: str
+    place: str
+    pose: Pose | None = None
 
 
 class Positioner(Protocol):
@@ -37,6 +56,13 @@ class Positioner(Protocol):
 
     def move_to(self, pose: Pose) -> Pose:
         """Go to the pose and return the one that was reached; the fingers are open meanwhile.
+
+        Raises PositionerError if it cannot be reached.
+        """
+        ...
+
+    def carry_to(self, destination: Destination) -> None:
+        """Bring the part in the grip to a place and return when it is there.
 
         Raises PositionerError if it cannot be reached.
         """
@@ -119,6 +145,9 @@ class SimulatedPositioner:
                 "name one with --object, or call present(label) first"
             )
         return self._placer.place(self._label, pose)
+
+    def carry_to(self, destination: Destination) -> None:
+        """Do nothing: the simulated gripper is at every place at once."""
 
 
 class SocketPlacer:
@@ -210,6 +239,10 @@ class OperatorPositioner:
         )
         return pose
 
+    def carry_to(self, destination: Destination) -> None:
+        """Ask for the place of a part; see `Positioner`."""
+        self._confirm(f"Bring the gripper with {destination.label} to {destination.place}")
+
     def _confirm(self, text: str) -> None:
         try:
             answer = self._ask(f"{text}. Enter when done, q to stop: ")
@@ -249,6 +282,56 @@ class CallbackPositioner:
             )
         return replace(pose)
 
+    def carry_to(self, destination: Destination) -> None:
+        """Refuse: the host has given no callback for places; see `HostPlaces`."""
+        raise PositionerError(
+            f"{destination.label} is to be brought to {destination.place}, but the host gave no "
+            "callback `places` that does so; the part is kept"
+        )
+
+
+Places = Callable[[Destination], bool | None]
+"""Brings the part in the grip to a place: returns None or True when it is there, False to refuse.
+"""
+
+
+class HostPlaces:
+    """Positioner whose parts the host brings to their places; all else another one does.
+
+    Parameters
+    ----------
+    positioner
+        Moves to the poses of a sequence.
+    places
+        Callback of the host.
+    """
+
+    def __init__(self, positioner: Positioner, places: Places) -> None:
+        self._positioner = positioner
+        self._places = places
+
+    @property
+    def blocks(self) -> bool:
+        """As of the other positioner."""
+        return self._positioner.blocks
+
+    def present(self, label: str | None) -> None:
+        """Have the other positioner bring an object."""
+        self._positioner.present(label)
+
+    def move_to(self, pose: Pose) -> Pose:
+        """Have the other positioner go to a pose."""
+        return self._positioner.move_to(pose)
+
+    def carry_to(self, destination: Destination) -> None:
+        """Call the host; see `Positioner`."""
+        there = self._places(destination)
+        if there is not None and there is not True:
+            raise PositionerError(
+                f"the host answered {there!r} to the place {destination.place} of "
+                f"{destination.label}: None or True means that it is there; the part is kept"
+            )
+
 
 class HostThenSimulated:
     """Has the host move first, then the simulated cell: for a host without a robot yet."""
@@ -266,3 +349,7 @@ class HostThenSimulated:
     def move_to(self, pose: Pose) -> Pose:
         """Call the host, then place the object at the pose that it answered."""
         return self._simulated.move_to(self._host.move_to(pose))
+
+    def carry_to(self, destination: Destination) -> None:
+        """Refuse, as the host does that gives no callback for places."""
+        self._host.carry_to(destination)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cell.control.plan import GraspStep, Pose
 from gripper.state import Cycle, GraspOutcome
@@ -33,6 +34,8 @@ class GraspRecord:
     early
         Answer that ended the ramp before its usual end; None where that was reached. The grasp goes
         on until the force had settled, so it holds more than what decided.
+    same_grip
+        Whether this is a further ramp in the grip of the record before; its periods begin there.
     """
 
     grasp: Grasp
@@ -41,6 +44,7 @@ class GraspRecord:
     outcome: GraspOutcome
     cycles: tuple[Cycle, ...]
     early: EarlyAnswer | None = None
+    same_grip: bool = False
 
     @property
     def duration_s(self) -> float:
@@ -103,6 +107,14 @@ class GraspCollector:
     def n_frames(self) -> int:
         """Number of frames so far."""
         return len(self._frames)
+
+    @property
+    def mean_counts(self) -> NDArray[np.float64]:
+        """Mean of the frames, (n_taxels,). Raises ValueError if no frame came."""
+        if not self._frames:
+            raise ValueError("no tactile frame came while the part was held")
+        mean: NDArray[np.float64] = np.mean([frame.counts for frame in self._frames], axis=0)
+        return mean
 
     @property
     def cycles(self) -> tuple[Cycle, ...]:

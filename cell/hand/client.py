@@ -18,6 +18,7 @@ from cell.hand.interface import HandStatistics, Watch
 from cell.hand.messages import (
     Answer,
     Boot,
+    Carry,
     ClearFault,
     CloseSensor,
     Command,
@@ -35,6 +36,7 @@ from cell.hand.messages import (
     Release,
     Request,
     Shutdown,
+    Squeeze,
     Start,
     StartSensor,
     Tare,
@@ -310,6 +312,15 @@ class HandProcess:
         outcome: GraspOutcome = self._call(GraspUnder(ramp=ramp), watch)
         return outcome
 
+    def carry(self, force_n: float, duration_s: float, watch: Watch) -> None:
+        """Hold the part with another force; see `Hand`."""
+        self._call(Carry(force_n=force_n, duration_s=duration_s), watch)
+
+    def squeeze(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
+        """Follow a further ramp in the same grip; see `Hand`."""
+        outcome: GraspOutcome = self._call(Squeeze(ramp=ramp), watch)
+        return outcome
+
     def end_ramp(self) -> None:
         """Let the running ramp end where it is; see `Hand`."""
         self._loop.send(EndRamp(number=self._number))
@@ -393,7 +404,7 @@ class HandProcess:
             self.tick()
         self._number += 1
         self._loop.send(Request(number=self._number, command=command))
-        runs_loop = isinstance(command, Open | GraspUnder | Release)
+        runs_loop = isinstance(command, Open | GraspUnder | Carry | Squeeze | Release)
         patience_s = self._silence_s if runs_loop else self._answer_s
         failure: BaseException | None = None
         while True:

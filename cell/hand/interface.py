@@ -116,6 +116,14 @@ class Hand(Protocol):
         """Close until both pads touch, follow the ramp; return while holding."""
         ...
 
+    def carry(self, force_n: float, duration_s: float, watch: Watch) -> None:
+        """Hold the part with another force for a time, and control it on between commands."""
+        ...
+
+    def squeeze(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
+        """Follow a further ramp in the same grip, up from the held force; return while holding."""
+        ...
+
     def end_ramp(self) -> None:
         """Let the ramp of the running grasp end where it is; see `Gripper.end_ramp`.
 
@@ -142,6 +150,8 @@ class Hand(Protocol):
 
     def tick(self) -> None:
         """Between commands, once a period: both links stay alive; what is wrong with them raises.
+
+        While a part is carried this is a period of the force loop.
 
         A loop in a process of its own ticks by itself; this then raises what it found.
         """

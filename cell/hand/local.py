@@ -165,6 +165,16 @@ class LocalHand:
         self._tap.take()
         return self.gripper.grasp(ramp, observer=self._observer(watch))
 
+    def carry(self, force_n: float, duration_s: float, watch: Watch) -> None:
+        """Hold the part with another force; see `Hand`."""
+        self._tap.take()
+        self.gripper.carry(force_n, duration_s, self._observer(watch))
+
+    def squeeze(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
+        """Follow a further ramp in the same grip; see `Hand`."""
+        self._tap.take()
+        return self.gripper.squeeze(ramp, self._observer(watch))
+
     def end_ramp(self) -> None:
         """Let the running ramp end where it is; see `Hand`."""
         self.gripper.end_ramp()
@@ -189,7 +199,7 @@ class LocalHand:
 
     def tick(self) -> None:
         """Keep both links alive and supervised; see `Hand`."""
-        self.gripper.tick()
+        self.gripper.tick(self._aim)
         self._tap.latest_force()
         self._tap.take()
 
@@ -217,10 +227,13 @@ class LocalHand:
 
     def _observer(self, watch: Watch) -> Callable[[Cycle], None]:
         def observe(cycle: Cycle) -> None:
-            self.sensor.aim(cycle.setpoint_n, cycle.state.aperture_m)
+            self._aim(cycle)
             watch(cycle, self._tap.take())
 
         return observe
+
+    def _aim(self, cycle: Cycle) -> None:
+        self.sensor.aim(cycle.setpoint_n, cycle.state.aperture_m)
 
     def _check_zero(self) -> None:
         """Refuse to measure with a zero that has moved; the fingers are open now."""

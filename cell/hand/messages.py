@@ -63,6 +63,21 @@ class GraspUnder:
     ramp: ForceRamp
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Carry:
+    """`Hand.carry`."""
+
+    force_n: float
+    duration_s: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Squeeze:
+    """`Hand.squeeze`."""
+
+    ramp: ForceRamp
+
+
 @dataclass(frozen=True, slots=True)
 class Release:
     """`Hand.release`."""
@@ -109,6 +124,8 @@ Command = (
     | Open
     | Tare
     | GraspUnder
+    | Carry
+    | Squeeze
     | Release
     | Conditions
     | Inspect

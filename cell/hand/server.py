@@ -28,6 +28,7 @@ from cell.hand.messages import (
     Alive,
     Answer,
     Boot,
+    Carry,
     ClearFault,
     CloseSensor,
     Command,
@@ -45,6 +46,7 @@ from cell.hand.messages import (
     Release,
     Request,
     Shutdown,
+    Squeeze,
     Start,
     StartSensor,
     Tare,
@@ -300,6 +302,10 @@ class HandServer:
                 hand.tare(n_frames)
             case GraspUnder(ramp=ramp):
                 value = hand.grasp(ramp, self._watch)
+            case Carry(force_n=force_n, duration_s=duration_s):
+                hand.carry(force_n, duration_s, self._watch)
+            case Squeeze(ramp=ramp):
+                value = hand.squeeze(ramp, self._watch)
             case Release():
                 value = hand.release(self._watch)
             case ReadSensor(timeout_s=timeout_s):

@@ -16,6 +16,7 @@ from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
 from cell.control.controller import CellController
 from cell.control.identification import Identification, OnGrasp
+from cell.control.keeping import Keep
 from cell.control.plan import plan
 from cell.control.records import pad_array
 from cell.data.dataset import read_dataset, write_dataset
@@ -249,6 +250,8 @@ class TaughtModel:
         held: str | None,
         seed: int,
         max_grasps: int | None = None,
+        force_n: float | None = None,
+        keep: Keep = Keep.NEVER,
         on_grasp: OnGrasp | None = None,
     ) -> Identification:
         """Grasp an object until its name is sure enough, then follow the drift that it shows.
@@ -263,6 +266,10 @@ class TaughtModel:
             Seed of poses and forces.
         max_grasps
             Most grasps; None: as many as the config allows.
+        force_n
+            Force at the end of each ramp in N; None: those of the plan.
+        keep
+            When the part stays in the grip.
         on_grasp
             Called after each grasp.
 
@@ -274,6 +281,8 @@ class TaughtModel:
             As `CellController.identify`.
         """
         tracker, sequence = self.check_taught(), self._config.sequence
+        if force_n is not None:
+            sequence = sequence.with_force(force_n)
         memory = self._memory
         controller.present(held)
         found = controller.identify(
@@ -283,6 +292,7 @@ class TaughtModel:
             chooser=None if memory is None else ActiveChooser(memory, sequence, seed=seed),
             read_shape=self._read_shape,
             on_grasp=on_grasp,
+            keep=keep,
         )
         remark = tracker.add_records(found.records)
         if remark:

@@ -1,10 +1,12 @@
-"""One grasp: approach, contact, ramp, settling; then holding and backing off."""
+"""One grasp: approach, contact, ramp, settling; then holding, backing off and further ramps."""
 
 from collections.abc import Callable
+from dataclasses import replace
+from math import inf
 
 from gripper.errors import LimitExceeded, PartLost
 from gripper.force.grip_control import FrictionEstimate, GripControl, StiffnessEstimate
-from gripper.force.loop import Action, LoopRunner, Moment, Observer
+from gripper.force.loop import Action, LoopRunner, Moment, Observer, Running
 from gripper.force.motion import Approach, ApproachEvent, ContactRest
 from gripper.force.ramp import ForceRamp, RampEnd
 from gripper.force.slip import LevelSlip
@@ -95,6 +97,21 @@ class GraspRun:
         step = HoldStep(self._settings, control, duration_s)
         return self._runner.run(GripperPhase.HOLDING, step.step, observer, needs_force=True)
 
+    def hold_on(self, control: GripControl, now_s: float) -> Running:
+        """Return the control of the force at its last set-point, without an end."""
+        step = HoldStep(self._settings, control, inf)
+        return self._runner.begin(
+            GripperPhase.HOLDING, step.step, None, needs_force=True, now_s=now_s
+        )
+
+    def squeeze(
+        self, control: GripControl, ramp: ForceRamp, observer: Observer | None
+    ) -> GraspOutcome:
+        """Follow a further ramp in the same grip; see `Gripper.squeeze`."""
+        step = SqueezeStep(self._settings, control, ramp.starting_from(control.setpoint_n))
+        final = self._runner.run(GripperPhase.RAMPING, step.step, observer, needs_force=True)
+        return step.outcome(final)
+
     def back_off_ramp(self, control: GripControl, force_n: float, rate_n_s: float) -> ForceRamp:
         """Return the way down from the present set-point; LimitExceeded where there is none."""
         if not self._settings.contact_force_n <= force_n <= control.setpoint_n:
@@ -105,10 +122,10 @@ class GraspRun:
             )
         return ForceRamp.linear(force_n, rate_n_s, start_n=control.setpoint_n)
 
-    def follow_down(
+    def follow(
         self, control: GripControl, ramp: ForceRamp, observer: Observer | None
     ) -> GripperState:
-        """Follow a falling ramp to its end and until the force has settled."""
+        """Follow a change of the held force to its end and until the force has settled."""
         step = BackOffStep(self._settings, control, ramp)
         return self._runner.run(GripperPhase.BACKING_OFF, step.step, observer, needs_force=True)
 
@@ -209,21 +226,14 @@ class RampStep:
         final
             Feedback of the last period.
         """
-        final_n = 0.0 if self.control is None else self.control.force_n
-        wanted_n = self._ramp.final_n
-        if self.lost:
-            result = GraspResult.PART_LOST
-        elif abs(final_n - wanted_n) <= self._settings.settle_tolerance_at_n(wanted_n):
-            result = GraspResult.FORCE_REACHED
-        else:
-            result = GraspResult.FORCE_NOT_REACHED
-        return GraspOutcome(
-            result=result,
-            contact_t_s=self._contact.t_s,
-            contact_aperture_m=self._contact.aperture_m,
-            final_aperture_m=final.aperture_m,
-            final_force_n=final_n,
-            overshoot_n=max(0.0, self._peak_n - wanted_n),
+        return _outcome(
+            self._settings,
+            self.control,
+            self._ramp,
+            final,
+            contact=self._contact,
+            peak_n=self._peak_n,
+            lost=self.lost,
             ended_early=self._ended,
         )
 
@@ -297,7 +307,7 @@ class HoldStep:
 
 
 class BackOffStep:
-    """Step of control that follows a falling ramp until the force has settled.
+    """Step of control that follows a change of the held force until it has settled.
 
     Parameters
     ----------
@@ -306,7 +316,7 @@ class BackOffStep:
     control
         Control of the held part.
     ramp
-        The way down, from the present set-point.
+        The way down or up, from the present set-point.
     """
 
     def __init__(self, settings: GripperSettings, control: GripControl, ramp: ForceRamp) -> None:
@@ -326,6 +336,35 @@ class BackOffStep:
         )
         done = _settled(self._settings, self._ramp, self._elapsed_s, self._control)
         return Action(goals=goals, setpoint_n=setpoint_n, done=done)
+
+
+class SqueezeStep(BackOffStep):
+    """Step of control along a further ramp in the same grip, with its levels.
+
+    Parameters
+    ----------
+    settings, control, ramp
+        As `BackOffStep`; the ramp goes up.
+    """
+
+    def __init__(self, settings: GripperSettings, control: GripControl, ramp: ForceRamp) -> None:
+        super().__init__(settings, control, ramp)
+        self._slip = LevelSlip(settings)
+        self._peak_n = 0.0
+
+    def step(self, moment: Moment) -> Action:
+        """Return the action of one period; PartLost, PartSlipped when the part goes."""
+        action = super().step(moment)
+        level = self._ramp.level_at(self._elapsed_s)
+        self._peak_n = max(self._peak_n, self._control.force_n)
+        self._slip.check(moment, level, setpoint_n=action.setpoint_n)
+        return replace(action, level=level)
+
+    def outcome(self, final: GripperState) -> GraspOutcome:
+        """Return the outcome of the ramp, of which ``final`` is the last feedback."""
+        return _outcome(
+            self._settings, self._control, self._ramp, final, contact=None, peak_n=self._peak_n
+        )
 
 
 def _settled(
@@ -349,6 +388,32 @@ def _check_part(control: GripControl, moment: Moment) -> None:
             f"fingers apart any more, at an opening of {moment.state.aperture_m * 1e3:.1f} mm; the "
             f"fingers stand still"
         )
+
+
+def _outcome(
+    settings: GripperSettings,
+    control: GripControl | None,
+    ramp: ForceRamp,
+    final: GripperState,
+    *,
+    contact: GripperState | None,
+    peak_n: float,
+    lost: bool = False,
+    ended_early: bool = False,
+) -> GraspOutcome:
+    """Return the outcome of a ramp on a part, from its last feedback and its highest force."""
+    final_n = 0.0 if control is None else control.force_n
+    reached = abs(final_n - ramp.final_n) <= settings.settle_tolerance_at_n(ramp.final_n)
+    held = GraspResult.FORCE_REACHED if reached else GraspResult.FORCE_NOT_REACHED
+    return GraspOutcome(
+        result=GraspResult.PART_LOST if lost else held,
+        contact_t_s=None if contact is None else contact.t_s,
+        contact_aperture_m=None if contact is None else contact.aperture_m,
+        final_aperture_m=final.aperture_m,
+        final_force_n=final_n,
+        overshoot_n=max(0.0, peak_n - ramp.final_n),
+        ended_early=ended_early,
+    )
 
 
 def _without_contact(event: ApproachEvent, state: GripperState) -> GraspOutcome:

@@ -80,6 +80,31 @@ class Moment:
     sample: ForceSample | None
 
 
+@dataclass(slots=True, kw_only=True)
+class Running:
+    """Steps of control that are being run.
+
+    Attributes
+    ----------
+    phase, step, observer, needs_force
+        As in `LoopRunner.run`.
+    last_s
+        Monotonic time of the last feedback in s.
+    fresh_s
+        Monotonic time of the newest valid force sample in s; of the beginning before one came.
+    done
+        Whether the last step was the last one.
+    """
+
+    phase: GripperPhase
+    step: Callable[[Moment], Action]
+    observer: Observer | None
+    needs_force: bool
+    last_s: float
+    fresh_s: float
+    done: bool = False
+
+
 class LoopRunner:
     """Runner of the steps of one command at the loop's rate, in the caller's thread.
 
@@ -172,41 +197,75 @@ class LoopRunner:
         LimitExceeded
             When a limit stands against the goals, the force is above its cap, or the loop stalled.
         """
-        period_s = self._settings.period_s
         deadline_s = self._clock.monotonic()
         if deadline_s < self._due_s:
             self._clock.sleep(self._due_s - deadline_s)
             deadline_s = self._due_s
-        self._bus_loss.begin()
-        last_s = deadline_s - period_s
-        fresh_s = deadline_s
+        running = self.begin(phase, step, observer, needs_force=needs_force, now_s=deadline_s)
         while True:
             if self._stop.is_set():
                 raise GraspStopped("stopped on request")
-            with self._servos.in_loop():
-                state = self.read()
-                if state is None:
-                    self._bus_loss.stop_fingers(phase)
-            # Pads and CAN are supervised in each period, whether the servos answer or not.
-            sample = self._sensor.latest_force()
-            if sample is not None and sample.valid:
-                fresh_s = max(fresh_s, sample.t_s)
-                self._servos.note_force(sample)
-            if needs_force:
-                now_s = self._clock.monotonic() if state is None else state.t_s
-                self._check_force(now_s, fresh_s, sample)
-            if state is not None:
-                moment = Moment(
-                    now_s=state.t_s,
-                    dt_s=min(max(state.t_s - last_s, 0.0), _LONGEST_STEP * period_s),
-                    state=state,
-                    sample=sample,
-                )
-                last_s = state.t_s
-                if self._control(phase, step, moment, observer):
-                    self._due_s = deadline_s + period_s
-                    return state
-            deadline_s = self._wait(deadline_s + period_s, answered=state is not None)
+            state = self.period(running)
+            if state is not None and running.done:
+                self._due_s = deadline_s + self._settings.period_s
+                return state
+            deadline_s = self._wait(
+                deadline_s + self._settings.period_s, answered=state is not None
+            )
+
+    def begin(
+        self,
+        phase: GripperPhase,
+        step: Callable[[Moment], Action],
+        observer: Observer | None,
+        *,
+        needs_force: bool,
+        now_s: float,
+    ) -> "Running":
+        """Return steps whose periods the caller runs, each with `period`; arguments as in `run`.
+
+        ``now_s`` is the monotonic time in s from which on the age of the force counts.
+        """
+        self._bus_loss.begin()
+        return Running(
+            phase=phase,
+            step=step,
+            observer=observer,
+            needs_force=needs_force,
+            last_s=now_s - self._settings.period_s,
+            fresh_s=now_s,
+        )
+
+    def period(self, running: "Running") -> GripperState | None:
+        """Run one period and return its feedback, None where an answer was lost.
+
+        Raises what `run` raises, but for a stop and for lateness: the caller keeps the time.
+        """
+        with self._servos.in_loop():
+            state = self.read()
+            if state is None:
+                self._bus_loss.stop_fingers(running.phase)
+        # Pads and CAN are supervised in each period, whether the servos answer or not.
+        sample = self._sensor.latest_force()
+        if sample is not None and sample.valid:
+            running.fresh_s = max(running.fresh_s, sample.t_s)
+            self._servos.note_force(sample)
+        if running.needs_force:
+            now_s = self._clock.monotonic() if state is None else state.t_s
+            self._check_force(now_s, running.fresh_s, sample)
+        if state is not None:
+            moment = Moment(
+                now_s=state.t_s,
+                dt_s=min(
+                    max(state.t_s - running.last_s, 0.0),
+                    _LONGEST_STEP * self._settings.period_s,
+                ),
+                state=state,
+                sample=sample,
+            )
+            running.last_s = state.t_s
+            running.done = self._control(running.phase, running.step, moment, running.observer)
+        return state
 
     def _control(
         self,

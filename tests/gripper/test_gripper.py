@@ -193,6 +193,72 @@ def test_back_off_lowers_the_force_without_letting_go(cell) -> None:
     assert cell.gripper.state is GripperPhase.HOLDING
 
 
+def ticks(cell, seconds: float, creep_m_s: float = 0.0) -> None:
+    end_s = cell.clock.monotonic() + seconds
+    while cell.clock.monotonic() < end_s:
+        cell.clock.sleep(cell.gripper.period_s)
+        cell.part.width_m -= creep_m_s * cell.gripper.period_s
+        cell.gripper.tick()
+
+
+@pytest.mark.parametrize("force_n", [4.0, 10.0])
+def test_a_carried_part_is_controlled_by_each_tick(cell, force_n: float) -> None:
+    cell.gripper.start()
+    cell.gripper.grasp(RAMP)
+    cell.least_n = 99.0
+    cell.gripper.carry(force_n, 0.2)
+    assert cell.least_n > min(force_n, 8.0) - 1.0
+    assert cell.gripper.state is GripperPhase.HOLDING
+    assert cell.register(0, "bus_watchdog") == 0
+    ticks(cell, 3.0, creep_m_s=2e-4)
+    assert cell.force_n == pytest.approx(force_n, abs=0.6)
+    goals_a = cell.register(0, "goal_current")
+    cell.gripper.keep_grip()
+    ticks(cell, 1.0)
+    assert cell.register(0, "goal_current") <= goals_a + 1
+    assert cell.gripper.release().opened == (1, 2)
+
+
+def test_a_carried_part_that_is_taken_away_is_lost(cell) -> None:
+    cell.gripper.start()
+    cell.gripper.grasp(RAMP)
+    cell.gripper.carry(4.0)
+    ticks(cell, 0.5)
+    cell.part.present = False
+    with pytest.raises(PartLost):
+        ticks(cell, 0.5)
+    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
+    ticks(cell, 0.5)
+
+
+def test_a_request_to_stop_does_not_end_a_carry(cell) -> None:
+    cell.gripper.start()
+    cell.gripper.grasp(RAMP)
+    cell.gripper.carry(4.0)
+    cell.gripper.request_stop()
+    ticks(cell, 0.5)
+    assert cell.force_n == pytest.approx(4.0, abs=0.6)
+
+
+def test_a_part_is_squeezed_again_in_the_same_grip(cell) -> None:
+    cell.gripper.start()
+    with pytest.raises(GripperStateError):
+        cell.gripper.squeeze(RAMP)
+    cell.gripper.grasp(RAMP)
+    with pytest.raises(LimitExceeded, match="back off first"):
+        cell.gripper.squeeze(RAMP)
+    cell.gripper.back_off(2.0)
+    cell.least_n = 99.0
+    setpoints_n: list[float] = []
+    outcome = cell.gripper.squeeze(RAMP, lambda c: setpoints_n.append(c.setpoint_n))
+    assert outcome.result is GraspResult.FORCE_REACHED
+    assert outcome.final_force_n == pytest.approx(8.0, abs=0.6)
+    assert setpoints_n[0] == pytest.approx(2.0, abs=0.1)
+    assert setpoints_n == sorted(setpoints_n)
+    assert cell.least_n > 1.0
+    assert cell.gripper.state is GripperPhase.HOLDING
+
+
 def test_nothing_between_the_fingers_is_a_result(make_cell, make_part) -> None:
     cell = make_cell(part=make_part(present=False), aperture_min_m=0.004)
     cell.gripper.start()

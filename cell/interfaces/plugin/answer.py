@@ -8,6 +8,7 @@ from recognition.recognizer import UNKNOWN
 
 if TYPE_CHECKING:
     from cell.control.identification import Identification
+    from cell.control.keeping import HeldCheck
     from recognition.drift.estimate import DriftEstimate
     from recognition.shape.answer import ShapeAnswer
 
@@ -126,6 +127,7 @@ class Answer:
             drift=found.drift,
             occasion=found.fused.occasion,
             remark=found.remark,
+            kept=found.kept,
         )
 
 
@@ -153,3 +155,14 @@ class Verification:
     force_n: float
     opening_mm: float
     reasons: tuple[str, ...] = ()
+
+    @classmethod
+    def of(cls, check: "HeldCheck") -> Self:
+        """Return a comparison of the held part in mm."""
+        return cls(
+            held=check.held,
+            same=check.same,
+            force_n=check.force_n,
+            opening_mm=1e3 * check.opening_m,
+            reasons=check.reasons,
+        )

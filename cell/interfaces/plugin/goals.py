@@ -50,6 +50,9 @@ class GripGoal(_Goal):
 
     force_n: ForceN
     """Force at the end of the ramp in N; it is then held with ``sequence.carry_force_n``."""
+    present: str | None = None
+    """Object to place between the fingers first, where the positioner can do so (simulated cell);
+    without one it does not move."""
 
 
 class VerifyGoal(_Goal):

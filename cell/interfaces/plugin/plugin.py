@@ -5,6 +5,7 @@ the plugin grasps and answers what it held. Libraries for recognition, CAN and s
 with the first cell, not with this module.
 """
 
+import functools
 import sys
 import threading
 import warnings
@@ -35,6 +36,7 @@ from gripper.errors import ServoFault
 
 if TYPE_CHECKING:
     from cell.control.live import LiveValues
+    from cell.control.positioner import Places
     from gripper.state import ReleaseReport
 
 __all__ = [
@@ -73,6 +75,7 @@ class TactileCellPlugin:
         config: Path | str | CellConfig | None = None,
         *,
         mover: Callable[[Pose], Pose | bool | None] | None = None,
+        places: "Places | None" = None,
         model: Path | str | None = None,
         training_set: Path | str | None = None,
         gauge: Path | str | None = None,
@@ -87,6 +90,9 @@ class TactileCellPlugin:
         mover
             Called with each pose that the sequence wants the object at; returns None or True when
             it is reached, False to refuse, or the pose reached instead.
+        places
+            Called by a sort with the `Destination` of a part that the grip holds; brings it there
+            and returns None or True, or False to refuse. The part is let go after that.
         model
             File of a taught model, as `save` or ``tactile-cell train`` writes it; without one,
             teach first.
@@ -132,7 +138,7 @@ class TactileCellPlugin:
             if model is None
             else TaughtModel.load(checked, model, training_set=training_set, known=known)
         )
-        self._cell = build_cell(checked, mover=mover)
+        self._cell = build_cell(checked, mover=mover, places=places)
         try:
             self._cell.controller.start()
         except (ServoFault, PartInGrip):
@@ -216,22 +222,28 @@ class TactileCellPlugin:
         ConfigError
             If the goal is none of these, has unknown fields or values out of range.
         CellStateError
-            If another job runs, the cell is not IDLE or is being closed, nothing was taught yet, or
-            a model was loaded whose training set is not at hand: teaching would lose its objects.
+            If another job runs, the cell is not IDLE (for a verify: not COMPLETE) or is being
+            closed, nothing was taught yet, or a model was loaded whose training set is not at hand:
+            teaching would lose its objects.
         """
         checked = checked_goal(goal)
         controller, model, tasks = self._cell.controller, self._model, self._tasks
-        if isinstance(checked, TeachGoal):
-            model.check_extendable()
-            return self._accept(
-                lambda report: tasks.teach(controller, model, checked, report), Command.GRASP
-            )
-        if not isinstance(checked, IdentifyGoal):
-            raise NotImplementedError(type(checked).__name__)
-        model.check_taught()
-        return self._accept(
-            lambda report: tasks.identify(controller, model, checked, report), Command.GRASP
-        )
+        work: Callable[[Report], Any]
+        command = Command.GRASP
+        match checked:
+            case TeachGoal():
+                model.check_extendable()
+                work = functools.partial(tasks.teach, controller, model, checked)
+            case IdentifyGoal():
+                model.check_taught()
+                work = functools.partial(tasks.identify, controller, model, checked)
+            case GripGoal():
+                work = functools.partial(tasks.grip, controller, checked)
+                command = Command.GRIP
+            case VerifyGoal():
+                work = functools.partial(tasks.verify, controller)
+                command = Command.VERIFY
+        return self._accept(work, command)
 
     def feedback(self, job: Job) -> JobStatus:
         """Return state and progress of a job; never waits.
@@ -242,7 +254,10 @@ class TactileCellPlugin:
             return self._worker.status(job)
 
     def result(self, job: Job, timeout_s: float) -> Any:
-        """Wait for a job and return its `Answer`, or the number of grasps taught.
+        """Wait for a job and return its result.
+
+        That is an `Answer` of an identification, a `Verification` of a grip or a verify, and the
+        number of grasps taught.
 
         Raises
         ------
@@ -259,7 +274,10 @@ class TactileCellPlugin:
         return status.value
 
     def cancel(self, job: Job, reason: str = "on request") -> None:
-        """Stop a job; what is held stays held. Does nothing to a job that is over."""
+        """Stop a job; what is held stays held. Does nothing to a job that is over.
+
+        A part that is kept is held already: nothing changes then.
+        """
         with self._starting:
             if not self.feedback(job).outcome.terminal:
                 self._cell.controller.cancel(reason)
@@ -303,6 +321,8 @@ class TactileCellPlugin:
 
     def release(self, timeout_s: float = 30.0) -> "ReleaseReport":
         """Let the part go and open the fingers; the only way to do so outside a sequence.
+
+        Of a kept part too, where the host wants it.
 
         After a fault: `clear`, then `release`, then `reset`. What goes wrong is raised as it is.
         Returns what was opened: a servo that is silent or at fault is left as it is, and the other

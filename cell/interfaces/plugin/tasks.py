@@ -1,11 +1,13 @@
-"""Tasks of a host's jobs: teach and identify, with progress as plain data."""
+"""Tasks of a host's jobs: teach, identify, grip and verify, with progress as plain data."""
 
 from typing import Any
 
 from cell.control.controller import CellController
+from cell.control.keeping import Keep
+from cell.control.plan import Pose
 from cell.control.records import GraspRecord
-from cell.interfaces.plugin.answer import Answer
-from cell.interfaces.plugin.goals import IdentifyGoal, TeachGoal
+from cell.interfaces.plugin.answer import Answer, Verification
+from cell.interfaces.plugin.goals import GripGoal, IdentifyGoal, TeachGoal
 from cell.interfaces.plugin.worker import Report
 from cell.learning.collection import Collection
 from cell.learning.taught_model import TaughtModel
@@ -45,6 +47,8 @@ def identify(
 ) -> Answer:
     """Grasp an object until its name is sure enough, and return the answer.
 
+    What the goal wants to be kept stays in the grip.
+
     Raises
     ------
     cell.errors.NoPartFound, cell.errors.CellStopped, and what the devices raise
@@ -70,8 +74,36 @@ def identify(
         held=goal.present,
         seed=goal.seed,
         max_grasps=goal.max_grasps,
+        force_n=goal.force_n,
+        keep=Keep(goal.keep),
         on_grasp=progress,
     )
     if found.remark:
         report({"task": "identify", "remark": found.remark})
     return Answer.of(found)
+
+
+def grip(controller: CellController, goal: GripGoal, report: Report) -> Verification:
+    """Grip a part and keep it; return what was measured of it.
+
+    Raises
+    ------
+    cell.errors.NoPartFound, cell.errors.CellStopped, and what the devices raise
+        As `CellController.grip`.
+    """
+    report({"task": "grip", "force_n": goal.force_n})
+    controller.present(goal.present)
+    controller.grip(goal.force_n, None if goal.present is None else Pose())
+    return verify(controller, report)
+
+
+def verify(controller: CellController, report: Report) -> Verification:
+    """Measure whether the part in the grip is still the one that was kept.
+
+    Raises
+    ------
+    cell.errors.CellStopped, and what the devices raise
+        As `CellController.verify`.
+    """
+    report({"task": "verify"})
+    return Verification.of(controller.verify())

@@ -20,7 +20,7 @@ from cell.control.plan import Pose
 from cell.control.states import CellStatus, Command
 from cell.errors import CellError, NotInCommand, RequestRefused
 from cell.interfaces.plugin.answer import Answer, Verification
-from cell.interfaces.plugin.goals import checked_goal
+from cell.interfaces.plugin.goals import Goal, GripGoal, IdentifyGoal, checked_goal
 from cell.interfaces.plugin.plugin import TactileCellPlugin
 from cell.interfaces.plugin.worker import KEPT_JOBS, Job, JobOutcome, JobStatus
 from gripper.errors import GraspStopped
@@ -296,13 +296,12 @@ class Service:
         NotInCommand, RequestRefused, ConfigError, CellStateError
             If it is refused; nothing has moved.
         """
-        wanted = dict(goal)
         present = self.config.simulated and self.config.positioner.kind == "simulated"
-        checked = checked_goal(wanted)
-        if present and wanted["task"] == "identify" and wanted.get("present") is None:
+        checked: Goal = checked_goal(goal)
+        if present and isinstance(checked, IdentifyGoal | GripGoal) and checked.present is None:
             # Nobody brings parts to a simulated cell: they come in turn.
             checked = checked.model_copy(update={"present": next(self._parts)})
-        return self._begin(lease, str(wanted["task"]), number, lambda: self._plugin.start(checked))
+        return self._begin(lease, str(goal["task"]), number, lambda: self._plugin.start(checked))
 
     def command(
         self, lease: int, command: Command, *, key: int = 0, reboot: bool = False, number: int = 0

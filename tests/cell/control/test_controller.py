@@ -622,7 +622,7 @@ def test_commands_in_the_wrong_state_say_what_is_allowed(bench: Any) -> None:
     controller.start()
     with pytest.raises(CellStateError, match="'start' is not allowed while the cell is IDLE"):
         controller.start()
-    with pytest.raises(CellStateError, match="IDLE; allowed: grasp, release, shutdown"):
+    with pytest.raises(CellStateError, match="IDLE; allowed: grasp, grip, release, shutdown"):
         controller.release_held()
 
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from cell.control.plan import Pose
 from cell.control.states import (
     COMPLETIONS,
     OF_PHASE,
@@ -78,7 +79,7 @@ class Walk:
         if state is not CellState.STOPPED:
             self.bench.ready()
         if state is CellState.COMPLETE:
-            self.controller.grip(3.0)
+            self.controller.grip(3.0, Pose())
         elif state is CellState.HELD:
             self._grasp_until(self.controller.cancel)
         elif state in (CellState.ABORTED, CellState.RESETTING):
@@ -120,7 +121,7 @@ class Walk:
         if command is Command.GRASP:
             self.bench.grasp(3.0)
         elif command is Command.GRIP:
-            self.controller.grip(3.0)
+            self.controller.grip(3.0, Pose())
         else:
             getattr(self.controller, command.value)()
 

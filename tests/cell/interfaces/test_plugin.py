@@ -568,7 +568,7 @@ def test_an_absent_object_ends_teaching_and_the_grasps_before_it_are_kept(
 @pytest.mark.parametrize(
     ("goal", "complaint"),
     [
-        (None, "goal is None; write a TeachGoal, an IdentifyGoal, or a mapping"),
+        (None, "goal is None; write a goal, as IdentifyGoal, or a mapping"),
         ("teach", "goal is 'teach'; write"),
         (["teach"], "goal is ['teach']; write"),
         ({"task": ["teach"]}, "goal has task ['teach']; write one of"),

@@ -1,0 +1,203 @@
+"""A part that is kept in the grip: when it is kept, and whether it is still the same one."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.control.plan import GraspStep
+from cell.control.records import GraspCollector, GraspRecord
+from recognition.grasp import Grasp
+from recognition.recognizer import UNKNOWN
+
+LOOK_S = 0.4
+"""Time in s over which a held part is measured: 20 frames at 50 Hz, long enough for their mean."""
+_HELD_SHARE = 0.5
+"""Share of the holding force below which nothing is held: half of it is no noise any more."""
+_OPENING_M = 0.5e-3
+"""Change of the opening in m at the same force beyond which a part is another one, or has turned:
+foam that settles and the resolution of the servos change it by 0.1 mm (simulated cell)."""
+_LIKENESS = 0.9
+"""Least likeness of two footprints, 0 to 1 (cosine of the angle between the taxels' counts). In the
+simulated cell a part that was held for a minute has 0.988 and more, one of five parts in another
+pose 0.94 and less."""
+_OPEN_FRAMES = 5
+"""First frames of a grasp, in which nothing is touched yet, whose mean is the zero."""
+
+
+class Keep(StrEnum):
+    """When an identification keeps the part in the grip."""
+
+    NEVER = "never"
+    WHEN_NAMED = "when_named"
+    ALWAYS = "always"
+
+    def keeps(self, label: str) -> bool:
+        """Return whether a part with this answer stays in the grip."""
+        return self is Keep.ALWAYS or (self is Keep.WHEN_NAMED and label != UNKNOWN)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Verdict:
+    """What becomes of a part that is held while its grasp is looked at.
+
+    Attributes
+    ----------
+    keep
+        Whether it stays in the grip for the host.
+    further
+        Step whose force is the end of a further ramp in the same grip; None for no more of them.
+    """
+
+    keep: bool = False
+    further: GraspStep | None = None
+
+
+Judge = Callable[[GraspRecord], Verdict]
+"""Function that looks at a grasp while its part is held, and decides what becomes of it."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class HeldPart:
+    """Measurement of a part that is held with the force of a carry.
+
+    Attributes
+    ----------
+    force_n
+        Grip force in N, mean over the measurement.
+    opening_m
+        Opening between the pads in m.
+    footprint : (n_taxels,) float64
+        Mean of the counts above those of the open fingers.
+    """
+
+    force_n: float
+    opening_m: float
+    footprint: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HeldCheck:
+    """Comparison of the part in the grip with the one that was kept.
+
+    Attributes
+    ----------
+    held
+        Whether the pads are loaded.
+    same
+        Whether opening and footprint are as they were; None where nothing is held.
+    force_n
+        Grip force in N.
+    opening_m
+        Opening between the pads in m.
+    reasons
+        What differs, with value and limit.
+    """
+
+    held: bool
+    same: bool | None
+    force_n: float
+    opening_m: float
+    reasons: tuple[str, ...] = ()
+
+
+def measured(collector: GraspCollector, zero: NDArray[np.float64]) -> HeldPart:
+    """Return the measurement of a held part from the periods of a look.
+
+    Parameters
+    ----------
+    collector
+        The periods and frames of the look.
+    zero : (n_taxels,) float64
+        Counts of the open fingers.
+    """
+    forces_n = [cycle.force.grip_n for cycle in collector.cycles if cycle.force is not None]
+    openings_m = [cycle.state.aperture_m for cycle in collector.cycles]
+    return HeldPart(
+        force_n=float(np.mean(forces_n)),
+        opening_m=float(np.mean(openings_m)),
+        footprint=np.maximum(collector.mean_counts - zero, 0.0),
+    )
+
+
+def open_counts(grasp: Grasp) -> NDArray[np.float64]:
+    """Return the counts of the open fingers, (n_taxels,): the mean of a grasp's first frames."""
+    first: NDArray[np.float64] = grasp.counts[:_OPEN_FRAMES].mean(axis=0)
+    return first
+
+
+def compared(now: HeldPart, then: HeldPart, *, carry_n: float) -> HeldCheck:
+    """Return whether a held part is still the one that was kept.
+
+    Parameters
+    ----------
+    now, then
+        Measured now, and when it was kept.
+    carry_n
+        Force in N with which it is held.
+    """
+    held = now.force_n >= _HELD_SHARE * carry_n
+    reasons: list[str] = []
+    if not held:
+        reasons.append(
+            f"the grip force is {now.force_n:.2f} N, at least {_HELD_SHARE * carry_n:.2f} N hold a "
+            f"part"
+        )
+    moved_m = abs(now.opening_m - then.opening_m)
+    if held and moved_m > _OPENING_M:
+        reasons.append(
+            f"the opening is {1e3 * now.opening_m:.2f} mm and was {1e3 * then.opening_m:.2f} mm, "
+            f"{1e3 * _OPENING_M:g} mm of difference are allowed"
+        )
+    likeness = _likeness(now.footprint, then.footprint)
+    if held and likeness < _LIKENESS:
+        reasons.append(
+            f"the footprint on the pads is like the kept one by {likeness:.2f}, at least "
+            f"{_LIKENESS:g} is wanted"
+        )
+    return HeldCheck(
+        held=held,
+        same=not reasons if held else None,
+        force_n=now.force_n,
+        opening_m=now.opening_m,
+        reasons=tuple(reasons),
+    )
+
+
+def _likeness(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
+    size = float(np.linalg.norm(first) * np.linalg.norm(second))
+    return float(first @ second) / size if size > 0.0 else 0.0
+
+
+def spliced(approach: Grasp, further: Grasp, from_n: float) -> Grasp:
+    """Return a grasp made of the first approach and a further ramp in the same grip.
+
+    A recogniser compares each taxel with its rest before the touch. A further ramp begins with a
+    loaded part, so that the frames of the first one below the force at which it begins stand
+    before it.
+
+    Parameters
+    ----------
+    approach
+        The first grasp of the grip.
+    further
+        The further ramp.
+    from_n
+        Set-point in N at which the further ramp begins.
+    """
+    n = int(np.argmax(np.asarray(approach.force_n) >= from_n))
+    gap_s = float(np.median(np.diff(further.t_s))) if further.n_frames > 1 else 0.0
+    later_s = float(approach.t_s[n - 1]) + gap_s if n else 0.0
+    return Grasp(
+        pads=further.pads,
+        counts=np.concatenate([approach.counts[:n], further.counts]),
+        t_s=np.concatenate([approach.t_s[:n], further.t_s + later_s]),
+        aperture_m=np.concatenate([approach.aperture_m[:n], further.aperture_m]),
+        force_n=np.concatenate([approach.force_n[:n], further.force_n]),
+        label=further.label,
+        source=further.source,
+        start_ms=further.start_ms,
+        command=further.command,
+    )
