@@ -74,7 +74,7 @@ def _carry_out(function: int, body: bytes, registers: Registers) -> bytes:
         case 23:
             address, count, to, n_written = _words(body[:8], 4)
             written = _values(body[8:], n_written, _MOST_BOTH)
-            _check_count(count, _MOST_READ)
+            _read(registers, 3, address, count)  # what cannot be read refuses the write too
             registers.write(to, written)
             return _read(registers, 3, address, count)
         case _:

@@ -296,9 +296,12 @@ class Service:
         NotInCommand, RequestRefused, ConfigError, CellStateError
             If it is refused; nothing has moved.
         """
-        present = self.config.simulated and self.config.positioner.kind == "simulated"
         checked: Goal = checked_goal(goal)
-        if present and isinstance(checked, IdentifyGoal | GripGoal) and checked.present is None:
+        if (
+            self.config.simulated
+            and isinstance(checked, IdentifyGoal | GripGoal)
+            and checked.present is None
+        ):
             # Nobody brings parts to a simulated cell: they come in turn.
             checked = checked.model_copy(update={"present": next(self._parts)})
         return self._begin(lease, str(goal["task"]), number, lambda: self._plugin.start(checked))
