@@ -1,4 +1,4 @@
-"""Runs the URScript of the example as Python: they differ by `end`, `thread`, `run`, `kill`, `p[]`."""
+"""Runs the URScript of the example as Python; `end`, `thread`, `run`, `kill` and `p[]` differ."""
 
 import re
 import threading
