@@ -22,6 +22,7 @@ from config_page import config_page
 from faults_page import faults_page
 from recording_page import recording_page
 from states_page import states_page
+from xml_rpc_page import xml_rpc_page
 
 MAKERS: dict[str, Callable[[], str]] = {
     "catalogue": catalogue_page,
@@ -30,6 +31,7 @@ MAKERS: dict[str, Callable[[], str]] = {
     "faults": faults_page,
     "recording": recording_page,
     "states": states_page,
+    "xml-rpc": xml_rpc_page,
 }
 
 project = "tactile-cell"

@@ -306,8 +306,10 @@ class CellStatus:
         State of the grip, and its number.
     holding
         Whether a part may be in the grip.
-    fault, fault_number
-        The fault, while one is latched, and its number in the fault catalogue; 0 for none.
+    fault
+        The fault, while one is latched.
+    fault_number
+        Its number in the fault catalogue; 0 for none.
     """
 
     state: str

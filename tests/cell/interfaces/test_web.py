@@ -190,7 +190,7 @@ def test_the_socket_sends_states_and_frames(connect: Any) -> None:
 
 def test_a_slow_socket_gets_the_newest_and_holds_nobody_up(connect: Any) -> None:
     served, host = connect()
-    with host.live("&frames=1") as slow:
+    with host.live("&frames=1", close_timeout=0.5) as slow:
         # It takes nothing; the door goes on with all others.
         for _ in range(5):
             assert host.get("/api/state")["status"]["state"] == "IDLE"
