@@ -313,14 +313,14 @@ class Gripper:
         ramp = ForceRamp.linear(force_n, CARRY_RATE_N_S, start_n=control.setpoint_n)
         self.check_ramp(ramp)
         self._carried = None
-        with self._life.command(GripperPhase.HOLDING):
+        with self._life.command(GripperPhase.BACKING_OFF):
             self._make_ready()
             if force_n != control.setpoint_n:
                 state = self._grasping.follow(control, ramp, observer)
+            self._life.phase = GripperPhase.HOLDING
             if duration_s > 0.0 or force_n == control.setpoint_n:
                 state = self._grasping.hold(control, max(duration_s, self.period_s), observer)
             self._servos.disarm_watchdog()
-        self._life.phase = GripperPhase.HOLDING
         self._carried = self._grasping.hold_on(control, state.t_s)
         return state
 

@@ -241,14 +241,23 @@ class CellController(CellView):
         CellStopped
             If it was cancelled on the way; the fingers stand still, the message names the opening.
         """
-        self._life.go(Event.RELEASE)
+        self.check(Command.RELEASE)
         self._life.cancelled = False
-        self._journal.note("release", "on request")
-        with self._life.latching_faults():
-            report = self._hand.release(self._grasper.watch)
-            self._life.result = None
-            self._life.complete()
-        return report
+        return self._release("on request")
+
+    def put_down(self) -> ReleaseReport:
+        """Let a kept part go, as a step of a job that a `cancel` ends before it.
+
+        Raises
+        ------
+        CellStopped
+            If it was cancelled. The part is still kept.
+        CellStateError
+            As `release`.
+        """
+        self.check(Command.VERIFY)
+        self._check_cancelled_in_carry("before it was let go")
+        return self._release("at its place")
 
     def release_held(self) -> ReleaseReport:
         """Let go of a part that an earlier run or a cleared fault has left in the grip.
@@ -399,12 +408,7 @@ class CellController(CellView):
         self.check(Command.VERIFY)
 
         def supervise() -> None:
-            if self._life.cancelled:
-                self._life.cancelled = False
-                raise CellStopped(
-                    f"stopped {self._life.stop_reason} on the way to {destination.place}; the part "
-                    f"is kept until it is released on purpose"
-                )
+            self._check_cancelled_in_carry(f"on the way to {destination.place}")
             self.tick()
 
         supervise()
@@ -557,6 +561,23 @@ class CellController(CellView):
             raise CellStopped(
                 f"stopped {self._life.stop_reason} between two grasps; the fingers are open"
             )
+
+    def _check_cancelled_in_carry(self, when: str) -> None:
+        if self._life.cancelled:
+            self._life.cancelled = False
+            raise CellStopped(
+                f"stopped {self._life.stop_reason} {when}; the part is kept until it is released "
+                f"on purpose"
+            )
+
+    def _release(self, why: str) -> ReleaseReport:
+        self._life.go(Event.RELEASE)
+        self._journal.note("release", why)
+        with self._life.latching_faults():
+            report = self._hand.release(self._grasper.watch)
+            self._life.result = None
+            self._life.complete()
+        return report
 
     def _record_state(self) -> None:
         self._journal.states(self._life.state, self._life.grasp_state)

@@ -18,7 +18,7 @@ from cell.control.states import (
 from cell.errors import CellStateError, CellStopped, HandLost, PositionerError, error_text
 from cell.fault_catalogue import fault_number
 from cell.hand.interface import Hand
-from gripper.errors import GraspStopped, GripperError, PartLost, fingers_left
+from gripper.errors import GraspStopped, GripperError, PartLost, PartSlipped, fingers_left
 from gripper.state import Clock, GraspResult, GripperPhase
 
 _HOLDING = (
@@ -187,7 +187,9 @@ class CellLifecycle:
         """Keep the grip and go where a fault leads; what is seen last does not hide the first."""
         self.fault = error_text(error) + self._carried_for()
         self.fault_number = fault_number(error)
-        self._part_lost = isinstance(error, PartLost)
+        # A kept part that slips is no longer where the host has it.
+        lost = (PartLost, PartSlipped) if self._kept else PartLost
+        self._part_lost = isinstance(error, lost)
         self.go(Event.FAULT)
         try:
             self._note("fault", self.fault, self.fault_number)

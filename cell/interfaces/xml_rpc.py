@@ -15,7 +15,7 @@ from socketserver import ThreadingMixIn
 from typing import Any, cast
 from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
 
-from cell.config.model import ServeConfig
+from cell.config.serve import ServeConfig
 from cell.control.plan import Pose
 from cell.control.states import Command
 from cell.fault_catalogue import fault_number

@@ -70,7 +70,7 @@ GRASP_DOES = {
     GraspState.IDLE: "The fingers rest; nothing is held as far as the gripper knows.",
     GraspState.GRIPPING: "Approach and force ramp.",
     GraspState.NO_PART_FOUND: "The last grasp touched nothing; until the fingers move again.",
-    GraspState.PART_LOST: "Both pads became empty in a grasp or while holding.",
+    GraspState.PART_LOST: "Both pads became empty in a grasp or hold, or a kept part slipped.",
     GraspState.HOLDING: "Force is held, or goals are frozen and a part may be in the grip.",
     GraspState.RELEASING: "The fingers open to let go.",
     GraspState.POSITIONING: "Empty fingers move to an opening.",

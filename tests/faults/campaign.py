@@ -34,6 +34,8 @@ JOB_BOUND_S = 60.0
 """Every job has to be over within so many s of simulated time; the longest takes 15 s."""
 LATER_S = 1.0
 """So many s after a fault the grip is looked at again, with no host."""
+CARRY_S = 3.0
+"""A part is carried for so long in s."""
 OUTCOME_CHARACTERS = 160
 """Longest text of an error on the page."""
 PRODUCT_ERRORS = (CellError, GripperError, TactileError)
@@ -186,10 +188,12 @@ class CampaignCell:
         return self.controller.grasp(GraspStep(pose=Pose(), force_n=3.0))
 
     def idle(self, seconds: float) -> None:
-        """Let time pass while the cell supervises its links."""
+        """Let time pass while the cell supervises its links, once a period."""
         end_s = self.now_s + seconds
+        due_s = self.now_s
         while self.now_s < end_s:
-            self.simulated.clock.sleep(self.controller.hand.period_s)
+            due_s = max(due_s + self.controller.hand.period_s, self.now_s)
+            self.simulated.clock.sleep(due_s - self.now_s)
             self.controller.tick()
 
     @contextmanager
@@ -253,6 +257,24 @@ def grasp_job(cell: CampaignCell) -> None:
     """Start, bring the ball, and grasp it."""
     cell.start()
     cell.grasp()
+
+
+def carry_job(cell: CampaignCell) -> None:
+    """Start, grip the ball, keep it for 3 s and look at it."""
+    cell.start()
+    cell.controller.grip(3.0, Pose())
+    cell.idle(CARRY_S)
+    cell.controller.verify()
+
+
+def carry_with_fault(row: FaultRow) -> Observed:
+    """Bring a fault about while a part is carried; its text has the time since the grip."""
+    with campaign_cell(row.changes) as cell:
+        seen = later(cell, observe(cell, row.injected, carry_job))
+        fault = cell.controller.fault
+        if fault is not None and not fault.endswith(" s after the grip"):
+            return replace(seen, reaction="NO TIME", outcome=fault)
+        return seen
 
 
 def grasp_with_fault(row: FaultRow, *, look_again: bool = True) -> Observed:

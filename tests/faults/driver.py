@@ -8,6 +8,7 @@ from typing import Any
 
 from cell.build import Cell, build_cell
 from cell.control.controller import CellController
+from cell.control.keeping import Keep
 from cell.control.plan import GraspStep, Pose
 from cell.simulation import simulated_cell
 from simulator.errors import SimulatorError
@@ -109,7 +110,15 @@ class Driver:
             f"grasp x={x_mm} mm, {force_n} N, {turn_rad} rad", lambda: self.controller.grasp(step)
         )
 
-    def identify(self, force_n: float) -> bool:
+    def grip(self, force_n: float) -> bool:
+        """Grip the part and keep it."""
+        return self.command(f"grip {force_n} N", lambda: self.controller.grip(force_n, Pose()))
+
+    def verify(self) -> bool:
+        """Look at a kept part."""
+        return self.command("verify", self.controller.verify)
+
+    def identify(self, force_n: float, keep: Keep = Keep.NEVER) -> bool:
         """Grasp and classify, with a recogniser that looks at its frames."""
         step = GraspStep(pose=Pose(), force_n=force_n)
         witness = FrameWitness(
@@ -117,7 +126,8 @@ class Driver:
             lambda: spoiling(self.simulated.injector.faults, self.simulated.clock.monotonic()),
         )
         return self.command(
-            f"identify {force_n} N", lambda: self.controller.identify(witness, [step])
+            f"identify {force_n} N, keep {keep}",
+            lambda: self.controller.identify(witness, [step], keep=keep),
         )
 
     def cancel(self) -> None:
@@ -255,7 +265,7 @@ class Driver:
             self.release_held()
         if self.controller.state.value == "RESETTING":
             self.reset()
-        if self.controller.state.value in {"HELD", "IDLE"}:
+        if self.controller.state.value in {"COMPLETE", "HELD", "IDLE"}:
             self.release()
         if self.simulated.devices.physical.placed is None:
             self.place("ball")

@@ -13,6 +13,7 @@ from hypothesis.stateful import (
     run_state_machine_as_test,
 )
 
+from cell.control.keeping import Keep
 from simulator.faults.entry import FaultEntry, Number
 from simulator.faults.injector import VOCABULARY
 from tests.faults.driver import Driver
@@ -105,6 +106,8 @@ _FAULTS = fault_texts()
 _FORCE = st.sampled_from((0.7, 1.0, 3.0, 3.0, 5.0, 8.0, 14.2, 14.9, 40.0))
 _TURN_RAD = st.sampled_from((0.0, 0.7, 1.57))
 _READY = st.sampled_from(("as it is", "start", "recover", "recover "))
+_WAIT_MS = st.sampled_from((5, 20, 100, 400))
+_KEEP = st.sampled_from(Keep)
 _X_MM = st.sampled_from((0.0, 1.0, -2.0, 4.0, 40.0))
 
 
@@ -128,10 +131,27 @@ class CellMachine(RuleBasedStateMachine):
         self.driver.make_ready(ready)
         self.driver.grasp(x_mm, force_n, turn_rad)
 
-    @rule(ready=_READY, force_n=_FORCE)
-    def identify(self, ready: str, force_n: float) -> None:
+    @rule(ready=_READY, force_n=_FORCE, keep=_KEEP)
+    def identify(self, ready: str, force_n: float, keep: Keep) -> None:
         self.driver.make_ready(ready)
-        self.driver.identify(force_n)
+        self.driver.identify(force_n, keep)
+
+    @rule(ready=_READY, force_n=_FORCE)
+    def grip(self, ready: str, force_n: float) -> None:
+        self.driver.make_ready(ready)
+        self.driver.grip(force_n)
+
+    @rule(ready=_READY, text=_FAULTS, force_n=_FORCE, ms=_WAIT_MS)
+    def carry_with_a_fault(self, ready: str, text: str, force_n: float, ms: int) -> None:
+        self.driver.make_ready(ready)
+        if self.driver.grip(force_n):
+            self.driver.inject(text)
+            self.driver.wait(1e-3 * ms)
+            self.driver.verify()
+
+    @rule()
+    def verify(self) -> None:
+        self.driver.verify()
 
     @rule(ready=_READY, text=_FAULTS, force_n=_FORCE)
     def grasp_with_a_fault(self, ready: str, text: str, force_n: float) -> None:
@@ -176,7 +196,7 @@ class CellMachine(RuleBasedStateMachine):
     def shutdown(self) -> None:
         self.driver.shutdown()
 
-    @rule(ms=st.sampled_from((5, 20, 100, 400)))
+    @rule(ms=_WAIT_MS)
     def wait(self, ms: int) -> None:
         self.driver.wait(1e-3 * ms)
 

@@ -11,7 +11,13 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from tests.faults.campaign import CampaignCell, FaultRow, campaign_config, grasp_with_fault
+from tests.faults.campaign import (
+    CampaignCell,
+    FaultRow,
+    campaign_config,
+    carry_with_fault,
+    grasp_with_fault,
+)
 from tests.faults.scenarios import can, files, host, processes, servo
 
 REACTIONS = {
@@ -331,6 +337,21 @@ GRIP = (
     FaultRow(28, "part slips", "the held part slides along the pads with 20 mm/s",
              "object.slips=20@contact+1.5s", "HOLD", 0.2,
              partial(grasp_with_fault, look_again=False), LONG_HOLD),
+    *(FaultRow(kind, f"{variant} in a carry", f"{fault}, while a part is kept for the host",
+               f"{injected}@contact+2.5s", reaction, limit_s, carry_with_fault, near)
+      for kind, variant, fault, injected, reaction, limit_s in (
+          (1, "one set lost", "one tactile frame is lost", "can.lose_next=6", "NOTE", None),
+          (8, "unplugged", "the CAN adapter is pulled out", "can.unplugged", "HOLD", 0.1),
+          (18, "one lost answer", "one answer of a servo is lost", "servos.lose_next=1",
+           "NOTE", None),
+          (19, "cable out", "the cable of the servo bus is pulled", "servos.unplugged",
+           "HOLD", BUS_LOST_S),
+          (21, "second finger", "servo 2 falls silent", "servo2.off", "HOLD", ONE_SILENT_S),
+          (25, "restart", "a servo restarts", "servo1.reboot", "ABORT", ONE_SILENT_S),
+          (28, "part lost", "the part is taken out of the fingers", "object.gone", "HOLD", 0.08),
+          (28, "part slips", "the part slides along the pads with 20 mm/s", "object.slips=20",
+           "HOLD", 0.2))
+      for near in ({"gripper.aperture_open_mm": 11.0},)),
     # Three frames of the sensor, whose mean it gives.
     *(FaultRow(29, f"reaction {reaction}",
                f"something trapped pushes the force above its cap of {servo.CAP_N:g} N in a hold; "

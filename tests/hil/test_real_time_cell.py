@@ -303,3 +303,35 @@ def test_the_plugin_runs_in_real_time(simulator: Simulator) -> None:
         threading.Event().wait(0.3)
         assert plugin.fault() is None
         assert plugin.state() == "IDLE"
+
+
+@pytest.mark.usefixtures("hurried")
+def test_a_named_part_is_kept_in_real_time_until_the_host_lets_it_go(simulator: Simulator) -> None:
+    with TactileCellPlugin(simulator.config) as plugin:
+        for seed, label in enumerate(("ball", "box")):
+            plugin.result(plugin.start(TeachGoal(label=label, grasps=3, seed=seed)), 4.0 * LIMIT_S)
+        job = plugin.start({"task": "identify", "present": "box", "keep": "always", "seed": 9})
+        answer = plugin.result(job, LIMIT_S)
+        assert answer.kept
+        assert (plugin.state(), plugin.status().state_number) == ("COMPLETE", 17)
+        for _ in range(20):
+            threading.Event().wait(0.1)
+            assert plugin.fault() is None
+            assert simulator.grip_n() == pytest.approx(4.0, abs=1.0)
+        found = plugin.result(plugin.start({"task": "verify"}), LIMIT_S)
+        assert (found.held, found.same) == (True, True)
+        assert plugin.state() == "COMPLETE"
+        plugin.cancel(job)
+        plugin.release()
+        assert simulator.grip_n() == 0.0
+        assert plugin.state() == "IDLE"
+
+        grip = {"task": "grip", "force_n": 3.0, "present": "ball"}
+        plugin.result(plugin.start(grip), LIMIT_S)
+        simulator.ask(inject="object.gone")
+        end_s = time.monotonic() + LIMIT_S
+        while plugin.fault() is None:
+            assert time.monotonic() < end_s, "the loss was not found"
+            threading.Event().wait(0.05)
+        assert plugin.status().grasp == "PART LOST"
+        assert str(plugin.fault()).endswith(" s after the grip")

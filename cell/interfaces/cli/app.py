@@ -21,6 +21,7 @@ from cell.interfaces.cli.commands import (
     run,
     serve,
     simulate,
+    sort,
     teach,
     train,
 )
@@ -61,6 +62,7 @@ def options(
 
 for command in (
     run.run,
+    sort.sort,
     teach.teach,
     train.train,
     identify.identify,

@@ -166,3 +166,25 @@ class Verification:
             opening_mm=1e3 * check.opening_m,
             reasons=check.reasons,
         )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SortAnswer:
+    """Count of a sort.
+
+    Attributes
+    ----------
+    n_parts
+        Parts that were let go at a place.
+    n_missed
+        Turns in which no part was found.
+    n_rejected
+        Parts at the place of the rejects: never taught, or not what they were any more.
+    places
+        Parts at each place.
+    """
+
+    n_parts: int
+    n_missed: int
+    n_rejected: int
+    places: Mapping[str, int] = field(hash=False)

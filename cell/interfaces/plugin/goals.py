@@ -59,7 +59,23 @@ class VerifyGoal(_Goal):
     """Measure whether the part in the grip is still the one that was named or gripped."""
 
 
-Goal = TeachGoal | IdentifyGoal | GripGoal | VerifyGoal
+class SortGoal(_Goal):
+    """Name parts one after the other and let each go at its place."""
+
+    parts: int = Field(default=1, ge=1, le=1_000_000)
+    """How many parts."""
+    feed: tuple[str, ...] = ()
+    """Objects to place, one for each part and then again from the first, where the positioner can
+    do so (simulated cell)."""
+    seed: int = Field(default=1, ge=0)
+    """Seed of the poses and forces of the first part; each further one has the next."""
+    max_grasps: int | None = Field(default=None, ge=1, le=100)
+    """Most grasps of a part, or None for the number in the config."""
+    force_n: ForceN | None = None
+    """Force at the end of each ramp in N, or None for the forces of the plan."""
+
+
+Goal = TeachGoal | IdentifyGoal | GripGoal | VerifyGoal | SortGoal
 """Goal of a job."""
 
 _TASKS: dict[str, TypeAdapter[Any]] = {
@@ -67,6 +83,7 @@ _TASKS: dict[str, TypeAdapter[Any]] = {
     "identify": TypeAdapter(IdentifyGoal),
     "grip": TypeAdapter(GripGoal),
     "verify": TypeAdapter(VerifyGoal),
+    "sort": TypeAdapter(SortGoal),
 }
 
 

@@ -21,11 +21,12 @@ from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.control.states import CellState, CellStatus, Command
 from cell.errors import PartInGrip
-from cell.interfaces.plugin.answer import Answer, FeltShape, Verification
+from cell.interfaces.plugin.answer import Answer, FeltShape, SortAnswer, Verification
 from cell.interfaces.plugin.goals import (
     Goal,
     GripGoal,
     IdentifyGoal,
+    SortGoal,
     TeachGoal,
     VerifyGoal,
     checked_goal,
@@ -47,6 +48,8 @@ __all__ = [
     "IdentifyGoal",
     "JobFailed",
     "JobOutcome",
+    "SortAnswer",
+    "SortGoal",
     "TactileCellPlugin",
     "TeachGoal",
     "Verification",
@@ -214,13 +217,15 @@ class TactileCellPlugin:
     def start(self, goal: Goal | Mapping[str, Any]) -> Job:
         """Start a job and return its handle at once.
 
-        A goal is a `TeachGoal`, `IdentifyGoal`, `GripGoal`, `VerifyGoal`, or a mapping with
-        ``task`` ``teach``, ``identify``, ``grip`` or ``verify`` and the fields of these.
+        A goal is a `TeachGoal`, `IdentifyGoal`, `GripGoal`, `VerifyGoal` or `SortGoal`, or a
+        mapping with ``task`` ``teach``, ``identify``, ``grip``, ``verify`` or ``sort`` and the
+        fields of these.
 
         Raises
         ------
         ConfigError
-            If the goal is none of these, has unknown fields or values out of range.
+            If the goal is none of these, has unknown fields or values out of range, or a taught
+            part has no place to be sorted to.
         CellStateError
             If another job runs, the cell is not IDLE (for a verify: not COMPLETE) or is being
             closed, nothing was taught yet, or a model was loaded whose training set is not at hand:
@@ -243,6 +248,10 @@ class TactileCellPlugin:
             case VerifyGoal():
                 work = functools.partial(tasks.verify, controller)
                 command = Command.VERIFY
+            case SortGoal():
+                model.check_taught()
+                places = tasks.Places(self._config, model.labels)
+                work = functools.partial(tasks.sort, controller, model, places, checked)
         return self._accept(work, command)
 
     def feedback(self, job: Job) -> JobStatus:
@@ -256,8 +265,8 @@ class TactileCellPlugin:
     def result(self, job: Job, timeout_s: float) -> Any:
         """Wait for a job and return its result.
 
-        That is an `Answer` of an identification, a `Verification` of a grip or a verify, and the
-        number of grasps taught.
+        That is an `Answer` of an identification, a `Verification` of a grip or a verify, a
+        `SortAnswer` of a sort, and the number of grasps taught.
 
         Raises
         ------

@@ -1,4 +1,4 @@
-"""Tasks of a host's jobs: teach, identify, grip and verify, with progress as plain data."""
+"""Tasks of a host's jobs: teach, identify, grip, verify and sort, with progress as plain data."""
 
 from typing import Any
 
@@ -6,9 +6,10 @@ from cell.control.controller import CellController
 from cell.control.keeping import Keep
 from cell.control.plan import Pose
 from cell.control.records import GraspRecord
-from cell.interfaces.plugin.answer import Answer, Verification
-from cell.interfaces.plugin.goals import GripGoal, IdentifyGoal, TeachGoal
+from cell.interfaces.plugin.answer import Answer, SortAnswer, Verification
+from cell.interfaces.plugin.goals import GripGoal, IdentifyGoal, SortGoal, TeachGoal
 from cell.interfaces.plugin.worker import Report
+from cell.jobs.sort import Places, SortedPart, Tally, sort_parts
 from cell.learning.collection import Collection
 from cell.learning.taught_model import TaughtModel
 from recognition.recognizer import Posterior
@@ -107,3 +108,47 @@ def verify(controller: CellController, report: Report) -> Verification:
     """
     report({"task": "verify"})
     return Verification.of(controller.verify())
+
+
+def sort(
+    controller: CellController,
+    model: TaughtModel,
+    places: Places,
+    goal: SortGoal,
+    report: Report,
+) -> SortAnswer:
+    """Name parts and let each go at its place; return the count.
+
+    Raises
+    ------
+    cell.errors.NoPartFound, cell.errors.CellStopped, and what the devices raise
+        As `cell.jobs.sort.sort_parts`; the part is kept, and the count so far is the progress.
+    """
+    tally = Tally(places=places)
+
+    def progress(part: SortedPart | None = None) -> None:
+        now: dict[str, Any] = {"task": "sort", "of": goal.parts} | tally.as_json()
+        now["parts"] = len(tally.parts)
+        if part is not None:
+            now |= {"label": part.label, "place": part.place, "probability": part.probability}
+        report(now)
+
+    progress()
+    feed = goal.feed
+    sort_parts(
+        controller,
+        model,
+        tally,
+        n_parts=goal.parts,
+        feed=lambda turn: feed[turn % len(feed)] if feed else None,
+        seed=goal.seed,
+        max_grasps=goal.max_grasps,
+        force_n=goal.force_n,
+        on_part=progress,
+    )
+    return SortAnswer(
+        n_parts=len(tally.parts),
+        n_missed=tally.n_missed,
+        n_rejected=tally.n_rejected,
+        places=tally.counts,
+    )

@@ -2,7 +2,7 @@
 
 from ipaddress import ip_address, ip_network
 
-from cell.config.model import ServeConfig
+from cell.config.serve import ServeConfig
 
 BUSY_MAX = 64
 """Connections at once on one door; further ones are closed at once."""

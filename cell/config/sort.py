@@ -1,0 +1,50 @@
+"""Config of sorting: the places that named parts are brought to."""
+
+from typing import Annotated, Self
+
+from pydantic import AfterValidator, Field, model_validator
+
+from cell.config.section import Section
+from cell.config.simulator import checked_label
+
+
+class PlacePoseConfig(Section):
+    """Where a place is, for a positioner with axes of its own."""
+
+    x_mm: float = Field(default=0.0, ge=-10000.0, le=10000.0)
+    """Position along the fingers in mm, -10000 to 10000."""
+    y_mm: float = Field(default=0.0, ge=-10000.0, le=10000.0)
+    """Position across the fingers in mm, -10000 to 10000."""
+    rotation_deg: float = Field(default=0.0, ge=-360.0, le=360.0)
+    """Turn about the approach axis in degrees, -360 to 360."""
+    roll_deg: float = Field(default=0.0, ge=-360.0, le=360.0)
+    """Turn about the object's own axis in degrees, -360 to 360."""
+
+
+class PlaceConfig(Section):
+    """The place of one kind of part."""
+
+    label: Annotated[str, AfterValidator(checked_label)] = Field(min_length=1, max_length=60)
+    """Name of the part."""
+    place: str = Field(min_length=1, max_length=60)
+    """Name of its place; several parts may share one."""
+    pose: PlacePoseConfig | None = None
+    """Where that is; none: the host or a person finds it by its name."""
+
+
+class SortConfig(Section):
+    """Where a sort brings the parts that it names."""
+
+    places: tuple[PlaceConfig, ...] = Field(default=(), max_length=1000)
+    """Places of the taught parts; without any each part has one of its own name."""
+    reject: str = Field(default="reject", min_length=1, max_length=60)
+    """Name of the place for parts that were never taught, or are not what they were any more."""
+    reject_pose: PlacePoseConfig | None = None
+    """Where that is."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        labels = [entry.label for entry in self.places]
+        if len(set(labels)) != len(labels):
+            raise ValueError(f"labels {labels} of sort.places repeat; give each part one place")
+        return self

@@ -1,0 +1,128 @@
+"""`sort`: names parts, keeps each, and lets it go at its place."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cell.interfaces.cli.options import (
+    ConfigOption,
+    FaultOption,
+    JsonOption,
+    ModelOption,
+    OutOption,
+    SeedOption,
+)
+
+if TYPE_CHECKING:
+    from cell.build import Cell
+    from cell.config.model import CellConfig
+    from cell.jobs.common import Progress
+    from cell.jobs.sort import Tally
+    from cell.learning.taught_model import TaughtModel
+
+
+def sort(
+    config: ConfigOption = None,
+    parts: Annotated[int, typer.Option("--parts", min=1, max=1_000_000, help="Parts.")] = 20,
+    teach_grasps: Annotated[
+        int,
+        typer.Option(
+            "--teach",
+            min=3,
+            max=1000,
+            help="Grasps taught of each object of the simulated cell, without a model.",
+        ),
+    ] = 20,
+    model: ModelOption = None,
+    out_folder: OutOption = None,
+    seed: SeedOption = None,
+    faults: FaultOption = None,
+    json_file: JsonOption = None,
+) -> None:
+    """Name parts and let each go at its place."""
+    from cell.errors import ConfigError
+    from cell.interfaces.cli.session import cell_config, pads_of, running_cell
+    from cell.interfaces.cli.terminal import progress_bar, write_json
+    from cell.jobs.common import job_folder
+    from cell.jobs.sort import Places, Tally, simulated_feed, sort_parts
+    from cell.learning.model import load_model
+    from cell.learning.taught_model import TaughtModel
+
+    checked = cell_config(config, seed=seed, faults=faults)
+    simulated = checked.positioner.kind == "simulated"
+    if model is None and not simulated:
+        raise ConfigError("--model is missing; `tactile-cell teach` and `train` make one")
+    taught = TaughtModel(checked, None if model is None else load_model(model, pads_of(checked)))
+    objects = [entry.label for entry in checked.simulator.objects]
+    tally = Tally(places=Places(checked, objects if model is None else taught.labels))
+    feed = simulated_feed(checked, parts) if simulated else None
+    folder = job_folder(out_folder or Path(checked.recording.directory), "sort")
+    try:
+        with (
+            running_cell(checked, folder, json_file=json_file, config_file=config) as cell,
+            progress_bar() as progress,
+        ):
+            if model is None:
+                _teach(cell, checked, taught, objects, teach_grasps, progress)
+            sort_parts(
+                cell.controller,
+                taught,
+                tally,
+                n_parts=parts,
+                feed=lambda turn: None if feed is None else feed[turn],
+                seed=checked.seed + 1,
+                on_part=lambda part: progress("sort", part.number, parts),
+            )
+            recording = cell.recording_path
+    finally:
+        print_tally(tally)
+    write_json(json_file, tally.as_json() | {"recording": str(recording)})
+
+
+def _teach(
+    cell: "Cell",
+    config: "CellConfig",
+    model: "TaughtModel",
+    objects: list[str],
+    n_grasps: int,
+    progress: "Progress",
+) -> None:
+    from cell.jobs.common import progress_of
+    from cell.learning.collection import Collection
+
+    for number, label in enumerate(objects):
+        one = Collection(label=label, n_planned=n_grasps)
+        seed = config.seed + (number + 1) * config.sequence.max_grasps * n_grasps
+        model.collect(cell.controller, one, seed=seed, on_grasp=progress_of(progress))
+    model.train()
+
+
+def print_tally(tally: "Tally") -> None:
+    """Print how many parts lie where, and which of them do not belong there."""
+    from rich.markup import escape
+    from rich.table import Table
+
+    from cell.interfaces.cli.terminal import out, print_line
+
+    if not tally.parts:
+        print_line("no part was sorted")
+        return
+    table = Table(header_style="bold")
+    table.add_column("part")
+    for place in tally.places.names:
+        table.add_column(escape(place), justify="right")
+    for truth, counts in tally.matrix().items():
+        table.add_row(escape(truth), *(str(count) if count else "" for count in counts.values()))
+    table.add_row("all", *(str(count) for count in tally.counts.values()), style="bold")
+    out.print(table)
+    missed = f", {tally.n_missed} times no part was found" if tally.n_missed else ""
+    print_line(
+        f"{len(tally.parts)} parts sorted, {100 * tally.share_named:.0f} % with a name, "
+        f"{tally.n_rejected} rejected{missed}"
+    )
+    if tally.matrix():
+        wrong = ", ".join(
+            f"part {part.number}, {part.truth} to {part.place}" for part in tally.mistakes
+        )
+        print_line(f"mistakes: {wrong or 'none'}")

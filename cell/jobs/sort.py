@@ -1,0 +1,276 @@
+"""Sorting: each part is named, kept, brought to its place and let go there."""
+
+from collections import Counter
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from math import radians
+from typing import Any
+
+import numpy as np
+
+from cell.config.model import CellConfig
+from cell.config.sort import PlacePoseConfig
+from cell.control.controller import MISSES_IN_A_ROW, CellController
+from cell.control.keeping import Keep
+from cell.control.plan import Pose
+from cell.control.positioner import Destination
+from cell.errors import ConfigError, NoPartFound
+from cell.learning.taught_model import TaughtModel
+from recognition.recognizer import UNKNOWN
+
+
+class Places:
+    """Places of a sort by the label of a part.
+
+    Parameters
+    ----------
+    config
+        The cell.
+    labels
+        The taught parts.
+
+    Raises
+    ------
+    ConfigError
+        If the config names places, but none for one of these parts.
+    """
+
+    def __init__(self, config: CellConfig, labels: Iterable[str]) -> None:
+        sort = config.sort
+        self._reject = (sort.reject, _pose(sort.reject_pose))
+        self._places = {entry.label: (entry.place, _pose(entry.pose)) for entry in sort.places}
+        if not self._places:
+            self._places = {label: (label, None) for label in labels}
+        missing = [label for label in labels if label not in self._places]
+        if missing:
+            raise ConfigError(
+                f"sort.places has no place for {', '.join(missing)}; give each taught part one"
+            )
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the places, that of the rejects last."""
+        return (*dict.fromkeys(name for name, _ in self._places.values()), self._reject[0])
+
+    def of(self, label: str) -> Destination:
+        """Return the place of a part; `UNKNOWN` has that of the rejects."""
+        place, pose = self._places.get(label, self._reject)
+        return Destination(label=label, place=place, pose=pose)
+
+    @property
+    def reject(self) -> Destination:
+        """The place of the rejects."""
+        return self.of(UNKNOWN)
+
+
+def _pose(config: PlacePoseConfig | None) -> Pose | None:
+    if config is None:
+        return None
+    return Pose(
+        x_m=1e-3 * config.x_mm,
+        y_m=1e-3 * config.y_mm,
+        rotation_rad=radians(config.rotation_deg),
+        roll_rad=radians(config.roll_deg),
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SortedPart:
+    """One part that was brought to a place.
+
+    Attributes
+    ----------
+    number
+        Its number in the sort, from 1.
+    label, probability
+        Answer of its identification.
+    place
+        Where it was let go.
+    n_grasps
+        Grasps of its identification.
+    truth
+        What it was, of a simulated cell; None where nobody can tell.
+    changed
+        What had changed in the grip on the way, for which it was rejected; empty where nothing had.
+    """
+
+    number: int
+    label: str
+    probability: float
+    place: str
+    n_grasps: int
+    truth: str | None = None
+    changed: tuple[str, ...] = ()
+
+
+@dataclass(slots=True, kw_only=True)
+class Tally:
+    """Count of a sort, which is whole as far as it came when the sort ends early.
+
+    Attributes
+    ----------
+    places
+        The places.
+    parts
+        The parts that were let go at a place, in order.
+    n_missed
+        Turns in which no part was found.
+    """
+
+    places: Places
+    parts: list[SortedPart] = field(default_factory=list)
+    n_missed: int = 0
+
+    @property
+    def n_rejected(self) -> int:
+        """Parts at the place of the rejects."""
+        return self.counts[self.places.reject.place]
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """Parts at each place."""
+        found = Counter(part.place for part in self.parts)
+        return {name: found[name] for name in self.places.names}
+
+    @property
+    def share_named(self) -> float:
+        """Share of the parts that have a name, the yield; NaN without a part."""
+        return 1.0 - self.n_rejected / len(self.parts) if self.parts else float("nan")
+
+    @property
+    def mistakes(self) -> tuple[SortedPart, ...]:
+        """Parts at the place of another kind, of a simulated cell; a reject is none."""
+        return tuple(
+            part
+            for part in self.parts
+            if part.truth is not None
+            and part.place not in (self.places.of(part.truth).place, self.places.reject.place)
+        )
+
+    def matrix(self) -> dict[str, dict[str, int]]:
+        """Return how many parts of each true kind lie at each place; empty on a real cell."""
+        truths = dict.fromkeys(part.truth for part in self.parts if part.truth is not None)
+        return {
+            truth: {
+                place: sum(part.truth == truth and part.place == place for part in self.parts)
+                for place in self.places.names
+            }
+            for truth in truths
+        }
+
+    def as_json(self) -> dict[str, Any]:
+        """Return the count as plain data."""
+        return {
+            "n_parts": len(self.parts),
+            "n_missed": self.n_missed,
+            "n_rejected": self.n_rejected,
+            "share_named": self.share_named if self.parts else None,
+            "places": self.counts,
+            "matrix": self.matrix(),
+            "mistakes": [
+                {"number": part.number, "was": part.truth, "place": part.place}
+                for part in self.mistakes
+            ],
+            "parts": [
+                {
+                    "number": part.number,
+                    "label": part.label,
+                    "probability": part.probability,
+                    "place": part.place,
+                    "n_grasps": part.n_grasps,
+                    "was": part.truth,
+                    "changed": list(part.changed),
+                }
+                for part in self.parts
+            ],
+        }
+
+
+def sort_parts(
+    controller: CellController,
+    model: TaughtModel,
+    tally: Tally,
+    *,
+    n_parts: int,
+    feed: Callable[[int], str | None] = lambda number: None,
+    seed: int = 0,
+    max_grasps: int | None = None,
+    force_n: float | None = None,
+    on_part: Callable[[SortedPart], None] = lambda part: None,
+) -> None:
+    """Name parts, keep each, bring it to its place, look at it once more, and let it go there.
+
+    A part that has changed in the grip on the way goes to the rejects: its name is of no use any
+    more. A fault, a stop or a place that is refused ends the sort with the part kept.
+
+    Parameters
+    ----------
+    controller, model
+        The cell, started, and what it was taught.
+    tally
+        Gets each part when it has been let go.
+    n_parts
+        How many turns there are.
+    feed
+        Returns what the positioner is to bring for a turn, from 0; None: what is there.
+    seed
+        Seed of the poses and forces of the first part; each further one has the next.
+    max_grasps, force_n
+        As `TaughtModel.identify`.
+    on_part
+        Called after each part.
+
+    Raises
+    ------
+    NoPartFound
+        If no part was found in `MISSES_IN_A_ROW` turns in a row.
+    PositionerError
+        If a place was refused or cannot be reached.
+    cell.errors.CellStopped, and what the devices raise
+        As `CellController.identify` and `CellController.carry_to`.
+    """
+    misses = 0
+    for turn in range(n_parts):
+        truth = feed(turn)
+        try:
+            found = model.identify(
+                controller,
+                held=truth,
+                seed=seed + turn,
+                max_grasps=max_grasps,
+                force_n=force_n,
+                keep=Keep.ALWAYS,
+            )
+        except NoPartFound:
+            tally.n_missed += 1
+            misses += 1
+            if misses == MISSES_IN_A_ROW:
+                raise
+            continue
+        misses = 0
+        destination = tally.places.of(found.label)
+        controller.carry_to(destination)
+        check = controller.verify()
+        if not check.same and destination.place != tally.places.reject.place:
+            destination = tally.places.reject
+            controller.carry_to(destination)
+        controller.put_down()
+        part = SortedPart(
+            number=turn + 1,
+            label=found.label,
+            probability=found.probability,
+            place=destination.place,
+            n_grasps=len(found.records),
+            truth=truth,
+            changed=check.reasons,
+        )
+        tally.parts.append(part)
+        on_part(part)
+
+
+def simulated_feed(config: CellConfig, n_parts: int) -> list[str]:
+    """Return a mixed feed of the simulated objects, each kind as often as the others."""
+    kinds = [entry.label for entry in config.simulator.objects]
+    feed = [kinds[number % len(kinds)] for number in range(n_parts)]
+    np.random.default_rng(config.seed).shuffle(feed)
+    return feed

@@ -1,0 +1,340 @@
+"""Parts that stay in the grip: kept by an identification or a grip, verified, carried, let go."""
+
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cell.control.keeping import Keep
+from cell.control.plan import GraspStep, Pose
+from cell.control.positioner import Destination, HostPlaces, OperatorPositioner
+from cell.control.states import CellState, GraspState
+from cell.data.recording_reader import read_recording
+from cell.errors import CellStopped, ConfigError, NoPartFound, PositionerError
+from cell.learning.model import load_model
+from gripper.errors import PartLost, PartSlipped
+from gripper.state import GripperPhase
+from recognition.recognizer import UNKNOWN, Posterior
+
+CARRY_N = 4.0
+"""Default of `sequence.carry_force_n`."""
+TOLERANCE_N = 0.7
+STEPS = tuple(
+    GraspStep(pose=Pose(x_m=1e-3 * x), force_n=force_n)
+    for x, force_n in ((0.0, 6.0), (1.0, 3.0), (-1.0, 5.0))
+)
+
+
+class Scripted:
+    """A recogniser that answers what it was given, and notes what is so meanwhile."""
+
+    name, labels, uses_aperture = "scripted", ("ball", "box"), False
+
+    def __init__(
+        self, *answers: tuple[float, float], look: Callable[[], object] = lambda: None
+    ) -> None:
+        self._answers = list(answers)
+        self._look = look
+        self.seen: list[Any] = []
+
+    def posterior(self, _grasp: Any) -> Posterior:
+        self.seen.append(self._look())
+        ball, unknown = self._answers.pop(0)
+        return Posterior(
+            labels=self.labels, probability=np.array([ball, 1.0 - ball]), unknown=unknown
+        )
+
+
+SURE, UNSURE, STRANGE = (0.9999, 0.001), (0.6, 0.01), (0.9, 0.999)
+
+
+def idle(bench: Any, seconds: float) -> None:
+    """Let time pass while the host ticks."""
+    clock = bench.simulated.clock
+    end_s = clock.monotonic() + seconds
+    while clock.monotonic() < end_s:
+        bench.sleep(bench.controller.hand.period_s)
+        bench.controller.tick()
+
+
+def identify(bench: Any, recognizer: Scripted, keep: Keep, steps: Any = STEPS[:1]) -> Any:
+    return bench.controller.identify(recognizer, steps, keep=keep)
+
+
+# -- what is kept ----------------------------------------------------------------------------
+
+
+def test_a_named_part_is_held_for_the_host_until_it_is_released(bench: Any) -> None:
+    bench.ready()
+    found = identify(bench, Scripted(SURE), Keep.WHEN_NAMED)
+    assert found.kept
+    assert bench.controller.state is CellState.COMPLETE
+    assert bench.controller.grasp_state is GraspState.HOLDING
+    idle(bench, 2.0)
+    assert bench.grip_n == pytest.approx(CARRY_N, abs=TOLERANCE_N)
+    bench.controller.cancel()
+    idle(bench, 0.1)
+    assert bench.controller.state is CellState.COMPLETE
+    assert bench.controller.release().opened == (1, 2)
+    assert bench.grip_n == 0.0
+    assert bench.controller.state is CellState.IDLE
+    assert not identify(bench, Scripted(SURE), Keep.NEVER).kept
+    assert bench.controller.state is CellState.IDLE
+
+
+@pytest.mark.parametrize(("keep", "kept"), [(Keep.WHEN_NAMED, False), (Keep.ALWAYS, True)])
+def test_an_unknown_part_is_let_go_unless_all_are_kept(bench: Any, keep: Keep, kept: bool) -> None:
+    bench.ready()
+    found = identify(bench, Scripted(STRANGE), keep)
+    assert found.label == UNKNOWN
+    assert found.kept is kept
+    assert (bench.grip_n > 0.0) is kept
+    assert bench.controller.state is (CellState.COMPLETE if kept else CellState.IDLE)
+
+
+@pytest.mark.parametrize("keep", Keep)
+def test_the_part_is_held_while_it_is_named_where_it_may_be_kept(bench: Any, keep: Keep) -> None:
+    bench.ready()
+    recognizer = Scripted(UNSURE, SURE, look=lambda: bench.grip_n)
+    found = identify(bench, recognizer, keep, STEPS)
+    assert len(found.records) == 2
+    assert [record.reached.x_m for record in found.records] == pytest.approx([0.0, 1e-3])
+    wanted_n = 0.0 if keep is Keep.NEVER else CARRY_N
+    assert recognizer.seen == pytest.approx([wanted_n, wanted_n], abs=TOLERANCE_N)
+
+
+def test_a_stop_while_it_is_named_holds_the_part(bench: Any) -> None:
+    bench.ready()
+    with pytest.raises(CellStopped, match="the grip is kept"):
+        identify(bench, Scripted(SURE, look=bench.controller.cancel), Keep.ALWAYS)
+    assert bench.controller.state is CellState.HELD
+    assert bench.grip_n > 1.0
+
+
+def test_an_error_while_it_is_named_is_a_fault_with_the_part_kept(bench: Any) -> None:
+    bench.ready()
+    with pytest.raises(IndexError):
+        identify(bench, Scripted(), Keep.ALWAYS)
+    assert bench.controller.state is CellState.ABORTED
+    assert bench.grip_n > 1.0
+
+
+def test_the_end_of_the_program_keeps_the_part(make_bench: Callable[..., Any]) -> None:
+    bench = make_bench()
+    bench.ready()
+    bench.controller.grip(5.0, Pose())
+    bench.controller.shutdown()
+    assert bench.controller.state is CellState.STOPPED
+    bench.sleep(1.0)
+    assert bench.grip_n == pytest.approx(CARRY_N, abs=TOLERANCE_N)
+
+
+def test_a_grip_without_a_part_is_no_part(bench: Any) -> None:
+    bench.controller.start()
+    bench.simulated.devices.physical.remove()
+    with pytest.raises(NoPartFound):
+        bench.controller.grip(3.0)
+    assert bench.controller.state is CellState.IDLE
+    assert bench.controller.grasp_state is GraspState.NO_PART_FOUND
+
+
+# -- one grip --------------------------------------------------------------------------------
+
+
+def test_without_a_fixture_further_ramps_are_taken_in_the_same_grip(
+    make_bench: Callable[..., Any], make_config: Callable[..., Any], taught: Any
+) -> None:
+    bench = make_bench(make_config(sequence__regrasp="none"))
+    bench.ready("box")
+    least_n: list[float] = []
+    opened: list[float] = []
+
+    def look(now_s: float) -> None:
+        if len(found_s) == 1 and not opened:
+            least_n.append(bench.grip_n)
+            if bench.controller.hand.phase is GripperPhase.RELEASING:
+                opened.append(now_s)
+
+    found_s: list[float] = []
+    model = taught.result.model
+
+    class Unsure:
+        """The taught recogniser, from which three ramps are wanted."""
+
+        def __init__(self) -> None:
+            self._taught = load_model(model, bench.controller.pads).recognizer
+            self.labels = self._taught.labels
+
+        def posterior(self, grasp: Any) -> Posterior:
+            found_s[:] = [0.0]
+            whole = self._taught.posterior(grasp)
+            answers.append(whole)
+            shares = 0.7 * whole.probability + 0.3 / len(whole.labels)
+            return replace(whole, probability=shares)
+
+    answers: list[Posterior] = []
+    bench.simulated.clock.on_advance.append(look)
+    found = bench.controller.identify(Unsure(), STEPS)
+    assert [record.same_grip for record in found.records] == [False, True, True]
+    assert len({record.reached for record in found.records}) == 1
+    assert [round(record.outcome.final_force_n) for record in found.records] == [6, 3, 5]
+    assert [answer.best for answer in answers] == ["box"] * 3
+    assert min(least_n[:-1]) > 0.5
+    assert found.posteriors[1].dependence > found.posteriors[0].dependence
+    assert bench.controller.state is CellState.IDLE
+    assert bench.grip_n == 0.0
+
+
+def test_forces_of_the_config_that_could_not_hold_a_part_are_refused(
+    make_config: Callable[..., Any],
+) -> None:
+    for carry_n in (0.3, 14.9):
+        with pytest.raises(ConfigError, match=f"carry_force_n is {carry_n:g} N, a part is held"):
+            make_config(sequence__carry_force_n=carry_n)
+    with pytest.raises(ConfigError, match="a further ramp begins at"):
+        make_config(sequence__regrasp="none", sequence__force_n=[0.8, 8.0])
+
+
+# -- faults of a carry -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("fault", "limit_s"), [("object.gone", 0.15), ("object.slips=20", 0.25)])
+def test_a_part_that_leaves_the_grip_is_a_fault_with_its_time(
+    bench: Any, fault: str, limit_s: float
+) -> None:
+    bench.ready()
+    identify(bench, Scripted(SURE), Keep.ALWAYS)
+    idle(bench, 3.0)
+    bench.simulated.inject(fault)
+    with pytest.raises((PartLost, PartSlipped)):
+        idle(bench, 1.0)
+    assert bench.controller.state is CellState.ABORTED
+    assert bench.controller.grasp_state is GraspState.PART_LOST
+    text = bench.controller.fault
+    assert text is not None
+    after_s = float(text.rpartition("; ")[2].removesuffix(" s after the answer"))
+    assert 3.0 <= after_s <= 3.1 + limit_s
+    bench.simulated.injector.clear_all()
+    bench.controller.clear()
+    bench.controller.release_held()
+    bench.controller.reset()
+    bench.controller.start()
+    bench.controller.present("ball")
+    bench.simulated.inject("can.unplugged@contact+0.1s")
+    with pytest.raises(Exception, match="CAN"):
+        bench.grasp()
+    assert "after the answer" not in (bench.controller.fault or "")
+
+
+# -- the same part? --------------------------------------------------------------------------
+
+
+def test_a_look_at_a_kept_part_finds_it_unchanged(
+    make_bench: Callable[..., Any], tmp_path: Any
+) -> None:
+    bench = make_bench(folder=tmp_path)
+    bench.ready()
+    bench.controller.grip(6.0, Pose())
+    idle(bench, 5.0)
+    check = bench.controller.verify()
+    assert check.held
+    assert check.same
+    assert check.reasons == ()
+    assert check.force_n == pytest.approx(CARRY_N, abs=TOLERANCE_N)
+    assert bench.controller.state is CellState.COMPLETE
+    bench.cell.close()
+    events = read_recording(tmp_path / "recording.mcap").events
+    assert ("verify", "the same part") in {(e["kind"], e["text"]) for e in events}
+
+
+def test_a_part_that_was_moved_in_the_grip_is_found(bench: Any) -> None:
+    bench.ready()
+    bench.controller.grip(4.0, Pose())
+    # Between two looks of the slip detector: what is seen is where the part is now.
+    bench.simulated.devices.physical.slide(2.5e-3)
+    check = bench.controller.verify()
+    assert check.held
+    assert check.same is False
+    assert any("footprint on the pads" in reason for reason in check.reasons)
+    assert bench.controller.state is CellState.COMPLETE
+    assert bench.grip_n > 1.0
+
+
+def test_a_part_of_another_thickness_is_found(bench: Any) -> None:
+    bench.ready()
+    bench.controller.grip(4.0, Pose())
+    for step in range(1, 41):
+        bench.simulated.devices.physical.swell(step * 2e-5)
+        idle(bench, 0.05)
+    check = bench.controller.verify()
+    assert check.same is False
+    assert any("mm of difference are allowed" in reason for reason in check.reasons)
+
+
+# -- to a place ------------------------------------------------------------------------------
+
+
+TO_BIN = Destination(label="ball", place="bin 1")
+
+
+def test_a_kept_part_is_carried_to_its_place(make_bench: Callable[..., Any]) -> None:
+    brought: list[Destination] = []
+    held_n: list[float] = []
+
+    def places(destination: Destination) -> None:
+        brought.append(destination)
+        held_n.append(bench.grip_n)
+
+    bench = make_bench(places=places)
+    bench.ready()
+    bench.controller.grip(3.0, Pose())
+    bench.controller.carry_to(TO_BIN)
+    assert brought == [TO_BIN]
+    assert held_n == pytest.approx([CARRY_N], abs=TOLERANCE_N)
+    assert bench.controller.state is CellState.COMPLETE
+
+
+@pytest.mark.parametrize("answer", [False, 0, "there"])
+def test_a_place_that_is_refused_leaves_the_part_in_the_grip(
+    make_bench: Callable[..., Any], answer: Any
+) -> None:
+    bench = make_bench(places=lambda _destination: answer)
+    bench.ready()
+    bench.controller.grip(3.0, Pose())
+    with pytest.raises(PositionerError, match="the part is kept"):
+        bench.controller.carry_to(TO_BIN)
+    assert bench.controller.state is CellState.COMPLETE
+    assert bench.controller.fault is None
+    assert bench.grip_n > 1.0
+
+
+def test_a_stop_on_the_way_ends_the_way_and_keeps_the_part(make_bench: Callable[..., Any]) -> None:
+    bench = make_bench(places=lambda _destination: bench.controller.cancel())
+    bench.ready()
+    bench.controller.grip(3.0, Pose())
+    with pytest.raises(CellStopped, match="on the way to bin 1; the part is kept"):
+        bench.controller.carry_to(TO_BIN)
+    assert bench.controller.state is CellState.COMPLETE
+    assert bench.grip_n > 1.0
+
+
+def test_a_part_that_is_lost_on_the_way_ends_it_at_once(bench: Any) -> None:
+    arrived = threading.Event()
+
+    def places(_destination: Destination) -> None:
+        bench.simulated.devices.physical.remove()
+        arrived.wait(30.0)
+
+    bench.ready()
+    bench.controller.grip(3.0, Pose())
+    moves = HostPlaces(OperatorPositioner(lambda _text: ""), places)
+    bench.controller._positioner = bench.controller._grasper._positioner = moves
+    try:
+        with pytest.raises(PartLost):
+            bench.controller.carry_to(TO_BIN)
+    finally:
+        arrived.set()
+    assert bench.controller.grasp_state is GraspState.PART_LOST

@@ -1,0 +1,187 @@
+"""Parts that a host has kept, through the plugin."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from cell.config.model import CellConfig
+from cell.control.positioner import Destination
+from cell.errors import CellStateError, ConfigError, PositionerError
+from cell.interfaces.plugin.plugin import (
+    GripGoal,
+    IdentifyGoal,
+    JobFailed,
+    SortGoal,
+    TactileCellPlugin,
+    VerifyGoal,
+)
+from cell.interfaces.plugin.worker import JobOutcome
+from gripper.errors import PartLost
+from recognition.recognizer import UNKNOWN
+
+LIMIT_S = 60.0
+HELD = ("COMPLETE", 17, False, True)
+
+
+@pytest.fixture
+def make_plugin(
+    make_config: Callable[..., CellConfig], taught: Any
+) -> Iterator[Callable[..., TactileCellPlugin]]:
+    """Return the maker of plugins that know ball and box."""
+    made: list[TactileCellPlugin] = []
+
+    def make(config: Any = None, **options: Any) -> TactileCellPlugin:
+        made.append(
+            TactileCellPlugin(config or make_config(), model=taught.result.model, **options)
+        )
+        return made[-1]
+
+    yield make
+    for plugin in made:
+        plugin.close(LIMIT_S)
+
+
+@pytest.fixture
+def plugin(make_plugin: Callable[..., TactileCellPlugin]) -> TactileCellPlugin:
+    return make_plugin()
+
+
+def grip_n(plugin: TactileCellPlugin) -> float:
+    assert plugin._cell.simulated is not None
+    return min(plugin._cell.simulated.world.contact_force_n())
+
+
+def run(plugin: TactileCellPlugin, goal: Any) -> Any:
+    return plugin.result(plugin.start(goal), LIMIT_S)
+
+
+def standing(plugin: TactileCellPlugin) -> tuple[Any, ...]:
+    status = plugin.status()
+    return status.state, status.state_number, status.needs_reset, status.holding
+
+
+def test_a_kept_part_is_verified_and_let_go_where_the_host_wants_it(
+    plugin: TactileCellPlugin,
+) -> None:
+    answer = run(plugin, IdentifyGoal(present="box", keep="when_named", seed=9))
+    assert answer.label == "box"
+    assert answer.kept
+    assert standing(plugin) == HELD
+    found = run(plugin, VerifyGoal())
+    assert (found.held, found.same, found.reasons) == (True, True, ())
+    assert found.force_n == pytest.approx(4.0, abs=0.7)
+    assert found.opening_mm == pytest.approx(9.0, abs=0.5)
+    assert standing(plugin) == HELD
+    for refused in (IdentifyGoal(), GripGoal(force_n=3.0), {"task": "sort"}):
+        with pytest.raises(CellStateError, match="COMPLETE; allowed: verify, release, shutdown"):
+            plugin.start(refused)
+    assert grip_n(plugin) > 3.0
+    plugin.release()
+    assert standing(plugin) == ("IDLE", 4, False, False)
+    with pytest.raises(CellStateError, match="'verify' is not allowed while the cell is IDLE"):
+        plugin.start(VerifyGoal())
+    assert not run(plugin, IdentifyGoal(present="box", seed=9)).kept
+
+
+def test_a_part_is_gripped_without_a_name_and_survives_the_end_of_the_host(
+    plugin: TactileCellPlugin,
+) -> None:
+    found = run(plugin, {"task": "grip", "force_n": 3.0, "present": "ball"})
+    assert (found.held, found.same) == (True, True)
+    assert standing(plugin) == HELD
+    plugin.close()
+    assert grip_n(plugin) > 3.0
+
+
+def test_a_cancel_of_a_kept_part_changes_nothing(plugin: TactileCellPlugin) -> None:
+    job = plugin.start(IdentifyGoal(present="box", keep="always", seed=9))
+    plugin.result(job, LIMIT_S)
+    plugin.cancel(job)
+    plugin._cell.controller.cancel()
+    plugin._cell.controller.tick()
+    assert standing(plugin) == HELD
+    plugin.release()
+    assert run(plugin, IdentifyGoal(present="box", seed=9)).label == "box"
+
+
+def test_the_force_of_the_grasps_is_the_hosts(plugin: TactileCellPlugin) -> None:
+    job = plugin.start(IdentifyGoal(present="box", force_n=3.5, seed=9))
+    plugin.result(job, LIMIT_S)
+    assert plugin.feedback(job).progress["force_n"] == 3.5
+    with pytest.raises(ConfigError, match="force_n"):
+        plugin.start({"task": "identify", "force_n": 0.0})
+    job = plugin.start(GripGoal(force_n=50.0))
+    with pytest.raises(JobFailed, match="the ramp asks for 50"):
+        plugin.result(job, LIMIT_S)
+    assert plugin.fault() is None
+
+
+def test_the_host_brings_named_parts_to_their_places(
+    make_plugin: Callable[..., TactileCellPlugin],
+) -> None:
+    brought: list[Destination] = []
+    plugin = make_plugin(places=brought.append)
+    job = plugin.start(SortGoal(parts=3, feed=("ball", "box"), seed=9))
+    answer = plugin.result(job, LIMIT_S)
+    assert [(one.label, one.place) for one in brought] == [
+        ("ball", "ball"),
+        ("box", "box"),
+        ("ball", "ball"),
+    ]
+    assert (answer.n_parts, answer.n_rejected, answer.n_missed) == (3, 0, 0)
+    assert answer.places == {"ball": 2, "box": 1, "reject": 0}
+    progress = plugin.feedback(job).progress
+    assert (progress["task"], progress["parts"], progress["of"]) == ("sort", 3, 3)
+    assert standing(plugin) == ("IDLE", 4, False, False)
+
+
+def test_a_refused_place_aborts_the_sort_without_a_fault(
+    make_plugin: Callable[..., TactileCellPlugin],
+) -> None:
+    plugin = make_plugin(places=lambda _destination: False)
+    job = plugin.start(SortGoal(parts=2, feed=("ball",), seed=9))
+    with pytest.raises(JobFailed) as failed:
+        plugin.result(job, LIMIT_S)
+    assert isinstance(failed.value.__cause__, PositionerError)
+    assert plugin.fault() is None
+    assert standing(plugin) == HELD
+    plugin.release()
+    assert plugin.state() == "IDLE"
+
+
+def test_a_sort_that_is_cancelled_or_loses_its_part_keeps_the_grip(
+    make_plugin: Callable[..., TactileCellPlugin],
+) -> None:
+    act: list[Callable[[], object]] = []
+
+    def places(_destination: Destination) -> None:
+        act[0]()
+
+    plugin = make_plugin(places=places)
+    act.append(plugin._cell.controller.cancel)
+    with pytest.raises(JobFailed, match="the part is kept until") as failed:
+        run(plugin, SortGoal(feed=("ball",), seed=9))
+    assert failed.value.outcome is JobOutcome.CANCELED
+    assert standing(plugin) == HELD
+    plugin.release()
+
+    assert plugin._cell.simulated is not None
+    act[0] = plugin._cell.simulated.remove
+    with pytest.raises(JobFailed) as lost:
+        run(plugin, SortGoal(feed=("ball",), seed=9))
+    assert isinstance(lost.value.__cause__, PartLost)
+    assert plugin.status().grasp == "PART LOST"
+    assert str(plugin.fault()).endswith(" s after the answer")
+
+
+def test_what_was_never_taught_is_kept_only_where_all_is(
+    make_plugin: Callable[..., TactileCellPlugin], make_config: Callable[..., Any]
+) -> None:
+    objects = [{"label": "rod", "shape": "cylinder:diameter=6mm,length=20mm"}]
+    plugin = make_plugin(make_config(simulator__objects=objects))
+    for keep, kept in (("when_named", False), ("always", True)):
+        answer = run(plugin, IdentifyGoal(present="rod", keep=keep, seed=9))
+        assert answer.label == UNKNOWN
+        assert answer.kept is kept
+    assert grip_n(plugin) > 3.0

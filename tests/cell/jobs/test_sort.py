@@ -1,0 +1,210 @@
+"""Sorting: named parts at their places, rejects, and what ends a sort."""
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from cell.config.file import changed_config
+from cell.control.positioner import Destination
+from cell.control.states import CellState
+from cell.errors import CellStopped, ConfigError, NoPartFound, PositionerError
+from cell.jobs.sort import Places, SortedPart, Tally, simulated_feed, sort_parts
+from cell.learning.taught_model import TaughtModel
+from gripper.errors import PartLost
+from recognition.recognizer import UNKNOWN
+
+BINS = [{"label": "ball", "place": "bin 1"}, {"label": "box", "place": "bin 2"}]
+STRANGE = {"label": "rod", "shape": "cylinder:diameter=6mm,length=20mm"}
+
+
+class Sorter:
+    """A cell that sorts, and what its host saw at each place."""
+
+    def __init__(self, make_bench: Callable[..., Any], taught: Any, **changes: Any) -> None:
+        objects = [entry.model_dump() for entry in taught.config.simulator.objects]
+        config = changed_config(
+            taught.config,
+            {"sort.places": BINS, "simulator.objects": [*objects, STRANGE]} | changes,
+        )
+        self.seen: list[tuple[str, str | None, float]] = []
+        self.on_place: Callable[[Destination], Any] = lambda _destination: None
+        self.bench = make_bench(config, places=self._places)
+        self.controller = self.bench.controller
+        self.controller.start()
+        self.model = TaughtModel.load(config, taught.result.model)
+        self.tally = Tally(places=Places(config, self.model.labels))
+
+    def sort(self, *feed: str) -> None:
+        sort_parts(
+            self.controller,
+            self.model,
+            self.tally,
+            n_parts=len(feed),
+            feed=lambda turn: feed[turn],
+            seed=5,
+        )
+
+    def _places(self, destination: Destination) -> Any:
+        placed = self.bench.simulated.devices.physical.placed
+        held = None if placed is None else placed[0]
+        self.seen.append((destination.place, held, self.bench.grip_n))
+        return self.on_place(destination)
+
+
+@pytest.fixture
+def sorter(make_bench: Callable[..., Any], taught: Any) -> Sorter:
+    return Sorter(make_bench, taught)
+
+
+def test_each_part_is_held_until_it_is_at_its_place(sorter: Sorter) -> None:
+    sorter.sort("ball", "box", "rod", "box")
+    assert [(place, held) for place, held, _ in sorter.seen] == [
+        ("bin 1", "ball"),
+        ("bin 2", "box"),
+        ("reject", "rod"),
+        ("bin 2", "box"),
+    ]
+    assert min(force_n for _, _, force_n in sorter.seen) > 3.0
+    assert sorter.controller.state is CellState.IDLE
+    assert sorter.bench.grip_n == 0.0
+    tally = sorter.tally
+    assert tally.counts == {"bin 1": 1, "bin 2": 2, "reject": 1}
+    assert tally.share_named == 0.75
+    assert tally.mistakes == ()
+    assert tally.matrix()["rod"] == {"bin 1": 0, "bin 2": 0, "reject": 1}
+    assert [part.label for part in tally.parts] == ["ball", "box", UNKNOWN, "box"]
+
+
+def test_a_part_in_another_bin_is_a_mistake_and_a_reject_is_none(taught: Any) -> None:
+    config = changed_config(taught.config, {"sort.places": BINS})
+    tally = Tally(places=Places(config, ("ball", "box")))
+    for number, (truth, place) in enumerate(
+        [("ball", "bin 1"), ("ball", "bin 2"), ("box", "reject"), (None, "bin 1")]
+    ):
+        tally.parts.append(
+            SortedPart(
+                number=number, label="", probability=1.0, place=place, n_grasps=1, truth=truth
+            )
+        )
+    assert [part.number for part in tally.mistakes] == [1]
+    assert tally.n_rejected == 1
+    assert tally.matrix() == {
+        "ball": {"bin 1": 1, "bin 2": 1, "reject": 0},
+        "box": {"bin 1": 0, "bin 2": 0, "reject": 1},
+    }
+
+
+def test_a_part_that_changed_in_the_grip_goes_to_the_rejects(sorter: Sorter) -> None:
+    def shove(destination: Destination) -> None:
+        if destination.place != "reject":
+            sorter.bench.simulated.devices.physical.slide(2.5e-3)
+
+    sorter.on_place = shove
+    sorter.sort("ball")
+    assert [place for place, *_ in sorter.seen] == ["bin 1", "reject"]
+    (part,) = sorter.tally.parts
+    assert (part.label, part.place) == ("ball", "reject")
+    assert any("footprint" in reason for reason in part.changed)
+    assert sorter.tally.mistakes == ()
+
+
+def test_a_place_that_is_refused_ends_the_sort_with_the_part_kept(sorter: Sorter) -> None:
+    # True is an answer too: the part is there.
+    sorter.on_place = lambda destination: destination.place != "bin 2"
+    with pytest.raises(PositionerError, match="the place bin 2 of box"):
+        sorter.sort("ball", "box", "ball")
+    assert sorter.controller.state is CellState.COMPLETE
+    assert sorter.bench.grip_n > 3.0
+    assert [part.place for part in sorter.tally.parts] == ["bin 1"]
+
+
+def test_a_stop_ends_the_sort_with_the_part_kept(sorter: Sorter) -> None:
+    sorter.on_place = lambda _destination: sorter.controller.cancel()
+    with pytest.raises(CellStopped, match="the part is kept"):
+        sorter.sort("ball", "box")
+    assert sorter.controller.state is CellState.COMPLETE
+    assert sorter.bench.grip_n > 3.0
+    assert sorter.tally.parts == []
+
+
+def test_a_stop_just_before_a_part_is_let_go_keeps_it(sorter: Sorter) -> None:
+    verify = sorter.controller.verify
+
+    def then_cancel() -> Any:
+        check = verify()
+        sorter.controller.cancel()
+        return check
+
+    sorter.controller.verify = then_cancel
+    with pytest.raises(CellStopped, match="before it was let go"):
+        sorter.sort("ball", "box")
+    assert sorter.controller.state is CellState.COMPLETE
+    assert sorter.bench.grip_n > 3.0
+
+
+def test_a_part_that_is_lost_on_the_way_ends_the_sort(sorter: Sorter) -> None:
+    sorter.on_place = lambda _destination: sorter.bench.simulated.devices.physical.remove()
+    with pytest.raises(PartLost):
+        sorter.sort("ball", "box")
+    assert sorter.controller.state is CellState.ABORTED
+    assert sorter.tally.parts == []
+
+
+def test_turns_without_a_part_are_counted_and_three_in_a_row_end_the_sort(
+    make_bench: Callable[..., Any], taught: Any
+) -> None:
+    sorter = Sorter(make_bench, taught, **{"sequence.x_mm": [0.0, 0.0]})
+    positioner = sorter.controller._positioner
+    gone = {1, 3, 4, 5}
+    turns: list[int] = []
+
+    class Feed:
+        """Takes the part away again in some turns."""
+
+        blocks = False
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(positioner, name)
+
+        def present(self, label: str | None) -> None:
+            turns.append(len(turns))
+            positioner.present(label)
+
+        def move_to(self, pose: Any) -> Any:
+            reached = positioner.move_to(pose)
+            if turns[-1] in gone:
+                sorter.bench.simulated.remove()
+            return reached
+
+    sorter.controller._positioner = sorter.controller._grasper._positioner = Feed()
+    with pytest.raises(NoPartFound):
+        sorter.sort(*["ball"] * 8)
+    assert len(turns) == 6
+    assert sorter.tally.n_missed == 4
+    assert sorter.tally.counts["bin 1"] == 2
+
+
+def test_places_are_checked_before_anything_is_sorted(taught: Any) -> None:
+    with pytest.raises(ConfigError, match=r"no place for box; give each taught part one"):
+        Places(changed_config(taught.config, {"sort.places": BINS[:1]}), ("ball", "box"))
+    with pytest.raises(ConfigError, match=r"sort\.places repeat"):
+        changed_config(taught.config, {"sort.places": [BINS[0], BINS[0]]})
+    places = Places(taught.config, ("ball", "box"))
+    assert places.names == ("ball", "box", "reject")
+    assert places.of(UNKNOWN).place == "reject"
+
+
+def test_poses_of_places_reach_the_positioner(taught: Any) -> None:
+    entry = {"label": "ball", "place": "left", "pose": {"x_mm": 120.0, "rotation_deg": 90.0}}
+    config = changed_config(taught.config, {"sort.places": [entry, BINS[1]]})
+    pose = Places(config, ("ball", "box")).of("ball").pose
+    assert pose is not None
+    assert (pose.x_m, pose.rotation_rad) == pytest.approx((0.12, 1.5708), abs=1e-4)
+
+
+def test_the_simulated_feed_has_each_kind_as_often(taught: Any) -> None:
+    feed = simulated_feed(taught.config, 20)
+    assert {label: feed.count(label) for label in feed} == {"ball": 10, "box": 10}
+    assert feed != sorted(feed)
+    assert feed == simulated_feed(taught.config, 20)
