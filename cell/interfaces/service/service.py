@@ -297,11 +297,8 @@ class Service:
             If it is refused; nothing has moved.
         """
         checked: Goal = checked_goal(goal)
-        if (
-            self.config.simulated
-            and isinstance(checked, IdentifyGoal | GripGoal)
-            and checked.present is None
-        ):
+        placed = self.config.simulated or self.config.positioner.kind == "simulated"
+        if placed and isinstance(checked, IdentifyGoal | GripGoal) and checked.present is None:
             # Nobody brings parts to a simulated cell: they come in turn.
             checked = checked.model_copy(update={"present": next(self._parts)})
         return self._begin(lease, str(goal["task"]), number, lambda: self._plugin.start(checked))
