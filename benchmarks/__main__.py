@@ -8,6 +8,7 @@ import sys
 
 BENCHMARKS = {
     "performance": (
+        "doors",
         "force_ramps",
         "frames",
         "identify",

@@ -65,5 +65,13 @@ class NoPartFound(CellError):
     """The fingers closed to their limit and touched nothing."""
 
 
+class RequestRefused(CellError):
+    """A request over a link is unknown, incomplete or has a wrong key; nothing has moved."""
+
+
+class NotInCommand(CellError):
+    """A client commands without the lease: another one has it, or it has expired."""
+
+
 class CellStopped(CellError):
     """The sequence was stopped on request; the grip is kept until it is released on purpose."""

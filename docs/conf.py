@@ -16,18 +16,22 @@ from docutils.utils.math.latex2mathml import tex2mathml
 
 sys.path.insert(0, str(Path(__file__).parent / "tools"))
 
+from catalogue_page import catalogue_page
 from command_page import command_page
 from config_page import config_page
 from faults_page import faults_page
 from recording_page import recording_page
 from states_page import states_page
+from xml_rpc_page import xml_rpc_page
 
 MAKERS: dict[str, Callable[[], str]] = {
+    "catalogue": catalogue_page,
     "command line": command_page,
     "config": config_page,
     "faults": faults_page,
     "recording": recording_page,
     "states": states_page,
+    "xml-rpc": xml_rpc_page,
 }
 
 project = "tactile-cell"

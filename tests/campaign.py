@@ -34,6 +34,7 @@ MODULES = (
     "test_archives",
     "test_recordings",
     "test_texts",
+    "test_modbus",
 )
 """Modules of `tests.fuzz` with properties."""
 MACHINE = "state_machine.all_invariants_hold"

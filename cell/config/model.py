@@ -14,6 +14,7 @@ from cell.config.gripper import GripperConfig, gripper_settings
 from cell.config.positioner import PositionerConfig
 from cell.config.section import SIMULATED, OneOf, Section, setting_of
 from cell.config.sequence import SequenceConfig
+from cell.config.serve import ServeConfig
 from cell.config.simulator import SimulatorConfig
 from cell.config.sort import SortConfig
 from cell.config.tactile import TactileConfig, layout_from_config, make_calibration
@@ -92,6 +93,8 @@ class CellConfig(Section):
     """Where results go."""
     loop: LoopConfig = LoopConfig()
     """Process of the force loop."""
+    serve: ServeConfig = ServeConfig()
+    """Doors for hosts."""
     simulator: SimulatorConfig = SimulatorConfig()
     """The simulated cell."""
 

@@ -16,6 +16,7 @@ from cell.control.identification import (
 from cell.control.journal import Journal
 from cell.control.keeping import HeldCheck, Judge, Keep
 from cell.control.lifecycle import ON_REQUEST, CellLifecycle
+from cell.control.live import LiveValues, live_values
 from cell.control.plan import GraspStep, Pose
 from cell.control.positioner import Destination, Positioner
 from cell.control.records import GraspRecord
@@ -86,6 +87,7 @@ class CellView:
             grasp_number=self.grasp_state.number,
             holding=self.holding,
             fault=self.fault,
+            fault_number=self._life.fault_number,
         )
 
     @property
@@ -134,6 +136,7 @@ class CellController(CellView):
         wall_ms: Callable[[], int] = lambda: time.time_ns() // 1_000_000,
     ) -> None:
         self._positioner = positioner
+        self._clock = clock
         self._sequence = sequence
         self._tare_frames = tare_frames
         self._journal = Journal(recorder)
@@ -157,6 +160,12 @@ class CellController(CellView):
             wall_ms=wall_ms,
         )
         self.pads: PadArray = self._grasper.pads
+
+    @property
+    def live(self) -> LiveValues:
+        """What was measured last, from any thread; motions alone deliver new values."""
+        cycle, frame = self._journal.newest
+        return live_values(cycle, frame, self._clock.monotonic())
 
     # -- commands ------------------------------------------------------------------------------
 

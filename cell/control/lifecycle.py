@@ -16,6 +16,7 @@ from cell.control.states import (
     refusal,
 )
 from cell.errors import CellStateError, CellStopped, HandLost, PositionerError, error_text
+from cell.fault_catalogue import fault_number
 from cell.hand.interface import Hand
 from gripper.errors import GraspStopped, GripperError, PartLost, PartSlipped, fingers_left
 from gripper.state import Clock, GraspResult, GripperPhase
@@ -41,7 +42,7 @@ class CellLifecycle:
     hand
         Whose grip it is.
     note
-        Called at stops and faults, with kind and text.
+        Called at stops and faults, with kind, text, and the fault's number where there is one.
     close_sensor
         Ends the tactile link when a start is given up.
     changed
@@ -53,8 +54,8 @@ class CellLifecycle:
     ----------
     result
         How the last grasp ended; None before the first one and after a release.
-    fault
-        What went wrong, while a fault is latched.
+    fault, fault_number
+        What went wrong, while a fault is latched, and its number in `cell.fault_catalogue`.
     cancelled
         Whether a stop was requested and nothing has obeyed it yet.
     stop_reason
@@ -65,7 +66,7 @@ class CellLifecycle:
         self,
         hand: Hand,
         *,
-        note: Callable[[str, str], None],
+        note: Callable[[str, str, int], None],
         close_sensor: Callable[[], None],
         changed: Callable[[], None],
         clock: Clock,
@@ -80,6 +81,7 @@ class CellLifecycle:
         self._part_lost = False
         self.result: GraspResult | None = None
         self.fault: str | None = None
+        self.fault_number = 0
         self.cancelled = False
         self.stop_reason = ON_REQUEST
 
@@ -148,11 +150,12 @@ class CellLifecycle:
         try:
             self._hand.clear_fault(reboot=reboot)
         except BaseException as error:
-            self.fault = self.fault or error_text(error)
+            if self.fault is None:
+                self.fault, self.fault_number = error_text(error), fault_number(error)
             self.go(Event.FAULT)
             self.go(Event.ABORTED)
             raise
-        self.fault = None
+        self.fault, self.fault_number = None, 0
         self._part_lost = False
         self.complete()
 
@@ -173,7 +176,7 @@ class CellLifecycle:
             if self._state is not CellState.EXECUTE or self.holding:
                 self._latch(error)
             else:
-                self._note("positioner", str(error))
+                self._note("positioner", str(error), fault_number(error))
                 self.go(Event.DONE)
             raise
         except BaseException as error:
@@ -183,15 +186,17 @@ class CellLifecycle:
     def _latch(self, error: BaseException) -> None:
         """Keep the grip and go where a fault leads; what is seen last does not hide the first."""
         self.fault = error_text(error) + self._carried_for()
+        self.fault_number = fault_number(error)
         # A kept part that slips is no longer where the host has it.
         lost = (PartLost, PartSlipped) if self._kept else PartLost
         self._part_lost = isinstance(error, lost)
         self.go(Event.FAULT)
         try:
-            self._note("fault", self.fault)
+            self._note("fault", self.fault, self.fault_number)
             self._hand.keep_grip()
         except (GripperError, HandLost) as second:
-            self._note("fault", f"the grip could not be confirmed: {second}")
+            text = f"the grip could not be confirmed: {second}"
+            self._note("fault", text, fault_number(second))
         finally:
             self.complete()
 
@@ -218,7 +223,7 @@ class CellLifecycle:
             self._close_sensor()
         elif self._state is CellState.EXECUTE:
             self.go(Event.HOLD)
-            self._note("held", f"stopped {self.stop_reason}")
+            self._note("held", f"stopped {self.stop_reason}", 0)
         self._hand.keep_grip()
         if self._state.acting:
             self.complete()

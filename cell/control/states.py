@@ -308,6 +308,8 @@ class CellStatus:
         Whether a part may be in the grip.
     fault
         The fault, while one is latched.
+    fault_number
+        Its number in the fault catalogue; 0 for none.
     """
 
     state: str
@@ -317,3 +319,4 @@ class CellStatus:
     grasp_number: int
     holding: bool
     fault: str | None
+    fault_number: int

@@ -188,9 +188,12 @@ class Recorder:
         """Record the pose that the positioner reached: a dataclass of numbers."""
         self._put(schema.POSE, self._clock.monotonic(), plain_fields(pose))
 
-    def event(self, kind: str, text: str) -> None:
-        """Record that something happened: its kind, and a text for people."""
-        self._put(schema.EVENT, self._clock.monotonic(), {"kind": kind, "text": text})
+    def event(self, kind: str, text: str, fault_number: int = 0) -> None:
+        """Record that something happened: its kind, a text for people, the number of a fault."""
+        values: dict[str, Any] = {"kind": kind, "text": text}
+        if fault_number:
+            values["fault_number"] = fault_number
+        self._put(schema.EVENT, self._clock.monotonic(), values)
 
     def state(self, state: NumberedState, grasp: NumberedState) -> None:
         """Record that the state of the cell or of the grip has changed, with both clocks."""

@@ -160,6 +160,7 @@ SCHEMAS: Final[Mapping[str, Mapping[str, Any]]] = {
         t_s=_number("monotonic time, s"),
         kind=_text("kind of the event"),
         text=_text("what happened, for people"),
+        fault_number=_integer("number in the fault catalogue; left out where there is no fault"),
     ),
     STATE: _schema(
         "tactile_cell.State",

@@ -12,6 +12,7 @@ from cell.config.tactile import layout_from_config
 from cell.control.journal import loop_line
 from cell.control.records import pad_array
 from cell.errors import CellError, CellStopped, ConfigError, HandLost, PartInGrip, PositionerFault
+from cell.fault_catalogue import fault_number
 from cell.interfaces.cli.signals import END_WITHIN_S, stopping
 from cell.interfaces.cli.terminal import ask, print_cell, print_line, print_note, write_json
 from gripper.errors import (
@@ -136,6 +137,7 @@ def running_cell(
             json_file,
             {
                 "ended_early": text,
+                "fault_number": fault_number(error),
                 "recording": None if cell.recording_path is None else str(cell.recording_path),
                 "health": cell.health(),
             },

@@ -36,6 +36,7 @@ from cell.interfaces.plugin.worker import CellWorker, Job, JobFailed, JobOutcome
 from gripper.errors import ServoFault
 
 if TYPE_CHECKING:
+    from cell.control.live import LiveValues
     from cell.control.positioner import Places
     from gripper.state import ReleaseReport
 
@@ -201,6 +202,11 @@ class TactileCellPlugin:
         with self._calling():
             return self._cell.controller.fault
 
+    def live(self) -> "LiveValues":
+        """Return what was measured last: force, opening, temperature, counts of the taxels."""
+        with self._calling():
+            return self._cell.controller.live
+
     def alive(self) -> None:
         """Count as a call of the host, and do nothing else; see ``host_timeout_s``."""
         with self._calling():
@@ -276,16 +282,51 @@ class TactileCellPlugin:
             raise JobFailed(job, status) from status.exception
         return status.value
 
-    def cancel(self, job: Job) -> None:
+    def cancel(self, job: Job, reason: str = "on request") -> None:
         """Stop a job; what is held stays held. Does nothing to a job that is over.
 
         A part that is kept is held already: nothing changes then.
         """
         with self._starting:
             if not self.feedback(job).outcome.terminal:
-                self._cell.controller.cancel()
+                self._cell.controller.cancel(reason)
 
     # -- commands ------------------------------------------------------------------------------
+
+    def begin(self, command: Command, *, reboot: bool = False) -> Job:
+        """Start `release`, `clear`, `reset` or a shutdown as a job and return its handle at once.
+
+        Parameters
+        ----------
+        command
+            ``Command.RELEASE``, ``CLEAR``, ``RESET`` or ``SHUTDOWN``. After a shutdown the cell is
+            STOPPED, what is held stays held, and `reset` starts it anew.
+        reboot
+            As `clear`.
+
+        Raises
+        ------
+        CellStateError
+            If the state of the cell does not allow it, or another job runs.
+        """
+        controller = self._cell.controller
+        stopped = controller.state is CellState.STOPPED
+
+        def reset() -> None:
+            if not stopped:
+                controller.reset()
+            controller.start()
+
+        works: dict[Command, tuple[Command, Callable[[], Any]]] = {
+            Command.RELEASE: (Command.RELEASE, controller.release),
+            Command.CLEAR: (Command.CLEAR, lambda: controller.clear(reboot=reboot)),
+            Command.RESET: (Command.START if stopped else Command.RESET, reset),
+            Command.SHUTDOWN: (Command.SHUTDOWN, controller.shutdown),
+        }
+        if controller.state in (CellState.RESETTING, CellState.STOPPED):
+            works[Command.RELEASE] = (Command.RELEASE_HELD, controller.release_held)
+        needed, work = works[command]
+        return self._accept(lambda _report: work(), needed)
 
     def release(self, timeout_s: float = 30.0) -> "ReleaseReport":
         """Let the part go and open the fingers; the only way to do so outside a sequence.
@@ -296,12 +337,7 @@ class TactileCellPlugin:
         Returns what was opened: a servo that is silent or at fault is left as it is, and the other
         finger opens alone.
         """
-        controller = self._cell.controller
-        report: ReleaseReport
-        if controller.state in (CellState.RESETTING, CellState.STOPPED):
-            report = self._call(controller.release_held, Command.RELEASE_HELD, timeout_s)
-        else:
-            report = self._call(controller.release, Command.RELEASE, timeout_s)
+        report: ReleaseReport = self._finish(self.begin(Command.RELEASE), timeout_s)
         return report
 
     def clear(self, timeout_s: float = 5.0, *, reboot: bool = False) -> None:
@@ -310,8 +346,7 @@ class TactileCellPlugin:
         With ``reboot`` servos that report a hardware error are restarted: what one of them still
         held would drop. A fault that is still there is raised as it is.
         """
-        controller = self._cell.controller
-        self._call(lambda: controller.clear(reboot=reboot), Command.CLEAR, timeout_s)
+        self._finish(self.begin(Command.CLEAR, reboot=reboot), timeout_s)
 
     def reset(self, timeout_s: float = 60.0) -> None:
         """After `clear`: verify the devices anew and be ready again.
@@ -319,15 +354,7 @@ class TactileCellPlugin:
         Raises PartInGrip where the fault left a part in the grip, and latches that: `clear` it,
         `release` the part on purpose, and `reset` again. Other faults are raised as they are.
         """
-        controller = self._cell.controller
-        stopped = controller.state is CellState.STOPPED
-
-        def work() -> None:
-            if not stopped:
-                controller.reset()
-            controller.start()
-
-        self._call(work, Command.START if stopped else Command.RESET, timeout_s)
+        self._finish(self.begin(Command.RESET), timeout_s)
 
     def save(self, path: Path | str, *, followed: bool = False) -> None:
         """Write the taught model, and its training set as a data set beside it.
@@ -346,7 +373,7 @@ class TactileCellPlugin:
 
     def forget_drift(self, timeout_s: float = 5.0) -> None:
         """Forget the followed drift, as after work on the sensors, and follow anew."""
-        self._call(self._model.forget_drift, None, timeout_s)
+        self._finish(self._accept(lambda _report: self._model.forget_drift(), None), timeout_s)
 
     def close(self, timeout_s: float = 30.0) -> None:
         """Stop what runs and disconnect; a held part stays held. A second call does nothing.
@@ -402,10 +429,10 @@ class TactileCellPlugin:
             self._worker.refuse()
             self._cell.controller.cancel()
 
-    def _call(self, work: Callable[[], Any], command: Command | None, timeout_s: float) -> Any:
-        """Run a command on the worker and return what it does; its error is raised as it is."""
+    def _finish(self, job: Job, timeout_s: float) -> Any:
+        """Wait for a command and return what it does; its error is raised as it is."""
         with self._calling():
-            status = self._worker.wait(self._accept(lambda _report: work(), command), timeout_s)
+            status = self._worker.wait(job, timeout_s)
         if status.exception is not None:
             raise status.exception
         return status.value

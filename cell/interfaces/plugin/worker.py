@@ -12,6 +12,10 @@ from enum import StrEnum
 from typing import Any
 
 from cell.errors import CellError, CellStateError, CellStopped, error_text
+from cell.fault_catalogue import fault_number
+
+KEPT_JOBS = 100
+"""Newest jobs whose end can be asked for: a resident program must not grow with each job."""
 
 
 class JobOutcome(StrEnum):
@@ -69,6 +73,11 @@ class JobStatus:
     error: str = ""
     exception: BaseException | None = None
 
+    @property
+    def fault_number(self) -> int:
+        """Number of that error in the fault catalogue; 0 where it did not fail."""
+        return fault_number(self.exception)
+
 
 class JobFailed(CellError):
     """A job was cancelled or aborted; the error that ended it is the cause of this one.
@@ -79,12 +88,15 @@ class JobFailed(CellError):
         The job.
     outcome
         ``CANCELED`` or ``ABORTED``.
+    fault_number
+        Number of the error that ended it, in the fault catalogue.
     """
 
     def __init__(self, job: Job, status: JobStatus) -> None:
         super().__init__(f"job {job.number} {status.outcome.value}: {status.error}")
         self.job = job
         self.outcome = status.outcome
+        self.fault_number = status.fault_number
 
 
 Report = Callable[[dict[str, Any]], None]
@@ -151,6 +163,8 @@ class CellWorker:
             accepted()
             job = Job(next(self._numbers), self._name)
             self._status[job] = JobStatus(outcome=JobOutcome.ACCEPTED, progress={})
+            if len(self._status) > KEPT_JOBS:
+                del self._status[next(iter(self._status))]
             # Within the lock: whatever is accepted stands before the end in the queue.
             self._queue.put(functools.partial(self._execute, job, work))
         return job

@@ -999,6 +999,18 @@ def test_progress_and_complaints_end_no_job_when_the_terminal_is_gone(
             full.close()
 
 
+def test_an_early_end_has_its_fault_number_in_the_json(
+    config: Path, tmp_path: Path, fail: Callable[..., tuple[int, str]]
+) -> None:
+    found = tmp_path / "run.json"
+    options = ("--config", config, "--out", tmp_path / "out", "--fault", "unit.off@contact+0.1s")
+    code, said = fail("run", *options, "--json", found)
+    ended = json.loads(found.read_text())
+    assert code == 1
+    assert ended["fault_number"] in (204, 305, 401)  # whichever watch of the link is first
+    assert ended["ended_early"].split()[0] in said
+
+
 # -- sort --------------------------------------------------------------------------------------
 
 

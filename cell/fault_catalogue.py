@@ -1,0 +1,553 @@
+"""The fault catalogue: a stable number for each error that can reach a host.
+
+Numbers never change their meaning and are never given anew. 1xx servos and servo line, 2xx grip and
+force, 3xx CAN and control unit, 4xx taxels and frames, 5xx cell, job and host, 6xx axes and wrist,
+7xx recognition and models. The page ``docs/reference/fault-numbers.md``, the recording, JSON and
+all links are made from this table.
+"""
+
+from dataclasses import dataclass
+
+from cell import errors as cell
+from gripper import errors as gripper
+from motion import errors as motion
+from recognition import errors as recognition
+from tactile import errors as tactile
+
+KEPT = "Kept: goals are frozen."
+LIMP = "Without torque: where the fingers are is not known."
+SET_OFF = "As `over_force.reaction` demands: kept with less current, or without torque."
+UNMOVED = "As it was; nothing has moved."
+APART = "Not concerned."
+AXES_STOP = "As it was; all axes are stopped."
+
+
+@dataclass(frozen=True, slots=True)
+class Fault:
+    """One entry of the catalogue.
+
+    Attributes
+    ----------
+    number
+        Stable number, 100 to 799; 0 stands for no fault on all links.
+    text
+        Short English text for displays, at most 64 ASCII characters.
+    cause, remedy
+        What usually causes it, and what to do.
+    grip
+        What the grip does.
+    """
+
+    number: int
+    text: str
+    cause: str
+    remedy: str
+    grip: str
+
+
+CATALOGUE: dict[type[BaseException], Fault] = {
+    # -- 1xx: servos and servo line ------------------------------------------------------------
+    gripper.GripperError: Fault(
+        100, "Gripper fault", "None of the kinds below.", "Read the full text.", KEPT
+    ),
+    gripper.PortLost: Fault(
+        101,
+        "Servo port cannot be opened or is gone",
+        "USB adapter unplugged, another program on the port, missing rights.",
+        "Check adapter, cable and `gripper.port`; run `doctor`.",
+        "The servos' bus watchdog acts; a part may be held.",
+    ),
+    gripper.BusTimeout: Fault(
+        102,
+        "Servos do not answer",
+        "Supply, cable, baud rate, ID.",
+        "Check supply and cable; run `doctor`.",
+        "The servos' bus watchdog acts; a part may be held.",
+    ),
+    gripper.FingerSilent: Fault(
+        103,
+        "One servo is silent",
+        "Its supply or cable, or it restarts.",
+        "Check both, then clear and reset.",
+        "The other finger stands still.",
+    ),
+    gripper.LinkTooSlow: Fault(
+        104,
+        "Servo line too slow for the loop rate",
+        "Latency timer of the USB adapter, baud rate.",
+        "Set the latency timer to 1 ms, raise the baud rate or lower the loop rate.",
+        UNMOVED,
+    ),
+    gripper.BusCorrupt: Fault(
+        105,
+        "Damaged answers on the servo line",
+        "Noise, ground, termination, two servos with one ID.",
+        "Check cable, ground and IDs.",
+        KEPT,
+    ),
+    gripper.BusUnreliable: Fault(
+        106,
+        "Too many periods without servo feedback",
+        "Noise or another device on the servo line.",
+        "Check cable and ground; `gripper.feedback_loss_max_share` is the limit.",
+        KEPT,
+    ),
+    gripper.BusBusy: Fault(
+        107,
+        "Servo bus held by another thread",
+        "The machine is too busy.",
+        "Give the loop its own process and priority.",
+        KEPT,
+    ),
+    gripper.ServoRejected: Fault(
+        108,
+        "A servo refused an instruction",
+        "A value or state that the servo does not allow.",
+        "Read the error number in the text; run `doctor`.",
+        KEPT,
+    ),
+    gripper.ServoFault: Fault(
+        109,
+        "A servo reports a hardware error or lost its torque",
+        "Overload, heat, supply, shock; a restart.",
+        "Remove the cause, clear, release; then clear with reboot, reset.",
+        "The other finger stands still; a servo without torque does not hold.",
+    ),
+    gripper.VerificationFailed: Fault(
+        110,
+        "Servos do not match the config",
+        "Another servo, or changed settings.",
+        "Correct the servo or the config.",
+        UNMOVED,
+    ),
+    gripper.ServoMissing: Fault(
+        111,
+        "A configured servo does not answer at the start",
+        "Supply, cable, ID or baud rate.",
+        "Run `doctor`; correct supply, cable, ID or baud rate.",
+        UNMOVED,
+    ),
+    gripper.FeedbackImplausible: Fault(
+        112,
+        "A servo reports an impossible position",
+        "Encoder, horn, a second servo or program on the bus.",
+        "Take the part out, restart the servo, check horn and encoder.",
+        LIMP,
+    ),
+    gripper.WatchdogUnproven: Fault(
+        113,
+        "Servo bus watchdog failed its self-test",
+        "Firmware without a working bus watchdog.",
+        "Update the firmware or exchange the servo.",
+        UNMOVED,
+    ),
+    # -- 2xx: grip and force -------------------------------------------------------------------
+    gripper.LimitExceeded: Fault(
+        200,
+        "Command or measured value outside a limit",
+        "A request beyond the config, or heat.",
+        "Read value and limit in the text.",
+        "Kept; a refused command moves nothing.",
+    ),
+    gripper.ForceAboveCap: Fault(
+        201,
+        "Grip force above its cap",
+        "The part was pushed, or the force control is wrong.",
+        "Look at the part; check cap and calibration after a risk assessment.",
+        SET_OFF,
+    ),
+    gripper.PositionContradicted: Fault(
+        202,
+        "Pads contradict the reported finger position",
+        "Encoder or linkage drifts.",
+        "Look, release, then check encoder and linkage.",
+        KEPT,
+    ),
+    gripper.GripperStateError: Fault(
+        203,
+        "Gripper command not allowed in its state",
+        "A command out of order.",
+        "Read the allowed commands in the text.",
+        UNMOVED,
+    ),
+    gripper.ForceSensorStale: Fault(
+        204,
+        "No valid tactile force for too long",
+        "CAN load, control unit, a busy machine.",
+        "Check the CAN link; `gripper.force_stale_ms` is the limit.",
+        KEPT,
+    ),
+    gripper.PartLost: Fault(
+        205,
+        "Part lost: both pads are empty",
+        "The part slipped out, broke or was taken.",
+        "Look for the part; clear and reset.",
+        "The fingers stand still; nothing is held.",
+    ),
+    gripper.PartSlipped: Fault(
+        206,
+        "The held part slips",
+        "Too little force, a smooth or heavy part, a push.",
+        "Look; then release, or carry on with more force next time.",
+        KEPT,
+    ),
+    gripper.ForceImbalance: Fault(
+        207,
+        "Fingers press with different forces",
+        "One finger is blocked, or the part is held from outside.",
+        "Free the finger or the part.",
+        KEPT,
+    ),
+    gripper.GraspStopped: Fault(
+        208, "Motion stopped on request", "A stop was requested.", "Release or go on.", KEPT
+    ),
+    # -- 3xx: CAN and control unit -------------------------------------------------------------
+    tactile.TactileError: Fault(
+        300, "Tactile sensor fault", "None of the kinds below.", "Read the full text.", KEPT
+    ),
+    tactile.LinkStateError: Fault(
+        301,
+        "CAN link call not allowed in its state",
+        "A command out of order.",
+        "Clear and reset.",
+        UNMOVED,
+    ),
+    tactile.LinkFault: Fault(
+        302, "CAN link has failed", "None of the kinds below.", "Check the CAN bus.", KEPT
+    ),
+    tactile.NodeMissing: Fault(
+        303,
+        "Control unit does not answer",
+        "Supply, cable, node-ID, bit rate.",
+        "Check them; run `doctor`.",
+        UNMOVED,
+    ),
+    tactile.IdentityMismatch: Fault(
+        304,
+        "Another control unit than configured",
+        "Exchanged unit or firmware.",
+        "Correct `tactile` in the config, or connect the right unit.",
+        UNMOVED,
+    ),
+    tactile.HeartbeatLost: Fault(
+        305,
+        "Heartbeat of the control unit lost",
+        "Its supply or cable; a crash of its firmware.",
+        "Check supply and cable, restart the unit.",
+        KEPT,
+    ),
+    tactile.DuplicateNode: Fault(
+        306, "Two control units with one node-ID", "Same node-ID twice.", "Change one.", KEPT
+    ),
+    tactile.BusDisturbed: Fault(
+        307,
+        "Too many foreign or damaged CAN messages",
+        "Noise, or another device on the CAN bus.",
+        "Check termination and who else sends.",
+        KEPT,
+    ),
+    tactile.NodeRebooted: Fault(
+        308,
+        "Control unit restarted in operation",
+        "A dip of its supply.",
+        "Check its supply; clear and reset take the zero anew.",
+        KEPT,
+    ),
+    tactile.NodeStateChanged: Fault(
+        309,
+        "Control unit left the operational state",
+        "Another CANopen master, or an error of the unit.",
+        "Look for the other master; read the unit's error register.",
+        KEPT,
+    ),
+    tactile.NodeEmergency: Fault(
+        310,
+        "Control unit sent an emergency message",
+        "An error of the unit; its code stands in the text.",
+        "Remove the cause that the code names, clear and reset.",
+        KEPT,
+    ),
+    tactile.BusOff: Fault(
+        311,
+        "CAN controller is off the bus",
+        "Short circuit, wrong bit rate, adapter unplugged.",
+        "Check cable, termination, bit rate and adapter.",
+        KEPT,
+    ),
+    tactile.BusErrorPassive: Fault(
+        312,
+        "CAN controller is error-passive",
+        "Termination, cable, a missing partner.",
+        "Check cable and termination.",
+        KEPT,
+    ),
+    tactile.ReceiveLoopDead: Fault(
+        313,
+        "CAN receiver ended, hangs or was overrun",
+        "Driver or adapter; a busy machine.",
+        "Restart the program; check the adapter.",
+        KEPT,
+    ),
+    tactile.BusNotOpened: Fault(
+        314,
+        "CAN bus could not be opened",
+        "Missing interface, wrong channel, missing rights.",
+        "Check `tactile.interface` and `tactile.channel`; run `doctor`.",
+        UNMOVED,
+    ),
+    # -- 4xx: taxels and frames ----------------------------------------------------------------
+    tactile.FrameTimeout: Fault(
+        401,
+        "No whole tactile frames, or frozen values",
+        "CAN load, cable, a hanging unit.",
+        "Check the CAN bus; `tactile.loss_max_share` is the limit of lost frames.",
+        KEPT,
+    ),
+    tactile.FrameError: Fault(
+        402, "Values do not fit into a tactile frame", "Wrong layout.", "Check it.", UNMOVED
+    ),
+    tactile.LayoutError: Fault(
+        403,
+        "Pad layout impossible or not that of the unit",
+        "Config and unit differ.",
+        "Correct `tactile.pads` or the unit.",
+        UNMOVED,
+    ),
+    tactile.CalibrationError: Fault(
+        404,
+        "Calibration does not fit the sensor",
+        "A calibration of other pads.",
+        "Calibrate again.",
+        UNMOVED,
+    ),
+    tactile.TareRefused: Fault(
+        405,
+        "Zero not taken: pads touched, noisy or drifting",
+        "Something touches the pads, or taxels are defect.",
+        "Free the pads; exchange bad ones.",
+        UNMOVED,
+    ),
+    tactile.ZeroDrifted: Fault(
+        406,
+        "Zero of the taxels has moved",
+        "Temperature, or wear of the foam.",
+        "Free the pads; clear and reset take the zero anew.",
+        KEPT,
+    ),
+    # -- 5xx: cell, job and host ---------------------------------------------------------------
+    cell.CellError: Fault(
+        500, "Cell error", "None of the kinds below.", "Read the full text.", KEPT
+    ),
+    cell.ConfigError: Fault(
+        501,
+        "Config or request value refused",
+        "Unknown key, wrong type or out of range.",
+        "Correct the value that the text names.",
+        UNMOVED,
+    ),
+    cell.DatasetError: Fault(
+        502, "Data set cannot be read or written", "File or disk.", "Check the path.", APART
+    ),
+    cell.RecordingError: Fault(
+        503,
+        "Recording cannot be read or has stopped",
+        "Full disk, or a damaged file.",
+        "Free the disk; `recover` saves what is whole.",
+        "Kept where `recording.when_lost` is `hold`; else not concerned.",
+    ),
+    cell.ReportError: Fault(
+        504, "Report cannot be made", "File, disk or extra.", "Read the text.", APART
+    ),
+    cell.CellStateError: Fault(
+        505,
+        "Command not allowed in the state of the cell",
+        "A command out of order, or a job that runs.",
+        "Read the allowed commands in the text.",
+        UNMOVED,
+    ),
+    cell.PartInGrip: Fault(
+        506,
+        "A part may be in the grip at the start",
+        "An earlier run or a fault left it there.",
+        "Clear, release on purpose, reset.",
+        UNMOVED,
+    ),
+    cell.PlanRefused: Fault(
+        507, "Grasp or plan cannot be carried out", "A wrong plan.", "Correct it.", UNMOVED
+    ),
+    cell.HandLost: Fault(
+        508,
+        "Process of the force loop is gone",
+        "It was killed or hangs.",
+        "Look at the part; clear starts it anew.",
+        "The servos' bus watchdog acts; a part may be held.",
+    ),
+    cell.HostSilent: Fault(
+        509, "Program too slow for its force loop", "A busy machine.", "Free it.", KEPT
+    ),
+    cell.PositionerError: Fault(
+        510,
+        "A pose was not reached or was refused",
+        "The host or the operator refused, or the positioner failed.",
+        "Correct pose or positioner, start again.",
+        "Open and empty between two grasps; else kept.",
+    ),
+    cell.NoPartFound: Fault(
+        511,
+        "No part found",
+        "The part is missing, too thin, or was lost while pressed.",
+        "Put it in place, start again.",
+        "Open and empty.",
+    ),
+    cell.CellStopped: Fault(
+        512, "Job stopped on request", "Hold, or a silent host.", "Release, then go on.", KEPT
+    ),
+    cell.RequestRefused: Fault(
+        513,
+        "Request refused: unknown, incomplete or wrong key",
+        "A wrong command, value or key of the host.",
+        "Correct the request.",
+        UNMOVED,
+    ),
+    cell.NotInCommand: Fault(
+        514,
+        "This client has no lease to command",
+        "Another client has it, or it has expired.",
+        "Acquire the lease; keep the life sign going.",
+        UNMOVED,
+    ),
+    OSError: Fault(
+        598,
+        "The operating system refused a file or device",
+        "Rights, disk, memory, too many open files.",
+        "Read the text.",
+        KEPT,
+    ),
+    Exception: Fault(
+        599,
+        "Unexpected error of the program",
+        "A defect of this program or of a callback.",
+        "Report the text; clear and reset.",
+        KEPT,
+    ),
+    # -- 6xx: axes and wrist -------------------------------------------------------------------
+    motion.MotionError: Fault(
+        600, "Axis fault", "None of the kinds below.", "Read the full text.", AXES_STOP
+    ),
+    motion.AxisLimitExceeded: Fault(
+        601,
+        "Position outside the limits of an axis",
+        "A pose of the sequence, of a place or of the host.",
+        "Ask for another pose, or set `positioner.axes[].low` and `high`.",
+        UNMOVED,
+    ),
+    motion.PositionNotReached: Fault(
+        602,
+        "Axis has not reached its position in time",
+        "Obstacle, load, or a velocity that is set too low.",
+        "Free the axis; look at its velocity and load.",
+        AXES_STOP,
+    ),
+    motion.AxisMissing: Fault(
+        603,
+        "Axis missing, or another device than configured",
+        "Supply, cable, node-ID or ID of the axis.",
+        "Check them; run `doctor`.",
+        UNMOVED,
+    ),
+    motion.AxisSilent: Fault(
+        604,
+        "Axis no longer answers",
+        "Supply or cable of the drive or servo.",
+        "Check both, then clear and reset.",
+        AXES_STOP,
+    ),
+    motion.AxisRestarted: Fault(
+        605,
+        "Axis has restarted and lost its position",
+        "Its supply was interrupted.",
+        "Check the supply, then clear and reset: it finds its home again.",
+        AXES_STOP,
+    ),
+    motion.AxisFault: Fault(
+        606,
+        "Axis reports a fault and has stopped",
+        "Overload, following error, temperature: the text names it.",
+        "Mend the cause, then clear and reset.",
+        AXES_STOP,
+    ),
+    motion.LimitSwitchReached: Fault(
+        607,
+        "Limit switch has stopped an axis",
+        "A wrong home or limits beyond the switch.",
+        "Move the axis free, check home and limits, then clear and reset.",
+        AXES_STOP,
+    ),
+    motion.HomingFailed: Fault(
+        608,
+        "Axis has not found its home",
+        "Home switch, homing method, or an obstacle.",
+        "Check them, then clear and reset.",
+        AXES_STOP,
+    ),
+    cell.PositionerFault: Fault(
+        609,
+        "Axis of the positioner at fault",
+        "The text names axis and cause.",
+        "Mend it, then clear and reset.",
+        AXES_STOP,
+    ),
+    # -- 7xx: recognition and models -----------------------------------------------------------
+    recognition.RecognitionError: Fault(
+        700, "Recognition failed", "None of the kinds below.", "Read the full text.", APART
+    ),
+    recognition.ContactError: Fault(
+        701,
+        "No usable contact in a grasp",
+        "A grasp beside the pads, or of too little force.",
+        "Check pose and force.",
+        APART,
+    ),
+    recognition.QuadricError: Fault(
+        702, "No surface fits the contact", "Too few points.", "Grasp again.", APART
+    ),
+    recognition.TransformError: Fault(
+        703, "Transformation cannot be inverted", "Wrong poses.", "Check them.", APART
+    ),
+    recognition.TrajectoryError: Fault(
+        704, "No thresholds from this sweep", "Bands overlap.", "Teach more grasps.", APART
+    ),
+    recognition.MissingExtraError: Fault(
+        705,
+        "Library of this recogniser is not installed",
+        "A missing extra.",
+        "Install the extra that the text names.",
+        APART,
+    ),
+    cell.ModelError: Fault(
+        706,
+        "Taught model cannot be read, written or used",
+        "Damaged file, or a model of other pads.",
+        "Name another model or teach again.",
+        APART,
+    ),
+}
+"""Every error class and its entry; an error of a class that is not listed has that of its base."""
+
+
+def fault_of(error: BaseException) -> Fault:
+    """Return the most specific entry for an error.
+
+    One that only reports another, as `JobFailed`, has the entry of its cause, and so has an error
+    of the positioner that an axis caused.
+    """
+    kind = next((kind for kind in type(error).__mro__ if kind in CATALOGUE), Exception)
+    cause = error.__cause__
+    if isinstance(cause, motion.MotionError) or (kind is cell.CellError and cause is not None):
+        return fault_of(cause)
+    return CATALOGUE[kind]
+
+
+def fault_number(error: BaseException | None) -> int:
+    """Return the number of an error; 0 for none."""
+    return 0 if error is None else fault_of(error).number

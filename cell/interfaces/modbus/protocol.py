@@ -1,0 +1,197 @@
+"""Modbus TCP: frames and functions 3, 4, 6, 16, 23 as pure functions, and a server on asyncio.
+
+From the Modbus Application Protocol V1.1b3 and the TCP guide V1.0b.
+"""
+
+import asyncio
+import struct
+import threading
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from typing import Protocol
+
+from cell.interfaces.service.doors import BUSY_MAX, QUIET_S
+
+ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE, DEVICE_FAILURE, DEVICE_BUSY = 1, 2, 3, 4, 6
+"""Exception codes."""
+_HEADER = struct.Struct(">HHHB")
+"""Transaction, protocol (0), bytes that follow with the unit, unit."""
+_LONGEST = 254
+"""Largest length of a header: unit and a request of 253 bytes."""
+_MOST_READ, _MOST_WRITE, _MOST_BOTH = 125, 123, 121
+"""Most registers of functions 3 and 4, of 16, and of the write of 23."""
+_IDLE_S = 120.0
+"""Silence in s after which a connection is closed."""
+
+
+class ModbusError(Exception):
+    """A request is answered with an exception code."""
+
+    def __init__(self, code: int) -> None:
+        super().__init__(f"Modbus exception {code}")
+        self.code = code
+
+
+class Registers(Protocol):
+    """The registers behind one connection; both methods raise `ModbusError`."""
+
+    def read(self, function: int, address: int, count: int) -> Sequence[int]:
+        """Return holding (function 3) or input registers (4)."""
+        ...
+
+    def write(self, address: int, values: Sequence[int]) -> None:
+        """Write holding registers, all or none."""
+        ...
+
+    def disconnected(self) -> None:
+        """Take note that the connection has ended."""
+        ...
+
+
+def answer(request: bytes, registers: Registers) -> bytes:
+    """Return the answer to a request (PDU); one that is not understood gets an exception."""
+    function = request[0] if request else 0
+    try:
+        return bytes((function,)) + _carry_out(function, request[1:], registers)
+    except ModbusError as error:
+        return bytes((function | 0x80, error.code))
+    except Exception:
+        return bytes((function | 0x80, DEVICE_FAILURE))
+
+
+def _carry_out(function: int, body: bytes, registers: Registers) -> bytes:
+    match function:
+        case 3 | 4:
+            return _read(registers, function, *_words(body, 2))
+        case 6:
+            address, value = _words(body, 2)
+            registers.write(address, (value,))
+            return body
+        case 16:
+            address, count = _words(body[:4], 2)
+            registers.write(address, _values(body[4:], count, _MOST_WRITE))
+            return body[:4]
+        case 23:
+            address, count, to, n_written = _words(body[:8], 4)
+            written = _values(body[8:], n_written, _MOST_BOTH)
+            _read(registers, 3, address, count)  # what cannot be read refuses the write too
+            registers.write(to, written)
+            return _read(registers, 3, address, count)
+        case _:
+            raise ModbusError(ILLEGAL_FUNCTION)
+
+
+def _words(body: bytes, count: int) -> tuple[int, ...]:
+    if len(body) != 2 * count:
+        raise ModbusError(ILLEGAL_VALUE)
+    return struct.unpack(f">{count}H", body)
+
+
+def _values(body: bytes, count: int, most: int) -> tuple[int, ...]:
+    """Return the values after their count of bytes."""
+    _check_count(count, most)
+    if len(body) != 1 + 2 * count or body[0] != 2 * count:
+        raise ModbusError(ILLEGAL_VALUE)
+    return _words(body[1:], count)
+
+
+def _check_count(count: int, most: int) -> None:
+    if not 1 <= count <= most:
+        raise ModbusError(ILLEGAL_VALUE)
+
+
+def _read(registers: Registers, function: int, address: int, count: int) -> bytes:
+    _check_count(count, _MOST_READ)
+    values = registers.read(function, address, count)
+    return struct.pack(f">B{count}H", 2 * count, *values)
+
+
+class ModbusServer:
+    """Serves registers over TCP, on an event loop in a thread of its own.
+
+    Parameters
+    ----------
+    address, port
+        Where it listens; port 0 takes any free one.
+    connect
+        Returns the registers for a client at that host; None refuses it.
+
+    Raises
+    ------
+    OSError
+        If it cannot listen there.
+    """
+
+    def __init__(self, address: str, port: int, connect: Callable[[str], Registers | None]) -> None:
+        self._connect = connect
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._loop = asyncio.new_event_loop()
+        try:
+            self._server = self._loop.run_until_complete(
+                asyncio.start_server(self._serve, address, port)
+            )
+        except BaseException:
+            self._loop.close()
+            raise
+        self.port: int = self._server.sockets[0].getsockname()[1]
+        self._thread = threading.Thread(target=self._run, name="modbus", daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End all connections and the thread."""
+        if self._thread.is_alive():
+            self._loop.call_soon_threadsafe(self._loop.stop)
+            self._thread.join()
+
+    def _run(self) -> None:
+        try:
+            self._loop.run_forever()
+        finally:
+            self._loop.run_until_complete(self._end())
+            self._loop.close()
+
+    async def _end(self) -> None:
+        self._server.close()
+        tasks = asyncio.all_tasks() - {asyncio.current_task()}
+        for task in tasks:
+            task.cancel()
+        await asyncio.gather(*tasks, return_exceptions=True)
+
+    async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        task = asyncio.current_task()
+        peer, registers = writer.get_extra_info("peername"), None
+        if peer is not None and len(self._tasks) < BUSY_MAX:
+            registers = self._connect(peer[0])
+        if registers is None or task is None:
+            writer.close()
+            return
+        self._tasks.add(task)
+        try:
+            # What is torn off, late or no Modbus ends the connection: nothing can be told from it.
+            # Cancelled at the end of the server is an end as well as any.
+            with suppress(
+                asyncio.IncompleteReadError, TimeoutError, OSError, asyncio.CancelledError
+            ):
+                while await _one_request(reader, writer, registers):
+                    pass
+        finally:
+            self._tasks.discard(task)
+            registers.disconnected()
+            writer.transport.abort()
+
+
+async def _one_request(
+    reader: asyncio.StreamReader, writer: asyncio.StreamWriter, registers: Registers
+) -> bool:
+    """Answer one request; False where the bytes are no Modbus."""
+    async with asyncio.timeout(_IDLE_S):
+        first = await reader.readexactly(1)
+    async with asyncio.timeout(QUIET_S):
+        header = first + await reader.readexactly(_HEADER.size - 1)
+        transaction, protocol, length, unit = _HEADER.unpack(header)
+        if protocol != 0 or not 2 <= length <= _LONGEST:
+            return False
+        found = answer(await reader.readexactly(length - 1), registers)
+        writer.write(_HEADER.pack(transaction, 0, len(found) + 1, unit) + found)
+        await writer.drain()
+    return True

@@ -1,0 +1,284 @@
+"""The register map of the cell over Modbus, and the handshake of commands.
+
+All values have 16 bits, so that no word order matters. A command runs once, when `COMMAND_SEQ`
+changes; a client that connects anew first writes the acknowledged number. The page
+``docs/reference/modbus.md`` describes the map.
+"""
+
+import itertools
+from collections.abc import Callable, Sequence
+from math import degrees
+from typing import Any
+
+from cell.control.states import CellState, Command, GraspState
+from cell.errors import NotInCommand, RequestRefused
+from cell.fault_catalogue import fault_number
+from cell.interfaces.modbus.protocol import (
+    DEVICE_BUSY,
+    ILLEGAL_ADDRESS,
+    ILLEGAL_VALUE,
+    ModbusError,
+    ModbusServer,
+)
+from cell.interfaces.service.doors import may_connect
+from cell.interfaces.service.service import Service, Snapshot
+from recognition.recognizer import UNKNOWN
+
+SIGNATURE = 0x5443
+"""First input register ("TC"): a host that reads 0x4354 has its bytes swapped."""
+
+LIFE, COMMAND, OBJECT, FORCE, GRASPS, OPTIONS, KEY, HOLD, COMMAND_SEQ = range(9)
+"""Holding registers. `OBJECT` is the number of the pose for commands 40 and 41."""
+N_HOLDING, N_INPUT = 9, 64
+TEXT_AT = 32
+"""First input register of the fault's text."""
+KEEP_ALWAYS, KEEP_NAMED = 1, 2
+"""Bits of `OPTIONS`: keep the part; keep it only where it was named."""
+REBOOT = 4
+"""Bit of `OPTIONS`: `clear` restarts servos at fault."""
+
+READY, REMOTE, RUNNING, DONE, REFUSED, FAULT, HOLDING, NO_PART, LOST, UNNAMED, NEEDS_RESET = (
+    1 << bit for bit in range(11)
+)
+"""Bits of the third input register; `REMOTE`: the lease is with Modbus."""
+
+
+def _word(value: float | None, unit: float = 1.0) -> int:
+    """Return a value in units as 16 bit, two's complement, limited to what fits; 0 for None."""
+    number = 0 if value is None else round(value / unit)
+    return max(-0x8000, min(0xFFFF, number)) & 0xFFFF
+
+
+def input_registers(now: Snapshot, *, life: int, remote: bool, seq: int, result: int) -> list[int]:
+    """Return all input registers of one moment."""
+    status, job, pose, live = now.status, now.job, now.pose, now.live
+    bits = (
+        (READY, status.state == CellState.IDLE),
+        (REMOTE, remote),
+        (RUNNING, job.outcome_number in (1, 2)),
+        (DONE, job.outcome_number >= 4),
+        (REFUSED, result != 0),
+        (FAULT, status.fault is not None),
+        (HOLDING, status.holding),
+        (NO_PART, status.grasp == GraspState.NO_PART_FOUND or job.held is False),
+        (LOST, status.grasp == GraspState.PART_LOST),
+        (UNNAMED, job.label == UNKNOWN or job.same is False),
+        (NEEDS_RESET, status.needs_reset),
+    )
+    values = [
+        SIGNATURE,
+        life,
+        sum(bit for bit, on in bits if on),
+        status.state_number,
+        status.grasp_number,
+        seq,
+        result,
+        status.fault_number or job.fault_number,
+        job.number & 0xFFFF,
+        job.outcome_number,
+        job.label_id,
+        _word(job.probability, 1e-4),
+        job.n_grasps,
+        _word(live.force_n, 0.01),
+        _word(live.opening_mm, 0.01),
+        _word(job.size_mm, 0.01),
+        now.pose_seq,
+        _word(None if pose is None else pose.x_m, 1e-5),
+        _word(None if pose is None else pose.y_m, 1e-5),
+        _word(None if pose is None else degrees(pose.rotation_rad), 0.1),
+        _word(None if pose is None else degrees(pose.roll_rad), 0.1),
+        _word(live.frame_age_s, 1e-3),
+        _word(live.temperature_c),
+    ]
+    text = (status.fault or job.error).encode("ascii", "replace")[: 2 * (N_INPUT - TEXT_AT)]
+    text += bytes(2 * (N_INPUT - TEXT_AT) - len(text))
+    words = [high << 8 | low for high, low in zip(text[::2], text[1::2], strict=True)]
+    return values + [0] * (TEXT_AT - len(values)) + words
+
+
+class ModbusDoor:
+    """The cell behind Modbus TCP; one connection at a time writes.
+
+    Parameters
+    ----------
+    service
+        The cell.
+
+    Raises
+    ------
+    OSError
+        If it cannot listen at the configured address and port.
+    """
+
+    def __init__(self, service: Service) -> None:
+        self._service = service
+        config = service.config.serve
+        self._life = itertools.count()
+        self._holding = [0] * N_HOLDING
+        self._lease = 0
+        self._owner: _Client | None = None
+        self._host = ""
+        self._synchronous = False
+        self._seq = 0
+        self._result = 0
+        self._server = ModbusServer(
+            config.listen,
+            config.modbus_port or 0,
+            lambda host: _Client(self, host) if may_connect(host, config) else None,
+        )
+        self.port = self._server.port
+
+    def close(self) -> None:
+        """End all connections and the thread."""
+        self._server.close()
+
+    # All of the following runs on the one thread of the server.
+
+    def read(self, function: int, address: int, count: int) -> Sequence[int]:
+        """Return registers; see `cell.interfaces.modbus.protocol.Registers`."""
+        if address + count > (N_HOLDING if function == 3 else N_INPUT):
+            raise ModbusError(ILLEGAL_ADDRESS)
+        if function == 3:
+            return self._holding[address : address + count]
+        everything = input_registers(
+            self._service.snapshot(),
+            life=next(self._life) & 0xFFFF,
+            remote=self._has_lease(),
+            seq=self._seq,
+            result=self._result,
+        )
+        return everything[address : address + count]
+
+    def write(self, client: "_Client", address: int, values: Sequence[int]) -> None:
+        """Write registers of the client in command, or hold for any client."""
+        if address + len(values) > N_HOLDING:
+            raise ModbusError(ILLEGAL_ADDRESS)
+        new = dict(enumerate(values, start=address))
+        if list(new) == [HOLD] and client is not self._owner:
+            if new[HOLD]:
+                self._service.hold(f"by {client.host} over Modbus")
+            return
+        self._command(client, new)
+        self._holding[address : address + len(values)] = values
+        if new.get(HOLD):
+            self._service.hold(f"by {client.host} over Modbus")
+        seq = new.get(COMMAND_SEQ, self._seq)
+        if seq != self._seq:
+            # Taken note of before it runs: whatever becomes of it, it does not run again.
+            self._seq = seq
+            self._result = self._run()
+            self._holding[KEY] = 0
+
+    def disconnected(self, client: "_Client") -> None:
+        """Keep the lease for a client of the same host until its time is over."""
+        if client is self._owner:
+            self._owner = None
+
+    def _has_lease(self) -> bool:
+        return self._service.has(self._lease)
+
+    def _command(self, client: "_Client", new: dict[int, int]) -> None:
+        """Check that the client may write, and give or keep the lease with its life counter."""
+        mine = self._has_lease()
+        lives = LIFE in new and new[LIFE] != self._holding[LIFE]
+        inherits = self._owner is None and self._host == client.host
+        if mine and client is not self._owner and not inherits:
+            raise ModbusError(DEVICE_BUSY)
+        known = mine and client is self._owner and self._synchronous
+        seq = new.get(COMMAND_SEQ)
+        if seq is not None and not known and seq != self._seq:
+            # A block that is left from an earlier connection must not run again.
+            raise ModbusError(ILLEGAL_VALUE)
+        try:
+            if not mine:
+                if not lives:
+                    raise ModbusError(DEVICE_BUSY)
+                self._lease = self._service.acquire(f"Modbus {client.host}")
+            elif lives:
+                self._service.alive(self._lease)
+        except NotInCommand:
+            raise ModbusError(DEVICE_BUSY) from None
+        if client is not self._owner:
+            # What another connection left half written counts for nothing.
+            self._holding = [0] * N_HOLDING
+            self._holding[COMMAND_SEQ] = self._seq
+        self._owner, self._host = client, client.host
+        self._synchronous = known or seq is not None
+
+    def _run(self) -> int:
+        """Carry the command out and return 0, or the number of the error that refuses it."""
+        asked = self._holding
+        command = _COMMANDS.get(asked[COMMAND])
+        try:
+            if command is None:
+                raise RequestRefused(f"command {asked[COMMAND]} is not one of {list(_COMMANDS)}")
+            if asked[HOLD]:
+                raise RequestRefused("hold is set: write 0 to it first")
+            command(self._service, self._lease, asked)
+        except Exception as error:
+            return fault_number(error)
+        return 0
+
+
+class _Client:
+    """One connection."""
+
+    def __init__(self, door: ModbusDoor, host: str) -> None:
+        self.host = host
+        self._door = door
+
+    def read(self, function: int, address: int, count: int) -> Sequence[int]:
+        return self._door.read(function, address, count)
+
+    def write(self, address: int, values: Sequence[int]) -> None:
+        self._door.write(self, address, values)
+
+    def disconnected(self) -> None:
+        self._door.disconnected(self)
+
+
+def _goal(task: str, **fields: Any) -> dict[str, Any]:
+    """Return a goal without the fields that are not given."""
+    return {"task": task} | {name: value for name, value in fields.items() if value}
+
+
+def _teach(service: Service, lease: int, asked: Sequence[int]) -> None:
+    number = asked[OBJECT]
+    if not 1 <= number <= len(service.labels):
+        raise RequestRefused(f"object {number} has no label; serve.objects names it")
+    goal = _goal("teach", label=service.labels[number - 1], grasps=asked[GRASPS], seed=number)
+    service.start(lease, goal)
+
+
+def _identify(service: Service, lease: int, asked: Sequence[int]) -> None:
+    options = asked[OPTIONS]
+    keep = "always" if options & KEEP_ALWAYS else "when_named" if options & KEEP_NAMED else ""
+    force_n = 0.01 * asked[FORCE]
+    goal = _goal("identify", max_grasps=asked[GRASPS], force_n=force_n, keep=keep)
+    service.start(lease, goal)
+
+
+def _pose(service: Service, lease: int, asked: Sequence[int], *, ok: bool) -> None:
+    service.pose_reached(lease, asked[OBJECT], ok=ok)
+
+
+_COMMANDS: dict[int, Callable[[Service, int, Sequence[int]], object]] = {
+    1: lambda service, lease, _: service.command(lease, Command.RESET),
+    2: _identify,
+    3: lambda service, lease, _: service.command(lease, Command.SHUTDOWN),
+    4: lambda service, _, __: service.hold("over Modbus"),
+    9: lambda service, lease, asked: service.command(
+        lease, Command.CLEAR, reboot=bool(asked[OPTIONS] & REBOOT)
+    ),
+    20: _teach,
+    21: _identify,
+    22: lambda service, lease, asked: service.start(
+        lease, {"task": "grip", "force_n": 0.01 * asked[FORCE]}
+    ),
+    23: lambda service, lease, _: service.start(lease, {"task": "verify"}),
+    30: lambda service, lease, asked: service.command(lease, Command.RELEASE, key=asked[KEY]),
+    40: lambda service, lease, asked: _pose(service, lease, asked, ok=True),
+    41: lambda service, lease, asked: _pose(service, lease, asked, ok=False),
+}
+"""Commands: below 20 CntrlCmd of PackTags (1 reset, 2 start, 3 stop, 4 hold, 9 clear), then those
+of the cell: 20 teach, 21 identify, 22 grip, 23 verify, 30 release, 40 pose reached, 41 refused."""

@@ -1,0 +1,454 @@
+"""The service: one cell for many clients, of which one at a time may command.
+
+Every call returns at once: what moves is a job with a number, to be asked for. A client commands
+under a lease that it keeps alive; `hold` needs none, and anyone may call it. A lease that is lost
+while a job runs has the job held: the grip is kept, and nothing is resumed by itself.
+"""
+
+import itertools
+import secrets
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from cell.config.model import CellConfig
+from cell.control.live import LiveValues
+from cell.control.plan import Pose
+from cell.control.states import CellStatus, Command
+from cell.errors import CellError, NotInCommand, RequestRefused, error_text
+from cell.interfaces.plugin.answer import Answer, Verification
+from cell.interfaces.plugin.goals import Goal, GripGoal, IdentifyGoal, checked_goal
+from cell.interfaces.plugin.plugin import TactileCellPlugin
+from cell.interfaces.plugin.worker import KEPT_JOBS, Job, JobOutcome, JobStatus
+from gripper.errors import GraspStopped
+from gripper.state import Clock
+
+RELEASE_KEY = 0x4F50
+"""Key of a release ("OP"): zeroed or repeated outputs of a controller let nothing go."""
+_LOOKS = 10
+"""Looks at the lease within its time-out: its loss is noticed at most a tenth of it late."""
+_POSE_GONE_S = 0.05
+"""Longest wait in s until a pose that was given up is out of the way of the next job."""
+OUTCOME_NUMBERS = {
+    JobOutcome.ACCEPTED: 1,
+    JobOutcome.EXECUTING: 2,
+    JobOutcome.SUCCEEDED: 4,
+    JobOutcome.CANCELED: 5,
+    JobOutcome.ABORTED: 6,
+}
+"""Number of each outcome for hosts: GoalStatus of ROS 2 actions; 0 is no job."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class JobView:
+    """A job as every door shows it.
+
+    Attributes
+    ----------
+    number, task
+        Its number, 0 for none yet, and what was asked for.
+    outcome, outcome_number
+        Its state.
+    fault_number, error
+        Why it did not succeed; 0 and empty else.
+    label, label_id, probability, n_grasps
+        Answer of an identification; before its end what is likeliest so far, with label id 0.
+    size_mm
+        Size of the part in mm, 0 where it is not known.
+    kept
+        Whether the answer leaves the part in the grip.
+    held, same
+        Answer of a verification.
+    progress
+        Last report of the job.
+    """
+
+    number: int = 0
+    task: str = ""
+    outcome: str = ""
+    outcome_number: int = 0
+    fault_number: int = 0
+    error: str = ""
+    label: str = ""
+    label_id: int = 0
+    probability: float = 0.0
+    n_grasps: int = 0
+    size_mm: float = 0.0
+    kept: bool = False
+    held: bool | None = None
+    same: bool | None = None
+    progress: Mapping[str, Any] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Snapshot:
+    """Everything that a door shows, at one moment.
+
+    Attributes
+    ----------
+    status, job, live
+        States, newest job, what was measured last.
+    commander
+        Name of the client with the lease; empty for none.
+    pose_seq, pose
+        The pose that the host shall reach and its number; 0 and None where none is waited for.
+    """
+
+    status: CellStatus
+    job: JobView
+    live: LiveValues
+    commander: str
+    pose_seq: int
+    pose: Pose | None
+
+
+@dataclass(slots=True)
+class _Lease:
+    number: int
+    name: str
+    heard_s: float
+
+
+class Service:
+    """One cell, its lease, its jobs and its pose handshake; every method from any thread.
+
+    Parameters
+    ----------
+    config
+        The cell. A positioner of kind ``callback`` is the pose handshake.
+    model, training_set
+        As `TactileCellPlugin`.
+    save
+        File to which the model is written after each teaching; None writes none.
+    note
+        Gets messages for the operator.
+    clock
+        Time of the clients: real time also where that of the cell is virtual.
+
+    Raises
+    ------
+    As `TactileCellPlugin`.
+    """
+
+    def __init__(
+        self,
+        config: CellConfig,
+        *,
+        model: Path | None = None,
+        training_set: Path | None = None,
+        save: Path | None = None,
+        note: Callable[[str], None] = lambda _text: None,
+        clock: Clock = time,
+    ) -> None:
+        # The lease watches the clients, each by itself.
+        self.config = config = config.model_copy(update={"host_timeout_s": None})
+        self._clock = clock
+        self._save = save
+        self._saved = 0
+        self._note = note
+        self._lock = threading.RLock()
+        self._changed = threading.Condition(self._lock)
+        self._lease: _Lease | None = None
+        self._jobs: dict[int, tuple[Job, str, int]] = {}
+        self._newest = 0
+        self._pose_seq = 0
+        self._pose: Pose | None = None
+        self._reached: Pose | bool | None = None
+        self._moving = False
+        self._stopped = False
+        mover = self._move if config.positioner.kind == "callback" else None
+        self._plugin = TactileCellPlugin(
+            config, mover=mover, model=model, training_set=training_set
+        )
+        self._parts = itertools.cycle(entry.label for entry in config.simulator.objects)
+        self._over = threading.Event()
+        self._watch = threading.Thread(target=self._run_watch, name="lease", daemon=True)
+        self._watch.start()
+
+    # -- questions -----------------------------------------------------------------------------
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Names by label id, from 1: ``serve.objects``, then other taught labels."""
+        listed = self.config.serve.objects
+        return (*listed, *(label for label in self._plugin.labels if label not in listed))
+
+    def label_id(self, label: str) -> int:
+        """Return the id of a label; 0 for UNKNOWN and for what has none."""
+        names = self.labels
+        return names.index(label) + 1 if label in names else 0
+
+    def snapshot(self) -> Snapshot:
+        """Return everything that doors show."""
+        with self._lock:
+            return Snapshot(
+                status=self._plugin.status(),
+                job=self.job(),
+                live=self._plugin.live(),
+                commander="" if self._lease is None else self._lease.name,
+                pose_seq=self._pose_seq if self._pose is not None else 0,
+                pose=self._pose,
+            )
+
+    def status(self) -> CellStatus:
+        """Return the states of cell and grip."""
+        return self._plugin.status()
+
+    def job(self, number: int | None = None) -> JobView:
+        """Return a job, the newest by default. Raises RequestRefused for one that is not known."""
+        with self._lock:
+            wanted = self._newest if number is None else number
+            if wanted == 0 and number is None:
+                return JobView()
+            if wanted not in self._jobs:
+                raise RequestRefused(f"there is no job {wanted}; the newest is {self._newest}")
+            job, task, _ = self._jobs[wanted]
+            return self._view(wanted, task, self._plugin.feedback(job))
+
+    def info(self) -> dict[str, Any]:
+        """Return what stays as it is: name, pads, labels by id, time-out of the lease."""
+        return self._plugin.info() | {
+            "labels": list(self.labels),
+            "lease_timeout_s": self.config.serve.lease_timeout_s,
+        }
+
+    # -- the lease -----------------------------------------------------------------------------
+
+    def acquire(self, name: str, *, take: bool = False) -> int:
+        """Return the number of a new lease, without which nobody commands.
+
+        With ``take``, for a person at the cell, it is taken from another client, whose job is held.
+
+        Raises
+        ------
+        NotInCommand
+            If another client has it.
+        """
+        with self._lock:
+            self.look()
+            if self._lease is not None:
+                if not take:
+                    raise NotInCommand(
+                        f"{self._lease.name!r} is in command; wait until it gives the lease up or "
+                        f"is silent for {self.config.serve.lease_timeout_s:g} s"
+                    )
+                self._lose(f"because {name!r} took command")
+            self._lease = _Lease(
+                1 + secrets.randbelow(2**31 - 1), name[:60], self._clock.monotonic()
+            )
+            return self._lease.number
+
+    def has(self, lease: int) -> bool:
+        """Whether a lease is valid; looking does not keep it."""
+        with self._lock:
+            self.look()
+            return self._lease is not None and self._lease.number == lease
+
+    def alive(self, lease: int) -> None:
+        """Keep a lease. Raises NotInCommand if it is lost: acquire a new one."""
+        with self._lock:
+            if not self.has(lease) or self._lease is None:
+                raise NotInCommand(
+                    f"lease {lease} is not valid"
+                    + (f"; {self._lease.name!r} is in command" if self._lease else "; acquire one")
+                )
+            self._lease.heard_s = self._clock.monotonic()
+
+    def give_up(self, lease: int) -> None:
+        """Give a lease up; a job that runs is held. Raises NotInCommand as `alive`."""
+        with self._lock:
+            self.alive(lease)
+            self._lose("because its client gave the lease up")
+
+    def look(self) -> None:
+        """Notice a lease whose client is silent for too long."""
+        with self._lock:
+            if self._lease is None:
+                return
+            silent_s = self._clock.monotonic() - self._lease.heard_s
+            if silent_s > self.config.serve.lease_timeout_s:
+                self._lose(f"because {self._lease.name!r} was silent for {silent_s:.2f} s")
+
+    def _lose(self, reason: str) -> None:
+        self._lease = None
+        self.hold(reason)
+
+    # -- commands ------------------------------------------------------------------------------
+
+    def start(self, lease: int, goal: Mapping[str, Any], *, number: int = 0) -> int:
+        """Start a job and return its number at once; see `TactileCellPlugin.start`.
+
+        Parameters
+        ----------
+        lease
+            Of this client.
+        goal
+            ``task`` and the fields of its goal.
+        number
+            Number that the job shall have, to repeat a request whose answer was lost: where it is
+            that of the newest job, this is the job, and nothing is done twice. 0: not checked.
+
+        Raises
+        ------
+        NotInCommand, RequestRefused, ConfigError, CellStateError
+            If it is refused; nothing has moved.
+        """
+        checked: Goal = checked_goal(goal)
+        placed = self.config.simulated or self.config.positioner.kind == "simulated"
+        if placed and isinstance(checked, IdentifyGoal | GripGoal) and checked.present is None:
+            # Nobody brings parts to a simulated cell: they come in turn.
+            checked = checked.model_copy(update={"present": next(self._parts)})
+        return self._begin(lease, str(goal["task"]), number, lambda: self._plugin.start(checked))
+
+    def command(
+        self, lease: int, command: Command, *, key: int = 0, reboot: bool = False, number: int = 0
+    ) -> int:
+        """Start a release, clear, reset or shutdown and return the number of its job.
+
+        Parameters
+        ----------
+        lease, number
+            As `start`.
+        command, reboot
+            As `TactileCellPlugin.begin`.
+        key
+            `RELEASE_KEY` for a release, the only way to let the part go.
+        """
+        if command is Command.RELEASE and key != RELEASE_KEY:
+            self.alive(lease)
+            raise RequestRefused(f"release: {key:#x} is not the key; with it the part may fall")
+        task = command.value
+        return self._begin(lease, task, number, lambda: self._plugin.begin(command, reboot=reboot))
+
+    def hold(self, reason: str = "on request") -> None:
+        """Stop what runs and keep the grip; anyone may."""
+        with self._changed:
+            entry = self._jobs.get(self._newest)
+            if entry is not None and not self._plugin.feedback(entry[0]).outcome.terminal:
+                # First the cell, then the pose: the job ends as held, not as refused by the host.
+                self._plugin.cancel(entry[0], reason)
+                self._stopped = True
+                self._changed.notify_all()
+
+    def _begin(self, lease: int, task: str, number: int, begin: Callable[[], Job]) -> int:
+        with self._changed:
+            self._changed.wait_for(lambda: not self._moving or not self._stopped, _POSE_GONE_S)
+            self.alive(lease)
+            if number and number <= self._newest:
+                _, last_task, last_lease = self._jobs.get(number, (None, "", 0))
+                if number == self._newest and (last_task, last_lease) == (task, lease):
+                    return number
+                raise RequestRefused(f"job {number} is another request; the next is {self._next}")
+            if number > self._next:
+                raise RequestRefused(f"job {number} cannot be next; the next is {self._next}")
+            job = begin()
+            self._stopped = False
+            self._jobs[job.number] = (job, task, lease)
+            self._jobs.pop(job.number - KEPT_JOBS, None)
+            self._newest = job.number
+            return job.number
+
+    @property
+    def _next(self) -> int:
+        return self._newest + 1
+
+    # -- the pose handshake --------------------------------------------------------------------
+
+    def pose_reached(
+        self, lease: int, seq: int, *, ok: bool = True, pose: Pose | None = None
+    ) -> None:
+        """Answer the pose with that number: reached, refused, or another one reached instead.
+
+        Raises
+        ------
+        NotInCommand
+            As `alive`.
+        RequestRefused
+            If the pose is not the one that is waited for.
+        """
+        with self._changed:
+            self.alive(lease)
+            if self._pose is None or seq != self._pose_seq:
+                expected = self._pose_seq if self._pose is not None else "none"
+                raise RequestRefused(f"pose {seq} is not waited for, but {expected}")
+            self._reached = (pose or True) if ok else False
+            self._pose = None
+            self._changed.notify_all()
+
+    def _move(self, pose: Pose) -> Pose | bool:
+        """Show a pose and wait for the host: the mover of the cell, in a thread of its own."""
+        with self._changed:
+            self._pose_seq = self._pose_seq % 0xFFFF + 1
+            self._pose, self._reached, self._moving = pose, None, True
+            try:
+                self._changed.wait_for(lambda: self._reached is not None or self._stopped)
+                reached: Pose | bool | None = self._reached
+                if reached is None:
+                    raise GraspStopped("stopped on request while a pose was waited for")
+                return reached
+            finally:
+                self._pose, self._moving = None, False
+                self._changed.notify_all()
+
+    # -- the end -------------------------------------------------------------------------------
+
+    def close(self, timeout_s: float = 30.0) -> None:
+        """Hold what runs and disconnect; a held part stays held. A second call does nothing."""
+        self._over.set()
+        self.hold("because the service ends")
+        with self._changed:
+            self._stopped = True
+            self._changed.notify_all()
+        self._watch.join()
+        self._save_taught()
+        self._plugin.close(timeout_s)
+
+    def _run_watch(self) -> None:
+        while not self._over.wait(self.config.serve.lease_timeout_s / _LOOKS):
+            try:
+                self.look()
+                self._save_taught()
+            except Exception as error:  # the watch over the lease must outlive whatever it meets
+                self._note(f"watch over the lease: {error_text(error)}")
+
+    def _save_taught(self) -> None:
+        """Write the model after a teaching; one that cannot be written is a note."""
+        newest = self.job()
+        taught = newest.task == "teach" and newest.outcome == JobOutcome.SUCCEEDED
+        if self._save is None or not taught or newest.number == self._saved:
+            return
+        self._saved = newest.number
+        try:
+            self._plugin.save(self._save)
+        except (CellError, OSError) as error:
+            self._note(f"the model could not be written: {error}")
+
+    def _view(self, number: int, task: str, status: JobStatus) -> JobView:
+        view = JobView(
+            number=number,
+            task=task,
+            outcome=status.outcome.value,
+            outcome_number=OUTCOME_NUMBERS[status.outcome],
+            fault_number=status.fault_number,
+            error=status.error,
+            label=str(status.progress.get("best", "")),
+            n_grasps=int(status.progress.get("grasps", 0)),
+            progress=status.progress,
+        )
+        answer = status.value
+        if isinstance(answer, Answer):
+            return replace(
+                view,
+                label=answer.label,
+                label_id=self.label_id(answer.label),
+                probability=answer.probability,
+                n_grasps=answer.n_grasps,
+                size_mm=0.0 if answer.shape is None else answer.shape.size_mm,
+                kept=answer.kept,
+            )
+        if isinstance(answer, Verification):
+            return replace(view, held=answer.held, same=answer.same, kept=answer.held)
+        return view

@@ -1,0 +1,66 @@
+"""All configured doors of one service, opened together and closed in order."""
+
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from ipaddress import ip_address
+from typing import Any
+
+from cell.errors import CellError, ConfigError
+from cell.interfaces.service.service import Service
+
+
+def warnings(service: Service) -> tuple[str, ...]:
+    """Return what the operator should have in mind about the configured doors."""
+    config = service.config.serve
+    notes = []
+    if not ip_address(config.listen).is_loopback:
+        if config.modbus_port is not None or config.xmlrpc_port is not None:
+            notes.append(
+                f"Modbus and XML-RPC authenticate nobody: who reaches {config.listen} from "
+                f"{', '.join(config.allow)} can move the gripper; use a network of the cell alone"
+            )
+        if config.http_port is not None and not config.tls_certificate:
+            notes.append("HTTP without TLS sends its token in the clear; set serve.tls_certificate")
+    return tuple(notes)
+
+
+@contextmanager
+def open_doors(service: Service) -> Iterator[dict[str, Any]]:
+    """Open all configured doors; yield their ports, and the token of HTTP.
+
+    Raises
+    ------
+    CellError
+        If a door cannot be opened; ConfigError, if none is configured or an extra is missing.
+    """
+    config = service.config.serve
+    found: dict[str, Any] = {"listen": config.listen}
+    with ExitStack() as undo:
+        try:
+            if config.modbus_port is not None:
+                from cell.interfaces.modbus.registers import ModbusDoor  # noqa: PLC0415
+
+                modbus = ModbusDoor(service)
+                undo.callback(modbus.close)
+                found["modbus_port"] = modbus.port
+            if config.xmlrpc_port is not None:
+                from cell.interfaces.xml_rpc import XmlRpcDoor  # noqa: PLC0415
+
+                xml_rpc = XmlRpcDoor(service)
+                undo.callback(xml_rpc.close)
+                found["xmlrpc_port"] = xml_rpc.port
+            if config.http_port is not None:
+                from cell.interfaces.web import WebDoor  # noqa: PLC0415
+
+                web = WebDoor(service)
+                undo.callback(web.close)
+                found |= {"http_port": web.port, "token": web.token}
+        except ImportError as error:
+            raise ConfigError(
+                f"serve.http_port needs the extra: tactile-cell[serve] ({error})"
+            ) from error
+        except OSError as error:
+            raise CellError(f"a door at {config.listen} cannot be opened: {error}") from error
+        if len(found) == 1:
+            raise ConfigError("no door is open: set a port in `serve`, or give --modbus 0")
+        yield found

@@ -1,0 +1,322 @@
+"""HTTP and WebSocket: the door for everything else, with an OpenAPI description.
+
+Needs the extra ``serve``. Reading and commanding need the token; `hold` needs none. A page from
+elsewhere is refused by its Origin. JSON in and out; what is refused has a fault number.
+"""
+
+import asyncio
+import hmac
+import json
+import secrets
+import socket
+import threading
+from collections.abc import Awaitable, Callable, MutableMapping
+from dataclasses import asdict
+from ipaddress import ip_address
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import uvicorn
+from fastapi import APIRouter, Depends, FastAPI, HTTPException, Request, WebSocket
+from fastapi.responses import JSONResponse
+from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
+from pydantic import BaseModel, ConfigDict
+from starlette.websockets import WebSocketDisconnect
+
+from cell.control.plan import Pose
+from cell.control.states import Command
+from cell.errors import CellError, CellStateError, ConfigError, NotInCommand, RequestRefused
+from cell.fault_catalogue import fault_number
+from cell.interfaces.service.doors import BUSY_MAX, QUIET_S, may_connect
+from cell.interfaces.service.service import Service, Snapshot
+from gripper.errors import GripperError
+from tactile.errors import TactileError
+
+LONGEST = 65536
+"""Largest request in bytes."""
+RATE_HZ = 30.0
+"""Messages a second to one WebSocket, whatever the source."""
+_STATUS = {NotInCommand: 403, CellStateError: 409, RequestRefused: 422, ConfigError: 422}
+"""HTTP status of refusals; 500 for all others."""
+
+Scope = MutableMapping[str, Any]
+Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
+
+
+class _Body(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class AcquireBody(_Body):
+    """Who wants to command; ``take`` takes it from another client, at this machine only."""
+
+    name: str
+    take: bool = False
+
+
+class LeaseBody(_Body):
+    """The lease, and the number that the job shall have (0: not checked)."""
+
+    lease: int
+    job: int = 0
+
+
+class StartBody(LeaseBody):
+    """A goal: ``task`` and its fields, as in `TactileCellPlugin.start`."""
+
+    goal: dict[str, Any]
+
+
+class CommandBody(LeaseBody):
+    """A command; ``release`` needs its key, 20304; ``reboot`` restarts servos at fault."""
+
+    command: Literal[Command.RELEASE, Command.CLEAR, Command.RESET, Command.SHUTDOWN]
+    key: int = 0
+    reboot: bool = False
+
+
+class PoseBody(_Body):
+    """Whether the pose of that number was reached, or the one (m, rad) reached instead."""
+
+    lease: int
+    seq: int
+    ok: bool
+    pose: dict[str, float] | None = None
+
+
+def snapshot_json(now: Snapshot) -> dict[str, Any]:
+    """Return everything but the counts of the taxels as plain data."""
+    live = {name: getattr(now.live, name) for name in now.live.__slots__ if name != "counts"}
+    return {
+        "status": asdict(now.status),
+        "job": asdict(now.job),
+        "live": live,
+        "commander": now.commander,
+        "pose_seq": now.pose_seq,
+        "pose": None if now.pose is None else now.pose.as_dict(),
+    }
+
+
+class Api:
+    """The paths below ``/api``; the first lines of the methods are the OpenAPI description.
+
+    Parameters
+    ----------
+    service
+        The cell.
+    token
+        What clients authenticate with.
+    """
+
+    def __init__(self, service: Service, token: str) -> None:
+        self._service = service
+        self._token = token.encode()
+
+    def app(self) -> FastAPI:
+        """Return the application."""
+        app = FastAPI(title="tactile-cell", docs_url=None, redoc_url=None)
+        for kind in (CellError, GripperError, TactileError):
+            app.add_exception_handler(kind, _refused)
+        guarded = APIRouter(prefix="/api", dependencies=[Depends(self._authorize)])
+        for path, method, call in (
+            ("/info", "GET", self.info),
+            ("/state", "GET", self.state),
+            ("/jobs/{number}", "GET", self.job),
+            ("/lease", "POST", self.acquire),
+            ("/lease/{lease}/alive", "POST", self.alive),
+            ("/lease/{lease}", "DELETE", self.give_up),
+            ("/jobs", "POST", self.start),
+            ("/commands", "POST", self.command),
+            ("/pose", "POST", self.pose),
+        ):
+            guarded.add_api_route(path, call, methods=[method])
+        app.include_router(guarded)
+        app.add_api_route("/api/hold", self.hold, methods=["POST"])
+        app.add_api_websocket_route("/api/live", self.live)
+        return app
+
+    def _authorize(
+        self, found: Annotated[HTTPAuthorizationCredentials, Depends(HTTPBearer())]
+    ) -> None:
+        if not hmac.compare_digest(found.credentials.encode(), self._token):
+            raise HTTPException(401, "wrong token")
+
+    def info(self) -> dict[str, Any]:
+        """Name, pads, labels by id, time-out of the lease."""
+        return self._service.info()
+
+    def state(self) -> dict[str, Any]:
+        """States, newest job, live values, pose that is waited for."""
+        return snapshot_json(self._service.snapshot())
+
+    def job(self, number: int) -> dict[str, Any]:
+        """One job: outcome, progress, answer."""
+        return asdict(self._service.job(number))
+
+    def acquire(self, body: AcquireBody, request: Request) -> dict[str, int]:
+        """Acquire the lease to command with."""
+        here = request.client is not None and ip_address(request.client.host).is_loopback
+        if body.take and not here:
+            raise NotInCommand("the lease can be taken from another client at this machine only")
+        return {"lease": self._service.acquire(body.name, take=body.take)}
+
+    def alive(self, lease: int) -> dict[str, int]:
+        """Keep the lease."""
+        self._service.alive(lease)
+        return {"lease": lease}
+
+    def give_up(self, lease: int) -> dict[str, int]:
+        """Give the lease up; a job that runs is held."""
+        self._service.give_up(lease)
+        return {"lease": 0}
+
+    def start(self, body: StartBody) -> dict[str, int]:
+        """Start a job."""
+        return {"job": self._service.start(body.lease, body.goal, number=body.job)}
+
+    def command(self, body: CommandBody) -> dict[str, int]:
+        """Start to release the part (it may fall), to clear, to reset or to shut down."""
+        number = self._service.command(
+            body.lease, body.command, key=body.key, reboot=body.reboot, number=body.job
+        )
+        return {"job": number}
+
+    def pose(self, body: PoseBody) -> dict[str, int]:
+        """Answer the pose that is waited for."""
+        try:
+            reached = None if body.pose is None else Pose(**body.pose)
+        except (TypeError, ValueError) as error:
+            raise RequestRefused(f"pose: {error}") from error
+        self._service.pose_reached(body.lease, body.seq, ok=body.ok, pose=reached)
+        return {"seq": body.seq}
+
+    def hold(self) -> dict[str, str]:
+        """Stop what runs and keep the grip; anyone may, without token and lease."""
+        self._service.hold("over HTTP")
+        return {"state": self._service.status().state}
+
+    async def live(self, link: WebSocket) -> None:
+        """Send the state as JSON; with ``?frames=1`` the newest counts too (uint16, LE).
+
+        Each message is the newest there is when the client can take it: a slow one misses some.
+        """
+        asked = link.query_params
+        if not hmac.compare_digest(asked.get("token", "").encode(), self._token):
+            await link.close(1008, "wrong token")
+            return
+        await link.accept()
+        gone = asyncio.create_task(_until_gone(link))
+        try:
+            while not gone.done():
+                now = self._service.snapshot()
+                async with asyncio.timeout(QUIET_S):
+                    await link.send_text(json.dumps(snapshot_json(now)))
+                    if asked.get("frames") == "1" and now.live.counts is not None:
+                        await link.send_bytes(now.live.counts.astype("<u2").tobytes())
+                await asyncio.wait([gone], timeout=1.0 / RATE_HZ)
+        except (WebSocketDisconnect, TimeoutError, RuntimeError):
+            return  # the client is gone or takes nothing
+        finally:
+            gone.cancel()
+
+
+def _refused(_request: Request, error: Exception) -> JSONResponse:
+    status = next((code for kind, code in _STATUS.items() if isinstance(error, kind)), 500)
+    return JSONResponse({"fault_number": fault_number(error), "error": str(error)}, status)
+
+
+async def _until_gone(link: WebSocket) -> None:
+    while (await link.receive())["type"] != "websocket.disconnect":
+        pass
+
+
+class Gate:
+    """ASGI middleware: refuses hosts, origins and sizes before anything is read.
+
+    Parameters
+    ----------
+    app
+        The application behind.
+    service
+        Has the allow-list.
+    """
+
+    def __init__(self, app: Any, service: Service) -> None:
+        self._app = app
+        self._service = service
+
+    async def __call__(self, scope: Scope, receive: Any, send: Send) -> None:
+        """Pass a request on, or answer 403 or 413."""
+        status = self._refusal(scope) if scope["type"] in ("http", "websocket") else 0
+        if not status:
+            await self._app(scope, receive, send)
+        elif scope["type"] == "websocket":
+            await receive()
+            await send({"type": "websocket.close", "code": 1008})
+        else:
+            await JSONResponse({"error": "refused"}, status)(scope, receive, send)
+
+    def _refusal(self, scope: Scope) -> int:
+        headers = {name.lower(): value.decode("latin-1") for name, value in scope["headers"]}
+        client = scope.get("client")
+        if client is None or not may_connect(client[0], self._service.config.serve):
+            return 403
+        origin = headers.get(b"origin")
+        if origin is not None and origin.partition("://")[2] != headers.get(b"host"):
+            return 403
+        length = headers.get(b"content-length", "0")
+        if b"transfer-encoding" in headers or not length.isdecimal() or int(length) > LONGEST:
+            return 413
+        return 0
+
+
+class WebDoor:
+    """The cell behind HTTP and WebSocket.
+
+    Parameters
+    ----------
+    service
+        The cell.
+
+    Raises
+    ------
+    OSError
+        If it cannot listen at the configured address and port, or a file cannot be read.
+    """
+
+    def __init__(self, service: Service) -> None:
+        config = service.config.serve
+        self.token = (
+            Path(config.token_file).read_text(encoding="ascii").strip()
+            if config.token_file
+            else secrets.token_urlsafe(24)
+        )
+        if len(self.token) < 16:
+            raise ConfigError(f"{config.token_file}: a token has at least 16 characters")
+        settings = uvicorn.Config(
+            Gate(Api(service, self.token).app(), service),
+            log_config=None,
+            access_log=False,
+            lifespan="off",
+            ws="websockets-sansio",
+            ws_max_size=LONGEST,
+            limit_concurrency=BUSY_MAX,
+            timeout_graceful_shutdown=1,
+            ssl_certfile=config.tls_certificate or None,
+            ssl_keyfile=config.tls_key or None,
+        )
+        settings.load()  # certificates are read here, not in the thread
+        family = socket.AF_INET6 if ":" in config.listen else socket.AF_INET
+        self._socket = socket.create_server((config.listen, config.http_port or 0), family=family)
+        self.port: int = self._socket.getsockname()[1]
+        self._server = uvicorn.Server(settings)
+        self._thread = threading.Thread(
+            target=self._server.run, args=([self._socket],), name="http", daemon=True
+        )
+        self._thread.start()
+
+    def close(self) -> None:
+        """End all connections and the thread."""
+        self._server.should_exit = True
+        self._thread.join()
+        self._socket.close()

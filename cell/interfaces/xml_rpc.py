@@ -1,0 +1,298 @@
+"""XML-RPC: the door for robot programs.
+
+A robot program waits for each call and stops at an error: no call takes longer than 100 ms, and
+none raises. A method that fails returns a negative number, whose magnitude stands in the fault
+catalogue, or an empty text. ``docs/reference/xml-rpc.md`` is made from the methods of `Calls`.
+"""
+
+import functools
+import threading
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from math import atan2, cos, hypot, sin
+from socket import SHUT_RDWR
+from socketserver import ThreadingMixIn
+from typing import Any, cast
+from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
+
+from cell.config.serve import ServeConfig
+from cell.control.plan import Pose
+from cell.control.states import Command
+from cell.fault_catalogue import fault_number
+from cell.interfaces.service.doors import BUSY_MAX, may_connect
+from cell.interfaces.service.service import Service
+
+LONGEST = 65536
+"""Largest request in bytes."""
+_IDLE_S = 60.0
+"""Silence in s after which a connection is closed; robots connect anew by themselves."""
+
+
+def ur_pose(pose: Pose | None) -> dict[str, float]:
+    """Return a pose as URScript takes it, in the grip frame: m, and a rotation vector in rad.
+
+    The object is first rolled about its long axis (x), then turned about the approach axis (z).
+    """
+    if pose is None:
+        pose = Pose()
+    turn, roll = pose.rotation_rad / 2, pose.roll_rad / 2
+    # Product of the two unit quaternions.
+    axis = (cos(turn) * sin(roll), sin(turn) * sin(roll), sin(turn) * cos(roll))
+    length = hypot(*axis)
+    angle_rad = 2 * atan2(length, cos(turn) * cos(roll))
+    scale = angle_rad / length if length else 0.0
+    rotation = dict(zip(("rx", "ry", "rz"), (scale * part for part in axis), strict=True))
+    return {"x": pose.x_m, "y": pose.y_m, "z": 0.0} | rotation
+
+
+class Calls:
+    """The methods; types are int, double, bool, string and pose only.
+
+    Parameters
+    ----------
+    service
+        The cell.
+    """
+
+    def __init__(self, service: Service) -> None:
+        self._service = service
+
+    def acquire(self, name: str) -> int:
+        """Return the number of the lease to command with; keep it with `alive`."""
+        return self._service.acquire(name)
+
+    def alive(self, lease: int) -> int:
+        """Keep the lease; return 0. Every command keeps it too."""
+        self._service.alive(lease)
+        return 0
+
+    def give_up(self, lease: int) -> int:
+        """Give the lease up; return 0. A job that runs is held."""
+        self._service.give_up(lease)
+        return 0
+
+    def state(self) -> int:
+        """Return the state of the cell: number of PackTags."""
+        return self._service.status().state_number
+
+    def needs_reset(self) -> bool:
+        """Return whether an acknowledged fault waits for `reset`."""
+        return self._service.status().needs_reset
+
+    def grip_state(self) -> int:
+        """Return the state of the grip, 0 to 7."""
+        return self._service.status().grasp_number
+
+    def holding(self) -> bool:
+        """Return whether a part may be in the grip."""
+        return self._service.status().holding
+
+    def next_job(self) -> int:
+        """Return the number of the next job: given to a command, it makes repeating it harmless."""
+        return self._service.job().number + 1
+
+    def teach(self, lease: int, label: str, grasps: int, job: int = 0) -> int:
+        """Start to teach an object; return the job."""
+        goal = {"task": "teach", "label": label, "grasps": grasps}
+        return self._service.start(lease, goal, number=job)
+
+    def identify(
+        self, lease: int, max_grasps: int, force_n: float, keep: bool, job: int = 0
+    ) -> int:
+        """Start an identification; return the job. 0 grasps and 0 N: as the config has it."""
+        goal: dict[str, Any] = {"task": "identify", "keep": "always" if keep else "never"}
+        if max_grasps:
+            goal["max_grasps"] = max_grasps
+        if force_n:
+            goal["force_n"] = float(force_n)
+        return self._service.start(lease, goal, number=job)
+
+    def grip(self, lease: int, force_n: float, job: int = 0) -> int:
+        """Start to grip a part and keep it, without a name; return the job."""
+        goal = {"task": "grip", "force_n": float(force_n)}
+        return self._service.start(lease, goal, number=job)
+
+    def verify(self, lease: int, job: int = 0) -> int:
+        """Start to look whether the held part is still the same; return the job."""
+        return self._service.start(lease, {"task": "verify"}, number=job)
+
+    def release(self, lease: int, key: int, job: int = 0) -> int:
+        """Start to let the part go, with key 20304 (0x4F50); return the job."""
+        return self._service.command(lease, Command.RELEASE, key=key, number=job)
+
+    def clear(self, lease: int, job: int = 0) -> int:
+        """Start to acknowledge the fault; return the job."""
+        return self._service.command(lease, Command.CLEAR, number=job)
+
+    def reset(self, lease: int, job: int = 0) -> int:
+        """Start to verify the devices anew; return the job."""
+        return self._service.command(lease, Command.RESET, number=job)
+
+    def hold(self) -> int:
+        """Stop what runs and keep the grip; anyone may. Return 0."""
+        self._service.hold("over XML-RPC")
+        return 0
+
+    def job_state(self, job: int) -> int:
+        """Return how a job is: 1 accepted, 2 running, 4 done, 5 held on request, 6 aborted."""
+        return self._service.job(job).outcome_number
+
+    def job_fault(self, job: int) -> int:
+        """Return the fault number of a job that failed; 0 else."""
+        return self._service.job(job).fault_number
+
+    def label_id(self, job: int) -> int:
+        """Return the id of the label found, from 1; 0 while not known, and for UNKNOWN."""
+        return self._service.job(job).label_id
+
+    def label(self, job: int) -> str:
+        """Return the label found; before the end the likeliest so far."""
+        return self._service.job(job).label
+
+    def probability(self, job: int) -> float:
+        """Return the probability of the label, 0 to 1; 0 before the end."""
+        return self._service.job(job).probability
+
+    def same(self, job: int) -> int:
+        """Return what a verification found: 1 the same part, 0 another or none; -1 not over."""
+        found = self._service.job(job)
+        return -1 if found.held is None else int(bool(found.held and found.same))
+
+    def pose_seq(self) -> int:
+        """Return the number of the pose that is waited for; 0 for none."""
+        return self._service.snapshot().pose_seq
+
+    def next_pose(self) -> dict[str, float]:
+        """Return the pose that the object shall have in the grip frame."""
+        return ur_pose(self._service.snapshot().pose)
+
+    def pose_reached(self, lease: int, seq: int, ok: bool) -> int:
+        """Answer the pose with that number: reached, or refused; return 0."""
+        self._service.pose_reached(lease, seq, ok=ok)
+        return 0
+
+    def fault_number(self) -> int:
+        """Return the number of the latched fault; 0 for none."""
+        return self._service.status().fault_number
+
+    def fault_text(self) -> str:
+        """Return the latched fault as text; empty for none."""
+        return self._service.status().fault or ""
+
+
+_EMPTY: Mapping[str, Any] = {"label": "", "fault_text": "", "next_pose": ur_pose(None)}
+"""What methods that return no number return where they fail."""
+
+
+def methods(service: Service) -> dict[str, Callable[..., Any]]:
+    """Return all methods by name; none of them raises."""
+    calls = Calls(service)
+    return {name: _harmless(name, getattr(calls, name)) for name in vars(Calls) if name[0] != "_"}
+
+
+def _harmless(name: str, call: Callable[..., Any]) -> Callable[..., Any]:
+    @functools.wraps(call)
+    def called(*arguments: Any) -> Any:
+        try:
+            return call(*arguments)
+        except Exception as error:
+            # Wrong arguments (TypeError) are the request's fault, as a wrong value is.
+            number = 501 if isinstance(error, TypeError) else fault_number(error)
+            found = _EMPTY.get(name, -number)
+            return float(found) if name == "probability" else found
+
+    return called
+
+
+class _Handler(SimpleXMLRPCRequestHandler):
+    rpc_paths = ("/", "/RPC2")
+    protocol_version = "HTTP/1.1"  # robots keep the connection
+    timeout = _IDLE_S
+    disable_nagle_algorithm = True
+
+    def do_POST(self) -> None:  # noqa: N802  name of the base class
+        """Answer a request whose length is stated and small."""
+        length = self.headers.get("Content-Length", "")
+        if not length.isdecimal() or int(length) > LONGEST:
+            self.close_connection = True
+            self.send_error(413, f"a request has a Content-Length of at most {LONGEST}")
+            return
+        super().do_POST()
+
+    def decode_request_content(self, data: bytes) -> bytes | None:
+        """Refuse compressed requests and document types: nothing small may grow large."""
+        if self.headers.get("content-encoding", "identity") != "identity" or b"<!" in data:
+            self.close_connection = True
+            self.send_error(501, "no compression, no document type")
+            return None
+        return data
+
+    def log_message(self, *_args: Any) -> None:
+        """Write nothing: the console is the operator's."""
+
+
+class _Server(ThreadingMixIn, SimpleXMLRPCServer):
+    allow_reuse_address = True
+    request_queue_size = BUSY_MAX
+
+    def __init__(self, config: ServeConfig) -> None:
+        self._config = config
+        self._open: set[Any] = set()
+        super().__init__(
+            (config.listen, config.xmlrpc_port or 0),
+            requestHandler=_Handler,
+            logRequests=False,
+            allow_none=False,
+        )
+
+    def verify_request(self, request: Any, client_address: Any) -> bool:
+        return may_connect(client_address[0], self._config) and len(self._open) < BUSY_MAX
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        self._open.add(request)
+        super().process_request(request, client_address)
+
+    def shutdown_request(self, request: Any) -> None:
+        self._open.discard(request)
+        super().shutdown_request(request)
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Pass over a connection that broke; it is closed."""
+
+    def end(self) -> None:
+        """End all connections, then wait for their threads."""
+        self.shutdown()
+        for request in tuple(self._open):
+            with suppress(OSError):
+                request.shutdown(SHUT_RDWR)
+        self.server_close()
+
+
+class XmlRpcDoor:
+    """The cell behind XML-RPC.
+
+    Parameters
+    ----------
+    service
+        The cell.
+
+    Raises
+    ------
+    OSError
+        If it cannot listen at the configured address and port.
+    """
+
+    def __init__(self, service: Service) -> None:
+        self._server = _Server(service.config.serve)
+        for name, method in methods(service).items():
+            self._server.register_function(method, name)
+        self.port: int = cast("tuple[str, int]", self._server.server_address)[1]
+        self._thread = threading.Thread(
+            target=self._server.serve_forever, args=(0.1,), name="xml-rpc", daemon=True
+        )
+        self._thread.start()
+
+    def close(self) -> None:
+        """End all connections and the thread."""
+        self._server.end()
+        self._thread.join()

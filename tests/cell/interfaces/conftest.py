@@ -1,0 +1,117 @@
+"""A service on a small simulated cell, with a clock of its own for the clients, and its doors."""
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from dataclasses import dataclass, field
+from typing import Any
+
+import pytest
+
+from cell.config.model import CellConfig
+from cell.interfaces.service.service import JobView, Service
+from cell.interfaces.service.serving import open_doors
+from gripper.state import GripperPhase
+
+LIMIT_S = 60.0
+"""Patience of the tests: a condition that is not met by then fails."""
+LEASE_S = 60.0
+"""Time-out of leases: only the clock of the test lets it pass."""
+
+
+class ClientClock:
+    """Time of the clients, moved by the test."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def sleep(self, seconds: float) -> None:
+        self.now_s += seconds
+
+
+def until(true: Callable[[], Any]) -> Any:
+    """Wait for a condition and return it."""
+    end_s = time.monotonic() + LIMIT_S
+    while not (found := true()):
+        assert time.monotonic() < end_s
+        threading.Event().wait(0.005)
+    return found
+
+
+@dataclass
+class Served:
+    """A service, its doors, and what only the simulator can tell of it."""
+
+    service: Service
+    clock: ClientClock
+    doors: dict[str, Any] = field(default_factory=dict)
+    _going_on: threading.Event = field(default_factory=threading.Event)
+    _paused: threading.Event = field(default_factory=threading.Event)
+
+    @property
+    def simulated(self) -> Any:
+        return self.service._plugin._cell.simulated
+
+    @property
+    def grip_n(self) -> float:
+        """Force on the pad that carries less."""
+        return min(self.simulated.world.contact_force_n())
+
+    @property
+    def state(self) -> str:
+        return self.service.status().state
+
+    def pause_while_pressing(self) -> None:
+        """Have the next grasp stand still in its ramp, until `go_on`."""
+        gripper = self.service._plugin._cell.controller.gripper
+        self._paused.clear()
+        self._going_on.clear()
+
+        def look(_now_s: float) -> None:
+            if gripper.state is GripperPhase.RAMPING and self.grip_n > 1.0:
+                self.simulated.clock.on_advance.remove(look)
+                self._paused.set()
+                assert self._going_on.wait(LIMIT_S)
+
+        self.simulated.clock.on_advance.append(look)
+
+    def paused(self) -> None:
+        assert self._paused.wait(LIMIT_S)
+
+    def go_on(self) -> None:
+        self._going_on.set()
+
+    def ended(self, number: int | None = None) -> JobView:
+        """Wait for the end of a job and return it."""
+        return until(lambda: (job := self.service.job(number)).outcome_number >= 4 and job)
+
+    def pass_lease(self) -> None:
+        """Let the time of the lease pass."""
+        self.clock.now_s += LEASE_S + 1.0
+        self.service.look()
+
+
+@pytest.fixture
+def serve(make_config: Callable[..., CellConfig], taught: Any) -> Iterator[Callable[..., Served]]:
+    """Return the maker of services; ``doors`` opens them, ``options`` are those of `Service`."""
+    with ExitStack() as undo:
+
+        def make(*doors: str, options: dict[str, Any] | None = None, **changes: Any) -> Served:
+            ports = {f"serve__{name}_port": None for name in ("modbus", "xmlrpc", "http")}
+            ports |= {f"serve__{name}_port": 0 for name in doors}
+            wanted = {"serve__lease_timeout_s": LEASE_S, **ports, **changes}
+            clock = ClientClock()
+            given = {"model": taught.result.model, "clock": clock} | (options or {})
+            service = Service(make_config(**wanted), **given)
+            undo.callback(service.close)
+            served = Served(service, clock)
+            undo.callback(served.go_on)
+            if doors:
+                served.doors = undo.enter_context(open_doors(service))
+            return served
+
+        yield make

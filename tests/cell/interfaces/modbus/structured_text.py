@@ -1,0 +1,107 @@
+"""Runs the example's function block: its Structured Text, line by line, as Python."""
+
+import re
+from pathlib import Path
+from typing import Any
+
+BLOCK = Path(__file__).parents[4] / "docs" / "examples" / "tactile_cell.st"
+
+
+def _expression(text: str) -> str:
+    """Return an expression of Structured Text as one of Python."""
+    text = re.sub(r"16#([0-9A-Fa-f]+)", r"0x\1", text)
+    text = re.sub(r"(?<![<>:])=", "==", text).replace("<>", "!=")
+    for word, python in (
+        ("AND", "&"),
+        ("OR", "or"),
+        ("NOT", "not"),
+        ("TRUE", "True"),
+        ("FALSE", "False"),
+    ):
+        text = re.sub(rf"\b{word}\b", python, text)
+    return text
+
+
+def _names(text: str, names: set[str]) -> str:
+    return re.sub(
+        r"\b(EdgeExecute\.Q|\w+)\b",
+        lambda found: f"me[{found[1]!r}]" if found[1] in names else found[1],
+        text,
+    )
+
+
+def _logical(text: str) -> str:
+    """Return AND between comparisons as ``and``; within brackets it is a mask of bits."""
+    return re.sub(r"& (?!0x)", "and ", text)
+
+
+class FunctionBlock:
+    """The block as a PLC holds it: call it once a cycle; variables by name."""
+
+    def __init__(self) -> None:
+        text = re.sub(r"\(\*.*?\*\)", "", BLOCK.read_text(), flags=re.S)
+        head, body = text.split("VAR_INPUT", 1)[1].rsplit("END_VAR", 1)
+        self.values: dict[str, Any] = {"EdgeExecute.Q": False}
+        for name, kind in re.findall(r"(\w+)\s*:\s*([^;]+);", head):
+            size = re.match(r"ARRAY\[0\.\.(\d+)\]", kind)
+            self.values[name] = [0] * (int(size[1]) + 1) if size else kind.strip() != "BOOL" and 0
+        self._last = False
+        self._code = compile(self._python(body.split("END_FUNCTION_BLOCK")[0]), str(BLOCK), "exec")
+
+    def __getitem__(self, name: str) -> Any:
+        return self.values[name]
+
+    def call(self, **inputs: Any) -> list[int]:
+        """Run one cycle and return what it writes."""
+        unknown = set(inputs) - set(self.values)
+        assert not unknown, unknown
+        self.values |= inputs
+        exec(self._code, {"me": self.values, "edge": self._edge})
+        self.values["Outputs"] = [value & 0xFFFF for value in self.values["Outputs"]]
+        self.values["Seq"] &= 0xFFFF
+        return list(self.values["Outputs"])
+
+    def _edge(self) -> None:
+        now = self.values["Execute"]
+        self.values["EdgeExecute.Q"] = now and not self._last
+        self._last = now
+
+    def _python(self, body: str) -> str:
+        """Return the statements as Python; what is not understood is an error."""
+        names = set(self.values)
+        flat = re.sub(r"\s+", " ", body)
+        flat = re.sub(r"\b(THEN|OF|ELSE|\d+:)(?= )", r"\1;", flat)
+        out, depth, first = [], 0, False
+        for statement in (one.strip() for one in flat.split(";")):
+            line, before, after = statement, 0, 0
+            if not statement:
+                continue
+            if found := re.fullmatch(r"(IF|ELSIF) (.*) THEN", statement):
+                word, inside = ("if", 0) if found[1] == "IF" else ("elif", 1)
+                before, after = -inside, 1
+                line = f"{word} {_logical(_names(_expression(found[2]), names))}:"
+            elif statement == "ELSE":
+                before, after, line = -1, 1, "else:"
+            elif found := re.fullmatch(r"CASE (\w+) OF", statement):
+                line, after, first = f"match me[{found[1]!r}]:", 1, True
+            elif found := re.fullmatch(r"(\d+):", statement):
+                before, after, line, first = (0 if first else -1), 1, f"case {found[1]}:", False
+            elif statement == "END_IF":
+                depth -= 1
+                continue
+            elif statement == "END_CASE":
+                depth -= 2
+                continue
+            elif statement.startswith("EdgeExecute("):
+                line = "edge()"
+            else:
+                target, _, value = statement.partition(":=")
+                assert value, statement
+                line = (
+                    f"{_names(target.strip(), names)} = {_names(_expression(value.strip()), names)}"
+                )
+            # A step of CASE ends where the next one begins.
+            depth += before
+            out.append("    " * depth + line)
+            depth += after
+        return "\n".join(out)

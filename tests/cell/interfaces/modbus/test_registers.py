@@ -1,0 +1,445 @@
+"""The cell over Modbus, with pymodbus as client; what goes wrong on the line lets nothing go."""
+
+import shutil
+import socket
+import struct
+import subprocess
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+from pymodbus.client import ModbusTcpClient
+
+from cell.interfaces.modbus.registers import (
+    COMMAND,
+    COMMAND_SEQ,
+    DONE,
+    FAULT,
+    HOLDING,
+    LIFE,
+    NEEDS_RESET,
+    READY,
+    REFUSED,
+    REMOTE,
+    RUNNING,
+    SIGNATURE,
+)
+from cell.interfaces.service.service import RELEASE_KEY
+from tests.cell.interfaces.conftest import Served, until
+from tests.cell.interfaces.modbus.structured_text import FunctionBlock
+
+IDENTIFY, GRIP, VERIFY, RELEASE, REACHED, REFUSE = 21, 22, 23, 30, 40, 41
+CLEAR, RESET = 9, 1
+KEEP = 1
+
+
+class Plc:
+    """A PLC that writes single registers or blocks, and follows the handshake."""
+
+    def __init__(self, port: int) -> None:
+        self.link = ModbusTcpClient("127.0.0.1", port=port, timeout=10, retries=0)
+        assert self.link.connect()
+        self.life = 0
+        self.seq = 0
+
+    def inputs(self) -> list[int]:
+        return self.link.read_input_registers(0, count=64).registers
+
+    def write(self, address: int, *values: int) -> int:
+        """Write registers and return the exception code; 0 for none."""
+        found = self.link.write_registers(address, list(values))
+        return found.exception_code if found.isError() else 0
+
+    def live(self) -> int:
+        self.life = (self.life + 1) & 0xFFFF
+        return self.write(LIFE, self.life)
+
+    def adopt(self) -> "Plc":
+        """Take the lease and the acknowledged number."""
+        self.life = self.link.read_holding_registers(0, count=1).registers[0]
+        assert self.live() == 0
+        self.seq = self.inputs()[5]
+        assert self.write(COMMAND_SEQ, self.seq) == 0
+        return self
+
+    def command(self, number: int, *arguments: int) -> int:
+        """Run a command and return its result; arguments are registers 2 to 6."""
+        self.seq = (self.seq + 1) & 0xFFFF
+        values = [number, *arguments, *[0] * (6 - len(arguments)), self.seq]
+        assert self.write(COMMAND, *values) == 0
+        inputs = self.inputs()
+        assert inputs[5] == self.seq
+        return inputs[6]
+
+
+@pytest.fixture
+def connect(serve: Any) -> Iterator[Callable[..., tuple[Served, Plc]]]:
+    """Return the maker of a served cell and a PLC; with a cell another PLC of the same one."""
+    made: list[Plc] = []
+
+    def make(served: Served | None = None, **changes: Any) -> tuple[Served, Plc]:
+        served = served or serve("modbus", **changes)
+        made.append(Plc(served.doors["modbus_port"]))
+        return served, made[-1]
+
+    yield make
+    for plc in made:
+        plc.link.close()
+
+
+def text_of(inputs: list[int]) -> str:
+    return struct.pack(">32H", *inputs[32:]).rstrip(b"\0").decode("ascii")
+
+
+def test_a_plc_identifies_keeps_verifies_and_releases(connect: Any) -> None:
+    served, plc = connect()
+    inputs = plc.inputs()
+    assert inputs[0] == SIGNATURE
+    assert inputs[2:5] == [READY, 4, 0]
+    assert plc.inputs()[1] != inputs[1]  # the cell lives
+    plc.adopt()
+    assert plc.inputs()[2] == READY | REMOTE
+    assert plc.command(IDENTIFY, 0, 600, 1, KEEP) == 0
+    job = served.ended()
+    inputs = plc.inputs()
+    assert inputs[2] == REMOTE | DONE | HOLDING
+    assert inputs[3] == 17  # COMPLETE
+    assert inputs[8:13] == [1, 4, job.label_id, round(job.probability * 1e4), 1]
+    assert inputs[13] > 100  # 0.01 N
+    assert 400 < inputs[14] < 1100  # opening around a part of 9.5 or 10 mm in foam
+    assert 800 < inputs[15] < 1100
+    assert inputs[22] in range(20, 40)
+    assert plc.command(VERIFY) == 0
+    assert served.ended(2).same
+    assert plc.command(RELEASE, 0, 0, 0, 0, RELEASE_KEY) == 0
+    assert served.ended(3).outcome == "SUCCEEDED"
+    inputs = plc.inputs()
+    assert (inputs[2], inputs[3], served.grip_n) == (READY | REMOTE | DONE, 4, 0.0)
+
+
+def test_a_zeroed_stale_or_wrong_key_lets_nothing_go(connect: Any) -> None:
+    served, plc = connect()
+    plc.adopt()
+    assert plc.command(GRIP, 0, 300) == 0
+    assert served.ended().kept
+    for key in (0, 0x504F, 1):
+        assert plc.command(RELEASE, 0, 0, 0, 0, key) == 513
+        assert plc.inputs()[2] & REFUSED
+    # A key that stands there from an earlier command is no key of this one.
+    assert plc.command(VERIFY, 0, 0, 0, 0, RELEASE_KEY) == 0
+    served.ended()
+    plc.seq += 1
+    assert plc.write(COMMAND, RELEASE) == 0
+    assert plc.write(COMMAND_SEQ, plc.seq) == 0
+    assert plc.inputs()[6] == 513
+    # All outputs fall to zero, as when a PLC stops: its number is refused or runs nothing.
+    plc.write(0, *[0] * 9)
+    assert served.grip_n > 1.0
+    assert plc.inputs()[3] == 17
+
+
+def test_a_command_runs_once_however_often_it_is_written(connect: Any) -> None:
+    served, plc = connect()
+    plc.adopt()
+    block = [plc.life + 1, GRIP, 0, 300, 0, 0, 0, 0, plc.seq + 1]
+    for _ in range(5):
+        assert plc.write(0, *block) == 0
+        served.ended()
+    assert plc.inputs()[5:9] == [1, 0, 0, 1]
+    # Single writes, as a UR makes them: nothing runs before the number is written.
+    for address, value in ((COMMAND, RELEASE), (6, RELEASE_KEY)):
+        assert not plc.link.write_register(address, value).isError()
+    assert plc.inputs()[8] == 1
+    assert served.grip_n > 1.0
+    assert not plc.link.write_register(COMMAND_SEQ, 0xFFFF).isError()
+    served.ended(2)
+    assert not plc.link.write_register(COMMAND_SEQ, 0xFFFF).isError()
+    assert plc.inputs()[8] == 2
+
+
+def test_what_an_earlier_connection_left_is_not_replayed(connect: Any) -> None:
+    served, plc = connect()
+    plc.adopt()
+    assert plc.command(GRIP, 0, 300) == 0
+    served.ended()
+    # Dies between two registers of a release, after command and key.
+    plc.write(COMMAND, RELEASE)
+    plc.write(6, RELEASE_KEY)
+    plc.link.close()
+    served, again = connect(served)
+    # The same host, started anew: its block has a number of its own, and a command in it.
+    until(lambda: again.write(LIFE, 77) == 0)
+    for seq in (2, 7, 0):
+        assert again.write(COMMAND, RELEASE, 0, 0, 0, 0, RELEASE_KEY, 0, seq) == 3
+    assert again.write(COMMAND_SEQ, 2) == 3
+    assert again.write(COMMAND_SEQ, 1) == 0
+    assert again.write(COMMAND_SEQ, 2) == 0  # the half written release is gone
+    assert again.inputs()[6] == 513
+    assert served.grip_n > 1.0
+
+
+def test_a_second_master_is_refused_but_may_hold(connect: Any) -> None:
+    served, first = connect()
+    _, second = connect(served)
+    first.adopt()
+    assert second.write(LIFE, 9) == 6
+    assert second.write(COMMAND, RELEASE, 0, 0, 0, 0, RELEASE_KEY, 0, 1) == 6
+    assert second.write(COMMAND_SEQ, 0) == 6
+    served.pause_while_pressing()
+    assert first.command(IDENTIFY) == 0
+    served.paused()
+    assert first.inputs()[2] & RUNNING
+    assert second.write(7, 0) == 0
+    assert served.service.job().outcome_number == 2
+    assert second.write(7, 1) == 0
+    served.go_on()
+    assert served.ended().outcome == "CANCELED"
+    assert (second.inputs()[3], served.grip_n > 1.0) == (11, True)
+    assert first.command(RELEASE, 0, 0, 0, 0, RELEASE_KEY) == 0
+    assert served.ended().outcome == "SUCCEEDED"
+
+
+def test_a_second_master_over_another_door_is_refused(connect: Any) -> None:
+    served, plc = connect()
+    served.service.acquire("robot")
+    assert plc.live() == 6
+    assert plc.inputs()[2] == READY
+    served.pass_lease()
+    assert plc.live() == 0
+    assert plc.inputs()[2] == READY | REMOTE
+
+
+def test_a_frozen_life_counter_holds_the_job(connect: Any) -> None:
+    served, plc = connect()
+    plc.adopt()
+    served.pause_while_pressing()
+    assert plc.command(IDENTIFY) == 0
+    served.paused()
+    served.clock.now_s += 50.0
+    plc.write(LIFE, plc.life)  # written, but the same: the PLC's program stands
+    served.clock.now_s += 11.0
+    served.service.look()
+    served.go_on()
+    assert "was silent for 61.00 s" in served.ended().error
+    assert plc.inputs()[2:4] == [DONE | HOLDING, 11]
+    assert text_of(plc.inputs()).startswith("stopped because 'Modbus 127.0.0.1' was silent")
+    # It goes on: nothing resumes, and it has to adopt the number again.
+    assert plc.live() == 0
+    assert plc.write(COMMAND_SEQ, plc.seq + 1) == 3
+    assert served.state == "HELD"
+
+
+def test_the_hold_register_stands_against_new_jobs(connect: Any) -> None:
+    served, plc = connect()
+    plc.adopt()
+    assert plc.write(7, 1) == 0
+    plc.seq += 1
+    assert plc.write(COMMAND, IDENTIFY, 0, 0, 0, 0, 0, 1, plc.seq) == 0
+    assert plc.inputs()[6] == 513
+    assert plc.command(IDENTIFY) == 0
+    assert served.ended().outcome == "SUCCEEDED"
+
+
+def test_a_fault_is_a_number_and_a_text(connect: Any) -> None:
+    served, plc = connect()
+    plc.adopt()
+    served.pause_while_pressing()
+    plc.command(IDENTIFY)
+    served.paused()
+    fault = served.simulated.inject("unit.off")
+    served.go_on()
+    served.ended()
+    inputs = plc.inputs()
+    assert inputs[2] & (FAULT | HOLDING | READY) == FAULT | HOLDING
+    assert (inputs[3], inputs[9]) == (9, 6)
+    assert inputs[7] == served.service.status().fault_number
+    assert text_of(inputs) == served.service.status().fault[:64]
+    assert plc.command(IDENTIFY) == 505
+    fault.clear()
+    assert plc.command(CLEAR) == 0
+    served.ended()
+    assert plc.inputs()[2] & (FAULT | NEEDS_RESET) == NEEDS_RESET
+    assert plc.command(RELEASE, 0, 0, 0, 0, RELEASE_KEY) == 0
+    served.ended()
+    assert plc.command(RESET) == 0
+    served.ended()
+    assert plc.inputs()[2:4] == [READY | REMOTE | DONE, 4]
+
+
+def test_unknown_commands_objects_and_addresses_are_refused(connect: Any) -> None:
+    served, plc = connect()
+    plc.adopt()
+    for number in (0, 5, 8, 10, 99, 0x1500, 0x1E00):
+        assert plc.command(number) == 513
+    assert plc.command(20, 3) == 513  # two labels
+    assert plc.command(22, 0, 60000) == 501
+    assert plc.command(REACHED, 1) == 513
+    assert plc.write(8, 1, 1) == 2
+    assert plc.write(9, 1) == 2
+    assert plc.link.read_input_registers(60, count=5).exception_code == 2
+    assert plc.link.read_holding_registers(0, count=10).exception_code == 2
+    assert plc.link.read_coils(0, count=1).exception_code == 1
+    assert served.service.job().number == 0
+
+
+def test_function_23_writes_then_reads_or_does_neither(connect: Any) -> None:
+    served, plc = connect()
+    plc.adopt()
+    found = plc.link.readwrite_registers(
+        read_address=0,
+        read_count=9,
+        write_address=1,
+        values=[GRIP, 0, 300, 0, 0, 0, 0, plc.seq + 1],
+    )
+    assert found.registers[1:9] == [GRIP, 0, 300, 0, 0, 0, 0, plc.seq + 1]
+    served.ended()
+    found = plc.link.readwrite_registers(
+        read_address=5,
+        read_count=9,
+        write_address=1,
+        values=[RELEASE, 0, 0, 0, 0, RELEASE_KEY, 0, 9],
+    )
+    assert found.exception_code == 2
+    assert (plc.inputs()[5], served.grip_n > 1.0) == (1, True)
+
+
+def test_poses_are_reached_or_refused(connect: Any) -> None:
+    served, plc = connect(positioner__kind="callback")
+    plc.adopt()
+    assert plc.command(IDENTIFY, 0, 0, 1) == 0
+    until(lambda: plc.inputs()[16])
+    inputs = plc.inputs()
+    pose = served.service.snapshot().pose
+    shown = struct.unpack(">4h", struct.pack(">4H", *inputs[17:21]))
+    assert shown[0] == round(pose.x_m * 1e5)
+    assert shown[1] == round(pose.y_m * 1e5)
+    assert shown[2] == round(pose.as_dict()["rotation_rad"] * 1800 / 3.141592653589793)
+    assert plc.command(REACHED, inputs[16] + 1) == 513
+    assert plc.command(REACHED, inputs[16]) == 0
+    served.ended()
+    assert plc.inputs()[16:21] == [0] * 5
+    plc.command(IDENTIFY, 0, 0, 1)
+    assert plc.command(REFUSE, until(lambda: plc.inputs()[16])) == 0
+    assert served.ended().fault_number == 510
+    assert plc.inputs()[7] == 510
+
+
+def test_torn_requests_and_many_connects_change_nothing(connect: Any) -> None:
+    served, plc = connect()
+    plc.adopt()
+    plc.command(GRIP, 0, 300)
+    served.ended()
+    release = struct.pack(">HHHBBHHB8H", 1, 0, 23, 1, 16, 1, 8, 16, 30, 0, 0, 0, 0, 0x4F50, 0, 2)
+    port = served.doors["modbus_port"]
+    for cut in range(len(release)):
+        with socket.create_connection(("127.0.0.1", port), timeout=10.0) as link:
+            link.sendall(release[:cut])
+    for _ in range(200):
+        socket.create_connection(("127.0.0.1", port), timeout=10.0).close()
+    assert (plc.inputs()[5], plc.inputs()[8], served.grip_n > 1.0) == (1, 1, True)
+
+
+def _full(link: socket.socket, data: bytes) -> bool:
+    """Send; return whether no more goes, or the server has given up."""
+    try:
+        link.send(data)
+    except OSError:
+        return True
+    return False
+
+
+def test_a_client_that_never_reads_holds_nobody_up(connect: Any) -> None:
+    served, plc = connect()
+    plc.adopt()
+    read = struct.pack(">HHHBBHH", 1, 0, 6, 1, 4, 0, 64)
+    with socket.create_connection(("127.0.0.1", served.doors["modbus_port"])) as greedy:
+        greedy.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        greedy.setblocking(False)
+        until(lambda: _full(greedy, read * 5000))
+        assert plc.command(GRIP, 0, 300) == 0
+        assert served.ended().kept
+
+
+def test_the_function_block_of_the_example_walks_through_a_whole_cycle(connect: Any) -> None:
+    served, plc = connect(positioner__kind="callback")
+    block = FunctionBlock()
+    release = {"Command": RELEASE}
+
+    def cycle(**inputs: Any) -> FunctionBlock:
+        wanted = {"Enable": True, "Connected": True, "Execute": False, "HoldNow": False}
+        written = block.call(Inputs=plc.inputs(), **(wanted | inputs))
+        if wanted["Enable"]:
+            assert plc.write(0, *written) == 0
+        return block
+
+    def run(**inputs: Any) -> FunctionBlock:
+        assert block["Ready"]
+        cycle(Execute=True, **inputs)
+        until(lambda: cycle(**inputs)["Ready"])
+        return block
+
+    # Step by step: life, number, ready.
+    assert cycle()["Ready"] is False
+    assert plc.inputs()[2] & REMOTE
+    cycle()
+    assert cycle()["Ready"] is True
+    assert block["SwappedBytes"] is False
+    # Identify and keep: the block hands the pose on, the PLC moves, the job goes on.
+    run(Command=IDENTIFY, MaxGrasps=1, Options=KEEP)
+    assert (block["Done"], block["PoseSeq"]) == (False, 1)
+    run(Command=REACHED, Object=1)
+    assert (block["Done"], block["Refused"]) == (True, False)
+    served.ended()
+    cycle()
+    assert (block["State"], block["Outcome"], block["Holding"]) == (17, 4, True)
+    # Held Execute is no second command; a refused command says so.
+    for _ in range(3):
+        cycle(Execute=True, Command=RESET)
+    until(lambda: cycle(Execute=True, Command=RESET)["Ready"])
+    assert (block["Refused"], block["ResultCode"]) == (True, 505)
+    assert served.service.job().number == 1
+    assert served.grip_n > 0.5
+    # A lost connection begins anew, and nothing is replayed.
+    cycle(Connected=False, **release)
+    assert block["Ready"] is False
+    plc.link.close()
+    assert plc.link.connect()
+    until(lambda: cycle()["Ready"])
+    assert served.service.job().number == 1
+    run(**release)
+    assert (block["Done"], block["Outcome"]) == (True, 4)
+    assert (served.state, served.grip_n) == ("IDLE", 0.0)
+    assert block["Outputs"][6] == 0
+    # Hold stops what runs.
+    run(Command=IDENTIFY, MaxGrasps=1)
+    cycle(HoldNow=True)
+    assert served.ended().outcome == "CANCELED"
+
+
+def test_swapped_bytes_show_in_the_function_block(connect: Any) -> None:
+    _, plc = connect()
+    block = FunctionBlock()
+    swapped = [(value & 0xFF) << 8 | value >> 8 for value in plc.inputs()]
+    for _ in range(5):
+        block.call(Enable=True, Connected=True, Execute=True, Command=RELEASE, Inputs=swapped)
+    assert (block["SwappedBytes"], block["Ready"]) == (True, False)
+    assert block["Outputs"][:2] == [0, 0]
+
+
+@pytest.mark.skipif(shutil.which("mbpoll") is None, reason="mbpoll is not installed")
+def test_mbpoll_reads_the_cell(connect: Any) -> None:
+    served, _ = connect()
+    port = str(served.doors["modbus_port"])
+    asked = ["mbpoll", "-1", "-q", "-t", "3", "-r", "1", "-c", "4", "-p", port, "127.0.0.1"]
+    found = subprocess.run(asked, capture_output=True, text=True, timeout=30, check=True).stdout
+    assert str(SIGNATURE) in found
+
+
+def test_other_hosts_are_refused(connect: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    from cell.interfaces.modbus import registers
+
+    served, _ = connect()
+    monkeypatch.setattr(registers, "may_connect", lambda _host, _config: False)
+    with socket.create_connection(("127.0.0.1", served.doors["modbus_port"])) as link:
+        link.settimeout(10.0)
+        assert link.recv(10) == b""

@@ -1,0 +1,385 @@
+"""The service: one lease commands, anyone holds, nothing is done twice, nothing resumes."""
+
+import math
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cell.control.states import Command
+from cell.errors import CellStateError, ConfigError, NotInCommand, RequestRefused
+from cell.interfaces.service.doors import may_connect
+from cell.interfaces.service.service import RELEASE_KEY
+from tests.cell.interfaces.conftest import LEASE_S, until
+
+IDENTIFY = {"task": "identify", "max_grasps": 1, "present": "ball"}
+KEEP = IDENTIFY | {"keep": "always"}
+
+
+# -- the lease ---------------------------------------------------------------------------------
+
+
+def test_one_lease_at_a_time_commands(serve: Any) -> None:
+    service = serve().service
+    first = service.acquire("first")
+    with pytest.raises(NotInCommand, match="'first' is in command"):
+        service.acquire("second")
+    for wrong in (0, first + 1):
+        with pytest.raises(NotInCommand, match="'first' is in command"):
+            service.start(wrong, IDENTIFY)
+        with pytest.raises(NotInCommand):
+            service.command(wrong, Command.RELEASE, key=RELEASE_KEY)
+        with pytest.raises(NotInCommand):
+            service.pose_reached(wrong, 1)
+    assert service.job().number == 0
+    assert service.snapshot().commander == "first"
+    service.give_up(first)
+    assert service.acquire("second") != first
+    with pytest.raises(NotInCommand):
+        service.alive(first)
+
+
+def test_a_lease_lasts_as_long_as_its_client_is_heard(serve: Any) -> None:
+    served = serve()
+    lease = served.service.acquire("first")
+    for _ in range(3):
+        served.clock.now_s += LEASE_S
+        served.service.alive(lease)
+    served.clock.now_s += LEASE_S
+    served.service.start(lease, IDENTIFY)
+    served.clock.now_s += LEASE_S
+    assert served.service.has(lease)  # a command keeps it, too; looking does not
+    served.clock.now_s += 0.1
+    assert not served.service.has(lease)
+    assert served.service.acquire("second")
+
+
+def test_a_lost_lease_holds_the_job_and_nothing_resumes(serve: Any) -> None:
+    served = serve()
+    lease = served.service.acquire("first")
+    served.pause_while_pressing()
+    served.service.start(lease, IDENTIFY)
+    served.paused()
+    served.pass_lease()
+    served.go_on()
+    job = served.ended()
+    assert (job.outcome, job.fault_number) == ("CANCELED", 512)
+    assert "because 'first' was silent for 61.00 s" in job.error
+    assert (served.state, served.grip_n > 1.0) == ("HELD", True)
+    # The client is back: neither its old lease nor a new one goes on with the job.
+    with pytest.raises(NotInCommand):
+        served.service.start(lease, IDENTIFY)
+    lease = served.service.acquire("first")
+    with pytest.raises(CellStateError, match="'grasp' is not allowed while the cell is HELD"):
+        served.service.start(lease, IDENTIFY)
+    assert (served.state, served.grip_n > 1.0) == ("HELD", True)
+    served.service.command(lease, Command.RELEASE, key=RELEASE_KEY)
+    assert served.ended().outcome == "SUCCEEDED"
+    assert (served.state, served.grip_n) == ("IDLE", 0.0)
+
+
+def test_the_watch_notices_a_silent_client_by_itself(serve: Any) -> None:
+    served = serve(serve__lease_timeout_s=0.2)
+    lease = served.service.acquire("first")
+    served.pause_while_pressing()
+    served.service.start(lease, IDENTIFY)
+    served.paused()
+    served.clock.now_s += 1.0
+    until(lambda: served.service._lease is None)
+    served.go_on()
+    assert served.ended().outcome == "CANCELED"
+    assert served.state == "HELD"
+
+
+def test_a_lost_lease_between_jobs_changes_nothing(serve: Any) -> None:
+    served = serve()
+    served.service.start(served.service.acquire("first"), KEEP)
+    assert served.ended().kept
+    served.pass_lease()
+    assert served.service.snapshot().commander == ""
+    assert (served.state, served.grip_n > 1.0) == ("COMPLETE", True)
+
+
+def test_anyone_holds(serve: Any) -> None:
+    served = serve()
+    served.service.hold()  # nothing runs: nothing happens
+    lease = served.service.acquire("first")
+    served.pause_while_pressing()
+    served.service.start(lease, IDENTIFY)
+    served.paused()
+    served.service.hold("by the operator")
+    served.go_on()
+    assert "stopped by the operator" in served.ended().error
+    assert (served.state, served.grip_n > 1.0) == ("HELD", True)
+    assert served.service.has(lease)
+
+
+def test_a_person_at_the_cell_takes_the_lease_and_the_job_is_held(serve: Any) -> None:
+    served = serve()
+    first = served.service.acquire("first")
+    served.pause_while_pressing()
+    served.service.start(first, IDENTIFY)
+    served.paused()
+    second = served.service.acquire("operator", take=True)
+    served.go_on()
+    assert "because 'operator' took command" in served.ended().error
+    assert (served.service.has(first), served.service.has(second)) == (False, True)
+    assert served.state == "HELD"
+
+
+# -- commands ----------------------------------------------------------------------------------
+
+
+def test_an_identification_keeps_verifies_and_releases(serve: Any) -> None:
+    served = serve()
+    lease = served.service.acquire("first")
+    assert served.service.start(lease, KEEP) == 1
+    job = served.ended()
+    assert (job.task, job.outcome, job.outcome_number) == ("identify", "SUCCEEDED", 4)
+    assert (job.label, job.label_id, job.kept, job.n_grasps) == ("ball", 1, True, 1)
+    assert 0.5 < job.probability <= 1.0
+    assert served.service.snapshot().live.force_n > 1.0
+    served.service.start(lease, {"task": "verify"})
+    job = served.ended(2)
+    assert (job.held, job.same, job.kept) == (True, True, True)
+    for key in (0, RELEASE_KEY + 1, 0x504F):
+        with pytest.raises(RequestRefused, match="is not the key"):
+            served.service.command(lease, Command.RELEASE, key=key)
+    assert (served.state, served.grip_n > 1.0) == ("COMPLETE", True)
+    assert served.service.command(lease, Command.RELEASE, key=RELEASE_KEY) == 3
+    assert served.ended(3).outcome == "SUCCEEDED"
+    assert (served.state, served.grip_n) == ("IDLE", 0.0)
+    assert served.service.job(1).label == "ball"
+    with pytest.raises(RequestRefused, match="no job 4; the newest is 3"):
+        served.service.job(4)
+
+
+def test_a_repeated_request_is_not_done_twice(serve: Any) -> None:
+    served = serve()
+    lease = served.service.acquire("first")
+    for _ in range(3):
+        assert served.service.start(lease, KEEP, number=1) == 1
+    served.ended()
+    assert served.service.start(lease, KEEP, number=1) == 1
+    assert served.service.job().number == 1
+    with pytest.raises(RequestRefused, match="job 1 is another request; the next is 2"):
+        served.service.command(lease, Command.RELEASE, key=RELEASE_KEY, number=1)
+    with pytest.raises(RequestRefused, match="job 3 cannot be next; the next is 2"):
+        served.service.start(lease, KEEP, number=3)
+    served.service.give_up(lease)
+    lease = served.service.acquire("second")
+    with pytest.raises(RequestRefused, match="another request"):
+        served.service.start(lease, KEEP, number=1)
+    assert served.grip_n > 1.0
+
+
+def test_a_fault_has_its_number_and_is_cleared_and_reset(serve: Any) -> None:
+    served = serve()
+    lease = served.service.acquire("first")
+    served.pause_while_pressing()
+    served.service.start(lease, IDENTIFY)
+    served.paused()
+    unit_off = served.simulated.inject("unit.off")
+    served.go_on()
+    job = served.ended()
+    status = served.service.status()
+    assert (job.outcome, status.state) == ("ABORTED", "ABORTED")
+    assert job.fault_number == status.fault_number > 0
+    assert served.grip_n > 1.0
+    unit_off.clear()
+    for command, state in (
+        (Command.CLEAR, "RESETTING"),
+        (Command.RELEASE, "RESETTING"),
+        (Command.RESET, "IDLE"),
+        (Command.SHUTDOWN, "STOPPED"),
+        (Command.RESET, "IDLE"),
+    ):
+        number = served.service.command(lease, command, key=RELEASE_KEY)
+        assert served.ended(number).error == ""
+        assert served.state == state
+
+
+def test_bad_goals_are_refused(serve: Any) -> None:
+    service = serve().service
+    lease = service.acquire("first")
+    for goal in ({}, {"task": "dance"}, {"task": "identify", "max_grasps": 0}, {"task": "grip"}):
+        with pytest.raises(ConfigError):
+            service.start(lease, goal)
+    assert service.job().number == 0
+
+
+def test_labels_have_ids_that_the_config_fixes(serve: Any) -> None:
+    assert serve().service.labels == ("ball", "box")
+    service = serve(serve__objects=["cube", "box"]).service
+    assert service.labels == ("cube", "box", "ball")
+    assert [service.label_id(label) for label in ("cube", "ball", "UNKNOWN")] == [1, 3, 0]
+    assert service.info()["labels"] == ["cube", "box", "ball"]
+
+
+def test_a_taught_model_is_saved(serve: Any, tmp_path: Path) -> None:
+    path = tmp_path / "new.npz"
+    served = serve(options={"model": None, "save": path}, serve__lease_timeout_s=0.2)
+    lease = served.service.acquire("first")
+    for label in ("ball", "box"):
+        served.service.start(lease, {"task": "teach", "label": label, "grasps": 3})
+        assert served.ended().outcome == "SUCCEEDED"
+    until(path.exists)
+    served.service.close()
+    again = serve(options={"model": path}).service
+    assert again.labels == ("ball", "box")
+
+
+def test_a_model_that_cannot_be_saved_is_a_note(serve: Any, tmp_path: Path) -> None:
+    notes: list[str] = []
+    where = tmp_path / "missing" / "folder" / "model.npz"
+    where.parent.parent.write_text("a file where a folder should be")
+    options = {"model": None, "save": where, "note": notes.append}
+    served = serve(options=options)
+    served.service.start(
+        served.service.acquire("first"), {"task": "teach", "label": "ball", "grasps": 3}
+    )
+    served.ended()
+    served.service.close()
+    assert len(notes) == 1
+    assert notes[0].startswith("the model could not be written")
+
+
+# -- the pose handshake ------------------------------------------------------------------------
+
+
+def test_the_host_reaches_poses_or_refuses_them(serve: Any) -> None:
+    served = serve(positioner__kind="callback")
+    service, lease = served.service, served.service.acquire("robot")
+    goal = IDENTIFY | {"max_grasps": 2, "seed": 5}
+    service.start(lease, goal)
+    now = until(lambda: (found := service.snapshot()).pose_seq and found)
+    assert now.pose_seq == 1
+    assert math.isfinite(now.pose.x_m)
+    with pytest.raises(RequestRefused, match="pose 2 is not waited for, but 1"):
+        service.pose_reached(lease, 2)
+    service.pose_reached(lease, 1)
+    with pytest.raises(RequestRefused, match="pose 1 is not waited for"):
+        service.pose_reached(lease, 1)  # twice is not two poses
+    until(lambda: service.snapshot().pose_seq == 2 or service.job().outcome_number >= 4)
+    if service.job().outcome_number < 4:
+        service.pose_reached(lease, 2)
+    assert served.ended().outcome == "SUCCEEDED"
+    service.start(lease, goal)
+    seq = until(lambda: service.snapshot().pose_seq)
+    service.pose_reached(lease, seq, ok=False)
+    job = served.ended()
+    assert (job.outcome, job.fault_number, served.state) == ("ABORTED", 510, "IDLE")
+
+
+@pytest.mark.parametrize("again", [1, 2, 3])
+def test_a_hold_while_a_pose_is_waited_for_leaves_nothing_behind(serve: Any, again: int) -> None:
+    served = serve(positioner__kind="callback")
+    service, lease = served.service, served.service.acquire("robot")
+    for _ in range(again):
+        service.start(lease, IDENTIFY)
+        seq = until(lambda: service.snapshot().pose_seq)
+        service.hold()
+        assert served.ended().outcome == "CANCELED"
+        assert service.snapshot().pose_seq == 0
+        with pytest.raises(RequestRefused):
+            service.pose_reached(lease, seq)
+        if served.state == "HELD":
+            service.command(lease, Command.RELEASE, key=RELEASE_KEY)
+            served.ended()
+    service.start(lease, IDENTIFY)
+    service.pose_reached(lease, until(lambda: service.snapshot().pose_seq))
+    assert served.ended().outcome == "SUCCEEDED"
+
+
+# -- the end -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["simulated", "callback"])
+def test_the_end_of_the_service_keeps_the_part_and_ends_all_threads(serve: Any, kind: str) -> None:
+    before = set(threading.enumerate())
+    served = serve(positioner__kind=kind)
+    lease = served.service.acquire("first")
+    if kind == "simulated":
+        served.pause_while_pressing()
+        served.service.start(lease, IDENTIFY)
+        served.paused()
+        ending = threading.Thread(target=served.service.close)
+        ending.start()
+        until(lambda: served.service._stopped)
+        served.go_on()
+        ending.join()
+        assert served.grip_n > 1.0
+    else:
+        served.service.start(lease, IDENTIFY)
+        until(lambda: served.service.snapshot().pose_seq)
+        served.service.close()
+    served.service.close()
+    assert served.ended().outcome == "CANCELED"
+    with pytest.raises(CellStateError, match="the cell is closed"):
+        served.service.start(served.service.acquire("late", take=True), IDENTIFY)
+    assert set(threading.enumerate()) <= before
+
+
+# -- who may connect ---------------------------------------------------------------------------
+
+
+def test_hosts_are_this_machine_and_those_allowed(make_config: Any) -> None:
+    config = make_config(
+        serve__listen="0.0.0.0", serve__allow=["192.168.1.10", "10.1.0.0/16", "fd00::/8"]
+    ).serve
+    for host, may in {
+        "127.0.0.1": True,
+        "::1": True,
+        "::ffff:127.0.0.1": True,
+        "192.168.1.10": True,
+        "::ffff:192.168.1.10": True,
+        "192.168.1.11": False,
+        "10.1.2.3": True,
+        "10.2.0.1": False,
+        "fd12::3": True,
+        "fe80::1%eth0": False,
+    }.items():
+        assert may_connect(host, config) is may, host
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        ({"serve__listen": "0.0.0.0"}, "serve.allow is empty"),
+        ({"serve__listen": "localhost"}, "does not appear to be"),
+        ({"serve__allow": ["everyone"]}, "does not appear to be"),
+        ({"serve__tls_key": "key.pem"}, "need each other"),
+        ({"serve__objects": ["ball", "ball"]}, "twice"),
+        ({"serve__modbus_port": 65536}, "65535"),
+    ],
+)
+def test_a_config_that_opens_doors_to_nobody_in_particular_is_refused(
+    make_config: Any, changes: dict[str, Any], complaint: str
+) -> None:
+    with pytest.raises(ConfigError, match=complaint):
+        make_config(**changes)
+
+
+def test_the_watch_outlives_what_goes_wrong(serve: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    notes: list[str] = []
+    served = serve(options={"note": notes.append}, serve__lease_timeout_s=0.2)
+    cancel, failed = served.service._plugin.cancel, threading.Event()
+
+    def fail_once(*arguments: Any) -> None:
+        if not failed.is_set():
+            failed.set()
+            raise OSError("the pipe is broken")
+        cancel(*arguments)
+
+    monkeypatch.setattr(served.service._plugin, "cancel", fail_once)
+    lease = served.service.acquire("first")
+    served.pause_while_pressing()
+    served.service.start(lease, IDENTIFY)
+    served.paused()
+    served.clock.now_s += 1.0
+    until(lambda: notes)
+    assert notes[0] == "watch over the lease: OSError: the pipe is broken"
+    served.service.hold()
+    served.go_on()
+    assert served.ended().outcome == "CANCELED"

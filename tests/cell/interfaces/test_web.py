@@ -1,0 +1,280 @@
+"""The cell over HTTP and WebSocket, with the standard library and `websockets` as clients."""
+
+import json
+import ssl
+import subprocess
+import threading
+from collections.abc import Callable
+from contextlib import ExitStack
+from http.client import HTTPConnection, HTTPSConnection
+from pathlib import Path
+from typing import Any
+
+import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.sync.client import connect as open_socket
+
+from cell.errors import CellError, ConfigError
+from cell.interfaces.service.service import RELEASE_KEY, Service
+from cell.interfaces.service.serving import open_doors, warnings
+from tests.cell.interfaces.conftest import Served, until
+
+
+class Client:
+    """A host with the token."""
+
+    def __init__(self, served: Served) -> None:
+        self.port = served.doors["http_port"]
+        self.token = served.doors["token"]
+
+    def ask(
+        self, method: str, path: str, body: Any = None, *, token: str | None = "", **headers: str
+    ) -> tuple[int, Any]:
+        """Return status and answer."""
+        link = HTTPConnection("127.0.0.1", self.port, timeout=20.0)
+        if token is not None:
+            headers["Authorization"] = f"Bearer {token or self.token}"
+        data = None if body is None else json.dumps(body).encode()
+        link.request(method, path, data, {"Content-Type": "application/json"} | headers)
+        answer = link.getresponse()
+        found = answer.read()
+        link.close()
+        return answer.status, json.loads(found) if found else None
+
+    def get(self, path: str) -> Any:
+        status, found = self.ask("GET", path)
+        assert status == 200, found
+        return found
+
+    def post(self, path: str, **body: Any) -> Any:
+        status, found = self.ask("POST", path, body)
+        assert status == 200, found
+        return found
+
+    def live(self, query: str = "", **options: Any) -> Any:
+        return open_socket(
+            f"ws://127.0.0.1:{self.port}/api/live?token={self.token}{query}", **options
+        )
+
+
+@pytest.fixture
+def connect(serve: Any) -> Callable[..., tuple[Served, Client]]:
+    """Return the maker of a served cell and a client."""
+
+    def make(**changes: Any) -> tuple[Served, Client]:
+        served = serve("http", **changes)
+        return served, Client(served)
+
+    return make
+
+
+def test_a_host_identifies_keeps_verifies_and_releases(connect: Any) -> None:
+    served, host = connect()
+    assert host.get("/api/info")["labels"] == ["ball", "box"]
+    lease = host.post("/api/lease", name="host")["lease"]
+    assert host.post(f"/api/lease/{lease}/alive") == {"lease": lease}
+    goal = {"task": "identify", "max_grasps": 1, "present": "box", "keep": "always"}
+    assert host.post("/api/jobs", lease=lease, goal=goal, job=1) == {"job": 1}
+    assert host.post("/api/jobs", lease=lease, goal=goal, job=1) == {"job": 1}
+    served.ended()
+    job = host.get("/api/jobs/1")
+    assert (job["outcome"], job["label"], job["kept"], job["n_grasps"]) == (
+        "SUCCEEDED",
+        "box",
+        True,
+        1,
+    )
+    now = host.get("/api/state")
+    assert now["status"]["state"] == "COMPLETE"
+    assert now["live"]["force_n"] > 1.0
+    assert (now["commander"], now["job"]) == ("host", job)
+    assert host.ask("POST", "/api/commands", {"lease": lease, "command": "release"})[0] == 422
+    assert served.grip_n > 1.0
+    done = host.post("/api/commands", lease=lease, command="release", key=RELEASE_KEY)
+    assert served.ended(done["job"]).outcome == "SUCCEEDED"
+    assert served.grip_n == 0.0
+    assert host.ask("DELETE", f"/api/lease/{lease}") == (200, {"lease": 0})
+
+
+def test_refusals_have_a_status_and_a_fault_number(connect: Any) -> None:
+    served, host = connect()
+    lease = host.post("/api/lease", name="host")["lease"]
+    identify = {"task": "identify"}
+    for path, body, status, number in (
+        ("/api/lease", {"name": "other"}, 403, 514),
+        ("/api/jobs", {"lease": lease + 1, "goal": identify}, 403, 514),
+        ("/api/jobs", {"lease": lease, "goal": {"task": "dance"}}, 422, 501),
+        ("/api/jobs", {"lease": lease, "goal": identify, "job": 5}, 422, 513),
+        ("/api/commands", {"lease": lease, "command": "reset"}, 409, 505),
+        ("/api/commands", {"lease": lease, "command": "release", "key": 1}, 422, 513),
+        ("/api/pose", {"lease": lease, "seq": 1, "ok": True}, 422, 513),
+        ("/api/pose", {"lease": lease, "seq": 1, "ok": True, "pose": {"w": 1}}, 422, 513),
+    ):
+        found = host.ask("POST", path, body)
+        assert (found[0], found[1]["fault_number"]) == (status, number), path
+    for path, body in (
+        ("/api/jobs", {"lease": "x", "goal": identify}),
+        ("/api/jobs", {"lease": lease}),
+        ("/api/commands", {"lease": lease, "command": "grasp"}),
+        ("/api/commands", {"lease": lease, "command": "reset", "force": 1}),
+    ):
+        assert host.ask("POST", path, body)[0] == 422
+    assert host.ask("GET", "/api/jobs/3")[0] == 422
+    assert served.service.job().number == 0
+
+
+def test_all_but_hold_needs_the_token(connect: Any) -> None:
+    served, host = connect()
+    paths = host.ask("GET", "/openapi.json", token=None)[1]["paths"]
+    guarded = [(path, method) for path, ways in paths.items() for method in ways]
+    assert len(guarded) == 10
+    for path, method in guarded:
+        if path == "/api/hold":
+            continue
+        place = path.format(lease=1, number=1)
+        for token in (None, "wrong"):
+            assert host.ask(method.upper(), place, {}, token=token)[0] == 401, path
+    served.pause_while_pressing()
+    lease = host.post("/api/lease", name="host")["lease"]
+    host.post("/api/jobs", lease=lease, goal={"task": "identify"})
+    served.paused()
+    assert host.ask("POST", "/api/hold", {}, token=None)[0] == 200
+    served.go_on()
+    assert served.ended().outcome == "CANCELED"
+    assert served.grip_n > 1.0
+
+
+def test_the_description_has_a_text_for_each_path(connect: Any) -> None:
+    _, host = connect()
+    paths = host.ask("GET", "/openapi.json", token=None)[1]["paths"]
+    assert all(way["description"] for ways in paths.values() for way in ways.values())
+    assert "goal" in json.dumps(paths["/api/jobs"]["post"]) or "StartBody" in json.dumps(paths)
+
+
+def test_a_page_from_elsewhere_is_refused(connect: Any) -> None:
+    _, host = connect()
+    here = f"http://127.0.0.1:{host.port}"
+    for origin, status in ((here, 200), ("http://evil.example", 403), ("null", 403)):
+        assert host.ask("POST", "/api/hold", {}, Origin=origin)[0] == status
+    assert host.ask("POST", "/api/hold", {"x": "y" * 70_000})[0] == 413
+    with host.live(origin=here) as link:
+        assert json.loads(link.recv(timeout=20))["status"]["state"] == "IDLE"
+    with pytest.raises(InvalidStatus, match="403"), host.live(origin="http://evil.example"):
+        pass
+    host.token = "wrong"
+    with pytest.raises(InvalidStatus, match="403"), host.live():
+        pass
+
+
+def test_a_lease_is_taken_over_at_this_machine(connect: Any) -> None:
+    served, host = connect()
+    first = served.service.acquire("PLC")
+    assert host.ask("POST", "/api/lease", {"name": "operator"})[0] == 403
+    assert host.post("/api/lease", name="operator", take=True)["lease"] != first
+    assert not served.service.has(first)
+
+
+def test_the_socket_sends_states_and_frames(connect: Any) -> None:
+    served, host = connect()
+    with host.live("&frames=1") as link:
+        assert json.loads(link.recv(timeout=20))["pose"] is None
+        lease = host.post("/api/lease", name="host")["lease"]
+        host.post("/api/jobs", lease=lease, goal={"task": "grip", "force_n": 3.0})
+        served.ended()
+        frame = until(
+            lambda: (found := link.recv(timeout=20)) and isinstance(found, bytes) and found
+        )
+        assert len(frame) == 2 * 408
+        until(lambda: (m := link.recv(timeout=20)) and isinstance(m, str) and "COMPLETE" in m)
+
+
+def test_a_slow_socket_gets_the_newest_and_holds_nobody_up(connect: Any) -> None:
+    served, host = connect()
+    with host.live("&frames=1", close_timeout=0.5) as slow:
+        # It takes nothing; the door goes on with all others.
+        for _ in range(5):
+            assert host.get("/api/state")["status"]["state"] == "IDLE"
+        with host.live() as other:
+            for _ in range(20):
+                other.recv(timeout=20)
+        assert slow.recv(timeout=20)
+    assert served.state == "IDLE"
+
+
+def test_the_end_of_the_door_ends_sockets_and_threads(serve: Any) -> None:
+    before = set(threading.enumerate())
+    served = serve()
+    with ExitStack() as undo:
+        served.doors = undo.enter_context(open_doors_with_http(served.service))
+        with Client(served).live() as link:
+            link.recv(timeout=20)
+            undo.close()
+            until(lambda: _closed(link))
+    served.service.close()
+    until(lambda: set(threading.enumerate()) <= before)
+
+
+def _closed(link: Any) -> bool:
+    """Take what is left; return whether the other side has closed."""
+    try:
+        link.recv(timeout=20)
+    except ConnectionClosed:
+        return True
+    return False
+
+
+def open_doors_with_http(service: Service) -> Any:
+    opened = service.config.serve.model_copy(update={"http_port": 0})
+    service.config = service.config.model_copy(update={"serve": opened})
+    return open_doors(service)
+
+
+def test_tls_by_certificate_files(connect: Any, tmp_path: Path) -> None:
+    key, certificate = tmp_path / "key.pem", tmp_path / "cert.pem"
+    made = subprocess.run(
+        ["openssl", "req", "-x509", "-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1",
+         "-nodes", "-days", "2", "-subj", "/CN=cell", "-addext", "subjectAltName=IP:127.0.0.1",
+         "-keyout", str(key), "-out", str(certificate)],
+        capture_output=True, check=False,
+    )  # fmt: skip
+    if made.returncode:
+        pytest.skip("openssl is not there to make a certificate")
+    token = tmp_path / "token"
+    token.write_text("a token of the operator\n")
+    _, host = connect(
+        serve__tls_certificate=str(certificate),
+        serve__tls_key=str(key),
+        serve__token_file=str(token),
+    )
+    assert host.token == "a token of the operator"
+    trusted = ssl.create_default_context(cafile=str(certificate))
+    link = HTTPSConnection("127.0.0.1", host.port, timeout=20.0, context=trusted)
+    link.request("GET", "/api/info", headers={"Authorization": f"Bearer {host.token}"})
+    assert link.getresponse().status == 200
+    link.close()
+
+
+# -- opening the doors -------------------------------------------------------------------------
+
+
+def test_doors_that_cannot_be_opened_say_why(serve: Any, tmp_path: Path) -> None:
+    taken = serve("modbus", "xmlrpc", "http").doors
+    for name in ("modbus", "xmlrpc", "http"):
+        with pytest.raises(CellError, match="cannot be opened"):
+            serve(name, **{f"serve__{name}_port": taken[f"{name}_port"]})
+    with pytest.raises(ConfigError, match="no door is open"), open_doors(serve().service):
+        pass
+    with pytest.raises(CellError, match="cannot be opened"):
+        serve("http", serve__token_file=str(tmp_path / "missing"))
+    (tmp_path / "short").write_text("short")
+    with pytest.raises(ConfigError, match="at least 16 characters"):
+        serve("http", serve__token_file=str(tmp_path / "short"))
+
+
+def test_an_address_for_others_is_warned_of(serve: Any) -> None:
+    assert warnings(serve("modbus", "xmlrpc", "http").service) == ()
+    others = {"serve__listen": "0.0.0.0", "serve__allow": ["192.0.2.1"]}
+    modbus, http = warnings(serve(serve__modbus_port=0, serve__http_port=0, **others).service)
+    assert "Modbus and XML-RPC authenticate nobody: who reaches 0.0.0.0 from 192.0.2.1" in modbus
+    assert "without TLS" in http
+    assert warnings(serve(**others).service) == ()

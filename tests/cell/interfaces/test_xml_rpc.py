@@ -1,0 +1,301 @@
+"""The cell over XML-RPC, with the standard library's client and the example's robot program."""
+
+import gzip
+import http.client
+import math
+import socket
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+from xmlrpc.client import Fault, ServerProxy, dumps, loads
+
+import numpy as np
+import pytest
+
+from cell.control.plan import Pose
+from cell.interfaces.service.service import RELEASE_KEY
+from cell.interfaces.xml_rpc import LONGEST, Calls, ur_pose
+from tests.cell.interfaces.conftest import Served, until
+from tests.cell.interfaces.ur_script import Robot
+
+LONGEST_CALL_S = 0.1
+"""No call may wait longer: a robot program stands still meanwhile."""
+
+
+@pytest.fixture
+def connect(serve: Any) -> Iterator[Callable[..., tuple[Served, Any]]]:
+    """Return the maker of a served cell and a client."""
+    made: list[ServerProxy] = []
+
+    def make(**changes: Any) -> tuple[Served, Any]:
+        served = serve("xmlrpc", **changes)
+        made.append(ServerProxy(address(served)))
+        return served, made[-1]
+
+    yield make
+    for client in made:
+        client("close")()
+
+
+def address(served: Served) -> str:
+    return f"http://127.0.0.1:{served.doors['xmlrpc_port']}/RPC2"
+
+
+def post(served: Served, body: bytes, **headers: str) -> tuple[int, bytes]:
+    link = http.client.HTTPConnection("127.0.0.1", served.doors["xmlrpc_port"], timeout=20.0)
+    link.request("POST", "/RPC2", body, headers)
+    answer = link.getresponse()
+    found = answer.status, answer.read()
+    link.close()
+    return found
+
+
+def test_a_robot_program_identifies_keeps_verifies_and_releases(connect: Any) -> None:
+    served, cell = connect()
+    assert (cell.state(), cell.grip_state(), cell.holding()) == (4, 0, False)
+    lease = cell.acquire("robot")
+    assert lease > 0
+    assert cell.alive(lease) == 0
+    job = cell.identify(lease, 1, 6.0, True)
+    until(lambda: cell.job_state(job) >= 4)
+    assert (cell.job_state(job), cell.job_fault(job)) == (4, 0)
+    assert cell.label(job) == served.service.labels[cell.label_id(job) - 1]
+    assert 0.5 < cell.probability(job) <= 1.0
+    assert (cell.state(), cell.holding(), cell.same(job)) == (17, True, -1)
+    job = cell.verify(lease)
+    until(lambda: cell.job_state(job) == 4)
+    assert cell.same(job) == 1
+    assert cell.release(lease, 0) == -513
+    job = cell.release(lease, RELEASE_KEY)
+    until(lambda: cell.job_state(job) == 4)
+    assert (cell.state(), served.grip_n) == (4, 0.0)
+    assert cell.give_up(lease) == 0
+
+
+def test_no_method_raises_whatever_it_is_given(connect: Any) -> None:
+    _, cell = connect()
+    types = (int, float, bool, str, dict)
+    for name in (one for one in vars(Calls) if not one.startswith("_")):
+        for arguments in ((), (1,), ("x",), (1, 2), (1, "x", 2.0), (1, 1, 1.0, True), (1,) * 7):
+            found = getattr(cell, name)(*arguments)
+            assert isinstance(found, types), (name, arguments)
+    assert cell.identify(1, 1, 1.0, True) == -514
+    assert cell.identify(1, 1) == -501
+    assert cell.job_state(7) == -513
+    assert (cell.label(7), cell.probability(7)) == ("", -513.0)
+    with pytest.raises(Fault, match="not supported"):
+        cell.nothing()
+
+
+def test_a_repeated_call_is_not_done_twice(connect: Any) -> None:
+    served, cell = connect()
+    lease = cell.acquire("robot")
+    number = cell.next_job()
+    assert [cell.grip(lease, 3.0, number) for _ in range(3)] == [1, 1, 1]
+    served.ended()
+    assert cell.grip(lease, 3.0, number) == 1
+    assert cell.release(lease, RELEASE_KEY, number) == -513
+    assert cell.next_job() == 2
+    assert served.grip_n > 1.0
+
+
+def test_no_call_waits_while_the_cell_is_busy(connect: Any) -> None:
+    served, cell = connect()
+    lease = cell.acquire("robot")
+    served.pause_while_pressing()
+    job = cell.identify(lease, 1, 0.0, False)
+    served.paused()
+    took_s = []
+    for call in (
+        cell.state,
+        lambda: cell.job_state(job),
+        lambda: cell.identify(lease, 1, 0.0, False),
+        lambda: cell.release(lease, RELEASE_KEY),
+        lambda: cell.reset(lease),
+        cell.next_pose,
+        cell.hold,
+        lambda: cell.alive(lease),
+    ):
+        each_s = []
+        for _ in range(5):
+            begin_s = time.perf_counter()
+            call()
+            each_s.append(time.perf_counter() - begin_s)
+        took_s.append(min(each_s))  # the machine may be another's for a moment
+    assert max(took_s) < LONGEST_CALL_S
+    served.go_on()
+    assert served.ended().outcome == "CANCELED"
+    assert cell.state() == 11
+
+
+def test_a_second_robot_is_refused_and_may_hold(connect: Any) -> None:
+    served, first = connect()
+    lease = first.acquire("first")
+    with ServerProxy(address(served)) as second:
+        assert second.acquire("second") == -514
+        assert second.release(lease + 1, RELEASE_KEY) == -514
+        served.pause_while_pressing()
+        first.identify(lease, 1, 0.0, True)
+        served.paused()
+        assert second.hold() == 0
+        served.go_on()
+    assert served.ended().outcome == "CANCELED"
+    assert served.grip_n > 1.0
+
+
+def test_poses_are_those_of_ur(connect: Any) -> None:
+    served, cell = connect(positioner__kind="callback")
+    zero = dict.fromkeys(("x", "y", "z", "rx", "ry", "rz"), 0.0)
+    assert (cell.pose_seq(), cell.next_pose()) == (0, zero)
+    lease = cell.acquire("robot")
+    job = cell.identify(lease, 1, 0.0, False)
+    seq = until(cell.pose_seq)
+    assert cell.next_pose() == pytest.approx(ur_pose(served.service.snapshot().pose))
+    assert cell.pose_reached(lease, seq + 1, True) == -513
+    assert cell.pose_reached(lease, seq, False) == 0
+    until(lambda: cell.job_state(job) == 6)
+    assert cell.job_fault(job) == 510
+
+
+@pytest.mark.parametrize(
+    ("rotation", "roll"), [(0.0, 0.0), (0.4, 0.0), (0.0, -2.0), (3.0, 1.0), (-3.1, 3.1)]
+)
+def test_a_rotation_vector_rolls_first_then_turns(rotation: float, roll: float) -> None:
+    found = ur_pose(Pose(x_m=0.001, y_m=-0.002, rotation_rad=rotation, roll_rad=roll))
+    assert (found["x"], found["y"], found["z"]) == (0.001, -0.002, 0.0)
+    vector = np.array([found["rx"], found["ry"], found["rz"]])
+    angle = float(np.linalg.norm(vector))
+    axis = vector / angle if angle else vector
+    cross = np.array([[0, -axis[2], axis[1]], [axis[2], 0, -axis[0]], [-axis[1], axis[0], 0]])
+    turned = np.eye(3) + math.sin(angle) * cross + (1 - math.cos(angle)) * cross @ cross
+    c, s, cr, sr = math.cos(rotation), math.sin(rotation), math.cos(roll), math.sin(roll)
+    about_z = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+    about_x = np.array([[1, 0, 0], [0, cr, -sr], [0, sr, cr]])
+    np.testing.assert_allclose(turned, about_z @ about_x, atol=1e-12)
+
+
+# -- the example -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", ["simulated", "callback"])
+def test_the_robot_program_of_the_example_sorts_parts(connect: Any, kind: str) -> None:
+    served, _ = connect(positioner__kind=kind)
+    robot = Robot(address(served))
+    try:
+        assert robot.sort_parts(2) == 2
+    finally:
+        robot.close()
+    assert robot.messages == []
+    assert [served.service.job(n).task for n in (1, 2, 3, 4)] == ["identify", "release"] * 2
+    assert "alive" in robot.calls
+    places = robot.names["PLACES"]
+    assert [places.index(move) for move in robot.moves if move in places] == [
+        served.service.job(number).label_id for number in (1, 3)
+    ]
+    assert ("pose_reached" in robot.calls) is (kind == "callback")
+    assert (served.state, served.grip_n) == ("IDLE", 0.0)
+    assert served.service.snapshot().commander == ""
+
+
+def test_the_robot_program_of_the_example_stops_where_another_commands(connect: Any) -> None:
+    served, _ = connect()
+    served.service.acquire("PLC")
+    robot = Robot(address(served))
+    assert robot.sort_parts(1) == -1
+    robot.close()
+    assert robot.messages == [("another client is in command: ", -514)]
+    assert robot.moves == []
+
+
+def test_the_robot_program_of_the_example_ends_with_the_part_where_it_is_held(
+    connect: Any,
+) -> None:
+    served, client = connect()
+    served.pause_while_pressing()
+    served.simulated.clock.on_advance.append(lambda _now_s: served._paused.is_set() and hold())
+
+    def hold() -> None:
+        served.simulated.clock.on_advance.pop()
+        client.hold()
+
+    served.go_on()
+    robot = Robot(address(served))
+    assert robot.sort_parts(1) == 0
+    robot.close()
+    assert robot.messages == [("identify: ", 512)]
+    assert (served.state, served.grip_n > 1.0) == ("HELD", True)
+
+
+# -- bad input ---------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("body", "headers", "status"),
+    [
+        (b"<!DOCTYPE a [<!ENTITY b 'b'>]><methodCall/>", {}, 501),
+        (gzip.compress(dumps((), "state").encode(), mtime=0), {"Content-Encoding": "gzip"}, 501),
+        (b"x" * (LONGEST + 1), {}, 413),
+        (b"", {"Content-Length": "-1"}, 413),
+        (b"", {"Content-Length": "many"}, 413),
+        (b"", {"Transfer-Encoding": "chunked"}, 413),
+    ],
+    ids=["document type", "compressed", "long", "negative", "no number", "chunked"],
+)
+def test_what_could_grow_is_refused(
+    connect: Any, body: bytes, headers: dict[str, str], status: int
+) -> None:
+    served, cell = connect()
+    assert post(served, body, **headers)[0] == status
+    assert cell.state() == 4
+
+
+@pytest.mark.parametrize(
+    "body", [b"", b"<", b"<methodCall>", b"\0" * 50, b"<methodCall><methodName>state", b"{}"]
+)
+def test_what_is_no_call_is_answered_with_a_fault(connect: Any, body: bytes) -> None:
+    served, cell = connect()
+    status, found = post(served, body)
+    assert status == 200
+    with pytest.raises(Fault):
+        loads(found)
+    assert cell.state() == 4
+
+
+def test_torn_requests_slow_clients_and_many_connects_change_nothing(connect: Any) -> None:
+    served, cell = connect()
+    lease = cell.acquire("robot")
+    cell.grip(lease, 3.0)
+    served.ended()
+    body = dumps((lease, RELEASE_KEY), "release").encode()
+    request = b"POST /RPC2 HTTP/1.1\r\nContent-Length: %d\r\n\r\n" % len(body) + body
+    place = ("127.0.0.1", served.doors["xmlrpc_port"])
+    for cut in range(0, len(request), 7):
+        with socket.create_connection(place, timeout=20.0) as link:
+            link.sendall(request[:cut])
+    slow = [socket.create_connection(place, timeout=20.0) for _ in range(20)]
+    for link in slow:
+        link.sendall(request[:40])
+    for _ in range(200):
+        socket.create_connection(place, timeout=20.0).close()
+    until(lambda: _answers(served))
+    assert (cell.next_job(), served.grip_n > 1.0) == (2, True)
+    for link in slow:
+        link.close()
+
+
+def _answers(served: Served) -> bool:
+    """Whether a new client gets an answer: while the door is full it is closed at once."""
+    try:
+        with ServerProxy(address(served)) as client:
+            return client.state() == 17
+    except OSError:
+        return False
+
+
+def test_other_hosts_are_refused(connect: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    from cell.interfaces import xml_rpc
+
+    served, _ = connect()
+    monkeypatch.setattr(xml_rpc, "may_connect", lambda _host, _config: False)
+    with pytest.raises(OSError, match=r".*"), ServerProxy(address(served)) as client:
+        client.state()

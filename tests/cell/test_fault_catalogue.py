@@ -1,0 +1,138 @@
+"""The fault catalogue: every error has a number, and none ever changes."""
+
+import importlib
+import inspect
+import pkgutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import cell
+import gripper
+import motion
+import recognition
+import tactile
+from cell.control.states import CellState
+from cell.errors import CellError, CellStopped, ConfigError, PartInGrip, error_text
+from cell.fault_catalogue import CATALOGUE, Fault, fault_number, fault_of
+from cell.interfaces.plugin.worker import Job, JobFailed, JobOutcome, JobStatus
+from gripper.errors import BusTimeout, FingerSilent, GripperError, PartLost, ServoMissing
+from motion.errors import MotionError
+from recognition.errors import RecognitionError
+from tactile.errors import HeartbeatLost, LinkFault, TactileError
+
+FROZEN = {
+    "GripperError": 100, "PortLost": 101, "BusTimeout": 102, "FingerSilent": 103,
+    "LinkTooSlow": 104, "BusCorrupt": 105, "BusUnreliable": 106, "BusBusy": 107,
+    "ServoRejected": 108, "ServoFault": 109, "VerificationFailed": 110, "ServoMissing": 111,
+    "FeedbackImplausible": 112, "WatchdogUnproven": 113,
+    "LimitExceeded": 200, "ForceAboveCap": 201, "PositionContradicted": 202,
+    "GripperStateError": 203, "ForceSensorStale": 204, "PartLost": 205, "PartSlipped": 206,
+    "ForceImbalance": 207, "GraspStopped": 208,
+    "TactileError": 300, "LinkStateError": 301, "LinkFault": 302, "NodeMissing": 303,
+    "IdentityMismatch": 304, "HeartbeatLost": 305, "DuplicateNode": 306, "BusDisturbed": 307,
+    "NodeRebooted": 308, "NodeStateChanged": 309, "NodeEmergency": 310, "BusOff": 311,
+    "BusErrorPassive": 312, "ReceiveLoopDead": 313, "BusNotOpened": 314,
+    "FrameTimeout": 401, "FrameError": 402, "LayoutError": 403, "CalibrationError": 404,
+    "TareRefused": 405, "ZeroDrifted": 406,
+    "CellError": 500, "ConfigError": 501, "DatasetError": 502, "RecordingError": 503,
+    "ReportError": 504, "CellStateError": 505, "PartInGrip": 506, "PlanRefused": 507,
+    "HandLost": 508, "HostSilent": 509, "PositionerError": 510, "NoPartFound": 511,
+    "CellStopped": 512, "RequestRefused": 513, "NotInCommand": 514, "OSError": 598,
+    "Exception": 599,
+    "MotionError": 600, "AxisLimitExceeded": 601, "PositionNotReached": 602, "AxisMissing": 603,
+    "AxisSilent": 604, "AxisRestarted": 605, "AxisFault": 606, "LimitSwitchReached": 607,
+    "HomingFailed": 608, "PositionerFault": 609,
+    "RecognitionError": 700, "ContactError": 701, "QuadricError": 702, "TransformError": 703,
+    "TrajectoryError": 704, "MissingExtraError": 705, "ModelError": 706,
+}  # fmt: skip
+"""Numbers that hosts rely on: add to this list, never change it."""
+
+REPORTS_ANOTHER = {"JobFailed"}
+"""Errors with the number of their cause."""
+NOT_FOR_HOSTS = ("cell.pytest_plugin",)
+
+
+def error_classes() -> Iterator[type[BaseException]]:
+    """Every subclass of the packages' base errors, wherever it is defined."""
+    for package in (gripper, motion, tactile, recognition, cell):
+        for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
+            if module.name.startswith(NOT_FOR_HOSTS):
+                continue
+            found = importlib.import_module(module.name)
+            for _, kind in inspect.getmembers(found, inspect.isclass):
+                bases = (GripperError, MotionError, TactileError, RecognitionError, CellError)
+                if issubclass(kind, bases) and kind.__module__ == module.name:
+                    yield kind
+
+
+def test_every_error_class_has_a_number_of_its_own() -> None:
+    missing = {kind.__name__ for kind in error_classes()} - {kind.__name__ for kind in CATALOGUE}
+    assert missing == REPORTS_ANOTHER
+
+
+def test_numbers_do_not_change() -> None:
+    assert {kind.__name__: fault.number for kind, fault in CATALOGUE.items()} == FROZEN
+    assert len(set(FROZEN.values())) == len(FROZEN)
+
+
+@pytest.mark.parametrize("fault", CATALOGUE.values(), ids=lambda fault: str(fault.number))
+def test_texts_fit_a_display(fault: Fault) -> None:
+    assert 0 < len(fault.text) <= 64
+    assert fault.text.isascii()
+    assert fault.text.isprintable()
+    assert 100 <= fault.number <= 799
+    assert all((fault.cause, fault.remedy, fault.grip))
+
+
+def test_a_subclass_has_the_most_specific_entry() -> None:
+    class WarmerSilence(FingerSilent):
+        pass
+
+    class NewLinkFault(LinkFault):
+        pass
+
+    assert fault_number(BusTimeout("x")) == 102
+    assert fault_number(WarmerSilence("x")) == 103
+    assert CATALOGUE[ServoMissing].number == 111
+    assert fault_number(HeartbeatLost("x")) == 305
+    assert fault_number(NewLinkFault("x")) == 302
+    assert fault_number(PartInGrip("x")) == 506
+    assert fault_number(ConfigError("x")) == 501
+    assert fault_number(PermissionError("x")) == 598
+    assert fault_number(ZeroDivisionError("x")) == 599
+    assert fault_number(KeyboardInterrupt()) == 599
+    assert fault_number(None) == 0
+
+
+def test_an_error_that_reports_another_has_its_number() -> None:
+    lost = PartLost("gone")
+    status = JobStatus(outcome=JobOutcome.ABORTED, progress={}, error="x", exception=lost)
+    failed = JobFailed(Job(1, "w"), status)
+    failed.__cause__ = lost
+    assert (status.fault_number, failed.fault_number, fault_of(failed).number) == (205, 205, 205)
+    stopped = JobStatus(outcome=JobOutcome.CANCELED, progress={}, exception=CellStopped("x"))
+    assert stopped.fault_number == 512
+    assert JobStatus(outcome=JobOutcome.EXECUTING, progress={}).fault_number == 0
+
+
+def test_a_latched_fault_has_its_number_in_status_and_recording(make_bench, tmp_path: Path) -> None:
+    from cell.data.recording_reader import read_recording
+    from gripper.state import GripperPhase
+
+    bench = make_bench(folder=tmp_path).ready()
+    assert bench.controller.status.fault_number == 0
+    bench.once_in(GripperPhase.RAMPING, lambda: bench.simulated.inject("unit.off"))
+    with pytest.raises(Exception) as raised:  # noqa: PT011  which one, is what the number says
+        bench.grasp(6.0)
+    number = fault_number(raised.value)
+    assert number not in (0, 599)
+    status = bench.controller.status
+    assert (status.fault, status.fault_number) == (error_text(raised.value), number)
+    bench.controller.clear()
+    assert bench.controller.state is CellState.RESETTING
+    assert bench.controller.status.fault_number == 0
+    bench.cell.close()
+    events = read_recording(bench.cell.recording_path).events
+    assert [e["fault_number"] for e in events if e["kind"] == "fault"] == [number]

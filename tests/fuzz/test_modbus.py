@@ -1,0 +1,118 @@
+"""Bad bytes at the Modbus door: every request gets one answer, and writes all or nothing."""
+
+import socket
+import struct
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+
+import pytest
+from hypothesis import strategies as st
+
+from cell.interfaces.modbus.protocol import ModbusError, ModbusServer, answer
+from tests.fuzz.harness import bad_input, damages, spoilt
+
+N = 64
+
+
+class Memory:
+    """Registers with their number as value; what is written is kept."""
+
+    def __init__(self) -> None:
+        self.values = list(range(N))
+        self.written: list[tuple[int, Sequence[int]]] = []
+
+    def read(self, _function: int, address: int, count: int) -> Sequence[int]:
+        if address + count > N:
+            raise ModbusError(2)
+        return self.values[address : address + count]
+
+    def write(self, address: int, values: Sequence[int]) -> None:
+        if address + len(values) > N:
+            raise ModbusError(2)
+        self.written.append((address, tuple(values)))
+
+    def disconnected(self) -> None:
+        pass
+
+
+def write_of(address: int, values: Sequence[int]) -> bytes:
+    count = len(values)
+    return struct.pack(f">BHHB{count}H", 16, address, count, 2 * count, *values)
+
+
+good = (
+    st.builds(struct.pack, st.just(">BHH"), st.sampled_from([3, 4, 6]), *2 * [st.integers(0, 70)])
+    | st.builds(write_of, st.integers(0, 70), st.lists(st.integers(0, 0xFFFF), max_size=124))
+    | st.builds(
+        lambda read, write: b"\x17" + read + write[1:],
+        st.builds(struct.pack, st.just(">HH"), *2 * [st.integers(0, 130)]),
+        st.builds(write_of, st.integers(0, 70), st.lists(st.integers(0, 0xFFFF), max_size=122)),
+    )
+)
+requests = st.builds(spoilt, good, damages(at_most=2)) | st.binary(max_size=253)
+
+
+@bad_input(request=requests, examples=400)
+def test_every_request_gets_an_answer_of_its_function_or_an_exception(request):
+    memory = Memory()
+    found = answer(request, memory)
+    function = request[0] if request else 0
+    assert 2 <= len(found) <= 253
+    if found[0] & 0x80:
+        assert (found[0], len(found)) == (function | 0x80, 2)
+        assert found[1] in (1, 2, 3)
+        assert memory.written == []
+        return "refused"
+    assert found[0] == function
+    assert len(memory.written) == (function in (6, 16, 23))
+    for address, values in memory.written:
+        assert 0 <= address < N
+        # What is written stands in the request as it was sent: no half, no swapped value.
+        assert struct.pack(f">{len(values)}H", *values) in request
+    return f"function {function}"
+
+
+@contextmanager
+def serving() -> Iterator[ModbusServer]:
+    made = ModbusServer("127.0.0.1", 0, lambda _host: Memory())
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+def frame(request: bytes, transaction: int = 7) -> bytes:
+    return struct.pack(">HHHB", transaction, 0, len(request) + 1, 1) + request
+
+
+def exchange(port: int, data: bytes, *, end: bool) -> bytes:
+    """Send bytes and return everything that comes until the server closes or ``end`` is sent."""
+    with socket.create_connection(("127.0.0.1", port), timeout=10.0) as link:
+        link.sendall(data)
+        if end:
+            link.shutdown(socket.SHUT_WR)
+        found = b""
+        with suppress(ConnectionResetError):
+            while part := link.recv(4096):
+                found += part
+        return found
+
+
+@bad_input(
+    data=st.builds(spoilt, st.lists(good.map(frame), max_size=4).map(b"".join), damages())
+    | st.binary(max_size=600),
+    examples=60,
+    limit_s=2.0,
+    using={"server": serving},
+)
+def test_a_stream_of_anything_ends_and_the_server_lives_on(server, data):
+    found = exchange(server.port, data, end=True)
+    read = frame(struct.pack(">BHH", 4, 3, 2))
+    assert exchange(server.port, read, end=True) == frame(struct.pack(">BBHH", 4, 4, 3, 4))
+    return "answered" if found else "closed"
+
+
+@pytest.mark.parametrize("header", [b"\0\1\0\1\0\6\1", b"\0\1\0\0\0\1\1", b"\0\1\0\0\1\0\1"])
+def test_what_is_no_modbus_is_closed_at_once(header: bytes) -> None:
+    with serving() as server:
+        assert exchange(server.port, header + b"\3\0\0\0\1", end=False) == b""
