@@ -112,7 +112,12 @@ def simulator_settings(
 
 
 def _mounts(config: PositionerConfig) -> dict[str, DriveMount | WristMount]:
-    """Return the simulated axes of a config, mounted as it describes them."""
+    """Return the simulated axes of a config, mounted as it describes them.
+
+    There are none where a host program moves instead.
+    """
+    if config.kind != "axes":
+        return {}
     return {
         axis.moves: _drive_mount(axis) if isinstance(axis, DriveAxisConfig) else _wrist_mount(axis)
         for axis in config.axes
