@@ -1,10 +1,10 @@
 """The server of OPC UA: asyncua, with who may connect, read and call.
 
 Whoever may connect reads, without certificate. Methods are for sessions on an encrypted channel
-(SignAndEncrypt) whose client certificate is in the trust list; nobody writes. By itself asyncua
-lets anyone call methods, has an administrator without password, takes a certificate that a plain
-channel names for proven, and gives sessions numbers that can be guessed: `Clients`, `Session`,
-`Sessions` and `Plain` close that.
+(SignAndEncrypt) whose client certificate is in the trust list; no variable can be written. By
+itself asyncua lets anyone call methods, has an administrator without password, takes a certificate
+that a plain channel names for proven, and gives sessions numbers that can be guessed: `Clients`,
+`Session`, `Sessions` and `Plain` close that.
 """
 
 import logging
@@ -84,10 +84,6 @@ class Session(InternalSession):
         if self.user.name is None:
             raise ServiceError(StatusCodes.BadUserAccessDenied)
         return await super().call(params)
-
-    async def write(self, params: Any) -> Any:
-        """Refuse to write."""
-        raise ServiceError(StatusCodes.BadUserAccessDenied)
 
 
 class Sessions(InternalServer):
