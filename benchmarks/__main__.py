@@ -8,6 +8,7 @@ import sys
 
 BENCHMARKS = {
     "performance": (
+        "doors",
         "force_ramps",
         "frames",
         "identify",
@@ -17,7 +18,16 @@ BENCHMARKS = {
         "tactile_path",
         "virtual_time",
     ),
-    "recognition": ("drawing", "drift", "early_end", "other_physics", "sequences", "shape_size"),
+    "recognition": (
+        "caution",
+        "drawing",
+        "drift",
+        "early_end",
+        "other_cell",
+        "other_physics",
+        "sequences",
+        "shape_size",
+    ),
     "paper": ("full_sweep", "invariance", "numerics", "reproduction", "sweep"),
 }
 """Chapter -> the benchmarks in it: modules whose ``main(effort=1.0)`` prints their figures."""

@@ -12,6 +12,12 @@ from numpy.typing import ArrayLike, DTypeLike, NDArray
 COMMAND_COLUMNS = ("x_m", "y_m", "rotation_rad", "roll_rad", "force_n")
 """Names of the numbers of a `GraspCommand`, in their order."""
 
+CELL_SOURCE = "cell "
+"""Start of the source of a grasp that a cell took; the name of the cell follows."""
+
+SERIES_PAUSE_MS = 3_600_000
+"""Pause in ms between two grasps of one object from which on they are of two series."""
+
 _SAME_PLACE_M = 1e-6
 """Taxels whose positions differ by less than this are the same, in m: files round positions."""
 
@@ -152,7 +158,8 @@ class Grasp:
     force_n : (n_frames,) float64
         Commanded grip force in N; NaN where unknown.
     label, shape, source
-        What was grasped, its class of shape, where the record came from; empty where unknown.
+        What was grasped, its class of shape, where the record came from (``cell NAME`` for one that
+        a cell took); empty where unknown.
     start_ms
         Time of the first frame in ms: sorts the grasps of a label.
     command
@@ -214,3 +221,14 @@ def by_label(grasps: Sequence[Grasp]) -> dict[str, list[Grasp]]:
             raise ValueError(f"grasp {number} has no label: it can neither teach nor test")
         found[grasp.label].append(grasp)
     return {label: sorted(found[label], key=lambda g: g.start_ms) for label in sorted(found)}
+
+
+def series_of(grasps: Sequence[Grasp]) -> list[list[Grasp]]:
+    """Return the series of grasps of one object: runs in time without a pause of an hour."""
+    found: list[list[Grasp]] = []
+    for grasp in sorted(grasps, key=lambda g: g.start_ms):
+        if found and grasp.start_ms - found[-1][-1].start_ms <= SERIES_PAUSE_MS:
+            found[-1].append(grasp)
+        else:
+            found.append([grasp])
+    return found

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 from unittest.mock import patch
 
 import numpy as np
@@ -13,7 +14,6 @@ from cell.jobs.common import silent
 from cell.jobs.teach import teach
 from cell.simulation import simulator_settings
 from recognition.grasp import Grasp
-from simulator.world.foam import Foam
 
 
 def configured(objects: Mapping[str, str], seed: int) -> CellConfig:
@@ -27,13 +27,16 @@ def configured(objects: Mapping[str, str], seed: int) -> CellConfig:
 
 
 def cell_grasps(
-    objects: Mapping[str, str], n_grasps: int, *, seed: int, foam: Foam | None = None
+    objects: Mapping[str, str], n_grasps: int, *, seed: int, **differs: Any
 ) -> list[Grasp]:
-    """Have a cell grasp each object ``n_grasps`` times; its pads may have another foam."""
+    """Have a cell grasp each object ``n_grasps`` times.
+
+    Fields of the simulator's settings in which it differs from its config may be given.
+    """
     config = configured(objects, seed)
 
     def settings(config: CellConfig, **others):
-        return replace(simulator_settings(config, **others), foam=foam or Foam())
+        return replace(simulator_settings(config, **others), **differs)
 
     with patch("cell.simulation.simulator_settings", settings):
         cell = build_cell(config)

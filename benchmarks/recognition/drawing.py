@@ -54,7 +54,7 @@ def score(title: str, train: Sequence[Grasp], test: Sequence[Grasp]) -> None:
             ("aperture 0.2 mm sd", noisy, True),
             ("tactile only", test, False),
         ):
-            found = evaluate(train, grasps, make_trainer(name, use_aperture=use_aperture))
+            found = evaluate([(train, grasps)], make_trainer(name, use_aperture=use_aperture))
             low, high = found.interval
             parts.append(
                 f"{what} {100 * found.single_accuracy:.1f} % ({100 * low:.1f} to {100 * high:.1f})"

@@ -122,10 +122,11 @@ class CellConfig(Section):
                 f"{self.gripper.contact_force_n:g} N: less could not hold a part"
             )
         contact_n = self.gripper.contact_force_n
-        if self.sequence.regrasp == "none" and least_n < 2.0 * contact_n:
+        if self.sequence.regrasp == "none" and least_n < 3.0 * contact_n:
             raise ValueError(
                 f"sequence asks for {least_n:g} N; with sequence.regrasp none a further ramp "
-                f"begins at gripper.contact_force_n = {contact_n:g} N: ask for twice that at least"
+                f"begins at twice gripper.contact_force_n = {contact_n:g} N: ask for three times "
+                "that at least"
             )
         carry_n = self.sequence.carry_force_n
         if not self.gripper.contact_force_n <= carry_n <= allowed_n:

@@ -69,6 +69,11 @@ BACK_OFF_SHARE = 0.3
 which a recogniser takes footprints (`recognition.ramp.levels`)."""
 
 
+LEAST_CONTACTS = 2.0
+"""Least force at which it begins, in contact forces: a part that is held with one alone passes for
+lost now and then (simulated cell, twice the noise)."""
+
+
 class Grasper:
     """Takes hand and positioner through one grasp after the other, and records them.
 
@@ -233,7 +238,7 @@ class Grasper:
     def _squeeze(self, first: GraspRecord, step: GraspStep) -> GraspRecord:
         """Back off and follow a further ramp in the same grip; return its record."""
         from_n = min(BACK_OFF_SHARE * step.force_n, self._sequence.carry_force_n)
-        from_n = max(from_n, self._contact_n)
+        from_n = max(from_n, LEAST_CONTACTS * self._contact_n)
         self._hand.carry(from_n, 0.0, self.watch)
         collector = GraspCollector()
 

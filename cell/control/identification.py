@@ -19,9 +19,11 @@ from recognition.shape.answer import ShapeAnswer
 from recognition.shape.fusion import fuse_shapes
 from recognition.statistics.fusion import Decision, DecisionKind, StopRule, decide, fuse
 
-SAME_GRIP_DEPENDENCE = 0.8
-"""Correlation of the log evidence of two ramps in one grip: pose and part are the same, what
-differs is the noise of the frames and the friction of the pads."""
+SAME_GRIP_DEPENDENCE = 0.5
+"""Correlation of the log evidence of a further ramp in the same grip with the ramps before: pose
+and part are the same, what differs is the noise of the frames. Fused by the mean with that of the
+first ramp (0.2), three ramps count as with 0.4, under which 40 simulated parts are likeliest (touch
+alone, twice the noise; 0.2 at the usual one)."""
 
 ReadShape = Callable[[Grasp], ShapeAnswer | None]
 """Function from a grasp to its shape and size; None where its pads do not show them."""

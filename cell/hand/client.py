@@ -187,8 +187,9 @@ class LoopProcess:
         """Latch that the process is lost, and raise what that means for a held part."""
         lost = HandLost(
             f"the process of the force loop (pid {self.pid}) {what}; a part may still be gripped, "
-            f"and the servos' bus watchdog acts after {self._watchdog_ms:g} ms. Look at the part, "
-            f"then clear the fault: a new process starts and moves nothing"
+            f"and the servos' bus watchdog acts after {self._watchdog_ms:g} ms, unless the part "
+            f"was carried. Look at the part, then clear the fault: a new process starts and moves "
+            f"nothing"
         )
         self.abandon(lost)
         raise lost

@@ -14,10 +14,13 @@ from cell.learning.blas import one_blas_thread
 from recognition.drift.drift import NO_DRIFT, Drift, drift_values
 from recognition.drift.estimate import DriftEstimate
 from recognition.evaluation.evaluation import Evaluation, Mapper, evaluate, one_by_one
-from recognition.evaluation.splits import a_day_later, parse_split
+from recognition.evaluation.splits import Part, a_day_later, parse_split, series_parts
 from recognition.grasp import Grasp
 from recognition.recognizers import DEFAULT_TRAINER, make_trainer
 from recognition.recognizers.force_ramp.recognizer import ForceRampTrainer
+
+SERIES = "series"
+"""Split that leaves out each series of the objects that have several in turn."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -94,7 +97,8 @@ def evaluate_recognizers(
     grasps
         Labelled grasps to split; with ``train``, all of them are tested.
     split
-        As ``chronological:0.6`` or ``shuffled:0.8``.
+        As ``chronological:0.6`` or ``shuffled:0.8``; ``series`` leaves out each series of the
+        objects that have several in turn.
     train
         Grasps to train on instead of splitting.
     fuse
@@ -115,13 +119,22 @@ def evaluate_recognizers(
     started_s = time.monotonic()
     if train is not None:
         split = "separate files"
-    train_part, test_part = _parts(grasps, split, train, seed)
+    parts = _parts(grasps, split, train, seed)
     if drift != NO_DRIFT:
-        test_part = tuple(a_day_later(drift.apply(grasp)) for grasp in test_part)
+        parts = [
+            (taught, tuple(a_day_later(drift.apply(grasp)) for grasp in test))
+            for taught, test in parts
+        ]
     gauged, n_gauged = None, 0
     if gauge is not None:
-        gauged, n_gauged, test_part = _gauge(train_part, test_part, gauge)
-    measure = partial(evaluate, train_part, test_part, fuse=fuse, seed=seed, mapper=mapper)
+        if len(parts) > 1:
+            raise CellError("a gauge belongs to one split: leave --gauge or --split series out")
+        gauged, n_gauged, test_part = _gauge(*parts[0], gauge)
+        parts = [(parts[0][0], test_part)]
+    measure = partial(evaluate, parts, fuse=fuse, seed=seed, mapper=mapper)
+    if len(parts) > 1:
+        # A part tests a single object: the others would have to be left out again for each.
+        measure = partial(measure, unknown_groups=0)
     figures = {}
     for number, name in enumerate(names):
         progress("evaluate", 2 * number, 2 * len(names))
@@ -137,9 +150,9 @@ def evaluate_recognizers(
     progress("evaluate", 2 * len(names), 2 * len(names))
     return EvaluationResult(
         split=split,
-        n_train=len(train_part),
-        n_test=len(test_part),
-        labels=tuple(sorted({grasp.label for grasp in train_part})),
+        n_train=min(len(taught) for taught, _ in parts),
+        n_test=sum(len(test) for _, test in parts),
+        labels=tuple(sorted({grasp.label for taught, _ in parts for grasp in taught})),
         seconds=time.monotonic() - started_s,
         default=DEFAULT_TRAINER,
         recognizers=figures,
@@ -152,23 +165,27 @@ def evaluate_recognizers(
 
 def _parts(
     grasps: Sequence[Grasp], split: str, train: Sequence[Grasp] | None, seed: int
-) -> tuple[tuple[Grasp, ...], tuple[Grasp, ...]]:
-    """Return the grasps to train and to test. Raises CellError where one part is of no use."""
-    if train is None:
+) -> list[Part]:
+    """Return pairs of grasps to train and to test. Raises CellError where one is of no use."""
+    if train is not None:
+        parts: list[Part] = [(tuple(train), tuple(grasps))]
+    else:
         try:
-            train_part, test_part = parse_split(split, seed=seed)(grasps)
+            if split == SERIES:
+                parts = series_parts(grasps)
+            else:
+                parts = [parse_split(split, seed=seed)(grasps)]
         except ValueError as error:
             raise CellError(str(error)) from error
-    else:
-        train_part, test_part = tuple(train), tuple(grasps)
-    if not train_part or not test_part:
-        raise CellError(
-            f"split {split!r} leaves {len(train_part)} grasps to train and {len(test_part)} "
-            "to test; both need at least one labelled grasp of each object"
-        )
-    if not train_part[0].pads.same_as(test_part[0].pads):
-        raise CellError("the grasps to train and to test were taken on different pads")
-    return train_part, test_part
+    for train_part, test_part in parts:
+        if not train_part or not test_part:
+            raise CellError(
+                f"split {split!r} leaves {len(train_part)} grasps to train and {len(test_part)} "
+                "to test; both need at least one labelled grasp of each object"
+            )
+        if not train_part[0].pads.same_as(test_part[0].pads):
+            raise CellError("the grasps to train and to test were taken on different pads")
+    return parts
 
 
 def _gauge(

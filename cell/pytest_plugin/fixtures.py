@@ -12,6 +12,7 @@ from cell.pytest_plugin.options import HardwareOptions, config_path
 if TYPE_CHECKING:
     from cell.build import Mover
     from cell.config.model import CellConfig
+    from cell.control.positioner import Places
     from cell.pytest_plugin.bench import LinkBench
     from cell.pytest_plugin.process import CellProcess
     from cell.pytest_plugin.virtual import VirtualCell
@@ -31,6 +32,7 @@ class MakeSimulatedCell(Protocol):
         objects: Mapping[str, str] | None = None,
         seed: int | None = None,
         mover: "Mover | None" = None,
+        places: "Places | None" = None,
         changes: Mapping[str, Any] | None = None,
         folder: Path | None = None,
     ) -> "VirtualCell":
@@ -46,6 +48,8 @@ class MakeSimulatedCell(Protocol):
             Seed of noise and poses.
         mover
             Moves instead of the simulated positioner: called with each pose, as a host program's.
+        places
+            Brings kept parts to their places, as a host program's.
         changes
             Other values of the config by dotted path, as ``{"tactile.tare_frames": 25}``.
         folder
@@ -138,7 +142,7 @@ def simulated_cell(
 
     Each has a CellController, the simulated devices and their clock; time passes only while
     somebody waits, so a grasp takes a fraction of a second. Never touches hardware: the ports of
-    the config are replaced. Settings: config, objects, seed, mover, changes, folder::
+    the config are replaced. Settings: config, objects, seed, mover, places, changes, folder::
 
         def test_grip(simulated_cell):
             cell = simulated_cell(objects={"pin": "cylinder:diameter=6mm,length=20mm"})
@@ -159,6 +163,7 @@ def simulated_cell(
             objects: Mapping[str, str] | None = None,
             seed: int | None = None,
             mover: "Mover | None" = None,
+            places: "Places | None" = None,
             changes: Mapping[str, Any] | None = None,
             folder: Path | None = None,
         ) -> VirtualCell:
@@ -169,7 +174,7 @@ def simulated_cell(
                 changes=changes,
                 callback=mover is not None,
             )
-            cell = build_cell(checked, mover=mover, folder=folder)
+            cell = build_cell(checked, mover=mover, places=places, folder=folder)
             closing.callback(cell.close)
             if cell.simulated is None:
                 raise AssertionError("a config with simulated ports gave a cell with real ones")

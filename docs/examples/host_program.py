@@ -16,12 +16,14 @@ def main() -> None:
             job = cell.start({"task": "teach", "label": label, "grasps": 6, "seed": seed})
             print(f"taught {label} with {cell.result(job, timeout_s=120)} grasps")
 
-        job = cell.start({"task": "identify", "present": "box", "seed": 100})
+        job = cell.start({"task": "identify", "present": "box", "keep": "always", "seed": 100})
         while not cell.feedback(job).outcome.terminal:
             time.sleep(0.05)  # the host does its own work here
         answer = cell.result(job, timeout_s=1)
         print(f"{answer.label}, {answer.probability:.0%} after {answer.n_grasps} grasp(s)")
         print(f"it feels like: {answer.shape}")  # also where the label is UNKNOWN
+        print(f"  robot: to the bin of {answer.label}, the part in the grip: {answer.kept}")
+        cell.release()  # there; only this lets go
 
 
 if __name__ == "__main__":

@@ -16,6 +16,7 @@ from recognition.evaluation.metrics import (
     expected_calibration_error,
     wilson_interval,
 )
+from recognition.evaluation.splits import Part
 from recognition.grasp import Grasp, by_label
 from recognition.recognizer import UNKNOWN, Posterior, Recognizer, Trainer
 from recognition.statistics import fusion
@@ -130,8 +131,7 @@ class Evaluation:
 
 
 def evaluate(
-    train: Sequence[Grasp],
-    test: Sequence[Grasp],
+    parts: Sequence[Part],
     trainer: Trainer,
     fuse: Sequence[int] = (1, 2, 3, 5),
     seed: int = 0,
@@ -139,12 +139,13 @@ def evaluate(
     unknown_groups: int = 6,
     mapper: Mapper = one_by_one,
 ) -> Evaluation:
-    """Teach a recogniser with one part of the grasps and test it on the other.
+    """Teach a recogniser with one part of the grasps and test it on the other; again for each pair.
 
     Parameters
     ----------
-    train, test
-        Labelled grasps; no grasp may be in both.
+    parts
+        Pairs of labelled grasps to teach and to test; no grasp may be in both of a pair. The
+        answers of all pairs count together, grasps of different pairs are not fused.
     trainer
         Trainer of the recogniser.
     fuse
@@ -162,41 +163,59 @@ def evaluate(
     ValueError
         No tested grasp is of a taught object, or a grasp has no label.
     """
-    recognizer = trainer.fit(train)
-    taught = set(recognizer.labels)
-    known = [g for members in by_label(test).values() for g in members if g.label in taught]
-    untaught = [g for g in test if g.label not in taught]
+    known: list[Grasp] = []
+    posteriors: list[Posterior] = []
+    runs: list[tuple[str, list[Posterior]]] = []
+    areas: list[float] = []
+    new_scores: list[float] = []
+    labels: set[str] = set()
+    n_untaught = 0
+    shift = None
+    for train, test in parts:
+        recognizer = trainer.fit(train)
+        labels.update(recognizer.labels)
+        by_known = {t: g for t, g in by_label(test).items() if t in recognizer.labels}
+        untaught = [g for g in test if g.label not in recognizer.labels]
+        here = [g for members in by_known.values() for g in members]
+        answered = answers(recognizer, here, mapper)
+        known += here
+        posteriors += answered
+        runs += [
+            (label, [p for p, g in zip(answered, here, strict=True) if g.label == label])
+            for label in by_known
+        ]
+        part_areas, part_scores = _leave_out(train, here, trainer, unknown_groups, mapper)
+        if untaught and here:
+            n_untaught += len(untaught)
+            scores = [p.unknown for p in answers(recognizer, untaught, mapper)]
+            part_areas.append(auroc([p.unknown for p in answered], scores))
+            part_scores += scores
+        areas += part_areas
+        new_scores += part_scores
+        if len(parts) == 1:
+            shift = evaluate_shift(recognizer, here, seed)
     if not known:
+        n_tested = sum(len(test) for _, test in parts)
         raise ValueError(
-            f"none of the {len(test)} tested grasps is of a taught object {sorted(taught)}"
+            f"none of the {n_tested} tested grasps is of a taught object {sorted(labels)}"
         )
-    posteriors = answers(recognizer, known, mapper)
     truth = [g.label for g in known]
     right = np.array([p.best == t for p, t in zip(posteriors, truth, strict=True)])
-    rows = {
-        label: [p for p, t in zip(posteriors, truth, strict=True) if t == label]
-        for label in sorted(set(truth))
-    }
     rule = StopRule(max_grasps=1)
     names = [
         decision.label if decision.kind is DecisionKind.DECIDED else UNKNOWN
         for decision in (decide([p], rule) for p in posteriors)
     ]
-    known_scores = [p.unknown for p in posteriors]
-    areas, new_scores = _leave_out(train, known, trainer, unknown_groups, mapper)
-    if untaught:
-        scores = [p.unknown for p in answers(recognizer, untaught, mapper)]
-        areas, new_scores = [*areas, auroc(known_scores, scores)], [*new_scores, *scores]
     return Evaluation(
         trainer=trainer.name,
         uses_aperture=trainer.uses_aperture,
-        labels=recognizer.labels,
+        labels=tuple(sorted(labels)),
         n=len(known),
-        n_untaught=len(untaught),
+        n_untaught=n_untaught,
         single_accuracy=int(right.sum()) / len(right),
         interval=wilson_interval(int(right.sum()), len(right)),
-        fused_accuracy=MappingProxyType({k: _consecutive(rows, k) for k in fuse}),
-        random_fused_accuracy=MappingProxyType({k: _random(rows, k, seed) for k in fuse}),
+        fused_accuracy=MappingProxyType({k: _consecutive(runs, k) for k in fuse}),
+        random_fused_accuracy=MappingProxyType({k: _random(runs, k, seed) for k in fuse}),
         calibration_error=expected_calibration_error(
             [float(p.probability.max()) for p in posteriors], right
         ),
@@ -204,11 +223,11 @@ def evaluate(
         named_wrong=float(
             np.mean([name not in (t, UNKNOWN) for name, t in zip(names, truth, strict=True)])
         ),
-        known_rejected=float(np.mean(np.array(known_scores) > 0.5)),
+        known_rejected=float(np.mean([p.unknown > 0.5 for p in posteriors])),
         unknown_auroc=float(np.mean(areas)) if areas else float("nan"),
         unknown_rejected=float(np.mean(np.array(new_scores) > 0.5)) if new_scores else float("nan"),
-        confusion=confusion_matrix(truth, [p.best for p in posteriors], recognizer.labels),
-        shift=evaluate_shift(recognizer, known, seed),
+        confusion=confusion_matrix(truth, [p.best for p in posteriors], tuple(sorted(labels))),
+        shift=shift,
     )
 
 
@@ -282,22 +301,22 @@ def _scores_without(
     return score[False], score[True]
 
 
-def _consecutive(rows: Mapping[str, Sequence[Posterior]], k: int) -> float:
+def _consecutive(runs: Sequence[tuple[str, Sequence[Posterior]]], k: int) -> float:
     """Return the share of right answers over all runs of k grasps; NaN where there is none."""
     right = [
         fusion.fuse(members[i : i + k]).best == label
-        for label, members in rows.items()
+        for label, members in runs
         for i in range(len(members) - k + 1)
     ]
     return float(np.mean(right)) if right else float("nan")
 
 
-def _random(rows: Mapping[str, Sequence[Posterior]], k: int, seed: int) -> float:
+def _random(runs: Sequence[tuple[str, Sequence[Posterior]]], k: int, seed: int) -> float:
     """Return the share of right answers over random sets of k grasps; NaN where there is none."""
     rng = np.random.default_rng(seed)
     right = [
         fusion.fuse([members[i] for i in rng.choice(len(members), k, replace=False)]).best == label
-        for label, members in rows.items()
+        for label, members in runs
         if len(members) >= k
         for _ in range(_RANDOM_SUBSETS)
     ]

@@ -5,17 +5,18 @@ from dataclasses import replace
 
 import numpy as np
 
-from recognition.grasp import Grasp, by_label
+from recognition.grasp import Grasp, by_label, series_of
 
 _DAY_MS = 24 * 3_600_000
 """A day in ms."""
 
-Split = Callable[[Sequence[Grasp]], tuple[tuple[Grasp, ...], tuple[Grasp, ...]]]
+Part = tuple[tuple[Grasp, ...], tuple[Grasp, ...]]
+"""Grasps that teach, and grasps that test."""
+
+Split = Callable[[Sequence[Grasp]], Part]
 
 
-def chronological_split(
-    grasps: Sequence[Grasp], fraction: float
-) -> tuple[tuple[Grasp, ...], tuple[Grasp, ...]]:
+def chronological_split(grasps: Sequence[Grasp], fraction: float) -> Part:
     """Return (train, test): of each label the first fraction in time teaches, the rest tests.
 
     Raises ValueError where the fraction is not between 0 and 1 or a grasp has no label.
@@ -29,9 +30,7 @@ def chronological_split(
     return tuple(train), tuple(test)
 
 
-def shuffled_split(
-    grasps: Sequence[Grasp], fraction: float, seed: int
-) -> tuple[tuple[Grasp, ...], tuple[Grasp, ...]]:
+def shuffled_split(grasps: Sequence[Grasp], fraction: float, seed: int) -> Part:
     """Return (train, test): of each label a random fraction teaches, the rest tests.
 
     Neighbours in time look alike, so this flatters; for comparison with published figures only.
@@ -46,6 +45,25 @@ def shuffled_split(
         train += [members[i] for i in sorted(order[:cut])]
         test += [members[i] for i in sorted(order[cut:])]
     return tuple(train), tuple(test)
+
+
+def series_parts(grasps: Sequence[Grasp]) -> list[Part]:
+    """Return a part for each series of the objects that have several: it tests, all else teaches.
+
+    This is what another day costs an object that was taught on several. Raises ValueError where no
+    object has several series, or a grasp has no label.
+    """
+    series = {label: series_of(members) for label, members in by_label(grasps).items()}
+    held_out = [one for found in series.values() if len(found) > 1 for one in found]
+    if not held_out:
+        raise ValueError(
+            f"each of the {len(series)} objects was grasped in one series, without a pause of an "
+            "hour: none can be left out; add a data set of another day"
+        )
+    return [
+        (tuple(g for g in grasps if not any(g is other for other in one)), tuple(one))
+        for one in held_out
+    ]
 
 
 def parse_split(text: str, *, seed: int = 0) -> Split:

@@ -23,9 +23,10 @@ def test_the_example_teaches_and_identifies(capsys: pytest.CaptureFixture[str]) 
     runpy.run_path(str(ROOT / "docs/examples/host_program.py"), run_name="__main__")
     printed = capsys.readouterr().out
     assert printed.count("robot:") >= 19
-    name, shape = printed.splitlines()[-2:]
+    name, shape, kept = printed.splitlines()[-3:]
     assert name.startswith("box, ")
     assert shape.startswith("it feels like: flat, 10")
+    assert kept == "  robot: to the bin of box, the part in the grip: True"
 
 
 def test_files_that_the_pages_at_the_root_name_exist() -> None:

@@ -159,6 +159,23 @@ def test_a_job_a_stop_and_the_release(make_cell: Any, simulator: CellProcess) ->
     assert kept.statistics[-1]["cycles"] == loop["cycles"]
 
 
+def test_a_carried_part_outlasts_its_loop(make_cell: Any, simulator: CellProcess) -> None:
+    cell = make_cell()
+    controller = cell.controller
+    controller.start()
+    controller.present("box")
+    controller.grip(5.0, Pose())
+    assert controller.state is CellState.COMPLETE
+    os.kill(hand_of(cell).pid, signal.SIGKILL)
+    # Twice the bus watchdog of the servos, which is disarmed.
+    threading.Event().wait(1.0)
+    assert simulator.grip_n() == pytest.approx(4.0, abs=1.0)
+    with pytest.raises(HandLost, match="ended by SIGKILL"):
+        controller.tick()
+    assert controller.state is CellState.ABORTED
+    assert str(controller.fault).endswith(" s after the grip")
+
+
 def test_a_killed_loop_is_a_fault_that_says_so(make_cell: Any, simulator: CellProcess) -> None:
     cell = make_cell()
     controller, hand = cell.controller, hand_of(cell)

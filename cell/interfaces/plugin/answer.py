@@ -87,8 +87,8 @@ class Answer:
         Estimate of the drift of the sensors; None where it is not followed.
     occasion
         How far the sensors were trusted to be as at teaching, and why: ``within an hour of
-        teaching``, ``the drift was gauged`` or ``at another time than the teaching``. Empty for
-        recognisers that do not ask.
+        teaching``, ``the drift was gauged``, ``at another time than the teaching`` or ``on another
+        cell than the teaching``. Empty for recognisers that do not ask.
     remark
         Message for the operator, as that the sensors have drifted: once, empty otherwise.
     kept

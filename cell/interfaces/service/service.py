@@ -18,7 +18,7 @@ from cell.config.model import CellConfig
 from cell.control.live import LiveValues
 from cell.control.plan import Pose
 from cell.control.states import CellStatus, Command
-from cell.errors import CellError, NotInCommand, RequestRefused
+from cell.errors import CellError, NotInCommand, RequestRefused, error_text
 from cell.interfaces.plugin.answer import Answer, Verification
 from cell.interfaces.plugin.goals import Goal, GripGoal, IdentifyGoal, checked_goal
 from cell.interfaces.plugin.plugin import TactileCellPlugin
@@ -298,11 +298,8 @@ class Service:
             If it is refused; nothing has moved.
         """
         checked: Goal = checked_goal(goal)
-        if (
-            self.config.simulated
-            and isinstance(checked, IdentifyGoal | GripGoal)
-            and checked.present is None
-        ):
+        placed = self.config.simulated or self.config.positioner.kind == "simulated"
+        if placed and isinstance(checked, IdentifyGoal | GripGoal) and checked.present is None:
             # Nobody brings parts to a simulated cell: they come in turn.
             checked = checked.model_copy(update={"present": next(self._parts)})
         return self._begin(lease, str(goal["task"]), number, lambda: self._plugin.start(checked))
@@ -412,8 +409,11 @@ class Service:
 
     def _run_watch(self) -> None:
         while not self._over.wait(self.config.serve.lease_timeout_s / _LOOKS):
-            self.look()
-            self._save_taught()
+            try:
+                self.look()
+                self._save_taught()
+            except Exception as error:  # the watch over the lease must outlive whatever it meets
+                self._note(f"watch over the lease: {error_text(error)}")
 
     def _save_taught(self) -> None:
         """Write the model after a teaching; one that cannot be written is a note."""

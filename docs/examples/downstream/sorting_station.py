@@ -1,11 +1,13 @@
-"""The integrator's own program: have a part identified, and say which bin it belongs in."""
+"""The integrator's own program: have a part named, carry it to its bin, let it go there."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from cell.config.sequence import SequenceConfig
 from cell.control.controller import CellController
+from cell.control.keeping import Keep
 from cell.control.plan import Pose, plan
+from cell.control.positioner import Destination
 from recognition.recognizer import Recognizer
 
 MANUAL = "manual inspection"
@@ -17,11 +19,16 @@ class Robot:
 
     reach_m: float = 0.01
     poses: list[Pose] = field(default_factory=list)
+    places: list[str] = field(default_factory=list)
 
     def move(self, pose: Pose) -> bool:
         """Go to a pose; False refuses one that is out of reach."""
         self.poses.append(pose)
         return abs(pose.x_m) <= self.reach_m and abs(pose.y_m) <= self.reach_m
+
+    def bring(self, destination: Destination) -> None:
+        """Carry the part in the grip to a place; a False would keep it there."""
+        self.places.append(destination.place)
 
 
 @dataclass
@@ -35,9 +42,18 @@ class SortingStation:
     least_probability: float = 0.9
 
     def sort(self, seed: int = 0) -> str:
-        """Identify the part in front of the gripper and return its bin."""
+        """Name the part in front of the gripper, let it go in its bin, and return that bin.
+
+        A fault, a cancel or a refused place ends here with an error and the part in the grip.
+        """
         steps = plan(self.sequence, self.sequence.max_grasps, seed=seed)
-        found = self.controller.identify(self.recognizer, steps)
-        if found.probability < self.least_probability:
-            return MANUAL
-        return self.bins.get(found.label, MANUAL)
+        found = self.controller.identify(self.recognizer, steps, keep=Keep.ALWAYS)
+        sure = found.probability >= self.least_probability
+        place = self.bins.get(found.label, MANUAL) if sure else MANUAL
+        self.controller.carry_to(Destination(label=found.label, place=place))
+        if not self.controller.verify().same:
+            # It has turned or slipped in the grip: a person looks at it.
+            place = MANUAL
+            self.controller.carry_to(Destination(label=found.label, place=place))
+        self.controller.put_down()
+        return place

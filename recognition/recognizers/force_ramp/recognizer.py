@@ -13,7 +13,7 @@ from recognition.drift.estimate import DriftEstimate, DriftMeasurement
 from recognition.features.aperture import aperture_features
 from recognition.features.footprint import PadGrid, pad_grid
 from recognition.features.groups import FEATURE_VERSION, FeatureView, check_version, features_of
-from recognition.grasp import Grasp, by_label
+from recognition.grasp import CELL_SOURCE, Grasp, by_label
 from recognition.ramp.levels import Levels, load_levels
 from recognition.ramp.ramp import Rest, learn_rest
 from recognition.recognizer import Posterior
@@ -39,11 +39,12 @@ in a drift only near it."""
 
 @unique
 class Occasion(Enum):
-    """When a grasp was taken: how far the sensors are trusted to be as they were taught."""
+    """When and where a grasp was taken: how far the sensors count as being as they were taught."""
 
     SOON = "within an hour of teaching"
     GAUGED = "the drift was gauged"
     LATER = "at another time than the teaching"
+    ELSEWHERE = "on another cell than the teaching"
 
     @property
     def trust(self) -> float:
@@ -51,7 +52,12 @@ class Occasion(Enum):
         return _TRUST[self]
 
 
-_TRUST = {Occasion.SOON: 1.0, Occasion.GAUGED: 0.8, Occasion.LATER: 0.35}
+_TRUST = {
+    Occasion.SOON: 1.0,
+    Occasion.GAUGED: 0.8,
+    Occasion.LATER: 0.35,
+    Occasion.ELSEWHERE: 0.35,
+}
 """Chosen on grasps with made-up drifts and on a simulated cell with another foam: less at another
 time names fewer grasps wrongly UNKNOWN, and finds fewer new objects."""
 
@@ -72,6 +78,8 @@ class ForceRamp:
         The view of touch and opening; None where the opening is not used or was never known.
     taught_ms : (C,) int64
         Time of the last taught grasp of each object.
+    taught_on
+        Sources of the taught grasps that name a cell; empty where none does.
     drift_estimate
         The drift since teaching.
     gauged
@@ -87,15 +95,18 @@ class ForceRamp:
     touch: View
     both: View | None
     taught_ms: NDArray[np.int64]
+    taught_on: tuple[str, ...]
     drift_estimate: DriftEstimate
     gauged: bool = False
     mostly_taught: bool = False
     caution: float = 1.0
 
     def occasion(self, grasp: Grasp) -> Occasion:
-        """Return when a grasp was taken, seen from the teaching."""
+        """Return when and where a grasp was taken, seen from the teaching."""
         if self.gauged:
             return Occasion.GAUGED
+        if self.taught_on and _on_cell(grasp) and grasp.source not in self.taught_on:
+            return Occasion.ELSEWHERE
         apart_ms = int(np.abs(self.taught_ms - grasp.start_ms).min())
         return Occasion.SOON if apart_ms <= _SOON_MS else Occasion.LATER
 
@@ -225,6 +236,7 @@ class ForceRamp:
             "labels": np.array(self.labels),
             "has_both": np.array(self.both is not None),
             "taught_ms": self.taught_ms,
+            "taught_on": np.array(self.taught_on, dtype=np.str_),
             "drift_gains": np.array(expected.gains),
             "drift_aperture_offset_m": np.array(expected.aperture_offset_m),
             "gauged": np.array(self.gauged),
@@ -251,6 +263,7 @@ class ForceRamp:
                 touch=View.from_arrays(arrays, "touch_"),
                 both=View.from_arrays(arrays, "both_") if bool(arrays["has_both"]) else None,
                 taught_ms=arrays["taught_ms"],
+                taught_on=tuple(str(source) for source in arrays["taught_on"]),
                 drift_estimate=_before(rest, len(arrays["labels"]), expected),
                 gauged=bool(arrays["gauged"]),
             )
@@ -308,6 +321,7 @@ class ForceRampTrainer:
             touch=_taught(levels, classes, rest, opening=False),
             both=both,
             taught_ms=np.array([group[-1].start_ms for group in members.values()]),
+            taught_on=tuple(sorted({g.source for g in ordered if _on_cell(g)})),
             drift_estimate=_before(rest, len(labels), NO_DRIFT),
         )
 
@@ -328,6 +342,11 @@ def _taught(levels: Levels, classes: NDArray[np.int64], rest: Rest, *, opening: 
     ]
     slopes_of_one = np.array(slopes) / (2.0 * steps.sum(axis=1)[:, None])
     return fit_view(features(levels), classes, slopes_of_one, n_pads=n_pads, opening=opening)
+
+
+def _on_cell(grasp: Grasp) -> bool:
+    """Return whether the source of a grasp names the cell that took it."""
+    return grasp.source.startswith(CELL_SOURCE)
 
 
 def _before(rest: Rest, n_labels: int, expected: Drift) -> DriftEstimate:

@@ -950,3 +950,65 @@ def test_progress_and_complaints_end_no_job_when_the_terminal_is_gone(
         monkeypatch.undo()
         with contextlib.suppress(OSError):
             full.close()
+
+
+def test_an_early_end_has_its_fault_number_in_the_json(
+    config: Path, tmp_path: Path, fail: Callable[..., tuple[int, str]]
+) -> None:
+    found = tmp_path / "run.json"
+    options = ("--config", config, "--out", tmp_path / "out", "--fault", "unit.off@contact+0.1s")
+    code, said = fail("run", *options, "--json", found)
+    ended = json.loads(found.read_text())
+    assert code == 1
+    assert ended["fault_number"] in (204, 305, 401)  # whichever watch of the link is first
+    assert ended["ended_early"].split()[0] in said
+
+
+# -- sort --------------------------------------------------------------------------------------
+
+
+def test_sort_prints_how_many_parts_lie_where(config: Path, taught: Any, tmp_path: Path) -> None:
+    report = tmp_path / "sort.json"
+    printed = call(
+        *("sort", "--config", config, "--model", taught.result.model),
+        *("--parts", 4, "--json", report),
+    )
+    assert "4 parts sorted, 100 % with a name, 0 rejected" in printed
+    assert "mistakes: none" in printed
+    written = json.loads(report.read_text())
+    assert written["places"] == {"ball": 2, "box": 2, "reject": 0}
+    assert written["matrix"]["box"] == {"ball": 0, "box": 2, "reject": 0}
+    recording = read_recording(written["recording"])
+    events = [(event["kind"], event["text"]) for event in recording.events]
+    assert [kind for kind, _ in events if kind in ("place", "release")] == ["place", "release"] * 4
+    assert ("place", "box at box") in events
+
+
+def test_sort_that_ends_early_prints_the_count_and_keeps_the_part(
+    config: Path, taught: Any, fail: Callable[..., tuple[int, str]], tmp_path: Path
+) -> None:
+    report = tmp_path / "sort.json"
+    code, err = fail(
+        *("sort", "--config", config, "--model", taught.result.model, "--parts", 4),
+        *("--fault", "can.unplugged@contact+1s", "--json", report),
+    )
+    assert code == 1
+    assert "the grip is kept; recording so far" in err
+    recording = read_recording(json.loads(report.read_text())["recording"])
+    assert recording.events[-1]["kind"] == "fault"
+
+
+def test_sort_refuses_what_it_cannot_do_before_anything_moves(
+    config: Path, taught: Any, fail: Callable[..., tuple[int, str]], tmp_path: Path
+) -> None:
+    changed = tmp_path / "changed.yaml"
+    text = config.read_text()
+    changed.write_text(text.replace("kind: simulated\n", "kind: operator\n"))
+    code, err = fail("sort", "--config", changed)
+    assert code == 2
+    assert "--model is missing" in err
+    places = "places:\n  - {label: ball, place: left}"
+    changed.write_text(text.replace("  places: []", f"  {places}"))
+    code, err = fail("sort", "--config", changed, "--model", taught.result.model)
+    assert code == 2
+    assert "sort.places has no place for box" in err

@@ -35,7 +35,7 @@ def parts() -> tuple[list[Grasp], list[Grasp]]:
 
 @pytest.fixture(scope="module")
 def alone(parts: tuple[list[Grasp], list[Grasp]]) -> Evaluation:
-    return evaluate(*parts, make_trainer("shrinkage_lda"))
+    return evaluate([parts], make_trainer("shrinkage_lda"))
 
 
 def assert_same(a: Evaluation, b: Evaluation) -> None:
@@ -53,7 +53,7 @@ def assert_same(a: Evaluation, b: Evaluation) -> None:
 
 def test_two_processes_give_the_same_figures(parts: Any, alone: Evaluation) -> None:
     with workers(2) as mapper:
-        assert_same(evaluate(*parts, make_trainer("shrinkage_lda"), mapper=mapper), alone)
+        assert_same(evaluate([parts], make_trainer("shrinkage_lda"), mapper=mapper), alone)
 
 
 def test_one_process_works_here() -> None:
@@ -93,7 +93,7 @@ def test_a_cluster_of_two_workers_gives_the_same_figures(
     cluster: Any, parts: Any, alone: Evaluation
 ) -> None:
     with workers(scheduler=cluster.scheduler_address) as mapper:
-        assert_same(evaluate(*parts, make_trainer("shrinkage_lda"), mapper=mapper), alone)
+        assert_same(evaluate([parts], make_trainer("shrinkage_lda"), mapper=mapper), alone)
 
 
 @pytest.mark.timeout(60)

@@ -15,7 +15,7 @@ from recognition.recognizers import make_trainer
 
 @pytest.fixture(scope="module")
 def found(train, fresh):
-    return evaluate(train, fresh, make_trainer("shrinkage_lda"), unknown_groups=5)
+    return evaluate([(train, fresh)], make_trainer("shrinkage_lda"), unknown_groups=5)
 
 
 def test_figures_fit_each_other(found, fresh):
@@ -34,7 +34,7 @@ def test_figures_fit_each_other(found, fresh):
 
 
 def test_more_grasps_than_there_are_give_no_figure(train, fresh):
-    short = evaluate(train, fresh, make_trainer("shrinkage_lda"), fuse=(50,), unknown_groups=0)
+    short = evaluate([(train, fresh)], make_trainer("shrinkage_lda"), fuse=(50,), unknown_groups=0)
     assert np.isnan(short.fused_accuracy[50])
     assert np.isnan(short.random_fused_accuracy[50])
     assert np.isnan(short.unknown_auroc)
@@ -42,7 +42,7 @@ def test_more_grasps_than_there_are_give_no_figure(train, fresh):
 
 def test_untaught_objects_count_in_no_accuracy(train, fresh):
     some = [g for g in train if g.label != "egg"]
-    found = evaluate(some, fresh, make_trainer("shrinkage_lda"), unknown_groups=0)
+    found = evaluate([(some, fresh)], make_trainer("shrinkage_lda"), unknown_groups=0)
     assert found.n_untaught == 5
     assert found.n == len(fresh) - 5
     assert found.unknown_auroc > 0.9
@@ -52,14 +52,24 @@ def test_few_labels_are_not_left_out(train, fresh):
     def pair(grasps):
         return [g for g in grasps if g.label in ("bar", "egg")]
 
-    found = evaluate(pair(train), pair(fresh), make_trainer("shrinkage_lda"))
+    found = evaluate([(pair(train), pair(fresh))], make_trainer("shrinkage_lda"))
     assert np.isnan(found.unknown_auroc)
+
+
+def test_the_answers_of_all_parts_count_together(train, fresh):
+    trainer = make_trainer("shrinkage_lda")
+    half = len(fresh) // 2
+    both = evaluate([(train, fresh[:half]), (train, fresh[half:])], trainer, unknown_groups=0)
+    whole = evaluate([(train, fresh)], trainer, unknown_groups=0)
+    assert both.n == whole.n
+    assert both.confusion.tolist() == whole.confusion.tolist()
+    assert both.named_right == whole.named_right
 
 
 def test_nothing_to_test_is_refused(train, fresh):
     renamed = [dataclasses.replace(g, label="other") for g in fresh]
     with pytest.raises(ValueError, match="taught object"):
-        evaluate(train, renamed, make_trainer("shrinkage_lda"))
+        evaluate([(train, renamed)], make_trainer("shrinkage_lda"))
 
 
 def recorded() -> list[Grasp]:
@@ -100,7 +110,7 @@ def test_recorded_grasps_are_named():
     # Only the earlier part of the recording: the later part is for the benchmark alone.
     earlier, _ = chronological_split(recorded(), 0.6)
     train, test = chronological_split(earlier, 0.7)
-    found = evaluate(train, test, make_trainer("force_ramp"), unknown_groups=2)
+    found = evaluate([(train, test)], make_trainer("force_ramp"), unknown_groups=2)
     assert found.single_accuracy > 0.94
     assert found.fused_accuracy[3] > 0.95
     assert found.unknown_auroc > 0.93

@@ -11,7 +11,13 @@ from recognition.evaluation.metrics import (
     expected_calibration_error,
     wilson_interval,
 )
-from recognition.evaluation.splits import chronological_split, parse_split, shuffled_split
+from recognition.evaluation.splits import (
+    a_day_later,
+    chronological_split,
+    parse_split,
+    series_parts,
+    shuffled_split,
+)
 from recognition.grasp import by_label
 
 
@@ -48,6 +54,22 @@ def test_split_text(train):
 def test_split_text_that_is_not_understood_is_refused(text):
     with pytest.raises(ValueError, match="chronological:FRACTION"):
         parse_split(text)
+
+
+def test_each_series_of_an_object_with_several_is_left_out_once(train):
+    bars = [g for g in train if g.label == "bar"]
+    grasps = [*train, *map(a_day_later, bars[:3])]
+    parts = series_parts(grasps)
+    assert [len(test) for _, test in parts] == [len(bars), 3]
+    for taught, test in parts:
+        assert {g.label for g in test} == {"bar"}
+        assert len(taught) + len(test) == len(grasps)
+        assert not {id(g) for g in taught} & {id(g) for g in test}
+
+
+def test_without_a_second_series_there_is_nothing_to_leave_out(train):
+    with pytest.raises(ValueError, match="another day"):
+        series_parts(train)
 
 
 def test_a_grasp_without_label_and_a_wrong_fraction_are_refused(train):

@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 import recognition.recognizers
+from recognition.drift.drift import NO_DRIFT
+from recognition.evaluation.splits import a_day_later
 from recognition.recognizers import (
     COMPARATORS,
     DEFAULT_TRAINER,
@@ -233,3 +235,21 @@ def test_recogniser_comes_back_from_its_arrays(name, train, fresh, use_aperture)
 def test_teaching_twice_gives_the_same(name, train, fresh):
     a, b = (make_trainer(name).fit(train).posterior(fresh[7]) for _ in range(2))
     assert np.array_equal(a.probability, b.probability)
+
+
+def test_the_occasion_is_when_and_where_a_grasp_was_taken(train, fresh):
+    def taken(grasps, source):
+        return [dataclasses.replace(g, source=source) for g in grasps]
+
+    taught = make_trainer("force_ramp").fit(taken(train, "cell one"))
+    taught = type(taught).from_arrays(taught.to_arrays())
+    (here,), (there,), (anywhere,) = (
+        taken(fresh[:1], source) for source in ("cell one", "cell two", "a recording")
+    )
+    assert taught.posterior(here).occasion == "within an hour of teaching"
+    assert taught.posterior(anywhere).occasion == "within an hour of teaching"
+    assert taught.posterior(a_day_later(here)).occasion == "at another time than the teaching"
+    assert taught.posterior(there).occasion == "on another cell than the teaching"
+    assert taught.posterior(there).unknown < taught.posterior(here).unknown
+    gauged = taught.expecting(NO_DRIFT, gauged=True)
+    assert gauged.posterior(there).occasion == "the drift was gauged"

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.interfaces.cli.options import JsonOption, SplitOption, known_recognizers
+from cell.interfaces.cli.options import JsonOption, known_recognizers
 from recognition.recognizers import TRAINERS, trainer_names
 
 if TYPE_CHECKING:
@@ -18,11 +18,21 @@ _MANY_GRASPS = 1000
 
 
 def evaluate(
-    dataset: Annotated[Path, typer.Argument(help="Data set or recording of labelled grasps.")],
+    datasets: Annotated[
+        list[Path], typer.Argument(help="Data sets or recordings of labelled grasps.")
+    ],
     train_on: Annotated[
-        Path | None, typer.Option("--train", help="Train on this file and test on all of DATASET.")
+        Path | None,
+        typer.Option("--train", help="Train on this file and test on all of DATASETS."),
     ] = None,
-    split: SplitOption = "chronological:0.6",
+    split: Annotated[
+        str,
+        typer.Option(
+            "--split",
+            help="chronological:FRACTION or shuffled:FRACTION to train on, or series: each series "
+            "of an object that has several is left out in turn.",
+        ),
+    ] = "chronological:0.6",
     fuse: Annotated[str, typer.Option("--fuse", help="Numbers of grasps to fuse.")] = "1,2,3,5",
     recognizers: Annotated[
         list[str] | None,
@@ -58,18 +68,16 @@ def evaluate(
     With intervals of 95 %; unknown objects are those left out of teaching.
     """
     from cell.interfaces.cli.grasps import labelled_grasps
-    from cell.interfaces.cli.terminal import print_line, progress_bar, write_json
+    from cell.interfaces.cli.terminal import print_note, progress_bar, write_json
     from cell.jobs.evaluate import evaluate_recognizers
     from cell.jobs.parallel import workers
     from cell.jobs.teach import repeated
 
     names = recognizers or list(TRAINERS)
-    grasps = labelled_grasps(dataset)
+    grasps = [grasp for path in datasets for grasp in labelled_grasps(path)]
     taught = None if train_on is None else labelled_grasps(train_on)
     if twice := len(repeated([*(taught or ()), *grasps])):
-        print_line(
-            f"NOTE: {twice} grasps are tested that were taught, or stand twice: right too often"
-        )
+        print_note(f"{twice} grasps are tested that were taught, or stand twice: right too often")
     if jobs is None:
         jobs = 0 if len(grasps) >= _MANY_GRASPS else 1
     with workers(jobs, scheduler=scheduler) as mapper, progress_bar() as progress:
@@ -161,7 +169,7 @@ def _print_evaluation(result: "EvaluationResult") -> None:
     if any(math.isnan(f.full.unknown_auroc) for f in result.recognizers.values()):
         print_line(
             f"-: not measured; AUROC leaves out one object and teaches the others, which takes "
-            f"three objects (here {len(result.labels)})"
+            f"three objects (here {len(result.labels)}) and a split within each"
         )
     for name, figures in result.recognizers.items():
         shift = figures.full.shift

@@ -34,16 +34,17 @@ def train(
     """Train a recogniser on data sets and write a model file."""
     from cell.errors import CellError
     from cell.interfaces.cli.grasps import labelled_grasps
-    from cell.interfaces.cli.terminal import print_line, write_json
+    from cell.interfaces.cli.terminal import print_line, print_note, write_json
     from cell.jobs.teach import repeated
     from cell.learning.model import save_model
+    from cell.learning.teaching_summary import summarise_teaching
     from cell.learning.training import train as train_model
 
     grasps = [grasp for path in datasets for grasp in labelled_grasps(path)]
     if not all(grasp.pads.same_as(grasps[0].pads) for grasp in grasps):
         raise CellError("the data sets were taken on different pads; train a model for each")
     if twice := len(repeated(grasps)):
-        print_line(f"NOTE: {twice} of {len(grasps)} grasps stand twice and count as two: too sure")
+        print_note(f"{twice} of {len(grasps)} grasps stand twice and count as two: too sure")
     trained = train_model(grasps, recognizer, use_aperture=aperture, early=early, poses=poses)
     labels, memory = trained.recognizer.labels, trained.memory
     save_model(
@@ -61,6 +62,10 @@ def train(
         + (f", with {also}" if also else "")
         + f": {model}"
     )
+    summary = summarise_teaching(grasps)
+    print_line(str(summary))
+    for note in summary.notes:
+        print_note(note)
     write_json(
         json_file,
         {
@@ -70,5 +75,6 @@ def train(
             "early": early,
             "n_remembered": 0 if memory is None else len(memory.classes),
             "labels": list(labels),
+            "teaching": summary.as_json(),
         },
     )

@@ -5,16 +5,36 @@ from sorting_station import Robot, SortingStation
 
 from cell.control.plan import Pose
 from cell.errors import PositionerError
+from gripper.errors import PartLost, PartSlipped
 
 BINS = {"dowel": "bin A", "bearing": "bin B"}
 
 
-def test_my_parts_go_into_their_bins(station_cell, recognizer):
-    sequence = station_cell.config.sequence
-    station = SortingStation(station_cell.controller, recognizer, sequence, BINS)
-    for part, wanted in BINS.items():
-        station_cell.controller.present(part)
-        assert station.sort(seed=5) == wanted
+def test_my_parts_are_carried_into_their_bins(simulated_cell, recognizer):
+    robot = Robot()
+    held_n = []
+
+    def bring(destination):
+        held_n.append(cell.grip_n)
+        robot.bring(destination)
+
+    cell = simulated_cell(seed=7, places=bring).start()
+    station = SortingStation(cell.controller, recognizer, cell.config.sequence, BINS)
+    for part in BINS:
+        cell.controller.present(part)
+        station.sort(seed=5)
+    assert robot.places == list(BINS.values())
+    assert min(held_n) > 3.0
+    assert cell.grip_n == 0.0
+
+
+def test_a_part_that_is_lost_on_the_way_stops_my_station(simulated_cell, recognizer):
+    cell = simulated_cell(seed=7, places=lambda _destination: cell.simulated.remove()).start()
+    station = SortingStation(cell.controller, recognizer, cell.config.sequence, BINS)
+    cell.controller.present("dowel")
+    with pytest.raises((PartLost, PartSlipped)):
+        station.sort(seed=5)
+    assert cell.controller.status.grasp == "PART LOST"
 
 
 def test_my_robot_is_asked_for_each_pose(simulated_cell):

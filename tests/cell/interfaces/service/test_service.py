@@ -359,3 +359,27 @@ def test_a_config_that_opens_doors_to_nobody_in_particular_is_refused(
 ) -> None:
     with pytest.raises(ConfigError, match=complaint):
         make_config(**changes)
+
+
+def test_the_watch_outlives_what_goes_wrong(serve: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    notes: list[str] = []
+    served = serve(options={"note": notes.append}, serve__lease_timeout_s=0.2)
+    cancel, failed = served.service._plugin.cancel, threading.Event()
+
+    def fail_once(*arguments: Any) -> None:
+        if not failed.is_set():
+            failed.set()
+            raise OSError("the pipe is broken")
+        cancel(*arguments)
+
+    monkeypatch.setattr(served.service._plugin, "cancel", fail_once)
+    lease = served.service.acquire("first")
+    served.pause_while_pressing()
+    served.service.start(lease, IDENTIFY)
+    served.paused()
+    served.clock.now_s += 1.0
+    until(lambda: notes)
+    assert notes[0] == "watch over the lease: OSError: the pipe is broken"
+    served.service.hold()
+    served.go_on()
+    assert served.ended().outcome == "CANCELED"

@@ -1,0 +1,123 @@
+"""Taught on one simulated cell, used on another of the same layout.
+
+The other cell has another foam, another sensitivity of the pads, servos that are mounted 1.8 mm
+off at the opening, and an electronics gain of its own for each finger. Grasps go through servos,
+buses and force loop. The gauge takes the first three grasps of one object on the other cell, once
+for each object. Objects never taught are grasped there, too.
+"""
+
+from collections.abc import Sequence
+
+from benchmarks._measure import line, repeats
+from benchmarks.recognition._cell_grasps import cell_grasps
+from recognition.drift.drift import Drift
+from recognition.evaluation.metrics import wilson_interval
+from recognition.evaluation.splits import a_day_later
+from recognition.grasp import Grasp
+from recognition.recognizer import UNKNOWN, Recognizer
+from recognition.recognizers import make_trainer
+from recognition.recognizers.force_ramp.recognizer import ForceRampTrainer
+from recognition.statistics.fusion import DecisionKind, StopRule, decide
+from simulator.servo.mechanics import ServoMount
+from simulator.settings import SimulatedServoSettings
+from simulator.world.foam import Foam
+from simulator.world.taxels import SensorLaw
+from tactile.layout import paper_layout
+
+TAUGHT = {
+    "oval": "ellipsoid:length=14mm,diameter=11.7mm",
+    "cylinder 6": "cylinder:diameter=6mm,length=20mm",
+    "box": "box:length=15.9mm,width=10mm,height=10mm",
+    "ball 9.5": "sphere:diameter=9.5mm",
+    "dumbbell": "dumbbell:length=13mm,diameter=10mm",
+    "cylinder 11": "cylinder:diameter=11mm,length=20mm",
+    "ball 13": "sphere:diameter=13mm",
+    "bar": "box:length=18mm,width=7mm,height=7mm",
+}
+NEVER_TAUGHT = {
+    "ball 7": "sphere:diameter=7mm",
+    "cylinder 8": "cylinder:diameter=8mm,length=16mm",
+    "oval 8": "ellipsoid:length=16mm,diameter=8mm",
+    "cube": "box:length=12mm,width=12mm,height=12mm",
+}
+OTHER = {
+    "foam": Foam(modulus_pa=190e3, densification=0.8, spread_m=1.8e-3),
+    "law": SensorLaw(gain=0.85),
+    "servos": tuple(
+        SimulatedServoSettings(servo_id=number, mount=ServoMount(zero_raw=2058))
+        for number in (1, 2)
+    ),
+}
+"""Settings of the other cell; 10 counts of a servo are 0.9 mm of half opening."""
+FINGER_GAINS = Drift(gains=tuple(1.1 if pad.finger == 0 else 0.9 for pad in paper_layout().pads))
+"""Gains of the other cell's fingers behind its force loop."""
+_GAUGE_GRASPS = 3
+_ONE = StopRule(max_grasps=1)
+
+
+def names(recognizer: Recognizer, grasps: Sequence[Grasp]) -> list[tuple[str, str]]:
+    """Return the likeliest label of each grasp, and the name that one grasp gives it."""
+    found = []
+    for grasp in grasps:
+        posterior = recognizer.posterior(grasp)
+        decision = decide([posterior], _ONE)
+        named = decision.label if decision.kind is DecisionKind.DECIDED else UNKNOWN
+        found.append((posterior.best, named))
+    return found
+
+
+def figures(answers: Sequence[tuple[str, str]], grasps: Sequence[Grasp]) -> str:
+    """Return shares of grasps of taught objects as text."""
+    n = len(grasps)
+    likeliest = sum(best == g.label for (best, _), g in zip(answers, grasps, strict=True))
+    right = sum(named == g.label for (_, named), g in zip(answers, grasps, strict=True))
+    unknown = sum(named == UNKNOWN for _, named in answers)
+    low, high = wilson_interval(right, n)
+    return (
+        f"likeliest right {100 * likeliest / n:.1f} %, named right {100 * right / n:.1f} % "
+        f"({100 * low:.1f}-{100 * high:.1f}), wrong {100 * (n - right - unknown) / n:.1f} % of {n}"
+    )
+
+
+def main(effort: float = 1.0) -> None:
+    n = repeats(20, effort, least=4)
+    taught_objects = dict(list(TAUGHT.items())[: repeats(len(TAUGHT), effort, least=2)])
+    new_objects = dict(list(NEVER_TAUGHT.items())[: repeats(len(NEVER_TAUGHT), effort, least=1)])
+    train = cell_grasps(taught_objects, n, seed=51)
+    same = cell_grasps(taught_objects, n, seed=52)
+    there = cell_grasps(taught_objects | new_objects, n, seed=53, **OTHER)
+    there = [a_day_later(FINGER_GAINS.apply(grasp)) for grasp in there]
+    test = [grasp for grasp in there if grasp.label in taught_objects]
+    new = [grasp for grasp in there if grasp.label in new_objects]
+    taught = ForceRampTrainer().fit(train)
+    plain = make_trainer("shrinkage_lda").fit(train)
+    line("compared", f"{len(taught_objects)} objects, {n} grasps each; {len(new)} grasps of others")
+    line("  same cell", figures(names(taught, same), same))
+    untold = names(taught, test)
+    line("  other cell, untold", figures(untold, test))
+    line("", _called_unknown(taught, new))
+    gauged: list[tuple[str, str]] = []
+    truth: list[Grasp] = []
+    for label in taught_objects:
+        taken = [grasp for grasp in test if grasp.label == label][:_GAUGE_GRASPS]
+        rest = [grasp for grasp in test if not any(grasp is one for one in taken)]
+        with_gauge = taught.with_drift(taught.gauge(label, taken))
+        answers = names(with_gauge, rest)
+        gauged += answers
+        truth += rest
+        line(f"  gauged by {label}", figures(answers, rest))
+        line("", _called_unknown(with_gauge, new))
+    line("  gauged, all together", figures(gauged, truth))
+    ours = sum(best != g.label for (best, _), g in zip(untold, test, strict=True))
+    theirs = sum(plain.posterior(g).best != g.label for g in test)
+    ratio = max(theirs, 0.5) / max(ours, 0.5)
+    line("  ratio", f"shrinkage_lda errs {ratio:.1f} times as often untold")
+
+
+def _called_unknown(recognizer: Recognizer, new: Sequence[Grasp]) -> str:
+    found = sum(named == UNKNOWN for _, named in names(recognizer, new))
+    return f"{100 * found / len(new):.1f} % of the grasps of new objects called UNKNOWN"
+
+
+if __name__ == "__main__":
+    main()

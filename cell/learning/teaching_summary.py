@@ -1,0 +1,98 @@
+"""Teaching summary: how much the grasps that teach a model vary, and what is not in them."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from recognition.grasp import Grasp, by_label, series_of
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TeachingSummary:
+    """How much the taught grasps vary.
+
+    Attributes
+    ----------
+    n_objects, n_grasps
+        Number of objects and of their grasps.
+    again
+        Objects that were taught in several series, with a pause of an hour or more between them.
+    longest_series_s
+        Duration of the longest series in s.
+    opening_sd_mm
+        Standard deviation in mm of the smallest opening over the grasps of an object, the median of
+        all objects; None where no opening is known.
+    """
+
+    n_objects: int
+    n_grasps: int
+    again: tuple[str, ...]
+    longest_series_s: float
+    opening_sd_mm: float | None
+
+    def __str__(self) -> str:
+        minutes = self.longest_series_s / 60.0
+        took = f"{self.longest_series_s:.0f} s" if minutes < 1.0 else f"{minutes:.1f} minutes"
+        opening = (
+            ""
+            if self.opening_sd_mm is None
+            else f"; the opening of one object spreads by {self.opening_sd_mm:.1f} mm"
+        )
+        return f"taught in series of at most {took}{opening}"
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What a user has to expect of such a teaching."""
+        if not self.again:
+            return (
+                "each object was taught in one series: what varies from day to day, with the "
+                "placing and from cell to cell is not in it. Expect UNKNOWN and wrong names after "
+                "such a change, and gauge the model then (`tactile-cell calibrate --gauge LABEL`)",
+            )
+        once = self.n_objects - len(self.again)
+        if once:
+            return (
+                f"taught in several series: {', '.join(self.again)}; in one: the {once} others. "
+                "Grasps of another day look most like what was taught on another day, so that the "
+                "others may be named as one of these: teach all objects again, or leave the "
+                "further series out (`tactile-cell evaluate --split series` measures it)",
+            )
+        return ()
+
+    def as_json(self) -> dict[str, Any]:
+        """Return what ``--json`` writes."""
+        return {
+            "taught_again": list(self.again),
+            "longest_series_s": round(self.longest_series_s, 1),
+            "opening_sd_mm": self.opening_sd_mm,
+            "notes": list(self.notes),
+        }
+
+
+def summarise_teaching(grasps: Sequence[Grasp]) -> TeachingSummary:
+    """Return how much labelled grasps vary. Raises ValueError where one has no label."""
+    members = by_label(grasps)
+    series = {label: series_of(group) for label, group in members.items()}
+    spreads_mm = [
+        1e3 * float(np.std(smallest_m))
+        for group in members.values()
+        if len(smallest_m := [m for g in group if np.isfinite(m := _smallest_m(g))]) > 1
+    ]
+    return TeachingSummary(
+        n_objects=len(members),
+        n_grasps=len(grasps),
+        again=tuple(label for label, found in series.items() if len(found) > 1),
+        longest_series_s=max(
+            1e-3 * (one[-1].start_ms - one[0].start_ms) + float(one[-1].t_s[-1])
+            for found in series.values()
+            for one in found
+        ),
+        opening_sd_mm=float(np.median(spreads_mm)) if spreads_mm else None,
+    )
+
+
+def _smallest_m(grasp: Grasp) -> float:
+    known_m = grasp.aperture_m[np.isfinite(grasp.aperture_m)]
+    return float(known_m.min()) if len(known_m) else float("nan")

@@ -1,0 +1,116 @@
+"""`tactile-cell serve` on real ports: its end and its death leave the part held."""
+
+import json
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+from xmlrpc.client import ServerProxy
+
+import pytest
+
+from cell.interfaces.service.service import RELEASE_KEY
+
+pytestmark = pytest.mark.hil
+
+LIMIT_S = 60.0
+PROGRAM = [sys.executable, "-c", "from cell.interfaces.cli import main; main()"]
+CONFIG = """
+tactile: {tare_frames: 15, sync_period_ms: 30.0}
+gripper:
+  loop_rate_hz: 100.0
+  approach_speed_mm_s: 20.0
+  force_stale_ms: 300.0
+  watchdog_ms: 500.0
+serve: {lease_timeout_s: 30.0, modbus_port: 0, xmlrpc_port: 0}
+"""
+"""Half the rate and some patience: other tests may take turns on the same processor."""
+
+
+class Program:
+    """A program that prints one JSON line when it is ready."""
+
+    def __init__(self, first: Callable[[int], None], *arguments: object) -> None:
+        self.process = subprocess.Popen(
+            [*PROGRAM, *map(str, arguments)],
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL,
+            text=True,
+        )
+        first(self.process.pid)
+        assert self.process.stdout is not None
+        line = self.process.stdout.readline()
+        if not line:
+            self.process.communicate()
+        self.line: dict[str, Any] = json.loads(line)
+
+    def end(self, number: signal.Signals) -> int:
+        self.process.send_signal(number)
+        return self.process.wait(LIMIT_S)
+
+
+@pytest.fixture
+def start(free_machine: None, first: Callable[[int], None]) -> Iterator[Callable[..., Program]]:
+    """Return what starts a program; all are ended."""
+    made: list[Program] = []
+
+    def run(*arguments: object) -> Program:
+        made.append(Program(first, *arguments))
+        return made[-1]
+
+    yield run
+    for program in reversed(made):
+        program.process.terminate()
+        program.process.wait(LIMIT_S)
+        program.process.communicate()
+
+
+def done(cell: Any, lease: int, job: int) -> int:
+    """Wait for a job and return how it ended."""
+    assert job > 0, job
+    end_s = time.monotonic() + LIMIT_S
+    while cell.job_state(job) < 4:
+        assert cell.alive(lease) == 0
+        assert time.monotonic() < end_s
+        threading.Event().wait(0.05)
+    return cell.job_state(job)
+
+
+@pytest.mark.timeout(300)
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_the_part_is_held_when_the_service_ends_and_is_let_go_on_purpose_by_the_next(
+    start: Callable[..., Program], tmp_path: Path, number: signal.Signals
+) -> None:
+    (tmp_path / "cell.yaml").write_text(CONFIG)
+    simulated = start("simulate", "-c", tmp_path / "cell.yaml", "--out", tmp_path / "cell")
+    service = start("serve", "-c", simulated.line["config"])
+    with ServerProxy(f"http://127.0.0.1:{service.line['xmlrpc_port']}") as cell:
+        lease = cell.acquire("first")
+        assert done(cell, lease, cell.grip(lease, 3.0)) == 4, cell.fault_text()
+        assert (cell.state(), cell.holding()) == (17, True)
+        assert service.end(number) == (0 if number is signal.SIGTERM else -signal.SIGKILL)
+    # The process of the force loop may need a moment to give the ports back.
+    service = start_again(start, simulated.line["config"])
+    with ServerProxy(f"http://127.0.0.1:{service.line['xmlrpc_port']}") as cell:
+        assert (cell.state(), cell.fault_number(), cell.holding()) == (9, 506, True)
+        lease = cell.acquire("second")
+        assert done(cell, lease, cell.clear(lease)) == 4
+        assert done(cell, lease, cell.release(lease, RELEASE_KEY)) == 4
+        assert done(cell, lease, cell.reset(lease)) == 4
+        assert (cell.state(), cell.holding()) == (4, False)
+
+
+def start_again(start: Callable[..., Program], config: str) -> Program:
+    """Start the service as soon as the ports are free."""
+    end_s = time.monotonic() + LIMIT_S
+    while True:
+        try:
+            return start("serve", "-c", config)
+        except json.JSONDecodeError:
+            assert time.monotonic() < end_s
+            threading.Event().wait(0.2)
