@@ -113,7 +113,10 @@ class OpcUaDoor:
             self.port: int = started.result()
         except (ValueError, ExtensionNotFound) as error:
             folder = service.config.serve.opcua_folder
-            raise ConfigError(f"serve.opcua_folder {folder}: {error}") from error
+            raise ConfigError(
+                f"serve.opcua_folder {folder}: a certificate or key cannot be used ({error}); "
+                "certificates are .der or .pem, and the cell's own names one URI"
+            ) from error
 
     def close(self) -> None:
         """End all connections and the thread."""

@@ -54,11 +54,15 @@ class Clients:
 
     async def load(self) -> None:
         """Read the trust list as it is now. Raises ValueError for what is no certificate."""
-        self._trusted = None
-        if self._folder is not None and any(self._folder.iterdir()):
-            store = TrustStore([self._folder], [])
-            await store.load()
-            self._trusted = store
+        found = None
+        try:
+            files = () if self._folder is None else self._folder.iterdir()
+            if any(file.suffix in (".der", ".pem") for file in files):
+                store = TrustStore([self._folder], [])
+                await store.load()
+                found = store
+        finally:
+            self._trusted = found
 
     def get_user(self, _server: Any, certificate: bytes | None = None, **_password: Any) -> User:
         """Return the user whose key of a certificate was proven when the channel was opened."""

@@ -1,12 +1,17 @@
 """OPC UA with asyncua's client: reading needs nothing, commands a trusted certificate."""
 
 import asyncio
+import json
+import signal
 import socket
 import struct
+import subprocess
+import sys
 from collections.abc import AsyncIterator, Callable
 from contextlib import asynccontextmanager, suppress
 from itertools import pairwise
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any, NamedTuple
 
 import pytest
@@ -77,6 +82,7 @@ def folder(tmp_path: Path, plc: Identity) -> Path:
     """Return a folder of OPC UA that trusts the PLC."""
     (tmp_path / "trusted").mkdir()
     (tmp_path / "trusted" / "plc.der").write_bytes(plc.der)
+    (tmp_path / "trusted" / "README.txt").write_text("clients that may command")
     return tmp_path
 
 
@@ -388,11 +394,14 @@ def test_faults_are_shown_and_taxels_follow_at_most_ten_times_a_second(
             watch = await link.client.create_subscription(20, Listener())
             await watch.subscribe_data_change(link.node("Taxels"))
             lease = await link.call("acquire", "plc")
-            for job in (1, 2):
-                await link.call("identify", lease, 3, 0.0, False, job)
+            for job in (1, 2, 3):
+                await link.call("identify", lease, 1, 0.0, False, job)
                 await link.ended(job)
+                async with asyncio.timeout(LIMIT_S):
+                    while len(frames) < job:
+                        await asyncio.sleep(0.02)
             served.pause_while_pressing()
-            await link.call("identify", lease, 3, 0.0, False, 3)
+            await link.call("identify", lease, 1, 0.0, False, 4)
             await asyncio.to_thread(served.paused)
             served.simulated.inject("unit.off")
             served.go_on()
@@ -483,3 +492,41 @@ def test_the_folder_is_made_once_and_its_key_is_the_operators(serve: Any, tmp_pa
     (folder / "key.pem").unlink()
     with pytest.raises(CellError, match=r"key\.pem"), open_doors(served.service):
         pass
+
+
+def test_a_missing_extra_is_named(serve: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    served = serve("opcua")
+    monkeypatch.setitem(sys.modules, "cell.interfaces.opc_ua.door", None)
+    with (
+        pytest.raises(ConfigError, match=r"tactile-cell\[opcua\]"),
+        open_doors(served.service),
+    ):
+        pass
+
+
+def test_the_program_opens_the_door_and_keeps_the_console_clean(tmp_path: Path) -> None:
+    (tmp_path / "cell.yaml").write_text("tactile:\n  tare_frames: 25\n")
+    program = "from cell.interfaces.cli import main; main()"
+    command = [sys.executable, "-c", program, "serve", "-c", "cell.yaml", "--modbus", "0"]
+    command += ["--xml-rpc", "0", "--opcua", "0", "--opcua-folder", "pki"]
+    with subprocess.Popen(
+        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            assert process.stdout is not None
+            doors = json.loads(process.stdout.readline())
+            assert set(doors) == {"listen", "modbus_port", "xmlrpc_port", "opcua_port"}
+
+            async def read(served: Any) -> None:
+                async with linked(served) as link:
+                    assert await link.read("State.Name") == "IDLE"
+                    with pytest.raises(BadUserAccessDenied):
+                        await link.call("hold")
+
+            asyncio.run(read(SimpleNamespace(doors=doors)))
+            process.send_signal(signal.SIGTERM)
+            assert process.wait(LIMIT_S) == 0
+            assert process.communicate()[1].splitlines()[1:] == []
+        finally:
+            process.kill()
+    assert (tmp_path / "pki" / "key.pem").exists()
