@@ -19,6 +19,15 @@ _LOAD_BEFORE = os.getloadavg()[0]
 _LOAD_MARGIN = 0.5
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    """Add the option of the contract tests of drives."""
+    parser.addoption(
+        "--axes",
+        action="store_true",
+        help="tests/contract: the real drives of the positioner in --cell-config, too",
+    )
+
+
 @pytest.fixture(scope="session")
 def free_machine() -> None:
     """Skip where other programs use up the processors: then no real time can be judged.

@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Any, assert_never
 
 from cell.config.model import CellConfig
+from cell.config.positioner import ServoAxisConfig
+from cell.control.axes import AxesBuilder, AxesPositioner
 from cell.control.controller import CellController
 from cell.control.journal import loop_values
 from cell.control.plan import Pose
@@ -17,10 +19,12 @@ from cell.control.positioner import (
     HostThenSimulated,
     ObjectPlacer,
     OperatorPositioner,
+    PatientCaller,
     Places,
     Positioner,
     SimulatedPositioner,
     SocketPlacer,
+    Supervise,
 )
 from cell.control.records import pad_array
 from cell.data.recorder import Recorder
@@ -30,8 +34,11 @@ from cell.hand.client import HandProcess
 from cell.hand.interface import Hand
 from cell.simulation import InProcessPlacer, capture_traffic, simulated_cell
 from gripper.dynamixel.bus import ServoBus
-from gripper.state import Clock
+from gripper.dynamixel.serial_port import ByteStream, SerialStream
+from gripper.state import Clock, GripperPhase
+from motion.axes import Axes
 from simulator.cell import SimulatedCell
+from tactile.can.bus import CanBus, close_bus, open_bus
 from tactile.unit.link import TactileLink
 
 Mover = Callable[[Pose], Pose | bool | None]
@@ -50,11 +57,14 @@ class Cell:
         Whether time passes by itself; in a simulated cell it passes while a caller waits.
     simulated
         The simulated cell, where there is one in this process.
+    axes
+        The axes of its positioner; None where something else moves the object.
     """
 
     controller: CellController
     realtime: bool
     simulated: SimulatedCell | None
+    axes: Axes | None
     _recorder: Recorder | None
     _closing: ExitStack
 
@@ -155,7 +165,7 @@ def build_cell(
             clock = simulated.clock
         if capture is not None:
             capture_traffic(simulated, capture, undo)
-        positioner = _positioner(config, simulated, mover, ask, undo)
+        positioner = _positioner(config, simulated, mover, ask, undo, phase=lambda: hand.phase)
         if places is not None:
             positioner = HostPlaces(positioner, places)
         hand = _hand(config, simulated)
@@ -174,6 +184,7 @@ def build_cell(
             for note in hand.notes:
                 recorder.event("note", note)
         controller = CellController(
+            name=config.name,
             hand=hand,
             positioner=positioner,
             sequence=config.sequence,
@@ -187,6 +198,7 @@ def build_cell(
             controller=controller,
             realtime=simulated is None,
             simulated=simulated,
+            axes=positioner.axes if isinstance(positioner, AxesPositioner) else None,
             _recorder=recorder,
             _closing=undo.pop_all(),
         )
@@ -213,6 +225,8 @@ def _positioner(
     mover: Mover | None,
     ask: Callable[[str], str] | None,
     undo: ExitStack,
+    *,
+    phase: Callable[[], GripperPhase],
 ) -> Positioner:
     """Return the positioner that the config names; mypy refuses a kind that has no case here."""
     placer: ObjectPlacer | None = None
@@ -238,5 +252,66 @@ def _positioner(
             if placer is None:
                 raise ConfigError("positioner.kind is simulated, but there is no simulated cell")
             return SimulatedPositioner(placer)
+        case "axes":
+            return _axes(config, simulated, placer, ask, undo, phase=phase)
         case kind:
             assert_never(kind)
+
+
+def _axes(
+    config: CellConfig,
+    simulated: SimulatedCell | None,
+    placer: ObjectPlacer | None,
+    ask: Callable[[str], str] | None,
+    undo: ExitStack,
+    *,
+    phase: Callable[[], GripperPhase],
+) -> AxesPositioner:
+    """Return the positioner with axes; simulator, person or host bring the objects."""
+    wanted, period_s = config.positioner, 1.0 / config.gripper.loop_rate_hz
+    clock: Clock = time if simulated is None else simulated.clock
+    builder = AxesBuilder(clock, period_s)
+    if wanted.drives:
+        bus: CanBus
+        if simulated is not None and simulated.axes_can_bus is not None:
+            bus = simulated.axes_can_bus
+        else:
+            bus = drive_bus(config)
+            undo.callback(close_bus, bus)
+        builder.add_drives(wanted.drives, bus)
+    for axis in wanted.axes:
+        if isinstance(axis, ServoAxisConfig):
+            stream: ByteStream
+            if simulated is not None:
+                stream = simulated.axes_streams[axis.moves]
+            else:
+                stream = SerialStream(axis.port, axis.baud_rate)
+                undo.callback(stream.close)
+            builder.add_servo(axis, stream)
+    patient = PatientCaller(clock, period_s)
+
+    def bring(label: str | None, supervise: Supervise) -> None:
+        if placer is not None:
+            if label is not None:
+                placer.place(label, Pose())
+        elif ask is not None:
+            operator = OperatorPositioner(ask)
+            patient.call(lambda: operator.present(label), supervise)
+
+    moved = [axis.moves for axis in wanted.axes]
+    return AxesPositioner(builder.axes(), moved, bring=bring, phase=phase)
+
+
+def drive_bus(config: CellConfig) -> CanBus:
+    """Open the bus of the drives.
+
+    The control unit's own is shared on SocketCAN, where the system lets two programs use it.
+    """
+    can, own = config.positioner.can, config.tactile
+    return open_bus(
+        can.interface,
+        can.channel,
+        bitrate=can.bitrate,
+        shared=(can.interface, can.channel) == (own.interface, own.channel),
+        nodes=[axis.node_id for axis in config.positioner.drives],
+    )

@@ -57,6 +57,10 @@ class PositionerError(CellError):
     """A pose was not reached, or an object is not to be had."""
 
 
+class PositionerFault(CellError):
+    """An axis of the positioner is at fault or silent; all axes were stopped."""
+
+
 class NoPartFound(CellError):
     """The fingers closed to their limit and touched nothing."""
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 from cell import errors as cell
 from gripper import errors as gripper
+from motion import errors as motion
 from recognition import errors as recognition
 from tactile import errors as tactile
 
@@ -18,6 +19,7 @@ LIMP = "Without torque: where the fingers are is not known."
 SET_OFF = "As `over_force.reaction` demands: kept with less current, or without torque."
 UNMOVED = "As it was; nothing has moved."
 APART = "Not concerned."
+AXES_STOP = "As it was; all axes are stopped."
 
 
 @dataclass(frozen=True, slots=True)
@@ -428,6 +430,73 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         "Report the text; clear and reset.",
         KEPT,
     ),
+    # -- 6xx: axes and wrist -------------------------------------------------------------------
+    motion.MotionError: Fault(
+        600, "Axis fault", "None of the kinds below.", "Read the full text.", AXES_STOP
+    ),
+    motion.AxisLimitExceeded: Fault(
+        601,
+        "Position outside the limits of an axis",
+        "A pose of the sequence, of a place or of the host.",
+        "Ask for another pose, or set `positioner.axes[].low` and `high`.",
+        UNMOVED,
+    ),
+    motion.PositionNotReached: Fault(
+        602,
+        "Axis has not reached its position in time",
+        "Obstacle, load, or a velocity that is set too low.",
+        "Free the axis; look at its velocity and load.",
+        AXES_STOP,
+    ),
+    motion.AxisMissing: Fault(
+        603,
+        "Axis missing, or another device than configured",
+        "Supply, cable, node-ID or ID of the axis.",
+        "Check them; run `doctor`.",
+        UNMOVED,
+    ),
+    motion.AxisSilent: Fault(
+        604,
+        "Axis no longer answers",
+        "Supply or cable of the drive or servo.",
+        "Check both, then clear and reset.",
+        AXES_STOP,
+    ),
+    motion.AxisRestarted: Fault(
+        605,
+        "Axis has restarted and lost its position",
+        "Its supply was interrupted.",
+        "Check the supply, then clear and reset: it finds its home again.",
+        AXES_STOP,
+    ),
+    motion.AxisFault: Fault(
+        606,
+        "Axis reports a fault and has stopped",
+        "Overload, following error, temperature: the text names it.",
+        "Mend the cause, then clear and reset.",
+        AXES_STOP,
+    ),
+    motion.LimitSwitchReached: Fault(
+        607,
+        "Limit switch has stopped an axis",
+        "A wrong home or limits beyond the switch.",
+        "Move the axis free, check home and limits, then clear and reset.",
+        AXES_STOP,
+    ),
+    motion.HomingFailed: Fault(
+        608,
+        "Axis has not found its home",
+        "Home switch, homing method, or an obstacle.",
+        "Check them, then clear and reset.",
+        AXES_STOP,
+    ),
+    cell.PositionerFault: Fault(
+        609,
+        "Axis of the positioner at fault",
+        "The text names axis and cause.",
+        "Mend it, then clear and reset.",
+        AXES_STOP,
+    ),
     # -- 7xx: recognition and models -----------------------------------------------------------
     recognition.RecognitionError: Fault(
         700, "Recognition failed", "None of the kinds below.", "Read the full text.", APART
@@ -469,11 +538,13 @@ CATALOGUE: dict[type[BaseException], Fault] = {
 def fault_of(error: BaseException) -> Fault:
     """Return the most specific entry for an error.
 
-    One that only reports another, as `JobFailed`, has the entry of its cause.
+    One that only reports another, as `JobFailed`, has the entry of its cause, and so has an error
+    of the positioner that an axis caused.
     """
     kind = next((kind for kind in type(error).__mro__ if kind in CATALOGUE), Exception)
-    if kind is cell.CellError and error.__cause__ is not None:
-        return fault_of(error.__cause__)
+    cause = error.__cause__
+    if isinstance(cause, motion.MotionError) or (kind is cell.CellError and cause is not None):
+        return fault_of(cause)
     return CATALOGUE[kind]
 
 

@@ -9,17 +9,21 @@ from numpy.typing import NDArray
 
 from cell.config.gripper import ParallelLinkageConfig
 from cell.config.model import CellConfig
+from cell.config.positioner import DriveAxisConfig, PositionerConfig, ServoAxisConfig
 from cell.config.tactile import LinearCalibrationConfig, layout_from_config, make_calibration
+from cell.control.axes import si_per_unit
 from cell.control.plan import Pose
 from cell.errors import ConfigError, PositionerError
 from gripper.dynamixel.models import MODELS
 from gripper.errors import PortLost
 from recognition.grasp import Grasp
 from simulator.can.capture import PcapWriter
+from simulator.can.drive import DriveMount
 from simulator.cell import SimulatedCell
 from simulator.errors import SimulatorError
 from simulator.faults.injector import VOCABULARY, check_fault
 from simulator.servo.mechanics import FingerLinkage, ParallelogramLinkage, RackLinkage, ServoMount
+from simulator.servo.wrist import WristMount
 from simulator.settings import RecordedGrasp, SimulatedServoSettings, SimulatorSettings
 from simulator.world.shape_files import parse_shape
 from simulator.world.shapes import ObjectPose, Shape
@@ -35,6 +39,8 @@ _NOISE_DRAWS = 200
 _NOISE_PER_CONTACT = 1.5
 """Largest noise of a pad's force, as a share of the contact force: at 2 the cell finds no part, at
 1.2 it does (linear calibrations of 0.05 and 0.03 N a count)."""
+_SWITCH_MARGIN = 5.0
+"""Way in mm or degrees from a limit of a simulated axis to a limit switch that is not its home."""
 _LINKAGE_MARGIN_M = 1e-3
 """Opening in m that a simulated linkage keeps to its end stop."""
 
@@ -69,7 +75,7 @@ def simulator_settings(
                 f"the linkage reaches {reach_m * 1e3:.1f} mm"
             )
         for text in settings.faults:
-            check_fault(text, len(config.gripper.servos))
+            check_fault(text, len(config.gripper.servos), len(config.positioner.axes))
         _check_noise(config, layout or layout_from_config(config.tactile))
         return SimulatorSettings(
             layout=layout or layout_from_config(config.tactile),
@@ -98,10 +104,58 @@ def simulator_settings(
                 RecordedGrasp(counts=grasp.counts, aperture_m=grasp.aperture_m, label=grasp.label)
                 for grasp in grasps
             ),
+            axes=_mounts(config.positioner),
             faults=settings.faults,
         )
     except SimulatorError as error:
         raise ConfigError(f"simulator: {error}") from error
+
+
+def _mounts(config: PositionerConfig) -> dict[str, DriveMount | WristMount]:
+    """Return the simulated axes of a config, mounted as it describes them.
+
+    There are none where a host program moves instead.
+    """
+    if config.kind != "axes":
+        return {}
+    return {
+        axis.moves: _drive_mount(axis) if isinstance(axis, DriveAxisConfig) else _wrist_mount(axis)
+        for axis in config.axes
+    }
+
+
+def _drive_mount(axis: DriveAxisConfig) -> DriveMount:
+    """Return the mount of a drive that begins at its home, or where it has to search for it."""
+    si = si_per_unit(axis.moves)
+    low, high = axis.low - _SWITCH_MARGIN, axis.high + _SWITCH_MARGIN
+    start = 0.5 * (axis.low + axis.high)
+    if axis.homing == "negative_switch":
+        low = axis.home
+    elif axis.homing == "positive_switch":
+        high = axis.home
+    elif axis.homing == "here":
+        start = axis.home
+    return DriveMount(
+        node_id=axis.node_id,
+        increments=axis.increments / si,
+        absolute=axis.homing == "none",
+        start=start * si,
+        low_switch=low * si,
+        high_switch=high * si,
+    )
+
+
+def _wrist_mount(axis: ServoAxisConfig) -> WristMount:
+    """Return the mount of a servo that begins in the middle of its limits."""
+    si = si_per_unit(axis.moves)
+    return WristMount(
+        servo_id=axis.id,
+        model=MODELS[axis.model],
+        baud_rate=axis.baud_rate,
+        increments=axis.increments / si,
+        zero=axis.zero_pulse,
+        start=0.5 * (axis.low + axis.high) * si,
+    )
 
 
 def _check_noise(config: CellConfig, layout: TaxelLayout) -> None:

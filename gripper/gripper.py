@@ -440,7 +440,7 @@ class Gripper:
             return
         self._freeze_carried()
         self._life.rest()
-        self._servos.disarm_watchdog()
+        self._servos.disarm_watchdog(keep_trips=True)
 
     def clear_fault(self, *, reboot: bool = False) -> None:
         """Acknowledge a fault, one from before the start too; nothing moves, torque stays as it is.

@@ -11,6 +11,7 @@ from simulator.devices import CellDevices
 from simulator.errors import PortUnplugged
 from simulator.faults.injector import FaultInjector, InjectedFault
 from simulator.servo.bus import MemoryServoStream
+from simulator.servo.wrist import SimulatedWrist
 from simulator.settings import SimulatorSettings
 from simulator.world.recorded import RecordedWorld
 from simulator.world.shapes import ObjectPose
@@ -41,6 +42,10 @@ class SimulatedCell:
         The host's end of the servo bus.
     can_bus
         The host's end of the CAN bus.
+    axes_can_bus
+        The host's end of the bus of the axes' drives; None in a cell without any.
+    axes_streams
+        The host's ends of the lines of the axes' servos, by what they move.
     """
 
     def __init__(
@@ -58,6 +63,8 @@ class SimulatedCell:
         self._lost_error = lost_error
         self.servo_stream = self._new_stream()
         self.can_bus = self._new_bus()
+        self.axes_can_bus = self._new_axes_bus()
+        self.axes_streams = self._new_axes_streams()
         for text in self.settings.faults:
             self.inject(text)
 
@@ -91,8 +98,8 @@ class SimulatedCell:
         return self.injector.inject(text)
 
     def place(self, label: str, pose: ObjectPose | None = None) -> ObjectPose:
-        """Put an object between the open pads; see `PhysicalWorld.place`."""
-        return self.devices.physical.place(label, pose)
+        """Put an object between the open pads; see `CellDevices.place`."""
+        return self.devices.place(label, pose)
 
     def remove(self) -> None:
         """Take the object away."""
@@ -107,10 +114,11 @@ class SimulatedCell:
 
         The old ends fail from now on; the devices notice nothing but silence.
         """
-        self.servo_stream.close()
-        self.can_bus.shutdown()
+        self._close_ends()
         self.servo_stream = self._new_stream()
         self.can_bus = self._new_bus()
+        self.axes_can_bus = self._new_axes_bus()
+        self.axes_streams = self._new_axes_streams()
 
     def _new_stream(self) -> MemoryServoStream:
         return MemoryServoStream(self.devices.servo_bus, self.clock, lost_error=self._lost_error)
@@ -124,10 +132,28 @@ class SimulatedCell:
             seed=self.settings.seed,
         )
 
-    def close(self) -> None:
-        """Give both buses back; the cell cannot be used afterwards."""
+    def _new_axes_bus(self) -> InMemoryCanBus | None:
+        devices = self.devices.axes_can_devices
+        return None if devices is None else InMemoryCanBus(devices, self.clock)
+
+    def _new_axes_streams(self) -> dict[str, MemoryServoStream]:
+        return {
+            moves: MemoryServoStream(axis.bus, self.clock, lost_error=self._lost_error)
+            for moves, axis in self.devices.axes.items()
+            if isinstance(axis, SimulatedWrist)
+        }
+
+    def _close_ends(self) -> None:
+        for stream in self.axes_streams.values():
+            stream.close()
         self.servo_stream.close()
         self.can_bus.shutdown()
+        if self.axes_can_bus is not None:
+            self.axes_can_bus.shutdown()
+
+    def close(self) -> None:
+        """Give all buses back; the cell cannot be used afterwards."""
+        self._close_ends()
         for callback in (self.devices.advance_to, self.injector.advance):
             if callback in self.clock.on_advance:
                 self.clock.on_advance.remove(callback)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 from simulator.can.control_unit import ControlUnitSettings, SimulatedControlUnit
+from simulator.can.drive import DriveMount, SimulatedDrive
 from simulator.can.faults import CanLinkFaults, ControlUnitFaults
 from simulator.can.link import CanDevices
 from simulator.errors import SimulatorSettingsError, SimulatorStateError
@@ -11,8 +12,11 @@ from simulator.servo.device import BAUD_RATES, SimulatedServo
 from simulator.servo.faults import ServoFaultKnobs, WireFaults
 from simulator.servo.mechanics import FingerMechanics
 from simulator.servo.motor import ServoMotor
+from simulator.servo.wrist import SimulatedWrist
 from simulator.settings import SimulatorSettings
 from simulator.world.recorded import RecordedWorld
+from simulator.world.shapes import ObjectPose
+from simulator.world.stage import Stage
 from simulator.world.world import PhysicalWorld, WorldSettings
 
 
@@ -60,16 +64,25 @@ class CellDevices:
         The control unit.
     can_devices
         The control unit, and who joins it on its bus.
+    axes
+        The drives and servos that carry the object, by what they move.
+    axes_can_devices
+        The drives on a bus of their own; None without any.
+    stage
+        What carries the object, None in a cell that plays recorded grasps.
     faults
         The knobs.
     """
 
     __slots__ = (
+        "axes",
+        "axes_can_devices",
         "can_devices",
         "faults",
         "mechanics",
         "servo_bus",
         "settings",
+        "stage",
         "unit",
         "world",
     )
@@ -121,6 +134,15 @@ class CellDevices:
             unit=unit_faults,
         )
         self.can_devices = CanDevices(self.unit)
+        self.axes: dict[str, SimulatedDrive | SimulatedWrist] = {
+            moves: SimulatedDrive(mount, start_s=start_s)
+            if isinstance(mount, DriveMount)
+            else SimulatedWrist(mount, start_s=start_s)
+            for moves, mount in settings.axes.items()
+        }
+        drives = [axis for axis in self.axes.values() if isinstance(axis, SimulatedDrive)]
+        self.axes_can_devices = CanDevices(*drives) if drives else None
+        self.stage = Stage(self.world, self.axes) if isinstance(self.world, PhysicalWorld) else None
 
     def second_unit(self, now_s: float) -> SimulatedControlUnit:
         """Return another control unit with the same node id, switched on at ``now_s`` s."""
@@ -177,7 +199,21 @@ class CellDevices:
         recorded.load(grasps[index].counts, grasps[index].aperture_m)
         return recorded.remaining
 
+    def place(self, label: str, pose: ObjectPose | None = None) -> ObjectPose:
+        """Put an object between the open pads, or on the axes that carry it.
+
+        See `PhysicalWorld.place` and `Stage.place`.
+        """
+        world = self.physical
+        if self.stage is None or self.stage.empty:
+            return world.place(label, pose)
+        return self.stage.place(label, pose or ObjectPose())
+
     def advance_to(self, now_s: float) -> None:
-        """Let the time pass for fingers, object and servos until ``now_s`` s."""
+        """Let the time pass for axes, fingers, object and servos until ``now_s`` s."""
+        for axis in self.axes.values():
+            axis.advance(now_s)
+        if self.stage is not None:
+            self.stage.advance()
         self.world.advance_to(now_s)
         self.servo_bus.advance_to(now_s)

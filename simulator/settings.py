@@ -7,8 +7,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gripper.dynamixel.models import XM430_W350, ServoModel
+from simulator.can.drive import DriveMount
 from simulator.errors import SimulatorSettingsError
 from simulator.servo.mechanics import FingerLinkage, ParallelogramLinkage, ServoMount
+from simulator.servo.wrist import WristMount
 from simulator.world.foam import Foam
 from simulator.world.shapes import PAPER_OBJECTS, Shape
 from simulator.world.taxels import EQUATION_11, NoiseModel, SensorLaw
@@ -80,6 +82,9 @@ class SimulatorSettings:
         Opening between the pads at the start in m.
     grasps
         With any, the cell plays these grasps instead of pressing objects into foam.
+    axes
+        Drives and servos that carry the object, by what they move: ``x``, ``y``, ``rotation`` or
+        ``roll``.
     faults
         Texts of faults that the cell injects as it is made, as ``can.loss=0.05@2s``.
     """
@@ -102,6 +107,7 @@ class SimulatorSettings:
     objects: Mapping[str, Shape] = field(default_factory=lambda: PAPER_OBJECTS)
     aperture_m: float = 0.03
     grasps: tuple[RecordedGrasp, ...] = ()
+    axes: Mapping[str, DriveMount | WristMount] = field(default_factory=dict)
     faults: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

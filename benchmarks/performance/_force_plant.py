@@ -3,10 +3,12 @@
 import math
 import random
 from collections import deque
+from contextlib import suppress
 from dataclasses import dataclass
 
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.models import XM430_W350
+from gripper.errors import PartLost
 from gripper.force.ramp import ForceRamp
 from gripper.gripper import Gripper
 from gripper.kinematics import ParallelLinkage
@@ -22,6 +24,8 @@ FOAM_N_M, FOAM_N_M2 = 5e3, 4e6
 """Each pad: force = FOAM_N_M d + FOAM_N_M2 d^2 for a depth d in m."""
 _HOLD_S = 1.5
 _SETTLED_S = 0.3
+_UNSUPERVISED_M = 0.05
+"""Way in m of fingers that run ahead, longer than any here."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -83,17 +87,38 @@ class _Sensor:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Quality:
-    """Overshoot in N, time to settle after the ramp in s, largest error while holding in N."""
+    """Overshoot in N, time to settle after the ramp in s, largest error while holding in N.
+
+    ``lost`` is True where the gripper took the part for lost: then it is not held.
+    """
 
     overshoot_n: float
     settling_s: float
     holding_n: float
+    lost: bool = False
 
 
 class Rig:
-    """One gripper on one part, in virtual time; the true force is known at every moment."""
+    """One gripper on one part, in virtual time; the true force is known at every moment.
 
-    def __init__(self, part: Part, truth: Truth, noise_n: float, tuning: ForceLoopSettings) -> None:
+    Parameters
+    ----------
+    part, truth, noise_n, tuning
+        Part, errors of the gripper's figures, noise of the sensor in N, tuning of the force loop.
+    supervised
+        False where the gripper does not take a part for lost because its fingers run ahead: it
+        does so under laws whose force arrives with a knee.
+    """
+
+    def __init__(
+        self,
+        part: Part,
+        truth: Truth,
+        noise_n: float,
+        tuning: ForceLoopSettings,
+        *,
+        supervised: bool = True,
+    ) -> None:
         self._part = part
         clock = VirtualClock()
         motors = [ServoMotor(XM430_W350) for _ in (0, 1)]
@@ -132,6 +157,7 @@ class Rig:
                 # What a law does is measured here, not what stops it.
                 slip_drop_n=20.0,
                 slip_travel_m=0.05,
+                **({} if supervised else {"runaway_travel_m": _UNSUPERVISED_M}),
                 force_max_n=HARD_FORCE_CAP_N,
                 force_loop=tuning,
             ),
@@ -162,10 +188,14 @@ class Rig:
         outcome = self.gripper.grasp(ForceRamp.linear(final_n, rate_n_s), observe)
         if outcome.contact_t_s is None:
             raise SystemExit(f"the fingers did not find the part: {outcome}")
-        if outcome.result is GraspResult.PART_LOST:
-            # The fingers ran as after a part that slips away: a law that does this holds nothing.
-            return Quality(overshoot_n=0.0, settling_s=_HOLD_S, holding_n=final_n)
-        self.gripper.hold(_HOLD_S, observe)
+        lost = outcome.result is GraspResult.PART_LOST
+        with suppress(PartLost):
+            if not lost:
+                lost = True
+                self.gripper.hold(_HOLD_S, observe)
+                lost = False
+        if lost:
+            return Quality(overshoot_n=0.0, settling_s=_HOLD_S, holding_n=final_n, lost=True)
         tolerance_n = max(0.2, 0.05 * final_n)
         ramped = [entry for entry in self._trace if entry[0] >= outcome.contact_t_s]
         after = [(t_s - ends_s[0], n - final_n) for t_s, n in ramped if t_s >= ends_s[0]]

@@ -11,6 +11,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from cell.config.gripper import GripperConfig, gripper_settings
+from cell.config.positioner import PositionerConfig
 from cell.config.section import SIMULATED, OneOf, Section, setting_of
 from cell.config.sequence import SequenceConfig
 from cell.config.serve import ServeConfig
@@ -23,15 +24,6 @@ from recognition.recognizers import DEFAULT_TRAINER, TRAINERS
 
 TAXELS_OF_SMALL_PART = 8
 """Taxels of a pad that a small part presses: a cylinder of 6 x 20 mm on taxels of 3.4 x 5 mm."""
-
-
-class PositionerConfig(Section):
-    """Who changes position and rotation between two grasps."""
-
-    kind: Literal["simulated", "operator", "callback"] = "simulated"
-    """simulated: the simulated cell; operator: a person at the terminal; callback: the host."""
-    socket: str = Field(default="", max_length=200)
-    """Socket of a simulated cell in another process (`positioner_socket` of `simulate`)."""
 
 
 class RecognitionConfig(Section):
@@ -163,7 +155,24 @@ class CellConfig(Section):
                 "positioner.kind is simulated but the cell is not: choose operator or callback, "
                 "or name the socket of a simulated cell in another process"
             )
+        self._check_axes(simulated[0])
         return self
+
+    def _check_axes(self, simulated: bool) -> None:
+        """Refuse axes that the sequence does not fit, or of which only one side is simulated."""
+        positioner = self.positioner
+        positioner.check_sequence(self.sequence)
+        for port in positioner.ports:
+            if simulated != (port == SIMULATED):
+                raise ValueError(
+                    f"an axis of the positioner is on {port!r}, gripper.port is "
+                    f"{self.gripper.port!r}: both are `simulated`, or none"
+                )
+            if port == self.gripper.port != SIMULATED:
+                raise ValueError(
+                    f"an axis of the positioner is on {port!r}, the port of the fingers: its "
+                    "servo needs a port of its own"
+                )
 
     def _check_full_scale(self, most_n: float) -> None:
         """Refuse a calibration under which the ramp's end is beyond what a few taxels measure."""
@@ -186,6 +195,12 @@ class CellConfig(Section):
     def simulated(self) -> bool:
         """Whether the built-in simulated cell is meant."""
         return self.gripper.port == SIMULATED
+
+    @property
+    def brings_objects(self) -> bool:
+        """Whether the simulated cell brings the objects by itself, and nobody is asked for them."""
+        kind = self.positioner.kind
+        return kind == "simulated" or (kind == "axes" and self.simulated)
 
     @property
     def gripper_settings(self) -> GripperSettings:

@@ -22,7 +22,14 @@ from cell.control.positioner import Destination, Positioner
 from cell.control.records import GraspRecord
 from cell.control.states import CellState, CellStatus, Command, Event, GraspState
 from cell.data.recorder import Recorder
-from cell.errors import CellStateError, CellStopped, NoPartFound, PartInGrip, PlanRefused
+from cell.errors import (
+    CellStateError,
+    CellStopped,
+    NoPartFound,
+    PartInGrip,
+    PlanRefused,
+    PositionerFault,
+)
 from cell.hand.interface import Hand
 from cell.hand.local import LocalHand
 from gripper.gripper import Gripper
@@ -118,6 +125,7 @@ class CellController(CellView):
     def __init__(
         self,
         *,
+        name: str,
         hand: Hand,
         positioner: Positioner,
         sequence: SequenceConfig,
@@ -141,6 +149,7 @@ class CellController(CellView):
         )
         super().__init__(hand, life)
         self._grasper = Grasper(
+            name,
             hand,
             positioner,
             life=self._life,
@@ -328,7 +337,7 @@ class CellController(CellView):
             self._check_cancelled_between()
             self.tick()
 
-        self._grasper.patiently(lambda: self._positioner.present(label), supervise)
+        self._grasper.patiently(lambda: self._positioner.present(label, supervise), supervise)
 
     def grasp(
         self, step: GraspStep, looks: EarlyDecider | None = None, *, label: str = ""
@@ -402,6 +411,8 @@ class CellController(CellView):
             If it was cancelled on the way. The part is still kept.
         PositionerError
             If the place was refused or cannot be reached. The part is still kept.
+        PositionerFault
+            If an axis is at fault; the cell is ABORTED, the part still kept.
         gripper.errors.PartLost, gripper.errors.PartSlipped
             If the part is gone or slips on the way.
         """
@@ -412,7 +423,13 @@ class CellController(CellView):
             self.tick()
 
         supervise()
-        self._grasper.patiently(lambda: self._positioner.carry_to(destination), supervise)
+        try:
+            self._grasper.patiently(
+                lambda: self._positioner.carry_to(destination, supervise), supervise
+            )
+        except PositionerFault:
+            with self._life.latching_faults():
+                raise
         self._journal.note("place", f"{destination.label} at {destination.place}")
         supervise()
 

@@ -32,7 +32,7 @@ from cell.errors import CellStateError, PlanRefused
 from cell.hand.interface import Hand
 from gripper.force.ramp import ForceRamp
 from gripper.state import Clock, Cycle, GraspResult
-from recognition.grasp import Grasp, PadArray
+from recognition.grasp import CELL_SOURCE, Grasp, PadArray
 from recognition.recognizers.early_classifiers import EarlyDecider
 from tactile.frames.codec import TactileFrame
 
@@ -61,9 +61,6 @@ NOTHING_HELD = {
 """Results of a grasp after which nothing is held and nothing can be learnt."""
 
 
-SOURCE = "tactile-cell"
-"""Source of the grasps of a cell, as data sets name it."""
-
 BACK_OFF_SHARE = 0.3
 """Share of its end from which a further ramp in the same grip begins: the least level of load at
 which a recogniser takes footprints (`recognition.ramp.levels`)."""
@@ -79,6 +76,8 @@ class Grasper:
 
     Parameters
     ----------
+    name
+        Of the cell: the source of its grasps.
     hand, positioner
         What grasps, and what moves the object in between.
     life
@@ -96,6 +95,7 @@ class Grasper:
 
     def __init__(
         self,
+        name: str,
         hand: Hand,
         positioner: Positioner,
         *,
@@ -106,6 +106,7 @@ class Grasper:
         clock: Clock,
         wall_ms: Callable[[], int],
     ) -> None:
+        self._source = CELL_SOURCE + name
         self._hand = hand
         self._positioner = positioner
         self._life = life
@@ -202,7 +203,7 @@ class Grasper:
             grasp=collector.grasp(
                 self.pads,
                 label=label,
-                source=SOURCE,
+                source=self._source,
                 start_ms=start_ms,
                 command=step.command,
             ),
@@ -248,7 +249,9 @@ class Grasper:
 
         start_ms = self._next_start_ms()
         outcome = self._hand.squeeze(self._ramp(step), watch)
-        further = collector.grasp(self.pads, source=SOURCE, start_ms=start_ms, command=step.command)
+        further = collector.grasp(
+            self.pads, source=self._source, start_ms=start_ms, command=step.command
+        )
         self._journal.note("ramp", f"further ramp to {step.force_n:.1f} N in the same grip")
         return GraspRecord(
             grasp=spliced(first.grasp, further, from_n),
@@ -297,9 +300,9 @@ class Grasper:
 
     def _move_to(self, pose: Pose) -> Pose:
         def supervise() -> None:
-            self._life.check_cancelled()
             self._hand.tick()
+            self._life.check_cancelled()
 
-        reached = self.patiently(lambda: self._positioner.move_to(pose), supervise)
+        reached = self.patiently(lambda: self._positioner.move_to(pose, supervise), supervise)
         self._journal.pose(reached)
         return reached

@@ -20,6 +20,14 @@ _LONGEST_REPLY = 65536
 """Bytes of a reply of the simulated cell after which it is taken for garbage; a pose takes 200."""
 
 
+Supervise = Callable[[], None]
+"""Looks at the cell while something moves; what it raises ends the motion."""
+
+
+def unwatched() -> None:
+    """Supervise nothing."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Destination:
     """Place that a named part is brought to.
@@ -40,28 +48,32 @@ class Destination:
 
 
 class Positioner(Protocol):
-    """Moves the object, or the gripper around it, to the next pose of a sequence."""
+    """Moves the object, or the gripper around it, to the next pose of a sequence.
+
+    A positioner whose calls block is called on a thread of its own, and the cell supervised
+    meanwhile. One that does not block and yet takes its time calls ``supervise`` once a period.
+    """
 
     @property
     def blocks(self) -> bool:
         """Whether a call may take long, so that the cell must be supervised meanwhile."""
         ...
 
-    def present(self, label: str | None) -> None:
+    def present(self, label: str | None, supervise: Supervise = unwatched) -> None:
         """Have the object with this label in reach; None: the one to be identified.
 
         Raises PositionerError if there is no such object.
         """
         ...
 
-    def move_to(self, pose: Pose) -> Pose:
+    def move_to(self, pose: Pose, supervise: Supervise = unwatched) -> Pose:
         """Go to the pose and return the one that was reached; the fingers are open meanwhile.
 
         Raises PositionerError if it cannot be reached.
         """
         ...
 
-    def carry_to(self, destination: Destination) -> None:
+    def carry_to(self, destination: Destination, supervise: Supervise = unwatched) -> None:
         """Bring the part in the grip to a place and return when it is there.
 
         Raises PositionerError if it cannot be reached.
@@ -132,12 +144,12 @@ class SimulatedPositioner:
         self._placer = placer
         self._label = label
 
-    def present(self, label: str | None) -> None:
+    def present(self, label: str | None, supervise: Supervise = unwatched) -> None:
         """Choose the object that the following poses are for; None keeps the present one."""
         if label is not None:
             self._label = label
 
-    def move_to(self, pose: Pose) -> Pose:
+    def move_to(self, pose: Pose, supervise: Supervise = unwatched) -> Pose:
         """Place the chosen object at the pose; see `Positioner`."""
         if self._label is None:
             raise PositionerError(
@@ -146,7 +158,7 @@ class SimulatedPositioner:
             )
         return self._placer.place(self._label, pose)
 
-    def carry_to(self, destination: Destination) -> None:
+    def carry_to(self, destination: Destination, supervise: Supervise = unwatched) -> None:
         """Do nothing: the simulated gripper is at every place at once."""
 
 
@@ -225,12 +237,12 @@ class OperatorPositioner:
     def __init__(self, ask: Callable[[str], str]) -> None:
         self._ask = ask
 
-    def present(self, label: str | None) -> None:
+    def present(self, label: str | None, supervise: Supervise = unwatched) -> None:
         """Ask for an object; see `Positioner`."""
         what = "the object to identify" if label is None else f"the object {label!r}"
         self._confirm(f"Put {what} between the open fingers")
 
-    def move_to(self, pose: Pose) -> Pose:
+    def move_to(self, pose: Pose, supervise: Supervise = unwatched) -> Pose:
         """Ask for a pose; see `Positioner`."""
         self._confirm(
             f"Move the object to x {pose.x_m * 1e3:+.1f} mm, y {pose.y_m * 1e3:+.1f} mm, turned by "
@@ -239,7 +251,7 @@ class OperatorPositioner:
         )
         return pose
 
-    def carry_to(self, destination: Destination) -> None:
+    def carry_to(self, destination: Destination, supervise: Supervise = unwatched) -> None:
         """Ask for the place of a part; see `Positioner`."""
         self._confirm(f"Bring the gripper with {destination.label} to {destination.place}")
 
@@ -264,10 +276,10 @@ class CallbackPositioner:
     def __init__(self, move: Callable[[Pose], Pose | bool | None]) -> None:
         self._move = move
 
-    def present(self, label: str | None) -> None:
+    def present(self, label: str | None, supervise: Supervise = unwatched) -> None:
         """Do nothing: the host brings the objects."""
 
-    def move_to(self, pose: Pose) -> Pose:
+    def move_to(self, pose: Pose, supervise: Supervise = unwatched) -> Pose:
         """Call the host; see `Positioner`."""
         reached = self._move(pose)
         if reached is False:
@@ -282,7 +294,7 @@ class CallbackPositioner:
             )
         return replace(pose)
 
-    def carry_to(self, destination: Destination) -> None:
+    def carry_to(self, destination: Destination, supervise: Supervise = unwatched) -> None:
         """Refuse: the host has given no callback for places; see `HostPlaces`."""
         raise PositionerError(
             f"{destination.label} is to be brought to {destination.place}, but the host gave no "
@@ -315,15 +327,15 @@ class HostPlaces:
         """As of the other positioner."""
         return self._positioner.blocks
 
-    def present(self, label: str | None) -> None:
+    def present(self, label: str | None, supervise: Supervise = unwatched) -> None:
         """Have the other positioner bring an object."""
-        self._positioner.present(label)
+        self._positioner.present(label, supervise)
 
-    def move_to(self, pose: Pose) -> Pose:
+    def move_to(self, pose: Pose, supervise: Supervise = unwatched) -> Pose:
         """Have the other positioner go to a pose."""
-        return self._positioner.move_to(pose)
+        return self._positioner.move_to(pose, supervise)
 
-    def carry_to(self, destination: Destination) -> None:
+    def carry_to(self, destination: Destination, supervise: Supervise = unwatched) -> None:
         """Call the host; see `Positioner`."""
         there = self._places(destination)
         if there is not None and there is not True:
@@ -342,14 +354,14 @@ class HostThenSimulated:
         self._host = host
         self._simulated = simulated
 
-    def present(self, label: str | None) -> None:
+    def present(self, label: str | None, supervise: Supervise = unwatched) -> None:
         """Choose the object of the simulated cell."""
         self._simulated.present(label)
 
-    def move_to(self, pose: Pose) -> Pose:
+    def move_to(self, pose: Pose, supervise: Supervise = unwatched) -> Pose:
         """Call the host, then place the object at the pose that it answered."""
         return self._simulated.move_to(self._host.move_to(pose))
 
-    def carry_to(self, destination: Destination) -> None:
+    def carry_to(self, destination: Destination, supervise: Supervise = unwatched) -> None:
         """Refuse, as the host does that gives no callback for places."""
         self._host.carry_to(destination)

@@ -19,6 +19,7 @@ from gripper.dynamixel.serial_port import latency_timer_file, latency_timer_ms, 
 from gripper.errors import GripperError, VerificationFailed
 from gripper.settings import CORRECTABLE
 from gripper.state import VerificationRow
+from motion.errors import MotionError
 from tactile.errors import TactileError
 from tactile.frames.codec import TactileFrame
 
@@ -130,6 +131,7 @@ def _devices(config: CellConfig) -> Iterator[Finding]:
         yield from _guarded("servo torque", lambda: _torque(cell))
         yield from _guarded("servos", lambda: _servos(cell))
         yield from _guarded("control unit", lambda: _control_unit(cell, config))
+        yield from _axes(cell)
     finally:
         cell.close()
 
@@ -244,6 +246,26 @@ def _control_unit(cell: Cell, config: CellConfig) -> list[Finding]:
         _noise([reading.frame for reading in readings]),
         _boards(identity.boards, config),
     ]
+
+
+def _axes(cell: Cell) -> Iterator[Finding]:
+    """Ask each drive and servo of the positioner for its state; they are neither set up nor moved.
+
+    A fault that is found is cleared by the first motion after somebody has seen it.
+    """
+    for name, found in ({} if cell.axes is None else cell.axes.inspect()).items():
+        lost = isinstance(found, MotionError)
+        fault = lost or "FAULT" in str(found) or "hardware error" in str(found)
+        yield Finding(
+            what=name,
+            verdict=Verdict.FAIL if fault else Verdict.PASS,
+            found=str(found),
+            advice="check its supply, cable and node-ID or ID"
+            if lost
+            else "remedy the cause; after clear and reset the next motion resets the device"
+            if fault
+            else "",
+        )
 
 
 def _noise(frames: list[TactileFrame]) -> Finding:

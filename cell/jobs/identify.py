@@ -125,7 +125,7 @@ def identify_on_cell(
     cell.errors.NoPartFound, cell.errors.CellStopped, and what the devices raise
         As `TaughtModel.identify`.
     """
-    if held is None and config.positioner.kind == "simulated":
+    if held is None and config.brings_objects:
         objects = [entry.label for entry in config.simulator.objects]
         held = str(np.random.default_rng(config.seed).choice(objects))
     n_grasps = config.sequence.max_grasps

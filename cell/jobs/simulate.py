@@ -50,7 +50,8 @@ def serve_simulated_cell(
     Parameters
     ----------
     config
-        The cell to simulate; its ports are replaced by the simulator's.
+        The cell to simulate; its ports are replaced by the simulator's, and its positioner, also
+        one with axes, by the simulator's socket.
     frames
         Data set or recording to play instead of pressing objects.
     folder
@@ -74,7 +75,8 @@ def serve_simulated_cell(
             f"gripper.aperture_open_mm is {config.gripper.aperture_open_mm:g}; "
             "take a config that opens further: `tactile-cell config init --example pinch-13x6`"
         )
-    settings = simulator_settings(config, layout=layout, grasps=grasps)
+    without_axes = changed_config(config, {"positioner": {"kind": "simulated"}})
+    settings = simulator_settings(without_axes, layout=layout, grasps=grasps)
     with ExitStack() as undo:
         temporary = undo.enter_context(tempfile.TemporaryDirectory(prefix="tactile-cell-"))
         place = Path(temporary) if folder is None else folder.resolve()

@@ -37,6 +37,9 @@ _CATCH_UP_S = 0.2
 """Time in s within which a moving set-point catches up with the force by itself."""
 _LONGEST_MEAN = 5.0
 """Longest mean of the samples at rest, in multiples of ``bias_time_s``, on top of one."""
+_CAP_TIME_S = 0.05
+"""Time constant in s with which the drive arrives at its largest value: moving masses and part are
+a swing, and what they add to the force there would be above the cap."""
 _CREEP_PER_RAMP = 1.5
 """Rate of the drive near the edge of the band over that of the set-point: it must keep up."""
 
@@ -161,9 +164,12 @@ class ForceController:
         wanted_n = self._approached(wanted_n, setpoint_n, friction_n, dt_s)
         self._setpoint_n = setpoint_n
         lowest_n = -self._settings.push_open_share * friction_n
+        left_n = max(0.0, drive_max_n - self._drive_n)
+        wanted_n = min(wanted_n, self._drive_n + left_n * min(1.0, dt_s / _CAP_TIME_S))
         self._drive_n = min(max(wanted_n, lowest_n), drive_max_n)
         self._move_model(now_s, friction_n)
-        return min(self._drive_n - braking_n + self._dither * friction_n, drive_max_n)
+        crest_n = min(self._dither * friction_n, drive_max_n - self._drive_n)
+        return min(self._drive_n - braking_n + crest_n, drive_max_n)
 
     def _edge_n(
         self, now_s: float, setpoint_n: float, friction_n: float, *, rate_n_s: float, held: bool
@@ -358,6 +364,11 @@ class History:
     def add(self, now_s: float, value: float) -> None:
         """Add the value of now."""
         self._entries.append((now_s, value))
+
+    @property
+    def newest(self) -> float:
+        """The value that was added last."""
+        return self._entries[-1][1]
 
     def at(self, t_s: float) -> float:
         """Return the value at a time in s; the oldest one where the time is before it."""

@@ -71,15 +71,16 @@ class GraspRun:
         stiffness = StiffnessEstimate(self._settings)
         friction = FrictionEstimate(self._settings, self._linkage)
         with self._end.counting():
-            event, contact = self._approach(stiffness, friction, observer)
-            if event is not ApproachEvent.CONTACT:
-                return _without_contact(event, contact)
+            approach, contact = self._approach(stiffness, friction, observer)
+            if approach.event is not ApproachEvent.CONTACT:
+                return _without_contact(approach.event, contact)
             set_phase(GripperPhase.RAMPING)
             step = RampStep(
                 self._settings,
                 self._linkage,
                 ramp,
                 contact,
+                touch_m=approach.touch_m,
                 stiffness=stiffness,
                 friction_share=friction.friction_share(),
                 end=self._end,
@@ -134,7 +135,7 @@ class GraspRun:
         stiffness: StiffnessEstimate,
         friction: FrictionEstimate,
         observer: Observer | None,
-    ) -> tuple[ApproachEvent, GripperState]:
+    ) -> tuple[Approach, GripperState]:
         """Close until the contact, or the end of the way, and feed the estimates."""
         approach = Approach(self._settings, self._linkage, self._servos.read_patiently())
 
@@ -144,7 +145,7 @@ class GraspRun:
             return approach.step(moment)
 
         state = self._runner.run(GripperPhase.APPROACHING, step, observer, needs_force=True)
-        return approach.event, state
+        return approach, state
 
 
 class RampStep:
@@ -158,6 +159,8 @@ class RampStep:
         Set-point of the grip force; it begins at the force that is measured at the contact.
     contact
         Feedback at the contact.
+    touch_m
+        Opening in m at which both pads were first loaded.
     stiffness, friction_share
         Stiffness of the part, and friction as a share of the model's, from the approach.
     end
@@ -178,6 +181,7 @@ class RampStep:
         ramp: ForceRamp,
         contact: GripperState,
         *,
+        touch_m: float,
         stiffness: StiffnessEstimate,
         friction_share: float,
         end: RampEnd,
@@ -188,6 +192,7 @@ class RampStep:
         self._linkage = linkage
         self._ramp = ramp
         self._contact = contact
+        self._touch_m = touch_m
         self._stiffness = stiffness
         self._friction_share = friction_share
         self._end = end
@@ -257,6 +262,7 @@ class RampStep:
             self._settings,
             self._linkage,
             self._contact,
+            touch_m=self._touch_m,
             force_n=force_n,
             drive_n=force_n + _CONTACT_SHARE * friction_n,
             now_s=moment.now_s,

@@ -2,6 +2,7 @@
 
 from collections import deque
 from collections.abc import Sequence
+from math import inf
 from statistics import median
 
 from gripper.errors import ForceImbalance, PositionContradicted
@@ -25,6 +26,15 @@ _SUDDEN_RATIO = 6.0
 """Force over that of an empty pad from which on one empty sample shows that the part is lost."""
 _RUNAWAY_RESERVE = 2.0
 """Closing speed that a ramp on the part may need, in multiples of that by its stiffness."""
+_RUNAWAY_HELD_SHARE = 0.5
+"""Share of the force before fingers ran ahead above which the pads show that the part is there."""
+_RUNAWAY_N = 1.0
+"""Force in N by which a part would be loaded more over the way of fingers that run ahead, from
+which on the way alone shows that it has gone; by a stiffness that is known well."""
+_KNOWN_N = 3.0
+"""Force in N from which on the stiffness is known well: it is taken anew with each 0.7 N."""
+_STEADY_S = 0.3
+"""Time in s of a hold until its fingers rest, whatever the part."""
 _GIVE_RAD = 0.03
 """How far in rad a goal may open beyond the contact: pads and part are deeper there by no more."""
 _CONTRADICTED_S = 0.1
@@ -35,6 +45,9 @@ _CONTRADICTED_ADVICE = (
 )
 _TORQUE_DOUBT = 0.02
 """Share of the cap of the force that the drive leaves free: torque of the servos, their inertia."""
+_INERTIA_N_S_M = 100.0
+"""Drive in N left free below the cap of the force for each m/s of closing: on a part of 10 N/mm the
+inertia of the fingers adds so much to the force that their drive makes."""
 
 _TOUCH_SHARE = 0.3
 """Share of ``contact_force_n`` below which a sample shows no touch."""
@@ -67,6 +80,9 @@ class GripControl:
     state
         Feedback at the contact; the fingers are not driven open beyond it by more than a pad's
         thickness.
+    touch_m
+        Opening in m at which both pads were first loaded: the fingers are not driven open beyond
+        it, however much force the pads report.
     force_n
         Grip force at the contact in N.
     drive_n
@@ -90,6 +106,7 @@ class GripControl:
         linkage: Linkage,
         state: GripperState,
         *,
+        touch_m: float,
         force_n: float,
         drive_n: float,
         now_s: float,
@@ -104,6 +121,8 @@ class GripControl:
         self._stiffness = stiffness
         self._contact_rad = state.angles_rad
         self._deepest_rad = state.angles_rad
+        self._touch_m = touch_m
+        self._stop_rad: tuple[float, ...] | None = None
         self._widest_m = state.aperture_m + _GIVE_RAD * sum(
             linkage.opening_per_rad_m(angle_rad) for angle_rad in state.angles_rad
         )
@@ -117,7 +136,8 @@ class GripControl:
         self._empty_s = 0.0
         self._uneven_s = 0.0
         self._paused = False
-        self._runaway_m: float | None = None
+        self._runaway: tuple[float, float, float] | None = None
+        self._steady_s = 0.0
 
     @property
     def force_n(self) -> float:
@@ -168,7 +188,9 @@ class GripControl:
             self._paused = False
             self._empty_s = self._uneven_s = 0.0
         if sample is None or not sample.valid:
-            # A sample that is young enough was there before: nothing new to go by.
+            # A sample that is young enough was there before: nothing new to go by. The crest of the
+            # square wave must not stay meanwhile.
+            self._drive_n = min(self._drive_n, self._controller.drive_n)
             return self._servo_goals(state, paths)
         self._add_sample(moment.dt_s, sample)
         self._check_position(moment.dt_s, state)
@@ -178,7 +200,9 @@ class GripControl:
         )
         speed_m_s = 0.5 * abs(state.aperture_velocity_m_s)
         friction_n = self._friction_share * sum(path.friction_n for path in paths) / len(paths)
-        self._drive_n = self._controller.step(
+        drive_max_n = self._drive_max_n(state, paths)
+        inertia_n = _INERTIA_N_S_M * max(0.0, -state.aperture_velocity_m_s)
+        drive_n = self._controller.step(
             moment.now_s,
             moment.dt_s,
             filtered_n,
@@ -186,9 +210,10 @@ class GripControl:
             friction_n=friction_n,
             braking_n=self._braking_n(state, friction_n),
             motion_n=self._settings.force_loop.motion_doubt_n_s_m * speed_m_s,
-            drive_max_n=self._drive_max_n(state, paths),
+            drive_max_n=drive_max_n,
             taper=taper,
         )
+        self._drive_n = min(drive_n, drive_max_n - inertia_n)
         return self._servo_goals(state, paths)
 
     def part_lost(self, moment: Moment) -> bool:
@@ -200,7 +225,7 @@ class GripControl:
         """
         closed = moment.state.aperture_m < self._settings.aperture_min_m and not self._loaded
         empty = self._empty_s > _LOST_TIME_S
-        return closed or empty or self._suddenly_empty(moment) or self._runs_away(moment.state)
+        return closed or empty or self._suddenly_empty(moment) or self._runs_away(moment)
 
     @property
     def _loaded(self) -> bool:
@@ -237,20 +262,36 @@ class GripControl:
         much = min(self._filter.force_n, recent_n) > _SUDDEN_RATIO * self._empty_n
         return much and max(sample.force_n) < self._empty_n
 
-    def _runs_away(self, state: GripperState) -> bool:
-        """Return whether the fingers close faster, and farther, than any part lets them."""
-        stiffness_n_m = self._stiffness.stiffness_n_m
-        rate_n_s = self._filter.rate_n_s
+    def _runs_away(self, moment: Moment) -> bool:
+        """Return whether the fingers close faster, and farther, than any part lets them.
+
+        A soft part lets them run far where friction breaks, and its stiffness is not known well
+        before the force has grown: then the pads decide, by a sample from after the beginning.
+        Later, and in a hold that is steady, the way is enough.
+        """
+        state, sample, settings = moment.state, moment.sample, self._settings
+        stiffness_n_m, rate_n_s = self._stiffness.stiffness_n_m, self._filter.rate_n_s
+        self._steady_s = 0.0 if rate_n_s != 0.0 else self._steady_s + moment.dt_s
         if stiffness_n_m is None and rate_n_s != 0.0:
             return False
         wanted_m_s = 0.0 if stiffness_n_m is None else max(0.0, rate_n_s / stiffness_n_m)
         closing_m_s = -state.aperture_velocity_m_s
-        if closing_m_s <= self._settings.runaway_speed_m_s + _RUNAWAY_RESERVE * wanted_m_s:
-            self._runaway_m = None
+        if closing_m_s <= settings.runaway_speed_m_s + _RUNAWAY_RESERVE * wanted_m_s:
+            self._runaway = None
             return False
-        if self._runaway_m is None:
-            self._runaway_m = state.aperture_m
-        return self._runaway_m - state.aperture_m >= self._settings.runaway_travel_m
+        if self._runaway is None:
+            self._runaway = moment.now_s, state.aperture_m, self.force_n
+        began_s, began_m, began_n = self._runaway
+        travel_m = began_m - state.aperture_m
+        if sample is not None and sample.valid:
+            loaded = sample.grip_n > max(self._empty_n, _RUNAWAY_HELD_SHARE * began_n)
+            if sample.t_s - settings.force_loop.sensor_delay_s >= began_s:
+                if loaded:
+                    self._runaway = moment.now_s, state.aperture_m, self.force_n
+                return not loaded and travel_m >= settings.runaway_travel_m
+        yields_m = inf if stiffness_n_m is None else _RUNAWAY_N / stiffness_n_m
+        known = self._steady_s > _STEADY_S or began_n > _KNOWN_N
+        return known and travel_m >= max(settings.runaway_travel_m, yields_m)
 
     def _braking_n(self, state: GripperState, friction_n: float) -> float:
         """Return what the drive is lowered by, in N, because the fingers run ahead.
@@ -319,12 +360,18 @@ class GripControl:
         drive_n = self._drive_n
         goals = []
         self._deepest_rad = tuple(map(min, self._deepest_rad, state.angles_rad))
-        for servo, path, settings, contact_rad, deepest_rad in zip(
+        if state.aperture_m < self._touch_m:
+            self._stop_rad = None
+        elif self._stop_rad is None:
+            self._stop_rad = state.angles_rad
+        stop_rad = self._stop_rad or (inf,) * len(paths)
+        for servo, path, settings, contact_rad, deepest_rad, widest_rad in zip(
             state.servos,
             paths,
             self._settings.servos,
             self._contact_rad,
             self._deepest_rad,
+            stop_rad,
             strict=True,
         ):
             current_a = min(
@@ -336,7 +383,7 @@ class GripControl:
             if drive_n >= 0.0:
                 angle_rad = deepest_rad - margin_rad
             else:
-                angle_rad = min(servo.angle_rad + margin_rad, contact_rad + _GIVE_RAD)
+                angle_rad = min(servo.angle_rad + margin_rad, contact_rad + _GIVE_RAD, widest_rad)
             goals.append(ServoGoal(angle_rad=angle_rad, current_a=current_a))
         return tuple(goals)
 

@@ -6,6 +6,7 @@ from enum import Enum
 
 from gripper.dynamixel.control_table import RAD_PER_PULSE, RAD_S_PER_VELOCITY_UNIT
 from gripper.errors import FeedbackImplausible, ServoFault
+from gripper.force.controller import History
 from gripper.force.loop import Action, Moment
 from gripper.kinematics import Linkage, motion_current_a, transmissions
 from gripper.servos.goals import OPENING_MARGIN_RAD, ServoGoal
@@ -220,6 +221,7 @@ class Approach:
         self._boost = 1.0
         self._detector = ContactDetector(settings.contact_force_n, settings.contact_samples)
         self._aperture_m = state.aperture_m
+        self._apertures = History()
         self._was_touched = False
         self._waiting_rad: list[float | None] = [None] * len(state.servos)
         self._was_running = [False] * len(state.servos)
@@ -232,6 +234,17 @@ class Approach:
         """Goal current of the servos now in A."""
         return min(self._closing_a * self._boost, self._current_max_a)
 
+    @property
+    def touch_m(self) -> float:
+        """Opening in m at which both pads were first loaded, by the samples of the contact.
+
+        The opening of now where a contact was found without them.
+        """
+        if not all(self._detector.touched):
+            return self._apertures.newest
+        delay_s = self._settings.force_loop.sensor_delay_s
+        return self._apertures.at(self._detector.first_s - delay_s)
+
     def runs_freely(self, state: GripperState) -> bool:
         """Return whether all fingers close steadily and no pad has been touched so far."""
         nominal_rad_s = self._nominal_rad_s(state)
@@ -243,6 +256,7 @@ class Approach:
     def step(self, moment: Moment) -> Action:
         """Return the goals of one period; an end leaves the fingers where they are or touch."""
         state, sample = moment.state, moment.sample
+        self._apertures.add(moment.now_s, state.aperture_m)
         if sample is not None and sample.valid:
             self._detector.push(sample)
             self._was_touched |= max(sample.force_n) >= self._settings.contact_force_n
@@ -349,6 +363,7 @@ class ContactDetector:
         self._threshold_n = threshold_n
         self._samples = samples
         self._counts = [0, 0]
+        self._first_s = [0.0, 0.0]
         self._last_s: float | None = None
 
     @property
@@ -356,12 +371,19 @@ class ContactDetector:
         """Contact of finger 0 and finger 1."""
         return self._counts[0] >= self._samples, self._counts[1] >= self._samples
 
+    @property
+    def first_s(self) -> float:
+        """Time in s of the sample that began the contact of the finger that touched last."""
+        return max(self._first_s)
+
     def push(self, sample: ForceSample) -> None:
         """Add a sample, which may be the same as before."""
         if self._last_s is None or sample.t_s > self._last_s:
             self._last_s = sample.t_s
             for finger, force_n in enumerate(sample.force_n):
                 above = force_n >= self._threshold_n
+                if self._counts[finger] == 0:
+                    self._first_s[finger] = sample.t_s
                 self._counts[finger] = self._counts[finger] + 1 if above else 0
 
 

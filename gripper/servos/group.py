@@ -6,6 +6,7 @@ from contextlib import AbstractContextManager, suppress
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import (
     BUS_WATCHDOG,
+    GOAL_CURRENT,
     GOAL_POSITION,
     GOAL_PWM,
     OPERATING_MODE,
@@ -32,6 +33,8 @@ from gripper.state import Clock, ForceSample, GripperState
 
 _PATIENT_READS = 3
 """Readings between commands before a lost answer is an error."""
+_GOAL_TRIES = 3
+"""Writes of the first goals before a servo counts as not taking them."""
 _STOP_TRIES = 3
 """Writes of the goals that stop a motion before a servo counts as not obeying."""
 _STALE_PERIODS = 2.0
@@ -234,7 +237,7 @@ class ServoGroup:
             health.make_releasable()
         if not health.torque_on_everywhere():
             self._switch_on(self._motion_current_a())
-        elif not goals_in_force or health.watchdogs_tripped():
+        elif not goals_in_force or self._finds_trip():
             if part_possible and not releasing:
                 raise ServoFault(
                     self._ids[0],
@@ -243,23 +246,32 @@ class ServoGroup:
                     "tick; the servos have stopped, the part may still be gripped",
                 )
             self.restart_watchdog(self._motion_current_a())
-        else:
-            self._arm_watchdog()
 
     def restart_watchdog(self, current_a: float) -> None:
         """Clear a tripped watchdog, set the goals to the present positions and arm it again."""
+        self._check_mode()
         self.disarm_watchdog()
         self._hold_present_position(current_a)
         self._arm_watchdog()
 
-    def disarm_watchdog(self, *, but: Sequence[int] = ()) -> None:
+    def disarm_watchdog(self, *, but: Sequence[int] = (), keep_trips: bool = False) -> None:
         """Disarm, or clear after a trip, the bus watchdog of each servo (register 98) but some.
 
         An error is raised when all servos were tried: a silent one does not hinder the other.
+
+        Parameters
+        ----------
+        but
+            IDs of the servos whose watchdog stays armed.
+        keep_trips
+            True to leave a tripped one as it is: its servo holds less, and the next command finds
+            it so.
         """
         failed: GripperError | None = None
         for servo_id in (servo_id for servo_id in self._ids if servo_id not in but):
             try:
+                if keep_trips and self._bus.read(servo_id, BUS_WATCHDOG) == WATCHDOG_TRIPPED_RAW:
+                    continue
                 self._bus.write(servo_id, BUS_WATCHDOG, 0)
             except GripperError as error:
                 failed = failed or error
@@ -311,8 +323,23 @@ class ServoGroup:
         for servo_id in self._ids:
             self._bus.write(servo_id, BUS_WATCHDOG, self._settings.watchdog_raw)
 
+    def _finds_trip(self) -> bool:
+        """Arm the bus watchdogs that are not; return whether one has tripped and was left so.
+
+        To arm a tripped one would clear it, and with the next goals the force would leap back.
+        """
+        tripped = False
+        for servo_id in self._ids:
+            raw = self._bus.read(servo_id, BUS_WATCHDOG)
+            if raw == WATCHDOG_TRIPPED_RAW:
+                tripped = True
+            elif raw != self._settings.watchdog_raw:
+                self._bus.write(servo_id, BUS_WATCHDOG, self._settings.watchdog_raw)
+        return tripped
+
     def _switch_on(self, current_a: float) -> None:
         """Set the goals to the present positions, switch the torque on, arm the watchdog."""
+        self._check_mode()
         self.disarm_watchdog()
         self._hold_present_position(current_a)
         for servo_id in self._ids:
@@ -341,29 +368,55 @@ class ServoGroup:
         paths = transmissions(self._settings, self._linkage, self.read_patiently().angles_rad)
         return motion_current_a(self._settings, paths, self._settings.approach_force_n)
 
-    def _hold_present_position(self, current_a: float) -> None:
-        """Write the present positions as goals and read them back; ServoFault where one differs."""
+    def _check_mode(self) -> None:
+        """Raise ServoFault where a servo is in another mode: its goals would mean other things."""
         for servo_id in self._ids:
             if self._bus.read(servo_id, OPERATING_MODE) != OperatingMode.CURRENT_BASED_POSITION:
                 raise ServoFault(
                     servo_id, 0, "its operating mode is no longer 5 (current-based position)"
                 )
+
+    def _hold_present_position(self, current_a: float) -> None:
+        """Write the present positions as goals and read them back; ServoFault where one differs.
+
+        A servo whose watchdog was cleared stands until the next write of any goal, and follows all
+        its goals then, old ones too: position and current come first, in one write.
+        """
+        for tries_left in reversed(range(_GOAL_TRIES)):
+            state = self.read_patiently()
+            for servo in state.servos:
+                self._check_goal_is_near(servo.servo_id, servo.position_raw)
+            self._goals.write(
+                [ServoGoal(angle_rad=angle, current_a=current_a) for angle in state.angles_rad],
+                state,
+            )
+            try:
+                self._check_goals_taken(state, current_a)
+                break
+            except ServoFault:
+                if not tries_left:
+                    raise
+        for servo_id in self._ids:
             # The goals of the other modes limit this one too.
             self._bus.write(servo_id, GOAL_PWM, self._bus.read(servo_id, PWM_LIMIT))
-        state = self.read_patiently()
-        for servo in state.servos:
-            self._check_goal_is_near(servo.servo_id, servo.position_raw)
-        self._goals.write(
-            [ServoGoal(angle_rad=angle, current_a=current_a) for angle in state.angles_rad], state
-        )
-        for servo in state.servos:
-            found = self._bus.read(servo.servo_id, GOAL_POSITION)
-            if found != servo.position_raw:
-                raise ServoFault(
-                    servo.servo_id,
-                    0,
-                    f"it did not take its goal position: wrote {servo.position_raw}, read {found}",
-                )
+
+    def _check_goals_taken(self, state: GripperState, current_a: float) -> None:
+        """Read the goals of the present positions back; ServoFault where one differs."""
+        found = self._bus.sync_read(self._ids, GOAL_CURRENT, GOAL_POSITION)
+        for servo, settings in zip(state.servos, self._settings.servos, strict=True):
+            wrote = {
+                GOAL_POSITION.name: servo.position_raw,
+                GOAL_CURRENT.name: settings.servo_model.current_raw(current_a),
+            }
+            for name, raw in wrote.items():
+                found_raw = found[servo.servo_id][name]
+                if found_raw != raw:
+                    raise ServoFault(
+                        servo.servo_id,
+                        0,
+                        f"it did not take its {name}: wrote {raw}, read {found_raw}; check the "
+                        f"servo line, then clear the fault",
+                    )
 
     def _obeys(self, servo_id: int) -> bool:
         """Read whether a servo has its last goal; clear a watchdog that keeps it from taking one.

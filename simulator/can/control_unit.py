@@ -105,7 +105,7 @@ class DeviceNetwork:
     def send_message(self, can_id: int, data: Sequence[int], remote: bool = False) -> None:
         """Send a message now; remote frames are not what this device sends."""
         if remote:
-            raise ValueError(f"the control unit sends no remote frames (identifier 0x{can_id:03X})")
+            raise ValueError(f"the device sends no remote frames (identifier 0x{can_id:03X})")
         self._send(self.now_s, can_id, bytes(data))
 
     def send_periodic(
@@ -113,7 +113,7 @@ class DeviceNetwork:
     ) -> PeriodicTask:
         """Send a message every ``period`` s, for the first time after one period."""
         if remote:
-            raise ValueError(f"the control unit sends no remote frames (identifier 0x{can_id:03X})")
+            raise ValueError(f"the device sends no remote frames (identifier 0x{can_id:03X})")
         task = PeriodicTask(can_id, bytes(data), period, self.now_s + period, self._tasks.remove)
         self._tasks.append(task)
         return task
@@ -227,7 +227,7 @@ class SimulatedControlUnit:
         self._sync_id = 0
         self.scanner = Scanner(world, layout, self.faults)
         node_id = self.settings.node_id
-        self._node = _local_node(node_id)
+        self._node = local_node(node_id, object_dictionary.of_node(node_id))
         self._network = DeviceNetwork(self._emit, start_s)
         self._node.associate_network(self._network)
         self.dictionary = UnitDictionary(
@@ -409,6 +409,6 @@ class SimulatedControlUnit:
             self._send(t_s, can_id, [data])
 
 
-def _local_node(node_id: int) -> Any:
-    """Return canopen's node on the unit's dictionary; most of its interface has no types."""
-    return canopen.LocalNode(node_id, object_dictionary.of_node(node_id))
+def local_node(node_id: int, dictionary: canopen.ObjectDictionary) -> Any:
+    """Return canopen's node on a dictionary; most of its interface has no types."""
+    return canopen.LocalNode(node_id, dictionary)

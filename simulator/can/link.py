@@ -197,18 +197,18 @@ def _arrival_s(message: can.Message) -> float:
 
 
 class CanDevices:
-    """The devices on the bus as one: the cell's control unit, and those that join it.
+    """The devices on the bus as one: those of the cell, and those that join them.
 
     Parameters
     ----------
-    unit
-        The cell's control unit.
+    devices
+        The cell's own, at least one.
     """
 
     __slots__ = ("_devices", "_send")
 
-    def __init__(self, unit: CanDevice) -> None:
-        self._devices: list[CanDevice] = [unit]
+    def __init__(self, *devices: CanDevice) -> None:
+        self._devices = list(devices)
         self._send: SendBurst | None = None
 
     def connect(self, send: SendBurst) -> None:

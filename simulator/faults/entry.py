@@ -149,7 +149,7 @@ class Target:
     plugs
         Its cables by name: ``can`` and ``servos``.
     servo
-        Position of the servo in the settings, for faults of one servo.
+        Position of the servo or axis in the settings, for faults of one of them.
     value
         The value, checked.
     now_s
@@ -184,7 +184,8 @@ class FaultEntry:
     Attributes
     ----------
     name
-        ``component.fault``; ``servoN`` stands for servo1, servo2, ... in the order of the config.
+        ``component.fault``; ``servoN`` stands for servo1, servo2, ... in the order of the config,
+        ``axisN`` for its axes.
     kind
         What it does to the component.
     meaning

@@ -12,6 +12,7 @@ from simulator.can.faults import CanLinkFaults
 from simulator.clock import ROUNDING_S
 from simulator.devices import CellDevices
 from simulator.errors import SimulatorSettingsError, SimulatorStateError
+from simulator.faults.axes import AXIS
 from simulator.faults.can import CAN, TAXELS, UNIT
 from simulator.faults.entry import Effect, FaultEntry, FaultValue, Plug, Target
 from simulator.faults.object import OBJECT
@@ -20,26 +21,31 @@ from simulator.faults.text import FaultEvent, FaultText, When, parse_fault
 from simulator.servo.faults import WireFaults
 
 VOCABULARY: dict[str, FaultEntry] = {
-    entry.name: entry for entry in (*CAN, *UNIT, *TAXELS, *SERVOS, *SERVO, *OBJECT)
+    entry.name: entry for entry in (*CAN, *UNIT, *TAXELS, *SERVOS, *SERVO, *AXIS, *OBJECT)
 }
-"""Every fault that there is by its name; ``servoN`` stands for each servo of the config."""
+"""Every fault that there is by its name; ``servoN`` and ``axisN`` stand for each servo and axis of
+the config."""
 
 CONTACT_N = 0.02
 """Force in N on both pads that is the event ``contact``: above what noise of the world leaves."""
 MOVING_RAD_S = 0.02
 """Speed of a servo in rad/s that is the event ``moving``: about 1 mm/s at the pads."""
-_SERVO = re.compile(r"servo([1-9][0-9]?)\.(.+)")
+_NUMBERED = re.compile(r"(servo|axis)([1-9][0-9]?)\.(.+)")
+_EACH = ("servoN", "axisN")
+"""Begins of names that stand for each servo, and for each axis, of the config."""
 
 
-def check_fault(text: str, n_servos: int = 2) -> tuple[FaultText, FaultEntry, int, FaultValue]:
-    """Return the parts of a text, its entry, the position of the servo it names, and its value.
+def check_fault(
+    text: str, n_servos: int = 2, n_axes: int = 0
+) -> tuple[FaultText, FaultEntry, int, FaultValue]:
+    """Return the parts of a text, its entry, the position of the device it names, and its value.
 
     Parameters
     ----------
     text
         The fault.
-    n_servos
-        Number of servos of the cell.
+    n_servos, n_axes
+        Number of the gripper's servos, and of the positioner's axes.
 
     Raises
     ------
@@ -48,15 +54,17 @@ def check_fault(text: str, n_servos: int = 2) -> tuple[FaultText, FaultEntry, in
     """
     parsed = parse_fault(text)
     name, servo = parsed.name, 0
-    match = _SERVO.fullmatch(name)
+    match = _NUMBERED.fullmatch(name)
     if match:
-        servo = int(match[1]) - 1
-        name = f"servoN.{match[2]}"
+        servo = int(match[2]) - 1
+        name = f"{match[1]}N.{match[3]}"
     entry = VOCABULARY.get(name)
     if entry is None:
         known = ", ".join(VOCABULARY)
         raise SimulatorSettingsError(f"there is no fault {parsed.name!r}; there are {known}")
-    if servo >= n_servos:
+    if name.startswith("axisN") and servo >= n_axes:
+        raise SimulatorSettingsError(f"fault {parsed.name}: this cell has {n_axes} axes")
+    if name.startswith("servoN") and servo >= n_servos:
         raise SimulatorSettingsError(f"fault {parsed.name}: this cell has {n_servos} servos")
     if entry.moment and parsed.end:
         raise SimulatorSettingsError(f"fault {parsed.name} is over as it happens: it has no end")
@@ -80,7 +88,7 @@ class InjectedFault:
     began_s, ended_s
         Time of the cell in s at which it began and was undone; None before.
     servo
-        Position of the servo that it names.
+        Position of the servo or axis that it names.
     window
         When it begins and ends: an event and the time after it, or no event and the time.
     """
@@ -89,7 +97,9 @@ class InjectedFault:
 
     def __init__(self, injector: "FaultInjector", text: str, injected_s: float) -> None:
         self._injector = injector
-        parsed, self.entry, self.servo, self._value = check_fault(text, injector.n_servos)
+        parsed, self.entry, self.servo, self._value = check_fault(
+            text, injector.n_servos, injector.n_axes
+        )
         self.text = parsed.text
         self.began_s: float | None = None
         self.ended_s: float | None = None
@@ -136,7 +146,7 @@ class InjectedFault:
         """Return whether both turn the same knob and may do so at the same time."""
         if not self.entry.knob or self.entry.knob != other.entry.knob:
             return False
-        if self.entry.name.startswith("servoN") and other.entry.name.startswith("servoN"):
+        if self.entry.name.startswith(_EACH) and other.entry.name.startswith(_EACH):
             shared = self.entry.knob == "delay" or self.servo == other.servo
             if not shared:
                 return False
@@ -185,6 +195,11 @@ class FaultInjector:
     def n_servos(self) -> int:
         """Number of servos of the cell."""
         return len(self._devices.settings.servos)
+
+    @property
+    def n_axes(self) -> int:
+        """Number of axes of the cell."""
+        return len(self._devices.axes)
 
     @property
     def faults(self) -> tuple[InjectedFault, ...]:

@@ -78,7 +78,7 @@ class CellRequests:
             if abs(number) > _FARTHEST:
                 raise SimulatorSettingsError(f"{name} is {number:g}, limit {_FARTHEST:g} m or rad")
         pose = ObjectPose(**numbers)
-        reached = self._devices.physical.place(label, pose)
+        reached = self._devices.place(label, pose)
         return {"pose": {name: getattr(reached, name) for name in _POSE_FIELDS}}
 
     def _remove(self, request: dict[str, Any]) -> dict[str, Any]:

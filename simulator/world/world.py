@@ -158,7 +158,7 @@ class PhysicalWorld:
             raise SimulatorStateError(
                 f"the fingers hold an object with {max(self._force_n):.2f} N: release it first"
             )
-        shape = self._settings.objects.get(label) or parse_shape(label)
+        shape = self.shape(label)
         pose = resting_pose(shape, pose or ObjectPose())
         press = Press(shape, pose, self._grids, self._settings.foam)
         near_m, far_m = self._fingers.finger_position_m
@@ -188,15 +188,31 @@ class PhysicalWorld:
         if self._placed is None or self._press is None:
             return
         label, pose = self._placed
-        pose = replace(pose, x_m=pose.x_m + along_m, z_m=self._press.z_m)
-        shape = self._settings.objects.get(label) or parse_shape(label)
+        self._put(label, replace(pose, x_m=pose.x_m + along_m))
+
+    def carry(self, label: str, pose: ObjectPose) -> bool:
+        """Bring an object to a pose with what carries it, in the grip or not.
+
+        Returns whether it is between the pads there; beside them it is gone.
+        """
+        return self._put(label, resting_pose(self.shape(label), pose))
+
+    def shape(self, label: str) -> Shape:
+        """Return the shape of a label or text. Raises SimulatorSettingsError for an unknown one."""
+        return self._settings.objects.get(label) or parse_shape(label)
+
+    def _put(self, label: str, pose: ObjectPose) -> bool:
+        """Move the object in the plane of the pads; across it stays as it floats."""
+        if self._press is not None:
+            pose = replace(pose, z_m=self._press.z_m)
         try:
-            press = Press(shape, pose, self._grids, self._settings.foam)
+            press = Press(self.shape(label), pose, self._grids, self._settings.foam)
         except SimulatorSettingsError:
             self.remove()
-            return
-        press.swell_m = self._press.swell_m
+            return False
+        press.swell_m = self._press.swell_m if self._press is not None else 0.0
         self._press, self._placed = press, (label, pose)
+        return True
 
     def swell(self, thickness_m: float) -> None:
         """Let the object reach so many m further, half towards each finger; 0 ends it."""

@@ -16,6 +16,7 @@ import socket
 import tempfile
 import time
 from collections import deque
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -29,6 +30,8 @@ from tactile.errors import BusNotOpened
 CanBus = can.BusABC
 """An open bus, for those who pass it on and have no business with python-can."""
 
+_NODE_BITS = 0x07F
+"""Bits of a COB-ID that are its node-ID (CiA 301, 7.3.5)."""
 _SHARED = ("virtual",)
 """Interfaces within one program, which need no lock."""
 _ANSWER_S = 2.0
@@ -297,6 +300,8 @@ def open_bus(
     *,
     bitrate: int = 500_000,
     tty_baudrate: int = 1_000_000,
+    shared: bool = False,
+    nodes: Sequence[int] = (),
 ) -> can.BusABC:
     """Open a CAN bus; configuration files and environment variables of python-can do not count.
 
@@ -310,6 +315,11 @@ def open_bus(
         CAN bit rate in bit/s. SocketCAN interfaces have theirs from the system.
     tty_baudrate
         Speed of the serial port of an ``slcan`` adapter in baud.
+    shared
+        Whether another part of this program has the interface open and holds its lock; only
+        ``socketcan`` can be open twice.
+    nodes
+        CANopen node-IDs whose messages are received; by default all messages are.
 
     Raises
     ------
@@ -317,13 +327,16 @@ def open_bus(
         When the bus cannot be opened; the message names what to check.
     """
     try:
-        lock = BusLock(interface, channel)
+        lock = None if shared and interface == "socketcan" else BusLock(interface, channel)
         try:
             bus = _open(interface, channel, bitrate=bitrate, tty_baudrate=tty_baudrate)
         except BaseException:
-            lock.release()
+            if lock is not None:
+                lock.release()
             raise
-        return _holding(bus, lock)
+        if nodes:
+            bus.set_filters([{"can_id": node, "can_mask": _NODE_BITS} for node in nodes])
+        return bus if lock is None else _holding(bus, lock)
     except BlockingIOError as error:
         raise BusNotOpened(
             f"CAN interface {interface!r}, channel {channel!r}, is used by another program of this "

@@ -8,6 +8,7 @@ from canopen.nmt import NMT_COMMANDS
 
 from tactile.can.bus import bad_lines
 from tactile.can.receiver import MessageSource, interface_failed
+from tactile.can.sdo_client import PolledSdoClient
 from tactile.clock import Clock
 from tactile.errors import DuplicateNode, NodeMissing
 from tactile.frames.assembler import FrameAssembler
@@ -16,7 +17,7 @@ from tactile.frames.flow import FrameFlow
 from tactile.frames.pad_features import FeatureCollector
 from tactile.layout import TaxelLayout
 from tactile.unit import object_dictionary
-from tactile.unit.sdo import ObjectAccess, PolledSdoClient
+from tactile.unit.sdo import ObjectAccess
 from tactile.unit.settings import LinkSettings, LinkStatistics
 from tactile.unit.supervision import NodeSupervisor, SupervisionLimits, TrafficLimit
 

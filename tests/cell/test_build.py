@@ -140,8 +140,8 @@ def test_a_host_that_moves_a_real_cell_is_asked_alone(
 ) -> None:
     seen: list[Any] = []
 
-    def note(*arguments: Any) -> Any:
-        seen.append(original(*arguments))
+    def note(*arguments: Any, **named: Any) -> Any:
+        seen.append(original(*arguments, **named))
         return seen[-1]
 
     original = cell.build._positioner

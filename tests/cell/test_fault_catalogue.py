@@ -10,6 +10,7 @@ import pytest
 
 import cell
 import gripper
+import motion
 import recognition
 import tactile
 from cell.control.states import CellState
@@ -17,6 +18,7 @@ from cell.errors import CellError, CellStopped, ConfigError, PartInGrip, error_t
 from cell.fault_catalogue import CATALOGUE, Fault, fault_number, fault_of
 from cell.interfaces.plugin.worker import Job, JobFailed, JobOutcome, JobStatus
 from gripper.errors import BusTimeout, FingerSilent, GripperError, PartLost, ServoMissing
+from motion.errors import MotionError
 from recognition.errors import RecognitionError
 from tactile.errors import HeartbeatLost, LinkFault, TactileError
 
@@ -39,6 +41,9 @@ FROZEN = {
     "HandLost": 508, "HostSilent": 509, "PositionerError": 510, "NoPartFound": 511,
     "CellStopped": 512, "RequestRefused": 513, "NotInCommand": 514, "OSError": 598,
     "Exception": 599,
+    "MotionError": 600, "AxisLimitExceeded": 601, "PositionNotReached": 602, "AxisMissing": 603,
+    "AxisSilent": 604, "AxisRestarted": 605, "AxisFault": 606, "LimitSwitchReached": 607,
+    "HomingFailed": 608, "PositionerFault": 609,
     "RecognitionError": 700, "ContactError": 701, "QuadricError": 702, "TransformError": 703,
     "TrajectoryError": 704, "MissingExtraError": 705, "ModelError": 706,
 }  # fmt: skip
@@ -51,13 +56,13 @@ NOT_FOR_HOSTS = ("cell.pytest_plugin",)
 
 def error_classes() -> Iterator[type[BaseException]]:
     """Every subclass of the packages' base errors, wherever it is defined."""
-    for package in (gripper, tactile, recognition, cell):
+    for package in (gripper, motion, tactile, recognition, cell):
         for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
             if module.name.startswith(NOT_FOR_HOSTS):
                 continue
             found = importlib.import_module(module.name)
             for _, kind in inspect.getmembers(found, inspect.isclass):
-                bases = (GripperError, TactileError, RecognitionError, CellError)
+                bases = (GripperError, MotionError, TactileError, RecognitionError, CellError)
                 if issubclass(kind, bases) and kind.__module__ == module.name:
                     yield kind
 

@@ -4,30 +4,41 @@ Without options the tests run on the simulator, and those on hardware are skippe
 
     pytest tests/contract --servo-port /dev/ttyUSB0 --servo-ids 1,2
     pytest tests/contract --can-interface socketcan --can-channel can0 --node-id 5
+    pytest tests/contract --cell-config my-cell.yaml --axes
 
 Nothing moves and no torque is switched on without --allow-motion; EEPROM is left as it was found.
 """
 
 import struct
+import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
 
 import can
 import pytest
 
+from cell.build import drive_bus
+from cell.config.file import changed_config, load_config
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
+from cell.control.axes import AxesBuilder, si_per_unit
 from cell.pytest_plugin.bench import LinkBench
 from cell.pytest_plugin.faults import FaultRegistry
-from cell.pytest_plugin.options import HardwareOptions
+from cell.pytest_plugin.options import HardwareOptions, config_path
+from cell.simulation import simulated_cell
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import REGISTERS, TORQUE_ENABLE, Register
 from gripper.dynamixel.serial_port import ByteStream
 from gripper.state import Clock
-from tactile.can.bus import CanBus
+from motion import object_dictionary as od
+from motion.axes import Axes
+from motion.bus import DriveBus
+from motion.drive import Cia402Drive
+from tactile.can.bus import CanBus, close_bus
 from tactile.unit import object_dictionary
 from tactile.unit.link import LinkSettings, TactileLink
+from tests.faults.scenarios.axes import CHANGES
 
 ANSWER_S = 0.05
 BOOT_S = 3.0
@@ -161,10 +172,11 @@ def _bench(
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     """Run each test on the simulator, and on hardware where an option names it."""
-    for fixture, port in (("servos", "servo_port"), ("unit", "can_interface")):
+    ports = (("servos", "servo_port"), ("unit", "can_interface"), ("drive", "axes"))
+    for fixture, port in ports:
         if fixture in metafunc.fixturenames:
             reason = f"no hardware named: --{port.replace('_', '-')}"
-            missing = metafunc.config.getoption(port) is None
+            missing = not metafunc.config.getoption(port)
             marks = [pytest.mark.skip(reason=reason)] if missing else []
             real = pytest.param("hardware", marks=marks)
             metafunc.parametrize(fixture, ["simulator", real], indirect=True)
@@ -239,3 +251,65 @@ def unit(
         found.reset()
     finally:
         bench.close()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Drive:
+    """A drive at the host's end of its bus, and the axis that it moves, if it may."""
+
+    device: Cia402Drive
+    axes: Axes
+    name: str
+    low: float
+    high: float
+    bus: DriveBus
+    node_id: int
+    clock: Clock
+    may_move: bool
+
+    def heard(self, cob_id: int, seconds: float) -> list[tuple[float, bytes]]:
+        """Return time and data of the messages of an identifier that come within so many s."""
+        found: list[tuple[float, bytes]] = []
+        self.bus.subscribe(cob_id, lambda data: found.append((self.clock.monotonic(), data)))
+        end_s = self.clock.monotonic() + seconds
+        while (left_s := end_s - self.clock.monotonic()) > 0:
+            self.bus.wait(left_s)
+            self.bus.service()
+        return found
+
+
+@pytest.fixture
+def drive(request: pytest.FixtureRequest) -> Iterator[Drive]:
+    """The first drive of the config; simulated: the x axis of the fault campaign."""
+    with ExitStack() as closing:
+        if request.param == "simulator":
+            config = changed_config(CellConfig(), CHANGES)
+            simulated = simulated_cell(config)
+            closing.callback(simulated.close)
+            bus, clock = simulated.axes_can_bus, simulated.clock
+            clock.sleep(POWER_UP_S)
+        else:
+            config, clock = load_config(config_path(request.config)), time
+            bus = drive_bus(config)
+            closing.callback(close_bus, bus)
+        axis = config.positioner.drives[0]
+        builder = AxesBuilder(clock, 0.005)
+        builder.add_drives([axis], bus)
+        axes = builder.axes()
+        device = axes._axes[axis.moves].device
+        assert isinstance(device, Cia402Drive)
+        si = si_per_unit(axis.moves)
+        device.identify()
+        yield Drive(
+            device=device,
+            axes=axes,
+            name=axis.moves,
+            low=axis.low * si,
+            high=axis.high * si,
+            bus=device._bus,
+            node_id=axis.node_id,
+            clock=clock,
+            may_move=request.param == "simulator" or request.config.getoption("allow_motion"),
+        )
+        device._write(od.CONTROLWORD, 0, od.Control.DISABLE_VOLTAGE)
+        device._write(od.HEARTBEAT_MS, 0, 0)

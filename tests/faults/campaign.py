@@ -63,12 +63,12 @@ class Observed:
 
 @dataclass(frozen=True, slots=True)
 class FaultRow:
-    """One variant of one of the 42 kinds of fault.
+    """One variant of one of the 43 kinds of fault.
 
     Attributes
     ----------
     row
-        Kind of fault, 1 to 42.
+        Kind of fault, 1 to 43.
     variant
         What makes it differ from the other variants of this kind; may be empty.
     fault

@@ -26,7 +26,7 @@ _NAMES = """
 `COMPONENT.FAULT[=VALUE][@START[..END]]`, as `can.loss=0.05@2s`, `servo1.reboot@contact+0.5s` or
 `unit.off@moving..3s`. Times count from the injection; `contact` is the first time after it that
 both pads touch the object, `moving` that a finger moves. Without an end a fault lasts until it is
-cleared. `servoN` is `servo1`, `servo2`: their order in the config.
+cleared. `servoN` is `servo1`, `servo2`, `axisN` is `axis1`, ...: their order in the config.
 
 """
 
@@ -44,7 +44,7 @@ def totals(results: Sequence[Result]) -> str:
     good = sum(result.verdict == AS_REQUIRED for result in results)
     kinds = {result.row.row for result in results}
     return (
-        f"{len(results)} variants of {len(kinds)} of the 42 kinds of fault: {good} with the "
+        f"{len(results)} variants of {len(kinds)} of the 43 kinds of fault: {good} with the "
         f"required reaction within their limit, {len(results) - good} not."
     )
 

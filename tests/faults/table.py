@@ -1,4 +1,4 @@
-"""The rows of the fault campaign as data: 42 kinds of fault in their variants.
+"""The rows of the fault campaign as data: 43 kinds of fault in their variants.
 
 A record is: kind, variant, fault in plain words, what is injected, required reaction, limit in s
 until it is detected (None where no time applies); then, where the text of the simulator's
@@ -18,7 +18,7 @@ from tests.faults.campaign import (
     carry_with_fault,
     grasp_with_fault,
 )
-from tests.faults.scenarios import can, files, host, processes, servo
+from tests.faults.scenarios import axes, can, files, host, processes, servo
 
 REACTIONS = {
     "REJECT": "the start, command or file is refused, cause and remedy are named",
@@ -68,6 +68,14 @@ VERIFY_AGAIN_S = 3.0
 """All verified registers have been read again, one of them every 60 ms."""
 SIGNAL_S = 0.5
 """From a signal in real time until the program or its loop has ended."""
+AXIS_S = 0.05
+"""Devices of axes are asked every 5 ms; one that does not answer is asked again."""
+HEARTBEAT_S = 0.125 + AXIS_S
+"""Two periods and a half of a drive's heartbeat, and the wait for an answer."""
+FOLLOWING_S = 0.4
+"""1 mm or degree behind at the profile's speed, 50 ms allowed for it, and the start-up of both."""
+STALL_S = 0.6
+"""8 degrees behind at 90 degrees a second, and 0.15 s allowed for it; the wrist speeds up first."""
 LONG_HOLD = {"sequence.ramp.hold_s": 3.0}
 HOUR_S = 3600.0
 OVERRUNS_MAX = campaign_config().loop.overruns_max
@@ -489,6 +497,37 @@ COMMANDS = (
 )
 # fmt: on
 
+AXES = (
+    *(
+        FaultRow(43, variant, fault, text, "HOLD", limit_s, axes.axis_fails)
+        for variant, fault, text, limit_s in (
+            ("drive fault", "a drive goes to fault while it moves", "axis1.fault=0x2310", AXIS_S),
+            ("lost heartbeat", "a drive falls silent while it moves", "axis1.silence", HEARTBEAT_S),
+            ("limit switch", "a drive runs into its limit switch", "axis1.limit_switch=1", AXIS_S),
+            ("following error", "something holds an axis", "axis2.following_error", FOLLOWING_S),
+            (
+                "drive restarts",
+                "a drive loses its supply for a moment",
+                "axis2.reboot",
+                HEARTBEAT_S,
+            ),
+            ("wrist stalled", "something holds the wrist", "axis3.following_error", STALL_S),
+            ("wrist overloaded", "the wrist's overload protection latches", "axis3.fault", AXIS_S),
+            ("wrist silent", "the wrist falls silent while it moves", "axis3.silence", AXIS_S),
+        )
+    ),
+    FaultRow(
+        43,
+        "drive fault in a hold",
+        "a drive goes to fault while the part is held: the grip is kept, the next motion is "
+        "refused",
+        "axis1.fault=0x2310@contact+0.2s",
+        "HOLD",
+        None,
+        axes.drive_fails_in_a_hold,
+    ),
+)
+
 GROUPS = {
     "CAN bus": CAN_BUS,
     "control unit": CONTROL_UNIT,
@@ -500,6 +539,7 @@ GROUPS = {
     "disk, recordings, ports": DISK_AND_PORTS,
     "configs and models": CONFIGS_AND_MODELS,
     "commands out of order": COMMANDS,
+    "axes": AXES,
 }
 """The rows by what fails."""
 

@@ -13,13 +13,14 @@ import pytest
 
 from simulator.devices import CellDevices
 from simulator.settings import SimulatorSettings
+from tactile.can.sdo_client import MAX_OBJECT_BYTES, PolledSdoClient
 from tactile.errors import NodeMissing, TactileError
 from tactile.frames.assembler import FrameAssembler
 from tactile.frames.codec import FrameFormat, TactileFrame, encode_frame
 from tactile.frames.pad_features import FeatureCollector, PadFeatures, encode_features
 from tactile.layout import paper_layout
 from tactile.unit import object_dictionary
-from tactile.unit.sdo import MAX_OBJECT_BYTES, ObjectAccess, PolledSdoClient
+from tactile.unit.sdo import ObjectAccess
 from tactile.unit.session import LinkSession
 from tactile.unit.settings import LinkSettings
 from tactile.unit.supervision import decode_emergency

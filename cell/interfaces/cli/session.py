@@ -11,7 +11,7 @@ from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
 from cell.control.journal import loop_line
 from cell.control.records import pad_array
-from cell.errors import CellError, CellStopped, ConfigError, HandLost, PartInGrip
+from cell.errors import CellError, CellStopped, ConfigError, HandLost, PartInGrip, PositionerFault
 from cell.fault_catalogue import fault_number
 from cell.interfaces.cli.signals import END_WITHIN_S, stopping
 from cell.interfaces.cli.terminal import ask, print_cell, print_line, print_note, write_json
@@ -131,6 +131,8 @@ def running_cell(
             text += f"\nto let go of a part: {release_command(config_file)}"
             if isinstance(error, ServoFault) and error.bits:
                 text += f"\nto clear the servo's error: {clear_command(config_file)}"
+            if isinstance(error, PositionerFault):
+                text += f"\nto clear the fault of the axis: {clear_command(config_file)}"
         write_json(
             json_file,
             {

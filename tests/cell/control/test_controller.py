@@ -69,7 +69,7 @@ def test_each_frame_has_the_opening_and_the_set_point_of_its_period(bench: Any) 
     grasp, cycles = record.grasp, record.cycles
     assert grasp.pads.same_as(bench.controller.pads)
     assert grasp.label == ""
-    assert grasp.source == "tactile-cell"
+    assert grasp.source == "cell simulated cell"
     np.testing.assert_allclose(np.diff(grasp.t_s), 0.02, atol=2e-3)
     assert np.all(np.diff(grasp.aperture_m) < 2e-4)
     assert grasp.aperture_m[0] == pytest.approx(OPEN_M, abs=1e-3)

@@ -18,7 +18,7 @@ from typer.testing import CliRunner
 
 import cell.interfaces.cli.session
 import cell.jobs.doctor
-from cell.config.file import config_text, load_config
+from cell.config.file import changed_config, config_text, load_config
 from cell.config.model import CellConfig
 from cell.data.dataset import read_dataset, write_dataset
 from cell.data.recorder import Recorder
@@ -31,6 +31,8 @@ from cell.interfaces.cli.terminal import percent, print_error, progress_bar
 from cell.learning.model import load_model, save_model
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers import TRAINERS, make_trainer
+from tests.faults.campaign import COARSE_PADS
+from tests.faults.scenarios.axes import CHANGES as AXES
 
 RUNNER = CliRunner()
 BUILT_IN = "cell: the built-in simulated cell; --config FILE names another"
@@ -307,6 +309,49 @@ def test_clear_shows_the_servos_and_restarts_them_where_that_is_asked_for(
     assert "servo 2 does not answer: remedy the cause" in said
 
 
+def test_clear_shows_the_axes_and_resets_them(tmp_path: Path, fail: Callable[..., Any]) -> None:
+    path = tmp_path / "axes.yaml"
+    axes = changed_config(CellConfig(), AXES)
+    path.write_text(config_text(axes))
+    assert "axis x (drive 11) is in SWITCH ON DISABLED, position 0" in call("clear", "-c", path)
+    path.write_text(config_text(changed_config(axes, {"simulator.faults": ["axis2.silence"]})))
+    code, said = fail("clear", "-c", path)
+    assert code == 1
+    assert "axis rotation (drive 12) does not answer" in said
+
+
+def test_a_run_moves_the_axes_to_each_pose(tmp_path: Path) -> None:
+    path = tmp_path / "axes.yaml"
+    changes = AXES | {"tactile.layout": COARSE_PADS, "gripper.aperture_open_mm": 18.0}
+    path.write_text(config_text(changed_config(CellConfig(), changes)))
+    objects = ("-o", "ball", "-o", "box")
+    call("run", "-c", path, "--out", tmp_path, *objects, "--teach", 3, "--trials", 1)
+    recording = read_recording(next(tmp_path.glob("run-*/recording.mcap")))
+    assert len(recording.poses) >= 8
+    for name, least in (("x_m", 1e-3), ("rotation_rad", 0.5), ("roll_rad", 0.5)):
+        values = [pose[name] for pose in recording.poses]
+        assert max(values) - min(values) > least
+    assert {pose["y_m"] for pose in recording.poses} == {0.0}
+
+
+def test_a_sort_carries_each_part_to_its_place_with_the_axes(tmp_path: Path) -> None:
+    path = tmp_path / "axes.yaml"
+    places = [
+        {"label": label, "place": label, "pose": {"x_mm": x_mm}}
+        for label, x_mm in (("ball", -5.0), ("box", 5.0))
+    ]
+    sort = {"places": places, "reject_pose": {}}
+    objects = [
+        {"label": "ball", "shape": "sphere:diameter=9.5mm"},
+        {"label": "box", "shape": "box:length=15.9mm,width=10mm,height=10mm"},
+    ]
+    changes = {"gripper.aperture_open_mm": 18.0, "sort": sort, "simulator.objects": objects}
+    path.write_text(config_text(changed_config(CellConfig(), AXES | changes)))
+    said = call("sort", "-c", path, "--out", tmp_path, "--parts", 2, "--teach", 3)
+    assert "2 parts sorted" in said
+    assert "mistakes: none" in said
+
+
 def test_after_a_fault_of_real_ports_the_command_that_lets_go_is_printed_whole(
     config: Path,
     tmp_path: Path,
@@ -372,7 +417,9 @@ def test_train_writes_a_model(dataset: Path, tmp_path: Path) -> None:
     )
     assert "taught 2 objects with 20 grasps" in text
     assert load_model(path).trainer_name == "level_check"
-    assert read_json(tmp_path / "t.json") == {
+    written = read_json(tmp_path / "t.json")
+    assert "one series" in written.pop("teaching")["notes"][0]
+    assert written == {
         "model": str(path),
         "recognizer": "level_check",
         "n_grasps": 20,

@@ -525,7 +525,7 @@ def absent_in(plugin: Any, *numbers: int) -> None:
     world, place = plugin._cell.simulated, plugin._cell.controller._positioner.move_to
     done: list[Pose] = []
 
-    def move_to(pose: Pose) -> Pose:
+    def move_to(pose: Pose, *_supervise: Any) -> Pose:
         reached = place(pose)
         done.append(pose)
         if len(done) in numbers:

@@ -8,8 +8,10 @@ from typing import Any
 import pytest
 
 import cell.jobs.doctor
+from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.jobs.doctor import Finding, Verdict, _boards, examine
+from tests.faults.scenarios.axes import CHANGES
 
 REAL = {
     "gripper__port": "/dev/serial-that-is-not-there",
@@ -211,3 +213,34 @@ def test_a_missing_extra_is_a_warning(monkeypatch: pytest.MonkeyPatch) -> None:
     finding = by_name(list(examine(CellConfig())))["matplotlib"]
     assert finding.verdict is Verdict.WARN
     assert finding.advice.startswith("if you want it: install this project with its extra `report`")
+
+
+AXES = changed_config(CellConfig(), CHANGES)
+
+
+def test_drives_and_servos_of_axes_are_asked_and_not_moved(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    findings = by_name(list(examine(AXES)))
+    assert findings["axis x (drive 11)"].found == "SWITCH ON DISABLED, position 0 increments"
+    assert findings["axis roll (servo 1)"].verdict is Verdict.PASS
+    original = cell.jobs.doctor.build_cell
+
+    def build(*arguments: Any, **options: Any) -> Any:
+        made = original(*arguments, **options)
+        made.simulated.clock.sleep(0.1)
+        made.simulated.inject("axis1.fault=0x3210")
+        made.simulated.inject("axis2.silence")
+        made.simulated.inject("axis3.fault")
+        return made
+
+    monkeypatch.setattr(cell.jobs.doctor, "build_cell", build)
+    findings = by_name(list(examine(AXES)))
+    for name, found in (
+        ("axis x (drive 11)", "error 3210h: over-voltage"),
+        ("axis rotation (drive 12)", "does not answer"),
+        ("axis roll (servo 1)", "hardware error overload"),
+    ):
+        assert findings[name].verdict is Verdict.FAIL
+        assert found in findings[name].found
+        assert findings[name].advice

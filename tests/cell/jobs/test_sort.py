@@ -167,11 +167,11 @@ def test_turns_without_a_part_are_counted_and_three_in_a_row_end_the_sort(
         def __getattr__(self, name: str) -> Any:
             return getattr(positioner, name)
 
-        def present(self, label: str | None) -> None:
+        def present(self, label: str | None, *_supervise: Any) -> None:
             turns.append(len(turns))
             positioner.present(label)
 
-        def move_to(self, pose: Any) -> Any:
+        def move_to(self, pose: Any, *_supervise: Any) -> Any:
             reached = positioner.move_to(pose)
             if turns[-1] in gone:
                 sorter.bench.simulated.remove()

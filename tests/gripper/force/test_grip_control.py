@@ -1,8 +1,18 @@
 """Goals of a grip: drifting positions, wrong stiffness, fingers that run ahead."""
 
+from contextlib import suppress
+from dataclasses import replace
+
 import pytest
 
-from gripper.errors import PartLost, PartSlipped, PositionContradicted, fingers_left
+from gripper.errors import (
+    ForceSensorStale,
+    LimitExceeded,
+    PartLost,
+    PartSlipped,
+    PositionContradicted,
+    fingers_left,
+)
 from gripper.force.grip_control import StiffnessEstimate
 from gripper.force.ramp import ForceRamp
 from gripper.state import GraspResult, GripperPhase
@@ -78,3 +88,122 @@ def test_a_stiffness_that_is_far_too_small_drives_no_force_beyond_the_ramp(
     outcome = cell.gripper.grasp(ForceRamp.linear(6.0, rate_n_s=20.0, hold_s=0.3))
     assert outcome.result is GraspResult.FORCE_REACHED
     assert cell.peak_n < 7.0
+
+
+class WrongPads:
+    """Pads that report another force from a moment on.
+
+    Parameters
+    ----------
+    cell
+        Its sensor is replaced.
+    report
+        Returns the sample that the pads give in place of the right one.
+    """
+
+    def __init__(self, cell, report) -> None:
+        self.began_s: float | None = None
+        self._latest_force = cell.sensor.latest_force
+        self._report = report
+        cell.sensor.latest_force = self.latest_force
+
+    def latest_force(self):
+        sample = self._latest_force()
+        if sample is None or self.began_s is None:
+            return sample
+        return self._report(sample)
+
+
+@pytest.mark.parametrize("factor", [1.5, 2.0])
+def test_pads_that_report_too_much_do_not_open_the_fingers_beyond_the_touch(
+    make_cell, make_part, factor
+) -> None:
+    """A light grip: the loop backs off from a force that is not there."""
+    cell = make_cell(part=make_part(stiffness_n_m=2000.0), approach_speed_m_s=0.02)
+    pads = WrongPads(
+        cell, lambda it: replace(it, force_n=tuple(factor * n + 1.0 for n in it.force_n))
+    )
+    cell.gripper.start()
+    least_n: list[float] = []
+
+    def observe(cycle) -> None:
+        if cycle.phase is GripperPhase.RAMPING:
+            pads.began_s = pads.began_s or cycle.t_s
+            least_n.append(cell.force_n)
+
+    with suppress(LimitExceeded):
+        cell.gripper.grasp(ForceRamp.linear(0.7, rate_n_s=20.0, hold_s=1.5), observe)
+    assert min(least_n) > 0.05
+
+
+@pytest.mark.parametrize("loop_rate_hz", [100.0, 200.0])
+@pytest.mark.parametrize("stiffness_n_m", [3e3, 1e4, 5e4])
+@pytest.mark.parametrize("wrong", [(5.3, False), (13.5, True), (13.9, True)])
+def test_pads_that_report_too_little_let_no_force_above_the_cap(
+    make_cell, make_part, loop_rate_hz, stiffness_n_m, wrong
+) -> None:
+    """Only the current bounds the force then, and inertia adds to what it makes."""
+    at_n, invalid = wrong
+    cell = make_cell(
+        part=make_part(width_m=0.03, stiffness_n_m=stiffness_n_m),
+        aperture_m=0.034,
+        aperture_open_m=0.036,
+        force_max_n=15.0,
+        loop_rate_hz=loop_rate_hz,
+    )
+
+    def too_little(sample):
+        valid = not invalid or sample.t_s < pads.began_s + 0.03
+        return replace(sample, force_n=tuple(0.4 * n for n in sample.force_n), valid=valid)
+
+    pads = WrongPads(cell, too_little)
+    cell.gripper.start()
+
+    def observe(cycle) -> None:
+        if pads.began_s is None and cycle.setpoint_n > at_n:
+            pads.began_s = cycle.t_s
+
+    with suppress(ForceSensorStale):
+        cell.gripper.grasp(ForceRamp.linear(14.2, rate_n_s=20.0, hold_s=0.5), observe)
+    assert pads.began_s is not None
+    assert 12.0 < cell.peak_n < 15.1
+
+
+@pytest.mark.parametrize("believed_n_m", [700.0, 4600.0])
+def test_a_soft_part_that_yields_fast_is_not_lost(
+    make_cell, make_part, monkeypatch, believed_n_m
+) -> None:
+    """The first samples make foam look stiff; the pads show that it is there."""
+
+    def first_wrong(estimate: StiffnessEstimate) -> float | None:
+        small = estimate._anchor is None or estimate._anchor[0] < 2.0
+        return believed_n_m if small else estimate._stiffness_n_m
+
+    monkeypatch.setattr(StiffnessEstimate, "stiffness_n_m", property(first_wrong))
+    cell = make_cell(
+        part=make_part(width_m=0.05, stiffness_n_m=400.0),
+        aperture_m=0.055,
+        aperture_open_m=0.055,
+        slip_travel_m=0.05,
+    )
+    cell.gripper.start()
+    outcome = cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=10.0, hold_s=0.3))
+    assert outcome.result is GraspResult.FORCE_REACHED
+    assert cell.force_n == pytest.approx(4.0, abs=0.5)
+
+
+def test_a_soft_part_that_is_taken_in_the_ramp_is_lost(make_cell, make_part) -> None:
+    cell = make_cell(
+        part=make_part(width_m=0.05, stiffness_n_m=400.0), aperture_m=0.055, aperture_open_m=0.055
+    )
+    cell.gripper.start()
+    taken_s: list[float] = []
+
+    def take(cycle) -> None:
+        if not taken_s and cycle.setpoint_n > 2.5:
+            cell.part.present = False
+            taken_s.append(cycle.t_s)
+
+    outcome = cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=10.0, hold_s=0.3), take)
+    assert outcome.result is GraspResult.PART_LOST
+    assert cell.clock.monotonic() - taken_s[0] < 0.1

@@ -175,7 +175,7 @@ def test_a_part_taken_away_in_the_ramp_is_lost_with_the_third_frame(cell) -> Non
 
     outcome = cell.gripper.grasp(ForceRamp.linear(8.0, rate_n_s=5.0), take)
     assert outcome.result is GraspResult.PART_LOST
-    assert cell.clock.monotonic() - taken_s[0] < 0.07
+    assert cell.clock.monotonic() - taken_s[0] < 0.09
     stopped_m = cell.mechanics.aperture_m
     cell.clock.sleep(1.0)
     assert stopped_m - cell.mechanics.aperture_m < 0.003
@@ -203,7 +203,10 @@ def test_force_beyond_the_set_point_that_is_given_back_is_no_slip() -> None:
 
 @pytest.mark.parametrize("stalls_s", [0.05, 0.15, 0.2])
 def test_a_part_is_not_lost_because_the_loop_stalls(make_cell, stalls_s) -> None:
-    cell = make_cell(force_stale_s=0.3, stall_max_s=0.25, watchdog_s=0.5, bus_loss_s=0.3)
+    # A force that overshoots in a stall comes back at once: that is no slip.
+    cell = make_cell(
+        force_stale_s=0.3, stall_max_s=0.25, watchdog_s=0.5, bus_loss_s=0.3, slip_drop_n=2.0
+    )
     cell.gripper.start()
     periods = 0
 

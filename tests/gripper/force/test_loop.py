@@ -116,9 +116,26 @@ def test_a_saturated_drive_winds_nothing_up() -> None:
     loop, finger = new_loop(), Finger(FRICTION_N)
     follow(loop, finger, ramp(5.0, 10.0, 3.0), drive_max_n=10.0)
     assert finger.force_n == pytest.approx(10.0 - FRICTION_N, abs=0.01)
-    assert loop.drive_n == 10.0
+    assert loop.drive_n == pytest.approx(10.0, abs=1e-6)
     forces_n = follow(loop, finger, [6.0] * 300, start_s=9.0, drive_max_n=10.0)
     assert forces_n[-1] == pytest.approx(6.0, abs=0.35)
+
+
+def test_fingers_that_lag_behind_are_not_driven_beyond_the_largest_drive() -> None:
+    loop = new_loop()
+    for i in range(600):
+        now_s = 0.005 * i
+        drive_n = loop.step(
+            now_s,
+            0.005,
+            12.0,
+            ForceSample(t_s=now_s, force_n=(6.0, 6.0)),
+            friction_n=FRICTION_N,
+            drive_max_n=10.0,
+            braking_n=-1.0,
+        )
+        assert drive_n <= 10.0
+    assert drive_n == pytest.approx(10.0)
 
 
 def test_the_drive_never_pushes_open_by_more_than_friction_needs() -> None:

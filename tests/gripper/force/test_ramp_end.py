@@ -56,7 +56,7 @@ def test_the_set_point_stays_and_the_force_does_not_rise_any_more(make_cell, kin
     cell.gripper.hold(0.5, asking)
     assert asking.setpoints_after_n == {at_n}
     assert max(asking.force_n[asking.asked_at :]) <= at_n + 0.25
-    assert min(asking.force_n[asking.asked_at :]) >= at_n - 0.4
+    assert min(asking.force_n[asking.asked_at :]) >= at_n - 0.6
     assert outcome.overshoot_n <= 0.4
 
 
@@ -135,7 +135,9 @@ def test_a_stop_comes_first(cell) -> None:
     assert asking.asked_at == len(asking.cycles) - 1
 
 
-def test_a_part_that_is_lost_as_its_ramp_ends_is_lost(cell) -> None:
+def test_a_part_that_is_lost_as_its_ramp_ends_is_lost(make_cell) -> None:
+    # No force counts as reached before the pads, which are late, have shown that it is gone.
+    cell = make_cell(settle_tolerance_n=0.0, settle_tolerance_share=0.0)
     cell.gripper.start()
 
     def drop() -> None:

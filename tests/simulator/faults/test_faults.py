@@ -9,19 +9,24 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from simulator.can.drive import DriveMount
 from simulator.cell import SimulatedCell
 from simulator.errors import SimulatorSettingsError, SimulatorStateError
 from simulator.faults.entry import FaultKind, Setting
 from simulator.faults.injector import VOCABULARY, check_fault
 from simulator.faults.text import FaultEvent, When, parse_fault
 from simulator.servo.firmware import WatchdogStop
+from simulator.servo.wrist import WristMount
 from simulator.settings import RecordedGrasp, SimulatorSettings
 from tactile.layout import pinch_layout
 
 
 @pytest.fixture
 def cell() -> Iterator[SimulatedCell]:
-    with SimulatedCell(SimulatorSettings(layout=pinch_layout())) as made:
+    drive = DriveMount(node_id=11, increments=1e6, start=0.0, low_switch=-0.1, high_switch=0.1)
+    wrist = WristMount(increments=652.0, servo_id=1, zero=0, start=1.0)
+    axes = {"x": drive, "roll": wrist}
+    with SimulatedCell(SimulatorSettings(layout=pinch_layout(), axes=axes)) as made:
         yield made
 
 
@@ -51,6 +56,8 @@ def test_a_text_is_name_value_start_and_end() -> None:
         ("unit.reboot@1s..2s", "it has no end"),
         ("servo3.off", "this cell has 2 servos"),
         ("servo0.off", "there is no fault"),
+        ("axis3.silence", "this cell has 2 axes"),
+        ("axis2.limit_switch", "one of a drive, and the axis is a servo"),
         ("unit.emergency=0x10000", "code, 0 to 65535"),
         ("unit.emergency=1.5", "code, 0 to 65535"),
         ("unit.wrong=serial", "takes name:number, as serial:99"),
@@ -93,14 +100,16 @@ def test_every_entry_says_what_it_is() -> None:
         assert entry.moment or entry.knob
 
 
-@pytest.mark.parametrize("name", list(VOCABULARY))
+@pytest.mark.parametrize(
+    "name", [*VOCABULARY, "axis2.following_error", "axis2.silence", "axis2.fault", "axis2.reboot"]
+)
 def test_every_fault_is_injected_and_leaves_no_trace_once_cleared(
     cell: SimulatedCell, name: str
 ) -> None:
     cell.place("ball")
     cell.clock.sleep(0.1)
     before = _knobs(cell)
-    fault = cell.inject(name.replace("servoN", "servo2"))
+    fault = cell.inject(name.replace("servoN", "servo2").replace("axisN", "axis1"))
     assert fault.began_s == cell.clock.monotonic()
     if fault.entry.moment:
         assert fault.over
@@ -137,7 +146,11 @@ def _knobs(cell: SimulatedCell) -> Any:
     stuck = [motor.stuck_at_rad is None for motor in devices.mechanics.motors]
     press = None if world._press is None else world._press.swell_m
     wire = repr(devices.faults.servo_wire).split("_generator", maxsplit=1)[0]
+    drive, wrist = devices.axes["x"], devices.axes["roll"]
+    axes = (drive.dead, drive.forced_switch, drive.motion.blocked, wrist.blocked)
     return (
+        axes,
+        set(wrist.bus.faults.silent),
         repr(devices.faults.can),
         repr(devices.faults.unit),
         wire,

@@ -1,4 +1,4 @@
-"""`clear`: acknowledges errors that servos hold from an earlier run, on request by a reboot."""
+"""`clear`: acknowledges errors that servos and axes hold from an earlier run."""
 
 from typing import Annotated
 
@@ -17,10 +17,10 @@ def clear(
         ),
     ] = False,
 ) -> None:
-    """Show torque and errors of the servos, and clear errors by a reboot; nothing moves.
+    """Show torque and errors of servos and axes, and clear them; nothing moves.
 
     A servo that overload, heat or a shock has made switch its torque off stays without it until it
-    is rebooted. A part that other servos hold stays held.
+    is rebooted. A part that other servos hold stays held. Drives of axes need no reboot.
     """
     from cell.build import build_cell
     from cell.errors import CellError, ConfigError
@@ -28,6 +28,7 @@ def clear(
     from cell.interfaces.cli.signals import END_WITHIN_S, stopping
     from cell.interfaces.cli.terminal import ask, print_line
     from gripper.errors import ServoFault
+    from motion.errors import MotionError
 
     if config is None:
         raise ConfigError(
@@ -42,8 +43,14 @@ def clear(
                 print_line(f"{checked.name}: {condition}")
             cell.controller.clear(reboot=reboot)
             after = cell.controller.hand.conditions()
+            if cell.axes is not None:
+                cell.axes.clear_faults(reboot=reboot)
+                for name, found in cell.axes.inspect().items():
+                    print_line(f"{checked.name}: {name} is in {found}")
     except ServoFault as error:
         raise CellError(f"{error}: {clear_command(config)}") from error
+    except MotionError as error:
+        raise CellError(str(error)) from error
     finally:
         cell.close()
     for condition in after:

@@ -99,7 +99,7 @@ def _labels(
     """Return the objects of a run. Raises ConfigError where the cell does not have them."""
     from cell.errors import ConfigError
 
-    if config.positioner.kind != "simulated":
+    if not config.brings_objects:
         if not objects:
             raise ConfigError("name the objects that are at hand, as --object ball --object box")
         return list(objects)

@@ -50,7 +50,7 @@ def sort(
     from cell.learning.taught_model import TaughtModel
 
     checked = cell_config(config, seed=seed, faults=faults)
-    simulated = checked.positioner.kind == "simulated"
+    simulated = checked.brings_objects
     if model is None and not simulated:
         raise ConfigError("--model is missing; `tactile-cell teach` and `train` make one")
     taught = TaughtModel(checked, None if model is None else load_model(model, pads_of(checked)))

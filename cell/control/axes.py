@@ -1,0 +1,246 @@
+"""The positioner with axes of its own: made from the config, moved between two grasps."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from math import radians
+
+from cell.config.positioner import DriveAxisConfig, ServoAxisConfig
+from cell.control.plan import Pose
+from cell.control.positioner import Destination, unwatched
+from cell.errors import PositionerError, PositionerFault
+from gripper.dynamixel.bus import ServoBus
+from gripper.dynamixel.control_table import (
+    RAD_PER_PULSE,
+    RAD_S2_PER_ACCELERATION_UNIT,
+    RAD_S_PER_VELOCITY_UNIT,
+)
+from gripper.dynamixel.models import MODELS
+from gripper.dynamixel.serial_port import ByteStream
+from gripper.state import Clock, GripperPhase
+from motion.axes import Axes, Axis, AxisDevice
+from motion.bus import DriveBus, Watch
+from motion.drive import Cia402Drive, DriveSettings
+from motion.errors import AxisLimitExceeded, MotionError, PositionNotReached
+from motion.object_dictionary import HomingMethod
+from motion.servo import ServoAxis, ServoAxisSettings
+from tactile.can.bus import CanBus
+
+_FIELDS = {"x": "x_m", "y": "y_m", "rotation": "rotation_rad", "roll": "roll_rad"}
+"""What an axis can move, and the field of the pose that it is."""
+_HOMING = {
+    "negative_switch": HomingMethod.NEGATIVE_SWITCH,
+    "positive_switch": HomingMethod.POSITIVE_SWITCH,
+    "here": HomingMethod.HERE,
+    "none": None,
+}
+_FINGERS_REST = (GripperPhase.OFF, GripperPhase.IDLE)
+"""Phases of the gripper in which nothing is held and no finger moves."""
+_FINGERS_HOLD = (GripperPhase.HOLDING,)
+"""Phases in which a part is held and no finger moves."""
+
+Bring = Callable[[str | None, Callable[[], None]], None]
+"""Has somebody bring an object: its label or None, and the supervision of the wait."""
+
+
+def si_per_unit(moves: str) -> float:
+    """Return how many m or rad one mm or degree of an axis is."""
+    return 1e-3 if moves in ("x", "y") else radians(1.0)
+
+
+class AxesBuilder:
+    """Makes the axes of a config on open buses; nothing moves.
+
+    Parameters
+    ----------
+    clock
+        Source of time.
+    period_s
+        While an axis moves, the cell is supervised once in so many s.
+    """
+
+    def __init__(self, clock: Clock, period_s: float) -> None:
+        self._watch = Watch(clock, period_s)
+        self._axes: list[Axis] = []
+
+    def add_drives(self, configs: Sequence[DriveAxisConfig], bus: CanBus) -> None:
+        """Add the axes with drives on one CAN bus."""
+        drives = DriveBus(bus, self._watch)
+        for config in configs:
+            device = Cia402Drive(
+                drives, config.node_id, f"axis {config.moves}", _drive_settings(config)
+            )
+            self._axes.append(_axis(config, device))
+
+    def add_servo(self, config: ServoAxisConfig, stream: ByteStream) -> None:
+        """Add an axis with a servo alone on its line."""
+        bus = ServoBus(
+            stream,
+            baudrate=config.baud_rate,
+            clock=self._watch.clock,
+            name=f"the line of axis {config.moves} ({config.port})",
+        )
+        device = ServoAxis(
+            bus, config.id, f"axis {config.moves}", _servo_settings(config), self._watch
+        )
+        self._axes.append(_axis(config, device))
+
+    def axes(self) -> Axes:
+        """Return all of them."""
+        return Axes(self._axes, self._watch)
+
+
+def _axis(config: DriveAxisConfig | ServoAxisConfig, device: AxisDevice) -> Axis:
+    si = si_per_unit(config.moves)
+    return Axis(
+        name=config.moves,
+        device=device,
+        increments=config.increments / si,
+        low=config.low * si,
+        high=config.high * si,
+        velocity=config.velocity * si,
+        acceleration=config.acceleration * si,
+        unit="mm" if config.moves in ("x", "y") else "deg",
+        shown=1.0 / si,
+    )
+
+
+def _limits(config: DriveAxisConfig | ServoAxisConfig) -> tuple[int, int]:
+    """Return the limits in increments, the smaller one first."""
+    one, other = round(config.low * config.increments), round(config.high * config.increments)
+    return min(one, other), max(one, other)
+
+
+def _count(config: DriveAxisConfig | ServoAxisConfig, value: float) -> int:
+    """Return a way, speed or acceleration in increments, at least 1."""
+    return max(1, abs(round(value * config.increments)))
+
+
+def _drive_settings(config: DriveAxisConfig) -> DriveSettings:
+    homing = _HOMING[config.homing]
+    if config.increments < 0 and homing is not None and homing is not HomingMethod.HERE:
+        # The switch at the lower end of the axis is the positive one of a drive that is turned.
+        homing = HomingMethod(HomingMethod.NEGATIVE_SWITCH + HomingMethod.POSITIVE_SWITCH - homing)
+    low, high = _limits(config)
+    return DriveSettings(
+        low=low,
+        high=high,
+        velocity=_count(config, config.velocity),
+        acceleration=_count(config, config.acceleration),
+        window=_count(config, config.window),
+        following_error=_count(config, config.following_error),
+        homing=homing,
+        home=round(config.home * config.increments),
+        homing_velocity=_count(config, config.homing_velocity),
+    )
+
+
+def _servo_settings(config: ServoAxisConfig) -> ServoAxisSettings:
+    low, high = _limits(config)
+    rad = abs(config.increments) * RAD_PER_PULSE
+    return ServoAxisSettings(
+        model=MODELS[config.model],
+        low=low,
+        high=high,
+        zero=config.zero_pulse,
+        velocity=max(1, round(config.velocity * rad / RAD_S_PER_VELOCITY_UNIT)),
+        acceleration=max(1, round(config.acceleration * rad / RAD_S2_PER_ACCELERATION_UNIT)),
+        window=_count(config, config.window),
+        lag=_count(config, config.lag),
+        current_a=config.current_max_a,
+    )
+
+
+class AxesPositioner:
+    """Moves the object with axes of the cell's own: between open fingers, or kept in the grip.
+
+    Parameters
+    ----------
+    axes
+        The axes.
+    moved
+        What they move, of x, y, rotation and roll.
+    bring
+        Has an object put where the axes carry it.
+    phase
+        Returns the present phase of the gripper.
+    """
+
+    blocks = False
+
+    def __init__(
+        self,
+        axes: Axes,
+        moved: Sequence[str],
+        *,
+        bring: Bring,
+        phase: Callable[[], GripperPhase],
+    ) -> None:
+        self.axes = axes
+        self._moved = tuple(moved)
+        self._bring = bring
+        self._phase = phase
+
+    def present(self, label: str | None, supervise: Callable[[], None] = unwatched) -> None:
+        """Have an object put on the axes; see `Positioner`."""
+        self._bring(label, supervise)
+
+    def move_to(self, pose: Pose, supervise: Callable[[], None] = unwatched) -> Pose:
+        """Move all axes to the pose; return where they are.
+
+        Raises
+        ------
+        PositionerError
+            If the pose is outside the limits, part of it is moved by no axis, the fingers do not
+            rest, or the way took too long; a way that was begun was stopped.
+        PositionerFault
+            If a drive is at fault or silent; all axes were stopped.
+        """
+        reached = self._move(pose, _FINGERS_REST, supervise)
+        return replace(pose, **{_FIELDS[part]: value for part, value in reached.items()})
+
+    def carry_to(self, destination: Destination, supervise: Callable[[], None] = unwatched) -> None:
+        """Move all axes to a place with the part that is kept in the grip.
+
+        Raises
+        ------
+        PositionerError
+            If the place has no pose, or as `move_to`. The part is still kept.
+        PositionerFault
+            As `move_to`. The part is still kept.
+        """
+        if destination.pose is None:
+            raise PositionerError(
+                f"the place {destination.place} of {destination.label} has no pose: write it "
+                "into sort.places for the axes, or bring the part as a host; the part is kept"
+            )
+        if not self.axes.ready:
+            raise PositionerError(
+                f"the axes have to find their homes before they go to {destination.place}, which "
+                "they do with empty fingers only: release the part; it is kept meanwhile"
+            )
+        self._move(destination.pose, _FINGERS_HOLD, supervise)
+
+    def _move(
+        self, pose: Pose, phases: Sequence[GripperPhase], supervise: Callable[[], None]
+    ) -> dict[str, float]:
+        """Move to a pose in one of some phases of the gripper; return where the axes are."""
+        for part, name in _FIELDS.items():
+            value = getattr(pose, name)
+            if part not in self._moved and value != 0.0:
+                raise PositionerError(
+                    f"{pose} asks for {part}, which no axis moves; nothing has moved. Plan poses "
+                    f"with 0 there, or add an axis (positioner.axes)"
+                )
+        phase = self._phase()
+        if phase not in phases:
+            raise PositionerError(
+                f"the fingers are {phase.value}: axes move only while they rest and hold nothing, "
+                "or carry a part that is kept"
+            )
+        targets = {part: getattr(pose, _FIELDS[part]) for part in self._moved}
+        try:
+            return self.axes.move(targets, supervise)
+        except (AxisLimitExceeded, PositionNotReached) as error:
+            raise PositionerError(str(error)) from error
+        except MotionError as error:
+            raise PositionerFault(f"{type(error).__name__}: {error}") from error

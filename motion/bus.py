@@ -1,0 +1,133 @@
+"""Bus of the drives: one caller's thread, messages handed to the drives, time let pass."""
+
+import math
+from collections.abc import Callable
+
+import can
+import canopen
+
+from motion.errors import AxisSilent
+from motion.object_dictionary import COB_HEARTBEAT
+from tactile.can.receiver import PolledSource
+from tactile.clock import Clock
+from tactile.errors import LinkFault
+
+
+def unwatched() -> None:
+    """Do nothing: the supervision of a motion that nobody supervises."""
+
+
+class Watch:
+    """Supervision of whatever waits: called once a period while an axis moves or answers.
+
+    Parameters
+    ----------
+    clock
+        Monotonic time.
+    period_s
+        Between two calls so much time passes at least.
+
+    Attributes
+    ----------
+    supervise
+        What is called; what it raises ends the motion.
+    """
+
+    def __init__(self, clock: Clock, period_s: float) -> None:
+        self.clock = clock
+        self.supervise: Callable[[], None] = unwatched
+        self._period_s = period_s
+        self._due_s = clock.monotonic()
+
+    def look(self) -> None:
+        """Call the supervision if it is due."""
+        now_s = self.clock.monotonic()
+        if now_s >= self._due_s:
+            self._due_s = now_s + self._period_s
+            self.supervise()
+
+    def pause(self, seconds: float) -> None:
+        """Let so many s pass under supervision."""
+        end_s = self.clock.monotonic() + seconds
+        while (left_s := end_s - self.clock.monotonic()) > 0.0:
+            self.clock.sleep(min(left_s, self._period_s))
+            self.look()
+
+
+HOST_NODE = 127
+"""Node-ID of the host's own heartbeat: the last one, which no drive here has."""
+HOST_HEARTBEAT_S, HOST_LOST_S = 0.05, 0.25
+"""Period in s of that heartbeat while an axis moves, and after which a drive misses it."""
+_OPERATIONAL = b"\x05"
+"""NMT state in it (CiA 301, 7.2.8.3.3)."""
+
+
+class DriveBus:
+    """CAN bus of one to three drives, asked by the thread that moves them.
+
+    Parameters
+    ----------
+    bus
+        An open bus.
+    watch
+        Called while somebody waits for an answer.
+    """
+
+    def __init__(self, bus: can.BusABC, watch: Watch) -> None:
+        self.watch = watch
+        self.clock = watch.clock
+        self.network = canopen.Network(bus)
+        self._source = PolledSource(bus, watch.clock)
+        self._handlers: dict[int, Callable[[bytes], None]] = {}
+        self._beat_due_s = math.inf
+
+    def subscribe(self, cob_id: int, handler: Callable[[bytes], None]) -> None:
+        """Have messages with an identifier handed to a drive."""
+        self._handlers[cob_id] = handler
+
+    def send(self, cob_id: int, data: bytes) -> None:
+        """Send a message. Raises AxisSilent when the interface fails."""
+        try:
+            self.network.send_message(cob_id, data)
+        except (can.CanError, OSError) as error:
+            raise _lost(error) from error
+
+    def beat(self) -> None:
+        """Send the host's heartbeat now and from now on, for drives that stop when it is lost."""
+        self._beat_due_s = self.clock.monotonic() + HOST_HEARTBEAT_S
+        self.send(COB_HEARTBEAT + HOST_NODE, _OPERATIONAL)
+
+    def service(self) -> None:
+        """Hand out what was received, send the heartbeat when it is due.
+
+        Raises AxisSilent when the interface fails.
+        """
+        if self.clock.monotonic() >= self._beat_due_s:
+            self.beat()
+        try:
+            for _, message in self._source.drain():
+                handler = self._handlers.get(message.arbitration_id)
+                usable = not (message.is_error_frame or message.is_remote_frame)
+                if handler is not None and usable and len(message.data) == message.dlc:
+                    handler(bytes(message.data))
+        except LinkFault as error:
+            raise _lost(error) from error
+
+    def drop_old(self) -> None:
+        """Drop what came while nobody asked."""
+        try:
+            self._source.start()
+        except LinkFault as error:
+            raise _lost(error) from error
+
+    def wait(self, most_s: float) -> None:
+        """Let a moment pass, at most so many s, under supervision."""
+        self._source.wait(most_s)
+        self.watch.look()
+
+
+def _lost(error: Exception) -> AxisSilent:
+    return AxisSilent(
+        f"the CAN interface of the axes failed: {error}; the axes cannot be stopped over it. "
+        "Check the adapter, use the emergency stop where an axis still moves"
+    )

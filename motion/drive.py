@@ -1,0 +1,493 @@
+"""One CiA 402 drive: state machine, profile position, homing, quick stop, supervision.
+
+Everything goes by SDO: no mapping of PDOs has to fit, and each write is confirmed. A drive is
+asked some hundred times a second while it moves, and not at all while it stands.
+"""
+
+import struct
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import can
+from canopen.nmt import NMT_COMMANDS
+from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
+
+from motion import object_dictionary as od
+from motion.bus import HOST_LOST_S, HOST_NODE, DriveBus
+from motion.errors import (
+    AxisFault,
+    AxisLimitExceeded,
+    AxisMissing,
+    AxisRestarted,
+    AxisSilent,
+    HomingFailed,
+    LimitSwitchReached,
+)
+from motion.object_dictionary import Control, HomingMethod, OperatingMode, State, Status
+from tactile.can.sdo_client import COB_SDO_RESPONSE, PolledSdoClient
+
+HEARTBEAT_S = 0.05
+"""Period in s of the drive's heartbeat (1017h)."""
+_HEARTBEAT_FACTOR = 2.5
+"""A drive that has sent none for so many periods is lost: one message may be."""
+_SDO_TIMEOUT_S = 0.05
+"""Longest wait in s for one answer: fifty times what a drive needs."""
+_ATTEMPTS = 3
+"""How often a transfer is tried when no answer comes; the heartbeat ends a wait before."""
+_START_S = 3.0
+"""Longest time in s until a drive has booted and sends heartbeats."""
+_STATE_S = 2.0
+"""Longest time in s for a change of state: brakes and power stages take their time."""
+_POLL_S = 0.005
+"""Period in s in which a moving drive is asked."""
+_BOOT_UP, _STATE_BITS = 0, 0x7F
+"""Heartbeat of a boot-up, and the bits that are the NMT state (CiA 301, 7.2.8.3.3)."""
+_EMCY_BYTES = 8
+_WATCHED_HOST = HOST_NODE << 16 | round(1e3 * HOST_LOST_S)
+"""Consumer heartbeat time (1016h): the node-ID that is watched, and the longest silence in ms."""
+_QUICK_STOP_REQUEST = struct.pack("<BHBHH", 0x2B, od.CONTROLWORD, 0, Control.QUICK_STOP, 0)
+"""SDO request that writes a controlword of two bytes (CiA 301, 7.2.4.3.3)."""
+
+_NEXT = {
+    State.SWITCH_ON_DISABLED: Control.SHUTDOWN,
+    State.READY_TO_SWITCH_ON: Control.SWITCH_ON,
+    State.SWITCHED_ON: Control.ENABLE_OPERATION,
+    State.QUICK_STOP_ACTIVE: Control.ENABLE_OPERATION,
+}
+"""Controlword that leads from each state towards OPERATION ENABLED."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriveSettings:
+    """Set-up of a drive in its own increments; written at each preparation and read back.
+
+    Attributes
+    ----------
+    low, high
+        Software position limits (607Dh).
+    velocity, acceleration
+        Profile velocity (6081h) in increments/s and acceleration (6083h, 6084h) in increments/s²;
+        the quick stop brakes twice as hard.
+    window
+        Position window (6067h): so near counts as reached.
+    following_error
+        Following error window (6065h) beyond which the drive goes to fault.
+    homing
+        Homing method; None for a drive that knows its position (absolute encoder).
+    home
+        Position at the home (607Ch).
+    homing_velocity
+        Speed to the switch in increments/s; back from it a fifth.
+    """
+
+    low: int
+    high: int
+    velocity: int
+    acceleration: int
+    window: int
+    following_error: int
+    homing: HomingMethod | None
+    home: int
+    homing_velocity: int
+
+
+_FOLLOWING_MS, _WINDOW_MS = 50, 20
+"""Times in ms for which a following error is allowed, and a position has to be reached."""
+_STILL_SHARE = 0.01
+"""Share of its profile velocity up to which a drive stands still: encoders have noise."""
+_ZERO_SPEED_SHARE = 5
+"""A switch is left at this part of the speed with which it was searched."""
+
+
+class Cia402Drive:
+    """One drive on the bus; positions in increments.
+
+    Parameters
+    ----------
+    bus
+        Where it is.
+    node_id
+        Its CANopen node-ID.
+    name
+        The axis in messages.
+    settings
+        Its set-up.
+    """
+
+    def __init__(self, bus: DriveBus, node_id: int, name: str, settings: DriveSettings) -> None:
+        self.name = f"{name} (drive {node_id})"
+        self._bus = bus
+        self._node_id = node_id
+        self._settings = settings
+        self._client = PolledSdoClient(
+            node_id=node_id,
+            dictionary=od.of_node(node_id),
+            clock=bus.clock,
+            service=bus.service,
+            wait=bus.wait,
+            timeout_s=_SDO_TIMEOUT_S,
+        )
+        self._client.network = bus.network
+        self._heard_s: float | None = None
+        self._booted = False
+        self._emergency = 0
+        self._supervised = self._stopped = False
+        self.target: int | None = None
+        bus.subscribe(
+            COB_SDO_RESPONSE + node_id,
+            lambda data: self._client.on_response(COB_SDO_RESPONSE + node_id, data, 0.0),
+        )
+        bus.subscribe(od.COB_HEARTBEAT + node_id, self._on_heartbeat)
+        bus.subscribe(od.COB_EMCY + node_id, self._on_emergency)
+
+    # -- what may be asked of an axis ------------------------------------------------------------
+
+    def identify(self) -> str:
+        """Return state and position in words; nothing is changed and nothing moves.
+
+        Raises
+        ------
+        AxisMissing
+            If nothing answers, or what answers is no CiA 402 drive with the modes that are needed.
+        """
+        self._supervised = False
+        try:
+            kind = self._read(od.DEVICE_TYPE)
+            modes = self._read(od.SUPPORTED_MODES)
+        except AxisSilent as error:
+            raise AxisMissing(f"{error}; is its node-ID and the bit rate right?") from error
+        if kind & 0xFFFF != od.PROFILE_402:
+            raise AxisMissing(
+                f"{self.name} has device type {kind:08X}h, which is no CiA 402 drive: correct the "
+                "node-ID"
+            )
+        needed = [OperatingMode.PROFILE_POSITION]
+        if self._settings.homing is not None:
+            needed.append(OperatingMode.HOMING)
+        for mode in needed:
+            if not modes >> (mode - 1) & 1:
+                raise AxisMissing(
+                    f"{self.name} has no mode {mode.name} (6502h is {modes:08X}h): use another "
+                    "drive, or an absolute encoder with homing: none"
+                )
+        state = self._state()
+        words = f"{state.words}, position {self.position} increments"
+        if state is State.FAULT:
+            words += f", {od.error_text(self._read(od.ERROR_CODE))}"
+        return words
+
+    def prepare(self, *, reset: bool) -> None:
+        """Set the drive up, enable it and find its home; the axis may move.
+
+        A drive at fault is reset with ``reset`` only.
+
+        Raises
+        ------
+        MotionError
+            If it is missing, stays at fault, refuses its set-up or does not find its home.
+        """
+        self._bus.drop_old()
+        self.identify()
+        self._booted, self._emergency, self._heard_s = False, 0, None
+        self._bus.send(od.COB_NMT, bytes((NMT_COMMANDS["OPERATIONAL"], self._node_id)))
+        self._write(od.HEARTBEAT_MS, 0, round(1e3 * HEARTBEAT_S))
+        self._until(lambda: self._heard_s is not None, _START_S, "sends no heartbeat", AxisMissing)
+        if self._state() is State.OPERATION_ENABLED:
+            # It may still be on its way: nobody could stop a drive that was silent.
+            self._write(od.CONTROLWORD, 0, Control.QUICK_STOP)
+            self._until(self.standing, self._braking_s, "does not stop")
+        self._set_up()
+        if reset:
+            self._reset_fault()
+        self._emergency = 0
+        self._supervised = True
+        self._enable()
+        if self._settings.homing is not None:
+            self._home(self._settings.homing)
+        self._set_mode(OperatingMode.PROFILE_POSITION)
+
+    def clear_fault(self, *, reboot: bool) -> None:
+        """Clear the fault of the drive; it needs no restart, and is neither enabled nor moved.
+
+        Raises
+        ------
+        MotionError
+            If it is missing, or its fault stays.
+        """
+        del reboot
+        self.identify()
+        self._reset_fault()
+
+    def wake(self) -> None:
+        """Look whether the drive is as it was left: alive, enabled, without a fault."""
+        self._bus.drop_old()
+        self._heard_s = self._bus.clock.monotonic()
+        self._supervised = True
+        if self._stopped and self._state() is State.QUICK_STOP_ACTIVE:
+            self._enable()
+        self._stopped = False
+        status = self._status()
+        if State.of(status) is State.SWITCH_ON_DISABLED:
+            raise AxisRestarted(
+                f"{self.name} is in SWITCH ON DISABLED, it was left in OPERATION ENABLED: it has "
+                "restarted, or somebody else commands it; clear the fault and start again"
+            )
+        self._check_status(status)
+
+    def go_to(self, target: int) -> None:
+        """Begin to move; the only place where a target is written, and its limits with it.
+
+        Raises
+        ------
+        AxisLimitExceeded
+            If the target is outside the software limits; nothing moves.
+        """
+        low, high = self._settings.low, self._settings.high
+        if not low <= target <= high:
+            raise AxisLimitExceeded(
+                f"{self.name} was asked for {target} increments, its limits are {low} to {high}"
+            )
+        self._write(od.CONSUMER_HEARTBEAT, 1, _WATCHED_HOST)
+        self._bus.beat()
+        self._write(od.TARGET_POSITION, 0, target)
+        self.target = target
+        self._write(od.CONTROLWORD, 0, Control.NEW_SET_POINT)
+        self._until(
+            lambda: bool(self._status() & Status.ACKNOWLEDGED), _STATE_S, "takes no set-point"
+        )
+        self._write(od.CONTROLWORD, 0, Control.ENABLE_OPERATION)
+        self._until(
+            lambda: not self._status() & Status.ACKNOWLEDGED, _STATE_S, "keeps its set-point"
+        )
+
+    def arrived(self) -> bool:
+        """Return whether the target is reached: by the drive's word and by the position.
+
+        Raises
+        ------
+        MotionError
+            If the drive is at fault, silent, restarted, or stopped by a limit switch.
+        """
+        self.check()
+        status = self._status()
+        self._check_status(status)
+        if self.target is None or not status & Status.TARGET_REACHED:
+            return False
+        return abs(self.position - self.target) <= self._settings.window
+
+    def rest(self) -> None:
+        """Let the drive miss the host's heartbeat from now on."""
+        self._write(od.CONSUMER_HEARTBEAT, 1, 0)
+
+    @property
+    def position(self) -> int:
+        """Present position in increments (6064h)."""
+        return self._read(od.POSITION)
+
+    def stop(self) -> None:
+        """Send a quick stop and wait for nothing; also a drive that is silent may still hear."""
+        self.target, self._stopped = None, True
+        self._bus.send(od.COB_SDO_REQUEST + self._node_id, _QUICK_STOP_REQUEST)
+
+    def standing(self) -> bool:
+        """Return whether the axis stands still after a stop."""
+        self._supervised = False
+        still = abs(self._read(od.VELOCITY)) <= self._settings.velocity * _STILL_SHARE
+        return still and self._state() is not State.OPERATION_ENABLED
+
+    def check(self) -> None:
+        """Raise what heartbeat and emergencies have shown since the last look."""
+        self._bus.service()
+        if not self._supervised:
+            return
+        if self._booted:
+            raise AxisRestarted(
+                f"{self.name} has booted: its position is lost. Check its supply, then clear the "
+                "fault and start again; it is homed anew"
+            )
+        if self._emergency:
+            raise AxisFault(self._fault_text(self._emergency))
+        limit_s = _HEARTBEAT_FACTOR * HEARTBEAT_S
+        silent_s = self._bus.clock.monotonic() - (self._heard_s or 0.0)
+        if silent_s > limit_s:
+            raise AxisSilent(
+                f"no heartbeat from {self.name} for {silent_s:.3f} s, allowed are {limit_s:g} s; "
+                "where it has moved is not known. Check its supply and CAN cable, then clear the "
+                "fault and start again"
+            )
+
+    @property
+    def _braking_s(self) -> float:
+        return _STATE_S + self._settings.velocity / self._settings.acceleration
+
+    # -- parts -----------------------------------------------------------------------------------
+
+    def _set_up(self) -> None:
+        wanted = self._settings
+        for index, subindex, value in (
+            (od.SOFTWARE_LIMITS, 1, wanted.low),
+            (od.SOFTWARE_LIMITS, 2, wanted.high),
+            (od.FOLLOWING_ERROR_WINDOW, 0, wanted.following_error),
+            (od.FOLLOWING_ERROR_MS, 0, _FOLLOWING_MS),
+            (od.POSITION_WINDOW, 0, wanted.window),
+            (od.POSITION_WINDOW_MS, 0, _WINDOW_MS),
+            (od.PROFILE_VELOCITY, 0, wanted.velocity),
+            (od.PROFILE_ACCELERATION, 0, wanted.acceleration),
+            (od.PROFILE_DECELERATION, 0, wanted.acceleration),
+            (od.QUICK_STOP_DECELERATION, 0, 2 * wanted.acceleration),
+            (od.QUICK_STOP_OPTION, 0, od.STAY_IN_QUICK_STOP),
+            (od.ABORT_CONNECTION, 0, od.STOP_WHEN_HOST_IS_LOST),
+            (od.CONSUMER_HEARTBEAT, 1, 0),
+        ):
+            self._write(index, subindex, value)
+            found = self._read(index, subindex)
+            if found != value:
+                raise AxisMissing(
+                    f"{self.name} keeps {found} in {index:04X}h:{subindex} instead of {value}: "
+                    "correct the config or the drive's own limits"
+                )
+
+    def _enable(self) -> None:
+        end_s = self._bus.clock.monotonic() + _STATE_S
+        while (state := self._state()) is not State.OPERATION_ENABLED:
+            self.check()
+            if state in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+                raise AxisFault(self._fault_text(self._read(od.ERROR_CODE)))
+            if self._bus.clock.monotonic() > end_s:
+                raise AxisMissing(
+                    f"{self.name} stays in {state.words}: check its power stage, enable input "
+                    "and safe torque off"
+                )
+            if state in _NEXT:
+                self._write(od.CONTROLWORD, 0, _NEXT[state])
+            self._bus.watch.pause(_POLL_S)
+
+    def _reset_fault(self) -> None:
+        if self._state() not in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+            return
+        code = self._read(od.ERROR_CODE)
+        self._write(od.CONTROLWORD, 0, Control.DISABLE_VOLTAGE)
+        self._write(od.CONTROLWORD, 0, Control.FAULT_RESET)
+        self._until(
+            lambda: self._state() not in (State.FAULT, State.FAULT_REACTION_ACTIVE),
+            _STATE_S,
+            f"stays at fault, {od.error_text(code)}: remedy its cause",
+            AxisFault,
+        )
+
+    def _home(self, method: HomingMethod) -> None:
+        wanted = self._settings
+        slow = max(1, wanted.homing_velocity // _ZERO_SPEED_SHARE)
+        self._set_mode(OperatingMode.HOMING)
+        self._write(od.HOMING_METHOD, 0, method)
+        self._write(od.HOME_OFFSET, 0, wanted.home)
+        self._write(od.HOMING_SPEEDS, 1, wanted.homing_velocity)
+        self._write(od.HOMING_SPEEDS, 2, slow)
+        self._write(od.HOMING_ACCELERATION, 0, wanted.acceleration)
+        self._write(od.CONTROLWORD, 0, Control.START_HOMING)
+        # The longest way: from one end to the other, and back from the switch.
+        longest_s = _STATE_S + 2.0 * (wanted.high - wanted.low) / wanted.homing_velocity
+
+        def attained() -> bool:
+            self.check()
+            status = self._status()
+            if status & Status.MODE_ERROR:
+                raise HomingFailed(f"{self.name} reports a homing error: check its switch")
+            self._check_state(State.of(status))
+            return bool(status & Status.ACKNOWLEDGED and status & Status.TARGET_REACHED)
+
+        self._until(attained, longest_s, "has not found its home: check its switch", HomingFailed)
+        self._write(od.CONTROLWORD, 0, Control.ENABLE_OPERATION)
+
+    def _set_mode(self, mode: OperatingMode) -> None:
+        self._write(od.MODE, 0, mode)
+        self._until(
+            lambda: self._read(od.MODE_DISPLAY) == mode, _STATE_S, f"does not take mode {mode.name}"
+        )
+
+    def _check_status(self, status: int) -> None:
+        self._check_state(State.of(status))
+        if status & Status.INTERNAL_LIMIT:
+            inputs = self._read(od.DIGITAL_INPUTS)
+            which = {od.INPUT_NEGATIVE_SWITCH: "negative ", od.INPUT_POSITIVE_SWITCH: "positive "}
+            raise LimitSwitchReached(
+                f"{self.name} is stopped by its {which.get(inputs & 3, '')}limit switch at "
+                f"{self.position} increments: find out why it got there (home, limits), then "
+                "clear the fault and start again; it is homed anew"
+            )
+
+    def _check_state(self, state: State) -> None:
+        if state in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+            raise AxisFault(self._fault_text(self._read(od.ERROR_CODE)))
+        if state is not State.OPERATION_ENABLED:
+            raise AxisFault(
+                f"{self.name} left OPERATION ENABLED for {state.words}: an enable input, safe "
+                "torque off or another master; then clear the fault and start again"
+            )
+
+    def _fault_text(self, code: int) -> str:
+        return (
+            f"{self.name} is at fault, {od.error_text(code)}; remedy the cause, then clear the "
+            "fault and start again"
+        )
+
+    def _until(
+        self,
+        condition: Callable[[], bool],
+        timeout_s: float,
+        failure: str,
+        error: type[Exception] = AxisFault,
+    ) -> None:
+        end_s = self._bus.clock.monotonic() + timeout_s
+        while not condition():
+            if self._bus.clock.monotonic() > end_s:
+                raise error(f"{self.name} {failure} (waited {timeout_s:g} s)")
+            self._bus.watch.pause(_POLL_S)
+            self.check()
+
+    def _state(self) -> State:
+        return State.of(self._status())
+
+    def _status(self) -> int:
+        return self._read(od.STATUSWORD)
+
+    def _read(self, index: int, subindex: int = 0) -> int:
+        data = self._transfer("read", index, subindex, self._client.upload)
+        return int(self._variable(index, subindex).decode_raw(data))
+
+    def _write(self, index: int, subindex: int, value: int) -> None:
+        data = self._variable(index, subindex).encode_raw(int(value))
+        self._transfer("write", index, subindex, self._client.download, data)
+
+    def _variable(self, index: int, subindex: int) -> Any:
+        return od.of_node(self._node_id).get_variable(index, subindex)
+
+    def _transfer(self, verb: str, index: int, subindex: int, transfer: Any, *data: bytes) -> Any:
+        failure: Exception | None = None
+        for _ in range(_ATTEMPTS):
+            self.check()
+            try:
+                return transfer(index, subindex, *data)
+            except SdoCommunicationError as error:
+                failure = error
+            except SdoAbortedError as error:
+                raise AxisMissing(
+                    f"{self.name} refused to {verb} {index:04X}h:{subindex} ({error}): the drive "
+                    "does not have what CiA 402 asks for, or its limits are narrower"
+                ) from error
+            except (can.CanError, OSError) as error:
+                raise AxisSilent(f"the CAN interface of {self.name} failed: {error}") from error
+        raise AxisSilent(
+            f"{self.name} does not answer ({verb} of {index:04X}h:{subindex}, {_ATTEMPTS} times): "
+            "check its supply and CAN cable"
+        ) from failure
+
+    def _on_heartbeat(self, data: bytes) -> None:
+        if len(data) == 1:
+            self._heard_s = self._bus.clock.monotonic()
+            self._booted = self._booted or data[0] & _STATE_BITS == _BOOT_UP
+
+    def _on_emergency(self, data: bytes) -> None:
+        if len(data) == _EMCY_BYTES:
+            self._emergency = int.from_bytes(data[:2], "little") or self._emergency

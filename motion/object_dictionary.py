@@ -1,0 +1,179 @@
+"""Objects of a CiA 402 drive: indices, bits of controlword and statusword, states, error codes.
+
+The dictionary is ``drive.eds``; the meaning follows CiA 301 (communication) and CiA 402-2 (drive).
+"""
+
+from collections.abc import Mapping
+from enum import IntEnum, IntFlag
+from functools import cache
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import canopen
+
+EDS_PATH = Path(__file__).with_name("drive.eds")
+
+COB_NMT = 0x000
+COB_EMCY = 0x080
+COB_HEARTBEAT = 0x700
+"""Identifiers of the pre-defined connection set (CiA 301, 7.3.5); but for NMT plus the node-ID."""
+COB_SDO_REQUEST = 0x600
+
+DEVICE_TYPE = 0x1000
+PROFILE_402 = 402
+"""Lower 16 bits of the device type of a drive."""
+CONSUMER_HEARTBEAT = 0x1016
+"""U32 each: node-ID that is watched << 16, and its longest silence in ms; 0 for none."""
+HEARTBEAT_MS = 0x1017
+ABORT_CONNECTION = 0x6007
+STOP_WHEN_HOST_IS_LOST = 3
+"""Value of it: a quick stop when the heartbeat of the host (1016h) is lost."""
+ERROR_CODE = 0x603F
+CONTROLWORD = 0x6040
+STATUSWORD = 0x6041
+QUICK_STOP_OPTION = 0x605A
+STAY_IN_QUICK_STOP = 6
+"""Value of it: slow down on the quick stop ramp and stay in QUICK STOP ACTIVE, with torque."""
+MODE = 0x6060
+MODE_DISPLAY = 0x6061
+POSITION = 0x6064
+FOLLOWING_ERROR_WINDOW = 0x6065
+FOLLOWING_ERROR_MS = 0x6066
+POSITION_WINDOW = 0x6067
+POSITION_WINDOW_MS = 0x6068
+VELOCITY = 0x606C
+TARGET_POSITION = 0x607A
+HOME_OFFSET = 0x607C
+SOFTWARE_LIMITS = 0x607D
+PROFILE_VELOCITY = 0x6081
+PROFILE_ACCELERATION = 0x6083
+PROFILE_DECELERATION = 0x6084
+QUICK_STOP_DECELERATION = 0x6085
+HOMING_METHOD = 0x6098
+HOMING_SPEEDS = 0x6099
+HOMING_ACCELERATION = 0x609A
+FOLLOWING_ERROR = 0x60F4
+DIGITAL_INPUTS = 0x60FD
+SUPPORTED_MODES = 0x6502
+
+
+class OperatingMode(IntEnum):
+    """Values of Modes of operation (6060h) that are used here."""
+
+    NONE = 0
+    PROFILE_POSITION = 1
+    HOMING = 6
+
+
+class HomingMethod(IntEnum):
+    """Values of Homing method (6098h) that are used here."""
+
+    NEGATIVE_SWITCH = 17
+    POSITIVE_SWITCH = 18
+    HERE = 37
+
+
+class Control(IntEnum):
+    """Controlwords (6040h) that lead through the states."""
+
+    DISABLE_VOLTAGE = 0x00
+    QUICK_STOP = 0x02
+    SHUTDOWN = 0x06
+    SWITCH_ON = 0x07
+    ENABLE_OPERATION = 0x0F
+    NEW_SET_POINT = 0x3F
+    """Enable operation with the bits 4, new set-point, and 5, change set immediately."""
+    START_HOMING = 0x1F
+    FAULT_RESET = 0x80
+
+
+class Status(IntFlag):
+    """Bits of the statusword (6041h) beside the state."""
+
+    VOLTAGE_ENABLED = 1 << 4
+    WARNING = 1 << 7
+    REMOTE = 1 << 9
+    TARGET_REACHED = 1 << 10
+    INTERNAL_LIMIT = 1 << 11
+    ACKNOWLEDGED = 1 << 12
+    """Set-point acknowledged; in homing mode: homing attained."""
+    MODE_ERROR = 1 << 13
+    """Following error; in homing mode: homing error."""
+
+
+class State(IntEnum):
+    """States of a drive (CiA 402-2), each with its bits in the statusword."""
+
+    NOT_READY_TO_SWITCH_ON = 0x00
+    SWITCH_ON_DISABLED = 0x40
+    READY_TO_SWITCH_ON = 0x21
+    SWITCHED_ON = 0x23
+    OPERATION_ENABLED = 0x27
+    QUICK_STOP_ACTIVE = 0x07
+    FAULT_REACTION_ACTIVE = 0x0F
+    FAULT = 0x08
+
+    @property
+    def words(self) -> str:
+        """The state as the standard writes it."""
+        return self.name.replace("_", " ")
+
+    @classmethod
+    def of(cls, statusword: int) -> "State":
+        """Return the state of a statusword."""
+        without_quick_stop = statusword & 0x4F
+        if without_quick_stop in (0x00, 0x40, 0x0F, 0x08):
+            return cls(without_quick_stop)
+        return cls(statusword & 0x6F)
+
+
+INPUT_NEGATIVE_SWITCH, INPUT_POSITIVE_SWITCH = 0x1, 0x2
+"""Bits of the digital inputs (60FDh): limit switches."""
+
+FOLLOWING_ERROR_CODE = 0x8611
+HOST_LOST_CODE = 0x8130
+"""Error codes of a following error, and of a lost heartbeat."""
+_ERROR_TEXTS: Mapping[int, str] = MappingProxyType(
+    {
+        0x2310: "continuous over-current",
+        0x3210: "over-voltage in the DC link",
+        0x3220: "under-voltage in the DC link",
+        0x4210: "the drive is too hot",
+        0x4310: "the motor is too hot",
+        0x7121: "the motor is blocked",
+        0x7305: "the encoder failed",
+        HOST_LOST_CODE: "the host's heartbeat was lost",
+        FOLLOWING_ERROR_CODE: "following error: the axis does not follow its set-point",
+        0x8612: "a position limit was passed",
+    }
+)
+"""Error codes that have a text of their own (CiA 402-2, 603Fh)."""
+_ERROR_CLASSES: Mapping[int, str] = MappingProxyType(
+    {
+        0x2: "current",
+        0x3: "voltage",
+        0x4: "temperature",
+        0x5: "hardware of the drive",
+        0x6: "software of the drive",
+        0x7: "an additional module, as encoder or brake",
+        0x8: "monitoring",
+        0xF: "specific to the maker",
+    }
+)
+"""Meaning of the first digit of all others (CiA 301, 7.2.7.1)."""
+
+
+def error_text(code: int) -> str:
+    """Return an error code (603Fh, EMCY) in words."""
+    text = _ERROR_TEXTS.get(code) or _ERROR_CLASSES.get(code >> 12, "not specified")
+    return f"error {code:04X}h: {text}"
+
+
+@cache
+def of_node(node_id: int) -> "canopen.ObjectDictionary":
+    """Return the dictionary of the EDS for a node-ID."""
+    import canopen  # noqa: PLC0415  settings need the constants only, and canopen is slow to load
+
+    return canopen.import_od(str(EDS_PATH), node_id)

@@ -1,0 +1,315 @@
+"""One Dynamixel servo as an axis: extended position mode, profile, load and stall supervision."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TypeVar
+
+from gripper.dynamixel.bus import ServoBus
+from gripper.dynamixel.control_table import (
+    BUS_WATCHDOG,
+    DRIVE_MODE,
+    GOAL_POSITION,
+    HARDWARE_ERROR_STATUS,
+    OPERATING_MODE,
+    PRESENT_POSITION,
+    PRESENT_TEMPERATURE,
+    PROFILE_ACCELERATION,
+    PROFILE_VELOCITY,
+    REALTIME_TICK,
+    TORQUE_ENABLE,
+    WATCHDOG_UNIT_S,
+    Register,
+)
+from gripper.dynamixel.models import PULSES_PER_TURN, OperatingMode, ServoModel
+from gripper.errors import GripperError, PortLost
+from gripper.state import hardware_error_names
+from motion.bus import Watch
+from motion.errors import (
+    AxisFault,
+    AxisLimitExceeded,
+    AxisMissing,
+    AxisRestarted,
+    AxisSilent,
+)
+
+WATCHDOG_S = 0.2
+"""Bus watchdog of the servo in s, armed while it moves: it stops when the host does."""
+_STALL_S = 0.15
+"""A load or a lag beyond its limit that lasts so long in s is a stall; starting takes 0.05 s."""
+_REBOOT_S = 0.5
+"""Time in s that a servo takes to reboot, with reserve."""
+_STANDING = 2
+"""Present Velocity in counts of 0.229 rev/min up to which the servo stands."""
+_REVERSE_BIT = 0x01
+"""The bit of Drive Mode that may be set: all others change what the goals mean."""
+
+_T = TypeVar("_T")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServoAxisSettings:
+    """Set-up of a servo in pulses, 4096 a turn.
+
+    Attributes
+    ----------
+    model
+        Model that it must be.
+    low, high
+        Limits, less than a turn apart: after a loss of power the servo counts within one turn.
+    zero
+        Present Position at 0 of the axis.
+    velocity, acceleration
+        Profile Velocity and Acceleration in their counts, at least 1.
+    window
+        So near counts as reached; also the reserve at the limits for a servo that is switched on.
+    lag
+        Distance to the profile's own position beyond which the servo is stalled.
+    current_a
+        Current beyond which the servo is stalled in A.
+    """
+
+    model: ServoModel
+    low: int
+    high: int
+    zero: int
+    velocity: int
+    acceleration: int
+    window: int
+    lag: int
+    current_a: float
+
+
+class ServoAxis:
+    """One servo on a line of its own; positions in pulses from the zero of the axis.
+
+    Parameters
+    ----------
+    bus
+        Its line.
+    servo_id
+        Its ID.
+    name
+        The axis in messages.
+    settings
+        Its set-up.
+    watch
+        Supervision of whatever waits.
+    """
+
+    def __init__(
+        self, bus: ServoBus, servo_id: int, name: str, settings: ServoAxisSettings, watch: Watch
+    ) -> None:
+        self.name = f"{name} (servo {servo_id})"
+        self._bus = bus
+        self._id = servo_id
+        self._settings = settings
+        self._watch = watch
+        self._turn = 0
+        self._target: int | None = None
+        self._stalled_since_s: float | None = None
+
+    def identify(self) -> str:
+        """Return state and position in words; nothing is changed and nothing moves.
+
+        Raises
+        ------
+        AxisMissing
+            If nothing answers, or the servo is another model or set up for other goals.
+        """
+        try:
+            found = self._ask(lambda: self._bus.ping(self._id))
+            drive_mode = self._ask(lambda: self._bus.read(self._id, DRIVE_MODE))
+        except AxisSilent as silence:
+            raise AxisMissing(f"{silence}; are ID and baud rate right?") from silence
+        model = self._settings.model
+        if found.model_number != model.number:
+            raise AxisMissing(
+                f"{self.name} has model number {found.model_number}, a {model.name} has "
+                f"{model.number}: correct ID or model"
+            )
+        if drive_mode & ~_REVERSE_BIT:
+            raise AxisMissing(
+                f"{self.name} has Drive Mode {drive_mode}: time-based profiles and torque by goal "
+                "must be off; correct it with the maker's wizard"
+            )
+        torque = "on" if self._read_torque() else "off"
+        error = self._read_error()
+        at = self._ask(lambda: self._bus.read(self._id, PRESENT_POSITION))
+        words = f"torque {torque}, Present Position {at} pulses"
+        return words + (f", hardware error {_names(error)}" if error else "")
+
+    def prepare(self, *, reset: bool) -> None:
+        """Set the servo up and switch its torque on where it stands; nothing moves.
+
+        A servo at fault is restarted with ``reset`` only.
+
+        Raises
+        ------
+        MotionError
+            If it is missing, stays at fault, or stands outside its limits.
+        """
+        self.clear_fault(reboot=reset)
+        mode = OperatingMode.EXTENDED_POSITION
+        self._write(BUS_WATCHDOG, 0)
+        if self._ask(lambda: self._bus.read(self._id, OPERATING_MODE)) != mode:
+            self._write(TORQUE_ENABLE, 0)
+            self._write(OPERATING_MODE, mode)
+        at = self._ask(lambda: self._bus.read(self._id, PRESENT_POSITION))
+        low, high, reserve = self._settings.low, self._settings.high, self._settings.window
+        # The turn in which the servo stands is the one that lies within the limits.
+        middle = (low + high) // 2
+        turns = round((middle - (at - self._settings.zero)) / PULSES_PER_TURN)
+        self._turn = turns * PULSES_PER_TURN
+        if not low - reserve <= self._axis(at) <= high + reserve:
+            raise AxisFault(
+                f"{self.name} stands at {self._axis(at)} pulses, its limits are {low} to {high}: "
+                "turn it back by hand with its torque off, or correct zero_pulse"
+            )
+        self._write(GOAL_POSITION, at)
+        self._write(TORQUE_ENABLE, 1)
+        self._target = None
+
+    def clear_fault(self, *, reboot: bool) -> None:
+        """Restart a servo at fault, with ``reboot`` only: it loses its torque until it is used.
+
+        Raises
+        ------
+        MotionError
+            If it is missing, or at fault without ``reboot`` or after it.
+        """
+        self.identify()
+        error = self._read_error()
+        if error and reboot:
+            self._ask(lambda: self._bus.reboot(self._id))
+            self._watch.pause(_REBOOT_S)
+            error = self._read_error()
+        if error:
+            raise AxisFault(self._fault_text(error))
+
+    def wake(self) -> None:
+        """Look whether the servo is as it was left: alive, with torque, without a fault."""
+        self._check()
+
+    def go_to(self, target: int) -> None:
+        """Begin to move; the only place where a goal is written, and its limits with it.
+
+        Raises
+        ------
+        AxisLimitExceeded
+            If the target is outside the limits; nothing moves.
+        """
+        settings = self._settings
+        if not settings.low <= target <= settings.high:
+            raise AxisLimitExceeded(
+                f"{self.name} was asked for {target} pulses, its limits are {settings.low} to "
+                f"{settings.high}"
+            )
+        self._write(PROFILE_ACCELERATION, settings.acceleration)
+        self._write(PROFILE_VELOCITY, settings.velocity)
+        self._write(BUS_WATCHDOG, round(WATCHDOG_S / WATCHDOG_UNIT_S))
+        self._target, self._stalled_since_s = target, None
+        self._write(GOAL_POSITION, target + settings.zero - self._turn)
+
+    def arrived(self) -> bool:
+        """Return whether the servo stands at its target.
+
+        Raises
+        ------
+        MotionError
+            If it is silent, at fault, without torque, or stalled.
+        """
+        self._check()
+        values = self._feedback()
+        if self._target is None:
+            return False
+        self._check_load(values)
+        near = abs(self._axis(values["present_position"]) - self._target) <= self._settings.window
+        on_goal = self._axis(values["position_trajectory"]) == self._target
+        return near and on_goal and abs(values["present_velocity"]) <= _STANDING
+
+    def rest(self) -> None:
+        """Disarm the bus watchdog: nobody asks the servo while it stands."""
+        self._write(BUS_WATCHDOG, 0)
+
+    @property
+    def position(self) -> int:
+        """Present position in pulses from the zero of the axis."""
+        return self._axis(self._feedback()["present_position"])
+
+    def stop(self) -> None:
+        """Have the servo hold where it is."""
+        self._target = None
+        self._write(BUS_WATCHDOG, 0)
+        self._write(GOAL_POSITION, self._feedback()["present_position"])
+
+    def standing(self) -> bool:
+        """Return whether the servo stands still after a stop."""
+        return abs(self._feedback()["present_velocity"]) <= _STANDING
+
+    def _axis(self, raw: int) -> int:
+        return raw - self._settings.zero + self._turn
+
+    def _feedback(self) -> dict[str, int]:
+        ids = (self._id,)
+        return self._ask(lambda: self._bus.sync_read(ids, REALTIME_TICK, PRESENT_TEMPERATURE))[
+            self._id
+        ]
+
+    def _check(self) -> None:
+        torque = self._read_torque()
+        if self._bus.alert(self._id) and (error := self._read_error()):
+            raise AxisFault(self._fault_text(error))
+        if not torque:
+            raise AxisRestarted(
+                f"{self.name} has lost its torque: it has restarted. Check its supply, then clear "
+                "the fault and start again"
+            )
+
+    def _check_load(self, values: dict[str, int]) -> None:
+        now_s = self._watch.clock.monotonic()
+        current_a = abs(self._settings.model.current_a(values["present_current"]))
+        lag = abs(values["position_trajectory"] - values["present_position"])
+        if current_a <= self._settings.current_a and lag <= self._settings.lag:
+            self._stalled_since_s = None
+        elif self._stalled_since_s is None:
+            self._stalled_since_s = now_s
+        elif now_s - self._stalled_since_s > _STALL_S:
+            raise AxisFault(
+                f"{self.name} is stalled: {current_a:.2f} A (allowed are "
+                f"{self._settings.current_a:g} A) and {lag} pulses behind its profile (allowed "
+                f"are {self._settings.lag}); find what is in its way, then clear the fault and "
+                "start again"
+            )
+
+    def _read_torque(self) -> bool:
+        return bool(self._ask(lambda: self._bus.read(self._id, TORQUE_ENABLE)))
+
+    def _read_error(self) -> int:
+        return self._ask(lambda: self._bus.read(self._id, HARDWARE_ERROR_STATUS))
+
+    def _write(self, register: Register, raw: int) -> None:
+        self._ask(lambda: self._bus.write(self._id, register, raw))
+
+    def _ask(self, call: Callable[[], _T]) -> _T:
+        """Make a transaction within the time that the fingers' own loop may wait."""
+        try:
+            with self._bus.in_loop():
+                answer = call()
+        except PortLost as error:
+            raise AxisSilent(f"the line of {self.name} is lost: {error}") from error
+        except GripperError as error:
+            raise AxisSilent(
+                f"{self.name} does not answer as it should: {error}; check its supply and cable"
+            ) from error
+        self._watch.look()
+        return answer
+
+    def _fault_text(self, error: int) -> str:
+        return (
+            f"{self.name} is at fault, hardware error {_names(error)}; remedy the cause, then "
+            "clear the fault and start again: it restarts then, without torque for a moment"
+        )
+
+
+def _names(error: int) -> str:
+    return ", ".join(hardware_error_names(error))

@@ -1,0 +1,390 @@
+"""A CiA 402 drive with one axis as a CANopen device.
+
+canopen's LocalNode serves SDO and makes heartbeat, boot-up and EMCY; this module adds the state
+machine, profile position with its handshake, homing to a limit switch, quick stop, following error.
+What else a drive can do (PDOs, other modes, units of its own) is left out.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import canopen
+from canopen.nmt import NMT_COMMANDS
+from canopen.objectdictionary import ODVariable
+
+from motion import object_dictionary as od
+from motion.object_dictionary import Control, HomingMethod, OperatingMode, State, Status
+from simulator.can.control_unit import DeviceNetwork, SendBurst, local_node
+from simulator.can.object_dictionary import NO_SUBINDEX, VALUE_RANGE, WRONG_STATE, SdoGate
+from simulator.can.profile_motion import ProfileMotion
+
+STEP_S = 1e-3
+"""Period in s of the drive's position loop."""
+BOOT_S = 0.02
+"""Time in s from power-on to the boot-up message."""
+_RESETS = (NMT_COMMANDS["RESET"], NMT_COMMANDS["RESET COMMUNICATION"])
+_REGISTER_GENERIC, _REGISTER_COMMUNICATION = 0x01, 0x11
+"""Bits of the error register 1001h (CiA 301, 7.5.2.2)."""
+_SWITCHED_ON_BIT, _VOLTAGE_BIT, _NO_QUICK_STOP_BIT, _ENABLE_BIT = 0x1, 0x2, 0x4, 0x8
+_START_BIT, _HALT_BIT, _RESET_BIT = 0x10, 0x100, 0x80
+"""Bits of the controlword (CiA 402-2)."""
+_STANDING = 100.0
+"""Speed of the mechanism in increments/s up to which it stands."""
+_POWERED = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTION_ACTIVE)
+"""States in which the motor has current."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DriveMount:
+    """A simulated drive and the axis that it moves.
+
+    Attributes
+    ----------
+    node_id
+        CANopen node-ID.
+    increments
+        Increments in one m or rad of the axis; negative where it counts the other way.
+    absolute
+        Whether its encoder shows the true position at once, without homing.
+    start, low_switch, high_switch
+        True position at power-on and of the limit switches at its lower and upper end in m or rad.
+    """
+
+    node_id: int
+    increments: float
+    absolute: bool = False
+    start: float
+    low_switch: float
+    high_switch: float
+
+
+class SimulatedDrive:
+    """One drive on its bus; it has no clock, the time is an argument.
+
+    Parameters
+    ----------
+    mount
+        Node-ID and axis.
+    start_s
+        Time of power-on in s.
+
+    Attributes
+    ----------
+    motion
+        Set-point and mechanism.
+    dead
+        Fault knob: it neither hears nor sends anything; its motion goes on.
+    forced_switch
+        Fault knob: -1 or 1 for a limit switch that is always active.
+    slipped
+        Fault knob: so much in m or rad the axis is off what the encoder shows.
+    """
+
+    def __init__(self, mount: DriveMount, *, start_s: float = 0.0) -> None:
+        self.mount = mount
+        ends = sorted(mount.increments * end for end in (mount.low_switch, mount.high_switch))
+        self.motion = ProfileMotion(mount.increments * mount.start, *ends)
+        self.dead = False
+        self.forced_switch = 0
+        self.slipped = 0.0
+        self._send: SendBurst | None = None
+        self._node = local_node(mount.node_id, od.of_node(mount.node_id))
+        self._network = DeviceNetwork(self._emit, start_s)
+        self._node.associate_network(self._network)
+        self._node.add_read_callback(self._read)
+        self._node.add_write_callback(self._write)
+        sdo = self._node.sdo
+        self._gate = SdoGate(
+            serve=lambda data: sdo.on_request(sdo.rx_cobid, data, self._network.now_s),
+            respond=lambda data: self._network.send_message(sdo.tx_cobid, data),
+        )
+        self._live: dict[int, Callable[[], int]] = {
+            od.STATUSWORD: lambda: self.statusword,
+            od.MODE_DISPLAY: lambda: self._number(od.MODE),
+            od.ERROR_CODE: lambda: self._error_code,
+            od.POSITION: lambda: round(self.motion.actual - self._zero),
+            od.VELOCITY: lambda: round(self.motion.actual_speed),
+            od.FOLLOWING_ERROR: lambda: round(self.motion.demand - self.motion.actual),
+            od.DIGITAL_INPUTS: self._inputs,
+        }
+        self._stepped_s = start_s
+        self._boot_due_s = self._host_due_s = math.inf
+        self._zero = 0.0
+        self._error_code = self._control = 0
+        self.power_cycle()
+
+    @property
+    def position(self) -> float:
+        """True position of the axis in m or rad."""
+        return self.motion.actual / self.mount.increments + self.slipped
+
+    @property
+    def moving(self) -> bool:
+        """Whether the set-point moves, or the mechanism is not there yet."""
+        return not self._stands or abs(self.motion.actual_speed) > _STANDING
+
+    @property
+    def _stands(self) -> bool:
+        return self.motion.speed == 0.0
+
+    @property
+    def statusword(self) -> int:
+        """Object 6041h."""
+        word = self.state | Status.REMOTE | Status.VOLTAGE_ENABLED
+        word |= Status.TARGET_REACHED if self._reached else 0
+        word |= Status.INTERNAL_LIMIT if self._at_switch else 0
+        word |= Status.ACKNOWLEDGED if self._acknowledged else 0
+        return word | (Status.MODE_ERROR if self._error_code == od.FOLLOWING_ERROR_CODE else 0)
+
+    # -- device on the bus ---------------------------------------------------------------------
+
+    def connect(self, send: SendBurst) -> None:
+        """Plug the drive into a bus."""
+        self._send = send
+
+    def next_event_s(self) -> float:
+        """Return when the drive next sends something by itself, in s; infinity for never."""
+        return min(self._boot_due_s, self._network.next_due_s())
+
+    def advance(self, now_s: float) -> None:
+        """Let the time pass until ``now_s`` s: boot-up, heartbeat, motion."""
+        if self._boot_due_s <= now_s:
+            self._network.now_s = self._boot_due_s
+            self._boot_due_s = math.inf
+            # canopen sends the boot-up on entering, and starts the heartbeat on leaving this state.
+            self._node.nmt.state = "INITIALISING"
+            self._node.nmt.state = "PRE-OPERATIONAL"
+            self.state = State.SWITCH_ON_DISABLED
+        self._network.run(now_s, mute=self.dead)
+        self._network.now_s = now_s
+        if now_s >= self._host_due_s:
+            self._host_due_s = math.inf
+            self._node.emcy.send(od.HOST_LOST_CODE, _REGISTER_COMMUNICATION, b"")
+            stops = self._number(od.ABORT_CONNECTION) == od.STOP_WHEN_HOST_IS_LOST
+            if stops and self.state is State.OPERATION_ENABLED:
+                self._quick_stop()
+        while self._stepped_s + STEP_S <= now_s + 1e-9:
+            self._stepped_s += STEP_S
+            self._step()
+
+    def receive(self, can_id: int, data: bytes, now_s: float) -> None:
+        """Take one message from the bus at ``now_s`` s and answer it."""
+        self.advance(now_s)
+        if self.dead or math.isfinite(self._boot_due_s):
+            return
+        if can_id == od.COB_NMT and len(data) == 2 and data[1] in {0, self.mount.node_id}:
+            if data[0] in _RESETS:
+                self.power_cycle()
+            else:
+                self._node.nmt.on_command(0, data, now_s)
+        elif can_id == od.COB_HEARTBEAT + (self._number(od.CONSUMER_HEARTBEAT, 1) >> 16):
+            self._host_due_s = now_s + 1e-3 * (self._number(od.CONSUMER_HEARTBEAT, 1) & 0xFFFF)
+        elif can_id == self._node.sdo.rx_cobid and self._node.nmt.state != "STOPPED":
+            self._gate.request(data)
+
+    def power_cycle(self) -> None:
+        """Lose power and come back: set-up and position are lost, the axis stays where it is."""
+        self._node.nmt.stop_heartbeat()
+        self._node.data_store.clear()
+        self._gate.reset()
+        self.state = State.NOT_READY_TO_SWITCH_ON
+        self._error_code = self._control = 0
+        self._acknowledged = self._reached = self._at_switch = False
+        self._host_due_s = math.inf
+        self._homing: int | None = None
+        self._leaving = self._braking_at_home = False
+        self._lag_s = 0.0
+        self.motion.freeze()
+        self._zero = 0.0 if self.mount.absolute else self.motion.actual
+        self._boot_due_s = self._network.now_s + BOOT_S
+
+    def fail(self, code: int) -> None:
+        """Go to fault: brake, then switch the power stage off; error code and EMCY."""
+        if self.state in (State.FAULT, State.FAULT_REACTION_ACTIVE):
+            return
+        powered = self.state in _POWERED
+        self._error_code = code
+        self._homing = None
+        self.state = State.FAULT_REACTION_ACTIVE if powered else State.FAULT
+        self.motion.stop(self._number(od.QUICK_STOP_DECELERATION) or 1e6)
+        self._node.emcy.send(code, _REGISTER_GENERIC, b"")
+
+    # -- objects -------------------------------------------------------------------------------
+
+    def _number(self, index: int, subindex: int = 0) -> int:
+        variable = self._node.object_dictionary.get_variable(index, subindex)
+        return int(variable.decode_raw(self._node.get_data(index, subindex)))
+
+    def _inputs(self) -> int:
+        negative, positive = self.motion.switches(self.forced_switch)
+        return od.INPUT_NEGATIVE_SWITCH * negative | od.INPUT_POSITIVE_SWITCH * positive
+
+    def _read(self, *, index: int, subindex: int, od: ODVariable) -> int | None:
+        if subindex != od.subindex:
+            raise canopen.SdoAbortedError(NO_SUBINDEX)
+        live = self._live.get(index)
+        return None if live is None else live()
+
+    def _write(self, *, index: int, subindex: int, od: ODVariable, data: bytes) -> None:
+        if subindex != od.subindex:
+            raise canopen.SdoAbortedError(NO_SUBINDEX)
+        self._accept(index, int(od.decode_raw(data)))
+
+    def _accept(self, index: int, value: int) -> None:
+        if index == od.CONTROLWORD:
+            self._command(value)
+        elif index == od.MODE:
+            if value not in (0, OperatingMode.PROFILE_POSITION, OperatingMode.HOMING):
+                raise canopen.SdoAbortedError(VALUE_RANGE)
+            if not self._stands:
+                raise canopen.SdoAbortedError(WRONG_STATE)
+            self._acknowledged = self._reached = False
+        elif index == od.CONSUMER_HEARTBEAT:
+            # Supervision begins with the first heartbeat (CiA 301, 7.2.8.3.3).
+            self._host_due_s = math.inf
+        elif index == od.HOMING_METHOD and value not in [0, *HomingMethod]:
+            raise canopen.SdoAbortedError(VALUE_RANGE)
+
+    # -- state machine -------------------------------------------------------------------------
+
+    def _command(self, word: int) -> None:
+        """Carry out a controlword (CiA 402-2, transitions 2 to 16)."""
+        before, self._control = self._control, word
+        if word & _RESET_BIT and not before & _RESET_BIT:
+            if self.state is State.FAULT:
+                self.state, self._error_code, self._lag_s = State.SWITCH_ON_DISABLED, 0, 0.0
+                self._node.emcy.send(0, 0, b"")
+            return
+        if self.state in (
+            State.FAULT,
+            State.FAULT_REACTION_ACTIVE,
+            State.NOT_READY_TO_SWITCH_ON,
+        ):
+            return
+        low = word & 0x0F
+        if not low & _VOLTAGE_BIT:
+            self._switch_off(State.SWITCH_ON_DISABLED)
+        elif not low & _NO_QUICK_STOP_BIT:
+            self._quick_stop()
+        elif self.state is State.QUICK_STOP_ACTIVE:
+            if low == Control.ENABLE_OPERATION:
+                self.state = State.OPERATION_ENABLED
+        elif low & (_SWITCHED_ON_BIT | _ENABLE_BIT) == 0 or low == Control.SHUTDOWN:
+            self._switch_off(State.READY_TO_SWITCH_ON)
+        elif self.state is not State.SWITCH_ON_DISABLED:
+            self._switch_on(low)
+        if self.state is State.OPERATION_ENABLED:
+            self._start(word, rising=bool(word & _START_BIT and not before & _START_BIT))
+
+    def _switch_off(self, state: State) -> None:
+        self.motion.freeze()
+        self._homing = None
+        self.state = state
+
+    def _switch_on(self, low: int) -> None:
+        if low == Control.SWITCH_ON:
+            if self.state is State.OPERATION_ENABLED:
+                self.motion.freeze()
+            self.state = State.SWITCHED_ON
+        elif low == Control.ENABLE_OPERATION:
+            self.state = State.OPERATION_ENABLED
+
+    def _quick_stop(self) -> None:
+        if self.state is not State.OPERATION_ENABLED:
+            if self.state is not State.QUICK_STOP_ACTIVE:
+                self._switch_off(State.SWITCH_ON_DISABLED)
+            return
+        self.state = State.QUICK_STOP_ACTIVE
+        self._homing = None
+        self.motion.stop(self._number(od.QUICK_STOP_DECELERATION) or 1e6)
+
+    def _start(self, word: int, *, rising: bool) -> None:
+        mode = self._number(od.MODE)
+        if mode == OperatingMode.PROFILE_POSITION:
+            if not word & _START_BIT:
+                self._acknowledged = False
+            elif rising:
+                target = self._number(od.TARGET_POSITION)
+                low, high = (self._number(od.SOFTWARE_LIMITS, end) for end in (1, 2))
+                # A drive moves to its software limit at most.
+                goal = min(max(target, low), high) + self._zero
+                velocity = self._number(od.PROFILE_VELOCITY)
+                acceleration = self._number(od.PROFILE_ACCELERATION)
+                self.motion.go(goal, velocity, acceleration or 1e9)
+                self._acknowledged, self._reached, self._at_switch = True, False, False
+        elif mode == OperatingMode.HOMING and rising:
+            self._homing = self._number(od.HOMING_METHOD)
+            self._leaving = self._braking_at_home = False
+            self._acknowledged = self._reached = False
+        elif mode == OperatingMode.HOMING and not word & _START_BIT:
+            self._homing = None
+
+    # -- motion --------------------------------------------------------------------------------
+
+    def _step(self) -> None:
+        motion = self.motion
+        if self._homing is not None:
+            self._home(self._homing)
+        elif self.state is State.OPERATION_ENABLED:
+            self._watch_switches()
+        motion.step(STEP_S)
+        if self.state is State.FAULT_REACTION_ACTIVE and self._stands:
+            self._switch_off(State.FAULT)
+        if self.state is State.OPERATION_ENABLED:
+            self._watch_lag()
+            if self._number(od.MODE) == OperatingMode.PROFILE_POSITION and motion.resting:
+                near = abs(motion.demand - motion.actual) <= self._number(od.POSITION_WINDOW)
+                self._reached = near and not self._at_switch
+
+    def _watch_switches(self) -> None:
+        negative, positive = self.motion.switches(self.forced_switch)
+        into = (negative and self.motion.speed < 0.0) or (positive and self.motion.speed > 0.0)
+        if into and not self._at_switch:
+            self._at_switch = True
+            self.motion.stop(self._number(od.QUICK_STOP_DECELERATION) or 1e6)
+
+    def _watch_lag(self) -> None:
+        motion, window = self.motion, self._number(od.FOLLOWING_ERROR_WINDOW)
+        beyond = abs(motion.demand - motion.actual) > window
+        self._lag_s = self._lag_s + STEP_S if beyond else 0.0
+        if self._lag_s * 1e3 > self._number(od.FOLLOWING_ERROR_MS):
+            self.fail(od.FOLLOWING_ERROR_CODE)
+
+    def _home(self, method: int) -> None:
+        """Go on with homing: to the switch, off it slowly, home is where it lets go."""
+        motion = self.motion
+        if method == HomingMethod.HERE or self._braking_at_home:
+            self._found_home()
+            return
+        negative, positive = motion.switches(self.forced_switch)
+        direction = -1.0 if method == HomingMethod.NEGATIVE_SWITCH else 1.0
+        active = negative if direction < 0.0 else positive
+        acceleration = self._number(od.HOMING_ACCELERATION) or 1e9
+        if not self._leaving:
+            if not active:
+                fast = self._number(od.HOMING_SPEEDS, 1)
+                motion.go(motion.demand + direction * 1e9, fast, acceleration)
+                return
+            self._leaving = True
+        if active:
+            slow = self._number(od.HOMING_SPEEDS, 2)
+            motion.go(motion.demand - direction * 1e9, slow, acceleration)
+        else:
+            self._found_home()
+
+    def _found_home(self) -> None:
+        if self._braking_at_home:
+            if self.motion.resting:
+                self._homing = None
+                self._acknowledged = self._reached = True
+            return
+        self._braking_at_home = True
+        self._zero = self.motion.actual - self._number(od.HOME_OFFSET)
+        self.motion.stop(self._number(od.HOMING_ACCELERATION) or 1e6)
+
+    def _emit(self, t_s: float, can_id: int, data: bytes) -> None:
+        if can_id == self._node.sdo.tx_cobid:
+            self._gate.response(data)
+        if self._send is not None and not self.dead:
+            self._send(t_s, can_id, [data])

@@ -1,0 +1,113 @@
+"""Named faults of the axes that carry the object: of drives, and of a servo as wrist."""
+
+from simulator.can.drive import SimulatedDrive
+from simulator.errors import SimulatorSettingsError
+from simulator.faults.entry import (
+    Effect,
+    FaultEntry,
+    FaultKind,
+    Number,
+    Target,
+    moment_fault,
+    turned,
+)
+from simulator.servo.wrist import SimulatedWrist
+
+
+def _axis(target: Target) -> SimulatedDrive | SimulatedWrist:
+    return list(target.devices.axes.values())[target.servo]
+
+
+def _drive(target: Target) -> SimulatedDrive:
+    axis = _axis(target)
+    if isinstance(axis, SimulatedDrive):
+        return axis
+    raise SimulatorSettingsError("this fault is one of a drive, and the axis is a servo")
+
+
+def _check_drive(target: Target) -> None:
+    _drive(target)
+
+
+def _blocked(target: Target) -> Effect:
+    axis = _axis(target)
+    owner = axis.motion if isinstance(axis, SimulatedDrive) else axis
+    return Effect(undo=turned(owner, "blocked", True))
+
+
+def _silence(target: Target) -> Effect:
+    axis = _axis(target)
+    if isinstance(axis, SimulatedDrive):
+        return Effect(undo=turned(axis, "dead", True))
+    return Effect(undo=turned(axis.bus.faults, "silent", {axis.mount.servo_id}))
+
+
+def _limit_switch(target: Target) -> Effect:
+    return Effect(undo=turned(_drive(target), "forced_switch", int(target.number)))
+
+
+def _fault(target: Target) -> None:
+    axis = _axis(target)
+    if isinstance(axis, SimulatedDrive):
+        axis.fail(int(target.number))
+    else:
+        axis.knobs.overload()
+
+
+def _reboot(target: Target) -> None:
+    axis = _axis(target)
+    if isinstance(axis, SimulatedDrive):
+        axis.power_cycle()
+    else:
+        axis.knobs.reboot(target.now_s)
+
+
+def _slip(target: Target) -> None:
+    _axis(target).slipped += target.number
+
+
+AXIS = (
+    FaultEntry(
+        name="axisN.following_error",
+        kind=FaultKind.STUCK,
+        meaning="something holds the axis: it does not follow its set-point, a servo stalls",
+        apply=_blocked,
+        knob="axis_blocked",
+    ),
+    FaultEntry(
+        name="axisN.silence",
+        kind=FaultKind.OFF,
+        meaning="its drive or servo neither hears nor sends anything; its motion goes on",
+        apply=_silence,
+        knob="axis_silent",
+    ),
+    FaultEntry(
+        name="axisN.limit_switch",
+        kind=FaultKind.STUCK,
+        meaning="the negative (-1) or positive (1) limit switch of its drive is active",
+        value=Number(unit="end", low=-1, high=1, default=1, whole=True),
+        apply=_limit_switch,
+        check=_check_drive,
+        knob="axis_switch",
+    ),
+    moment_fault(
+        "axisN.fault",
+        FaultKind.WRONG,
+        "its drive goes to fault with this error code (603Fh); a servo is overloaded",
+        _fault,
+        Number(unit="code", low=1, high=0xFFFF, default=0x2310, whole=True),
+    ),
+    moment_fault(
+        "axisN.reboot",
+        FaultKind.REBOOT,
+        "its drive or servo restarts: torque off, set-up and position lost",
+        _reboot,
+    ),
+    moment_fault(
+        "axisN.slip",
+        FaultKind.WRONG,
+        "a coupling slips by so much, which no encoder shows",
+        _slip,
+        Number(unit="m or rad", low=-1.0, high=1.0, default=0.001),
+    ),
+)

@@ -1,0 +1,111 @@
+"""A servo that turns or shifts the object: motor, load, and the line that it is on."""
+
+from dataclasses import dataclass
+
+from gripper.dynamixel.control_table import RAD_PER_PULSE
+from gripper.dynamixel.models import XM430_W350, ServoModel
+from simulator.servo.bus import ServoBusDevice
+from simulator.servo.device import BAUD_RATES, SimulatedServo
+from simulator.servo.faults import ServoFaultKnobs
+from simulator.servo.mechanics import STICTION_RATIO
+from simulator.servo.motor import ServoMotor
+
+LOAD_INERTIA_KG_M2 = 2e-4
+"""Inertia of what the servo carries in kg m²: 0.2 kg at 30 mm; an assumption."""
+STEP_S = 1e-3
+"""Step of its motion in s."""
+_MOVING_RAD_S = 1e-3
+"""Speed in rad/s above which it moves."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WristMount:
+    """A simulated servo and the axis that it moves.
+
+    Attributes
+    ----------
+    servo_id, model, baud_rate
+        ID, model, and rate of its line in bit/s.
+    increments
+        Pulses in one m or rad of the axis; negative where it turns the other way.
+    zero
+        Present Position at 0 of the axis.
+    start
+        True position at power-on in m or rad.
+    """
+
+    servo_id: int
+    model: ServoModel = XM430_W350
+    baud_rate: int = 1_000_000
+    increments: float
+    zero: int
+    start: float
+
+
+class SimulatedWrist:
+    """One servo with its load, alone on its line; it has no clock, the time is an argument.
+
+    Parameters
+    ----------
+    mount
+        Servo and axis.
+    start_s
+        Time of power-on in s.
+
+    Attributes
+    ----------
+    bus
+        Its line.
+    knobs
+        Faults of the servo.
+    blocked
+        Fault knob: something holds it.
+    slipped
+        Fault knob: so much in m or rad the axis is off what the encoder shows.
+    """
+
+    def __init__(self, mount: WristMount, *, start_s: float = 0.0) -> None:
+        self.mount = mount
+        angle_rad = (mount.zero + mount.start * mount.increments) * RAD_PER_PULSE
+        self._motor = ServoMotor(mount.model, angle_rad=angle_rad)
+        rate = {"baud_rate": BAUD_RATES.index(mount.baud_rate), "return_delay_time": 0}
+        servo = SimulatedServo(mount.servo_id, mount.model, self._motor, settings=rate)
+        self.bus = ServoBusDevice([servo], mount.baud_rate)
+        self.knobs = ServoFaultKnobs(servo, self._motor)
+        self.blocked = False
+        self.slipped = 0.0
+        self._stepped_s = start_s
+
+    @property
+    def position(self) -> float:
+        """True position of the axis in m or rad."""
+        pulses = self._motor.angle_rad / RAD_PER_PULSE - self.mount.zero
+        return pulses / self.mount.increments + self.slipped
+
+    @property
+    def moving(self) -> bool:
+        """Whether it turns."""
+        return abs(self._motor.velocity_rad_s) > _MOVING_RAD_S
+
+    def advance(self, now_s: float) -> None:
+        """Let the time pass until ``now_s`` s."""
+        while self._stepped_s + STEP_S <= now_s + 1e-9:
+            self._stepped_s += STEP_S
+            self._step()
+        self.bus.advance_to(now_s)
+
+    def _step(self) -> None:
+        motor = self._motor
+        torque_nm, velocity_rad_s = motor.torque_nm(STEP_S), motor.velocity_rad_s
+        direction = velocity_rad_s or torque_nm
+        resting = velocity_rad_s == 0.0
+        if self.blocked or (resting and abs(torque_nm) <= STICTION_RATIO * motor.friction_nm):
+            motor.velocity_rad_s = 0.0
+            return
+        torque_nm -= motor.friction_nm if direction > 0.0 else -motor.friction_nm
+        inertia = motor.inertia_kg_m2 + LOAD_INERTIA_KG_M2
+        new_rad_s = (inertia * velocity_rad_s + STEP_S * torque_nm) / (
+            inertia + STEP_S * motor.viscous_nm_s
+        )
+        motor.velocity_rad_s = 0.0 if new_rad_s * velocity_rad_s < 0.0 else new_rad_s
+        motor.angle_rad += motor.velocity_rad_s * STEP_S

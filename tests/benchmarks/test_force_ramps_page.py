@@ -1,0 +1,63 @@
+"""The figures on the page of the force loop are those that its benchmark gives today."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from benchmarks.performance import force_ramps
+from benchmarks.performance._force_plant import Quality
+from benchmarks.performance.force_ramps import CASES, TRUTHS, Case, row, run, write_page
+
+pytestmark = pytest.mark.no_cover  # to count lines takes as long again as to run them
+
+RAN_AGAIN = (
+    Case(part="steel ball, 200 N/mm", final_n=2.0, rate_n_s=10.0),
+    Case(part="cork, 5 N/mm", final_n=4.0, rate_n_s=3.0),
+    Case(part="foam ball, 0.2 N/mm", final_n=4.0, rate_n_s=10.0),
+)
+"""Some of the ramps: any change of the force loop or of its plant changes one of them."""
+ROUNDING = 0.02
+"""Difference in N that another mathematical library may make."""
+REMEDY = "the force loop has changed: python -m benchmarks.performance.force_ramps --page"
+
+
+def figures_n(text: str) -> list[float]:
+    """Return overshoot and error in the hold; the time to settle leaps where a limit is grazed."""
+    return [float(number) for number in re.findall(r"(\d+\.\d+) N \|", text)]
+
+
+def line_of(page: str, case: Case) -> str:
+    start = row(case, Quality(overshoot_n=0.0, settling_s=0.0, holding_n=0.0)).partition(" 0.00")[0]
+    (found,) = [line for line in page.splitlines() if line.startswith(start)]
+    return found
+
+
+@pytest.mark.parametrize("case", RAN_AGAIN, ids=lambda case: case.part)
+def test_the_page_has_the_figures_of_today(case: Case) -> None:
+    printed = line_of(force_ramps.PAGE.read_text(encoding="utf-8"), case)
+    quality = run("force loop", case, TRUTHS)
+    assert not quality.lost
+    today_n = [quality.overshoot_n, quality.holding_n]
+    assert figures_n(printed) == pytest.approx(today_n, abs=ROUNDING), REMEDY
+
+
+def test_the_figures_alone_are_written_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "page.md"
+    path.write_text(f"# Page\n\n{force_ramps.BEGIN}\nstale\n{force_ramps.END}\n\nafter\n")
+    monkeypatch.setattr(force_ramps, "PAGE", path)
+    good = Quality(overshoot_n=0.11, settling_s=0.02, holding_n=0.12)
+    lost = Quality(overshoot_n=0.0, settling_s=1.5, holding_n=2.0, lost=True)
+    found = {law: dict.fromkeys(CASES, good) for law in (*force_ramps.LAWS, "force loop, hard")}
+    found["force loop"][CASES[0]] = lost
+    write_page(found)
+    page = path.read_text()
+    assert page.startswith(f"# Page\n\n{force_ramps.BEGIN}\n| part |")
+    assert page.endswith(f"{force_ramps.END}\n\nafter\n")
+    assert "stale" not in page
+    assert "| part lost |  |  | overshoot, settling, hold |" in page
+    assert "| 0.11 N | 0.02 s | 0.12 N |  |" in page
+    assert f"| plain PI | {len(CASES)} | {len(CASES)} | {len(CASES)} | 0.12 N |" in page
+    assert "Parts taken for lost: 1." in page

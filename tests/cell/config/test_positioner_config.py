@@ -1,0 +1,97 @@
+"""The axes of a config: what fits together, and what is refused with its key."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cell.config.file import changed_config, load_config
+from cell.config.model import CellConfig
+from cell.errors import ConfigError
+from tests.faults.scenarios.axes import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
+
+EXAMPLE = Path(__file__).parents[3] / "config" / "two-axes-and-wrist.yaml"
+REAL = {
+    "gripper.port": "/dev/ttyUSB0",
+    "tactile.interface": "socketcan",
+    "tactile.channel": "can0",
+}
+
+
+def positioner(*axes: dict[str, Any], **more: Any) -> dict[str, Any]:
+    return {"positioner": {"kind": "axes", "axes": list(axes)} | more}
+
+
+def test_the_example_has_two_drives_and_a_wrist() -> None:
+    config = load_config(EXAMPLE)
+    assert [axis.moves for axis in config.positioner.axes] == ["x", "rotation", "roll"]
+    assert [axis.kind for axis in config.positioner.axes] == ["cia402", "cia402", "dynamixel"]
+    assert config.brings_objects
+
+
+def test_a_cell_on_real_ports_has_its_axes_there_too() -> None:
+    changes = CHANGES | REAL
+    real = positioner(
+        X_AXIS,
+        ROTATION_AXIS,
+        WRIST | {"port": "/dev/ttyUSB1"},
+        can={"interface": "socketcan", "channel": "can0"},
+    )
+    config = changed_config(CellConfig(), changes | real)
+    assert not config.brings_objects
+    assert config.positioner.ports == ("socketcan", "/dev/ttyUSB1")
+
+
+@pytest.mark.parametrize(
+    ("changes", "complaint"),
+    [
+        (positioner(), "lists axes if and only if positioner.kind is axes"),
+        (
+            {"positioner": {"kind": "operator", "axes": [X_AXIS]}},
+            "lists axes if and only if positioner.kind is axes",
+        ),
+        (positioner(X_AXIS, X_AXIS | {"node_id": 3}), "move x, x: each part of a pose once"),
+        (
+            positioner(X_AXIS, ROTATION_AXIS | {"node_id": 11}),
+            r"node-IDs \[11, 11\]: give each drive its own",
+        ),
+        (positioner(X_AXIS | {"low": 6.0}), "axis x has the limits 6 to 6; low is below high"),
+        (positioner(X_AXIS | {"increments": 0.0}), "axis x has 0 increments in one mm"),
+        (positioner(X_AXIS | {"increments": 9e8}), "must fit into 32 bits"),
+        (positioner(WRIST | {"high": 351.0}), "more than a turn of its servo"),
+        (positioner(X_AXIS), r"sequence.rotation_deg asks for 0 to 90; no axis moves it: write"),
+        (
+            positioner(X_AXIS | {"high": 1.0}, ROTATION_AXIS, WRIST),
+            "sequence.x_mm asks for -2 to 2; its axis goes from -6 to 1",
+        ),
+        (
+            {"sequence.kind": "list", "sequence.poses": [{"y_mm": 1.0}]},
+            "sequence.y_mm asks for 1 to 1; no axis moves it",
+        ),
+        (
+            positioner(X_AXIS, ROTATION_AXIS, WRIST, can={"interface": "slcan"}),
+            "an axis of the positioner is on 'slcan', gripper.port is 'simulated'",
+        ),
+        (REAL, "an axis of the positioner is on 'simulated', gripper.port is '/dev/ttyUSB0'"),
+        (
+            REAL
+            | positioner(
+                X_AXIS,
+                ROTATION_AXIS,
+                WRIST | {"port": "/dev/ttyUSB0"},
+                can={"interface": "socketcan", "channel": "can1"},
+            ),
+            "'/dev/ttyUSB0', the port of the fingers",
+        ),
+    ],
+)
+def test_what_does_not_fit_together_is_refused(changes: dict[str, Any], complaint: str) -> None:
+    with pytest.raises(ConfigError, match=complaint):
+        changed_config(CellConfig(), CHANGES | changes)
+
+
+def test_servos_with_one_port_are_refused() -> None:
+    one = WRIST | {"port": "/dev/ttyUSB1"}
+    axes = positioner(one, one | {"moves": "x", "high": 90.0})
+    with pytest.raises(ConfigError, match="give each servo its own"):
+        changed_config(CellConfig(), CHANGES | REAL | axes)

@@ -1,0 +1,236 @@
+"""The positioner with axes: a sequence on axes that really move, and what it refuses."""
+
+from collections.abc import Callable
+from math import radians
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cell.config.model import CellConfig
+from cell.control.axes import AxesPositioner
+from cell.control.plan import GraspStep, Pose
+from cell.control.positioner import Destination
+from cell.control.states import CellState
+from cell.errors import CellStateError, CellStopped, PositionerError, PositionerFault
+from gripper.state import GripperPhase
+from tests.faults.scenarios.axes import CHANGES
+
+NEAR_M, NEAR_RAD = 1e-4, radians(1.0)
+POSE = Pose(x_m=2e-3, rotation_rad=radians(30.0), roll_rad=radians(40.0))
+
+
+@pytest.fixture
+def config(make_config: Callable[..., CellConfig]) -> CellConfig:
+    return make_config(**{path.replace(".", "__"): value for path, value in CHANGES.items()})
+
+
+@pytest.fixture
+def bench(make_bench: Callable[..., Any], config: CellConfig) -> Any:
+    return make_bench(config)
+
+
+def true_pose(bench: Any) -> Pose:
+    """Where the axes really are."""
+    axes = bench.simulated.devices.axes
+    return Pose(
+        x_m=axes["x"].position,
+        rotation_rad=axes["rotation"].position,
+        roll_rad=axes["roll"].position,
+    )
+
+
+def near(one: Pose, other: Pose) -> bool:
+    turns = max(abs(one.rotation_rad - other.rotation_rad), abs(one.roll_rad - other.roll_rad))
+    return abs(one.x_m - other.x_m) < NEAR_M and one.y_m == other.y_m and turns < NEAR_RAD
+
+
+def test_the_axes_bring_the_object_where_the_grasp_is(bench: Any) -> None:
+    record = bench.ready("box").grasp(3.0, POSE)
+    assert near(record.reached, POSE)
+    assert near(true_pose(bench), POSE)
+    label, placed = bench.simulated.world.placed
+    assert label == "box"
+    assert placed.x_m == pytest.approx(POSE.x_m, abs=NEAR_M)
+    assert placed.rotation_rad == pytest.approx(POSE.rotation_rad, abs=NEAR_RAD)
+
+
+def test_a_missed_move_shows_in_the_grasp_though_no_encoder_shows_it(bench: Any) -> None:
+    def centre_m(pose: Pose) -> float:
+        grasp = bench.grasp(4.0, pose).grasp
+        last = grasp.counts[-20:].mean(axis=0) - grasp.counts[:5].mean(axis=0)
+        pad = grasp.pads.taxels_of(bench.controller.hand.layout.gripping_pads[0])
+        weights = np.clip(last[pad], 0.0, None)
+        return float(weights @ grasp.pads.taxel_xy_m[pad, 0] / weights.sum())
+
+    bench.ready("ball")
+    before_m = centre_m(Pose())
+    bench.simulated.inject("axis1.slip=0.003")
+    after_m = centre_m(Pose())
+    assert bench.controller.state is CellState.IDLE
+    assert after_m - before_m == pytest.approx(3e-3, abs=1e-3)
+
+
+def test_the_object_is_carried_out_of_the_pads_and_back(bench: Any) -> None:
+    bench.ready("ball")
+    devices = bench.simulated.devices
+    bench.grasp(3.0, Pose())
+    devices.axes["x"].slipped = 0.5
+    bench.sleep(0.1)
+    assert devices.physical.placed is None
+    devices.axes["x"].slipped = 0.0
+    bench.sleep(0.1)
+    assert devices.physical.placed is not None
+    bench.simulated.remove()
+    devices.axes["x"].slipped = 1e-3
+    bench.sleep(0.1)
+    assert devices.physical.placed is None  # somebody has taken it: it does not come back
+
+
+@pytest.mark.parametrize(
+    ("pose", "words"),
+    [
+        (Pose(y_m=1e-3), "asks for y, which no axis moves; nothing has moved"),
+        (Pose(x_m=7e-3), "axis x was asked for 7.00 mm, its limits are -6.00 mm to 6.00 mm"),
+    ],
+)
+def test_a_pose_that_no_axis_reaches_is_refused_and_nothing_moves(
+    bench: Any, pose: Pose, words: str
+) -> None:
+    bench.ready().grasp(3.0, Pose())
+    before = true_pose(bench)
+    with pytest.raises(PositionerError, match=words):
+        bench.grasp(3.0, pose)
+    assert true_pose(bench) == before
+    assert bench.controller.state is CellState.IDLE
+    bench.grasp(3.0, Pose())
+
+
+def test_no_axis_moves_while_the_fingers_hold(bench: Any) -> None:
+    bench.ready()
+    positioner = bench.controller._positioner
+    assert isinstance(positioner, AxesPositioner)
+    there = Destination(label="ball", place="bin", pose=POSE)
+    for phase in GripperPhase:
+        positioner._phase = lambda phase=phase: phase
+        if phase in (GripperPhase.OFF, GripperPhase.IDLE):
+            positioner.move_to(Pose())
+            continue
+        before = true_pose(bench)
+        with pytest.raises(PositionerError, match=f"the fingers are {phase.value}: axes move only"):
+            positioner.move_to(POSE)
+        if phase is not GripperPhase.HOLDING:
+            with pytest.raises(PositionerError, match="axes move only while they rest"):
+                positioner.carry_to(there)
+        assert true_pose(bench) == before
+
+
+def test_a_kept_part_is_carried_to_its_place_by_the_axes(bench: Any) -> None:
+    there = Destination(label="ball", place="bin", pose=Pose(x_m=5e-3, roll_rad=1.0))
+    bench.ready()
+    with pytest.raises(CellStateError):
+        bench.controller.carry_to(there)
+    bench.controller.grip(3.0, Pose(x_m=1e-3))
+    held = bench.grip_n
+    assert held > 1.0
+    bench.controller.carry_to(there)
+    assert true_pose(bench).x_m == pytest.approx(5e-3, abs=NEAR_M)
+    assert bench.grip_n == pytest.approx(held, abs=0.3)
+    with pytest.raises(PositionerError, match="the place bin of ball has no pose"):
+        bench.controller.carry_to(Destination(label="ball", place="bin"))
+    with pytest.raises(PositionerError, match=r"its limits are -6.00 mm"):
+        bench.controller.carry_to(Destination(label="ball", place="far", pose=Pose(x_m=0.1)))
+    assert bench.grip_n == pytest.approx(held, abs=0.3)
+    bench.controller.release()
+    bench.controller.present("box")
+    assert near(bench.grasp(3.0, POSE).reached, POSE)
+
+
+def test_a_drive_that_fails_in_a_carry_leaves_the_part_in_the_grip(bench: Any) -> None:
+    bench.ready()
+    bench.controller.grip(3.0, Pose())
+    bench.simulated.inject("axis2.fault")
+    there = Destination(label="ball", place="bin", pose=Pose(x_m=5e-3))
+    with pytest.raises(PositionerFault, match="drive 12"):
+        bench.controller.carry_to(there)
+    assert bench.controller.state is CellState.ABORTED
+    bench.sleep(1.0)
+    assert bench.grip_n > 1.0
+    assert not any(axis.moving for axis in bench.simulated.devices.axes.values())
+
+
+def test_a_cancel_stops_the_axes_on_their_way(bench: Any) -> None:
+    bench.ready().grasp(3.0, Pose(x_m=-5e-3))
+    axes = bench.simulated.devices.axes
+
+    def look(_now_s: float) -> None:
+        if axes["x"].moving:
+            bench.simulated.clock.on_advance.remove(look)
+            bench.controller.cancel()
+
+    bench.simulated.clock.on_advance.append(look)
+    with pytest.raises(CellStopped):
+        bench.grasp(3.0, Pose(x_m=5e-3))
+    assert not any(axis.moving for axis in axes.values())
+    assert axes["x"].position < 0.0
+    assert bench.controller.state is CellState.HELD
+    bench.controller.release()
+    assert bench.grasp(3.0, Pose(x_m=5e-3)).reached.x_m == pytest.approx(5e-3, abs=NEAR_M)
+
+
+def test_a_drive_at_fault_is_a_fault_of_the_cell_until_it_is_cleared(bench: Any) -> None:
+    bench.ready().grasp(3.0, Pose())
+    bench.simulated.inject("axis1.fault=0x4310")
+    with pytest.raises(
+        PositionerFault, match=r"AxisFault: axis x .drive 11. is at fault, error 43"
+    ):
+        bench.grasp(3.0, POSE)
+    assert bench.controller.state is CellState.ABORTED
+    assert "the motor is too hot" in bench.controller.fault
+    assert not bench.controller.holding
+    bench.controller.clear()
+    bench.controller.reset()
+    bench.controller.start()
+    assert near(bench.grasp(3.0, POSE).reached, POSE)
+
+
+def test_a_host_that_moves_by_itself_takes_the_place_of_the_axes(
+    make_bench: Callable[..., Any], config: CellConfig
+) -> None:
+    positioner = config.positioner.model_copy(update={"kind": "callback"})
+    host = config.model_copy(update={"positioner": positioner})
+    bench = make_bench(host, mover=lambda _pose: None).ready("box")
+    assert bench.grasp(3.0, POSE).reached.x_m == pytest.approx(POSE.x_m)
+    assert bench.simulated.world.placed[1].x_m == pytest.approx(POSE.x_m)
+    assert not bench.simulated.devices.axes
+
+
+def test_a_person_brings_the_object_where_nothing_is_simulated() -> None:
+    asked: list[str | None] = []
+
+    def bring(label: str | None, supervise: Callable[[], None]) -> None:
+        supervise()
+        asked.append(label)
+
+    looked: list[bool] = []
+    positioner = AxesPositioner(None, (), bring=bring, phase=lambda: GripperPhase.IDLE)  # type: ignore[arg-type]
+    positioner.present("ball", lambda: looked.append(True))
+    assert (asked, looked) == (["ball"], [True])
+
+
+def test_the_fingers_are_supervised_while_the_axes_move(bench: Any) -> None:
+    """A servo of the gripper that falls silent on the way stops the axes as well."""
+    bench.ready().grasp(3.0, Pose(x_m=-5e-3))
+    axes = bench.simulated.devices.axes
+
+    def look(_now_s: float) -> None:
+        if axes["x"].moving:
+            bench.simulated.clock.on_advance.remove(look)
+            bench.simulated.inject("servo2.off")
+
+    bench.simulated.clock.on_advance.append(look)
+    with pytest.raises(Exception, match="servo"):
+        bench.controller.grasp(GraspStep(pose=Pose(x_m=5e-3), force_n=3.0))
+    assert bench.controller.state is CellState.ABORTED
+    assert not any(axis.moving for axis in axes.values())
+    assert axes["x"].position < 4e-3

@@ -1,0 +1,115 @@
+"""The servo group after a trip of the bus watchdog: old goals never act again."""
+
+import pytest
+
+from gripper.errors import BusTimeout, ServoFault
+from gripper.force.ramp import ForceRamp
+from gripper.state import GraspResult, GripperPhase
+
+
+@pytest.fixture
+def tripped(make_cell, make_part):
+    """A part gripped with 14 N, whose servos' watchdogs have tripped: they hold it with less."""
+    cell = make_cell(
+        part=make_part(width_m=0.016), aperture_m=0.024, force_max_n=15.0, aperture_open_m=0.024
+    )
+    cell.gripper.start()
+    outcome = cell.gripper.grasp(ForceRamp.linear(14.0, rate_n_s=20.0, hold_s=0.3))
+    assert outcome.result is GraspResult.FORCE_REACHED
+    cell.clock.sleep(1.0)
+    assert [cell.register(index, "bus_watchdog") for index in (0, 1)] == [-1, -1]
+    assert 0.5 < cell.force_n < 10.0
+    cell.peak_n = cell.force_n
+    return cell
+
+
+def let_time_pass(cell) -> None:
+    """Half a second in steps: the mechanics follow."""
+    for _ in range(100):
+        cell.clock.sleep(0.005)
+
+
+def test_old_goals_do_not_act_where_the_new_ones_are_lost(tripped, monkeypatch) -> None:
+    """One write of another goal register had brought 22 N back at a cap of 15 N."""
+    held_n = tripped.force_n
+    with monkeypatch.context() as deaf:
+        deaf.setattr(tripped.bus, "sync_write", lambda *_: None)
+        with pytest.raises(ServoFault, match=r"did not take its goal_position: wrote \d+, read"):
+            tripped.gripper.release()
+        let_time_pass(tripped)
+    assert tripped.peak_n < held_n + 0.1
+    tripped.gripper.clear_fault()
+    tripped.gripper.release()
+    assert tripped.mechanics.aperture_m == pytest.approx(0.024, abs=8e-4)
+    assert tripped.peak_n < held_n + 0.1
+
+
+def test_goals_that_were_lost_once_are_written_again(tripped, monkeypatch) -> None:
+    write, lost = tripped.bus.sync_write, []
+
+    def lose_the_first(*arguments) -> None:
+        if lost:
+            write(*arguments)
+        else:
+            lost.append(arguments)
+
+    monkeypatch.setattr(tripped.bus, "sync_write", lose_the_first)
+    tripped.gripper.release()
+    assert lost
+    assert tripped.gripper.state is GripperPhase.IDLE
+    assert tripped.mechanics.aperture_m == pytest.approx(0.024, abs=8e-4)
+
+
+def test_a_goal_current_that_was_not_taken_is_found(tripped, monkeypatch) -> None:
+    sync_read = tripped.bus.sync_read
+
+    def another_current(ids, first, last):
+        raws = sync_read(ids, first, last)
+        if "goal_current" in raws[2]:
+            raws[2]["goal_current"] += 1
+        return raws
+
+    monkeypatch.setattr(tripped.bus, "sync_read", another_current)
+    with pytest.raises(ServoFault, match="servo 2: it did not take its goal_current"):
+        tripped.gripper.release()
+
+
+def test_a_trip_is_not_cleared_by_what_arms_or_disarms(tripped) -> None:
+    """Cleared, the next step of the loop would drive the force up from there at once."""
+    held_n = tripped.force_n
+    tripped.gripper.keep_grip()
+    with pytest.raises(ServoFault, match="watchdog has tripped while a part was held"):
+        tripped.gripper.hold(0.5)
+    let_time_pass(tripped)
+    assert tripped.peak_n < held_n + 0.1
+
+
+def test_a_silent_servo_does_not_keep_the_other_watchdog_armed(make_cell) -> None:
+    cell = make_cell()
+    cell.gripper.start()
+    cell.gripper.grasp(ForceRamp.linear(6.0, rate_n_s=20.0, hold_s=0.3))
+    cell.device.faults.silent = {1}
+    with pytest.raises(BusTimeout):
+        cell.gripper.keep_grip()
+    assert cell.servos[1].core.registers.get("bus_watchdog") == 0
+
+
+def test_a_trip_between_two_questions_is_found(make_cell, monkeypatch) -> None:
+    """An answer that is lost for long enough lets the watchdog trip behind the last look at it."""
+    cell = make_cell()
+    cell.gripper.start()
+    cell.gripper.grasp(ForceRamp.linear(6.0, rate_n_s=20.0, hold_s=0.3))
+    read, slept = cell.bus.read, []
+
+    def late(servo_id, register):
+        raw = read(servo_id, register)
+        if register.name == "bus_watchdog" and servo_id == 2 and not slept:
+            slept.append(cell.clock.sleep(0.5))
+        return raw
+
+    monkeypatch.setattr(cell.bus, "read", late)
+    cell.peak_n = cell.force_n
+    with pytest.raises(ServoFault, match="watchdog has tripped"):
+        cell.gripper.hold(0.5)
+    let_time_pass(cell)
+    assert cell.peak_n < 6.5

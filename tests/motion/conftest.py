@@ -1,0 +1,162 @@
+"""A simulated drive and a simulated wrist, in virtual time, with the axes that command them."""
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import pytest
+
+from gripper.dynamixel.bus import ServoBus
+from gripper.dynamixel.models import XM430_W350
+from gripper.errors import PortLost
+from motion.axes import Axes, Axis
+from motion.bus import DriveBus, Watch
+from motion.drive import Cia402Drive, DriveSettings
+from motion.object_dictionary import HomingMethod
+from motion.servo import ServoAxis, ServoAxisSettings
+from simulator.can.drive import DriveMount, SimulatedDrive
+from simulator.can.memory_bus import InMemoryCanBus
+from simulator.clock import VirtualClock
+from simulator.servo.bus import MemoryServoStream
+from simulator.servo.wrist import SimulatedWrist, WristMount
+
+NODE = 11
+PER_M = 1e6
+PER_RAD = 4096 / math.tau
+BOOT_S = 0.1
+SETTINGS = DriveSettings(
+    low=-20_000,
+    high=20_000,
+    velocity=50_000,
+    acceleration=500_000,
+    window=20,
+    following_error=1_000,
+    homing=HomingMethod.NEGATIVE_SWITCH,
+    home=-25_000,
+    homing_velocity=50_000,
+)
+
+
+@dataclass
+class DriveBench:
+    """One drive along x, 1 increment a µm, switches at ±25 mm."""
+
+    clock: VirtualClock
+    simulated: SimulatedDrive
+    bus: InMemoryCanBus
+    drive: Cia402Drive
+    axes: Axes
+    supervised: list[float] = field(default_factory=list)
+
+    def move(self, x_m: float) -> float:
+        return self.axes.move({"x": x_m}, lambda: self.supervised.append(self.clock.monotonic()))[
+            "x"
+        ]
+
+    def once_moving(self, act: Callable[[], Any], after_s: float = 0.02) -> None:
+        """Do something once, so long after the axis began to move."""
+        since_s: list[float] = []
+
+        def look(now_s: float) -> None:
+            if self.simulated.moving:
+                since_s.append(now_s)
+                if now_s - since_s[0] >= after_s:
+                    self.clock.on_advance.remove(look)
+                    act()
+
+        self.clock.on_advance.append(look)
+
+
+MakeDrive = Callable[..., DriveBench]
+
+
+@pytest.fixture
+def make_drive() -> Iterator[MakeDrive]:
+    buses: list[InMemoryCanBus] = []
+
+    def make(*, start_m: float = 3e-3, **changes: Any) -> DriveBench:
+        settings = replace(SETTINGS, **changes)
+        clock = VirtualClock()
+        simulated = SimulatedDrive(
+            DriveMount(
+                node_id=NODE,
+                increments=PER_M,
+                start=start_m,
+                low_switch=-0.025,
+                high_switch=0.025,
+                absolute=settings.homing is None,
+            )
+        )
+        bus = InMemoryCanBus(simulated, clock)
+        buses.append(bus)
+        clock.sleep(BOOT_S)
+        watch = Watch(clock, 0.005)
+        drive = Cia402Drive(DriveBus(bus, watch), NODE, "axis x", settings)
+        axis = Axis(
+            name="x",
+            device=drive,
+            increments=PER_M,
+            low=-0.02,
+            high=0.02,
+            velocity=settings.velocity / PER_M,
+            acceleration=settings.acceleration / PER_M,
+            unit="mm",
+            shown=1e3,
+        )
+        return DriveBench(clock, simulated, bus, drive, Axes([axis], watch))
+
+    yield make
+    for bus in buses:
+        bus.shutdown()
+
+
+@dataclass
+class WristBench:
+    """One servo, 0 to 180 degrees, 0 at 500 pulses; it begins at 100 degrees."""
+
+    clock: VirtualClock
+    simulated: SimulatedWrist
+    servo: ServoAxis
+    axes: Axes
+
+    def move(self, roll_rad: float) -> float:
+        return self.axes.move({"roll": roll_rad})["roll"]
+
+
+@pytest.fixture
+def make_wrist() -> Callable[..., WristBench]:
+    def make(*, zero: int = 500, start_rad: float = 1.75) -> WristBench:
+        clock = VirtualClock()
+        mount = WristMount(servo_id=7, increments=PER_RAD, zero=500, start=start_rad)
+        simulated = SimulatedWrist(mount)
+        clock.on_advance.append(simulated.advance)
+        stream = MemoryServoStream(simulated.bus, clock, lost_error=PortLost)
+        watch = Watch(clock, 0.005)
+        settings = ServoAxisSettings(
+            model=XM430_W350,
+            low=0,
+            high=2048,
+            zero=zero,
+            velocity=60,
+            acceleration=20,
+            window=12,
+            lag=90,
+            current_a=1.0,
+        )
+        bus = ServoBus(stream, baudrate=1_000_000, clock=clock)
+        servo = ServoAxis(bus, 7, "axis roll", settings, watch)
+        axis = Axis(
+            name="roll",
+            device=servo,
+            increments=PER_RAD,
+            low=0.0,
+            high=math.pi,
+            velocity=1.4,
+            acceleration=7.0,
+            unit="deg",
+            shown=math.degrees(1.0),
+        )
+        return WristBench(clock, simulated, servo, Axes([axis], watch))
+
+    return make

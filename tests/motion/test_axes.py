@@ -1,0 +1,204 @@
+"""Several axes as one: all move, and when one fails all stop. A wrist among them."""
+
+import math
+from typing import Any
+
+import pytest
+
+from motion.axes import Axes, Axis
+from motion.bus import Watch
+from motion.errors import AxisFault, AxisLimitExceeded, AxisMissing, AxisRestarted, AxisSilent
+from motion.object_dictionary import State
+from simulator.clock import VirtualClock
+
+NEAR_RAD = math.radians(1.0)
+
+
+class Device:
+    """An axis that arrives in some looks, and may fail at one of them."""
+
+    def __init__(self, name: str, *, looks: int = 3, fails_at: int = 99) -> None:
+        self.name = name
+        self.calls: list[str] = []
+        self.position = 0
+        self._looks, self._fails_at, self._seen = looks, fails_at, 0
+
+    def identify(self) -> str:
+        return "ready"
+
+    def prepare(self, *, reset: bool) -> None:
+        self.calls.append(f"prepare {reset}")
+
+    def clear_fault(self, *, reboot: bool) -> None:
+        self.calls.append(f"clear {reboot}")
+
+    def wake(self) -> None:
+        self.calls.append("wake")
+
+    def go_to(self, target: int) -> None:
+        self.position = target
+        self.calls.append(f"go {target}")
+
+    def arrived(self) -> bool:
+        self._seen += 1
+        if self._seen == self._fails_at:
+            raise AxisFault(f"{self.name} is at fault")
+        return self._seen >= self._looks
+
+    def rest(self) -> None:
+        self.calls.append("rest")
+
+    def stop(self) -> None:
+        self.calls.append("stop")
+
+    def standing(self) -> bool:
+        return True
+
+
+def axes_of(*devices: Device) -> Axes:
+    common: dict[str, Any] = {"low": -1.0, "high": 1.0, "velocity": 1.0, "acceleration": 1.0}
+    return Axes(
+        [
+            Axis(name=one.name, device=one, increments=100.0, unit="mm", shown=1e3, **common)
+            for one in devices
+        ],
+        Watch(VirtualClock(), 0.005),
+    )
+
+
+def test_all_axes_move_at_once_and_are_prepared_once() -> None:
+    one, two = Device("x"), Device("y")
+    axes = axes_of(one, two)
+    assert axes.move({"x": 0.5, "y": -0.25}) == {"x": 0.5, "y": -0.25}
+    assert one.calls == ["prepare False", "go 50", "rest"]
+    axes.move({"x": 0.0, "y": 0.0})
+    assert two.calls == ["prepare False", "go -25", "rest", "wake", "go 0", "rest"]
+
+
+def test_one_target_beyond_its_limit_moves_none() -> None:
+    one, two = Device("x"), Device("y")
+    with pytest.raises(AxisLimitExceeded, match=r"axis y was asked for 1100.00 mm"):
+        axes_of(one, two).move({"x": 0.5, "y": 1.1})
+    assert one.calls == two.calls == []
+
+
+def test_when_one_axis_fails_all_are_stopped_and_prepared_anew() -> None:
+    one, two = Device("x", fails_at=2), Device("y", looks=9)
+    axes = axes_of(one, two)
+    with pytest.raises(AxisFault, match="x is at fault; all axes stand still"):
+        axes.move({"x": 0.5, "y": 0.5})
+    assert one.calls[-1] == two.calls[-1] == "stop"
+    axes.move({"x": 0.0, "y": 0.0})
+    assert two.calls[-3:] == ["prepare True", "go 0", "rest"]
+
+
+def test_an_axis_that_fails_after_it_has_arrived_stops_the_others() -> None:
+    one, two = Device("x", looks=2, fails_at=5), Device("y", looks=9)
+    with pytest.raises(AxisFault, match="x is at fault"):
+        axes_of(one, two).move({"x": 0.5, "y": 0.5})
+    assert two.calls[-1] == "stop"
+
+
+def test_a_wrist_turns_between_its_limits(make_wrist: Any) -> None:
+    bench = make_wrist()
+    for roll_rad in (0.0, math.pi, 1.0):
+        assert bench.move(roll_rad) == pytest.approx(roll_rad, abs=NEAR_RAD)
+        assert bench.simulated.position == pytest.approx(roll_rad, abs=NEAR_RAD)
+    with pytest.raises(AxisLimitExceeded, match=r"limits are 0.00 deg to 180.00 deg"):
+        bench.move(-0.1)
+    with pytest.raises(AxisLimitExceeded, match="was asked for 2049 pulses"):
+        bench.servo.go_to(2049)
+
+
+def test_a_wrist_that_counts_in_another_turn_is_taken_where_it_stands(make_wrist: Any) -> None:
+    bench = make_wrist(start_rad=1.75 - math.tau)
+    bench.move(1.0)
+    assert bench.simulated.position == pytest.approx(1.0 - math.tau, abs=NEAR_RAD)
+
+
+@pytest.mark.parametrize(
+    ("fail", "error", "words"),
+    [
+        ("block", AxisFault, "is stalled: .* pulses behind its profile"),
+        ("silent", AxisSilent, "does not answer as it should"),
+        ("overload", AxisFault, "hardware error overload; remedy the cause"),
+        ("reboot", AxisSilent, "does not answer as it should"),
+    ],
+)
+def test_a_wrist_that_fails_is_named_and_goes_on_once_it_is_well(
+    make_wrist: Any, fail: str, error: type[Exception], words: str
+) -> None:
+    bench = make_wrist()
+    bench.move(0.5)
+    simulated = bench.simulated
+
+    def look(now_s: float) -> None:
+        if not simulated.moving:
+            return
+        bench.clock.on_advance.remove(look)
+        match fail:
+            case "block":
+                simulated.blocked = True
+            case "silent":
+                simulated.bus.faults.silent.add(7)
+            case "overload":
+                simulated.knobs.overload()
+            case "reboot":
+                simulated.knobs.reboot(now_s)
+
+    bench.clock.on_advance.append(look)
+    with pytest.raises(error, match=words):
+        bench.move(3.0)
+    simulated.blocked = False
+    simulated.bus.faults.silent.clear()
+    bench.clock.sleep(1.0)
+    assert bench.move(1.0) == pytest.approx(1.0, abs=NEAR_RAD)
+
+
+def test_a_wrist_that_restarted_meanwhile_is_found(make_wrist: Any) -> None:
+    bench = make_wrist()
+    bench.move(0.5)
+    bench.simulated.knobs.reboot(bench.clock.monotonic())
+    bench.clock.sleep(1.0)
+    with pytest.raises(AxisRestarted, match="has lost its torque"):
+        bench.move(1.0)
+
+
+def test_a_wrist_whose_host_is_gone_stops_by_itself(make_wrist: Any) -> None:
+    bench = make_wrist()
+    bench.move(0.5)
+    bench.servo.go_to(2000)
+    bench.clock.sleep(1.0)
+    assert not bench.simulated.moving
+    assert bench.simulated.position < 1.5
+    bench.move(1.0)
+
+
+def test_a_wrist_is_refused_that_is_another_or_stands_outside(make_wrist: Any) -> None:
+    with pytest.raises(AxisFault, match="its limits are 0 to 2048: turn it back by hand"):
+        make_wrist(start_rad=4.5).move(1.0)
+    bench = make_wrist()
+    registers = bench.simulated.bus.servos[0].core.registers
+    registers.put("drive_mode", 4)
+    with pytest.raises(AxisMissing, match="Drive Mode 4"):
+        bench.move(1.0)
+    registers.put("model_number", 1030)
+    with pytest.raises(AxisMissing, match="has model number 1030, a XM430-W350 has 1020"):
+        bench.move(1.0)
+
+
+def test_faults_of_an_earlier_program_are_cleared_without_motion(
+    make_wrist: Any, make_drive: Any
+) -> None:
+    bench = make_drive()
+    bench.simulated.fail(0x2310)
+    bench.axes.clear_faults(reboot=False)
+    assert bench.simulated.state is State.SWITCH_ON_DISABLED
+    bench.move(0.0)
+    wrist = make_wrist()
+    wrist.simulated.knobs.overload()
+    wrist.clock.sleep(0.1)
+    with pytest.raises(AxisFault, match="hardware error overload"):
+        wrist.axes.clear_faults(reboot=False)
+    wrist.axes.clear_faults(reboot=True)
+    wrist.move(1.0)

@@ -1,0 +1,259 @@
+"""One CiA 402 drive: set-up, motion, homing, stops, and each way in which it fails."""
+
+from typing import Any
+
+import can
+import pytest
+
+from motion import object_dictionary as od
+from motion.errors import (
+    AxisFault,
+    AxisLimitExceeded,
+    AxisMissing,
+    AxisRestarted,
+    AxisSilent,
+    HomingFailed,
+    LimitSwitchReached,
+    MotionError,
+    PositionNotReached,
+)
+from motion.object_dictionary import HomingMethod, State
+from tests.motion.conftest import NODE, MakeDrive
+
+NEAR_M = 5e-5
+DETECTED_S = 0.02
+
+
+def test_an_axis_finds_its_home_and_goes_where_it_shall(make_drive: MakeDrive) -> None:
+    bench = make_drive()
+    for x_m in (0.0, 0.012, -0.02, 0.02):
+        assert bench.move(x_m) == pytest.approx(x_m, abs=NEAR_M)
+        assert bench.simulated.position == pytest.approx(x_m, abs=NEAR_M)
+    gaps_s = [b - a for a, b in zip(bench.supervised, bench.supervised[1:], strict=False)]
+    assert max(gaps_s) < 0.02  # the cell is looked after while an axis moves
+
+
+@pytest.mark.parametrize("homing", [HomingMethod.POSITIVE_SWITCH, HomingMethod.HERE, None])
+def test_every_way_of_homing_gives_true_positions(
+    make_drive: MakeDrive, homing: HomingMethod | None
+) -> None:
+    home = {HomingMethod.POSITIVE_SWITCH: 25_000, HomingMethod.HERE: 3_000, None: 0}[homing]
+    bench = make_drive(homing=homing, home=home)
+    bench.move(-0.01)
+    assert bench.simulated.position == pytest.approx(-0.01, abs=NEAR_M)
+
+
+def test_the_speed_is_that_of_the_profile(make_drive: MakeDrive) -> None:
+    bench = make_drive(homing=None)
+    bench.move(-0.015)
+    fastest = 0.0
+
+    def look(_now_s: float) -> None:
+        nonlocal fastest
+        fastest = max(fastest, abs(bench.simulated.motion.speed))
+
+    bench.clock.on_advance.append(look)
+    began_s = bench.clock.monotonic()
+    bench.move(0.015)
+    assert fastest == pytest.approx(50_000, rel=1e-6)
+    # 30 mm at 50 mm/s, 0.1 s of acceleration and as much of braking.
+    assert bench.clock.monotonic() - began_s == pytest.approx(0.7, abs=0.05)
+
+
+@pytest.mark.parametrize("x_m", [0.0201, -0.0201, float("nan"), float("inf")])
+def test_nothing_moves_beyond_a_limit(make_drive: MakeDrive, x_m: float) -> None:
+    bench = make_drive(homing=None)
+    with pytest.raises(AxisLimitExceeded, match=r"limits are -20.00 mm to 20.00 mm; nothing"):
+        bench.move(x_m)
+    assert bench.simulated.state is State.SWITCH_ON_DISABLED
+
+
+def test_the_limits_stand_beside_the_write_and_in_the_drive(make_drive: MakeDrive) -> None:
+    bench = make_drive(homing=None)
+    bench.move(0.0)
+    with pytest.raises(AxisLimitExceeded, match="was asked for 20001 increments"):
+        bench.drive.go_to(20_001)
+    assert [bench.drive._read(od.SOFTWARE_LIMITS, end) for end in (1, 2)] == [-20_000, 20_000]
+
+
+@pytest.mark.parametrize(
+    ("fail", "error", "words"),
+    [
+        ("fail", AxisFault, "error 2310h: continuous over-current; remedy the cause"),
+        ("block", AxisFault, "error 8611h: following error"),
+        ("switch", LimitSwitchReached, "stopped by its positive limit switch at"),
+        ("dead", AxisSilent, r"no heartbeat from axis x \(drive 11\) for 0.1"),
+        ("reboot", AxisRestarted, "has booted: its position is lost"),
+        ("shut", AxisFault, "left OPERATION ENABLED for READY TO SWITCH ON"),
+    ],
+)
+def test_a_drive_that_fails_is_named_and_goes_on_once_it_is_well(
+    make_drive: MakeDrive, fail: str, error: type[MotionError], words: str
+) -> None:
+    bench = make_drive()
+    bench.move(-0.01)
+    simulated = bench.simulated
+
+    def act() -> None:
+        match fail:
+            case "fail":
+                simulated.fail(0x2310)
+            case "block":
+                simulated.motion.blocked = True
+            case "switch":
+                simulated.forced_switch = 1
+            case "dead":
+                simulated.dead = True
+            case "reboot":
+                simulated.power_cycle()
+            case "shut":
+                simulated._command(od.Control.SHUTDOWN)
+
+    bench.once_moving(act)
+    with pytest.raises(error, match=words) as caught:
+        bench.move(0.015)
+    stopped = "not confirmed to stand still" if fail == "dead" else "all axes stand still"
+    assert stopped in str(caught.value)
+    bench.clock.sleep(0.2)
+    assert simulated.dead or not simulated.motion.speed
+    simulated.motion.blocked = simulated.dead = False
+    simulated.forced_switch = 0
+    assert bench.move(0.005) == pytest.approx(0.005, abs=NEAR_M)
+    assert simulated.position == pytest.approx(0.005, abs=NEAR_M)
+
+
+def test_a_fault_is_reset_only_by_who_has_seen_it(make_drive: MakeDrive) -> None:
+    bench = make_drive()
+    bench.simulated.fail(0x3220)
+    assert "FAULT" in next(iter(bench.axes.inspect().values()))  # type: ignore[operator]
+    with pytest.raises(AxisFault, match="error 3220h: under-voltage"):
+        bench.move(0.0)
+    assert bench.simulated.state is State.FAULT
+    bench.move(0.0)
+
+
+def test_a_fault_between_two_motions_is_found_before_the_next(make_drive: MakeDrive) -> None:
+    bench = make_drive()
+    bench.move(0.0)
+    bench.simulated.fail(0x4310)
+    bench.clock.sleep(1.0)
+    with pytest.raises(AxisFault, match="4310h: the motor is too hot"):
+        bench.move(0.01)
+    bench.move(0.01)
+    bench.simulated.power_cycle()
+    bench.clock.sleep(1.0)
+    with pytest.raises(AxisRestarted, match="it has restarted"):
+        bench.move(0.0)
+
+
+def test_what_the_supervision_raises_stops_the_axis(make_drive: MakeDrive) -> None:
+    bench = make_drive(homing_velocity=5_000)
+    bench.move(-0.02)
+
+    def supervise() -> None:
+        if bench.simulated.motion.speed > 20_000:
+            raise KeyError("cancelled")
+
+    with pytest.raises(KeyError):
+        bench.axes.move({"x": 0.02}, supervise)
+    assert bench.simulated.state is State.QUICK_STOP_ACTIVE
+    bench.clock.sleep(0.1)
+    assert not bench.simulated.motion.speed
+    assert bench.simulated.position < -0.015
+    bench.clock.sleep(1.0)  # the drive misses its host meanwhile, and has stopped already
+    began_s = bench.clock.monotonic()
+    assert bench.move(-0.02) == pytest.approx(-0.02, abs=NEAR_M)
+    assert bench.clock.monotonic() - began_s < 1.0  # it knows its position, and is not homed
+
+
+def test_a_way_that_takes_too_long_is_stopped(make_drive: MakeDrive) -> None:
+    bench = make_drive(homing=None, following_error=10**9)
+    bench.move(0.0)
+    bench.simulated.motion.blocked = True
+    with pytest.raises(PositionNotReached, match=r"x is at 0.0\d mm instead of 10.00 mm"):
+        bench.move(0.01)
+    assert not bench.simulated.motion.speed
+
+
+def test_a_home_that_is_not_found_is_given_up(make_drive: MakeDrive) -> None:
+    bench = make_drive(following_error=10**9)
+    bench.simulated.motion.blocked = True
+    with pytest.raises(HomingFailed, match="has not found its home"):
+        bench.move(0.0)
+    assert bench.simulated.state is State.QUICK_STOP_ACTIVE
+
+
+def test_who_is_no_drive_or_not_there_is_refused(make_drive: MakeDrive) -> None:
+    bench = make_drive()
+    bench.simulated.dead = True
+    with pytest.raises(AxisMissing, match=r"does not answer .*is its node-ID and the bit rate"):
+        bench.move(0.0)
+    found = next(iter(bench.axes.inspect().values()))
+    assert isinstance(found, AxisMissing)
+    bench.simulated.dead = False
+    bench.simulated._live[od.DEVICE_TYPE] = lambda: 0x0191
+    with pytest.raises(AxisMissing, match="device type 00000191h, which is no CiA 402 drive"):
+        bench.move(0.0)
+    bench.simulated._live[od.DEVICE_TYPE] = lambda: 0x0192
+    bench.simulated._live[od.SUPPORTED_MODES] = lambda: 1
+    with pytest.raises(AxisMissing, match="has no mode HOMING"):
+        bench.move(0.0)
+
+
+def test_a_limit_that_the_drive_does_not_keep_is_refused(make_drive: MakeDrive) -> None:
+    bench = make_drive()
+    bench.simulated._live[od.FOLLOWING_ERROR_WINDOW] = lambda: 5
+    with pytest.raises(AxisMissing, match=r"keeps 5 in 6065h:0 instead of 1000"):
+        bench.move(0.0)
+
+
+def test_an_adapter_that_is_gone_is_named(make_drive: MakeDrive) -> None:
+    bench = make_drive()
+    bench.move(0.0)
+    bench.bus.faults.unplugged = True
+    with pytest.raises(AxisSilent, match=r"CAN interface of the axes failed.*emergency stop"):
+        bench.move(0.01)
+
+
+@pytest.mark.parametrize("rate", [0.02, 0.05])
+def test_lost_and_damaged_messages_cost_time_not_the_motion(
+    make_drive: MakeDrive, rate: float
+) -> None:
+    bench = make_drive()
+    bench.bus.faults.drop_rate = rate
+    bench.bus.faults.truncate_rate = rate
+    for x_m in (0.01, -0.01, 0.0):
+        assert bench.move(x_m) == pytest.approx(x_m, abs=NEAR_M)
+
+
+@pytest.mark.parametrize(
+    "frame",
+    [
+        {"arbitration_id": 0x80 + NODE, "data": b"\x10\x81\x01"},
+        {"arbitration_id": 0x700 + NODE, "data": b""},
+        {"arbitration_id": 0x700 + NODE, "data": b"\x00", "is_error_frame": True},
+        {"arbitration_id": 0x580 + NODE, "data": b"\xff" * 3},
+    ],
+)
+def test_messages_that_are_none_are_passed_over(
+    make_drive: MakeDrive, frame: dict[str, Any]
+) -> None:
+    bench = make_drive()
+    bench.move(0.0)
+    message = can.Message(is_extended_id=False, **frame)
+    bench.once_moving(lambda: bench.bus._link._inbox.appendleft(message))
+    assert bench.move(0.01) == pytest.approx(0.01, abs=NEAR_M)
+
+
+def test_a_drive_whose_host_is_gone_stops_by_itself(make_drive: MakeDrive) -> None:
+    bench = make_drive(homing=None)
+    bench.move(-0.02)
+    bench.clock.sleep(5.0)  # while it stands, nobody has to send anything
+    assert bench.simulated.state is State.OPERATION_ENABLED
+    bench.drive.go_to(20_000)
+    bench.clock.sleep(1.0)
+    assert bench.simulated.state is State.QUICK_STOP_ACTIVE
+    assert -0.02 < bench.simulated.position < 0.0
+    with pytest.raises(AxisFault, match="left OPERATION ENABLED for QUICK STOP ACTIVE"):
+        bench.move(0.0)
+    bench.move(0.0)

@@ -1,0 +1,234 @@
+"""The simulated drive, as canopen's own CiA 402 node and single messages see it."""
+
+from collections.abc import Callable
+from typing import Any
+
+import canopen
+import pytest
+from canopen.profiles.p402 import BaseNode402
+
+from motion import object_dictionary as od
+from motion.object_dictionary import Control, HomingMethod, OperatingMode, State, Status
+from simulator.can.drive import DriveMount, SimulatedDrive
+
+NODE = 11
+MOUNT = DriveMount(
+    node_id=NODE, increments=1e6, start=2e-3, low_switch=-0.01, high_switch=0.01
+)  # 1 increment a µm
+
+
+class StepNetwork(canopen.Network):
+    """canopen's network on a simulated drive: each message takes a ms, and is answered at once."""
+
+    def __init__(self, drive: SimulatedDrive) -> None:
+        super().__init__()
+        self.drive = drive
+        self.now_s = 0.0
+        self.seen: list[tuple[int, bytes]] = []
+        drive.connect(self._from_drive)
+        self.let_pass(0.1)
+
+    def send_message(self, can_id: int, data: Any, remote: bool = False) -> None:
+        self.let_pass(0.001)
+        self.drive.receive(can_id, bytes(data), self.now_s)
+
+    def let_pass(self, seconds: float) -> None:
+        self.now_s += seconds
+        self.drive.advance(self.now_s)
+
+    def _from_drive(self, t_s: float, can_id: int, burst: list[bytes]) -> float:
+        for data in burst:
+            self.seen.append((can_id, data))
+            self.notify(can_id, bytearray(data), t_s)
+        return t_s
+
+
+@pytest.fixture
+def drive() -> SimulatedDrive:
+    return SimulatedDrive(MOUNT)
+
+
+@pytest.fixture
+def network(drive: SimulatedDrive) -> StepNetwork:
+    return StepNetwork(drive)
+
+
+@pytest.fixture
+def witness(network: StepNetwork) -> BaseNode402:
+    node = BaseNode402(NODE, str(od.EDS_PATH))
+    network.add_node(node)
+    node.nmt.state = "OPERATIONAL"
+    node.setup_402_state_machine(read_pdos=False)
+    return node
+
+
+def test_canopens_own_node_leads_it_through_all_states(
+    witness: BaseNode402, drive: SimulatedDrive
+) -> None:
+    assert witness.state == "SWITCH ON DISABLED"
+    for state in ("READY TO SWITCH ON", "SWITCHED ON", "OPERATION ENABLED"):
+        witness.state = state
+        assert witness.state == state
+        assert drive.state.words == state
+    for state in ("SWITCHED ON", "READY TO SWITCH ON", "SWITCH ON DISABLED"):
+        witness.state = state
+        assert drive.state.words == state
+    witness.state = "OPERATION ENABLED"
+    witness.state = "QUICK STOP ACTIVE"
+    assert drive.state is State.QUICK_STOP_ACTIVE
+    witness.state = "SWITCH ON DISABLED"
+    assert drive.state is State.SWITCH_ON_DISABLED
+
+
+def test_canopens_own_node_changes_modes_and_finds_the_home(
+    witness: BaseNode402, drive: SimulatedDrive, network: StepNetwork
+) -> None:
+    for mode in ("PROFILED POSITION", "HOMING"):
+        witness.op_mode = mode
+        assert witness.op_mode == mode
+    assert not witness.is_op_mode_supported("PROFILED VELOCITY")
+    witness.sdo[od.HOMING_METHOD].raw = HomingMethod.POSITIVE_SWITCH
+    witness.sdo[od.HOME_OFFSET].raw = 7000
+    witness.sdo[od.HOMING_SPEEDS][1].raw = 20_000
+    witness.sdo[od.HOMING_SPEEDS][2].raw = 2_000
+    witness.sdo[od.HOMING_ACCELERATION].raw = 200_000
+    assert witness.homing(timeout=30)
+    # The switch lets go at 10 mm, where 7000 is read; braking goes on a little.
+    assert witness.sdo[od.POSITION].raw - 7000 == pytest.approx(
+        1e6 * (drive.position - 0.01), abs=15
+    )
+
+
+def test_canopens_own_node_resets_a_fault(
+    witness: BaseNode402, drive: SimulatedDrive, network: StepNetwork
+) -> None:
+    witness.state = "OPERATION ENABLED"
+    drive.fail(0x3210)
+    network.let_pass(0.05)
+    assert witness.state == "FAULT"
+    assert witness.sdo[od.ERROR_CODE].raw == 0x3210
+    assert [error.code for error in witness.emcy.log] == [0x3210]
+    witness.TIMEOUT_RESET_FAULT = 0.0  # canopen waits here in vain, see its FIXME
+    witness.reset_from_fault()
+    assert witness.state == "OPERATION ENABLED"
+    assert witness.emcy.active == []
+
+
+def enabled(witness: BaseNode402) -> canopen.sdo.SdoClient:
+    """Enable the drive in profile position mode; return its objects."""
+    witness.op_mode = "PROFILED POSITION"
+    sdo = witness.sdo
+    sdo[od.PROFILE_VELOCITY].raw, sdo[od.PROFILE_ACCELERATION].raw = 20_000, 200_000
+    sdo[od.QUICK_STOP_DECELERATION].raw = 400_000
+    witness.state = "OPERATION ENABLED"
+    return sdo
+
+
+def test_a_set_point_is_taken_at_the_rising_edge_and_acknowledged(
+    witness: BaseNode402, drive: SimulatedDrive, network: StepNetwork
+) -> None:
+    sdo = enabled(witness)
+    sdo[od.TARGET_POSITION].raw = 4000
+    network.let_pass(0.1)
+    assert not drive.moving  # without the edge nothing moves
+    sdo[od.CONTROLWORD].raw = Control.NEW_SET_POINT
+    assert sdo[od.STATUSWORD].raw & Status.ACKNOWLEDGED
+    assert not sdo[od.STATUSWORD].raw & Status.TARGET_REACHED
+    sdo[od.TARGET_POSITION].raw = -4000
+    sdo[od.CONTROLWORD].raw = Control.NEW_SET_POINT  # no edge: the first target stays
+    sdo[od.CONTROLWORD].raw = Control.ENABLE_OPERATION
+    assert not sdo[od.STATUSWORD].raw & Status.ACKNOWLEDGED
+    network.let_pass(1.0)
+    assert sdo[od.STATUSWORD].raw & Status.TARGET_REACHED
+    assert sdo[od.POSITION].raw == pytest.approx(4000, abs=2)
+
+
+def test_a_target_beyond_the_software_limit_ends_at_the_limit(
+    witness: BaseNode402, network: StepNetwork
+) -> None:
+    sdo = enabled(witness)
+    sdo[od.SOFTWARE_LIMITS][2].raw = 1500
+    sdo[od.TARGET_POSITION].raw = 4000
+    sdo[od.CONTROLWORD].raw = Control.NEW_SET_POINT
+    network.let_pass(1.0)
+    assert sdo[od.POSITION].raw == pytest.approx(1500, abs=2)
+
+
+def test_a_quick_stop_brakes_on_its_ramp_and_keeps_the_place(
+    witness: BaseNode402, drive: SimulatedDrive, network: StepNetwork
+) -> None:
+    sdo = enabled(witness)
+    sdo[od.TARGET_POSITION].raw = 7000
+    sdo[od.CONTROLWORD].raw = Control.NEW_SET_POINT
+    network.let_pass(0.2)
+    before = sdo[od.POSITION].raw
+    sdo[od.CONTROLWORD].raw = Control.QUICK_STOP
+    assert drive.state is State.QUICK_STOP_ACTIVE
+    network.let_pass(0.5)
+    # v²/2a = 500, and what the mechanism was behind (4 ms).
+    assert sdo[od.POSITION].raw - before == pytest.approx(580, abs=60)
+    assert sdo[od.VELOCITY].raw == 0
+
+
+@pytest.mark.parametrize("switch", [-1, 1])
+def test_a_limit_switch_stops_the_axis_into_it_and_lets_it_out(
+    witness: BaseNode402, drive: SimulatedDrive, network: StepNetwork, switch: int
+) -> None:
+    sdo = enabled(witness)
+
+    def go(target: int) -> None:
+        sdo[od.TARGET_POSITION].raw = target
+        sdo[od.CONTROLWORD].raw = Control.NEW_SET_POINT
+        sdo[od.CONTROLWORD].raw = Control.ENABLE_OPERATION
+        network.let_pass(2.0)
+
+    go(switch * 20_000)
+    assert abs(drive.position - switch * 0.01) < 1e-3
+    assert sdo[od.STATUSWORD].raw & Status.INTERNAL_LIMIT
+    assert not sdo[od.STATUSWORD].raw & Status.TARGET_REACHED
+    assert sdo[od.DIGITAL_INPUTS].raw == {-1: 1, 1: 2}[switch]
+    go(0)
+    assert sdo[od.STATUSWORD].raw & Status.TARGET_REACHED
+    assert drive.position == pytest.approx(2e-3, abs=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("write", "code"),
+    [
+        (lambda sdo: sdo.download(od.MODE, 0, b"\x03"), 0x0609_0030),
+        (lambda sdo: sdo.download(od.HOMING_METHOD, 0, b"\x01"), 0x0609_0030),
+        (lambda sdo: sdo.download(od.STATUSWORD, 0, b"\0\0"), 0x0601_0002),
+        (lambda sdo: sdo.download(od.CONTROLWORD, 0, b"\0"), 0x0607_0010),
+        (lambda sdo: sdo.upload(od.CONTROLWORD, 1), 0x0609_0011),
+        (lambda sdo: sdo.upload(0x60FF, 0), 0x0602_0000),
+    ],
+)
+def test_what_it_does_not_have_is_refused(
+    witness: BaseNode402, write: Callable[[Any], Any], code: int
+) -> None:
+    with pytest.raises(canopen.SdoAbortedError) as caught:
+        write(witness.sdo)
+    assert caught.value.code == code
+
+
+def test_a_restart_is_seen_and_forgets_all(
+    witness: BaseNode402, drive: SimulatedDrive, network: StepNetwork
+) -> None:
+    sdo = enabled(witness)
+    sdo[od.HEARTBEAT_MS].raw = 100
+    network.seen.clear()
+    witness.nmt.send_command(129)
+    network.let_pass(0.1)
+    assert (0x700 + NODE, b"\0") in network.seen
+    assert drive.state is State.SWITCH_ON_DISABLED
+    assert sdo[od.HEARTBEAT_MS].raw == 0
+    assert sdo[od.MODE].raw == OperatingMode.NONE
+
+
+def test_a_stopped_node_serves_nothing(
+    witness: BaseNode402, network: StepNetwork, drive: SimulatedDrive
+) -> None:
+    witness.nmt.state = "STOPPED"
+    network.seen.clear()
+    drive.receive(0x600 + NODE, bytes.fromhex("4041600000000000"), network.now_s)
+    assert network.seen == []
