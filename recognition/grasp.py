@@ -110,8 +110,10 @@ class PadArray:
             raise ValueError(f"adc_max is {self.adc_max}, must be at least 1")
         if not np.all(np.isfinite(self.taxel_xy_m)):
             raise ValueError("taxel_xy_m has values that are not finite")
+        if np.any((self.taxel_pad < 0) | (self.taxel_pad >= n_pads)):
+            raise ValueError(f"taxel_pad names pads beside the {n_pads} of pad_shape")
         per_pad = np.bincount(self.taxel_pad, minlength=n_pads)
-        if len(per_pad) != n_pads or np.any(per_pad != self.pad_shape.prod(axis=1)):
+        if np.any(per_pad != self.pad_shape.prod(axis=1)):
             raise ValueError(
                 f"taxel_pad has {per_pad.tolist()} taxels on the pads, "
                 f"pad_shape has {self.pad_shape.prod(axis=1).tolist()}"

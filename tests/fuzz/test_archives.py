@@ -238,6 +238,7 @@ def test_a_model_of_other_arrays_is_refused_or_answers(tmp_path, *, kind, change
     [
         (TRAINERS, "pads.adc_max", np.array(np.inf)),
         (TRAINERS, "pads.taxel_xy_m", np.full((80, 2), np.nan)),
+        (TRAINERS, "pads.taxel_pad", np.full(80, 10**9)),
         (["level_check"], "learnt.labels", np.array(["ball", "box", "x"])),
         (["level_check"], "learnt.labels", np.array("ball")),
     ],
