@@ -49,6 +49,17 @@ def serve(
         int | None,
         typer.Option("--http", help="Port of HTTP; 0: any [default: serve.http_port]."),
     ] = None,
+    opcua_port: Annotated[
+        int | None,
+        typer.Option("--opcua", help="Port of OPC UA; 0: any [default: serve.opcua_port]."),
+    ] = None,
+    opcua_folder: Annotated[
+        str | None,
+        typer.Option(
+            "--opcua-folder",
+            help="Certificates of OPC UA; without: read-only [default: serve.opcua_folder].",
+        ),
+    ] = None,
     faults: FaultOption = None,
 ) -> None:
     """Own the cell and serve PLCs, robot programs and other hosts, until SIGTERM.
@@ -69,6 +80,8 @@ def serve(
         "serve.modbus_port": modbus_port,
         "serve.xmlrpc_port": xmlrpc_port,
         "serve.http_port": http_port,
+        "serve.opcua_port": opcua_port,
+        "serve.opcua_folder": opcua_folder,
     }
     checked = changed_config(
         cell_config(config, faults=faults),
