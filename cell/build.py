@@ -278,7 +278,7 @@ def _axes(
         else:
             bus = drive_bus(config)
             undo.callback(close_bus, bus)
-        builder.add_drives(wanted.drives, bus)
+        builder.add_drives(wanted.drives, bus, loss_s=1e-3 * wanted.can.heartbeat_loss_ms)
     for axis in wanted.axes:
         if isinstance(axis, ServoAxisConfig):
             stream: ByteStream

@@ -105,6 +105,7 @@ def simulator_settings(
                 for grasp in grasps
             ),
             axes=_mounts(config.positioner),
+            axes_can_bitrate=config.positioner.can.bitrate,
             faults=settings.faults,
         )
     except SimulatorError as error:

@@ -56,8 +56,8 @@ class Watch:
 
 HOST_NODE = 127
 """Node-ID of the host's own heartbeat: the last one, which no drive here has."""
-HOST_HEARTBEAT_S, HOST_LOST_S = 0.05, 0.25
-"""Period in s of that heartbeat while an axis moves, and after which a drive misses it."""
+HOST_HEARTBEAT_S = 0.05
+"""Period in s of that heartbeat while an axis moves."""
 _OPERATIONAL = b"\x05"
 """NMT state in it (CiA 301, 7.2.8.3.3)."""
 
@@ -71,10 +71,13 @@ class DriveBus:
         An open bus.
     watch
         Called while somebody waits for an answer.
+    loss_s
+        Time in s without a heartbeat after which a drive is lost.
     """
 
-    def __init__(self, bus: can.BusABC, watch: Watch) -> None:
+    def __init__(self, bus: can.BusABC, watch: Watch, loss_s: float) -> None:
         self.watch = watch
+        self.loss_s = loss_s
         self.clock = watch.clock
         self.network = canopen.Network(bus)
         self._source = PolledSource(bus, watch.clock)

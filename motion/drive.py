@@ -14,7 +14,7 @@ from canopen.nmt import NMT_COMMANDS
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from motion import object_dictionary as od
-from motion.bus import HOST_LOST_S, HOST_NODE, DriveBus
+from motion.bus import HOST_NODE, DriveBus
 from motion.errors import (
     AxisFault,
     AxisLimitExceeded,
@@ -29,10 +29,10 @@ from tactile.can.sdo_client import COB_SDO_RESPONSE, PolledSdoClient
 
 HEARTBEAT_S = 0.05
 """Period in s of the drive's heartbeat (1017h)."""
-_HEARTBEAT_FACTOR = 2.5
-"""A drive that has sent none for so many periods is lost: one message may be."""
-_SDO_TIMEOUT_S = 0.05
-"""Longest wait in s for one answer: fifty times what a drive needs."""
+_HOST_LOST_FACTOR = 2.0
+"""A drive that misses its host stops after so many times that in which the host misses a drive."""
+_SDO_SHARE = 0.4
+"""Share of that time for one answer: at 125 ms fifty times what a drive needs."""
 _ATTEMPTS = 3
 """How often a transfer is tried when no answer comes; the heartbeat ends a wait before."""
 _START_S = 3.0
@@ -44,8 +44,6 @@ _POLL_S = 0.005
 _BOOT_UP, _STATE_BITS = 0, 0x7F
 """Heartbeat of a boot-up, and the bits that are the NMT state (CiA 301, 7.2.8.3.3)."""
 _EMCY_BYTES = 8
-_WATCHED_HOST = HOST_NODE << 16 | round(1e3 * HOST_LOST_S)
-"""Consumer heartbeat time (1016h): the node-ID that is watched, and the longest silence in ms."""
 _QUICK_STOP_REQUEST = struct.pack("<BHBHH", 0x2B, od.CONTROLWORD, 0, Control.QUICK_STOP, 0)
 """SDO request that writes a controlword of two bytes (CiA 301, 7.2.4.3.3)."""
 
@@ -126,7 +124,7 @@ class Cia402Drive:
             clock=bus.clock,
             service=bus.service,
             wait=bus.wait,
-            timeout_s=_SDO_TIMEOUT_S,
+            timeout_s=_SDO_SHARE * bus.loss_s,
         )
         self._client.network = bus.network
         self._heard_s: float | None = None
@@ -248,7 +246,9 @@ class Cia402Drive:
             raise AxisLimitExceeded(
                 f"{self.name} was asked for {target} increments, its limits are {low} to {high}"
             )
-        self._write(od.CONSUMER_HEARTBEAT, 1, _WATCHED_HOST)
+        # The node-ID that is watched, and its longest silence in ms (CiA 301, 1016h).
+        host_lost_ms = round(1e3 * _HOST_LOST_FACTOR * self._bus.loss_s)
+        self._write(od.CONSUMER_HEARTBEAT, 1, HOST_NODE << 16 | host_lost_ms)
         self._bus.beat()
         self._write(od.TARGET_POSITION, 0, target)
         self.target = target
@@ -308,7 +308,7 @@ class Cia402Drive:
             )
         if self._emergency:
             raise AxisFault(self._fault_text(self._emergency))
-        limit_s = _HEARTBEAT_FACTOR * HEARTBEAT_S
+        limit_s = self._bus.loss_s
         silent_s = self._bus.clock.monotonic() - (self._heard_s or 0.0)
         if silent_s > limit_s:
             raise AxisSilent(

@@ -21,7 +21,7 @@ from gripper.dynamixel.control_table import (
     Register,
 )
 from gripper.dynamixel.models import PULSES_PER_TURN, OperatingMode, ServoModel
-from gripper.errors import GripperError, PortLost
+from gripper.errors import BusCorrupt, BusTimeout, GripperError, PortLost
 from gripper.state import hardware_error_names
 from motion.bus import Watch
 from motion.errors import (
@@ -32,8 +32,13 @@ from motion.errors import (
     AxisSilent,
 )
 
-WATCHDOG_S = 0.2
-"""Bus watchdog of the servo in s, armed while it moves: it stops when the host does."""
+_WATCHDOG_FACTOR = 2.0
+"""Bus watchdog, armed while the servo moves: it stops when nobody asked it for so many times that
+in which the host misses its answers."""
+_RETRY_S = 0.005
+"""Time in s after which a servo is asked again that did not answer."""
+_ATTEMPTS = 2
+"""So often a servo is asked at least, also where the machine was busy with other work meanwhile."""
 _STALL_S = 0.15
 """A load or a lag beyond its limit that lasts so long in s is a stall; starting takes 0.05 s."""
 _REBOOT_S = 0.5
@@ -66,6 +71,8 @@ class ServoAxisSettings:
         Distance to the profile's own position beyond which the servo is stalled.
     current_a
         Current beyond which the servo is stalled in A.
+    loss_s
+        Time in s without an answer after which the servo is lost.
     """
 
     model: ServoModel
@@ -77,6 +84,7 @@ class ServoAxisSettings:
     window: int
     lag: int
     current_a: float
+    loss_s: float
 
 
 class ServoAxis:
@@ -104,6 +112,7 @@ class ServoAxis:
         self._id = servo_id
         self._settings = settings
         self._watch = watch
+        self._loss_s = settings.loss_s
         self._turn = 0
         self._target: int | None = None
         self._stalled_since_s: float | None = None
@@ -116,6 +125,7 @@ class ServoAxis:
         AxisMissing
             If nothing answers, or the servo is another model or set up for other goals.
         """
+        self._loss_s = self._settings.loss_s
         try:
             found = self._ask(lambda: self._bus.ping(self._id))
             drive_mode = self._ask(lambda: self._bus.read(self._id, DRIVE_MODE))
@@ -188,6 +198,7 @@ class ServoAxis:
 
     def wake(self) -> None:
         """Look whether the servo is as it was left: alive, with torque, without a fault."""
+        self._loss_s = self._settings.loss_s
         self._check()
 
     def go_to(self, target: int) -> None:
@@ -206,7 +217,8 @@ class ServoAxis:
             )
         self._write(PROFILE_ACCELERATION, settings.acceleration)
         self._write(PROFILE_VELOCITY, settings.velocity)
-        self._write(BUS_WATCHDOG, round(WATCHDOG_S / WATCHDOG_UNIT_S))
+        watchdog_s = _WATCHDOG_FACTOR * settings.loss_s
+        self._write(BUS_WATCHDOG, round(watchdog_s / WATCHDOG_UNIT_S))
         self._target, self._stalled_since_s = target, None
         self._write(GOAL_POSITION, target + settings.zero - self._turn)
 
@@ -238,6 +250,8 @@ class ServoAxis:
 
     def stop(self) -> None:
         """Have the servo hold where it is."""
+        # Other axes wait for their stop meanwhile.
+        self._loss_s = 0.0
         self._target = None
         self._write(BUS_WATCHDOG, 0)
         self._write(GOAL_POSITION, self._feedback()["present_position"])
@@ -291,18 +305,30 @@ class ServoAxis:
         self._ask(lambda: self._bus.write(self._id, register, raw))
 
     def _ask(self, call: Callable[[], _T]) -> _T:
-        """Make a transaction within the time that the fingers' own loop may wait."""
-        try:
-            with self._bus.in_loop():
-                answer = call()
-        except PortLost as error:
-            raise AxisSilent(f"the line of {self.name} is lost: {error}") from error
-        except GripperError as error:
-            raise AxisSilent(
-                f"{self.name} does not answer as it should: {error}; check its supply and cable"
-            ) from error
+        """Make a transaction; one without an answer is repeated until the servo is lost."""
+        end_s = self._watch.clock.monotonic() + self._loss_s
+        attempts = 0
+        while True:
+            attempts += 1
+            try:
+                with self._bus.in_loop():
+                    answer = call()
+                break
+            except PortLost as error:
+                raise AxisSilent(f"the line of {self.name} is lost: {error}") from error
+            except (BusTimeout, BusCorrupt) as error:
+                if attempts >= _ATTEMPTS and self._watch.clock.monotonic() >= end_s:
+                    raise self._silent(error) from error
+            except GripperError as error:
+                raise self._silent(error) from error
+            self._watch.pause(_RETRY_S)
         self._watch.look()
         return answer
+
+    def _silent(self, error: Exception) -> AxisSilent:
+        return AxisSilent(
+            f"{self.name} does not answer as it should: {error}; check its supply and cable"
+        )
 
     def _fault_text(self, error: int) -> str:
         return (

@@ -134,7 +134,9 @@ class SimulatedCell:
 
     def _new_axes_bus(self) -> InMemoryCanBus | None:
         devices = self.devices.axes_can_devices
-        return None if devices is None else InMemoryCanBus(devices, self.clock)
+        if devices is None:
+            return None
+        return InMemoryCanBus(devices, self.clock, bitrate=self.settings.axes_can_bitrate)
 
     def _new_axes_streams(self) -> dict[str, MemoryServoStream]:
         return {

@@ -214,6 +214,6 @@ class CellDevices:
         for axis in self.axes.values():
             axis.advance(now_s)
         if self.stage is not None:
-            self.stage.advance()
+            self.stage.advance(now_s)
         self.world.advance_to(now_s)
         self.servo_bus.advance_to(now_s)

@@ -85,6 +85,8 @@ class SimulatorSettings:
     axes
         Drives and servos that carry the object, by what they move: ``x``, ``y``, ``rotation`` or
         ``roll``.
+    axes_can_bitrate
+        Bit rate of the drives' CAN bus in bit/s.
     faults
         Texts of faults that the cell injects as it is made, as ``can.loss=0.05@2s``.
     """
@@ -108,6 +110,7 @@ class SimulatorSettings:
     aperture_m: float = 0.03
     grasps: tuple[RecordedGrasp, ...] = ()
     axes: Mapping[str, DriveMount | WristMount] = field(default_factory=dict)
+    axes_can_bitrate: int = 1_000_000
     faults: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:

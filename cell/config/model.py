@@ -200,7 +200,9 @@ class CellConfig(Section):
     def brings_objects(self) -> bool:
         """Whether the simulated cell brings the objects by itself, and nobody is asked for them."""
         kind = self.positioner.kind
-        return kind == "simulated" or (kind == "axes" and self.simulated)
+        return kind == "simulated" or (
+            kind == "axes" and (self.simulated or bool(self.positioner.socket))
+        )
 
     @property
     def gripper_settings(self) -> GripperSettings:

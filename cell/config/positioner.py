@@ -21,6 +21,9 @@ class AxesCanConfig(Section):
     """Channel of the interface; the control unit's own is shared on socketcan only."""
     bitrate: Literal[125000, 250000, 500000, 1000000] = 1000000
     """Bit rate in bit/s."""
+    heartbeat_loss_ms: float = Field(default=125.0, ge=100.0, le=500.0)
+    """Time without a heartbeat (every 50 ms) after which a drive is lost in ms, 100 to 500; a drive
+    that misses its host for twice as long stops by itself."""
 
 
 def check_axis(moves: str, increments: float, low: float, high: float) -> None:
@@ -104,6 +107,9 @@ class ServoAxisConfig(Section):
     """How far behind its profile it is stalled, in mm or degrees."""
     current_max_a: float = Field(default=1.0, gt=0.0, le=5.0)
     """Current at which it is stalled in A, up to 5."""
+    bus_loss_ms: float = Field(default=100.0, ge=50.0, le=500.0)
+    """Time without an answer after which the servo is lost in ms, 50 to 500; a servo that misses
+    its host for twice as long stops by itself."""
 
     @model_validator(mode="after")
     def _consistent(self) -> Self:

@@ -62,9 +62,9 @@ class AxesBuilder:
         self._watch = Watch(clock, period_s)
         self._axes: list[Axis] = []
 
-    def add_drives(self, configs: Sequence[DriveAxisConfig], bus: CanBus) -> None:
-        """Add the axes with drives on one CAN bus."""
-        drives = DriveBus(bus, self._watch)
+    def add_drives(self, configs: Sequence[DriveAxisConfig], bus: CanBus, *, loss_s: float) -> None:
+        """Add the axes with drives on one CAN bus; one is lost after ``loss_s`` s of silence."""
+        drives = DriveBus(bus, self._watch, loss_s)
         for config in configs:
             device = Cia402Drive(
                 drives, config.node_id, f"axis {config.moves}", _drive_settings(config)
@@ -147,6 +147,7 @@ def _servo_settings(config: ServoAxisConfig) -> ServoAxisSettings:
         window=_count(config, config.window),
         lag=_count(config, config.lag),
         current_a=config.current_max_a,
+        loss_s=1e-3 * config.bus_loss_ms,
     )
 
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from cell.config.file import SCHEMA_LINE, changed_config, config_text
 from cell.config.model import CellConfig
+from cell.config.positioner import PositionerConfig
 from cell.config.tactile import layout_from_pads
 from cell.data.dataset import read_grasps
 from cell.data.files import write_text
@@ -34,6 +35,8 @@ _LEAST_LIMITS = (
 )
 """Section, key and least value (ms, share, or periods) of a client's limits: cell and client share
 the processors of one machine, and an answer delayed by that is no fault."""
+_LEAST_AXIS_LOSS_MS = 400.0
+"""Least time in ms after which a client takes a drive or servo of an axis for lost."""
 
 
 @one_blas_thread()
@@ -50,8 +53,8 @@ def serve_simulated_cell(
     Parameters
     ----------
     config
-        The cell to simulate; its ports are replaced by the simulator's, and its positioner, also
-        one with axes, by the simulator's socket.
+        The cell to simulate; its ports are replaced by the simulator's, and its positioner by the
+        simulator's socket, unless it has axes that carry the object.
     frames
         Data set or recording to play instead of pressing objects.
     folder
@@ -75,8 +78,10 @@ def serve_simulated_cell(
             f"gripper.aperture_open_mm is {config.gripper.aperture_open_mm:g}; "
             "take a config that opens further: `tactile-cell config init --example pinch-13x6`"
         )
-    without_axes = changed_config(config, {"positioner": {"kind": "simulated"}})
-    settings = simulator_settings(without_axes, layout=layout, grasps=grasps)
+    if grasps:
+        # Played grasps have their poses already.
+        config = changed_config(config, {"positioner": {"kind": "simulated"}})
+    settings = simulator_settings(config, layout=layout, grasps=grasps)
     with ExitStack() as undo:
         temporary = undo.enter_context(tempfile.TemporaryDirectory(prefix="tactile-cell-"))
         place = Path(temporary) if folder is None else folder.resolve()
@@ -138,6 +143,23 @@ def _client_config(config: CellConfig, found: dict[str, Any]) -> CellConfig:
         "tactile.interface": found["can_interface"],
         "tactile.channel": found["can_channel"],
         "simulator.faults": [],
-        "positioner": {"kind": "simulated", "socket": found["positioner_socket"]},
+        "positioner": _client_positioner(config.positioner, found),
     }
     return changed_config(config, ports | timeouts)
+
+
+def _client_positioner(config: PositionerConfig, found: dict[str, Any]) -> dict[str, Any]:
+    """Return who moves the object for a client: the axes of the config, else the simulated cell."""
+    socket = {"socket": found["positioner_socket"]}
+    if config.kind != "axes":
+        return {"kind": "simulated"} | socket
+    values = config.model_dump(mode="json") | socket
+    if config.drives:
+        loss_ms = max(config.can.heartbeat_loss_ms, _LEAST_AXIS_LOSS_MS)
+        channel = {"interface": found["can_interface"], "channel": found["axes_can_channel"]}
+        values["can"] |= channel | {"heartbeat_loss_ms": loss_ms}
+    for axis in values["axes"]:
+        if axis["moves"] in found["axes_ports"]:
+            axis["port"] = found["axes_ports"][axis["moves"]]
+            axis["bus_loss_ms"] = max(axis["bus_loss_ms"], _LEAST_AXIS_LOSS_MS)
+    return values

@@ -1,4 +1,4 @@
-"""The simulated cell as a process in real time: two terminals and a socket for its clients."""
+"""The simulated cell as a process in real time: terminals and a socket for its clients."""
 
 import os
 import select
@@ -22,6 +22,7 @@ from simulator.faults.injector import FaultInjector
 from simulator.realtime.requests import CellRequests
 from simulator.realtime.socket_server import PositionerServer
 from simulator.realtime.terminals import ServoPty, SlcanPty
+from simulator.servo.wrist import SimulatedWrist
 from simulator.settings import SimulatorSettings
 from simulator.world.world import STEP_S
 
@@ -75,6 +76,14 @@ class RealTimeCell:
             undo.callback(self._servo_pty.close)
             self._can_pty = SlcanPty(self._adapter, folder / "can")
             undo.callback(self._can_pty.close)
+            self._axes_can_pty = self._open_axes_can(folder / "axes-can")
+            if self._axes_can_pty is not None:
+                undo.callback(self._axes_can_pty.close)
+            self._axes_ptys: dict[str, ServoPty] = {}
+            for moves, axis in self.devices.axes.items():
+                if isinstance(axis, SimulatedWrist):
+                    self._axes_ptys[moves] = ServoPty(axis.bus, folder / f"axis-{moves}")
+                    undo.callback(self._axes_ptys[moves].close)
             self.injector = FaultInjector(
                 self.devices,
                 now_s - POWERED_BEFORE_S,
@@ -91,6 +100,19 @@ class RealTimeCell:
                 self.injector.inject(text)
             undo.pop_all()
 
+    def _open_axes_can(self, link_path: Path) -> SlcanPty | None:
+        """Return the terminal of the drives' bus; None in a cell without drives."""
+        drives = self.devices.axes_can_devices
+        if drives is None:
+            return None
+        bitrate = self.devices.settings.axes_can_bitrate
+        return SlcanPty(SlcanAdapter(CanLink(drives, bitrate=bitrate), bitrate=bitrate), link_path)
+
+    @property
+    def _ptys(self) -> list[ServoPty | SlcanPty]:
+        drives = [] if self._axes_can_pty is None else [self._axes_can_pty]
+        return [self._servo_pty, self._can_pty, *drives, *self._axes_ptys.values()]
+
     def announcement(self) -> dict[str, Any]:
         """Return addresses and settings for clients; plain values for JSON."""
         settings = self.devices.settings
@@ -102,6 +124,8 @@ class RealTimeCell:
             "can_channel": self._can_pty.channel,
             "can_bitrate": settings.can_bitrate,
             "node_id": settings.node_id,
+            "axes_can_channel": None if self._axes_can_pty is None else self._axes_can_pty.channel,
+            "axes_ports": {moves: pty.port for moves, pty in self._axes_ptys.items()},
             "positioner_socket": str(self._server.path),
             "pid": os.getpid(),
             "config": None,
@@ -109,7 +133,7 @@ class RealTimeCell:
 
     def descriptors(self) -> list[int]:
         """Return the descriptors whose input wakes the cell."""
-        ptys = [pty.fileno() for pty in (self._servo_pty, self._can_pty) if pty.plugged_in]
+        ptys = [pty.fileno() for pty in self._ptys if pty.plugged_in]
         return [*ptys, *self._server.filenos()]
 
     def step(self, now_s: float, readable: list[int]) -> float:
@@ -127,19 +151,17 @@ class RealTimeCell:
             self.devices.world.skip_to(self._world_s)
         self._world_s = min(now_s, self._world_s + PIECE_S)
         # First what clients sent while this process did not run: it came before now.
-        servo_due_s = self._servo_pty.poll(now_s)
-        can_due_s = self._can_pty.poll(now_s)
+        due_s = [pty.poll(now_s) for pty in self._ptys]
         self.devices.advance_to(self._world_s)
         self.injector.advance(self._world_s)
         self._server.poll(readable)
-        due_s = min(self._world_s + STEP_S, can_due_s)
-        return due_s if servo_due_s is None else min(due_s, servo_due_s)
+        return min([self._world_s + STEP_S, *(due for due in due_s if due is not None)])
 
     def close(self) -> None:
         """Give terminals, links and socket back; closing again changes nothing."""
         self._server.close()
-        self._can_pty.close()
-        self._servo_pty.close()
+        for pty in reversed(self._ptys):
+            pty.close()
 
     def __enter__(self) -> Self:
         return self
@@ -170,7 +192,8 @@ def serve(
     announce
         Called once, when clients can connect, with plain values for JSON: ``servo_port``,
         ``servo_baud_rate``, ``servo_ids``, ``can_interface``, ``can_channel``, ``can_bitrate``,
-        ``node_id``, ``positioner_socket``, ``pid``, and ``config``, which is None here.
+        ``node_id``, ``axes_can_channel`` (None without drives), ``axes_ports`` (of wrists, by what
+        they move), ``positioner_socket``, ``pid``, and ``config``, which is None here.
     folder
         Where links to the terminals and the socket are made; by default a temporary folder, which
         is removed at the end.

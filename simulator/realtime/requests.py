@@ -23,7 +23,7 @@ class CellRequests:
     - ``{"place": label, "pose": {"x_m": ..}}``: ``{"pose": {..}}``, where it came to rest
     - ``{"remove": true}``: ``{"removed": true}``
     - ``{"play": index}``: ``{"frames": n}`` of that recorded grasp
-    - ``{"state": true}``: what is placed, forces, opening, frames left, faults
+    - ``{"state": true}``: what is placed, forces, opening, frames left, axes, faults
     - ``{"inject": "can.loss=0.05@2s"}``: the same back; see `simulator.faults.injector`
     - ``{"clear": "can.loss"}``: ``{"cleared": n}``; by the whole text or by the name
 
@@ -103,6 +103,10 @@ class CellRequests:
             "aperture_m": devices.mechanics.aperture_m,
             "frames_left": devices.recorded.remaining if plays else 0,
             "control_unit": devices.unit.state,
+            "axes": {
+                moves: {"position": axis.position, "moving": axis.moving}
+                for moves, axis in devices.axes.items()
+            },
             "faults": {fault.text: fault.began_s for fault in self._injector.faults},
         }
 

@@ -294,7 +294,7 @@ def drive(request: pytest.FixtureRequest) -> Iterator[Drive]:
             closing.callback(close_bus, bus)
         axis = config.positioner.drives[0]
         builder = AxesBuilder(clock, 0.005)
-        builder.add_drives([axis], bus)
+        builder.add_drives([axis], bus, loss_s=1e-3 * config.positioner.can.heartbeat_loss_ms)
         axes = builder.axes()
         device = axes._axes[axis.moves].device
         assert isinstance(device, Cia402Drive)

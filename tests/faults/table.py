@@ -72,6 +72,8 @@ AXIS_S = 0.05
 """Devices of axes are asked every 5 ms; one that does not answer is asked again."""
 HEARTBEAT_S = 0.125 + AXIS_S
 """Two periods and a half of a drive's heartbeat, and the wait for an answer."""
+WRIST_LOST_S = 0.1 + AXIS_S
+"""Time for which a wrist may be silent, and the last wait for an answer."""
 FOLLOWING_S = 0.4
 """1 mm or degree behind at the profile's speed, 50 ms allowed for it, and the start-up of both."""
 STALL_S = 0.6
@@ -513,7 +515,12 @@ AXES = (
             ),
             ("wrist stalled", "something holds the wrist", "axis3.following_error", STALL_S),
             ("wrist overloaded", "the wrist's overload protection latches", "axis3.fault", AXIS_S),
-            ("wrist silent", "the wrist falls silent while it moves", "axis3.silence", AXIS_S),
+            (
+                "wrist silent",
+                "the wrist falls silent while it moves",
+                "axis3.silence",
+                WRIST_LOST_S,
+            ),
         )
     ),
     FaultRow(

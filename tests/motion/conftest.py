@@ -92,7 +92,7 @@ def make_drive() -> Iterator[MakeDrive]:
         buses.append(bus)
         clock.sleep(BOOT_S)
         watch = Watch(clock, 0.005)
-        drive = Cia402Drive(DriveBus(bus, watch), NODE, "axis x", settings)
+        drive = Cia402Drive(DriveBus(bus, watch, 0.125), NODE, "axis x", settings)
         axis = Axis(
             name="x",
             device=drive,
@@ -143,6 +143,7 @@ def make_wrist() -> Callable[..., WristBench]:
             window=12,
             lag=90,
             current_a=1.0,
+            loss_s=0.1,
         )
         bus = ServoBus(stream, baudrate=1_000_000, clock=clock)
         servo = ServoAxis(bus, 7, "axis roll", settings, watch)

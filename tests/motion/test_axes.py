@@ -155,6 +155,24 @@ def test_a_wrist_that_fails_is_named_and_goes_on_once_it_is_well(
     assert bench.move(1.0) == pytest.approx(1.0, abs=NEAR_RAD)
 
 
+def test_a_wrist_that_is_silent_for_a_moment_is_asked_again(make_wrist: Any) -> None:
+    bench = make_wrist()
+    bench.move(0.5)
+    silent = bench.simulated.bus.faults.silent
+    ends_s: list[float] = []
+
+    def look(now_s: float) -> None:
+        if not ends_s and bench.simulated.moving:
+            ends_s.append(now_s + 0.06)
+            silent.add(7)
+        elif ends_s and now_s >= ends_s[0]:
+            silent.discard(7)
+
+    bench.clock.on_advance.append(look)
+    assert bench.move(3.0) == pytest.approx(3.0, abs=NEAR_RAD)
+    assert ends_s
+
+
 def test_a_wrist_that_restarted_meanwhile_is_found(make_wrist: Any) -> None:
     bench = make_wrist()
     bench.move(0.5)

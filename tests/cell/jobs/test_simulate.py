@@ -6,9 +6,12 @@ from typing import Any
 
 import pytest
 
+from cell.config.file import changed_config, load_config
 from cell.config.model import CellConfig
 from cell.errors import CellError
 from cell.jobs import simulate
+from simulator.settings import SimulatorSettings
+from tests.faults.scenarios.axes import CHANGES
 
 
 def test_a_folder_serves_one_simulated_cell_at_a_time(
@@ -32,3 +35,33 @@ def test_a_folder_serves_one_simulated_cell_at_a_time(
     serve_here()
     serve_here()
     assert served == [folder, folder]
+
+
+def test_a_client_gets_the_axes_at_their_ports_and_more_patience(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, make_config: Callable[..., CellConfig]
+) -> None:
+    config = changed_config(make_config(), CHANGES)
+    found = {
+        "servo_port": "servos",
+        "can_interface": "slcan",
+        "can_channel": "can",
+        "axes_can_channel": "drives",
+        "axes_ports": {"roll": "wrist"},
+        "positioner_socket": "socket",
+    }
+    announced: list[dict[str, Any]] = []
+
+    def serve(settings: SimulatorSettings, announce: Any, **_options: Any) -> None:
+        assert list(settings.axes) == ["x", "rotation", "roll"]
+        announce(found)
+
+    monkeypatch.setattr(simulate, "serve", serve)
+    simulate.serve_simulated_cell(config, frames=None, folder=tmp_path, announce=announced.append)
+    client = load_config(Path(announced[0]["config"]))
+    positioner = client.positioner
+    assert positioner.kind == "axes"
+    assert positioner.ports == ("slcan", "wrist")
+    assert (positioner.can.channel, positioner.socket) == ("drives", "socket")
+    assert positioner.can.heartbeat_loss_ms == 400.0
+    assert [axis.bus_loss_ms for axis in positioner.axes if axis.kind == "dynamixel"] == [400.0]
+    assert client.brings_objects

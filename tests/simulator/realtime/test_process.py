@@ -1,6 +1,7 @@
 import contextlib
 import errno
 import json
+import math
 import os
 import select
 import signal
@@ -16,9 +17,11 @@ import can
 import pytest
 import serial
 
+from simulator.can.drive import DriveMount
 from simulator.errors import EndpointError, SimulatorSettingsError, SimulatorStateError
 from simulator.realtime.process import FORGIVEN_S, PIECE_S, RealTimeCell, serve
 from simulator.servo.protocol2 import Instruction, encode_instruction
+from simulator.servo.wrist import WristMount
 from simulator.settings import SimulatorSettings
 from tactile.frames.assembler import FrameAssembler
 from tactile.frames.codec import FrameFormat
@@ -93,10 +96,42 @@ def test_the_announcement_is_plain_and_complete(stepped: Stepped, tmp_path: Path
         "can_channel": str(tmp_path / "can"),
         "can_bitrate": 1_000_000,
         "node_id": 5,
+        "axes_can_channel": None,
+        "axes_ports": {},
         "positioner_socket": str(tmp_path / "positioner.sock"),
         "pid": os.getpid(),
         "config": None,
     }
+
+
+def test_axes_have_terminals_of_their_own_and_carry_the_object(tmp_path: Path) -> None:
+    drive = DriveMount(node_id=11, increments=1e6, start=2e-3, low_switch=-0.02, high_switch=0.02)
+    wrist = WristMount(servo_id=7, increments=4096 / math.tau, zero=500, start=0.5)
+    one = Stepped(tmp_path, SimulatorSettings(axes={"x": drive, "roll": wrist}))
+    with one.cell:
+        assert one.hello["axes_can_channel"] == str(tmp_path / "axes-can")
+        assert one.hello["axes_ports"] == {"roll": str(tmp_path / "axis-roll")}
+        with terminal(one.hello["axes_can_channel"]) as line:
+            os.write(line, b"S8\rO\r")
+            one.run(0.005)
+            # Upload of the device type, 1000h, and the profile number in its low word.
+            os.write(line, b"t60B84000100000000000\r")
+            one.run(0.01)
+            assert b"t58B8430010009201" in received(line)
+        with serial.Serial(one.hello["axes_ports"]["roll"], 1_000_000, timeout=0.0) as port:
+            port.write(encode_instruction(7, Instruction.PING))
+            one.run(0.01)
+            assert received(port.fileno()).startswith(b"\xff\xff\xfd\x00\x07")
+        placed = one.cell.devices.place("box")
+        assert placed.x_m == pytest.approx(2e-3)
+        one.cell.injector.inject("axis1.slip=0.003")
+        one.run(0.05)
+        label, pose = one.cell.devices.physical.placed or ("", None)
+        assert label == "box"
+        assert pose is not None
+        assert pose.x_m == pytest.approx(5e-3)
+    assert not (tmp_path / "axes-can").exists()
+    assert not (tmp_path / "axis-roll").exists()
 
 
 def test_a_burst_goes_out_at_the_rate_of_the_bus(stepped: Stepped) -> None:
