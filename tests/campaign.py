@@ -175,7 +175,9 @@ class Campaign:
         dull = [
             f"{name}: the same became of all inputs"
             for name in self.goals
-            if name not in (MACHINE, *WIRES) and self.done[name].inputs and len(self.done[name].outcomes) < 2
+            if name not in (MACHINE, *WIRES)
+            and self.done[name].inputs
+            and len(self.done[name].outcomes) < 2
         ]
         return broken + dull
 

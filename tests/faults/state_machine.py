@@ -254,8 +254,7 @@ class Outcome:
 
 
 MACHINES: dict[str, type[CellMachine]] = {"": CellMachine} | {
-    door: type(f"{door}Machine", (CellMachine,), {"driver_type": driver_of(door)})
-    for door in WIRES
+    door: type(f"{door}Machine", (CellMachine,), {"driver_type": driver_of(door)}) for door in WIRES
 }
 """The machine of a host program, and those of clients of each door."""
 

@@ -237,8 +237,9 @@ def test_a_release_with_any_key_is_found(door: str, monkeypatch: pytest.MonkeyPa
 def test_a_command_that_is_done_twice_is_found(door: str, monkeypatch: pytest.MonkeyPatch) -> None:
     begin, run = Service._begin, ModbusDoor.write
 
-    def forgetful(service: Service, lease: int, task: str, given: Any, number: int, act: Any) -> int:
-        return begin(service, lease, task, given, 0, act)
+    def forgetful(service: Service, *given: Any) -> int:
+        *asked, _number, act = given
+        return begin(service, *asked, 0, act)
 
     def again(modbus: ModbusDoor, client: Any, address: int, values: Any) -> None:
         if len(values) > 1:
@@ -278,7 +279,7 @@ def test_a_hold_that_waits_for_the_next_command_is_found(
 
 def test_a_door_that_shows_another_fault_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Calls, "fault_number", lambda _calls: 500)
-    with pytest.raises(InvariantBroken, match="the door shows .*fault_number=500"):
+    with pytest.raises(InvariantBroken, match=r"the door shows .*fault_number=500"):
         drive_through("xmlrpc")
 
 

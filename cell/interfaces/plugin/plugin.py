@@ -455,9 +455,7 @@ class TactileCellPlugin:
             raise status.exception
         return status.value
 
-    def _accept(
-        self, work: Callable[[Report], Any], command: Command | None, task: str
-    ) -> Job:
+    def _accept(self, work: Callable[[Report], Any], command: Command | None, task: str) -> Job:
         """Start a job that no earlier `cancel` is meant for, where its command is allowed now."""
         controller, remarks = self._cell.controller, self._remarks
 
