@@ -289,5 +289,8 @@ def _run_part(machine: type[CellMachine], steps: int, number: int, *, shrink: bo
     try:
         run_state_machine_as_test(seed(number)(machine), settings=chosen)
     except Exception as error:
-        return f"seed {number}: {type(error).__name__}: {error}"
+        # What does not happen a second time is in a group.
+        inside = error.exceptions if isinstance(error, ExceptionGroup) else ()
+        found = "\n".join(f"{type(one).__name__}: {one}" for one in (error, *inside))
+        return f"seed {number}: {found}"
     return ""

@@ -7,7 +7,7 @@ answer is checked against the table of states, and each request is sent twice.
 
 import json
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import asdict, dataclass
 from functools import partial
 from http.client import HTTPConnection
@@ -133,12 +133,8 @@ class ModbusWire:
     tasks = _ALL
 
     def __init__(self, doors: dict[str, Any]) -> None:
-        port = doors["modbus_port"]
-        self._link, self._other = (
-            ModbusTcpClient("127.0.0.1", port=port, timeout=PATIENCE_S, retries=0) for _ in "ab"
-        )
-        if not (self._link.connect() and self._other.connect()):
-            raise ConnectionError("the door does not let a client in")
+        self._port = doors["modbus_port"]
+        self._link = self._connected()
         self._seq = 0
         self._block: list[int] = []
 
@@ -163,7 +159,8 @@ class ModbusWire:
         return -inputs[6] if inputs[6] else inputs[8]
 
     def hold(self) -> None:
-        self._other.write_register(HOLD, 1)
+        with closing(self._connected()) as other:
+            other.write_register(HOLD, 1)
 
     def shown(self) -> Shown:
         inputs = self._inputs()
@@ -179,7 +176,12 @@ class ModbusWire:
 
     def close(self) -> None:
         self._link.close()
-        self._other.close()
+
+    def _connected(self) -> ModbusTcpClient:
+        link = ModbusTcpClient("127.0.0.1", port=self._port, timeout=PATIENCE_S, retries=0)
+        if not link.connect():
+            raise ConnectionError("the door does not let a client in")
+        return link
 
     def _inputs(self) -> list[int]:
         return list(self._link.read_input_registers(0, count=64).registers)
@@ -240,21 +242,18 @@ class XmlRpcWire:
 
 
 class HttpWire:
-    """A host with the token."""
+    """A host with the token; each request has a connection of its own, the door ends idle ones."""
 
     tasks = _ALL
 
     def __init__(self, doors: dict[str, Any]) -> None:
-        port = doors["http_port"]
-        self._link, self._other = (
-            HTTPConnection("127.0.0.1", port, timeout=PATIENCE_S) for _ in "ab"
-        )
+        self._port = doors["http_port"]
         self._token = doors["token"]
         self._lease = 0
         self._last: tuple[str, dict[str, Any]] = ("", {})
 
     def adopt(self) -> None:
-        self._lease = self._ask(self._link, "POST", "/api/lease", {"name": "host"})["lease"]
+        self._lease = self._ask("POST", "/api/lease", {"name": "host"})["lease"]
 
     def send(self, request: Request, number: int) -> int:
         body: dict[str, Any] = {"lease": self._lease, "job": number}
@@ -275,14 +274,14 @@ class HttpWire:
         return self.repeat()
 
     def repeat(self) -> int:
-        found = self._ask(self._link, "POST", *self._last)
+        found = self._ask("POST", *self._last)
         return int(found["job"]) if "job" in found else -int(found["fault_number"])
 
     def hold(self) -> None:
-        self._ask(self._other, "POST", "/api/hold")
+        self._ask("POST", "/api/hold")
 
     def shown(self) -> Shown:
-        found = self._ask(self._link, "GET", "/api/state")
+        found = self._ask("GET", "/api/state")
         status, job = found["status"], found["job"]
         names = ("state_number", "needs_reset", "grasp_number", "holding", "fault_number")
         return Shown(
@@ -291,14 +290,14 @@ class HttpWire:
             outcome=job["outcome_number"],
         )
 
-    def close(self) -> None:
-        self._link.close()
-        self._other.close()
+    def close(self) -> None: ...
 
-    def _ask(self, link: HTTPConnection, method: str, path: str, body: Any = None) -> Any:
+    def _ask(self, method: str, path: str, body: Any = None) -> Any:
         headers = {"Authorization": f"Bearer {self._token}", "Content-Type": "application/json"}
-        link.request(method, path, None if body is None else json.dumps(body), headers)
-        return json.loads(link.getresponse().read())
+        data = None if body is None else json.dumps(body)
+        with closing(HTTPConnection("127.0.0.1", self._port, timeout=PATIENCE_S)) as link:
+            link.request(method, path, data, headers)
+            return json.loads(link.getresponse().read())
 
 
 WIRES: dict[str, Callable[[dict[str, Any]], Wire]] = {
