@@ -8,7 +8,7 @@ DOCS := $(VENV)/.docs
 INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt --editable
 PYTEST_ARGS ?=
 
-.PHONY: run test wheel-test check format docs bench paper campaign damage soak vcan help clean distclean
+.PHONY: run test wheel-test check format docs bench paper campaign damage soak vcan clients help clean distclean
 
 run: $(RUN)  ## teach and identify the paper's five objects on the simulated cell
 	$(BIN)/tactile-cell run
@@ -52,6 +52,9 @@ soak: $(DEV)  ## 10,000 connections to each door and 10,000 grasps, an hour: mem
 
 vcan: $(DEV)  ## the CAN link on a real SocketCAN interface, in a virtual machine (qemu)
 	.ci/vcan
+
+clients: $(DEV)  ## programs that others wrote, in JavaScript and C, command the cell through each door; installs them with npm
+	.ci/clients
 
 paper: $(DEV)  ## the paper's figures and Table 1 beside ours: out/paper/paper.html
 	$(BIN)/python -m benchmarks reproduction

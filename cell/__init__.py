@@ -9,7 +9,7 @@ line). What the commands do is in `cell.jobs`.
 from importlib.util import find_spec
 from pathlib import Path
 
-_NEIGHBOURS = ("gripper", "tactile", "recognition", "simulator")
+_NEIGHBOURS = ("gripper", "tactile", "motion", "recognition", "simulator")
 """Packages that are installed beside this one, at the top level."""
 
 

@@ -20,6 +20,7 @@ from catalogue_page import catalogue_page
 from command_page import command_page
 from config_page import config_page
 from faults_page import faults_page
+from opc_ua_page import opc_ua_page
 from recording_page import recording_page
 from states_page import states_page
 from xml_rpc_page import xml_rpc_page
@@ -29,6 +30,7 @@ MAKERS: dict[str, Callable[[], str]] = {
     "command line": command_page,
     "config": config_page,
     "faults": faults_page,
+    "opc-ua": opc_ua_page,
     "recording": recording_page,
     "states": states_page,
     "xml-rpc": xml_rpc_page,

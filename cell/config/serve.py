@@ -31,6 +31,11 @@ class ServeConfig(Section):
     """Port of XML-RPC, for robot programs; 0: any free one; none: closed."""
     http_port: Port | None = None
     """Port of HTTP and WebSocket (extra `serve`); 0: any free one; none: closed."""
+    opcua_port: Port | None = None
+    """Port of OPC UA (extra `opcua`), 4840 by custom; 0: any free one; none: closed."""
+    opcua_folder: str = Field(default="", max_length=500)
+    """Certificates of OPC UA: certificate.der and key.pem of the cell, made at the first start, and
+    in trusted/ those of the clients that may command; empty: read-only."""
     lease_timeout_s: float = Field(default=2.0, ge=0.2, le=60.0)
     """Longest silence of the client in command in s, 0.2 to 60; then a job that runs is held."""
     objects: tuple[Annotated[str, AfterValidator(checked_label)], ...] = Field(

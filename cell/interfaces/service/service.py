@@ -56,8 +56,8 @@ class JobView:
         Why it did not succeed; 0 and empty else.
     label, label_id, probability, n_grasps
         Answer of an identification; before its end what is likeliest so far, with label id 0.
-    size_mm
-        Size of the part in mm, 0 where it is not known.
+    shape, size_mm
+        Shape of the part, empty where it is not known, and its size in mm, 0 then.
     kept
         Whether the answer leaves the part in the grip.
     held, same
@@ -76,6 +76,7 @@ class JobView:
     label_id: int = 0
     probability: float = 0.0
     n_grasps: int = 0
+    shape: str = ""
     size_mm: float = 0.0
     kept: bool = False
     held: bool | None = None
@@ -470,6 +471,7 @@ class Service:
                 label_id=self.label_id(answer.label),
                 probability=answer.probability,
                 n_grasps=answer.n_grasps,
+                shape="" if answer.shape is None else answer.shape.kind,
                 size_mm=0.0 if answer.shape is None else answer.shape.size_mm,
                 kept=answer.kept,
             )

@@ -55,9 +55,16 @@ def open_doors(service: Service) -> Iterator[dict[str, Any]]:
                 web = WebDoor(service)
                 undo.callback(web.close)
                 found |= {"http_port": web.port, "token": web.token}
+            if config.opcua_port is not None:
+                from cell.interfaces.opc_ua.door import OpcUaDoor  # noqa: PLC0415
+
+                opc_ua = OpcUaDoor(service)
+                undo.callback(opc_ua.close)
+                found["opcua_port"] = opc_ua.port
         except ImportError as error:
             raise ConfigError(
-                f"serve.http_port needs the extra: tactile-cell[serve] ({error})"
+                "serve.http_port needs the extra tactile-cell[serve], serve.opcua_port "
+                f"tactile-cell[opcua] ({error})"
             ) from error
         except OSError as error:
             raise CellError(f"a door at {config.listen} cannot be opened: {error}") from error

@@ -6,6 +6,7 @@ import math
 import socket
 import time
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, suppress
 from typing import Any
 from xmlrpc.client import Fault, ServerProxy, dumps, loads
 
@@ -284,18 +285,19 @@ def test_torn_requests_slow_clients_and_many_connects_change_nothing(connect: An
     body = dumps((lease, RELEASE_KEY), "release").encode()
     request = b"POST /RPC2 HTTP/1.1\r\nContent-Length: %d\r\n\r\n" % len(body) + body
     place = ("127.0.0.1", served.doors["xmlrpc_port"])
+    # A door that is full for a moment closes a connection at once: that is no answer either.
     for cut in range(0, len(request), 7):
-        with socket.create_connection(place, timeout=20.0) as link:
+        with suppress(OSError), socket.create_connection(place, timeout=20.0) as link:
             link.sendall(request[:cut])
-    slow = [socket.create_connection(place, timeout=20.0) for _ in range(20)]
-    for link in slow:
-        link.sendall(request[:40])
-    for _ in range(200):
-        socket.create_connection(place, timeout=20.0).close()
-    until(lambda: _answers(served))
-    assert (cell.next_job(), served.grip_n > 1.0) == (2, True)
-    for link in slow:
-        link.close()
+    with ExitStack() as slow:
+        for _ in range(20):
+            link = slow.enter_context(socket.create_connection(place, timeout=20.0))
+            with suppress(OSError):
+                link.sendall(request[:40])
+        for _ in range(200):
+            socket.create_connection(place, timeout=20.0).close()
+        until(lambda: _answers(served))
+    assert (served.service.job().number, served.grip_n > 1.0) == (1, True)
 
 
 def _answers(served: Served) -> bool:

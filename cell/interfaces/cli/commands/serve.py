@@ -53,6 +53,17 @@ def serve(
         Path | None,
         typer.Option("--out", help="Folder for the recording; without it none is made."),
     ] = None,
+    opcua_port: Annotated[
+        int | None,
+        typer.Option("--opcua", help="Port of OPC UA; 0: any [default: serve.opcua_port]."),
+    ] = None,
+    opcua_folder: Annotated[
+        str | None,
+        typer.Option(
+            "--opcua-folder",
+            help="Certificates of OPC UA; without: read-only [default: serve.opcua_folder].",
+        ),
+    ] = None,
     faults: FaultOption = None,
 ) -> None:
     """Own the cell and serve PLCs, robot programs and other hosts, until SIGTERM.
@@ -74,6 +85,8 @@ def serve(
         "serve.modbus_port": modbus_port,
         "serve.xmlrpc_port": xmlrpc_port,
         "serve.http_port": http_port,
+        "serve.opcua_port": opcua_port,
+        "serve.opcua_folder": opcua_folder,
     }
     checked = changed_config(
         cell_config(config, faults=faults),

@@ -1,0 +1,1 @@
+"""OPC UA, extra ``opcua``: for `serving`, `door.OpcUaDoor`; inside, `server`: who may do what."""

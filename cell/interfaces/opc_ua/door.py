@@ -1,0 +1,215 @@
+"""OPC UA: the door for plants that browse, as SCADA, MES and controllers; nodes and methods."""
+
+import asyncio
+import inspect
+import threading
+from collections.abc import Callable
+from concurrent.futures import Future
+from contextlib import suppress
+from datetime import UTC, datetime
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from asyncua import ua
+from asyncua.ua import StatusCodes
+from cryptography.x509 import ExtensionNotFound
+
+from cell.errors import ConfigError
+from cell.interfaces.opc_ua.server import CellServer, Clients, Sessions
+from cell.interfaces.service.service import Service, Snapshot
+from cell.interfaces.xml_rpc import methods, ur_pose
+
+NAMESPACE = "urn:tactile-cell:cell"
+"""Namespace of the nodes; their ids are their paths, as ``Cell.Job.Label``."""
+PERIOD_S = 0.1
+"""Time in s between two looks at the cell: no value changes more often."""
+_BOOL, _INT, _REAL = ua.VariantType.Boolean, ua.VariantType.Int32, ua.VariantType.Double
+_TEXT, _COUNT = ua.VariantType.String, ua.VariantType.UInt16
+_TYPES = {bool: _BOOL, int: _INT, float: _REAL, str: _TEXT}
+
+
+class Value(NamedTuple):
+    """A variable: its path below ``Cell``, its type, what it is, and how it is taken."""
+
+    path: str
+    type: ua.VariantType
+    text: str
+    of: Callable[[Any], Any]
+
+
+def _counts(now: Snapshot) -> list[int] | None:
+    return None if now.live.counts is None else now.live.counts.tolist()
+
+
+PLATE = (
+    Value("Identification.Name", _TEXT, "Name of the cell", lambda of: of.config.name),
+    Value("Identification.Simulated", _BOOL, "No hardware", lambda of: of.config.simulated),
+    Value("Identification.Version", _TEXT, "Of this program", lambda _: version("tactile-cell")),
+    Value("Identification.Labels", _TEXT, "By id, from 1", lambda of: list(of.labels)),
+)
+"""Variables that are taken from the service."""
+VALUES = (
+    Value("State.Number", _INT, "PackTags number", lambda now: now.status.state_number),
+    Value("State.Name", _TEXT, "PackML name", lambda now: now.status.state),
+    Value("State.NeedsReset", _BOOL, "Waits for reset", lambda now: now.status.needs_reset),
+    Value("State.Commander", _TEXT, "Client in command", lambda now: now.commander),
+    Value("Grip.Number", _INT, "State, 0 to 7", lambda now: now.status.grasp_number),
+    Value("Grip.Name", _TEXT, "State", lambda now: now.status.grasp),
+    Value("Grip.Holding", _BOOL, "A part may be held", lambda now: now.status.holding),
+    Value("Grip.Force", _REAL, "N", lambda now: now.live.force_n),
+    Value("Grip.Setpoint", _REAL, "Force asked for, N", lambda now: now.live.setpoint_n),
+    Value("Grip.Opening", _REAL, "mm", lambda now: now.live.opening_mm),
+    Value("Grip.Temperature", _REAL, "Warmest servo, deg C", lambda now: now.live.temperature_c),
+    Value("Job.Number", _INT, "The newest; 0: none", lambda now: now.job.number),
+    Value("Job.Task", _TEXT, "What was asked for", lambda now: now.job.task),
+    Value("Job.State", _INT, "As job_state", lambda now: now.job.outcome_number),
+    Value("Job.FaultNumber", _INT, "Why it failed; 0", lambda now: now.job.fault_number),
+    Value("Job.FaultText", _TEXT, "Why it failed", lambda now: now.job.error),
+    Value("Job.Label", _TEXT, "Likeliest, at the end found", lambda now: now.job.label),
+    Value("Job.LabelId", _INT, "From 1; 0: unknown", lambda now: now.job.label_id),
+    Value("Job.Probability", _REAL, "Of the label, 0 to 1", lambda now: now.job.probability),
+    Value("Job.Shape", _TEXT, "Empty: not felt", lambda now: now.job.shape),
+    Value("Job.Size", _REAL, "mm; 0: not felt", lambda now: now.job.size_mm),
+    Value("Job.Grasps", _INT, "Grasps so far", lambda now: now.job.n_grasps),
+    Value("Job.Kept", _BOOL, "The part is kept", lambda now: now.job.kept),
+    Value("Pose.Number", _INT, "The one waited for; 0: none", lambda now: now.pose_seq),
+    Value("Pose.Value", _REAL, "m, rotation vector", lambda now: list(ur_pose(now.pose).values())),
+    Value("Taxels", _COUNT, "Counts of the newest frame", _counts),
+    Value("FrameAge", _REAL, "Of that frame, s", lambda now: now.live.frame_age_s),
+    Value("FaultNumber", _INT, "The latched one; 0: none", lambda now: now.status.fault_number),
+    Value("FaultText", _TEXT, "The latched one", lambda now: now.status.fault or ""),
+)
+"""Variables that are taken from a snapshot; what was not measured yet has a bad status."""
+ARRAYS = ("Identification.Labels", "Pose.Value", "Taxels")
+"""Paths of variables that are arrays."""
+
+
+class OpcUaDoor:
+    """The cell behind OPC UA.
+
+    Parameters
+    ----------
+    service
+        The cell.
+
+    Raises
+    ------
+    OSError
+        If it cannot listen at the configured address and port, or a file cannot be read.
+    ConfigError
+        If a certificate is none.
+    """
+
+    def __init__(self, service: Service) -> None:
+        self._service = service
+        started: Future[int] = Future()
+        self._thread = threading.Thread(
+            target=lambda: asyncio.run(self._run(started)), name="opc-ua", daemon=True
+        )
+        self._thread.start()
+        try:
+            self.port: int = started.result()
+        except (ValueError, ExtensionNotFound) as error:
+            folder = service.config.serve.opcua_folder
+            raise ConfigError(
+                f"serve.opcua_folder {folder}: a certificate or key cannot be used ({error}); "
+                "certificates are .der or .pem, and the cell's own names one URI"
+            ) from error
+
+    def close(self) -> None:
+        """End all connections and the thread."""
+        self._loop.call_soon_threadsafe(self._over.set)
+        self._thread.join()
+
+    async def _run(self, started: "Future[int]") -> None:
+        self._loop, self._over = asyncio.get_running_loop(), asyncio.Event()
+        config = self._service.config.serve
+        trusted = Path(config.opcua_folder) / "trusted" if config.opcua_folder else None
+        clients = Clients(trusted)
+        server = CellServer(Sessions(clients, config))
+        try:
+            await server.init()
+            if trusted is not None:
+                trusted.mkdir(parents=True, exist_ok=True)
+                await clients.load()
+                await server.use_certificate(trusted.parent)
+            space = await self._add_nodes(server)
+            await self._show(server, space)
+            await server.start()
+        except Exception as error:
+            started.set_exception(error)
+            return
+        started.set_result(server.bserver.port)
+        while not self._over.is_set():
+            await self._show(server, space)
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self._over.wait(), PERIOD_S)
+        await server.stop()
+
+    async def _add_nodes(self, server: CellServer) -> int:
+        space: int = await server.register_namespace(NAMESPACE)
+        name = partial(ua.QualifiedName, NamespaceIndex=space)
+        cell = await server.nodes.objects.add_object(_id("", space), name("Cell"))
+        groups = {"": cell}
+        for path, kind, text, _of in (*PLATE, *VALUES):
+            group, _, last = path.rpartition(".")
+            if group not in groups:
+                groups[group] = await cell.add_object(_id(group, space), name(group))
+            empty = [] if path in ARRAYS else ua.get_default_value(kind)
+            node = await groups[group].add_variable(_id(path, space), name(last), empty, kind)
+            await _describe(node, text)
+        for path, call in called_methods(self._service).items():
+            taken = inspect.signature(call)
+            types = {one.name: one.annotation for one in taken.parameters.values()}
+            inputs = [ua.Argument(one, ua.NodeId(_TYPES[t].value), -1) for one, t in types.items()]
+            outputs = [ua.Argument("result", ua.NodeId(_TYPES[taken.return_annotation].value), -1)]
+            at = _id(path, space), name(path)
+            node = await cell.add_method(*at, partial(_called, call), inputs, outputs)
+            await _describe(node, inspect.getdoc(call) or "")
+        return space
+
+    async def _show(self, server: CellServer, space: int) -> None:
+        """Write all values; where the cell cannot be asked, all of them are bad."""
+        found: dict[str, Any] = {}
+        missing = StatusCodes.BadWaitingForInitialData
+        try:
+            now = await asyncio.to_thread(self._service.snapshot)
+            found = {one.path: one.of(now) for one in VALUES}
+            found |= {one.path: one.of(self._service) for one in PLATE}
+        except Exception:
+            missing = StatusCodes.BadNoCommunication
+        for path, kind, *_ in (*PLATE, *VALUES):
+            value = found.get(path)
+            variant = ua.Variant() if value is None else ua.Variant(value, kind)
+            status = ua.StatusCode(missing if value is None else StatusCodes.Good)
+            data = ua.DataValue(variant, status, SourceTimestamp=datetime.now(UTC))
+            await server.write_attribute_value(_id(path, space), data)
+
+
+def called_methods(service: Service) -> dict[str, Callable[..., Any]]:
+    """Return the methods of XML-RPC that do more than read a variable."""
+
+    def hold() -> int:
+        """Stop what runs and keep the grip; needs no lease. Return 0."""
+        service.hold("over OPC UA")
+        return 0
+
+    every = methods(service)
+    return {"hold": hold} | {n: c for n, c in every.items() if inspect.signature(c).parameters}
+
+
+def _called(call: Callable[..., Any], _parent: Any, *given: ua.Variant) -> list[ua.Variant]:
+    """Call a method as asyncua does, in a thread of its own."""
+    kind = _TYPES[inspect.signature(call).return_annotation]
+    return [ua.Variant(call(*(one.Value for one in given)), kind)]
+
+
+def _id(path: str, space: int) -> ua.NodeId:
+    return ua.NodeId(f"Cell.{path}".rstrip("."), space)
+
+
+async def _describe(node: Any, text: str) -> None:
+    value = ua.DataValue(ua.Variant(ua.LocalizedText(text)))
+    await node.write_attribute(ua.AttributeIds.Description, value)

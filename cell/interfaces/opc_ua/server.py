@@ -1,0 +1,193 @@
+"""The server of OPC UA: asyncua, with who may connect, read and call.
+
+Whoever may connect reads, without certificate. Methods are for sessions on an encrypted channel
+(SignAndEncrypt) whose client certificate is in the trust list; no variable can be written. By
+itself asyncua lets anyone call methods, has an administrator without password, takes a certificate
+that a plain channel names for proven, and gives sessions numbers that can be guessed: `Clients`,
+`Session`, `Sessions` and `Plain` close that.
+"""
+
+import logging
+import secrets
+import socket
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from asyncua import Server, ua
+from asyncua.common.connection import TransportLimits
+from asyncua.common.utils import ServiceError
+from asyncua.crypto import cert_gen, uacrypto
+from asyncua.crypto.permission_rules import User, UserRole
+from asyncua.crypto.security_policies import SecurityPolicyFactory
+from asyncua.crypto.truststore import TrustStore
+from asyncua.server.binary_server_asyncio import BinaryServer, OPCUAProtocol
+from asyncua.server.internal_server import InternalServer
+from asyncua.server.internal_session import InternalSession
+from asyncua.ua import SecurityPolicyType, StatusCodes
+from cryptography import x509
+from cryptography.x509.oid import ExtendedKeyUsageOID
+
+from cell.config.serve import ServeConfig
+from cell.interfaces.service.doors import BUSY_MAX, may_connect
+
+LONGEST = 1 << 20
+"""Largest request in bytes."""
+VALID_DAYS = 3650
+"""Validity in days of a certificate made here: a new one has to be trusted anew everywhere."""
+ENCRYPTED = (
+    SecurityPolicyType.Basic256Sha256_SignAndEncrypt,
+    SecurityPolicyType.Aes128Sha256RsaOaep_SignAndEncrypt,
+    SecurityPolicyType.Aes256Sha256RsaPss_SignAndEncrypt,
+)
+"""Policies of channels for commands."""
+for _name in ("asyncua", "asyncuagds"):
+    logging.getLogger(_name).addHandler(logging.NullHandler())  # the console is the operator's
+
+
+class Clients:
+    """Users: client certificates of the trust list, a folder; None of a folder trusts nobody."""
+
+    def __init__(self, folder: Path | None) -> None:
+        self._folder = folder
+        self._trusted: TrustStore | None = None
+
+    async def load(self) -> None:
+        """Read the trust list as it is now. Raises ValueError for what is no certificate."""
+        found = None
+        try:
+            files = () if self._folder is None else self._folder.iterdir()
+            if any(file.suffix in (".der", ".pem") for file in files):
+                store = TrustStore([self._folder], [])
+                await store.load()
+                found = store
+        finally:
+            self._trusted = found
+
+    def get_user(self, _server: Any, certificate: bytes | None = None, **_password: Any) -> User:
+        """Return the user whose key of a certificate was proven when the channel was opened."""
+        if not certificate:
+            return User(role=UserRole.User)
+        found = uacrypto.x509_from_der(certificate)
+        if self._trusted is None or not self._trusted.is_trusted(found):
+            raise ServiceError(StatusCodes.BadCertificateUntrusted)
+        return User(role=UserRole.User, name=found.subject.rfc4514_string() or "a client")
+
+
+class Session(InternalSession):
+    """A session: it reads, and calls methods if its user has a name."""
+
+    async def create_session(self, params: Any, sockname: Any = None) -> Any:
+        """Create the session; a change of the trust list counts from here on."""
+        with suppress(ValueError, OSError):  # nobody is trusted then
+            await self.iserver.user_manager.load()
+        return await super().create_session(params, sockname)
+
+    async def call(self, params: Any) -> Any:
+        """Call methods."""
+        if self.user.name is None:
+            raise ServiceError(StatusCodes.BadUserAccessDenied)
+        return await super().call(params)
+
+
+class Sessions(InternalServer):
+    """What stands behind all connections, with sessions that nobody can guess."""
+
+    def __init__(self, clients: Clients, config: ServeConfig) -> None:
+        super().__init__(user_manager=clients)
+        self.config = config
+        self.allow_remote_admin = False
+        self.supported_tokens = (ua.AnonymousIdentityToken,)
+        self.max_connections = self.max_subscriptions = BUSY_MAX
+        self.max_monitored_item_queue_size = 100  # 10 s of taxels
+        self.max_session_timeout_ms = 60_000  # a session that is silent for longer is closed
+
+    def create_session(
+        self, name: str, user: User | None = None, external: bool = False
+    ) -> Session:
+        """Return a session of a user who may do nothing until it is activated."""
+        return Session(self, self.aspace, self.subscription_service, name, user or User(), external)
+
+    def register_external_session(self, session: InternalSession) -> None:
+        """Register a session under the token with which its client may change the connection."""
+        session.auth_token = ua.NodeId(secrets.token_bytes(32), 0, ua.NodeIdType.ByteString)
+        super().register_external_session(session)
+
+    def register_server(self, server: Any, conf: Any = None) -> None:
+        """Refuse to be a discovery server."""
+        raise ServiceError(StatusCodes.BadServiceUnsupported)
+
+
+class Plain(SecurityPolicyFactory):
+    """Channels without security: a certificate that they name proves nothing."""
+
+    def create(self, peer_certificate: bytes | None) -> Any:
+        """Return a policy without certificate of the client."""
+        return super().create(None)
+
+
+class Connection(OPCUAProtocol):
+    """A connection from a host of the allow-list, with bounded requests."""
+
+    def connection_made(self, transport: Any) -> None:
+        """Begin, or close what comes from elsewhere."""
+        if may_connect(transport.get_extra_info("peername")[0], self.iserver.config):
+            super().connection_made(transport)
+        else:
+            transport.close()
+
+    def data_received(self, data: bytes) -> None:
+        """Take bytes; close where a request does not end."""
+        super().data_received(data)
+        if len(self._buffer) > LONGEST:
+            self.transport.close()
+
+
+class Listener(BinaryServer):
+    """The listening socket."""
+
+    def _make_protocol(self) -> Connection:
+        tasks = self.closing_tasks
+        return Connection(self.iserver, self._policies, self.clients, tasks, self.limits)
+
+
+class CellServer(Server):
+    """The server with the sessions and connections of this module."""
+
+    def __init__(self, sessions: Sessions) -> None:
+        super().__init__(sessions)
+        self.application_type = ua.ApplicationType.Server
+        self.set_server_name("tactile-cell")
+        self.set_endpoint("opc.tcp://localhost/")  # clients are given the address they asked
+        self.set_security_policy([SecurityPolicyType.NoSecurity])
+
+    async def start(self) -> None:
+        """Listen. Raises OSError if it cannot."""
+        config = self.iserver.config
+        limits = TransportLimits(max_message_size=LONGEST, max_chunk_count=LONGEST // 8192)
+        await self._setup_server_nodes()
+        plain, *encrypted = self._policies
+        self.bserver = Listener(self.iserver, config.listen, config.opcua_port or 0, limits)
+        self.bserver.set_policies([Plain(plain.cls, plain.mode), *encrypted])
+        await self.bserver.start()
+        await self.iserver.start()
+
+    async def use_certificate(self, folder: Path) -> None:
+        """Load certificate.der and key.pem of a folder; make both where there are none."""
+        certificate, key = folder / "certificate.der", folder / "key.pem"
+        if not certificate.exists() and not key.exists():
+            host, secret = socket.gethostname(), cert_gen.generate_private_key()
+            names = [x509.UniformResourceIdentifier(f"urn:{host}:tactile-cell"), x509.DNSName(host)]
+            made = cert_gen.generate_self_signed_app_certificate(
+                secret, "tactile-cell", {}, names, [ExtendedKeyUsageOID.SERVER_AUTH], VALID_DAYS
+            )
+            key.touch(mode=0o600)
+            key.write_bytes(cert_gen.dump_private_key_as_pem(secret))
+            certificate.write_bytes(uacrypto.der_from_x509(made))
+        await self.load_certificate(certificate)
+        await self.load_private_key(key)
+        extensions = self.iserver.certificate.extensions
+        found = extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+        (uri,) = found.get_values_for_type(x509.UniformResourceIdentifier)
+        await self.set_application_uri(uri)
+        self.set_security_policy([SecurityPolicyType.NoSecurity, *ENCRYPTED])

@@ -1,0 +1,532 @@
+"""OPC UA with asyncua's client: reading needs nothing, commands a trusted certificate."""
+
+import asyncio
+import json
+import signal
+import socket
+import struct
+import subprocess
+import sys
+from collections.abc import AsyncIterator, Callable
+from contextlib import asynccontextmanager, suppress
+from itertools import pairwise
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, NamedTuple
+
+import pytest
+
+pytest.importorskip("asyncua", reason="the extra opcua is not installed")
+
+from asyncua import Client, Node, Server, ua
+from asyncua.common.connection import MessageChunk
+from asyncua.crypto import cert_gen, uacrypto
+from asyncua.crypto.security_policies import SecurityPolicyBasic256Sha256
+from asyncua.crypto.uacrypto import CertProperties
+from asyncua.server.binary_server_asyncio import OPCUAProtocol
+from asyncua.server.internal_session import InternalSession
+from asyncua.ua.uaerrors import (
+    BadCertificateUntrusted,
+    BadIdentityTokenRejected,
+    BadServiceUnsupported,
+    BadSessionIdInvalid,
+    BadUserAccessDenied,
+    BadWaitingForInitialData,
+)
+from cryptography import x509
+from cryptography.x509.oid import ExtendedKeyUsageOID
+
+from cell.errors import CellError, ConfigError
+from cell.interfaces.opc_ua import server as opc_ua_server
+from cell.interfaces.opc_ua.door import NAMESPACE, PERIOD_S, PLATE, VALUES, OpcUaDoor
+from cell.interfaces.service.service import RELEASE_KEY
+from cell.interfaces.service.serving import open_doors
+from tests.cell.interfaces.conftest import LIMIT_S
+
+ENCRYPTED = ua.MessageSecurityMode.SignAndEncrypt
+
+
+class Identity(NamedTuple):
+    """A client's certificate and key."""
+
+    certificate: x509.Certificate
+    key: Any
+
+    @property
+    def der(self) -> bytes:
+        return uacrypto.der_from_x509(self.certificate)
+
+
+def identity(name: str, signer: Identity | None = None, days: int = 1) -> Identity:
+    """Return a new certificate: self-signed, or of a signer."""
+    key = cert_gen.generate_private_key()
+    names = [x509.UniformResourceIdentifier(f"urn:{name}")]
+    use = [ExtendedKeyUsageOID.CLIENT_AUTH]
+    if signer is None:
+        return Identity(
+            cert_gen.generate_self_signed_app_certificate(key, name, {}, names, use, days), key
+        )
+    request = cert_gen.generate_app_certificate_signing_request(key, name, {}, names, use)
+    return Identity(
+        cert_gen.sign_certificate_request(request, signer.certificate, signer.key, days), key
+    )
+
+
+@pytest.fixture(scope="module")
+def plc() -> Identity:
+    return identity("plc")
+
+
+@pytest.fixture
+def folder(tmp_path: Path, plc: Identity) -> Path:
+    """Return a folder of OPC UA that trusts the PLC."""
+    (tmp_path / "trusted").mkdir()
+    (tmp_path / "trusted" / "plc.der").write_bytes(plc.der)
+    (tmp_path / "trusted" / "README.txt").write_text("clients that may command")
+    return tmp_path
+
+
+class Link:
+    """A client and the cell that it sees."""
+
+    def __init__(self, client: Client, space: int) -> None:
+        self.client = client
+        self.space = space
+        self.cell = self.node("")
+
+    def node(self, path: str) -> Node:
+        return self.client.get_node(ua.NodeId(f"Cell.{path}".rstrip("."), self.space))
+
+    async def read(self, path: str) -> Any:
+        return await self.node(path).read_value()
+
+    async def call(self, method: str, *arguments: Any) -> Any:
+        return await self.cell.call_method(f"{self.space}:{method}", *arguments)
+
+    async def until(self, path: str, true: Callable[[Any], bool]) -> Any:
+        async with asyncio.timeout(LIMIT_S):
+            while not true(found := await self.read(path)):
+                await asyncio.sleep(0.02)
+        return found
+
+    async def ended(self, number: int) -> None:
+        """Wait until the variables show the end of a job."""
+        await self.until("Job.Number", lambda found: found == number)
+        await self.until("Job.State", lambda found: found >= 4)
+
+
+def url(served: Any) -> str:
+    return f"opc.tcp://127.0.0.1:{served.doors['opcua_port']}/"
+
+
+@asynccontextmanager
+async def linked(served: Any, who: Identity | None = None) -> AsyncIterator[Link]:
+    client = Client(url(served), timeout=LIMIT_S)
+    if who is not None:
+        client.application_uri = "urn:plc"
+        await client.set_security(
+            SecurityPolicyBasic256Sha256,
+            certificate=who.der,
+            private_key=CertProperties(cert_gen.dump_private_key_as_pem(who.key), "pem"),
+            mode=ENCRYPTED,
+        )
+    async with client:
+        yield Link(client, await client.get_namespace_index(NAMESPACE))
+
+
+@pytest.fixture
+def open_cell(serve: Any, folder: Path) -> Callable[..., Any]:
+    """Return the maker of services with a door that trusts the PLC."""
+    return lambda **changes: serve("opcua", serve__opcua_folder=str(folder), **changes)
+
+
+# -- who may do what ---------------------------------------------------------------------------
+
+
+def test_an_anonymous_session_reads_and_does_nothing_else(open_cell: Any) -> None:
+    served = open_cell()
+
+    async def attack() -> None:
+        async with linked(served) as link:
+            assert await link.read("State.Name") == "IDLE"
+            methods = await link.cell.get_children(nodeclassmask=ua.NodeClass.Method)
+            names = [(await node.read_browse_name()).Name for node in methods]
+            assert {"hold", "acquire", "identify", "release", "label"} <= set(names)
+            for name in names:
+                with pytest.raises(BadUserAccessDenied):
+                    await link.call(name)
+            with pytest.raises(BadUserAccessDenied):
+                await link.call("acquire", "nobody")
+            for value in (*PLATE, *VALUES):
+                with pytest.raises(BadUserAccessDenied):
+                    await link.node(value.path).write_value(1)
+            with pytest.raises(BadUserAccessDenied):
+                await link.cell.add_variable(link.space, "More", 1)
+            _, (status,) = await link.client.delete_nodes([link.cell])
+            assert status.value == ua.StatusCodes.BadUserAccessDenied
+            with pytest.raises(BadServiceUnsupported):
+                await link.client.register_server(Server())
+            assert await link.read("State.Commander") == ""
+
+    asyncio.run(attack())
+    assert served.service.job().number == 0
+    assert served.service.acquire("free")
+
+
+def test_no_name_and_no_password_opens_a_session(open_cell: Any) -> None:
+    served = open_cell()
+
+    async def attack(name: str) -> None:
+        client = Client(url(served), timeout=LIMIT_S)
+        client.set_user(name)
+        client.set_password("any")
+        with pytest.raises(BadIdentityTokenRejected):
+            await client.connect()
+
+    for name in ("admin", "Admin", "plc"):
+        asyncio.run(attack(name))
+
+
+def test_a_certificate_that_a_plain_channel_names_proves_nothing(
+    open_cell: Any, plc: Identity, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    served = open_cell()
+    honest = MessageChunk.message_to_chunks
+    named: list[bytes] = []
+
+    def naming(*arguments: Any, **more: Any) -> Any:
+        chunks = honest(*arguments, **more)
+        if more["message_type"] == ua.MessageType.SecureOpen:
+            chunks[0].SecurityHeader.SenderCertificate = plc.der
+            named.append(plc.der)
+        return chunks
+
+    async def attack() -> None:
+        async with linked(served) as link:
+            assert await link.read("State.Name") == "IDLE"
+            with pytest.raises(BadUserAccessDenied):
+                await link.call("acquire", "nobody")
+
+    monkeypatch.setattr(MessageChunk, "message_to_chunks", staticmethod(naming))
+    asyncio.run(attack())
+    assert named
+
+
+def test_a_session_without_a_channel_calls_nothing(open_cell: Any) -> None:
+    served = open_cell()
+
+    async def attack() -> None:
+        client = Client(url(served), timeout=LIMIT_S)
+        await client.connect_socket()
+        await client.send_hello()
+        await client.create_session()
+        await client.activate_session()
+        link = Link(client, await client.get_namespace_index(NAMESPACE))
+        with pytest.raises(BadUserAccessDenied):
+            await link.call("acquire", "nobody")
+        with pytest.raises(BadUserAccessDenied):
+            await link.node("State.Name").write_value("RUN")
+        client.disconnect_socket()
+
+    asyncio.run(attack())
+
+
+def test_a_session_of_another_client_cannot_be_taken(open_cell: Any, plc: Identity) -> None:
+    served = open_cell()
+
+    async def attack() -> None:
+        async with linked(served, plc) as link:
+            thief = Client(url(served), timeout=LIMIT_S)
+            await thief.connect_socket()
+            await thief.send_hello()
+            await thief.open_secure_channel()
+            thief._server_nonce = b""
+            # Numbers that asyncua itself gives to sessions.
+            for guess in range(1000, InternalSession._auth_counter + 1):
+                thief.uaclient.protocol.authentication_token = ua.NodeId(guess)
+                with pytest.raises(BadSessionIdInvalid):
+                    await thief.activate_session()
+                with pytest.raises(BadUserAccessDenied):
+                    await Link(thief, link.space).call("acquire", "thief")
+            thief.disconnect_socket()
+            assert await link.call("acquire", "plc") > 0
+
+    asyncio.run(attack())
+
+
+def test_only_encrypted_channels_of_trusted_certificates_command(
+    open_cell: Any, folder: Path, plc: Identity
+) -> None:
+    served = open_cell()
+    makers = identity("makers")
+    stranger, member = identity("stranger"), identity("member", makers)
+
+    async def tried(who: Identity) -> int:
+        async with linked(served, who) as link:
+            lease = await link.call("acquire", "plc")
+            await link.call("give_up", lease)
+            with pytest.raises(BadUserAccessDenied):
+                await link.node("State.Name").write_value("RUN")
+            return lease
+
+    async def modes() -> set[ua.MessageSecurityMode]:
+        async with linked(served) as link:
+            return {found.SecurityMode for found in await link.client.get_endpoints()}
+
+    async def walk() -> None:
+        assert await modes() == {ua.MessageSecurityMode.None_, ENCRYPTED}
+        assert await tried(plc) > 0
+        for who in (stranger, member, makers):
+            with pytest.raises(BadCertificateUntrusted):
+                await tried(who)
+        # The trust list counts as it is when a session begins.
+        (folder / "trusted" / "makers.der").write_bytes(makers.der)
+        assert await tried(member) > 0
+        (folder / "trusted" / "plc.der").unlink()
+        with pytest.raises(BadCertificateUntrusted):
+            await tried(plc)
+        (folder / "trusted" / "bad.der").write_bytes(b"no certificate")
+        with pytest.raises(BadCertificateUntrusted):
+            await tried(member)
+        for path in (folder / "trusted").iterdir():
+            path.unlink()
+        with pytest.raises(BadCertificateUntrusted):
+            await tried(member)
+
+    asyncio.run(walk())
+
+
+def test_without_a_folder_the_door_is_read_only(serve: Any, plc: Identity) -> None:
+    served = serve("opcua")
+
+    async def attack() -> None:
+        async with linked(served) as link:
+            (endpoint,) = await link.client.get_endpoints()
+            assert endpoint.SecurityMode == ua.MessageSecurityMode.None_
+            with pytest.raises(BadUserAccessDenied):
+                await link.call("hold")
+            assert await link.read("Identification.Labels") == ["ball", "box"]
+
+    asyncio.run(attack())
+
+
+# -- commands and values -----------------------------------------------------------------------
+
+
+def test_a_trusted_client_identifies_keeps_and_releases(open_cell: Any, plc: Identity) -> None:
+    served = open_cell()
+
+    async def work() -> None:
+        async with linked(served, plc) as link:
+            with pytest.raises(BadWaitingForInitialData):
+                await link.read("Taxels")
+            lease = await link.call("acquire", "plc")
+            await link.until("State.Commander", lambda name: name == "plc")
+            assert await link.call("identify", lease, 1, 0.0, True, 1) == 1
+            assert await link.call("identify", lease, 1, 0.0, True, 1) == 1  # not done twice
+            await link.ended(1)
+            shown = {value.path: await link.read(value.path) for value in (*PLATE, *VALUES)}
+            job = served.service.job(1)
+            assert shown["Job.Label"] == await link.call("label", 1) == job.label == "ball"
+            assert shown["Job.LabelId"] == await link.call("label_id", 1) == 1
+            assert shown["Job.Probability"] == await link.call("probability", 1) > 0.5
+            assert shown["Job.Shape"] == job.shape == "sphere"
+            assert shown["Job.Size"] == job.size_mm > 1.0
+            assert shown["Job.Kept"]
+            assert (shown["State.Number"], shown["State.Name"]) == (17, "COMPLETE")
+            assert shown["Grip.Holding"]
+            assert shown["Grip.Force"] > 1.0
+            assert len(shown["Taxels"]) == served.service.info()["n_taxels"]
+            assert max(shown["Taxels"]) > 0
+            assert shown["FaultNumber"] == 0
+            assert await link.call("release", lease, 0) == -513
+            assert await link.call("release", lease + 1, RELEASE_KEY) < 0
+            assert await link.call("release", lease) == -501  # an argument is missing
+            assert served.grip_n > 1.0
+            assert await link.call("release", lease, RELEASE_KEY, 2) == 2
+            await link.ended(2)
+            await link.until("State.Name", lambda name: name == "IDLE")
+            assert served.grip_n == 0.0
+
+    asyncio.run(work())
+
+
+def test_a_lost_lease_holds_the_job_and_anyone_trusted_holds(open_cell: Any, plc: Identity) -> None:
+    served = open_cell()
+
+    async def work() -> None:
+        async with linked(served, plc) as link, linked(served) as watcher:
+            for number, stop in enumerate((served.pass_lease, None), start=1):
+                lease = await link.call("acquire", "plc")
+                served.pause_while_pressing()
+                assert await link.call("identify", lease, 1, 0.0, False, 0) > 0
+                await asyncio.to_thread(served.paused)
+                await (asyncio.to_thread(stop) if stop else link.call("hold"))
+                served.go_on()
+                await watcher.until("State.Name", lambda name: name == "HELD")
+                assert await watcher.until("Job.State", lambda state: state >= 4) == 5
+                assert await watcher.read("Job.FaultNumber") == 512
+                assert served.grip_n > 1.0
+                if stop is not None:
+                    assert await link.call("alive", lease) < 0
+                    assert await link.call("release", lease, RELEASE_KEY, 0) < 0
+                    lease = await link.call("acquire", "plc")
+                assert await link.call("release", lease, RELEASE_KEY, 0) == 2 * number
+                await watcher.until("State.Name", lambda name: name == "IDLE")
+                await link.call("give_up", lease)
+
+    asyncio.run(work())
+
+
+def test_faults_are_shown_and_taxels_follow_at_most_ten_times_a_second(
+    open_cell: Any, plc: Identity
+) -> None:
+    served = open_cell()
+    frames: list[ua.DataValue] = []
+
+    class Listener:
+        def datachange_notification(self, _node: Any, value: Any, data: Any) -> None:
+            if value is not None:
+                frames.append(data.monitored_item.Value)
+
+    async def work() -> None:
+        async with linked(served, plc) as link:
+            watch = await link.client.create_subscription(20, Listener())
+            await watch.subscribe_data_change(link.node("Taxels"))
+            lease = await link.call("acquire", "plc")
+            for job in (1, 2, 3):
+                await link.call("identify", lease, 1, 0.0, False, job)
+                await link.ended(job)
+                async with asyncio.timeout(LIMIT_S):
+                    while len(frames) < job:
+                        await asyncio.sleep(0.02)
+            served.pause_while_pressing()
+            await link.call("identify", lease, 1, 0.0, False, 4)
+            await asyncio.to_thread(served.paused)
+            served.simulated.inject("unit.off")
+            served.go_on()
+            await link.until("State.Name", lambda name: name == "ABORTED")
+            status = served.service.status()
+            assert await link.read("FaultNumber") == status.fault_number > 0
+            assert await link.read("FaultText") == status.fault
+            await watch.delete()
+
+    asyncio.run(work())
+    taken_s = [frame.SourceTimestamp.timestamp() for frame in frames]
+    assert len(taken_s) > 2
+    assert all(b - a > 0.9 * PERIOD_S for a, b in pairwise(taken_s))
+
+
+def test_values_are_bad_while_the_cell_cannot_be_asked(
+    open_cell: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    served = open_cell()
+
+    def silent() -> None:
+        raise CellError("the process of the loop is gone")
+
+    async def bad(link: Link) -> bool:
+        data = await link.node("State.Name").read_data_value(raise_on_bad_status=False)
+        return data.StatusCode.value == ua.StatusCodes.BadNoCommunication
+
+    async def work() -> None:
+        async with linked(served) as link, asyncio.timeout(LIMIT_S):
+            monkeypatch.setattr(served.service, "snapshot", silent)
+            while not await bad(link):
+                await asyncio.sleep(0.02)
+            monkeypatch.undo()
+            while await bad(link):
+                await asyncio.sleep(0.02)
+            assert await link.read("State.Name") == "IDLE"
+
+    asyncio.run(work())
+
+
+# -- who may connect, and the folder -----------------------------------------------------------
+
+
+def test_other_hosts_and_endless_requests_are_cut_off(
+    open_cell: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async def never(_connection: Any) -> None:
+        """Stand for the time after which a connection without session is closed anyhow."""
+
+    monkeypatch.setattr(OPCUAProtocol, "_activation_watchdog", never)
+    served = open_cell()
+    address = ("127.0.0.1", served.doors["opcua_port"])
+    header = b"HELF" + struct.pack("<I", 2**31)
+    with socket.create_connection(address, LIMIT_S) as link, suppress(ConnectionError):
+        link.sendall(header)
+        for _ in range(256):
+            link.sendall(bytes(65536))
+        assert link.recv(1) == b""
+    with monkeypatch.context() as elsewhere:
+        elsewhere.setattr(opc_ua_server, "may_connect", lambda *_: False)
+        with socket.create_connection(address, LIMIT_S) as link:
+            assert link.recv(1) == b""
+
+    async def read() -> None:
+        async with linked(served) as link:
+            assert await link.read("State.Name") == "IDLE"
+
+    asyncio.run(read())
+
+
+def test_the_folder_is_made_once_and_its_key_is_the_operators(serve: Any, tmp_path: Path) -> None:
+    folder = tmp_path / "new" / "pki"
+    served = serve("opcua", serve__opcua_folder=str(folder))
+    made = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+    assert set(made) == {"certificate.der", "key.pem"}
+    assert (folder / "key.pem").stat().st_mode & 0o777 == 0o600
+    again = OpcUaDoor(served.service)
+    again.close()
+    assert made == {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
+    busy = served.service.config.serve.model_copy(update={"opcua_port": served.doors["opcua_port"]})
+    served.service.config = served.service.config.model_copy(update={"serve": busy})
+    with pytest.raises(CellError, match="cannot be opened"), open_doors(served.service):
+        pass
+    (folder / "trusted" / "bad.pem").write_bytes(b"no certificate")
+    with pytest.raises(ConfigError, match="opcua_folder"):
+        OpcUaDoor(served.service)
+    (folder / "trusted" / "bad.pem").unlink()
+    (folder / "key.pem").unlink()
+    with pytest.raises(CellError, match=r"key\.pem"), open_doors(served.service):
+        pass
+
+
+def test_a_missing_extra_is_named(serve: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    served = serve("opcua")
+    monkeypatch.setitem(sys.modules, "cell.interfaces.opc_ua.door", None)
+    with (
+        pytest.raises(ConfigError, match=r"tactile-cell\[opcua\]"),
+        open_doors(served.service),
+    ):
+        pass
+
+
+def test_the_program_opens_the_door_and_keeps_the_console_clean(tmp_path: Path) -> None:
+    (tmp_path / "cell.yaml").write_text("tactile:\n  tare_frames: 25\n")
+    program = "from cell.interfaces.cli import main; main()"
+    command = [sys.executable, "-c", program, "serve", "-c", "cell.yaml", "--modbus", "0"]
+    command += ["--xml-rpc", "0", "--opcua", "0", "--opcua-folder", "pki"]
+    with subprocess.Popen(
+        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        try:
+            assert process.stdout is not None
+            doors = json.loads(process.stdout.readline())
+            assert set(doors) == {"listen", "modbus_port", "xmlrpc_port", "opcua_port"}
+
+            async def read(served: Any) -> None:
+                async with linked(served) as link:
+                    assert await link.read("State.Name") == "IDLE"
+                    with pytest.raises(BadUserAccessDenied):
+                        await link.call("hold")
+
+            asyncio.run(read(SimpleNamespace(doors=doors)))
+            process.send_signal(signal.SIGTERM)
+            assert process.wait(LIMIT_S) == 0
+            assert process.communicate()[1].splitlines()[1:] == []
+        finally:
+            process.kill()
+    assert (tmp_path / "pki" / "key.pem").exists()
