@@ -23,7 +23,7 @@ from dataclasses import asdict, dataclass, field
 from multiprocessing import get_context
 from pathlib import Path
 
-from tests.faults.state_machine import run_machine
+from tests.faults.state_machine import MACHINES, run_machine
 from tests.fuzz.harness import PROPERTIES, Piece
 
 ROOT = Path(__file__).parents[1]
@@ -39,8 +39,12 @@ MODULES = (
 """Modules of `tests.fuzz` with properties."""
 MACHINE = "state_machine.all_invariants_hold"
 """Random commands and faults."""
+WIRES = {f"state_machine.through_{door}": door for door in MACHINES if door}
+"""The same through each door."""
 GOAL = 1_000_000
 """Inputs of each parser that guards the grip, and steps of the state machine."""
+WIRE_GOAL = 100_000
+"""Steps through each door: the cell behind it is that of the state machine."""
 FILE_GOAL = 100_000
 """Inputs of each parser of files, which are read before anything moves."""
 MACHINE_PIECE = 2000
@@ -171,7 +175,9 @@ class Campaign:
         dull = [
             f"{name}: the same became of all inputs"
             for name in self.goals
-            if name != MACHINE and self.done[name].inputs and len(self.done[name].outcomes) < 2
+            if name not in (MACHINE, *WIRES)
+            and self.done[name].inputs
+            and len(self.done[name].outcomes) < 2
         ]
         return broken + dull
 
@@ -181,14 +187,15 @@ def load_properties() -> dict[str, int]:
     for module in MODULES:
         importlib.import_module(f"tests.fuzz.{module}")
     goals = {name: GOAL if one.seeded else FILE_GOAL for name, one in PROPERTIES.items()}
-    return {MACHINE: GOAL} | goals
+    return {MACHINE: GOAL} | dict.fromkeys(WIRES, WIRE_GOAL) | goals
 
 
 def run_piece(name: str, number: int) -> tuple[Piece, float]:
     """Try one piece of a property; return what became of it and the time in s."""
     began_s = time.monotonic()
-    if name == MACHINE:
-        outcome = run_machine(MACHINE_PIECE, FIRST_MACHINE_SEED + number)
+    if name == MACHINE or name in WIRES:
+        door = WIRES.get(name, "")
+        outcome = run_machine(MACHINE_PIECE, FIRST_MACHINE_SEED + number, door=door)
         failures = [outcome.defect] if outcome.defect else []
         piece = Piece(outcomes={"steps": outcome.steps}, failures=failures)
     else:

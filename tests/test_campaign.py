@@ -26,7 +26,8 @@ def test_the_parsers_that_guard_the_grip_and_the_machine_have_a_million() -> Non
         wanted = [goal for name, goal in goals.items() if name.startswith(module)]
         assert len(wanted) >= 2
         assert set(wanted) == {GOAL}
-    assert len(goals) == 1 + len(harness.PROPERTIES)
+    assert len(goals) == 1 + len(campaign.WIRES) + len(harness.PROPERTIES)
+    assert set(campaign.WIRES.values()) == {"modbus", "xmlrpc", "http"}
 
 
 def test_pieces_are_taken_from_what_is_least_far_until_all_is_done(path: Path) -> None:
@@ -65,7 +66,8 @@ def test_what_broke_is_tried_again_first_and_counted_once(
     tried: list[tuple[str, int]] = []
     broken = {3}
 
-    def run_machine(steps: int, seed: int) -> Outcome:
+    def run_machine(steps: int, seed: int, *, door: str) -> Outcome:
+        assert not door
         number = seed - campaign.FIRST_MACHINE_SEED
         tried.append((MACHINE, number))
         defect = "let go" if number in broken else ""

@@ -17,7 +17,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -48,12 +48,12 @@ _PAGE_KIB = os.sysconf("SC_PAGE_SIZE") // 1024
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sample:
-    """The process after so many grasps.
+    """The process after so many grasps, or connections.
 
     Attributes
     ----------
-    grasps
-        Grasps done.
+    done
+        How many.
     virtual_s
         Time that has passed in the simulated cells, in s.
     rss_kib
@@ -64,7 +64,7 @@ class Sample:
         Open file descriptors and threads of the process.
     """
 
-    grasps: int
+    done: int
     virtual_s: float
     rss_kib: int
     objects: int
@@ -72,12 +72,12 @@ class Sample:
     threads: int
 
 
-def look(grasps: int, virtual_s: float) -> Sample:
+def look(done: int, virtual_s: float) -> Sample:
     """Collect garbage and look at this process."""
     gc.collect()
     resident = int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1])
     return Sample(
-        grasps=grasps,
+        done=done,
         virtual_s=virtual_s,
         rss_kib=resident * _PAGE_KIB,
         objects=len(gc.get_objects()),
@@ -172,28 +172,28 @@ def slopes(samples: Sequence[Sample]) -> dict[str, float]:
         raise ValueError(f"{len(samples)} blocks are too few for a slope; let it run longer")
     # A slope needs no more than some hundred points, and has a pair for each two of them.
     thinned = kept[:: max(1, len(kept) // 400)]
-    grasps = np.array([float(sample.grasps) for sample in thinned])
+    done = np.array([float(sample.done) for sample in thinned])
     first, second = np.triu_indices(len(thinned), k=1)
     found = {}
     for name in LIMITS:
         values = np.array([float(getattr(sample, name)) for sample in thinned])
-        rises = (values[second] - values[first]) / (grasps[second] - grasps[first])
+        rises = (values[second] - values[first]) / (done[second] - done[first])
         found[name] = float(np.median(rises))
     return found
 
 
-def grown(samples: Sequence[Sample]) -> list[str]:
+def grown(samples: Sequence[Sample], limits: Mapping[str, float] = LIMITS) -> list[str]:
     """Return what grows faster than its limit."""
     return [
-        f"{name} grow by {slope:.4f} a grasp, allowed are {LIMITS[name]:g}"
+        f"{name} grow by {slope:.4f} each, allowed are {limits[name]:g}"
         for name, slope in slopes(samples).items()
-        if slope > LIMITS[name]
+        if slope > limits[name]
     ]
 
 
 def _print_row(sample: Sample) -> None:
     print(
-        f"{sample.grasps:>8} {sample.virtual_s / 3600:>9.2f} {sample.rss_kib / 1024:>9.1f} "
+        f"{sample.done:>8} {sample.virtual_s / 3600:>9.2f} {sample.rss_kib / 1024:>9.1f} "
         f"{sample.objects:>9} {sample.descriptors:>6} {sample.threads:>8}",
         flush=True,
     )
@@ -201,15 +201,15 @@ def _print_row(sample: Sample) -> None:
 
 def _print_table(samples: Sequence[Sample], wall_s: float) -> None:
     last = samples[-1]
-    line("soak", f"{last.grasps} grasps, {last.virtual_s / 3600:.1f} h of the cell")
-    line("  took", f"{wall_s / 60:.1f} min, {1e3 * wall_s / last.grasps:.0f} ms a grasp")
+    line("soak", f"{last.done} grasps, {last.virtual_s / 3600:.1f} h of the cell")
+    line("  took", f"{wall_s / 60:.1f} min, {1e3 * wall_s / last.done:.0f} ms a grasp")
     kept = samples[int(WARM_UP * len(samples)) :]
     for name, slope in slopes(samples).items():
         start, end = getattr(kept[0], name), getattr(kept[-1], name)
         highest = max(getattr(sample, name) for sample in kept)
         line(
             f"  {name}",
-            f"{start} after {kept[0].grasps} grasps, {end} at the end, {highest} at most; "
+            f"{start} after {kept[0].done} grasps, {end} at the end, {highest} at most; "
             f"{slope:+.5f} a grasp, allowed {LIMITS[name]:g}",
         )
 

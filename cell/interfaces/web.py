@@ -308,6 +308,9 @@ class WebDoor:
         settings.load()  # certificates are read here, not in the thread
         family = socket.AF_INET6 if ":" in config.listen else socket.AF_INET
         self._socket = socket.create_server((config.listen, config.http_port or 0), family=family)
+        # asyncio does so only where the protocol of the socket is named. Without it an answer waits
+        # 40 ms for the client's delayed acknowledgement.
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.port: int = self._socket.getsockname()[1]
         self._server = uvicorn.Server(settings)
         self._thread = threading.Thread(

@@ -120,9 +120,9 @@ class Calls:
         """Start to let the part go, with key 20304 (0x4F50); return the job."""
         return self._service.command(lease, Command.RELEASE, key=key, number=job)
 
-    def clear(self, lease: int, job: int = 0) -> int:
-        """Start to acknowledge the fault; return the job."""
-        return self._service.command(lease, Command.CLEAR, number=job)
+    def clear(self, lease: int, job: int = 0, reboot: bool = False) -> int:
+        """Start to acknowledge the fault; return the job. `reboot` restarts servos at fault."""
+        return self._service.command(lease, Command.CLEAR, reboot=reboot, number=job)
 
     def reset(self, lease: int, job: int = 0) -> int:
         """Start to verify the devices anew; return the job."""

@@ -10,6 +10,7 @@ import numpy as np
 from cell.build import Cell
 from cell.config.model import CellConfig
 from cell.control.identification import Identification
+from cell.control.keeping import Keep
 from cell.jobs.common import Progress
 from cell.learning.blas import one_blas_thread
 from cell.learning.drift import DriftTracker, estimate_values
@@ -114,6 +115,7 @@ def identify_on_cell(
     model: TaughtModel,
     *,
     held: str | None,
+    keep: Keep = Keep.NEVER,
     progress: Progress,
 ) -> tuple[Identification, str | None]:
     """Run one sequence; return its answer and, where the cell is simulated, the object held.
@@ -133,6 +135,7 @@ def identify_on_cell(
         cell.controller,
         held=held,
         seed=config.seed + 1,
+        keep=keep,
         on_grasp=lambda number, *_rest: progress("identify", number, n_grasps),
     )
     return found, held

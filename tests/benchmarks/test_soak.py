@@ -36,20 +36,20 @@ def quick_config() -> CellConfig:
 def test_some_fifty_grasps_leave_no_file_no_thread_and_few_objects() -> None:
     samples = list(soak.soak(50, quick_config()))
     first, *_, last = samples
-    assert last.grasps >= 50 > samples[-2].grasps
+    assert last.done >= 50 > samples[-2].done
     assert last.virtual_s > first.virtual_s + 30.0, samples
     assert (last.descriptors, last.threads) == (first.descriptors, first.threads)
-    assert last.objects - first.objects < 1.0 * (last.grasps - first.grasps) + 50
+    assert last.objects - first.objects < 1.0 * (last.done - first.done) + 50
 
 
 def made(n: int, **growth: float) -> list[soak.Sample]:
     still = soak.Sample(
-        grasps=0, virtual_s=0.0, rss_kib=100_000, objects=80_000, descriptors=9, threads=1
+        done=0, virtual_s=0.0, rss_kib=100_000, objects=80_000, descriptors=9, threads=1
     )
     rows = []
     for i in range(1, n + 1):
         changed = {name: getattr(still, name) + int(20 * i * by) for name, by in growth.items()}
-        rows.append(replace(still, grasps=20 * i, virtual_s=50.0 * i, **changed))
+        rows.append(replace(still, done=20 * i, virtual_s=50.0 * i, **changed))
     return rows
 
 
@@ -60,7 +60,7 @@ def made(n: int, **growth: float) -> list[soak.Sample]:
 def test_each_kind_of_leak_is_found(name: str, leak: float) -> None:
     assert soak.grown(made(50)) == []
     (told,) = soak.grown(made(50, **{name: leak}))
-    assert told.startswith(f"{name} grow by {leak:.4f} a grasp")
+    assert told.startswith(f"{name} grow by {leak:.4f} each")
 
 
 def test_one_step_of_the_allocator_is_no_leak() -> None:

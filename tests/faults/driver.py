@@ -121,13 +121,16 @@ class Driver:
     def identify(self, force_n: float, keep: Keep = Keep.NEVER) -> bool:
         """Grasp and classify, with a recogniser that looks at its frames."""
         step = GraspStep(pose=Pose(), force_n=force_n)
-        witness = FrameWitness(
-            lambda: self._scanned,
-            lambda: spoiling(self.simulated.injector.faults, self.simulated.clock.monotonic()),
-        )
         return self.command(
             f"identify {force_n} N, keep {keep}",
-            lambda: self.controller.identify(witness, [step], keep=keep),
+            lambda: self.controller.identify(self.witness(), [step], keep=keep),
+        )
+
+    def witness(self) -> FrameWitness:
+        """Return a recogniser that looks at its frames."""
+        return FrameWitness(
+            lambda: self._scanned,
+            lambda: spoiling(self.simulated.injector.faults, self.simulated.clock.monotonic()),
         )
 
     def cancel(self) -> None:
@@ -198,24 +201,31 @@ class Driver:
             self.monitor.broken += recording_faults(copy, whole=False)
         self.monitor.attach(None)
         self.simulated.replace_host()
-        self.cell.close()
+        self._close_host()
         self.simulated.clock.sleep(dead_s)
         self.cell = self._new_host()
         self._end()
 
-    def _new_host(self) -> Cell:
+    def _host_folder(self) -> Path:
         self._hosts += 1
         folder = self._folder / f"host{self._hosts}"
         folder.mkdir()
+        return folder
+
+    def _new_host(self) -> Cell:
+        folder = self._host_folder()
         cell = build_cell(self._config, folder=folder, simulated=self.simulated)
         self.monitor.attach(cell)
         cell.controller.present("ball")
         return cell
 
+    def _close_host(self) -> None:
+        self.cell.close()
+
     def _finish_host(self) -> None:
         recording = self.cell.recording_path
         try:
-            self.cell.close()
+            self._close_host()
         except Exception as error:
             self.monitor.broken.append(f"close() raised {type(error).__name__}: {error}")
         self.monitor.attach(None)

@@ -17,6 +17,7 @@ from cell.control.keeping import Keep
 from simulator.faults.entry import FaultEntry, Number
 from simulator.faults.injector import VOCABULARY
 from tests.faults.driver import Driver
+from tests.faults.wires import WIRES, driver_of
 
 PIECES = 10
 """Pieces that the tests run, each from a seed of its own."""
@@ -116,11 +117,12 @@ _X_MM = st.sampled_from((0.0, 1.0, -2.0, 4.0, 40.0))
 class CellMachine(RuleBasedStateMachine):
     """A cell under random commands and faults; see `tests.faults.driver`."""
 
+    driver_type: type[Driver] = Driver
     taken = 0
 
     @initialize(self_test=st.booleans(), started=st.booleans())
     def begin(self, self_test: bool, started: bool) -> None:
-        self.driver = Driver(self_test=self_test)
+        self.driver = self.driver_type(self_test=self_test)
         if started:
             self.driver.start()
 
@@ -251,7 +253,13 @@ class Outcome:
     defect: str
 
 
-def run_machine(steps: int, number: int, *, shrink: bool = False) -> Outcome:
+MACHINES: dict[str, type[CellMachine]] = {"": CellMachine} | {
+    door: type(f"{door}Machine", (CellMachine,), {"driver_type": driver_of(door)}) for door in WIRES
+}
+"""The machine of a host program, and those of clients of each door."""
+
+
+def run_machine(steps: int, number: int, *, door: str = "", shrink: bool = False) -> Outcome:
     """Run at least so many steps, from a seed; what is found is returned, not raised."""
     logging.disable(logging.CRITICAL)
     began_s = time.monotonic()
@@ -260,13 +268,14 @@ def run_machine(steps: int, number: int, *, shrink: bool = False) -> Outcome:
     try:
         while CellMachine.taken < steps and not defect:
             part += 1
-            defect = _run_part(steps - CellMachine.taken, 1000 * number + part, shrink=shrink)
+            left, at = steps - CellMachine.taken, 1000 * number + part
+            defect = _run_part(MACHINES[door], left, at, shrink=shrink)
     finally:
         logging.disable(logging.NOTSET)
     return Outcome(steps=CellMachine.taken, seconds=time.monotonic() - began_s, defect=defect)
 
 
-def _run_part(steps: int, number: int, *, shrink: bool) -> str:
+def _run_part(machine: type[CellMachine], steps: int, number: int, *, shrink: bool) -> str:
     phases = (Phase.generate, Phase.shrink) if shrink else (Phase.generate,)
     chosen = settings(
         max_examples=max(1, steps // _STEPS_OF_ROUNDS),
@@ -278,7 +287,10 @@ def _run_part(steps: int, number: int, *, shrink: bool) -> str:
         suppress_health_check=list(HealthCheck),
     )
     try:
-        run_state_machine_as_test(seed(number)(CellMachine), settings=chosen)
+        run_state_machine_as_test(seed(number)(machine), settings=chosen)
     except Exception as error:
-        return f"seed {number}: {type(error).__name__}: {error}"
+        # What does not happen a second time is in a group.
+        inside = error.exceptions if isinstance(error, ExceptionGroup) else ()
+        found = "\n".join(f"{type(one).__name__}: {one}" for one in (error, *inside))
+        return f"seed {number}: {found}"
     return ""

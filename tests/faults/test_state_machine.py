@@ -1,9 +1,15 @@
 """Random commands and faults: after each step all invariants hold."""
 
+from typing import Any
+
 import pytest
 from hypothesis import given, settings
 
 from cell.control.controller import CellController
+from cell.control.keeping import Keep
+from cell.interfaces.modbus.registers import ModbusDoor
+from cell.interfaces.service.service import RELEASE_KEY, Service
+from cell.interfaces.xml_rpc import Calls
 from gripper.dynamixel.control_table import REGISTERS
 from gripper.gripper import Gripper
 from gripper.servos.group import ServoGroup
@@ -13,6 +19,10 @@ from tests.faults import driver
 from tests.faults.driver import Driver
 from tests.faults.invariants import InvariantBroken
 from tests.faults.state_machine import PIECES, STEPS, fault_texts, run_machine
+from tests.faults.wires import WIRES, driver_of
+
+WIRE_STEPS = 100
+"""Steps through each door; `make campaign` takes more, from other seeds."""
 
 
 @pytest.mark.no_cover  # to count lines takes as long again as to run them
@@ -21,6 +31,14 @@ def test_whatever_is_asked_and_whatever_fails_all_invariants_hold(number: int) -
     outcome = run_machine(STEPS, number)
     assert not outcome.defect, outcome.defect
     assert outcome.steps >= STEPS
+
+
+@pytest.mark.no_cover
+@pytest.mark.parametrize("door", WIRES)
+def test_through_each_door_all_invariants_hold_too(door: str) -> None:
+    outcome = run_machine(WIRE_STEPS, 1, door=door)
+    assert not outcome.defect, outcome.defect
+    assert outcome.steps >= WIRE_STEPS
 
 
 @given(fault_texts())
@@ -173,3 +191,103 @@ def test_a_defect_is_reported_with_its_seed_and_steps(monkeypatch: pytest.Monkey
     assert outcome.defect.startswith("seed 100")
     assert "InvariantBroken: so" in outcome.defect
     assert "\nafter\n" in outcome.defect
+
+
+# The same of the doors.
+
+
+def drive_through(door: str) -> None:
+    """Keep a part, repeat and forget, lose the lease, fail, and go on."""
+    cell = driver_of(door)(self_test=False)
+    try:
+        cell.identify(3.0, Keep.ALWAYS)
+        cell.cancel()
+        cell.verify()
+        cell.release()
+        cell.recover()
+        cell.cancel_soon(0.3)
+        cell.grip(3.0)
+        cell.recover()
+        cell.inject("can.off@contact+100ms")
+        cell.grip(3.0)
+        cell.recover()
+        cell.grip(3.0)
+        cell.restart()
+        cell.recover()
+    finally:
+        cell.close()
+
+
+@pytest.mark.parametrize("door", WIRES)
+def test_nothing_is_broken_behind_a_door(door: str) -> None:
+    drive_through(door)
+
+
+@pytest.mark.parametrize("door", WIRES)
+def test_a_release_with_any_key_is_found(door: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    command = Service.command
+    monkeypatch.setattr(
+        Service, "command", lambda *given, **named: command(*given, **named | {"key": RELEASE_KEY})
+    )
+    with pytest.raises(InvariantBroken, match="release is accepted in COMPLETE"):
+        drive_through(door)
+
+
+@pytest.mark.parametrize("door", WIRES)
+def test_a_command_that_is_done_twice_is_found(door: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    begin, run = Service._begin, ModbusDoor.write
+
+    def forgetful(service: Service, *given: Any) -> int:
+        *asked, _number, act = given
+        return begin(service, *asked, 0, act)
+
+    def again(modbus: ModbusDoor, client: Any, address: int, values: Any) -> None:
+        if len(values) > 1:
+            modbus._seq = -1
+        run(modbus, client, address, values)
+
+    monkeypatch.setattr(Service, "_begin", forgetful)
+    monkeypatch.setattr(ModbusDoor, "write", again)
+    with pytest.raises(InvariantBroken, match="a repeated request has another answer"):
+        drive_through(door)
+
+
+@pytest.mark.parametrize("door", WIRES)
+def test_a_client_without_the_lease_that_commands_is_found(
+    door: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def alive(service: Service, lease: int) -> None: ...
+
+    monkeypatch.setattr(Service, "alive", alive)
+    monkeypatch.setattr(ModbusDoor, "_command", lambda *_: None)
+    with pytest.raises(InvariantBroken, match="for a client without the lease"):
+        drive_through(door)
+
+
+@pytest.mark.parametrize("door", WIRES)
+def test_a_hold_that_waits_for_the_next_command_is_found(
+    door: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def hold(service: Service, reason: str = "") -> None:
+        service._plugin._cell.controller.cancel()
+
+    monkeypatch.setattr(Service, "hold", hold)
+    monkeypatch.setattr(CellController, "forget_cancel", lambda _controller: None)
+    with pytest.raises(InvariantBroken, match="stopped, though nobody held it"):
+        drive_through(door)
+
+
+def test_a_door_that_shows_another_fault_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Calls, "fault_number", lambda _calls: 500)
+    with pytest.raises(InvariantBroken, match=r"the door shows .*fault_number=500"):
+        drive_through("xmlrpc")
+
+
+def test_a_command_without_an_end_behind_a_door_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    def hang(controller: CellController) -> None:
+        while True:
+            controller._clock.sleep(0.1)
+
+    monkeypatch.setattr(CellController, "verify", hang)
+    with pytest.raises(InvariantBroken, match="did not end within its time"):
+        drive_through("xmlrpc")

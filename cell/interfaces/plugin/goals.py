@@ -1,7 +1,7 @@
 """Goals of a host's jobs, as values or as mappings, and their checks."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
@@ -11,6 +11,8 @@ from cell.errors import ConfigError
 
 class _Goal(BaseModel):
     model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+    task: ClassVar[str]
+    """Its name in requests."""
 
 
 ForceN = Annotated[float, Field(gt=0.0, le=50.0)]
@@ -22,6 +24,7 @@ Keep = Literal["never", "when_named", "always"]
 class TeachGoal(_Goal):
     """Grasp a known object."""
 
+    task: ClassVar[str] = "teach"
     label: Annotated[str, AfterValidator(checked_label)] = Field(min_length=1, max_length=60)
     """Name of the object."""
     grasps: int = Field(default=10, ge=1, le=1000)
@@ -33,6 +36,7 @@ class TeachGoal(_Goal):
 class IdentifyGoal(_Goal):
     """Grasp and classify an unknown object until its name is sure enough."""
 
+    task: ClassVar[str] = "identify"
     max_grasps: int | None = Field(default=None, ge=1, le=100)
     """Most grasps, or None for the number in the config."""
     seed: int = Field(default=1, ge=0)
@@ -48,6 +52,7 @@ class IdentifyGoal(_Goal):
 class GripGoal(_Goal):
     """Grip a part and keep it, without a name."""
 
+    task: ClassVar[str] = "grip"
     force_n: ForceN
     """Force at the end of the ramp in N; it is then held with ``sequence.carry_force_n``."""
     present: str | None = None
@@ -58,10 +63,13 @@ class GripGoal(_Goal):
 class VerifyGoal(_Goal):
     """Measure whether the part in the grip is still the one that was named or gripped."""
 
+    task: ClassVar[str] = "verify"
+
 
 class SortGoal(_Goal):
     """Name parts one after the other and let each go at its place."""
 
+    task: ClassVar[str] = "sort"
     parts: int = Field(default=1, ge=1, le=1_000_000)
     """How many parts."""
     feed: tuple[str, ...] = ()
@@ -79,11 +87,8 @@ Goal = TeachGoal | IdentifyGoal | GripGoal | VerifyGoal | SortGoal
 """Goal of a job."""
 
 _TASKS: dict[str, TypeAdapter[Any]] = {
-    "teach": TypeAdapter(TeachGoal),
-    "identify": TypeAdapter(IdentifyGoal),
-    "grip": TypeAdapter(GripGoal),
-    "verify": TypeAdapter(VerifyGoal),
-    "sort": TypeAdapter(SortGoal),
+    goal.task: TypeAdapter(goal)
+    for goal in (TeachGoal, IdentifyGoal, GripGoal, VerifyGoal, SortGoal)
 }
 
 

@@ -10,6 +10,7 @@ import sys
 import threading
 import warnings
 import weakref
+from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
@@ -20,7 +21,7 @@ from cell.config.file import load_config
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.control.states import CellState, CellStatus, Command
-from cell.errors import PartInGrip
+from cell.errors import PartInGrip, error_text
 from cell.interfaces.plugin.answer import Answer, FeltShape, SortAnswer, Verification
 from cell.interfaces.plugin.goals import (
     Goal,
@@ -36,6 +37,7 @@ from cell.interfaces.plugin.worker import CellWorker, Job, JobFailed, JobOutcome
 from gripper.errors import ServoFault
 
 if TYPE_CHECKING:
+    from cell.control.controller import CellController
     from cell.control.live import LiveValues
     from cell.control.positioner import Places
     from gripper.state import ReleaseReport
@@ -55,6 +57,10 @@ __all__ = [
     "Verification",
     "VerifyGoal",
 ]
+
+
+_REMARKS_MAX = 1000
+"""Remarks that wait for the thread of the cell; the oldest go first."""
 
 
 class TactileCellPlugin:
@@ -83,6 +89,7 @@ class TactileCellPlugin:
         training_set: Path | str | None = None,
         gauge: Path | str | None = None,
         gauge_shape: str | None = None,
+        folder: Path | None = None,
     ) -> None:
         """Connect to the cell, verify the devices and take the zero of the taxels.
 
@@ -108,6 +115,8 @@ class TactileCellPlugin:
         gauge_shape
             Its shape, as ``sphere:diameter=9.5mm``; without it that of the configured object of
             the grasps' label.
+        folder
+            Where the recording goes; None makes none.
 
         Raises
         ------
@@ -141,7 +150,8 @@ class TactileCellPlugin:
             if model is None
             else TaughtModel.load(checked, model, training_set=training_set, known=known)
         )
-        self._cell = build_cell(checked, mover=mover, places=places)
+        self._cell = build_cell(checked, folder=folder, mover=mover, places=places)
+        self._remarks: deque[tuple[str, str]] = deque(maxlen=_REMARKS_MAX)
         try:
             self._cell.controller.start()
         except (ServoFault, PartInGrip):
@@ -252,7 +262,7 @@ class TactileCellPlugin:
                 model.check_taught()
                 places = tasks.Places(self._config, model.labels)
                 work = functools.partial(tasks.sort, controller, model, places, checked)
-        return self._accept(work, command)
+        return self._accept(work, command, checked.task)
 
     def feedback(self, job: Job) -> JobStatus:
         """Return state and progress of a job; never waits.
@@ -326,7 +336,7 @@ class TactileCellPlugin:
         if controller.state in (CellState.RESETTING, CellState.STOPPED):
             works[Command.RELEASE] = (Command.RELEASE_HELD, controller.release_held)
         needed, work = works[command]
-        return self._accept(lambda _report: work(), needed)
+        return self._accept(lambda _report: work(), needed, command.value)
 
     def release(self, timeout_s: float = 30.0) -> "ReleaseReport":
         """Let the part go and open the fingers; the only way to do so outside a sequence.
@@ -371,9 +381,15 @@ class TactileCellPlugin:
         """
         self._model.save(path, followed=followed)
 
+    def remark(self, kind: str, text: str) -> None:
+        """Write into the recording that something happened, with the next job or its end."""
+        if self._cell.recording_path is not None:
+            self._remarks.append((kind, text))
+
     def forget_drift(self, timeout_s: float = 5.0) -> None:
         """Forget the followed drift, as after work on the sensors, and follow anew."""
-        self._finish(self._accept(lambda _report: self._model.forget_drift(), None), timeout_s)
+        forget = self._accept(lambda _report: self._model.forget_drift(), None, "forget_drift")
+        self._finish(forget, timeout_s)
 
     def close(self, timeout_s: float = 30.0) -> None:
         """Stop what runs and disconnect; a held part stays held. A second call does nothing.
@@ -395,6 +411,8 @@ class TactileCellPlugin:
                 self._watch.close()
             self._stop_jobs()
             self._worker.close(timeout_s)
+            if not self._closed:
+                _write_remarks(self._cell.controller, self._remarks)
             self._cell.close()
             self._closed = True
 
@@ -437,17 +455,35 @@ class TactileCellPlugin:
             raise status.exception
         return status.value
 
-    def _accept(self, work: Callable[[Report], Any], command: Command | None) -> Job:
+    def _accept(self, work: Callable[[Report], Any], command: Command | None, task: str) -> Job:
         """Start a job that no earlier `cancel` is meant for, where its command is allowed now."""
-        controller = self._cell.controller
+        controller, remarks = self._cell.controller, self._remarks
 
         def accepted() -> None:
             if command is not None:
                 controller.check(command)
             controller.forget_cancel()
 
+        def recorded(report: Report) -> Any:
+            _write_remarks(controller, remarks)
+            end = "succeeded"
+            try:
+                return work(report)
+            except BaseException as error:
+                end = f"failed: {error_text(error)}"
+                raise
+            finally:
+                _write_remarks(controller, remarks)
+                controller.remark("job", f"{task} {end}")
+
         with self._calling(), self._starting:
-            return self._worker.start(work, accepted=accepted)
+            return self._worker.start(recorded, accepted=accepted)
 
     def _calling(self) -> AbstractContextManager[None]:
         return nullcontext() if self._watch is None else self._watch.calling()
+
+
+def _write_remarks(controller: "CellController", remarks: deque[tuple[str, str]]) -> None:
+    """Write remarks of other threads: the recording belongs to the thread of the cell."""
+    while remarks:
+        controller.remark(*remarks.popleft())

@@ -124,6 +124,8 @@ class Service:
         As `TactileCellPlugin`.
     save
         File to which the model is written after each teaching; None writes none.
+    folder
+        Where the recording goes, with each command, its client and its end; None makes none.
     note
         Gets messages for the operator.
     clock
@@ -141,6 +143,7 @@ class Service:
         model: Path | None = None,
         training_set: Path | None = None,
         save: Path | None = None,
+        folder: Path | None = None,
         note: Callable[[str], None] = lambda _text: None,
         clock: Clock = time,
     ) -> None:
@@ -162,7 +165,7 @@ class Service:
         self._stopped = False
         mover = self._move if config.positioner.kind == "callback" else None
         self._plugin = TactileCellPlugin(
-            config, mover=mover, model=model, training_set=training_set
+            config, mover=mover, model=model, training_set=training_set, folder=folder
         )
         self._parts = itertools.cycle(entry.label for entry in config.simulator.objects)
         self._over = threading.Event()
@@ -240,6 +243,7 @@ class Service:
             self._lease = _Lease(
                 1 + secrets.randbelow(2**31 - 1), name[:60], self._clock.monotonic()
             )
+            self._plugin.remark("lease", f"{self._lease.name!r} is in command")
             return self._lease.number
 
     def has(self, lease: int) -> bool:
@@ -275,6 +279,7 @@ class Service:
 
     def _lose(self, reason: str) -> None:
         self._lease = None
+        self._plugin.remark("lease", f"nobody is in command, {reason}")
         self.hold(reason)
 
     # -- commands ------------------------------------------------------------------------------
@@ -302,7 +307,8 @@ class Service:
         if placed and isinstance(checked, IdentifyGoal | GripGoal) and checked.present is None:
             # Nobody brings parts to a simulated cell: they come in turn.
             checked = checked.model_copy(update={"present": next(self._parts)})
-        return self._begin(lease, str(goal["task"]), number, lambda: self._plugin.start(checked))
+        given = checked.model_dump(exclude_defaults=True)
+        return self._begin(lease, checked.task, given, number, lambda: self._plugin.start(checked))
 
     def command(
         self, lease: int, command: Command, *, key: int = 0, reboot: bool = False, number: int = 0
@@ -318,23 +324,34 @@ class Service:
         key
             `RELEASE_KEY` for a release, the only way to let the part go.
         """
-        if command is Command.RELEASE and key != RELEASE_KEY:
-            self.alive(lease)
-            raise RequestRefused(f"release: {key:#x} is not the key; with it the part may fall")
-        task = command.value
-        return self._begin(lease, task, number, lambda: self._plugin.begin(command, reboot=reboot))
+
+        def begin() -> Job:
+            if command is Command.RELEASE and key != RELEASE_KEY:
+                raise RequestRefused(f"release: {key:#x} is not the key; with it the part may fall")
+            return self._plugin.begin(command, reboot=reboot)
+
+        given = {"reboot": True} if reboot else {}
+        return self._begin(lease, command.value, given, number, begin)
 
     def hold(self, reason: str = "on request") -> None:
         """Stop what runs and keep the grip; anyone may."""
         with self._changed:
             entry = self._jobs.get(self._newest)
             if entry is not None and not self._plugin.feedback(entry[0]).outcome.terminal:
+                self._plugin.remark("hold", reason)
                 # First the cell, then the pose: the job ends as held, not as refused by the host.
                 self._plugin.cancel(entry[0], reason)
                 self._stopped = True
                 self._changed.notify_all()
 
-    def _begin(self, lease: int, task: str, number: int, begin: Callable[[], Job]) -> int:
+    def _begin(
+        self,
+        lease: int,
+        task: str,
+        given: Mapping[str, Any],
+        number: int,
+        begin: Callable[[], Job],
+    ) -> int:
         with self._changed:
             self._changed.wait_for(lambda: not self._moving or not self._stopped, _POSE_GONE_S)
             self.alive(lease)
@@ -345,7 +362,14 @@ class Service:
                 raise RequestRefused(f"job {number} is another request; the next is {self._next}")
             if number > self._next:
                 raise RequestRefused(f"job {number} cannot be next; the next is {self._next}")
-            job = begin()
+            name = "" if self._lease is None else self._lease.name
+            values = "".join(f", {field} {value}" for field, value in given.items())
+            self._plugin.remark("command", f"job {self._next}: {task}{values}, by {name!r}")
+            try:
+                job = begin()
+            except Exception as error:
+                self._plugin.remark("command", f"job {self._next} refused: {error_text(error)}")
+                raise
             self._stopped = False
             self._jobs[job.number] = (job, task, lease)
             self._jobs.pop(job.number - KEPT_JOBS, None)

@@ -213,6 +213,38 @@ def test_identify_on_the_cell(config: Path, model: Path, tmp_path: Path) -> None
     assert read_recording(data["recording"]).results[0]["label"] == "box"
 
 
+@pytest.mark.parametrize("keep", ["never", "when-named", "always"])
+def test_identify_keeps_the_part_where_that_is_asked_for(
+    config: Path, model: Path, tmp_path: Path, keep: str
+) -> None:
+    json_file = tmp_path / "i.json"
+    options = ("-m", model, "--object", "box", "-c", config, "--keep", keep, "--json", json_file)
+    text = call("identify", *options)
+    data = read_json(json_file)
+    kept = keep != "never"
+    assert data["kept"] is kept
+    assert ("the part was kept until the simulated cell ended" in text) is kept
+    states = [state["state"] for state in read_recording(data["recording"]).states]
+    assert ("COMPLETE" in states) is kept
+    assert states[-1] == "STOPPED"
+
+
+def test_the_command_that_lets_go_of_a_kept_part_is_printed(
+    config: Path,
+    model: Path,
+    meddle: Callable[..., list[Any]],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def pretend(_made: Any) -> None:
+        # From here on the command takes its cell for one with real ports.
+        monkeypatch.setattr(CellConfig, "simulated", property(lambda _config: False))
+
+    meddle(pretend)
+    options = ("-m", model, "-c", config, "--object", "box", "--keep", "always")
+    text = " ".join(call("identify", *options).split())
+    assert f"the part is kept; to let go of it: tactile-cell release --config {config}" in text
+
+
 def test_identify_recorded_grasps(dataset: Path, model: Path, tmp_path: Path) -> None:
     text = call("identify", dataset, "-m", model, "--json", tmp_path / "i.json")
     answers = read_json(tmp_path / "i.json")["answers"]
@@ -679,6 +711,8 @@ def test_simulate_plays_records_that_fit(
         (["run", "--config", "none.yaml"], "none.yaml"),
         (["run", "--seed", "-1"], "--seed"),
         (["identify"], "--model is missing"),
+        (["identify", "-m", "m.npz", "--keep", "perhaps"], "--keep"),
+        (["identify", "x.npz", "-m", "m.npz", "--keep", "always"], "--keep is for a cell"),
         (["teach", "ball"], "output"),
         (["teach", "ball", "-o", "x.txt"], "the name of a data set ends in .npz"),
         (["train", "x.npz", "-o", "m"], "the name of a model file ends in .npz"),

@@ -4,6 +4,7 @@ import json
 import ssl
 import subprocess
 import threading
+import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from http.client import HTTPConnection, HTTPSConnection
@@ -94,6 +95,19 @@ def test_a_host_identifies_keeps_verifies_and_releases(connect: Any) -> None:
     assert served.ended(done["job"]).outcome == "SUCCEEDED"
     assert served.grip_n == 0.0
     assert host.ask("DELETE", f"/api/lease/{lease}") == (200, {"lease": 0})
+
+
+def test_an_answer_does_not_wait_for_the_acknowledgement_of_the_client(connect: Any) -> None:
+    _, client = connect()
+    link = HTTPConnection("127.0.0.1", client.port, timeout=20.0)
+    took_s = []
+    for _ in range(30):
+        begin_s = time.perf_counter()
+        link.request("GET", "/api/state", headers={"Authorization": f"Bearer {client.token}"})
+        link.getresponse().read()
+        took_s.append(time.perf_counter() - begin_s)
+    link.close()
+    assert min(took_s[1:]) < 0.03  # the delay of an acknowledgement is 40 ms
 
 
 def test_refusals_have_a_status_and_a_fault_number(connect: Any) -> None:

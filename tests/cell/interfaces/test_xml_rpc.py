@@ -100,6 +100,21 @@ def test_a_repeated_call_is_not_done_twice(connect: Any) -> None:
     assert served.grip_n > 1.0
 
 
+def test_clear_restarts_a_servo_at_fault_where_that_is_asked_for(connect: Any) -> None:
+    served, cell = connect()
+    lease = cell.acquire("robot")
+    served.simulated.inject("servo1.overload@contact+50ms")
+    cell.grip(lease, 3.0)
+    assert served.ended().fault_number == 109
+    served.simulated.injector.clear_all()
+    cell.clear(lease)
+    assert served.ended(2).fault_number == 109
+    assert cell.state() == 9
+    cell.clear(lease, 0, True)
+    assert served.ended(3).outcome == "SUCCEEDED"
+    assert (cell.fault_number(), cell.needs_reset()) == (0, True)
+
+
 def test_no_call_waits_while_the_cell_is_busy(connect: Any) -> None:
     served, cell = connect()
     lease = cell.acquire("robot")

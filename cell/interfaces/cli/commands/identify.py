@@ -3,7 +3,7 @@
 from dataclasses import replace
 from itertools import zip_longest
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 
@@ -22,6 +22,7 @@ from cell.interfaces.cli.options import (
 if TYPE_CHECKING:
     from cell.config.model import CellConfig
     from cell.control.identification import ReadShape
+    from cell.control.keeping import Keep
     from cell.learning.pad_knowledge import PadKnowledge
     from recognition.shape.answer import ShapeAnswer
 
@@ -38,6 +39,10 @@ def identify(
             "--follow", help="Follow the drift of the sensors through the recorded grasps."
         ),
     ] = False,
+    keep: Annotated[
+        Literal["never", "when-named", "always"],
+        typer.Option("--keep", help="Whether the part stays in the grip after the answer."),
+    ] = "never",
     gauge: GaugeOption = None,
     gauge_shape: GaugeShapeOption = None,
     config: ConfigOption = None,
@@ -50,6 +55,7 @@ def identify(
 
     Recorded grasps are those of a data set or a recording.
     """
+    from cell.control.keeping import Keep
     from cell.errors import ConfigError
     from cell.interfaces.cli.session import cell_config
     from cell.learning.pad_knowledge import pad_knowledge
@@ -65,12 +71,23 @@ def identify(
             raise ConfigError(
                 "--fault is for the simulated cell; recorded grasps are what they are"
             )
+        if keep != "never":
+            raise ConfigError("--keep is for a cell; recorded grasps hold nothing any more")
         _identify_recorded(checked, model, dataset, read_shape, follow=follow, json_file=json_file)
         return
     if follow:
         raise ConfigError("--follow is for recorded grasps; a cell that grasps one object has none")
     folder = out_folder or Path(checked.recording.directory)
-    _identify_held(checked, model, held, folder, known, json_file=json_file, config_file=config)
+    _identify_held(
+        checked,
+        model,
+        held,
+        Keep(keep.replace("-", "_")),
+        folder,
+        known,
+        json_file=json_file,
+        config_file=config,
+    )
 
 
 def _identify_recorded(
@@ -124,13 +141,14 @@ def _identify_held(
     config: "CellConfig",
     model: Path,
     held: str | None,
+    keep: "Keep",
     folder: Path,
     known: "PadKnowledge",
     *,
     json_file: Path | None,
     config_file: Path | None,
 ) -> None:
-    from cell.interfaces.cli.session import pads_of, running_cell
+    from cell.interfaces.cli.session import pads_of, release_command, running_cell
     from cell.interfaces.cli.terminal import percent, print_line, progress_bar, write_json
     from cell.jobs.common import job_folder
     from cell.jobs.identify import identify_on_cell
@@ -145,7 +163,9 @@ def _identify_held(
         running_cell(config, folder, json_file=json_file, config_file=config_file) as cell,
         progress_bar() as progress,
     ):
-        found, truth = identify_on_cell(cell, config, taught, held=held, progress=progress)
+        found, truth = identify_on_cell(
+            cell, config, taught, held=held, keep=keep, progress=progress
+        )
         recording = cell.recording_path
     for number, (record, posterior, shape) in enumerate(
         zip_longest(found.records, found.posteriors, found.shapes), start=1
@@ -161,6 +181,10 @@ def _identify_held(
     print_line(f"answer: {found.label} {percent(found.probabilities[found.label])}{felt}{was}")
     if found.fused.occasion:
         print_line(f"trust in the sensors: {found.fused.occasion}")
+    if found.kept and config_file is not None and not config.simulated:
+        print_line(f"the part is kept; to let go of it: {release_command(config_file)}")
+    elif found.kept:
+        print_line("the part was kept until the simulated cell ended with this command")
     write_json(
         json_file,
         {
@@ -169,6 +193,7 @@ def _identify_held(
             "probabilities": found.probabilities,
             "unknown": found.fused.unknown,
             "n_grasps": len(found.posteriors),
+            "kept": found.kept,
             "occasion": found.fused.occasion,
             "shape": _plain(found.shape),
             "shapes": [_plain(shape) for shape in found.shapes],

@@ -49,6 +49,10 @@ def serve(
         int | None,
         typer.Option("--http", help="Port of HTTP; 0: any [default: serve.http_port]."),
     ] = None,
+    out_folder: Annotated[
+        Path | None,
+        typer.Option("--out", help="Folder for the recording; without it none is made."),
+    ] = None,
     opcua_port: Annotated[
         int | None,
         typer.Option("--opcua", help="Port of OPC UA; 0: any [default: serve.opcua_port]."),
@@ -73,6 +77,7 @@ def serve(
     from cell.interfaces.cli.terminal import print_note
     from cell.interfaces.service.service import Service
     from cell.interfaces.service.serving import open_doors, warnings
+    from cell.jobs.common import job_folder
 
     given: dict[str, Any] = {
         "serve.listen": listen,
@@ -87,10 +92,16 @@ def serve(
         cell_config(config, faults=faults),
         {key: value for key, value in given.items() if value is not None},
     )
+    folder = None if out_folder is None else job_folder(out_folder, "serve")
     over = threading.Event()
     with stopping(over.set, end_within_s=END_WITHIN_S):
         service = Service(
-            checked, model=model, training_set=training_set, save=save, note=print_note
+            checked,
+            model=model,
+            training_set=training_set,
+            save=save,
+            folder=folder,
+            note=print_note,
         )
         with closing(service), open_doors(service) as found:
             for note in warnings(service):

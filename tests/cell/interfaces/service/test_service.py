@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from cell.control.states import Command
+from cell.data.recording_reader import read_recording
 from cell.errors import CellStateError, ConfigError, NotInCommand, RequestRefused
 from cell.interfaces.service.doors import may_connect
 from cell.interfaces.service.service import RELEASE_KEY
@@ -243,6 +244,49 @@ def test_a_model_that_cannot_be_saved_is_a_note(serve: Any, tmp_path: Path) -> N
     served.service.close()
     assert len(notes) == 1
     assert notes[0].startswith("the model could not be written")
+
+
+def test_the_recording_has_each_command_with_its_client_and_its_end(
+    serve: Any, tmp_path: Path
+) -> None:
+    served = serve(options={"folder": tmp_path})
+    service, lease = served.service, served.service.acquire("first")
+    service.start(lease, KEEP)
+    served.ended()
+    with pytest.raises(RequestRefused):
+        service.command(lease, Command.RELEASE, key=1)
+    with pytest.raises(CellStateError):
+        service.command(lease, Command.RESET)
+    service.command(lease, Command.RELEASE, key=RELEASE_KEY)
+    served.ended(2)
+    served.pause_while_pressing()
+    service.start(lease, {"task": "grip", "force_n": 3.0})
+    served.paused()
+    served.pass_lease()
+    served.go_on()
+    served.ended(3)
+    service.close()
+    recording = read_recording(tmp_path / "recording.mcap")
+    assert recording.complete
+    kinds = ("lease", "command", "job", "hold")
+    events = [(e["kind"], e["text"]) for e in recording.events if e["kind"] in kinds]
+    silent = "because 'first' was silent for 61.00 s"
+    assert [(kind, text[:60]) for kind, text in events] == [
+        ("lease", "'first' is in command"),
+        ("command", "job 1: identify, max_grasps 1, present ball, keep always, by 'first'"[:60]),
+        ("job", "identify succeeded"),
+        ("command", "job 2: release, by 'first'"),
+        ("command", "job 2 refused: RequestRefused: release: 0x1 is not the key; with it"[:60]),
+        ("command", "job 2: reset, by 'first'"),
+        ("command", "job 2 refused: CellStateError: 'reset' is not allowed while the"[:60]),
+        ("command", "job 2: release, by 'first'"),
+        ("job", "release succeeded"),
+        ("command", "job 3: grip, force_n 3.0, present ball, by 'first'"),
+        ("lease", f"nobody is in command, {silent}"[:60]),
+        ("hold", silent),
+        ("job", f"grip failed: CellStopped: stopped {silent}"[:60]),
+    ]
+    assert recording.results[0]["label"] == "ball"
 
 
 # -- the pose handshake ------------------------------------------------------------------------

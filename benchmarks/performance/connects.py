@@ -1,0 +1,148 @@
+"""Ten thousand connections to each door of `tactile-cell serve`, in which nothing grows.
+
+    python -m benchmarks.performance.connects [--connects N]        (make soak)
+
+One service on the simulated cell with a part in its grip. Most clients connect and go; some send
+half a request first, some a whole one and read its answer. After each block of connections the
+process is looked at, as in the soak of grasps, and a new client gets an answer. The part is held.
+"""
+
+import argparse
+import socket
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing
+from typing import Any
+from xmlrpc.client import dumps
+
+from benchmarks._measure import line
+from benchmarks.performance.soak import WARM_UP, Sample, grown, look, slopes
+from cell.config.file import changed_config
+from cell.config.model import CellConfig
+from cell.control.states import CellState
+from cell.interfaces.service.service import Service
+from cell.interfaces.service.serving import open_doors
+
+BLOCK = 1000
+"""Connections between two looks."""
+REST_S = 6.0
+"""Time in s before a look: uvicorn keeps the timer of a connection that has ended for 5 s."""
+LIMITS = {"rss_kib": 0.1, "objects": 0.01, "descriptors": 0.001, "threads": 0.001}
+"""Growth allowed for each connection."""
+PATIENCE_S = 20.0
+"""Longest wait in s until a door has ended the connections of a block."""
+_GRIP_N = 3.0
+_READ = bytes.fromhex("000100000006010400000001")
+"""Modbus: read the first input register."""
+_ANSWER = 100
+"""Bytes of an answer that a client reads at most before it goes."""
+
+Door = tuple[int, bytes]
+"""Port, and a whole request that changes nothing."""
+
+
+def requests(found: dict[str, Any]) -> dict[str, Door]:
+    """Return port and request of each door."""
+    body = dumps((), "state").encode()
+    call = b"POST /RPC2 HTTP/1.1\r\nContent-Length: %d\r\n\r\n" % len(body) + body
+    token = found["token"].encode()
+    get = b"GET /api/info HTTP/1.1\r\nHost: cell\r\nAuthorization: Bearer " + token + b"\r\n\r\n"
+    return {
+        "modbus": (found["modbus_port"], _READ),
+        "xmlrpc": (found["xmlrpc_port"], call),
+        "http": (found["http_port"], get),
+    }
+
+
+def connect(door: Door, number: int) -> None:
+    """Connect once: one in five sends half a request, one in five gets its answer."""
+    port, request = door
+    with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as link:
+        try:
+            match number % 5:
+                case 3:
+                    link.sendall(request[: 1 + number % (len(request) - 1)])
+                case 4:
+                    link.sendall(request)
+                    link.recv(_ANSWER)
+        except ConnectionError:
+            pass  # a door that is full closes at once
+
+
+def answers(door: Door) -> bool:
+    """Whether a new client gets an answer."""
+    port, request = door
+    try:
+        with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as link:
+            link.sendall(request)
+            return bool(link.recv(_ANSWER))
+    except OSError:
+        return False
+
+
+def settle(true: Callable[[], bool], what: str) -> None:
+    """Wait until something is true; SystemExit where it takes too long."""
+    end_s = time.monotonic() + PATIENCE_S
+    while not true():
+        if time.monotonic() > end_s:
+            raise SystemExit(f"{what}, {PATIENCE_S:g} s after a block of connections")
+        time.sleep(0.01)
+
+
+def hammer(service: Service, name: str, door: Door, n_connects: int) -> Iterator[Sample]:
+    """Connect so often to a door, and yield a sample after each block."""
+    settle(lambda: answers(door), f"{name} gives no answer")
+    first = look(0, 0.0)
+    for done in range(BLOCK, n_connects + 1, BLOCK):
+        for number in range(done - BLOCK, done):
+            connect(door, number)
+        settle(lambda: answers(door), f"{name} gives no answer")
+        time.sleep(REST_S)
+        settle(lambda: _idle(first), f"{name} has descriptors or threads left")
+        status = service.status()
+        if status.state != CellState.COMPLETE or not status.holding:
+            raise SystemExit(f"{name}: the part is not held any more: {status}")
+        yield look(done, 0.0)
+
+
+def _idle(first: Sample) -> bool:
+    now = look(0, 0.0)
+    return now.descriptors <= first.descriptors and now.threads <= first.threads
+
+
+def serve() -> Service:
+    """Return a service that holds a part."""
+    ports = {f"serve.{door}_port": 0 for door in ("modbus", "xmlrpc", "http")}
+    service = Service(changed_config(CellConfig(), ports | {"serve.lease_timeout_s": 60.0}))
+    lease = service.acquire("soak")
+    number = service.start(lease, {"task": "grip", "force_n": _GRIP_N})
+    settle(lambda: service.job(number).outcome_number >= 4, "the grip is not over")
+    if not service.job(number).kept:
+        raise SystemExit(f"nothing was gripped: {service.job(number).error}")
+    return service
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(
+        prog="python -m benchmarks.performance.connects", description=__doc__
+    )
+    parser.add_argument("--connects", type=int, default=10_000)
+    wanted = parser.parse_args(arguments)
+    bad = []
+    with closing(serve()) as service, open_doors(service) as found:
+        for name, door in requests(found).items():
+            begin_s = time.monotonic()
+            samples = list(hammer(service, name, door, wanted.connects))
+            line(name, f"{samples[-1].done} connections in {time.monotonic() - begin_s:.1f} s")
+            kept = samples[int(WARM_UP * len(samples)) :]
+            for what, slope in slopes(samples).items():
+                start, end = getattr(kept[0], what), getattr(kept[-1], what)
+                line(f"  {what}", f"{start} to {end}; {slope:+.5f} each, allowed {LIMITS[what]:g}")
+            bad += [f"{name}: {text}" for text in grown(samples, LIMITS)]
+    if bad:
+        sys.exit("; ".join(bad))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,605 @@
+"""The cell of the state machine behind a door: the same commands, sent through a wire.
+
+A wire is a client of one door, as others write them: pymodbus, `xmlrpc.client`, `http.client`.
+`WireDriver` is the driver of `tests.faults.driver` with a service between it and the cell. Each
+answer is checked against the table of states, and each request is sent twice.
+"""
+
+import json
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import asdict, dataclass
+from functools import partial
+from http.client import HTTPConnection
+from typing import Any, Protocol
+from unittest.mock import patch
+from xmlrpc.client import ServerProxy
+
+from pymodbus.client import ModbusTcpClient
+
+from cell.build import Cell, build_cell
+from cell.control.controller import CellController
+from cell.control.keeping import Keep
+from cell.control.plan import GraspStep, Pose
+from cell.control.states import CellState, Command, answer
+from cell.errors import CellError, NotInCommand
+from cell.fault_catalogue import fault_number
+from cell.interfaces.modbus.registers import (
+    COMMAND,
+    COMMAND_SEQ,
+    FAULT,
+    HOLD,
+    HOLDING,
+    LIFE,
+    NEEDS_RESET,
+    REBOOT,
+)
+from cell.interfaces.service.service import RELEASE_KEY, JobView, Service
+from cell.interfaces.service.serving import open_doors
+from tests.faults.campaign import PRODUCT_ERRORS
+from tests.faults.driver import COMMAND_BOUND_S, Driver
+from tests.faults.invariants import FrameWitness, InvariantBroken, Overrun
+
+LEASE_S = 60.0
+"""Time-out of leases in s: only the clock of the test lets it pass."""
+PATIENCE_S = 60.0
+"""Longest real time in s of a job or of an answer: later it hangs."""
+STARTS = 5
+"""Starts of a service, with all faults healed after the first one, until it must be there."""
+NOT_IN_COMMAND = fault_number(NotInCommand(""))
+LATCHES_NOTHING = (200, 507, 510, 511)
+"""Fault numbers of jobs after which the cell is ready: limits, plan, pose, no part."""
+SUCCEEDED, CANCELED = 4, 5
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Request:
+    """A command as a client sends it.
+
+    Attributes
+    ----------
+    task
+        ``identify``, ``grip``, ``verify``, ``release``, ``clear``, ``reset`` or ``shutdown``.
+    force_n, max_grasps, keep
+        Of an identification; the force of a grip too.
+    key
+        Of a release.
+    reboot
+        Of a clear.
+    """
+
+    task: str
+    force_n: float = 0.0
+    max_grasps: int = 0
+    keep: Keep = Keep.NEVER
+    key: int = 0
+    reboot: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shown:
+    """What a door shows of the cell."""
+
+    state_number: int
+    needs_reset: bool
+    grasp_number: int
+    holding: bool
+    fault_number: int
+    job: int
+    outcome: int
+
+
+class Wire(Protocol):
+    """A client of one door; all methods raise OSError where no answer comes."""
+
+    tasks: tuple[str, ...]
+    """Requests that the door knows."""
+
+    def adopt(self) -> None:
+        """Take command."""
+        ...
+
+    def send(self, request: Request, number: int) -> int:
+        """Send a request for the job of that number; return it, or a fault number, negative."""
+        ...
+
+    def repeat(self) -> int:
+        """Send the last request once more; return as `send`."""
+        ...
+
+    def hold(self) -> None:
+        """Stop what runs, over a connection of its own that has no lease."""
+        ...
+
+    def shown(self) -> Shown:
+        """Return what the door shows."""
+        ...
+
+    def close(self) -> None:
+        """End the connections."""
+        ...
+
+
+# -- the wires ---------------------------------------------------------------------------------
+
+_ALL = ("identify", "grip", "verify", "release", "clear", "reset", "shutdown")
+_CODES = dict(zip(_ALL, (21, 22, 23, 30, 9, 1, 3), strict=True))
+_KEEP_BITS = {Keep.NEVER: 0, Keep.ALWAYS: 1, Keep.WHEN_NAMED: 2}
+
+
+class ModbusWire:
+    """A PLC; a request is one block of registers with its sequence number at the end."""
+
+    tasks = _ALL
+
+    def __init__(self, doors: dict[str, Any]) -> None:
+        self._port = doors["modbus_port"]
+        self._link = self._connected()
+        self._seq = 0
+        self._block: list[int] = []
+
+    def adopt(self) -> None:
+        life = self._link.read_holding_registers(LIFE, count=1).registers[0]
+        self._write(LIFE, (life + 1) & 0xFFFF)
+        self._seq = self._inputs()[5]
+        self._write(COMMAND_SEQ, self._seq)
+
+    def send(self, request: Request, number: int) -> int:
+        self._seq = (self._seq + 1) & 0xFFFF
+        options = _KEEP_BITS[request.keep] | (REBOOT if request.reboot else 0)
+        force, code = round(100 * request.force_n), _CODES[request.task]
+        self._block = [code, 0, force, request.max_grasps, options, request.key, 0, self._seq]
+        return self.repeat()
+
+    def repeat(self) -> int:
+        found = self._link.write_registers(COMMAND, self._block)
+        if found.isError():
+            return -NOT_IN_COMMAND
+        inputs = self._inputs()
+        return -inputs[6] if inputs[6] else inputs[8]
+
+    def hold(self) -> None:
+        with closing(self._connected()) as other:
+            other.write_register(HOLD, 1)
+
+    def shown(self) -> Shown:
+        inputs = self._inputs()
+        return Shown(
+            state_number=inputs[3],
+            needs_reset=bool(inputs[2] & NEEDS_RESET),
+            grasp_number=inputs[4],
+            holding=bool(inputs[2] & HOLDING),
+            fault_number=inputs[7] if inputs[2] & FAULT else 0,
+            job=inputs[8],
+            outcome=inputs[9],
+        )
+
+    def close(self) -> None:
+        self._link.close()
+
+    def _connected(self) -> ModbusTcpClient:
+        link = ModbusTcpClient("127.0.0.1", port=self._port, timeout=PATIENCE_S, retries=0)
+        if not link.connect():
+            raise ConnectionError("the door does not let a client in")
+        return link
+
+    def _inputs(self) -> list[int]:
+        return list(self._link.read_input_registers(0, count=64).registers)
+
+    def _write(self, address: int, value: int) -> None:
+        if self._link.write_register(address, value).isError():
+            raise ConnectionError(f"register {address} = {value} is refused")
+
+
+class XmlRpcWire:
+    """A robot program; it keeps a part always or never, and shuts nothing down."""
+
+    tasks = _ALL[:-1]
+
+    def __init__(self, doors: dict[str, Any]) -> None:
+        address = f"http://127.0.0.1:{doors['xmlrpc_port']}/RPC2"
+        self._cell: Any = ServerProxy(address)
+        self._other: Any = ServerProxy(address)
+        self._lease = 0
+        self._call: Callable[[], Any] = int
+
+    def adopt(self) -> None:
+        self._lease = self._cell.acquire("robot")
+
+    def send(self, request: Request, number: int) -> int:
+        arguments: dict[str, Sequence[Any]] = {
+            "identify": (request.max_grasps, request.force_n, request.keep is not Keep.NEVER),
+            "grip": (request.force_n,),
+            "release": (request.key,),
+        }
+        given = [self._lease, *arguments.get(request.task, ()), number]
+        if request.task == "clear":
+            given.append(request.reboot)
+        self._call = partial(getattr(self._cell, request.task), *given)
+        return self.repeat()
+
+    def repeat(self) -> int:
+        return int(self._call())
+
+    def hold(self) -> None:
+        self._other.hold()
+
+    def shown(self) -> Shown:
+        job = self._cell.next_job() - 1
+        return Shown(
+            state_number=self._cell.state(),
+            needs_reset=self._cell.needs_reset(),
+            grasp_number=self._cell.grip_state(),
+            holding=self._cell.holding(),
+            fault_number=self._cell.fault_number(),
+            job=job,
+            outcome=self._cell.job_state(job) if job else 0,
+        )
+
+    def close(self) -> None:
+        self._cell("close")()
+        self._other("close")()
+
+
+class HttpWire:
+    """A host with the token; each request has a connection of its own, the door ends idle ones."""
+
+    tasks = _ALL
+
+    def __init__(self, doors: dict[str, Any]) -> None:
+        self._port = doors["http_port"]
+        self._token = doors["token"]
+        self._lease = 0
+        self._last: tuple[str, dict[str, Any]] = ("", {})
+
+    def adopt(self) -> None:
+        self._lease = self._ask("POST", "/api/lease", {"name": "host"})["lease"]
+
+    def send(self, request: Request, number: int) -> int:
+        body: dict[str, Any] = {"lease": self._lease, "job": number}
+        match request.task:
+            case "identify":
+                goal = {"keep": request.keep.value, "force_n": request.force_n}
+                if request.max_grasps:
+                    goal["max_grasps"] = request.max_grasps
+                self._last = "/api/jobs", body | {"goal": {"task": "identify"} | goal}
+            case "grip":
+                goal = {"task": "grip", "force_n": request.force_n}
+                self._last = "/api/jobs", body | {"goal": goal}
+            case "verify":
+                self._last = "/api/jobs", body | {"goal": {"task": "verify"}}
+            case task:
+                given = {"command": task, "key": request.key, "reboot": request.reboot}
+                self._last = "/api/commands", body | given
+        return self.repeat()
+
+    def repeat(self) -> int:
+        found = self._ask("POST", *self._last)
+        return int(found["job"]) if "job" in found else -int(found["fault_number"])
+
+    def hold(self) -> None:
+        self._ask("POST", "/api/hold")
+
+    def shown(self) -> Shown:
+        found = self._ask("GET", "/api/state")
+        status, job = found["status"], found["job"]
+        names = ("state_number", "needs_reset", "grasp_number", "holding", "fault_number")
+        return Shown(
+            **{name: status[name] for name in names},
+            job=job["number"],
+            outcome=job["outcome_number"],
+        )
+
+    def close(self) -> None: ...
+
+    def _ask(self, method: str, path: str, body: Any = None) -> Any:
+        headers = {"Authorization": f"Bearer {self._token}", "Content-Type": "application/json"}
+        data = None if body is None else json.dumps(body)
+        with closing(HTTPConnection("127.0.0.1", self._port, timeout=PATIENCE_S)) as link:
+            link.request(method, path, data, headers)
+            return json.loads(link.getresponse().read())
+
+
+WIRES: dict[str, Callable[[dict[str, Any]], Wire]] = {
+    "modbus": ModbusWire,
+    "xmlrpc": XmlRpcWire,
+    "http": HttpWire,
+}
+"""Each door and its client."""
+
+
+# -- the service -------------------------------------------------------------------------------
+
+
+class ClientClock:
+    """Time of the clients, which the test lets pass."""
+
+    def __init__(self) -> None:
+        self.now_s = 0.0
+
+    def monotonic(self) -> float:
+        return self.now_s
+
+    def sleep(self, seconds: float) -> None:
+        self.now_s += seconds
+
+
+class WitnessModel:
+    """A taught model whose recogniser looks at its frames."""
+
+    labels, max_grasps = ("ball", "box"), 1
+
+    def __init__(self, witness: Callable[[], FrameWitness]) -> None:
+        self._witness = witness
+
+    def check_taught(self) -> None:
+        """Do nothing: it is taught."""
+
+    def identify(
+        self, controller: CellController, *, held: str, force_n: float, keep: Keep, **_other: Any
+    ) -> Any:
+        """Grasp and classify, as `TaughtModel.identify`."""
+        controller.present(held)
+        step = GraspStep(pose=Pose(), force_n=force_n)
+        return controller.identify(self._witness(), [step], keep=keep)
+
+
+class WireDriver(Driver):
+    """The driver of a cell behind a door; see `tests.faults.driver`.
+
+    Beside the invariants of the cell each command is judged: whether it is refused, where the cell
+    is after it, and what the door shows, as the table of states and the fault catalogue have it. A
+    request that is repeated, at once or later, does nothing more.
+    """
+
+    door = ""
+
+    def __init__(self, *, self_test: bool) -> None:
+        self.clock = ClientClock()
+        self._ending: list[Callable[[], None]] = []
+        self._held = False
+        self._due: list[Callable[[float], None]] = []
+        super().__init__(self_test=self_test)
+
+    # -- commands ------------------------------------------------------------------------------
+
+    def start(self) -> bool:
+        return self.reset()
+
+    def grasp(self, x_mm: float, force_n: float, turn_rad: float) -> bool:
+        return self.ask(Request(task="identify", force_n=force_n, max_grasps=1), Command.GRASP)
+
+    def identify(self, force_n: float, keep: Keep = Keep.NEVER) -> bool:
+        return self.ask(Request(task="identify", force_n=force_n, keep=keep), Command.GRASP)
+
+    def grip(self, force_n: float) -> bool:
+        return self.ask(Request(task="grip", force_n=force_n), Command.GRIP)
+
+    def verify(self) -> bool:
+        return self.ask(Request(task="verify"), Command.VERIFY)
+
+    def release(self) -> bool:
+        for key in (0, RELEASE_KEY >> 8 | (RELEASE_KEY & 0xFF) << 8):
+            self.ask(Request(task="release", key=key), None)
+        waiting = self.controller.state in (CellState.STOPPED, CellState.RESETTING)
+        command = Command.RELEASE_HELD if waiting else Command.RELEASE
+        return self.ask(Request(task="release", key=RELEASE_KEY), command)
+
+    def release_held(self) -> bool:
+        return self.release()
+
+    def clear(self, *, reboot: bool) -> bool:
+        return self.ask(Request(task="clear", reboot=reboot), Command.CLEAR)
+
+    def reset(self) -> bool:
+        stopped = self.controller.state is CellState.STOPPED
+        return self.ask(Request(task="reset"), Command.START if stopped else Command.RESET)
+
+    def shutdown(self) -> bool:
+        if "shutdown" not in self._wire.tasks:
+            return True
+        return self.ask(Request(task="shutdown"), Command.SHUTDOWN)
+
+    def cancel(self) -> None:
+        """Hold while nothing runs: nothing happens, to the next command neither."""
+        before = self._seen()
+        self.command("hold", self._wire.hold)
+        self._expect(self._seen() == before, f"hold has changed {before} to {self._seen()}")
+        self.check()
+
+    def cancel_soon(self, after_s: float) -> None:
+        """Let another client hold in so many s, or the one in command fall silent."""
+        silent = int(1e3 * after_s) % 3 == 0
+        due_s = self.simulated.clock.monotonic() + after_s
+        self._begin(f"{'lose the lease' if silent else 'hold'} in {after_s} s")
+
+        def look(now_s: float) -> None:
+            if now_s < due_s:
+                return
+            self._forget(look)
+            self._held = True
+            if silent:
+                self.clock.now_s += LEASE_S + 1.0
+                self._service.look()
+            else:
+                self._wire.hold()
+
+        self._due.append(look)
+        self.simulated.clock.on_advance.append(look)
+        self._end()
+
+    def _forget(self, look: Callable[[float], None]) -> None:
+        self._due.remove(look)
+        self.simulated.clock.on_advance.remove(look)
+
+    def ask(self, request: Request, command: Command | None) -> bool:
+        """Send a request, wait for the end of its job, and judge both; whether it succeeded.
+
+        Parameters
+        ----------
+        request
+            What is sent.
+        command
+            Its command in the table of states; None where the request has to be refused.
+        """
+        values = (f"{name}={value}" for name, value in asdict(request).items() if value)
+        self._begin(f"{self.door}: {' '.join(values)}")
+        if not self._service.has(self._lease()):
+            self._refuse_without_lease(request)
+        before, self._held = self._seen(), False
+        letting_go = command in (Command.RELEASE, Command.RELEASE_HELD)
+        done = False
+        try:
+            with self.monitor.bounded(COMMAND_BOUND_S), self._asked(request, release=letting_go):
+                done = self._sent(request, command, before)
+        except (InvariantBroken, Overrun, OSError, TimeoutError, CellError) as error:
+            self._expect(False, f"{type(error).__name__}: {error}")
+        self._look_at_door()
+        self._end()
+        return done
+
+    @contextmanager
+    def _asked(self, request: Request, *, release: bool) -> Iterator[None]:
+        if release or request.reboot:
+            with self.monitor.release_asked(motion=release):
+                yield
+        else:
+            yield
+
+    def _sent(self, request: Request, command: Command | None, before: tuple[Any, ...]) -> bool:
+        state, number = self.controller.state, self._service.job().number + 1
+        found = self._wire.send(request, number)
+        self._expect(self._wire.repeat() == found, "a repeated request has another answer")
+        allowed = command is not None and answer(state, command).accepted
+        if found < 0:
+            self.log[-1] += f" -> refused, {-found}"
+            self._expect(not allowed, f"{request.task} is refused in {state} with {-found}")
+            self._expect(self._seen() == before, f"a refusal has changed {before}")
+            return False
+        self._expect(allowed, f"{request.task} is accepted in {state}")
+        self._expect(found == number, f"the job has number {found}, not {number}")
+        service = self._service
+        service._plugin._worker.wait(service._jobs[found][0], PATIENCE_S)
+        job, after = service.job(found), self._seen()
+        self.log[-1] += f" -> {job.outcome} {job.error[:100]}"
+        if allowed and command is not None:
+            self._judge_end(job, state, command)
+        if self._service.has(self._lease()):
+            self._expect(self._wire.repeat() == found, "a late repetition has another answer")
+            self._expect(self._seen() == after, f"a late repetition has changed {after}")
+        return job.outcome_number == SUCCEEDED
+
+    def _judge_end(self, job: JobView, before: CellState, command: Command) -> None:
+        """Judge where the cell is after a job, by the table of states and the fault catalogue."""
+        state, fault = self.controller.state, self._service.status().fault_number
+        path = answer(before, command).path
+        if command is Command.RESET:  # over a link a reset starts the cell too
+            path += answer(CellState.STOPPED, Command.START).path
+        at_end = path[-1] if path else before
+        if job.kept and command is Command.GRASP:
+            at_end = CellState.COMPLETE
+        for word in ("InvariantBroken", "Overrun"):
+            self._expect(word not in job.error, job.error)
+        if job.outcome_number == SUCCEEDED:
+            self._expect(job.fault_number == 0, f"success with fault {job.fault_number}")
+            self._expect(state is at_end, f"{state} after {command} in {before}, not {at_end}")
+        elif job.outcome_number == CANCELED:
+            held = {before} | {CellState.HELD for one in path if one is CellState.EXECUTE}
+            held |= {CellState.STOPPED for one in path if one is CellState.STARTING}
+            self._expect(self._held, f"stopped, though nobody held it: {job.error}")
+            self._expect(state in held, f"{state} after a hold of {command} in {before}")
+        elif fault:
+            self._expect(job.fault_number != 0, f"no fault number for: {job.error}")
+        else:
+            ready = job.fault_number in LATCHES_NOTHING and state is CellState.IDLE
+            stopped = command is Command.SHUTDOWN and state is CellState.STOPPED
+            self._expect(ready or stopped, f"{state} without a fault after {job.error}")
+
+    def _refuse_without_lease(self, request: Request) -> None:
+        """See that nothing is done for a client without the lease, then take it again."""
+        before = self._seen()
+        found = self._wire.send(request, self._service.job().number + 1)
+        self._expect(found == -NOT_IN_COMMAND, f"{found} for a client without the lease")
+        self._expect(self._seen() == before, f"a client without the lease has changed {before}")
+        self._wire.adopt()
+
+    # -- what is seen --------------------------------------------------------------------------
+
+    def _expect(self, true: bool, complaint: str) -> None:
+        if not true:
+            self.monitor.broken.append(complaint)
+
+    def _lease(self) -> int:
+        lease = self._service._lease
+        return 0 if lease is None else lease.number
+
+    def _seen(self) -> tuple[Any, ...]:
+        """Return what a request that is refused or repeated may not change."""
+        now_s = self.simulated.clock.monotonic()
+        return now_s, self._service.status(), self._service.job()
+
+    def _look_at_door(self) -> None:
+        """Judge that the door shows what is, and that state and fault number agree."""
+        status, job = self._service.status(), self._service.job()
+        expected = Shown(
+            state_number=status.state_number,
+            needs_reset=status.needs_reset,
+            grasp_number=status.grasp_number,
+            holding=status.holding,
+            fault_number=status.fault_number,
+            job=job.number,
+            outcome=job.outcome_number,
+        )
+        shown = self._wire.shown()
+        self._expect(shown == expected, f"the door shows {shown}, it is {expected}")
+        aborted = status.state == CellState.ABORTED
+        self._expect(aborted == (status.fault_number != 0), f"state and fault disagree: {status}")
+
+    # -- the host ------------------------------------------------------------------------------
+
+    def _new_host(self) -> Cell:
+        def built(*arguments: Any, **options: Any) -> Cell:
+            cell = build_cell(*arguments, **options, simulated=self.simulated)
+            self.monitor.attach(cell)
+            return cell
+
+        with patch("cell.build.build_cell", built):
+            self._service = self._new_service()
+        self._service._plugin._model = WitnessModel(self.witness)  # type: ignore[assignment]
+        doors = open_doors(self._service)
+        self._wire = WIRES[self.door](doors.__enter__())
+        self._ending = [self._wire.close, lambda: doors.__exit__(None, None, None)]
+        self._wire.adopt()
+        return self._service._plugin._cell
+
+    def _new_service(self) -> Service:
+        """Start the service; one that a fault keeps from it is started again without faults."""
+        ports = {f"{door}_port": 0 if door == self.door else None for door in WIRES}
+        serve = self._config.serve.model_copy(update=ports | {"lease_timeout_s": LEASE_S})
+        config = self._config.model_copy(update={"serve": serve})
+        error: Exception | None = None
+        for _ in range(STARTS):
+            try:
+                with self.monitor.bounded(COMMAND_BOUND_S):
+                    return Service(config, folder=self._host_folder(), clock=self.clock)
+            except PRODUCT_ERRORS as refused:
+                error = refused
+                self.monitor.attach(None)
+            self.simulated.injector.clear_all()
+            for knobs in self.simulated.devices.faults.servos.values():
+                knobs.clear()
+                knobs.overheat(25.0)
+            self.simulated.clock.sleep(0.5)
+        raise InvariantBroken(f"no service on healed hardware: {error}")
+
+    def _close_host(self) -> None:
+        for look in tuple(self._due):
+            self._forget(look)
+        for end in self._ending:
+            end()
+        self._service.close()
+
+
+def driver_of(door: str) -> type[WireDriver]:
+    """Return the driver of cells behind that door."""
+    return type(f"{door}Driver", (WireDriver,), {"door": door})
