@@ -15,6 +15,7 @@ from gripper.state import (
     ServoCondition,
     VerificationReport,
 )
+from tactile.errors import ZeroDrifted
 from tactile.frames.codec import TactileFrame
 from tactile.layout import TaxelLayout
 from tactile.sensor.sensor import ForceCentres, TactileReading, TactileSensor
@@ -182,7 +183,12 @@ class LocalHand:
     def release(self, watch: Watch | None = None) -> ReleaseReport:
         """Let go; see `Hand`."""
         report = self.gripper.release(observer=None if watch is None else self._observer(watch))
-        self._check_zero()
+        try:
+            self._check_zero()
+        except ZeroDrifted:
+            # The mean may still hold frames from before the fingers had left the part.
+            self.sensor.refresh()
+            self._check_zero()
         return report
 
     def conditions(self) -> tuple[ServoCondition, ...]:

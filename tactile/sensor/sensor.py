@@ -286,6 +286,11 @@ class TactileSensor:
             self._wait(deadline_s, f"no frame within {timeout_s:g} s")
         return readings[-1]
 
+    def refresh(self) -> None:
+        """Wait until the mean holds new frames alone. Raises FrameTimeout as `read`."""
+        for _ in range(self._settings.mean_frames):
+            self.read()
+
     def tare(self, n_frames: int = 100, timeout_s: float = 5.0) -> TareResult:
         """Take the zero from the next ``n_frames`` frames; the pads must be untouched.
 

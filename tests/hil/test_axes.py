@@ -119,6 +119,7 @@ def test_axes_bring_the_object_and_stop_when_a_drive_is_silent(
         | poses(FIRST)
         | {
             "positioner": {"kind": "axes", "axes": list(AXES)},
+            "gripper.aperture_open_mm": 20.0,
             "recording.directory": str(tmp_path / "out"),
         },
     )

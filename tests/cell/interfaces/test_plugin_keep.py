@@ -5,6 +5,7 @@ from typing import Any
 
 import pytest
 
+from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.control.positioner import Destination
 from cell.errors import CellStateError, ConfigError, PositionerError
@@ -185,3 +186,22 @@ def test_what_was_never_taught_is_kept_only_where_all_is(
         assert answer.label == UNKNOWN
         assert answer.kept is kept
     assert grip_n(plugin) > 3.0
+
+
+@pytest.mark.parametrize("aperture_open_mm", [10.2, 10.7])
+def test_fingers_that_open_little_beyond_the_part_show_no_drift_of_the_zero(
+    aperture_open_mm: float,
+) -> None:
+    config = changed_config(
+        CellConfig(),
+        {
+            "gripper.aperture_open_mm": aperture_open_mm,
+            "tactile.tare_frames": 15,
+            "sequence.rotation_deg": [0.0, 0.0],
+            "sequence.roll_deg": [0.0, 0.0],
+        },
+    )
+    with TactileCellPlugin(config) as plugin:
+        for _ in range(4):
+            plugin.result(plugin.start(GripGoal(force_n=4.0, present="box")), LIMIT_S)
+            plugin.release()
