@@ -20,6 +20,8 @@ from contextlib import closing
 from benchmarks.performance import connects
 from cell.interfaces.service.serving import open_doors
 
+pytestmark = pytest.mark.hil  # real sockets: beside other tests they may have to wait
+
 connects.BLOCK, connects.REST_S = {N // 2}, 0.0
 with closing(connects.serve()) as service, open_doors(service) as found:
     for name, door in connects.requests(found).items():
