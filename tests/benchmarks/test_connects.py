@@ -11,6 +11,8 @@ from benchmarks.performance import connects
 from cell.interfaces.service.serving import open_doors
 from cell.interfaces.xml_rpc import _Server
 
+pytestmark = pytest.mark.hil  # real sockets: beside other tests they may have to wait
+
 N = 60
 """Connections to each door."""
 
@@ -19,8 +21,6 @@ SHORT = f"""
 from contextlib import closing
 from benchmarks.performance import connects
 from cell.interfaces.service.serving import open_doors
-
-pytestmark = pytest.mark.hil  # real sockets: beside other tests they may have to wait
 
 connects.BLOCK, connects.REST_S = {N // 2}, 0.0
 with closing(connects.serve()) as service, open_doors(service) as found:
