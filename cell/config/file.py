@@ -57,7 +57,7 @@ def changed_config(config: CellConfig, changes: Mapping[str, Any]) -> CellConfig
 
 
 SCHEMA_LINE = "# yaml-language-server: $schema=tactile-cell.schema.json\n"
-"""First line of every config file: editors complete and check against the schema beside it."""
+"""First line of a written config: editors complete and check against the schema beside it."""
 _COMMENT_WIDTH = 98
 """Characters of a comment line beside its indent and number sign."""
 
@@ -238,7 +238,7 @@ def config_schema() -> dict[str, Any]:
 
 
 def schema_text() -> str:
-    """Return the JSON schema as the text that is committed in config/."""
+    """Return the JSON schema as the text of a file."""
     return json.dumps(config_schema(), indent=2, ensure_ascii=False) + "\n"
 
 

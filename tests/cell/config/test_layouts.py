@@ -16,6 +16,7 @@ from cell.control.records import pad_array
 from cell.errors import ConfigError
 from recognition.grasp import PadArray
 from tactile.layout import paper_layout, pinch_layout
+from tests.cell.conftest import plain_pads
 
 
 def pad(finger: Any, face: Any = "inner", rows: int = 4, columns: int = 3) -> PadConfig:
@@ -70,14 +71,7 @@ def test_recorded_pads_give_a_layout_that_carries_their_frames(layout: Any) -> N
 
 
 def recorded(*shapes: tuple[int, int]) -> PadArray:
-    sizes = [rows * columns for rows, columns in shapes]
-    xy_m = np.concatenate([np.indices(shape).reshape(2, -1).T * 2.5e-3 for shape in shapes])
-    return PadArray(
-        pad_shape=np.array(shapes),
-        taxel_pad=np.repeat(np.arange(len(shapes)), sizes),
-        taxel_xy_m=xy_m,
-        adc_max=100,
-    )
+    return plain_pads(*shapes, pitch_m=2.5e-3, adc_max=100)
 
 
 @pytest.mark.parametrize("n_pads", [1, 3, 5])

@@ -44,18 +44,14 @@ def init(
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
 ) -> None:
     """Write a config file, its keys explained, and the schema beside."""
-    from cell.config.file import config_text, schema_text
-    from cell.config.model import CellConfig
+    from cell.config.file import config_text, load_config, schema_text
     from cell.data.files import write_text
     from cell.errors import ConfigError
     from cell.interfaces.cli.terminal import print_line
 
     if path.exists() and not force:
         raise ConfigError(f"{path} exists; name another file or add --force")
-    if example is None:
-        text = config_text(CellConfig())
-    else:
-        text = _examples()[example].read_text(encoding="utf-8")
+    text = config_text(load_config(None if example is None else _examples()[example]))
     schema_path = path.parent / "tactile-cell.schema.json"
     write_text(path, text, error=ConfigError, what="config")
     write_text(schema_path, schema_text(), error=ConfigError, what="schema")
