@@ -8,8 +8,8 @@ from unittest.mock import patch
 import numpy as np
 
 from cell.build import build_cell
+from cell.config.file import changed_config
 from cell.config.model import CellConfig
-from cell.config.simulator import SimulatedObjectConfig
 from cell.jobs.common import silent
 from cell.jobs.teach import teach
 from cell.simulation import simulator_settings
@@ -18,12 +18,8 @@ from recognition.grasp import Grasp
 
 def configured(objects: Mapping[str, str], seed: int) -> CellConfig:
     """Return the built-in config with these objects (label -> shape)."""
-    config = CellConfig()
-    entries = tuple(
-        [SimulatedObjectConfig(label=label, shape=text) for label, text in objects.items()]
-    )
-    simulator = config.simulator.model_copy(update={"objects": entries})
-    return config.model_copy(update={"simulator": simulator, "seed": seed})
+    entries = [{"label": label, "shape": text} for label, text in objects.items()]
+    return changed_config(CellConfig(), {"simulator.objects": entries, "seed": seed})
 
 
 def cell_grasps(

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from benchmarks.recognition._made_grasps import made_grasp
 from cell.data.dataset import read_dataset
-from recognition.grasp import Grasp, by_label
+from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer
 from simulator.world.shapes import PAPER_OBJECTS
 
@@ -25,11 +25,6 @@ def simulated(n_objects: int, n_grasps: int) -> list[Grasp]:
     return [
         made_grasp(label, 1000 * k + i) for k, label in enumerate(labels) for i in range(n_grasps)
     ]
-
-
-def first_of_each(grasps: Sequence[Grasp], n: int) -> list[Grasp]:
-    """Return the first n grasps of each label in time."""
-    return [grasp for members in by_label(grasps).values() for grasp in members[:n]]
 
 
 def share_right(recognizer: Recognizer, grasps: Sequence[Grasp]) -> float:

@@ -17,7 +17,7 @@ from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN, Recognizer
 from recognition.recognizers import make_trainer
 from recognition.recognizers.force_ramp.recognizer import ForceRampTrainer
-from recognition.statistics.fusion import DecisionKind, StopRule, decide
+from recognition.statistics.fusion import StopRule, decide
 from simulator.servo.mechanics import ServoMount
 from simulator.settings import SimulatedServoSettings
 from simulator.world.foam import Foam
@@ -57,13 +57,8 @@ _ONE = StopRule(max_grasps=1)
 
 def names(recognizer: Recognizer, grasps: Sequence[Grasp]) -> list[tuple[str, str]]:
     """Return the likeliest label of each grasp, and the name that one grasp gives it."""
-    found = []
-    for grasp in grasps:
-        posterior = recognizer.posterior(grasp)
-        decision = decide([posterior], _ONE)
-        named = decision.label if decision.kind is DecisionKind.DECIDED else UNKNOWN
-        found.append((posterior.best, named))
-    return found
+    posteriors = map(recognizer.posterior, grasps)
+    return [(posterior.best, decide([posterior], _ONE).label) for posterior in posteriors]
 
 
 def figures(answers: Sequence[tuple[str, str]], grasps: Sequence[Grasp]) -> str:

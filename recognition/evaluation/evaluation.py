@@ -20,7 +20,7 @@ from recognition.evaluation.splits import Part
 from recognition.grasp import Grasp, by_label
 from recognition.recognizer import UNKNOWN, Posterior, Recognizer, Trainer
 from recognition.statistics import fusion
-from recognition.statistics.fusion import DecisionKind, StopRule, decide
+from recognition.statistics.fusion import StopRule, decide
 
 _BEFORE = 10
 """Grasps of a shift that are tracked before the first one that counts."""
@@ -202,10 +202,7 @@ def evaluate(
     truth = [g.label for g in known]
     right = np.array([p.best == t for p, t in zip(posteriors, truth, strict=True)])
     rule = StopRule(max_grasps=1)
-    names = [
-        decision.label if decision.kind is DecisionKind.DECIDED else UNKNOWN
-        for decision in (decide([p], rule) for p in posteriors)
-    ]
+    names = [decide([p], rule).label for p in posteriors]
     return Evaluation(
         trainer=trainer.name,
         uses_aperture=trainer.uses_aperture,

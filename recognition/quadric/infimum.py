@@ -175,9 +175,3 @@ def substituted_pencil(Q: ArrayLike, M_inv: ArrayLike) -> Pencil:
     """
     M_inv = np.asarray(M_inv, dtype=np.float64)
     return Pencil(P=by_inverse(check_symmetric(Q), M_inv), N=by_inverse(np.eye(4), M_inv))
-
-
-def transformed_pencil(Q: ArrayLike, M_inv: ArrayLike) -> Pencil:
-    """Return the quotient whose infimum is the smallest eigenvalue of Q' = M^-T Q M^-1."""
-    M_inv = np.asarray(M_inv, dtype=np.float64)
-    return Pencil(P=by_inverse(check_symmetric(Q), M_inv), N=np.eye(4))

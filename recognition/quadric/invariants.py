@@ -1,8 +1,4 @@
-"""Invariants of a quadric under motion and scaling, and the change of the eigenvalue feature.
-
-With A the 3x3 block of Q, b = (g, h, j) and k its last entry: I1, I2, I3 and D keep their values
-under rigid motion, for a fixed scale of the coefficients. Under scaling x -> s x and Q -> mu Q only
-functions of I1^2/I2 and I1 I2/I3 remain, the ratios of the squared axes.
+"""The change of the eigenvalue feature under motion and scaling, and a feature that keeps.
 
 The paper claims that the smallest eigenvalue is independent of rotation, translation and scale
 (eq. (8) to (10), Fig. 3). `change_over` applies each kind alone, and all together, and solves each
@@ -104,41 +100,6 @@ def change_over(
     return Change(at_rest=float(at_rest.value), least=least, greatest=greatest, n=n)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Invariants:
-    """Invariants of a batch of quadrics; every array has the shape of the batch.
-
-    Attributes
-    ----------
-    i1, i2, i3
-        Trace, sum of the principal 2x2 minors and determinant of A.
-    d
-        Determinant of Q.
-    d2, d3
-        Sums of the principal 2x2 and 3x3 minors of Q; translation changes them except for
-        parallel planes (d2) and cylinders (d3).
-    """
-
-    i1: NDArray[np.float64]
-    i2: NDArray[np.float64]
-    i3: NDArray[np.float64]
-    d: NDArray[np.float64]
-    d2: NDArray[np.float64]
-    d3: NDArray[np.float64]
-
-
-def _elementary(values: NDArray[np.float64]) -> list[NDArray[np.float64]]:
-    """Return the elementary symmetric functions e1..en of the last axis."""
-    coefficients = [np.ones(values.shape[:-1])]
-    for column in range(values.shape[-1]):
-        value = values[..., column]
-        grown = [*coefficients, np.zeros_like(value)]
-        for order in range(1, len(grown)):
-            grown[order] = grown[order] + value * coefficients[order - 1]
-        coefficients = grown
-    return coefficients[1:]
-
-
 def _checked_4x4(Q: ArrayLike) -> NDArray[np.float64]:
     Q = check_symmetric(Q)
     if Q.shape[-1] != 4:
@@ -146,24 +107,8 @@ def _checked_4x4(Q: ArrayLike) -> NDArray[np.float64]:
     return Q
 
 
-def invariants(Q: ArrayLike) -> Invariants:
-    """Return the invariants of property matrices (..., 4, 4)."""
-    Q = _checked_4x4(Q)
-    i1, i2, i3 = _elementary(ascending(Q[..., :3, :3]))
-    _, d2, d3, d = _elementary(ascending(Q))
-    return Invariants(i1=i1, i2=i2, i3=i3, d=d, d2=d2, d3=d3)
-
-
-def similarity_invariants(Q: ArrayLike) -> NDArray[np.float64]:
-    """Return (I1^2 / I2, I1 I2 / I3), shape (..., 2); not finite where I2 or I3 vanish."""
-    found = invariants(Q)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratios = [found.i1**2 / found.i2, found.i1 * found.i2 / found.i3]
-    return np.stack(ratios, axis=-1)
-
-
 def squared_semi_axes(Q: ArrayLike) -> NDArray[np.float64]:
-    """Return a_i^2 = -D / (I3 lambda_i(A)), shape (..., 3), in squared length.
+    """Return a_i^2 = -det Q / (det A lambda_i(A)), A the 3x3 block of Q, shape (..., 3).
 
     Negative where the surface does not cross that axis.
 
@@ -175,7 +120,7 @@ def squared_semi_axes(Q: ArrayLike) -> NDArray[np.float64]:
     Q = _checked_4x4(Q)
     values = ascending(Q[..., :3, :3])
     _refuse_singular(values)
-    # D / I3 is k at the centre, by Schur's complement: no product of small numbers needed
+    # det Q / det A is k at the centre, by Schur's complement: no product of small numbers needed
     at_centre = Q[..., 3, 3] - np.einsum(
         "...i,...i->...",
         Q[..., :3, 3],
@@ -185,39 +130,20 @@ def squared_semi_axes(Q: ArrayLike) -> NDArray[np.float64]:
     return squared
 
 
-def cylinder_squared_radii(Q: ArrayLike) -> NDArray[np.float64]:
-    """Return a_i^2 = -D3 / (I2 lambda_i(A)) of the two large lambda_i, shape (..., 2).
-
-    Right for cylinders alone (I3 = D = 0), which is not checked.
-    """
-    Q = _checked_4x4(Q)
-    found = invariants(Q)
-    values = ascending(Q[..., :3, :3])
-    order = np.argsort(-np.abs(values), axis=-1)[..., :2]
-    large = np.sort(np.take_along_axis(values, order, axis=-1), axis=-1)
-    return -found.d3[..., None] / (found.i2[..., None] * large)
-
-
 def _refuse_singular(values: NDArray[np.float64]) -> None:
     magnitude = np.abs(values)
     if np.any(magnitude.min(axis=-1) <= 1e-12 * magnitude.max(axis=-1)):
-        raise QuadricError(
-            "the quadric has no single centre (its 3x3 block is singular); "
-            "give the contact's centroid and a radius instead"
-        )
+        raise QuadricError("the quadric has no single centre (its 3x3 block is singular)")
 
 
 def corrected_eigenvalue(
-    Q: ArrayLike,
-    reading: Reading = Reading.SMALLEST_MAGNITUDE,
-    *,
-    centre: ArrayLike | None = None,
-    radius: ArrayLike | None = None,
+    Q: ArrayLike, reading: Reading = Reading.SMALLEST_MAGNITUDE
 ) -> SmallestEigenvalue:
     """Return the paper's feature made independent of translation, rotation and scale.
 
-    The origin is moved to the quadric's centre, lengths are divided by a radius and Q is scaled
-    to k = -1. What remains depends on the ratios of the axes alone.
+    The origin is moved to the quadric's centre, lengths are divided by the root mean square of the
+    semi-axes' magnitudes, and Q is scaled to k = -1. What remains depends on the ratios of the axes
+    alone.
 
     Parameters
     ----------
@@ -225,29 +151,17 @@ def corrected_eigenvalue(
         Property matrices.
     reading
         Which eigenvalue, see `recognition.quadric.eigen.Reading`.
-    centre : (..., 3), optional
-        Origin to use; the quadric's own centre where not given.
-    radius : (...), optional
-        Unit of length; the root mean square of the semi-axes' magnitudes where not given.
 
     Raises
     ------
     QuadricError
-        Where the centre or the radius is not given and A is singular, or where k vanishes at the
-        centre (a cone).
+        Where A is singular, or where k vanishes at the centre (a cone).
     """
     Q = _checked_4x4(Q)
-    if radius is None:
-        radius = np.sqrt(np.mean(np.abs(squared_semi_axes(Q)), axis=-1))
-    if centre is None:
-        _refuse_singular(ascending(Q[..., :3, :3]))
-        centre = -np.linalg.solve(Q[..., :3, :3], Q[..., :3, 3, None])[..., 0]
-    radius = np.asarray(radius, dtype=np.float64)
+    radius = np.sqrt(np.mean(np.abs(squared_semi_axes(Q)), axis=-1))
     if not np.all((radius > 0) & np.isfinite(radius)):
-        raise QuadricError(f"radius is {radius}, must be above 0; a cone or a point has none")
-    to_centre = scaling(1.0 / radius) @ translation(-np.asarray(centre, dtype=np.float64))
-    moved = congruence(Q, to_centre)
+        raise QuadricError(f"the semi-axes are {radius} long: the quadric is a cone or a point")
+    centre = -np.linalg.solve(Q[..., :3, :3], Q[..., :3, 3, None])[..., 0]
+    moved = congruence(Q, scaling(1.0 / radius) @ translation(-centre))
     k = moved[..., 3, 3]
-    if np.any(np.abs(k) <= 1e-12 * np.abs(moved).max(axis=(-1, -2))):
-        raise QuadricError("k vanishes at the centre: the quadric is a cone or a point")
     return smallest_eigenvalue(moved / -k[..., None, None], reading)

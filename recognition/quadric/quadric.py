@@ -202,27 +202,6 @@ class Quadric:
         """Fitted height at the centre: k."""
         return float(self.Q[3, 3])
 
-    @property
-    def extremum(self) -> float:
-        """Height where the fitted surface is level: k' = k - g^T A^-1 g, the peak of a cap.
-
-        Raises QuadricError where the surface has no single such point (a trough or a plane).
-        """
-        A, g = self.Q[:2, :2], self.Q[:2, 3]
-        condition = float(np.linalg.cond(A))
-        if not condition < 1e12:
-            raise QuadricError(f"no single extremum: curvatures have condition {condition:.3g}")
-        return self.height - float(g @ np.linalg.solve(A, g))
-
-    def matrix_in(self, unit_m: float) -> NDArray[np.float64]:
-        """Return Q, (4, 4), with x and y from the pad's origin in units of ``unit_m``.
-
-        The height keeps its unit: 1e-3 gives millimetres against counts.
-        """
-        to_pad = np.diag([self.scale_m / unit_m, self.scale_m / unit_m, 1.0, 1.0])
-        to_pad[:2, 3] = self.centre_m / unit_m
-        return congruence(self.Q, to_pad)
-
 
 def height_field_matrix(
     *, a: float, b: float, d: float = 0.0, g: float = 0.0, h: float = 0.0, k: float

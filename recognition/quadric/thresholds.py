@@ -68,9 +68,7 @@ class Levels:
         )
 
 
-def find_thresholds(
-    values: Sequence[ArrayLike], *, coverage: float = 1.0, margin: float = NOISE_SHARE
-) -> Levels:
+def find_thresholds(values: Sequence[ArrayLike], *, margin: float = NOISE_SHARE) -> Levels:
     """Turn the values of each object into bands, thresholds and windows.
 
     Parameters
@@ -78,28 +76,23 @@ def find_thresholds(
     values
         For each object its values, any number; NaN is left out. An object without any has no level
         and is never named.
-    coverage
-        Central part of an object's values that makes its band: 1 from the least to the largest.
     margin
         See `Levels`.
 
     Raises
     ------
     TrajectoryError
-        Where no object has a level, or coverage or margin are out of range.
+        Where no object has a level, or the margin is out of range.
     """
-    if not 0.0 < coverage <= 1.0 or not 0.0 <= margin < 1.0:
-        raise TrajectoryError(
-            f"coverage is {coverage}, must be above 0, up to 1; margin is {margin}, from 0 below 1"
-        )
+    if not 0.0 <= margin < 1.0:
+        raise TrajectoryError(f"margin is {margin}, must be from 0 below 1")
     low = np.full(len(values), np.nan)
     high = np.full(len(values), np.nan)
     for index, one in enumerate(values):
         usable = np.asarray(one, dtype=np.float64).ravel()
         usable = usable[np.isfinite(usable)]
         if len(usable):
-            tail = 0.5 * (1.0 - coverage)
-            low[index], high[index] = np.quantile(usable, [tail, 1.0 - tail])
+            low[index], high[index] = usable.min(), usable.max()
     order = np.argsort(0.5 * (low + high), kind="stable")
     order = order[np.isfinite(low[order])]
     if not len(order):
@@ -123,7 +116,7 @@ def with_noise(levels: Levels, noise_share: float) -> Levels:
     levels
         Bands without noise.
     noise_share
-        Part of its value by which a level is uncertain now, see `noise_seen`.
+        Part of its value by which a level is uncertain now.
 
     Returns
     -------
@@ -149,32 +142,6 @@ def with_noise(levels: Levels, noise_share: float) -> Levels:
         window=low[above] - high[below],
         margin=max(levels.margin, noise_share),
     )
-
-
-def noise_seen(values: ArrayLike, *, sigmas: float = 2.0) -> float:
-    """Return the part of its value by which a level is uncertain, from repeated measurements.
-
-    Parameters
-    ----------
-    values
-        The same level from several frames or grasps at one force; NaN is left out.
-    sigmas
-        Standard deviations that count as uncertain, taken from the median absolute deviation.
-
-    Raises
-    ------
-    TrajectoryError
-        Where fewer than two values are left, or their median is 0.
-    """
-    usable = np.asarray(values, dtype=np.float64).ravel()
-    usable = usable[np.isfinite(usable)]
-    middle = float(np.median(usable)) if len(usable) else 0.0
-    if len(usable) < 2 or middle == 0.0:
-        raise TrajectoryError(
-            f"{len(usable)} usable values about {middle} do not show the noise of a level"
-        )
-    deviation = 1.4826 * float(np.median(np.abs(usable - middle)))
-    return sigmas * deviation / abs(middle)
 
 
 def check_level(levels: Levels, value: float) -> int | None:

@@ -23,7 +23,7 @@ _METHODS = "recognition.recognizers.comparators.methods"
 """Module of the comparators."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class RecognizerEntry:
     """One kind of recogniser.
 
@@ -47,38 +47,17 @@ class RecognizerEntry:
 
 RECOGNIZERS: tuple[RecognizerEntry, ...] = (
     RecognizerEntry(
-        name="force_ramp",
-        module="recognition.recognizers.force_ramp.recognizer",
-        trainer="ForceRampTrainer",
+        "force_ramp", "recognition.recognizers.force_ramp.recognizer", "ForceRampTrainer"
     ),
+    RecognizerEntry("level_check", "recognition.recognizers.level_check", "LevelCheckTrainer"),
     RecognizerEntry(
-        name="level_check",
-        module="recognition.recognizers.level_check",
-        trainer="LevelCheckTrainer",
+        "shrinkage_lda", "recognition.recognizers.shrinkage_lda", "ShrinkageLdaTrainer"
     ),
-    RecognizerEntry(
-        name="shrinkage_lda",
-        module="recognition.recognizers.shrinkage_lda",
-        trainer="ShrinkageLdaTrainer",
-    ),
-    RecognizerEntry(
-        name="radius_vector", module=_METHODS, trainer="RadiusVector.trainer", comparator=True
-    ),
-    RecognizerEntry(
-        name="contour_network", module=_METHODS, trainer="ContourNetwork.trainer", comparator=True
-    ),
-    RecognizerEntry(
-        name="contact_invariants",
-        module=_METHODS,
-        trainer="ContactInvariants.trainer",
-        comparator=True,
-    ),
-    RecognizerEntry(
-        name="extra_trees", module=_METHODS, trainer="ExtraTrees.trainer", comparator=True
-    ),
-    RecognizerEntry(
-        name="raw_neighbours", module=_METHODS, trainer="RawNeighbours.trainer", comparator=True
-    ),
+    RecognizerEntry("radius_vector", _METHODS, "RadiusVector.trainer", comparator=True),
+    RecognizerEntry("contour_network", _METHODS, "ContourNetwork.trainer", comparator=True),
+    RecognizerEntry("contact_invariants", _METHODS, "ContactInvariants.trainer", comparator=True),
+    RecognizerEntry("extra_trees", _METHODS, "ExtraTrees.trainer", comparator=True),
+    RecognizerEntry("raw_neighbours", _METHODS, "RawNeighbours.trainer", comparator=True),
 )
 """All kinds of recogniser; names are in the order of tables."""
 

@@ -6,7 +6,7 @@ the fitted peak height, so objects that press alike are confused whatever their 
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -233,16 +233,12 @@ class LevelCheckTrainer:
 
     settings: LevelSettings = DEFAULT_LEVEL
     margin: float = 0.08
+    name: ClassVar[str] = NAME
     use_aperture: bool = False
 
     def __post_init__(self) -> None:
         if not 0.0 < self.margin < 1.0:
             raise TrajectoryError(f"margin is {self.margin}, must be above 0 and below 1")
-
-    @property
-    def name(self) -> str:
-        """Name in tables, models and on the command line."""
-        return NAME
 
     @property
     def uses_aperture(self) -> bool:

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -111,12 +111,8 @@ class ShrinkageLda:
 class ShrinkageLdaTrainer:
     """Teaches the plain linear discriminant."""
 
+    name: ClassVar[str] = "shrinkage_lda"
     use_aperture: bool = True
-
-    @property
-    def name(self) -> str:
-        """Name in tables, models and on the command line."""
-        return "shrinkage_lda"
 
     @property
     def uses_aperture(self) -> bool:

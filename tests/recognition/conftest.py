@@ -1,14 +1,12 @@
 """A small generator of grasps: soft patches of known size on two pads, pressed along a ramp."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import pytest
 
 from recognition.grasp import Grasp, PadArray
-
-MakePads = Callable[..., PadArray]
 
 
 @dataclass(frozen=True)
@@ -30,7 +28,12 @@ THINGS = (
 )
 
 
-def make_pads(*, shapes: Sequence[tuple[int, int]] = ((10, 6), (10, 6)), adc_max: int = 4095):
+def make_pads(
+    *,
+    shapes: Sequence[tuple[int, int]] = ((10, 6), (10, 6)),
+    adc_max: int = 4095,
+    pitch_m: float = 3e-3,
+) -> PadArray:
     xy, pad_of = [], []
     for pad, (rows, columns) in enumerate(shapes):
         x, y = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
@@ -39,7 +42,7 @@ def make_pads(*, shapes: Sequence[tuple[int, int]] = ((10, 6), (10, 6)), adc_max
     return PadArray(
         pad_shape=np.array(shapes),
         taxel_pad=np.concatenate(pad_of),
-        taxel_xy_m=np.concatenate(xy) * 3e-3,
+        taxel_xy_m=np.concatenate(xy) * pitch_m,
         adc_max=adc_max,
     )
 

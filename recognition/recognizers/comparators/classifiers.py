@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any, Protocol, Self
 
 import numpy as np
@@ -52,7 +52,21 @@ def missing_extra(kind: str) -> MissingExtraError:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Network:
+class _Arrays:
+    """A classifier whose fields are arrays: they are what a model keeps."""
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the fields by name."""
+        return {one.name: getattr(self, one.name) for one in fields(self)}
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
+        """Rebuild from `to_arrays`; KeyError where an array is missing."""
+        return cls(**{one.name: arrays[one.name] for one in fields(cls)})
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Network(_Arrays):
     """A neural network with one hidden layer of rectified units.
 
     Attributes
@@ -100,45 +114,26 @@ class Network:
             output = np.concatenate([np.zeros_like(output), output], axis=1)
         return np.asarray(log_softmax(output, axis=1), dtype=np.float64)
 
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the weights."""
-        return {
-            "hidden_weight": self.hidden_weight,
-            "hidden_bias": self.hidden_bias,
-            "output_weight": self.output_weight,
-            "output_bias": self.output_bias,
-        }
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Rebuild from `to_arrays`; KeyError where an array is missing."""
-        return cls(
-            hidden_weight=arrays["hidden_weight"],
-            hidden_bias=arrays["hidden_bias"],
-            output_weight=arrays["output_weight"],
-            output_bias=arrays["output_bias"],
-        )
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class NearestNeighbour:
+class NearestNeighbour(_Arrays):
     """Nearest neighbour: the score of a class is minus the squared distance to its nearest row.
 
     Attributes
     ----------
     rows : (n, F) float64
-    classes : (n,) int64
+    row_classes : (n,) int64
         Taught rows and the class of each, 0 to n_classes - 1.
     """
 
     rows: NDArray[np.float64]
-    classes: NDArray[np.int64]
+    row_classes: NDArray[np.int64]
 
     @classmethod
     def fit(cls, rows: NDArray[np.float64], classes: NDArray[np.int64], n_classes: int) -> Self:
         """Keep the rows."""
         del n_classes
-        return cls(rows=rows, classes=classes)
+        return cls(rows=rows, row_classes=classes)
 
     def scores(self, rows: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (n, C): minus the squared distance to the nearest row of each class."""
@@ -146,18 +141,9 @@ class NearestNeighbour:
             (rows**2).sum(axis=1)[:, None] + (self.rows**2).sum(axis=1) - 2.0 * rows @ self.rows.T
         )
         squared = np.maximum(squared, 0.0)
-        n_classes = int(self.classes.max()) + 1
-        nearest = [squared[:, self.classes == c].min(axis=1) for c in range(n_classes)]
+        n_classes = int(self.row_classes.max()) + 1
+        nearest = [squared[:, self.row_classes == c].min(axis=1) for c in range(n_classes)]
         return -np.stack(nearest, axis=1)
-
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return rows and classes."""
-        return {"rows": self.rows, "row_classes": self.classes}
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Rebuild from `to_arrays`; KeyError where an array is missing."""
-        return cls(rows=arrays["rows"], classes=arrays["row_classes"])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -186,7 +172,7 @@ class Linear:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Forest:
+class Forest(_Arrays):
     """A forest of extremely randomised trees, grown by scikit-learn, evaluated in numpy.
 
     All nodes of all trees are in one list; children come after their parent.
@@ -209,6 +195,12 @@ class Forest:
     feature: NDArray[np.int32]
     threshold: NDArray[np.float64]
     value: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        own = np.arange(len(self.left))
+        leaf = (self.left == own) & (self.right == own)
+        if not np.all(leaf | ((self.left > own) & (self.right > own))):
+            raise ValueError("the trees of the model do not go downwards: train again")
 
     @classmethod
     def fit(cls, rows: NDArray[np.float64], classes: NDArray[np.int64], n_classes: int) -> Self:
@@ -262,31 +254,3 @@ class Forest:
         """Return (n, C) logarithms of the probabilities, each raised by half a tree."""
         lifted: NDArray[np.float64] = np.log(self.probability(rows) + 0.5 / len(self.roots))
         return lifted
-
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the nodes."""
-        return {
-            "roots": self.roots,
-            "left": self.left,
-            "right": self.right,
-            "feature": self.feature,
-            "threshold": self.threshold,
-            "value": self.value,
-        }
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Self:
-        """Rebuild from `to_arrays`; KeyError for a missing array, ValueError for a loop."""
-        forest = cls(
-            roots=arrays["roots"],
-            left=arrays["left"],
-            right=arrays["right"],
-            feature=arrays["feature"],
-            threshold=arrays["threshold"],
-            value=arrays["value"],
-        )
-        own = np.arange(len(forest.left))
-        leaf = (forest.left == own) & (forest.right == own)
-        if not np.all(leaf | ((forest.left > own) & (forest.right > own))):
-            raise ValueError("the trees of the model do not go downwards: train again")
-        return forest

@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum, unique
-from typing import Any, Self
+from typing import Any, ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -275,12 +275,8 @@ class ForceRamp:
 class ForceRampTrainer:
     """Teaches the default recogniser."""
 
+    name: ClassVar[str] = "force_ramp"
     use_aperture: bool = True
-
-    @property
-    def name(self) -> str:
-        """Name in tables, models and on the command line."""
-        return "force_ramp"
 
     @property
     def uses_aperture(self) -> bool:

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from recognition.errors import ContactError
-from recognition.grasp import Grasp, PadArray
+from recognition.grasp import Grasp
 from recognition.quadric.contact import (
     ContactPatch,
     contact_patches,
@@ -11,20 +11,7 @@ from recognition.quadric.contact import (
     noise_threshold,
     robust_noise,
 )
-
-
-def _pads(*shapes, adc_max=255, pitch_m=0.004):
-    taxel_pad, xy = [], []
-    for pad, (rows, columns) in enumerate(shapes):
-        row, column = np.divmod(np.arange(rows * columns), columns)
-        taxel_pad.append(np.full(rows * columns, pad))
-        xy.append(np.stack([row - (rows - 1) / 2, column - (columns - 1) / 2], axis=1) * pitch_m)
-    return PadArray(
-        pad_shape=np.array(shapes),
-        taxel_pad=np.concatenate(taxel_pad),
-        taxel_xy_m=np.concatenate(xy),
-        adc_max=adc_max,
-    )
+from tests.recognition.conftest import make_pads
 
 
 def _grasp(pads, counts):
@@ -44,7 +31,7 @@ def _ramp(pads, rng, *, n_quiet, n_frames=30, offset=0.0, noise=3.0):
     return _grasp(pads, np.clip(np.round(counts), 0, 255))
 
 
-PADS = _pads((16, 4), (16, 4))
+PADS = make_pads(shapes=((16, 4), (16, 4)), adc_max=255, pitch_m=4e-3)
 
 
 def test_baseline_is_the_mean_of_each_taxel_before_contact():
@@ -130,7 +117,7 @@ def test_the_rim_takes_unloaded_neighbours_along_and_leaves_other_patches():
 
 
 def test_the_three_shapes_of_heights_mean_the_same():
-    pads = _pads((2, 3), (4, 2))
+    pads = make_pads(shapes=((2, 3), (4, 2)), adc_max=255, pitch_m=4e-3)
     everything = np.arange(14.0)
     for height in (everything, everything[6:], everything[6:].reshape(4, 2)):
         patch = main_patch(height, pads, 1, 8.5)

@@ -107,7 +107,7 @@ def test_the_eigenvalue_of_the_transformed_matrix_is_another_infimum():
     moved = _inverse(offset=(2.0, 2.0, 0.0))
     ball = np.diag([1 / 4.75**2] * 3 + [-1.0])
     for M_inv, kept in ((turned, True), (moved, False)):
-        found = sdp_bound(infimum.transformed_pencil(ball, M_inv)).feasible
+        found = sdp_bound(Pencil(P=quadric.by_inverse(ball, M_inv), N=IDENTITY)).feasible
         assert found == pytest.approx(np.linalg.eigvalsh(M_inv.T @ ball @ M_inv)[0], rel=1e-9)
         assert (abs(found + 1.0) < 1e-9) is kept
 

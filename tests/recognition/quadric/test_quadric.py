@@ -42,7 +42,9 @@ def test_fit_recovers_an_exact_height_field_in_millimetres():
     expected = height_field_matrix(a=-1.5, b=-0.8, d=0.2, g=0.4, h=-0.3, k=100.0)
     z = -1.5 * x**2 - 0.8 * y**2 + 2 * (0.2 * x * y + 0.4 * x - 0.3 * y) + 100.0
     found = fit_height_field(xy_mm * 1e-3, z)
-    assert found.matrix_in(1e-3) == pytest.approx(expected, abs=1e-9)
+    to_pad_mm = np.diag([found.scale_m * 1e3, found.scale_m * 1e3, 1.0, 1.0])
+    to_pad_mm[:2, 3] = found.centre_m * 1e3
+    assert quadric.congruence(found.Q, to_pad_mm) == pytest.approx(expected, abs=1e-9)
     assert found.centre_m == pytest.approx([0.003, -0.002])
     assert found.residual < 1e-9
     assert found.n_points == 49
@@ -67,21 +69,6 @@ def test_the_feature_is_the_inverse_peak_height(a, b, g, h, k):
     peak = k - g * g / a - h * h / b
     assert smallest_eigenvalue(Q).value == pytest.approx(0.25 / peak, rel=0.15)
     assert np.linalg.det(Q) == pytest.approx(-0.25 * a * b, rel=1e-9)
-
-
-def test_extremum_of_a_ball_cap():
-    radius_m, indentation_m = 0.02135, 1e-3
-    xy = _grid(n=5, pitch_m=0.0018)
-    z = np.sqrt(radius_m**2 - np.sum(xy**2, axis=1)) - radius_m + indentation_m
-    cap = fit_height_field(xy, z)
-    assert cap.extremum == pytest.approx(indentation_m, rel=0.01)
-
-
-def test_a_trough_has_no_single_extremum():
-    xy = _grid()
-    trough = fit_height_field(xy, 100.0 - 1e6 * xy[:, 0] ** 2)
-    with pytest.raises(QuadricError, match="no single extremum"):
-        _ = trough.extremum
 
 
 @settings(derandomize=True, max_examples=25, deadline=None)
@@ -110,7 +97,8 @@ def test_weight_zero_leaves_a_point_out():
     spoilt[10], w[10] = 1e4, 0.0
     found = fit_height_field(xy, spoilt, w)
     assert found.n_points == 48
-    assert found.matrix_in(1e-3) == pytest.approx(fit_height_field(xy, z).matrix_in(1e-3), abs=1e-6)
+    others = np.arange(49) != 10
+    np.testing.assert_allclose(found.Q, fit_height_field(xy[others], z[others]).Q, atol=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -149,51 +137,11 @@ def test_a_quadric_is_frozen_and_finite():
 # --- invariants -----------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("Q", "first", "second"),
-    [
-        (BALL, 3.0, 9.0),
-        (OVAL, 3.048, 9.260),
-        (BOX, 3.204, 10.847),
-        (np.diag([1 / 5.0**2, 1 / 5.0**2, -1 / 6.5**2, -1.0]), -10.81, 0.4366),
-    ],
-)
-def test_similarity_invariants_of_the_papers_objects(Q, first, second):
-    rng = np.random.default_rng(7)
-    at_rest = inv.similarity_invariants(Q)
-    assert at_rest == pytest.approx([first, second], rel=1e-3)
-    for _ in range(20):
-        moved = rng.uniform(0.1, 10.0) * quadric.congruence(Q, _similarity(rng))
-        assert inv.similarity_invariants(moved) == pytest.approx(at_rest, rel=1e-8)
-
-
-def test_a_cylinder_has_no_second_similarity_invariant():
-    first, second = inv.similarity_invariants(CYLINDER)
-    assert first == pytest.approx(4.0)
-    assert not np.isfinite(second)
-
-
-def test_rigid_motion_keeps_the_four_invariants_but_translation_changes_the_others():
-    rng = np.random.default_rng(8)
-    before = inv.invariants(OVAL)
-    turn = quadric.rotation_xyz(rng.uniform(0, 6, 3))
-    after = inv.invariants(quadric.congruence(OVAL, quadric.translation([3, -2, 1]) @ turn))
-    for name in ("i1", "i2", "i3", "d"):
-        assert getattr(after, name) == pytest.approx(getattr(before, name), rel=1e-9)
-    assert abs(after.d3 / before.d3 - 1) > 0.1
-    turned = inv.invariants(quadric.congruence(OVAL, turn))
-    assert turned.d3 == pytest.approx(before.d3, rel=1e-9)
-    moved_cylinder = inv.invariants(quadric.congruence(CYLINDER, quadric.translation([3, -2, 1])))
-    assert moved_cylinder.d3 == pytest.approx(inv.invariants(CYLINDER).d3, rel=1e-9)
-
-
 def test_size_survives_motion_and_a_factor():
     rng = np.random.default_rng(9)
     M = quadric.translation(rng.uniform(-5, 5, 3)) @ quadric.rotation_xyz(rng.uniform(0, 6, 3))
     axes = np.sqrt(inv.squared_semi_axes(-3.0 * quadric.congruence(OVAL, M)))
     assert np.sort(axes) == pytest.approx([5.85, 7.0, 7.0], rel=1e-9)
-    radii = np.sqrt(inv.cylinder_squared_radii(quadric.congruence(CYLINDER, M)))
-    assert radii == pytest.approx([3.0, 3.0], rel=1e-9)
     with pytest.raises(QuadricError, match="no single centre"):
         inv.squared_semi_axes(CYLINDER)
 
@@ -207,25 +155,13 @@ def test_the_corrected_feature_is_invariant_where_the_plain_one_is_not(seed, rea
     assert inv.corrected_eigenvalue(moved, reading).value == pytest.approx(at_rest, rel=1e-7)
 
 
-def test_the_corrected_feature_of_a_cylinder_takes_a_given_centre_and_radius():
-    with pytest.raises(QuadricError, match="give the contact's centroid"):
+def test_cylinders_and_cones_have_no_corrected_feature():
+    with pytest.raises(QuadricError, match="no single centre"):
         inv.corrected_eigenvalue(CYLINDER)
-    with pytest.raises(QuadricError, match="give the contact's centroid"):
-        inv.corrected_eigenvalue(CYLINDER, radius=3.0)
-    found = inv.corrected_eigenvalue(
-        CYLINDER, Reading.ALGEBRAIC_MINIMUM, centre=[0.0, 0.0, 0.0], radius=3.0
-    )
-    assert found.value == pytest.approx(-1.0)
-
-
-def test_cones_have_no_corrected_feature():
-    cone = np.diag([1.0, 1.0, -1.0, 0.0])
     with pytest.raises(QuadricError, match="cone"):
-        inv.corrected_eigenvalue(cone)
-    with pytest.raises(QuadricError, match="cone"):
-        inv.corrected_eigenvalue(cone, centre=np.zeros(3), radius=1.0)
+        inv.corrected_eigenvalue(np.diag([1.0, 1.0, -1.0, 0.0]))
     with pytest.raises(QuadricError, match="4, 4"):
-        inv.invariants(np.eye(5))
+        inv.corrected_eigenvalue(np.eye(5))
 
 
 def test_rotation_about_the_origin_keeps_eigenvalues_and_translation_does_not():

@@ -10,7 +10,6 @@ from recognition.quadric.quadric import height_field_matrix
 from recognition.quadric.thresholds import (
     check_level,
     find_thresholds,
-    noise_seen,
     with_noise,
 )
 from recognition.quadric.trajectory import PAPER_SWEEP, Axes, SweepSettings, contact_classify, sweep
@@ -208,12 +207,6 @@ def test_nothing_is_told_in_a_closed_window():
     assert [check_level(levels, value) for value in (2.0, 3.5, 5.0)] == [0, None, 1]
 
 
-def test_coverage_trims_outliers_from_a_band():
-    values = np.concatenate([np.linspace(1, 2, 99), [50.0]])
-    assert find_thresholds([values]).high[0] == 50.0
-    assert find_thresholds([values], coverage=0.9).high[0] < 2.0
-
-
 def test_an_object_without_a_level_is_never_named():
     levels = find_thresholds([[np.nan], [1.0, 2.0], []])
     assert levels.order.tolist() == [1]
@@ -221,8 +214,8 @@ def test_an_object_without_a_level_is_never_named():
     assert check_level(levels, 100.0) is None
     with pytest.raises(TrajectoryError, match="none of 2 objects"):
         find_thresholds([[np.nan], []])
-    with pytest.raises(TrajectoryError, match="coverage is 0"):
-        find_thresholds([[1.0]], coverage=0)
+    with pytest.raises(TrajectoryError, match="margin is 1"):
+        find_thresholds([[1.0]], margin=1.0)
 
 
 @settings(derandomize=True, max_examples=80, deadline=None)
@@ -266,13 +259,3 @@ def test_contact_classify_is_silent_where_the_noise_closes_the_window():
     seen = height_field_matrix(a=-4.0, b=-4.0, k=108.0)
     assert contact_classify(close, seen, grid) == 0
     assert contact_classify(close, seen, grid, noise_share=0.2) is None
-
-
-def test_the_noise_of_a_level_is_that_of_its_repetitions():
-    rng = np.random.default_rng(5)
-    values = 2e-3 * (1 + 0.03 * rng.normal(size=4000))
-    assert noise_seen([*values, np.nan]) == pytest.approx(0.06, rel=0.05)
-    assert noise_seen([*values, 100.0]) < 0.065  # one stray value does not move it
-    for useless in ([1.0], [np.nan, 1.0], [0.0, 0.0, 1.0]):
-        with pytest.raises(TrajectoryError, match="do not show the noise"):
-            noise_seen(useless)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from recognition.errors import ContactError, QuadricError, RecognitionError
-from recognition.grasp import Grasp, PadArray
+from recognition.grasp import Grasp
 from recognition.quadric.eigen import Reading
 from recognition.quadric.level import (
     LevelSettings,
@@ -17,27 +17,20 @@ from recognition.quadric.level import (
 from recognition.quadric.thresholds import check_level, find_thresholds
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers.level_check import LevelCheckRecognizer, LevelCheckTrainer
+from tests.recognition.conftest import make_pads
 
 PAPER_FINGER = ((16, 4), (16, 4), (16, 2), (16, 2), (6, 2))
+
+
+def _pads(shapes, adc_max=255):
+    return make_pads(shapes=shapes, adc_max=adc_max, pitch_m=3.5e-3)
+
+
 LAYOUTS = {
-    "paper": (PAPER_FINGER * 2, 255),
-    "two inner pads": (((16, 4), (16, 4)), 255),
-    "pinch": (((13, 6), (13, 6)), 4095),
+    "paper": _pads(PAPER_FINGER * 2),
+    "two inner pads": _pads(((16, 4), (16, 4))),
+    "pinch": _pads(((13, 6), (13, 6)), 4095),
 }
-
-
-def _pads(shapes, adc_max, pitch_m=0.0035):
-    taxel_pad, xy = [], []
-    for pad, (rows, columns) in enumerate(shapes):
-        row, column = np.divmod(np.arange(rows * columns), columns)
-        taxel_pad.append(np.full(rows * columns, pad))
-        xy.append(np.stack([row - (rows - 1) / 2, column - (columns - 1) / 2], axis=1) * pitch_m)
-    return PadArray(
-        pad_shape=np.array(shapes),
-        taxel_pad=np.concatenate(taxel_pad),
-        taxel_xy_m=np.concatenate(xy),
-        adc_max=adc_max,
-    )
 
 
 def _grasp(pads, peak, rng, *, label="", touched=None, noise=0.01, force=True, width_m=0.006):
@@ -71,7 +64,7 @@ def _taught(pads, rng, **options):
 
 @pytest.fixture(params=LAYOUTS)
 def pads(request):
-    return _pads(*LAYOUTS[request.param])
+    return LAYOUTS[request.param]
 
 
 @pytest.mark.parametrize("force", [True, False])
@@ -97,7 +90,7 @@ def test_a_level_outside_every_band_is_unknown(pads):
 
 
 def test_objects_with_one_level_share_the_probability_and_close_the_window():
-    pads = _pads(*LAYOUTS["pinch"])
+    pads = LAYOUTS["pinch"]
     rng = np.random.default_rng(12)
     grasps = [_grasp(pads, 0.5, rng, label=label) for label in "ab" for _ in range(8)]
     taught = LevelCheckTrainer().fit(grasps)
@@ -111,7 +104,7 @@ def test_objects_with_one_level_share_the_probability_and_close_the_window():
 
 
 def test_no_contact_and_contact_without_a_surface_are_unknown_and_uniform():
-    pads = _pads(*LAYOUTS["paper"])
+    pads = LAYOUTS["paper"]
     rng = np.random.default_rng(13)
     taught = LevelCheckTrainer().fit(_taught(pads, rng))
     nothing = _grasp(pads, 0.0, rng)
@@ -134,7 +127,7 @@ def test_no_contact_and_contact_without_a_surface_are_unknown_and_uniform():
 
 
 def test_arrays_hold_all_that_was_learnt():
-    pads = _pads(*LAYOUTS["pinch"])
+    pads = LAYOUTS["pinch"]
     rng = np.random.default_rng(14)
     settings = LevelSettings(force_n=6.0, rim=0, reading=Reading.ALGEBRAIC_MINIMUM)
     taught = LevelCheckTrainer(settings=settings).fit(_taught(pads, rng))
@@ -157,7 +150,7 @@ def test_arrays_hold_all_that_was_learnt():
 
 def test_other_pads_are_refused():
     rng = np.random.default_rng(15)
-    pinch, inner = (_pads(*LAYOUTS[name]) for name in ("pinch", "two inner pads"))
+    pinch, inner = (LAYOUTS[name] for name in ("pinch", "two inner pads"))
     taught = LevelCheckTrainer().fit(_taught(pinch, rng))
     with pytest.raises(ValueError, match="2 pads with 128 taxels up to 255; taught were 2"):
         taught.posterior(_grasp(inner, 0.4, rng))
@@ -166,7 +159,7 @@ def test_other_pads_are_refused():
 
 
 def test_an_object_without_any_surface_stays_without_a_level():
-    pads = _pads(*LAYOUTS["paper"])
+    pads = LAYOUTS["paper"]
     rng = np.random.default_rng(16)
     grasps = _taught(pads, rng)
     spoilt = [_grasp(pads, 0.5, rng, touched=(4,), label="tip") for _ in range(3)]
@@ -187,7 +180,7 @@ def test_the_trainer_says_what_it_is_and_refuses_what_does_not_teach():
     assert not LevelCheckTrainer(use_aperture=True).uses_aperture
     with pytest.raises(ValueError, match="no grasps"):
         trainer.fit([])
-    pads = _pads(*LAYOUTS["pinch"])
+    pads = LAYOUTS["pinch"]
     with pytest.raises(ValueError, match="no label"):
         trainer.fit([_grasp(pads, 0.5, np.random.default_rng(0))])
     with pytest.raises(RecognitionError, match="margin is 0"):
@@ -195,7 +188,7 @@ def test_the_trainer_says_what_it_is_and_refuses_what_does_not_teach():
 
 
 def test_one_touch_per_object_suffices():
-    pads = _pads(*LAYOUTS["pinch"])
+    pads = LAYOUTS["pinch"]
     rng = np.random.default_rng(17)
     taught = LevelCheckTrainer().fit(_taught(pads, rng)[::5])
     assert taught.posterior(_grasp(pads, 0.41, rng)).best == "middle"
@@ -212,7 +205,7 @@ def test_the_level_is_a_quarter_over_the_fitted_peak_in_counts_of_255(pads):
 
 
 def test_noise_of_the_paper_moves_the_level_by_less_than_its_windows():
-    pads = _pads(*LAYOUTS["two inner pads"])
+    pads = LAYOUTS["two inner pads"]
     rng = np.random.default_rng(19)
     quiet = grip_level(_grasp(pads, 0.5, np.random.default_rng(1), noise=0.0))
     noisy = [grip_level(_grasp(pads, 0.5, rng, noise=10 / 255)) for _ in range(20)]
@@ -220,21 +213,21 @@ def test_noise_of_the_paper_moves_the_level_by_less_than_its_windows():
 
 
 def test_gripping_pads_are_the_most_loaded_and_its_counterpart():
-    paper = _pads(*LAYOUTS["paper"])
+    paper = LAYOUTS["paper"]
     load = np.array([9.0, 0, 0, 0, 6, 5, 0, 0, 0, 0])
     assert gripping_pads(load, paper) == (0, 5)
     assert gripping_pads(load[::-1], paper) == (9, 4)
     load[5] = 0.1
     assert gripping_pads(load, paper) == (0,)
-    assert gripping_pads([3.0], _pads(((16, 4),), 255)) == (0,)
-    odd = _pads(((16, 4), (13, 6), (16, 4)), 255)
+    assert gripping_pads([3.0], _pads(((16, 4),))) == (0,)
+    odd = _pads(((16, 4), (13, 6), (16, 4)))
     assert gripping_pads([1.0, 5.0, 2.0], odd) == (1, 2)
     with pytest.raises(ContactError, match="no pad is loaded"):
         gripping_pads(np.zeros(10), paper)
 
 
 def test_frames_near_a_share_of_the_force_or_of_the_load():
-    pads = _pads(*LAYOUTS["pinch"])
+    pads = LAYOUTS["pinch"]
     rng = np.random.default_rng(20)
     grasp = _grasp(pads, 0.5, rng)
     assert frames_near(grasp, 1.0, 0.01).tolist() == list(range(27, 38))
@@ -246,7 +239,7 @@ def test_frames_near_a_share_of_the_force_or_of_the_load():
 
 
 def test_a_fixed_force_that_was_not_reached_is_refused():
-    pads = _pads(*LAYOUTS["pinch"])
+    pads = LAYOUTS["pinch"]
     grasp = _grasp(pads, 0.5, np.random.default_rng(21))
     half = grip_level(grasp, LevelSettings(force_n=4.0))
     assert half == pytest.approx(2 * grip_level(grasp), rel=0.2)
@@ -261,7 +254,7 @@ def test_a_fixed_force_that_was_not_reached_is_refused():
 
 
 def test_lambda_of_force_falls_along_the_ramp_and_gives_thresholds_at_its_end():
-    pads = _pads(*LAYOUTS["paper"])
+    pads = LAYOUTS["paper"]
     rng = np.random.default_rng(24)
     shares = (0.01, 0.25, 0.5, 1.0)
     settings = LevelSettings(tolerance=0.02)
@@ -278,13 +271,13 @@ def test_lambda_of_force_falls_along_the_ramp_and_gives_thresholds_at_its_end():
 
 
 def test_steps_of_the_ramp_without_contact_are_nan():
-    pads = _pads(*LAYOUTS["paper"])
+    pads = LAYOUTS["paper"]
     grasp = _grasp(pads, 0.5, np.random.default_rng(25), touched=(4,))
     assert np.isnan(ramp_levels(grasp, (0.5, 1.0))).all()
 
 
 def test_levels_are_taken_at_the_force_that_every_taught_grasp_reached():
-    pads = _pads(*LAYOUTS["pinch"])
+    pads = LAYOUTS["pinch"]
     rng = np.random.default_rng(5)
     taught = _taught(pads, rng)
     weak = dataclasses.replace(taught[0], force_n=0.5 * taught[0].force_n)
@@ -313,7 +306,7 @@ def _held(pads, peak, rng, noise, n_frames):
 
 
 def test_the_patch_does_not_grow_with_the_number_of_frames_averaged():
-    pads = _pads(*LAYOUTS["two inner pads"])
+    pads = LAYOUTS["two inner pads"]
     few, many = (_held(pads, 0.5, np.random.default_rng(3), 0.01, n) for n in (2, 40))
 
     def spread_over(settings):
@@ -324,14 +317,14 @@ def test_the_patch_does_not_grow_with_the_number_of_frames_averaged():
 
 
 def test_noise_of_the_whole_pad_does_not_hide_the_first_touch_in_the_baseline():
-    pads = _pads(*LAYOUTS["paper"])
+    pads = LAYOUTS["paper"]
     quiet = grip_level(_grasp(pads, 0.6, np.random.default_rng(4), noise=0.0))
     loud = [grip_level(_grasp(pads, 0.6, np.random.default_rng(4), noise=0.04)) for _ in range(3)]
     assert np.mean(loud) == pytest.approx(quiet, rel=0.06)
 
 
 def test_more_noise_than_taught_is_seen_and_widens_bands_and_probabilities():
-    pads = _pads(*LAYOUTS["paper"])
+    pads = LAYOUTS["paper"]
     rng = np.random.default_rng(6)
     taught = LevelCheckTrainer().fit(_taught(pads, rng))
     calm, loud = (_grasp(pads, 0.4, np.random.default_rng(7), noise=n) for n in (0.005, 0.1))
@@ -347,7 +340,7 @@ def test_more_noise_than_taught_is_seen_and_widens_bands_and_probabilities():
 
 
 def test_noise_predicts_how_far_levels_of_one_touch_vary():
-    pads = _pads(*LAYOUTS["two inner pads"])
+    pads = LAYOUTS["two inner pads"]
     rng = np.random.default_rng(8)
     grasps = [_held(pads, 0.5, rng, 0.03, 20) for _ in range(60)]
     seen = np.std(np.log([grip_level(grasp) for grasp in grasps]))
@@ -357,7 +350,7 @@ def test_noise_predicts_how_far_levels_of_one_touch_vary():
 
 
 def test_taught_noise_that_is_no_number_is_refused():
-    pads = _pads(*LAYOUTS["pinch"])
+    pads = LAYOUTS["pinch"]
     arrays = LevelCheckTrainer().fit(_taught(pads, np.random.default_rng(9))).to_arrays()
     with pytest.raises(ValueError, match="noise make no levels"):
         LevelCheckRecognizer.from_arrays({**arrays, "noise_counts": np.array(np.nan)})
