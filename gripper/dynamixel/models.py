@@ -246,12 +246,3 @@ def require_current_control(name: str) -> ServoModel:
             f"position mode, so its grip force cannot be bounded. Use one of {', '.join(MODELS)}"
         )
     raise LimitExceeded(f"servo model {name!r} is not known. Use one of {', '.join(MODELS)}")
-
-
-def model_by_number(number: int) -> ServoModel:
-    """Return the model with that Model Number (register 0); LimitExceeded when unknown."""
-    for model in MODELS.values():
-        if model.number == number:
-            return model
-    known = ", ".join(f"{m.number} ({m.name})" for m in MODELS.values())
-    raise LimitExceeded(f"model number {number} is not known. Known: {known}")

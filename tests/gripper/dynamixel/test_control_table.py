@@ -23,7 +23,7 @@ from gripper.dynamixel.control_table import (
     TORQUE_ENABLE,
     registers_between,
 )
-from gripper.dynamixel.models import MODELS, XM430_W350, model_by_number, require_current_control
+from gripper.dynamixel.models import MODELS, XM430_W350, require_current_control
 from gripper.errors import LimitExceeded
 from gripper.state import hardware_error_names
 
@@ -77,7 +77,6 @@ def test_blocks_must_be_contiguous() -> None:
 
 def test_models_carry_the_data_sheet() -> None:
     assert {m.number for m in MODELS.values()} == {1020, 1030, 1200, 1240}
-    assert model_by_number(1200).name == "XL330-M288"
     assert XM430_W350.current_raw(0.46) == 171
     assert XM430_W350.current_a(500) == pytest.approx(1.345)
     assert MODELS["XL330-M288"].factory_defaults["shutdown"] == 53
@@ -91,8 +90,6 @@ def test_models_without_current_control_are_refused_with_the_reason() -> None:
         require_current_control("XL430-W250")
     with pytest.raises(LimitExceeded, match="not known"):
         require_current_control("AX-12")
-    with pytest.raises(LimitExceeded, match="4711"):
-        model_by_number(4711)
 
 
 def test_hardware_error_bits_have_names() -> None:

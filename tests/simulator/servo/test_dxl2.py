@@ -26,7 +26,7 @@ def driver(serve: Any) -> Any:
 
 @pytest.fixture
 def client(driver: Any) -> Iterator[dxl2.MotorBus]:
-    bus = dxl2.MotorBus(driver.endpoint.port, 1_000_000, TIMEOUT_S)
+    bus = dxl2.MotorBus(driver.endpoint.path, 1_000_000, TIMEOUT_S)
     bus.connect()
     yield bus
     bus.disconnect()

@@ -23,6 +23,7 @@ def wire(text: str) -> bytes:
     return bytes.fromhex(text.replace(" ", ""))
 
 
+# fmt: off
 INSTRUCTIONS = [
     ("ping", 1, 0x01, "", "FFFFFD00 01 0300 01 194E"),
     ("ping broadcast", 0xFE, 0x01, "", "FFFFFD00 FE 0300 01 3142"),
@@ -34,63 +35,28 @@ INSTRUCTIONS = [
     ("clear", 1, 0x10, "01 44584C22", "FFFFFD00 01 0800 10 01 44584C22 B1DC"),
     ("factory reset", 1, 0x06, "01", "FFFFFD00 01 0400 06 01 A1E6"),
     ("sync read", 0xFE, 0x82, "8400 0400 01 02", "FFFFFD00 FE 0900 82 8400 0400 01 02 CEFA"),
-    (
-        "sync write",
-        0xFE,
-        0x83,
-        "7400 0400 01 96000000 02 AA000000",
-        "FFFFFD00 FE 1100 83 7400 0400 01 96000000 02 AA000000 8287",
-    ),
-    (
-        "bulk read",
-        0xFE,
-        0x92,
-        "01 9000 0200 02 9200 0100",
-        "FFFFFD00 FE 0D00 92 01 9000 0200 02 9200 0100 1A05",
-    ),
-    (
-        "bulk write",
-        0xFE,
-        0x93,
-        "01 2000 0200 A000 02 1F00 0100 50",
-        "FFFFFD00 FE 1000 93 01 2000 0200 A000 02 1F00 0100 50 B768",
-    ),
-    (
-        "fast sync read",
-        0xFE,
-        0x8A,
-        "8400 0400 03 07 04",
-        "FFFFFD00 FE 0A00 8A 8400 0400 03 07 04 20F2",
-    ),
-    (
-        "fast bulk read",
-        0xFE,
-        0x9A,
-        "03 8400 0400 07 7C00 0200 04 9200 0100",
-        "FFFFFD00 FE 1200 9A 03 8400 0400 07 7C00 0200 04 9200 0100 DA2D",
-    ),
+    ("sync write", 0xFE, 0x83, "7400 0400 01 96000000 02 AA000000",
+     "FFFFFD00 FE 1100 83 7400 0400 01 96000000 02 AA000000 8287"),
+    ("bulk read", 0xFE, 0x92, "01 9000 0200 02 9200 0100",
+     "FFFFFD00 FE 0D00 92 01 9000 0200 02 9200 0100 1A05"),
+    ("bulk write", 0xFE, 0x93, "01 2000 0200 A000 02 1F00 0100 50",
+     "FFFFFD00 FE 1000 93 01 2000 0200 A000 02 1F00 0100 50 B768"),
+    ("fast sync read", 0xFE, 0x8A, "8400 0400 03 07 04",
+     "FFFFFD00 FE 0A00 8A 8400 0400 03 07 04 20F2"),
+    ("fast bulk read", 0xFE, 0x9A, "03 8400 0400 07 7C00 0200 04 9200 0100",
+     "FFFFFD00 FE 1200 9A 03 8400 0400 07 7C00 0200 04 9200 0100 DA2D"),
     ("backup", 1, 0x20, "01 4354524C", "FFFFFD00 01 0800 20 01 4354524C 16F5"),
     ("restore", 1, 0x20, "02 4354524C", "FFFFFD00 01 0800 20 02 4354524C 9EF5"),
     ("sync read 10", 0xFE, 0x82, "7E00 0A00 01 02", "FFFFFD00 FE 0900 82 7E00 0A00 01 02 3892"),
-    (
-        "sync write currents",
-        0xFE,
-        0x83,
-        "6600 0200 01 6400 02 9CFF",
-        "FFFFFD00 FE 0D00 83 6600 0200 01 6400 02 9CFF E1DB",
-    ),
+    ("sync write currents", 0xFE, 0x83, "6600 0200 01 6400 02 9CFF",
+     "FFFFFD00 FE 0D00 83 6600 0200 01 6400 02 9CFF E1DB"),
     ("torque on", 1, 0x03, "4000 01", "FFFFFD00 01 0600 03 4000 01 DB66"),
     ("watchdog 100 ms", 1, 0x03, "6200 05", "FFFFFD00 01 0600 03 6200 05 68E4"),
     ("watchdog clear", 1, 0x03, "6200 00", "FFFFFD00 01 0600 03 6200 00 76E4"),
     ("read 70", 1, 0x02, "4600 0100", "FFFFFD00 01 0700 02 4600 0100 3CA3"),
     ("stuffed write", 1, 0x03, "7400 FFFFFDFF", "FFFFFD00 01 0A00 03 7400 FFFFFDFDFF 23E5"),
-    (
-        "stuffed sync write",
-        0xFE,
-        0x83,
-        "6600 0600 01 FFFF FDFFFFFF",
-        "FFFFFD00 FE 0F00 83 6600 0600 01 FFFFFDFDFFFFFF 67DC",
-    ),
+    ("stuffed sync write", 0xFE, 0x83, "6600 0600 01 FFFF FDFFFFFF",
+     "FFFFFD00 FE 0F00 83 6600 0600 01 FFFFFDFDFFFFFF 67DC"),
 ]
 STATUSES = [
     ("ping", 1, 0x00, "060426", "FFFFFD00 01 0700 55 00 060426 655D"),
@@ -100,15 +66,11 @@ STATUSES = [
     ("bulk read 1", 1, 0x00, "7700", "FFFFFD00 01 0600 55 00 7700 C369"),
     ("bulk read 2", 2, 0x00, "24", "FFFFFD00 02 0500 55 00 24 8BA9"),
     ("alert", 1, 0x80, "20", "FFFFFD00 01 0500 55 80 20 9921"),
-    (
-        "stuffed",
-        1,
-        0x00,
-        "FFFF FDFFFFFF 00080000",
-        "FFFFFD00 01 0F00 55 00 FFFFFDFDFFFFFF00080000 49F0",
-    ),
+    ("stuffed", 1, 0x00, "FFFF FDFFFFFF 00080000",
+     "FFFFFD00 01 0F00 55 00 FFFFFDFDFFFFFF00080000 49F0"),
     ("stuffed twice", 1, 0x00, "FFFFFD FFFDFD", "FFFFFD00 01 0B00 55 00 FFFFFDFDFFFDFD 5460"),
 ]
+# fmt: on
 BARE_STATUS_CRC = {
     0x00: "A10C",
     0x01: "A48C",
@@ -121,7 +83,7 @@ BARE_STATUS_CRC = {
     0x80: "A28F",
     0x84: "B90F",
     0x87: "B30F",
-}
+}  # fmt: skip
 
 
 def test_crc_has_the_check_value_of_crc16_umts():

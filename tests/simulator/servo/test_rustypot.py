@@ -21,7 +21,7 @@ def driver(serve) -> Any:
 
 @pytest.fixture
 def client(driver):
-    controller = rustypot.Xl430PyController(driver.endpoint.port, 1_000_000, TIMEOUT_S)
+    controller = rustypot.Xl430PyController(driver.endpoint.path, 1_000_000, TIMEOUT_S)
     yield controller
     controller.close()
 
@@ -98,7 +98,7 @@ def test_a_refused_read_shows_its_error(client):
 
 
 def test_a_missing_servo_is_a_time_out(driver):
-    controller = rustypot.Xl430PyController(driver.endpoint.port, 1_000_000, 0.05)
+    controller = rustypot.Xl430PyController(driver.endpoint.path, 1_000_000, 0.05)
     with pytest.raises(RuntimeError, match="timed out"):
         controller.read_present_position(9)
     controller.close()
@@ -112,7 +112,7 @@ def test_reboot(driver, client):
 
 def test_another_model(serve):
     driver = serve(model=XL330_M288)
-    controller = rustypot.Xl330PyController(driver.endpoint.port, 1_000_000, TIMEOUT_S)
+    controller = rustypot.Xl330PyController(driver.endpoint.path, 1_000_000, TIMEOUT_S)
     assert controller.scan([1, 2]) == {1: 1200, 2: 1200}
     data = controller.read_raw_data(2, 132, 4)
     assert int.from_bytes(bytes(data), "little") == present(driver, 2)
@@ -124,7 +124,7 @@ def test_another_model(serve):
 
 @pytest.fixture
 def sdk(driver):
-    port = dynamixel_sdk.PortHandler(driver.endpoint.port)
+    port = dynamixel_sdk.PortHandler(driver.endpoint.path)
     assert port.openPort()
     assert port.setBaudRate(1_000_000)
     yield port, dynamixel_sdk.PacketHandler(2.0)
