@@ -25,7 +25,7 @@ from motion.errors import (
     LimitSwitchReached,
 )
 from motion.object_dictionary import Control, HomingMethod, OperatingMode, State, Status
-from tactile.can.sdo_client import COB_SDO_RESPONSE, PolledSdoClient
+from tactile.can.sdo_client import COB_SDO_REQUEST, COB_SDO_RESPONSE, PolledSdoClient
 
 HEARTBEAT_S = 0.05
 """Period in s of the drive's heartbeat (1017h)."""
@@ -288,7 +288,7 @@ class Cia402Drive:
     def stop(self) -> None:
         """Send a quick stop and wait for nothing; also a drive that is silent may still hear."""
         self.target, self._stopped = None, True
-        self._bus.send(od.COB_SDO_REQUEST + self._node_id, _QUICK_STOP_REQUEST)
+        self._bus.send(COB_SDO_REQUEST + self._node_id, _QUICK_STOP_REQUEST)
 
     def standing(self) -> bool:
         """Return whether the axis stands still after a stop."""

@@ -19,7 +19,6 @@ COB_NMT = 0x000
 COB_EMCY = 0x080
 COB_HEARTBEAT = 0x700
 """Identifiers of the pre-defined connection set (CiA 301, 7.3.5); but for NMT plus the node-ID."""
-COB_SDO_REQUEST = 0x600
 
 DEVICE_TYPE = 0x1000
 PROFILE_402 = 402
