@@ -9,13 +9,14 @@ import sys
 BENCHMARKS = {
     "performance": (
         "doors",
+        "force_messages",
         "force_ramps",
-        "frames",
         "identify",
         "loop_lateness",
         "servo_bus",
         "startup",
         "tactile_path",
+        "touch",
         "virtual_time",
     ),
     "recognition": (

@@ -102,6 +102,10 @@ class Cell:
                     (statistics.sensor, ("bad_taxels", "saturated_frames", "void_frames")),
                 )
                 for name in names
+            }
+            | {
+                f"force_{name}": getattr(statistics.link.forces, name)
+                for name in ("received", "lost", "repeated", "late", "damaged")
             },
             "servo_bus": {
                 name: getattr(servos, name)

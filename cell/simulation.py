@@ -288,6 +288,7 @@ def capture_traffic(cell: SimulatedCell | None, path: Path, undo: ExitStack) -> 
     except OSError as error:
         raise ConfigError(f"{path}: cannot be written: {error}") from error
     undo.callback(pcap.close)
+    undo.callback(cell.can_bus.flush)
     cell.can_bus.capture.append(pcap)
 
 

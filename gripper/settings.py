@@ -54,14 +54,14 @@ def _check_settings(settings: Any) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ForceLoopSettings:
-    """Tuning of the force loop; the defaults suit foam pads and a sensor at 50 Hz."""
+    """Tuning of the force loop; the defaults suit foam pads."""
 
-    bias_time_s: float = setting(0.3, above=0.0)
+    bias_drift_n_rs: float = setting(0.14, above=0.0)
     bias_rate_n_s: float = setting(5.0, above=0.0)
-    """Time constant in s with which the difference between sensor and model is learnt once the
-    first samples are in; it halves where the set-point moves at ``bias_rate_n_s``."""
-    sample_noise_n: float = setting(0.3, above=0.0)
-    """Standard deviation of one sample in N; with it the first samples count for more."""
+    """How fast the difference between sensor and model wanders, in N per root of a second; twice
+    that where the set-point moves at ``bias_rate_n_s``. With the noise and the rate of the samples
+    it makes the time in which the difference is learnt: 0.3 s from frames at 50 Hz, 0.1 s from
+    force messages."""
     start_doubt_n: float = setting(0.1, low=0.0)
     friction_doubt: float = setting(0.1, low=0.0)
     """How uncertain the model is at the contact, in N, and by how much more where the force
@@ -71,14 +71,17 @@ class ForceLoopSettings:
     """A rising force stays below the set-point by ``caution`` times the doubt that is beyond
     ``settled_doubt_n`` in N: what is not known yet is approached from below."""
     damping_n_s_m: float = setting(100.0, low=0.0)
-    """Drive in N taken away for each m/s that a finger is faster than the ramp needs."""
+    """Drive in N taken away for each m/s that a finger is faster than the ramp needs, with a lever
+    of 60 mm; by the inverse of its square with another one, as the motor weighs."""
     motion_doubt_n_s_m: float = setting(140.0, low=0.0)
-    """Noise in N added to a sample for each m/s of a finger: inertia makes the model wrong."""
-    end_time_s: float = setting(0.11, low=0.0)
+    """Noise in N added to a sample for each m/s of a finger, with that lever: inertia makes the
+    model wrong."""
+    stiffened_n_m: float = setting(1500.0, low=0.0)
+    """Stiffness in N/m that a softer part is given by the drive while its force changes, where the
+    samples are young enough for it: on a soft part the fingers swing too slowly by themselves."""
+    end_time_s: float = setting(0.14, low=0.0)
     """Time constant in s with which the force arrives at the end of a change; see
     `gripper.force.controller.SetpointFilter`."""
-    sensor_delay_s: float = setting(0.02, low=0.0)
-    """Time in s by which the sensor's filters lag behind the stamp of a sample."""
     dead_band_n: float = setting(0.03, low=0.0)
     hold_band_n: float = setting(0.04, low=0.0)
     """Error in N that is left alone while the force keeps its direction: on a ramp, in a
@@ -177,7 +180,7 @@ class GripperSettings:
     """Opening of `Gripper.open` and `Gripper.release` in m."""
     aperture_min_m: float = setting(0.0005, low=0.0, high=0.4)
     """Opening in m below which nothing can be held: the end of an approach."""
-    approach_speed_m_s: float = setting(0.012, above=0.0, high=0.2)
+    approach_speed_m_s: float = setting(0.02, above=0.0, high=0.2)
     open_speed_m_s: float = setting(0.06, above=0.0, high=0.2)
     """Rate of the aperture while closing and opening, in m/s."""
     approach_force_n: float = setting(1.0, above=0.0, high=10.0)
@@ -191,7 +194,7 @@ class GripperSettings:
     force_max_n: float = setting(15.0, above=0.0, high=HARD_FORCE_CAP_N)
     """Cap of the measured grip force in N, at most `HARD_FORCE_CAP_N`."""
     force_noise_n: float = setting(0.5, low=0.0, high=5.0)
-    """What the mean of three samples may exceed the cap by, in N, because of noise."""
+    """What the mean of a few samples may exceed the cap by, in N, because of noise."""
     grasp_force_max_n: float | None = setting(None, above=0.0)
     """Largest force in N that a ramp may ask for; None, or what is more than
     `largest_setpoint_n` of the cap: that."""
@@ -235,8 +238,8 @@ class GripperSettings:
     """A drop of the held force in N, or as a share if that is more, or closing in m while
     holding, that is reported as a slip."""
     slide_m: float = setting(0.0015, above=0.0, high=0.05)
-    """Way in m along both pads by which the centre of a held force may move, at 4 N and more;
-    in inverse proportion below."""
+    """Way in m along the pads by which the centre of a held force may move; more where its noise is
+    larger, less where it moves suddenly: see `gripper.force.slip`."""
     runaway_speed_m_s: float = setting(0.02, above=0.0, high=0.5)
     runaway_travel_m: float = setting(0.0005, above=0.0, high=0.05)
     """Fingers that close faster than the force loop wants by so much in m/s, over so far in m,

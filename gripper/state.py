@@ -41,15 +41,29 @@ class ForceSample:
     reason
         Why it is not valid; empty where it is.
     centre_m
-        Centre of the force on each finger's pad in m, along the finger and across it; None where
-        the sensor does not measure it, or nothing touches.
+        Centre of the grip force in the grip frame in m, along the fingers and across them: the
+        mean of both pads' centres; None where it is not known, or nothing touches.
+    centre_noise_m
+        Standard deviation of each coordinate of ``centre_m``, as ``noise_n`` is of the force.
+    lag_s
+        How much older than ``t_s`` the force is in the mean, in s: filters, transmission.
+    noise_n
+        Standard deviation of `grip_n` in N, on top of that of the samples before it.
     """
 
     t_s: float
     force_n: tuple[float, float]
     valid: bool = True
     reason: str = ""
-    centre_m: tuple[tuple[float, float], tuple[float, float]] | None = None
+    centre_m: tuple[float, float] | None = None
+    centre_noise_m: float = 0.0
+    lag_s: float = 0.02
+    noise_n: float = 0.3
+
+    @property
+    def measured_s(self) -> float:
+        """Monotonic time in s at which the force was as it is here."""
+        return self.t_s - self.lag_s
 
     @property
     def grip_n(self) -> float:
@@ -300,9 +314,11 @@ class GraspOutcome:
     final_aperture_m
         Opening at the end in m.
     final_force_n
-        Grip force at the end in N, mean of the last samples; 0 without contact.
+        Grip force at the end in N, mean of the last samples: as many as their noise asks for, three
+        frames; 0 without contact.
     overshoot_n
-        Largest mean of three samples minus the end of the ramp in N, at least 0.
+        Largest mean of the last samples, as in ``final_force_n``, minus the end of the ramp in N,
+        at least 0.
     ended_early
         Whether the ramp was ended on request, before its usual end: the force that was reached or
         not is then the set-point at that time.

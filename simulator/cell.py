@@ -1,7 +1,6 @@
 """The simulated cell: one world, the devices in it, and the ends of their buses in memory."""
 
 from collections.abc import Callable
-from types import TracebackType
 from typing import Self
 
 from simulator.can.control_unit import SimulatedControlUnit
@@ -163,10 +162,5 @@ class SimulatedCell:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc_value: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         self.close()

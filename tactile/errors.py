@@ -25,6 +25,10 @@ class ZeroDrifted(TactileError):
     """The zero of the taxels has moved since it was taken: forces and shapes are wrong by it."""
 
 
+class ForceContradicted(TactileError):
+    """The control unit's force messages and its frames show different forces."""
+
+
 class LinkStateError(TactileError):
     """A call that the link does not allow in the state it is in."""
 

@@ -5,6 +5,7 @@ import random
 from collections import deque
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Any, Protocol
 
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.models import XM430_W350
@@ -18,10 +19,15 @@ from simulator.clock import VirtualClock
 from simulator.servo.bus import MemoryServoStream, ServoBusDevice
 from simulator.servo.device import SimulatedServo
 from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, ServoMount
-from simulator.servo.motor import ServoMotor
+from simulator.servo.motor import IDEAL_GEARING, XM430_W350_GEARING, ServoMotor
 
+_MESSAGE_S = 0.0015
+"""From a scan to its message in the host: scan 0.6 ms, wire 0.15 ms, a burst's message, adapter."""
 FOAM_N_M, FOAM_N_M2 = 5e3, 4e6
 """Each pad: force = FOAM_N_M d + FOAM_N_M2 d^2 for a depth d in m."""
+CREEP, CREEP_S = 0.08, 0.5
+"""Share of its force that foam loses at a constant depth, and the time constant in s: 7 % in the
+first second. A standard linear solid whose springs are those of the foam; assumptions."""
 _HOLD_S = 1.5
 _SETTLED_S = 0.3
 _UNSUPERVISED_M = 0.05
@@ -35,15 +41,25 @@ class Part:
     width_m: float
     stiffness_n_m: float
 
-    def press(self, opening_m: float) -> tuple[float, float]:
-        """Return grip force in N and its slope over the opening in N/m."""
-        pressed_m = self.width_m - opening_m
+    def press(self, opening_m: float, relaxed_n: float = 0.0) -> tuple[float, float]:
+        """Return grip force in N and its slope over the opening in N/m.
+
+        Parameters
+        ----------
+        opening_m
+            Distance between the backs of the pads' foam.
+        relaxed_n
+            Force in N that the foam of each pad has lost by creep.
+        """
+        pressed_m = self.width_m - opening_m + relaxed_n / self.stiffness_n_m
         if pressed_m <= 0.0:
             return 0.0, 0.0
         a, b = FOAM_N_M2 / self.stiffness_n_m, 2.0 + FOAM_N_M / self.stiffness_n_m
         depth_m = 2.0 * pressed_m / (b + math.sqrt(b * b + 4.0 * a * pressed_m))
         slope = FOAM_N_M + 2.0 * FOAM_N_M2 * depth_m
-        force_n = FOAM_N_M * depth_m + FOAM_N_M2 * depth_m**2
+        force_n = FOAM_N_M * depth_m + FOAM_N_M2 * depth_m**2 - relaxed_n
+        if force_n <= 0.0:
+            return 0.0, 0.0
         return force_n, slope / (2.0 + slope / self.stiffness_n_m)
 
 
@@ -56,7 +72,65 @@ class Truth:
     seed: int
 
 
-class _Sensor:
+class Sensor(Protocol):
+    """A sensor of the plant: takes the true force, gives samples as the gripper gets them."""
+
+    def measure(self, now_s: float, force_n: float) -> None:
+        """Take the force in N on each pad at a time in s."""
+        ...
+
+    def latest_force(self) -> ForceSample | None:
+        """Return the newest sample; see `gripper.state.ForceSensor`."""
+        ...
+
+
+class MessageSensor:
+    """Force messages, each of one scan: none is a mean, and none comes twice.
+
+    A sample is the mean of the messages since the last one, as `cell.hand.local.SensorTap` makes.
+
+    Parameters
+    ----------
+    noise_n, seed
+        As for `FrameSensor`: the noise of one scan is the same.
+    rate_hz
+        Messages a second.
+    """
+
+    def __init__(self, noise_n: float, seed: int, *, rate_hz: float) -> None:
+        self._random = random.Random(seed)
+        self._scan_sd_n = noise_n * math.sqrt(3.0)
+        self._period_s = 1.0 / rate_hz
+        self._due_s = self._random.uniform(0.0, self._period_s)
+        self._waiting: deque[tuple[float, float, tuple[float, float]]] = deque()
+        self._latest: ForceSample | None = None
+        self._now_s = 0.0
+
+    def measure(self, now_s: float, force_n: float) -> None:
+        self._now_s = now_s
+        while self._due_s <= now_s:
+            noise = [self._random.gauss(0.0, self._scan_sd_n) if force_n else 0.0 for _ in (0, 1)]
+            scan = force_n + noise[0], force_n + noise[1]
+            self._waiting.append((self._due_s + _MESSAGE_S, self._due_s, scan))
+            self._due_s += self._period_s
+
+    def latest_force(self) -> ForceSample | None:
+        arrived: list[tuple[float, float, tuple[float, float]]] = []
+        while self._waiting and self._waiting[0][0] <= self._now_s:
+            arrived.append(self._waiting.popleft())
+        if arrived:
+            n = len(arrived)
+            newest_s = arrived[-1][0]
+            self._latest = ForceSample(
+                t_s=newest_s,
+                force_n=(sum(a[2][0] for a in arrived) / n, sum(a[2][1] for a in arrived) / n),
+                lag_s=newest_s - sum(a[1] for a in arrived) / n,
+                noise_n=self._scan_sd_n / math.sqrt(2.0 * n),
+            )
+        return self._latest
+
+
+class FrameSensor:
     """50 Hz, mean of three frames, 25 ms late; noise of the mean in N."""
 
     def __init__(self, noise_n: float, seed: int) -> None:
@@ -105,9 +179,16 @@ class Rig:
     ----------
     part, truth, noise_n, tuning
         Part, errors of the gripper's figures, noise of the sensor in N, tuning of the force loop.
+    rate_hz
+        Force messages a second; None: whole frames at 50 Hz alone.
+    further_truths
+        True for a plant whose gearing has friction of the load, backlash and ripple, and whose foam
+        creeps.
     supervised
         False where the gripper does not take a part for lost because its fingers run ahead: it
         does so under laws whose force arrives with a knee.
+    settings
+        Settings of the gripper that are others than those of the plant.
     """
 
     def __init__(
@@ -117,11 +198,17 @@ class Rig:
         noise_n: float,
         tuning: ForceLoopSettings,
         *,
+        rate_hz: float | None = None,
+        further_truths: bool = False,
         supervised: bool = True,
+        **settings: Any,
     ) -> None:
         self._part = part
+        self._creep = CREEP if further_truths else 0.0
+        self._relaxed_n = 0.0
         clock = VirtualClock()
-        motors = [ServoMotor(XM430_W350) for _ in (0, 1)]
+        gearing = XM430_W350_GEARING if further_truths else IDEAL_GEARING
+        motors = [ServoMotor(XM430_W350, gearing=gearing) for _ in (0, 1)]
         for motor in motors:
             motor.kt_nm_a *= 1.0 + truth.kt_error
             motor.friction_nm *= 1.0 + truth.friction_error
@@ -138,11 +225,22 @@ class Rig:
             for i, motor in enumerate(motors)
         ]
         self._device = ServoBusDevice(servos, 1_000_000)
-        self._sensor = _Sensor(noise_n, truth.seed)
+        self._sensor = self._new_sensor(noise_n, truth.seed, rate_hz)
         self._now_s = 0.0
         self._trace: list[tuple[float, float]] = []
         self.force_n = 0.0
         clock.on_advance.append(self._advance)
+        usual: dict[str, Any] = {
+            "aperture_open_m": max(0.03, open_m),
+            "approach_speed_m_s": 0.012,
+            "contact_force_n": 0.6,
+            # What a law does is measured here, not what stops it.
+            "slip_drop_n": 20.0,
+            "slip_travel_m": 0.05,
+            **({} if supervised else {"runaway_travel_m": _UNSUPERVISED_M}),
+            "force_max_n": HARD_FORCE_CAP_N,
+            "force_loop": tuning,
+        }
         self.gripper = Gripper(
             ServoBus(MemoryServoStream(self._device, clock), baudrate=1_000_000, clock=clock),
             ParallelLinkage(link_m=0.06),
@@ -151,28 +249,29 @@ class Rig:
                     ServoSettings(servo_id=i + 1, direction=direction)
                     for i, direction in enumerate(directions)
                 ),
-                aperture_open_m=max(0.03, open_m),
-                approach_speed_m_s=0.012,
-                contact_force_n=0.6,
-                # What a law does is measured here, not what stops it.
-                slip_drop_n=20.0,
-                slip_travel_m=0.05,
-                **({} if supervised else {"runaway_travel_m": _UNSUPERVISED_M}),
-                force_max_n=HARD_FORCE_CAP_N,
-                force_loop=tuning,
+                **(usual | settings),
             ),
             clock=clock,
             force_sensor=self._sensor,
         )
 
+    def _new_sensor(self, noise_n: float, seed: int, rate_hz: float | None) -> Sensor:
+        if rate_hz is None:
+            return FrameSensor(noise_n, seed)
+        return MessageSensor(noise_n, seed, rate_hz=rate_hz)
+
     def _advance(self, now_s: float) -> None:
         dt_s, self._now_s = now_s - self._now_s, now_s
         if dt_s <= 0.0:
             return
-        force_n, slope_n_m = self._part.press(self._mechanics.aperture_m)
+        force_n, slope_n_m = self._part.press(self._mechanics.aperture_m, self._relaxed_n)
         self._mechanics.step(dt_s, (force_n, force_n), (slope_n_m, slope_n_m))
         self._device.advance_to(now_s)
-        self.force_n = self._part.press(self._mechanics.aperture_m)[0]
+        self.force_n = self._part.press(self._mechanics.aperture_m, self._relaxed_n)[0]
+        # Foam that nothing presses recovers in the same way.
+        elastic_n = self.force_n + self._relaxed_n if self.force_n > 0.0 else 0.0
+        share = 1.0 - math.exp(-dt_s / CREEP_S)
+        self._relaxed_n += (self._creep * elastic_n - self._relaxed_n) * share
         self._sensor.measure(now_s, self.force_n)
         self._trace.append((now_s, self.force_n))
 

@@ -1,4 +1,4 @@
-"""Messages of tactile frames, a bus in memory that holds them, and a link that is up on it."""
+"""Messages of tactile frames, and a bus in memory that holds them."""
 
 from collections import deque
 from collections.abc import Sequence
@@ -6,11 +6,9 @@ from collections.abc import Sequence
 import can
 import numpy as np
 
-from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
 from tactile.frames.codec import FrameFormat, encode_frame
 from tactile.layout import paper_layout
-from tactile.unit.link import LinkSettings, TactileLink
 
 LAYOUT = paper_layout()
 FORMAT = FrameFormat.of(LAYOUT)
@@ -67,29 +65,3 @@ class FeedBus(can.BusABC):
         if self.inner is not None:
             return self.inner.recv(timeout), True
         return (self.waiting.popleft() if self.waiting else None), False
-
-
-class FedLink:
-    """A link that was started on a simulated control unit and is fed from memory since then."""
-
-    def __init__(self) -> None:
-        self._cell = SimulatedCell()
-        self.clock = self._cell.clock
-        self.bus = FeedBus(self._cell.can_bus)
-        self.link = TactileLink(
-            self.bus,
-            node_id=NODE_ID,
-            layout=LAYOUT,
-            clock=self.clock,
-            settings=LinkSettings(sync_period_s=PERIOD_S, threaded=False),
-        )
-        self.link.start()
-        # From here on nothing of the simulator runs: the link alone is measured.
-        self.bus.inner = None
-        self._cell.close()
-        self.clock.on_advance.clear()
-
-    def close(self) -> None:
-        """End the link and its bus."""
-        self.link.close()
-        self.bus.shutdown()

@@ -38,6 +38,10 @@ _READ = bytes.fromhex("000100000006010400000001")
 _ANSWER = 100
 """Bytes of an answer that a client reads at most before it goes."""
 
+_KINDS = 5
+"""Kinds of clients, see `connect`."""
+_QUIET_S = 0.2
+"""Time in s in which threads and descriptors stay as they are before they are the measure."""
 Door = tuple[int, bytes]
 """Port, and a whole request that changes nothing."""
 
@@ -60,7 +64,7 @@ def connect(door: Door, number: int) -> None:
     port, request = door
     with socket.create_connection(("127.0.0.1", port), timeout=PATIENCE_S) as link:
         try:
-            match number % 5:
+            match number % _KINDS:
                 case 3:
                     link.sendall(request[: 1 + number % (len(request) - 1)])
                 case 4:
@@ -92,8 +96,14 @@ def settle(true: Callable[[], bool], what: str) -> None:
 
 def hammer(service: Service, name: str, door: Door, n_connects: int) -> Iterator[Sample]:
     """Connect so often to a door, and yield a sample after each block."""
+    # What a door makes at its first clients and keeps, a thread or a file, is none of theirs.
+    for number in range(_KINDS):
+        connect(door, number)
     settle(lambda: answers(door), f"{name} gives no answer")
-    first = look(0, 0.0)
+    first, before = look(0, 0.0), None
+    while before is None or _open(first) != _open(before):
+        time.sleep(_QUIET_S)
+        first, before = look(0, 0.0), first
     for done in range(BLOCK, n_connects + 1, BLOCK):
         for number in range(done - BLOCK, done):
             connect(door, number)
@@ -104,6 +114,10 @@ def hammer(service: Service, name: str, door: Door, n_connects: int) -> Iterator
         if status.state != CellState.COMPLETE or not status.holding:
             raise SystemExit(f"{name}: the part is not held any more: {status}")
         yield look(done, 0.0)
+
+
+def _open(sample: Sample) -> tuple[int, int]:
+    return sample.descriptors, sample.threads
 
 
 def _idle(first: Sample) -> bool:

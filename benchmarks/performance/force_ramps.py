@@ -1,10 +1,11 @@
 """Force ramps on a simulated gripper: the force loop, a plain PI and plain current feed-forward.
 
-Parts of three stiffnesses between foam pads, ramps of 1, 3 and 10 N/s, in virtual time. The three
-laws take turns on the same plant with the same approach, sensor and noise; the torque figures are
-right in one run and wrong in the two others. Each figure is the worst of the runs, of the true
-force. The seeds are none of those that the loop was tuned with. At the end the force loop alone
-meets more noise and figures that are more wrong.
+Parts of three stiffnesses between foam pads, ramps of 1, 3 and 10 N/s, in virtual time. The laws
+take turns on the same plant with the same approach and noise, with force messages and with frames;
+the torque figures are right in one run and wrong in the two others. Each figure is the worst of the
+runs, of the true force. The seeds are none of those that the loop was tuned with. The force loop
+also meets a plant with further truths (friction that grows with load, backlash, ripple, creep), and
+more noise with figures that are more wrong.
 
 ``python -m benchmarks.performance.force_ramps --page`` writes the figures into
 docs/explanations/force-loop.md; the tests run some of them again and compare.
@@ -49,24 +50,56 @@ BEGIN, END = (
     "<!-- made by `python -m benchmarks.performance.force_ramps --page`: begin -->",
     "<!-- end of what is made -->",
 )
-_PLAIN = ForceLoopSettings(damping_n_s_m=0.0, end_time_s=0.0)
+MESSAGES_HZ = 500.0
+"""Force messages a second: of 200, 333 and 500 that with the best figures."""
+_PLAIN = ForceLoopSettings(damping_n_s_m=0.0, stiffened_n_m=0.0, end_time_s=0.0)
 
 
-@contextmanager
-def _law(law: type[Any] | None) -> Iterator[ForceLoopSettings]:
-    """Let the gripper use a law; None is its own."""
-    if law is None:
-        yield ForceLoopSettings()
-        return
-    with mock.patch.object(grip_control, "ForceController", law):
-        yield _PLAIN
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Setup:
+    """A law with its sensor and plant.
+
+    Attributes
+    ----------
+    law
+        Class of the law; None is the gripper's own.
+    rate_hz
+        Force messages a second; None: frames at 50 Hz.
+    further_truths
+        As for `Rig`.
+    hard
+        True with `HARD_TRUTHS` and `HARD_NOISE_N`.
+    """
+
+    law: type[Any] | None = None
+    rate_hz: float | None = MESSAGES_HZ
+    further_truths: bool = False
+    hard: bool = False
+
+    @contextmanager
+    def tuning(self) -> Iterator[ForceLoopSettings]:
+        """Let the gripper use the law."""
+        if self.law is None:
+            yield ForceLoopSettings()
+            return
+        with mock.patch.object(grip_control, "ForceController", self.law):
+            yield _PLAIN
 
 
-LAWS: dict[str, type[Any] | None] = {
-    "force loop": None,
-    "plain PI": PlainPi,
-    "feed-forward": PlainFeedForward,
+OWN, OWN_TRUTHS = "force loop, messages", "force loop, messages, further truths"
+SETUPS: dict[str, Setup] = {
+    OWN: Setup(),
+    OWN_TRUTHS: Setup(further_truths=True),
+    "force loop, messages, hard": Setup(hard=True),
+    "force loop, messages, hard, further truths": Setup(hard=True, further_truths=True),
+    "force loop, frames": Setup(rate_hz=None),
+    "force loop, frames, further truths": Setup(rate_hz=None, further_truths=True),
+    "force loop, frames, hard": Setup(rate_hz=None, hard=True),
+    "plain PI, messages": Setup(law=PlainPi),
+    "plain PI, frames": Setup(law=PlainPi, rate_hz=None),
+    "feed-forward": Setup(law=PlainFeedForward),
 }
+"""What takes turns; the page shows each ramp of the first two."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,12 +120,21 @@ CASES = tuple(
 )
 
 
-def run(law: str, case: Case, truths: Sequence[Truth], *, noise_n: float = NOISE_N) -> Quality:
-    """Return the worst of one ramp under a law, over how the gripper may differ."""
-    with _law(LAWS[law]) as tuning:
+def run(setup: Setup, case: Case, n_truths: int = len(TRUTHS)) -> Quality:
+    """Return the worst of one ramp, over how the gripper may differ."""
+    truths, noise_n = (HARD_TRUTHS, HARD_NOISE_N) if setup.hard else (TRUTHS, NOISE_N)
+    with setup.tuning() as tuning:
         rigs = [
-            Rig(PARTS[case.part], truth, noise_n, tuning, supervised=LAWS[law] is None)
-            for truth in truths
+            Rig(
+                PARTS[case.part],
+                truth,
+                noise_n,
+                tuning,
+                rate_hz=setup.rate_hz,
+                further_truths=setup.further_truths,
+                supervised=setup.law is None,
+            )
+            for truth in truths[:n_truths]
         ]
         return worst([rig.grasp(case.final_n, case.rate_n_s) for rig in rigs])
 
@@ -137,101 +179,93 @@ def _mean_n(found: Mapping[Case, Quality]) -> float:
 
 def main(effort: float = 1.0, *, page: bool = False) -> None:
     """Measure and print; with ``page`` write the figures into the docs too."""
-    truths = TRUTHS[: repeats(len(TRUTHS), effort)]
+    n_truths = repeats(len(TRUTHS), effort)
     cases = CASES[:: max(1, round(1.0 / effort / 10.0))] if effort < 1.0 else CASES
-    line(
-        "compared", f"{len(cases)} ramps x {len(truths)} truths x 3 laws, sensor noise {NOISE_N} N"
-    )
+    line("compared", f"{len(cases)} ramps x {n_truths} truths x {len(SETUPS)} laws and plants")
     line("", "overshoot in N, settling in s, holding error in N; the worst of each")
-    line("", f"{'':<14} " + " ".join(f"{law:^17}" for law in LAWS))
-    found: dict[str, dict[Case, Quality]] = {law: {} for law in LAWS}
+    line("", f"{'':<14} " + " ".join(f"{name:^17}" for name in ("messages", "further truths")))
+    found: dict[str, dict[Case, Quality]] = {name: {} for name in SETUPS}
     for case in cases:
-        turns = {law: partial(run, law, case, truths) for law in LAWS}
-        for law, (quality,) in in_turns(turns, 1).items():
-            found[law][case] = quality
-        own = met(found["force loop"][case], case.final_n)
-        missed = "".join(mark for mark, ok in zip("OSH", own, strict=True) if not ok)
+        turns = {name: partial(run, setup, case, n_truths) for name, setup in SETUPS.items()}
+        for name, (quality,) in in_turns(turns, 1).items():
+            found[name][case] = quality
         line(
             case.part,
             f"{case.final_n:2.0f} N {case.rate_n_s:3.0f} N/s  "
-            + "  ".join(_cell(found[law][case]) for law in LAWS)
-            + (f"  {missed}" if missed else ""),
+            + "  ".join(
+                f"{_cell(found[name][case])} {_missed(case, found[name][case]):3}"
+                for name in (OWN, OWN_TRUTHS)
+            ),
         )
-    hard_truths = HARD_TRUTHS[: len(truths)]
-    found["force loop, hard"] = hard = {
-        case: run("force loop", case, hard_truths, noise_n=HARD_NOISE_N) for case in cases
-    }
-    for law, qualities in found.items():
-        overshoot, settling, holding = _counts(qualities)
-        lost = sum(quality.lost for quality in qualities.values())
-        line(
-            f"  {law}",
-            f"of {len(qualities)} ramps: overshoot met in {overshoot}, settling in {settling}, "
-            f"holding in {holding}; part lost in {lost}",
-        )
-    worst_hard = worst(list(hard.values()))
-    line(
-        "  worst, hard",
-        f"overshoot {worst_hard.overshoot_n:.2f} N, holding error {worst_hard.holding_n:.2f} N",
-    )
-    own_n = _mean_n(found["force loop"])
+    for name, qualities in found.items():
+        line("", f"{name}: {_summary(qualities)}")
+    own_n = _mean_n(found[OWN])
+    others = ("force loop, frames", "plain PI, messages", "plain PI, frames", "feed-forward")
     line(
         "  ratio",
-        f"mean holding error {own_n:.2f} N; plain PI {_mean_n(found['plain PI']) / own_n:.1f} "
-        f"times that, feed-forward {_mean_n(found['feed-forward']) / own_n:.1f} times",
+        f"mean holding error {own_n:.2f} N with messages, "
+        + ", ".join(f"{name} {_mean_n(found[name]) / own_n:.1f} times" for name in others),
     )
     if page:
         write_page(found)
 
 
-def row(case: Case, quality: Quality) -> str:
-    """Return the line of one ramp in the table of the page."""
-    aims = ("overshoot", "settling", "hold")
-    missed = [aim for aim, ok in zip(aims, met(quality, case.final_n), strict=True) if not ok]
-    figures = (
-        "part lost |  | "
-        if quality.lost
-        else f"{quality.overshoot_n:.2f} N | {quality.settling_s:.2f} s | {quality.holding_n:.2f} N"
-    )
+def _missed(case: Case, quality: Quality) -> str:
+    """Return the initials of the aims that are missed: overshoot, settling, hold."""
+    marks = zip("OSH", met(quality, case.final_n), strict=True)
+    return "".join(mark for mark, ok in marks if not ok)
+
+
+def _summary(qualities: Mapping[Case, Quality]) -> str:
+    overshoot, settling, holding = _counts(qualities)
     return (
-        f"| {case.part} | {case.final_n:g} N | {case.rate_n_s:g} N/s | {figures} "
-        f"| {', '.join(missed)} |"
+        f"of {len(qualities)} ramps overshoot met in {overshoot}, settling in {settling}, holding "
+        f"in {holding}; mean holding error {_mean_n(qualities):.2f} N, part lost in "
+        f"{_lost(qualities)}"
     )
+
+
+def _lost(qualities: Mapping[Case, Quality]) -> int:
+    return sum(quality.lost for quality in qualities.values())
+
+
+def row(case: Case, plain: Quality, further: Quality) -> str:
+    """Return the line of one ramp in the table of the page, without and with further truths."""
+    figures = " | ".join(
+        ("part lost |  | " if q.lost else f"{q.overshoot_n:.2f} | {q.settling_s:.2f} | ")
+        + ("" if q.lost else f"{q.holding_n:.2f}")
+        + f" | {_missed(case, q)}"
+        for q in (plain, further)
+    )
+    return f"| {case.part} | {case.final_n:g} N | {case.rate_n_s:g} N/s | {figures} |"
 
 
 def write_page(found: Mapping[str, Mapping[Case, Quality]]) -> None:
     """Write the figures of all laws between the marks of the page."""
-    own, hard = found["force loop"], found["force loop, hard"]
-    worst_hard = worst(list(hard.values()))
-    n = len(own)
+    own, further = found[OWN], found[OWN_TRUTHS]
     lines = [
         BEGIN,
-        "| part | to | rate | overshoot | settling | error in the hold | aims missed |",
-        "|---|---|---|---|---|---|---|",
-        *(row(case, quality) for case, quality in own.items()),
+        "| part | to | rate | overshoot (N) | settling (s) | hold (N) | missed "
+        "| with further truths: overshoot | settling | hold | missed |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
+        *(row(case, own[case], further[case]) for case in own),
         "",
-        f"Ramps of {n} that meet the aim, and mean error in the hold:",
+        f"Ramps of {len(own)} that meet the aim, mean error in the hold, and parts wrongly taken "
+        f"for lost:",
         "",
-        "| law | overshoot | settling | hold | mean error |",
-        "|---|---|---|---|---|",
+        "| law, sensor, plant | overshoot | settling | hold | mean error | lost |",
+        "|---|---|---|---|---|---|",
         *(
-            f"| {law} | {' | '.join(map(str, _counts(qualities)))} | {_mean_n(qualities):.2f} N |"
-            for law, qualities in found.items()
+            f"| {name} | {' | '.join(map(str, _counts(qualities)))} | {_mean_n(qualities):.2f} N "
+            f"| {_lost(qualities)} |"
+            for name, qualities in found.items()
         ),
-        "",
-        f"The worst of the hard ramps is {worst_hard.overshoot_n:.2f} N above and "
-        f"{worst_hard.holding_n:.2f} N off in the hold. "
-        f"{_lost_text(sum(q.lost for q in (*own.values(), *hard.values())))}",
         END,
     ]
     before, _, rest = PAGE.read_text(encoding="utf-8").partition(BEGIN)
     after = rest.partition(END)[2]
     PAGE.write_text(before + "\n".join(lines) + after, encoding="utf-8")
     line("  written", str(PAGE))
-
-
-def _lost_text(n_lost: int) -> str:
-    return "No part was lost." if n_lost == 0 else f"Parts taken for lost: {n_lost}."
 
 
 if __name__ == "__main__":

@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks._measure import in_turns, line, repeats
-from cell.config.file import load_config
+from cell.config.file import changed_config, load_config
 from cell.control.plan import Pose
 from cell.control.positioner import SocketPlacer
 from cell.errors import CellError
@@ -150,9 +150,7 @@ def whole_path(rate_hz: int, hold_s: float) -> str:
     """Grasp and hold over pseudo-terminals; return the figures, or why there are none."""
     with simulated_cell() as hello:
         config = load_config(Path(hello["config"]))
-        config = config.model_copy(
-            update={"gripper": config.gripper.model_copy(update={"loop_rate_hz": float(rate_hz)})}
-        )
+        config = changed_config(config, {"gripper.loop_rate_hz": float(rate_hz)})
         placer = SocketPlacer(hello["positioner_socket"])
         hand = HandProcess(config)
         try:

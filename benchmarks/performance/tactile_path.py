@@ -15,12 +15,14 @@ import time
 from dataclasses import dataclass
 from functools import partial
 
+import canopen
 import numpy as np
 
 from benchmarks._measure import Timed, in_turns, line, ratio, repeats, same
 from benchmarks.performance._frame_feed import (
     FORMAT,
     LAYOUT,
+    NODE_ID,
     PERIOD_S,
     FeedBus,
     bursts,
@@ -28,9 +30,9 @@ from benchmarks.performance._frame_feed import (
     messages_of,
 )
 from benchmarks.performance._tactile_feed import FedSensor, Unit, slcan_unit
-from benchmarks.performance.frames import PdoDecoder
 from tactile.errors import LinkFault
 from tactile.sensor.calibration import FoamCalibration
+from tactile.unit import object_dictionary
 
 LIMIT_HZ = 1_000_000 / (FORMAT.n_messages * 135)
 """Frames a second that a bus of 1 Mbit/s carries at worst: 125.5."""
@@ -38,6 +40,25 @@ FACTORS = (1, 2, 5, 7)
 """Multiples of the limit; SYNC can be asked for every 1 ms at most."""
 _PRESSED_TAXELS = 24
 _RATE_SHARE = 0.9
+
+
+class PdoDecoder:
+    """The plain way with canopen: mapped variables of each received PDO, put side by side."""
+
+    def __init__(self) -> None:
+        self.network = canopen.Network()
+        pdo = self.network.add_node(NODE_ID, str(object_dictionary.EDS_PATH)).tpdo[1]
+        pdo.read(from_od=True)
+        pdo.add_callback(self._on_message)
+        self.frames: list[np.ndarray] = []
+        self._samples = bytearray(FORMAT.payload_bytes)
+
+    def _on_message(self, pdo: canopen.pdo.base.PdoMap) -> None:
+        index = pdo[0].raw & 63
+        self._samples[7 * index : 7 * index + 7] = pdo[1].raw.to_bytes(7, "little")
+        if index == FORMAT.n_messages - 1:
+            counts = np.frombuffer(bytes(self._samples), dtype=np.uint8, count=LAYOUT.n_taxels)
+            self.frames.append(counts.astype(np.uint16))
 
 
 def pressed_counts(n_frames: int) -> np.ndarray:

@@ -46,8 +46,8 @@ class SlipConfig(Section):
     travel_mm: float = setting_of(GripperSettings, "slip_travel_m", MILLI)
     """Closing at a steady force that is a slip in mm of opening, up to 50."""
     slide_mm: float = setting_of(GripperSettings, "slide_m", MILLI)
-    """Way along both pads that the centre of a force of 4 N may move in mm, up to 50; more at less
-    force."""
+    """Way along the pads that the centre of a held force may move in mm, up to 50; more where its
+    noise is larger, less where it moves suddenly."""
     runaway_mm_s: float = setting_of(GripperSettings, "runaway_speed_m_s", MILLI)
     """Closing speed beyond what the ramp needs at which the part is gone, in mm/s, up to 500."""
     runaway_mm: float = setting_of(GripperSettings, "runaway_travel_m", MILLI)
@@ -72,7 +72,7 @@ class OverForceConfig(Section):
     """lower: less current in one step, the part stays held; open: the fingers open by one small
     step; limp: the torque goes off, a held part may drop."""
     noise_n: float = setting_of(GripperSettings, "force_noise_n")
-    """What the mean of three samples may exceed the cap by in N, up to 5; one sample, thrice."""
+    """What the mean of a few samples may exceed the cap by in N, up to 5; one sample, thrice."""
     left_share: float = setting_of(GripperSettings, "over_force_share")
     """Share of the current that `lower` leaves, 0 to 1."""
     open_mm: float = setting_of(GripperSettings, "over_force_open_m", MILLI)

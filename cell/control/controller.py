@@ -1,6 +1,5 @@
 """The controller of a cell: runs grasp-then-classify sequences, latches faults, shuts down."""
 
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 
@@ -30,7 +29,7 @@ from cell.errors import (
     PlanRefused,
     PositionerFault,
 )
-from cell.hand.interface import Hand
+from cell.hand.interface import FORCE_FROM_FRAMES, Hand
 from cell.hand.local import LocalHand
 from gripper.gripper import Gripper
 from gripper.state import Clock, GripperPhase, ReleaseReport
@@ -133,7 +132,6 @@ class CellController(CellView):
         contact_force_n: float,
         clock: Clock,
         recorder: Recorder | None = None,
-        wall_ms: Callable[[], int] = lambda: time.time_ns() // 1_000_000,
     ) -> None:
         self._positioner = positioner
         self._clock = clock
@@ -157,7 +155,6 @@ class CellController(CellView):
             sequence=sequence,
             contact_force_n=contact_force_n,
             clock=clock,
-            wall_ms=wall_ms,
         )
         self.pads: PadArray = self._grasper.pads
 
@@ -188,7 +185,8 @@ class CellController(CellView):
         self._life.go(Event.START)
         with self._life.latching_faults():
             self._hand.start()
-            self._hand.start_sensor()
+            if not self._hand.start_sensor().sends_forces:
+                self._journal.note("note", FORCE_FROM_FRAMES)
             if self._hand.phase is GripperPhase.HELD_AFTER_FAULT:
                 found = "; ".join(map(str, self._hand.conditions()))
                 raise PartInGrip(

@@ -1,5 +1,6 @@
 """One grasp of a sequence: the move to its pose, the grasp, its record; released or kept."""
 
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import TypeVar
@@ -29,7 +30,7 @@ from cell.control.plan import GraspStep, Pose
 from cell.control.positioner import PatientCaller, Positioner
 from cell.control.records import GraspCollector, GraspRecord, pad_array
 from cell.errors import CellStateError, PlanRefused
-from cell.hand.interface import Hand
+from cell.hand.interface import Hand, Watch
 from gripper.force.ramp import ForceRamp
 from gripper.state import Clock, Cycle, GraspResult
 from recognition.grasp import CELL_SOURCE, Grasp, PadArray
@@ -65,7 +66,6 @@ BACK_OFF_SHARE = 0.3
 """Share of its end from which a further ramp in the same grip begins: the least level of load at
 which a recogniser takes footprints (`recognition.ramp.levels`)."""
 
-
 LEAST_CONTACTS = 2.0
 """Least force at which it begins, in contact forces: a part that is held with one alone passes for
 lost now and then (simulated cell, twice the noise)."""
@@ -88,9 +88,8 @@ class Grasper:
         How the force grows, and with which one a part is carried.
     contact_force_n
         Least force in N with which a part is held.
-    clock, wall_ms
-        Monotonic time, and the time that people read in ms since 1970. Somebody may set the
-        machine's clock back: the grasps of a run stay in order all the same.
+    clock
+        Monotonic time.
     """
 
     def __init__(
@@ -104,7 +103,6 @@ class Grasper:
         sequence: SequenceConfig,
         contact_force_n: float,
         clock: Clock,
-        wall_ms: Callable[[], int],
     ) -> None:
         self._source = CELL_SOURCE + name
         self._hand = hand
@@ -114,7 +112,6 @@ class Grasper:
         self._sequence = sequence
         self._contact_n = contact_force_n
         self._held: tuple[NDArray[np.float64], HeldPart] | None = None
-        self._wall_ms = wall_ms
         self._last_start_ms = 0
         self._patient = PatientCaller(clock, hand.period_s)
         self.pads: PadArray = pad_array(hand.layout)
@@ -183,14 +180,13 @@ class Grasper:
         self, step: GraspStep, reached: Pose, label: str, looks: EarlyDecider | None
     ) -> GraspRecord:
         """Open, close and follow the ramp; record that, and return while holding."""
-        collector = GraspCollector()
+        collector, collect = self._collecting()
 
         def so_far() -> Grasp:
             return collector.grasp(self.pads, start_ms=start_ms)
 
         def watch(cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
-            self._look(cycle, frames)
-            collector.add(cycle, frames)
+            collect(cycle, frames)
             if looks is not None and any(looks.add_frame(frame.counts, so_far) for frame in frames):
                 self._hand.end_ramp()
 
@@ -241,12 +237,7 @@ class Grasper:
         from_n = min(BACK_OFF_SHARE * step.force_n, self._sequence.carry_force_n)
         from_n = max(from_n, LEAST_CONTACTS * self._contact_n)
         self._hand.carry(from_n, 0.0, self.watch)
-        collector = GraspCollector()
-
-        def watch(cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
-            self._look(cycle, frames)
-            collector.add(cycle, frames)
-
+        collector, watch = self._collecting()
         start_ms = self._next_start_ms()
         outcome = self._hand.squeeze(self._ramp(step), watch)
         further = collector.grasp(
@@ -268,19 +259,15 @@ class Grasper:
         self._held = (zero, self._look_at_held(zero))
 
     def _look_at_held(self, zero: NDArray[np.float64]) -> HeldPart:
-        collector = GraspCollector()
-
-        def watch(cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
-            self._look(cycle, frames)
-            collector.add(cycle, frames)
-
+        collector, watch = self._collecting()
         carry_n = self._sequence.carry_force_n
         self._hand.carry(carry_n, 0.0, self.watch)
         self._hand.carry(carry_n, LOOK_S, watch)
         return measured(collector, zero)
 
     def _next_start_ms(self) -> int:
-        self._last_start_ms = max(self._wall_ms(), self._last_start_ms + 1)
+        # Somebody may set the machine's clock back: the grasps of a run stay in order all the same.
+        self._last_start_ms = max(time.time_ns() // 1_000_000, self._last_start_ms + 1)
         return self._last_start_ms
 
     def watch(self, cycle: Cycle, _frames: Sequence[TactileFrame]) -> None:
@@ -292,6 +279,16 @@ class Grasper:
         if not self._positioner.blocks:
             return call()
         return self._patient.call(call, supervise)
+
+    def _collecting(self) -> tuple[GraspCollector, Watch]:
+        """Return a collector of periods and frames, and the watch of a motion that fills it."""
+        collector = GraspCollector()
+
+        def watch(cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
+            self._look(cycle, frames)
+            collector.add(cycle, frames)
+
+        return collector, watch
 
     def _look(self, cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
         self._life.check_cancelled()

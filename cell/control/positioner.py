@@ -140,9 +140,9 @@ class SimulatedPositioner:
 
     blocks = False
 
-    def __init__(self, placer: ObjectPlacer, *, label: str | None = None) -> None:
+    def __init__(self, placer: ObjectPlacer) -> None:
         self._placer = placer
-        self._label = label
+        self._label: str | None = None
 
     def present(self, label: str | None, supervise: Supervise = unwatched) -> None:
         """Choose the object that the following poses are for; None keeps the present one."""

@@ -242,7 +242,6 @@ class Recorder:
         unknown: float,
         n_grasps: int,
         n_ended_early: int = 0,
-        true_label: str = "",
         shape: "ShapeAnswer | None" = None,
         grasp_shapes: "Sequence[ShapeAnswer | None]" = (),
         drift: "DriftEstimate | None" = None,
@@ -257,8 +256,6 @@ class Recorder:
             "n_grasps": n_grasps,
             "n_ended_early": n_ended_early,
         }
-        if true_label:
-            values["true_label"] = true_label
         if shape is not None:
             values["shape"] = shape_values(shape)
         if grasp_shapes:

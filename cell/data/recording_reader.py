@@ -312,23 +312,16 @@ def read_recording(path: Path | str) -> Recording:
         ) from cause
 
 
-def recording_grasps(path: Path | str, *, salvage: bool = False) -> tuple[Grasp, ...]:
+def recording_grasps(path: Path | str) -> tuple[Grasp, ...]:
     """Return the grasps of a recording.
-
-    Parameters
-    ----------
-    path
-        The recording.
-    salvage
-        Take the whole grasps of a recording that was cut off or damaged, too.
 
     Raises
     ------
     RecordingError
-        If it cannot be read, holds no whole grasp, or is not complete and ``salvage`` is not set.
+        If it cannot be read, is not complete, or holds no whole grasp.
     """
     recording = read_recording(path)
-    if not recording.complete and not salvage:
+    if not recording.complete:
         raise RecordingError(
             f"{path} is not complete: {recording.lost_reason}. "
             f"{len(recording.grasps)} whole grasps can be salvaged: `tactile-cell recover` does it"

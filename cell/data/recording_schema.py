@@ -223,7 +223,6 @@ SCHEMAS: Final[Mapping[str, Mapping[str, Any]]] = {
         unknown=_number("probability that the object was never taught"),
         n_grasps=_integer("grasps that led to the decision"),
         n_ended_early=_integer("those of them whose ramp ended early, because it sufficed"),
-        true_label=_text("what it really was, where that is known"),
         shape=_shape("shape and size after all grasps; left out where no grasp has one"),
         grasp_shapes={
             "type": "array",

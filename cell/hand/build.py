@@ -15,6 +15,7 @@ from gripper.kinematics import Linkage, ParallelLinkage, RackPinion
 from gripper.state import Clock
 from tactile.can.bus import CanBus
 from tactile.layout import TaxelLayout
+from tactile.sensor.force_check import force_table
 from tactile.sensor.quality import QualityLimits
 from tactile.sensor.sensor import SensorSettings, TactileSensor
 from tactile.sensor.tare import TareLimits
@@ -89,13 +90,22 @@ def make_hand(
         Of the hand.
     """
     layout = layout_from_config(config.tactile)
-    link = make_link(config.tactile, can_bus, layout, clock, threaded=threaded)
+    calibration = make_calibration(config.tactile, layout)
+    link = make_link(
+        config.tactile,
+        can_bus,
+        layout,
+        clock,
+        threaded=threaded,
+        force_table=force_table(layout, calibration),
+    )
     sensor = TactileSensor(
         link,
         layout,
-        make_calibration(config.tactile, layout),
+        calibration,
         clock=clock,
         settings=_sensor_settings(config.tactile),
+        forces=link,
     )
     tap = SensorTap(sensor)
     bus = ServoBus(
@@ -127,12 +137,20 @@ def make_link(
     *,
     threaded: bool,
     sync_period_s: float | None = None,
+    force_table: bytes | None = None,
 ) -> TactileLink:
     """Return the link to the control unit on an open bus."""
     settings = link_settings(config, threaded=threaded)
     if sync_period_s is not None:
         settings = replace(settings, sync_period_s=sync_period_s)
-    return TactileLink(bus, node_id=config.node_id, layout=layout, clock=clock, settings=settings)
+    return TactileLink(
+        bus,
+        node_id=config.node_id,
+        layout=layout,
+        clock=clock,
+        settings=settings,
+        force_table=force_table,
+    )
 
 
 def _sensor_settings(config: TactileConfig) -> SensorSettings:

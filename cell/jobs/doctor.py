@@ -13,6 +13,7 @@ import numpy as np
 from cell.build import Cell, build_cell
 from cell.config.model import CellConfig
 from cell.errors import CellError
+from cell.hand.interface import FORCE_FROM_FRAMES
 from cell.installation import EXTRAS, remedy
 from gripper.dynamixel.control_table import HARDWARE_ERROR_STATUS
 from gripper.dynamixel.serial_port import latency_timer_file, latency_timer_ms, serial_candidates
@@ -223,6 +224,7 @@ def _control_unit(cell: Cell, config: CellConfig) -> list[Finding]:
     identity = hand.start_sensor()
     readings = [hand.read_sensor(timeout_s=1.0) for _ in range(10)]
     n_saturated = int(readings[-1].saturated.sum())
+    forces = hand.statistics.link.forces
     statistics = hand.statistics.link.frames
     lost = statistics.lost + statistics.torn + statistics.corrupt
     return [
@@ -236,6 +238,13 @@ def _control_unit(cell: Cell, config: CellConfig) -> list[Finding]:
             verdict=Verdict.PASS if lost == 0 else Verdict.WARN,
             found=f"{statistics.complete} whole, {lost} lost or damaged",
             advice="" if lost == 0 else "check the terminating resistors and the bus load",
+        ),
+        Finding(
+            what="force messages",
+            verdict=Verdict.PASS if identity.sends_forces and not forces.lost else Verdict.WARN,
+            found=f"{forces.received} received, {forces.lost} lost"
+            if identity.sends_forces
+            else FORCE_FROM_FRAMES,
         ),
         Finding(
             what="taxels at rest",

@@ -103,7 +103,7 @@ def course_of(config: CellConfig, known: PadKnowledge) -> Course:
         approach_speed_m_s=1e-3 * config.gripper.approach_speed_mm_s,
         aperture_step_m=1e-3 * step_mm,
         aperture_sd_m=known.aperture_sd_m,
-        impact_n=(config.gripper.contact_force_n + 0.2, config.gripper.contact_force_n + 1.1),
+        impact_n=(config.gripper.contact_force_n, config.gripper.contact_force_n + 0.5),
         modulus_sd=(1.0 + _MODULUS_FURTHER * further) * known.modulus_sd,
         gain_sd=known.other_foams * known.gain_sd,
         spread_sd=known.other_foams * known.spread_sd,

@@ -35,6 +35,9 @@ _FAR_M = 1.0
 """Distance in m in place of an infinite one, where nothing faces the pad."""
 SOURCE = "drawing"
 """Origin of such grasps, as a data set keeps it."""
+_SLOW_CONTACT_S = (0.02, 0.4)
+"""Shortest and longest time in s from the first touch to the ramp: a finger brakes and presses
+slowly until the contact is sure (simulated cell; the rounder the object the longer)."""
 _SLOW_S = 0.5
 """Time constant in s with which foam creeps."""
 
@@ -186,12 +189,12 @@ class Course:
 
     period_s: float = 0.02
     aperture_open_m: float = 18e-3
-    approach_speed_m_s: float = 12e-3
+    approach_speed_m_s: float = 20e-3
     aperture_step_m: float = 0.1e-3
     aperture_sd_m: float = 0.2e-3
-    impact_n: tuple[float, float] = (0.8, 1.7)
-    slip_n: float = 0.5
-    force_sd: float = 0.05
+    impact_n: tuple[float, float] = (0.6, 1.1)
+    slip_n: float = 0.2
+    force_sd: float = 0.02
     modulus_sd: float = 0.05
     gain_sd: float = 0.05
     spread_sd: float = 0.05
@@ -377,7 +380,7 @@ class VirtualPads:
         depth_m = sum(float(np.interp(impact_n, p.force_n, p.depth_m)) for p in presses)
         way_m = course.aperture_open_m - touch_m + depth_m
         wait_s = rng.uniform(0.05, 0.15)
-        pause_s = rng.uniform(0.0, 0.1)
+        pause_s = rng.uniform(*_SLOW_CONTACT_S)
         n_closing = math.ceil((wait_s + way_m / course.approach_speed_m_s) / course.period_s)
         times_s = course.period_s * np.arange(n_closing + round(pause_s / course.period_s))
         return np.clip(times_s - wait_s, 0.0, way_m / course.approach_speed_m_s), impact_n
@@ -401,7 +404,7 @@ def _force_course(
     force_n = np.empty(n)
     held_n, lag_n = impact_n, course.slip_n * rng.uniform()
     for i, wanted_n in enumerate(setpoint_n):
-        target_n = float(wanted_n) * scale + 0.15
+        target_n = float(wanted_n) * scale
         over = i >= n - 0.2 / course.period_s
         if abs(target_n - held_n) > lag_n or over:
             held_n += (0.3 if over else 1.0) * (target_n - held_n)

@@ -31,12 +31,16 @@ _HISTORY_LENGTH = 128
 """Periods kept of a value: 0.64 s at 200 Hz, several times the delay of a sensor."""
 _IMPLAUSIBLE_S = 0.3
 """Time in s for which sensor and model may disagree: 15 samples at 50 Hz."""
-_ANCHOR_SAMPLES = 3
-"""Samples in a row whose mean shows the edge of the friction band on the way down."""
+_ANCHOR_S = 0.035
+"""Least time in s over which a mean shows the edge of the friction band on the way down: three
+samples at 50 Hz."""
 _CATCH_UP_S = 0.2
 """Time in s within which a moving set-point catches up with the force by itself."""
-_LONGEST_MEAN = 5.0
-"""Longest mean of the samples at rest, in multiples of ``bias_time_s``, on top of one."""
+_LONGEST_MEAN, _LONGER_EACH_S = 5.0, 0.3
+"""How much longer than on a ramp the mean of the samples gets at rest, by one for each 0.3 s."""
+_MOTION_S = 0.02
+"""Time in s for which the motion of the fingers makes the model equally wrong: faster samples do
+not tell more."""
 _CAP_TIME_S = 0.05
 """Time constant in s with which the drive arrives at its largest value: moving masses and part are
 a swing, and what they add to the force there would be above the cap."""
@@ -68,7 +72,7 @@ class ForceController:
         self._setpoint_n: float | None = None
         self._rising = True
         self._breaking_since_s: float | None = now_s
-        self._breaking: list[float] = []
+        self._breaking: deque[tuple[float, float]] = deque()
         self._dither = 0.0
         self._bias_n = 0.0
         self._edge_bias_n = {True: 0.0, False: 0.0}
@@ -253,19 +257,19 @@ class ForceController:
         settings = self._settings
         if sample.t_s > self._sample_s:
             step_s = sample.t_s - self._sample_s
-            share = step_s / settings.bias_time_s * (1.0 + rate_n_s / settings.bias_rate_n_s)
+            drift_n_rs = settings.bias_drift_n_rs * (1.0 + rate_n_s / settings.bias_rate_n_s)
             # At rest the mean goes back farther and farther, lest noise ratchets the force up.
-            share /= 1.0 + min((now_s - self._held_since_s) / settings.bias_time_s, _LONGEST_MEAN)
-            noise_n2 = settings.sample_noise_n**2
-            self._doubt_n2 += noise_n2 * share * share
-            gain = self._doubt_n2 / (self._doubt_n2 + noise_n2 + motion_n * motion_n)
+            drift_n_rs /= 1.0 + min((now_s - self._held_since_s) / _LONGER_EACH_S, _LONGEST_MEAN)
+            self._doubt_n2 += drift_n_rs**2 * step_s
+            noise_n2 = sample.noise_n**2 + motion_n**2 * _MOTION_S / step_s
+            gain = self._doubt_n2 / (self._doubt_n2 + noise_n2)
             self._doubt_n2 *= 1.0 - gain
             self._sample_s = sample.t_s
-            seen_n = sample.grip_n - self._history.at(sample.t_s - settings.sensor_delay_s)
+            seen_n = sample.grip_n - self._history.at(sample.measured_s)
             self._bias_n += gain * (seen_n - self._bias_n)
             since_s = self._breaking_since_s
             if not self._rising and since_s is not None and sample.t_s > since_s:
-                self._anchor(sample.grip_n, setpoint_n, friction_n)
+                self._anchor(sample, setpoint_n, friction_n)
         self._check_bias(now_s, sample, setpoint_n, friction_n)
 
     def _check_bias(
@@ -289,16 +293,19 @@ class ForceController:
                 f"{self._model_n:.2f} N. Check the pads, the tare and the torque figures"
             )
 
-    def _anchor(self, grip_n: float, setpoint_n: float, friction_n: float) -> None:
+    def _anchor(self, sample: ForceSample, setpoint_n: float, friction_n: float) -> None:
         """On the way down, take the present drive for the band's edge when the force gets there.
 
         Friction smaller than the model's lets the force fall although the model still waits for
         the edge; then the sensor shows where the edge was.
         """
-        self._breaking = [*self._breaking, grip_n][-_ANCHOR_SAMPLES:]
-        mean_n = sum(self._breaking) / len(self._breaking)
+        breaking = self._breaking
+        breaking.append((sample.t_s, sample.grip_n))
+        while len(breaking) > 2 and sample.t_s - breaking[1][0] >= _ANCHOR_S:
+            breaking.popleft()
+        mean_n = sum(grip_n for _, grip_n in breaking) / len(breaking)
         inside = self._model_n - self._drive_n < (1.0 - self._settings.creep_share) * friction_n
-        if len(self._breaking) < _ANCHOR_SAMPLES or mean_n > setpoint_n or inside:
+        if sample.t_s - breaking[0][0] < _ANCHOR_S or mean_n > setpoint_n or inside:
             return
         model_n = self._drive_n + friction_n
         self._shift_model(model_n - self._model_n)

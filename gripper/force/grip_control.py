@@ -2,28 +2,43 @@
 
 from collections import deque
 from collections.abc import Sequence
-from math import inf
+from math import inf, sqrt
 from statistics import median
 
 from gripper.errors import ForceImbalance, PositionContradicted
 from gripper.force.controller import ForceController, History, SetpointFilter
 from gripper.force.loop import Moment
 from gripper.kinematics import Linkage, Transmission, transmissions
+from gripper.recent import RecentForce
 from gripper.servos.goals import ServoGoal, closing_margin_rad
 from gripper.settings import GripperSettings
 from gripper.state import ForceSample, GripperState
 
 # Figures without another source are tuned in the simulated cell.
 _MEAN_SAMPLES = 3
-"""Samples whose mean is the grip force: 60 ms at 50 Hz."""
-_RECENT_SAMPLES = 5
-"""Samples among which a force is looked for that was there before a pad became empty."""
+"""Samples whose mean a stiffness is taken with: 60 ms at 50 Hz."""
+_QUIET_N = 0.08
+"""Noise in N of the mean that is the grip force: a fraction of what a ramp must settle within."""
+_LEAST_SAMPLES, _LONGEST_S = 3, 0.05
+"""Samples of that mean where the sensor is too slow for it, and its longest time in s."""
+_BEFORE_S = 0.09
+"""Time in s in which a force is looked for that was there before a pad became empty: 5 samples at
+50 Hz."""
 _LOST_SHARE = 0.25
 """Share of ``contact_force_n`` below which both pads are empty."""
 _LOST_TIME_S = 0.1
 """Time in s after which empty pads show that the part is lost: 5 samples at 50 Hz."""
 _SUDDEN_RATIO = 6.0
-"""Force over that of an empty pad from which on one empty sample shows that the part is lost."""
+"""Force over that of an empty pad from which on samples that are empty at once show that the part
+is lost."""
+_SUDDEN_SHARE = 0.5
+"""Share of the force before that noise must not turn into that of an empty pad."""
+_SUDDEN_SIGMAS = 3.0
+"""How sure of that the samples must be, in standard deviations of each pad's mean."""
+_PAD_NOISE = sqrt(2.0)
+"""Noise of one pad over that of the grip force, the mean of both."""
+_SUDDEN_S = 0.018
+"""Time in s of such samples: one frame at 50 Hz."""
 _RUNAWAY_RESERVE = 2.0
 """Closing speed that a ramp on the part may need, in multiples of that by its stiffness."""
 _RUNAWAY_HELD_SHARE = 0.5
@@ -45,14 +60,28 @@ _CONTRADICTED_ADVICE = (
 )
 _TORQUE_DOUBT = 0.02
 """Share of the cap of the force that the drive leaves free: torque of the servos, their inertia."""
+_LEVER_M = 0.06
+"""Lever in m between servo and fingertip for which damping, inertia and doubt by motion are given:
+what a motor weighs at the fingertip goes with the inverse of its square."""
 _INERTIA_N_S_M = 100.0
 """Drive in N left free below the cap of the force for each m/s of closing: on a part of 10 N/mm the
 inertia of the fingers adds so much to the force that their drive makes."""
+
+_FORCE_TIME_S = 0.015
+"""Time constant in s of the force that stiffens a soft part: a fraction of what its swing takes."""
+_YOUNG_S = 0.015
+"""Age in s of a sample up to which all of the stiffening is stable; older ones allow less by the
+square of their age, those of frames next to nothing."""
+
+_STILL_M_S = 0.002
+"""Rate of the opening in m/s below which the fingers stand."""
 
 _TOUCH_SHARE = 0.3
 """Share of ``contact_force_n`` below which a sample shows no touch."""
 _SLOPE_N = 0.7
 """Growth of the force in N over which one stiffness is taken: several times the noise."""
+_BLOCK_S = 0.018
+"""Time in s over which faster samples count as one, their mean: just below a period of 50 Hz."""
 _SHORTEST_M = 1e-4
 """Least travel in m that a stiffness is taken over: the resolution of the opening."""
 _STIFFEST_N_M = 1e5
@@ -130,8 +159,11 @@ class GripControl:
         self._filter = SetpointFilter(force_n, tuning.end_time_s)
         self._controller = ForceController(tuning, force_n=force_n, drive_n=drive_n, now_s=now_s)
         self._drive_n = drive_n
-        self._samples: deque[ForceSample] = deque(maxlen=_MEAN_SAMPLES)
-        self._recent_n: deque[float] = deque(maxlen=_RECENT_SAMPLES)
+        self._samples = RecentForce(_QUIET_N, least=_LEAST_SAMPLES, longest_s=_LONGEST_S)
+        self._before_n: deque[tuple[float, float]] = deque()
+        self._quick_n, self._quick_s = force_n, now_s
+        closed = transmissions(settings, linkage, linkage.angles_rad(0.0))
+        self._weight = sum((_LEVER_M / path.radius_m) ** 2 for path in closed) / len(closed)
         self._empty_n = _LOST_SHARE * settings.contact_force_n
         self._empty_s = 0.0
         self._uneven_s = 0.0
@@ -142,9 +174,7 @@ class GripControl:
     @property
     def force_n(self) -> float:
         """Mean of the last samples of the grip force in N."""
-        if not self._samples:
-            return self._controller.model_n
-        return sum(sample.grip_n for sample in self._samples) / len(self._samples)
+        return self._samples.grip_n if self._samples else self._controller.model_n
 
     def resume(self) -> None:
         """Begin again after a pause: samples from before it are discarded."""
@@ -201,15 +231,16 @@ class GripControl:
         speed_m_s = 0.5 * abs(state.aperture_velocity_m_s)
         friction_n = self._friction_share * sum(path.friction_n for path in paths) / len(paths)
         drive_max_n = self._drive_max_n(state, paths)
-        inertia_n = _INERTIA_N_S_M * max(0.0, -state.aperture_velocity_m_s)
+        inertia_n = self._weight * _INERTIA_N_S_M * max(0.0, -state.aperture_velocity_m_s)
         drive_n = self._controller.step(
             moment.now_s,
             moment.dt_s,
             filtered_n,
             sample,
             friction_n=friction_n,
-            braking_n=self._braking_n(state, friction_n),
-            motion_n=self._settings.force_loop.motion_doubt_n_s_m * speed_m_s,
+            braking_n=self._braking_n(state, friction_n)
+            - self._stiffening_n(moment, sample, friction_n),
+            motion_n=self._weight * self._settings.force_loop.motion_doubt_n_s_m * speed_m_s,
             drive_max_n=drive_max_n,
             taper=taper,
         )
@@ -223,6 +254,8 @@ class GripControl:
         fingers have closed fully and the pads are not loaded, or run together as nothing holds them
         apart. Time without samples, as in a stall, shows nothing.
         """
+        if moment.sample is not None and moment.sample.valid and not self._paused:
+            self._take(moment.sample)
         closed = moment.state.aperture_m < self._settings.aperture_min_m and not self._loaded
         empty = self._empty_s > _LOST_TIME_S
         return closed or empty or self._suddenly_empty(moment) or self._runs_away(moment)
@@ -230,7 +263,7 @@ class GripControl:
     @property
     def _loaded(self) -> bool:
         """Whether the mean of the last samples shows force on both pads."""
-        return bool(self._samples) and min(self._finger_means_n()) > self._empty_n
+        return bool(self._samples) and min(self._samples.finger_means_n) > self._empty_n
 
     def _check_position(self, dt_s: float, state: GripperState) -> None:
         """Raise PositionContradicted where loaded pads have contradicted the opening for long.
@@ -245,7 +278,7 @@ class GripControl:
         self._contradicted_s += dt_s
         if self._contradicted_s < _CONTRADICTED_S:
             return
-        first_n, second_n = self._finger_means_n()
+        first_n, second_n = self._samples.finger_means_n
         raise PositionContradicted(
             f"the servos report an opening of {state.aperture_m * 1e3:.1f} mm while the pads "
             f"measure {first_n:.2f} and {second_n:.2f} N on a part that can be from "
@@ -254,13 +287,25 @@ class GripControl:
         )
 
     def _suddenly_empty(self, moment: Moment) -> bool:
-        """Return whether the newest sample is next to nothing where much force was asked for."""
-        sample = moment.sample
-        if sample is None or not sample.valid or self._paused:
+        """Return whether next to nothing is left where much force was asked for.
+
+        One sample shows it where its noise cannot hide the force that was there; of a fast sensor
+        as many as that takes.
+        """
+        if moment.sample is None or not moment.sample.valid or self._paused or not self._samples:
             return False
-        recent_n = max(self._recent_n, default=0.0)
-        much = min(self._filter.force_n, recent_n) > _SUDDEN_RATIO * self._empty_n
-        return much and max(sample.force_n) < self._empty_n
+        before_n = max((force_n for _, force_n in self._before_n), default=0.0)
+        much_n = min(self._filter.force_n, before_n)
+        if much_n <= _SUDDEN_RATIO * self._empty_n:
+            return False
+        held_n = _SUDDEN_SHARE * much_n
+        noise_n = (held_n - self._empty_n) / _SUDDEN_SIGMAS / _PAD_NOISE
+        sudden = RecentForce(noise_n, least=1, longest_s=_SUDDEN_S)
+        for sample in reversed(list(self._samples)):
+            sudden.push(sample)
+        pad_noise_n = _PAD_NOISE * sudden.noise_n
+        noisy_n = min(self._empty_n + pad_noise_n, held_n - _SUDDEN_SIGMAS * pad_noise_n)
+        return max(sudden.finger_means_n) < max(self._empty_n, noisy_n)
 
     def _runs_away(self, moment: Moment) -> bool:
         """Return whether the fingers close faster, and farther, than any part lets them.
@@ -284,8 +329,10 @@ class GripControl:
         began_s, began_m, began_n = self._runaway
         travel_m = began_m - state.aperture_m
         if sample is not None and sample.valid:
-            loaded = sample.grip_n > max(self._empty_n, _RUNAWAY_HELD_SHARE * began_n)
-            if sample.t_s - settings.force_loop.sensor_delay_s >= began_s:
+            late_n = [one.grip_n for one in self._samples if one.measured_s >= began_s]
+            if late_n:
+                mean_n = sum(late_n) / len(late_n)
+                loaded = mean_n > max(self._empty_n, _RUNAWAY_HELD_SHARE * began_n)
                 if loaded:
                     self._runaway = moment.now_s, state.aperture_m, self.force_n
                 return not loaded and travel_m >= settings.runaway_travel_m
@@ -305,10 +352,29 @@ class GripControl:
         wanted_m_s = 0.0 if stiffness_n_m is None else self._filter.rate_n_s / stiffness_n_m
         closing_m_s = -state.aperture_velocity_m_s
         reached_m_s = min(max(wanted_m_s, min(closing_m_s, 0.0)), max(closing_m_s, 0.0))
-        damping_n_s_m = 0.5 * tuning.damping_n_s_m
+        damping_n_s_m = 0.5 * self._weight * tuning.damping_n_s_m
         lag_n = damping_n_s_m * (wanted_m_s - reached_m_s)
         most_n = tuning.dither_share * friction_n
         return damping_n_s_m * (closing_m_s - reached_m_s) - min(max(lag_n, -most_n), most_n)
+
+    def _stiffening_n(self, moment: Moment, sample: ForceSample, friction_n: float) -> float:
+        """Return what is added to the drive, in N, so that a soft part answers like a stiffer one.
+
+        Motor and a soft part swing so slowly that a ramp is over before its force has followed.
+        """
+        tuning = self._settings.force_loop
+        if sample.t_s > self._quick_s:
+            share = min(1.0, (sample.t_s - self._quick_s) / _FORCE_TIME_S)
+            self._quick_n += share * (sample.grip_n - self._quick_n)
+            self._quick_s = sample.t_s
+        stiffness_n_m = self._stiffness.stiffness_n_m
+        still = abs(moment.state.aperture_velocity_m_s) < _STILL_M_S
+        if stiffness_n_m is None or (still and self._filter.rate_n_s == 0.0):
+            return 0.0
+        young = (_YOUNG_S / max(moment.now_s - sample.measured_s, _YOUNG_S)) ** 2
+        gain = max(0.0, young * tuning.stiffened_n_m / stiffness_n_m - 1.0)
+        short_n = self._filter.force_n - self._quick_n
+        return min(gain * short_n, tuning.dither_share * friction_n)
 
     def _drive_max_n(self, state: GripperState, paths: Sequence[Transmission]) -> float:
         """Return the largest driving force in N that the caps of current and force allow.
@@ -323,17 +389,22 @@ class GripControl:
             for path in paths
         )
 
+    def _take(self, sample: ForceSample) -> None:
+        """Add a sample, which may be the same as before."""
+        if self._samples.push(sample) is not None:
+            self._before_n.append((sample.t_s, self._samples.grip_n))
+            while sample.t_s - self._before_n[0][0] > _BEFORE_S:
+                self._before_n.popleft()
+
     def _add_sample(self, dt_s: float, sample: ForceSample) -> None:
-        if not self._samples or sample.t_s > self._samples[-1].t_s:
-            self._recent_n.append(sample.grip_n)
-            self._samples.append(sample)
-        empty = max(self._finger_means_n()) < self._empty_n
+        self._take(sample)
+        empty = max(self._samples.finger_means_n) < self._empty_n
         self._empty_s = self._empty_s + dt_s if empty else 0.0
 
     def _check_balance(self, dt_s: float) -> None:
         """Raise ForceImbalance when the fingers' forces have differed for too long."""
         settings = self._settings
-        first_n, second_n = self._finger_means_n()
+        first_n, second_n = self._samples.finger_means_n
         allowed_n = max(settings.imbalance_n, settings.imbalance_share * 0.5 * (first_n + second_n))
         if abs(first_n - second_n) <= allowed_n:
             self._uneven_s = 0.0
@@ -345,13 +416,6 @@ class GripControl:
                 f"{allowed_n:.2f} N is allowed for {settings.imbalance_s} s: both are frozen; "
                 f"check whether a finger is blocked or a pad is blind"
             )
-
-    def _finger_means_n(self) -> tuple[float, float]:
-        n = len(self._samples)
-        return (
-            sum(sample.force_n[0] for sample in self._samples) / n,
-            sum(sample.force_n[1] for sample in self._samples) / n,
-        )
 
     def _servo_goals(
         self, state: GripperState, paths: Sequence[Transmission]
@@ -401,8 +465,9 @@ class StiffnessEstimate:
 
     def __init__(self, settings: GripperSettings) -> None:
         self._touch_n = _TOUCH_SHARE * settings.contact_force_n
-        self._delay_s = settings.force_loop.sensor_delay_s
         self._apertures = History()
+        self._block: list[tuple[float, float]] = []
+        self._block_s = -inf
         self._pairs: deque[tuple[float, float]] = deque(maxlen=_MEAN_SAMPLES)
         self._anchor: tuple[float, float] | None = None
         self._sample_s: float | None = None
@@ -420,8 +485,14 @@ class StiffnessEstimate:
         if sample is None or not sample.valid or sample.t_s == self._sample_s:
             return
         self._sample_s = sample.t_s
-        pair = (sample.grip_n, self._apertures.at(sample.t_s - self._delay_s))
-        if sample.grip_n < self._touch_n:
+        self._block.append((sample.grip_n, self._apertures.at(sample.measured_s)))
+        if sample.t_s - self._block_s < _BLOCK_S:
+            return
+        n = len(self._block)
+        pair = (sum(one[0] for one in self._block) / n, sum(one[1] for one in self._block) / n)
+        self._block_s = sample.t_s
+        self._block.clear()
+        if pair[0] < self._touch_n:
             self._anchor = pair
             self._pairs.clear()
             return

@@ -2,14 +2,17 @@
 
 from collections import deque
 from collections.abc import Sequence
+from dataclasses import dataclass
 from enum import Enum
+from math import sqrt
 
 from gripper.dynamixel.control_table import RAD_PER_PULSE, RAD_S_PER_VELOCITY_UNIT
 from gripper.errors import FeedbackImplausible, ServoFault
 from gripper.force.controller import History
 from gripper.force.loop import Action, Moment
 from gripper.kinematics import Linkage, motion_current_a, transmissions
-from gripper.servos.goals import OPENING_MARGIN_RAD, ServoGoal
+from gripper.recent import RecentForce
+from gripper.servos.goals import OPENING_MARGIN_RAD, ServoGoal, closing_margin_rad
 from gripper.settings import GripperSettings
 from gripper.state import ForceSample, GripperState
 
@@ -54,8 +57,47 @@ _LARGEST_BOOST = 1.6
 """Largest factor on the current of fingers that stand still untouched."""
 _BOOST_PER_S = 2.0
 """Growth of that factor in 1/s; it falls twice as fast."""
-_REST_SAMPLES = 4
-"""Samples whose mean is the force at the contact: 80 ms at 50 Hz."""
+_YOUNG_S = 0.015
+"""Age in s up to which a first touch is still worth braking for; later the part itself and friction
+have stopped the finger."""
+_TOUCH_N = 0.12
+"""Least force in N on a pad that shows a first touch, however quiet the empty pad is."""
+_TOUCH_SIGMAS = 3.5
+"""A first touch stands out of the noise of the empty pad by so many standard deviations."""
+_EMPTY_SAMPLES = 20
+"""Samples over which the noise of an empty pad is taken."""
+_TOUCH_SAMPLES = 8
+"""Newest samples, at most, whose mean is compared with it; older ones are of the empty pad."""
+_BRAKED_S = 0.01
+"""Time in s for which a braked finger is stopped before it goes on slowly."""
+_DOUBT_S = 0.05
+"""Time in s after which a braked finger whose pad shows nothing runs on."""
+_CREEP_N_S, _LATE_CREEP_N_S = 20.0, 4.0
+"""Rate in N/s at which the drive of a braked finger grows: up to a little more than the force of a
+contact, and beyond."""
+_CREEP_RESERVE_N = 0.2
+"""That little more in N: friction at rest is larger than in motion."""
+_SOFT_M = 0.0002
+"""Way in m of a braked finger after which it runs on: a part that yields so far without the force
+of a contact is soft, and no impact is to be feared."""
+_WRONG_FACTOR = 1.5
+"""Factor on the force of a first touch after each one that was none."""
+_LEAD_SHARE = 0.75
+"""Share of its lead with which the goal of a finger runs on, so that the finger does not shoot."""
+_CREEP_START_N = 0.2
+"""Drive in N with which a braked finger begins: less than the pad pushes back with."""
+_CREEP_RAD_S = 1.5 * RAD_S_PER_VELOCITY_UNIT
+"""Speed in rad/s above which a braked finger has lost what it touched, and is stopped again."""
+_FREE_TIME_S = 0.05
+"""Time constant in s of the current that moves an empty finger."""
+_CONTACT_QUIET_N, _CONTACT_LONGEST_S = 0.1, 0.018
+"""Noise in N of the mean that shows a contact, and its longest time in s: one frame at 50 Hz."""
+_REST_QUIET_N = 0.08
+"""Noise in N of the mean that is the force at the contact; it ends the rest."""
+_REST_SAMPLES, _REST_LONGEST_S = 4, 0.07
+"""Samples of that mean where the sensor is too slow for it, and its longest time in s."""
+_REST_SETTLING_S = 0.01
+"""Time in s after the contact from which on its samples count."""
 
 
 class StandStill:
@@ -188,7 +230,9 @@ class ApproachEvent(Enum):
 class Approach:
     """Step of control that closes both fingers evenly; a finger that touches waits for the other.
 
-    The pads decide. Where the fingers stand still at the current limit, one pad is enough (the
+    The pads decide. A finger whose pad shows a first touch that is not old brakes to rest and then
+    presses ever harder, until the contact is sure; where it has touched nothing, or the part is
+    soft, it runs on. Where the fingers stand still at the current limit, one pad is enough (the
     other may be touched beside its taxels); without any pad the way is obstructed. The current
     grows by up to 60 % while the fingers stand still untouched: friction at rest differs from
     servo to servo.
@@ -223,6 +267,10 @@ class Approach:
         self._aperture_m = state.aperture_m
         self._apertures = History()
         self._was_touched = False
+        self._touch = FirstTouch()
+        self._free_a = [path.friction_nm / path.kt_nm_a for path in paths]
+        self._brakes: list[_Brake | None] = [None] * len(state.servos)
+        self._soft = [False] * len(state.servos)
         self._waiting_rad: list[float | None] = [None] * len(state.servos)
         self._was_running = [False] * len(state.servos)
         self._pauses: list[tuple[float, float] | None] = [None] * len(state.servos)
@@ -242,8 +290,7 @@ class Approach:
         """
         if not all(self._detector.touched):
             return self._apertures.newest
-        delay_s = self._settings.force_loop.sensor_delay_s
-        return self._apertures.at(self._detector.first_s - delay_s)
+        return self._apertures.at(self._detector.first_s)
 
     def runs_freely(self, state: GripperState) -> bool:
         """Return whether all fingers close steadily and no pad has been touched so far."""
@@ -259,7 +306,9 @@ class Approach:
         self._apertures.add(moment.now_s, state.aperture_m)
         if sample is not None and sample.valid:
             self._detector.push(sample)
+            self._touch.push(sample, empty=not any(self._brakes))
             self._was_touched |= max(sample.force_n) >= self._settings.contact_force_n
+        self._brake(moment)
         touched = self._detector.touched
         # The goal runs ahead of the fingers by a little only: that is how far they would go on
         # if nobody wrote a new one.
@@ -278,7 +327,58 @@ class Approach:
         if self.event in (ApproachEvent.LIMIT, ApproachEvent.OBSTRUCTED):
             angles_rad = state.angles_rad
         goals = [ServoGoal(angle_rad=angle, current_a=self.current_a) for angle in angles_rad]
+        if self.event is ApproachEvent.CLOSING:
+            for finger, brake in enumerate(self._brakes):
+                if brake is not None and not (touched[finger] and len(goals) > 1):
+                    goals[finger] = self._slow_goal(moment, finger, brake)
         return Action(goals=goals, done=self.event is not ApproachEvent.CLOSING)
+
+    def _brake(self, moment: Moment) -> None:
+        """Brake each finger whose pad shows a first touch; let those go on that touch nothing."""
+        sample, state = moment.sample, moment.state
+        if sample is None or not sample.valid:
+            return
+        shows, lasts = self._touch.shows, self._touch.lasts
+        if len(state.servos) == 1:
+            shows, lasts = (any(shows),) * 2, (any(lasts),) * 2
+        for finger, servo in enumerate(state.servos):
+            brake = self._brakes[finger]
+            path = transmissions(self._settings, self._linkage, state.angles_rad)[finger]
+            if brake is None:
+                if -servo.velocity_rad_s >= _RUNNING_SHARE * self._nominal_rad_s(state):
+                    share = min(1.0, moment.dt_s / _FREE_TIME_S)
+                    self._free_a[finger] -= share * (servo.current_a + self._free_a[finger])
+                young = moment.now_s - sample.measured_s <= _YOUNG_S
+                if shows[finger] and young and not self._soft[finger]:
+                    lead_m = state.aperture_m - self._aperture_m
+                    self._brakes[finger] = _Brake(moment.now_s, servo.angle_rad, lead_m)
+                continue
+            soft = (brake.angle_rad - servo.angle_rad) * path.radius_m > _SOFT_M
+            empty = moment.now_s - brake.since_s > _DOUBT_S and not lasts[finger]
+            if soft or empty:
+                self._brakes[finger] = None
+                self._soft[finger] = soft
+                if not soft:
+                    self._touch.was_wrong()
+                self._aperture_m = state.aperture_m - _LEAD_SHARE * brake.lead_m
+            self._was_running[finger] &= self._brakes[finger] is None
+
+    def _slow_goal(self, moment: Moment, finger: int, brake: "_Brake") -> ServoGoal:
+        """Return the goal of a braked finger: at rest first, then pressing ever harder."""
+        servo, settings = moment.state.servos[finger], self._settings
+        if moment.now_s - brake.since_s < _BRAKED_S or -servo.velocity_rad_s > _CREEP_RAD_S:
+            return ServoGoal(angle_rad=servo.angle_rad, current_a=self.current_a)
+        path = transmissions(settings, self._linkage, moment.state.angles_rad)[finger]
+        most_n = settings.contact_force_n + _CREEP_RESERVE_N
+        rate_n_s = _CREEP_N_S if brake.drive_n < most_n else _LATE_CREEP_N_S
+        brake.drive_n += rate_n_s * moment.dt_s
+        current_a = min(
+            self._free_a[finger] + brake.drive_n * path.radius_m / path.kt_nm_a,
+            _LARGEST_BOOST * self._closing_a,
+            self._current_max_a,
+        )
+        margin_rad = closing_margin_rad(settings.servos[finger].servo_model, current_a)
+        return ServoGoal(angle_rad=servo.angle_rad - margin_rad, current_a=current_a)
 
     def _nominal_rad_s(self, state: GripperState) -> float:
         reach_m = sum(self._linkage.opening_per_rad_m(servo.angle_rad) for servo in state.servos)
@@ -348,8 +448,68 @@ class Approach:
         return ApproachEvent.CLOSING
 
 
+@dataclass(slots=True)
+class _Brake:
+    """Braked finger: since when, where, how far its goal was ahead, and its drive in N."""
+
+    since_s: float
+    angle_rad: float
+    lead_m: float
+    drive_n: float = _CREEP_START_N
+
+
+class FirstTouch:
+    """Detector of the first force on a pad, as soon as it stands out of what the empty pad shows.
+
+    It may be wrong now and then: what it starts goes on without it.
+    """
+
+    def __init__(self) -> None:
+        self._factor = 1.0
+        self._empty_n2: list[float] = []
+        self._recent: deque[ForceSample] = deque(maxlen=_TOUCH_SAMPLES)
+
+    @property
+    def shows(self) -> tuple[bool, bool]:
+        """Whether the newest samples show a touch of finger 0 and of finger 1."""
+        return self._stands_out(0), self._stands_out(1)
+
+    @property
+    def lasts(self) -> tuple[bool, bool]:
+        """Whether the mean of the last samples still shows a touch of finger 0 and of finger 1."""
+        sums_n = [sum(sample.force_n[finger] for sample in self._recent) for finger in (0, 1)]
+        least_n = _TOUCH_N * len(self._recent)
+        return sums_n[0] > least_n, sums_n[1] > least_n
+
+    def was_wrong(self) -> None:
+        """Show a touch only at a larger force from now on: the last one was none."""
+        self._factor *= _WRONG_FACTOR
+
+    def push(self, sample: ForceSample, *, empty: bool) -> None:
+        """Add a sample, which may be the same as before; ``empty`` where no finger is braked."""
+        if self._recent and sample.t_s <= self._recent[-1].t_s:
+            return
+        if not self._empty_n2:
+            self._empty_n2 = [2.0 * sample.noise_n**2] * 2
+        elif empty and len(self._recent) == _TOUCH_SAMPLES:
+            for finger, force_n in enumerate(self._recent[0].force_n):
+                self._empty_n2[finger] += (force_n**2 - self._empty_n2[finger]) / _EMPTY_SAMPLES
+        self._recent.append(sample)
+
+    def _stands_out(self, finger: int) -> bool:
+        sum_n = 0.0
+        for n, sample in enumerate(reversed(self._recent), 1):
+            sum_n += sample.force_n[finger]
+            noise_n = sqrt(self._empty_n2[finger] / n)
+            if sum_n > n * self._factor * max(_TOUCH_N, _TOUCH_SIGMAS * noise_n):
+                return True
+        return False
+
+
 class ContactDetector:
     """Detector of a contact: enough new samples in a row above a threshold, for each finger.
+
+    Of a fast sensor each counts with those shortly before it, whose mean has less noise.
 
     Parameters
     ----------
@@ -364,7 +524,7 @@ class ContactDetector:
         self._samples = samples
         self._counts = [0, 0]
         self._first_s = [0.0, 0.0]
-        self._last_s: float | None = None
+        self._recent = RecentForce(_CONTACT_QUIET_N, least=1, longest_s=_CONTACT_LONGEST_S)
 
     @property
     def touched(self) -> tuple[bool, bool]:
@@ -373,18 +533,18 @@ class ContactDetector:
 
     @property
     def first_s(self) -> float:
-        """Time in s of the sample that began the contact of the finger that touched last."""
+        """Time in s at which the finger that touched last was loaded."""
         return max(self._first_s)
 
     def push(self, sample: ForceSample) -> None:
         """Add a sample, which may be the same as before."""
-        if self._last_s is None or sample.t_s > self._last_s:
-            self._last_s = sample.t_s
-            for finger, force_n in enumerate(sample.force_n):
-                above = force_n >= self._threshold_n
-                if self._counts[finger] == 0:
-                    self._first_s[finger] = sample.t_s
-                self._counts[finger] = self._counts[finger] + 1 if above else 0
+        if self._recent.push(sample) is None:
+            return
+        for finger, force_n in enumerate(self._recent.finger_means_n):
+            above = force_n >= self._threshold_n
+            if self._counts[finger] == 0:
+                self._first_s[finger] = self._recent.oldest.measured_s
+            self._counts[finger] = self._counts[finger] + 1 if above else 0
 
 
 class ContactRest:
@@ -393,24 +553,29 @@ class ContactRest:
     Parameters
     ----------
     until_s
-        Monotonic time in s at which the rest ends.
+        Monotonic time in s at which the rest ends, or before where the force is known.
     """
 
     def __init__(self, until_s: float) -> None:
         self._until_s = until_s
-        self._samples: deque[ForceSample] = deque(maxlen=_REST_SAMPLES)
+        self._begun_s: float | None = None
+        self._samples = RecentForce(_REST_QUIET_N, least=_REST_SAMPLES, longest_s=_REST_LONGEST_S)
 
     @property
     def force_n(self) -> float:
         """Mean grip force in N of the last samples, at least 0; 0 without any."""
-        if not self._samples:
-            return 0.0
-        return max(0.0, sum(sample.grip_n for sample in self._samples) / len(self._samples))
+        return max(0.0, self._samples.grip_n) if self._samples else 0.0
 
     def goes_on(self, moment: Moment) -> bool:
         """Add the newest sample and return whether the fingers still rest."""
+        if self._begun_s is None:
+            self._begun_s = moment.now_s
         sample = moment.sample
-        new = not self._samples or (sample is not None and sample.t_s > self._samples[-1].t_s)
-        if sample is not None and sample.valid and new:
-            self._samples.append(sample)
-        return moment.now_s < self._until_s
+        if sample is not None and sample.valid:
+            self._samples.push(sample)
+        known = (
+            bool(self._samples)
+            and self._samples.noise_n <= _REST_QUIET_N
+            and self._samples.oldest.measured_s >= self._begun_s + _REST_SETTLING_S
+        )
+        return moment.now_s < self._until_s and not known

@@ -1,11 +1,14 @@
 """Detection of a held part that slips: by its force, the way of the fingers, or its place."""
 
 from collections import deque
-from collections.abc import Collection
-from math import exp, hypot
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from math import exp, hypot, sqrt
 
 from gripper.errors import PartSlipped
 from gripper.force.loop import Moment
+from gripper.recent import RecentForce
 from gripper.settings import GripperSettings
 from gripper.state import ForceSample
 
@@ -14,18 +17,28 @@ _SETTLING_S = 0.3
 """Time in s after the start of a hold from which on force and opening are compared."""
 _USUAL_TIME_S = 0.6
 """Time constant in s of the usual force, that a drop is measured from."""
-_RECENT_SAMPLES = 4
-"""Samples whose mean is the force now: 80 ms at 50 Hz."""
+_USUAL_LEAST_S = 0.015
+"""Time in s of samples that make a first usual force: one at 50 Hz."""
+_QUIET_N = 0.1
+"""Noise in N of the mean that is the force now: an eighth of the least drop that is a slip."""
+_LEAST_SAMPLES, _LONGEST_S = 4, 0.07
+"""Samples of that mean where the sensor is too slow for it, and its longest time in s."""
+_FALLING_SHARE = 0.5
+"""Share of the mean below which the newest sample shows a force that falls on: to nothing where the
+part is lost, which the control of the force notices by itself."""
 _SLIDE_SETTLING_S = 0.1
 """Time in s after the start of a hold from which on the centre of the force is compared."""
-_SLIDE_FIRST = 4
-"""Samples whose mean is the first centre of the force."""
-_SLIDE_RECENT = 2
-"""Samples whose mean is the centre of the force now."""
-_SLIDE_FORCE_N = 4.0
-"""Force in N from which on a centre is as exact as ``slide_m`` assumes."""
-_LEAST_FORCE_N = 0.1
-"""Force in N that a weaker one counts as, so that the allowed way stays finite."""
+_SLIDE_RECENT_S = 0.03
+"""Time in s over which the centre of the force now is taken: 2 samples at 50 Hz."""
+_SLIDE_BEFORE_S = 0.2
+"""Time in s before that over which the centre is taken that a sudden way is measured from."""
+_SLIDE_FIRST_S = 0.07
+"""Time in s of samples, at least, before a centre is compared with theirs: 4 samples at 50 Hz."""
+_SLIDE_SIGMAS = 5.5
+"""A way is no noise where it is so many standard deviations of one axis: less than one false alarm
+in an hour of a hold, two axes and 200 samples a second taken together."""
+_SLIDE_LEAST_M = 0.0005
+"""Sudden way in m that is no slide whatever the noise: a part that tilts a little."""
 
 
 class SlipWatch:
@@ -39,8 +52,10 @@ class SlipWatch:
 
     def __init__(self, settings: GripperSettings) -> None:
         self._settings = settings
-        self._recent: deque[ForceSample] = deque(maxlen=_RECENT_SAMPLES)
-        self._usual_n: float | None = None
+        self._recent = RecentForce(_QUIET_N, least=_LEAST_SAMPLES, longest_s=_LONGEST_S)
+        self._usual_n = 0.0
+        self._usual_s = 0.0
+        self._was_low = False
         self._aperture_m: float | None = None
         self._since_s: float | None = None
         self._slide = SlideWatch(settings)
@@ -76,26 +91,69 @@ class SlipWatch:
                 f"the fingers have closed by {closed_m * 1e3:.2f} mm at a steady force, unless a "
                 f"reported position drifts"
             )
-        last_s = self._recent[-1].t_s if self._recent else None
-        if sample is None or not sample.valid or sample.t_s == last_s:
+        return self._drop(sample, setpoint_n)
+
+    def _drop(self, sample: ForceSample | None, setpoint_n: float) -> str | None:
+        """Add the newest sample and return what shows a drop of the force, None without one."""
+        settings = self._settings
+        replaced = self._recent.push(sample) if sample is not None and sample.valid else None
+        if replaced is None:
             return None
-        if len(self._recent) == _RECENT_SAMPLES:
-            oldest = self._recent[0]
-            share = 1.0 - exp(-(self._recent[1].t_s - oldest.t_s) / _USUAL_TIME_S)
-            usual_n = oldest.grip_n if self._usual_n is None else self._usual_n
-            self._usual_n = usual_n + share * (oldest.grip_n - usual_n)
-        self._recent.append(sample)
-        if self._usual_n is None:
+        self._learn([*replaced, self._recent.oldest])
+        if self._usual_s < _USUAL_LEAST_S:
             return None
         held_n = min(self._usual_n, setpoint_n + settings.settle_tolerance_at_n(setpoint_n))
-        drop_n = held_n - sum(s.grip_n for s in self._recent) / len(self._recent)
-        if drop_n > max(settings.slip_drop_n, settings.slip_drop_share * held_n):
-            return f"the grip force fell by {drop_n:.2f} N from {held_n:.2f} N"
-        return None
+        drop_n = held_n - self._recent.grip_n
+        falls_on = self._recent.newest.grip_n < _FALLING_SHARE * self._recent.grip_n
+        low = drop_n > max(settings.slip_drop_n, settings.slip_drop_share * held_n)
+        # One sample may be the mean of messages from before and after a part was taken away.
+        was_low, self._was_low = self._was_low or len(self._recent) > 1, low
+        if falls_on or not (low and was_low):
+            return None
+        return f"the grip force fell by {drop_n:.2f} N from {held_n:.2f} N"
+
+    def _learn(self, samples: Sequence[ForceSample]) -> None:
+        """Add all samples but the last one, which are not of now any more, to the usual force.
+
+        Until the time constant has passed the usual force is the mean of all.
+        """
+        for sample, following in pairwise(samples):
+            time_s = following.t_s - sample.t_s
+            self._usual_s += time_s
+            share = max(1.0 - exp(-time_s / _USUAL_TIME_S), time_s / self._usual_s)
+            self._usual_n += share * (sample.grip_n - self._usual_n)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Centre:
+    """Mean of centres of force in m, and the variance of each coordinate in m²."""
+
+    x_m: float
+    y_m: float
+    variance_m2: float
+
+    @classmethod
+    def of(cls, samples: Collection[ForceSample]) -> "_Centre":
+        n = len(samples)
+        places = [sample.centre_m for sample in samples if sample.centre_m is not None]
+        return cls(
+            x_m=sum(x_m for x_m, _ in places) / n,
+            y_m=sum(y_m for _, y_m in places) / n,
+            variance_m2=sum(sample.centre_noise_m**2 for sample in samples) / n**2,
+        )
+
+    def beyond_m(self, other: "_Centre", allowed_m: float) -> float:
+        """Return the distance in m; 0 where it is allowed, or no more than noise."""
+        way_m = hypot(self.x_m - other.x_m, self.y_m - other.y_m)
+        noise_m = _SLIDE_SIGMAS * sqrt(self.variance_m2 + other.variance_m2)
+        return way_m if way_m > max(allowed_m, noise_m) else 0.0
 
 
 class SlideWatch:
     """Detector of a part that slides along the pads: the centre of its force moves with it.
+
+    A sudden way need only be more than noise. A slow one, which may be foam that creeps, is
+    compared with the first centre.
 
     Parameters
     ----------
@@ -105,9 +163,9 @@ class SlideWatch:
 
     def __init__(self, settings: GripperSettings) -> None:
         self._settings = settings
-        self._first: list[tuple[float, ...]] = []
-        self._recent: deque[tuple[float, ...]] = deque(maxlen=_SLIDE_RECENT)
-        self._last_s: float | None = None
+        self._first: _Centre | None = None
+        self._before: deque[ForceSample] = deque()
+        self._recent: deque[ForceSample] = deque()
 
     def check(self, held_s: float, sample: ForceSample | None) -> str | None:
         """Add the newest sample and return what shows a slide, None without one.
@@ -121,30 +179,22 @@ class SlideWatch:
         """
         if sample is None or not sample.valid or sample.centre_m is None:
             return None
-        if held_s < _SLIDE_SETTLING_S or sample.t_s == self._last_s:
+        recent, before = self._recent, self._before
+        if held_s < _SLIDE_SETTLING_S or (recent and sample.t_s == recent[-1].t_s):
             return None
-        self._last_s = sample.t_s
-        place = (*sample.centre_m[0], *sample.centre_m[1])
-        if len(self._first) < _SLIDE_FIRST:
-            self._first.append(place)
-            return None
-        self._recent.append(place)
-        if len(self._recent) < _SLIDE_RECENT:
-            return None
-        usual, now = _mean(self._first), _mean(self._recent)
-        # Both pads must agree: what one pad alone sees is its noise, or the part tilts.
-        along_m = [hypot(now[i] - usual[i], now[i + 1] - usual[i + 1]) for i in (0, 2)]
-        # The weaker the force, the less its centre is worth.
-        allowed_m = self._settings.slide_m * max(
-            1.0, _SLIDE_FORCE_N / max(sample.grip_n, _LEAST_FORCE_N)
-        )
-        if min(along_m) <= allowed_m:
-            return None
-        return f"it has slid along the pads by {1e3 * min(along_m):.2f} mm"
-
-
-def _mean(places: Collection[tuple[float, ...]]) -> list[float]:
-    return [sum(values) / len(places) for values in zip(*places, strict=True)]
+        recent.append(sample)
+        while sample.t_s - recent[0].t_s > _SLIDE_RECENT_S:
+            before.append(recent.popleft())
+        while before and recent[0].t_s - before[0].t_s > _SLIDE_BEFORE_S:
+            before.popleft()
+        if self._first is None:
+            if not before or recent[0].t_s - before[0].t_s < _SLIDE_FIRST_S:
+                return None
+            self._first = _Centre.of(before)
+        now, slide_m = _Centre.of(recent), self._settings.slide_m
+        sudden_m = now.beyond_m(_Centre.of(before), min(_SLIDE_LEAST_M, slide_m))
+        along_m = max(sudden_m, now.beyond_m(self._first, slide_m))
+        return f"it has slid along the pads by {1e3 * along_m:.2f} mm" if along_m > 0.0 else None
 
 
 class LevelSlip:

@@ -4,9 +4,9 @@ What lowers the currents or opens the fingers passes the caps of force and tempe
 way back below them.
 """
 
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import inf, sqrt
 
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import (
@@ -20,13 +20,17 @@ from gripper.dynamixel.control_table import (
 from gripper.dynamixel.models import ServoModel
 from gripper.errors import ForceAboveCap, LimitExceeded
 from gripper.kinematics import Linkage, Transmission
+from gripper.recent import RecentForce
 from gripper.settings import GripperSettings, OverForce
 from gripper.state import Clock, ForceSample, GripperState
 
-_FORCE_SAMPLES = 3
-"""Samples whose mean is compared with the cap of the force: noise alone must not trip it."""
+_QUIET_N = 0.08
+"""Noise in N of the mean force that is compared with the cap: noise alone must not trip it."""
+_LEAST_SAMPLES, _LONGEST_S = 3, 0.05
+"""Samples of that mean where the sensor is too slow for it, and its longest time in s."""
 _SINGLE_SAMPLE = 3.0
-"""A single sample trips the cap when it is above it by so many times ``force_noise_n``."""
+"""A few samples, or one, trip the cap when they are above it by as many times ``force_noise_n`` as
+their noise is above that of the mean, and by no more than this."""
 _ROUNDING_A = 0.005
 """What a goal current may exceed its cap by in A: two counts of 2.69 mA."""
 _EQUAL = 1e-9
@@ -86,7 +90,7 @@ class GoalGuard:
     def __init__(self, settings: GripperSettings, linkage: Linkage) -> None:
         self._settings = settings
         self._linkage = linkage
-        self._forces: deque[ForceSample] = deque(maxlen=_FORCE_SAMPLES)
+        self._forces = RecentForce(_QUIET_N, least=_LEAST_SAMPLES, longest_s=_LONGEST_S)
         self._previous_a: tuple[float, ...] = ()
         # Two apertures bound the angles: wide open, and closed onto each other with the goal as
         # far beyond as a gripping servo needs.
@@ -100,31 +104,23 @@ class GoalGuard:
 
     def note_force(self, sample: ForceSample) -> None:
         """Add the newest force sample; the same one may come again."""
-        if not self._forces or sample.t_s > self._forces[-1].t_s:
-            self._forces.append(sample)
+        self._forces.push(sample)
 
     @property
     def newest_force(self) -> ForceSample | None:
         """The newest force sample; None before the first one."""
-        return self._forces[-1] if self._forces else None
+        return self._forces.newest if self._forces else None
 
     def force_is_too_high(self) -> bool:
-        """Return whether the measured force is above the cap by more than noise.
-
-        A single sample counts when it is above it by three times that.
-        """
-        settings = self._settings
-        return (
-            self._mean_n() > settings.force_max_n + settings.force_noise_n
-            or self._newest_n() > settings.force_max_n + _SINGLE_SAMPLE * settings.force_noise_n
-        )
+        """Return whether the measured force is above the cap by more than noise."""
+        return self._excess_n() > 0.0
 
     def check_force(self) -> None:
         """Raise ForceAboveCap while the measured force is above the cap."""
         settings = self._settings
         if self.force_is_too_high():
             raise ForceAboveCap(
-                f"the grip force is {max(self._mean_n(), self._newest_n()):.2f} N, force_max_n is "
+                f"the grip force is {max(self._forces.newest.force_n):.2f} N, force_max_n is "
                 f"{settings.force_max_n} N (and {settings.force_noise_n} N for noise): "
                 f"{_OVER_FORCE[settings.over_force]}; clear the fault, then release the part"
             )
@@ -155,17 +151,22 @@ class GoalGuard:
             self.check_force()
         self._previous_a = tuple(goal.current_a for goal in goals)
 
-    def _mean_n(self) -> float:
-        """Return the mean of the last samples of the more heavily loaded finger in N."""
-        if not self._forces:
-            return 0.0
-        return max(
-            sum(sample.force_n[finger] for sample in self._forces) / len(self._forces)
-            for finger in (0, 1)
-        )
+    def _excess_n(self) -> float:
+        """Return by how much the force is above what noise may make of the cap, in N.
 
-    def _newest_n(self) -> float:
-        return max(self._forces[-1].force_n) if self._forces else 0.0
+        The more samples, the less that is: what is far too much shows with the first one.
+        """
+        settings = self._settings
+        first_n = second_n = variance_n2 = 0.0
+        most_n = -inf
+        for n, sample in enumerate(self._forces, 1):
+            first_n += sample.force_n[0]
+            second_n += sample.force_n[1]
+            variance_n2 += sample.noise_n**2
+            few = n < len(self._forces)
+            times = min(_SINGLE_SAMPLE, sqrt(variance_n2) / n / _QUIET_N) if few else 1.0
+            most_n = max(most_n, max(first_n, second_n) / n - times * settings.force_noise_n)
+        return most_n - settings.force_max_n
 
     def _check_age(self, state: GripperState, now_s: float) -> None:
         settings = self._settings

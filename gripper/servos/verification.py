@@ -81,6 +81,10 @@ def _exactly(item: str, raw: int, *, mask: int = -1) -> Requirement:
     )
 
 
+def _between(item: str, low: int, high: int) -> Requirement:
+    return Requirement(item=item, expected=f"{low} to {high}", low=low, high=high)
+
+
 def requirements(
     model: ServoModel,
     current_max_a: float,
@@ -125,30 +129,15 @@ def _requirements(
             high=protection,
             mask=protection,
         ),
-        Requirement(
-            item=TEMPERATURE_LIMIT.name,
-            expected=f"{temperature_max_c:g} to {model.temperature_limit_c}",
-            low=round(temperature_max_c),
-            high=model.temperature_limit_c,
-        ),
-        Requirement(
-            item=CURRENT_LIMIT.name,
-            expected=f"{needed_raw} to {model.current_limit_raw}",
-            low=needed_raw,
-            high=model.current_limit_raw,
-        ),
+        _between(TEMPERATURE_LIMIT.name, round(temperature_max_c), model.temperature_limit_c),
+        _between(CURRENT_LIMIT.name, needed_raw, model.current_limit_raw),
         Requirement(
             item=MIN_VOLTAGE_LIMIT.name,
             expected=f"{model.min_voltage_raw} or more",
             low=model.min_voltage_raw,
             high=model.max_voltage_raw,
         ),
-        Requirement(
-            item=PWM_LIMIT.name,
-            expected=f"{needed_pwm} to {_WHOLE_PWM}",
-            low=needed_pwm,
-            high=_WHOLE_PWM,
-        ),
+        _between(PWM_LIMIT.name, needed_pwm, _WHOLE_PWM),
         _exactly(SECONDARY_ID.name, _NO_SECOND_ID),
         _exactly(RETURN_DELAY_TIME.name, 0),
         _exactly(OPERATING_MODE.name, int(OperatingMode.CURRENT_BASED_POSITION)),

@@ -1,6 +1,7 @@
 """The tactile control unit as a CANopen device after CiA 301.
 
-After each SYNC it latches one scan and sends it as one burst of TPDO1, at the rate of the wire.
+After each SYNC it latches one scan and sends it as one burst of TPDO1, at the rate of the wire; the
+force on the gripping pads goes out as TPDO2, on its event timer.
 canopen's LocalNode serves SDO and makes heartbeat, boot-up and EMCY; this module adds services by
 NMT state, resets, SYNC, the history of errors and the synchronous window.
 """
@@ -17,10 +18,10 @@ from simulator.can.faults import ControlUnitFaults
 from simulator.can.object_dictionary import SdoGate, UnitDictionary
 from simulator.can.scanner import ScannedWorld, Scanner
 from simulator.can.wire import mean_bits
+from simulator.clock import ROUNDING_S
 from simulator.errors import SimulatorSettingsError, SimulatorStateError
 from tactile.layout import TaxelLayout
 from tactile.unit import object_dictionary
-from tactile.unit.object_dictionary import TransmissionMode
 
 EMCY_WINDOW = 0xFF01
 """EMCY code: a burst was cut short, it does not fit into the synchronous window (0x1007)."""
@@ -40,6 +41,16 @@ _WORST_BITS = 135
 """Longest message of 8 data bytes on the wire in bits, all stuff bits included (ISO 11898-1)."""
 _MAX_HISTORY = 8
 """Error codes that object 0x1003 keeps: its sub-indices in the EDS."""
+_FORCE_OBJECTS = frozenset(
+    (
+        object_dictionary.FORCE_MESSAGE,
+        object_dictionary.FORCE_TABLE,
+        object_dictionary.FORCE_ZERO,
+        object_dictionary.TPDO2_PARAMETER,
+        object_dictionary.TPDO2_MAPPING,
+    )
+)
+"""What the minor revision 1 of the unit brought."""
 _ON_EACH_SYNC, _MOST_SYNCS = 1, 240
 """Transmission type of a PDO (0x1800:02): after each SYNC, up to after each 240th (CiA 301)."""
 
@@ -154,6 +165,8 @@ class ControlUnitSettings:
         Object 0x2103: serial numbers of the pads' boards on finger 0 and finger 1.
     boot_s
         Time in s from power-on or reset to the boot-up message.
+    force_messages
+        False for an older unit, of minor revision 0, which has none.
     """
 
     node_id: int = 5
@@ -162,6 +175,7 @@ class ControlUnitSettings:
     identity: Mapping[int, int] = field(default_factory=dict)
     boards: tuple[int, int] = (1, 2)
     boot_s: float = 0.02
+    force_messages: bool = True
 
     def __post_init__(self) -> None:
         if not 1 <= self.node_id <= 127:
@@ -197,7 +211,12 @@ class SimulatedControlUnit:
     __slots__ = (
         "_boot_due_s",
         "_burst_end_s",
+        "_force_due_s",
+        "_force_end_s",
+        "_force_hits",
+        "_force_period_s",
         "_gate",
+        "_held_force",
         "_layout",
         "_network",
         "_node",
@@ -225,6 +244,7 @@ class SimulatedControlUnit:
         self._send: SendBurst | None = None
         self._boot_due_s = math.inf
         self._sync_id = 0
+        self._force_due_s = math.inf
         self.scanner = Scanner(world, layout, self.faults)
         node_id = self.settings.node_id
         self._node = local_node(node_id, object_dictionary.of_node(node_id))
@@ -237,6 +257,7 @@ class SimulatedControlUnit:
             serial_number=self.settings.serial_number,
             identity=self.settings.identity,
             boards=self._boards,
+            missing=frozenset() if self.settings.force_messages else _FORCE_OBJECTS,
         )
         sdo = self._node.sdo
         self._gate = SdoGate(
@@ -254,13 +275,20 @@ class SimulatedControlUnit:
         """Plug the unit into a bus."""
         self._send = send
 
+    @property
+    def send(self) -> SendBurst:
+        """What puts its messages on the bus; SimulatorStateError before `connect`."""
+        if self._send is None:
+            raise SimulatorStateError("the control unit is not connected to a bus: connect() first")
+        return self._send
+
     def next_event_s(self) -> float:
         """Return when the unit next sends something by itself, in s; infinity for never."""
-        return min(self._boot_due_s, self._network.next_due_s())
+        return min(self._boot_due_s, self._network.next_due_s(), self._force_due_s)
 
     def advance(self, now_s: float) -> None:
         """Let the time pass until ``now_s`` s: boot-up, heartbeat."""
-        if now_s < self._boot_due_s and now_s < self._network.next_due_s():
+        if now_s < self.next_event_s():
             self._network.now_s = now_s
             return
         if self._boot_due_s <= now_s:
@@ -271,6 +299,9 @@ class SimulatedControlUnit:
             self._node.nmt.state = "PRE-OPERATIONAL"
         self._network.run(now_s, mute=self.faults.dead or self.faults.heartbeat_off)
         self._network.now_s = now_s
+        while self._force_due_s <= now_s:
+            self._send_force(self._force_due_s)
+            self._force_due_s += self._force_period_s
 
     def receive(self, can_id: int, data: bytes, now_s: float) -> None:
         """Take one message from the bus at ``now_s`` s and answer it."""
@@ -286,6 +317,7 @@ class SimulatedControlUnit:
         elif can_id == self._node.sdo.rx_cobid:
             self._gate.request(data)
             self._sync_id = self.dictionary.sync_cob_id
+            self._time_forces()
 
     def command(self, state: str, now_s: float) -> None:
         """Take the NMT command for a state at ``now_s`` s, as another master would send it.
@@ -338,7 +370,10 @@ class SimulatedControlUnit:
             self.scanner.reset()
         self._sync_id = self.dictionary.sync_cob_id
         self._sync_count = 0
-        self._burst_end_s = -math.inf
+        self._burst_end_s = self._force_end_s = -math.inf
+        self._force_due_s, self._force_period_s = math.inf, 0.0
+        self._force_hits = [0.0, 0.0, 0.0]
+        self._held_force: bytes | None = None
         self._boot_due_s = self._network.now_s + self.settings.boot_s
 
     def _nmt(self, data: bytes) -> None:
@@ -348,12 +383,52 @@ class SimulatedControlUnit:
             self._reset(everything=data[0] == NMT_COMMANDS["RESET"])
         elif data[0] in _CHANGES_OF_STATE:
             self._node.nmt.on_command(0, data, self._network.now_s)
+            self._time_forces()
+
+    def _time_forces(self) -> None:
+        """Begin, go on with or end the event timer of the force messages."""
+        period_s = 0.0
+        if self.settings.force_messages and self.state == _OPERATIONAL:
+            period_s = 1e-3 * self.dictionary.number(
+                object_dictionary.TPDO2_PARAMETER, object_dictionary.PDO_EVENT_TIMER
+            )
+        if period_s != self._force_period_s:
+            self._force_period_s = period_s
+            self._force_due_s = self._network.now_s + period_s if period_s else math.inf
+
+    def _send_force(self, due_s: float) -> None:
+        """Scan the gripping pads and send their force, unless the last one still waits."""
+        can_id = self.dictionary.pdo_cob_id(2)
+        if can_id is None or self.faults.dead or self.faults.forces_off:
+            return
+        if due_s < self._force_end_s - ROUNDING_S:
+            self.scanner.force_overrun = True
+            return
+        messages = self._disturbed(self.scanner.force_message())
+        if messages:
+            self._force_end_s = self.send(due_s, can_id, messages)
+
+    def _disturbed(self, message: bytes) -> list[bytes]:
+        """Return what the faults leave of a force message, with one that they held back."""
+        faults = self.faults
+        shares = (faults.forces_lost, faults.forces_twice, faults.forces_swapped)
+        if not any(shares) and self._held_force is None:
+            return [message]
+        hits = []
+        for place, share in enumerate(shares):
+            self._force_hits[place] += share
+            hits.append(self._force_hits[place] >= 1.0)
+            self._force_hits[place] %= 1.0
+        lost, twice, swapped = hits
+        held, self._held_force = self._held_force, message if swapped else None
+        here = [] if lost or swapped else [message, message] if twice else [message]
+        return here if held is None else [*here, held]
 
     def _sync(self) -> None:
         if self.state != _OPERATIONAL:
             return
         now_s = self._network.now_s
-        if now_s < self._burst_end_s:
+        if now_s < self._burst_end_s - ROUNDING_S:
             self._passed_over(EMCY_OVERRUN)
             return
         kind = self.dictionary.number(object_dictionary.TPDO1_PARAMETER, 2)
@@ -361,17 +436,7 @@ class SimulatedControlUnit:
         if _ON_EACH_SYNC < kind <= _MOST_SYNCS and self._sync_count % kind:
             return
         self.scanner.latch()
-        mode = self.dictionary.number(object_dictionary.MODE)
-        if mode & TransmissionMode.RAW:
-            self._send_frame(now_s)
-        if mode & TransmissionMode.FEATURES:
-            touch = self.dictionary.number(
-                object_dictionary.THRESHOLDS, object_dictionary.THRESHOLD_TOUCH
-            )
-            firsts, seconds = self.scanner.feature_messages(touch)
-            for first, second in zip(firsts, seconds, strict=True):
-                self._send_pdo(2, now_s, [first])
-                self._send_pdo(3, now_s, [second])
+        self._send_frame(now_s)
 
     def _send_frame(self, now_s: float) -> None:
         messages = self.scanner.frame_messages()
@@ -403,10 +468,9 @@ class SimulatedControlUnit:
     def _emit(self, t_s: float, can_id: int, data: bytes) -> None:
         if can_id == self._node.sdo.tx_cobid:
             self._gate.response(data)
-        if self._send is None:
-            raise SimulatorStateError("the control unit is not connected to a bus: connect() first")
+        send = self.send
         if not self.faults.dead:
-            self._send(t_s, can_id, [data])
+            send(t_s, can_id, [data])
 
 
 def local_node(node_id: int, dictionary: canopen.ObjectDictionary) -> Any:

@@ -115,6 +115,13 @@ class ControlUnitFaults:
     pads_swapped
         The connectors of the two fingers are exchanged: each half of a scan stands where the
         other belongs.
+    forces_off
+        No force messages any more; frames go on.
+    forces_lost, forces_twice, forces_swapped
+        Share from 0 to 1 of the force messages, evenly, that are lost, come twice, or come after
+        the next one.
+    force_gain
+        Factor on the forces in the messages, as of a table of other pads.
     """
 
     dead: bool = False
@@ -127,6 +134,11 @@ class ControlUnitFaults:
     gain: float = 1.0
     late_s: float = 0.0
     pads_swapped: bool = False
+    forces_off: bool = False
+    forces_lost: float = 0.0
+    forces_twice: float = 0.0
+    forces_swapped: float = 0.0
+    force_gain: float = 1.0
 
     def apply(self, counts: NDArray[np.uint16], adc_max: int) -> NDArray[np.uint16]:
         """Return converted counts (n_taxels,) with these faults; IndexError for no taxel."""

@@ -7,6 +7,7 @@ import bisect
 import math
 from collections import deque
 from collections.abc import Callable
+from enum import Enum
 from typing import Protocol
 
 import can
@@ -14,7 +15,7 @@ import numpy as np
 
 from simulator.can.control_unit import SendBurst
 from simulator.can.faults import CanLinkFaults, Disturber
-from simulator.can.wire import CanWire
+from simulator.can.wire import CanWire, Waiting
 from simulator.errors import SimulatorStateError
 
 Capture = Callable[[float, int, bytes], None]
@@ -28,6 +29,14 @@ _FLOOD_ID = 0x6FF
 """Identifier of flooding messages: an SDO request to node 127, which no unit here is."""
 _INBOX_LIMIT = 100_000
 """Messages that the adapter's memory holds: half a minute of frames at 50 Hz."""
+
+
+class _Sender(Enum):
+    """Sender of a message on the wire."""
+
+    HOST = 0
+    DEVICE = 1
+    FLOOD = 2
 
 
 class CanDevice(Protocol):
@@ -53,8 +62,8 @@ class CanDevice(Protocol):
 class CanLink:
     """One device, one wire, and the host's adapter.
 
-    What the host sends reaches the device at once and in order; the time it takes on the wire
-    moves what follows. What the device sends arrives when its last bit is through.
+    What the host sends reaches the device at once and in order, so it goes first on the wire. What
+    the device sends arrives when its last bit is through.
 
     Parameters
     ----------
@@ -110,9 +119,7 @@ class CanLink:
 
     def send(self, can_id: int, data: bytes, now_s: float, *, extended: bool = False) -> None:
         """Send a message of the host; it reaches the device before this returns."""
-        through_s = self._wire.occupy(now_s, data, extended=extended)
-        for capture in self.capture:
-            capture(through_s, can_id, data)
+        self._wire.put(Waiting(now_s, can_id, data, extended, _Sender.HOST), first=True)
         if not extended and not self.faults.bus_off:
             self._device.receive(can_id, data, now_s)
 
@@ -133,35 +140,47 @@ class CanLink:
             self._flood_due_s = math.inf
         if (faults.error_passive, faults.bus_off) != self._reported:
             self._report_state(now_s)
+        self._transmit(now_s)
 
     def next_event_s(self) -> float:
         """Return when something arrives or the device next sends by itself; infinity for never."""
-        next_s = min(self._device.next_event_s(), self._flood_due_s)
+        next_s = min(self._device.next_event_s(), self._flood_due_s, self._wire.next_end_s())
         return min(next_s, self._inbox[0].timestamp) if self._inbox else next_s
 
-    def clear(self) -> None:
-        """Forget the messages that were not fetched, as an adapter does that is closed."""
+    def clear(self, now_s: float = math.inf) -> None:
+        """Forget what came until ``now_s`` s and was not fetched, as an adapter that is closed."""
+        self._transmit(now_s)
         self._inbox.clear()
 
     def _deliver(self, ready_s: float, can_id: int, burst: list[bytes]) -> float:
-        """Put the device's messages on the wire, one after the other, and into the inbox."""
-        through_s = ready_s
-        occupy, inbox = self._wire.occupy, self._inbox
-        disturbs = self.faults.disturbs
-        if len(inbox) > _INBOX_LIMIT:
+        """Let the device's messages wait for the wire; returns when the last is through, in s.
+
+        Messages that are more urgent and come later may still put that off.
+        """
+        if len(self._inbox) + self._wire.n_waiting > _INBOX_LIMIT:
             self.lost += len(burst)
             return ready_s
         for data in burst:
-            through_s = occupy(ready_s, data)
+            self._wire.put(Waiting(ready_s, can_id, data, False, _Sender.DEVICE))
+        return self._wire.end_s(ready_s, can_id)
+
+    def _transmit(self, now_s: float) -> None:
+        """Put what the wire has carried until ``now_s`` s into the inbox, with the faults."""
+        inbox = self._inbox
+        for through_s, (_, can_id, data, _, sender) in self._wire.take(now_s):
             for capture in self.capture:
                 capture(through_s, can_id, data)
-            if not disturbs:
-                inbox.append(can.Message(through_s, can_id, False, data=data))
+            if sender is _Sender.HOST:
                 continue
-            for arrival_s, code, changed in self._disturber.pass_on(through_s, data):
-                message = can.Message(arrival_s, can_id, False, dlc=code, data=changed)
-                bisect.insort(inbox, message, key=_arrival_s)
-        return through_s
+            if sender is _Sender.DEVICE and self.faults.disturbs:
+                for arrival_s, code, changed in self._disturber.pass_on(through_s, data):
+                    message = can.Message(arrival_s, can_id, False, dlc=code, data=changed)
+                    bisect.insort(inbox, message, key=_arrival_s)
+            elif inbox and inbox[-1].timestamp > through_s:
+                late = can.Message(through_s, can_id, False, data=data)
+                bisect.insort(inbox, late, key=_arrival_s)
+            else:
+                inbox.append(can.Message(through_s, can_id, False, data=data))
 
     def _flood(self, now_s: float) -> None:
         self.faults.check()
@@ -169,10 +188,7 @@ class CanLink:
             self._flood_due_s = now_s
         while self._flood_due_s <= now_s:
             data = self._disturber.rng.bytes(8)
-            message = can.Message(
-                self._wire.occupy(self._flood_due_s, data), _FLOOD_ID, False, data=data
-            )
-            bisect.insort(self._inbox, message, key=_arrival_s)
+            self._wire.put(Waiting(self._flood_due_s, _FLOOD_ID, data, False, _Sender.FLOOD))
             self._flood_due_s += 1.0 / self.faults.flood_hz
 
     def _report_state(self, now_s: float) -> None:

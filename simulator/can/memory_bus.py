@@ -111,6 +111,10 @@ class InMemoryCanBus(can.BusABC):
             clock.advance_to(next_s)
             now_s = clock.monotonic()
 
+    def flush(self) -> None:
+        """Let what waits for the wire go out, for those who capture it; the host forgets it."""
+        self._link.clear()
+
     def shutdown(self) -> None:
         """Leave the bus; a second call changes nothing."""
         if not self._is_shutdown:

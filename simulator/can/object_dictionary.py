@@ -14,11 +14,13 @@ import canopen
 from canopen.objectdictionary import ODVariable
 
 from simulator.can.scanner import Scanner
+from tactile.errors import FrameError
 from tactile.layout import TaxelLayout
 from tactile.unit import object_dictionary
 
 UNKNOWN_COMMAND = 0x0504_0001
 OUT_OF_MEMORY = 0x0504_0005
+NO_OBJECT = 0x0602_0000
 NOT_MAPPABLE = 0x0604_0041
 TOO_LONG = 0x0607_0012
 TOO_SHORT = 0x0607_0013
@@ -52,15 +54,22 @@ _FRAME_BIT_AND_COB_ID = 0x3FFF_FFFF
 """A COB-ID entry without its two top bits: zero beside 11 bits, or the identifier is of 29 bits."""
 _LOWEST_PDO_COB_ID, _HIGHEST_PDO_COB_ID = 0x181, 0x57F
 """Identifiers that PDOs have in the pre-defined connection set."""
-_PDO_INVALID = 1 << 31
-"""Top bit of a PDO's COB-ID entry: the PDO is switched off."""
 _EDS_FULL_SCALE = 255
 """Full scale in counts for which the thresholds of the EDS are given."""
 _COMMUNICATION_PROFILE = range(0x1000, 0x2000)
 """Objects that a reset of the communication sets to their defaults (CiA 301)."""
-_TPDO_PARAMETERS = (0x1800, 0x1801, 0x1802)
-_TPDO_MAPPINGS = (0x1A00, 0x1A01, 0x1A02)
-"""Communication and mapping parameters of TPDO1 to TPDO3."""
+_TPDO_PARAMETERS = (object_dictionary.TPDO1_PARAMETER, object_dictionary.TPDO2_PARAMETER)
+_TPDO_MAPPINGS = (object_dictionary.TPDO1_MAPPING, object_dictionary.TPDO2_MAPPING)
+"""Communication and mapping parameters of TPDO1 and TPDO2."""
+_FORCE_FIELDS = {
+    1: slice(0, 1),
+    2: slice(1, 3),
+    3: slice(3, 5),
+    4: slice(5, 6),
+    5: slice(6, 7),
+    6: slice(7, 8),
+}
+"""Bytes of a force message that the sub-indices of object 0x2140 are."""
 
 
 class _ClientCommand(IntEnum):
@@ -209,6 +218,8 @@ class UnitDictionary:
         Other sub-indices of 0x1018 that differ from the EDS.
     boards
         Returns object 0x2103: the serial numbers of the pads' boards as they are plugged in.
+    missing
+        Objects of the EDS that an older unit does not have.
 
     Attributes
     ----------
@@ -218,7 +229,7 @@ class UnitDictionary:
         Object 0x1001.
     """
 
-    __slots__ = ("_constants", "_live", "_node", "_scanner", "error_register", "errors")
+    __slots__ = ("_constants", "_live", "_missing", "_node", "_scanner", "error_register", "errors")
 
     def __init__(
         self,
@@ -229,9 +240,11 @@ class UnitDictionary:
         serial_number: int,
         identity: Mapping[int, int] | None = None,
         boards: Callable[[], tuple[int, int]] = lambda: (0, 0),
+        missing: frozenset[int] = frozenset(),
     ) -> None:
         self._node: Any = node
         self._scanner = scanner
+        self._missing = missing
         self.errors: list[int] = []
         self.error_register = 0
         form = scanner.frame_format
@@ -257,6 +270,7 @@ class UnitDictionary:
             object_dictionary.LAST_FRAME: self._read_frame,
             object_dictionary.LAST_FRAME_COUNTER: lambda _subindex: scanner.read_counter,
             object_dictionary.TARE: self._read_tare,
+            object_dictionary.FORCE_MESSAGE: self._read_force,
             object_dictionary.BOARDS: lambda subindex: boards()[subindex - 1] if subindex else None,
         }
         # The EDS gives thresholds for 8 bit; a unit with a finer converter scales them.
@@ -296,9 +310,9 @@ class UnitDictionary:
         return self.number(object_dictionary.SYNC_COB_ID) & _COB_ID_BITS
 
     def pdo_cob_id(self, pdo: int) -> int | None:
-        """Return the identifier of TPDO ``pdo`` (1 to 3), None while it is switched off."""
+        """Return the identifier of TPDO ``pdo`` (1, 2), None while it is switched off."""
         value = self.number(_TPDO_PARAMETERS[pdo - 1], 1)
-        return None if value & _PDO_INVALID else value & _COB_ID_BITS
+        return None if value & object_dictionary.PDO_INVALID else value & _COB_ID_BITS
 
     def _defaults(self, scale: float) -> None:
         if scale == 1.0:
@@ -312,13 +326,18 @@ class UnitDictionary:
             self._node.data_store.setdefault(object_dictionary.THRESHOLDS, {})[subindex] = data
 
     def _read(self, *, index: int, subindex: int, od: ODVariable) -> int | str | bytes | None:
-        if subindex != od.subindex:
-            raise canopen.SdoAbortedError(NO_SUBINDEX)
+        self._check_there(index, subindex, od)
         constant = self._constants.get((index, subindex))
         if constant is not None:
             return constant
         read = self._live.get(index)
         return None if read is None else read(subindex)
+
+    def _check_there(self, index: int, subindex: int, od: ODVariable) -> None:
+        if index in self._missing:
+            raise canopen.SdoAbortedError(NO_OBJECT)
+        if subindex != od.subindex:
+            raise canopen.SdoAbortedError(NO_SUBINDEX)
 
     def _read_history(self, subindex: int) -> int:
         if subindex > len(self.errors):
@@ -331,14 +350,17 @@ class UnitDictionary:
             raise canopen.SdoAbortedError(NO_DATA)
         return frame
 
+    def _read_force(self, subindex: int) -> bytes | None:
+        part = _FORCE_FIELDS.get(subindex)
+        return None if part is None else self._scanner.last_force[part]
+
     def _read_tare(self, subindex: int) -> int | None:
         if subindex == object_dictionary.TARE_RESULT:
             return int(self._scanner.tare_result)
         return self._scanner.tare_largest if subindex == object_dictionary.TARE_LARGEST else None
 
     def _check(self, *, index: int, subindex: int, od: ODVariable, data: bytes) -> None:
-        if subindex != od.subindex:
-            raise canopen.SdoAbortedError(NO_SUBINDEX)
+        self._check_there(index, subindex, od)
         value = int.from_bytes(data, "little")
         if od.max is not None and value > od.max:
             raise canopen.SdoAbortedError(VALUE_HIGH)
@@ -358,7 +380,9 @@ class UnitDictionary:
             self._check_mapping(_TPDO_MAPPINGS.index(index), subindex, value)
 
     def _check_cob_id(self, present: int, value: int) -> None:
-        both_on = not (present & _PDO_INVALID or value & _PDO_INVALID)
+        both_on = not (
+            present & object_dictionary.PDO_INVALID or value & object_dictionary.PDO_INVALID
+        )
         if not _LOWEST_PDO_COB_ID <= value & _FRAME_BIT_AND_COB_ID <= _HIGHEST_PDO_COB_ID:
             raise canopen.SdoAbortedError(VALUE_RANGE)
         if both_on and (present ^ value) & _COB_ID_BITS:
@@ -367,7 +391,7 @@ class UnitDictionary:
     def _check_mapping(self, pdo: int, subindex: int, value: int) -> None:
         """Let the fixed mapping be written again, in the order of CiA 301, but not changed."""
         mapping: Any = self._node.object_dictionary[_TPDO_MAPPINGS[pdo]]
-        if not self.number(_TPDO_PARAMETERS[pdo], 1) & _PDO_INVALID:
+        if not self.number(_TPDO_PARAMETERS[pdo], 1) & object_dictionary.PDO_INVALID:
             raise canopen.SdoAbortedError(WRONG_STATE)
         if subindex == 0 and value not in {0, mapping[0].default}:
             raise canopen.SdoAbortedError(NOT_MAPPABLE)
@@ -376,6 +400,15 @@ class UnitDictionary:
 
     def _act(self, *, index: int, subindex: int, od: ODVariable, data: bytes) -> None:
         del od
+        take = {
+            object_dictionary.FORCE_TABLE: self._scanner.forces.take_table,
+            object_dictionary.FORCE_ZERO: self._scanner.forces.take_zero,
+        }.get(index)
+        if take is not None:
+            try:
+                take(bytes(data))
+            except FrameError as error:
+                raise canopen.SdoAbortedError(VALUE_RANGE) from error
         if (index, subindex) != (object_dictionary.TARE, object_dictionary.TARE_COMMAND):
             return
         command = int.from_bytes(data, "little")

@@ -7,8 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.can.faults import ControlUnitFaults
-from tactile.frames.codec import FrameFormat, FrameStatus, encode_frame
-from tactile.frames.pad_features import encode_features, pad_features
+from simulator.can.pad_forces import PadForces
+from tactile.frames.codec import MESSAGE_BYTES, FrameFormat, FrameStatus, encode_frame
+from tactile.frames.force_message import ForceStatus
 from tactile.layout import TaxelLayout
 from tactile.unit.object_dictionary import TareResult
 
@@ -18,6 +19,10 @@ class ScannedWorld(Protocol):
 
     def scan(self) -> NDArray[np.uint16]:
         """Convert all taxels at this moment; counts (n_taxels,)."""
+        ...
+
+    def scan_gripping(self) -> NDArray[np.uint16]:
+        """Convert the taxels of the gripping pads; counts (n_taxels,), 0 on the other pads."""
         ...
 
 
@@ -46,18 +51,27 @@ class Scanner:
         Objects 0x2130:02 and 0x2130:04.
     overrun
         Whether the status of the next frame shows that the one before it was not sent in time.
+    forces
+        The sum of the force on the gripping pads.
+    force_overrun, last_force
+        As ``overrun``, of the force messages; the last of them.
     """
 
     __slots__ = (
         "_counts",
         "_faults",
+        "_grip",
+        "_gripping",
         "_layout",
         "_offsets",
         "_raw",
         "_tare",
         "_world",
         "counter",
+        "force_overrun",
+        "forces",
         "frame_format",
+        "last_force",
         "overrun",
         "read_counter",
         "tare_largest",
@@ -69,19 +83,26 @@ class Scanner:
         self._layout = layout
         self._faults = faults
         self.frame_format = FrameFormat.of(layout)
+        self.forces = PadForces(layout)
+        self._grip = np.concatenate(
+            [np.arange(layout.n_taxels)[layout.taxels_of(pad)] for pad in layout.gripping_pads]
+        )
         self.reset()
 
     def reset(self) -> None:
         """Go back to what a unit is after power-on: no zero, no frame, counter at 0."""
         self.counter = 0xFFFF
         self.read_counter = 0
-        self.overrun = False
+        self.overrun = self.force_overrun = False
+        self.last_force = bytes(MESSAGE_BYTES)
+        self.forces.reset()
         self.tare_result = TareResult.NONE
         self.tare_largest = 0
         self._offsets: NDArray[np.int32] | None = None
         self._tare: _Tare | None = None
         self._raw: NDArray[np.uint16] | None = None
         self._counts: NDArray[np.uint16] | None = None
+        self._gripping: NDArray[np.uint16] | None = None
 
     def latch(self) -> None:
         """Take a scan: it becomes the frame with the next counter."""
@@ -110,13 +131,18 @@ class Scanner:
             self.overrun = False
         return encode_frame(self.frame_format, self._latched(), self.counter, int(status))
 
-    def feature_messages(self, touch_counts: int) -> tuple[list[bytes], list[bytes]]:
-        """Return the messages of TPDO2 and of TPDO3 for all pads of the latched frame."""
-        pairs = [
-            encode_features(features)
-            for features in pad_features(self._layout, self._latched(), self.counter, touch_counts)
-        ]
-        return [first for first, _ in pairs], [second for _, second in pairs]
+    def force_message(self) -> bytes:
+        """Scan the gripping pads and return their force message."""
+        faults = self._faults
+        if not faults.frozen or self._gripping is None:
+            self._gripping = faults.apply(self._world.scan_gripping(), self._layout.adc_max)
+        status = ForceStatus.CONVERTER_FAULT if faults.converter_fault else ForceStatus(0)
+        if self.force_overrun:
+            status |= ForceStatus.OVERRUN
+            self.force_overrun = False
+        gripping = self._gripping[self._grip]
+        self.last_force = self.forces.message(gripping, status, gain=faults.force_gain)
+        return self.last_force
 
     def last_frame(self) -> bytes | None:
         """Return the samples of the last frame as they go over the bus, None before the first.

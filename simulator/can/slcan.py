@@ -147,7 +147,7 @@ class SlcanAdapter:
         if name in "tTrR":
             return self._send(name, rest, now_s)
         if name in "OLC" and not rest:
-            return self._channel(name)
+            return self._channel(name, now_s)
         if name in "SsZmMWX":
             return self._set_up(name, rest)
         if rest:
@@ -155,12 +155,12 @@ class SlcanAdapter:
         answers = {"V": _VERSION, "v": _VERSION, "N": _SERIAL}
         return self._flags() if name == "F" else answers.get(name, _REFUSED)
 
-    def _channel(self, name: str) -> bytes:
+    def _channel(self, name: str, now_s: float) -> bytes:
         if self._open == (name != "C"):
             return _REFUSED
         self._open = name != "C"
         self._listen_only = name == "L"
-        self._link.clear()
+        self._link.clear(now_s)
         return _OK
 
     def _set_up(self, name: str, rest: str) -> bytes:

@@ -1,7 +1,9 @@
 """The CAN wire: the time that a message occupies it."""
 
 import math
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
 
 from simulator.errors import SimulatorSettingsError
 
@@ -73,19 +75,50 @@ def mean_bits(data: bytes, *, extended: bool = False) -> float:
     )
 
 
-class CanWire:
-    """One wire that carries one message at a time, first come first served.
+class Waiting(NamedTuple):
+    """A message that waits for the wire.
 
-    Arbitration among messages that wait at the same time is not simulated: a control unit that
-    sends a burst keeps its own order, and its identifiers win against the rest of the traffic.
+    Attributes
+    ----------
+    ready_s
+        Time in s from which on its controller offers it.
+    can_id, data, extended
+        Identifier, content, and whether the identifier has 29 bits.
+    sender
+        Whatever the caller wants to have back with it.
+    """
+
+    ready_s: float
+    can_id: int
+    data: bytes
+    extended: bool
+    sender: object
+
+
+class CanWire:
+    """One wire that carries one message at a time; the lowest identifier that waits goes first.
+
+    Messages of one identifier keep their order, as in a controller with one mailbox for each.
 
     Parameters
     ----------
     bitrate
         Bits per second.
+
+    Attributes
+    ----------
+    n_waiting
+        Number of messages that wait.
     """
 
-    __slots__ = ("_bit_s", "_busy_until_s", "bitrate")
+    __slots__ = (
+        "_bit_s",
+        "_busy_until_s",
+        "_next",
+        "_queues",
+        "bitrate",
+        "n_waiting",
+    )
 
     def __init__(self, bitrate: int) -> None:
         if bitrate <= 0:
@@ -93,9 +126,52 @@ class CanWire:
         self.bitrate = bitrate
         self._bit_s = 1.0 / bitrate
         self._busy_until_s = -math.inf
+        self._queues: dict[float, deque[tuple[Waiting, float]]] = {}
+        self.n_waiting = 0
+        self._next: tuple[float, float] | None = None
+        """End of the next message in s, and its queue; None until it is worked out."""
 
-    def occupy(self, ready_s: float, data: bytes, *, extended: bool = False) -> float:
-        """Send a message that is ready at ``ready_s``; return when it is through, in s."""
-        start_s = max(ready_s, self._busy_until_s)
-        self._busy_until_s = start_s + mean_bits(data, extended=extended) * self._bit_s
-        return self._busy_until_s
+    def put(self, message: Waiting, *, first: bool = False) -> None:
+        """Let a message wait from its ``ready_s`` on; ``first`` before all others."""
+        # A 29 bit identifier loses against 11 equal bits (ISO 11898-1, arbitration).
+        key = (message.can_id >> 18) + 0.5 if message.extended else float(message.can_id)
+        length_s = mean_bits(message.data, extended=message.extended) * self._bit_s
+        self._queues.setdefault(-1.0 if first else key, deque()).append((message, length_s))
+        self.n_waiting += 1
+        self._next = None
+
+    def next_end_s(self) -> float:
+        """Return when the next message will be through, in s; infinity where none waits."""
+        if not self._queues:
+            return math.inf
+        if self._next is None:
+            heads = [(key, *queue[0]) for key, queue in self._queues.items()]
+            start_s = max(self._busy_until_s, min(head[1].ready_s for head in heads))
+            key, _, length_s = min(head for head in heads if head[1].ready_s <= start_s)
+            self._next = start_s + length_s, key
+        return self._next[0]
+
+    def take(self, now_s: float) -> Iterator[tuple[float, Waiting]]:
+        """Yield the messages that are through until ``now_s`` s, with the end of each in s."""
+        while (end_s := self.next_end_s()) <= now_s and self._next is not None:
+            key = self._next[1]
+            queue = self._queues[key]
+            message, _ = queue.popleft()
+            self.n_waiting -= 1
+            if not queue:
+                del self._queues[key]
+            self._busy_until_s, self._next = end_s, None
+            yield end_s, message
+
+    def end_s(self, ready_s: float, can_id: int) -> float:
+        """Return when the last message of an 11 bit identifier will be through, in s.
+
+        So it is if no other one that goes before it joins those that wait; ``ready_s`` at least.
+        """
+        before_s = sum(
+            length_s
+            for key, queue in self._queues.items()
+            if key <= can_id
+            for _, length_s in queue
+        )
+        return max(self._busy_until_s, ready_s) + before_s

@@ -25,10 +25,6 @@ def _drive(target: Target) -> SimulatedDrive:
     raise SimulatorSettingsError("this fault is one of a drive, and the axis is a servo")
 
 
-def _check_drive(target: Target) -> None:
-    _drive(target)
-
-
 def _blocked(target: Target) -> Effect:
     axis = _axis(target)
     owner = axis.motion if isinstance(axis, SimulatedDrive) else axis
@@ -66,48 +62,25 @@ def _slip(target: Target) -> None:
     _axis(target).slipped += target.number
 
 
+# fmt: off
 AXIS = (
-    FaultEntry(
-        name="axisN.following_error",
-        kind=FaultKind.STUCK,
-        meaning="something holds the axis: it does not follow its set-point, a servo stalls",
-        apply=_blocked,
-        knob="axis_blocked",
-    ),
-    FaultEntry(
-        name="axisN.silence",
-        kind=FaultKind.OFF,
-        meaning="its drive or servo neither hears nor sends anything; its motion goes on",
-        apply=_silence,
-        knob="axis_silent",
-    ),
-    FaultEntry(
-        name="axisN.limit_switch",
-        kind=FaultKind.STUCK,
-        meaning="the negative (-1) or positive (1) limit switch of its drive is active",
-        value=Number(unit="end", low=-1, high=1, default=1, whole=True),
-        apply=_limit_switch,
-        check=_check_drive,
-        knob="axis_switch",
-    ),
-    moment_fault(
-        "axisN.fault",
-        FaultKind.WRONG,
-        "its drive goes to fault with this error code (603Fh); a servo is overloaded",
-        _fault,
-        Number(unit="code", low=1, high=0xFFFF, default=0x2310, whole=True),
-    ),
-    moment_fault(
-        "axisN.reboot",
-        FaultKind.REBOOT,
-        "its drive or servo restarts: torque off, set-up and position lost",
-        _reboot,
-    ),
-    moment_fault(
-        "axisN.slip",
-        FaultKind.WRONG,
-        "a coupling slips by so much, which no encoder shows",
-        _slip,
-        Number(unit="m or rad", low=-1.0, high=1.0, default=0.001),
-    ),
+    FaultEntry("axisN.following_error", FaultKind.STUCK,
+               "something holds the axis: it does not follow its set-point, a servo stalls",
+               _blocked, "axis_blocked"),
+    FaultEntry("axisN.silence", FaultKind.OFF,
+               "its drive or servo neither hears nor sends anything; its motion goes on", _silence,
+               "axis_silent"),
+    FaultEntry("axisN.limit_switch", FaultKind.STUCK,
+               "the negative (-1) or positive (1) limit switch of its drive is active",
+               _limit_switch, "axis_switch", Number("end", -1, 1, default=1, whole=True),
+               check=_drive),
+    moment_fault("axisN.fault", FaultKind.WRONG,
+                 "its drive goes to fault with this error code (603Fh); a servo is overloaded",
+                 _fault, Number("code", 1, 0xFFFF, default=0x2310, whole=True)),
+    moment_fault("axisN.reboot", FaultKind.REBOOT,
+                 "its drive or servo restarts: torque off, set-up and position lost", _reboot),
+    moment_fault("axisN.slip", FaultKind.WRONG,
+                 "a coupling slips by so much, which no encoder shows", _slip,
+                 Number("m or rad", -1.0, 1.0, default=0.001)),
 )
+# fmt: on

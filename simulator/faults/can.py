@@ -53,83 +53,40 @@ def _share(name: str, kind: FaultKind, meaning: str, knob: str) -> FaultEntry:
 
 
 def _hertz(default: float) -> Number:
-    return Number(unit="Hz", low=0.1, high=20_000.0, default=default)
+    return Number("Hz", 0.1, 20_000.0, default=default)
 
 
+# fmt: off
 CAN = (
     _share("can.loss", FaultKind.INTERMITTENT, "messages to the host are lost", "drop_rate"),
-    FaultEntry(
-        name="can.intermittent",
-        kind=FaultKind.INTERMITTENT,
-        meaning="all messages to the host are lost in this share of each half second",
-        value=Number(unit="share", low=0.0, high=1.0, default=0.2),
-        apply=_bursts,
-        knob="drop_rate",
-    ),
-    moment_fault(
-        "can.lose_next",
-        FaultKind.INTERMITTENT,
-        "so many of the next messages to the host are lost",
-        _lose_next,
-        Number(unit="messages", low=1, high=100_000, default=1, whole=True),
-    ),
+    FaultEntry("can.intermittent", FaultKind.INTERMITTENT,
+               "all messages to the host are lost in this share of each half second", _bursts,
+               "drop_rate", Number("share", 0.0, 1.0, default=0.2)),
+    moment_fault("can.lose_next", FaultKind.INTERMITTENT,
+                 "so many of the next messages to the host are lost", _lose_next,
+                 Number("messages", 1, 100_000, default=1, whole=True)),
     _share("can.duplicate", FaultKind.WRONG, "messages come twice", "duplicate_rate"),
     _share("can.swapped", FaultKind.WRONG, "messages come after their successor", "swap_rate"),
     _share("can.garbage", FaultKind.GARBAGE, "one bit turns behind the CRC", "corrupt_rate"),
     _share("can.short", FaultKind.GARBAGE, "fewer bytes than the length code", "truncate_rate"),
     _share("can.wrong_dlc", FaultKind.WRONG, "messages of another length", "wrong_dlc_rate"),
-    knob_fault(
-        "can.delayed",
-        FaultKind.DELAYED,
-        "messages to the host come late",
-        "can",
-        "delay_s",
-        value=Number(unit="s", low=0.0, high=60.0, default=0.1),
-    ),
-    knob_fault(
-        "can.flood",
-        FaultKind.GARBAGE,
-        "messages of an unknown identifier with random content fill the bus",
-        "can",
-        "flood_hz",
-        value=_hertz(8000.0),
-    ),
-    knob_fault(
-        "can.unknown_id",
-        FaultKind.WRONG,
-        "now and then a message of an unknown identifier",
-        "can",
-        "flood_hz",
-        value=_hertz(20.0),
-    ),
-    moment_fault(
-        "can.short_emergency",
-        FaultKind.WRONG,
-        "an emergency message of three bytes instead of eight",
-        _short_emergency,
-    ),
-    knob_fault(
-        "can.passive",
-        FaultKind.SLOW,
-        "the host's controller is error-passive",
-        "can",
-        "error_passive",
-    ),
-    knob_fault(
-        "can.off",
-        FaultKind.OFF,
-        "the host's controller is bus-off: nothing passes",
-        "can",
-        "bus_off",
-    ),
-    FaultEntry(
-        name="can.unplugged",
-        kind=FaultKind.UNPLUGGED,
-        meaning="the host's adapter is gone",
-        apply=unplugging("can"),
-        knob="can_plug",
-    ),
+    knob_fault("can.delayed", FaultKind.DELAYED, "messages to the host come late", "can", "delay_s",
+               value=Number("s", 0.0, 60.0, default=0.1)),
+    knob_fault("can.flood", FaultKind.GARBAGE,
+               "messages of an unknown identifier with random content fill the bus", "can",
+               "flood_hz", value=_hertz(8000.0)),
+    knob_fault("can.unknown_id", FaultKind.WRONG, "now and then a message of an unknown identifier",
+               "can", "flood_hz", value=_hertz(20.0)),
+    moment_fault("can.short_emergency", FaultKind.WRONG,
+                 "an emergency message of three bytes instead of eight", _short_emergency),
+    knob_fault("can.passive", FaultKind.SLOW, "the host's controller is error-passive", "can",
+               "error_passive"),
+    knob_fault("can.off", FaultKind.OFF, "the host's controller is bus-off: nothing passes", "can",
+               "bus_off"),
+    FaultEntry("can.unplugged", FaultKind.UNPLUGGED, "the host's adapter is gone",
+               unplugging("can"), "can_plug"),
 )
+# fmt: on
 
 
 _IDENTITY = {
@@ -223,10 +180,6 @@ def _chosen_taxels(target: Target) -> tuple[range, int]:
     return range(first, last + 1), counts
 
 
-def _check_taxels(target: Target) -> None:
-    _chosen_taxels(target)
-
-
 def _check_pad(target: Target) -> None:
     layout = target.devices.settings.layout
     if target.number >= layout.n_pads:
@@ -239,133 +192,62 @@ def _saturated_pad(target: Target) -> Effect:
     return _stuck(target, range(layout.n_taxels)[pad], layout.adc_max)
 
 
+# fmt: off
 UNIT = (
-    knob_fault(
-        "unit.off",
-        FaultKind.OFF,
-        "the control unit neither hears nor sends anything",
-        "unit",
-        "dead",
-    ),
-    knob_fault(
-        "unit.heartbeat_off",
-        FaultKind.OFF,
-        "the heartbeat stops, all else goes on",
-        "unit",
-        "heartbeat_off",
-    ),
-    knob_fault(
-        "unit.stuck",
-        FaultKind.STUCK,
-        "valid frames with the counts of the last scan for ever",
-        "unit",
-        "frozen",
-    ),
-    knob_fault(
-        "unit.converter_fault",
-        FaultKind.WRONG,
-        "the converter fails its self-test, and the status of each frame shows it",
-        "unit",
-        "converter_fault",
-    ),
-    knob_fault(
-        "unit.slow",
-        FaultKind.SLOW,
-        "the burst of a frame begins late after its SYNC",
-        "unit",
-        "late_s",
-        value=Number(unit="s", low=0.0, high=1.0, default=0.008),
-    ),
-    moment_fault(
-        "unit.reboot", FaultKind.REBOOT, "the unit loses its supply and boots anew", _reboot
-    ),
-    moment_fault(
-        "unit.emergency",
-        FaultKind.WRONG,
-        "the unit reports an error (EMCY)",
-        _emergency,
-        Number(unit="code", low=0, high=0xFFFF, default=0x5000, whole=True),
-    ),
-    moment_fault(
-        "unit.pre_operational",
-        FaultKind.OFF,
-        "the unit falls back to pre-operational, as on another master's command",
-        _pre_operational,
-    ),
-    FaultEntry(
-        name="unit.wrong",
-        kind=FaultKind.WRONG,
-        meaning="the unit is another one (vendor, product, revision, serial, taxels, pads)",
-        check=_check_identity,
-        value=Setting(unit="name:number", default="serial:99"),
-        apply=_wrong_identity,
-        knob="identity",
-    ),
-    FaultEntry(
-        name="unit.second_node",
-        kind=FaultKind.WRONG,
-        meaning="another unit with the same node id joins the bus",
-        apply=_second_node,
-        knob="second_node",
-    ),
-    knob_fault(
-        "unit.pads_swapped",
-        FaultKind.WRONG,
-        "the pads of the two fingers are exchanged at the unit",
-        "unit",
-        "pads_swapped",
-    ),
+    knob_fault("unit.off", FaultKind.OFF, "the control unit neither hears nor sends anything",
+               "unit", "dead"),
+    knob_fault("unit.heartbeat_off", FaultKind.OFF, "the heartbeat stops, all else goes on", "unit",
+               "heartbeat_off"),
+    knob_fault("unit.stuck", FaultKind.STUCK,
+               "valid frames with the counts of the last scan for ever", "unit", "frozen"),
+    knob_fault("unit.converter_fault", FaultKind.WRONG,
+               "the converter fails its self-test, and the status of each frame shows it", "unit",
+               "converter_fault"),
+    knob_fault("unit.slow", FaultKind.SLOW, "the burst of a frame begins late after its SYNC",
+               "unit", "late_s", value=Number("s", 0.0, 1.0, default=0.008)),
+    moment_fault("unit.reboot", FaultKind.REBOOT, "the unit loses its supply and boots anew",
+                 _reboot),
+    moment_fault("unit.emergency", FaultKind.WRONG, "the unit reports an error (EMCY)", _emergency,
+                 Number("code", 0, 0xFFFF, default=0x5000, whole=True)),
+    moment_fault("unit.pre_operational", FaultKind.OFF,
+                 "the unit falls back to pre-operational, as on another master's command",
+                 _pre_operational),
+    FaultEntry("unit.wrong", FaultKind.WRONG,
+               "the unit is another one (vendor, product, revision, serial, taxels, pads)",
+               _wrong_identity, "identity", Setting(unit="name:number", default="serial:99"),
+               check=_check_identity),
+    FaultEntry("unit.second_node", FaultKind.WRONG,
+               "another unit with the same node id joins the bus", _second_node, "second_node"),
+    knob_fault("unit.pads_swapped", FaultKind.WRONG,
+               "the pads of the two fingers are exchanged at the unit", "unit", "pads_swapped"),
+    knob_fault("unit.forces_off", FaultKind.OFF, "no force messages any more; frames go on",
+               "unit", "forces_off"),
+    knob_fault("unit.forces_lost", FaultKind.INTERMITTENT, "force messages are lost, evenly",
+               "unit", "forces_lost", value=SHARE),
+    knob_fault("unit.forces_twice", FaultKind.WRONG, "force messages come twice", "unit",
+               "forces_twice", value=SHARE),
+    knob_fault("unit.forces_swapped", FaultKind.WRONG,
+               "force messages come after the next one", "unit", "forces_swapped", value=SHARE),
+    knob_fault("unit.force_gain", FaultKind.WRONG,
+               "force messages show so many times the force, as by a table of other pads", "unit",
+               "force_gain", value=Number("factor", 0.0, 100.0, default=1.6)),
 )
 
 TAXELS = (
-    FaultEntry(
-        name="taxels.stuck",
-        kind=FaultKind.STUCK,
-        meaning="this share of the taxels reads full scale",
-        value=SHARE,
-        apply=_stuck_share,
-        knob="stuck_counts",
-    ),
-    FaultEntry(
-        name="taxels.stuck_at",
-        kind=FaultKind.STUCK,
-        meaning="one taxel, or a range of them, reads these counts (0 for dead ones)",
-        check=_check_taxels,
-        value=Setting(unit="taxel:counts", default="0:0"),
-        apply=lambda target: _stuck(target, *_chosen_taxels(target)),
-        knob="stuck_counts",
-    ),
-    FaultEntry(
-        name="taxels.off",
-        kind=FaultKind.OFF,
-        meaning="this share of the taxels reads 0",
-        value=SHARE,
-        apply=_dead_taxels,
-        knob="dead_taxels",
-    ),
-    FaultEntry(
-        name="taxels.saturated",
-        kind=FaultKind.STUCK,
-        meaning="all taxels of this pad read full scale",
-        value=Number(unit="pad", low=0, high=1000, default=0, whole=True),
-        apply=_saturated_pad,
-        check=_check_pad,
-        knob="stuck_counts",
-    ),
-    knob_fault(
-        "taxels.offset",
-        FaultKind.WRONG,
-        "so many counts come on top of each taxel",
-        "unit",
-        "offset_counts",
-        value=Number(unit="counts", low=-65_535.0, high=65_535.0, default=20.0),
-    ),
-    knob_fault(
-        "taxels.gain",
-        FaultKind.WRONG,
-        "each taxel reads so many times its counts",
-        "unit",
-        "gain",
-        value=Number(unit="factor", low=0.0, high=100.0, default=0.5),
-    ),
+    FaultEntry("taxels.stuck", FaultKind.STUCK, "this share of the taxels reads full scale",
+               _stuck_share, "stuck_counts", SHARE),
+    FaultEntry("taxels.stuck_at", FaultKind.STUCK,
+               "one taxel, or a range of them, reads these counts (0 for dead ones)",
+               lambda target: _stuck(target, *_chosen_taxels(target)), "stuck_counts",
+               Setting(unit="taxel:counts", default="0:0"), check=_chosen_taxels),
+    FaultEntry("taxels.off", FaultKind.OFF, "this share of the taxels reads 0", _dead_taxels,
+               "dead_taxels", SHARE),
+    FaultEntry("taxels.saturated", FaultKind.STUCK, "all taxels of this pad read full scale",
+               _saturated_pad, "stuck_counts", Number("pad", 0, 1000, default=0, whole=True),
+               check=_check_pad),
+    knob_fault("taxels.offset", FaultKind.WRONG, "so many counts come on top of each taxel", "unit",
+               "offset_counts", value=Number("counts", -65_535.0, 65_535.0, default=20.0)),
+    knob_fault("taxels.gain", FaultKind.WRONG, "each taxel reads so many times its counts", "unit",
+               "gain", value=Number("factor", 0.0, 100.0, default=0.5)),
 )
+# fmt: on

@@ -24,7 +24,7 @@ class FaultKind(StrEnum):
     UNPLUGGED = "unplugged"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Number:
     """A value that is a number.
 
@@ -177,7 +177,7 @@ class Target:
         return self.value
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class FaultEntry:
     """One fault of the vocabulary.
 
@@ -192,29 +192,29 @@ class FaultEntry:
         One line.
     apply
         Begins the fault on a target.
+    knob
+        Faults of one knob (and one servo) exclude each other at the same time.
     value
         What may stand behind ``=``; None for nothing.
     moment
         Whether it happens and is over, so that it has no end.
     check
         Refuses what does not fit the cell, with SimulatorSettingsError, before anything is changed.
-    knob
-        Faults of one knob (and one servo) exclude each other at the same time.
     """
 
     name: str
     kind: FaultKind
     meaning: str
     apply: Callable[[Target], Effect]
+    knob: str = ""
     value: Number | Setting | None = None
     moment: bool = False
-    check: Callable[[Target], None] | None = None
-    knob: str = ""
+    check: Callable[[Target], object] | None = None
 
 
 Apply = Callable[[Target], Effect]
 
-SHARE = Number(unit="share", low=0.0, high=1.0, default=0.05)
+SHARE = Number("share", 0.0, 1.0, default=0.05)
 """Share of the traffic, or of the taxels, that a fault meets."""
 
 
@@ -260,7 +260,7 @@ def moment_fault(
         act(target)
         return Effect(undo=nothing)
 
-    return FaultEntry(name=name, kind=kind, meaning=meaning, value=value, apply=apply, moment=True)
+    return FaultEntry(name, kind, meaning, apply, value=value, moment=True)
 
 
 def knob_fault(
@@ -288,4 +288,4 @@ def knob_fault(
         return True if value is None else target.number
 
     apply = turning(part, knob, position)
-    return FaultEntry(name=name, kind=kind, meaning=meaning, value=value, apply=apply, knob=knob)
+    return FaultEntry(name, kind, meaning, apply, knob, value)

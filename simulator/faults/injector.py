@@ -26,8 +26,9 @@ VOCABULARY: dict[str, FaultEntry] = {
 """Every fault that there is by its name; ``servoN`` and ``axisN`` stand for each servo and axis of
 the config."""
 
-CONTACT_N = 0.02
-"""Force in N on both pads that is the event ``contact``: above what noise of the world leaves."""
+CONTACT_N = 0.5
+"""Force in N on both pads that is the event ``contact``: a little less than a gripper takes for
+one, for a first touch may be long before."""
 MOVING_RAD_S = 0.02
 """Speed of a servo in rad/s that is the event ``moving``: about 1 mm/s at the pads."""
 _NUMBERED = re.compile(r"(servo|axis)([1-9][0-9]?)\.(.+)")

@@ -43,22 +43,14 @@ def _trapped(target: Target) -> Effect:
     return Effect(undo=lambda: world.swell(0.0), act=act)
 
 
+# fmt: off
 OBJECT = (
     moment_fault("object.gone", FaultKind.OFF, "the part is taken out of the fingers", _gone),
-    FaultEntry(
-        name="object.slips",
-        kind=FaultKind.WRONG,
-        meaning="the part slides along the pads until it has left them",
-        value=Number(unit="mm/s", low=0.1, high=1000.0, default=20.0),
-        apply=_slips,
-        knob="slips",
-    ),
-    FaultEntry(
-        name="object.trapped",
-        kind=FaultKind.WRONG,
-        meaning="something trapped beside the part grows by so much at 20 mm/s and pushes back",
-        value=Number(unit="mm", low=0.0, high=10.0, default=3.0),
-        apply=_trapped,
-        knob="trapped",
-    ),
+    FaultEntry("object.slips", FaultKind.WRONG,
+               "the part slides along the pads until it has left them", _slips, "slips",
+               Number("mm/s", 0.1, 1000.0, default=20.0)),
+    FaultEntry("object.trapped", FaultKind.WRONG,
+               "something trapped beside the part grows by so much at 20 mm/s and pushes back",
+               _trapped, "trapped", Number("mm", 0.0, 10.0, default=3.0)),
 )
+# fmt: on

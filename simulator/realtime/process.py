@@ -4,13 +4,12 @@ import os
 import select
 import shutil
 import signal
-import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from types import FrameType, TracebackType
+from types import FrameType
 from typing import Any, Self
 
 from simulator.can.link import CanLink
@@ -32,8 +31,6 @@ FORGIVEN_S = 0.25
 """A stall longer than this in s is left out instead of caught up."""
 POWERED_BEFORE_S = 0.1
 """The devices have had power for so long in s when clients can connect: they have booted."""
-_STDIN_READ_SIZE = 4096
-"""Most bytes that are read of standard input at once, and dropped."""
 
 Announce = Callable[[dict[str, Any]], None]
 
@@ -117,15 +114,15 @@ class RealTimeCell:
         """Return addresses and settings for clients; plain values for JSON."""
         settings = self.devices.settings
         return {
-            "servo_port": self._servo_pty.port,
+            "servo_port": self._servo_pty.path,
             "servo_baud_rate": settings.servo_baud_rate,
             "servo_ids": [servo.servo_id for servo in settings.servos],
             "can_interface": "slcan",
-            "can_channel": self._can_pty.channel,
+            "can_channel": self._can_pty.path,
             "can_bitrate": settings.can_bitrate,
             "node_id": settings.node_id,
-            "axes_can_channel": None if self._axes_can_pty is None else self._axes_can_pty.channel,
-            "axes_ports": {moves: pty.port for moves, pty in self._axes_ptys.items()},
+            "axes_can_channel": None if self._axes_can_pty is None else self._axes_can_pty.path,
+            "axes_ports": {moves: pty.path for moves, pty in self._axes_ptys.items()},
             "positioner_socket": str(self._server.path),
             "pid": os.getpid(),
             "config": None,
@@ -166,12 +163,7 @@ class RealTimeCell:
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        exc_type: type[BaseException] | None,
-        exc_value: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         self.close()
 
 
@@ -180,7 +172,6 @@ def serve(
     announce: Announce,
     *,
     folder: Path | None = None,
-    until_stdin_ends: bool = False,
     until_parent_ends: bool = False,
 ) -> None:
     """Run a simulated cell until SIGTERM or SIGINT, in the main thread of a process of its own.
@@ -197,8 +188,6 @@ def serve(
     folder
         Where links to the terminals and the socket are made; by default a temporary folder, which
         is removed at the end.
-    until_stdin_ends
-        Also end when standard input is closed.
     until_parent_ends
         Also end when the process that started this one is gone.
 
@@ -213,14 +202,10 @@ def serve(
         place = stack.enter_context(_folder(folder))
         cell = stack.enter_context(RealTimeCell(settings, place, time.monotonic()))
         announce(cell.announcement())
-        stdin = sys.stdin.fileno() if until_stdin_ends else None
         due_s = time.monotonic()
         while not stop:
-            waited = [*cell.descriptors(), *([] if stdin is None else [stdin])]
             timeout_s = max(0.0, due_s - time.monotonic())
-            readable, _, _ = select.select(waited, [], [], timeout_s)
-            if stdin is not None and stdin in readable and not os.read(stdin, _STDIN_READ_SIZE):
-                return
+            readable, _, _ = select.select(cell.descriptors(), [], [], timeout_s)
             if until_parent_ends and os.getppid() != parent:
                 return
             due_s = cell.step(time.monotonic(), readable)

@@ -45,8 +45,6 @@ class Terminal:
         link is replaced, anything else is an EndpointError.
     """
 
-    __slots__ = ("_link", "_name", "_what", "master_fd", "slave_fd")
-
     def __init__(self, what: str, link_path: Path | None) -> None:
         self._what = what
         self._link = link_path
@@ -60,13 +58,13 @@ class Terminal:
         return self._name if self._link is None else str(self._link)
 
     @property
-    def exists(self) -> bool:
+    def plugged_in(self) -> bool:
         """Whether the terminal is there."""
         return self.master_fd >= 0
 
     def fileno(self) -> int:
         """Return the descriptor to wait on, SimulatorStateError while there is none."""
-        if not self.exists:
+        if not self.plugged_in:
             raise SimulatorStateError(f"{self._what} is unplugged and has no descriptor")
         return self.master_fd
 
@@ -118,7 +116,7 @@ class Terminal:
         fresh.replace(self._link)
 
 
-class ServoPty:
+class ServoPty(Terminal):
     """The host's end of the servo bus as a pseudo-terminal, for clients in other processes.
 
     Parameters
@@ -126,44 +124,24 @@ class ServoPty:
     device
         The servos.
     link_path
-        Symbolic link that always names the current terminal; None makes none. An existing
-        symbolic link is replaced, anything else is an EndpointError.
-
-    Attributes
-    ----------
-    port
-        Path that a client opens: the link, or the terminal itself without one.
+        As `Terminal`.
     """
 
     def __init__(self, device: ServoBusDevice, link_path: str | Path | None = None) -> None:
+        super().__init__("the servos", None if link_path is None else Path(link_path))
         self._device = device
-        self._terminal = Terminal("the servos", None if link_path is None else Path(link_path))
         self._unsent = b""
         self._polled_s: float | None = None
         self.plug_in()
 
     @property
-    def port(self) -> str:
-        """Path that a client opens."""
-        return self._terminal.path
-
-    @property
-    def plugged_in(self) -> bool:
-        """Whether the terminal exists."""
-        return self._terminal.exists
-
-    @property
     def client_baudrate(self) -> int:
         """Line rate in baud that the client has set, by a constant or as a number; 0 = hung up."""
-        speed = termios.tcgetattr(self._terminal.slave_fd)[_OUTPUT_SPEED]
+        speed = termios.tcgetattr(self.slave_fd)[_OUTPUT_SPEED]
         if speed == _SPEED_IN_NUMBERS:
-            raw = fcntl.ioctl(self._terminal.slave_fd, _TCGETS2, bytes(_TERMIOS2.size))
+            raw = fcntl.ioctl(self.slave_fd, _TCGETS2, bytes(_TERMIOS2.size))
             return int(_TERMIOS2.unpack(raw)[-1])
         return _BAUD_BY_CONSTANT.get(speed, 0)
-
-    def fileno(self) -> int:
-        """Return the descriptor to wait on, SimulatorStateError while unplugged."""
-        return self._terminal.fileno()
 
     def poll(self, now_s: float) -> float | None:
         """Move bytes both ways without waiting; return when the next ones are due, None if never.
@@ -178,7 +156,7 @@ class ServoPty:
         """
         if not self.plugged_in:
             return None
-        data = self._terminal.read(_READ_SIZE)
+        data = self.read(_READ_SIZE)
         if data:
             baudrate = self.client_baudrate
             if baudrate:
@@ -187,29 +165,25 @@ class ServoPty:
         self._polled_s = now_s
         self._unsent += self._device.transmit(now_s)
         if self._unsent:
-            self._unsent = self._unsent[self._terminal.write(self._unsent) :]
+            self._unsent = self._unsent[self.write(self._unsent) :]
         return now_s if self._unsent else self._device.next_event_s()
 
     def unplug(self) -> None:
         """Take the terminal away; a client that has it open gets input/output errors."""
         self._device.faults.unplugged = True
         self._device.drop_pending()
-        self._terminal.close()
+        self.close()
 
     def plug_in(self) -> None:
         """Make a terminal, under a new name after `unplug`, and let the link name it."""
         if self.plugged_in:
             return
-        self._terminal.open()
+        self.open()
         self._unsent = b""
         self._device.faults.unplugged = False
 
-    def close(self) -> None:
-        """Give terminal and link back; closing again changes nothing."""
-        self._terminal.close()
 
-
-class SlcanPty:
+class SlcanPty(Terminal):
     """The serial CAN adapter as a pseudo-terminal, for clients in other processes.
 
     Parameters
@@ -217,29 +191,14 @@ class SlcanPty:
     adapter
         The adapter.
     link_path
-        Symbolic link that always names the current terminal; None makes none. An existing symbolic
-        link is replaced, anything else is an EndpointError.
+        As `Terminal`.
     """
 
     def __init__(self, adapter: SlcanAdapter, link_path: Path | None = None) -> None:
+        super().__init__("the CAN adapter", link_path)
         self._adapter = adapter
-        self._terminal = Terminal("the CAN adapter", link_path)
         self._polled_s: float | None = None
         self.plug_in()
-
-    @property
-    def channel(self) -> str:
-        """Path that a client opens: the link, or the terminal itself without one."""
-        return self._terminal.path
-
-    @property
-    def plugged_in(self) -> bool:
-        """Whether the terminal exists."""
-        return self._terminal.exists
-
-    def fileno(self) -> int:
-        """Return the descriptor to wait on, SimulatorStateError while unplugged."""
-        return self._terminal.fileno()
 
     def poll(self, now_s: float) -> float:
         """Move bytes both ways without waiting; return when the next ones are due, in s."""
@@ -258,19 +217,15 @@ class SlcanPty:
     def plug_in(self) -> None:
         """Make a terminal, under a new name after `unplug`, and let the link name it."""
         if not self.plugged_in:
-            self._terminal.open()
-
-    def close(self) -> None:
-        """Give terminal and link back; closing again changes nothing."""
-        self._terminal.close()
+            self.open()
 
     def _move(self, now_s: float) -> None:
-        data = self._terminal.read(_READ_SIZE)
+        data = self.read(_READ_SIZE)
         if data:
             self._adapter.receive(data, now_s, sent_after_s=self._polled_s)
         self._polled_s = now_s
         output = self._adapter.transmit(now_s)
         if output:
-            sent = self._terminal.write(output)
+            sent = self.write(output)
             if sent < len(output):
                 self._adapter.put_back(output[sent:])

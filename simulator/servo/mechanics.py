@@ -2,7 +2,8 @@
 
 Semi-implicit Euler steps with the contact stiffness taken implicitly, and Karnopp's friction: an
 axis that has come to rest stays at rest until the torque exceeds the stiction, so a gripper that
-holds a part does not creep.
+holds a part does not creep. Where the gearing has backlash, motor and output are two bodies that
+move apart within it and go on together, without a rebound, once teeth meet.
 """
 
 import math
@@ -241,7 +242,7 @@ class FingerMechanics:
         self._driven = True
         for motor, (direction, zero_rad) in zip(self.motors, self._axes, strict=True):
             motor.angle_rad = zero_rad + direction * theta
-            motor.velocity_rad_s = 0.0
+            motor.velocity_rad_s = motor.rotor_velocity_rad_s = motor.lead_rad = 0.0
 
     def step(
         self,
@@ -291,21 +292,24 @@ class FingerMechanics:
         direction, zero_rad = self._axes[axis]
         theta = direction * (motor.angle_rad - zero_rad)
         slope = direction * self._linkage.slope_m_rad(theta)
-        torque = motor.torque_nm(dt_s) + slope * force_n
-        velocity = motor.velocity_rad_s
-        friction = motor.friction_nm
-        if velocity == 0.0:
-            if abs(torque) <= self._stiction_ratio * friction:
-                return
-            torque -= math.copysign(friction, torque)
+        driving_nm, load_nm = motor.torque_nm(dt_s), slope * force_n
+        friction_nm = motor.friction_nm + motor.gearing.load_friction * abs(load_nm)
+        spring = dt_s * dt_s * slope * slope * stiffness_n_m
+        if motor.gearing.backlash_rad > 0.0:
+            new = self._within_backlash(
+                motor, dt_s, driving_nm, load_nm, friction_nm=friction_nm, spring=spring
+            )
         else:
-            torque -= math.copysign(friction, velocity)
-        inertia = motor.inertia_kg_m2 + FINGER_INERTIA_KG_M2
-        new = (inertia * velocity + dt_s * torque) / (
-            inertia + dt_s * motor.viscous_nm_s + dt_s * dt_s * slope * slope * stiffness_n_m
-        )
-        if new * velocity < 0.0:
-            new = 0.0
+            new = self._velocity(
+                motor.velocity_rad_s,
+                dt_s * (driving_nm + load_nm),
+                dt_s * friction_nm,
+                motor.inertia_kg_m2 + FINGER_INERTIA_KG_M2,
+                dt_s * motor.viscous_nm_s + spring,
+            )
+        motor.velocity_rad_s = new
+        if new == 0.0:
+            return
         theta += direction * new * dt_s
         if theta < self._lower_rad:
             theta, new = self._lower_rad, 0.0
@@ -313,6 +317,67 @@ class FingerMechanics:
             theta, new = self._upper_rad, 0.0
         motor.velocity_rad_s = new
         motor.angle_rad = zero_rad + direction * theta
+
+    def _velocity(
+        self, velocity: float, push: float, friction: float, inertia: float, damping: float
+    ) -> float:
+        """Return the velocity in rad/s after a step, of a body under Karnopp's friction.
+
+        Torques times the step's length in N.m s, damping in the unit of the inertia.
+        """
+        if velocity == 0.0:
+            if abs(push) <= self._stiction_ratio * friction:
+                return 0.0
+            push -= math.copysign(friction, push)
+        else:
+            push -= math.copysign(friction, velocity)
+        new = (inertia * velocity + push) / (inertia + damping)
+        return 0.0 if new * velocity < 0.0 else new
+
+    def _within_backlash(
+        self,
+        motor: ServoMotor,
+        dt_s: float,
+        driving_nm: float,
+        load_nm: float,
+        *,
+        friction_nm: float,
+        spring: float,
+    ) -> float:
+        """Advance the rotor of a motor and return the velocity of its output in rad/s."""
+        rotor_kg_m2, output_kg_m2 = motor.inertia_kg_m2, FINGER_INERTIA_KG_M2
+        viscous = dt_s * motor.viscous_nm_s
+        output_nm = motor.gearing.output_friction * friction_nm
+        rotor = self._velocity(
+            motor.rotor_velocity_rad_s,
+            dt_s * driving_nm,
+            dt_s * (friction_nm - output_nm),
+            rotor_kg_m2,
+            viscous,
+        )
+        output = self._velocity(
+            motor.velocity_rad_s, dt_s * load_nm, dt_s * output_nm, output_kg_m2, spring
+        )
+        before_rad, half_rad = motor.lead_rad, 0.5 * motor.gearing.backlash_rad
+        if abs(before_rad) >= half_rad and before_rad * (rotor - output) >= 0.0:
+            # Teeth touch and nothing draws them apart. Where they have just met the momentum stays.
+            both_kg_m2 = rotor_kg_m2 + output_kg_m2
+            common = (
+                rotor_kg_m2 * motor.rotor_velocity_rad_s + output_kg_m2 * motor.velocity_rad_s
+            ) / both_kg_m2
+            rotor = output = self._velocity(
+                common,
+                dt_s * (driving_nm + load_nm),
+                dt_s * friction_nm,
+                both_kg_m2,
+                viscous + spring,
+            )
+        else:
+            lead_rad = before_rad + (rotor - output) * dt_s
+            motor.lead_rad = min(max(lead_rad, -half_rad), half_rad)
+            output = rotor - (motor.lead_rad - before_rad) / dt_s
+        motor.rotor_velocity_rad_s = rotor
+        return output
 
     def _half_opening_m(self, axis: int) -> float:
         direction, zero_rad = self._axes[axis]

@@ -4,11 +4,12 @@ The motor works in its own output angle (rad, 0 at raw position 0, not limited t
 the output is T = kt I - friction, the friction being applied by `simulator.servo.mechanics`, where
 the motion is integrated. The position loop is read as the e-Manual draws it, a gain of P/128 in
 counts of PWM for each count of position; through the winding resistance that is a current, and the
-back-EMF is its damping. Integral and feed-forward gains have no effect here. What else moves a real
-servo (backlash, cogging, load-dependent friction) is left out.
+back-EMF is its damping. Integral and feed-forward gains have no effect here. Backlash, ripple of
+the torque and friction that grows with the load are those of a `Gearing`; the default is ideal.
 """
 
 import math
+from dataclasses import dataclass
 from enum import IntEnum
 from typing import NamedTuple
 
@@ -45,6 +46,62 @@ _VISCOUS_SHARE = 0.01
 """Viscous friction at no-load speed over the stall torque; an assumption."""
 _LEAST_SUPPLY_V = 0.1
 """Supply in V below which duty and load are worked out as at this one: no division by zero."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gearing:
+    """What a real gearing does to the torque of its motor; the defaults are an ideal one.
+
+    Attributes
+    ----------
+    load_friction
+        Friction over the torque of the load, on top of `ServoModel.friction_nm`.
+    backlash_rad
+        Way of the motor at the output from one flank of the teeth to the other.
+    output_friction
+        Share of the friction that brakes the output behind the backlash: bearings, horn, finger.
+    ripple
+        Amplitude of the torque's ripple over the motor, as a share of it.
+    ripple_per_turn
+        Periods of the ripple in one turn of the output.
+    """
+
+    load_friction: float = 0.0
+    backlash_rad: float = 0.0
+    output_friction: float = 0.0
+    ripple: float = 0.0
+    ripple_per_turn: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("load_friction", "output_friction", "ripple"):
+            if not 0.0 <= getattr(self, name) < 1.0:
+                raise SimulatorSettingsError(
+                    f"{name} of a gearing is from 0 to below 1, got {getattr(self, name)}"
+                )
+        if not (0.0 <= self.backlash_rad < math.pi and math.isfinite(self.ripple_per_turn)):
+            raise SimulatorSettingsError(
+                f"backlash_rad is from 0 to below pi and ripple_per_turn is finite, got "
+                f"{self.backlash_rad} and {self.ripple_per_turn}"
+            )
+
+
+IDEAL_GEARING = Gearing()
+"""A gearing whose friction is Coulomb's alone."""
+XM430_W350_GEARING = Gearing(
+    load_friction=0.11,
+    backlash_rad=math.radians(0.25),
+    output_friction=0.1,
+    ripple=0.0125,
+    ripple_per_turn=353.5 * 14,
+)
+"""The gearing of an XM430-W350, as far as it is known.
+
+Load: 0.11 was measured on an MX-106 (Duclusaud and Passault, arXiv 2410.08650, model M3 of their
+library); nobody has published it for an XM430. Backlash: 15 arcmin (e-Manual, Specifications). The
+motor is coreless, so no iron cogs; a commutator of 7 segments, an assumption, has 14 periods a turn
+of the motor and a ripple from crest to trough of 1 - cos(pi / 14) = 2.5 %. That of the teeth's mesh
+is not known and left out. A tenth of the friction at the output is an assumption.
+"""
 
 
 class DriveMode(IntEnum):
@@ -96,14 +153,20 @@ class ServoMotor:
     Parameters
     ----------
     model
-        Electrical and torque figures.
+        Electrical and torque figures. Its torque is that with rising load, so what the load's
+        friction takes from it there is added to what the motor makes.
     angle_rad
         Output angle at the start, rad.
+    gearing
+        What the gearing adds.
 
     Attributes
     ----------
     angle_rad, velocity_rad_s
-        True motion of the output; set by the mechanics.
+        True motion of the output, where the encoder is; set by the mechanics.
+    lead_rad, rotor_velocity_rad_s
+        How far the motor is ahead of the output within the backlash, from -1/2 to 1/2 of it, and
+        the motor's velocity; set by the mechanics.
     current_a
         Winding current, A, positive towards growing angles.
     duty
@@ -135,12 +198,15 @@ class ServoMotor:
         "duty",
         "encoder_offset_rad",
         "friction_nm",
+        "gearing",
         "inertia_kg_m2",
         "kt_nm_a",
+        "lead_rad",
         "load_excess_s",
         "model",
         "reference_rad",
         "reference_velocity_rad_s",
+        "rotor_velocity_rad_s",
         "stuck_at_rad",
         "temperature_c",
         "velocity_rad_s",
@@ -148,12 +214,19 @@ class ServoMotor:
         "voltage_v",
     )
 
-    def __init__(self, model: ServoModel = XM430_W350, *, angle_rad: float = math.pi) -> None:
+    def __init__(
+        self,
+        model: ServoModel = XM430_W350,
+        *,
+        angle_rad: float = math.pi,
+        gearing: Gearing = IDEAL_GEARING,
+    ) -> None:
         if not math.isfinite(angle_rad):
             raise SimulatorSettingsError(f"the angle of a motor is finite, got {angle_rad} rad")
         self.model = model
-        self.kt_nm_a = model.kt_nm_a
-        self.friction_nm = model.friction_nm
+        self.gearing = gearing
+        self.kt_nm_a = model.kt_nm_a * (1.0 + gearing.load_friction)
+        self.friction_nm = model.friction_nm * (1.0 + gearing.load_friction)
         self.viscous_nm_s = _VISCOUS_SHARE * model.stall_torque_nm / model.no_load_rad_s
         self.inertia_kg_m2 = model.rotor_inertia_kg_m2
         self.voltage_v = model.nominal_voltage_v
@@ -171,6 +244,8 @@ class ServoMotor:
         self._integral_a = 0.0
         self.angle_rad = angle_rad
         self.velocity_rad_s = 0.0
+        self.lead_rad = 0.0
+        self.rotor_velocity_rad_s = 0.0
         self.current_a = 0.0
         self.duty = 0.0
         self.temperature_c = AMBIENT_C
@@ -240,7 +315,12 @@ class ServoMotor:
         duty = (current_a * self._resistance_ohm + back_emf_v) / supply_v
         self.duty = min(max(duty, -1.0), 1.0)
         self._account(dt_s)
-        return self.kt_nm_a * current_a
+        torque_nm = self.kt_nm_a * current_a
+        gearing = self.gearing
+        if gearing.ripple:
+            turned_rad = self.angle_rad + self.lead_rad
+            torque_nm *= 1.0 + gearing.ripple * math.sin(gearing.ripple_per_turn * turned_rad)
+        return torque_nm
 
     def _account(self, dt_s: float) -> None:
         """Let the current heat the motor and use up the overload budget."""

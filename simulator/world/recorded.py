@@ -46,12 +46,22 @@ class RecordedWorld:
         Time at the start in s.
     """
 
-    __slots__ = ("_aperture_m", "_counts", "_fingers", "_frame", "_layout", "_next", "_time_s")
+    __slots__ = (
+        "_aperture_m",
+        "_counts",
+        "_fingers",
+        "_frame",
+        "_gripping",
+        "_layout",
+        "_next",
+        "_time_s",
+    )
 
     def __init__(
         self, layout: TaxelLayout, fingers: DrivenFingers, *, start_s: float = 0.0
     ) -> None:
         self._layout = layout
+        self._gripping = np.isin(layout.taxel_pad, layout.gripping_pads)
         self._fingers = fingers
         self._time_s = start_s
         self._counts = np.zeros((0, layout.n_taxels), dtype=np.uint16)
@@ -124,6 +134,10 @@ class RecordedWorld:
             self._frame = self._counts[self._next]
             self._next += 1
         return self._frame.copy()
+
+    def scan_gripping(self) -> NDArray[np.uint16]:
+        """Return the gripping pads of the frame that was taken last; counts (n_taxels,)."""
+        return np.where(self._gripping, self._frame, 0).astype(np.uint16)
 
     def _drive(self) -> None:
         aperture_m = self._aperture_m[self._next]

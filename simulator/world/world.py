@@ -88,9 +88,11 @@ class PhysicalWorld:
     """
 
     __slots__ = (
+        "_fast_rng",
         "_fingers",
         "_force_n",
         "_grids",
+        "_gripping",
         "_layout",
         "_placed",
         "_press",
@@ -115,6 +117,8 @@ class PhysicalWorld:
             PadGrid(layout.pads[pad], self._settings.foam) for pad in layout.gripping_pads
         )
         self._rng = np.random.default_rng(self._settings.seed)
+        self._fast_rng = np.random.default_rng([self._settings.seed, 1])
+        self._gripping = np.flatnonzero(np.isin(layout.taxel_pad, layout.gripping_pads))
         self._time_s = start_s
         self._press: Press | None = None
         self._placed: tuple[str, ObjectPose] | None = None
@@ -249,8 +253,24 @@ class PhysicalWorld:
 
     def scan(self) -> NDArray[np.uint16]:
         """Convert all taxels: the sensor's law, new noise, rounding; counts (n_taxels,)."""
+        return self._converted(self.taxel_force_n(), self._rng)
+
+    def scan_gripping(self) -> NDArray[np.uint16]:
+        """Convert the taxels of the gripping pads, each with new noise of the same size.
+
+        Counts (n_taxels,), 0 on the other pads. Its noise does not change that of `scan`.
+        """
+        counts = np.zeros(self._layout.n_taxels, dtype=np.uint16)
+        counts[self._gripping] = self._converted(
+            self.taxel_force_n()[self._gripping], self._fast_rng
+        )
+        return counts
+
+    def _converted(
+        self, force_n: NDArray[np.float64], rng: np.random.Generator
+    ) -> NDArray[np.uint16]:
         adc_max = self._layout.adc_max
-        counts = ideal_counts(self.taxel_force_n(), adc_max, self._settings.law)
-        counts += self._settings.noise.sample(self._rng, self._layout.n_taxels, adc_max)
+        counts = ideal_counts(force_n, adc_max, self._settings.law)
+        counts += self._settings.noise.sample(rng, len(force_n), adc_max)
         converted: NDArray[np.uint16] = np.rint(np.clip(counts, 0.0, adc_max)).astype(np.uint16)
         return converted

@@ -53,12 +53,14 @@ def interface_failed(error: Exception) -> BusOff:
 class PolledSource:
     """Source that asks the bus in the caller's thread: for buses in memory, in virtual time.
 
+    Such a bus stamps its messages by the same clock; without a stamp the time of asking counts.
+
     Parameters
     ----------
     bus
         An open bus.
     clock
-        Stamps the messages and waits.
+        Time of the messages; waits.
     limit
         Most messages handed out at once, so that a flooded bus does not hold up the caller.
     """
@@ -82,7 +84,8 @@ class PolledSource:
                 message = self._bus.recv(0)
                 if message is None:
                     break
-                messages.append((now_s, message))
+                stamped = 0.0 < message.timestamp <= now_s
+                messages.append((message.timestamp if stamped else now_s, message))
         except (can.CanError, OSError) as error:
             raise interface_failed(error) from error
         return messages

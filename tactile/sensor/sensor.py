@@ -1,14 +1,23 @@
 """The tactile sensor: whole frames in, forces on taxels, pads and fingers out."""
 
+from collections import deque
 from dataclasses import dataclass, field
+from math import inf, sqrt
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactile.clock import Clock
-from tactile.errors import CalibrationError, FrameTimeout, ZeroDrifted, require_at_least
+from tactile.errors import (
+    CalibrationError,
+    ForceContradicted,
+    FrameTimeout,
+    ZeroDrifted,
+    require_at_least,
+)
 from tactile.frames.codec import FrameStatus, TactileFrame
+from tactile.frames.force_message import ForceMessage, encode_zero
 from tactile.layout import TaxelLayout
 from tactile.sensor.calibration import Calibration
 from tactile.sensor.filters import (
@@ -19,16 +28,29 @@ from tactile.sensor.filters import (
     Values,
     fill_bad,
 )
+from tactile.sensor.force_check import ForceCheck
 from tactile.sensor.quality import QualityLimits, QualityWatch
 from tactile.sensor.tare import TareLimits, TareResult, compute_tare, too_many_bad
 from tactile.unit.settings import NodeIdentity
 
-Centres = tuple[tuple[float, float], tuple[float, float]]
-"""Centre of force on the pad of finger 0 and of finger 1: along the finger and across, in m."""
+_KEPT_FORCES = 1000
+"""Force messages that wait to be taken: two seconds at 500 a second; older ones are dropped."""
+_LEAST_TOUCHED = 9
+"""Touched taxels of a pad at least: one and its neighbours."""
+_EDGE = 1.7
+"""Taxels that the unit sums for each that the frames show as touched: it takes their neighbours in,
+and their noise grows with the load (simulated cell, 1 to 8 N)."""
+_TOUCH_SIGMAS = 5.0
+"""Threshold above which the unit counts a taxel, in standard deviations of what it compares."""
+_UNIT_GAIN = 6.0 / 16.0 * sqrt(1.0 / 7.0)
+"""How far the unit's binomial mean over 3 x 3 taxels, of a running mean over 4 scans, shrinks
+independent noise."""
+_TOUCH_SHARE = 0.012
+"""Least such threshold, as a share of the full scale: above the drift that a zero may have."""
 
 
 class ForceCentres:
-    """Centre of force on both gripping pads: the taxels' mean position, weighted by force.
+    """Centre of the grip force: the mean of both pads' centres, each weighted by its taxels.
 
     Parameters
     ----------
@@ -38,25 +60,24 @@ class ForceCentres:
 
     def __init__(self, layout: TaxelLayout) -> None:
         self._taxels = tuple(np.flatnonzero(layout.taxel_pad == p) for p in layout.gripping_pads)
-        self._xy_m = tuple(layout.taxel_xy_m[taxels] for taxels in self._taxels)
+        self._xy_m = tuple(layout.position_m[taxels, :2] for taxels in self._taxels)
 
-    def of(self, force_n: NDArray[np.float64]) -> Centres | None:
-        """Return the centres in m, along the fingers and across; None where a pad has no force.
+    def of(self, force_n: NDArray[np.float64]) -> tuple[float, float] | None:
+        """Return the centre in the grip frame in m; None where a pad has no force.
 
         Parameters
         ----------
         force_n : (n_taxels,) float64
             Normal force on each taxel in N.
         """
-        found: list[tuple[float, float]] = []
+        centre_m = np.zeros(2)
         for taxels, xy_m in zip(self._taxels, self._xy_m, strict=True):
             weights = force_n[taxels]
             total_n = float(weights.sum())
             if not total_n > 0.0:
                 return None
-            x_m, y_m = weights @ xy_m / total_n
-            found.append((float(x_m), float(y_m)))
-        return found[0], found[1]
+            centre_m += 0.5 * (weights @ xy_m) / total_n
+        return float(centre_m[0]), float(centre_m[1])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -178,6 +199,23 @@ class FrameSource(Protocol):
         ...
 
 
+class ForceSource(Protocol):
+    """Source of force messages; `TactileLink` is one."""
+
+    @property
+    def sends_forces(self) -> bool:
+        """Whether there are any."""
+        ...
+
+    def take_forces(self) -> tuple[ForceMessage, ...]:
+        """Return the messages since the last call, oldest first."""
+        ...
+
+    def write_zero(self, zero: bytes) -> None:
+        """Give the unit the zero by which it sums; see `tactile.frames.force_message`."""
+        ...
+
+
 class TactileSensor:
     """The tactile sensor: tares the frames of a link and turns them into forces.
 
@@ -193,6 +231,8 @@ class TactileSensor:
         Monotonic time.
     settings
         Filters and limits.
+    forces
+        Source of force messages, polled with the link; None without one.
     """
 
     def __init__(
@@ -203,6 +243,7 @@ class TactileSensor:
         *,
         clock: Clock,
         settings: SensorSettings | None = None,
+        forces: ForceSource | None = None,
     ) -> None:
         if calibration.adc_max != layout.adc_max:
             raise CalibrationError(
@@ -210,10 +251,12 @@ class TactileSensor:
                 f"{layout.name} has {layout.adc_max}"
             )
         self._link = link
+        self._forces = forces
         self._layout = layout
         self._calibration = calibration
         self._clock = clock
         self._settings = settings or SensorSettings()
+        self._force_check = ForceCheck(self._settings.mean_frames)
         self._hood = Neighbourhood(layout)
         self._mean = MovingMean(self._settings.mean_frames)
         self._quality = QualityWatch(self._hood, self._settings.quality, self._settings.mean_frames)
@@ -228,7 +271,10 @@ class TactileSensor:
         self._touch: ActiveTaxels | None = None
         self._latest: TactileReading | None = None
         self._last_s: float | None = None
-        self._frozen: FrameTimeout | None = None
+        self._failed: FrameTimeout | ForceContradicted | None = None
+        self._new_forces: deque[ForceMessage] = deque(maxlen=_KEPT_FORCES)
+        self._force_bad: NDArray[np.bool_] | None = None
+        self._taxel_noise_n = (inf, inf)
         self._saturated_frames = self._void_frames = 0
         self._quality.begin(None)
 
@@ -268,15 +314,45 @@ class TactileSensor:
     def poll(self) -> tuple[TactileReading, ...]:
         """Return the readings that came since the last call, oldest first; does not wait.
 
-        Raises what the link raises, and FrameTimeout, from then on always, when the samples are
-        frozen.
+        Raises what the link raises, and from then on always, FrameTimeout when the samples are
+        frozen, and ForceContradicted when force messages and frames differ.
         """
-        if self._frozen is not None:
-            raise self._frozen
-        readings = tuple(self._reading(frame) for frame in self._link.poll())
+        if self._failed is not None:
+            raise self._failed
+        frames = self._link.poll()
+        if self._forces is not None:
+            for message in self._forces.take_forces():
+                self._new_forces.append(message)
+                self._force_check.add(message)
+        readings = tuple(self._reading(frame) for frame in frames)
         if readings:
             self._latest = readings[-1]
         return readings
+
+    def take_forces(self) -> tuple[ForceMessage, ...]:
+        """Return the force messages that the polls since the last call took in, oldest first."""
+        forces = tuple(self._new_forces)
+        self._new_forces.clear()
+        return forces
+
+    @property
+    def has_forces(self) -> bool:
+        """Whether the force messages are to be used: the unit sums with the zero in use.
+
+        Where a taxel has failed since, frames give the force until the pads are free.
+        """
+        return self._force_bad is not None and np.array_equal(self._force_bad, self._quality.bad)
+
+    @property
+    def scan_noise_n(self) -> float:
+        """Standard deviation in N of the grip force of one force message."""
+        if self._latest is None:
+            return inf
+        variance_n2 = 0.0
+        for taxels, taxel_n in zip(self._grips, self._taxel_noise_n, strict=True):
+            n = max(_LEAST_TOUCHED, int(np.count_nonzero(self._latest.active[taxels])))
+            variance_n2 += _EDGE * n * taxel_n * taxel_n
+        return 0.5 * sqrt(variance_n2)
 
     def read(self, timeout_s: float = 0.5) -> TactileReading:
         """Wait for a reading newer than this call; FrameTimeout after ``timeout_s``."""
@@ -321,7 +397,30 @@ class TactileSensor:
         self._touch = self._new_touch(result)
         self._last_s = None
         self._quality.begin(result, frames[n_frames - 1])
+        self._write_zero(result)
         return result
+
+    def _write_zero(self, tare: TareResult) -> None:
+        """Give the unit the zero, and the taxels that fail now, for its force messages."""
+        self._force_bad = None
+        if self._forces is None or not self._forces.sends_forces:
+            return
+        per_count_n = self._calibration.force_n(np.ones(self._layout.n_taxels))
+        first_n, second_n = (
+            float(np.median(per_count_n[one] * tare.noise_counts[one])) for one in self._grips
+        )
+        self._taxel_noise_n = (first_n, second_n)
+        grip = np.concatenate([np.arange(one.start, one.stop) for one in self._grips])
+        bad, adc_max = self._quality.bad, self._layout.adc_max
+        noise_counts = float(np.median(tare.noise_counts[grip]))
+        touch_counts = max(_TOUCH_SIGMAS * noise_counts * _UNIT_GAIN, _TOUCH_SHARE * adc_max)
+        self._forces.write_zero(
+            encode_zero(touch_counts, tare.offset_counts[grip], bad[grip], adc_max)
+        )
+        self._forces.take_forces()
+        self._new_forces.clear()
+        self._force_check.reset()
+        self._force_bad = bad
 
     def aim(self, force_n: float, aperture_m: float) -> None:
         """Take the wanted force in N and the opening between the pads in m.
@@ -331,7 +430,9 @@ class TactileSensor:
         self._quality.aim(force_n, aperture_m)
 
     def check_zero(self) -> None:
-        """Compare the newest reading of untouched pads with the zero.
+        """Compare the newest reading of untouched pads with the zero, before a grasp.
+
+        Where a taxel has failed since the zero was taken, the unit is told now: it takes some ms.
 
         Before the first tare, and before the first reading after it, there is nothing to compare.
 
@@ -340,6 +441,8 @@ class TactileSensor:
         ZeroDrifted
             When a pad as a whole has moved: forces and shapes measured with this zero are wrong.
         """
+        if self._tare is not None and self._force_bad is not None and not self.has_forces:
+            self._write_zero(self._tare)
         if self._latest is not None and self._mean.full:
             latest = self._latest
             drift = self._quality.drift_anywhere(latest.tared_counts, latest.bad | latest.saturated)
@@ -381,6 +484,9 @@ class TactileSensor:
         force_n = np.where(active, self._calibration.force_n(tared), 0.0)
         pad_force_n = np.add.reduceat(force_n, self._pad_starts)
         reason = self._objection(frame, saturated & ~bad, bad, tared)
+        if not reason and self.has_forces:
+            first_n, second_n = (pad_force_n[pad] for pad in self._layout.gripping_pads)
+            self._compare(frame.t_s, (float(first_n), float(second_n)))
         for array in (tared, active, force_n, pad_force_n, saturated, bad):
             array.setflags(write=False)
         self._saturated_frames += bool((saturated & ~bad).any())
@@ -399,6 +505,13 @@ class TactileSensor:
             reason=reason,
         )
 
+    def _compare(self, t_s: float, force_n: tuple[float, float]) -> None:
+        try:
+            self._force_check.compare(t_s, force_n)
+        except ForceContradicted as fault:
+            self._failed = fault
+            raise
+
     def _watch_changes(self, frame: TactileFrame) -> None:
         last_s, self._last_s = self._last_s, frame.t_s
         if last_s is not None and frame.t_s - last_s > self._settings.gap_s:
@@ -407,7 +520,7 @@ class TactileSensor:
         try:
             self._quality.step(frame, touched=latest is not None and bool(latest.active.any()))
         except FrameTimeout as fault:
-            self._frozen = fault
+            self._failed = fault
             raise
 
     def _objection(

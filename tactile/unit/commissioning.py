@@ -165,7 +165,6 @@ def set_up(objects: ObjectAccess, settings: LinkSettings) -> None:
             4,
         ),
         ("heartbeat in ms", object_dictionary.HEARTBEAT_MS, round(settings.heartbeat_s * 1e3), 2),
-        ("mode", object_dictionary.MODE, int(settings.mode), 1),
     )
     checks = []
     for what, index, value, n_bytes in writes:
@@ -182,3 +181,60 @@ def set_up(objects: ObjectAccess, settings: LinkSettings) -> None:
             object_dictionary.TARE_CLEAR_SIGNATURE,
             4,
         )
+
+
+def set_up_forces(objects: ObjectAccess, settings: LinkSettings, node_id: int, table: bytes) -> int:
+    """Write the table of counts to force and start the force messages; all of it is read back.
+
+    The frames move behind them: a force message must not wait for a burst of 7 ms. Returns the
+    COB-ID of the frames from now on.
+
+    Parameters
+    ----------
+    objects, settings, node_id
+        Of the unit.
+    table
+        Object 0x2141, see `tactile.frames.force_message.encode_table`.
+    """
+    objects.write(object_dictionary.FORCE_TABLE, 0, table)
+    frame_id = object_dictionary.COB_TPDO3 + node_id
+    frames, forces = object_dictionary.TPDO1_PARAMETER, object_dictionary.TPDO2_PARAMETER
+    cob_id, timer = object_dictionary.PDO_COB_ID, object_dictionary.PDO_EVENT_TIMER
+    # A PDO's identifier may be changed while the PDO is off only (CiA 301, 7.5.2.37).
+    objects.write_unsigned(frames, cob_id, object_dictionary.PDO_INVALID | frame_id, 4)
+    objects.write_unsigned(frames, cob_id, frame_id, 4)
+    period_ms = round(1e3 * settings.force_period_s)
+    objects.write_unsigned(forces, timer, period_ms, 2)
+    found = objects.read(object_dictionary.FORCE_TABLE)
+    checks = [
+        Check(
+            what="table of counts to force",
+            expected=table[-2:].hex(),
+            found=found[-2:].hex() if found == table else f"{len(found)} bytes of another table",
+        ),
+        Check(
+            what="TPDO1 COB-ID",
+            expected=frame_id,
+            found=objects.read_unsigned(frames, cob_id) & _COB_ID_MASK,
+        ),
+        Check(
+            what="TPDO2 COB-ID",
+            expected=object_dictionary.COB_TPDO2 + node_id,
+            found=objects.read_unsigned(forces, cob_id) & _COB_ID_MASK,
+        ),
+        Check(
+            what="TPDO2 event timer in ms",
+            expected=period_ms,
+            found=objects.read_unsigned(forces, timer),
+        ),
+        *(
+            Check(
+                what=f"TPDO2 entry {sub}",
+                expected=entry,
+                found=objects.read_unsigned(object_dictionary.TPDO2_MAPPING, sub),
+            )
+            for sub, entry in enumerate(object_dictionary.TPDO2_ENTRIES, start=1)
+        ),
+    ]
+    refuse_mismatch(checks, "the control unit did not keep the set-up of its force messages and so")
+    return frame_id

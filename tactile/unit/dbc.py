@@ -10,7 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from tactile.frames.codec import MESSAGE_BYTES, TRAILER, FrameFormat
-from tactile.frames.pad_features import MAX_PADS
+from tactile.frames.force_message import CENTRE_TAXELS, COUNTERS, FORCE_N, ForceStatus
 from tactile.layout import TaxelLayout
 from tactile.unit import object_dictionary
 from tactile.unit.supervision import EMERGENCY_TEXTS, state_name
@@ -43,6 +43,8 @@ class Signal:
         ``M`` for the multiplexer, ``m12`` for what is there only while it is 12, else empty.
     big_endian
         Whether the high byte comes first.
+    signed
+        Whether the raw value is a two's complement.
     maximum
         Largest raw value, None for what fits.
     factor
@@ -58,6 +60,7 @@ class Signal:
     size: int
     multiplex: str = ""
     big_endian: bool = False
+    signed: bool = False
     maximum: int | None = None
     factor: str = "1"
     unit: str = ""
@@ -66,11 +69,13 @@ class Signal:
 
     def text(self, receivers: str) -> str:
         """Return the signal's line, without a line end."""
-        top = (1 << self.size) - 1 if self.maximum is None else self.maximum
-        maximum = f"{top * float(self.factor):.10g}"
-        order = f"{self.start}|{self.size}@{0 if self.big_endian else 1}+"
+        top = (1 << self.size - self.signed) - 1 if self.maximum is None else self.maximum
+        bottom = -top - 1 if self.signed else 0
+        span = "|".join(f"{raw * float(self.factor):.10g}" for raw in (bottom, top))
+        sign = "-" if self.signed else "+"
+        order = f"{self.start}|{self.size}@{0 if self.big_endian else 1}{sign}"
         name = f"{self.name} {self.multiplex}".rstrip()
-        return f' SG_ {name} : {order} ({self.factor},0) [0|{maximum}] "{self.unit}" {receivers}'
+        return f' SG_ {name} : {order} ({self.factor},0) [{span}] "{self.unit}" {receivers}'
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -143,7 +148,12 @@ def _quoted(text: str) -> str:
 
 
 def dbc_text(
-    layout: TaxelLayout, *, node_id: int, sync_period_ms: int = 0, heartbeat_ms: int = 0
+    layout: TaxelLayout,
+    *,
+    node_id: int,
+    sync_period_ms: int = 0,
+    heartbeat_ms: int = 0,
+    force_period_ms: int = 0,
 ) -> str:
     """Return a DBC file of one control unit's traffic, ASCII.
 
@@ -155,14 +165,18 @@ def dbc_text(
         CANopen node-ID of the unit, 1 to 127.
     sync_period_ms, heartbeat_ms
         Periods in ms, written as cycle times; 0 where they are not known.
+    force_period_ms
+        Period of the force messages in ms, which the frames make room for; 0 for a unit without.
     """
     if not 1 <= node_id <= 127:
         raise ValueError(f"node-ID is {node_id}, must be 1 to 127")
+    function = object_dictionary.COB_TPDO3 if force_period_ms else object_dictionary.COB_TPDO1
+    frame_id = function + node_id
     messages = (
         *_network_messages(node_id, sync_period_ms, heartbeat_ms),
         *_sdo_messages(node_id),
-        _frame_message(layout, node_id),
-        *_feature_messages(layout, node_id),
+        _frame_message(layout, frame_id),
+        *([_force_message(node_id, force_period_ms)] if force_period_ms else []),
     )
     what = f"layout {layout.name}, {layout.n_taxels} taxels, layout hash {layout.layout_hash}"
     return file_text(messages, (HOST, UNIT), f"Tactile control unit: {what}")
@@ -248,7 +262,7 @@ def _renamed(signal: Signal, kind: str) -> Signal:
     return replace(signal, name=signal.name.replace("sdo_", f"sdo_{kind}_"))
 
 
-def _frame_message(layout: TaxelLayout, node_id: int) -> Message:
+def _frame_message(layout: TaxelLayout, frame_id: int) -> Message:
     """Return TPDO1: header with phase and index, samples, and the trailer in the last message."""
     form = FrameFormat.of(layout)
     comment = (
@@ -259,7 +273,7 @@ def _frame_message(layout: TaxelLayout, node_id: int) -> Message:
     if layout.sample_bits == 16:
         comment += ". A sample cut in two by the end of a message is taxel_N_low + 256 taxel_N_high"
     return Message(
-        can_id=object_dictionary.COB_TPDO1 + node_id,
+        can_id=frame_id,
         name=FRAME_MESSAGE,
         size=MESSAGE_BYTES,
         sender=UNIT,
@@ -334,49 +348,51 @@ def _trailer_signals(form: FrameFormat) -> Iterator[Signal]:
         yield Signal(name=name, start=start, size=size, multiplex=f"m{message}", comment=comment)
 
 
-def _feature_messages(layout: TaxelLayout, node_id: int) -> tuple[Message, ...]:
-    """Return TPDO2 and TPDO3: the features of one pad in two messages (modes of object 0x2150)."""
-    pads = {number: pad.name for number, pad in enumerate(layout.pads) if number < MAX_PADS}
-
-    def header(kind: str) -> tuple[Signal, ...]:
-        return (
-            Signal(name=f"{kind}_pad", start=0, size=6, values=pads),
-            Signal(name=f"{kind}_phase", start=6, size=2, comment="frame counter modulo 4"),
-        )
-
-    return (
-        Message(
-            can_id=object_dictionary.COB_TPDO2 + node_id,
-            name="PadTotals",
-            size=8,
-            sender=UNIT,
-            signals=(
-                *header("totals"),
-                Signal(name="active_taxels", start=8, size=8),
-                Signal(name="peak_counts", start=16, size=16, unit="count"),
-                Signal(name="total_counts", start=32, size=32, unit="count"),
+def _force_message(node_id: int, period_ms: int) -> Message:
+    """Return TPDO2: the force on both gripping pads, on its event timer."""
+    pitch = f"{CENTRE_TAXELS:.10g}"
+    return Message(
+        can_id=object_dictionary.COB_TPDO2 + node_id,
+        name="PadForces",
+        size=8,
+        sender=UNIT,
+        signals=(
+            Signal(name="force_counter", start=0, size=4, comment=f"modulo {COUNTERS}"),
+            Signal(
+                name="force_status",
+                start=4,
+                size=4,
+                comment=", ".join(f"{one.value} {_words(one)}" for one in ForceStatus),
             ),
-            comment="features of one pad, first half",
-        ),
-        Message(
-            can_id=object_dictionary.COB_TPDO3 + node_id,
-            name="PadCentroid",
-            size=8,
-            sender=UNIT,
-            signals=(
-                *header("centroid"),
-                Signal(name="centroid_counter", start=8, size=8, comment="frame counter, low byte"),
-                Signal(name="centroid_row", start=16, size=16, factor="0.00390625", unit="taxel"),
+            *(
                 Signal(
-                    name="centroid_column", start=32, size=16, factor="0.00390625", unit="taxel"
-                ),
-                Signal(
-                    name="features_crc",
-                    start=48,
+                    name=f"force_finger{finger}",
+                    start=8 + 16 * finger,
                     size=16,
-                    comment="CRC-16/CCITT-FALSE over PadTotals and the 6 bytes before it",
-                ),
+                    signed=True,
+                    factor=f"{FORCE_N:.10g}",
+                    unit="N",
+                )
+                for finger in (0, 1)
             ),
-            comment="features of one pad, second half",
+            *(
+                Signal(
+                    name=f"centre_{way}",
+                    start=start,
+                    size=8,
+                    signed=True,
+                    factor=pitch,
+                    unit="taxel",
+                    comment=f"{way} the fingers from the middle of the pads; -8: nothing touches",
+                )
+                for way, start in (("along", 40), ("across", 48))
+            ),
+            Signal(name="force_crc", start=56, size=8, comment="CRC-8 SAE J1850 over bytes 0 to 6"),
         ),
+        comment="force on the gripping pads in one scan of them, by the host's table and zero",
+        period_ms=period_ms,
     )
+
+
+def _words(status: ForceStatus) -> str:
+    return str(status.name).lower().replace("_", " ")

@@ -4,6 +4,7 @@ canopen does the SDO service; the frame messages go past it, from the raw COB-ID
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import TypeVar
 
 import can
@@ -15,15 +16,18 @@ from tactile.can.receiver import MessageSource, PolledSource, ThreadedReceiver
 from tactile.clock import Clock
 from tactile.errors import LinkFault, LinkStateError, NodeMissing
 from tactile.frames.codec import TactileFrame
-from tactile.frames.pad_features import PadFeatures
+from tactile.frames.force_message import ForceMessage
 from tactile.layout import TaxelLayout
+from tactile.unit import object_dictionary
 from tactile.unit.commissioning import (
+    Check,
     identity_checks,
     layout_checks,
     read_identity,
     refuse_mismatch,
     refuse_swapped_boards,
     set_up,
+    set_up_forces,
 )
 from tactile.unit.sdo import read_last_frame, take_unit_tare
 from tactile.unit.session import LinkSession
@@ -62,6 +66,8 @@ class TactileLink:
         Monotonic time; real time if ``settings.threaded``.
     settings
         Periods and limits.
+    force_table
+        Object 0x2141, the table by which the unit sums the force; None: no force messages.
     source
         Where messages come from; by default a thread or the bus, after ``settings.threaded``.
     """
@@ -74,6 +80,7 @@ class TactileLink:
         layout: TaxelLayout,
         clock: Clock,
         settings: LinkSettings | None = None,
+        force_table: bytes | None = None,
         source: MessageSource | None = None,
     ) -> None:
         if not 1 <= node_id <= 127:
@@ -83,6 +90,7 @@ class TactileLink:
         self._layout = layout
         self._clock = clock
         self._settings = settings or LinkSettings()
+        self._force_table = force_table if self._settings.force_period_s else None
         self._source: MessageSource = source or (
             ThreadedReceiver(bus, clock) if self._settings.threaded else PolledSource(bus, clock)
         )
@@ -151,6 +159,10 @@ class TactileLink:
         checks = layout_checks(session.objects, self._layout, self._node_id)
         refuse_mismatch(checks, session.name)
         set_up(session.objects, self._settings)
+        if self._force_table is not None and session.objects.has(object_dictionary.FORCE_MESSAGE):
+            session.expect_forces(
+                set_up_forces(session.objects, self._settings, self._node_id, self._force_table)
+            )
         if supervisor.boot_ups > 1:
             raise NodeMissing(
                 f"{session.name} booted {supervisor.boot_ups} times while it was set up: its "
@@ -160,16 +172,38 @@ class TactileLink:
         session.wait_for(lambda: supervisor.state == OPERATIONAL, "did not become operational")
         session.enter_operation()
         session.service()
-        return identity
+        return replace(identity, sends_forces=session.sends_forces)
 
     def poll(self) -> tuple[TactileFrame, ...]:
         """Return the whole frames that came since the last call, oldest first; does not wait."""
         self._guarded(self._session.service)
         return self._session.take_frames()
 
-    def take_features(self) -> tuple[PadFeatures, ...]:
-        """Return the pad features that came since the last call; none in the mode RAW."""
-        return self._session.features.take()
+    def take_forces(self) -> tuple[ForceMessage, ...]:
+        """Return the force messages that the polls since the last call took in, oldest first."""
+        return self._session.take_forces()
+
+    @property
+    def sends_forces(self) -> bool:
+        """Whether the unit was set up to send force messages."""
+        return self._session.sends_forces
+
+    def write_zero(self, zero: bytes) -> None:
+        """Write object 0x2142, the zero of the force messages, and read it back.
+
+        Raises IdentityMismatch where the unit did not keep it. Takes tens of ms.
+        """
+
+        def write() -> None:
+            objects = self._session.objects
+            objects.write(object_dictionary.FORCE_ZERO, 0, zero)
+            found = objects.read(object_dictionary.FORCE_ZERO)
+            refuse_mismatch(
+                [Check(what="zero of the force", expected=zero.hex(), found=found.hex())],
+                f"{self._session.name} did not keep its zero and so",
+            )
+
+        self._guarded(write)
 
     def tare_unit(self, *, timeout_s: float = 5.0) -> None:
         """Let the unit take a zero of its own and subtract it; raises TareRefused if it will not.

@@ -29,8 +29,9 @@ VENDOR_ID = 0x00005443
 """Placeholder: vendor-IDs are assigned by CiA, this one is not."""
 PRODUCT_CODE = 0x00000408
 """The project's own choice: the number of taxels of the paper's sensor, as digits."""
-REVISION = 0x00010000
-"""Major revision 1 (behaviour on the bus) in the upper 16 bits, minor revision 0 below."""
+REVISION = 0x00010001
+"""Major revision 1 (behaviour on the bus) in the upper 16 bits, minor revision 1 below: a unit of
+minor revision 0 has no force messages."""
 
 DEVICE_TYPE = 0x1000
 ERROR_REGISTER = 0x1001
@@ -54,6 +55,22 @@ TPDO1_PARAMETER = 0x1800
 TPDO1_MAPPING = 0x1A00
 TPDO1_ENTRIES = (0x2110_01_08, 0x2110_02_38)
 """The mapping of the frame messages: header U8, data U56."""
+TPDO2_PARAMETER = 0x1801
+TPDO2_MAPPING = 0x1A01
+TPDO2_ENTRIES = (
+    0x2140_01_08,
+    0x2140_02_10,
+    0x2140_03_10,
+    0x2140_04_08,
+    0x2140_05_08,
+    0x2140_06_08,
+)
+"""The mapping of the force messages: head U8, two forces I16, centre 2 x I8, CRC U8."""
+PDO_COB_ID = 1
+PDO_EVENT_TIMER = 5
+"""Sub-indices of a PDO's parameters: its COB-ID, and its period in ms, 0 for none (CiA 301)."""
+PDO_INVALID = 1 << 31
+"""Top bit of a PDO's COB-ID entry: the PDO is switched off."""
 
 LAYOUT = 0x2100
 LAYOUT_PADS = 1
@@ -73,7 +90,7 @@ BOARDS = 0x2103
 FRAME_MESSAGE = 0x2110
 THRESHOLDS = 0x2120
 THRESHOLD_TOUCH = 1
-"""U16, counts above which a taxel is touched: enters the features, and refuses the tare."""
+"""U16, counts above which a taxel is touched and the unit's own tare is refused."""
 THRESHOLD_TARE_SPREAD = 2
 """U16, span of a taxel's counts above which the tare is refused."""
 TARE = 0x2130
@@ -85,7 +102,11 @@ TARE_SIGNATURE = int.from_bytes(b"tare", "little")
 """U32 to write to `TARE_COMMAND`, so that no stray write takes a zero."""
 TARE_CLEAR_SIGNATURE = int.from_bytes(b"zero", "little")
 """U32 to write to `TARE_COMMAND` to go back to raw counts."""
-MODE = 0x2150
+FORCE_MESSAGE = 0x2140
+FORCE_TABLE = 0x2141
+"""Domain: table of counts to force of both gripping pads, see `tactile.frames.force_message`."""
+FORCE_ZERO = 0x2142
+"""Domain: touch threshold and zero of each taxel of both gripping pads, see there."""
 LAST_FRAME = 0x2200
 """Domain: the samples of the last complete frame, as in the frame messages."""
 LAST_FRAME_COUNTER = 0x2201
@@ -100,14 +121,6 @@ class TareResult(IntEnum):
     DONE = 2
     REFUSED_TOUCHED = 3
     REFUSED_SPREAD = 4
-
-
-class TransmissionMode(IntEnum):
-    """Content of the unit's answer to each SYNC, object 0x2150."""
-
-    RAW = 1
-    FEATURES = 2
-    BOTH = 3
 
 
 @cache

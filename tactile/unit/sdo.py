@@ -15,6 +15,9 @@ from tactile.errors import FrameError, NodeMissing, TareRefused
 from tactile.layout import TaxelLayout
 from tactile.unit import object_dictionary
 
+_NO_OBJECT = 0x0602_0000
+"""SDO abort code: the object does not exist (CiA 301, 7.2.4.3.17)."""
+
 
 class ObjectAccess:
     """Reads and writes objects by index; repeats what got lost; errors name object and unit.
@@ -47,10 +50,23 @@ class ObjectAccess:
         """Return a visible string."""
         return self.read(index, subindex).rstrip(b"\0").decode("ascii", errors="replace")
 
+    def has(self, index: int) -> bool:
+        """Return whether the unit has an object at all."""
+        try:
+            self.read(index)
+        except NodeMissing as error:
+            if getattr(error.__cause__, "code", None) == _NO_OBJECT:
+                return False
+            raise
+        return True
+
+    def write(self, index: int, subindex: int, data: bytes) -> None:
+        """Write the bytes of an object."""
+        self._transfer("write", index, subindex, self._client.download, (data,))
+
     def write_unsigned(self, index: int, subindex: int, value: int, n_bytes: int) -> None:
         """Write an unsigned integer of ``n_bytes`` bytes."""
-        data = value.to_bytes(n_bytes, "little")
-        self._transfer("write", index, subindex, self._client.download, (data,))
+        self.write(index, subindex, value.to_bytes(n_bytes, "little"))
 
     def _transfer(
         self,

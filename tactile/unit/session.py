@@ -1,6 +1,7 @@
 """The session of a link, from one start to its end: messages, SYNC, supervision, statistics."""
 
 from collections.abc import Callable
+from math import inf
 
 import can
 import canopen
@@ -10,11 +11,12 @@ from tactile.can.bus import bad_lines
 from tactile.can.receiver import MessageSource, interface_failed
 from tactile.can.sdo_client import PolledSdoClient
 from tactile.clock import Clock
-from tactile.errors import DuplicateNode, NodeMissing
+from tactile.errors import DuplicateNode, FrameTimeout, NodeMissing
 from tactile.frames.assembler import FrameAssembler
 from tactile.frames.codec import FrameFormat, TactileFrame
 from tactile.frames.flow import FrameFlow
-from tactile.frames.pad_features import FeatureCollector
+from tactile.frames.force_message import ForceMessage
+from tactile.frames.force_stream import ForceStatistics, ForceStream
 from tactile.layout import TaxelLayout
 from tactile.unit import object_dictionary
 from tactile.unit.sdo import ObjectAccess
@@ -93,7 +95,17 @@ class LinkSession:
             "check cable, termination, bit rate and adapter",
             settings.max_malformed_hz,
         )
-        self.features = FeatureCollector()
+        rate_hz = 1.0 / settings.force_period_s if settings.force_period_s else inf
+        self._lost_forces = TrafficLimit(
+            "lost force messages",
+            "check bus load, cable and termination",
+            rate_hz=settings.max_loss_rate * rate_hz,
+            burst=settings.force_timeout_s * rate_hz,
+        )
+        self._forces: ForceStream | None = None
+        self._new_forces: list[ForceMessage] = []
+        self._force_s = 0.0
+        self._frame_id = object_dictionary.COB_TPDO1 + node_id
         self.last_frame_s: float | None = None
         self._frames: list[TactileFrame] = []
         self._nodes_heard: set[int] = set()
@@ -103,8 +115,6 @@ class LinkSession:
         self._unusable = 0
         self._handlers: dict[int, Callable[[bytes, float], None]] = {
             object_dictionary.COB_EMCY + node_id: self._on_emergency,
-            object_dictionary.COB_TPDO2 + node_id: self._on_features_first,
-            object_dictionary.COB_TPDO3 + node_id: self._on_features_second,
             object_dictionary.COB_SDO_RESPONSE + node_id: self._on_sdo_response,
             object_dictionary.COB_HEARTBEAT + node_id: self.supervisor.on_heartbeat,
         }
@@ -114,6 +124,7 @@ class LinkSession:
         """Counts since the start."""
         return LinkStatistics(
             frames=self._assembler.statistics,
+            forces=ForceStatistics() if self._forces is None else self._forces.statistics,
             recent_loss_rate=self._flow.recent_loss_rate,
             syncs=self._syncs,
             late_syncs=self._late_syncs,
@@ -128,9 +139,26 @@ class LinkSession:
         self._frames.clear()
         return frames
 
+    def take_forces(self) -> tuple[ForceMessage, ...]:
+        """Return the force messages since the last call."""
+        forces = tuple(self._new_forces)
+        self._new_forces.clear()
+        return forces
+
+    def expect_forces(self, frame_id: int) -> None:
+        """Take force messages from now on, and the frames under another COB-ID."""
+        self._forces = ForceStream(self._settings.force_period_s)
+        self._frame_id = frame_id
+        self._handlers[object_dictionary.COB_TPDO2 + self._node_id] = self._on_force
+
+    @property
+    def sends_forces(self) -> bool:
+        """Whether the unit was set up to send force messages."""
+        return self._forces is not None
+
     def enter_operation(self) -> None:
-        """Send SYNC from now on, and watch heartbeat, state and frames."""
-        now_s = self._clock.monotonic()
+        """Send SYNC from now on, and watch heartbeat, state, frames and force messages."""
+        now_s = self._force_s = self._clock.monotonic()
         self.supervisor.enter_operation(now_s)
         self._next_sync_s = now_s
 
@@ -144,7 +172,7 @@ class LinkSession:
 
     def service(self) -> None:
         """Take in what was received, look at the deadlines, send SYNC when due."""
-        frame_id = object_dictionary.COB_TPDO1 + self._node_id
+        frame_id = self._frame_id
         push = self._assembler.push
         n_frame_messages = 0
         for t_s, message in self._source.drain():
@@ -165,6 +193,8 @@ class LinkSession:
         if self._next_sync_s is None:
             self._check_answers()
         self.supervisor.check(now_s)
+        if self._forces is not None and self._next_sync_s is not None:
+            self._check_forces(now_s)
         if self._next_sync_s is not None and now_s >= self._next_sync_s - _SYNC_EARLY_S:
             self._sync(now_s, self._next_sync_s)
 
@@ -211,13 +241,7 @@ class LinkSession:
 
     def _unusable_now(self) -> int:
         """Return how many messages could not be used, damaged frame messages left out."""
-        return (
-            self._malformed
-            + self.features.malformed
-            + self.supervisor.short_emergencies
-            + bad_lines(self._bus)
-            - self._bad_lines
-        )
+        return self._malformed + self.supervisor.unusable + bad_lines(self._bus) - self._bad_lines
 
     def _check_unusable(self, now_s: float) -> None:
         unusable = self._unusable_now() + self._assembler.n_short
@@ -249,17 +273,25 @@ class LinkSession:
         self.last_frame_s = frame.t_s
         self._flow.on_frame(frame.counter)
 
-    def _on_features_first(self, data: bytes, t_s: float) -> None:
-        self.features.push_first(data)
+    def _on_force(self, data: bytes, t_s: float) -> None:
+        assert self._forces is not None
+        lost = self._forces.lost
+        message = self._forces.push(data, t_s)
+        if message is not None:
+            self._new_forces.append(message)
+            self._force_s = t_s
+        self._lost_forces.add(t_s, self._forces.lost - lost)
 
-    def _on_features_second(self, data: bytes, t_s: float) -> None:
-        features = self.features.push_second(data)
-        if (
-            features is not None
-            and self._settings.mode is object_dictionary.TransmissionMode.FEATURES
-        ):
-            self.last_frame_s = t_s
-            self._flow.answered()
+    def _check_forces(self, now_s: float) -> None:
+        """Raise FrameTimeout where force messages have stayed away for too long."""
+        silent_s = now_s - self._force_s
+        limit_s = self._settings.force_timeout_s
+        if silent_s > limit_s:
+            raise FrameTimeout(
+                f"no force message from {self.name} for {1e3 * silent_s:.0f} ms, allowed are "
+                f"{1e3 * limit_s:.0f} ms: check bus load and cable, or set tactile.force_period_ms "
+                "to 0 to take the force from the frames, then start the link again"
+            )
 
     def _on_emergency(self, data: bytes, t_s: float) -> None:
         self.supervisor.on_emergency(data)
@@ -278,14 +310,13 @@ def _supervisor(name: str, settings: LinkSettings) -> NodeSupervisor:
 
 
 def _flow(name: str, settings: LinkSettings, frame_format: FrameFormat) -> FrameFlow:
-    whole_frames = settings.mode & object_dictionary.TransmissionMode.RAW
     return FrameFlow(
         name,
         timeout_periods=settings.frame_timeout_periods,
         max_loss_rate=settings.max_loss_rate,
         window_frames=settings.loss_window_frames,
         late_periods=settings.late_periods,
-        burst_messages=frame_format.n_messages if whole_frames else 0,
+        burst_messages=frame_format.n_messages,
     )
 
 

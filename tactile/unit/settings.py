@@ -8,8 +8,8 @@ from math import inf
 from typing import Any
 
 from tactile.frames.assembler import FrameStatistics
+from tactile.frames.force_stream import ForceStatistics
 from tactile.unit import object_dictionary
-from tactile.unit.object_dictionary import TransmissionMode
 
 
 def setting(default: Any, low: float, high: float) -> Any:
@@ -28,6 +28,8 @@ class NodeIdentity:
     name: str = ""
     boards: tuple[int, int] = (0, 0)
     """Serial numbers of the pads' boards on finger 0 and finger 1; 0 where a board has none."""
+    sends_forces: bool = False
+    """Whether it was set up to send force messages."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,8 +58,9 @@ class LinkSettings:
     default 85 % of the period."""
     heartbeat_s: float = setting(0.1, 0.005, 10.0)
     """Period of the unit's heartbeat in s."""
-    heartbeat_factor: float = setting(1.5, 1.0, 10.0)
-    """The heartbeat is lost after this many periods."""
+    heartbeat_factor: float = setting(2.5, 1.0, 10.0)
+    """The heartbeat is lost after this many periods: one that is lost on the way is no fault, and
+    frames that stay away show a dead unit sooner."""
     startup_timeout_s: float = setting(3.0, 0.01, 120.0)
     """The unit must have booted, and later be operational, within this time in s."""
     sdo_timeout_s: float = setting(0.3, 0.005, 10.0)
@@ -77,8 +80,11 @@ class LinkSettings:
     """The host's CAN controller may be error-passive for this long, in s."""
     identity: ExpectedIdentity = field(default_factory=ExpectedIdentity)
     """Which unit is accepted."""
-    mode: TransmissionMode = TransmissionMode.RAW
-    """Samples, features, or both."""
+    force_period_s: float = setting(0.002, 0.0, 0.05)
+    """Period of the force messages in s, a whole number of ms; 0: none, the force comes from
+    frames."""
+    force_timeout_s: float = setting(0.04, 0.005, 1.0)
+    """So long in s without a force message is a fault: what disturbs one frame is none."""
     threaded: bool = True
     """True: a thread receives (real buses). False: `poll` asks the bus (buses in memory)."""
 
@@ -107,8 +113,8 @@ class LinkStatistics:
 
     Attributes
     ----------
-    frames
-        Frames and frame messages.
+    frames, forces
+        Frames and frame messages; force messages.
     recent_loss_rate
         Share of frames lost in the window of `LinkSettings.loss_window_frames`.
     syncs
@@ -118,8 +124,8 @@ class LinkStatistics:
     foreign
         Messages of other nodes or of unknown COB-IDs.
     malformed
-        Emergencies, features and remote or extended messages that cannot be used, and lines of a
-        serial adapter that are none.
+        Emergencies, force messages and remote or extended messages that cannot be used, and lines
+        of a serial adapter that are none.
     error_frames
         Error frames of the host's CAN controller.
     """
@@ -131,3 +137,4 @@ class LinkStatistics:
     foreign: int
     malformed: int
     error_frames: int
+    forces: ForceStatistics = field(default_factory=ForceStatistics)

@@ -171,7 +171,7 @@ class SupervisionLimits:
     """
 
     heartbeat_s: float
-    heartbeat_factor: float = 1.5
+    heartbeat_factor: float = 2.5
     passive_s: float = 0.5
 
 
@@ -195,7 +195,7 @@ class NodeSupervisor:
         self._passive_since_s: float | None = None
         self.state: int | None = None
         self.boot_ups = 0
-        self.short_emergencies = 0
+        self.unusable = 0
         self.error_frames = 0
 
     def enter_operation(self, now_s: float) -> None:
@@ -205,9 +205,12 @@ class NodeSupervisor:
 
     def on_heartbeat(self, data: bytes, t_s: float) -> None:
         """Take a message of COB-ID 0x700 + node."""
-        if len(data) != 1:
+        state = data[0] & _STATE_BITS if len(data) == 1 else None
+        if state != BOOT_UP and state not in NMT_STATES:
+            # No unit is in such a state: a bit was turned on the way.
+            self.unusable += 1
             return
-        self.state = data[0] & _STATE_BITS
+        self.state = state
         self._heartbeat_at_s = t_s
         if self.state == BOOT_UP:
             self.boot_ups += 1
@@ -239,7 +242,7 @@ class NodeSupervisor:
         """Take a message of COB-ID 0x080 + node."""
         emergency = decode_emergency(data)
         if emergency is None:
-            self.short_emergencies += 1
+            self.unusable += 1
         elif emergency.code != ERROR_RESET:
             raise NodeEmergency(emergency.code, emergency.register, emergency.text, self._name)
 

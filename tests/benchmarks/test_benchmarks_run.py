@@ -9,14 +9,15 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
 import benchmarks
 from benchmarks import __main__ as command
-from benchmarks._measure import in_turns, ratio, same
+from benchmarks._measure import Timed, in_turns, ratio, same
 from benchmarks.paper import sweep
-from benchmarks.performance import _servo_clients, frames, identify, servo_bus
+from benchmarks.performance import _servo_clients, identify, servo_bus, tactile_path
 
 pytestmark = pytest.mark.no_cover  # to count lines takes as long again as to run them
 
@@ -56,7 +57,7 @@ def test_it_prints_its_ratios(
 
 
 def test_the_command_names_what_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert {"frames", "identify", "servo_bus", "sweep"} <= set(MODULES)
+    assert {"identify", "servo_bus", "sweep", "tactile_path"} <= set(MODULES)
     monkeypatch.setattr(sys, "argv", ["benchmarks", "nothing"])
     with pytest.raises(SystemExit, match=", ".join(MODULES)):
         command.main()
@@ -70,13 +71,17 @@ def test_alternatives_take_turns_and_begin_in_turn() -> None:
     assert ratio([1.0, 9.0, 4.0], [1.0, 3.0, 2.0]) == 2.0
 
 
-def test_frames_that_differ_end_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    def shifted(self: frames.Sliced, payloads: list[list[bytes]]) -> list[object]:
-        return [frame + 1 for frame in frames.Assembled().decode(payloads)]
+def test_forces_that_differ_end_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    right = tactile_path.plain_run
 
-    monkeypatch.setattr(frames.Sliced, "decode", shifted)
-    with pytest.raises(SystemExit, match="numpy slices gives other counts"):
-        frames.main(EFFORT)
+    def doubled(counts: np.ndarray, forces: list[np.ndarray]) -> Timed:
+        taken = right(counts, forces)
+        forces[:] = [2.0 * force_n for force_n in forces]
+        return taken
+
+    monkeypatch.setattr(tactile_path, "plain_run", doubled)
+    with pytest.raises(SystemExit, match="the forces on the grip differ"):
+        tactile_path.main(EFFORT)
 
 
 def test_matrices_that_differ_end_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,13 +1,12 @@
 """The figures on the page of the force loop are those that its benchmark gives today."""
 
-import re
 from pathlib import Path
 
 import pytest
 
 from benchmarks.performance import force_ramps
 from benchmarks.performance._force_plant import Quality
-from benchmarks.performance.force_ramps import CASES, TRUTHS, Case, row, run, write_page
+from benchmarks.performance.force_ramps import CASES, OWN, SETUPS, Case, row, run, write_page
 
 pytestmark = pytest.mark.no_cover  # to count lines takes as long again as to run them
 
@@ -23,12 +22,14 @@ REMEDY = "the force loop has changed: python -m benchmarks.performance.force_ram
 
 
 def figures_n(text: str) -> list[float]:
-    """Return overshoot and error in the hold; the time to settle leaps where a limit is grazed."""
-    return [float(number) for number in re.findall(r"(\d+\.\d+) N \|", text)]
+    """Return overshoot and error in the hold of both plants; the time to settle leaps."""
+    cells = [cell.strip() for cell in text.split("|")][4:]
+    return [float(cells[at]) for at in (0, 2, 4, 6)]
 
 
 def line_of(page: str, case: Case) -> str:
-    start = row(case, Quality(overshoot_n=0.0, settling_s=0.0, holding_n=0.0)).partition(" 0.00")[0]
+    none = Quality(overshoot_n=0.0, settling_s=0.0, holding_n=0.0)
+    start = row(case, none, none).partition(" 0.00")[0]
     (found,) = [line for line in page.splitlines() if line.startswith(start)]
     return found
 
@@ -36,10 +37,18 @@ def line_of(page: str, case: Case) -> str:
 @pytest.mark.parametrize("case", RAN_AGAIN, ids=lambda case: case.part)
 def test_the_page_has_the_figures_of_today(case: Case) -> None:
     printed = line_of(force_ramps.PAGE.read_text(encoding="utf-8"), case)
-    quality = run("force loop", case, TRUTHS)
-    assert not quality.lost
-    today_n = [quality.overshoot_n, quality.holding_n]
+    today_n: list[float] = []
+    for name in (OWN, force_ramps.OWN_TRUTHS):
+        quality = run(SETUPS[name], case)
+        assert not quality.lost
+        today_n += [quality.overshoot_n, quality.holding_n]
     assert figures_n(printed) == pytest.approx(today_n, abs=ROUNDING), REMEDY
+
+
+def test_a_ramp_with_frames_alone_meets_its_aims() -> None:
+    case = Case(part="cork, 5 N/mm", final_n=4.0, rate_n_s=3.0)
+    quality = run(SETUPS["force loop, frames"], case)
+    assert all(force_ramps.met(quality, case.final_n))
 
 
 def test_the_figures_alone_are_written_anew(
@@ -50,14 +59,14 @@ def test_the_figures_alone_are_written_anew(
     monkeypatch.setattr(force_ramps, "PAGE", path)
     good = Quality(overshoot_n=0.11, settling_s=0.02, holding_n=0.12)
     lost = Quality(overshoot_n=0.0, settling_s=1.5, holding_n=2.0, lost=True)
-    found = {law: dict.fromkeys(CASES, good) for law in (*force_ramps.LAWS, "force loop, hard")}
-    found["force loop"][CASES[0]] = lost
+    found = {name: dict.fromkeys(CASES, good) for name in SETUPS}
+    found[OWN][CASES[0]] = lost
     write_page(found)
     page = path.read_text()
     assert page.startswith(f"# Page\n\n{force_ramps.BEGIN}\n| part |")
     assert page.endswith(f"{force_ramps.END}\n\nafter\n")
     assert "stale" not in page
-    assert "| part lost |  |  | overshoot, settling, hold |" in page
-    assert "| 0.11 N | 0.02 s | 0.12 N |  |" in page
-    assert f"| plain PI | {len(CASES)} | {len(CASES)} | {len(CASES)} | 0.12 N |" in page
-    assert "Parts taken for lost: 1." in page
+    assert "| part lost |  |  | OSH | 0.11 | 0.02 | 0.12 |  |" in page
+    n = len(CASES)
+    assert f"| plain PI, frames | {n} | {n} | {n} | 0.12 N | 0 |" in page
+    assert f"| {OWN} | {n - 1} | {n - 1} | {n - 1} | 0.20 N | 1 |" in page

@@ -11,13 +11,11 @@ import pytest
 from cell.build import Cell, build_cell
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
-from cell.control.controller import CellController
-from cell.control.plan import GraspStep, Pose
 from cell.data.dataset import read_dataset
 from cell.jobs.run import MainResult, teach_and_identify
+from cell.pytest_plugin.virtual import VirtualCell
 from gripper.state import GripperPhase
 from recognition.grasp import Grasp, PadArray
-from simulator.cell import SimulatedCell
 
 MakeConfig = Callable[..., CellConfig]
 
@@ -35,36 +33,13 @@ def small_config(**changes: Any) -> CellConfig:
     return changed_config(CellConfig(), small | wanted)
 
 
-@dataclass
-class Bench:
-    """A cell in virtual time, and what only the simulator can tell of it."""
+@dataclass(frozen=True, kw_only=True)
+class Bench(VirtualCell):
+    """A cell in virtual time that can be acted on in its phases."""
 
-    cell: Cell
-
-    @property
-    def controller(self) -> CellController:
-        return self.cell.controller
-
-    @property
-    def simulated(self) -> SimulatedCell:
-        assert self.cell.simulated is not None
-        return self.cell.simulated
-
-    @property
-    def grip_n(self) -> float:
-        """Force on the pad that carries less."""
-        return min(self.simulated.world.contact_force_n())
-
-    def sleep(self, seconds: float) -> None:
-        self.simulated.clock.sleep(seconds)
-
-    def ready(self, label: str | None = "ball") -> "Bench":
-        self.controller.start()
-        self.controller.present(label)
+    def ready(self, label: str = "ball") -> "Bench":
+        self.start(label)
         return self
-
-    def grasp(self, force_n: float = 3.0, pose: Pose | None = None) -> Any:
-        return self.controller.grasp(GraspStep(pose=pose or Pose(), force_n=force_n))
 
     def once_in(self, phase: GripperPhase, act: Callable[[], object], after_s: float = 0.0) -> None:
         """Do something once, when the gripper has been in a phase for so long."""
@@ -93,8 +68,10 @@ def make_bench() -> Iterator[Callable[..., Bench]]:
     cells: list[Cell] = []
 
     def make(config: CellConfig | None = None, **options: Any) -> Bench:
-        cells.append(build_cell(config or small_config(), **options))
-        return Bench(cells[-1])
+        chosen = config or small_config()
+        cells.append(build_cell(chosen, **options))
+        assert cells[-1].simulated is not None
+        return Bench(config=chosen, cell=cells[-1], simulated=cells[-1].simulated)
 
     yield make
     for cell in cells:
@@ -141,13 +118,13 @@ def taught(tmp_path_factory: pytest.TempPathFactory) -> Taught:
     return Taught(config, folder, result, read_dataset(result.dataset), tuple(progress))
 
 
-def plain_pads(*shapes: tuple[int, int]) -> PadArray:
-    """Pads with taxels 3 mm apart, 12 bit."""
+def plain_pads(*shapes: tuple[int, int], pitch_m: float = 3e-3, adc_max: int = 4095) -> PadArray:
+    """Pads of evenly spaced taxels."""
     return PadArray(
         pad_shape=np.array(shapes),
         taxel_pad=np.repeat(np.arange(len(shapes)), [rows * columns for rows, columns in shapes]),
-        taxel_xy_m=np.concatenate([np.indices(shape).reshape(2, -1).T * 3e-3 for shape in shapes]),
-        adc_max=4095,
+        taxel_xy_m=np.concatenate([np.indices(one).reshape(2, -1).T * pitch_m for one in shapes]),
+        adc_max=adc_max,
     )
 
 

@@ -35,7 +35,7 @@ FROZEN = {
     "NodeRebooted": 308, "NodeStateChanged": 309, "NodeEmergency": 310, "BusOff": 311,
     "BusErrorPassive": 312, "ReceiveLoopDead": 313, "BusNotOpened": 314,
     "FrameTimeout": 401, "FrameError": 402, "LayoutError": 403, "CalibrationError": 404,
-    "TareRefused": 405, "ZeroDrifted": 406,
+    "TareRefused": 405, "ZeroDrifted": 406, "ForceContradicted": 407,
     "CellError": 500, "ConfigError": 501, "DatasetError": 502, "RecordingError": 503,
     "ReportError": 504, "CellStateError": 505, "PartInGrip": 506, "PlanRefused": 507,
     "HandLost": 508, "HostSilent": 509, "PositionerError": 510, "NoPartFound": 511,

@@ -6,17 +6,15 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from cell.build import Cell, build_cell
+from cell.build import build_cell
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
-from cell.control.controller import CellController
-from cell.control.plan import GraspStep, Pose
-from cell.control.records import GraspRecord
+from cell.control.plan import Pose
 from cell.control.states import CellState
 from cell.errors import CellError
+from cell.pytest_plugin.virtual import VirtualCell
 from gripper.errors import GripperError, fingers_left
 from gripper.state import GripperPhase
-from simulator.cell import SimulatedCell
 from tactile.errors import TactileError
 from tests.faults.invariants import InvariantMonitor
 
@@ -63,12 +61,12 @@ class Observed:
 
 @dataclass(frozen=True, slots=True)
 class FaultRow:
-    """One variant of one of the 43 kinds of fault.
+    """One variant of one of the 44 kinds of fault.
 
     Attributes
     ----------
     row
-        Kind of fault, 1 to 43.
+        Kind of fault, 1 to 44.
     variant
         What makes it differ from the other variants of this kind; may be empty.
     fault
@@ -135,42 +133,22 @@ def campaign_config(changes: Mapping[str, Any] | None = None) -> CellConfig:
     return changed_config(CellConfig(), short_jobs | dict(changes or {}))
 
 
-@dataclass(kw_only=True)
-class CampaignCell:
+@dataclass(frozen=True, kw_only=True)
+class CampaignCell(VirtualCell):
     """A simulated cell in virtual time, its controller, and the monitor that watches both.
 
     Attributes
     ----------
-    cell
-        Controller, links, recording.
     monitor
         The invariants.
     """
 
-    cell: Cell
     monitor: InvariantMonitor
-
-    @property
-    def controller(self) -> CellController:
-        """The product."""
-        return self.cell.controller
-
-    @property
-    def simulated(self) -> SimulatedCell:
-        """The hardware."""
-        if self.cell.simulated is None:
-            raise RuntimeError("the campaign runs on simulated cells")
-        return self.cell.simulated
 
     @property
     def now_s(self) -> float:
         """Simulated time in s."""
-        return self.simulated.clock.monotonic()
-
-    @property
-    def grip_n(self) -> float:
-        """True force in N on the pad that carries less."""
-        return min(self.simulated.world.contact_force_n())
+        return self.clock.monotonic()
 
     @property
     def grip(self) -> str:
@@ -178,14 +156,9 @@ class CampaignCell:
         held = "the grip is kept" if self.controller.holding else "nothing is held"
         return f"{self.controller.state.value}, {held} ({self.grip_n:.1f} N)"
 
-    def start(self) -> None:
+    def start(self, present: str | None = "ball") -> VirtualCell:
         """Start the cell and bring the ball."""
-        self.controller.start()
-        self.controller.present("ball")
-
-    def grasp(self) -> GraspRecord:
-        """Run one grasp with 3 N at the pads' centre."""
-        return self.controller.grasp(GraspStep(pose=Pose(), force_n=3.0))
+        return super().start(present)
 
     def idle(self, seconds: float) -> None:
         """Let time pass while the cell supervises its links, once a period."""
@@ -246,7 +219,7 @@ def campaign_cell(
     monitor = InvariantMonitor(cell.simulated, config.gripper)
     monitor.attach(cell)
     try:
-        yield CampaignCell(cell=cell, monitor=monitor)
+        yield CampaignCell(config=config, cell=cell, simulated=cell.simulated, monitor=monitor)
     finally:
         monitor.close()
         cell.close()

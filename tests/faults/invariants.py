@@ -49,10 +49,12 @@ _FAULTED = (CellState.ABORTING, CellState.ABORTED, CellState.CLEARING, CellState
 _COUNTERS = (
     attrgetter("lost", "torn", "duplicate", "reordered", "stale", "short", "corrupt"),
     attrgetter("foreign", "malformed", "error_frames"),
+    attrgetter("lost", "repeated", "late", "damaged"),
     attrgetter("bad_taxels", "saturated_frames", "void_frames"),
     attrgetter("retries", "timeouts", "corrupt", "late"),
 )
-"""Counters of frames, CAN link, sensor and servo bus that move only when something is wrong."""
+"""Counters of frames, CAN link, force messages, sensor and servo bus that move only when something
+is wrong."""
 _FIRST_CHUNK_BYTES = 1024
 """A recording of a host that was killed before its first chunk is smaller."""
 _SPOILING = ("taxels.off", "taxels.stuck", "taxels.saturated")
@@ -329,7 +331,7 @@ class InvariantMonitor:
 def link_counters(cell: Cell) -> list[tuple[int, ...]]:
     """Return the counters of both links; `Cell.health` gives the same, too slowly for each step."""
     link, sensor = cell.link.statistics, cell.controller.local_hand.sensor.statistics
-    owners = (link.frames, link, sensor, cell.bus.statistics)
+    owners = (link.frames, link, link.forces, sensor, cell.bus.statistics)
     return [read(owner) for read, owner in zip(_COUNTERS, owners, strict=True)]
 
 

@@ -44,7 +44,7 @@ def totals(results: Sequence[Result]) -> str:
     good = sum(result.verdict == AS_REQUIRED for result in results)
     kinds = {result.row.row for result in results}
     return (
-        f"{len(results)} variants of {len(kinds)} of the 43 kinds of fault: {good} with the "
+        f"{len(results)} variants of {len(kinds)} of the 44 kinds of fault: {good} with the "
         f"required reaction within their limit, {len(results) - good} not."
     )
 

@@ -1,4 +1,4 @@
-"""The rows of the fault campaign as data: 43 kinds of fault in their variants.
+"""The rows of the fault campaign as data: 44 kinds of fault in their variants.
 
 A record is: kind, variant, fault in plain words, what is injected, required reaction, limit in s
 until it is detected (None where no time applies); then, where the text of the simulator's
@@ -56,8 +56,8 @@ LOSSY_S = 1.5
 """`gripper.bus_loss_ms` over `gripper.feedback_loss_max_share`, and some periods."""
 ONE_SILENT_S = 0.025
 """Three periods with their repetitions, and what is left of the one in which it began."""
-CYCLE_S = 0.006
-"""One period and the transaction that shows it."""
+CYCLE_S = LOOP_S + 0.0035
+"""One period, the transaction that shows it, and a step of the simulated clock."""
 STANDING_S = 0.2
 """Empty fingers are watched for so long after their torque has come on."""
 DRIFT_S = 0.5
@@ -74,6 +74,8 @@ HEARTBEAT_S = 0.125 + AXIS_S
 """Two periods and a half of a drive's heartbeat, and the wait for an answer."""
 WRIST_LOST_S = 0.1 + AXIS_S
 """Time for which a wrist may be silent, and the last wait for an answer."""
+FORCES_S = 0.042 + CYCLE_S
+"""Force messages that are missing for so long, counted from the last one, and the next look."""
 FOLLOWING_S = 0.4
 """1 mm or degree behind at the profile's speed, 50 ms allowed for it, and the start-up of both."""
 STALL_S = 0.6
@@ -159,7 +161,7 @@ CONTROL_UNIT = _near((
     FaultRow(9, "", "the unit reboots in the ramp; the limit counts its boot of 20 ms",
              "unit.reboot@contact+0.1s", "HOLD", BOOT_S + LOOP_S, can.unit_reboots),
     FaultRow(10, "heartbeat lost", "the heartbeat stops",
-             "unit.heartbeat_off@contact+0.1s", "HOLD", 0.15 + LOOP_S),
+             "unit.heartbeat_off@contact+0.1s", "HOLD", 0.25 + LOOP_S),
     FaultRow(10, "never appears", "the unit is not there at the start",
              "unit.off", "REJECT", START_S + 0.05),
     FaultRow(10, "gone", "the unit falls silent",
@@ -184,6 +186,23 @@ CONTROL_UNIT = _near((
              changes={"tactile.board_serial_numbers": [11, 12]}),
 ))
 
+FORCES = _near((
+    FaultRow(44, "silence", "no force message from one moment on, while frames come",
+             "unit.forces_off@contact+0.1s", "HOLD", FORCES_S),
+    FaultRow(44, "one in a hundred lost", "1 % of the force messages lost, evenly",
+             "unit.forces_lost=0.01@contact", "NOTE", None),
+    FaultRow(44, "one in four lost", "25 % of the force messages lost, evenly",
+             "unit.forces_lost=0.25@contact+0.1s", "HOLD", 0.4),
+    FaultRow(44, "twice", "each fifth force message comes twice",
+             "unit.forces_twice=0.2@contact", "NOTE", None),
+    FaultRow(44, "out of order", "each fifth force message comes after the next one",
+             "unit.forces_swapped=0.2@contact", "NOTE", None),
+    FaultRow(44, "another table", "the messages show 1.6 times the force that the frames show",
+             "unit.force_gain=1.6@contact+0.3s", "HOLD", 0.5, changes=LONG_HOLD),
+    FaultRow(44, "another table at the start", "the same from the start on",
+             "unit.force_gain=1.6", "HOLD", 3.0),
+))
+
 TAXELS = _near((
     FaultRow(13, "", "frozen frames: valid, new counter, same samples",
              "unit.stuck@contact+0.1s", "HOLD", 0.1),
@@ -204,7 +223,8 @@ TAXELS = _near((
              "taxels.off=0.01@contact", "NOTE", STUCK_S + SYNC_S + BURST_S + LOOP_S,
              changes={"sequence.ramp.hold_s": 0.5}),
     FaultRow(15, "many online", "120 taxels die",
-             "taxels.off=0.3@contact+0.1s", "HOLD", STUCK_S + FORCE_STALE_S + SYNC_S + BURST_S),
+             "taxels.off=0.3@contact+0.1s", "HOLD", STUCK_S + FORCE_STALE_S + SYNC_S + BURST_S,
+             changes=LONG_HOLD),
     FaultRow(16, "a gripping pad",
              "a gripping pad saturates: its force is void with the next set, control goes on for "
              "force_stale_ms",
@@ -227,9 +247,9 @@ TAXELS = _near((
 
 SERVO_BUS = (
     FaultRow(18, "one lost answer", "one answer of a servo is lost in the ramp",
-             "servos.loss=1@contact+0.2s..contact+203ms", "NOTE", LOOP_S),
+             "servos.loss=1@contact+0.2s..contact+205ms", "NOTE", CYCLE_S),
     FaultRow(18, "one lost request", "one request to the servos is lost in the ramp",
-             "servos.lost_requests=1@contact+0.2s..contact+203ms", "NOTE", LOOP_S),
+             "servos.lost_requests=1@contact+0.2s..contact+205ms", "NOTE", CYCLE_S),
     FaultRow(18, "now and then", "one answer in twenty is lost, for the whole job",
              "servos.loss=0.05", "NOTE", None),
     FaultRow(18, "often", "three answers in twenty are lost: above the share that is allowed",
@@ -259,14 +279,14 @@ SERVO_BUS = (
           ("bursts", "40 bytes each 2.3 ms", "servos.bursts=2.3ms"),
           ("sentences", "a sentence of NMEA 0183 each 3.1 ms", "servos.sentences=3.1ms"))),
     FaultRow(20, "bit errors", "one bit of every answer turns for 10 ms",
-             "servos.corrupt=1@contact+0.2s..contact+0.21s", "NOTE", LOOP_S),
+             "servos.corrupt=1@contact+0.2s..contact+0.21s", "NOTE", CYCLE_S),
     FaultRow(20, "bit errors now and then",
              "one bit of one answer in twenty turns, for the whole job",
              "servos.corrupt=0.05", "NOTE", None),
     FaultRow(20, "cut answers", "all answers lack their end from the ramp on",
              "servos.truncated=1@contact+0.2s", "HOLD", BUS_LOST_S),
     FaultRow(20, "wrong sender", "answers name another servo for 4 ms",
-             "servos.wrong_id=1@contact+0.2s..contact+204ms", "NOTE", LOOP_S),
+             "servos.wrong_id=1@contact+0.2s..contact+205ms", "NOTE", CYCLE_S),
     FaultRow(20, "noise before answers",
              "bytes of noise come before every answer, for the whole job",
              "servos.garbage=1", "NOTE", None),
@@ -338,11 +358,10 @@ GRIP = (
     FaultRow(28, "no part",
              "the part is taken away in the approach: the fingers close to their limit",
              "object.gone@moving+0.6s", "NO PART FOUND", 1.5, servo.part_leaves, LONG_HOLD),
-    # The force is the mean of three frames of 20 ms: it is zero with the third.
     FaultRow(28, "part lost in the ramp", "the part is taken out of the fingers in the ramp",
-             "object.gone@contact+0.3s", "PART LOST", 0.08, servo.part_leaves, LONG_HOLD),
+             "object.gone@contact+0.3s", "PART LOST", 0.03, servo.part_leaves, LONG_HOLD),
     FaultRow(28, "part lost in a hold", "the part is taken out of the fingers while it is held",
-             "object.gone@contact+1.5s", "PART LOST", 0.05, servo.part_leaves, LONG_HOLD),
+             "object.gone@contact+1.5s", "PART LOST", 0.025, servo.part_leaves, LONG_HOLD),
     # 2 mm of way, and the mean of the sensor; 50 ms would be 1 mm, its noise.
     FaultRow(28, "part slips", "the held part slides along the pads with 20 mm/s",
              "object.slips=20@contact+1.5s", "HOLD", 0.2,
@@ -362,11 +381,10 @@ GRIP = (
           (28, "part slips", "the part slides along the pads with 20 mm/s", "object.slips=20",
            "HOLD", 0.2))
       for near in ({"gripper.aperture_open_mm": 11.0},)),
-    # Three frames of the sensor, whose mean it gives.
     *(FaultRow(29, f"reaction {reaction}",
                f"something trapped pushes the force above its cap of {servo.CAP_N:g} N in a hold; "
                "time counts from the cap",
-               "object.trapped=3@contact+0.8s", required, 0.06, servo.something_pushes,
+               "object.trapped=3@contact+0.8s", required, 0.03, servo.something_pushes,
                LONG_HOLD | {"sequence.force_n": [2.0, 4.0], "gripper.force_max_n": servo.CAP_N,
                             "gripper.over_force.reaction": reaction})
       for reaction, required in (("lower", "HOLD"), ("open", "HOLD"), ("limp", "LIMP"))),
@@ -538,6 +556,7 @@ AXES = (
 GROUPS = {
     "CAN bus": CAN_BUS,
     "control unit": CONTROL_UNIT,
+    "force messages": FORCES,
     "taxels": TAXELS,
     "servo bus": SERVO_BUS,
     "servos": SERVOS,

@@ -23,7 +23,7 @@ def test_the_summary_in_the_docs_has_the_figures_of_the_table() -> None:
 
 
 def test_the_summary_counts_the_rows() -> None:
-    assert f"{len(table.ROWS)} variants of 43 kinds of fault" in page.summary()
+    assert f"{len(table.ROWS)} variants of 44 kinds of fault" in page.summary()
     assert "| servos | 22 to 27, 30 | 25 | 10 REJECT," in page.summary()
 
 

@@ -65,7 +65,7 @@ def test_what_is_no_fault_is_refused_with_the_key(tmp_path: Path) -> None:
 
 def test_faults_beside_real_ports_are_refused_by_the_config(tmp_path: Path) -> None:
     path = tmp_path / "real.yaml"
-    path.write_text(REAL.read_text().replace("faults: []", 'faults: ["can.off"]'))
+    path.write_text(REAL.read_text() + "simulator: {faults: [can.off]}\n")
     with pytest.raises(ConfigError, match="faults are for the simulated cell, and this one has"):
         load_config(path)
 

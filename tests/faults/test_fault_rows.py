@@ -28,7 +28,7 @@ def test_a_fault_has_its_reaction_within_its_limit(
 def test_all_kinds_are_there_and_rows_have_names_of_their_own() -> None:
     names = [row.name for row in ROWS]
     assert len(set(names)) == len(names)
-    assert {row.row for row in ROWS} == set(range(1, 44))
+    assert {row.row for row in ROWS} == set(range(1, 45))
     assert {row.reaction for row in ROWS} == set(REACTIONS)
 
 
@@ -37,7 +37,7 @@ def test_the_monitor_watches_every_counter_of_the_links() -> None:
         health = cell.cell.health()
         watched = sum(len(values) for values in link_counters(cell.cell))
     counted = [health[link].keys() for link in ("tactile", "servo_bus")]
-    always = {"complete", "transactions"}
+    always = {"complete", "transactions", "force_received"}
     assert watched == sum(len(names - always) for names in counted) > 10
 
 

@@ -18,6 +18,7 @@ from xmlrpc.client import ServerProxy
 from pymodbus.client import ModbusTcpClient
 
 from cell.build import Cell, build_cell
+from cell.config.file import changed_config
 from cell.control.controller import CellController
 from cell.control.keeping import Keep
 from cell.control.plan import GraspStep, Pose
@@ -39,6 +40,7 @@ from cell.interfaces.service.serving import open_doors
 from tests.faults.campaign import PRODUCT_ERRORS
 from tests.faults.driver import COMMAND_BOUND_S, Driver
 from tests.faults.invariants import FrameWitness, InvariantBroken, Overrun
+from tests.fuzz.harness import Clock
 
 LEASE_S = 60.0
 """Time-out of leases in s: only the clock of the test lets it pass."""
@@ -311,19 +313,6 @@ WIRES: dict[str, Callable[[dict[str, Any]], Wire]] = {
 # -- the service -------------------------------------------------------------------------------
 
 
-class ClientClock:
-    """Time of the clients, which the test lets pass."""
-
-    def __init__(self) -> None:
-        self.now_s = 0.0
-
-    def monotonic(self) -> float:
-        return self.now_s
-
-    def sleep(self, seconds: float) -> None:
-        self.now_s += seconds
-
-
 class WitnessModel:
     """A taught model whose recogniser looks at its frames."""
 
@@ -355,7 +344,7 @@ class WireDriver(Driver):
     door = ""
 
     def __init__(self, *, self_test: bool) -> None:
-        self.clock = ClientClock()
+        self.clock = Clock()
         self._ending: list[Callable[[], None]] = []
         self._held = False
         self._due: list[Callable[[float], None]] = []
@@ -574,9 +563,8 @@ class WireDriver(Driver):
 
     def _new_service(self) -> Service:
         """Start the service; one that a fault keeps from it is started again without faults."""
-        ports = {f"{door}_port": 0 if door == self.door else None for door in WIRES}
-        serve = self._config.serve.model_copy(update=ports | {"lease_timeout_s": LEASE_S})
-        config = self._config.model_copy(update={"serve": serve})
+        ports = {f"serve.{door}_port": 0 if door == self.door else None for door in WIRES}
+        config = changed_config(self._config, ports | {"serve.lease_timeout_s": LEASE_S})
         error: Exception | None = None
         for _ in range(STARTS):
             try:

@@ -318,10 +318,11 @@ def limits(cpu_s: float) -> Iterator[None]:
     assert grown_kb < MEMORY_KB, f"{grown_kb >> 10} MB of memory"
 
 
+@dataclass
 class Clock:
     """Time that passes in waiting only."""
 
-    now_s = 0.0
+    now_s: float = 0.0
 
     def monotonic(self) -> float:
         return self.now_s

@@ -3,6 +3,7 @@
 import functools
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from itertools import pairwise
 from random import Random
 from types import SimpleNamespace
 
@@ -17,7 +18,8 @@ from tactile.can.sdo_client import MAX_OBJECT_BYTES, PolledSdoClient
 from tactile.errors import NodeMissing, TactileError
 from tactile.frames.assembler import FrameAssembler
 from tactile.frames.codec import FrameFormat, TactileFrame, encode_frame
-from tactile.frames.pad_features import FeatureCollector, PadFeatures, encode_features
+from tactile.frames.force_message import ForceMessage, ForceStatus, encode_force_message
+from tactile.frames.force_stream import ForceStream
 from tactile.layout import paper_layout
 from tactile.unit import object_dictionary
 from tactile.unit.sdo import ObjectAccess
@@ -78,36 +80,32 @@ def test_frames_are_made_of_what_came_and_never_go_back(*, size, first, steps, h
     return "whole frames" if found else "dropped"
 
 
-def some_features(random: Random) -> tuple[bytes, bytes]:
-    return encode_features(
-        PadFeatures(
-            pad=random.randint(0, 63),
-            counter=random.randint(0, 255),
-            active=random.randint(0, 255),
-            peak_counts=random.randint(0, 0xFFFF),
-            total_counts=random.randint(0, 0xFFFF_FFFF),
-            centroid_row=random.randint(0, 0xFFFF) / 256,
-            centroid_column=random.randint(0, 0xFFFF) / 256,
+def some_force(random: Random) -> bytes:
+    return encode_force_message(
+        ForceMessage(
+            t_s=0.0,
+            counter=random.randint(0, 15),
+            status=ForceStatus(random.randint(0, 15)),
+            force_n=(random.uniform(-70.0, 70.0), random.uniform(-70.0, 70.0)),
+            centre_taxels=random.choice((None, (random.uniform(-9.0, 9.0), 0.0))),
         )
     )
 
 
-@bad_input(
-    sent=several(some_features, 1, 3),
-    first_harm=drawn_damages(at_most=2),
-    second_harm=drawn_damages(at_most=2),
-)
-def test_features_are_made_of_what_came(sent, first_harm, second_harm):
-    firsts = disturbed([first for first, _ in sent], first_harm)
-    seconds = disturbed([second for _, second in sent], second_harm)
-    collector = FeatureCollector()
-    for data in firsts:
-        collector.push_first(data)
-    for data in seconds:
-        collector.push_second(data)
-    found = [encode_features(entry) for entry in collector.take()]
-    assert all(first in firsts and second in seconds for first, second in found)
-    return "whole features" if found else "dropped"
+@bad_input(sent=several(some_force, 1, 6), harm=drawn_damages(at_most=3))
+def test_force_messages_are_those_that_came_each_once(sent, harm):
+    messages = disturbed(sent, harm)
+    stream = ForceStream(0.003)
+    found = [stream.push(data, 0.003 * n) for n, data in enumerate(messages)]
+    taken = [encode_force_message(message) for message in found if message is not None]
+    assert all(data in messages for data in taken)
+    assert all(before != after for before, after in pairwise(taken))
+    statistics = stream.statistics
+    assert statistics.received == len(taken)
+    assert len(messages) == sum(
+        (statistics.received, statistics.repeated, statistics.late, statistics.damaged)
+    )
+    return "forces" if taken else "dropped"
 
 
 @bad_input(data=lambda random: random_bytes(random, *random.choice(((8, 8), (0, 64)))))

@@ -112,12 +112,15 @@ class Part:
 
 
 class SampledForce:
-    """A force sensor: 50 Hz, delayed, noisy."""
+    """A force sensor: 50 Hz, delayed, noisy; ``rate_hz`` makes it send messages, each one scan."""
 
-    def __init__(self, *, noise_n: float, delay_s: float, seed: int = 7) -> None:
+    def __init__(
+        self, *, noise_n: float, delay_s: float, seed: int = 7, rate_hz: float | None = None
+    ) -> None:
         self.noise_n = noise_n
-        self.delay_s = delay_s
-        self.period_s = 0.02
+        self.delay_s = delay_s if rate_hz is None else 0.0015
+        self.period_s = 0.02 if rate_hz is None else 1.0 / rate_hz
+        self.known = {} if rate_hz is None else {"lag_s": 0.0015, "noise_n": 0.7 * noise_n}
         self.dead = False
         self.valid = True
         self.gain = 1.0
@@ -134,7 +137,10 @@ class SampledForce:
             noisy = tuple(
                 max(0.0, self.gain * f + self._random.gauss(0, self.noise_n)) for f in force_n
             )
-            sample = ForceSample(t_s=now_s, force_n=(noisy[0], noisy[1]), valid=self.valid)
+            t_s = now_s + self.known.get("lag_s", 0.0)
+            sample = ForceSample(
+                t_s=t_s, force_n=(noisy[0], noisy[1]), valid=self.valid, **self.known
+            )
             self._waiting.append((now_s + self.delay_s, sample))
 
     def latest_force(self) -> ForceSample | None:
@@ -170,11 +176,12 @@ class Cell:
         aperture_m: float = 0.02,
         zero_raw: int = 2048,
         seed: int = 7,
+        rate_hz: float | None = None,
         **settings: Any,
     ) -> None:
         self.clock = VirtualClock()
         self.part = part if part is not None else Part()
-        self.sensor = SampledForce(noise_n=noise_n, delay_s=delay_s, seed=seed)
+        self.sensor = SampledForce(noise_n=noise_n, delay_s=delay_s, seed=seed, rate_hz=rate_hz)
         directions = (1, -1)[:n_servos]
         self.motors = [ServoMotor(model) for _ in range(n_servos)]
         for motor in self.motors:

@@ -16,7 +16,7 @@ from cell.errors import PositionerFault
 from cell.interfaces.plugin.plugin import IdentifyGoal, JobFailed, TactileCellPlugin, TeachGoal
 from cell.pytest_plugin.process import CellProcess
 from tests.faults.scenarios.axes import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
-from tests.hil.damage import CONFIG, LABELS, SLOW_ERRORS, TRIES, teach
+from tests.hil.damage import CONFIG, LABELS, SLOW_ERRORS, TRIES, first, teach
 
 pytestmark = pytest.mark.hil
 
@@ -75,7 +75,7 @@ def may_be_slow() -> Iterator[None]:
         raise
 
 
-def identify_then_fail(base: CellConfig, model: Path, first: Callable[[int], None]) -> None:
+def identify_then_fail(base: CellConfig, model: Path) -> None:
     """Identify the box where the axes bring it; then let drive 1 fall silent on its way."""
     with contextlib.ExitStack() as undo:
         cell = CellProcess(base)
@@ -111,7 +111,7 @@ def identify_then_fail(base: CellConfig, model: Path, first: Callable[[int], Non
 
 
 def test_axes_bring_the_object_and_stop_when_a_drive_is_silent(
-    free_machine: None, first: Callable[[int], None], tmp_path: Path
+    free_machine: None, tmp_path: Path
 ) -> None:
     base = changed_config(
         parse_config(CONFIG, source="tests"),
@@ -128,7 +128,7 @@ def test_axes_bring_the_object_and_stop_when_a_drive_is_silent(
     slow: list[str] = []
     while len(slow) < TRIES:
         try:
-            identify_then_fail(base, model, first)
+            identify_then_fail(base, model)
             return
         except TooSlow as error:
             slow.append(str(error))

@@ -8,12 +8,11 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from cell.build import Cell, build_cell
-from cell.config.file import load_config, parse_config
+from cell.config.file import changed_config, load_config, parse_config
 from cell.config.model import CellConfig
 from cell.control.plan import GraspStep, Pose
 from cell.control.states import CellState
@@ -22,6 +21,7 @@ from cell.errors import HandLost
 from cell.pytest_plugin.process import CellProcess, CellProcessError
 from gripper.errors import BusTimeout, GripperError, PortLost
 from tactile.errors import BusDisturbed, BusOff, FrameTimeout, HeartbeatLost, TactileError
+from tests.hil.damage import first, relay_on
 
 pytestmark = pytest.mark.hil
 
@@ -51,7 +51,7 @@ def processes(free_machine: None) -> Iterator[list[CellProcess]]:
 
 
 @pytest.fixture
-def simulator(processes: list[CellProcess], first: Callable[[int], None]) -> CellProcess:
+def simulator(processes: list[CellProcess]) -> CellProcess:
     """One simulated cell for all tests, and a new one where the last was killed."""
     if not processes or not processes[-1].running:
         processes.append(CellProcess(parse_config(CONFIG, source="test")))
@@ -69,9 +69,7 @@ class Meddled:
 
 
 def config_on(simulator: CellProcess, channel: str) -> CellConfig:
-    config = load_config(simulator.config_path)
-    tactile = config.tactile.model_copy(update={"channel": channel})
-    return config.model_copy(update={"tactile": tactile})
+    return changed_config(load_config(simulator.config_path), {"tactile.channel": channel})
 
 
 @contextlib.contextmanager
@@ -142,7 +140,6 @@ def let_go(simulator: CellProcess, folder: Path) -> None:
 )
 def test_changed_bytes_of_the_adapter_end_in_a_fault_that_names_them(
     simulator: CellProcess,
-    relay_on: Any,
     tmp_path: Path,
     order: str,
     faults: tuple[type[TactileError], ...],

@@ -1,8 +1,6 @@
 """A relay damages both lines: the right label or a named error, and the grip is kept."""
 
 import re
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,12 +10,9 @@ import pytest
 from cell.config.file import changed_config, config_text
 from tests.hil import damage
 from tests.hil.damage import Bench
+from tests.hil.program import LIMIT_S, end, start
 
 pytestmark = pytest.mark.hil
-
-PROGRAM = [sys.executable, "-c", "from cell.interfaces.cli import main; main()"]
-LIMIT_S = 60.0
-"""Of a command that ends by itself; 8 s of it are the product's, the rest is the machine's."""
 
 
 @pytest.fixture(scope="module")
@@ -44,18 +39,11 @@ def test_a_port_on_which_a_gps_receiver_speaks_is_named_with_what_was_heard(
     relay.order("instead 0.03 sentence")
     began_s = time.monotonic()
     try:
-        ended = subprocess.run(
-            [*PROGRAM, "release", "--confirm", "-c", config],
-            capture_output=True,
-            text=True,
-            timeout=LIMIT_S,
-            check=False,
-        )
+        code, _out, text = end(start("release", "--confirm", "-c", config))
     finally:
         relay.order("pass")
-    assert ended.returncode == 1
+    assert code == 1
     assert time.monotonic() - began_s < LIMIT_S
-    text = " ".join(ended.stderr.split())
     assert f"the servo line ({gps.gripper.port})" in text
     assert re.search(r"heard were \d+ bytes that are no packet, the first are .* \(b'", text), text
     assert "Traceback" not in text

@@ -24,6 +24,7 @@ from cell.pytest_plugin.process import CellProcess
 from gripper.errors import LimitExceeded
 from gripper.force.ramp import ForceRamp
 from gripper.state import Cycle, GraspResult, GripperPhase
+from tests.hil.damage import first
 
 pytestmark = pytest.mark.hil
 
@@ -37,7 +38,7 @@ STEP = GraspStep(pose=Pose(), force_n=6.0)
 
 
 @pytest.fixture(scope="module")
-def simulator(free_machine: None, first: Callable[[int], None]) -> Iterator[CellProcess]:
+def simulator(free_machine: None) -> Iterator[CellProcess]:
     one = CellProcess(parse_config(CONFIG, source="test"))
     first(one.pid)
     yield one

@@ -4,36 +4,26 @@ import contextlib
 import json
 import os
 import signal
-import socket
 import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import pytest
 
-from cell.config.file import load_config
+from cell.config.file import load_config, parse_config
 from cell.data.recording_reader import read_recording
 from cell.interfaces.plugin.plugin import JobFailed, TactileCellPlugin, TeachGoal
+from cell.pytest_plugin.process import CellProcess
 from gripper.errors import ServoFault
+from tests.hil import program
+from tests.hil.damage import first
+from tests.hil.program import CONFIG, LIMIT_S, end
 
 pytestmark = pytest.mark.hil
 
-LIMIT_S = 30.0
-PROGRAM = [sys.executable, "-c", "from cell.interfaces.cli import main; main()"]
-CONFIG = """
-tactile: {tare_frames: 15, sync_period_ms: 30.0}
-gripper:
-  loop_rate_hz: 100.0
-  approach_speed_mm_s: 20.0
-  force_stale_ms: 300.0
-  watchdog_ms: 500.0
-sequence: {x_mm: [0, 0], y_mm: [0, 0], force_n: [3, 5], max_grasps: 1}
-"""
-"""Half the rate and some patience: other tests may take turns on the same processor."""
+SEQUENCE = "sequence: {x_mm: [0, 0], y_mm: [0, 0], force_n: [3, 5], max_grasps: 1}\n"
 
 
 def hurry(pid: int) -> None:
@@ -43,56 +33,9 @@ def hurry(pid: int) -> None:
 
 
 def start(*arguments: object) -> subprocess.Popen[str]:
-    process = subprocess.Popen(
-        [*PROGRAM, *(str(a) for a in arguments)],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    )
+    process = program.start(*arguments)
     hurry(process.pid)
     return process
-
-
-def end(process: subprocess.Popen[str]) -> tuple[int, str, str]:
-    """Wait for a process; return its exit code and what it said."""
-    out, err = process.communicate(timeout=LIMIT_S)
-    return process.returncode, " ".join(out.split()), " ".join(err.split())
-
-
-class Simulator:
-    """The simulated cell in a process of its own, and its socket."""
-
-    def __init__(self, folder: Path, first: Callable[[int], None]) -> None:
-        folder.mkdir()
-        (folder / "sim.yaml").write_text(CONFIG)
-        self.process = start("simulate", "--config", folder / "sim.yaml", "--out", folder)
-        first(self.process.pid)
-        assert self.process.stdout is not None
-        line = self.process.stdout.readline()
-        assert line, end(self.process)
-        self.hello = json.loads(line)
-        self.config = Path(self.hello["config"])
-
-    def ask(self, **request: Any) -> dict[str, Any]:
-        with socket.socket(socket.AF_UNIX) as client:
-            client.settimeout(LIMIT_S)
-            client.connect(self.hello["positioner_socket"])
-            client.sendall(json.dumps(request).encode() + b"\n")
-            with client.makefile("rb") as lines:
-                reply: dict[str, Any] = json.loads(lines.readline())
-        return reply
-
-    def grip_n(self) -> float:
-        return float(min(self.ask(state=True)["contact_force_n"]))
-
-    def wait_for_grip(self, least_n: float, client: subprocess.Popen[str]) -> None:
-        """Wait until the object is gripped; the client must be running."""
-        end_s = time.monotonic() + LIMIT_S
-        while self.grip_n() < least_n:
-            assert client.poll() is None, end(client)
-            assert time.monotonic() < end_s, "nothing was gripped"
-            threading.Event().wait(0.05)
 
 
 @contextlib.contextmanager
@@ -117,12 +60,10 @@ def hurried() -> Iterator[None]:
 
 
 @pytest.fixture
-def simulator(
-    free_machine: None, first: Callable[[int], None], tmp_path: Path
-) -> Iterator[Simulator]:
-    one = Simulator(tmp_path / "sim", first)
-    with ending(one.process):
-        yield one
+def simulator(free_machine: None, cell_process: Callable[..., CellProcess]) -> CellProcess:
+    one = cell_process(parse_config(CONFIG + SEQUENCE, source="test"))
+    first(one.pid)
+    return one
 
 
 def only(folder: Path, pattern: str) -> Path:
@@ -131,14 +72,14 @@ def only(folder: Path, pattern: str) -> Path:
 
 
 def test_the_program_teaches_and_identifies_over_real_ports(
-    simulator: Simulator, tmp_path: Path
+    simulator: CellProcess, tmp_path: Path
 ) -> None:
-    config = load_config(simulator.config)
+    config = load_config(simulator.config_path)
     assert not config.simulated
-    assert config.gripper.port == simulator.hello["servo_port"]
+    assert config.gripper.port == simulator.servo_port
     report = tmp_path / "run.json"
     client = start(
-        *("run", "--config", simulator.config, "--object", "box", "--teach", 3, "--trials", 1),
+        *("run", "--config", simulator.config_path, "--object", "box", "--teach", 3, "--trials", 1),
         *("--out", tmp_path / "out", "--json", report),
     )
     with ending(client):
@@ -158,23 +99,21 @@ def test_the_program_teaches_and_identifies_over_real_ports(
     assert state["placed"] == "box"
     assert min(state["contact_force_n"]) == 0.0
 
-    code, out, err = end(start("doctor", "--config", simulator.config))
+    code, out, err = end(start("doctor", "--config", simulator.config_path))
     assert code == 0, err
     assert "fail" not in out
-    simulator.process.send_signal(signal.SIGTERM)
-    assert end(simulator.process)[0] == 0
 
 
 def test_ctrl_c_keeps_the_grip_and_the_recording_and_release_lets_go(
-    simulator: Simulator, tmp_path: Path
+    simulator: CellProcess, tmp_path: Path
 ) -> None:
     report = tmp_path / "ended.json"
     client = start(
-        *("teach", "box", "-n", 50, "--config", simulator.config, "--json", report),
+        *("teach", "box", "-n", 50, "--config", simulator.config_path, "--json", report),
         *("-o", tmp_path / "d.npz", "--out", tmp_path / "out"),
     )
     with ending(client):
-        simulator.wait_for_grip(2.4, client)
+        simulator.wait_for_grip(2.4)
         client.send_signal(signal.SIGINT)
         code, out, err = end(client)
     assert code == 1
@@ -195,7 +134,7 @@ def test_ctrl_c_keeps_the_grip_and_the_recording_and_release_lets_go(
 
     code, _out, err = end(
         start(
-            *("teach", "box", "--config", simulator.config),
+            *("teach", "box", "--config", simulator.config_path),
             *("-o", tmp_path / "d.npz", "--out", tmp_path / "again"),
         )
     )
@@ -204,16 +143,18 @@ def test_ctrl_c_keeps_the_grip_and_the_recording_and_release_lets_go(
     assert "tactile-cell release" in err
     assert simulator.grip_n() == pytest.approx(held_n, abs=0.5)
 
-    code, out, err = end(start("release", "--confirm", "--config", simulator.config))
+    code, out, err = end(start("release", "--confirm", "--config", simulator.config_path))
     assert code == 0, err
     assert "the fingers are open" in out
     assert simulator.grip_n() == 0.0
 
 
-def test_a_part_that_one_finger_holds_alone_is_let_go(simulator: Simulator, tmp_path: Path) -> None:
+def test_a_part_that_one_finger_holds_alone_is_let_go(
+    simulator: CellProcess, tmp_path: Path
+) -> None:
     simulator.ask(inject="servo1.overload@contact+0.3s")
     client = start(
-        *("teach", "box", "--config", simulator.config),
+        *("teach", "box", "--config", simulator.config_path),
         *("-o", tmp_path / "d.npz", "--out", tmp_path / "out"),
     )
     with ending(client):
@@ -222,42 +163,42 @@ def test_a_part_that_one_finger_holds_alone_is_let_go(simulator: Simulator, tmp_
     assert "Hardware Error Status 0x20: overload" in err
     assert "one of them silent or without torque; a part may still be gripped" in err
     assert "the grip is kept" not in err
-    assert f"tactile-cell clear --config {simulator.config} --reboot" in err
+    assert f"tactile-cell clear --config {simulator.config_path} --reboot" in err
     assert simulator.grip_n() > 0.5
 
-    with TactileCellPlugin(simulator.config) as plugin:
+    with TactileCellPlugin(simulator.config_path) as plugin:
         assert plugin.state() == "ABORTED"
         assert "servo 1 has no torque (overload)" in str(plugin.fault())
         with pytest.raises(ServoFault, match="clear it with a reboot"):
             plugin.clear(LIMIT_S)
     assert simulator.grip_n() > 0.5
 
-    code, out, err = end(start("doctor", "--config", simulator.config))
+    code, out, err = end(start("doctor", "--config", simulator.config_path))
     assert code == 1
     assert "fail servo torque: servo 1 has no torque (overload); servo 2 has its torque on" in out
 
-    code, out, err = end(start("release", "--confirm", "--config", simulator.config))
+    code, out, err = end(start("release", "--confirm", "--config", simulator.config_path))
     assert code == 0, err
     assert "the finger of servo 2 is open, the other one was not moved: servo 1 has no" in out
     assert simulator.grip_n() < 0.2
 
-    code, out, err = end(start("clear", "--reboot", "--config", simulator.config))
+    code, out, err = end(start("clear", "--reboot", "--config", simulator.config_path))
     assert code == 0, err
     assert "after the reboot servo 1 has no torque" in out
-    code, out, err = end(start("doctor", "--config", simulator.config))
+    code, out, err = end(start("doctor", "--config", simulator.config_path))
     assert code == 0, (out, err)
 
 
 def test_a_killed_cell_is_named_and_what_was_recorded_can_be_read(
-    simulator: Simulator, tmp_path: Path
+    simulator: CellProcess, tmp_path: Path
 ) -> None:
     client = start(
-        *("teach", "box", "-n", 50, "--config", simulator.config),
+        *("teach", "box", "-n", 50, "--config", simulator.config_path),
         *("-o", tmp_path / "d.npz", "--out", tmp_path / "out"),
     )
     with ending(client):
-        simulator.wait_for_grip(0.5, client)
-        simulator.process.kill()
+        simulator.wait_for_grip(0.5)
+        simulator.kill()
         code, _out, err = end(client)
     assert code == 1
     assert "Traceback" not in err
@@ -282,8 +223,8 @@ def test_wrong_ports_are_one_with_a_clear_message(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("hurried")
-def test_the_plugin_runs_in_real_time(simulator: Simulator) -> None:
-    with TactileCellPlugin(simulator.config) as plugin:
+def test_the_plugin_runs_in_real_time(simulator: CellProcess) -> None:
+    with TactileCellPlugin(simulator.config_path) as plugin:
         assert not plugin.info()["simulated"]
         job = plugin.start(TeachGoal(label="box", grasps=2))
         end_s = time.monotonic() + LIMIT_S
@@ -306,8 +247,10 @@ def test_the_plugin_runs_in_real_time(simulator: Simulator) -> None:
 
 
 @pytest.mark.usefixtures("hurried")
-def test_a_named_part_is_kept_in_real_time_until_the_host_lets_it_go(simulator: Simulator) -> None:
-    with TactileCellPlugin(simulator.config) as plugin:
+def test_a_named_part_is_kept_in_real_time_until_the_host_lets_it_go(
+    simulator: CellProcess,
+) -> None:
+    with TactileCellPlugin(simulator.config_path) as plugin:
         for seed, label in enumerate(("ball", "box")):
             plugin.result(plugin.start(TeachGoal(label=label, grasps=3, seed=seed)), 4.0 * LIMIT_S)
         job = plugin.start({"task": "identify", "present": "box", "keep": "always", "seed": 9})

@@ -2,8 +2,6 @@
 
 import json
 import signal
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -14,34 +12,20 @@ from xmlrpc.client import ServerProxy
 import pytest
 
 from cell.interfaces.service.service import RELEASE_KEY
+from tests.hil import program
+from tests.hil.damage import first
+from tests.hil.program import CONFIG, LIMIT_S, end
 
 pytestmark = pytest.mark.hil
 
-LIMIT_S = 60.0
-PROGRAM = [sys.executable, "-c", "from cell.interfaces.cli import main; main()"]
-CONFIG = """
-tactile: {tare_frames: 15, sync_period_ms: 30.0}
-gripper:
-  loop_rate_hz: 100.0
-  approach_speed_mm_s: 20.0
-  force_stale_ms: 300.0
-  watchdog_ms: 500.0
-serve: {lease_timeout_s: 30.0, modbus_port: 0, xmlrpc_port: 0}
-"""
-"""Half the rate and some patience: other tests may take turns on the same processor."""
+SERVE = "serve: {lease_timeout_s: 30.0, modbus_port: 0, xmlrpc_port: 0}\n"
 
 
 class Program:
     """A program that prints one JSON line when it is ready."""
 
-    def __init__(self, first: Callable[[int], None], *arguments: object) -> None:
-        self.process = subprocess.Popen(
-            [*PROGRAM, *map(str, arguments)],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-        )
+    def __init__(self, *arguments: object) -> None:
+        self.process = program.start(*arguments)
         first(self.process.pid)
         assert self.process.stdout is not None
         line = self.process.stdout.readline()
@@ -51,23 +35,22 @@ class Program:
 
     def end(self, number: signal.Signals) -> int:
         self.process.send_signal(number)
-        return self.process.wait(LIMIT_S)
+        return end(self.process)[0]
 
 
 @pytest.fixture
-def start(free_machine: None, first: Callable[[int], None]) -> Iterator[Callable[..., Program]]:
+def start(free_machine: None) -> Iterator[Callable[..., Program]]:
     """Return what starts a program; all are ended."""
     made: list[Program] = []
 
     def run(*arguments: object) -> Program:
-        made.append(Program(first, *arguments))
+        made.append(Program(*arguments))
         return made[-1]
 
     yield run
-    for program in reversed(made):
-        program.process.terminate()
-        program.process.wait(LIMIT_S)
-        program.process.communicate()
+    for one in reversed(made):
+        if one.process.poll() is None:
+            assert one.end(signal.SIGTERM) == 0
 
 
 def done(cell: Any, lease: int, job: int) -> int:
@@ -86,7 +69,7 @@ def done(cell: Any, lease: int, job: int) -> int:
 def test_the_part_is_held_when_the_service_ends_and_is_let_go_on_purpose_by_the_next(
     start: Callable[..., Program], tmp_path: Path, number: signal.Signals
 ) -> None:
-    (tmp_path / "cell.yaml").write_text(CONFIG)
+    (tmp_path / "cell.yaml").write_text(CONFIG + SERVE)
     simulated = start("simulate", "-c", tmp_path / "cell.yaml", "--out", tmp_path / "cell")
     service = start("serve", "-c", simulated.line["config"])
     with ServerProxy(f"http://127.0.0.1:{service.line['xmlrpc_port']}") as cell:

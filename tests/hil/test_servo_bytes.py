@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 from cell.build import Cell, build_cell
-from cell.config.file import load_config, parse_config
+from cell.config.file import changed_config, load_config, parse_config
 from cell.config.model import CellConfig
 from cell.control.plan import GraspStep, Pose
 from cell.control.states import CellState
@@ -19,6 +19,7 @@ from cell.errors import HandLost
 from cell.pytest_plugin.process import CellProcess
 from gripper.errors import BusCorrupt, BusTimeout, GripperError, PortLost
 from gripper.state import GraspResult, GripperPhase
+from tests.hil.damage import first, relay_on
 
 pytestmark = pytest.mark.hil
 
@@ -50,16 +51,13 @@ class Line:
 @pytest.fixture
 def line(
     cell_process: Callable[[CellConfig], CellProcess],
-    relay_on: Any,
-    first: Callable[[int], None],
     free_machine: None,
 ) -> Iterator[Line]:
     simulator = cell_process(parse_config(CONFIG, source="test"))
     first(simulator.pid)
     with relay_on("servos", simulator.servo_port) as relay:
         config = load_config(simulator.config_path)
-        gripper = config.gripper.model_copy(update={"port": relay.port})
-        yield Line(simulator, relay, config.model_copy(update={"gripper": gripper}))
+        yield Line(simulator, relay, changed_config(config, {"gripper.port": relay.port}))
 
 
 @contextlib.contextmanager

@@ -270,7 +270,7 @@ def test_the_recording_holds_what_happened(make_bench: Callable[..., Any], tmp_p
     assert 100 < after_grasp["cycles"] <= at_end["cycles"]
     assert after_grasp["lateness_max_s"] < 1e-6
     assert 2e-4 < after_grasp["transaction_p50_s"] < 5e-3
-    assert 1e-3 < after_grasp["sensor_age_max_s"] < 0.1
+    assert 0.0 <= after_grasp["sensor_age_max_s"] < 0.1
     assert set(recording.cycles.phase) == {"OPENING", "APPROACHING", "RAMPING", "RELEASING"}
 
 

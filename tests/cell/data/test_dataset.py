@@ -4,6 +4,7 @@ import errno
 import os
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -284,9 +285,7 @@ def test_what_is_no_archive_is_refused_with_advice(what: str, tmp_path: Path) ->
 
 
 def test_nothing_to_write_other_pads_or_odd_text_are_refused(tmp_path: Path) -> None:
-    other = PadArray(
-        pad_shape=PADS.pad_shape, taxel_pad=PADS.taxel_pad, taxel_xy_m=PADS.taxel_xy_m, adc_max=256
-    )
+    other = replace(PADS, adc_max=256)
     for grasps, says in (
         ([], "no grasp"),
         ([make_grasp(), make_grasp(pads=other)], "grasp 1 was taken on other pads"),

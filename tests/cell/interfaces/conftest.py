@@ -1,4 +1,4 @@
-"""A service on a small simulated cell, with a clock of its own for the clients, and its doors."""
+"""Plugins and services on small simulated cells; a service has a clock of its own, and doors."""
 
 import threading
 import time
@@ -10,27 +10,16 @@ from typing import Any
 import pytest
 
 from cell.config.model import CellConfig
+from cell.interfaces.plugin.plugin import TactileCellPlugin
 from cell.interfaces.service.service import JobView, Service
 from cell.interfaces.service.serving import open_doors
 from gripper.state import GripperPhase
+from tests.fuzz.harness import Clock
 
 LIMIT_S = 60.0
 """Patience of the tests: a condition that is not met by then fails."""
 LEASE_S = 60.0
 """Time-out of leases: only the clock of the test lets it pass."""
-
-
-class ClientClock:
-    """Time of the clients, moved by the test."""
-
-    def __init__(self) -> None:
-        self.now_s = 0.0
-
-    def monotonic(self) -> float:
-        return self.now_s
-
-    def sleep(self, seconds: float) -> None:
-        self.now_s += seconds
 
 
 def until(true: Callable[[], Any]) -> Any:
@@ -47,7 +36,7 @@ class Served:
     """A service, its doors, and what only the simulator can tell of it."""
 
     service: Service
-    clock: ClientClock
+    clock: Clock
     doors: dict[str, Any] = field(default_factory=dict)
     _going_on: threading.Event = field(default_factory=threading.Event)
     _paused: threading.Event = field(default_factory=threading.Event)
@@ -104,7 +93,7 @@ def serve(make_config: Callable[..., CellConfig], taught: Any) -> Iterator[Calla
             ports = {f"serve__{name}_port": None for name in ("modbus", "xmlrpc", "http")}
             ports |= {f"serve__{name}_port": 0 for name in doors}
             wanted = {"serve__lease_timeout_s": LEASE_S, **ports, **changes}
-            clock = ClientClock()
+            clock = Clock()
             given = {"model": taught.result.model, "clock": clock} | (options or {})
             service = Service(make_config(**wanted), **given)
             undo.callback(service.close)
@@ -115,3 +104,27 @@ def serve(make_config: Callable[..., CellConfig], taught: Any) -> Iterator[Calla
             return served
 
         yield make
+
+
+@pytest.fixture
+def make_plugin(make_config: Callable[..., CellConfig]) -> Iterator[Callable[..., Any]]:
+    """Return the maker of plugins on small simulated cells."""
+    made: list[Any] = []
+
+    def make(config: CellConfig | None = None, **options: Any) -> Any:
+        made.append(TactileCellPlugin(config or make_config(), **options))
+        return made[-1]
+
+    yield make
+    for plugin in made:
+        plugin.close(LIMIT_S)
+
+
+@pytest.fixture
+def plugin(make_plugin: Callable[..., Any], taught: Any) -> Any:
+    """A plugin that knows ball and box."""
+    return make_plugin(model=taught.result.model)
+
+
+def grip_n(plugin: Any) -> float:
+    return min(plugin._cell.simulated.world.contact_force_n())

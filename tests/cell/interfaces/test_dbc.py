@@ -16,7 +16,7 @@ from cell.config.model import CellConfig
 from cell.interfaces.cli.app import app
 from tactile.frames.assembler import FrameAssembler
 from tactile.frames.codec import FrameFormat, TactileFrame, crc16, encode_frame
-from tactile.frames.pad_features import PadFeatures, encode_features
+from tactile.frames.force_message import ForceMessage, ForceStatus, encode_force_message
 from tactile.layout import Pad, TaxelLayout, paper_layout, pinch_layout
 from tactile.unit.dbc import dbc_text
 
@@ -26,7 +26,7 @@ HEARTBEAT_STATES = {0: "boot-up", 4: "stopped", 5: "operational", 127: "pre-oper
 
 def database(layout: TaxelLayout) -> Any:
     """Return the file as cantools reads it, overlaps and lengths checked."""
-    text = dbc_text(layout, node_id=NODE, sync_period_ms=20, heartbeat_ms=100)
+    text = dbc_text(layout, node_id=NODE, sync_period_ms=20, heartbeat_ms=100, force_period_ms=3)
     assert text.isascii()
     return cantools.database.load_string(text, database_format="dbc", strict=True)
 
@@ -70,6 +70,7 @@ def test_a_whole_grasp_decodes_to_the_same_samples(
     record = bench.ready().grasp(4.0)
     frames = bench.cell.link.statistics.frames.complete
     bench.cell.close()
+    bench.simulated.can_bus.flush()
 
     ours, listener, known = (
         FrameAssembler(FrameFormat.of(layout)),
@@ -91,7 +92,14 @@ def test_a_whole_grasp_decodes_to_the_same_samples(
                 compared.append(frame)
                 same_frame(frame, found, listener)
     assert names["TactileFrame"] == FrameFormat.of(layout).n_messages * len(compared)
-    assert set(names) == {"NMT", "SYNC", "Heartbeat", "SdoRequest", "SdoResponse", "TactileFrame"}
+    assert set(names) == {
+        "NMT",
+        "SYNC",
+        "Heartbeat",
+        "SdoRequest",
+        "SdoResponse",
+        "TactileFrame",
+    } | {"PadForces"}
     assert len(compared) in (frames, frames + 1)
     counts = np.stack([frame.counts for frame in compared])
     assert counts.max() > 0.3 * layout.adc_max
@@ -146,7 +154,7 @@ def test_any_samples_decode_and_carry_their_checksum(layout: TaxelLayout) -> Non
 
 def test_a_short_message_is_refused() -> None:
     with pytest.raises(cantools.database.DecodeError):
-        database(paper_layout()).decode_message(0x180 + NODE, bytes(5))
+        database(paper_layout()).decode_message(0x380 + NODE, bytes(5))
 
 
 def test_the_other_messages_say_what_they_mean() -> None:
@@ -169,32 +177,32 @@ def test_the_other_messages_say_what_they_mean() -> None:
     assert (taxel.unit, taxel.maximum) == ("count", 255)
 
 
-def test_features_decode() -> None:
-    known = database(paper_layout())
-    features = PadFeatures(
-        pad=5,
-        counter=0x81,
-        active=12,
-        peak_counts=200,
-        total_counts=70_000,
-        centroid_row=7.25,
-        centroid_column=1.5,
+def test_a_force_message_decodes() -> None:
+    data = encode_force_message(
+        ForceMessage(
+            t_s=0.0,
+            counter=9,
+            status=ForceStatus.ZEROED | ForceStatus.SATURATED,
+            force_n=(3.25, -0.014),
+            centre_taxels=(-2.5, 0.75),
+        )
     )
-    first, second = encode_features(features)
-    totals = known.decode_message(0x280 + NODE, first)
-    assert totals == {
-        "totals_pad": "finger1.inner",
-        "totals_phase": 1,
-        "active_taxels": 12,
-        "peak_counts": 200,
-        "total_counts": 70_000,
+    assert database(paper_layout()).decode_message(0x280 + NODE, data) == {
+        "force_counter": 9,
+        "force_status": 3,
+        "force_finger0": pytest.approx(3.25),
+        "force_finger1": pytest.approx(-0.014),
+        "centre_along": -2.5,
+        "centre_across": 0.75,
+        "force_crc": data[-1],
     }
-    centroid = known.decode_message(0x380 + NODE, second)
-    assert (centroid["centroid_row"], centroid["centroid_column"]) == (7.25, 1.5)
-    assert (centroid["centroid_counter"], centroid["features_crc"]) == (
-        0x81,
-        crc16(first + second[:-2]),
-    )
+
+
+def test_a_unit_without_force_messages_sends_its_frames_where_they_always_were() -> None:
+    text = dbc_text(paper_layout(), node_id=NODE)
+    known = cantools.database.load_string(text, database_format="dbc", strict=True)
+    assert known.get_message_by_name("TactileFrame").frame_id == 0x180 + NODE
+    assert "PadForces" not in text
 
 
 def test_the_command_writes_the_file_of_a_config(
@@ -206,7 +214,7 @@ def test_the_command_writes_the_file_of_a_config(
     assert call(app, ["dbc", "-c", str(config), "-o", str(output)]).exit_code == 0
     assert call(app, ["dbc", "-c", str(config)]).stdout == output.read_text(encoding="ascii")
     frame = cantools.database.load_file(output, strict=True).get_message_by_name("TactileFrame")
-    assert frame.frame_id == 0x189
+    assert frame.frame_id == 0x389
     assert frame.get_signal_by_name("taxel_155").multiplexer_ids == [44]
 
 

@@ -20,19 +20,9 @@ from cell.interfaces.plugin.plugin import (
     TeachGoal,
 )
 from cell.interfaces.plugin.worker import JobOutcome
+from tests.fuzz.harness import Clock
 
 LIMIT_S = 30.0
-
-
-class Clock:
-    def __init__(self) -> None:
-        self.now_s = 0.0
-
-    def monotonic(self) -> float:
-        return self.now_s
-
-    def sleep(self, seconds: float) -> None:
-        self.now_s += seconds
 
 
 @pytest.fixture

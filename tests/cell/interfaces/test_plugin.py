@@ -4,7 +4,7 @@ import gc
 import importlib.metadata
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -29,8 +29,7 @@ from gripper.errors import ServoFault, VerificationFailed
 from gripper.state import GripperPhase
 from recognition.recognizer import UNKNOWN
 from tactile.errors import FrameTimeout, NodeMissing
-
-LIMIT_S = 60.0
+from tests.cell.interfaces.conftest import LIMIT_S, grip_n
 
 
 @pytest.fixture(scope="module")
@@ -38,32 +37,6 @@ def plugin_class() -> Any:
     """The class that a host finds by the entry point."""
     (entry,) = importlib.metadata.entry_points(group="robot_cell.plugins", name="tactile_cell")
     return entry.load()
-
-
-@pytest.fixture
-def make_plugin(
-    plugin_class: Any, make_config: Callable[..., CellConfig]
-) -> Iterator[Callable[..., Any]]:
-    """Return the maker of plugins on small simulated cells."""
-    made: list[Any] = []
-
-    def make(config: Any = None, **options: Any) -> Any:
-        made.append(plugin_class(config or make_config(), **options))
-        return made[-1]
-
-    yield make
-    for plugin in made:
-        plugin.close(LIMIT_S)
-
-
-@pytest.fixture
-def plugin(make_plugin: Callable[..., Any], taught: Any) -> Any:
-    """A plugin that knows ball and box."""
-    return make_plugin(model=taught.result.model)
-
-
-def grip_n(plugin: Any) -> float:
-    return min(plugin._cell.simulated.world.contact_force_n())
 
 
 def when(plugin: Any, phase: GripperPhase, act: Callable[[], object], *, above_n: float = 0.0):

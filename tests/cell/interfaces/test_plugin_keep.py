@@ -1,6 +1,6 @@
 """Parts that a host has kept, through the plugin."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -20,37 +20,9 @@ from cell.interfaces.plugin.plugin import (
 from cell.interfaces.plugin.worker import JobOutcome
 from gripper.errors import PartLost
 from recognition.recognizer import UNKNOWN
+from tests.cell.interfaces.conftest import LIMIT_S, grip_n
 
-LIMIT_S = 60.0
 HELD = ("COMPLETE", 17, False, True)
-
-
-@pytest.fixture
-def make_plugin(
-    make_config: Callable[..., CellConfig], taught: Any
-) -> Iterator[Callable[..., TactileCellPlugin]]:
-    """Return the maker of plugins that know ball and box."""
-    made: list[TactileCellPlugin] = []
-
-    def make(config: Any = None, **options: Any) -> TactileCellPlugin:
-        made.append(
-            TactileCellPlugin(config or make_config(), model=taught.result.model, **options)
-        )
-        return made[-1]
-
-    yield make
-    for plugin in made:
-        plugin.close(LIMIT_S)
-
-
-@pytest.fixture
-def plugin(make_plugin: Callable[..., TactileCellPlugin]) -> TactileCellPlugin:
-    return make_plugin()
-
-
-def grip_n(plugin: TactileCellPlugin) -> float:
-    assert plugin._cell.simulated is not None
-    return min(plugin._cell.simulated.world.contact_force_n())
 
 
 def run(plugin: TactileCellPlugin, goal: Any) -> Any:
@@ -119,10 +91,10 @@ def test_the_force_of_the_grasps_is_the_hosts(plugin: TactileCellPlugin) -> None
 
 
 def test_the_host_brings_named_parts_to_their_places(
-    make_plugin: Callable[..., TactileCellPlugin],
+    make_plugin: Callable[..., TactileCellPlugin], taught: Any
 ) -> None:
     brought: list[Destination] = []
-    plugin = make_plugin(places=brought.append)
+    plugin = make_plugin(model=taught.result.model, places=brought.append)
     job = plugin.start(SortGoal(parts=3, feed=("ball", "box"), seed=9))
     answer = plugin.result(job, LIMIT_S)
     assert [(one.label, one.place) for one in brought] == [
@@ -138,9 +110,9 @@ def test_the_host_brings_named_parts_to_their_places(
 
 
 def test_a_refused_place_aborts_the_sort_without_a_fault(
-    make_plugin: Callable[..., TactileCellPlugin],
+    make_plugin: Callable[..., TactileCellPlugin], taught: Any
 ) -> None:
-    plugin = make_plugin(places=lambda _destination: False)
+    plugin = make_plugin(model=taught.result.model, places=lambda _destination: False)
     job = plugin.start(SortGoal(parts=2, feed=("ball",), seed=9))
     with pytest.raises(JobFailed) as failed:
         plugin.result(job, LIMIT_S)
@@ -152,14 +124,14 @@ def test_a_refused_place_aborts_the_sort_without_a_fault(
 
 
 def test_a_sort_that_is_cancelled_or_loses_its_part_keeps_the_grip(
-    make_plugin: Callable[..., TactileCellPlugin],
+    make_plugin: Callable[..., TactileCellPlugin], taught: Any
 ) -> None:
     act: list[Callable[[], object]] = []
 
     def places(_destination: Destination) -> None:
         act[0]()
 
-    plugin = make_plugin(places=places)
+    plugin = make_plugin(model=taught.result.model, places=places)
     act.append(plugin._cell.controller.cancel)
     with pytest.raises(JobFailed, match="the part is kept until") as failed:
         run(plugin, SortGoal(feed=("ball",), seed=9))
@@ -177,10 +149,10 @@ def test_a_sort_that_is_cancelled_or_loses_its_part_keeps_the_grip(
 
 
 def test_what_was_never_taught_is_kept_only_where_all_is(
-    make_plugin: Callable[..., TactileCellPlugin], make_config: Callable[..., Any]
+    make_plugin: Callable[..., TactileCellPlugin], make_config: Callable[..., Any], taught: Any
 ) -> None:
     objects = [{"label": "rod", "shape": "cylinder:diameter=6mm,length=20mm"}]
-    plugin = make_plugin(make_config(simulator__objects=objects))
+    plugin = make_plugin(make_config(simulator__objects=objects), model=taught.result.model)
     for keep, kept in (("when_named", False), ("always", True)):
         answer = run(plugin, IdentifyGoal(present="rod", keep=keep, seed=9))
         assert answer.label == UNKNOWN

@@ -20,6 +20,12 @@ from cell.interfaces.cli.signals import stopping
 LIMIT_S = 10.0
 
 
+def run(program: str) -> subprocess.CompletedProcess[bytes]:
+    return subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, timeout=LIMIT_S, check=False
+    )
+
+
 @pytest.fixture
 def hangup_ignored() -> Iterator[None]:
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
@@ -79,9 +85,7 @@ def test_a_second_signal_leaves_little_time_to_close_files(hanging: str) -> None
         "        print('closing', flush=True)\n"
         f"        {hanging}\n"
     )
-    ended = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, timeout=LIMIT_S, check=False
-    )
+    ended = run(program)
     assert (ended.returncode, ended.stdout) == (1, b"closing\n")
     assert b"interrupted; nothing was let go" in ended.stderr
 
@@ -96,9 +100,7 @@ def test_a_signal_while_the_program_ends_leaves_its_exit_code(number: signal.Sig
         "sys.argv = ['tactile-cell', 'config', 'check', '/nowhere/cell.yaml']\n"
         "main()\n"
     )
-    ended = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, timeout=LIMIT_S, check=False
-    )
+    ended = run(program)
     assert ended.returncode == 2
     assert b"/nowhere/cell.yaml" in ended.stderr
     assert b"Traceback" not in ended.stderr
@@ -118,9 +120,7 @@ def test_an_interrupt_that_turns_into_another_error_is_an_interrupt() -> None:
         "sys.modules['cell.interfaces.cli.app'] = types.SimpleNamespace(main=run)\n"
         "main()\n"
     )
-    ended = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, timeout=LIMIT_S, check=False
-    )
+    ended = run(program)
     assert ended.returncode == 1
     assert ended.stderr == b"error: interrupted; nothing was let go\n"
 
@@ -141,9 +141,7 @@ def test_a_third_signal_does_not_cut_off_what_the_second_leaves_time_for() -> No
         "    os.kill(os.getpid(), signal.SIGINT)\n"
         "    print('told', flush=True)\n"
     )
-    ended = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, timeout=LIMIT_S, check=False
-    )
+    ended = run(program)
     assert (ended.returncode, ended.stdout) == (0, b"closed\ntold\n")
 
 

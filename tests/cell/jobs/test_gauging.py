@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cell.config.file import config_text
+from cell.config.file import changed_config, config_text
 from cell.data.dataset import read_dataset, write_dataset
 from cell.errors import CellError, ConfigError, ModelError
 from cell.interfaces.cli.app import app
@@ -133,9 +133,9 @@ def test_what_cannot_be_followed_says_why(taught: Any, drifted: Path, tmp_path: 
 
 
 def test_calibrate_on_the_cell_finds_that_nothing_drifted(taught: Any, tmp_path: Path) -> None:
-    recording = taught.config.recording.model_copy(update={"directory": str(tmp_path / "out")})
     config = tmp_path / "cell.yaml"
-    config.write_text(config_text(taught.config.model_copy(update={"recording": recording})))
+    changes = {"recording.directory": str(tmp_path / "out")}
+    config.write_text(config_text(changed_config(taught.config, changes)))
     call(
         *("calibrate", "--gauge", "ball", "-m", taught.result.model, "-o", tmp_path / "m.npz"),
         *("-n", 1, "-c", config, "--json", tmp_path / "c.json"),

@@ -16,7 +16,6 @@ from cell.jobs.identify import identify_on_cell, identify_recorded
 from cell.jobs.replay import replay_grasps
 from cell.learning.model import LoadedModel
 from cell.learning.taught_model import TaughtModel
-from recognition.grasp import PadArray
 from recognition.recognizers import DEFAULT_TRAINER, TRAINERS
 
 SPLIT = "chronological:0.6"
@@ -264,18 +263,8 @@ def test_an_unknown_object_has_the_probability_of_being_unknown(taught: Any) -> 
 def test_pads_that_differ_in_full_scale_or_place_are_told_apart(taught: Any) -> None:
     grasp = taught.grasps[0]
     pads = grasp.pads
-    finer = PadArray(
-        pad_shape=pads.pad_shape,
-        taxel_pad=pads.taxel_pad,
-        taxel_xy_m=pads.taxel_xy_m,
-        adc_max=4095,
-    )
-    moved = PadArray(
-        pad_shape=pads.pad_shape,
-        taxel_pad=pads.taxel_pad,
-        taxel_xy_m=1.1 * pads.taxel_xy_m,
-        adc_max=pads.adc_max,
-    )
+    finer = replace(pads, adc_max=4095)
+    moved = replace(pads, taxel_xy_m=1.1 * pads.taxel_xy_m)
     for other, text in ((finer, "a full scale of 4095 instead of 255"), (moved, "at other places")):
         with pytest.raises(ModelError, match=text):
             identify_recorded(loaded(taught), [replace(grasp, pads=other)])

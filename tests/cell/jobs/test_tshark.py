@@ -62,17 +62,17 @@ def test_a_captured_sequence_is_canopen_to_tshark(
     shown = [f for name in fields for f in ("-e", name)]
     rows = [row.split("\t") for row in decode(capture, "-T", "fields", *shown)]
     kinds = Counter(int(cob_id, 16) for cob_id, *_ in rows)
-    assert set(kinds) == {0x000, 0x080, 0x185, 0x585, 0x605, 0x705}
+    assert set(kinds) == {0x000, 0x080, 0x285, 0x385, 0x585, 0x605, 0x705}
     whole = statistics.frames.complete
     assert kinds[0x080] == statistics.syncs
-    assert kinds[0x185] in (MESSAGES_A_FRAME * whole, MESSAGES_A_FRAME * (whole + 1))
+    assert kinds[0x385] in (MESSAGES_A_FRAME * whole, MESSAGES_A_FRAME * (whole + 1))
     assert kinds[0x585] == kinds[0x605] > 10
     commands = [int(command, 0) for _, _, command, _ in rows if command]
     assert commands == [130, 1, 128]  # reset communication, start, pre-operational at the end
     states = [int(state, 0) for _, state, _, _ in rows if state]
     assert states[0] == 0
     assert set(states[states.index(5) :]) == {5}
-    assert {length for cob_id, *_, length in rows if int(cob_id, 16) == 0x185} == {"8"}
+    assert {length for cob_id, *_, length in rows if int(cob_id, 16) == 0x385} == {"8"}
 
 
 def test_tshark_would_notice_a_message_that_is_cut_short(tmp_path: Path) -> None:

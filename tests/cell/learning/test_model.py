@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +15,9 @@ from cell.learning.model import layout_hash, load_model, save_model
 from recognition.grasp import Grasp, PadArray
 from recognition.recognizer import Posterior
 from recognition.recognizers.level_check import LevelCheckRecognizer, LevelCheckTrainer
+from tests.cell.conftest import plain_pads
 
-PADS = PadArray(
-    pad_shape=np.array([[8, 5], [8, 5]]),
-    taxel_pad=np.repeat([0, 1], 40),
-    taxel_xy_m=np.tile([(r * 3e-3, c * 3e-3) for r in range(8) for c in range(5)], (2, 1)),
-    adc_max=255,
-)
+PADS = plain_pads((8, 5), (8, 5), adc_max=255)
 
 
 def press(label: str, *, height: float, width_m: float, seed: int = 0) -> Grasp:
@@ -94,13 +91,7 @@ def test_file_is_plain_arrays_and_json(good: Path) -> None:
 
 
 def other_pads(**changes: Any) -> PadArray:
-    values = {
-        "pad_shape": PADS.pad_shape,
-        "taxel_pad": PADS.taxel_pad,
-        "taxel_xy_m": PADS.taxel_xy_m,
-        "adc_max": PADS.adc_max,
-    }
-    return PadArray(**(values | changes))
+    return replace(PADS, **changes)
 
 
 @pytest.mark.parametrize(

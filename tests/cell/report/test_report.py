@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from cell.control.records import pad_array
 from cell.errors import ReportError
 from cell.report.build import (
     facts,
@@ -53,7 +54,7 @@ from cell.report.shapes import MAX_BARS, shapes_view
 from gripper.dynamixel.transactions import BusStatistics
 from gripper.force.timing import LoopStatistics
 from gripper.state import Cycle, ForceSample, GripperPhase, GripperState
-from recognition.grasp import Grasp, PadArray
+from recognition.grasp import Grasp
 from recognition.quadric.thresholds import find_thresholds
 from recognition.quadric.trajectory import sweep
 from recognition.recognizer import UNKNOWN, Posterior
@@ -61,15 +62,11 @@ from recognition.shape.answer import ShapeAnswer, Thickness
 from tactile.frames.assembler import FrameStatistics
 from tactile.layout import paper_layout
 from tactile.unit.settings import LinkStatistics
+from tests.cell.conftest import plain_pads
 
 LABELS = ("ball", "box", "cylinder", "dumbbell", "oval")
 LAYOUT = paper_layout()
-PADS = PadArray(
-    pad_shape=LAYOUT.pad_shape,
-    taxel_pad=LAYOUT.taxel_pad,
-    taxel_xy_m=LAYOUT.taxel_xy_m,
-    adc_max=LAYOUT.adc_max,
-)
+PADS = pad_array(LAYOUT)
 SIZE_M = {  # half extents along and across the finger, sharpness of the edge
     "ball": (6e-3, 6e-3, 2),
     "box": (8e-3, 5e-3, 8),
@@ -469,12 +466,7 @@ def test_levels_are_picked_by_force_or_else_by_load() -> None:
 
 
 def test_pads_of_a_data_set_are_all_shown_large() -> None:
-    pads = PadArray(
-        pad_shape=np.array([[13, 6], [13, 6]]),
-        taxel_pad=np.repeat([0, 1], 78),
-        taxel_xy_m=np.tile([(r * 3.4e-3, c * 3.4e-3) for r in range(13) for c in range(6)], (2, 1)),
-        adc_max=4095,
-    )
+    pads = plain_pads((13, 6), (13, 6), pitch_m=3.4e-3)
     views = tuple(PadView(name=f"pad {i}", finger=i, gripping=True) for i in (0, 1))
     level = PressureLevel(caption="all", counts=np.ones(156))
     example = ExampleGrasp(label="mug", pads=pads, pad_views=views, levels=(level,))

@@ -15,7 +15,7 @@ from tests.faults.campaign import (
     observe,
 )
 
-CAP_N = 6.0
+CAP_N = 5.0
 """Cap of the force in N in the rows of something trapped: below the default, soon reached."""
 _WITH_THE_PART = frozenset({GripperPhase.APPROACHING, GripperPhase.RAMPING})
 

@@ -1,7 +1,9 @@
 """Goals of a grip: drifting positions, wrong stiffness, fingers that run ahead."""
 
+import random
 from contextlib import suppress
 from dataclasses import replace
+from statistics import median
 
 import pytest
 
@@ -14,8 +16,10 @@ from gripper.errors import (
     fingers_left,
 )
 from gripper.force.grip_control import StiffnessEstimate
+from gripper.force.loop import Moment
 from gripper.force.ramp import ForceRamp
-from gripper.state import GraspResult, GripperPhase
+from gripper.settings import GripperSettings, ServoSettings
+from gripper.state import ForceSample, GraspResult, GripperPhase, GripperState
 
 RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
 
@@ -207,3 +211,34 @@ def test_a_soft_part_that_is_taken_in_the_ramp_is_lost(make_cell, make_part) -> 
     outcome = cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=10.0, hold_s=0.3), take)
     assert outcome.result is GraspResult.PART_LOST
     assert cell.clock.monotonic() - taken_s[0] < 0.1
+
+
+def slope_n_m(rate_hz: float, noise_n: float, seed: int = 0) -> float:
+    """Return the stiffness found over 6 mm of a part of 200 N/m, from noisy samples."""
+    state = GripperState(
+        t_s=0.0,
+        aperture_m=0.05,
+        aperture_velocity_m_s=-0.012,
+        current_a=0.0,
+        force_from_current_n=0.0,
+        temperature_c=30.0,
+        voltage_v=12.0,
+        servos=(),
+    )
+    estimate = StiffnessEstimate(GripperSettings(servos=(ServoSettings(servo_id=1),)))
+    generator = random.Random(seed)
+    for i in range(100):
+        now_s = 0.005 * i
+        if i % round(200.0 / rate_hz) == 0:
+            grip_n = 200.0 * 0.012 * now_s + generator.gauss(0.0, noise_n)
+            sample = ForceSample(t_s=now_s, force_n=(grip_n, grip_n), lag_s=0.0)
+        moving = replace(state, t_s=now_s, aperture_m=0.05 - 0.012 * now_s)
+        estimate.push(Moment(now_s=now_s, dt_s=0.005, state=moving, sample=sample))
+    assert estimate.stiffness_n_m is not None
+    return estimate.stiffness_n_m
+
+
+def test_the_noise_of_fast_samples_is_no_stiffness() -> None:
+    assert slope_n_m(50.0, 0.0) == pytest.approx(200.0, rel=0.05)
+    found_n_m = median(slope_n_m(200.0, 0.15, seed) for seed in range(7))
+    assert found_n_m == pytest.approx(200.0, rel=0.35)

@@ -146,10 +146,10 @@ def test_the_drive_never_pushes_open_by_more_than_friction_needs() -> None:
 
 
 def test_a_long_hold_gives_back_what_friction_holds() -> None:
-    loop, finger = new_loop(), Finger(FRICTION_N)
-    follow(loop, finger, ramp(5.0, 8.0, 0.5))
-    before_n = loop.drive_n
-    forces_n = follow(loop, finger, [8.0] * 800, start_s=3.0, taper=True)
+    loop, finger, rise = new_loop(), Finger(FRICTION_N), ramp(5.0, 8.0, 0.5)
+    follow(loop, finger, rise, noise_n=0.0)
+    before_n, end_s = loop.drive_n, len(rise) * PERIOD_S
+    forces_n = follow(loop, finger, [8.0] * 800, noise_n=0.0, start_s=end_s, taper=True)
     assert loop.drive_n < before_n - 0.5 * FRICTION_N
     assert all(abs(force_n - 8.0) < 0.4 for force_n in forces_n)
 
@@ -172,3 +172,22 @@ def test_the_same_sample_teaches_only_once() -> None:
         biases_n.append(loop.bias_n)
     assert biases_n[0] == biases_n[1]
     assert 0.0 < biases_n[0] < 0.15
+
+
+def share_learnt(rate_hz: float, noise_n: float) -> float:
+    """Return how much of a step of the sensor's bias is learnt after 0.8 s, late in a hold."""
+    loop = new_loop()
+    for i in range(1, 561):
+        now_s = i * PERIOD_S
+        t_s = int(now_s * rate_hz + 1e-6) / rate_hz
+        grip_n = loop.model_n + (0.1 if t_s > 2.0 else 0.0)
+        sample = ForceSample(t_s=t_s, force_n=(grip_n, grip_n), lag_s=0.0, noise_n=noise_n)
+        loop.step(now_s, PERIOD_S, 1.0, sample, friction_n=FRICTION_N, drive_max_n=40.0)
+    return loop.bias_n / 0.1
+
+
+def test_fast_samples_teach_sooner_and_noisy_ones_later() -> None:
+    frames, messages = share_learnt(50.0, 0.3), share_learnt(200.0, 0.25)
+    assert 0.2 < frames < 0.5
+    assert messages > 1.5 * frames
+    assert share_learnt(200.0, 1.0) < frames

@@ -1,8 +1,14 @@
+import random
+from collections.abc import Sequence
+
+import pytest
+
 from gripper.force.loop import Moment
-from gripper.force.motion import Approach, ApproachEvent, ContactDetector
+from gripper.force.motion import Approach, ApproachEvent, ContactDetector, ContactRest
+from gripper.force.ramp import ForceRamp
 from gripper.kinematics import ParallelLinkage
 from gripper.settings import GripperSettings, ServoSettings
-from gripper.state import ForceSample, GripperState, ServoState
+from gripper.state import Cycle, ForceSample, GripperState, ServoState
 
 LINKAGE = ParallelLinkage(link_m=0.06)
 SETTINGS = GripperSettings(
@@ -154,3 +160,74 @@ def test_an_invalid_sample_shows_no_contact() -> None:
         at = state(0.02 * i, 0.02, -0.02)
         event, _ = step(approach, 0.02 * i, DT_S, at, sample(0.02 * i, 9.0, 9.0, valid=False))
     assert event is ApproachEvent.CLOSING
+
+
+def scan(t_s: float, force_n: float, noise_n: float = 0.1) -> ForceSample:
+    return ForceSample(t_s=t_s, force_n=(force_n, force_n), lag_s=0.0015, noise_n=noise_n)
+
+
+def closing(approach: Approach, force_n: Sequence[float]) -> list[tuple[float, ...]]:
+    """Return how far ahead of the fingers their goals are in rad, one entry for each force."""
+    ahead_rad = []
+    for i, seen_n in enumerate(force_n):
+        at = state(DT_S * i, 0.02, -0.012)
+        _, angles = step(approach, DT_S * i, DT_S, at, scan(DT_S * i, seen_n))
+        ahead_rad.append(tuple(a - b for a, b in zip(at.angles_rad, angles, strict=True)))
+    return ahead_rad
+
+
+def test_the_first_young_touch_brakes_and_a_wrong_one_goes_on() -> None:
+    ahead_rad = closing(new_approach(), [0.0] * 40 + [0.3] + [0.0] * 30)
+    assert min(ahead_rad[39]) > 0.005
+    assert ahead_rad[40] == (0.0, 0.0)
+    assert min(ahead_rad[-1]) > 0.005
+
+
+def test_pads_that_are_noisy_while_empty_brake_by_what_stands_out() -> None:
+    draw = random.Random(3)
+    forces_n = [draw.gauss(0.0, 0.3) for _ in range(200)] + [0.9] * 4
+    ahead_rad = closing(new_approach(), forces_n)
+    assert sum(max(ahead) == 0.0 for ahead in ahead_rad[:200]) <= 25
+    assert (0.0, 0.0) in ahead_rad[200:]
+
+
+@pytest.mark.parametrize("rate_hz", [None, 333.0])
+def test_fast_force_meets_a_part_more_gently(make_cell, rate_hz) -> None:
+    cell = make_cell(rate_hz=rate_hz, noise_n=0.1, friction_error=-0.15)
+    cell.part.stiffness_n_m = 6000.0
+    cell.gripper.start()
+    peaks_n: list[float] = []
+
+    def watch(cycle: Cycle) -> None:
+        if cycle.setpoint_n == 0.0:
+            peaks_n.append(cell.peak_n)
+
+    assert cell.gripper.grasp(ForceRamp.linear(2.0, rate_n_s=3.0), watch).contact_t_s is not None
+    assert (peaks_n[-1] < 1.0) is (rate_hz is not None)
+
+
+def test_fingers_that_touch_before_they_have_run_press_on_all_the_same(make_cell) -> None:
+    cell = make_cell(rate_hz=333.0, noise_n=0.1, friction_error=0.2, aperture_m=0.0123)
+    cell.part.stiffness_n_m = 3000.0
+    cell.gripper.start()
+    outcome = cell.gripper.grasp(ForceRamp.linear(2.0, rate_n_s=3.0))
+    assert outcome.contact_t_s is not None
+    assert outcome.contact_t_s < 1.5
+
+
+@pytest.mark.parametrize(
+    ("period_s", "noise_n", "rests_s"), [(0.02, 0.3, 0.08), (0.005, 0.15, 0.03)]
+)
+def test_the_rest_at_the_contact_ends_where_its_force_is_known(period_s, noise_n, rests_s) -> None:
+    rest, i = ContactRest(0.08), 0
+    while rest.goes_on(
+        Moment(
+            now_s=DT_S * i,
+            dt_s=DT_S,
+            state=state(DT_S * i, 0.01, 0.0),
+            sample=scan(period_s * int(DT_S * i / period_s + 1e-9), 0.7, noise_n),
+        )
+    ):
+        i += 1
+    assert DT_S * i == pytest.approx(rests_s, abs=0.011)
+    assert rest.force_n == pytest.approx(0.7)

@@ -15,8 +15,10 @@ from simulator.can.faults import ControlUnitFaults
 from simulator.errors import SimulatorSettingsError, SimulatorStateError
 from tactile.frames.assembler import FrameAssembler
 from tactile.frames.codec import FrameFormat, FrameStatus, TactileFrame
-from tactile.frames.pad_features import decode_features
+from tactile.frames.force_message import ForceMessage, ForceStatus, decode_force_message
 from tactile.layout import TaxelLayout, paper_layout, pinch_layout
+from tactile.sensor.calibration import FoamCalibration
+from tactile.sensor.force_check import force_table
 from tactile.unit import object_dictionary
 from tactile.unit.object_dictionary import TareResult
 
@@ -33,6 +35,9 @@ class Skin:
 
     def scan(self) -> np.ndarray:
         self.scans += 1
+        return self.counts.copy()
+
+    def scan_gripping(self) -> np.ndarray:
         return self.counts.copy()
 
 
@@ -52,6 +57,7 @@ class Line:
         self.unit = SimulatedControlUnit(self.skin, self.layout, settings, faults=self.faults)
         self.heard: list[tuple[float, int, bytes]] = []
         self.now_s = 0.0
+        self.message_s = 100e-6
         self.unit.connect(self._hear)
         if boot:
             self.wait(0.05)
@@ -59,7 +65,7 @@ class Line:
 
     def _hear(self, ready_s: float, can_id: int, messages: list[bytes]) -> float:
         self.heard.extend((ready_s, can_id, message) for message in messages)
-        return ready_s + 100e-6 * len(messages)
+        return ready_s + self.message_s * len(messages)
 
     def wait(self, seconds: float) -> None:
         self.now_s += seconds
@@ -106,6 +112,17 @@ class Line:
             if segment[0] & 1:
                 assert len(content) == size
                 return content
+
+    def download(self, index: int, content: bytes) -> int:
+        """Write an object in segments; returns the abort code, 0 for success."""
+        data = self.sdo(struct.pack("<BHBL", 0x21, index, 0, len(content)))
+        toggle = 0
+        while content and data[0] != 0x80:
+            part, content = content[:7], content[7:]
+            head = toggle | (7 - len(part)) << 1 | (not content)
+            data = self.sdo(bytes((head,)) + part.ljust(7, b"\0"))
+            toggle ^= 0x10
+        return abort_code(data) if data[0] == 0x80 else 0
 
     def number(self, index: int, sub: int = 0) -> int:
         return int.from_bytes(self.read(index, sub), "little")
@@ -277,21 +294,67 @@ def test_a_tpdo_that_is_switched_off_is_not_sent() -> None:
     assert {can_id for can_id, _ in line.tell(SYNC)} == {0x186}
 
 
-def test_features_can_be_sent_instead_of_or_beside_the_samples() -> None:
+def forces(line: Line, seconds: float) -> list[ForceMessage]:
+    line.take()
+    found = []
+    for _ in range(round(seconds / 0.001)):
+        line.wait(0.001)
+        found += [
+            decode_force_message(d, line.now_s) for can_id, d in line.take() if can_id == 0x285
+        ]
+    return found
+
+
+def test_the_force_goes_out_on_the_event_timer_while_operational() -> None:
     line = Line()
-    line.skin.counts[0:2] = (100, 50)
+    timer = (object_dictionary.TPDO2_PARAMETER, object_dictionary.PDO_EVENT_TIMER)
+    assert line.write(*timer, 3, 2) == 0
+    assert forces(line, 0.05) == []
     line.start()
-    assert line.write(object_dictionary.MODE, 0, 2, 1) == 0
-    heard = line.tell(SYNC)
-    assert len(heard) == 20
-    first, second = heard[0], heard[1]
-    assert (first[0], second[0]) == (0x285, 0x385)
-    features = decode_features(first[1], second[1])
-    assert (features.pad, features.active, features.peak_counts) == (0, 2, 100)
-    assert features.total_counts == 150
-    line.wait(0.02)
-    assert line.write(object_dictionary.MODE, 0, 3, 1) == 0
-    assert len(line.tell(SYNC)) == 59 + 20
+    found = forces(line, 0.3)
+    assert [message.counter for message in found] == [(n + 1) % 16 for n in range(100)]
+    assert {message.status for message in found} == {ForceStatus(0)}
+    assert line.write(*timer, 2, 2) == 0
+    assert len(forces(line, 0.3)) == 150
+    assert line.write(*timer, 0, 2) == 0
+    assert forces(line, 0.1) == []
+
+
+def test_a_force_message_waits_for_the_one_before_and_says_so() -> None:
+    line = Line()
+    timer = (object_dictionary.TPDO2_PARAMETER, object_dictionary.PDO_EVENT_TIMER)
+    assert line.write(*timer, 2, 2) == 0
+    line.start()
+    line.message_s = 0.005
+    found = forces(line, 0.06)
+    assert len(found) == 10
+    assert all(message.status & ForceStatus.OVERRUN for message in found[1:])
+
+
+def test_table_and_zero_need_a_right_checksum_and_can_be_read_back() -> None:
+    line = Line()
+    table = force_table(line.layout, FoamCalibration(255))
+    assert line.download(object_dictionary.FORCE_TABLE, table) == 0
+    assert line.read(object_dictionary.FORCE_TABLE) == table
+    damaged = bytes((table[0] ^ 1,)) + table[1:]
+    assert line.download(object_dictionary.FORCE_TABLE, damaged) == 0x0609_0030
+    assert line.read(object_dictionary.FORCE_TABLE) == table
+
+
+def test_the_force_message_can_be_read_as_an_object() -> None:
+    line = Line()
+    assert (
+        line.write(object_dictionary.TPDO2_PARAMETER, object_dictionary.PDO_EVENT_TIMER, 3, 2) == 0
+    )
+    line.start()
+    message = forces(line, 0.01)[-1]
+    assert line.number(object_dictionary.FORCE_MESSAGE, 1) % 16 == message.counter
+
+
+def test_an_older_unit_has_no_force_messages() -> None:
+    line = Line(settings=ControlUnitSettings(force_messages=False))
+    for index in (object_dictionary.FORCE_MESSAGE, object_dictionary.TPDO2_PARAMETER):
+        assert line.sdo(struct.pack("<BHB4x", 0x40, index, 0))[4:] == struct.pack("<L", 0x0602_0000)
 
 
 def test_the_dictionary_describes_the_layout() -> None:
@@ -465,8 +528,7 @@ def test_a_touched_or_restless_skin_gives_no_zero(
         (0x1018, 9, 1, 4, 0x0609_0011),
         (0x1017, 1, 1, 2, 0x0609_0011),
         (0x1017, 0, 1, 4, 0x0607_0010),
-        (0x2150, 0, 0, 1, 0x0609_0032),
-        (0x2150, 0, 9, 1, 0x0609_0031),
+        (0x2130, 3, 0, 1, 0x0609_0032),
         (0x1005, 0, 0, 4, 0x0609_0030),
         (0x1019, 0, 1, 1, 0x0609_0030),
         (0x1019, 0, 241, 1, 0x0609_0031),

@@ -15,7 +15,7 @@ from simulator.can.control_unit import ControlUnitSettings, SendBurst, Simulated
 from simulator.can.faults import CanLinkFaults
 from simulator.can.link import CanLink
 from simulator.can.memory_bus import InMemoryCanBus
-from simulator.can.wire import CanWire, crc15, exact_bits, mean_bits, stuff
+from simulator.can.wire import CanWire, Waiting, crc15, exact_bits, mean_bits, stuff
 from simulator.clock import VirtualClock
 from simulator.errors import SimulatorSettingsError, SimulatorStateError
 from simulator.world.world import PhysicalWorld
@@ -78,6 +78,7 @@ def real_bus(bitrate: int = 1_000_000) -> tuple[SimulatedControlUnit, InMemoryCa
     bus = InMemoryCanBus(unit, clock, bitrate=bitrate)
     assert bus.recv(0.1) is not None
     bus.send(message(0, 1, 5))
+    assert bus.recv(0.001) is None
     return unit, bus, clock
 
 
@@ -146,17 +147,37 @@ def test_the_estimate_is_the_mean_of_the_exact_count(low: int, high: int, mean: 
     assert estimate == pytest.approx(exact, rel=0.03)
 
 
+def waiting(ready_s: float, can_id: int, data: bytes, *, extended: bool = False) -> Waiting:
+    return Waiting(ready_s, can_id, data, extended, None)
+
+
 def test_messages_wait_for_each_other_on_the_wire() -> None:
     wire = CanWire(500_000)
     data = bytes(range(1, 9))
-    first_s = wire.occupy(1.0, data)
-    assert first_s - 1.0 == pytest.approx(mean_bits(data) / 500e3)
-    assert wire.occupy(1.0, data) == pytest.approx(1.0 + 2 * mean_bits(data) / 500e3)
-    assert wire.occupy(2.0, data, extended=True) == pytest.approx(
-        2.0 + (mean_bits(data) + 20) / 500e3
-    )
+    length_s = mean_bits(data) / 500e3
+    for _ in range(2):
+        wire.put(waiting(1.0, TPDO_ID, data))
+    wire.put(waiting(2.0, TPDO_ID << 18, data, extended=True))
+    assert wire.end_s(1.0, TPDO_ID) == pytest.approx(1.0 + 2 * length_s)
+    assert wire.end_s(1.0, TPDO_ID - 1) == 1.0
+    ends_s = [end_s for end_s, _ in wire.take(3.0)]
+    assert ends_s == pytest.approx([1.0 + length_s, 1.0 + 2 * length_s, 2.0 + length_s + 4e-5])
+    assert math.isinf(wire.next_end_s())
     with pytest.raises(SimulatorSettingsError, match="bit rate"):
         CanWire(0)
+
+
+def test_the_lowest_identifier_goes_first_but_never_interrupts_one_on_the_wire() -> None:
+    wire = CanWire(1_000_000)
+    data = bytes(range(1, 9))
+    for _ in range(3):
+        wire.put(waiting(1.0, 0x385, data))
+    wire.put(waiting(1.0001, 0x285, data))  # while the first of the burst is on the wire
+    wire.put(waiting(1.0001, 0x285, data, extended=True))  # base identifier 0: before the burst
+    order = [(message.can_id, message.extended) for _, message in wire.take(2.0)]
+    assert order == [
+        (0x385, False), (0x285, True), (0x285, False), (0x385, False), (0x385, False)
+    ]  # fmt: skip
 
 
 def test_what_is_sent_is_there_at_once_and_in_order() -> None:
@@ -378,7 +399,7 @@ def test_everything_on_the_wire_is_captured(tmp_path: Path) -> None:
         bus.send(message(SYNC_ID))
         bus.send(message(0x605, 0x40, 0, 0x10, 0, 0, 0, 0, 0))
         drain(bus)
-    assert [can_id for _, can_id, _ in heard] == [SYNC_ID] + [TPDO_ID] * 59 + [0x605, 0x585]
+    assert [can_id for _, can_id, _ in heard] == [SYNC_ID, 0x605] + [TPDO_ID] * 59 + [0x585]
     times = [t_s for t_s, _, _ in heard]
     assert times == sorted(times)
     content = path.read_bytes()

@@ -67,9 +67,9 @@ def test_a_closed_channel_neither_hears_nor_sends() -> None:
     line.device.send(1.0, 0x185, [bytes(8)])
     assert line.say(b"", 2.0) == b""
     line = Line(b"O")
-    line.device.send(1.0, 0x185, [bytes(8)])
-    assert line.say(b"C\rO\r") == b"\r\r"
-    assert line.say(b"", 2.0) == b""
+    line.device.send(0.9, 0x185, [bytes(8)])
+    line.adapter.receive(b"C\rO\r", 1.0)
+    assert line.say(b"", 2.0) == b"\r\r"
 
 
 def test_another_bit_rate_reaches_nobody() -> None:

@@ -37,7 +37,6 @@ serve(
     SimulatorSettings(),
     lambda line: print(json.dumps(line), flush=True),
     folder=Path(sys.argv[1]) if sys.argv[1] else None,
-    until_stdin_ends="stdin" in sys.argv,
     until_parent_ends="parent" in sys.argv,
 )
 """
@@ -263,10 +262,9 @@ def test_an_unplugged_adapter_has_no_descriptor(stepped: Stepped) -> None:
 
 
 @contextlib.contextmanager
-def running(folder: str, *options: str) -> Iterator[tuple[subprocess.Popen[str], dict[str, Any]]]:
+def running(folder: str) -> Iterator[tuple[subprocess.Popen[str], dict[str, Any]]]:
     process = subprocess.Popen(
-        [sys.executable, "-c", SCRIPT, folder, *options],
-        stdin=subprocess.PIPE,
+        [sys.executable, "-c", SCRIPT, folder],
         stdout=subprocess.PIPE,
         text=True,
     )
@@ -322,17 +320,11 @@ def test_another_process_serves_both_buses_and_the_positioner(tmp_path: Path) ->
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize("way", ["SIGINT", "stdin"])
-def test_it_ends_when_it_is_told_to_and_leaves_nothing_behind(way: str) -> None:
-    with running("", "stdin" if way == "stdin" else "") as (process, hello):
+def test_it_ends_when_it_is_told_to_and_leaves_nothing_behind() -> None:
+    with running("") as (process, hello):
         folder = Path(hello["positioner_socket"]).parent
         assert folder.is_dir()
-        if way == "stdin":
-            assert process.stdin is not None
-            process.stdin.close()
-            process.stdin = None
-        else:
-            process.send_signal(signal.SIGINT)
+        process.send_signal(signal.SIGINT)
         assert process.wait(LIMIT_S) == 0
         assert not folder.exists()
 

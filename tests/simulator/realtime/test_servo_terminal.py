@@ -40,7 +40,7 @@ def client(endpoint) -> Iterator[int]:
 
 
 def open_client(endpoint: ServoPty, speed: int = termios.B1000000) -> int:
-    descriptor = os.open(endpoint.port, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
+    descriptor = os.open(endpoint.path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
     tty.setraw(descriptor)
     settings = termios.tcgetattr(descriptor)
     settings[4] = settings[5] = speed
@@ -133,12 +133,12 @@ def test_a_client_that_never_reads_does_not_block(endpoint, client):
 
 
 def test_unplugging_breaks_the_client_and_the_link(endpoint, device, client):
-    old = os.readlink(endpoint.port)
+    old = os.readlink(endpoint.path)
     os.write(client, PING)
     endpoint.poll(1.0)
     endpoint.unplug()
     assert not endpoint.plugged_in
-    assert not os.path.lexists(endpoint.port)
+    assert not os.path.lexists(endpoint.path)
     assert endpoint.poll(2.0) is None
     with pytest.raises(OSError, match=os.strerror(errno.EIO)):
         os.write(client, PING)
@@ -173,7 +173,7 @@ def test_closing_gives_everything_back(device, tmp_path):
 
 def test_without_a_link_the_port_is_the_terminal(device):
     endpoint = ServoPty(device)
-    assert endpoint.port.startswith("/dev/")
+    assert endpoint.path.startswith("/dev/")
     endpoint.close()
 
 

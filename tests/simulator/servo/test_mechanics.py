@@ -10,15 +10,30 @@ from gripper.dynamixel.control_table import RAD_PER_PULSE
 from gripper.dynamixel.models import XL330_M288, XM430_W350
 from simulator.errors import SimulatorSettingsError
 from simulator.servo.mechanics import FingerMechanics, ParallelogramLinkage, RackLinkage, ServoMount
-from simulator.servo.motor import DriveCommand, DriveMode, ServoMotor
+from simulator.servo.motor import (
+    IDEAL_GEARING,
+    XM430_W350_GEARING,
+    DriveCommand,
+    DriveMode,
+    Gearing,
+    ServoMotor,
+)
 
 STEP_S = 1e-3
 MOUNTS = (ServoMount(direction=1), ServoMount(direction=-1))
 
 
-def fingers(count=2, *, model=XM430_W350, linkage=None, aperture_m=0.04, **options):
+def fingers(
+    count=2,
+    *,
+    model=XM430_W350,
+    linkage=None,
+    aperture_m=0.04,
+    gearing=IDEAL_GEARING,
+    **options,
+):
     return FingerMechanics(
-        [ServoMotor(model) for _ in range(count)],
+        [ServoMotor(model, gearing=gearing) for _ in range(count)],
         MOUNTS[:count],
         linkage or ParallelogramLinkage(link_m=0.06),
         aperture_m=aperture_m,
@@ -77,8 +92,9 @@ def test_closing_current_gives_the_force_of_the_torque_fit(count: int):
     assert force[0] == pytest.approx(force[1], rel=0.02)
 
 
-def test_slow_loading_and_unloading_differ_by_twice_the_friction():
-    mechanics = fingers()
+@pytest.mark.parametrize("share", [0.0, 0.2])
+def test_unloading_holds_more_by_twice_the_friction_and_that_of_the_load(share: float):
+    mechanics = fingers(gearing=Gearing(load_friction=share))
 
     def force_at(current_a: float, before_a: float) -> float:
         for i in range(1, 401):
@@ -91,7 +107,8 @@ def test_slow_loading_and_unloading_differ_by_twice_the_friction():
     unloading_n = force_at(0.5, 1.0)
     slope = 0.06 * math.cos(math.asin(0.0165 / 0.06))
     assert loading_n == pytest.approx((1.769 * 0.5 - 0.2214) / slope, rel=0.06)
-    assert unloading_n - loading_n == pytest.approx(2 * 0.2214 / slope, rel=0.12)
+    held_n = (1.0 + share) / (1.0 - share) * (1.769 * 0.5 + 0.2214) / slope
+    assert unloading_n - loading_n == pytest.approx(held_n - loading_n, rel=0.12)
 
 
 def test_below_the_friction_band_nothing_moves():
@@ -154,6 +171,37 @@ def test_without_torque_friction_alone_holds_a_light_load():
         mechanics.step(STEP_S, (8.0, 8.0))
     assert mechanics.aperture_m > 0.04
     assert all(motor.velocity_rad_s != 0.0 for motor in mechanics.motors)
+
+
+def test_a_light_force_moves_a_finger_through_the_backlash_and_no_further():
+    backlash_rad = math.radians(0.25)
+    mechanics = fingers(gearing=Gearing(backlash_rad=backlash_rad, output_friction=0.1))
+    slope = 0.06 * math.cos(math.asin(0.02 / 0.06))
+    way_m = slope * backlash_rad
+    for _ in range(100):
+        mechanics.step(STEP_S, (1.0, 1.0))
+    # At the start the teeth stand in the middle.
+    assert mechanics.aperture_m - 0.04 == pytest.approx(way_m, rel=0.02)
+    stood_m = mechanics.aperture_m
+    push(mechanics, -0.3)
+    motor = mechanics.motors[0]
+    while motor.lead_rad < 0.4 * backlash_rad:
+        mechanics.step(STEP_S, (0.0, 0.0))
+        assert mechanics.aperture_m == pytest.approx(stood_m, abs=5e-6)
+    assert motor.rotor_velocity_rad_s > 0.1
+    press(mechanics, 0.0, 0.0, 0.05)
+    assert mechanics.aperture_m > stood_m + way_m
+
+
+@pytest.mark.parametrize("stiffness_n_m", [500.0, 5_000.0, 50_000.0])
+def test_contact_comes_to_rest_with_all_that_a_gearing_does(stiffness_n_m: float):
+    mechanics = fingers(gearing=XM430_W350_GEARING)
+    push(mechanics, 0.5)
+    press(mechanics, 0.018, stiffness_n_m, 3.0)
+    held = mechanics.finger_position_m
+    force_n = press(mechanics, 0.018, stiffness_n_m, 1.0)
+    assert mechanics.finger_position_m == held
+    assert min(force_n) > 5.0
 
 
 def test_two_servos_move_apart_when_only_one_is_driven():

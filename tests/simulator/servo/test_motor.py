@@ -6,7 +6,14 @@ import pytest
 
 from gripper.dynamixel.models import MODELS, XM430_W350
 from simulator.errors import SimulatorSettingsError
-from simulator.servo.motor import AMBIENT_C, OVERLOAD_BUDGET_S, DriveCommand, DriveMode, ServoMotor
+from simulator.servo.motor import (
+    AMBIENT_C,
+    OVERLOAD_BUDGET_S,
+    DriveCommand,
+    DriveMode,
+    Gearing,
+    ServoMotor,
+)
 
 STEP_S = 1e-3
 
@@ -25,6 +32,25 @@ def test_torque_with_rising_load_follows_the_fit(current_a: float, torque_nm: fl
     motor = ServoMotor(XM430_W350)
     made_nm = stall(motor, DriveCommand(DriveMode.CURRENT, current_a=current_a))
     assert made_nm - motor.friction_nm == pytest.approx(torque_nm, abs=0.005)
+
+
+def test_the_torque_ripples_over_a_turn_and_keeps_its_mean():
+    gearing = Gearing(ripple=0.02, ripple_per_turn=100.0)
+    torques_nm = []
+    for step in range(50):
+        motor = ServoMotor(angle_rad=math.tau * step / 5000.0, gearing=gearing)
+        torques_nm.append(stall(motor, DriveCommand(DriveMode.CURRENT, current_a=1.0)))
+    mean_nm = sum(torques_nm) / 50
+    assert mean_nm == pytest.approx(XM430_W350.kt_nm_a, rel=1e-3)
+    assert max(torques_nm) - min(torques_nm) == pytest.approx(0.04 * mean_nm, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"load_friction": 1.0}, {"ripple": -0.1}, {"backlash_rad": math.nan}]
+)
+def test_an_impossible_gearing_is_refused(wrong: dict[str, float]):
+    with pytest.raises(SimulatorSettingsError, match=next(iter(wrong))):
+        Gearing(**wrong)
 
 
 @pytest.mark.parametrize("model", MODELS.values(), ids=lambda m: m.name)

@@ -17,9 +17,9 @@ def test_the_centre_is_the_mean_place_weighted_by_force() -> None:
     force_n[second[5]] = 0.2
     found = ForceCentres(layout).of(force_n)
     assert found is not None
-    expected = 0.25 * layout.taxel_xy_m[first[0]] + 0.75 * layout.taxel_xy_m[first[1]]
-    assert found[0] == pytest.approx(tuple(expected))
-    assert found[1] == pytest.approx(tuple(layout.taxel_xy_m[second[5]]))
+    position_m = layout.position_m[:, :2]
+    one_m = 0.25 * position_m[first[0]] + 0.75 * position_m[first[1]]
+    assert found == pytest.approx(tuple(0.5 * (one_m + position_m[second[5]])))
     # Pads that do not grip have no say.
     other = np.flatnonzero(~np.isin(layout.taxel_pad, layout.gripping_pads))
     force_n[other] = 9.0

@@ -31,21 +31,23 @@ def test_dcfchk_finds_nothing() -> None:
 
 
 def test_pdo_records_are_records(dictionary: canopen.ObjectDictionary) -> None:
-    for index in (0x1800, 0x1801, 0x1802, 0x1A00, 0x1A01, 0x1A02):
+    for index in (0x1800, 0x1801, 0x1A00, 0x1A01):
         assert isinstance(dictionary[index], ODRecord)
 
 
 def test_every_tpdo_maps_64_bits(dictionary: canopen.ObjectDictionary) -> None:
-    for index in (0x1A00, 0x1A01, 0x1A02):
+    for index in (0x1A00, 0x1A01):
         entries = [dictionary[index][sub].default for sub in dictionary[index] if sub]
         assert sum(entry & 0xFF for entry in entries) == 64
         for entry in entries:
             variable = dictionary[entry >> 16][entry >> 8 & 0xFF]
             assert variable.pdo_mappable
             assert len(variable) == entry & 0xFF
-    assert (
-        tuple(dictionary[0x1A00][sub].default for sub in (1, 2)) == object_dictionary.TPDO1_ENTRIES
-    )
+    for index, known in (
+        (0x1A00, object_dictionary.TPDO1_ENTRIES),
+        (0x1A01, object_dictionary.TPDO2_ENTRIES),
+    ):
+        assert tuple(dictionary[index][sub].default for sub in dictionary[index] if sub) == known
 
 
 def test_cob_ids_follow_the_node_id(dictionary: canopen.ObjectDictionary) -> None:
@@ -106,6 +108,6 @@ def test_every_index_constant_is_in_the_dictionary(dictionary: canopen.ObjectDic
 def test_layout_codec_and_sensor_do_not_load_the_can_libraries() -> None:
     code = (
         "import sys, tactile.layout, tactile.frames.assembler, tactile.unit.object_dictionary, "
-        "tactile.frames.pad_features, tactile.sensor.sensor; sys.exit('can' in sys.modules)"
+        "tactile.frames.force_message, tactile.sensor.sensor; sys.exit('can' in sys.modules)"
     )
     assert subprocess.run([sys.executable, "-c", code], check=False, timeout=30).returncode == 0

@@ -44,9 +44,9 @@ def test_heartbeat_is_not_missed_before_operation() -> None:
     supervisor.on_heartbeat(b"\x7f", 1.0)
     supervisor.check(100.0)
     supervisor.enter_operation(100.0)
-    supervisor.check(100.149)
+    supervisor.check(100.249)
     with pytest.raises(HeartbeatLost):
-        supervisor.check(100.151)
+        supervisor.check(100.251)
 
 
 def test_emergency_before_operation_is_a_fault_too() -> None:

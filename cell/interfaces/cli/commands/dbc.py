@@ -23,6 +23,7 @@ def dbc(config: ConfigOption = None, output: TextOutOption = None) -> None:
         node_id=tactile.node_id,
         sync_period_ms=round(tactile.sync_period_ms),
         heartbeat_ms=round(tactile.heartbeat_ms),
+        force_period_ms=tactile.force_period_ms,
     )
     if output is None:
         typer.echo(text, nl=False)

@@ -1,0 +1,153 @@
+"""The control unit's sum of the force on its gripping pads, from one scan to one force message.
+
+A scan's counts are taken above the zero that the host has written; a taxel that is touched counts
+with the force of the host's table, the others with nothing, or their noise would drown the force of
+a light touch. Touched is where the mean over the last scans, smoothed over the 3 x 3 neighbours, is
+above the threshold, and until it is back at the zero; so no single scan decides, and what the taxel
+has of noise enters the force once, unclipped.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import block_diag
+
+from tactile.frames.force_message import (
+    COUNTERS,
+    TABLE_NODES,
+    ForceMessage,
+    ForceStatus,
+    decode_table,
+    decode_zero,
+    encode_force_message,
+)
+from tactile.layout import TaxelLayout
+
+_MEAN_SCANS = 4
+"""Scans of the running mean that decides what is touched: 12 ms at 333 scans a second."""
+_KERNEL = (2.0, 1.0)
+"""Weights of a taxel and of each neighbour in each direction of the 3 x 3 mean (binomial)."""
+_KERNEL_SUM = 16.0
+"""Sum of all nine; at a border too, or the few taxels there would be touched by their noise."""
+
+_NODES = np.arange(TABLE_NODES)
+
+
+def _smoothing(rows: int, columns: int) -> NDArray[np.float64]:
+    """Return the matrix (n, n) that sums each taxel's 3 x 3 neighbours; beyond a pad is nothing."""
+    near, beside = _KERNEL
+
+    def band(n: int) -> NDArray[np.float64]:
+        return near * np.eye(n) + beside * (np.eye(n, k=1) + np.eye(n, k=-1))
+
+    return np.asarray(np.kron(band(rows), band(columns)), dtype=np.float64)
+
+
+class PadForces:
+    """Sum of the force on both gripping pads.
+
+    Parameters
+    ----------
+    layout
+        The taxels.
+    """
+
+    __slots__ = (
+        "_active",
+        "_adc_max",
+        "_bad",
+        "_counter",
+        "_mean",
+        "_n_first",
+        "_place",
+        "_smoothing",
+        "_table_n",
+        "_touch_counts",
+        "_zero_counts",
+    )
+
+    def __init__(self, layout: TaxelLayout) -> None:
+        first, second = (layout.pads[pad] for pad in layout.gripping_pads)
+        self._adc_max = layout.adc_max
+        self._n_first = first.n_taxels
+        pitch_m = np.array([first.pitch_x_m, first.pitch_y_m])
+        self._place = np.concatenate([first.taxel_xy_m(), second.taxel_xy_m()]) / pitch_m
+        self._smoothing = block_diag(
+            _smoothing(first.rows, first.columns), _smoothing(second.rows, second.columns)
+        )
+        self._counter = 0
+        self.reset()
+
+    def reset(self) -> None:
+        """Go back to what a unit is after power-on: no table, no zero."""
+        self._table_n: NDArray[np.float64] | None = None
+        self._zero_counts: NDArray[np.float64] | None = None
+        self._touch_counts = 0.0
+        self._bad = self._active = np.zeros(len(self._place), dtype=np.bool_)
+        self._mean = np.zeros(len(self._place))
+
+    def take_table(self, data: bytes) -> None:
+        """Take object 0x2141; FrameError for a damaged one, then the table before it stays."""
+        self._table_n = decode_table(data)
+
+    def take_zero(self, data: bytes) -> None:
+        """Take object 0x2142; FrameError for a damaged one, then the zero before it stays."""
+        decoded = decode_zero(data, len(self._place), self._adc_max)
+        self._touch_counts, self._zero_counts, self._bad = decoded
+        self._active = np.zeros(len(self._place), dtype=np.bool_)
+        self._mean = np.zeros(len(self._place))
+
+    def message(
+        self, counts: NDArray[np.uint16], status: ForceStatus, *, gain: float = 1.0
+    ) -> bytes:
+        """Return the next message.
+
+        Parameters
+        ----------
+        counts : (n,) uint16
+            Scan of both gripping pads, finger 0 first.
+        status
+            What the unit says of this scan.
+        gain
+            Factor on the forces: a fault.
+        """
+        if int(counts[~self._bad].max(initial=0)) >= self._adc_max:
+            status |= ForceStatus.SATURATED
+        force_n, centre = np.zeros(len(counts)), None
+        if self._table_n is not None and self._zero_counts is not None:
+            status |= ForceStatus.ZEROED
+            force_n = gain * self._force_n(counts - self._zero_counts, self._table_n)
+        if (total_n := float(force_n.sum())) > 0.0:
+            x, y = force_n @ self._place / total_n
+            centre = (float(x), float(y))
+        self._counter = (self._counter + 1) % COUNTERS
+        n = self._n_first
+        message = ForceMessage(
+            t_s=0.0,
+            counter=self._counter,
+            status=status,
+            force_n=(float(force_n[:n].sum()), float(force_n[n:].sum())),
+            centre_taxels=centre,
+        )
+        return encode_force_message(message)
+
+    def _force_n(
+        self, tared: NDArray[np.float64], tables_n: NDArray[np.float64]
+    ) -> NDArray[np.float64]:
+        """Return the force in N on each taxel that is touched, 0 on the others, (n,)."""
+        if self._bad.any():
+            good = self._smoothing[self._bad] * ~self._bad
+            tared[self._bad] = good @ tared / np.maximum(good.sum(axis=1), 1.0)
+        self._mean += (tared - self._mean) / _MEAN_SCANS
+        smooth = self._smoothing @ self._mean / _KERNEL_SUM
+        self._active = (smooth > self._touch_counts) | (self._active & (smooth > 0.0))
+        force_n = np.zeros(len(tared))
+        if not self._active.any():
+            return force_n
+        touched = self._smoothing @ self._active > 0.0
+        node = tared * ((TABLE_NODES - 1) / self._adc_max)
+        n = self._n_first
+        for table_n, part in zip(tables_n, (slice(None, n), slice(n, None)), strict=True):
+            # Below zero the table goes on as its first piece, so that noise averages out.
+            below_n = np.minimum(node[part], 0.0) * (table_n[1] - table_n[0])
+            force_n[part] = np.interp(node[part], _NODES, table_n) + below_n
+        return np.where(touched, force_n, 0.0)

@@ -1,0 +1,205 @@
+"""The force message: the force on both gripping pads in 8 bytes, many times a second.
+
+Byte 0: counter in the low nibble, status in the high one. Then the force on finger 0 and finger 1
+(i16 little-endian, 2 mN), the centre of force of both pads together along and across the fingers
+(i8, 1/16 of the taxels' pitch from the pads' middle), and the CRC-8 of SAE J1850 over the 7 bytes
+before it: a message of AUTOSAR's E2E profile 1 in kind, a counter of 4 bits beside a CRC of 8.
+
+The unit sums the force from two objects that the host writes, each with a CRC-16 at its end: the
+table of counts to force (equation (11) is not linear in counts, so the sum of counts is no force),
+and the zero of each taxel. All numbers of both are u16 little-endian.
+"""
+
+import struct
+from dataclasses import dataclass
+from enum import IntFlag
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile.errors import FrameError
+from tactile.frames.codec import CRC_BYTES, MESSAGE_BYTES, crc16
+
+FORCE_N = 0.002
+"""Unit of a force in N: up to 65 N either way."""
+CENTRE_TAXELS = 1.0 / 16.0
+"""Unit of a centre in pitches of the taxels: up to 8 of them either way."""
+TABLE_NODES = 129
+"""Nodes of the table of one pad, evenly from 0 counts to full scale; linear between them."""
+TABLE_N = 0.0005
+"""Unit of the table's forces in N: up to 32 N a taxel."""
+ZERO_STEPS = 60_000
+"""Steps of a zero, and of the threshold, in the full scale of the counts."""
+BAD_TAXEL = 0xFFFF
+"""Zero of a taxel that does not measure: its neighbours stand in for it."""
+COUNTERS = 16
+"""Messages until a counter comes again."""
+_NO_CENTRE = -128
+"""Centre where nothing touches."""
+_BODY = struct.Struct("<Bhhbb")
+_STATUS_SHIFT = 4
+_CRC8_POLYNOMIAL, _CRC8_START, _CRC8_END = 0x1D, 0xFF, 0xFF
+"""CRC-8 of SAE J1850 (AUTOSAR, Specification of CRC Routines, 7.2.1.1)."""
+
+
+def _crc8_table() -> bytes:
+    table = bytearray()
+    for byte in range(256):
+        crc = byte
+        for _ in range(8):
+            crc = crc << 1 ^ (_CRC8_POLYNOMIAL if crc & 0x80 else 0)
+        table.append(crc & 0xFF)
+    return bytes(table)
+
+
+_CRC8_TABLE = _crc8_table()
+
+
+def crc8(data: bytes | bytearray) -> int:
+    """Return the CRC-8 of SAE J1850."""
+    crc = _CRC8_START
+    for byte in data:
+        crc = _CRC8_TABLE[crc ^ byte]
+    return crc ^ _CRC8_END
+
+
+class ForceStatus(IntFlag):
+    """Status of a force message, 4 bits."""
+
+    ZEROED = 0x1
+    """Table and zero are there: the forces are forces."""
+    SATURATED = 0x2
+    """A taxel of a gripping pad is at full scale: the force may be more."""
+    CONVERTER_FAULT = 0x4
+    """The unit's converter or multiplexer failed its self-test: the forces are void."""
+    OVERRUN = 0x8
+    """The scan before this one was not finished in time and was left out."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ForceMessage:
+    """Force on both gripping pads in one scan.
+
+    Attributes
+    ----------
+    t_s
+        Monotonic time of reception in s.
+    counter
+        Number of the message modulo 16.
+    status
+        What the unit says of it.
+    force_n
+        Force on the pad of finger 0 and of finger 1 in N.
+    centre_taxels
+        Centre of force of both pads together, along and across the fingers from the pads' middle,
+        in pitches of the taxels; None where nothing touches.
+    """
+
+    t_s: float
+    counter: int
+    status: ForceStatus
+    force_n: tuple[float, float]
+    centre_taxels: tuple[float, float] | None = None
+
+
+def encode_force_message(message: ForceMessage) -> bytes:
+    """Return the 8 bytes of a message; what does not fit stays at the end of its range."""
+    centre = message.centre_taxels
+    along, across = (
+        (_NO_CENTRE, _NO_CENTRE)
+        if centre is None
+        else tuple(_clipped(value / CENTRE_TAXELS, 0x7F) for value in centre)
+    )
+    body = _BODY.pack(
+        message.status << _STATUS_SHIFT | message.counter % COUNTERS,
+        *(_clipped(force_n / FORCE_N, 0x7FFF) for force_n in message.force_n),
+        along,
+        across,
+    )
+    return body + bytes((crc8(body),))
+
+
+def decode_force_message(data: bytes | bytearray, t_s: float) -> ForceMessage:
+    """Return the message in 8 bytes received at ``t_s`` s; FrameError for damaged ones."""
+    if len(data) != MESSAGE_BYTES:
+        raise FrameError(f"a force message has {len(data)} bytes, expected {MESSAGE_BYTES}")
+    body = data[: _BODY.size]
+    if crc8(body) != data[-1]:
+        raise FrameError(f"force CRC is 0x{data[-1]:02X}, computed 0x{crc8(body):02X}")
+    head, first, second, along, across = _BODY.unpack(body)
+    return ForceMessage(
+        t_s=t_s,
+        counter=head % COUNTERS,
+        status=ForceStatus(head >> _STATUS_SHIFT),
+        force_n=(first * FORCE_N, second * FORCE_N),
+        centre_taxels=None
+        if along == _NO_CENTRE
+        else (along * CENTRE_TAXELS, across * CENTRE_TAXELS),
+    )
+
+
+def encode_table(force_n: NDArray[np.float64]) -> bytes:
+    """Return the object of the tables of both pads.
+
+    Parameters
+    ----------
+    force_n : (2, TABLE_NODES) float64
+        Force of a taxel in N at counts from 0 to full scale, rising.
+    """
+    if force_n.shape != (2, TABLE_NODES) or not np.isfinite(force_n).all():
+        raise FrameError(f"a force table has shape (2, {TABLE_NODES}), got {force_n.shape}")
+    return _with_crc(np.clip(np.rint(force_n / TABLE_N), 0, 0xFFFF))
+
+
+def decode_table(data: bytes) -> NDArray[np.float64]:
+    """Return the tables in N, shape (2, TABLE_NODES); FrameError for a damaged object."""
+    return _numbers(data, 2 * TABLE_NODES).reshape(2, TABLE_NODES) * TABLE_N
+
+
+def encode_zero(
+    touch_counts: float, zero_counts: NDArray[np.float64], bad: NDArray[np.bool_], adc_max: int
+) -> bytes:
+    """Return the object of the zero.
+
+    Parameters
+    ----------
+    touch_counts
+        Counts above the zero from which on a taxel counts, in the mean of its neighbourhood.
+    zero_counts : (n,) float64
+        Zero of each taxel of the gripping pads, finger 0 first.
+    bad : (n,) bool
+        Taxels that do not measure.
+    adc_max
+        Full scale in counts.
+    """
+    steps = np.append(touch_counts, zero_counts) * (ZERO_STEPS / adc_max)
+    steps = np.clip(np.rint(steps), 0, ZERO_STEPS)
+    steps[1:][bad] = BAD_TAXEL
+    return _with_crc(steps)
+
+
+def decode_zero(
+    data: bytes, n_taxels: int, adc_max: int
+) -> tuple[float, NDArray[np.float64], NDArray[np.bool_]]:
+    """Return threshold, zeros (n,) in counts and bad taxels (n,); FrameError for a damaged one."""
+    steps = _numbers(data, 1 + n_taxels)
+    counts = steps * (adc_max / ZERO_STEPS)
+    return float(counts[0]), counts[1:], steps[1:] == BAD_TAXEL
+
+
+def _clipped(value: float, largest: int) -> int:
+    return max(-largest, min(largest, round(value)))
+
+
+def _with_crc(numbers: NDArray[np.float64]) -> bytes:
+    content = numbers.astype("<u2").tobytes()
+    return content + crc16(content).to_bytes(CRC_BYTES, "little")
+
+
+def _numbers(data: bytes, n: int) -> NDArray[np.float64]:
+    if len(data) != 2 * n + CRC_BYTES:
+        raise FrameError(f"the object has {len(data)} bytes, expected {2 * n + CRC_BYTES}")
+    content, crc = data[:-CRC_BYTES], int.from_bytes(data[-CRC_BYTES:], "little")
+    if crc16(content) != crc:
+        raise FrameError(f"the object's CRC is 0x{crc:04X}, computed 0x{crc16(content):04X}")
+    return np.frombuffer(content, dtype="<u2").astype(np.float64)

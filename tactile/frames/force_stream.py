@@ -1,0 +1,91 @@
+"""The stream of force messages: each is handed out once, none after a newer one. Pure."""
+
+from dataclasses import dataclass
+
+from tactile.errors import FrameError
+from tactile.frames.force_message import COUNTERS, ForceMessage, decode_force_message
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ForceStatistics:
+    """Counts of force messages since the start.
+
+    Attributes
+    ----------
+    received
+        Messages handed out.
+    lost
+        Messages missing between two handed out, by counter; after a silence so many at least.
+    repeated, late
+        Messages received twice; messages that came after a newer one. Dropped.
+    damaged
+        Messages with a wrong CRC or length, dropped.
+    """
+
+    received: int = 0
+    lost: int = 0
+    repeated: int = 0
+    late: int = 0
+    damaged: int = 0
+
+
+class ForceStream:
+    """The order of force messages: each is handed out once, and none after a newer one.
+
+    Parameters
+    ----------
+    period_s
+        Time between two messages in s: after a longer silence the counter alone says nothing.
+
+    Attributes
+    ----------
+    lost, damaged
+        See `ForceStatistics`.
+    """
+
+    def __init__(self, period_s: float) -> None:
+        self._period_s = period_s
+        self._last: tuple[ForceMessage, bytes] | None = None
+        self.lost = self.damaged = 0
+        self._received = self._repeated = self._late = 0
+
+    @property
+    def statistics(self) -> ForceStatistics:
+        """Counts since the start."""
+        return ForceStatistics(
+            received=self._received,
+            lost=self.lost,
+            repeated=self._repeated,
+            late=self._late,
+            damaged=self.damaged,
+        )
+
+    def push(self, data: bytes | bytearray, t_s: float) -> ForceMessage | None:
+        """Take a message received at ``t_s`` s and return it if it is whole and newer."""
+        try:
+            message = decode_force_message(data, t_s)
+        except FrameError:
+            self.damaged += 1
+            return None
+        if self._last is not None and not self._follows(message, bytes(data), *self._last):
+            return None
+        self._last = message, bytes(data)
+        self._received += 1
+        return message
+
+    def _follows(
+        self, message: ForceMessage, data: bytes, last: ForceMessage, last_data: bytes
+    ) -> bool:
+        periods = round((message.t_s - last.t_s) / self._period_s)
+        step = (message.counter - last.counter) % COUNTERS
+        if periods < COUNTERS // 2:
+            if data == last_data:
+                self._repeated += 1
+                return False
+            if step == 0 or step >= COUNTERS // 2:
+                self._late += 1
+                self.lost = max(0, self.lost - 1)  # it was missed when the newer one came
+                return False
+        # After a silence so many are missing at least; the host may only have looked late.
+        self.lost += (step - 1) % COUNTERS
+        return True

@@ -1,0 +1,209 @@
+"""The link to a unit that sends force messages: set-up, order on the bus, what goes wrong."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import can
+import canopen
+import numpy as np
+import pytest
+
+from simulator.can.control_unit import ControlUnitSettings, SimulatedControlUnit
+from simulator.can.memory_bus import InMemoryCanBus
+from simulator.clock import VirtualClock
+from tactile.errors import BusDisturbed, FrameTimeout, IdentityMismatch
+from tactile.frames.force_message import ForceMessage, ForceStatus, encode_zero
+from tactile.layout import paper_layout
+from tactile.sensor.calibration import FoamCalibration
+from tactile.sensor.force_check import force_table
+from tactile.unit import object_dictionary
+from tactile.unit.link import LinkSettings, TactileLink
+
+LAYOUT = paper_layout()
+TABLE = force_table(LAYOUT, FoamCalibration(255))
+ZERO = encode_zero(4.0, np.zeros(128), np.zeros(128, dtype=np.bool_), 255)
+
+
+class Skin:
+    """Taxels that all read the same."""
+
+    counts = 0
+
+    def scan(self) -> np.ndarray:
+        return np.full(LAYOUT.n_taxels, self.counts, dtype=np.uint16)
+
+    scan_gripping = scan
+
+
+@dataclass
+class Bench:
+    link: TactileLink
+    unit: SimulatedControlUnit
+    bus: InMemoryCanBus
+    clock: VirtualClock
+    skin: Skin
+    traffic: list[tuple[float, int, bytes]] = field(default_factory=list)
+
+    def run(self, seconds: float) -> list[ForceMessage]:
+        found: list[ForceMessage] = []
+        end_s = self.clock.monotonic() + seconds
+        while self.clock.monotonic() < end_s:
+            self.clock.sleep(0.001)
+            self.link.poll()
+            found += self.link.take_forces()
+        return found
+
+
+@pytest.fixture
+def make_bench() -> Iterator[Callable[..., Bench]]:
+    benches: list[Bench] = []
+
+    def make(
+        *, table: bytes | None = TABLE, unit: ControlUnitSettings | None = None, **settings: float
+    ) -> Bench:
+        clock, skin = VirtualClock(), Skin()
+        device = SimulatedControlUnit(skin, LAYOUT, unit)
+        bus = InMemoryCanBus(device, clock)
+        link = TactileLink(
+            bus,
+            node_id=5,
+            layout=LAYOUT,
+            clock=clock,
+            settings=LinkSettings(**{"threaded": False, "force_period_s": 0.003} | settings),
+            force_table=table,
+        )
+        bench = Bench(link, device, bus, clock, skin)
+        bus.capture.append(lambda t_s, can_id, data: bench.traffic.append((t_s, can_id, data)))
+        benches.append(bench)
+        return bench
+
+    yield make
+    for bench in benches:
+        bench.link.close()
+        bench.bus.shutdown()
+
+
+@pytest.fixture
+def bench(make_bench: Callable[..., Bench]) -> Bench:
+    made = make_bench()
+    made.link.start()
+    made.link.write_zero(ZERO)
+    return made
+
+
+def test_the_force_comes_by_table_and_zero_each_three_milliseconds(bench: Bench) -> None:
+    assert bench.link.sends_forces
+    bench.skin.counts = 20
+    bench.run(0.1)
+    found = bench.run(0.3)
+    assert len(found) == pytest.approx(100, abs=1)
+    taxel_n = float(FoamCalibration(255).force_n(np.array([20.0]))[0])
+    assert found[-1].force_n == pytest.approx((64 * taxel_n, 64 * taxel_n), rel=0.01)
+    assert found[-1].status == ForceStatus.ZEROED
+    assert np.diff([message.t_s for message in found]).max() < 0.0035
+    assert bench.link.statistics.forces.lost == 0
+
+
+def test_an_independent_client_reads_table_and_zero_back(bench: Bench) -> None:
+    for index, expected in (
+        (object_dictionary.FORCE_TABLE, TABLE),
+        (object_dictionary.FORCE_ZERO, ZERO),
+    ):
+        assert read_by_canopen(bench, index) == expected
+
+
+def read_by_canopen(bench: Bench, index: int) -> bytes:
+    """Read an object with canopen's own client, in the steps of its transfer."""
+    network = canopen.Network()
+    node = canopen.RemoteNode(5, canopen.import_od(str(object_dictionary.EDS_PATH), 5))
+    network.add_node(node)
+
+    def exchange(can_id: int, data: bytes, remote: bool = False) -> None:
+        bench.bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+        while node.sdo.responses.empty():
+            message = bench.bus.recv(0.05)
+            assert message is not None
+            if message.arbitration_id == 0x585:
+                node.sdo.on_response(0x585, message.data, 0.0)
+
+    network.send_message = exchange
+    return bytes(node.sdo.upload(index, 0))
+
+
+def test_a_force_message_waits_for_one_message_of_a_burst_and_no_more(
+    make_bench: Callable[..., Bench],
+) -> None:
+    def worst_wait_s(frame_function: int) -> float:
+        bench = make_bench()
+        bench.link.start()
+        if frame_function != object_dictionary.COB_TPDO3:
+            # As if the frames had stayed before the forces: TPDO1 and TPDO2 as in the EDS.
+            bench.unit.dictionary.pretend(object_dictionary.TPDO1_PARAMETER, 1, frame_function + 5)
+        bench.traffic.clear()
+        for _ in range(300):
+            bench.clock.sleep(0.001)
+            if frame_function == object_dictionary.COB_TPDO3:
+                bench.link.poll()
+            elif bench.clock.monotonic() % 0.02 < 0.001:
+                bench.bus.send(can.Message(arbitration_id=0x80, is_extended_id=False))
+        ends_s = [t_s for t_s, can_id, _ in bench.traffic if can_id == 0x285]
+        spacing_s = np.diff(ends_s)
+        return float(np.abs(spacing_s - 0.003).max())
+
+    assert worst_wait_s(object_dictionary.COB_TPDO3) < 0.00026
+    assert worst_wait_s(object_dictionary.COB_TPDO1) > 0.002
+
+
+def test_a_unit_without_force_messages_runs_as_before(make_bench: Callable[..., Bench]) -> None:
+    bench = make_bench(unit=ControlUnitSettings(force_messages=False))
+    bench.link.start()
+    assert not bench.link.sends_forces
+    assert bench.run(0.2) == []
+    assert bench.link.statistics.frames.complete >= 9
+    assert {can_id for _, can_id, _ in bench.traffic} >= {0x185}
+
+
+def test_a_table_that_the_unit_does_not_keep_is_refused(make_bench: Callable[..., Bench]) -> None:
+    bench = make_bench()
+    bench.unit.dictionary.pretend(object_dictionary.FORCE_TABLE, 0, TABLE[:-2] + b"\0\0")
+    with pytest.raises(IdentityMismatch, match="table of counts to force"):
+        bench.link.start()
+
+
+def test_force_messages_that_stay_away_are_a_fault_though_frames_come(bench: Bench) -> None:
+    bench.run(0.1)
+    bench.unit.dictionary.pretend(object_dictionary.TPDO2_PARAMETER, 1, 0x8000_0285)
+    start_s = bench.clock.monotonic()
+    with pytest.raises(FrameTimeout, match=r"no force message .* for 4[01] ms, allowed are 40 ms"):
+        bench.run(0.2)
+    assert bench.clock.monotonic() - start_s < 0.045
+
+
+def test_damaged_and_repeated_messages_are_dropped_and_counted(bench: Bench) -> None:
+    bench.run(0.1)
+    bench.bus.faults.duplicate_rate = 0.02
+    bench.run(0.5)
+    bench.bus.faults.duplicate_rate = 0.0
+    statistics = bench.link.statistics.forces
+    assert statistics.repeated > 0
+    assert (statistics.lost, statistics.damaged) == (0, 0)
+    bench.run(0.05)
+
+
+def test_too_many_lost_messages_are_a_fault(make_bench: Callable[..., Bench]) -> None:
+    bench = make_bench(max_loss_rate=0.05)
+    bench.link.start()
+    bench.run(0.1)
+    send, count = bench.unit.send, 0
+
+    def lossy(ready_s: float, can_id: int, burst: list[bytes]) -> float:
+        nonlocal count
+        if can_id == 0x285:
+            count += 1
+            if count % 3 == 0:
+                return ready_s
+        return send(ready_s, can_id, burst)
+
+    bench.unit.connect(lossy)
+    with pytest.raises(BusDisturbed, match="lost force messages"):
+        bench.run(1.0)
