@@ -48,6 +48,9 @@ _RUNAWAY_N = 1.0
 which on the way alone shows that it has gone; by a stiffness that is known well."""
 _KNOWN_N = 3.0
 """Force in N from which on the stiffness is known well: it is taken anew with each 0.7 N."""
+_BLIND_N, _BLIND_SHARE = 6.0, 0.05
+"""Growth of the force in N that its stiffness promises for a way of the fingers, and the share of
+it below which the pads do not see what the fingers press on."""
 _STEADY_S = 0.3
 """Time in s of a hold until its fingers rest, whatever the part."""
 _GIVE_RAD = 0.03
@@ -169,6 +172,7 @@ class GripControl:
         self._uneven_s = 0.0
         self._paused = False
         self._runaway: tuple[float, float, float] | None = None
+        self._ahead: tuple[float, float] | None = None
         self._steady_s = 0.0
 
     @property
@@ -316,16 +320,21 @@ class GripControl:
         """
         state, sample, settings = moment.state, moment.sample, self._settings
         stiffness_n_m, rate_n_s = self._stiffness.stiffness_n_m, self._filter.rate_n_s
+        if stiffness_n_m is None and self.force_n > _KNOWN_N:
+            # Loaded so much from the first sample on: stiff, or no part at all.
+            since_touch_m = max(self._touch_m - state.aperture_m, _SHORTEST_M)
+            stiffness_n_m = self.force_n / since_touch_m
         self._steady_s = 0.0 if rate_n_s != 0.0 else self._steady_s + moment.dt_s
         if stiffness_n_m is None and rate_n_s != 0.0:
             return False
         wanted_m_s = 0.0 if stiffness_n_m is None else max(0.0, rate_n_s / stiffness_n_m)
         closing_m_s = -state.aperture_velocity_m_s
         if closing_m_s <= settings.runaway_speed_m_s + _RUNAWAY_RESERVE * wanted_m_s:
-            self._runaway = None
+            self._runaway = self._ahead = None
             return False
         if self._runaway is None:
             self._runaway = moment.now_s, state.aperture_m, self.force_n
+            self._ahead = state.aperture_m, self.force_n
         began_s, began_m, began_n = self._runaway
         travel_m = began_m - state.aperture_m
         if sample is not None and sample.valid:
@@ -335,10 +344,33 @@ class GripControl:
                 loaded = mean_n > max(self._empty_n, _RUNAWAY_HELD_SHARE * began_n)
                 if loaded:
                     self._runaway = moment.now_s, state.aperture_m, self.force_n
+                    return self._blind(moment, sample, stiffness_n_m)
                 return not loaded and travel_m >= settings.runaway_travel_m
         yields_m = inf if stiffness_n_m is None else _RUNAWAY_N / stiffness_n_m
         known = self._steady_s > _STEADY_S or began_n > _KNOWN_N
         return known and travel_m >= max(settings.runaway_travel_m, yields_m)
+
+    def _blind(self, moment: Moment, sample: ForceSample, stiffness_n_m: float | None) -> bool:
+        """Return whether fingers that run ahead meet nothing although the pads are loaded.
+
+        The force does not grow with their way. One finger alone may be an encoder that drifts.
+        """
+        if stiffness_n_m is None or self._ahead is None:
+            return False
+        began_m, began_n = self._ahead
+        travel_m = began_m - self._stiffness.aperture_at_m(sample.measured_s)
+        promised_n = stiffness_n_m * travel_m
+        least_m_s = 0.5 * self._settings.runaway_speed_m_s / len(moment.state.servos)
+        together = all(
+            -servo.velocity_rad_s * self._linkage.opening_per_rad_m(servo.angle_rad) > least_m_s
+            for servo in moment.state.servos
+        )
+        return (
+            together
+            and travel_m >= self._settings.runaway_travel_m
+            and promised_n >= _BLIND_N
+            and self.force_n - began_n < _BLIND_SHARE * promised_n
+        )
 
     def _braking_n(self, state: GripperState, friction_n: float) -> float:
         """Return what the drive is lowered by, in N, because the fingers run ahead.
@@ -477,6 +509,10 @@ class StiffnessEstimate:
     def stiffness_n_m(self) -> float | None:
         """Grip force gained for each m that the opening shrinks; None before it was measured."""
         return self._stiffness_n_m
+
+    def aperture_at_m(self, t_s: float) -> float:
+        """Return the opening in m at a monotonic time in s."""
+        return self._apertures.at(t_s)
 
     def push(self, moment: Moment) -> None:
         """Add the opening of now and the newest sample, which may be the same as before."""

@@ -173,6 +173,29 @@ def test_pads_that_report_too_little_let_no_force_above_the_cap(
     assert 12.0 < cell.peak_n < 15.1
 
 
+@pytest.mark.parametrize("rate_hz", [None, 500.0])
+@pytest.mark.parametrize("early", [True, False], ids=["before the approach", "in the approach"])
+def test_fingers_that_pads_send_through_the_air_stop_before_they_hit_the_part(
+    make_cell, make_part, early, rate_hz
+) -> None:
+    """A zero that jumps shows a contact where there is none, and nothing resists the ramp."""
+    cell = make_cell(
+        part=make_part(width_m=0.008), aperture_m=0.03, force_max_n=15.0, rate_hz=rate_hz
+    )
+    pads = WrongPads(cell, lambda it: replace(it, force_n=tuple(n + 7.0 for n in it.force_n)))
+    cell.gripper.start()
+
+    def observe(cycle) -> None:
+        near = cycle.state.aperture_m < 0.025
+        if cycle.phase is GripperPhase.APPROACHING and (early or near):
+            pads.began_s = pads.began_s or cycle.t_s
+
+    outcome = cell.gripper.grasp(ForceRamp.linear(14.2, rate_n_s=20.0, hold_s=0.3), observe)
+    assert outcome.result is GraspResult.PART_LOST
+    assert cell.peak_n == 0.0
+    assert outcome.final_aperture_m > 0.015
+
+
 @pytest.mark.parametrize("believed_n_m", [700.0, 4600.0])
 def test_a_soft_part_that_yields_fast_is_not_lost(
     make_cell, make_part, monkeypatch, believed_n_m
