@@ -159,6 +159,9 @@ class GripControl:
             linkage.opening_per_rad_m(angle_rad) for angle_rad in state.angles_rad
         )
         self._contradicted_s = 0.0
+        # Loaded so much at the first touch: stiff, or no part at all.
+        yielded_m = max(touch_m - state.aperture_m, _SHORTEST_M)
+        self._contact_n_m = force_n / yielded_m if force_n > _KNOWN_N else None
         self._filter = SetpointFilter(force_n, tuning.end_time_s)
         self._controller = ForceController(tuning, force_n=force_n, drive_n=drive_n, now_s=now_s)
         self._drive_n = drive_n
@@ -320,10 +323,8 @@ class GripControl:
         """
         state, sample, settings = moment.state, moment.sample, self._settings
         stiffness_n_m, rate_n_s = self._stiffness.stiffness_n_m, self._filter.rate_n_s
-        if stiffness_n_m is None and self.force_n > _KNOWN_N:
-            # Loaded so much from the first sample on: stiff, or no part at all.
-            since_touch_m = max(self._touch_m - state.aperture_m, _SHORTEST_M)
-            stiffness_n_m = self.force_n / since_touch_m
+        if stiffness_n_m is None:
+            stiffness_n_m = self._contact_n_m
         self._steady_s = 0.0 if rate_n_s != 0.0 else self._steady_s + moment.dt_s
         if stiffness_n_m is None and rate_n_s != 0.0:
             return False
