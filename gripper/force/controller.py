@@ -31,6 +31,14 @@ _HISTORY_LENGTH = 128
 """Periods kept of a value: 0.64 s at 200 Hz, several times the delay of a sensor."""
 _IMPLAUSIBLE_S = 0.3
 """Time in s for which sensor and model may disagree: 15 samples at 50 Hz."""
+_JUMP_N, _JUMP_SHARE, _JUMP_SIGMAS = 0.8, 0.15, 4.0
+"""Sudden growth of the measured force that no drive makes: in N, as a share of the set-point, and
+beside the noise of a sample in its standard deviations. Friction that breaks makes 0.6 N at most
+where the fingers do not give back force."""
+_JUMP_S = 0.015
+"""Time in s that it must last: two samples at 50 Hz."""
+_AFTER_FALL_S = 0.1
+"""Time in s after the modelled force has fallen in which the fingers may still hold more force."""
 _ANCHOR_S = 0.035
 """Least time in s over which a mean shows the edge of the friction band on the way down: three
 samples at 50 Hz."""
@@ -82,6 +90,8 @@ class ForceController:
         self._sample_s = now_s
         self._held_since_s = now_s
         self._implausible_since_s: float | None = None
+        self._jumped_s: float | None = None
+        self._fell_s = now_s - _AFTER_FALL_S
 
     @property
     def drive_n(self) -> float:
@@ -114,6 +124,7 @@ class ForceController:
         drive_max_n: float,
         braking_n: float = 0.0,
         motion_n: float = 0.0,
+        standing: bool = True,
         taper: bool = False,
     ) -> float:
         """Advance by one period and return the driving force in N.
@@ -134,6 +145,8 @@ class ForceController:
             Driving force in N to leave out now, because the fingers are too fast.
         motion_n
             How wrong the model is by the motion of the fingers now, in N.
+        standing
+            Whether the fingers have stood for a while: then no force grows suddenly.
         taper
             True during a long hold: give back what friction makes superfluous.
 
@@ -141,7 +154,8 @@ class ForceController:
         ------
         LimitExceeded
             When sensor and model disagree by more than is plausible for some time: the sensor
-            does not see the force that the current makes.
+            does not see the force that the current makes. When the sensor jumps to more force than
+            the current can make at once.
         """
         held = setpoint_n == self._setpoint_n
         rate_n_s = 0.0
@@ -154,6 +168,7 @@ class ForceController:
             friction_n=friction_n,
             rate_n_s=abs(rate_n_s),
             motion_n=motion_n,
+            standing=standing,
         )
         if not held:
             self._held_since_s = now_s
@@ -222,6 +237,8 @@ class ForceController:
         """Move the modelled force as far as the friction band around the drive pushes it."""
         low_n, high_n = self._drive_n - friction_n, self._drive_n + friction_n
         model_n = min(max(self._model_n, low_n), high_n)
+        if model_n < self._model_n:
+            self._fell_s = now_s
         if model_n != self._model_n and self._breaking_since_s is not None:
             self._breaking_since_s = None
             self._doubt_n2 += (self._settings.friction_doubt * friction_n) ** 2
@@ -248,6 +265,7 @@ class ForceController:
         friction_n: float,
         rate_n_s: float,
         motion_n: float,
+        standing: bool,
     ) -> None:
         """Correct the bias by the newest sample, and refuse one that cannot be.
 
@@ -255,7 +273,9 @@ class ForceController:
         each sample lowers it.
         """
         settings = self._settings
-        if sample.t_s > self._sample_s:
+        seen_n = sample.grip_n - self._history.at(sample.measured_s)
+        jumped = standing and self._jumps(now_s, sample, seen_n, setpoint_n)
+        if sample.t_s > self._sample_s and not jumped:
             step_s = sample.t_s - self._sample_s
             drift_n_rs = settings.bias_drift_n_rs * (1.0 + rate_n_s / settings.bias_rate_n_s)
             # At rest the mean goes back farther and farther, lest noise ratchets the force up.
@@ -265,12 +285,32 @@ class ForceController:
             gain = self._doubt_n2 / (self._doubt_n2 + noise_n2)
             self._doubt_n2 *= 1.0 - gain
             self._sample_s = sample.t_s
-            seen_n = sample.grip_n - self._history.at(sample.measured_s)
             self._bias_n += gain * (seen_n - self._bias_n)
             since_s = self._breaking_since_s
             if not self._rising and since_s is not None and sample.t_s > since_s:
                 self._anchor(sample, setpoint_n, friction_n)
         self._check_bias(now_s, sample, setpoint_n, friction_n)
+
+    def _jumps(self, now_s: float, sample: ForceSample, seen_n: float, setpoint_n: float) -> bool:
+        """Return whether a sample shows far more force than before though no drive made it.
+
+        Following it would let a part go whose force has not changed. LimitExceeded when it lasts.
+        """
+        jump_n = seen_n - self._bias_n
+        least_n = max(_JUMP_N, _JUMP_SHARE * setpoint_n) + _JUMP_SIGMAS * sample.noise_n
+        if jump_n <= least_n or now_s - self._fell_s < _AFTER_FALL_S:
+            self._jumped_s = None
+            return False
+        if self._jumped_s is None:
+            self._jumped_s = sample.t_s
+        if sample.t_s - self._jumped_s >= _JUMP_S:
+            raise LimitExceeded(
+                f"the pads report {jump_n:.2f} N more than before on a part that is pressed as "
+                f"before, {least_n:.2f} N are allowed: their zero has jumped, or something pushes "
+                f"the fingers together. The goals are frozen and the grip kept: check the pads, "
+                f"then clear the fault and release"
+            )
+        return True
 
     def _check_bias(
         self, now_s: float, sample: ForceSample, setpoint_n: float, friction_n: float

@@ -76,6 +76,9 @@ _YOUNG_S = 0.015
 """Age in s of a sample up to which all of the stiffening is stable; older ones allow less by the
 square of their age, those of frames next to nothing."""
 
+_STANDING_S, _STANDING_M = 0.09, 0.0002
+"""Time in s in which the opening changes by no more than so many m where the fingers stand: two
+counts of the encoder."""
 _STILL_M_S = 0.002
 """Rate of the opening in m/s below which the fingers stand."""
 
@@ -151,6 +154,8 @@ class GripControl:
         self._linkage = linkage
         self._friction_share = friction_share
         self._stiffness = stiffness
+        self._apertures = History()
+        self._apertures.add(now_s, state.aperture_m)
         self._contact_rad = state.angles_rad
         self._deepest_rad = state.angles_rad
         self._touch_m = touch_m
@@ -220,6 +225,7 @@ class GripControl:
         """
         self.setpoint_n = setpoint_n
         sample, state = moment.sample, moment.state
+        self._apertures.add(moment.now_s, state.aperture_m)
         paths = transmissions(self._settings, self._linkage, state.angles_rad)
         if self._paused:
             self._paused = False
@@ -239,6 +245,7 @@ class GripControl:
         friction_n = self._friction_share * sum(path.friction_n for path in paths) / len(paths)
         drive_max_n = self._drive_max_n(state, paths)
         inertia_n = self._weight * _INERTIA_N_S_M * max(0.0, -state.aperture_velocity_m_s)
+        before_m = self._apertures.at(moment.now_s - _STANDING_S)
         drive_n = self._controller.step(
             moment.now_s,
             moment.dt_s,
@@ -249,6 +256,7 @@ class GripControl:
             - self._stiffening_n(moment, sample, friction_n),
             motion_n=self._weight * self._settings.force_loop.motion_doubt_n_s_m * speed_m_s,
             drive_max_n=drive_max_n,
+            standing=abs(state.aperture_m - before_m) < _STANDING_M,
             taper=taper,
         )
         self._drive_n = min(drive_n, drive_max_n - inertia_n)
@@ -359,7 +367,7 @@ class GripControl:
         if stiffness_n_m is None or self._ahead is None:
             return False
         began_m, began_n = self._ahead
-        travel_m = began_m - self._stiffness.aperture_at_m(sample.measured_s)
+        travel_m = began_m - self._apertures.at(sample.measured_s)
         promised_n = stiffness_n_m * travel_m
         least_m_s = 0.5 * self._settings.runaway_speed_m_s / len(moment.state.servos)
         together = all(
@@ -510,10 +518,6 @@ class StiffnessEstimate:
     def stiffness_n_m(self) -> float | None:
         """Grip force gained for each m that the opening shrinks; None before it was measured."""
         return self._stiffness_n_m
-
-    def aperture_at_m(self, t_s: float) -> float:
-        """Return the opening in m at a monotonic time in s."""
-        return self._apertures.at(t_s)
 
     def push(self, moment: Moment) -> None:
         """Add the opening of now and the newest sample, which may be the same as before."""

@@ -148,7 +148,9 @@ class GoalGuard:
             for index, (goal, servo) in enumerate(zip(goals, state.servos, strict=True)):
                 self._check_current_force(index, goal, servo.angle_rad)
             self._check_temperature(state)
-            self.check_force()
+            newest = self.newest_force
+            if newest is not None and now_s - newest.t_s <= self._settings.force_stale_s:
+                self.check_force()
         self._previous_a = tuple(goal.current_a for goal in goals)
 
     def _excess_n(self) -> float:

@@ -248,6 +248,8 @@ class Driver:
     def heal(self) -> None:
         """End all faults, and plug everything in."""
         self._begin("heal")
+        if any("jump" in fault.entry.name for fault in self.simulated.injector.faults):
+            self.monitor.pushed()
         self.simulated.injector.clear_all()
         for knobs in self.simulated.devices.faults.servos.values():
             knobs.clear()

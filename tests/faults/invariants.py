@@ -219,6 +219,10 @@ class InvariantMonitor:
             self._deadline_s = float("inf")
             raise Overrun(self.broken[-1])
 
+    def pushed(self) -> None:
+        """Note that the world moves a finger now: a horn that slips back sends it to its goal."""
+        self._pushed_s = self._simulated.clock.monotonic()
+
     def _world_pushes(self, now_s: float) -> bool:
         """Return whether something trapped presses, or has just gone and let the fingers fall."""
         for fault in self._simulated.injector.faults:

@@ -1,6 +1,7 @@
 """Faults: the grip is kept, the fault latched, nothing is pushed on with."""
 
 import itertools
+from dataclasses import replace
 
 import pytest
 
@@ -8,6 +9,7 @@ from gripper.dynamixel.control_table import GOAL_CURRENT, TORQUE_ENABLE
 from gripper.errors import (
     BusTimeout,
     FingerSilent,
+    ForceAboveCap,
     ForceSensorStale,
     GripperError,
     GripperStateError,
@@ -19,7 +21,7 @@ from gripper.errors import (
 from gripper.force.ramp import ForceRamp
 from gripper.servos.feedback import TickWatch
 from gripper.servos.goals import GoalGuard, ServoGoal
-from gripper.state import Cycle, GraspResult, GripperPhase
+from gripper.state import Cycle, ForceSample, GraspResult, GripperPhase
 
 RAMP = ForceRamp.linear(8.0, rate_n_s=5.0, hold_s=0.3)
 
@@ -350,6 +352,19 @@ def test_the_guard_stands_beside_the_write(cell) -> None:
     with pytest.raises(LimitExceeded, match="from 0 to"):
         guard.check([good[0], ServoGoal(angle_rad=angles[1], current_a=-0.1)], state, state.t_s)
     assert cell.bus.read(1, GOAL_CURRENT) >= 0
+
+
+def test_a_force_above_the_cap_counts_while_it_is_young(cell) -> None:
+    cell.gripper.start()
+    state = cell.gripper.open()
+    guard = GoalGuard(cell.settings, cell.linkage)
+    goals = [ServoGoal(angle_rad=s.angle_rad - 0.01, current_a=0.2) for s in state.servos]
+    most_n = cell.settings.force_max_n + 5.0
+    guard.note_force(ForceSample(t_s=state.t_s, force_n=(most_n, most_n)))
+    with pytest.raises(ForceAboveCap):
+        guard.check(goals, state, state.t_s)
+    late = replace(state, t_s=state.t_s + 2.0 * cell.settings.force_stale_s)
+    guard.check(goals, late, late.t_s)
 
 
 def test_a_current_that_makes_more_than_the_cap_is_refused(make_cell) -> None:

@@ -140,6 +140,31 @@ def test_pads_that_report_too_much_do_not_open_the_fingers_beyond_the_touch(
     assert min(least_n) > 0.05
 
 
+@pytest.mark.parametrize("rate_hz", [None, 500.0])
+@pytest.mark.parametrize("final_n", [0.7, 4.0])
+@pytest.mark.parametrize("moment", ["ramp", "hold"])
+def test_pads_whose_zero_jumps_on_a_part_do_not_let_it_go(
+    make_cell, rate_hz, final_n, moment
+) -> None:
+    """The fingers stand and press as before: it is no force that there is too much of."""
+    cell = make_cell(rate_hz=rate_hz)
+    pads = WrongPads(cell, lambda it: replace(it, force_n=tuple(n + 4.0 for n in it.force_n)))
+    cell.gripper.start()
+    least_n: list[float] = []
+
+    def observe(cycle) -> None:
+        if cycle.setpoint_n > 0.0 and (moment == "ramp" or cycle.level is not None):
+            pads.began_s = pads.began_s or cycle.t_s
+            least_n.append(cell.force_n)
+
+    with pytest.raises(LimitExceeded, match="their zero has jumped") as error:
+        cell.gripper.grasp(ForceRamp.linear(final_n, rate_n_s=20.0, hold_s=1.5), observe)
+    assert "the grip kept" in str(error.value)
+    cell.clock.sleep(1.0)
+    least_n.append(cell.force_n)
+    assert min(least_n) > 0.8 * least_n[0] > 0.3
+
+
 @pytest.mark.parametrize("loop_rate_hz", [100.0, 200.0])
 @pytest.mark.parametrize("stiffness_n_m", [3e3, 1e4, 5e4])
 @pytest.mark.parametrize("wrong", [(5.3, False), (13.5, True), (13.9, True)])

@@ -122,7 +122,7 @@ def test_a_saturated_drive_winds_nothing_up() -> None:
 
 
 def test_fingers_that_lag_behind_are_not_driven_beyond_the_largest_drive() -> None:
-    loop = new_loop()
+    loop = new_loop(6.0)
     for i in range(600):
         now_s = 0.005 * i
         drive_n = loop.step(
