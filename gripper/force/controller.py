@@ -37,8 +37,9 @@ beside the noise of a sample in its standard deviations. Friction that breaks ma
 where the fingers do not give back force."""
 _JUMP_S = 0.015
 """Time in s that it must last: two samples at 50 Hz."""
-_AFTER_FALL_S = 0.1
-"""Time in s after the modelled force has fallen in which the fingers may still hold more force."""
+_AFTER_FALL_S, _STICKS_SHARE = 0.1, 0.6
+"""Time in s after the modelled force has fallen in which friction may still hold more force, as a
+share of the friction: that differs from the model's by a third at most, and by both edges."""
 _ANCHOR_S = 0.035
 """Least time in s over which a mean shows the edge of the friction band on the way down: three
 samples at 50 Hz."""
@@ -274,7 +275,8 @@ class ForceController:
         """
         settings = self._settings
         seen_n = sample.grip_n - self._history.at(sample.measured_s)
-        jumped = standing and self._jumps(now_s, sample, seen_n, setpoint_n)
+        sticks_n = _STICKS_SHARE * friction_n if now_s - self._fell_s < _AFTER_FALL_S else 0.0
+        jumped = standing and self._jumps(sample, seen_n, setpoint_n, sticks_n)
         if sample.t_s > self._sample_s and not jumped:
             step_s = sample.t_s - self._sample_s
             drift_n_rs = settings.bias_drift_n_rs * (1.0 + rate_n_s / settings.bias_rate_n_s)
@@ -291,14 +293,17 @@ class ForceController:
                 self._anchor(sample, setpoint_n, friction_n)
         self._check_bias(now_s, sample, setpoint_n, friction_n)
 
-    def _jumps(self, now_s: float, sample: ForceSample, seen_n: float, setpoint_n: float) -> bool:
+    def _jumps(
+        self, sample: ForceSample, seen_n: float, setpoint_n: float, sticks_n: float
+    ) -> bool:
         """Return whether a sample shows far more force than before though no drive made it.
 
         Following it would let a part go whose force has not changed. LimitExceeded when it lasts.
         """
         jump_n = seen_n - self._bias_n
         least_n = max(_JUMP_N, _JUMP_SHARE * setpoint_n) + _JUMP_SIGMAS * sample.noise_n
-        if jump_n <= least_n or now_s - self._fell_s < _AFTER_FALL_S:
+        least_n += sticks_n
+        if jump_n <= least_n:
             self._jumped_s = None
             return False
         if self._jumped_s is None:
