@@ -23,6 +23,8 @@ from simulator.faults.injector import InjectedFault
 
 CONTACT_N = 0.02
 """Force in N above which a pad touches the part."""
+HELD_N = 0.3
+"""Force in N that a part has felt that counts as held: half of a contact."""
 TOLERANCE = 0.01
 """Share of the cap by which the true force may exceed it."""
 _FALL_S = 0.5
@@ -126,6 +128,7 @@ class InvariantMonitor:
         self._stood_m: float | None = None
         self._frozen_raw: list[int] | None = None
         self._pushed_s = -math.inf
+        self._most_n = 0.0
         self._deadline_s = float("inf")
         self._counters: list[tuple[int, ...]] = []
         self._torque = self._torques()
@@ -204,6 +207,7 @@ class InvariantMonitor:
         if max(force_n) > self._force_max_n * (1.0 + TOLERANCE) and not pushed:
             self._break(f"force {max(force_n):.2f} N, the cap is {self._force_max_n:g} N")
         touching = min(force_n) > CONTACT_N
+        self._most_n = max(self._most_n, min(force_n)) if self._touching else 0.0
         torque, blame = self._torques(), self._self_inflicted()
         if torque != self._torque:
             self._torque_changed(torque, blame, controller)
@@ -268,6 +272,8 @@ class InvariantMonitor:
     def _contact_lost(self, controller: CellController | None) -> None:
         """Judge that the fingers have left the part, while all torque is as it was."""
         if self._asked or self.limp_allowed or not all(self._torque) or self._on_their_way():
+            return
+        if self._most_n < HELD_N:
             return
         if controller is None or self._part_gone():
             return
