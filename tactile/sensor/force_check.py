@@ -19,10 +19,12 @@ _LIMIT_N, _LIMIT_SHARE = 0.7, 0.15
 """Difference in N, or as a share of the force if that is more, that is one. In the simulated cell,
 both layouts, five objects, ramps of 6 N/s to 1.5, 4 and 9 N, six frames in a row have differed by
 up to 0.6 N while the force grew, and in a hold by up to 0.2 N."""
-_UNSEEN_N = 3.0
-"""The same where the frames show no touch: a light force that is spread over many taxels is below
-the threshold of each. Six frames in a row have shown none at up to 0.8 N, at twice the noise at up
-to 1.2 N."""
+_LIMIT_SIGMAS = 15.0
+"""The same in standard deviations of one taxel, where that is more: frames leave out taxels below
+a threshold by noise. At 0.1 N of noise frames have shown 0.8 N less."""
+_UNSEEN = 2.0
+"""Factor on it where the frames show no touch: then all taxels are below the threshold. Six frames
+in a row have shown none at 0.8 N, at 0.1 N of noise at 1.2 N."""
 _FRAMES = 6
 """Frames in a row that must show it: 0.12 s at 50 Hz."""
 _KEPT = 64
@@ -52,14 +54,16 @@ class ForceCheck:
     def __init__(self, mean_frames: int) -> None:
         self._frames_s: deque[float] = deque(maxlen=mean_frames + 1)
         self._messages: deque[ForceMessage] = deque(maxlen=_KEPT)
+        self._limit_n = _LIMIT_N
         self._differs = 0
 
     def add(self, message: ForceMessage) -> None:
         """Add a message."""
         self._messages.append(message)
 
-    def reset(self) -> None:
-        """Forget messages and frames: a new zero."""
+    def reset(self, taxel_noise_n: float) -> None:
+        """Forget messages and frames: a new zero, with this noise of one taxel in N."""
+        self._limit_n = max(_LIMIT_N, _LIMIT_SIGMAS * taxel_noise_n)
         self._messages.clear()
         self._frames_s.clear()
         self._differs = 0
@@ -79,7 +83,7 @@ class ForceCheck:
         if not within:
             return
         mean_n: NDArray[np.float64] = np.mean(within, axis=0)
-        least_n = np.where(np.equal(frame_n, 0.0), _UNSEEN_N, _LIMIT_N)
+        least_n = self._limit_n * np.where(np.equal(frame_n, 0.0), _UNSEEN, 1.0)
         allowed_n = np.maximum(least_n, _LIMIT_SHARE * np.maximum(mean_n, frame_n))
         finger = int(np.argmax(np.abs(mean_n - frame_n) - allowed_n))
         if abs(mean_n[finger] - frame_n[finger]) <= allowed_n[finger]:

@@ -419,7 +419,7 @@ class TactileSensor:
         )
         self._forces.take_forces()
         self._new_forces.clear()
-        self._force_check.reset()
+        self._force_check.reset(max(self._taxel_noise_n))
         self._force_bad = bad
 
     def aim(self, force_n: float, aperture_m: float) -> None:

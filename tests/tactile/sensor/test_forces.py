@@ -1,5 +1,7 @@
 """Force messages in the sensor: the zero that the unit gets, and the comparison with the frames."""
 
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 
@@ -121,6 +123,27 @@ def test_messages_that_differ_from_the_frames_are_a_fault_with_both_numbers() ->
         sensor.poll()
 
 
+@pytest.mark.parametrize(
+    ("noise_n", "shown_n", "missing_n", "found"),
+    [
+        (0.05, 2.0, 0.9, True),
+        (0.10, 2.0, 0.9, False),
+        (0.10, 3.0, 1.8, True),
+        (0.05, 1.2, 1.2, False),
+        (0.05, 1.8, 1.8, True),
+    ],
+)
+def test_the_noise_decides_what_frames_may_leave_out(noise_n, shown_n, missing_n, found) -> None:
+    check = ForceCheck(mean_frames=3)
+    check.reset(taxel_noise_n=noise_n)
+    frames_n = shown_n - missing_n
+    with pytest.raises(ForceContradicted) if found else nullcontext():
+        for n in range(100):
+            check.add(message(0.002 * n, shown_n, shown_n))
+            if n % 10 == 9:
+                check.compare(0.002 * n, (frames_n, frames_n))
+
+
 def test_a_force_that_moves_is_no_contradiction_and_a_short_one_neither() -> None:
     check = ForceCheck(mean_frames=3)
     for n in range(400):
@@ -128,7 +151,7 @@ def test_a_force_that_moves_is_no_contradiction_and_a_short_one_neither() -> Non
         check.add(message(0.003 * n, force_n, force_n))
         if n % 7 == 6:  # the frames' mean is 30 ms behind
             check.compare(0.003 * n, (max(0.0, force_n - 0.3), max(0.0, force_n - 0.3)))
-    check.reset()
+    check.reset(taxel_noise_n=0.05)
     for n in range(60):
         check.add(message(2.0 + 0.003 * n, 5.0 if n < 12 else 1.0, 1.0))
         if n % 7 == 6:
