@@ -61,7 +61,7 @@ _CONTRADICTED_ADVICE = (
     "the goals are frozen and the grip kept. Look at the part, check encoder, horn and linkage, "
     "then clear the fault and release"
 )
-_TORQUE_DOUBT = 0.02
+_TORQUE_DOUBT = 0.03
 """Share of the cap of the force that the drive leaves free: torque of the servos, their inertia."""
 _LEVER_M = 0.06
 """Lever in m between servo and fingertip for which damping, inertia and doubt by motion are given:
