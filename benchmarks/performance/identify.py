@@ -11,7 +11,7 @@ import os
 import statistics
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -122,11 +122,31 @@ def made(n_objects: int, n_train: int, n_test: int) -> tuple[list[Grasp], list[G
     return train, test
 
 
+def many(n_labels: int) -> None:
+    """Print how long so many labels take to teach, each with five grasps dealt from made ones."""
+    names = list(PAPER_OBJECTS)
+    some = [made_grasp(names[i % len(names)], i) for i in range(n_labels // 2)]
+    dealt = [
+        replace(some[7 * i % len(some)], label=f"label {i // 5:03d}", start_ms=i)
+        for i in range(5 * n_labels)
+    ]
+    start_s = time.perf_counter()
+    recognizer = make_trainer(DEFAULT_TRAINER).fit(dealt)
+    taught_s = time.perf_counter() - start_s
+    answers_s = [timed(partial(recognizer.posterior, grasp)).wall_s for grasp in some[:50]]
+    line(
+        f"{n_labels} labels",
+        f"{len(dealt)} grasps taught in {taught_s:.1f} s, {1e3 * quantile(answers_s, 0.5):.2f} ms "
+        "an answer",
+    )
+
+
 def main(effort: float = 1.0) -> None:
     rounds = repeats(9, effort)
     n_objects = repeats(len(PAPER_OBJECTS), effort, least=2)
     train, test = made(n_objects, repeats(8, effort, least=3), repeats(4, effort))
     compare(f"{test[0].pads.n_taxels} simulated taxels", train, test, rounds)
+    many(repeats(500, effort, least=6))
     folder = os.environ.get("TACTILE_CELL_DATA")
     if folder is None:
         line(

@@ -9,6 +9,8 @@ from numpy.typing import NDArray
 
 _PRIOR_GRASPS = 15.0
 """Weight of the shared covariance in that of a class, in grasps."""
+_ROWS = 256
+"""Points that are taken at a time: with many classes all at once would not fit into the caches."""
 _MOST_AXES = 48
 """Axes that are taken into account, those that separate best: more cost time and memory."""
 
@@ -36,9 +38,14 @@ class ClassSpread:
 
         `z` (n, r) are the points, `plain` (n, C) their squared distances by the shared covariance.
         """
-        off = z[:, None, : self.centres.shape[1]] - self.centres
-        own = np.einsum("nci,cij,ncj->nc", off, self.precision, off, optimize=True)
-        return np.asarray(np.maximum(plain - (off**2).sum(axis=-1) + own, 0.0), dtype=np.float64)
+        n_axes = self.centres.shape[1]
+        beyond = self.precision - np.eye(n_axes)
+        offs = (
+            z[start : start + _ROWS, :n_axes] - self.centres[:, None]
+            for start in range(0, max(1, len(z)), _ROWS)
+        )
+        added = np.concatenate([((off @ beyond) * off).sum(axis=-1).T for off in offs])
+        return np.asarray(np.maximum(plain + added, 0.0), dtype=np.float64)
 
     def to_arrays(self, prefix: str) -> dict[str, NDArray[Any]]:
         """Return everything as plain arrays under names that begin with the prefix."""
