@@ -24,7 +24,7 @@ def test_lost_frames_hold_the_part_until_a_person_has_acted(station_cell, inject
         station_cell.grasp(force_n=3.0)
     assert station_cell.clock.monotonic() - lost.began_s < 0.15
     assert controller.state is CellState.ABORTED
-    assert "no whole frame" in controller.fault
+    assert "no force message" in controller.fault
     assert still_held(station_cell)
 
     lost.clear()  # the cable is mended; the cell does not go on by itself
