@@ -45,7 +45,8 @@ class ForceStream:
 
     def __init__(self, period_s: float) -> None:
         self._period_s = period_s
-        self._last: tuple[ForceMessage, bytes] | None = None
+        self._last: tuple[int, bytes] | None = None
+        self._came_s = 0.0
         self.lost = self.damaged = 0
         self._received = self._repeated = self._late = 0
 
@@ -67,18 +68,24 @@ class ForceStream:
         except FrameError:
             self.damaged += 1
             return None
-        if self._last is not None and not self._follows(message, bytes(data), *self._last):
+        silence_s, self._came_s = t_s - self._came_s, t_s
+        if self._last is not None and not self._follows(message, data, *self._last, silence_s):
             return None
-        self._last = message, bytes(data)
+        self._last = message.counter, bytes(data)
         self._received += 1
         return message
 
     def _follows(
-        self, message: ForceMessage, data: bytes, last: ForceMessage, last_data: bytes
+        self,
+        message: ForceMessage,
+        data: bytes | bytearray,
+        last_counter: int,
+        last_data: bytes,
+        silence_s: float,
     ) -> bool:
-        periods = round((message.t_s - last.t_s) / self._period_s)
-        step = (message.counter - last.counter) % COUNTERS
-        if periods < COUNTERS // 2:
+        step = (message.counter - last_counter) % COUNTERS
+        # Since any message came: one that comes again and again never becomes a new one.
+        if round(silence_s / self._period_s) < COUNTERS // 2:
             if data == last_data:
                 self._repeated += 1
                 return False

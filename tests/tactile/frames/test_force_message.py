@@ -91,6 +91,24 @@ def test_after_a_silence_any_counter_is_newer() -> None:
     assert stream.statistics.lost == 15
 
 
+def test_a_message_that_comes_again_and_again_stays_old() -> None:
+    stream = ForceStream(0.003)
+    took = [stream.push(encode_force_message(message(4)), 0.003 * n) for n in range(100)]
+    assert [n for n, one in enumerate(took) if one is not None] == [0]
+    assert stream.statistics.repeated == 99
+
+
+@pytest.mark.parametrize("start", range(16))
+def test_a_unit_that_counts_from_zero_again_is_followed_within_ten_messages(start: int) -> None:
+    stream = ForceStream(0.003)
+    assert stream.push(encode_force_message(message(start)), 0.0) is not None
+    took = [
+        stream.push(encode_force_message(message(n % 16, 2.0)), 0.003 * (n + 1)) is not None
+        for n in range(12)
+    ]
+    assert all(took[9:])
+
+
 def test_the_table_comes_back_within_half_a_step() -> None:
     table_n = np.linspace(0.0, [14.0, 20.0], TABLE_NODES).T
     np.testing.assert_allclose(decode_table(encode_table(table_n)), table_n, atol=0.00026)
