@@ -11,6 +11,9 @@ from tactile.frames.assembler import FrameStatistics
 from tactile.frames.force_stream import ForceStatistics
 from tactile.unit import object_dictionary
 
+_FORCE_TIMEOUT_SYNCS, _LEAST_FORCES = 2.0, 4.0
+"""So many periods of SYNC, and of the force messages, may pass without a force message."""
+
 
 def setting(default: Any, low: float, high: float) -> Any:
     """Return a dataclass field with its default and range, both ends allowed."""
@@ -83,10 +86,13 @@ class LinkSettings:
     force_period_s: float = setting(0.002, 0.0, 0.05)
     """Period of the force messages in s, a whole number of ms; 0: none, the force comes from
     frames."""
-    force_timeout_s: float = setting(0.04, 0.005, 1.0)
-    """So long in s without a force message is a fault: what disturbs one frame is none."""
     threaded: bool = True
     """True: a thread receives (real buses). False: `poll` asks the bus (buses in memory)."""
+
+    @property
+    def force_timeout_s(self) -> float:
+        """So long in s without a force message is a fault: what disturbs one frame is none."""
+        return max(_FORCE_TIMEOUT_SYNCS * self.sync_period_s, _LEAST_FORCES * self.force_period_s)
 
     def __post_init__(self) -> None:
         for one in fields(self):

@@ -49,8 +49,8 @@ def test_a_door_that_keeps_its_connections_is_found(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(_Server, "shutdown_request", keep)
     monkeypatch.setattr(connects, "BLOCK", N // 2)
     monkeypatch.setattr(connects, "REST_S", 0.0)
-    monkeypatch.setattr(connects, "PATIENCE_S", 2.0)
     with closing(connects.serve()) as service, open_doors(service) as found:
+        monkeypatch.setattr(connects, "PATIENCE_S", 2.0)
         door = connects.requests(found)["xmlrpc"]
         with pytest.raises(SystemExit, match=r"xmlrpc (has descriptors|gives no answer)"):
             list(connects.hammer(service, "xmlrpc", door, N))

@@ -142,6 +142,7 @@ class Relay:
     def obey(self, words: list[str]) -> bool:
         """Take an order; False where there is no more to do."""
         if not words or words[0] == "hang_up":
+            os.close(self.master)  # at once: a process takes its time to end
             return False
         self.set(words[0], *words[1:])
         self.say("yes")
