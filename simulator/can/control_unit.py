@@ -7,6 +7,7 @@ NMT state, resets, SYNC, the history of errors and the synchronous window.
 """
 
 import math
+from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -215,6 +216,7 @@ class SimulatedControlUnit:
         "_force_end_s",
         "_force_hits",
         "_force_period_s",
+        "_forces_again",
         "_gate",
         "_held_force",
         "_layout",
@@ -374,6 +376,7 @@ class SimulatedControlUnit:
         self._force_due_s, self._force_period_s = math.inf, 0.0
         self._force_hits = [0.0, 0.0, 0.0]
         self._held_force: bytes | None = None
+        self._forces_again: deque[tuple[float, bytes]] = deque()
         self._boot_due_s = self._network.now_s + self.settings.boot_s
 
     def _nmt(self, data: bytes) -> None:
@@ -405,6 +408,10 @@ class SimulatedControlUnit:
             self.scanner.force_overrun = True
             return
         messages = self._disturbed(self.scanner.force_message())
+        if self.faults.forces_again_s:
+            self._forces_again.extend((due_s + self.faults.forces_again_s, one) for one in messages)
+        while self._forces_again and self._forces_again[0][0] <= due_s:
+            messages.append(self._forces_again.popleft()[1])
         if messages:
             self._force_end_s = self.send(due_s, can_id, messages)
 

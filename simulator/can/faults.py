@@ -120,6 +120,8 @@ class ControlUnitFaults:
     forces_lost, forces_twice, forces_swapped
         Share from 0 to 1 of the force messages, evenly, that are lost, come twice, or come after
         the next one.
+    forces_again_s
+        Each force message comes once more so long later, in s; 0: it does not.
     force_gain
         Factor on the forces in the messages, as of a table of other pads.
     """
@@ -138,6 +140,7 @@ class ControlUnitFaults:
     forces_lost: float = 0.0
     forces_twice: float = 0.0
     forces_swapped: float = 0.0
+    forces_again_s: float = 0.0
     force_gain: float = 1.0
 
     def apply(self, counts: NDArray[np.uint16], adc_max: int) -> NDArray[np.uint16]:

@@ -39,7 +39,7 @@ class ForceStream:
 
     Attributes
     ----------
-    lost, damaged
+    lost, late, damaged
         See `ForceStatistics`.
     """
 
@@ -47,8 +47,8 @@ class ForceStream:
         self._period_s = period_s
         self._last: tuple[int, bytes] | None = None
         self._came_s = 0.0
-        self.lost = self.damaged = 0
-        self._received = self._repeated = self._late = 0
+        self.lost = self.late = self.damaged = 0
+        self._received = self._repeated = 0
 
     @property
     def statistics(self) -> ForceStatistics:
@@ -57,7 +57,7 @@ class ForceStream:
             received=self._received,
             lost=self.lost,
             repeated=self._repeated,
-            late=self._late,
+            late=self.late,
             damaged=self.damaged,
         )
 
@@ -90,7 +90,7 @@ class ForceStream:
                 self._repeated += 1
                 return False
             if step == 0 or step >= COUNTERS // 2:
-                self._late += 1
+                self.late += 1
                 self.lost = max(0, self.lost - 1)  # it was missed when the newer one came
                 return False
         # After a silence so many are missing at least; the host may only have looked late.

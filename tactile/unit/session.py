@@ -29,6 +29,9 @@ _SURPLUS_ANSWERS = 3
 """So many SDO answers more than requests are those of a second unit, not a message doubled once."""
 _BURST_S, _LEAST_BURST = 0.05, 10.0
 """Foreign or damaged messages of so many seconds, and at least so many, may come at once."""
+_LATE_FORCES = 0.3
+"""Share of the force messages that may be older than the one before: of messages that are all sent
+twice, half and more are."""
 _LEAST_GAP = 0.9
 """Of the period: after a late SYNC the next one waits so long, or it would cut into the burst."""
 _SYNC_EARLY_S = 1e-6
@@ -100,6 +103,12 @@ class LinkSession:
             "lost force messages",
             "check bus load, cable and termination",
             rate_hz=settings.max_loss_rate * rate_hz,
+            burst=settings.force_timeout_s * rate_hz,
+        )
+        self._late_forces = TrafficLimit(
+            "force messages that are older than the one before",
+            "look for a gateway or a second unit that sends old messages again",
+            rate_hz=_LATE_FORCES * rate_hz,
             burst=settings.force_timeout_s * rate_hz,
         )
         self._forces: ForceStream | None = None
@@ -275,12 +284,13 @@ class LinkSession:
 
     def _on_force(self, data: bytes, t_s: float) -> None:
         assert self._forces is not None
-        lost = self._forces.lost
+        lost, late = self._forces.lost, self._forces.late
         message = self._forces.push(data, t_s)
         if message is not None:
             self._new_forces.append(message)
             self._force_s = t_s
         self._lost_forces.add(t_s, self._forces.lost - lost)
+        self._late_forces.add(t_s, self._forces.late - late)
 
     def _check_forces(self, now_s: float) -> None:
         """Raise FrameTimeout where force messages have stayed away for too long."""

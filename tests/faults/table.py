@@ -197,6 +197,8 @@ FORCES = _near((
              "unit.forces_twice=0.2@contact", "NOTE", None),
     FaultRow(44, "out of order", "each fifth force message comes after the next one",
              "unit.forces_swapped=0.2@contact", "NOTE", None),
+    FaultRow(44, "sent again", "each force message comes once more, 30 ms later",
+             "unit.forces_again@contact+0.1s", "HOLD", 0.2),
     FaultRow(44, "another table", "the messages show 1.6 times the force that the frames show",
              "unit.force_gain=1.6@contact+0.3s", "HOLD", 0.5, changes=LONG_HOLD),
     FaultRow(44, "another table at the start", "the same from the start on",

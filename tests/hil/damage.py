@@ -45,7 +45,7 @@ from tactile.errors import LinkFault, TactileError
 _RELAY = Path(__file__).parent / "relay.py"
 _SEED = "7"
 CONFIG = """
-tactile: {tare_frames: 15, sync_period_ms: 50.0}
+tactile: {tare_frames: 15, sync_period_ms: 50.0, force_period_ms: 10}
 gripper: {loop_rate_hz: 100.0, approach_speed_mm_s: 20.0, force_stale_ms: 300.0}
 sequence:
   x_mm: [0, 0]

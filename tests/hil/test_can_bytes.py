@@ -26,7 +26,7 @@ from tests.hil.damage import first, relay_on
 pytestmark = pytest.mark.hil
 
 CONFIG = """
-tactile: {tare_frames: 15, sync_period_ms: 30.0}
+tactile: {tare_frames: 15, sync_period_ms: 30.0, force_period_ms: 10}
 gripper: {loop_rate_hz: 100.0, approach_speed_mm_s: 20.0}
 sequence:
   x_mm: [0, 0]

@@ -30,7 +30,7 @@ pytestmark = pytest.mark.hil
 
 LIMIT_S = 30.0
 CONFIG = """
-tactile: {tare_frames: 25, sync_period_ms: 30.0}
+tactile: {tare_frames: 25, sync_period_ms: 30.0, force_period_ms: 10}
 gripper: {loop_rate_hz: 100.0, approach_speed_mm_s: 20.0}
 sequence: {x_mm: [0, 0], y_mm: [0, 0], force_n: [3, 5], max_grasps: 1}
 """

@@ -24,7 +24,7 @@ from tests.hil.damage import first, relay_on
 pytestmark = pytest.mark.hil
 
 CONFIG = """
-tactile: {tare_frames: 15, sync_period_ms: 50.0}
+tactile: {tare_frames: 15, sync_period_ms: 50.0, force_period_ms: 10}
 gripper:
   loop_rate_hz: 100.0
   approach_speed_mm_s: 20.0

@@ -279,6 +279,7 @@ def _simulator() -> CellProcess:
             "gripper.force_stale_ms": 400.0,
             "gripper.bus_loss_ms": 500.0,
             "tactile.sync_period_ms": 50.0,
+            "tactile.force_period_ms": 10,
             "sequence.x_mm": [0, 0],
             "sequence.y_mm": [0, 0],
             "sequence.force_n": [4, 5],

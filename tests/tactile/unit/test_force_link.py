@@ -190,6 +190,14 @@ def test_damaged_and_repeated_messages_are_dropped_and_counted(bench: Bench) -> 
     bench.run(0.05)
 
 
+@pytest.mark.parametrize("again_s", [0.01, 0.03, 0.25])
+def test_messages_that_are_sent_again_later_are_a_fault(bench: Bench, again_s: float) -> None:
+    bench.run(0.3)
+    bench.unit.faults.forces_again_s = again_s
+    with pytest.raises(BusDisturbed, match="older than the one before"):
+        bench.run(again_s + 0.2)
+
+
 def test_too_many_lost_messages_are_a_fault(make_bench: Callable[..., Bench]) -> None:
     bench = make_bench(max_loss_rate=0.05)
     bench.link.start()
