@@ -29,7 +29,7 @@ _LEAST_LIMITS = (
     ("tactile", "heartbeat_ms", 400),
     ("gripper", "force_stale_ms", 300.0),
     ("gripper", "bus_loss_ms", 250.0),
-    ("gripper", "feedback_loss_max_share", 0.25),
+    ("gripper", "feedback_loss_max_share", 0.5),
     ("gripper", "watchdog_ms", 500.0),
     ("loop", "overruns_max", 40),
 )

@@ -10,6 +10,7 @@ TACTILE_CELL = [sys.executable, "-P", "-c", "from cell.interfaces.cli import mai
 UNHURRIED = {
     "gripper.loop_rate_hz": 50.0,
     "tactile.sync_period_ms": 40.0,
+    "tactile.force_period_ms": 20,
     "gripper.force_stale_ms": 400.0,
     "gripper.watchdog_ms": 1000.0,
 }
