@@ -8,6 +8,7 @@ DOCS := $(VENV)/.docs
 INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt --editable
 PYTEST_ARGS ?=
 REAL_TIME = $(BIN)/python -m pytest -m hil $(PYTEST_ARGS)
+ALL_OTHERS = OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "not hil" -n auto --dist worksteal $(PYTEST_ARGS)
 AGAIN := --last-failed --last-failed-no-failures none
 
 .PHONY: run test coverage wheel-test check format docs bench paper campaign damage soak vcan clients help clean distclean
@@ -17,11 +18,10 @@ run: $(RUN)  ## teach and identify the paper's five objects on the simulated cel
 
 test: $(DEV)  ## all tests; those in real time first, while the machine is quiet
 	$(REAL_TIME) || $(REAL_TIME) $(AGAIN) || $(REAL_TIME) $(AGAIN)
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "not hil" -n auto --dist worksteal $(PYTEST_ARGS)
+	$(ALL_OTHERS)
 
 coverage: $(DEV)  ## lines that the tests without real time run: less than 95 % is an error; three times as long
-	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "not hil" -n auto --dist worksteal --cov \
-		--cov-report=term:skip-covered --cov-fail-under=95 $(PYTEST_ARGS)
+	$(ALL_OTHERS) --cov --cov-report=term:skip-covered --cov-fail-under=95
 
 wheel-test: $(DEV)  ## a project that uses the built wheel runs its tests in a fresh environment
 	.ci/wheel-test

@@ -8,24 +8,15 @@ for each object. Objects never taught are grasped there, too.
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from benchmarks._measure import line, repeats
 from benchmarks.recognition._cell_grasps import cell_grasps
-from cell.config.model import CellConfig
-from cell.learning.pad_knowledge import usual_foam
 from recognition.drift.drift import Drift
-from recognition.drift.estimate import OFFSET_SD_MM
 from recognition.evaluation.metrics import wilson_interval
 from recognition.evaluation.splits import a_day_later
 from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN, Recognizer
 from recognition.recognizers import make_trainer
 from recognition.recognizers.force_ramp.recognizer import ForceRampTrainer
-from recognition.shape.answer import shares
-from recognition.shape.pressed_pads import reduce_to_pads
-from recognition.shape.residuals import PadUncertainty
-from recognition.shape.search import all_fits
 from recognition.statistics.fusion import StopRule, decide
 from simulator.servo.mechanics import ServoMount
 from simulator.settings import SimulatedServoSettings
@@ -60,12 +51,6 @@ OTHER = {
 """Settings of the other cell; 10 counts of a servo are 0.9 mm of half opening."""
 FINGER_GAINS = Drift(gains=tuple(1.1 if pad.finger == 0 else 0.9 for pad in paper_layout().pads))
 """Gains of the other cell's fingers behind its force loop."""
-_ZERO_MM = 1.8
-"""What that makes the opening read more."""
-_WIDE = PadUncertainty(
-    modulus=0.4, gain=0.25, spread=0.2, stiffening=0.3, aperture_m=OFFSET_SD_MM * 1e-3
-)
-"""How far foam, sensor and opening of another cell may be from those of the one that taught."""
 _GAUGE_GRASPS = 3
 _ONE = StopRule(max_grasps=1)
 
@@ -89,22 +74,6 @@ def figures(answers: Sequence[tuple[str, str]], grasps: Sequence[Grasp]) -> str:
     )
 
 
-def opening_by_shape_mm(grasps: Sequence[Grasp]) -> list[tuple[float, float]]:
-    """Return what the shape of each grasp tells of the zero of the opening, without any name.
-
-    The zero in mm and its standard deviation, from `_WIDE` as it may be on another cell.
-    """
-    foam, found = usual_foam(CellConfig()), []
-    for grasp in grasps:
-        fits, log_prior = all_fits(reduce_to_pads(grasp, foam), foam, _WIDE)
-        weight = shares([f.log_evidence() + p for f, p in zip(fits, log_prior, strict=True)])
-        zero_mm = np.array([fit.theta[-1] for fit in fits])
-        variance = [np.linalg.inv(f.normal + np.diag(f.prior_sd**-2))[-1, -1] for f in fits]
-        mean_mm = float(weight @ zero_mm)
-        found.append((mean_mm, float(np.sqrt(weight @ (variance + (zero_mm - mean_mm) ** 2)))))
-    return found
-
-
 def main(effort: float = 1.0) -> None:
     n = repeats(20, effort, least=4)
     taught_objects = dict(list(TAUGHT.items())[: repeats(len(TAUGHT), effort, least=2)])
@@ -122,14 +91,6 @@ def main(effort: float = 1.0) -> None:
     untold = names(taught, test)
     line("  other cell, untold", figures(untold, test))
     line("", _called_unknown(taught, new))
-    some = test[::4]
-    zeros = np.array(opening_by_shape_mm(some))
-    error_mm = np.sqrt(((zeros[:, 0] - _ZERO_MM) ** 2).mean())
-    line(
-        "  opening by shape alone",
-        f"off by {error_mm:.1f} mm rms of {len(some)} grasps, {np.median(zeros[:, 1]):.1f} mm sd "
-        f"told; {OFFSET_SD_MM:g} mm sd and an error of {_ZERO_MM} mm without any grasp",
-    )
     gauged: list[tuple[str, str]] = []
     truth: list[Grasp] = []
     for label in taught_objects:

@@ -45,7 +45,7 @@ class ForceStream:
 
     def __init__(self, period_s: float) -> None:
         self._period_s = period_s
-        self._last: tuple[int, bytes] | None = None
+        self._last_counter, self._last_data = 0, b""
         self._came_s = 0.0
         self.lost = self.late = self.damaged = 0
         self._received = self._repeated = 0
@@ -69,24 +69,17 @@ class ForceStream:
             self.damaged += 1
             return None
         silence_s, self._came_s = t_s - self._came_s, t_s
-        if self._last is not None and not self._follows(message, data, *self._last, silence_s):
+        if self._last_data and not self._follows(message.counter, data, silence_s):
             return None
-        self._last = message.counter, bytes(data)
+        self._last_counter, self._last_data = message.counter, bytes(data)
         self._received += 1
         return message
 
-    def _follows(
-        self,
-        message: ForceMessage,
-        data: bytes | bytearray,
-        last_counter: int,
-        last_data: bytes,
-        silence_s: float,
-    ) -> bool:
-        step = (message.counter - last_counter) % COUNTERS
+    def _follows(self, counter: int, data: bytes | bytearray, silence_s: float) -> bool:
+        step = (counter - self._last_counter) % COUNTERS
         # Since any message came: one that comes again and again never becomes a new one.
         if round(silence_s / self._period_s) < COUNTERS // 2:
-            if data == last_data:
+            if data == self._last_data:
                 self._repeated += 1
                 return False
             if step == 0 or step >= COUNTERS // 2:

@@ -30,8 +30,6 @@ SEEDED_PIECE = 5000
 """Inputs of one piece of a campaign, where they are made without Hypothesis."""
 DRAWN_PIECE = 200
 """Inputs of one piece of a campaign, where Hypothesis draws them; it keeps what it has tried."""
-_FIRST = 4.0
-"""Factor on the time of the first input, in which modules are imported."""
 SHOWN_FAILURES = 3
 """Failures of one piece that are kept as text."""
 MEMORY_KB = 64 << 10
@@ -224,7 +222,7 @@ def bad_input(
             with _opened(opening) as opened:
 
                 def once(**values: Any) -> None:
-                    with limits(limit_s if found else _FIRST * limit_s):
+                    with limits(limit_s):
                         outcome = test(**opened, **values)
                     found[outcome] += 1
 
