@@ -1,6 +1,6 @@
 """The full product of Algorithm 1's loops, 256,021,343 poses an object, against eigvalsh.
 
-Ours is `recognition.quadric.sweep_full.sweep_summary`: extremes and histogram of all poses. What
+Ours is `benchmarks.paper.sweep_full.sweep_summary`: extremes and histogram of all poses. What
 ``numpy.linalg.eigvalsh`` would take over all of them is scaled up from batches of a sub-grid, whose
 matrices are made before and not timed. On a sub-grid every pose is also run by brute force: the
 extremes must agree to 1e-9 of themselves and the histograms must be equal. Times are CPU times.
@@ -13,8 +13,8 @@ import numpy as np
 
 from benchmarks._measure import line, repeats, same, timed
 from benchmarks.paper.sweep import OBJECTS
+from benchmarks.paper.sweep_full import FULL_PRODUCT, sweep_summary
 from recognition.quadric.quadric import height_field_matrix, rotation_xyz, translation
-from recognition.quadric.sweep_full import FULL_PRODUCT, sweep_summary
 from recognition.quadric.trajectory import PAPER_SWEEP, SweepSettings
 
 NAMES = ("oval", "cylinder", "box", "ball", "dumbbell", "tilted cap in counts", "any matrix")

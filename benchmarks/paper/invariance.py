@@ -10,10 +10,7 @@ form of the conclusions, fitted along a force ramp.
 import numpy as np
 
 from benchmarks._measure import line, repeats, same
-from benchmarks.paper.sweep import OBJECTS
-from recognition.errors import QuadricError
-from recognition.quadric.eigen import Reading, smallest_eigenvalue
-from recognition.quadric.infimum import (
+from benchmarks.paper.infimum import (
     Pencil,
     approach_infimum,
     printed_image,
@@ -22,7 +19,12 @@ from recognition.quadric.infimum import (
     substituted_pencil,
     true_image,
 )
-from recognition.quadric.invariants import TRANSFORMATIONS, change_over, corrected_eigenvalue
+from benchmarks.paper.invariants import TRANSFORMATIONS, change_over, corrected_eigenvalue
+from benchmarks.paper.spectrum_fifth import at_fifth, carry, fit_ramp_surface, interlacing
+from benchmarks.paper.sweep import OBJECTS
+from benchmarks.paper.sweep_full import sweep_summary
+from recognition.errors import QuadricError
+from recognition.quadric.eigen import Reading, smallest_eigenvalue
 from recognition.quadric.quadric import (
     by_inverse,
     height_field_matrix,
@@ -30,9 +32,7 @@ from recognition.quadric.quadric import (
     scaling,
     translation,
 )
-from recognition.quadric.spectrum_fifth import at_fifth, carry, fit_ramp_surface, interlacing
 from recognition.quadric.sweep import points
-from recognition.quadric.sweep_full import sweep_summary
 from recognition.quadric.trajectory import PAPER_SWEEP, Axes, SweepSettings
 
 NAMES = ("oval", "cylinder", "box", "ball", "dumbbell")

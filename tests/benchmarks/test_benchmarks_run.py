@@ -9,15 +9,14 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-import numpy as np
 import pytest
 from threadpoolctl import threadpool_limits
 
 import benchmarks
 from benchmarks import __main__ as command
-from benchmarks._measure import Timed, in_turns, ratio, same
+from benchmarks._measure import in_turns, ratio, same
 from benchmarks.paper import sweep
-from benchmarks.performance import _servo_clients, identify, servo_bus, tactile_path
+from benchmarks.performance import identify
 
 pytestmark = pytest.mark.no_cover  # to count lines takes as long again as to run them
 
@@ -25,9 +24,6 @@ EFFORT = 0.01
 MODULES = command.modules()
 TESTED_ELSEWHERE = {"reproduction"}
 """`test_paper` prints the study that it has made, which takes longest of all."""
-
-IN_REAL_TIME = {"servo_bus"}
-"""Its processes miss each other's answers beside other tests."""
 
 
 @pytest.fixture(autouse=True)
@@ -37,13 +33,7 @@ def one_blas_thread() -> Iterator[None]:
         yield
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=[pytest.mark.hil] if name in IN_REAL_TIME else [])
-        for name in sorted(MODULES.keys() - TESTED_ELSEWHERE)
-    ],
-)
+@pytest.mark.parametrize("name", sorted(MODULES.keys() - TESTED_ELSEWHERE))
 def test_it_prints_its_ratios(
     name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -57,7 +47,7 @@ def test_it_prints_its_ratios(
 
 
 def test_the_command_names_what_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert {"identify", "servo_bus", "sweep", "tactile_path"} <= set(MODULES)
+    assert {"identify", "sweep"} <= set(MODULES)
     monkeypatch.setattr(sys, "argv", ["benchmarks", "nothing"])
     with pytest.raises(SystemExit, match=", ".join(MODULES)):
         command.main()
@@ -71,39 +61,11 @@ def test_alternatives_take_turns_and_begin_in_turn() -> None:
     assert ratio([1.0, 9.0, 4.0], [1.0, 3.0, 2.0]) == 2.0
 
 
-def test_forces_that_differ_end_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    right = tactile_path.plain_run
-
-    def doubled(counts: np.ndarray, forces: list[np.ndarray]) -> Timed:
-        taken = right(counts, forces)
-        forces[:] = [2.0 * force_n for force_n in forces]
-        return taken
-
-    monkeypatch.setattr(tactile_path, "plain_run", doubled)
-    with pytest.raises(SystemExit, match="the forces on the grip differ"):
-        tactile_path.main(EFFORT)
-
-
 def test_matrices_that_differ_end_it(monkeypatch: pytest.MonkeyPatch) -> None:
     right = sweep.plain_matrix
     monkeypatch.setattr(sweep, "plain_matrix", lambda a, b, c: right(1.001 * a, b, c))
     with pytest.raises(SystemExit, match="the values differ"):
         sweep.main(EFFORT)
-
-
-@pytest.mark.parametrize(
-    ("wrong", "expected"), [("status", "different values"), ("goals", "did not set the goals")]
-)
-def test_servo_values_that_differ_end_it(
-    wrong: str, expected: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    lies = {"status": lambda self: ({}, 0), "goals": lambda self: (0, 0)}
-    monkeypatch.setattr(_servo_clients.Sdk, wrong, lies[wrong])
-    hosts = {"ServoBus": _servo_clients.Ours, "dynamixel_sdk": _servo_clients.Sdk}
-    with _servo_clients.servos() as line_of:
-        line_of.set(paced=False)
-        with pytest.raises(SystemExit, match=expected):
-            servo_bus.compare(line_of, hosts, 1, 2)
 
 
 def test_a_recogniser_that_changes_its_mind_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,9 +4,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from recognition.errors import QuadricError
-from recognition.quadric import invariants as inv
 from recognition.quadric import quadric
-from recognition.quadric.eigen import Reading, smallest_eigenvalue
+from recognition.quadric.eigen import smallest_eigenvalue
 from recognition.quadric.quadric import (
     Quadric,
     fit_height_field,
@@ -132,36 +131,6 @@ def test_a_quadric_is_frozen_and_finite():
             centre_m=[0, 0],
             scale_m=1,
         )
-
-
-# --- invariants -----------------------------------------------------------------------------
-
-
-def test_size_survives_motion_and_a_factor():
-    rng = np.random.default_rng(9)
-    M = quadric.translation(rng.uniform(-5, 5, 3)) @ quadric.rotation_xyz(rng.uniform(0, 6, 3))
-    axes = np.sqrt(inv.squared_semi_axes(-3.0 * quadric.congruence(OVAL, M)))
-    assert np.sort(axes) == pytest.approx([5.85, 7.0, 7.0], rel=1e-9)
-    with pytest.raises(QuadricError, match="no single centre"):
-        inv.squared_semi_axes(CYLINDER)
-
-
-@settings(derandomize=True, max_examples=30, deadline=None)
-@given(seed=st.integers(0, 10_000), reading=st.sampled_from(list(Reading)))
-def test_the_corrected_feature_is_invariant_where_the_plain_one_is_not(seed, reading):
-    rng = np.random.default_rng(seed)
-    moved = rng.uniform(0.1, 10) * quadric.congruence(BOX, _similarity(rng))
-    at_rest = inv.corrected_eigenvalue(BOX, reading).value
-    assert inv.corrected_eigenvalue(moved, reading).value == pytest.approx(at_rest, rel=1e-7)
-
-
-def test_cylinders_and_cones_have_no_corrected_feature():
-    with pytest.raises(QuadricError, match="no single centre"):
-        inv.corrected_eigenvalue(CYLINDER)
-    with pytest.raises(QuadricError, match="cone"):
-        inv.corrected_eigenvalue(np.diag([1.0, 1.0, -1.0, 0.0]))
-    with pytest.raises(QuadricError, match="4, 4"):
-        inv.corrected_eigenvalue(np.eye(5))
 
 
 def test_rotation_about_the_origin_keeps_eigenvalues_and_translation_does_not():

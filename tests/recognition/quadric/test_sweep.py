@@ -7,12 +7,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.paper.sweep_full import FULL_PRODUCT, sweep_summary
 from recognition.errors import QuadricError, TrajectoryError
 from recognition.quadric import quadric, sweep_roots
 from recognition.quadric.eigen import Reading, smallest_eigenvalue
 from recognition.quadric.quadric import height_field_matrix
 from recognition.quadric.sweep import arrow_form, distinct, points, weighted_chunks
-from recognition.quadric.sweep_full import FULL_PRODUCT, sweep_summary
 from recognition.quadric.trajectory import PAPER_SWEEP, Axes, SweepSettings, sweep
 
 OVAL = np.diag([1 / 7.0**2, 1 / 7.0**2, 1 / 5.85**2, -1.0])

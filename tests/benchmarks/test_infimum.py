@@ -4,9 +4,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from benchmarks.paper import infimum
+from benchmarks.paper.infimum import Pencil, approach_infimum, sdp_bound
 from recognition.errors import QuadricError
-from recognition.quadric import infimum, quadric
-from recognition.quadric.infimum import Pencil, approach_infimum, sdp_bound
+from recognition.quadric import quadric
 from recognition.quadric.quadric import height_field_matrix
 
 CAP = height_field_matrix(a=-4.0, b=-3.0, d=0.5, g=1.0, h=2.0, k=100.0)

@@ -2,23 +2,31 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
-from recognition.errors import QuadricError, TrajectoryError
-from recognition.quadric import quadric
-from recognition.quadric.eigen import Reading, smallest_eigenvalue
-from recognition.quadric.invariants import TRANSFORMATIONS, change_over
-from recognition.quadric.quadric import height_field_matrix
-from recognition.quadric.spectrum_fifth import (
+from benchmarks.paper.invariants import (
+    TRANSFORMATIONS,
+    change_over,
+    corrected_eigenvalue,
+    squared_semi_axes,
+)
+from benchmarks.paper.spectrum_fifth import (
     at_fifth,
     carry,
     fit_ramp_surface,
     interlacing,
     ramp_matrix,
 )
+from recognition.errors import QuadricError, TrajectoryError
+from recognition.quadric import quadric
+from recognition.quadric.eigen import Reading, smallest_eigenvalue
+from recognition.quadric.quadric import height_field_matrix
 from recognition.quadric.trajectory import sweep
 
 OVAL = np.diag([1 / 7.0**2, 1 / 7.0**2, 1 / 5.85**2, -1.0])
 BOX = np.diag([1 / 5.0**2, 1 / 7.95**2, 1 / 5.0**2, -1.0])
+CYLINDER = np.diag([1 / 3.0**2, 1 / 3.0**2, 0.0, -1.0])
 BALL = np.diag([1 / 4.75**2] * 3 + [-1.0])
 CAP = height_field_matrix(a=-7.0, b=-5.0, k=150.0)
 LOWEST = Reading.ALGEBRAIC_MINIMUM
@@ -123,3 +131,35 @@ def test_poses_leave_the_fifth_coordinate_and_rotation_keeps_the_spectrum():
 def test_refusals_name_the_cause(call, message):
     with pytest.raises(QuadricError, match=message):
         call()
+
+
+def test_size_survives_motion_and_a_factor():
+    rng = np.random.default_rng(9)
+    M = quadric.translation(rng.uniform(-5, 5, 3)) @ quadric.rotation_xyz(rng.uniform(0, 6, 3))
+    axes = np.sqrt(squared_semi_axes(-3.0 * quadric.congruence(OVAL, M)))
+    assert np.sort(axes) == pytest.approx([5.85, 7.0, 7.0], rel=1e-9)
+    with pytest.raises(QuadricError, match="no single centre"):
+        squared_semi_axes(CYLINDER)
+
+
+@settings(derandomize=True, max_examples=30, deadline=None)
+@given(seed=st.integers(0, 10_000), reading=st.sampled_from(list(Reading)))
+def test_the_corrected_feature_is_invariant_where_the_plain_one_is_not(seed, reading):
+    rng = np.random.default_rng(seed)
+    pose = quadric.compose(
+        translate=quadric.translation(rng.uniform(-5, 5, 3)),
+        rotate=quadric.rotation_xyz(rng.uniform(0, 2 * np.pi, 3)),
+        scale=quadric.scaling(rng.uniform(0.3, 3.0)),
+    )
+    moved = rng.uniform(0.1, 10) * quadric.congruence(BOX, pose)
+    at_rest = corrected_eigenvalue(BOX, reading).value
+    assert corrected_eigenvalue(moved, reading).value == pytest.approx(at_rest, rel=1e-7)
+
+
+def test_cylinders_and_cones_have_no_corrected_feature():
+    with pytest.raises(QuadricError, match="no single centre"):
+        corrected_eigenvalue(CYLINDER)
+    with pytest.raises(QuadricError, match="cone"):
+        corrected_eigenvalue(np.diag([1.0, 1.0, -1.0, 0.0]))
+    with pytest.raises(QuadricError, match="4, 4"):
+        corrected_eigenvalue(np.eye(5))
