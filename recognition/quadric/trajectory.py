@@ -3,6 +3,7 @@
 The values stand in the order of the printed loops (scale, translation, rotation, the last
 innermost). What the printed text leaves open is a setting with a default. No matrix is formed: a
 pose is reduced to what its eigenvalues depend on, each distinct one is solved once, and the value
+is written wherever it belongs.
 """
 
 from collections.abc import Iterator
