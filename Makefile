@@ -7,21 +7,24 @@ DEV := $(VENV)/.dev
 DOCS := $(VENV)/.docs
 INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt --editable
 PYTEST_ARGS ?=
-REAL_TIME = $(BIN)/python -m pytest -m hil $(PYTEST_ARGS)
-ALL_OTHERS = OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -m "not hil" -n auto --dist worksteal $(PYTEST_ARGS)
-AGAIN := --last-failed --last-failed-no-failures none
+TESTS = OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal $(PYTEST_ARGS)
 
-.PHONY: run test coverage wheel-test check format docs bench paper campaign damage soak vcan clients help clean distclean
+.PHONY: run test test-long test-real-time coverage wheel-test check format docs bench paper campaign damage soak vcan clients help clean distclean
 
 run: $(RUN)  ## teach and identify the paper's five objects on the simulated cell
 	$(BIN)/tactile-cell run
 
-test: $(DEV)  ## all tests; those in real time first, while the machine is quiet
-	$(REAL_TIME) || $(REAL_TIME) $(AGAIN) || $(REAL_TIME) $(AGAIN)
-	$(ALL_OTHERS)
+test: $(DEV)  ## the tests of each change: minutes, on any machine
+	$(TESTS) -m "not real_time and not long"
+
+test-long: $(DEV)  ## what takes long or has many variants: each row of the campaign, benchmarks, the paper
+	$(TESTS) -m "long and not real_time"
+
+test-real-time: $(DEV)  ## tests that judge times of real processes, one after the other: for a quiet machine
+	$(BIN)/python -m tests.hil $(PYTEST_ARGS)
 
 coverage: $(DEV)  ## lines that the tests without real time run: less than 95 % is an error; three times as long
-	$(ALL_OTHERS) --cov --cov-report=term:skip-covered --cov-fail-under=95
+	$(TESTS) -m "not real_time" --cov --cov-report=term:skip-covered --cov-fail-under=95
 
 wheel-test: $(DEV)  ## a project that uses the built wheel runs its tests in a fresh environment
 	.ci/wheel-test
@@ -77,7 +80,7 @@ $(DOCS): $(DEV)
 	touch $@
 
 help:  ## this list
-	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/\1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{ printf "  make %-11s %s\n", $$1, $$2 }'
+	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/\1|\2/p' $(MAKEFILE_LIST) | awk -F'|' '{ printf "  make %-15s %s\n", $$1, $$2 }'
 
 clean:  ## remove what runs, tests and tools left behind
 	rm -rf out .pytest_cache .mypy_cache .ruff_cache .import_linter_cache .hypothesis htmlcov

@@ -11,8 +11,6 @@ from benchmarks.performance import connects
 from cell.interfaces.service.serving import open_doors
 from cell.interfaces.xml_rpc import _Server
 
-pytestmark = pytest.mark.hil  # real sockets: beside other tests they may have to wait
-
 N = 60
 """Connections to each door."""
 

@@ -12,7 +12,7 @@ from tests.faults.table import REACTIONS, ROWS
 
 
 def parameter(row: FaultRow) -> Any:
-    return pytest.param(row, id=row.name, marks=pytest.mark.hil if row.real_time else ())
+    return pytest.param(row, id=row.name, marks=pytest.mark.real_time if row.real_time else ())
 
 
 @pytest.mark.parametrize("row", [parameter(row) for row in ROWS])

@@ -18,7 +18,7 @@ from cell.pytest_plugin.process import CellProcess
 from tests.faults.scenarios.axes import CHANGES, ROTATION_AXIS, WRIST, X_AXIS
 from tests.hil.damage import CONFIG, LABELS, SLOW_ERRORS, TRIES, first, teach
 
-pytestmark = pytest.mark.hil
+pytestmark = pytest.mark.real_time
 
 LIMIT_S = 60.0
 X_MM, ROTATION_DEG, ROLL_DEG = -2.0, 20.0, 30.0

@@ -23,7 +23,7 @@ from gripper.errors import BusTimeout, GripperError, PortLost
 from tactile.errors import BusDisturbed, BusOff, FrameTimeout, HeartbeatLost, TactileError
 from tests.hil.damage import first, relay_on
 
-pytestmark = pytest.mark.hil
+pytestmark = pytest.mark.real_time
 
 CONFIG = """
 tactile: {tare_frames: 15, sync_period_ms: 30.0, force_period_ms: 10}

@@ -12,7 +12,7 @@ from tests.hil import damage
 from tests.hil.damage import Bench
 from tests.hil.program import LIMIT_S, end, start
 
-pytestmark = pytest.mark.hil
+pytestmark = pytest.mark.real_time
 
 
 @pytest.fixture(scope="module")

@@ -26,7 +26,7 @@ from gripper.force.ramp import ForceRamp
 from gripper.state import Cycle, GraspResult, GripperPhase
 from tests.hil.damage import first
 
-pytestmark = pytest.mark.hil
+pytestmark = pytest.mark.real_time
 
 LIMIT_S = 30.0
 CONFIG = """

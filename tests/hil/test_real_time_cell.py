@@ -21,7 +21,7 @@ from tests.hil import program
 from tests.hil.damage import first
 from tests.hil.program import CONFIG, LIMIT_S, end
 
-pytestmark = pytest.mark.hil
+pytestmark = pytest.mark.real_time
 
 SEQUENCE = "sequence: {x_mm: [0, 0], y_mm: [0, 0], force_n: [3, 5], max_grasps: 1}\n"
 

@@ -16,7 +16,7 @@ from tests.hil import program
 from tests.hil.damage import first
 from tests.hil.program import CONFIG, LIMIT_S, end
 
-pytestmark = pytest.mark.hil
+pytestmark = pytest.mark.real_time
 
 SERVE = "serve: {lease_timeout_s: 30.0, modbus_port: 0, xmlrpc_port: 0}\n"
 

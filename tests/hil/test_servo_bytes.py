@@ -21,7 +21,7 @@ from gripper.errors import BusCorrupt, BusTimeout, GripperError, PortLost
 from gripper.state import GraspResult, GripperPhase
 from tests.hil.damage import first, relay_on
 
-pytestmark = pytest.mark.hil
+pytestmark = pytest.mark.real_time
 
 CONFIG = """
 tactile: {tare_frames: 15, sync_period_ms: 50.0, force_period_ms: 10}

@@ -21,10 +21,7 @@ from tactile.layout import paper_layout
 from tactile.unit.link import LinkSettings, TactileLink
 
 CHANNEL = os.environ.get("TACTILE_CELL_VCAN", "")
-pytestmark = [
-    pytest.mark.hil,
-    pytest.mark.skipif(not CHANNEL, reason="needs SocketCAN: make vcan"),
-]
+pytestmark = pytest.mark.skipif(not CHANNEL, reason="needs SocketCAN: make vcan")
 LAYOUT = paper_layout()
 NODE = 5
 # The emulated processor is slow: few frames a second, long patience.

@@ -43,8 +43,6 @@ from cell.interfaces.service.service import RELEASE_KEY
 from cell.interfaces.service.serving import open_doors
 from tests.cell.interfaces.conftest import LIMIT_S
 
-pytestmark = pytest.mark.hil  # real sockets: beside other tests they may have to wait
-
 ENCRYPTED = ua.MessageSecurityMode.SignAndEncrypt
 
 

@@ -13,8 +13,6 @@ import pytest
 
 from tests.cell.interfaces.conftest import LIMIT_S, until
 
-pytestmark = pytest.mark.hil  # real sockets: beside other tests they may have to wait
-
 PROGRAM = "from cell.interfaces.cli import main; main()"
 SMALL = "tactile:\n  tare_frames: 25\nserve:\n  lease_timeout_s: 20\n"
 CALLBACK = "positioner:\n  kind: callback\n"

@@ -23,8 +23,6 @@ from viam.utils import dict_to_struct
 
 from tests.cell.interfaces.conftest import LIMIT_S
 
-pytestmark = pytest.mark.hil  # real sockets: beside other tests they may have to wait
-
 EXAMPLE = Path(__file__).parents[3] / "docs" / "examples" / "viam"
 CONFIG = """\
 tactile: {tare_frames: 25}

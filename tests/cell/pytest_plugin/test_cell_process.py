@@ -31,7 +31,7 @@ def gone(pid: int) -> bool:
     return not Path(f"/proc/{pid}").exists()
 
 
-@pytest.mark.hil
+@pytest.mark.real_time
 @pytest.mark.usefixtures("free_machine")
 def test_a_process_serves_both_ports_and_takes_faults(cell_process: Any, inject_fault: Any) -> None:
     cell = cell_process(objects={"pin": "cylinder:diameter=6mm,length=20mm"}, seed=3)
@@ -137,7 +137,7 @@ def test_a_process_does_not_outlive_a_test_run_that_is_killed(pytester: pytest.P
     assert gone(pid)
 
 
-@pytest.mark.hil
+@pytest.mark.real_time
 @pytest.mark.usefixtures("free_machine")
 def test_the_contract_holds_over_real_ports_and_never_touches_a_held_part(
     cell_process: Any,

@@ -276,7 +276,6 @@ def running(folder: str) -> Iterator[tuple[subprocess.Popen[str], dict[str, Any]
         process.communicate()
 
 
-@pytest.mark.hil
 def test_another_process_serves_both_buses_and_the_positioner(tmp_path: Path) -> None:
     with running(str(tmp_path)) as (process, hello):
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client:
