@@ -33,6 +33,7 @@ def one_blas_thread() -> Iterator[None]:
         yield
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", sorted(MODULES.keys() - TESTED_ELSEWHERE))
 def test_it_prints_its_ratios(
     name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch

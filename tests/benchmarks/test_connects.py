@@ -11,6 +11,8 @@ from benchmarks.performance import connects
 from cell.interfaces.service.serving import open_doors
 from cell.interfaces.xml_rpc import _Server
 
+pytestmark = pytest.mark.long
+
 N = 60
 """Connections to each door."""
 

@@ -8,7 +8,7 @@ from benchmarks.performance import force_ramps
 from benchmarks.performance._force_plant import Quality
 from benchmarks.performance.force_ramps import CASES, OWN, SETUPS, Case, row, run, write_page
 
-pytestmark = pytest.mark.no_cover  # to count lines takes as long again as to run them
+pytestmark = [pytest.mark.no_cover, pytest.mark.long]
 
 RAN_AGAIN = (
     Case(part="steel ball, 200 N/mm", final_n=2.0, rate_n_s=10.0),

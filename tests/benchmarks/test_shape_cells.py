@@ -5,6 +5,7 @@ import pytest
 from benchmarks.recognition._shape_cells import BAR, sequences
 from recognition.shape.fusion import fuse_shapes
 
+pytestmark = pytest.mark.long
 BALL = ("sphere", (9.0,), "sphere:diameter=9mm")
 
 

@@ -31,6 +31,7 @@ def quick_config() -> CellConfig:
     return changed_config(CellConfig(), changes)
 
 
+@pytest.mark.long
 @pytest.mark.no_cover  # to count lines takes as long again as to run them
 @pytest.mark.timeout(600)
 def test_some_fifty_grasps_leave_no_file_no_thread_and_few_objects() -> None:
