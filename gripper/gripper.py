@@ -30,6 +30,7 @@ from gripper.servos.watchdog_proof import WatchdogProof, prove_watchdog
 from gripper.settings import GripperSettings
 from gripper.state import (
     Clock,
+    Cycle,
     ForceSensor,
     GraspOutcome,
     GraspResult,
@@ -169,10 +170,11 @@ class Gripper:
         """Read the feedback of all servos in one transaction."""
         return self._servos.read_patiently()
 
-    def tick(self, observer: Observer | None = None) -> None:
+    def tick(self) -> Cycle | None:
         """Feed the bus watchdog and check the servos between commands.
 
-        While a part is carried this is one period of the force loop, which ``observer`` gets.
+        While a part is carried this is one period of the force loop. Returns the period; without a
+        force where none is controlled, None where the servos were not asked or did not answer.
 
         Raises
         ------
@@ -180,23 +182,33 @@ class Gripper:
             When the bus is lost or a servo at fault; the fault is latched, the grip kept.
         """
         if self._life.running or self._life.phase is GripperPhase.OFF:
-            return
+            return None
         if not self._servos.goals_in_force:
             # Torque that was found on, or is lost: there is nothing here to be supervised.
-            return
+            return None
         if self._life.fault is not None:
             with self._servos.in_loop():
                 self._runner.read()
-            return
+            return None
         with self._life.latching():
             if self._carried is not None:
-                self._carried.observer = observer
+                cycles: list[Cycle] = []
+                self._carried.observer = cycles.append
                 self._runner.period(self._carried)
-                return
+                return cycles[0] if cycles else None
             with self._servos.in_loop():
                 state = self._runner.read()
-            if state is not None:
-                self._health.poll(state, watchdog=self._life.part_possible)
+            if state is None:
+                return None
+            self._health.poll(state, watchdog=self._life.part_possible)
+        return Cycle(
+            t_s=state.t_s,
+            phase=self._life.phase,
+            state=state,
+            force=None,
+            setpoint_n=0.0,
+            goal_current_a=self._servos.goal_current_a,
+        )
 
     def open(
         self, aperture_m: float | None = None, observer: Observer | None = None

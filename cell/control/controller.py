@@ -29,7 +29,7 @@ from cell.errors import (
     PlanRefused,
     PositionerFault,
 )
-from cell.hand.interface import FORCE_FROM_FRAMES, Hand
+from cell.hand.interface import FORCE_FROM_FRAMES, Hand, Measured
 from cell.hand.local import LocalHand
 from gripper.gripper import Gripper
 from gripper.state import Clock, GripperPhase, ReleaseReport
@@ -38,6 +38,14 @@ from recognition.recognizer import Recognizer
 from recognition.recognizers.early_classifiers import EarlyClassifiers, EarlyDecider
 from tactile.sensor.sensor import TactileSensor
 
+_UNSUPERVISED = (
+    CellState.STOPPED,
+    CellState.ABORTING,
+    CellState.ABORTED,
+    CellState.CLEARING,
+    CellState.RESETTING,
+)
+"""States in which nothing looks at the hand, so that nothing is measured."""
 MISSES_IN_A_ROW = 3
 """Grasps of a known object that find no part after which it is taken for absent."""
 
@@ -160,9 +168,9 @@ class CellController(CellView):
 
     @property
     def live(self) -> LiveValues:
-        """What was measured last, from any thread; motions alone deliver new values."""
-        cycle, frame = self._journal.newest
-        return live_values(cycle, frame, self._clock.monotonic())
+        """What is measured at the moment, from any thread."""
+        measured = Measured() if self._life.state in _UNSUPERVISED else self._hand.measured
+        return live_values(measured, self._clock.monotonic())
 
     # -- commands ------------------------------------------------------------------------------
 
@@ -196,6 +204,7 @@ class CellController(CellView):
                 )
             self._hand.open(self._grasper.watch)
             self._hand.tare(self._tare_frames)
+            self._hand.tick()
             self._life.check_cancelled()
             self._life.complete()
 

@@ -55,17 +55,11 @@ class Journal:
     ----------
     recorder
         The recording; None makes none.
-
-    Attributes
-    ----------
-    newest
-        Newest period of the loop and newest frame, for those who show them.
     """
 
     def __init__(self, recorder: Recorder | None) -> None:
         self._recorder = recorder
         self._states: tuple[CellState, GraspState] | None = None
-        self.newest: tuple[Cycle | None, TactileFrame | None] = (None, None)
 
     def note(self, kind: str, text: str, fault_number: int = 0) -> None:
         """Record that something happened; a fault with its number."""
@@ -87,7 +81,6 @@ class Journal:
         RecordingError
             If the recording has stopped and the config wants the cell to hold then.
         """
-        self.newest = (cycle, frames[-1] if frames else self.newest[1])
         if self._recorder is not None:
             self._recorder.cycle(cycle)
             for frame in frames:

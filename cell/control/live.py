@@ -1,22 +1,33 @@
-"""Live values of a cell: what was measured last, for hosts that show or forward it."""
+"""Live values of a cell: what is measured at the moment, for hosts that show or supervise it."""
 
 from dataclasses import dataclass
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from gripper.state import Cycle
-from tactile.frames.codec import TactileFrame
+from cell.hand.interface import Measured
+
+FRESH_S = 0.5
+"""Age in s beyond which a value counts as not measured: frames come each 0.02 s, periods of the loop
+each 0.005 s, and a busy machine may hold the program up for some tenths of a second."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LiveValues:
-    """What was measured last; each value is None before the first motion.
+    """What is measured at the moment: in a motion, in a carry, and between two jobs.
+
+    A value that is not measured now is None: before the first motion, after a fault and a shutdown,
+    and where it is older than `FRESH_S`. An age is that at the time of asking, by the cell's own
+    clock. In virtual time that clock stands still between two commands, and so do the fingers:
+    values and ages stay as they are until the next one.
 
     Attributes
     ----------
     force_n
         Grip force: the smaller force of both fingers in N.
+    force_age_s
+        Age of the newest valid force in s, also where it is too old to be shown.
     setpoint_n
         Force that is asked for in N; 0 while no force is controlled.
     opening_mm
@@ -26,10 +37,11 @@ class LiveValues:
     counts : (n_taxels,) uint16
         Raw counts of the newest frame, read-only.
     frame_age_s
-        Age of that frame in s.
+        Age of the newest frame in s, also where it is too old to be shown.
     """
 
     force_n: float | None = None
+    force_age_s: float | None = None
     setpoint_n: float | None = None
     opening_mm: float | None = None
     temperature_c: float | None = None
@@ -37,15 +49,30 @@ class LiveValues:
     frame_age_s: float | None = None
 
 
-def live_values(cycle: Cycle | None, frame: TactileFrame | None, now_s: float) -> LiveValues:
-    """Return the values of the newest period of the loop and the newest frame."""
-    if cycle is None:
-        return LiveValues()
+class _Stamped(Protocol):
+    @property
+    def t_s(self) -> float: ...
+
+
+_Value = TypeVar("_Value", bound=_Stamped)
+
+
+def live_values(measured: Measured, now_s: float) -> LiveValues:
+    """Return the values of a hand at a monotonic time in s."""
+
+    def age_s(one: _Stamped | None) -> float | None:
+        return None if one is None else max(0.0, now_s - one.t_s)
+
+    def fresh(one: _Value | None) -> _Value | None:
+        return None if one is None or now_s - one.t_s > FRESH_S else one
+
+    cycle, force, frame = fresh(measured.cycle), fresh(measured.force), fresh(measured.frame)
     return LiveValues(
-        force_n=None if cycle.force is None else min(cycle.force.force_n),
-        setpoint_n=cycle.setpoint_n,
-        opening_mm=1e3 * cycle.state.aperture_m,
-        temperature_c=cycle.state.temperature_c,
+        force_n=None if force is None else min(force.force_n),
+        force_age_s=age_s(measured.force),
+        setpoint_n=None if cycle is None else cycle.setpoint_n,
+        opening_mm=None if cycle is None else 1e3 * cycle.state.aperture_m,
+        temperature_c=None if cycle is None else cycle.state.temperature_c,
         counts=None if frame is None else frame.counts,
-        frame_age_s=None if frame is None else max(0.0, now_s - frame.t_s),
+        frame_age_s=age_s(measured.frame),
     )

@@ -14,8 +14,9 @@ from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
 from cell.errors import HandLost
 from cell.hand.build import make_linkage
-from cell.hand.interface import HandStatistics, Watch
+from cell.hand.interface import HandStatistics, Measured, Watch
 from cell.hand.messages import (
+    Alive,
     Answer,
     Boot,
     Carry,
@@ -230,6 +231,11 @@ class HandProcess:
         If a port or bus cannot be opened.
     HandLost
         If the process does not come up.
+
+    Attributes
+    ----------
+    measured
+        As in `Hand`: what the process has sent, and `tick` or a command taken in.
     """
 
     def __init__(self, config: CellConfig, *, silence_s: float = 5.0) -> None:
@@ -243,6 +249,7 @@ class HandProcess:
         self._phase = GripperPhase.OFF
         self._loop = LoopProcess(config)
         self._statistics = self._loop.ready.statistics
+        self.measured = Measured()
         self._heard_s = time.monotonic()
 
     # -- what is known here --------------------------------------------------------------------
@@ -353,10 +360,8 @@ class HandProcess:
         """
         now_s = time.monotonic()
         while self._loop.waiting():
-            event = self._loop.next(0.0)
             self._heard_s = now_s
-            if isinstance(event, Fault):
-                self._raise(event)
+            self._next(0.0)
         if now_s - self._heard_s > self._silence_s:
             self._loop.lose(f"has sent nothing for {now_s - self._heard_s:.1f} s")
 
@@ -410,13 +415,9 @@ class HandProcess:
         failure: BaseException | None = None
         while True:
             try:
-                event = self._loop.next(patience_s)
-                if isinstance(event, Progress):
-                    self._phase = event.cycle.phase
-                    if watch is not None and failure is None:
-                        watch(event.cycle, _read_only(event))
-                elif isinstance(event, Fault):
-                    self._raise(event)
+                event = self._next(patience_s)
+                if isinstance(event, Progress) and watch is not None and failure is None:
+                    watch(event.cycle, event.frames)
             except HandLost:
                 raise
             except BaseException as error:
@@ -438,6 +439,22 @@ class HandProcess:
             raise received_error(event.error)
         return event.value
 
+    def _next(self, patience_s: float) -> Event:
+        """Wait for the next event and take in what it shows of the hand; a fault is raised."""
+        event = self._loop.next(patience_s)
+        if isinstance(event, Progress):
+            for frame in event.frames:
+                frame.counts.setflags(write=False)
+            self._phase = event.cycle.phase
+            self.measured = self.measured.then(event.cycle, event.cycle.force, event.frames)
+        elif isinstance(event, Alive):
+            if event.measured.frame is not None:
+                event.measured.frame.counts.setflags(write=False)
+            self.measured = event.measured
+        elif isinstance(event, Fault):
+            self._raise(event)
+        return event
+
     def _raise(self, fault: Fault) -> NoReturn:
         """Raise a fault that came by itself; a HandLost among them is the loss of the process."""
         self._phase = fault.phase
@@ -445,9 +462,3 @@ class HandProcess:
         if isinstance(error, HandLost):
             self._loop.abandon(error)
         raise error
-
-
-def _read_only(event: Progress) -> tuple[Any, ...]:
-    for frame in event.frames:
-        frame.counts.setflags(write=False)
-    return event.frames

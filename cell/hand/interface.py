@@ -13,6 +13,7 @@ from gripper.force.ramp import ForceRamp
 from gripper.force.timing import LoopStatistics
 from gripper.state import (
     Cycle,
+    ForceSample,
     GraspOutcome,
     GripperPhase,
     ReleaseReport,
@@ -64,6 +65,35 @@ class HandStatistics:
     undelivered: int = 0
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Measured:
+    """Newest values of a hand, of motions and of the supervision between them; None before any.
+
+    Attributes
+    ----------
+    cycle
+        Newest period in which the servos answered.
+    force
+        Newest valid force sample.
+    frame
+        Newest tactile frame.
+    """
+
+    cycle: Cycle | None = None
+    force: ForceSample | None = None
+    frame: TactileFrame | None = None
+
+    def then(
+        self, cycle: Cycle | None, force: ForceSample | None, frames: Sequence[TactileFrame]
+    ) -> "Measured":
+        """Return the newest values after one more period, whose force may be none or not valid."""
+        return Measured(
+            cycle=cycle or self.cycle,
+            force=force if force is not None and force.valid else self.force,
+            frame=frames[-1] if frames else self.frame,
+        )
+
+
 class Hand(Protocol):
     """Gripper and tactile sensor; one thread commands them.
 
@@ -94,6 +124,11 @@ class Hand(Protocol):
     @property
     def statistics(self) -> HandStatistics:
         """Counters of loop and links; of a hand that is gone the last ones that came."""
+        ...
+
+    @property
+    def measured(self) -> Measured:
+        """What motions and `tick` measured last, from any thread."""
         ...
 
     def start(self) -> VerificationReport:

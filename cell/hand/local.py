@@ -5,7 +5,7 @@ from math import sqrt
 
 import numpy as np
 
-from cell.hand.interface import HandStatistics, Watch
+from cell.hand.interface import HandStatistics, Measured, Watch
 from gripper.dynamixel.bus import ServoBus
 from gripper.force.ramp import ForceRamp
 from gripper.gripper import Gripper
@@ -153,6 +153,8 @@ class LocalHand:
     ----------
     gripper, sensor, bus, link
         The parts, for tests and benchmarks; commands go through the hand.
+    measured
+        As in `Hand`.
     """
 
     def __init__(
@@ -171,6 +173,7 @@ class LocalHand:
         self.bus = bus
         self.link = link
         self.notes = notes
+        self.measured = Measured()
         self._tap = tap
         self._close_links = close_links
 
@@ -276,9 +279,11 @@ class LocalHand:
 
     def tick(self) -> None:
         """Keep both links alive and supervised; see `Hand`."""
-        self.gripper.tick(self._aim)
-        self._tap.latest_force()
-        self._tap.take()
+        cycle = self.gripper.tick()
+        if cycle is not None and cycle.force is not None:
+            self._aim(cycle)
+        force = self._tap.latest_force()
+        self.measured = self.measured.then(cycle, force, self._tap.take())
 
     def keep_grip(self) -> None:
         """Freeze in any state; see `Gripper.keep_grip`."""
@@ -305,7 +310,9 @@ class LocalHand:
     def _observer(self, watch: Watch) -> Callable[[Cycle], None]:
         def observe(cycle: Cycle) -> None:
             self._aim(cycle)
-            watch(cycle, self._tap.take())
+            frames = self._tap.take()
+            self.measured = self.measured.then(cycle, cycle.force, frames)
+            watch(cycle, frames)
 
         return observe
 

@@ -12,7 +12,7 @@ from typing import Any
 
 from cell import errors as cell_errors
 from cell.config.model import CellConfig
-from cell.hand.interface import HandStatistics
+from cell.hand.interface import HandStatistics, Measured
 from gripper import errors as gripper_errors
 from gripper.force.ramp import ForceRamp
 from gripper.state import Cycle, GripperPhase
@@ -228,9 +228,11 @@ class Fault:
     phase: GripperPhase
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Alive:
-    """Sent now and then between commands: the process is alive."""
+    """Sent between commands: the process is alive, and `Hand.measured` is this."""
+
+    measured: Measured
 
 
 Event = Ready | Progress | Answer | Fault | Alive

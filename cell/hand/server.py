@@ -139,6 +139,8 @@ _LAST_WORDS_S = 0.5
 """Time in s for the other end to take the last messages."""
 _ALIVE_EVERY_S = 0.5
 """Period in s of `Alive` between commands: a tenth of what the client waits."""
+_SHOW_EVERY_S = 0.02
+"""The same while the hand is supervised, so that hosts see it: the period of the tactile frames."""
 
 
 def main(connection_fd: int, stop_fd: int, parent: int) -> None:
@@ -326,18 +328,17 @@ class HandServer:
 
     def _supervise(self) -> None:
         self._outbox.flush()
+        self._look_for_parent()
+        if self._supervised:
+            try:
+                self._hand.tick()
+            except Exception as error:
+                self._stand_by()
+                self._outbox.post(Fault(error=send_error(error), phase=self._hand.phase))
         now_s = time.monotonic()
         if now_s >= self._alive_due_s and self._outbox.empty:
-            self._alive_due_s = now_s + _ALIVE_EVERY_S
-            self._outbox.post(Alive())
-        self._look_for_parent()
-        if not self._supervised:
-            return
-        try:
-            self._hand.tick()
-        except Exception as error:
-            self._stand_by()
-            self._outbox.post(Fault(error=send_error(error), phase=self._hand.phase))
+            self._alive_due_s = now_s + (_SHOW_EVERY_S if self._supervised else _ALIVE_EVERY_S)
+            self._outbox.post(Alive(measured=self._hand.measured))
 
     def _look_for_parent(self) -> None:
         if self._outbox.broken or os.getppid() != self._parent:

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from cell.control.keeping import Keep
+from cell.control.live import LiveValues
 from cell.control.plan import GraspStep, Pose
 from cell.control.positioner import Destination, HostPlaces, OperatorPositioner
 from cell.control.states import CellState, GraspState
@@ -18,6 +19,7 @@ from cell.learning.model import load_model
 from gripper.errors import PartLost, PartSlipped
 from gripper.state import GripperPhase
 from recognition.recognizer import UNKNOWN, Posterior
+from tactile.errors import TactileError
 
 CARRY_N = 4.0
 """Default of `sequence.carry_force_n`."""
@@ -65,6 +67,44 @@ def identify(bench: Any, recognizer: Scripted, keep: Keep, steps: Any = STEPS[:1
 
 
 # -- what is kept ----------------------------------------------------------------------------
+
+
+def test_what_is_shown_of_a_carried_part_is_what_its_supervision_measures(bench: Any) -> None:
+    bench.ready()
+    idle(bench, 0.05)
+    live = bench.controller.live
+    assert live.force_n == pytest.approx(0.0, abs=0.1)
+    assert live.opening_mm == pytest.approx(18.0, abs=0.1)
+    identify(bench, Scripted(SURE), Keep.ALWAYS)
+    shown = []
+    for _ in range(100):
+        idle(bench, 0.01)
+        live = bench.controller.live
+        shown.append(live.force_n)
+        assert live.force_n == pytest.approx(bench.grip_n, abs=0.3)
+        assert live.setpoint_n == CARRY_N
+        assert live.force_age_s <= 0.01
+        assert live.frame_age_s <= 0.05
+    assert len(set(shown)) > 90
+    counts = live.counts
+    idle(bench, 0.05)
+    assert np.any(bench.controller.live.counts != counts)
+
+
+def test_what_is_not_measured_is_not_shown_and_its_age_grows(bench: Any) -> None:
+    bench.ready()
+    identify(bench, Scripted(SURE), Keep.ALWAYS)
+    bench.sleep(2.0)  # nobody ticks
+    live = bench.controller.live
+    assert live.force_age_s == pytest.approx(2.0, abs=0.05)
+    assert live.frame_age_s == pytest.approx(2.0, abs=0.05)
+    none = (live.force_n, live.setpoint_n, live.opening_mm, live.temperature_c, live.counts)
+    assert none == (None,) * 5
+    bench.simulated.inject("unit.off")
+    with pytest.raises(TactileError):
+        idle(bench, 1.0)
+    assert bench.controller.state is CellState.ABORTED
+    assert bench.controller.live == LiveValues()
 
 
 def test_a_named_part_is_held_for_the_host_until_it_is_released(bench: Any) -> None:

@@ -18,7 +18,7 @@ from cell import errors as cell_errors
 from cell.config.model import CellConfig
 from cell.errors import CellStopped, HostSilent
 from cell.hand import messages, server
-from cell.hand.interface import HandStatistics
+from cell.hand.interface import HandStatistics, Measured
 from cell.hand.messages import (
     Alive,
     Answer,
@@ -150,7 +150,7 @@ EVENTS = [
     Ready(notes=("the memory is not locked",), statistics=statistics()),
     ANSWER,
     Fault(error=send_error(BusTimeout("no answer")), phase=GripperPhase.OFF),
-    Alive(),
+    Alive(measured=Measured()),
 ]
 
 
@@ -239,6 +239,7 @@ class FakeHand:
     period_s = 0.001
     phase = GripperPhase.HOLDING
     statistics = statistics()
+    measured = Measured()
 
     def __init__(self) -> None:
         self.calls: list[str] = []
@@ -271,6 +272,7 @@ class FakeHand:
 
     def tick(self) -> None:
         self.calls.append("tick")
+        self.measured = Measured(cycle=cycle(float(len(self.calls))), frame=frame())
         if self.tick_error is not None:
             raise self.tick_error
 
@@ -419,6 +421,24 @@ def test_a_message_that_finds_nobody_is_given_up_at_once(line: Line) -> None:
     assert line.outbox.broken
     assert time.monotonic() - begin_s < 1.0
     line.server.serve()
+
+
+def test_between_commands_the_process_sends_what_the_supervision_measures(
+    line: Line, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    now_s = 100.0
+    monkeypatch.setattr(server, "time", SimpleNamespace(monotonic=lambda: now_s))
+    seen: list[float] = []
+    for _ in range(200):
+        now_s += 0.005
+        line.server._supervise()
+        while line.near.poll(0.0):
+            seen.append(
+                line.near.recv().measured.cycle.t_s if seen else len(line.near.recv_bytes())
+            )
+    assert 40 <= len(seen) <= 51
+    assert seen[0] < 4000  # bytes
+    assert len(set(seen[1:])) == len(seen) - 1
 
 
 def test_between_commands_the_process_says_now_and_then_that_it_is_there(
