@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from cell.hand.interface import Measured
 
 FRESH_S = 0.5
-"""Age in s beyond which a value counts as not measured: frames come each 0.02 s, periods of the loop
-each 0.005 s, and a busy machine may hold the program up for some tenths of a second."""
+"""Age in s beyond which a value counts as not measured: frames come each 0.02 s, periods of the
+loop each 0.005 s, and a busy machine may hold the program up for some tenths of a second."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
