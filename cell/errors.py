@@ -73,5 +73,9 @@ class NotInCommand(CellError):
     """A client commands without the lease: another one has it, or it has expired."""
 
 
+class NotMeasured(CellError):
+    """A value was asked for that is not measured at the moment."""
+
+
 class CellStopped(CellError):
     """The sequence was stopped on request; the grip is kept until it is released on purpose."""

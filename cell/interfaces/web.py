@@ -11,7 +11,7 @@ import secrets
 import socket
 import threading
 from collections.abc import Awaitable, Callable, MutableMapping
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -24,7 +24,7 @@ from pydantic import BaseModel, ConfigDict
 from starlette.websockets import WebSocketDisconnect
 
 from cell.control.plan import Pose
-from cell.control.states import Command
+from cell.control.states import CellStatus, Command
 from cell.errors import CellError, CellStateError, ConfigError, NotInCommand, RequestRefused
 from cell.fault_catalogue import fault_number
 from cell.interfaces.service.doors import BUSY_MAX, QUIET_S, may_connect
@@ -86,11 +86,12 @@ class PoseBody(_Body):
 
 def snapshot_json(now: Snapshot) -> dict[str, Any]:
     """Return everything but the counts of the taxels as plain data."""
-    live = {name: getattr(now.live, name) for name in now.live.__slots__ if name != "counts"}
+    live = now.status.live
     return {
-        "status": asdict(now.status),
+        "status": {one.name: getattr(now.status, one.name) for one in fields(CellStatus)},
         "job": asdict(now.job),
-        "live": live,
+        "last_answer": None if now.last_answer is None else asdict(now.last_answer),
+        "live": {name: getattr(live, name) for name in live.__slots__ if name != "counts"},
         "commander": now.commander,
         "pose_seq": now.pose_seq,
         "pose": None if now.pose is None else now.pose.as_dict(),
@@ -146,7 +147,7 @@ class Api:
         return self._service.info()
 
     def state(self) -> dict[str, Any]:
-        """States, newest job, live values, pose that is waited for."""
+        """States, newest job, last answer, live values (null: not measured), pose waited for."""
         return snapshot_json(self._service.snapshot())
 
     def job(self, number: int) -> dict[str, Any]:
@@ -211,8 +212,9 @@ class Api:
                 now = self._service.snapshot()
                 async with asyncio.timeout(QUIET_S):
                     await link.send_text(json.dumps(snapshot_json(now)))
-                    if asked.get("frames") == "1" and now.live.counts is not None:
-                        await link.send_bytes(now.live.counts.astype("<u2").tobytes())
+                    counts = now.status.live.counts
+                    if asked.get("frames") == "1" and counts is not None:
+                        await link.send_bytes(counts.astype("<u2").tobytes())
                 await asyncio.wait([gone], timeout=1.0 / RATE_HZ)
         except (WebSocketDisconnect, TimeoutError, RuntimeError):
             return  # the client is gone or takes nothing

@@ -18,6 +18,7 @@ from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
 from cell.config.serve import ServeConfig
 from cell.control.plan import Pose
 from cell.control.states import Command
+from cell.errors import NotMeasured
 from cell.fault_catalogue import fault_number
 from cell.interfaces.service.doors import BUSY_MAX, may_connect
 from cell.interfaces.service.service import Service
@@ -43,6 +44,12 @@ def ur_pose(pose: Pose | None) -> dict[str, float]:
     scale = angle_rad / length if length else 0.0
     rotation = dict(zip(("rx", "ry", "rz"), (scale * part for part in axis), strict=True))
     return {"x": pose.x_m, "y": pose.y_m, "z": 0.0} | rotation
+
+
+def _measured(value: float | None) -> float:
+    if value is None:
+        raise NotMeasured("the value is not measured at the moment; read the state of the cell")
+    return value
 
 
 class Calls:
@@ -86,6 +93,22 @@ class Calls:
     def holding(self) -> bool:
         """Return whether a part may be in the grip."""
         return self._service.status().holding
+
+    def force(self) -> float:
+        """Return the grip force in N; -515 where it is not measured."""
+        return _measured(self._service.status().live.force_n)
+
+    def force_age(self) -> float:
+        """Return the age in s of the newest valid force; -515 where none was measured."""
+        return _measured(self._service.status().live.force_age_s)
+
+    def opening(self) -> float:
+        """Return the opening between the fingers in mm; -515 where it is not measured."""
+        return _measured(self._service.status().live.opening_mm)
+
+    def frame_age(self) -> float:
+        """Return the age in s of the newest frame of the taxels; -515 where none was measured."""
+        return _measured(self._service.status().live.frame_age_s)
 
     def next_job(self) -> int:
         """Return the number of the next job: given to a command, it makes repeating it harmless."""
@@ -140,6 +163,14 @@ class Calls:
     def job_fault(self, job: int) -> int:
         """Return the fault number of a job that failed; 0 else."""
         return self._service.job(job).fault_number
+
+    def last_answer(self) -> int:
+        """Return the job of the last identification, for `label_id` and others; 0: no answer.
+
+        It stays until the next identification begins, whatever jobs come in between.
+        """
+        answer = self._service.status().last_answer
+        return 0 if answer is None else answer.job
 
     def label_id(self, job: int) -> int:
         """Return the id of the label found, from 1; 0 while not known, and for UNKNOWN."""
@@ -199,7 +230,7 @@ def _harmless(name: str, call: Callable[..., Any]) -> Callable[..., Any]:
             # Wrong arguments (TypeError) are the request's fault, as a wrong value is.
             number = 501 if isinstance(error, TypeError) else fault_number(error)
             found = _EMPTY.get(name, -number)
-            return float(found) if name == "probability" else found
+            return float(found) if call.__annotations__["return"] is float else found
 
     return called
 

@@ -21,7 +21,7 @@ from cell.interfaces.modbus.protocol import (
     ModbusServer,
 )
 from cell.interfaces.service.doors import may_connect
-from cell.interfaces.service.service import Service, Snapshot
+from cell.interfaces.service.service import JobView, Service, Snapshot
 from recognition.recognizer import UNKNOWN
 
 SIGNATURE = 0x5443
@@ -43,15 +43,39 @@ READY, REMOTE, RUNNING, DONE, REFUSED, FAULT, HOLDING, NO_PART, LOST, UNNAMED, N
 """Bits of the third input register; `REMOTE`: the lease is with Modbus."""
 
 
+NOT_MEASURED = 0x8000
+"""Force, opening and temperature that are not measured: -32768 as two's complement."""
+OLDEST_MS = 0x7FFF
+"""Age in ms of what is older, or was never measured: too old for every host, signed or not."""
+ANSWERED, ANSWER_UNKNOWN, ANSWER_KEPT = 1, 2, 4
+"""Bits of the last identification: it has an answer; that is UNKNOWN; its part was kept."""
+
+
 def _word(value: float | None, unit: float = 1.0) -> int:
     """Return a value in units as 16 bit, two's complement, limited to what fits; 0 for None."""
     number = 0 if value is None else round(value / unit)
     return max(-0x8000, min(0xFFFF, number)) & 0xFFFF
 
 
+def _measured(value: float | None, unit: float = 1.0) -> int:
+    if value is None:
+        return NOT_MEASURED
+    return max(-0x7FFF, min(0x7FFF, round(value / unit))) & 0xFFFF
+
+
+def _age(age_s: float | None) -> int:
+    return OLDEST_MS if age_s is None else min(OLDEST_MS, round(1e3 * age_s))
+
+
 def input_registers(now: Snapshot, *, life: int, remote: bool, seq: int, result: int) -> list[int]:
     """Return all input registers of one moment."""
-    status, job, pose, live = now.status, now.job, now.pose, now.live
+    status, job, pose, live = now.status, now.job, now.pose, now.status.live
+    answer = now.last_answer or JobView()
+    flags = (
+        (ANSWERED, answer.number > 0),
+        (ANSWER_UNKNOWN, answer.label == UNKNOWN),
+        (ANSWER_KEPT, answer.kept),
+    )
     bits = (
         (READY, status.state == CellState.IDLE),
         (REMOTE, remote),
@@ -76,19 +100,22 @@ def input_registers(now: Snapshot, *, life: int, remote: bool, seq: int, result:
         status.fault_number or job.fault_number,
         job.number & 0xFFFF,
         job.outcome_number,
-        job.label_id,
-        _word(job.probability, 1e-4),
+        answer.label_id,
+        _word(answer.probability, 1e-4),
         job.n_grasps,
-        _word(live.force_n, 0.01),
-        _word(live.opening_mm, 0.01),
-        _word(job.size_mm, 0.01),
+        _measured(live.force_n, 0.01),
+        _measured(live.opening_mm, 0.01),
+        _word(answer.size_mm, 0.01),
         now.pose_seq,
         _word(None if pose is None else pose.x_m, 1e-5),
         _word(None if pose is None else pose.y_m, 1e-5),
         _word(None if pose is None else degrees(pose.rotation_rad), 0.1),
         _word(None if pose is None else degrees(pose.roll_rad), 0.1),
-        _word(live.frame_age_s, 1e-3),
-        _word(live.temperature_c),
+        _age(live.frame_age_s),
+        _measured(live.temperature_c),
+        _age(live.force_age_s),
+        answer.number & 0xFFFF,
+        sum(bit for bit, on in flags if on),
     ]
     text = (status.fault or job.error).encode("ascii", "replace")[: 2 * (N_INPUT - TEXT_AT)]
     text += bytes(2 * (N_INPUT - TEXT_AT) - len(text))

@@ -40,7 +40,16 @@ class Value(NamedTuple):
 
 
 def _counts(now: Snapshot) -> list[int] | None:
-    return None if now.live.counts is None else now.live.counts.tolist()
+    counts = now.status.live.counts
+    return None if counts is None else counts.tolist()
+
+
+def _live(name: str) -> Callable[[Snapshot], Any]:
+    return lambda now: getattr(now.status.live, name)
+
+
+def _last(name: str) -> Callable[[Snapshot], Any]:
+    return lambda now: getattr(now.last_answer, name, None)
 
 
 PLATE = (
@@ -58,10 +67,11 @@ VALUES = (
     Value("Grip.Number", _INT, "State, 0 to 7", lambda now: now.status.grasp_number),
     Value("Grip.Name", _TEXT, "State", lambda now: now.status.grasp),
     Value("Grip.Holding", _BOOL, "A part may be held", lambda now: now.status.holding),
-    Value("Grip.Force", _REAL, "N", lambda now: now.live.force_n),
-    Value("Grip.Setpoint", _REAL, "Force asked for, N", lambda now: now.live.setpoint_n),
-    Value("Grip.Opening", _REAL, "mm", lambda now: now.live.opening_mm),
-    Value("Grip.Temperature", _REAL, "Warmest servo, deg C", lambda now: now.live.temperature_c),
+    Value("Grip.Force", _REAL, "N", _live("force_n")),
+    Value("Grip.ForceAge", _REAL, "Of the newest valid force, s", _live("force_age_s")),
+    Value("Grip.Setpoint", _REAL, "Force asked for, N", _live("setpoint_n")),
+    Value("Grip.Opening", _REAL, "mm", _live("opening_mm")),
+    Value("Grip.Temperature", _REAL, "Warmest servo, deg C", _live("temperature_c")),
     Value("Job.Number", _INT, "The newest; 0: none", lambda now: now.job.number),
     Value("Job.Task", _TEXT, "What was asked for", lambda now: now.job.task),
     Value("Job.State", _INT, "As job_state", lambda now: now.job.outcome_number),
@@ -74,14 +84,19 @@ VALUES = (
     Value("Job.Size", _REAL, "mm; 0: not felt", lambda now: now.job.size_mm),
     Value("Job.Grasps", _INT, "Grasps so far", lambda now: now.job.n_grasps),
     Value("Job.Kept", _BOOL, "The part is kept", lambda now: now.job.kept),
+    Value("LastAnswer.Job", _INT, "Of the last identification", _last("number")),
+    Value("LastAnswer.Label", _TEXT, "What it found", _last("label")),
+    Value("LastAnswer.LabelId", _INT, "From 1; 0: unknown", _last("label_id")),
+    Value("LastAnswer.Probability", _REAL, "Of the label, 0 to 1", _last("probability")),
+    Value("LastAnswer.Kept", _BOOL, "The part was kept", _last("kept")),
     Value("Pose.Number", _INT, "The one waited for; 0: none", lambda now: now.pose_seq),
     Value("Pose.Value", _REAL, "m, rotation vector", lambda now: list(ur_pose(now.pose).values())),
     Value("Taxels", _COUNT, "Counts of the newest frame", _counts),
-    Value("FrameAge", _REAL, "Of that frame, s", lambda now: now.live.frame_age_s),
+    Value("FrameAge", _REAL, "Of that frame, s", _live("frame_age_s")),
     Value("FaultNumber", _INT, "The latched one; 0: none", lambda now: now.status.fault_number),
     Value("FaultText", _TEXT, "The latched one", lambda now: now.status.fault or ""),
 )
-"""Variables that are taken from a snapshot; what was not measured yet has a bad status."""
+"""Variables that are taken from a snapshot; what is not there at the moment has a bad status."""
 ARRAYS = ("Identification.Labels", "Pose.Value", "Taxels")
 """Paths of variables that are arrays."""
 
@@ -173,7 +188,7 @@ class OpcUaDoor:
     async def _show(self, server: CellServer, space: int) -> None:
         """Write all values; where the cell cannot be asked, all of them are bad."""
         found: dict[str, Any] = {}
-        missing = StatusCodes.BadWaitingForInitialData
+        missing = StatusCodes.BadNoData
         try:
             now = await asyncio.to_thread(self._service.snapshot)
             found = {one.path: one.of(now) for one in VALUES}

@@ -4,11 +4,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Self
 
+from cell.control.states import CellStatus
 from recognition.recognizer import UNKNOWN
 
 if TYPE_CHECKING:
     from cell.control.identification import Identification
     from cell.control.keeping import HeldCheck
+    from cell.control.live import LiveValues
     from recognition.drift.estimate import DriftEstimate
     from recognition.shape.answer import ShapeAnswer
 
@@ -93,6 +95,8 @@ class Answer:
         Message for the operator, as that the sensors have drifted: once, empty otherwise.
     kept
         Whether the part is still in the grip, for the host to release where it wants it.
+    job
+        Number of the job that found it.
     """
 
     label: str
@@ -104,6 +108,7 @@ class Answer:
     drift: "DriftEstimate | None" = None
     occasion: str = ""
     remark: str = ""
+    job: int = 0
 
     @property
     def probability(self) -> float:
@@ -129,6 +134,23 @@ class Answer:
             remark=found.remark,
             kept=found.kept,
         )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HostStatus(CellStatus):
+    """States of cell and grip, and what a host that carries a part needs beside them.
+
+    Attributes
+    ----------
+    live
+        Force, opening, temperature and taxels as they are measured at the moment.
+    last_answer
+        Answer of the last identification, whatever jobs came after it; None from the beginning of
+        the next identification or sort on, until the identification has succeeded.
+    """
+
+    live: "LiveValues" = field(compare=False)
+    last_answer: Answer | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -13,6 +13,7 @@ import weakref
 from collections import deque
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
 
@@ -21,7 +22,13 @@ from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.control.states import CellState, CellStatus, Command
 from cell.errors import PartInGrip, error_text
-from cell.interfaces.plugin.answer import Answer, FeltShape, SortAnswer, Verification
+from cell.interfaces.plugin.answer import (
+    Answer,
+    FeltShape,
+    HostStatus,
+    SortAnswer,
+    Verification,
+)
 from cell.interfaces.plugin.goals import (
     Goal,
     GripGoal,
@@ -37,15 +44,14 @@ from gripper.errors import ServoFault
 
 if TYPE_CHECKING:
     from cell.control.controller import CellController
-    from cell.control.live import LiveValues
     from cell.control.positioner import Places
     from gripper.state import ReleaseReport
 
 __all__ = [
     "Answer",
-    "CellStatus",
     "FeltShape",
     "GripGoal",
+    "HostStatus",
     "IdentifyGoal",
     "JobFailed",
     "JobOutcome",
@@ -58,6 +64,8 @@ __all__ = [
 ]
 
 
+_NAMING = ("identify", "sort")
+"""Tasks that name parts: an earlier answer is not that of their part."""
 _REMARKS_MAX = 1000
 """Remarks that wait for the thread of the cell; the oldest go first."""
 
@@ -151,6 +159,7 @@ class TactileCellPlugin:
         )
         self._cell = build_cell(checked, folder=folder, mover=mover, places=places)
         self._remarks: deque[tuple[str, str]] = deque(maxlen=_REMARKS_MAX)
+        self._last_answer: deque[Answer] = deque(maxlen=1)
         try:
             self._cell.controller.start()
         except (ServoFault, PartInGrip):
@@ -201,20 +210,21 @@ class TactileCellPlugin:
         with self._calling():
             return self._cell.controller.state.value
 
-    def status(self) -> CellStatus:
-        """Return the states of cell and grip, with their numbers."""
+    def status(self) -> HostStatus:
+        """Return the states of cell and grip, the live values, and the last answer."""
         with self._calling():
-            return self._cell.controller.status
+            controller = self._cell.controller
+            states = controller.status
+            return HostStatus(
+                **{one.name: getattr(states, one.name) for one in fields(CellStatus)},
+                live=controller.live,
+                last_answer=next(iter(self._last_answer), None),
+            )
 
     def fault(self) -> str | None:
         """Return the latched fault as text; None where there is none."""
         with self._calling():
             return self._cell.controller.fault
-
-    def live(self) -> "LiveValues":
-        """Return what was measured last: force, opening, temperature, counts of the taxels."""
-        with self._calling():
-            return self._cell.controller.live
 
     def alive(self) -> None:
         """Count as a call of the host, and do nothing else; see ``host_timeout_s``."""
@@ -452,17 +462,26 @@ class TactileCellPlugin:
     def _accept(self, work: Callable[[Report], Any], command: Command | None, task: str) -> Job:
         """Start a job that no earlier `cancel` is meant for, where its command is allowed now."""
         controller, remarks = self._cell.controller, self._remarks
+        last_answer, number = self._last_answer, 0
 
-        def accepted() -> None:
+        def accepted(job: Job) -> None:
+            nonlocal number
             if command is not None:
                 controller.check(command)
             controller.forget_cancel()
+            number = job.number
+            if task in _NAMING:
+                last_answer.clear()
 
         def recorded(report: Report) -> Any:
             _write_remarks(controller, remarks)
             end = "succeeded"
             try:
-                return work(report)
+                value = work(report)
+                if isinstance(value, Answer):
+                    value = replace(value, job=number)
+                    last_answer.append(value)
+                return value
             except BaseException as error:
                 end = f"failed: {error_text(error)}"
                 raise

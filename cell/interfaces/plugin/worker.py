@@ -1,7 +1,6 @@
 """The worker: one thread that owns a cell, runs its jobs, and supervises it in between."""
 
 import functools
-import itertools
 import queue
 import threading
 import uuid
@@ -125,7 +124,7 @@ class CellWorker:
         self._refusing = False
         self._changed = threading.Condition()
         self._status: dict[Job, JobStatus] = {}
-        self._numbers = itertools.count(1)
+        self._newest = 0
         self._idle_error: Exception | None = None
         self._thread = threading.Thread(
             target=_serve,
@@ -136,7 +135,7 @@ class CellWorker:
         self._thread.start()
 
     def start(
-        self, work: Callable[[Report], Any], *, accepted: Callable[[], None] = lambda: None
+        self, work: Callable[[Report], Any], *, accepted: Callable[[Job], None] = lambda _job: None
     ) -> Job:
         """Accept a job; return at once.
 
@@ -145,7 +144,8 @@ class CellWorker:
         work
             The job; it gets a function to report its progress with.
         accepted
-            Called once no other job runs and before this one does; what it raises refuses the job.
+            Called with the job once no other one runs and before this one does; what it raises
+            refuses the job.
 
         Raises
         ------
@@ -160,8 +160,9 @@ class CellWorker:
                 raise CellStateError(
                     f"job {running[0].number} is not over; wait for its result or cancel it"
                 )
-            accepted()
-            job = Job(next(self._numbers), self._name)
+            job = Job(self._newest + 1, self._name)
+            accepted(job)
+            self._newest = job.number
             self._status[job] = JobStatus(outcome=JobOutcome.ACCEPTED, progress={})
             if len(self._status) > KEPT_JOBS:
                 del self._status[next(iter(self._status))]

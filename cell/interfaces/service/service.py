@@ -15,11 +15,10 @@ from pathlib import Path
 from typing import Any
 
 from cell.config.model import CellConfig
-from cell.control.live import LiveValues
 from cell.control.plan import Pose
-from cell.control.states import CellStatus, Command
+from cell.control.states import Command
 from cell.errors import CellError, NotInCommand, RequestRefused, error_text
-from cell.interfaces.plugin.answer import Answer, Verification
+from cell.interfaces.plugin.answer import Answer, HostStatus, Verification
 from cell.interfaces.plugin.goals import Goal, GripGoal, IdentifyGoal, checked_goal
 from cell.interfaces.plugin.plugin import TactileCellPlugin
 from cell.interfaces.plugin.worker import KEPT_JOBS, Job, JobOutcome, JobStatus
@@ -90,17 +89,21 @@ class Snapshot:
 
     Attributes
     ----------
-    status, job, live
-        States, newest job, what was measured last.
+    status
+        States, live values, last answer.
+    job
+        The newest job.
+    last_answer
+        The job of the last answer of an identification, as `HostStatus.last_answer`, for doors.
     commander
         Name of the client with the lease; empty for none.
     pose_seq, pose
         The pose that the host shall reach and its number; 0 and None where none is waited for.
     """
 
-    status: CellStatus
+    status: HostStatus
     job: JobView
-    live: LiveValues
+    last_answer: JobView | None
     commander: str
     pose_seq: int
     pose: Pose | None
@@ -188,17 +191,20 @@ class Service:
     def snapshot(self) -> Snapshot:
         """Return everything that doors show."""
         with self._lock:
+            # The job before the answer, which stands there before the job has succeeded.
+            job = self.job()
+            status = self.status()
             return Snapshot(
-                status=self._plugin.status(),
-                job=self.job(),
-                live=self._plugin.live(),
+                status=status,
+                job=job,
+                last_answer=self._answered(status),
                 commander="" if self._lease is None else self._lease.name,
                 pose_seq=self._pose_seq if self._pose is not None else 0,
                 pose=self._pose,
             )
 
-    def status(self) -> CellStatus:
-        """Return the states of cell and grip."""
+    def status(self) -> HostStatus:
+        """Return the states of cell and grip, the live values, and the last answer."""
         return self._plugin.status()
 
     def job(self, number: int | None = None) -> JobView:
@@ -208,6 +214,9 @@ class Service:
             if wanted == 0 and number is None:
                 return JobView()
             if wanted not in self._jobs:
+                last = self._answered(self.status())
+                if last is not None and last.number == wanted:
+                    return last
                 raise RequestRefused(f"there is no job {wanted}; the newest is {self._newest}")
             job, task, _ = self._jobs[wanted]
             return self._view(wanted, task, self._plugin.feedback(job))
@@ -450,6 +459,14 @@ class Service:
             self._plugin.save(self._save)
         except (CellError, OSError) as error:
             self._note(f"the model could not be written: {error}")
+
+    def _answered(self, status: HostStatus) -> JobView | None:
+        """Return the job of the last answer, also where it is no longer among those kept."""
+        answer = status.last_answer
+        if answer is None:
+            return None
+        ended = JobStatus(outcome=JobOutcome.SUCCEEDED, progress={}, value=answer)
+        return self._view(answer.job, "identify", ended)
 
     def _view(self, number: int, task: str, status: JobStatus) -> JobView:
         view = JobView(

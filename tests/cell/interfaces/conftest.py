@@ -78,6 +78,14 @@ class Served:
         """Wait for the end of a job and return it."""
         return until(lambda: (job := self.service.job(number)).outcome_number >= 4 and job)
 
+    def carry(self, seconds: float = 0.05) -> None:
+        """Let the cell's time pass while nothing runs, supervised as in real time."""
+        plugin = self.service._plugin
+        end_s = self.simulated.clock.monotonic() + seconds
+        while self.simulated.clock.monotonic() < end_s:
+            self.simulated.clock.sleep(0.005)
+            plugin._worker.supervise()
+
     def pass_lease(self) -> None:
         """Let the time of the lease pass."""
         self.clock.now_s += LEASE_S + 1.0

@@ -28,14 +28,15 @@ from asyncua.server.internal_session import InternalSession
 from asyncua.ua.uaerrors import (
     BadCertificateUntrusted,
     BadIdentityTokenRejected,
+    BadNoData,
     BadServiceUnsupported,
     BadSessionIdInvalid,
     BadUserAccessDenied,
-    BadWaitingForInitialData,
 )
 from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
+from cell.control.states import Command
 from cell.errors import CellError, ConfigError
 from cell.interfaces.opc_ua import server as opc_ua_server
 from cell.interfaces.opc_ua.door import NAMESPACE, PERIOD_S, PLATE, VALUES, OpcUaDoor
@@ -318,8 +319,8 @@ def test_a_trusted_client_identifies_keeps_and_releases(open_cell: Any, plc: Ide
 
     async def work() -> None:
         async with linked(served, plc) as link:
-            with pytest.raises(BadWaitingForInitialData):
-                await link.read("Taxels")
+            with pytest.raises(BadNoData):
+                await link.read("LastAnswer.Label")
             lease = await link.call("acquire", "plc")
             await link.until("State.Commander", lambda name: name == "plc")
             assert await link.call("identify", lease, 1, 0.0, True, 1) == 1
@@ -336,6 +337,10 @@ def test_a_trusted_client_identifies_keeps_and_releases(open_cell: Any, plc: Ide
             assert (shown["State.Number"], shown["State.Name"]) == (17, "COMPLETE")
             assert shown["Grip.Holding"]
             assert shown["Grip.Force"] > 1.0
+            assert (shown["Grip.ForceAge"] < 0.1, shown["FrameAge"] < 0.1) == (True, True)
+            answer = [shown[f"LastAnswer.{name}"] for name in ("Job", "Label", "LabelId", "Kept")]
+            assert answer == [1, "ball", 1, True]
+            assert shown["LastAnswer.Probability"] == job.probability
             assert len(shown["Taxels"]) == served.service.info()["n_taxels"]
             assert max(shown["Taxels"]) > 0
             assert shown["FaultNumber"] == 0
@@ -347,6 +352,12 @@ def test_a_trusted_client_identifies_keeps_and_releases(open_cell: Any, plc: Ide
             await link.ended(2)
             await link.until("State.Name", lambda name: name == "IDLE")
             assert served.grip_n == 0.0
+            assert await link.read("LastAnswer.LabelId") == 1
+            served.service.command(lease, Command.SHUTDOWN)
+            await link.until("State.Name", lambda name: name == "STOPPED")
+            for path in ("Grip.Force", "Grip.ForceAge", "Grip.Opening", "FrameAge", "Taxels"):
+                with pytest.raises(BadNoData):
+                    await link.read(path)
 
     asyncio.run(work())
 

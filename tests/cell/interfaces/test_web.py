@@ -88,12 +88,25 @@ def test_a_host_identifies_keeps_verifies_and_releases(connect: Any) -> None:
     now = host.get("/api/state")
     assert now["status"]["state"] == "COMPLETE"
     assert now["live"]["force_n"] > 1.0
+    assert now["live"].keys() == {
+        "force_n",
+        "force_age_s",
+        "setpoint_n",
+        "opening_mm",
+        "temperature_c",
+        "frame_age_s",
+    }
     assert (now["commander"], now["job"]) == ("host", job)
+    assert now["last_answer"] == job | {"progress": {}}
     assert host.ask("POST", "/api/commands", {"lease": lease, "command": "release"})[0] == 422
     assert served.grip_n > 1.0
     done = host.post("/api/commands", lease=lease, command="release", key=RELEASE_KEY)
     assert served.ended(done["job"]).outcome == "SUCCEEDED"
     assert served.grip_n == 0.0
+    assert host.get("/api/state")["last_answer"]["label"] == "box"
+    done = host.post("/api/commands", lease=lease, command="shutdown")
+    served.ended(done["job"])
+    assert set(host.get("/api/state")["live"].values()) == {None}
     assert host.ask("DELETE", f"/api/lease/{lease}") == (200, {"lease": 0})
 
 

@@ -63,9 +63,13 @@ def test_a_robot_program_identifies_keeps_verifies_and_releases(connect: Any) ->
     assert cell.label(job) == served.service.labels[cell.label_id(job) - 1]
     assert 0.5 < cell.probability(job) <= 1.0
     assert (cell.state(), cell.holding(), cell.same(job)) == (17, True, -1)
+    assert (cell.force() > 1.0, cell.opening() > 5.0) == (True, True)
+    assert (0.0 <= cell.force_age() < 0.1, 0.0 <= cell.frame_age() < 0.1) == (True, True)
+    found = cell.label_id(job)
     job = cell.verify(lease)
     until(lambda: cell.job_state(job) == 4)
     assert cell.same(job) == 1
+    assert (cell.last_answer(), cell.label_id(cell.last_answer())) == (1, found)
     assert cell.release(lease, 0) == -513
     job = cell.release(lease, RELEASE_KEY)
     until(lambda: cell.job_state(job) == 4)
@@ -110,6 +114,8 @@ def test_clear_restarts_a_servo_at_fault_where_that_is_asked_for(connect: Any) -
     cell.clear(lease)
     assert served.ended(2).fault_number == 109
     assert cell.state() == 9
+    shown = (cell.force(), cell.force_age(), cell.opening(), cell.frame_age())
+    assert (shown, cell.last_answer()) == ((-515.0,) * 4, 0)
     cell.clear(lease, 0, True)
     assert served.ended(3).outcome == "SUCCEEDED"
     assert (cell.fault_number(), cell.needs_reset()) == (0, True)

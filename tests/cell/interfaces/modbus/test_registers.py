@@ -12,6 +12,8 @@ import pytest
 from pymodbus.client import ModbusTcpClient
 
 from cell.interfaces.modbus.registers import (
+    ANSWER_KEPT,
+    ANSWERED,
     COMMAND,
     COMMAND_SEQ,
     DONE,
@@ -19,6 +21,8 @@ from cell.interfaces.modbus.registers import (
     HOLDING,
     LIFE,
     NEEDS_RESET,
+    NOT_MEASURED,
+    OLDEST_MS,
     READY,
     REFUSED,
     REMOTE,
@@ -110,12 +114,43 @@ def test_a_plc_identifies_keeps_verifies_and_releases(connect: Any) -> None:
     assert 400 < inputs[14] < 1100  # opening around a part of 9.5 or 10 mm in foam
     assert 800 < inputs[15] < 1100
     assert inputs[22] in range(20, 40)
+    answer = [*inputs[10:12], inputs[15], *inputs[24:26]]
+    assert answer[3:] == [1, ANSWERED | ANSWER_KEPT]
     assert plc.command(VERIFY) == 0
     assert served.ended(2).same
     assert plc.command(RELEASE, 0, 0, 0, 0, RELEASE_KEY) == 0
     assert served.ended(3).outcome == "SUCCEEDED"
     inputs = plc.inputs()
+    assert [*inputs[10:12], inputs[15], *inputs[24:26]] == answer
     assert (inputs[2], inputs[3], served.grip_n) == (READY | REMOTE | DONE, 4, 0.0)
+
+
+def test_a_plc_sees_force_and_age_of_a_carried_part_live(connect: Any) -> None:
+    served, plc = connect()
+    plc.adopt()
+    assert plc.command(GRIP, 0, 300) == 0
+    served.ended()
+    forces = []
+    for _ in range(20):
+        served.carry()
+        inputs = plc.inputs()
+        forces.append(inputs[13])
+        assert inputs[13] == pytest.approx(served.grip_n * 100, abs=100)
+        assert (inputs[21] <= 40, inputs[23] <= 10) == (True, True)
+    assert len(set(forces)) > 10
+    served.simulated.clock.sleep(0.4)  # the supervision is held up: an age says so
+    assert 400 <= plc.inputs()[23] <= 420
+    served.simulated.clock.sleep(40.0)
+    inputs = plc.inputs()
+    assert inputs[13:15] + inputs[21:24] == [NOT_MEASURED] * 2 + [
+        OLDEST_MS,
+        NOT_MEASURED,
+        OLDEST_MS,
+    ]
+    served.simulated.inject("unit.off")
+    served.carry(1.0)
+    inputs = plc.inputs()
+    assert (inputs[3], inputs[13], inputs[21]) == (9, NOT_MEASURED, OLDEST_MS)
 
 
 def test_a_zeroed_stale_or_wrong_key_lets_nothing_go(connect: Any) -> None:
@@ -396,12 +431,18 @@ def test_the_function_block_of_the_example_walks_through_a_whole_cycle(connect: 
     served.ended()
     cycle()
     assert (block["State"], block["Outcome"], block["Holding"]) == (17, 4, True)
+    assert (block["Answered"], block["LabelId"], block["AnswerJob"]) == (True, 1, 1)
+    served.carry()
+    cycle()
+    assert (block["GripForce"] > 50, block["GripForceAge"] < 100) == (True, True)
+    run(Command=VERIFY)
+    assert (block["Done"], block["LabelId"], block["AnswerJob"]) == (True, 1, 1)
     # Held Execute is no second command; a refused command says so.
     for _ in range(3):
         cycle(Execute=True, Command=RESET)
     until(lambda: cycle(Execute=True, Command=RESET)["Ready"])
     assert (block["Refused"], block["ResultCode"]) == (True, 505)
-    assert served.service.job().number == 1
+    assert served.service.job().number == 2
     assert served.grip_n > 0.5
     # A lost connection begins anew, and nothing is replayed.
     cycle(Connected=False, **release)
@@ -409,7 +450,7 @@ def test_the_function_block_of_the_example_walks_through_a_whole_cycle(connect: 
     plc.link.close()
     assert plc.link.connect()
     until(lambda: cycle()["Ready"])
-    assert served.service.job().number == 1
+    assert served.service.job().number == 2
     run(**release)
     assert (block["Done"], block["Outcome"]) == (True, 4)
     assert (served.state, served.grip_n) == ("IDLE", 0.0)

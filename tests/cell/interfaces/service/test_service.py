@@ -10,6 +10,8 @@ import pytest
 from cell.control.states import Command
 from cell.data.recording_reader import read_recording
 from cell.errors import CellStateError, ConfigError, NotInCommand, RequestRefused
+from cell.interfaces.plugin import worker
+from cell.interfaces.service import service as service_module
 from cell.interfaces.service.doors import may_connect
 from cell.interfaces.service.service import RELEASE_KEY
 from tests.cell.interfaces.conftest import LEASE_S, until
@@ -140,7 +142,7 @@ def test_an_identification_keeps_verifies_and_releases(serve: Any) -> None:
     assert (job.task, job.outcome, job.outcome_number) == ("identify", "SUCCEEDED", 4)
     assert (job.label, job.label_id, job.kept, job.n_grasps) == ("ball", 1, True, 1)
     assert 0.5 < job.probability <= 1.0
-    assert served.service.snapshot().live.force_n > 1.0
+    assert served.service.status().live.force_n > 1.0
     served.service.start(lease, {"task": "verify"})
     job = served.ended(2)
     assert (job.held, job.same, job.kept) == (True, True, True)
@@ -154,6 +156,56 @@ def test_an_identification_keeps_verifies_and_releases(serve: Any) -> None:
     assert served.service.job(1).label == "ball"
     with pytest.raises(RequestRefused, match="no job 4; the newest is 3"):
         served.service.job(4)
+
+
+def test_the_last_answer_stays_until_the_next_identification_begins(serve: Any) -> None:
+    served = serve()
+    service = served.service
+    assert service.snapshot().last_answer is None
+    lease = service.acquire("first")
+    service.start(lease, KEEP)
+    found = served.ended()
+    for task in ("verify", "release", "grip", "release"):
+        if task == "release":
+            service.command(lease, Command.RELEASE, key=RELEASE_KEY)
+        else:
+            service.start(lease, {"task": task} | ({"force_n": 3.0} if task == "grip" else {}))
+        assert served.ended().outcome == "SUCCEEDED"
+        last = service.snapshot().last_answer
+        assert (last.number, last.label, last.probability) == (1, "ball", found.probability)
+        assert (last.label_id, last.kept, last.size_mm) == (1, True, found.size_mm)
+    with pytest.raises(ConfigError):
+        service.start(lease, IDENTIFY | {"max_grasps": 0})
+    assert service.snapshot().last_answer is not None
+    served.pause_while_pressing()
+    service.start(lease, IDENTIFY | {"present": "box"})
+    served.paused()
+    assert service.snapshot().last_answer is None
+    service.hold()
+    served.go_on()
+    served.ended()
+    assert service.snapshot().last_answer is None  # it was held: there is no answer
+    service.command(lease, Command.RELEASE, key=RELEASE_KEY)
+    served.ended()
+    service.start(lease, IDENTIFY | {"present": "box"})
+    assert served.ended().label == "box"
+    assert service.status().last_answer.job == service.snapshot().last_answer.number == 8
+
+
+def test_the_last_answer_outlives_the_jobs_that_are_kept(serve: Any, monkeypatch: Any) -> None:
+    for module in (worker, service_module):
+        monkeypatch.setattr(module, "KEPT_JOBS", 2)
+    served = serve()
+    lease = served.service.acquire("first")
+    served.service.start(lease, KEEP)
+    served.ended()
+    for _ in range(3):
+        served.service.start(lease, {"task": "verify"})
+        served.ended()
+    assert served.service.job(1) == served.service.snapshot().last_answer
+    assert served.service.job(1).label == "ball"
+    with pytest.raises(RequestRefused, match="no job 2"):
+        served.service.job(2)
 
 
 def test_a_repeated_request_is_not_done_twice(serve: Any) -> None:
