@@ -167,6 +167,17 @@ def test_a_carried_part_outlasts_its_loop(make_cell: Any, simulator: CellProcess
     controller.present("box")
     controller.grip(5.0, Pose())
     assert controller.state is CellState.COMPLETE
+    # What is shown of it changes without a command, and is young.
+    shown: set[float | None] = set()
+
+    def measured() -> bool:
+        controller.tick()
+        shown.add(controller.live.force_n)
+        return len(shown) > 20
+
+    wait_for(measured)
+    assert controller.live.force_n == pytest.approx(4.0, abs=1.0)
+    assert controller.live.force_age_s < 0.5
     os.kill(hand_of(cell).pid, signal.SIGKILL)
     # Twice the bus watchdog of the servos, which is disarmed.
     threading.Event().wait(1.0)

@@ -208,11 +208,12 @@ def test_the_robot_program_of_the_example_sorts_parts(connect: Any, kind: str) -
     finally:
         robot.close()
     assert robot.messages == []
-    assert [served.service.job(n).task for n in (1, 2, 3, 4)] == ["identify", "release"] * 2
+    tasks = [served.service.job(n).task for n in range(1, 7)]
+    assert tasks == ["identify", "verify", "release"] * 2
     assert "alive" in robot.calls
     places = robot.names["PLACES"]
     assert [places.index(move) for move in robot.moves if move in places] == [
-        served.service.job(number).label_id for number in (1, 3)
+        served.service.job(number).label_id for number in (1, 4)
     ]
     assert ("pose_reached" in robot.calls) is (kind == "callback")
     assert (served.state, served.grip_n) == ("IDLE", 0.0)
