@@ -4,6 +4,7 @@ import difflib
 import io
 import json
 import re
+import stat
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
@@ -14,7 +15,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 from ruamel.yaml import YAML
 from ruamel.yaml.error import MarkedYAMLError, StreamMark, YAMLError
-from ruamel.yaml.nodes import MappingNode, Node, SequenceNode
+from ruamel.yaml.nodes import MappingNode, Node, ScalarNode, SequenceNode
 from ruamel.yaml.reader import ReaderError
 
 from cell.config.model import CellConfig
@@ -167,8 +168,30 @@ _MAX_BRACKETS = 100
 """Open brackets at once: the YAML library takes seconds for some thousands."""
 _MAX_VALUES = 4000
 """Values of a config: it has some hundred, and up to 1000 objects."""
+_MAX_TEXT = 1000
+"""Characters of a value: the longest text of a config has 500, a number of more digits is none."""
 _MAX_COMPLAINTS = 20
 """Complaints that one message shows; the others are counted."""
+
+
+def plain_text(path: Path) -> str:
+    """Return the text (UTF-8) of a file that the cell is set up with, as a config or a token.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be read, is too long, or is no plain file: a pipe would be waited for.
+    """
+    try:
+        if not stat.S_ISREG(path.stat().st_mode):
+            raise ConfigError(f"{path}: not a plain file; name the file itself")
+        with path.open("rb") as file:
+            data = file.read(MAX_BYTES + 1)
+        if len(data) > MAX_BYTES:
+            raise ConfigError(f"{path}: too long; a file of a config has at most {MAX_BYTES} bytes")
+        return data.decode("utf-8")
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}") from error
 
 
 def load_config(path: Path | None) -> CellConfig:
@@ -182,13 +205,7 @@ def load_config(path: Path | None) -> CellConfig:
     """
     if path is None:
         return CellConfig()
-    try:
-        size = path.stat().st_size
-        if size > MAX_BYTES:
-            raise ConfigError(f"{path}: {size} bytes; a config has at most {MAX_BYTES}")
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}") from error
+    text = plain_text(path)
     if text and not text.endswith("\n"):
         line, column = text.count("\n") + 1, len(text) - text.rfind("\n")
         raise ConfigError(
@@ -286,6 +303,11 @@ def _refuse_bombs(root: Node, source: str) -> None:
             raise ConfigError(
                 f"{source}:{_place(node.start_mark)}: more than {_MAX_DEPTH} levels or "
                 f"{_MAX_VALUES} values; not a config"
+            )
+        if isinstance(node, ScalarNode) and len(node.value) > _MAX_TEXT:
+            raise ConfigError(
+                f"{source}:{_place(node.start_mark)}: a value of {len(node.value)} characters; a "
+                f"config has none of more than {_MAX_TEXT}"
             )
         if isinstance(node, MappingNode):
             stack += [(part, depth + 1) for pair in node.value for part in pair]

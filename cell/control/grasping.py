@@ -29,6 +29,7 @@ from cell.control.lifecycle import CellLifecycle
 from cell.control.plan import GraspStep, Pose
 from cell.control.positioner import PatientCaller, Positioner
 from cell.control.records import GraspCollector, GraspRecord, pad_array
+from cell.data.dataset import text_refused
 from cell.errors import CellStateError, PlanRefused
 from cell.hand.interface import Hand, Watch
 from gripper.force.ramp import ForceRamp
@@ -122,7 +123,7 @@ class Grasper:
         Raises
         ------
         PlanRefused
-            If it is no step, or the label no text.
+            If it is no step, or the label none that a recording may have.
         gripper.errors.LimitExceeded
             If its force is no number or beyond a limit.
         """
@@ -132,6 +133,8 @@ class Grasper:
             )
         if not isinstance(label, str):
             raise PlanRefused(f"{label!r} is no label; give a text")
+        if wrong := text_refused("label", label):
+            raise PlanRefused(f"the label {wrong}")
         self._hand.check_ramp(self._ramp(step))
 
     def _ramp(self, step: GraspStep) -> ForceRamp:

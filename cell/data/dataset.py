@@ -33,6 +33,7 @@ from numpy.typing import NDArray
 from cell.data.files import read_npz, savez, write_atomically
 from cell.errors import DatasetError
 from recognition.grasp import COMMAND_COLUMNS, Grasp, GraspCommand, PadArray
+from recognition.recognizer import UNKNOWN
 
 RANGES = {
     "aperture_mm": (-100.0, 1000.0, "openings stand in mm"),
@@ -84,6 +85,15 @@ def pads_too_small(pads: PadArray) -> str | None:
                 f"spreads the {len(places_mm)} taxels of pad {pad} over {extent_mm:g}, expected "
                 f"{LEAST_PAD_MM:g} or more: places stand in mm, not in m"
             )
+    return None
+
+
+def text_refused(name: str, text: str) -> str | None:
+    """Return why a text of a grasp, as its label, is refused; None where it is not."""
+    if not text.isprintable() or len(text) > _MAX_TEXT:
+        return f"is {text!a:.60}: not printable, or longer than {_MAX_TEXT} characters"
+    if name == "label" and text == UNKNOWN:
+        return f"is {UNKNOWN}, the answer for what was not taught: write a name, or leave it empty"
     return None
 
 
@@ -202,12 +212,8 @@ def _arrays_of(path: Path, grasps: Sequence[Grasp]) -> dict[str, NDArray[Any]]:
                 "write one data set for each kind of pads"
             )
         for name in ("label", "shape", "source"):
-            text = getattr(grasp, name)
-            if not text.isprintable() or len(text) > _MAX_TEXT:
-                raise DatasetError(
-                    f"cannot write data set {path}: {name} {text!r} of grasp {i} must be "
-                    f"printable, at most {_MAX_TEXT} characters"
-                )
+            if wrong := text_refused(name, getattr(grasp, name)):
+                raise DatasetError(f"cannot write data set {path}: {name} of grasp {i} {wrong}")
     arrays: dict[str, NDArray[Any]] = {
         "format": np.array(FORMAT),
         "adc_max": np.array(pads.adc_max, dtype=np.int64),
@@ -297,9 +303,9 @@ class _Checker:
         if array.dtype.itemsize > 4 * _MAX_TEXT:
             raise self._refuse(name, f"has texts of type {array.dtype}, limit {_MAX_TEXT}")
         texts: list[str] = array.tolist()
-        for text in texts:
-            if not text.isprintable():
-                raise self._refuse(name, f"text {text!r} is not printable")
+        for i, text in enumerate(texts):
+            if wrong := text_refused(name, text):
+                raise self._refuse(name, f"of grasp {i} {wrong}")
         return texts
 
     def _placings(self, n_grasps: int) -> list[GraspCommand | None]:

@@ -20,6 +20,7 @@ from mcap.stream_reader import StreamReader, breakup_chunk
 from numpy.typing import NDArray
 
 from cell.data import recording_schema as schema
+from cell.data.dataset import text_refused
 from cell.errors import RecordingError
 from recognition.grasp import Grasp, GraspCommand, PadArray
 
@@ -412,6 +413,9 @@ class _Builder:
             if schema.counts_crc32(counts) != row["counts_crc32"]:
                 self.raw.lose("the counts of a grasp do not have its checksum")
                 continue
+            for name in ("label", "shape", "source"):
+                if wrong := text_refused(name, str(row[name])):
+                    raise ValueError(f"the {name} of a grasp {wrong}")
             unknown = [np.nan] * n_frames
             grasps.append(
                 Grasp(

@@ -16,6 +16,7 @@ from warnings import catch_warnings, simplefilter
 import numpy as np
 from numpy.typing import NDArray
 
+from cell.data.dataset import text_refused
 from cell.data.files import read_npz, savez, write_atomically
 from cell.errors import ModelError
 from recognition.errors import RecognitionError
@@ -224,6 +225,9 @@ def load_model(path: Path | str, expected_pads: PadArray | None = None) -> Loade
 
     def rehearsed() -> tuple[Recognizer, tuple[str, ...]]:
         recognizer = kind.from_arrays(learnt)
+        for label in recognizer.labels:
+            if wrong := text_refused("label", label):
+                raise ValueError(f"a label {wrong}")
         rehearse(recognizer, pads)
         return recognizer, tuple(recognizer.labels)
 

@@ -48,8 +48,11 @@ OutOption = Annotated[
     Path | None,
     typer.Option("--out", help="Folder for recordings and reports [default: recording.directory]."),
 ]
+MAX_SEED = 2**32 - 1
+"""Largest seed, as in the config."""
 SeedOption = Annotated[
-    int | None, typer.Option("--seed", help="Seed of poses and noise [default: seed].", min=0)
+    int | None,
+    typer.Option("--seed", help="Seed of poses and noise [default: seed].", min=0, max=MAX_SEED),
 ]
 ModelOption = Annotated[Path | None, typer.Option("--model", "-m", help="File of a taught model.")]
 ModelOutOption = Annotated[Path, _ending(".npz", "model file")]

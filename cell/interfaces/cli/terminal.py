@@ -54,24 +54,31 @@ err = _LossyConsole(stderr=True, highlight=False)
 """Progress, notes and errors."""
 
 
+def plain(text: str) -> str:
+    """Return a text of whatever origin as one that a terminal and `rich` show, and do not obey."""
+    return escape(
+        "".join(sign if sign.isprintable() or sign in "\n\t" else repr(sign)[1:-1] for sign in text)
+    )
+
+
 def print_line(text: str) -> None:
     """Print one line of result; square brackets are no markup."""
-    out.print(escape(text), soft_wrap=True)
+    out.print(plain(text), soft_wrap=True)
 
 
 def print_error(text: str) -> None:
     """Print one error on standard error."""
-    err.print(f"[bold red]error:[/] {escape(text)}", soft_wrap=True)
+    err.print(f"[bold red]error:[/] {plain(text)}", soft_wrap=True)
 
 
 def print_cell(text: str) -> None:
     """Print which cell a command is for, on standard error: other programs read the results."""
-    err.print(f"cell: {escape(text)}", soft_wrap=True)
+    err.print(f"cell: {plain(text)}", soft_wrap=True)
 
 
 def print_note(text: str) -> None:
     """Print one note for the operator on standard error."""
-    err.print(f"[bold yellow]NOTE:[/] {escape(text)}", soft_wrap=True)
+    err.print(f"[bold yellow]NOTE:[/] {plain(text)}", soft_wrap=True)
 
 
 def ask(text: str) -> str:
@@ -116,7 +123,7 @@ class ProgressBar:
     def __call__(self, task: str, done: int, total: int) -> None:
         """Draw the bar of one task."""
         if task not in self._tasks:
-            self._tasks[task] = self._bars.add_task(escape(task), total=total)
+            self._tasks[task] = self._bars.add_task(plain(task), total=total)
         self._bars.update(self._tasks[task], completed=done, total=total)
 
 

@@ -29,7 +29,7 @@ class TeachGoal(_Goal):
     """Name of the object."""
     grasps: int = Field(default=10, ge=1, le=1000)
     """How many times it is grasped, 1 to 1000."""
-    seed: int = Field(default=0, ge=0)
+    seed: int = Field(default=0, ge=0, le=2**32 - 1)
     """Seed of the plan of poses and forces."""
 
 
@@ -39,7 +39,7 @@ class IdentifyGoal(_Goal):
     task: ClassVar[str] = "identify"
     max_grasps: int | None = Field(default=None, ge=1, le=100)
     """Most grasps, or None for the number in the config."""
-    seed: int = Field(default=1, ge=0)
+    seed: int = Field(default=1, ge=0, le=2**32 - 1)
     """Seed of the plan of poses and forces."""
     present: str | None = None
     """Object to place first, where the positioner can do so (simulated cell)."""
@@ -75,7 +75,7 @@ class SortGoal(_Goal):
     feed: tuple[str, ...] = ()
     """Objects to place, one for each part and then again from the first, where the positioner can
     do so (simulated cell)."""
-    seed: int = Field(default=1, ge=0)
+    seed: int = Field(default=1, ge=0, le=2**32 - 1)
     """Seed of the poses and forces of the first part; each further one has the next."""
     max_grasps: int | None = Field(default=None, ge=1, le=100)
     """Most grasps of a part, or None for the number in the config."""

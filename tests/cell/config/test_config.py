@@ -1,4 +1,5 @@
 import json
+import os
 from pathlib import Path
 
 import jsonschema
@@ -182,6 +183,41 @@ def test_missing_unreadable_and_oversized_files_are_refused(tmp_path: Path) -> N
     large.write_text("#" * (MAX_BYTES + 1))
     with pytest.raises(ConfigError, match="at most"):
         load_config(large)
+
+
+def test_what_is_no_plain_file_is_refused_and_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.yaml")
+    (tmp_path / "link.yaml").symlink_to(tmp_path / "pipe.yaml")
+    for path in (tmp_path / "pipe.yaml", tmp_path / "link.yaml", Path("/dev/zero"), tmp_path):
+        with pytest.raises(ConfigError, match="not a plain file"):
+            load_config(path)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        'name: "a\\0b"',
+        'name: "\\e[2Jempty screen"',
+        'name: "two\\nlines"',
+        'name: "\u202efdp.exe"',
+        'sort: {reject: "\\a"}',
+        'sort: {places: [{label: ball, place: "\\e[31m"}]}',
+        'recording: {directory: "\\e]0;title\\a"}',
+        'simulator: {faults: ["\\r"]}',
+        'gripper: {port: "/dev/\\x9b"}',
+    ],
+)
+def test_texts_that_a_terminal_would_obey_are_refused(text: str) -> None:
+    said = complaint(text + "\n")
+    assert "cannot be printed" in said or "not YAML" in said
+    assert said.isprintable()
+
+
+@pytest.mark.parametrize("digits", ["9" * 5000, "0x" + "f" * 5000, "-" + "1" * 1001])
+def test_a_number_of_thousands_of_digits_is_named_by_its_place(digits: str) -> None:
+    assert complaint(f"seed: {digits}\n") == (
+        f"cell.yaml:1:7: a value of {len(digits)} characters; a config has none of more than 1000"
+    )
 
 
 def test_empty_file_is_the_default() -> None:

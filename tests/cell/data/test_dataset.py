@@ -146,6 +146,7 @@ DAMAGE: dict[str, tuple[Change, str]] = {
     "empty grasp": (lambda a: a.update(grasp_offsets=np.array([0, 4, 4, 13])), "must rise"),
     "label as bytes": (lambda a: a.update(label=a["label"].astype("S")), "expected kind U"),
     "label unprintable": (lambda a: a.update(label=np.array(["\x1b[2J"] * 3)), "not printable"),
+    "label reserved": (lambda a: a.update(label=np.array(["", "b", "UNKNOWN"])), "leave it empty"),
     "label endless": (lambda a: a.update(label=np.array(["x" * 300] * 3)), "limit 200"),
     "label no text": (
         lambda a: a.update(label=np.full(3, 0x7FFFFFFF, dtype="<u4").view("<U1")),
@@ -217,6 +218,9 @@ class Bomb:
 def test_what_could_not_be_read_again_is_not_written(tmp_path: Path) -> None:
     with pytest.raises(DatasetError, match=r"cannot write .* start_ms is 2e\+15 at 1, must be"):
         write_dataset(tmp_path / "d.npz", [make_grasp(), make_grasp(start_ms=2 * 10**15)])
+    for label, complaint in (("UNKNOWN", "leave it empty"), ("\0", "not printable")):
+        with pytest.raises(DatasetError, match=rf"label of grasp 0 is .*{complaint}"):
+            write_dataset(tmp_path / "d.npz", [make_grasp(label=label)])
     assert not (tmp_path / "d.npz").exists()
 
 

@@ -238,6 +238,15 @@ def test_schemas_have_plain_types_only_so_that_viewers_plot_them() -> None:
             assert values["description"]
 
 
+@pytest.mark.parametrize("label", ["UNKNOWN", "\x1b[2J", "x" * 201])
+def test_a_grasp_with_a_label_that_none_may_have_is_refused(label: str, tmp_path: Path) -> None:
+    clock = Clock(now_s=1.0)
+    with Recorder(tmp_path / "r.mcap", clock, pads=PADS) as recorder:
+        record_grasp(recorder, clock, label)
+    with pytest.raises(RecordingError, match=r"does not fit .* the label of a grasp is"):
+        read_recording(tmp_path / "r.mcap")
+
+
 def test_unknown_values_are_left_out(tmp_path: Path) -> None:
     nan = float("nan")
     with Recorder(tmp_path / "r.mcap", Clock(100.0), pads=PADS) as recorder:

@@ -23,11 +23,19 @@ from cell.config.model import CellConfig
 from cell.data.dataset import read_dataset, write_dataset
 from cell.data.recorder import Recorder
 from cell.data.recording_reader import read_recording
+from cell.errors import ConfigError
 from cell.interfaces.cli import main
 from cell.interfaces.cli.app import app
 from cell.interfaces.cli.commands.run import confusion_table, print_result
 from cell.interfaces.cli.signals import stopping
-from cell.interfaces.cli.terminal import percent, print_error, progress_bar
+from cell.interfaces.cli.terminal import (
+    percent,
+    print_cell,
+    print_error,
+    print_line,
+    print_note,
+    progress_bar,
+)
 from cell.learning.model import load_model, save_model
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers import TRAINERS, make_trainer
@@ -428,6 +436,26 @@ def test_the_first_line_names_the_cell(
     Path("tactile-cell.yaml").symlink_to("gone.yaml")
     result = RUNNER.invoke(app, ["doctor"])
     assert "tactile-cell.yaml: cannot be read" in str(result.exception)
+
+
+def test_a_terminal_obeys_no_text_of_a_file(tmp_path: Path, capsys: Any) -> None:
+    config = tmp_path / "cell.yaml"
+    config.write_text('"\\e[2Jkey": 1\n', encoding="utf-8")
+    with pytest.raises(ConfigError) as caught:
+        load_config(config)
+    for show in (print_line, print_error, print_note, print_cell):
+        show(f"{caught.value}\r[bold] \u202e\x9b")
+    shown = "".join(capsys.readouterr())
+    assert shown.count("\\x1b[2Jkey: unknown key") == 4
+    assert shown.count("\\r[bold] \\u202e\\x9b") == 4
+    assert not set("\x1b\r\u202e\x9b") & set(shown)
+
+
+@pytest.mark.parametrize("seed", ["9" * 5000, str(2**32), "-1"])
+def test_a_seed_out_of_range_is_refused(seed: str) -> None:
+    result = RUNNER.invoke(app, ["teach", "ball", "--seed", seed])
+    assert result.exit_code == 2
+    assert "set_int_max_str_digits" not in result.output
 
 
 @pytest.mark.parametrize("kind", ["operator", "callback"])

@@ -142,7 +142,14 @@ def test_changed_model_is_refused(
 
 
 @pytest.mark.parametrize(
-    "change", [{"level_check_version": np.array(99)}, {"mean": None}, {"mean": np.array("x")}]
+    "change",
+    [
+        {"level_check_version": np.array(99)},
+        {"mean": None},
+        {"mean": np.array("x")},
+        {"labels": np.array(["ball", "UNKNOWN"])},
+        {"labels": np.array(["ball", "\x1b[2J"])},
+    ],
 )
 def test_model_of_another_version_is_refused(
     change: dict[str, Any],

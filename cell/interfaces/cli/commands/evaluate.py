@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cell.interfaces.cli.options import JsonOption, known_recognizers
+from cell.interfaces.cli.options import MAX_SEED, JsonOption, known_recognizers
 from recognition.recognizers import TRAINERS, trainer_names
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ def evaluate(
         str | None,
         typer.Option("--gauge", help="Find the drift from the first 3 tested grasps of LABEL."),
     ] = None,
-    seed: Annotated[int, typer.Option("--seed", min=0)] = 0,
+    seed: Annotated[int, typer.Option("--seed", min=0, max=MAX_SEED)] = 0,
     jobs: Annotated[
         int | None,
         typer.Option(

@@ -100,10 +100,9 @@ def _teach(
 
 def print_tally(tally: "Tally") -> None:
     """Print how many parts lie where, and which of them do not belong there."""
-    from rich.markup import escape
     from rich.table import Table
 
-    from cell.interfaces.cli.terminal import out, print_line
+    from cell.interfaces.cli.terminal import out, plain, print_line
 
     if not tally.parts:
         print_line("no part was sorted")
@@ -111,9 +110,9 @@ def print_tally(tally: "Tally") -> None:
     table = Table(header_style="bold")
     table.add_column("part")
     for place in tally.places.names:
-        table.add_column(escape(place), justify="right")
+        table.add_column(plain(place), justify="right")
     for truth, counts in tally.matrix().items():
-        table.add_row(escape(truth), *(str(count) if count else "" for count in counts.values()))
+        table.add_row(plain(truth), *(str(count) if count else "" for count in counts.values()))
     table.add_row("all", *(str(count) for count in tally.counts.values()), style="bold")
     out.print(table)
     missed = f", {tally.n_missed} times no part was found" if tally.n_missed else ""
