@@ -209,7 +209,7 @@ CATALOGUE: dict[type[BaseException], Fault] = {
     cell.NotInCommand: Fault(514, "This client has no lease to command",
         "Another client has it, or it has expired.", "Acquire the lease; keep the life sign going.",
         UNMOVED),
-    cell.NotMeasured: Fault(515, "Value is not measured at the moment",
+    cell.NotMeasured: Fault(516, "Value is not measured at the moment",
         "A fault, a shutdown, or nothing that was moved yet.", "Read the state of the cell.",
         UNMOVED),
     OSError: Fault(598, "The operating system refused a file or device",

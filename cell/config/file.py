@@ -174,26 +174,6 @@ _MAX_COMPLAINTS = 20
 """Complaints that one message shows; the others are counted."""
 
 
-def plain_text(path: Path) -> str:
-    """Return the text (UTF-8) of a file that the cell is set up with, as a config or a token.
-
-    Raises
-    ------
-    ConfigError
-        If it cannot be read, is too long, or is no plain file: a pipe would be waited for.
-    """
-    try:
-        if not stat.S_ISREG(path.stat().st_mode):
-            raise ConfigError(f"{path}: not a plain file; name the file itself")
-        with path.open("rb") as file:
-            data = file.read(MAX_BYTES + 1)
-        if len(data) > MAX_BYTES:
-            raise ConfigError(f"{path}: too long; a file of a config has at most {MAX_BYTES} bytes")
-        return data.decode("utf-8")
-    except (OSError, ValueError) as error:
-        raise ConfigError(f"{path}: cannot be read: {error}") from error
-
-
 def load_config(path: Path | None) -> CellConfig:
     """Read a config file; without one, return the built-in simulated cell.
 
@@ -205,7 +185,17 @@ def load_config(path: Path | None) -> CellConfig:
     """
     if path is None:
         return CellConfig()
-    text = plain_text(path)
+    try:
+        if not stat.S_ISREG(path.stat().st_mode):
+            # A pipe would be waited for.
+            raise ConfigError(f"{path}: not a plain file; name the file itself")
+        with path.open("rb") as file:
+            data = file.read(MAX_BYTES + 1)
+        if len(data) > MAX_BYTES:
+            raise ConfigError(f"{path}: too long; a config has at most {MAX_BYTES} bytes")
+        text = data.decode("utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}") from error
     if text and not text.endswith("\n"):
         line, column = text.count("\n") + 1, len(text) - text.rfind("\n")
         raise ConfigError(

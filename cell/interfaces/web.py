@@ -23,7 +23,6 @@ from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from pydantic import BaseModel, ConfigDict
 from starlette.websockets import WebSocketDisconnect
 
-from cell.config.file import plain_text
 from cell.control.plan import Pose
 from cell.control.states import CellStatus, Command
 from cell.errors import CellError, CellStateError, ConfigError, NotInCommand, RequestRefused
@@ -290,15 +289,12 @@ class WebDoor:
     def __init__(self, service: Service) -> None:
         config = service.config.serve
         self.token = (
-            plain_text(Path(config.token_file)).strip()
+            Path(config.token_file).read_text(encoding="ascii").strip()
             if config.token_file
             else secrets.token_urlsafe(24)
         )
         if len(self.token) < 16:
             raise ConfigError(f"{config.token_file}: a token has at least 16 characters")
-        for name in (config.tls_certificate, config.tls_key):
-            if name:
-                plain_text(Path(name))  # a pipe would be waited for
         settings = uvicorn.Config(
             Gate(Api(service, self.token).app(), service),
             log_config=None,

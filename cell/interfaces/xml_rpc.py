@@ -95,19 +95,19 @@ class Calls:
         return self._service.status().holding
 
     def force(self) -> float:
-        """Return the grip force in N; -515 where it is not measured."""
+        """Return the grip force in N; -516 where it is not measured."""
         return _measured(self._service.status().live.force_n)
 
     def force_age(self) -> float:
-        """Return the age in s of the newest valid force; -515 where none was measured."""
+        """Return the age in s of the newest valid force; -516 where none was measured."""
         return _measured(self._service.status().live.force_age_s)
 
     def opening(self) -> float:
-        """Return the opening between the fingers in mm; -515 where it is not measured."""
+        """Return the opening between the fingers in mm; -516 where it is not measured."""
         return _measured(self._service.status().live.opening_mm)
 
     def frame_age(self) -> float:
-        """Return the age in s of the newest frame of the taxels; -515 where none was measured."""
+        """Return the age in s of the newest frame of the taxels; -516 where none was measured."""
         return _measured(self._service.status().live.frame_age_s)
 
     def next_job(self) -> int:

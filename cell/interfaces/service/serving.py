@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from ipaddress import ip_address
+from pathlib import Path
 from typing import Any
 
 from cell.errors import CellError, ConfigError
@@ -52,6 +53,9 @@ def open_doors(service: Service) -> Iterator[dict[str, Any]]:
             if config.http_port is not None:
                 from cell.interfaces.web import WebDoor  # noqa: PLC0415
 
+                for name in (config.token_file, config.tls_certificate, config.tls_key):
+                    if name and Path(name).exists() and not Path(name).is_file():
+                        raise ConfigError(f"{name}: not a plain file; name the file itself")
                 web = WebDoor(service)
                 undo.callback(web.close)
                 found |= {"http_port": web.port, "token": web.token}

@@ -1,6 +1,7 @@
 """The cell over HTTP and WebSocket, with the standard library and `websockets` as clients."""
 
 import json
+import os
 import ssl
 import subprocess
 import threading
@@ -293,6 +294,11 @@ def test_doors_that_cannot_be_opened_say_why(serve: Any, tmp_path: Path) -> None
         pass
     with pytest.raises(CellError, match="cannot be opened"):
         serve("http", serve__token_file=str(tmp_path / "missing"))
+    os.mkfifo(tmp_path / "pipe")
+    for key in ("token_file", "tls_key"):
+        files = {"serve__tls_certificate": str(tmp_path / "missing")} if key == "tls_key" else {}
+        with pytest.raises(ConfigError, match="pipe: not a plain file"):
+            serve("http", **files, **{f"serve__{key}": str(tmp_path / "pipe")})
     (tmp_path / "short").write_text("short")
     with pytest.raises(ConfigError, match="at least 16 characters"):
         serve("http", serve__token_file=str(tmp_path / "short"))

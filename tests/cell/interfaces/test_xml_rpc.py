@@ -115,7 +115,7 @@ def test_clear_restarts_a_servo_at_fault_where_that_is_asked_for(connect: Any) -
     assert served.ended(2).fault_number == 109
     assert cell.state() == 9
     shown = (cell.force(), cell.force_age(), cell.opening(), cell.frame_age())
-    assert (shown, cell.last_answer()) == ((-515.0,) * 4, 0)
+    assert (shown, cell.last_answer()) == ((-516.0,) * 4, 0)
     cell.clear(lease, 0, True)
     assert served.ended(3).outcome == "SUCCEEDED"
     assert (cell.fault_number(), cell.needs_reset()) == (0, True)
