@@ -204,7 +204,6 @@ class CellController(CellView):
                 )
             self._hand.open(self._grasper.watch)
             self._hand.tare(self._tare_frames)
-            self._hand.tick()
             self._life.check_cancelled()
             self._life.complete()
 
