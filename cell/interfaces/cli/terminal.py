@@ -54,11 +54,16 @@ err = _LossyConsole(stderr=True, highlight=False)
 """Progress, notes and errors."""
 
 
+def _shown(text: str) -> str:
+    """Return a text with escapes for signs that a terminal would obey."""
+    return "".join(
+        sign if sign.isprintable() or sign in "\n\t" else repr(sign)[1:-1] for sign in text
+    )
+
+
 def plain(text: str) -> str:
     """Return a text of whatever origin as one that a terminal and `rich` show, and do not obey."""
-    return escape(
-        "".join(sign if sign.isprintable() or sign in "\n\t" else repr(sign)[1:-1] for sign in text)
-    )
+    return escape(_shown(text))
 
 
 def print_line(text: str) -> None:
@@ -87,6 +92,7 @@ def ask(text: str) -> str:
     A pipe is read past Python's buffer: a program that ends while a thread still waits in the
     buffer is ended by an abort.
     """
+    text = _shown(text)
     stdin = sys.__stdin__
     if stdin is None or sys.stdin is not stdin or stdin.isatty():
         return input(text)

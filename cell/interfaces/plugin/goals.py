@@ -15,6 +15,8 @@ class _Goal(BaseModel):
     """Its name in requests."""
 
 
+Label = Annotated[str, AfterValidator(checked_label)]
+"""Name of an object."""
 ForceN = Annotated[float, Field(gt=0.0, le=50.0)]
 """Force in N, up to 50; the limits of the config are below."""
 Keep = Literal["never", "when_named", "always"]
@@ -25,7 +27,7 @@ class TeachGoal(_Goal):
     """Grasp a known object."""
 
     task: ClassVar[str] = "teach"
-    label: Annotated[str, AfterValidator(checked_label)] = Field(min_length=1, max_length=60)
+    label: Label = Field(min_length=1, max_length=60)
     """Name of the object."""
     grasps: int = Field(default=10, ge=1, le=1000)
     """How many times it is grasped, 1 to 1000."""
@@ -41,7 +43,7 @@ class IdentifyGoal(_Goal):
     """Most grasps, or None for the number in the config."""
     seed: int = Field(default=1, ge=0, le=2**32 - 1)
     """Seed of the plan of poses and forces."""
-    present: str | None = None
+    present: Label | None = None
     """Object to place first, where the positioner can do so (simulated cell)."""
     keep: Keep = "never"
     """Whether the part stays in the grip for the host: ``never``, ``when_named`` or ``always``."""
@@ -55,7 +57,7 @@ class GripGoal(_Goal):
     task: ClassVar[str] = "grip"
     force_n: ForceN
     """Force at the end of the ramp in N; it is then held with ``sequence.carry_force_n``."""
-    present: str | None = None
+    present: Label | None = None
     """Object to place between the fingers first, where the positioner can do so (simulated cell);
     without one it does not move."""
 
@@ -72,7 +74,7 @@ class SortGoal(_Goal):
     task: ClassVar[str] = "sort"
     parts: int = Field(default=1, ge=1, le=1_000_000)
     """How many parts."""
-    feed: tuple[str, ...] = ()
+    feed: tuple[Label, ...] = ()
     """Objects to place, one for each part and then again from the first, where the positioner can
     do so (simulated cell)."""
     seed: int = Field(default=1, ge=0, le=2**32 - 1)

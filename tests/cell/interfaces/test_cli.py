@@ -29,6 +29,7 @@ from cell.interfaces.cli.app import app
 from cell.interfaces.cli.commands.run import confusion_table, print_result
 from cell.interfaces.cli.signals import stopping
 from cell.interfaces.cli.terminal import (
+    ask,
     percent,
     print_cell,
     print_error,
@@ -438,7 +439,9 @@ def test_the_first_line_names_the_cell(
     assert "tactile-cell.yaml: cannot be read" in str(result.exception)
 
 
-def test_a_terminal_obeys_no_text_of_a_file(tmp_path: Path, capsys: Any) -> None:
+def test_a_terminal_obeys_no_text_of_a_file(
+    tmp_path: Path, capsys: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
     config = tmp_path / "cell.yaml"
     config.write_text('"\\e[2Jkey": 1\n', encoding="utf-8")
     with pytest.raises(ConfigError) as caught:
@@ -449,6 +452,8 @@ def test_a_terminal_obeys_no_text_of_a_file(tmp_path: Path, capsys: Any) -> None
     assert shown.count("\\x1b[2Jkey: unknown key") == 4
     assert shown.count("\\r[bold] \\u202e\\x9b") == 4
     assert not set("\x1b\r\u202e\x9b") & set(shown)
+    monkeypatch.setattr("builtins.input", str)
+    assert ask("place \x1b[2J") == "place \\x1b[2J"
 
 
 @pytest.mark.parametrize("seed", ["9" * 5000, str(2**32), "-1"])

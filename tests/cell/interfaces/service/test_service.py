@@ -256,7 +256,14 @@ def test_a_fault_has_its_number_and_is_cleared_and_reset(serve: Any) -> None:
 def test_bad_goals_are_refused(serve: Any) -> None:
     service = serve().service
     lease = service.acquire("first")
-    for goal in ({}, {"task": "dance"}, {"task": "identify", "max_grasps": 0}, {"task": "grip"}):
+    for goal in (
+        {},
+        {"task": "dance"},
+        {"task": "identify", "max_grasps": 0},
+        {"task": "identify", "present": "\x1b[2J"},
+        {"task": "identify", "seed": 10**5000},
+        {"task": "grip"},
+    ):
         with pytest.raises(ConfigError):
             service.start(lease, goal)
     assert service.job().number == 0
