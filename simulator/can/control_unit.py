@@ -99,13 +99,16 @@ class DeviceNetwork:
     ----------
     now_s
         Present time in s; set by the owner.
+    next_due_s
+        Time in s at which the next periodic message is due, infinity without any.
     """
 
-    __slots__ = ("_send", "_tasks", "now_s")
+    __slots__ = ("_send", "_tasks", "next_due_s", "now_s")
 
     def __init__(self, send: Callable[[float, int, bytes], None], now_s: float) -> None:
         self._send = send
         self._tasks: list[PeriodicTask] = []
+        self.next_due_s = math.inf
         self.now_s = now_s
 
     def subscribe(self, can_id: int, callback: Callable[..., Any]) -> None:
@@ -126,13 +129,17 @@ class DeviceNetwork:
         """Send a message every ``period`` s, for the first time after one period."""
         if remote:
             raise ValueError(f"the device sends no remote frames (identifier 0x{can_id:03X})")
-        task = PeriodicTask(can_id, bytes(data), period, self.now_s + period, self._tasks.remove)
+        task = PeriodicTask(can_id, bytes(data), period, self.now_s + period, self._remove)
         self._tasks.append(task)
+        self._find_next()
         return task
 
-    def next_due_s(self) -> float:
-        """Return when the next periodic message is due in s, infinity without any."""
-        return min((task.due_s for task in self._tasks), default=math.inf)
+    def _remove(self, task: PeriodicTask) -> None:
+        self._tasks.remove(task)
+        self._find_next()
+
+    def _find_next(self) -> None:
+        self.next_due_s = min((task.due_s for task in self._tasks), default=math.inf)
 
     def run(self, now_s: float, *, mute: bool) -> None:
         """Send what is due until ``now_s`` s at its own times; ``mute`` skips the sending."""
@@ -141,6 +148,7 @@ class DeviceNetwork:
                 if not mute:
                     self._send(task.due_s, task.can_id, task.data)
                 task.due_s += task.period_s
+        self._find_next()
 
 
 SendBurst = Callable[[float, int, list[bytes]], float]
@@ -286,7 +294,7 @@ class SimulatedControlUnit:
 
     def next_event_s(self) -> float:
         """Return when the unit next sends something by itself, in s; infinity for never."""
-        return min(self._boot_due_s, self._network.next_due_s(), self._force_due_s)
+        return min(self._boot_due_s, self._network.next_due_s, self._force_due_s)
 
     def advance(self, now_s: float) -> None:
         """Let the time pass until ``now_s`` s: boot-up, heartbeat."""
