@@ -140,7 +140,8 @@ class CanLink:
             self._flood_due_s = math.inf
         if (faults.error_passive, faults.bus_off) != self._reported:
             self._report_state(now_s)
-        self._transmit(now_s)
+        if self._wire.next_end_s() <= now_s:
+            self._transmit(now_s)
 
     def next_event_s(self) -> float:
         """Return when something arrives or the device next sends by itself; infinity for never."""
