@@ -11,7 +11,7 @@ from dynamixel_sdk import COMM_SUCCESS, GroupSyncRead, GroupSyncWrite, PacketHan
 from benchmarks.performance._child import Child, running
 from benchmarks.performance._servo_responder import BAUD_RATE, SERVO_IDS
 from gripper.dynamixel.bus import ServoBus
-from gripper.dynamixel.control_table import REGISTERS
+from gripper.dynamixel.control_table import REGISTERS, RegisterBlock
 from gripper.dynamixel.serial_port import SerialStream
 from gripper.errors import BusCorrupt, BusTimeout
 
@@ -87,12 +87,12 @@ class Ours:
     def status(self) -> tuple[Block, int]:
         before = self._bus.statistics.retries
         with self._bus.in_loop(), _giving_up(BusTimeout, BusCorrupt):
-            found = self._bus.sync_read(SERVO_IDS, STATUS[0], STATUS[-1])
+            found = self._bus.sync_read(SERVO_IDS, RegisterBlock(*STATUS))
         block = {i: tuple(found[i][register.name] for register in STATUS) for i in SERVO_IDS}
         return block, self._bus.statistics.retries - before
 
     def set_goals(self, goals: dict[int, int]) -> None:
-        self._bus.sync_write(goals, GOAL)
+        self._bus.sync_write({i: (goal,) for i, goal in goals.items()}, RegisterBlock(GOAL))
 
     def close(self) -> None:
         self._bus.close()

@@ -90,7 +90,9 @@ class InMemoryCanBus(can.BusABC):
         """
         clock, link = self._clock, self._link
         now_s = clock.monotonic()
-        deadline_s = math.inf if timeout is None else now_s + max(timeout, 0.0)
+        deadline_s = math.inf
+        if timeout is not None:
+            deadline_s = now_s + timeout if timeout > 0.0 else now_s
         looked = False
         while True:
             self._check_open()
