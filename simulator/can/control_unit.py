@@ -223,8 +223,10 @@ class SimulatedControlUnit:
         "_force_due_s",
         "_force_end_s",
         "_force_hits",
+        "_force_id",
         "_force_period_s",
         "_forces_again",
+        "_frame_id",
         "_gate",
         "_held_force",
         "_layout",
@@ -233,6 +235,8 @@ class SimulatedControlUnit:
         "_send",
         "_sync_count",
         "_sync_id",
+        "_sync_kind",
+        "_window_s",
         "dictionary",
         "faults",
         "scanner",
@@ -326,7 +330,6 @@ class SimulatedControlUnit:
             self._sync()
         elif can_id == self._node.sdo.rx_cobid:
             self._gate.request(data)
-            self._sync_id = self.dictionary.sync_cob_id
             self._time_forces()
 
     def command(self, state: str, now_s: float) -> None:
@@ -378,7 +381,7 @@ class SimulatedControlUnit:
         self.dictionary.reset(self._layout, everything=everything)
         if everything:
             self.scanner.reset()
-        self._sync_id = self.dictionary.sync_cob_id
+        self._take_settings()
         self._sync_count = 0
         self._burst_end_s = self._force_end_s = -math.inf
         self._force_due_s, self._force_period_s = math.inf, 0.0
@@ -396,8 +399,17 @@ class SimulatedControlUnit:
             self._node.nmt.on_command(0, data, self._network.now_s)
             self._time_forces()
 
+    def _take_settings(self) -> None:
+        """Take over what the dictionary holds: after each SDO request and change of state."""
+        dictionary = self.dictionary
+        self._sync_id = dictionary.sync_cob_id
+        self._sync_kind = dictionary.number(object_dictionary.TPDO1_PARAMETER, 2)
+        self._window_s = 1e-6 * dictionary.number(object_dictionary.SYNC_WINDOW_US)
+        self._frame_id, self._force_id = dictionary.pdo_cob_id(1), dictionary.pdo_cob_id(2)
+
     def _time_forces(self) -> None:
         """Begin, go on with or end the event timer of the force messages."""
+        self._take_settings()
         period_s = 0.0
         if self.settings.force_messages and self.state == _OPERATIONAL:
             period_s = 1e-3 * self.dictionary.number(
@@ -409,7 +421,7 @@ class SimulatedControlUnit:
 
     def _send_force(self, due_s: float) -> None:
         """Scan the gripping pads and send their force, unless the last one still waits."""
-        can_id = self.dictionary.pdo_cob_id(2)
+        can_id = self._force_id
         if can_id is None or self.faults.dead or self.faults.forces_off:
             return
         if due_s < self._force_end_s - ROUNDING_S:
@@ -446,8 +458,8 @@ class SimulatedControlUnit:
         if now_s < self._burst_end_s - ROUNDING_S:
             self._passed_over(EMCY_OVERRUN)
             return
-        kind = self.dictionary.number(object_dictionary.TPDO1_PARAMETER, 2)
         self._sync_count += 1
+        kind = self._sync_kind
         if _ON_EACH_SYNC < kind <= _MOST_SYNCS and self._sync_count % kind:
             return
         self.scanner.latch()
@@ -455,8 +467,7 @@ class SimulatedControlUnit:
 
     def _send_frame(self, now_s: float) -> None:
         messages = self.scanner.frame_messages()
-        window_s = 1e-6 * self.dictionary.number(object_dictionary.SYNC_WINDOW_US)
-        bit_s = 1.0 / self.settings.bitrate
+        window_s, bit_s = self._window_s, 1.0 / self.settings.bitrate
         if window_s and len(messages) * _WORST_BITS * bit_s > window_s:
             used_s, fitting = 0.0, 0
             for message in messages:
@@ -467,18 +478,14 @@ class SimulatedControlUnit:
             if fitting < len(messages):
                 messages = messages[:fitting]
                 self._passed_over(EMCY_WINDOW)
-        self._send_pdo(1, now_s, messages)
+        if self._frame_id is not None and messages and self._send is not None:
+            self._burst_end_s = self._send(now_s + self.faults.late_s, self._frame_id, messages)
 
     def _passed_over(self, code: int) -> None:
         """Mark the next frame, and send an EMCY once for what goes wrong again and again."""
         self.scanner.overrun = True
         if code not in self.dictionary.errors:
             self.emergency(code, register=REGISTER_MANUFACTURER)
-
-    def _send_pdo(self, pdo: int, now_s: float, messages: list[bytes]) -> None:
-        can_id = self.dictionary.pdo_cob_id(pdo)
-        if can_id is not None and messages and self._send is not None:
-            self._burst_end_s = self._send(now_s + self.faults.late_s, can_id, messages)
 
     def _emit(self, t_s: float, can_id: int, data: bytes) -> None:
         if can_id == self._node.sdo.tx_cobid:

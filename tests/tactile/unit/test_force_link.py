@@ -139,6 +139,7 @@ def test_a_force_message_waits_for_one_message_of_a_burst_and_no_more(
         if frame_function != object_dictionary.COB_TPDO3:
             # As if the frames had stayed before the forces: TPDO1 and TPDO2 as in the EDS.
             bench.unit.dictionary.pretend(object_dictionary.TPDO1_PARAMETER, 1, frame_function + 5)
+            bench.unit.command("OPERATIONAL", bench.clock.monotonic())
         bench.traffic.clear()
         for _ in range(300):
             bench.clock.sleep(0.001)
