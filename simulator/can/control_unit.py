@@ -405,7 +405,8 @@ class SimulatedControlUnit:
         self._sync_id = dictionary.sync_cob_id
         self._sync_kind = dictionary.number(object_dictionary.TPDO1_PARAMETER, 2)
         self._window_s = 1e-6 * dictionary.number(object_dictionary.SYNC_WINDOW_US)
-        self._frame_id, self._force_id = dictionary.pdo_cob_id(1), dictionary.pdo_cob_id(2)
+        self._frame_id = dictionary.pdo_cob_id(1)
+        self._force_id = dictionary.pdo_cob_id(2) if self.settings.force_messages else None
 
     def _time_forces(self) -> None:
         """Begin, go on with or end the event timer of the force messages."""

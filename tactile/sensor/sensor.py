@@ -341,7 +341,7 @@ class TactileSensor:
 
         Where a taxel has failed since, frames give the force until the pads are free.
         """
-        return self._force_bad is not None and np.array_equal(self._force_bad, self._quality.bad)
+        return self._force_bad is not None and bool((self._force_bad == self._quality.bad).all())
 
     @property
     def scan_noise_n(self) -> float:
