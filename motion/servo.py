@@ -11,11 +11,10 @@ from gripper.dynamixel.control_table import (
     GOAL_POSITION,
     HARDWARE_ERROR_STATUS,
     OPERATING_MODE,
+    PRESENT_BLOCK,
     PRESENT_POSITION,
-    PRESENT_TEMPERATURE,
     PROFILE_ACCELERATION,
     PROFILE_VELOCITY,
-    REALTIME_TICK,
     TORQUE_ENABLE,
     WATCHDOG_UNIT_S,
     Register,
@@ -265,9 +264,7 @@ class ServoAxis:
 
     def _feedback(self) -> dict[str, int]:
         ids = (self._id,)
-        return self._ask(lambda: self._bus.sync_read(ids, REALTIME_TICK, PRESENT_TEMPERATURE))[
-            self._id
-        ]
+        return self._ask(lambda: self._bus.sync_read(ids, PRESENT_BLOCK))[self._id]
 
     def _check(self) -> None:
         torque = self._read_torque()

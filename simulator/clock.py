@@ -73,10 +73,10 @@ class VirtualClock:
             raise RuntimeError("a callback of on_advance must not move the clock that calls it")
         self._advancing = True
         try:
+            last_s = t_s - _ROUNDING_SHARE * self._step_s
             while self._now_s < t_s:
                 now_s = self._now_s + self._step_s
-                rounding_s = _ROUNDING_SHARE * self._step_s
-                self._now_s = t_s if now_s > t_s - rounding_s else now_s
+                self._now_s = t_s if now_s > last_s else now_s
                 for callback in self.on_advance:
                     callback(self._now_s)
         finally:

@@ -213,7 +213,7 @@ class CellDevices:
         """Let the time pass for axes, fingers, object and servos until ``now_s`` s."""
         for axis in self.axes.values():
             axis.advance(now_s)
-        if self.stage is not None:
+        if self.axes and self.stage is not None:
             self.stage.advance(now_s)
         self.world.advance_to(now_s)
         self.servo_bus.advance_to(now_s)

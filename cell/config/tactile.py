@@ -93,7 +93,8 @@ class TactileConfig(Section):
     sync_period_ms: float = setting_of(LinkSettings, "sync_period_s", MILLI, at_least=8.0)
     """Time between two tactile frames in ms, 8 to 1000."""
     force_period_ms: int = setting_of(LinkSettings, "force_period_s", MILLI, number=int)
-    """Time between two force messages in ms, 0 to 50; 0: none, the force comes from the frames."""
+    """Time between two force messages in ms, 0 to 50: one period of the force loop, or less for a
+    softer first touch and a bus load that grows; 0: none, the force comes from the frames."""
     heartbeat_ms: int = setting_of(
         LinkSettings, "heartbeat_s", MILLI, at_least=10, at_most=5000, number=int
     )

@@ -3,8 +3,6 @@
 from collections.abc import Callable, Sequence
 from math import sqrt
 
-import numpy as np
-
 from cell.hand.interface import HandStatistics, Measured, Watch
 from gripper.dynamixel.bus import ServoBus
 from gripper.force.ramp import ForceRamp
@@ -92,7 +90,8 @@ class SensorTap:
         reason = reading.reason
         for message in messages:
             reason = reason or _objection(message.status)
-        first_n, second_n = np.mean([message.force_n for message in messages], axis=0).tolist()
+        first_n = sum(message.force_n[0] for message in messages) / n
+        second_n = sum(message.force_n[1] for message in messages) / n
         grip_n = max(0.5 * (first_n + second_n), _LEAST_FORCE_N)
         return ForceSample(
             t_s=newest.t_s,

@@ -8,9 +8,8 @@ has sent.
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from itertools import pairwise
 
-from gripper.dynamixel.control_table import Register, registers_between
+from gripper.dynamixel.control_table import Register, RegisterBlock
 from gripper.dynamixel.protocol2 import Instruction, StatusPacket
 from gripper.dynamixel.serial_port import ByteStream, SdkPort
 from gripper.dynamixel.transactions import (
@@ -170,10 +169,8 @@ class ServoBus:
         params = _words(register.address) + register.encode(raw)
         self._transactions.ask(Request(servo_id, Instruction.WRITE, 0, action, params))
 
-    def sync_read(
-        self, ids: Sequence[int], first: Register, last: Register
-    ) -> dict[int, dict[str, int]]:
-        """Return one contiguous block of items of several servos as raw values by name.
+    def sync_read(self, ids: Sequence[int], block: RegisterBlock) -> dict[int, dict[str, int]]:
+        """Return the items of one block of several servos as raw values by name.
 
         A servo whose answer is missing is asked alone, `in_loop` as long as the period allows.
 
@@ -182,36 +179,31 @@ class ServoBus:
         BusTimeout, BusCorrupt
             When an answer is still missing; nothing of the others is returned then.
         """
-        block = registers_between(first, last)
-        size = last.end - first.address
-        action = f"reading {first.name} to {last.name} of servos {list(ids)}"
-        found = self._transactions.ask_all(ids, _words(first.address, size), size, action)
-        return {servo_id: _decode(block, status.data) for servo_id, status in found.items()}
+        action = f"reading {block} of servos {ids}"
+        params = _words(block.address, block.size)
+        found = self._transactions.ask_all(ids, params, block.size, action)
+        return {servo_id: block.decode(status.data) for servo_id, status in found.items()}
 
-    def sync_write(self, values: Mapping[int, int | Sequence[int]], *registers: Register) -> None:
-        """Write one item, or several contiguous ones, to several servos at once.
+    def sync_write(self, values: Mapping[int, Sequence[int]], block: RegisterBlock) -> None:
+        """Write the items of one block to several servos at once.
 
         Servos do not confirm a sync write: what must be certain is read back by the caller.
 
         Parameters
         ----------
         values
-            Raw value, or one for each register, by servo ID.
-        registers
-            Contiguous items in the order of their addresses.
+            Raw value of each item, by servo ID.
+        block
+            The items.
         """
-        if not registers or not values:
-            raise LimitExceeded("a sync write needs at least one servo and one register")
-        if any(a.end != b.address for a, b in pairwise(registers)):
-            raise LimitExceeded(f"{', '.join(r.name for r in registers)} are not contiguous")
-        if any(not r.writable for r in registers):
-            raise LimitExceeded(f"{', '.join(r.name for r in registers)}: not all are writable")
-        params = _words(registers[0].address, registers[-1].end - registers[0].address)
+        if not values:
+            raise LimitExceeded("a sync write needs at least one servo")
+        if not block.writable:
+            raise LimitExceeded(f"{block}: not all are writable")
+        params = _words(block.address, block.size)
         for servo_id, raws in values.items():
             check_id(servo_id)
-            listed = (raws,) if isinstance(raws, int) else tuple(raws)
-            params += bytes([servo_id])
-            params += b"".join(r.encode(v) for r, v in zip(registers, listed, strict=True))
+            params += bytes((servo_id,)) + block.encode(raws)
         self._transactions.broadcast(Instruction.SYNC_WRITE, params)
 
     def reboot(self, servo_id: int) -> None:
@@ -239,8 +231,3 @@ def _identity(status: StatusPacket) -> ServoIdentity:
         model_number=int.from_bytes(status.data[:2], "little"),
         firmware=status.data[2],
     )
-
-
-def _decode(block: Sequence[Register], data: bytes) -> dict[str, int]:
-    start = block[0].address
-    return {r.name: r.decode(data[r.address - start : r.end - start]) for r in block}

@@ -4,9 +4,9 @@ Source: ROBOTIS e-Manual, pages of XM430-W350, XM430-W210, XL330-M288 and XC330-
 "Control Table". The addresses are the same on all four.
 """
 
-from collections.abc import Iterable, Mapping
+import struct
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache
 from itertools import pairwise
 from math import tau
 from types import MappingProxyType
@@ -169,18 +169,70 @@ REGISTERS: Mapping[str, Register] = _table(tuple(globals().values()))
 """All items by name, in the order of their addresses."""
 
 
-@cache
-def registers_between(first: Register, last: Register) -> tuple[Register, ...]:
-    """Return the items from ``first`` to ``last``; LimitExceeded when bytes between are undefined.
+_CODES = {
+    (1, False): "B",
+    (1, True): "b",
+    (2, False): "H",
+    (2, True): "h",
+    (4, False): "I",
+    (4, True): "i",
+}
+"""Codes of `struct` by size in bytes and sign."""
 
-    Undefined bytes are read without an error on the wire, yet mean nothing: a block must not
-    span them.
+
+class RegisterBlock:
+    """Contiguous items, which go over the bus as one block of bytes.
+
+    Parameters
+    ----------
+    registers
+        The items in the order of their addresses; LimitExceeded when bytes between are undefined.
+        Undefined bytes are read without an error on the wire, yet mean nothing: a block must not
+        span them.
+
+    Attributes
+    ----------
+    address, size
+        First byte, number of bytes.
+    writable
+        Whether all items can be written.
     """
-    block = tuple(r for r in REGISTERS.values() if first.address <= r.address <= last.address)
-    contiguous = all(a.end == b.address for a, b in pairwise(block))
-    if not block or block[0] != first or block[-1] != last or not contiguous:
-        raise LimitExceeded(
-            f"{first.name} ({first.address}) to {last.name} ({last.address}) is not one "
-            f"contiguous block of the control table"
-        )
-    return block
+
+    def __init__(self, *registers: Register) -> None:
+        if not registers or any(a.end != b.address for a, b in pairwise(registers)):
+            raise LimitExceeded(
+                f"{', '.join(r.name for r in registers)}: not one contiguous block of the control "
+                f"table"
+            )
+        self._registers = registers
+        self._names = tuple(r.name for r in registers)
+        self._text = self._names[0] + (f" to {self._names[-1]}" if len(registers) > 1 else "")
+        self._layout = struct.Struct("<" + "".join(_CODES[r.size, r.signed] for r in registers))
+        self.address, self.size = registers[0].address, self._layout.size
+        self.writable = all(r.writable for r in registers)
+
+    def __str__(self) -> str:
+        return self._text
+
+    @classmethod
+    def between(cls, first: Register, last: Register) -> "RegisterBlock":
+        """Return all items from ``first`` to ``last``."""
+        return cls(*(r for r in REGISTERS.values() if first.address <= r.address <= last.address))
+
+    def decode(self, data: bytes) -> dict[str, int]:
+        """Return the raw values by name; LimitExceeded when the length is wrong."""
+        if len(data) != self.size:
+            raise LimitExceeded(f"{self} have {self.size} bytes, got {len(data)}")
+        return dict(zip(self._names, self._layout.unpack(data), strict=True))
+
+    def encode(self, raws: Sequence[int]) -> bytes:
+        """Return the bytes of one raw value for each item; LimitExceeded when one does not fit."""
+        try:
+            return self._layout.pack(*raws)
+        except struct.error:
+            # The item's own error says which one it is.
+            return b"".join(r.encode(raw) for r, raw in zip(self._registers, raws, strict=True))
+
+
+PRESENT_BLOCK = RegisterBlock.between(REALTIME_TICK, PRESENT_TEMPERATURE)
+"""Registers 120 to 146: what a servo reports of its present state."""

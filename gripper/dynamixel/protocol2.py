@@ -4,6 +4,7 @@ Source: ROBOTIS e-Manual, "DYNAMIXEL Protocol 2.0". The SDK computes length and 
 stuffs; here both cover the stuffed bytes, and the CRC is checked before a packet is unstuffed.
 """
 
+import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -22,10 +23,10 @@ ALERT_BIT = 0x80
 STATUS_OVERHEAD = 11
 """Bytes of a status packet without its parameters."""
 
-_RESERVED = 0
-"""Byte after the header."""
-_RESERVED_AT, _ID_AT, _LENGTH_AT, _BODY_AT = 3, 4, 5, 7
-"""Offsets of reserved byte, ID, length (2 bytes) and instruction in a packet."""
+_START = HEADER + b"\x00"
+"""Header and reserved byte."""
+_ID_AT, _LENGTH_AT, _BODY_AT = 4, 5, 7
+"""Offsets of ID, length (2 bytes) and instruction in a packet."""
 _HIGHEST_ID_BYTE = 0xFE
 """Highest content of the ID byte: the broadcast ID."""
 _CRC_SIZE = 2
@@ -37,6 +38,12 @@ _READ_AHEAD = 256
 """Bytes asked for at once: answers that came together are fetched together."""
 _CRC_TABLE = tuple(Protocol2PacketHandler().updateCRC(0, (byte,), 1) for byte in range(256))
 """The SDK's own table; its method makes it anew with every call."""
+_CRC_TABLE_2 = tuple(
+    _CRC_TABLE[byte ^ first >> 8] ^ (first << 8 & 0xFFFF)
+    for first in _CRC_TABLE
+    for byte in range(256)
+)
+"""The same for two bytes at once, as a big-endian number."""
 _SHOWN_BYTES = 16
 """Dropped bytes kept for an error message: a header and what follows it."""
 
@@ -89,16 +96,14 @@ def packet_length(buffer: bytes | bytearray) -> int | None:
 
     None while too few bytes are there; 0 when no status packet can start here.
     """
-    head = buffer[:_BODY_AT]
-    if head[: len(HEADER)] != HEADER[: len(head)]:
+    there = len(buffer)
+    if buffer[:_ID_AT] != _START[:there]:
         return 0
-    if len(head) > _RESERVED_AT and head[_RESERVED_AT] != _RESERVED:
+    if there > _ID_AT and buffer[_ID_AT] > _HIGHEST_ID_BYTE:
         return 0
-    if len(head) > _ID_AT and head[_ID_AT] > _HIGHEST_ID_BYTE:
-        return 0
-    if len(head) < _BODY_AT:
+    if there < _BODY_AT:
         return None
-    length = int.from_bytes(head[_LENGTH_AT:_BODY_AT], "little")
+    length = buffer[_LENGTH_AT] | buffer[_LENGTH_AT + 1] << 8
     if not STATUS_OVERHEAD - _BODY_AT <= length <= _LONGEST_LENGTH:
         return 0
     return _BODY_AT + length
@@ -137,9 +142,7 @@ class CheckedPacketHandler(Protocol2PacketHandler):  # type: ignore[misc]
 
     def send(self, port: SdkPort, servo_id: int, instruction: int, params: bytes) -> None:
         """Send one instruction packet; BusBusy while the port waits for another answer."""
-        # txPacket fills in header, length and CRC.
-        packet = [*bytes(_ID_AT), servo_id, 0, 0, instruction, *params, *bytes(_CRC_SIZE)]
-        if self.txPacket(port, packet) != COMM_SUCCESS:
+        if self._transmit(port, servo_id, bytes((instruction,)) + params) != COMM_SUCCESS:
             raise BusBusy("the SDK's port is still in use by another transaction")
 
     def receive(self, port: SdkPort) -> StatusPacket | None:
@@ -172,12 +175,15 @@ class CheckedPacketHandler(Protocol2PacketHandler):  # type: ignore[misc]
 
     def txPacket(self, port: SdkPort, txpacket: Sequence[int]) -> int:  # noqa: N802
         """Send a packet whose header, length and CRC are still to be filled in."""
+        return self._transmit(port, txpacket[_ID_AT], bytes(txpacket[_BODY_AT:-_CRC_SIZE]))
+
+    def _transmit(self, port: SdkPort, servo_id: int, body: bytes) -> int:
         if port.is_using:
             return int(COMM_PORT_BUSY)
         port.is_using = True
-        body = stuff(bytes(txpacket[_BODY_AT:-_CRC_SIZE]))
+        body = stuff(body)
         length = (len(body) + _CRC_SIZE).to_bytes(2, "little")
-        packet = HEADER + bytes([_RESERVED, txpacket[_ID_AT]]) + length + body
+        packet = _START + bytes((servo_id,)) + length + body
         packet += self.updateCRC(0, packet, len(packet)).to_bytes(_CRC_SIZE, "little")
         self._following.clear()
         port.clearPort()
@@ -188,9 +194,11 @@ class CheckedPacketHandler(Protocol2PacketHandler):  # type: ignore[misc]
         self, crc_accum: int, data_blk_ptr: Sequence[int], data_blk_size: int
     ) -> int:
         """Return the CRC of the first bytes, continued from ``crc_accum``."""
-        crc = crc_accum
-        for byte in data_blk_ptr[:data_blk_size]:
-            crc = (crc << 8 & 0xFFFF) ^ _CRC_TABLE[crc >> 8 ^ byte]
+        crc, data = crc_accum, bytes(data_blk_ptr[:data_blk_size])
+        for two in struct.unpack_from(f">{len(data) // 2}H", data):
+            crc = _CRC_TABLE_2[crc ^ two]
+        if len(data) % 2:
+            crc = (crc << 8 & 0xFFFF) ^ _CRC_TABLE[crc >> 8 ^ data[-1]]
         return crc
 
     def _missing(self, buffer: bytearray) -> int:

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import (
+    PRESENT_BLOCK,
     PRESENT_CURRENT,
     PRESENT_INPUT_VOLTAGE,
     PRESENT_POSITION,
@@ -122,7 +123,7 @@ class Feedback:
             When a servo under torque reports what cannot be.
         """
         sent_s = self._clock.monotonic()
-        raws = self._bus.sync_read(self._ids, REALTIME_TICK, PRESENT_TEMPERATURE)
+        raws = self._bus.sync_read(self._ids, PRESENT_BLOCK)
         now_s = self._clock.monotonic()
         for servo_id, raw in raws.items():
             problem = self._ticks.check(servo_id, raw[REALTIME_TICK.name], sent_s, now_s)

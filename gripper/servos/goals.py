@@ -12,10 +12,8 @@ from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import (
     GOAL_CURRENT,
     GOAL_POSITION,
-    GOAL_VELOCITY,
-    PROFILE_ACCELERATION,
-    PROFILE_VELOCITY,
     RAD_PER_PULSE,
+    RegisterBlock,
 )
 from gripper.dynamixel.models import ServoModel
 from gripper.errors import ForceAboveCap, LimitExceeded
@@ -49,13 +47,7 @@ _OVER_FORCE = {
     OverForce.LIMP: "the torque is switched off, a held part possibly dropped",
 }
 
-_GOAL_BLOCK = (
-    GOAL_CURRENT,
-    GOAL_VELOCITY,
-    PROFILE_ACCELERATION,
-    PROFILE_VELOCITY,
-    GOAL_POSITION,
-)
+GOAL_BLOCK = RegisterBlock.between(GOAL_CURRENT, GOAL_POSITION)
 """Registers that one write of goals sets, 102 to 119, in the order of their addresses."""
 
 OPENING_MARGIN_RAD = 0.05
@@ -292,5 +284,5 @@ class GoalWriter:
                 profile_velocity_raw,
                 goal_position,
             ]
-        self._bus.sync_write(values, *_GOAL_BLOCK)
+        self._bus.sync_write(values, GOAL_BLOCK)
         self.earlier, self.last = self.last, tuple(goals)

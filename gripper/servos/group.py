@@ -26,7 +26,7 @@ from gripper.errors import (
 from gripper.kinematics import Linkage, motion_current_a, transmissions
 from gripper.servos import stop_goals
 from gripper.servos.feedback import Feedback
-from gripper.servos.goals import GoalGuard, GoalWriter, ServoGoal
+from gripper.servos.goals import GOAL_BLOCK, GoalGuard, GoalWriter, ServoGoal
 from gripper.servos.health import ServoHealth
 from gripper.settings import GripperSettings
 from gripper.state import Clock, ForceSample, GripperState
@@ -402,7 +402,7 @@ class ServoGroup:
 
     def _check_goals_taken(self, state: GripperState, current_a: float) -> None:
         """Read the goals of the present positions back; ServoFault where one differs."""
-        found = self._bus.sync_read(self._ids, GOAL_CURRENT, GOAL_POSITION)
+        found = self._bus.sync_read(self._ids, GOAL_BLOCK)
         for servo, settings in zip(state.servos, self._settings.servos, strict=True):
             wrote = {
                 GOAL_POSITION.name: servo.position_raw,

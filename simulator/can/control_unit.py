@@ -99,13 +99,16 @@ class DeviceNetwork:
     ----------
     now_s
         Present time in s; set by the owner.
+    next_due_s
+        Time in s at which the next periodic message is due, infinity without any.
     """
 
-    __slots__ = ("_send", "_tasks", "now_s")
+    __slots__ = ("_send", "_tasks", "next_due_s", "now_s")
 
     def __init__(self, send: Callable[[float, int, bytes], None], now_s: float) -> None:
         self._send = send
         self._tasks: list[PeriodicTask] = []
+        self.next_due_s = math.inf
         self.now_s = now_s
 
     def subscribe(self, can_id: int, callback: Callable[..., Any]) -> None:
@@ -126,13 +129,17 @@ class DeviceNetwork:
         """Send a message every ``period`` s, for the first time after one period."""
         if remote:
             raise ValueError(f"the device sends no remote frames (identifier 0x{can_id:03X})")
-        task = PeriodicTask(can_id, bytes(data), period, self.now_s + period, self._tasks.remove)
+        task = PeriodicTask(can_id, bytes(data), period, self.now_s + period, self._remove)
         self._tasks.append(task)
+        self._find_next()
         return task
 
-    def next_due_s(self) -> float:
-        """Return when the next periodic message is due in s, infinity without any."""
-        return min((task.due_s for task in self._tasks), default=math.inf)
+    def _remove(self, task: PeriodicTask) -> None:
+        self._tasks.remove(task)
+        self._find_next()
+
+    def _find_next(self) -> None:
+        self.next_due_s = min((task.due_s for task in self._tasks), default=math.inf)
 
     def run(self, now_s: float, *, mute: bool) -> None:
         """Send what is due until ``now_s`` s at its own times; ``mute`` skips the sending."""
@@ -141,6 +148,7 @@ class DeviceNetwork:
                 if not mute:
                     self._send(task.due_s, task.can_id, task.data)
                 task.due_s += task.period_s
+        self._find_next()
 
 
 SendBurst = Callable[[float, int, list[bytes]], float]
@@ -215,8 +223,10 @@ class SimulatedControlUnit:
         "_force_due_s",
         "_force_end_s",
         "_force_hits",
+        "_force_id",
         "_force_period_s",
         "_forces_again",
+        "_frame_id",
         "_gate",
         "_held_force",
         "_layout",
@@ -225,6 +235,8 @@ class SimulatedControlUnit:
         "_send",
         "_sync_count",
         "_sync_id",
+        "_sync_kind",
+        "_window_s",
         "dictionary",
         "faults",
         "scanner",
@@ -286,7 +298,7 @@ class SimulatedControlUnit:
 
     def next_event_s(self) -> float:
         """Return when the unit next sends something by itself, in s; infinity for never."""
-        return min(self._boot_due_s, self._network.next_due_s(), self._force_due_s)
+        return min(self._boot_due_s, self._network.next_due_s, self._force_due_s)
 
     def advance(self, now_s: float) -> None:
         """Let the time pass until ``now_s`` s: boot-up, heartbeat."""
@@ -318,7 +330,6 @@ class SimulatedControlUnit:
             self._sync()
         elif can_id == self._node.sdo.rx_cobid:
             self._gate.request(data)
-            self._sync_id = self.dictionary.sync_cob_id
             self._time_forces()
 
     def command(self, state: str, now_s: float) -> None:
@@ -370,7 +381,7 @@ class SimulatedControlUnit:
         self.dictionary.reset(self._layout, everything=everything)
         if everything:
             self.scanner.reset()
-        self._sync_id = self.dictionary.sync_cob_id
+        self._take_settings()
         self._sync_count = 0
         self._burst_end_s = self._force_end_s = -math.inf
         self._force_due_s, self._force_period_s = math.inf, 0.0
@@ -388,8 +399,18 @@ class SimulatedControlUnit:
             self._node.nmt.on_command(0, data, self._network.now_s)
             self._time_forces()
 
+    def _take_settings(self) -> None:
+        """Take over what the dictionary holds: after each SDO request and change of state."""
+        dictionary = self.dictionary
+        self._sync_id = dictionary.sync_cob_id
+        self._sync_kind = dictionary.number(object_dictionary.TPDO1_PARAMETER, 2)
+        self._window_s = 1e-6 * dictionary.number(object_dictionary.SYNC_WINDOW_US)
+        self._frame_id = dictionary.pdo_cob_id(1)
+        self._force_id = dictionary.pdo_cob_id(2) if self.settings.force_messages else None
+
     def _time_forces(self) -> None:
         """Begin, go on with or end the event timer of the force messages."""
+        self._take_settings()
         period_s = 0.0
         if self.settings.force_messages and self.state == _OPERATIONAL:
             period_s = 1e-3 * self.dictionary.number(
@@ -401,7 +422,7 @@ class SimulatedControlUnit:
 
     def _send_force(self, due_s: float) -> None:
         """Scan the gripping pads and send their force, unless the last one still waits."""
-        can_id = self.dictionary.pdo_cob_id(2)
+        can_id = self._force_id
         if can_id is None or self.faults.dead or self.faults.forces_off:
             return
         if due_s < self._force_end_s - ROUNDING_S:
@@ -438,8 +459,8 @@ class SimulatedControlUnit:
         if now_s < self._burst_end_s - ROUNDING_S:
             self._passed_over(EMCY_OVERRUN)
             return
-        kind = self.dictionary.number(object_dictionary.TPDO1_PARAMETER, 2)
         self._sync_count += 1
+        kind = self._sync_kind
         if _ON_EACH_SYNC < kind <= _MOST_SYNCS and self._sync_count % kind:
             return
         self.scanner.latch()
@@ -447,8 +468,7 @@ class SimulatedControlUnit:
 
     def _send_frame(self, now_s: float) -> None:
         messages = self.scanner.frame_messages()
-        window_s = 1e-6 * self.dictionary.number(object_dictionary.SYNC_WINDOW_US)
-        bit_s = 1.0 / self.settings.bitrate
+        window_s, bit_s = self._window_s, 1.0 / self.settings.bitrate
         if window_s and len(messages) * _WORST_BITS * bit_s > window_s:
             used_s, fitting = 0.0, 0
             for message in messages:
@@ -459,18 +479,14 @@ class SimulatedControlUnit:
             if fitting < len(messages):
                 messages = messages[:fitting]
                 self._passed_over(EMCY_WINDOW)
-        self._send_pdo(1, now_s, messages)
+        if self._frame_id is not None and messages and self._send is not None:
+            self._burst_end_s = self._send(now_s + self.faults.late_s, self._frame_id, messages)
 
     def _passed_over(self, code: int) -> None:
         """Mark the next frame, and send an EMCY once for what goes wrong again and again."""
         self.scanner.overrun = True
         if code not in self.dictionary.errors:
             self.emergency(code, register=REGISTER_MANUFACTURER)
-
-    def _send_pdo(self, pdo: int, now_s: float, messages: list[bytes]) -> None:
-        can_id = self.dictionary.pdo_cob_id(pdo)
-        if can_id is not None and messages and self._send is not None:
-            self._burst_end_s = self._send(now_s + self.faults.late_s, can_id, messages)
 
     def _emit(self, t_s: float, can_id: int, data: bytes) -> None:
         if can_id == self._node.sdo.tx_cobid:

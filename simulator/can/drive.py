@@ -145,7 +145,7 @@ class SimulatedDrive:
 
     def next_event_s(self) -> float:
         """Return when the drive next sends something by itself, in s; infinity for never."""
-        return min(self._boot_due_s, self._network.next_due_s())
+        return min(self._boot_due_s, self._network.next_due_s)
 
     def advance(self, now_s: float) -> None:
         """Let the time pass until ``now_s`` s: boot-up, heartbeat, motion."""

@@ -6,7 +6,7 @@
 import bisect
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from enum import Enum
 from typing import Protocol
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from simulator.can.control_unit import SendBurst
 from simulator.can.faults import CanLinkFaults, Disturber
-from simulator.can.wire import CanWire, Waiting
+from simulator.can.wire import Burst, CanWire
 from simulator.errors import SimulatorStateError
 
 Capture = Callable[[float, int, bytes], None]
@@ -119,7 +119,7 @@ class CanLink:
 
     def send(self, can_id: int, data: bytes, now_s: float, *, extended: bool = False) -> None:
         """Send a message of the host; it reaches the device before this returns."""
-        self._wire.put(Waiting(now_s, can_id, data, extended, _Sender.HOST), first=True)
+        self._wire.put(Burst(now_s, can_id, (data,), extended, _Sender.HOST), first=True)
         if not extended and not self.faults.bus_off:
             self._device.receive(can_id, data, now_s)
 
@@ -140,7 +140,8 @@ class CanLink:
             self._flood_due_s = math.inf
         if (faults.error_passive, faults.bus_off) != self._reported:
             self._report_state(now_s)
-        self._transmit(now_s)
+        if self._wire.next_end_s() <= now_s:
+            self._transmit(now_s)
 
     def next_event_s(self) -> float:
         """Return when something arrives or the device next sends by itself; infinity for never."""
@@ -160,27 +161,36 @@ class CanLink:
         if len(self._inbox) + self._wire.n_waiting > _INBOX_LIMIT:
             self.lost += len(burst)
             return ready_s
-        for data in burst:
-            self._wire.put(Waiting(ready_s, can_id, data, False, _Sender.DEVICE))
+        self._wire.put(Burst(ready_s, can_id, burst, False, _Sender.DEVICE))
         return self._wire.end_s(ready_s, can_id)
 
     def _transmit(self, now_s: float) -> None:
         """Put what the wire has carried until ``now_s`` s into the inbox, with the faults."""
         inbox = self._inbox
-        for through_s, (_, can_id, data, _, sender) in self._wire.take(now_s):
-            for capture in self.capture:
-                capture(through_s, can_id, data)
+        for ends_s, (_, can_id, messages, _, sender) in self._wire.take(now_s):
+            for through_s, data in zip(ends_s, messages, strict=True) if self.capture else ():
+                for capture in self.capture:
+                    capture(through_s, can_id, data)
             if sender is _Sender.HOST:
                 continue
-            if sender is _Sender.DEVICE and self.faults.disturbs:
-                for arrival_s, code, changed in self._disturber.pass_on(through_s, data):
-                    message = can.Message(arrival_s, can_id, False, dlc=code, data=changed)
+            disturbed = sender is _Sender.DEVICE and self.faults.disturbs
+            arrived = self._arrived(ends_s, can_id, messages, disturbed=disturbed)
+            if disturbed or (inbox and inbox[-1].timestamp > ends_s[0]):
+                for message in arrived:
                     bisect.insort(inbox, message, key=_arrival_s)
-            elif inbox and inbox[-1].timestamp > through_s:
-                late = can.Message(through_s, can_id, False, data=data)
-                bisect.insort(inbox, late, key=_arrival_s)
             else:
-                inbox.append(can.Message(through_s, can_id, False, data=data))
+                inbox.extend(arrived)
+
+    def _arrived(
+        self, ends_s: Sequence[float], can_id: int, messages: Sequence[bytes], *, disturbed: bool
+    ) -> Iterator[can.Message]:
+        """Yield what arrives of messages that are through at these times, with the faults."""
+        for through_s, data in zip(ends_s, messages, strict=True):
+            if disturbed and self.faults.disturbs:
+                for arrival_s, code, changed in self._disturber.pass_on(through_s, data):
+                    yield can.Message(arrival_s, can_id, False, dlc=code, data=changed)
+            else:
+                yield can.Message(through_s, can_id, False, data=data)
 
     def _flood(self, now_s: float) -> None:
         self.faults.check()
@@ -188,7 +198,7 @@ class CanLink:
             self._flood_due_s = now_s
         while self._flood_due_s <= now_s:
             data = self._disturber.rng.bytes(8)
-            self._wire.put(Waiting(self._flood_due_s, _FLOOD_ID, data, False, _Sender.FLOOD))
+            self._wire.put(Burst(self._flood_due_s, _FLOOD_ID, (data,), False, _Sender.FLOOD))
             self._flood_due_s += 1.0 / self.faults.flood_hz
 
     def _report_state(self, now_s: float) -> None:

@@ -90,7 +90,10 @@ class InMemoryCanBus(can.BusABC):
         """
         clock, link = self._clock, self._link
         now_s = clock.monotonic()
-        deadline_s = math.inf if timeout is None else now_s + max(timeout, 0.0)
+        deadline_s = math.inf
+        if timeout is not None:
+            deadline_s = now_s + timeout if timeout > 0.0 else now_s
+        looked = False
         while True:
             self._check_open()
             message = link.take(now_s)
@@ -98,18 +101,19 @@ class InMemoryCanBus(can.BusABC):
                 if self._filters is None or self._matches_filters(message):
                     return message
                 continue
-            link.advance(now_s)
-            next_s = min(link.next_event_s(), deadline_s)
-            if next_s <= now_s < deadline_s:
+            if not looked:
+                link.advance(now_s)
+                looked = True
                 continue
             if now_s >= deadline_s:
-                return link.take(now_s)
+                return None
+            next_s = min(link.next_event_s(), deadline_s)
             if math.isinf(next_s):
                 raise SimulatorStateError(
                     "recv() without a time-out on a bus on which nothing will ever come"
                 )
             clock.advance_to(next_s)
-            now_s = clock.monotonic()
+            now_s, looked = clock.monotonic(), False
 
     def flush(self) -> None:
         """Let what waits for the wire go out, for those who capture it; the host forgets it."""
@@ -124,5 +128,5 @@ class InMemoryCanBus(can.BusABC):
     def _check_open(self) -> None:
         if self._is_shutdown:
             raise can.CanOperationError("the bus was shut down: open a new one")
-        if self.faults.unplugged:
+        if self._link.faults.unplugged:
             raise can.CanOperationError("the CAN adapter is gone: plug it in and start again")

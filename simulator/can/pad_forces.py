@@ -110,7 +110,7 @@ class PadForces:
         gain
             Factor on the forces: a fault.
         """
-        if int(counts[~self._bad].max(initial=0)) >= self._adc_max:
+        if (counts[~self._bad] >= self._adc_max).any():
             status |= ForceStatus.SATURATED
         force_n, centre = np.zeros(len(counts)), None
         if self._table_n is not None and self._zero_counts is not None:

@@ -140,7 +140,7 @@ class Scanner:
         if self.force_overrun:
             status |= ForceStatus.OVERRUN
             self.force_overrun = False
-        gripping = self._gripping[self._grip]
+        gripping = self._gripping.take(self._grip)
         self.last_force = self.forces.message(gripping, status, gain=faults.force_gain)
         return self.last_force
 

@@ -90,7 +90,7 @@ class ServoBusDevice:
     def advance_to(self, now_s: float) -> None:
         """Let watchdogs and protections act; call it once a step of the mechanics."""
         for servo in self.servos:
-            servo.supervise(now_s)
+            servo.core.supervise(now_s)
 
     def receive(self, data: bytes, now_s: float, *, sent_after_s: float | None = None) -> None:
         """Take bytes that the host sent.
@@ -157,10 +157,11 @@ class ServoBusDevice:
             self._unicast(packet, hearing, now_s)
 
     def _hears(self, servo: SimulatedServo, now_s: float) -> bool:
+        silent = self.faults.silent
         return (
             servo.baudrate == self.baudrate
             and now_s >= servo.core.silent_until_s
-            and servo.servo_id not in self.faults.silent
+            and not (silent and servo.servo_id in silent)
         )
 
     def _answer_damaged(

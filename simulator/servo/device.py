@@ -243,10 +243,6 @@ class SimulatedServo:
             return True
         return level == _ANSWERS_READS and instruction in _READS
 
-    def supervise(self, now_s: float) -> None:
-        """Let bus watchdog and protections act at the time ``now_s``."""
-        self.core.supervise(now_s)
-
     def status(self, error: int, data: bytes = b"") -> Answer:
         """Return an answer with the Alert bit as Hardware Error Status (70) asks for it."""
         alert = self.core.table.data[HARDWARE_ERROR_STATUS.address]
@@ -296,20 +292,21 @@ class SimulatedServo:
                 at = item.address - start
                 raw = int.from_bytes(piece[at : at + item.size], "little", signed=item.signed)
                 refused = self._check(item, raw)
-                if refused:
+                if refused is not StatusError.NONE:
                     return refused
                 values.append((item, raw))
         goals = profile = False
         for item, raw in values:
+            if item.address == TORQUE_ENABLE.address:
+                self.core.set_torque(on=bool(raw))
+                continue
+            self.core.table.set(item.address, item.size, raw)
             if item.address in _GOALS:
                 goals = True
             elif GOAL_START <= item.address < GOAL_END:
                 profile = True
-            elif item.address == TORQUE_ENABLE.address:
-                self.core.set_torque(on=bool(raw))
-                continue
-            self.core.table.set(item.address, item.size, raw)
-            self._side_effect(item.address, raw, now_s)
+            else:
+                self._side_effect(item.address, raw, now_s)
         if goals:
             self.core.goal_written()
         elif profile:

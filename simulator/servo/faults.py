@@ -206,18 +206,13 @@ class WireFaults:
             self.fragment_bytes > 0
             or self.repeat_s > 0.0
             or self.lag
-            or any(
-                trigger.active
-                for trigger in (
-                    self.drop,
-                    self.delay,
-                    self.duplicate,
-                    self.bit_flip,
-                    self.truncate,
-                    self.garbage,
-                    self.wrong_id,
-                )
-            )
+            or self.drop.active
+            or self.delay.active
+            or self.duplicate.active
+            or self.bit_flip.active
+            or self.truncate.active
+            or self.garbage.active
+            or self.wrong_id.active
         )
 
     def _fragments(self, delay_s: float, packet: bytes) -> list[Piece]:

@@ -11,12 +11,17 @@ from enum import Enum
 from typing import Protocol
 
 from gripper.dynamixel.control_table import (
+    BUS_WATCHDOG,
     DRIVE_MODE,
     GOAL_PWM,
     HARDWARE_ERROR_STATUS,
+    HOMING_OFFSET,
     MAX_VOLTAGE_LIMIT,
+    MOVING_THRESHOLD,
     OPERATING_MODE,
+    POSITION_D_GAIN,
     PRESENT_TEMPERATURE,
+    PWM_LIMIT,
     RAD_PER_PULSE,
     RAD_S2_PER_ACCELERATION_UNIT,
     RAD_S_PER_VELOCITY_UNIT,
@@ -29,7 +34,7 @@ from gripper.dynamixel.control_table import (
     WATCHDOG_UNIT_S,
 )
 from gripper.dynamixel.models import PULSES_PER_TURN, HardwareError, OperatingMode, ServoModel
-from simulator.servo.control_table import ControlTable, ServoRegisters, is_x330
+from simulator.servo.control_table import ServoRegisters, is_x330
 from simulator.servo.motor import OVERLOAD_BUDGET_S, PWM_COUNTS, DriveCommand, DriveMode
 
 PRESENT_START, PRESENT_END = REALTIME_TICK.address, PRESENT_TEMPERATURE.end
@@ -62,13 +67,20 @@ _PRESENT = struct.Struct("<HBBhhiiiiHB")
 position trajectory, voltage, temperature."""
 _GOALS = struct.Struct("<hhiIIi")
 """Registers 100 to 119: PWM, current, velocity, profile acceleration and velocity, position."""
+_HOMING, _THRESHOLD = struct.Struct("<i"), struct.Struct("<I")
+"""Registers 20 to 23 and 24 to 27: homing offset, moving threshold."""
+_LIMITS = struct.Struct("<HH4xI")
+"""Registers 36 to 47: limits of PWM, current and velocity, with the 4 bytes before the last."""
+_GAINS = struct.Struct("<H2xH")
+"""Registers 80 to 85: D and P gain of the position, the I gain between them left out."""
 _VOLTAGE_LIMITS = struct.Struct("<HH")
 """Registers 32 to 35: highest and lowest voltage in units of 0.1 V."""
 _TORQUE = TORQUE_ENABLE.address
 _MODE = OPERATING_MODE.address
 _DRIVE = DRIVE_MODE.address
 _HARDWARE_ERROR = HARDWARE_ERROR_STATUS.address
-"""Addresses of single bytes that are looked at in each step of the motor."""
+_TEMPERATURE_LIMIT, _VOLTAGE = TEMPERATURE_LIMIT.address, MAX_VOLTAGE_LIMIT.address
+"""Addresses of what is looked at in each step of the motor."""
 
 
 class ServoPlant(Protocol):
@@ -138,16 +150,19 @@ class ServoPosition:
 
     def to_raw(self, angle_rad: float) -> int:
         """Return the position in counts of a motor angle in rad."""
-        return self.sign * _counts(angle_rad) + self._turn_offset + self._homing()
+        return self.sign * _counts(angle_rad) + self._offset()
 
     def to_rad(self, raw: int) -> float:
         """Return the motor angle in rad of a position in counts."""
-        return self.sign * (raw - self._homing() - self._turn_offset) * RAD_PER_PULSE
+        return self.sign * (raw - self._offset()) * RAD_PER_PULSE
 
-    def _homing(self) -> int:
-        offset = self._registers.get("homing_offset")
-        one_turn = self._registers.table.data[_MODE] == OperatingMode.POSITION
-        return 0 if one_turn and abs(offset) > HOMING_OFFSET_MODE_3 else offset
+    def _offset(self) -> int:
+        """Return the counts that turns and Homing Offset add."""
+        data = self._registers.table.data
+        (homing,) = _HOMING.unpack_from(data, HOMING_OFFSET.address)
+        if data[_MODE] == OperatingMode.POSITION and abs(homing) > HOMING_OFFSET_MODE_3:
+            homing = 0
+        return self._turn_offset + int(homing)
 
     def refresh(self, uptime_s: float, *, following: bool) -> None:
         """Bring registers 120 to 146 up to date.
@@ -159,23 +174,25 @@ class ServoPosition:
         following
             Whether the motor follows Goal Position.
         """
-        plant, sign, registers = self._plant, self.sign, self._registers
+        plant, sign, offset = self._plant, self.sign, self._offset()
+        data = self._registers.table.data
         velocity_raw = round(sign * plant.sensed_velocity_rad_s / RAD_S_PER_VELOCITY_UNIT)
-        position_raw = self.present_raw()
-        trajectory_raw = self.to_raw(plant.reference_rad)
-        goal_raw = registers.get("goal_position")
+        position_raw = sign * _counts(plant.sensed_rad) + offset
+        trajectory_raw = sign * _counts(plant.reference_rad) + offset
+        _, _, _, _, profile, goal_raw = _GOALS.unpack_from(data, GOAL_START)
         status = _ARRIVED if abs(position_raw - goal_raw) <= IN_POSITION_PULSES else 0
         if following:
             status |= _PROFILE_ONGOING if trajectory_raw != goal_raw else 0
-            status |= _TRAPEZOIDAL_PROFILE if registers.get("profile_velocity") else 0
+            status |= _TRAPEZOIDAL_PROFILE if profile else 0
+        (threshold,) = _THRESHOLD.unpack_from(data, MOVING_THRESHOLD.address)
         _PRESENT.pack_into(
-            registers.table.data,
+            data,
             PRESENT_START,
             math.floor(uptime_s * _TICKS_PER_S + _ROUNDING_TICKS) % TICK_MODULO,
-            abs(velocity_raw) > registers.get("moving_threshold"),
+            abs(velocity_raw) > threshold,
             status,
             round(sign * plant.duty * PWM_COUNTS),
-            round(sign * plant.current_a / registers.model.current_unit_a),
+            round(sign * plant.current_a / self._registers.model.current_unit_a),
             velocity_raw,
             position_raw + self.reported_offset_raw,
             round(sign * plant.reference_velocity_rad_s / RAD_S_PER_VELOCITY_UNIT),
@@ -205,9 +222,10 @@ def goal_command(
     mode, sign = data[_MODE], position.sign
     pwm, current, velocity, acceleration, profile, goal = _GOALS.unpack_from(data, GOAL_START)
     # A limit that was lowered after the goal was written still holds.
-    pwm = _bounded(pwm, registers.get("pwm_limit"))
-    current = _bounded(current, registers.get("current_limit"))
-    velocity = _bounded(velocity, registers.get("velocity_limit"))
+    pwm_limit, current_limit, velocity_limit = _LIMITS.unpack_from(data, PWM_LIMIT.address)
+    pwm = _bounded(pwm, pwm_limit)
+    current = _bounded(current, current_limit)
+    velocity = _bounded(velocity, velocity_limit)
     duty = abs(pwm) / PWM_COUNTS
     current_a = current * registers.model.current_unit_a
     if mode == OperatingMode.CURRENT:
@@ -220,13 +238,14 @@ def goal_command(
     goal_rad = position.to_rad(goal)
     speed, ramp = _profile(registers, abs(goal_rad - reference_rad), profile, acceleration)
     limited = mode == OperatingMode.CURRENT_BASED_POSITION
+    d_gain, p_gain = _GAINS.unpack_from(data, POSITION_D_GAIN.address)
     return DriveCommand(
         DriveMode.CURRENT_POSITION if limited else DriveMode.POSITION,
         current_a=abs(current_a),
         position_rad=goal_rad,
         duty=duty,
-        p_gain=registers.get("position_p_gain"),
-        d_gain=registers.get("position_d_gain"),
+        p_gain=p_gain,
+        d_gain=d_gain,
         profile_velocity_rad_s=speed,
         profile_acceleration_rad_s2=ramp,
     )
@@ -245,7 +264,7 @@ def hold_command(registers: ServoRegisters, angle_rad: float) -> DriveCommand:
 
 
 def _bounded(raw: int, limit: int) -> int:
-    return min(max(raw, -limit), limit)
+    return -limit if raw < -limit else limit if raw > limit else raw
 
 
 def _profile(
@@ -295,8 +314,8 @@ class ServoCore:
 
     Attributes
     ----------
-    registers, position
-        The servo's registers and counts.
+    registers, table, position
+        The servo's registers, their control table, and counts.
     injected_error
         Bits of Hardware Error Status that a fault knob forces.
     silent_until_s
@@ -314,6 +333,7 @@ class ServoCore:
         watchdog_stop: WatchdogStop = WatchdogStop.HOLD,
     ) -> None:
         self.registers = ServoRegisters(model, firmware, {**(settings or {}), "id": servo_id})
+        self.table = self.registers.table
         self.position = ServoPosition(self.registers, plant)
         self.plant = plant
         self.watchdog_stop = watchdog_stop
@@ -324,11 +344,6 @@ class ServoCore:
         self._stopped = False  # by the watchdog, until the next goal
         self._booted_s = 0.0
         self.boot(0.0, blackout_s=0.0)
-
-    @property
-    def table(self) -> ControlTable:
-        """The control table."""
-        return self.registers.table
 
     @property
     def model(self) -> ServoModel:
@@ -348,7 +363,7 @@ class ServoCore:
     @property
     def watchdog_tripped(self) -> bool:
         """Whether Bus Watchdog reads -1."""
-        return self.registers.get("bus_watchdog") == WATCHDOG_TRIPPED_RAW
+        return self.table.data[BUS_WATCHDOG.address] == WATCHDOG_TRIPPED_RAW & 0xFF
 
     @property
     def latched(self) -> bool:
@@ -445,11 +460,11 @@ class ServoCore:
             self._trip()
         plant = self.plant
         bits = self.injected_error
-        if plant.temperature_c > data[TEMPERATURE_LIMIT.address]:
+        if plant.temperature_c > data[_TEMPERATURE_LIMIT]:
             bits |= HardwareError.OVERHEATING
         if plant.load_excess_s > OVERLOAD_BUDGET_S:
             bits |= HardwareError.OVERLOAD
-        highest_raw, lowest_raw = _VOLTAGE_LIMITS.unpack_from(data, MAX_VOLTAGE_LIMIT.address)
+        highest_raw, lowest_raw = _VOLTAGE_LIMITS.unpack_from(data, _VOLTAGE)
         if not lowest_raw <= plant.voltage_v * 10.0 <= highest_raw:
             bits |= HardwareError.INPUT_VOLTAGE
         if bits and bits & ~data[_HARDWARE_ERROR]:

@@ -284,36 +284,35 @@ class ServoMotor:
             self.duty = 0.0
             self._account(dt_s)
             return 0.0
-        velocity = self.sensed_velocity_rad_s
+        sensed_rad, velocity = self.sensed_rad, self.sensed_velocity_rad_s
         back_emf_v = self._back_emf * self.velocity_rad_s
         if mode is DriveMode.CURRENT_POSITION or mode is DriveMode.POSITION:
             self._advance_reference(dt_s)
             goal_a = (
-                command.p_gain * self._p_current * (self.reference_rad - self.sensed_rad)
+                command.p_gain * self._p_current * (self.reference_rad - sensed_rad)
                 - (command.d_gain * self._d_current + self._back_emf / self._resistance_ohm)
                 * velocity
             )
             if mode is DriveMode.CURRENT_POSITION:
-                limit_a = command.current_a
-                goal_a = min(max(goal_a, -limit_a), limit_a)
+                goal_a = _bounded(goal_a, -command.current_a, command.current_a)
         elif mode is DriveMode.CURRENT:
             goal_a = command.current_a
         elif mode is DriveMode.VELOCITY:
             goal_a = self._velocity_loop(velocity, dt_s)
         else:
             goal_a = (command.duty * self.voltage_v - back_emf_v) / self._resistance_ohm
-        supply_v = max(self.voltage_v, _LEAST_SUPPLY_V)
         limit_v = abs(command.duty) * self.voltage_v
         highest_a = (limit_v - back_emf_v) / self._resistance_ohm
         lowest_a = (-limit_v - back_emf_v) / self._resistance_ohm
-        goal_a = min(max(goal_a, lowest_a), highest_a)
+        goal_a = _bounded(goal_a, lowest_a, highest_a)
         if dt_s != self._alpha_dt_s:
             self._alpha_dt_s = dt_s
             self._alpha = 1.0 - math.exp(-dt_s / CURRENT_LOOP_TIME_CONSTANT_S)
         current_a = self.current_a + (goal_a - self.current_a) * self._alpha
         self.current_a = current_a
+        supply_v = self.voltage_v if self.voltage_v > _LEAST_SUPPLY_V else _LEAST_SUPPLY_V
         duty = (current_a * self._resistance_ohm + back_emf_v) / supply_v
-        self.duty = min(max(duty, -1.0), 1.0)
+        self.duty = _bounded(duty, -1.0, 1.0)
         self._account(dt_s)
         torque_nm = self.kt_nm_a * current_a
         gearing = self.gearing
@@ -327,14 +326,16 @@ class ServoMotor:
         current_a = self.current_a
         final_c = AMBIENT_C + self._heat * current_a * current_a
         self.temperature_c += (final_c - self.temperature_c) * (dt_s / THERMAL_TIME_CONSTANT_S)
-        load = abs(current_a) * self._resistance_ohm / max(self.voltage_v, _LEAST_SUPPLY_V)
-        self.load_excess_s = max(0.0, self.load_excess_s + (load - OVERLOAD_DUTY) * dt_s)
+        supply_v = self.voltage_v if self.voltage_v > _LEAST_SUPPLY_V else _LEAST_SUPPLY_V
+        load = abs(current_a) * self._resistance_ohm / supply_v
+        excess_s = self.load_excess_s + (load - OVERLOAD_DUTY) * dt_s
+        self.load_excess_s = excess_s if excess_s > 0.0 else 0.0
 
     def _velocity_loop(self, velocity_rad_s: float, dt_s: float) -> float:
         error = self.command.velocity_rad_s - velocity_rad_s
         bound_a = self.model.stall_current_a
         integral_a = self._integral_a + _VELOCITY_LOOP_A_RAD * error * dt_s
-        self._integral_a = min(max(integral_a, -bound_a), bound_a)
+        self._integral_a = _bounded(integral_a, -bound_a, bound_a)
         return _VELOCITY_LOOP_A_S_RAD * error + self._integral_a
 
     def _advance_reference(self, dt_s: float) -> None:
@@ -358,3 +359,9 @@ class ServoMotor:
             return
         self.reference_velocity_rad_s = math.copysign(speed, left)
         self.reference_rad += self.reference_velocity_rad_s * dt_s
+
+
+def _bounded(value: float, low: float, high: float) -> float:
+    """Return a value within bounds; the upper one where they cross."""
+    value = low if value < low else value
+    return high if value > high else value

@@ -61,13 +61,16 @@ class NoiseModel:
         if self.kind == "uniform":
             counts = rng.uniform(_LEAST_COUNTS, _LIMIT_COUNTS, n)
         else:
-            counts = _SIGMA_COUNTS * rng.standard_normal(n)
+            counts = rng.standard_normal(n)
+            counts *= _SIGMA_COUNTS
+            least_counts = -_LIMIT_COUNTS
             if self.kind == "clipped_normal":
-                counts = np.clip(np.abs(counts), _LEAST_COUNTS, _LIMIT_COUNTS)
-            else:
-                counts = np.clip(counts, -_LIMIT_COUNTS, _LIMIT_COUNTS)
-        noise: NDArray[np.float64] = counts * (self.level * adc_max / _FULL_SCALE_COUNTS)
-        return noise
+                np.abs(counts, out=counts)
+                least_counts = _LEAST_COUNTS
+            np.maximum(counts, least_counts, out=counts)
+            np.minimum(counts, _LIMIT_COUNTS, out=counts)
+        counts *= self.level * adc_max / _FULL_SCALE_COUNTS
+        return counts
 
 
 CELL_M = 0.35e-3

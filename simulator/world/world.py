@@ -225,13 +225,13 @@ class PhysicalWorld:
 
     def advance_to(self, now_s: float) -> None:
         """Step the fingers and the object until ``now_s`` s; a rest below a step waits."""
-        fingers = self._fingers
+        fingers, press, friction_n = self._fingers, self._press, self._settings.nest_friction_n
         while self._time_s + STEP_S <= now_s + ROUNDING_S:
             self._time_s += STEP_S
             fingers.step(STEP_S, self._force_n, self._stiffness_n_m)
-            if self._press is not None:
-                self._force_n, self._stiffness_n_m = self._press.settle(
-                    fingers.finger_position_m, self._settings.nest_friction_n
+            if press is not None:
+                self._force_n, self._stiffness_n_m = press.settle(
+                    fingers.finger_position_m, friction_n
                 )
 
     def skip_to(self, now_s: float) -> None:
@@ -245,7 +245,7 @@ class PhysicalWorld:
     def taxel_force_n(self) -> NDArray[np.float64]:
         """Return the force in N on each taxel at this moment, shape (n_taxels,)."""
         force_n = np.zeros(self._layout.n_taxels)
-        if self._press is not None and max(self._force_n) > 0.0:
+        if self._press is not None and self._pressed:
             position_m = self._fingers.finger_position_m
             for side, pad in enumerate(self._layout.gripping_pads):
                 force_n[self._layout.taxels_of(pad)] = self._press.taxel_force_n(side, position_m)
@@ -253,7 +253,8 @@ class PhysicalWorld:
 
     def scan(self) -> NDArray[np.uint16]:
         """Convert all taxels: the sensor's law, new noise, rounding; counts (n_taxels,)."""
-        return self._converted(self.taxel_force_n(), self._rng)
+        force_n = self.taxel_force_n() if self._pressed else None
+        return self._converted(force_n, self._layout.n_taxels, self._rng)
 
     def scan_gripping(self) -> NDArray[np.uint16]:
         """Convert the taxels of the gripping pads, each with new noise of the same size.
@@ -261,16 +262,22 @@ class PhysicalWorld:
         Counts (n_taxels,), 0 on the other pads. Its noise does not change that of `scan`.
         """
         counts = np.zeros(self._layout.n_taxels, dtype=np.uint16)
-        counts[self._gripping] = self._converted(
-            self.taxel_force_n()[self._gripping], self._fast_rng
-        )
+        force_n = self.taxel_force_n()[self._gripping] if self._pressed else None
+        counts[self._gripping] = self._converted(force_n, len(self._gripping), self._fast_rng)
         return counts
 
+    @property
+    def _pressed(self) -> bool:
+        return self._press is not None and max(self._force_n) > 0.0
+
     def _converted(
-        self, force_n: NDArray[np.float64], rng: np.random.Generator
+        self, force_n: NDArray[np.float64] | None, n: int, rng: np.random.Generator
     ) -> NDArray[np.uint16]:
+        """Return the counts (n,) of taxels under these forces, None where none is pressed."""
         adc_max = self._layout.adc_max
-        counts = ideal_counts(force_n, adc_max, self._settings.law)
-        counts += self._settings.noise.sample(rng, len(force_n), adc_max)
-        converted: NDArray[np.uint16] = np.rint(np.clip(counts, 0.0, adc_max)).astype(np.uint16)
-        return converted
+        counts = self._settings.noise.sample(rng, n, adc_max)
+        if force_n is not None:
+            counts += ideal_counts(force_n, adc_max, self._settings.law)
+        np.maximum(counts, 0.0, out=counts)
+        np.minimum(counts, adc_max, out=counts)
+        return np.rint(counts, out=counts).astype(np.uint16)

@@ -2,6 +2,8 @@
 
 import threading
 from collections import deque
+from functools import partial
+from itertools import islice
 from typing import Protocol
 
 import can
@@ -77,18 +79,12 @@ class PolledSource:
 
     def drain(self) -> list[Stamped]:
         """Return all messages that came since the last call."""
-        messages: list[Stamped] = []
         now_s = self._clock.monotonic()
         try:
-            while len(messages) < self._limit:
-                message = self._bus.recv(0)
-                if message is None:
-                    break
-                stamped = 0.0 < message.timestamp <= now_s
-                messages.append((message.timestamp if stamped else now_s, message))
+            messages = list(islice(iter(partial(self._bus.recv, 0), None), self._limit))
         except (can.CanError, OSError) as error:
             raise interface_failed(error) from error
-        return messages
+        return [(m.timestamp if 0.0 < m.timestamp <= now_s else now_s, m) for m in messages]
 
     def wait(self, timeout_s: float) -> None:
         """Sleep for a short while, at most ``timeout_s``."""

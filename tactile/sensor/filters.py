@@ -32,11 +32,14 @@ class Neighbourhood:
         Neighbours row by row, the taxel itself in the middle; n_taxels where the pad ends.
     weight : (n_taxels, 9) float64
         Binomial weights, 0 beyond the border.
+    total : (n_taxels,) float64
+        Sum of the weights of each taxel.
     """
 
     layout: TaxelLayout
     index: NDArray[np.int64] = field(init=False)
     weight: Values = field(init=False)
+    total: Values = field(init=False)
 
     def __post_init__(self) -> None:
         n = self.layout.n_taxels
@@ -55,6 +58,7 @@ class Neighbourhood:
         weight.setflags(write=False)
         object.__setattr__(self, "index", index)
         object.__setattr__(self, "weight", weight)
+        object.__setattr__(self, "total", weight.sum(axis=1))
 
     def gather(self, values: NDArray[Any], outside: float) -> NDArray[Any]:
         """Return each taxel's neighbours' values, ``outside`` beyond the border, (n_taxels, 9)."""
@@ -71,7 +75,7 @@ def spatial_mean(hood: Neighbourhood, values: Values) -> Values:
     At a border the weights that remain are scaled up, so a constant stays the same constant.
     """
     result: Values = np.einsum("ij,ij->i", hood.gather(values, 0.0), hood.weight)
-    result /= hood.weight.sum(axis=1)
+    result /= hood.total
     return result
 
 
@@ -132,8 +136,9 @@ class MovingMean:
     def step(self, values: Values) -> Values:
         """Take a frame and return the mean over the window."""
         self._frames.append(values)
-        mean: Values = np.mean(self._frames, axis=0)
-        return mean
+        # With an array for each frame, summing is faster than np.mean over the queue.
+        total: Values = sum(self._frames, np.zeros_like(values))
+        return total / len(self._frames)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -170,7 +175,7 @@ def smoothing_gain(hood: Neighbourhood, passes: int) -> Values:
     n = hood.layout.n_taxels
     kernel = np.zeros((n, n + 1))
     np.add.at(kernel, (np.arange(n)[:, None], hood.index), hood.weight)
-    step = kernel[:, :n] / hood.weight.sum(axis=1)[:, None]
+    step = kernel[:, :n] / hood.total[:, None]
     gain: Values = np.linalg.norm(np.linalg.matrix_power(step, passes), axis=1)
     return gain
 

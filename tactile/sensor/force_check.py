@@ -28,7 +28,7 @@ in a row have shown none at 0.8 N, at 0.1 N of noise at 1.2 N."""
 _FRAMES = 6
 """Frames in a row that must show it: 0.12 s at 50 Hz."""
 _KEPT = 64
-"""Messages kept: 0.13 s at 500 a second, more than the mean of the frames spans."""
+"""Messages kept: 0.13 s at 500 a second, 0.32 s at 200: more than the mean of the frames spans."""
 
 
 def force_table(layout: TaxelLayout, calibration: Calibration) -> bytes:

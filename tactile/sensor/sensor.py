@@ -34,7 +34,7 @@ from tactile.sensor.tare import TareLimits, TareResult, compute_tare, too_many_b
 from tactile.unit.settings import NodeIdentity
 
 _KEPT_FORCES = 1000
-"""Force messages that wait to be taken: two seconds at 500 a second; older ones are dropped."""
+"""Force messages that wait to be taken: five seconds at 200 a second; older ones are dropped."""
 _LEAST_TOUCHED = 9
 """Touched taxels of a pad at least: one and its neighbours."""
 _EDGE = 1.7
@@ -341,7 +341,7 @@ class TactileSensor:
 
         Where a taxel has failed since, frames give the force until the pads are free.
         """
-        return self._force_bad is not None and np.array_equal(self._force_bad, self._quality.bad)
+        return self._force_bad is not None and bool((self._force_bad == self._quality.bad).all())
 
     @property
     def scan_noise_n(self) -> float:

@@ -83,9 +83,9 @@ class LinkSettings:
     """The host's CAN controller may be error-passive for this long, in s."""
     identity: ExpectedIdentity = field(default_factory=ExpectedIdentity)
     """Which unit is accepted."""
-    force_period_s: float = setting(0.002, 0.0, 0.05)
+    force_period_s: float = setting(0.005, 0.0, 0.05)
     """Period of the force messages in s, a whole number of ms; 0: none, the force comes from
-    frames."""
+    frames. By default that of a force loop at 200 Hz, which reads the newest one."""
     threaded: bool = True
     """True: a thread receives (real buses). False: `poll` asks the bus (buses in memory)."""
 

@@ -19,6 +19,7 @@ from gripper.dynamixel.control_table import (
     PROFILE_VELOCITY,
     TORQUE_ENABLE,
     WATCHDOG_TRIPPED_RAW,
+    RegisterBlock,
 )
 from gripper.dynamixel.models import MODELS
 from gripper.errors import BusTimeout, ServoRejected
@@ -90,14 +91,14 @@ def test_present_values_are_plausible_at_rest(servos: Any) -> None:
 
 def test_a_sync_read_with_an_absent_servo_gives_nothing(servos: Any) -> None:
     with pytest.raises(BusTimeout, match=str(servos.nobody)):
-        servos.bus.sync_read((servos.nobody, servos.one), LED, LED)
-    assert servos.bus.sync_read((servos.one,), LED, LED)
+        servos.bus.sync_read((servos.nobody, servos.one), RegisterBlock(LED))
+    assert servos.bus.sync_read((servos.one,), RegisterBlock(LED))
 
 
 def test_a_sync_write_reaches_all(servos: Any) -> None:
     with servos.restoring(PROFILE_ACCELERATION, PROFILE_VELOCITY):
         wanted = {servo_id: (servo_id, 200 + servo_id) for servo_id in servos.ids}
-        servos.bus.sync_write(wanted, PROFILE_ACCELERATION, PROFILE_VELOCITY)
+        servos.bus.sync_write(wanted, RegisterBlock(PROFILE_ACCELERATION, PROFILE_VELOCITY))
         for servo_id, (acceleration, velocity) in wanted.items():
             assert servos.bus.read(servo_id, PROFILE_ACCELERATION) == acceleration
             assert servos.bus.read(servo_id, PROFILE_VELOCITY) == velocity

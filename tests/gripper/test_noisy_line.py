@@ -4,7 +4,7 @@ import itertools
 
 import pytest
 
-from gripper.dynamixel.control_table import PRESENT_POSITION
+from gripper.dynamixel.control_table import PRESENT_POSITION, RegisterBlock
 from gripper.errors import (
     BusCorrupt,
     BusTimeout,
@@ -171,7 +171,7 @@ def test_each_transaction_ends_whatever_chatters(cell, pattern) -> None:
         for _ in range(200):
             began_s = cell.clock.monotonic()
             with pytest.raises((BusCorrupt, BusTimeout)):
-                cell.bus.sync_read([1, 2], PRESENT_POSITION, PRESENT_POSITION)
+                cell.bus.sync_read([1, 2], RegisterBlock(PRESENT_POSITION))
             assert cell.clock.monotonic() - began_s < 0.02
             cell.clock.sleep(0.005)
     cell.device.faults.silent.clear()

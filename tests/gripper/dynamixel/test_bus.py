@@ -14,6 +14,7 @@ from gripper.dynamixel.control_table import (
     PRESENT_CURRENT,
     PRESENT_POSITION,
     TORQUE_ENABLE,
+    RegisterBlock,
 )
 from gripper.errors import (
     BusBusy,
@@ -69,11 +70,11 @@ def test_sync_read_and_sync_write(script, bus) -> None:
     script.expect("FFFFFD00 FE 1100 83 7400 0400 01 96000000 02 AA000000 8287")
     script.expect("FFFFFD00 FE 0D00 83 6600 0200 01 6400 02 9CFF E1DB")
     script.expect("FFFFFD00 FE 0F00 83 6600 0600 01 FFFFFDFDFFFFFF 67DC")
-    read = bus.sync_read([1, 2], PRESENT_POSITION, PRESENT_POSITION)
+    read = bus.sync_read([1, 2], RegisterBlock(PRESENT_POSITION))
     assert read == {1: {"present_position": 166}, 2: {"present_position": 2079}}
-    bus.sync_write({1: 150, 2: 170}, GOAL_POSITION)
-    bus.sync_write({1: 100, 2: -100}, GOAL_CURRENT)
-    bus.sync_write({1: (-1, -3)}, GOAL_CURRENT, GOAL_VELOCITY)
+    bus.sync_write({1: (150,), 2: (170,)}, RegisterBlock(GOAL_POSITION))
+    bus.sync_write({1: (100,), 2: (-100,)}, RegisterBlock(GOAL_CURRENT))
+    bus.sync_write({1: (-1, -3)}, RegisterBlock(GOAL_CURRENT, GOAL_VELOCITY))
 
 
 def test_stuffed_answer_is_sign_extended(script, bus) -> None:
@@ -83,7 +84,7 @@ def test_stuffed_answer_is_sign_extended(script, bus) -> None:
         "FFFFFD00 01 0F00 55 00 FFFFFDFDFFFFFF00080000 49F0",
         (0.0005, second + crc_of(second)),
     )
-    assert bus.sync_read([1, 2], PRESENT_CURRENT, PRESENT_POSITION) == {
+    assert bus.sync_read([1, 2], RegisterBlock.between(PRESENT_CURRENT, PRESENT_POSITION)) == {
         1: {"present_current": -1, "present_velocity": -3, "present_position": 2048},
         2: {"present_current": 1, "present_velocity": 3, "present_position": 4096},
     }
@@ -117,7 +118,7 @@ def test_an_error_status_is_an_error_and_never_data(script, bus, error: str, crc
     assert refused.value.servo_id == 1
     script.expect(SYNC_132, f"FFFFFD00 01 0400 55 {error} {crc}", TWO_IS_2079)
     with pytest.raises(ServoRejected):
-        bus.sync_read([1, 2], PRESENT_POSITION, PRESENT_POSITION)
+        bus.sync_read([1, 2], RegisterBlock(PRESENT_POSITION))
 
 
 def test_error_with_alert_is_still_an_error(script, bus) -> None:
@@ -152,7 +153,7 @@ def test_a_lost_answer_of_a_sync_read_costs_less_than_a_period(script, bus, cloc
     script.expect("FFFFFD00 02 0300 01 2B4E".replace("2B4E", ping_crc(2)), (0.0003, PONG_2))
     script.expect(read_132(2), (0.0003, TWO_IS_2079))
     with bus.in_loop():
-        read = bus.sync_read([1, 2], PRESENT_POSITION, PRESENT_POSITION)
+        read = bus.sync_read([1, 2], RegisterBlock(PRESENT_POSITION))
     assert read[2]["present_position"] == 2079
     assert clock.monotonic() < 0.004
 
@@ -166,7 +167,7 @@ def test_a_request_that_arrives_damaged_is_sent_again(script, bus) -> None:
     script.expect("FFFFFD00 02 0300 01" + ping_crc(2), (0.0003, PONG_2))
     script.expect(read_132(2), (0.0003, TWO_IS_2079))
     with bus.in_loop():
-        read = bus.sync_read([1, 2], PRESENT_POSITION, PRESENT_POSITION)
+        read = bus.sync_read([1, 2], RegisterBlock(PRESENT_POSITION))
     assert [read[i]["present_position"] for i in (1, 2)] == [166, 2079]
 
 
@@ -214,7 +215,7 @@ def test_both_servos_silent_gives_up_within_the_period(script, bus, clock) -> No
     script.expect(SYNC_132)
     script.expect(PING_1)
     with bus.in_loop(), pytest.raises(BusTimeout):
-        bus.sync_read([1, 2], PRESENT_POSITION, PRESENT_POSITION)
+        bus.sync_read([1, 2], RegisterBlock(PRESENT_POSITION))
     assert clock.monotonic() < 0.0055
 
 
@@ -222,7 +223,7 @@ def test_no_time_left_in_the_period_means_no_retry(script, clock) -> None:
     bus = ServoBus(script, baudrate=1_000_000, clock=clock, period_s=0.001)
     script.expect(SYNC_132)
     with bus.in_loop(), pytest.raises(BusTimeout):
-        bus.sync_read([1, 2], PRESENT_POSITION, PRESENT_POSITION)
+        bus.sync_read([1, 2], RegisterBlock(PRESENT_POSITION))
 
 
 def test_a_late_answer_is_never_taken_for_the_next_one(script, bus) -> None:
@@ -241,7 +242,7 @@ def test_a_late_answer_is_never_taken_for_the_next_one(script, bus) -> None:
         ),
         (0.0003, TWO_IS_2079),
     )
-    read = bus.sync_read([1, 2], PRESENT_POSITION, PRESENT_POSITION)
+    read = bus.sync_read([1, 2], RegisterBlock(PRESENT_POSITION))
     assert read[1]["present_position"] == 2079
     assert bus.statistics.late == 1
 
@@ -342,12 +343,10 @@ def test_wrong_use_is_refused_before_anything_is_sent(bus) -> None:
         bus.write(1, GOAL_CURRENT, 40000)
     with pytest.raises(LimitExceeded, match="ID 253"):
         bus.ping(253)
-    with pytest.raises(LimitExceeded, match="contiguous"):
-        bus.sync_write({1: (1, 2)}, GOAL_CURRENT, GOAL_POSITION)
     with pytest.raises(LimitExceeded, match="writable"):
-        bus.sync_write({1: 1}, PRESENT_POSITION)
+        bus.sync_write({1: (1,)}, RegisterBlock(PRESENT_POSITION))
     with pytest.raises(LimitExceeded, match="at least one"):
-        bus.sync_write({}, GOAL_POSITION)
+        bus.sync_write({}, RegisterBlock(GOAL_POSITION))
 
 
 def test_a_closed_bus_is_lost(script, bus) -> None:

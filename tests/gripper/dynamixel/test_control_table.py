@@ -11,6 +11,7 @@ from gripper.dynamixel.control_table import (
     GOAL_CURRENT,
     GOAL_POSITION,
     GOAL_PWM,
+    GOAL_VELOCITY,
     PRESENT_CURRENT,
     PRESENT_POSITION,
     PRESENT_TEMPERATURE,
@@ -21,7 +22,7 @@ from gripper.dynamixel.control_table import (
     REGISTERS,
     SHUTDOWN,
     TORQUE_ENABLE,
-    registers_between,
+    RegisterBlock,
 )
 from gripper.dynamixel.models import MODELS, XM430_W350, require_current_control
 from gripper.errors import LimitExceeded
@@ -66,13 +67,23 @@ def test_wrong_length_is_no_value() -> None:
 
 
 def test_blocks_must_be_contiguous() -> None:
-    names = [r.name for r in registers_between(PRESENT_CURRENT, PRESENT_POSITION)]
-    assert names == ["present_current", "present_velocity", "present_position"]
-    assert sum(r.size for r in registers_between(REALTIME_TICK, PRESENT_TEMPERATURE)) == 27
+    block = RegisterBlock.between(PRESENT_CURRENT, PRESENT_POSITION)
+    assert list(block.decode(bytes(10))) == [
+        "present_current",
+        "present_velocity",
+        "present_position",
+    ]
+    with pytest.raises(LimitExceeded, match="present_position have 10 bytes, got 9"):
+        block.decode(bytes(9))
+    assert RegisterBlock.between(REALTIME_TICK, PRESENT_TEMPERATURE).size == 27
     with pytest.raises(LimitExceeded, match="contiguous"):
-        registers_between(TORQUE_ENABLE, GOAL_PWM)
+        RegisterBlock.between(TORQUE_ENABLE, GOAL_PWM)
     with pytest.raises(LimitExceeded, match="contiguous"):
-        registers_between(PRESENT_VELOCITY, PRESENT_CURRENT)
+        RegisterBlock.between(PRESENT_VELOCITY, PRESENT_CURRENT)
+    with pytest.raises(LimitExceeded, match="contiguous"):
+        RegisterBlock(GOAL_CURRENT, GOAL_POSITION)
+    with pytest.raises(LimitExceeded, match="goal_velocity = 4294967296 does not fit"):
+        RegisterBlock(GOAL_CURRENT, GOAL_VELOCITY).encode((1, 1 << 32))
 
 
 def test_models_carry_the_data_sheet() -> None:

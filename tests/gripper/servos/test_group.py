@@ -63,8 +63,8 @@ def test_goals_that_were_lost_once_are_written_again(tripped, monkeypatch) -> No
 def test_a_goal_current_that_was_not_taken_is_found(tripped, monkeypatch) -> None:
     sync_read = tripped.bus.sync_read
 
-    def another_current(ids, first, last):
-        raws = sync_read(ids, first, last)
+    def another_current(ids, block):
+        raws = sync_read(ids, block)
         if "goal_current" in raws[2]:
             raws[2]["goal_current"] += 1
         return raws

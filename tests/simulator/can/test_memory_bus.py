@@ -15,7 +15,7 @@ from simulator.can.control_unit import ControlUnitSettings, SendBurst, Simulated
 from simulator.can.faults import CanLinkFaults
 from simulator.can.link import CanLink
 from simulator.can.memory_bus import InMemoryCanBus
-from simulator.can.wire import CanWire, Waiting, crc15, exact_bits, mean_bits, stuff
+from simulator.can.wire import Burst, CanWire, crc15, exact_bits, mean_bits, stuff
 from simulator.clock import VirtualClock
 from simulator.errors import SimulatorSettingsError, SimulatorStateError
 from simulator.world.world import PhysicalWorld
@@ -147,20 +147,19 @@ def test_the_estimate_is_the_mean_of_the_exact_count(low: int, high: int, mean: 
     assert estimate == pytest.approx(exact, rel=0.03)
 
 
-def waiting(ready_s: float, can_id: int, data: bytes, *, extended: bool = False) -> Waiting:
-    return Waiting(ready_s, can_id, data, extended, None)
+def waiting(ready_s: float, can_id: int, *data: bytes, extended: bool = False) -> Burst:
+    return Burst(ready_s, can_id, data, extended, None)
 
 
 def test_messages_wait_for_each_other_on_the_wire() -> None:
     wire = CanWire(500_000)
     data = bytes(range(1, 9))
     length_s = mean_bits(data) / 500e3
-    for _ in range(2):
-        wire.put(waiting(1.0, TPDO_ID, data))
+    wire.put(waiting(1.0, TPDO_ID, data, data))
     wire.put(waiting(2.0, TPDO_ID << 18, data, extended=True))
     assert wire.end_s(1.0, TPDO_ID) == pytest.approx(1.0 + 2 * length_s)
     assert wire.end_s(1.0, TPDO_ID - 1) == 1.0
-    ends_s = [end_s for end_s, _ in wire.take(3.0)]
+    ends_s = [end_s for burst_ends_s, _ in wire.take(3.0) for end_s in burst_ends_s]
     assert ends_s == pytest.approx([1.0 + length_s, 1.0 + 2 * length_s, 2.0 + length_s + 4e-5])
     assert math.isinf(wire.next_end_s())
     with pytest.raises(SimulatorSettingsError, match="bit rate"):
@@ -170,11 +169,10 @@ def test_messages_wait_for_each_other_on_the_wire() -> None:
 def test_the_lowest_identifier_goes_first_but_never_interrupts_one_on_the_wire() -> None:
     wire = CanWire(1_000_000)
     data = bytes(range(1, 9))
-    for _ in range(3):
-        wire.put(waiting(1.0, 0x385, data))
+    wire.put(waiting(1.0, 0x385, data, data, data))
     wire.put(waiting(1.0001, 0x285, data))  # while the first of the burst is on the wire
     wire.put(waiting(1.0001, 0x285, data, extended=True))  # base identifier 0: before the burst
-    order = [(message.can_id, message.extended) for _, message in wire.take(2.0)]
+    order = [(burst.can_id, burst.extended) for ends_s, burst in wire.take(2.0) for _ in ends_s]
     assert order == [
         (0x385, False), (0x285, True), (0x285, False), (0x385, False), (0x385, False)
     ]  # fmt: skip

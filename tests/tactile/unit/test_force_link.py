@@ -139,6 +139,7 @@ def test_a_force_message_waits_for_one_message_of_a_burst_and_no_more(
         if frame_function != object_dictionary.COB_TPDO3:
             # As if the frames had stayed before the forces: TPDO1 and TPDO2 as in the EDS.
             bench.unit.dictionary.pretend(object_dictionary.TPDO1_PARAMETER, 1, frame_function + 5)
+            bench.unit.command("OPERATIONAL", bench.clock.monotonic())
         bench.traffic.clear()
         for _ in range(300):
             bench.clock.sleep(0.001)
@@ -172,7 +173,7 @@ def test_a_table_that_the_unit_does_not_keep_is_refused(make_bench: Callable[...
 
 def test_force_messages_that_stay_away_are_a_fault_though_frames_come(bench: Bench) -> None:
     bench.run(0.1)
-    bench.unit.dictionary.pretend(object_dictionary.TPDO2_PARAMETER, 1, 0x8000_0285)
+    bench.unit.faults.forces_off = True
     start_s = bench.clock.monotonic()
     with pytest.raises(FrameTimeout, match=r"no force message .* for 4[01] ms, allowed are 40 ms"):
         bench.run(0.2)
