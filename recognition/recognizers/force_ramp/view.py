@@ -24,9 +24,12 @@ from recognition.statistics.taught_sizes import TaughtSizes, fit_sizes
 _FREEDOM = 3.0
 """Degrees of freedom of the t distribution of a grasp about its object: heavy tails."""
 _BESIDE_POWER = 0.85
-"""Power of the spread beside the classes by which distances are divided: objects left out of
+"""Power of the spread beside many classes by which distances are divided: objects left out of
 teaching are found best between 0.75 and 1; the larger, the fewer grasps of another day are called
 new."""
+_PRIOR_AXES = 5.0
+"""Axes between the classes at which half of that power is reached: few classes do not span what new
+objects differ in, which then shows beside them."""
 _NUISANCE_SD = (0.1, 1.0)
 """Standard deviations of the nuisance: of the logarithm of a gain, of the opening in mm. Twice as
 much changes the answers little: the direction counts."""
@@ -84,7 +87,8 @@ class ClassModel:
         if n_features == rank:
             return np.ones(len(features))
         beside = self.discriminant.beside(features) / (n_features - rank)
-        return np.asarray((1.0 + beside) ** _BESIDE_POWER, dtype=np.float64)
+        power = _BESIDE_POWER * rank / (rank + _PRIOR_AXES)
+        return np.asarray((1.0 + beside) ** power, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -276,7 +280,9 @@ def fit_view(
         means=np.stack([features[classes == c].mean(axis=0) for c in range(n_classes)]),
         slopes=slopes,
         temperature=temperature,
-        novelty=fit_novelty_detector(np.concatenate(known), np.concatenate(new), kept),
+        novelty=fit_novelty_detector(
+            np.concatenate(known), np.concatenate(new), kept, np.bincount(classes)
+        ),
         dependence=fit_dependence(
             to_probability(scores, temperature)[order], classes[rows][order], block_of[order]
         ),
