@@ -12,6 +12,10 @@ from recognition.grasp import Grasp
 UNKNOWN = "UNKNOWN"
 """The answer for an object that was never taught, or that cannot be separated from the others."""
 
+LEAST_PROBABILITY = 0.5
+"""Least probability of a name, in which that of a new object is taken into account: with less the
+answer is ``UNKNOWN``, everywhere."""
+
 DEPENDENCE = 0.2
 """Correlation, 0 to 1, of the log evidence of two grasps of one object where no fitted value
 exists: they share the object, the sensor and the errors of the recogniser. See
@@ -66,11 +70,20 @@ class Posterior:
         even = np.full(len(labels), 1.0 / len(labels))
         return cls(labels=labels, probability=even, unknown=1.0)
 
-    def decision(self, *, max_unknown: float = 0.5, min_probability: float = 0.0) -> str:
-        """Return the likeliest label, or ``UNKNOWN`` by the limits on `unknown` and probability."""
-        if self.unknown > max_unknown or float(self.probability.max()) < min_probability:
-            return UNKNOWN
-        return self.best
+    @property
+    def name(self) -> str:
+        """The answer: the likeliest label, or ``UNKNOWN`` where that is too unlikely."""
+        return self.best if self._best_probability >= LEAST_PROBABILITY else UNKNOWN
+
+    @property
+    def name_probability(self) -> float:
+        """Probability of the name; of ``UNKNOWN``, that it is not the likeliest taught object."""
+        named = self._best_probability
+        return named if named >= LEAST_PROBABILITY else 1.0 - named
+
+    @property
+    def _best_probability(self) -> float:
+        return (1.0 - self.unknown) * float(self.probability.max())
 
 
 class Recognizer(Protocol):

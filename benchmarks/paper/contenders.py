@@ -67,7 +67,7 @@ def try_one(match: Match) -> Contender:
         counts += confusion_matrix(
             [grasp.label for grasp in tested], [answer.best for answer in answers], LABELS
         )
-        rejected += sum(answer.decision() == UNKNOWN for answer in answers)
+        rejected += sum(answer.name == UNKNOWN for answer in answers)
     return Contender(
         name=match.name,
         uses_aperture=match.uses_aperture,

@@ -51,7 +51,7 @@ def label_of(recognizer: Recognizer, one: Collected) -> str:
         aperture_m=known.aperture_m,
         force_n=known.force_n,
     )
-    return recognizer.posterior(grasp).decision()
+    return recognizer.posterior(grasp).name
 
 
 def one_round(

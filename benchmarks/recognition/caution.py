@@ -39,7 +39,7 @@ def main(effort: float = 1.0) -> None:
             recognizer = replace(taught, caution=caution)
             for day, tested in days.items():
                 answers[day, caution] += [
-                    (grasp.label in out, grasp.label, recognizer.posterior(grasp).decision())
+                    (grasp.label in out, grasp.label, recognizer.posterior(grasp).name)
                     for grasp in tested
                 ]
     line("compared", f"{len(labels)} objects, {len(test)} grasps tested for each group left out")

@@ -17,7 +17,6 @@ from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN, Recognizer
 from recognition.recognizers import make_trainer
 from recognition.recognizers.force_ramp.recognizer import ForceRampTrainer
-from recognition.statistics.fusion import StopRule, decide
 from simulator.servo.mechanics import ServoMount
 from simulator.settings import SimulatedServoSettings
 from simulator.world.foam import Foam
@@ -52,13 +51,12 @@ OTHER = {
 FINGER_GAINS = Drift(gains=tuple(1.1 if pad.finger == 0 else 0.9 for pad in paper_layout().pads))
 """Gains of the other cell's fingers behind its force loop."""
 _GAUGE_GRASPS = 3
-_ONE = StopRule(max_grasps=1)
 
 
 def names(recognizer: Recognizer, grasps: Sequence[Grasp]) -> list[tuple[str, str]]:
     """Return the likeliest label of each grasp, and the name that one grasp gives it."""
     posteriors = map(recognizer.posterior, grasps)
-    return [(posterior.best, decide([posterior], _ONE).label) for posterior in posteriors]
+    return [(posterior.best, posterior.name) for posterior in posteriors]
 
 
 def figures(answers: Sequence[tuple[str, str]], grasps: Sequence[Grasp]) -> str:

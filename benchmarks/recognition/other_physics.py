@@ -110,10 +110,10 @@ class Names:
         for grasp in known:
             posterior = recognizer.posterior(grasp)
             self.right += posterior.best == grasp.label
-            self.unknown += posterior.decision() == UNKNOWN
+            self.unknown += posterior.name == UNKNOWN
         self.n += len(known)
         for grasp in other:
-            self.refused += recognizer.posterior(grasp).decision() == UNKNOWN
+            self.refused += recognizer.posterior(grasp).name == UNKNOWN
         self.n_other += len(other)
 
     def __str__(self) -> str:

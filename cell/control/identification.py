@@ -10,11 +10,7 @@ from cell.control.records import GraspRecord
 from recognition.drift.estimate import DriftEstimate, DriftTracking
 from recognition.grasp import Grasp
 from recognition.recognizer import UNKNOWN, Posterior, Recognizer
-from recognition.recognizers.early_classifiers import (
-    EarlyClassifiers,
-    EarlyDecider,
-    rule_during_ramp,
-)
+from recognition.recognizers.early_classifiers import EarlyClassifiers, EarlyDecider
 from recognition.shape.answer import ShapeAnswer
 from recognition.shape.fusion import fuse_shapes
 from recognition.statistics.fusion import Decision, DecisionKind, StopRule, decide, fuse
@@ -267,7 +263,7 @@ def grasp_and_classify(
     while not (evidence.records and evidence.over):
         looks = None
         if heads is not None:
-            looks = EarlyDecider(heads, evidence.posteriors, rule_during_ramp(rule))
+            looks = EarlyDecider(heads, evidence.posteriors, rule)
         record, kept = grasp(next_step(), looks, judge if holds else None)
         if not holds:
             evidence.add(record)

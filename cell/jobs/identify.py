@@ -18,7 +18,7 @@ from cell.learning.model import LoadedModel, check_pads
 from cell.learning.taught_model import TaughtModel
 from recognition.drift.estimate import DriftEstimate
 from recognition.grasp import Grasp
-from recognition.recognizer import UNKNOWN, Recognizer
+from recognition.recognizer import Recognizer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -93,14 +93,11 @@ def _answers(
     answers = []
     for number, grasp in grasps:
         posterior = recognizer.posterior(grasp)
-        label = posterior.decision()
         answers.append(
             RecordedAnswer(
                 number=number,
-                label=label,
-                probability=posterior.unknown
-                if label == UNKNOWN
-                else float(posterior.probability.max()),
+                label=posterior.name,
+                probability=posterior.name_probability,
                 unknown=posterior.unknown,
                 truth=grasp.label,
                 drift=drift,

@@ -318,6 +318,6 @@ def _scores(trials: Sequence[Trial], labels: Sequence[str], default: str) -> dic
     answers: dict[str, list[str]] = {default: [trial.found.label for trial in trials]}
     for name in trials[0].first if trials else ():
         key = f"{name}_one_grasp" if name == default else name
-        answers[key] = [trial.first[name].decision() for trial in trials]
+        answers[key] = [trial.first[name].name for trial in trials]
     truths = [trial.truth for trial in trials]
     return {name: score(truths, given, labels) for name, given in answers.items()}

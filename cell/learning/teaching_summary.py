@@ -1,12 +1,18 @@
 """Teaching summary: how much the grasps that teach a model vary, and what is not in them."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from cell.learning.virtual_grasps import SOURCE
 from recognition.grasp import Grasp, by_label, series_of
+
+_ENOUGH_GRASPS = 10
+"""Grasps of an object from which names are sure enough within a series."""
+_ENOUGH_OBJECTS = 4
+"""Objects from which leaving some of them out shows how a new one differs."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -17,6 +23,10 @@ class TeachingSummary:
     ----------
     n_objects, n_grasps
         Number of objects and of their grasps.
+    few
+        Number of grasps of each object that has too few.
+    drawn
+        Objects that were taught from drawings alone.
     again
         Objects that were taught in several series, with a pause of an hour or more between them.
     longest_series_s
@@ -28,6 +38,8 @@ class TeachingSummary:
 
     n_objects: int
     n_grasps: int
+    few: Mapping[str, int]
+    drawn: tuple[str, ...]
     again: tuple[str, ...]
     longest_series_s: float
     opening_sd_mm: float | None
@@ -44,12 +56,34 @@ class TeachingSummary:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What a user has to expect of such a teaching."""
+        """What a user has to expect of such a teaching, and what it needs."""
+        return tuple(note for note in (self._amount_note, self._series_note) if note)
+
+    @property
+    def _amount_note(self) -> str:
+        needs = []
+        if self.few:
+            counted = ", ".join(f"{label} {n}" for label, n in self.few.items())
+            needs.append(f"{_ENOUGH_GRASPS} grasps of each object (now {counted}), better 20")
+        if self.n_objects < _ENOUGH_OBJECTS:
+            needs.append(f"{_ENOUGH_OBJECTS} objects (now {self.n_objects})")
+        if self.drawn:
+            needs.append(f"real grasps of what is only drawn ({', '.join(self.drawn)}), or a gauge")
+        if not needs:
+            return ""
+        return (
+            f"names are uncertain until these are taught: {'; '.join(needs)}. Until then an object "
+            "that was never taught is UNKNOWN by its size or not at all, and some grasps of taught "
+            "objects are UNKNOWN too"
+        )
+
+    @property
+    def _series_note(self) -> str:
         if not self.again:
             return (
                 "each object was taught in one series: what varies from day to day, with the "
                 "placing and from cell to cell is not in it. Expect UNKNOWN and wrong names after "
-                "such a change, and gauge the model then (`tactile-cell calibrate --gauge LABEL`)",
+                "such a change, and gauge the model then (`tactile-cell calibrate --gauge LABEL`)"
             )
         once = self.n_objects - len(self.again)
         if once:
@@ -57,13 +91,15 @@ class TeachingSummary:
                 f"taught in several series: {', '.join(self.again)}; in one: the {once} others. "
                 "Grasps of another day look most like what was taught on another day, so that the "
                 "others may be named as one of these: teach all objects again, or leave the "
-                "further series out (`tactile-cell evaluate --split series` measures it)",
+                "further series out (`tactile-cell evaluate --split series` measures it)"
             )
-        return ()
+        return ""
 
     def as_json(self) -> dict[str, Any]:
         """Return what ``--json`` writes."""
         return {
+            "few_grasps": dict(self.few),
+            "only_drawn": list(self.drawn),
             "taught_again": list(self.again),
             "longest_series_s": round(self.longest_series_s, 1),
             "opening_sd_mm": self.opening_sd_mm,
@@ -83,6 +119,10 @@ def summarise_teaching(grasps: Sequence[Grasp]) -> TeachingSummary:
     return TeachingSummary(
         n_objects=len(members),
         n_grasps=len(grasps),
+        few={k: len(group) for k, group in members.items() if len(group) < _ENOUGH_GRASPS},
+        drawn=tuple(
+            label for label, group in members.items() if all(g.source == SOURCE for g in group)
+        ),
         again=tuple(label for label, found in series.items() if len(found) > 1),
         longest_series_s=max(
             1e-3 * (one[-1].start_ms - one[0].start_ms) + float(one[-1].t_s[-1])

@@ -20,7 +20,6 @@ from recognition.evaluation.splits import Part
 from recognition.grasp import Grasp, by_label
 from recognition.recognizer import UNKNOWN, Posterior, Recognizer, Trainer
 from recognition.statistics import fusion
-from recognition.statistics.fusion import StopRule, decide
 
 _BEFORE = 10
 """Grasps of a shift that are tracked before the first one that counts."""
@@ -201,8 +200,7 @@ def evaluate(
         )
     truth = [g.label for g in known]
     right = np.array([p.best == t for p, t in zip(posteriors, truth, strict=True)])
-    rule = StopRule(max_grasps=1)
-    names = [decide([p], rule).label for p in posteriors]
+    names = [p.name for p in posteriors]
     return Evaluation(
         trainer=trainer.name,
         uses_aperture=trainer.uses_aperture,

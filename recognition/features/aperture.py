@@ -11,18 +11,24 @@ _SIZE_OFFSET_MM = 3.0
 """Added to a size before its logarithm, in mm: small sizes would dominate without it."""
 
 
+def sizes_mm(levels: Levels) -> NDArray[np.float64]:
+    """Return (n, 2): the opening in mm under the full load, and where both pads first touch."""
+    return np.stack([levels.aperture_mm[:, -1], levels.touch_aperture_mm.min(axis=1)], axis=1)
+
+
 def aperture_features(levels: Levels) -> NDArray[np.float64]:
     """Return (n, F): sizes in mm and their logarithms, and how far the load closes the fingers.
 
     NaN where the opening is unknown.
     """
-    final = levels.aperture_mm[:, -1:]
-    both = levels.touch_aperture_mm.min(axis=1, keepdims=True)
+    sizes = sizes_mm(levels)
+    final, both = sizes[:, :1], sizes[:, 1:]
     first = levels.touch_aperture_mm[:, :1] - levels.touch_aperture_mm[:, -1:]
     squeeze = both - final
     return np.concatenate(
         [
-            _sizes(np.concatenate([final, both], axis=1)),
+            sizes,
+            np.log(np.maximum(sizes, 0.0) + _SIZE_OFFSET_MM),
             first,
             squeeze,
             np.arcsinh(squeeze / _YIELD_SCALE_MM),
@@ -31,8 +37,3 @@ def aperture_features(levels: Levels) -> NDArray[np.float64]:
         ],
         axis=1,
     )
-
-
-def _sizes(sizes_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return (..., 2 k) for (..., k): the sizes, and their logarithms from 3 mm on."""
-    return np.concatenate([sizes_mm, np.log(np.maximum(sizes_mm, 0.0) + _SIZE_OFFSET_MM)], axis=-1)

@@ -65,9 +65,10 @@ def _centred(share: NDArray[np.float64]) -> NDArray[np.float64]:
     position = centre[:, None] + np.arange(-reach, reach + 1)
     left = np.floor(position).astype(np.int64)
     part = position - left
-    padded = np.pad(share, ((0, 0), (length, length)))
+    beyond = reach + 1
+    padded = np.pad(share, ((0, 0), (beyond, beyond)))
     rows = np.arange(n)[:, None]
-    at_left, at_right = padded[rows, left + length], padded[rows, left + length + 1]
+    at_left, at_right = padded[rows, left + beyond], padded[rows, left + beyond + 1]
     moved: NDArray[np.float64] = at_left * (1.0 - part) + at_right * part
     return moved
 

@@ -14,14 +14,10 @@ from recognition.ramp.ramp import Rest, learn_rest
 from recognition.ramp.running_load import RunningLoad, load_so_far
 from recognition.recognizer import Posterior, Recognizer, Trainer
 from recognition.recognizers.force_ramp.recognizer import ForceRamp
-from recognition.statistics.fusion import DecisionKind, StopRule, decide
+from recognition.statistics.fusion import StopRule, fuse
 
 SHARES = (0.25, 0.5, 0.75)
 """Parts of the usual full load at which a ramp is looked at before its end."""
-
-MAX_UNKNOWN = 0.1
-"""Largest probability of an untaught object with which a ramp is ended: novelty shows later in a
-ramp than which of the taught objects it is (docs/explanations/sequences.md)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -131,7 +127,7 @@ class EarlyDecider:
     earlier
         Posteriors of the earlier grasps of the same object: they count with this one.
     rule
-        When the evidence suffices, see `rule_during_ramp`. A ramp is never ended for an untaught
+        When the evidence suffices, see `StopRule.suffices`. A ramp is never ended for an untaught
         object, nor for one that would be named only because it is the last grasp.
     """
 
@@ -176,7 +172,7 @@ class EarlyDecider:
             except RecognitionError:
                 # What cannot be judged yet decides nothing: the ramp goes on.
                 continue
-            if suffices([*self._earlier, posterior], self._rule):
+            if self._rule.suffices(fuse([*self._earlier, posterior])):
                 self.answer = EarlyAnswer(
                     posterior=posterior, looks=self._looks, n_frames=self._seen, decided=True
                 )
@@ -222,7 +218,7 @@ class EarlyRecognizer:
             posterior=posterior,
             looks=looks.looks + 1,
             n_frames=grasp.n_frames,
-            decided=suffices([posterior], rule),
+            decided=rule.suffices(fuse([posterior])),
         )
 
 
@@ -281,14 +277,3 @@ class EarlyTrainer:
         return EarlyClassifiers(
             rest=rest, load_counts=np.array(taught), recognizers=tuple(recognizers)
         )
-
-
-def rule_during_ramp(rule: StopRule) -> StopRule:
-    """Return the stop rule for ramps that still run, from the one for whole ramps."""
-    return replace(rule, max_unknown=min(rule.max_unknown, MAX_UNKNOWN))
-
-
-def suffices(posteriors: Sequence[Posterior], rule: StopRule) -> bool:
-    """Return whether the rule decides for a taught object although more grasps could follow."""
-    going_on = replace(rule, max_grasps=max(rule.min_grasps, len(posteriors)) + 1)
-    return decide(posteriors, going_on).kind is DecisionKind.DECIDED

@@ -71,6 +71,11 @@ def fit_dependence(
     return float(found.x)
 
 
+MAX_UNKNOWN = 0.1
+"""Largest probability of an untaught object with which a ramp or a sequence ends before its time:
+novelty shows later than which of the taught objects it is (docs/explanations/sequences.md)."""
+_MIN_UNKNOWN = 0.95
+"""Probability of an untaught object from which a sequence ends before its time."""
 _MAX_UNKNOWN_LOGIT = 4.0
 """Largest log odds of an untaught object that one grasp contributes, either way: 1.8 and 98.2 %."""
 
@@ -110,17 +115,10 @@ class StopRule:
     Attributes
     ----------
     error_rate
-        A label is given as soon as the probability that it is wrong is at most this.
+        A label is given as soon as the probability that it is wrong, if the object was taught, is
+        at most this, and that of an untaught object at most `MAX_UNKNOWN`.
     max_grasps
-        Number of grasps after which the answer must be given.
-    min_grasps
-        Number of grasps before which none is given.
-    max_unknown
-        Largest probability of an untaught object with which a label is given.
-    min_unknown
-        Probability of an untaught object from which the search ends before `max_grasps`.
-    min_probability
-        Smallest probability with which a label is given after the last grasp.
+        Number of grasps after which the answer must be given: `Posterior.name`.
 
     Raises
     ------
@@ -130,27 +128,17 @@ class StopRule:
 
     error_rate: float = 0.01
     max_grasps: int = 5
-    min_grasps: int = 1
-    max_unknown: float = 0.5
-    min_unknown: float = 0.95
-    min_probability: float = 0.5
 
     def __post_init__(self) -> None:
         if not 0.0 < self.error_rate < 1.0:
             raise ValueError(f"error_rate is {self.error_rate}, must be above 0 and below 1")
-        if not 1 <= self.min_grasps <= self.max_grasps:
-            raise ValueError(
-                f"min_grasps is {self.min_grasps}, must be from 1 to max_grasps {self.max_grasps}"
-            )
-        for name in ("max_unknown", "min_unknown", "min_probability"):
-            value = getattr(self, name)
-            if not 0.0 <= value <= 1.0:
-                raise ValueError(f"{name} is {value}, must be from 0 to 1")
-        if self.min_unknown < self.max_unknown:
-            raise ValueError(
-                f"min_unknown {self.min_unknown} is below max_unknown {self.max_unknown}: "
-                "a grasp could call for a label and for UNKNOWN at once"
-            )
+        if self.max_grasps < 1:
+            raise ValueError(f"max_grasps is {self.max_grasps}, must be at least 1")
+
+    def suffices(self, fused: Posterior) -> bool:
+        """Return whether a taught object is sure enough to end a ramp or a sequence early."""
+        sure = 1.0 - float(fused.probability.max()) <= self.error_rate
+        return sure and fused.unknown <= MAX_UNKNOWN and fused.name != UNKNOWN
 
 
 def fuse(posteriors: Sequence[Posterior], *, dependence: float | None = None) -> Posterior:
@@ -201,18 +189,10 @@ def decide(posteriors: Sequence[Posterior], rule: StopRule) -> Decision:
     Raises ValueError where there is no posterior or the labels differ.
     """
     fused = fuse(posteriors)
-    n, best = len(posteriors), float(fused.probability.max())
-    if n >= rule.min_grasps:
-        if fused.unknown <= rule.max_unknown and 1.0 - best <= rule.error_rate:
-            return Decision(kind=DecisionKind.DECIDED, label=fused.best, probability=best)
-        if fused.unknown >= rule.min_unknown:
-            return _unknown(fused.unknown)
-    if n < rule.max_grasps:
+    best = float(fused.probability.max())
+    over = len(posteriors) >= rule.max_grasps or fused.unknown >= _MIN_UNKNOWN
+    if not over and not rule.suffices(fused):
         return Decision(kind=DecisionKind.CONTINUE, label=fused.best, probability=best)
-    if fused.unknown <= rule.max_unknown and best >= rule.min_probability:
-        return Decision(kind=DecisionKind.DECIDED, label=fused.best, probability=best)
-    return _unknown(max(fused.unknown, 1.0 - best))
-
-
-def _unknown(probability: float) -> Decision:
-    return Decision(kind=DecisionKind.UNKNOWN, label=UNKNOWN, probability=probability)
+    if fused.name != UNKNOWN:
+        return Decision(kind=DecisionKind.DECIDED, label=fused.name, probability=best)
+    return Decision(kind=DecisionKind.UNKNOWN, label=UNKNOWN, probability=fused.name_probability)

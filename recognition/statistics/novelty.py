@@ -11,8 +11,10 @@ from scipy.special import expit
 
 KNOWN_KEPT = 0.97
 """Share of grasps of taught objects that are to have ``unknown`` below 0.5."""
-HELD_OUT_KEPT = 0.96
-"""The same among held-out grasps: the whole teaching leaves fewer grasps far off than its parts."""
+FEWER_KEPT = 0.4
+"""Taken off that share among held-out grasps, over the number of grasps of an object: the whole
+teaching leaves fewer grasps far off than its parts do, the more so the fewer there are. Chosen with
+three to ten grasps of two to thirty recorded objects."""
 
 _LOG_SLOPES = (-2.0, 3.0)
 """Range of the logarithm of the slope that is searched."""
@@ -24,14 +26,14 @@ _SINGLE_SLOPE = 2.0
 class NoveltyDetector:
     """Logistic curve from the novelty of a grasp to the probability that its object is new.
 
-    The novelty is the logarithm of a squared distance to the nearest class.
+    The novelty is the logarithm of a squared distance to the nearest class, with that of the size.
 
     Attributes
     ----------
     slope
         Log odds for each unit of the novelty.
     even
-        Novelty with even odds; ``HELD_OUT_KEPT`` of held-out grasps of taught objects lie below it.
+        Novelty with even odds; up to ``KNOWN_KEPT`` of held-out grasps of taught objects lie below.
     """
 
     slope: float
@@ -58,7 +60,10 @@ class NoveltyDetector:
 
 
 def fit_novelty_detector(
-    known: NDArray[np.float64], left_out: NDArray[np.float64], kept: NDArray[np.float64]
+    known: NDArray[np.float64],
+    left_out: NDArray[np.float64],
+    kept: NDArray[np.float64],
+    n_grasps: NDArray[np.int64],
 ) -> NoveltyDetector:
     """Fit the detector on grasps of taught objects and of objects left out of teaching.
 
@@ -68,8 +73,11 @@ def fit_novelty_detector(
         Novelty of both kinds, from the same fits. With none of either the slope is a fixed one.
     kept : (n,)
         Novelty of grasps of taught objects, out of sample, that place the even odds.
+    n_grasps : (C,)
+        Taught grasps of each object.
     """
-    even = float(np.quantile(kept, HELD_OUT_KEPT))
+    share = KNOWN_KEPT - FEWER_KEPT * float(np.mean(1.0 / n_grasps))
+    even = float(np.quantile(kept, share))
     if not (len(known) and len(left_out)):
         return NoveltyDetector(slope=_SINGLE_SLOPE, even=even)
 

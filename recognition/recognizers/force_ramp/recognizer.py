@@ -9,8 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recognition.drift.drift import NO_DRIFT, Drift
-from recognition.drift.estimate import DriftEstimate, DriftMeasurement
-from recognition.features.aperture import aperture_features
+from recognition.drift.estimate import (
+    OFFSET_SD_MM,
+    PLACING_OFFSET_SD_MM,
+    DriftEstimate,
+    DriftMeasurement,
+)
+from recognition.features.aperture import sizes_mm
 from recognition.features.footprint import PadGrid, pad_grid
 from recognition.features.groups import FEATURE_VERSION, FeatureView, check_version, features_of
 from recognition.grasp import CELL_SOURCE, Grasp, by_label
@@ -51,6 +56,11 @@ class Occasion(Enum):
         """Weight of the discriminant without drift."""
         return _TRUST[self]
 
+    @property
+    def zero_sd_mm(self) -> float:
+        """Standard deviation in mm of the zero of the opening since teaching."""
+        return _ZERO_SD_MM[self]
+
 
 _TRUST = {
     Occasion.SOON: 1.0,
@@ -60,6 +70,14 @@ _TRUST = {
 }
 """Chosen on grasps with made-up drifts and on two pairs of simulated cells: less at another time
 names fewer grasps wrongly UNKNOWN, and finds fewer new objects."""
+
+
+_ZERO_SD_MM = {
+    Occasion.SOON: 0.0,
+    Occasion.GAUGED: PLACING_OFFSET_SD_MM,
+    Occasion.LATER: OFFSET_SD_MM,
+    Occasion.ELSEWHERE: OFFSET_SD_MM,
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -120,10 +138,14 @@ class ForceRamp:
             return Posterior.uninformed(self.labels)
         view, opening = self._view(levels)
         drift = self.drift_estimate.present
-        features = self._features(drift.undo_levels(levels, self.rest.gripping), opening=opening)
+        undone = drift.undo_levels(levels, self.rest.gripping)
         occasion = self.occasion(grasp)
         probability, unknown = view.probabilities(
-            features, trust=occasion.trust, caution=self.caution
+            self._features(undone, opening=opening),
+            _sizes_mm(undone, opening=opening),
+            trust=occasion.trust,
+            zero_sd_mm=occasion.zero_sd_mm,
+            caution=self.caution,
         )
         return Posterior(
             labels=self.labels,
@@ -213,13 +235,19 @@ class ForceRamp:
             about = before.after([replace(found, probability=1.0)]).mean
         undone = before.drift_of(about).undo_levels(levels, self.rest.gripping)
         features = self._features(undone, opening=opening)
-        _, new = view.probabilities(features, trust=1.0, caution=self.caution)
+        _, new = view.probabilities(
+            features,
+            _sizes_mm(undone, opening=opening),
+            trust=Occasion.SOON.trust,
+            zero_sd_mm=Occasion.GAUGED.zero_sd_mm,
+            caution=self.caution,
+        )
         taught = 1.0 - (_NEW_SHARE if self.mostly_taught else float(np.median(new)))
         return replace(found, probability=taught * probability)
 
     def _view(self, levels: Levels) -> tuple[View, bool]:
         """Return the view for grasps, and whether it has the opening."""
-        if self.both is not None and np.all(np.isfinite(aperture_features(levels))):
+        if self.both is not None and np.all(np.isfinite(sizes_mm(levels))):
             return self.both, True
         return self.touch, False
 
@@ -305,7 +333,7 @@ class ForceRampTrainer:
                 f"{MIN_GRASPS}, or its variation is not known: teach more, and press harder"
             )
         levels = levels.take(touched)
-        known = np.all(np.isfinite(aperture_features(levels)), axis=1)
+        known = np.all(np.isfinite(sizes_mm(levels)), axis=1)
         both = None
         if self.use_aperture and np.all(
             np.bincount(classes[known], minlength=len(labels)) >= MIN_GRASPS
@@ -337,7 +365,13 @@ def _taught(levels: Levels, classes: NDArray[np.int64], rest: Rest, *, opening: 
         for step in steps
     ]
     slopes_of_one = np.array(slopes) / (2.0 * steps.sum(axis=1)[:, None])
-    return fit_view(features(levels), classes, slopes_of_one, n_pads=n_pads, opening=opening)
+    sizes = _sizes_mm(levels, opening=opening)
+    return fit_view(features(levels), sizes, classes, slopes_of_one, n_pads=n_pads)
+
+
+def _sizes_mm(levels: Levels, *, opening: bool) -> NDArray[np.float64]:
+    """Return the sizes of grasps in mm, (n, 2), or (n, 0) where the opening is not used."""
+    return sizes_mm(levels) if opening else np.zeros((len(levels), 0))
 
 
 def _on_cell(grasp: Grasp) -> bool:

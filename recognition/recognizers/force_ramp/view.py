@@ -19,13 +19,17 @@ from recognition.statistics.class_spread import ClassSpread, fit_class_spread
 from recognition.statistics.fusion import fit_dependence
 from recognition.statistics.lda import LinearDiscriminant, fit_lda, squared_distances
 from recognition.statistics.novelty import NoveltyDetector, fit_novelty_detector
+from recognition.statistics.taught_sizes import TaughtSizes, fit_sizes
 
 _FREEDOM = 3.0
 """Degrees of freedom of the t distribution of a grasp about its object: heavy tails."""
 _BESIDE_POWER = 0.85
-"""Power of the spread beside the classes by which distances are divided: objects left out of
+"""Power of the spread beside many classes by which distances are divided: objects left out of
 teaching are found best between 0.75 and 1; the larger, the fewer grasps of another day are called
 new."""
+_PRIOR_AXES = 5.0
+"""Axes between the classes at which half of that power is reached: few classes do not span what new
+objects differ in, which then shows beside them."""
 _NUISANCE_SD = (0.1, 1.0)
 """Standard deviations of the nuisance: of the logarithm of a gain, of the opening in mm. Twice as
 much changes the answers little: the direction counts."""
@@ -83,7 +87,8 @@ class ClassModel:
         if n_features == rank:
             return np.ones(len(features))
         beside = self.discriminant.beside(features) / (n_features - rank)
-        return np.asarray((1.0 + beside) ** _BESIDE_POWER, dtype=np.float64)
+        power = _BESIDE_POWER * rank / (rank + _PRIOR_AXES)
+        return np.asarray((1.0 + beside) ** power, dtype=np.float64)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -96,6 +101,8 @@ class View:
         The classes with the variation of the taught grasps.
     drifted
         The same with drift as a nuisance.
+    sizes
+        Sizes of the taught grasps; of no dimension where the opening is not used.
     means : (C, F) float64
         Mean features of each class.
     slopes : (d, F) float64
@@ -111,6 +118,7 @@ class View:
 
     taught: ClassModel
     drifted: ClassModel
+    sizes: TaughtSizes
     means: NDArray[np.float64]
     slopes: NDArray[np.float64]
     temperature: float
@@ -118,17 +126,25 @@ class View:
     dependence: float
 
     def probabilities(
-        self, features: NDArray[np.float64], *, trust: float, caution: float
+        self,
+        features: NDArray[np.float64],
+        sizes_mm: NDArray[np.float64],
+        *,
+        trust: float,
+        zero_sd_mm: float,
+        caution: float,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return probabilities of the classes (n, C), and that the object is new (n,).
 
-        ``trust`` from 0 to 1 is the weight of the classes without drift, ``caution`` as in
+        ``trust`` from 0 to 1 is the weight of the classes without drift, ``sizes_mm`` (n, k) and
+        ``zero_sd_mm`` are as in `TaughtSizes.novelty`, ``caution`` as in
         `NoveltyDetector.probability`.
         """
         scores, novelty = self.taught.score(features)
         if trust < 1.0:
             pooled = zip((scores, novelty), self.drifted.score(features), strict=True)
             scores, novelty = (trust * one + (1.0 - trust) * other for one, other in pooled)
+        novelty = novelty + self.sizes.novelty(sizes_mm, zero_sd_mm)
         new = self.novelty.probability(novelty, caution=caution)
         return to_probability(scores, self.temperature), new
 
@@ -156,6 +172,7 @@ class View:
         return {
             **self.taught.discriminant.to_arrays(f"{prefix}taught_"),
             **self.drifted.discriminant.to_arrays(f"{prefix}drifted_"),
+            **self.sizes.to_arrays(f"{prefix}sizes_"),
             f"{prefix}means": self.means,
             f"{prefix}slopes": self.slopes,
             f"{prefix}temperature": np.array(self.temperature),
@@ -175,6 +192,7 @@ class View:
             drifted=ClassModel(
                 discriminant=LinearDiscriminant.from_arrays(arrays, f"{prefix}drifted_")
             ),
+            sizes=TaughtSizes.from_arrays(arrays, f"{prefix}sizes_"),
             means=arrays[f"{prefix}means"],
             slopes=arrays[f"{prefix}slopes"],
             temperature=float(arrays[f"{prefix}temperature"]),
@@ -185,11 +203,11 @@ class View:
 
 def fit_view(
     features: NDArray[np.float64],
+    sizes_mm: NDArray[np.float64],
     classes: NDArray[np.int64],
     slopes: NDArray[np.float64],
     *,
     n_pads: int,
-    opening: bool,
 ) -> View:
     """Teach a view.
 
@@ -197,21 +215,22 @@ def fit_view(
     ----------
     features : (n, F)
         Finite features of the grasps; rows of one class in the order of time.
+    sizes_mm : (n, k)
+        Sizes of the grasps by the opening; with k = 0 the features have no opening either, and
+        each class has a covariance of its own.
     classes : (n,)
         Class of each row, 0 to C - 1.
     slopes : (d, F)
         As `View.slopes`.
     n_pads
         Number of gripping pads, whose gains the first slopes are of.
-    opening
-        Whether the features have the opening; if not, each class has a covariance of its own.
 
     Raises
     ------
     ValueError
         The rows do not show how grasps of a class vary.
     """
-    n_classes = int(classes.max()) + 1
+    n_classes, opening = int(classes.max()) + 1, sizes_mm.shape[1] > 0
     sd = np.array([_NUISANCE_SD[0]] * n_pads + [_NUISANCE_SD[1]])[: len(slopes)]
     nuisance = np.sqrt(len(slopes)) * sd[:, None] * slopes
 
@@ -231,9 +250,16 @@ def fit_view(
             spread = fit_class_spread(projected, numbers, discriminant.centres)
         return ClassModel(discriminant=discriminant, spread=spread)
 
+    def score(
+        taught: NDArray[np.bool_], others: NDArray[np.bool_]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        scores, novelty = teach(taught).score(features[others])
+        sizes = fit_sizes(sizes_mm[taught], classes[taught])
+        return scores, novelty + sizes.novelty(sizes_mm[others], 0.0)
+
     every = np.ones(len(classes), dtype=np.bool_)
     blocks = blocked_folds(classes, _BLOCKS)
-    parts = [teach(~block).score(features[block]) for block in blocks]
+    parts = [score(~block, block) for block in blocks]
     rows = np.concatenate([np.flatnonzero(block) for block in blocks])
     scores, kept = (np.concatenate(found) for found in zip(*parts, strict=True))
     temperature = fit_temperature(scores, classes[rows])
@@ -241,18 +267,22 @@ def fit_view(
     n_groups = min(_LEFT_OUT_GROUPS, n_classes) if n_classes >= _MIN_CLASSES_TO_LEAVE_OUT else 0
     for group in range(n_groups):
         out, block = classes % n_groups == group, blocks[group % len(blocks)]
-        without = teach(~out & ~block)
-        known.append(without.score(features[block & ~out])[1])
-        new.append(without.score(features[out])[1])
+        novelty = score(~out & ~block, block | out)[1]
+        is_new = out[block | out]
+        known.append(novelty[~is_new])
+        new.append(novelty[is_new])
     block_of = np.repeat(np.arange(len(blocks)), [int(block.sum()) for block in blocks])
     order = np.argsort(rows)
     return View(
         taught=teach(every),
         drifted=teach(every, nuisance),
+        sizes=fit_sizes(sizes_mm, classes),
         means=np.stack([features[classes == c].mean(axis=0) for c in range(n_classes)]),
         slopes=slopes,
         temperature=temperature,
-        novelty=fit_novelty_detector(np.concatenate(known), np.concatenate(new), kept),
+        novelty=fit_novelty_detector(
+            np.concatenate(known), np.concatenate(new), kept, np.bincount(classes)
+        ),
         dependence=fit_dependence(
             to_probability(scores, temperature)[order], classes[rows][order], block_of[order]
         ),

@@ -102,7 +102,7 @@ def test_calibrate_writes_a_model_that_expects_the_drift(
     recognizer = load_model(new).recognizer
     grasps = read_dataset(drifted)
     assert all(recognizer.posterior(grasp).best == grasp.label for grasp in grasps)
-    named = [recognizer.posterior(grasp).decision() == grasp.label for grasp in grasps]
+    named = [recognizer.posterior(grasp).name == grasp.label for grasp in grasps]
     assert sum(named) >= 7
 
 

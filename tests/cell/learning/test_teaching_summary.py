@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from cell.learning.teaching_summary import summarise_teaching
+from cell.learning.virtual_grasps import SOURCE
 from recognition.evaluation.splits import a_day_later
 from recognition.grasp import Grasp, PadArray
 
@@ -32,16 +33,28 @@ def test_one_series_of_each_object_is_said_to_miss_what_another_day_brings() -> 
     assert str(summary) == (
         "taught in series of at most 22 s; the opening of one object spreads by 0.8 mm"
     )
-    (note,) = summary.notes
+    note = summary.notes[-1]
     assert "one series" in note
     assert "calibrate --gauge" in note
 
 
+def test_few_grasps_few_objects_and_drawings_are_said_to_need_more() -> None:
+    ball = [grasp("ball", i) for i in range(6)]
+    pin = [replace(grasp("pin", i), source=SOURCE) for i in range(60)]
+    note = summarise_teaching([*ball, *pin]).notes[0]
+    assert note.startswith("names are uncertain until these are taught: 10 grasps of each object")
+    for part in ("(now ball 6)", "4 objects (now 2)", "only drawn (pin)"):
+        assert part in note
+    assert summarise_teaching([*ball, *pin]).as_json()["few_grasps"] == {"ball": 6}
+    enough = [grasp(label, i) for label in ("a", "b", "c", "d") for i in range(10)]
+    assert len(summarise_teaching(enough).notes) == 1
+
+
 def test_further_series_of_some_objects_alone_are_warned_of() -> None:
-    first = [grasp(label, i) for label in ("ball", "box") for i in range(3)]
+    first = [grasp(label, i) for label in ("ball", "box", "cone", "disc") for i in range(10)]
     again = [a_day_later(g) for g in first]
-    (note,) = summarise_teaching([*first, *again[:3]]).notes
-    assert note.startswith("taught in several series: ball; in one: the 1 others")
+    (note,) = summarise_teaching([*first, *again[:10]]).notes
+    assert note.startswith("taught in several series: ball; in one: the 3 others")
     assert summarise_teaching([*first, *again]).notes == ()
 
 

@@ -128,3 +128,14 @@ def test_opening_features_give_size_and_squeeze(train):
     final, touch = features[:, 0], features[:, 1]
     assert final == pytest.approx([g.aperture_m[-1] * 1e3 for g in train], abs=0.15)
     assert np.all(touch > final)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (2, 1), (1, 2), (2, 2), (1, 6)])
+@pytest.mark.parametrize("taxel", [0, -1])
+def test_pads_of_one_or_two_rows_have_a_profile(factory, shape, taxel):
+    small = pad_grid(factory.pads(shapes=(shape,)), 0)
+    maps = np.zeros((1, K, shape[0] * shape[1]))
+    maps[:, :, taxel] = 0.5
+    found = profile_features(maps, QUIET, small)[0]
+    assert np.all(np.isfinite(found))
+    assert found.sum() == pytest.approx(4.0)

@@ -10,14 +10,11 @@ from recognition.ramp.running_load import RunningLoad, load_so_far
 from recognition.recognizer import Posterior
 from recognition.recognizers import make_trainer
 from recognition.recognizers.early_classifiers import (
-    MAX_UNKNOWN,
     EarlyClassifiers,
     EarlyDecider,
     EarlyTrainer,
-    rule_during_ramp,
-    suffices,
 )
-from recognition.statistics.fusion import StopRule
+from recognition.statistics.fusion import MAX_UNKNOWN, StopRule, fuse
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +36,7 @@ def test_looks_come_in_order_and_use_no_later_frame(early, fresh):
 
 
 def test_a_lax_rule_ends_earlier_than_a_strict_one(early, fresh):
-    lax = [early.answer(g, StopRule(error_rate=0.3, max_unknown=0.9)) for g in fresh]
+    lax = [early.answer(g, StopRule(error_rate=0.3)) for g in fresh]
     strict = [early.answer(g, StopRule(error_rate=1e-6)) for g in fresh]
     assert np.mean([a.n_frames for a in lax]) < 0.8 * np.mean([g.n_frames for g in fresh])
     for answer, grasp in zip(strict, fresh, strict=True):
@@ -75,18 +72,17 @@ def posterior(share: float, unknown: float = 0.01) -> Posterior:
 
 def test_earlier_grasps_count_and_the_last_grasp_is_no_reason_to_decide():
     rule = StopRule(error_rate=0.02, max_grasps=1)
-    assert not suffices([posterior(0.9)], rule)
-    assert suffices([posterior(0.9), posterior(0.95)], rule)
-    assert not suffices([posterior(0.02), posterior(0.9)], rule)
-    assert not suffices([posterior(0.999, unknown=0.99)], rule)
-    assert not suffices([posterior(0.999, unknown=1.0)], rule)
-    doubtful = [posterior(0.999, unknown=2.0 * MAX_UNKNOWN)]
-    assert suffices(doubtful, rule)
-    assert not suffices(doubtful, rule_during_ramp(rule))
+    assert not rule.suffices(posterior(0.9))
+    assert rule.suffices(fuse([posterior(0.9), posterior(0.95)]))
+    assert not rule.suffices(fuse([posterior(0.02), posterior(0.9)]))
+    assert not rule.suffices(posterior(0.999, unknown=0.99))
+    assert not rule.suffices(posterior(0.999, unknown=1.0))
+    assert not rule.suffices(posterior(0.999, unknown=2.0 * MAX_UNKNOWN))
+    assert rule.suffices(posterior(0.999, unknown=0.5 * MAX_UNKNOWN))
 
 
 def test_a_ramp_that_runs_is_decided_with_what_earlier_grasps_told(early, fresh):
-    rule = StopRule(error_rate=1e-3, max_unknown=0.9)
+    rule = StopRule(error_rate=1e-3)
     sooner = 0
     for grasp in fresh:
         looks = EarlyDecider(early.early, (), rule)

@@ -76,7 +76,7 @@ def test_objects_that_press_differently_are_named_on_every_layout(pads, force):
         grasp = _grasp(pads, peak, rng, force=force)
         posterior = taught.posterior(grasp)
         assert posterior.best == label
-        assert posterior.decision() == label
+        assert posterior.name == label
         assert posterior.probability.max() > 0.9
         assert taught.check(grasp) == label
 
@@ -85,7 +85,7 @@ def test_a_level_outside_every_band_is_unknown(pads):
     rng = np.random.default_rng(11)
     taught = LevelCheckTrainer().fit(_taught(pads, rng))
     between = _grasp(pads, 0.28, rng)
-    assert taught.posterior(between).decision() == UNKNOWN
+    assert taught.posterior(between).name == UNKNOWN
     assert taught.check(between) == UNKNOWN
 
 
@@ -118,7 +118,7 @@ def test_no_contact_and_contact_without_a_surface_are_unknown_and_uniform():
         assert posterior.unknown == 1.0
         assert posterior.probability == pytest.approx([1 / 3] * 3)
         assert taught.check(grasp) == UNKNOWN
-    assert taught.posterior(nothing).decision() == UNKNOWN
+    assert taught.posterior(nothing).name == UNKNOWN
     with pytest.raises(QuadricError, match="no pad carries a surface: pad 4"):
         grip_level(tip_only)
     silent = dataclasses.replace(nothing, counts=np.zeros_like(nothing.counts))

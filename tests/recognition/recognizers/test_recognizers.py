@@ -11,6 +11,7 @@ import pytest
 import recognition.recognizers
 from recognition.drift.drift import NO_DRIFT
 from recognition.evaluation.splits import a_day_later
+from recognition.recognizer import UNKNOWN
 from recognition.recognizers import (
     COMPARATORS,
     DEFAULT_TRAINER,
@@ -203,6 +204,15 @@ def test_two_objects_suffice(name, train, fresh):
     few = [g for g in train if g.label in ("bar", "egg")]
     tested = [g for g in fresh if g.label in ("bar", "egg")]
     assert accuracy(make_trainer(name).fit(few), tested) == 1.0
+
+
+@pytest.mark.parametrize("taught", [("pin",), ("block", "pin"), ("bar", "pin")])
+def test_few_grasps_of_few_objects_name_no_other_one(factory, pads, fresh, taught):
+    few = [g for g in factory.many(6, seed=3, pads=pads) if g.label in taught]
+    recognizer = make_trainer("force_ramp").fit(few)
+    names = [(g.label, recognizer.posterior(g).name) for g in fresh]
+    assert np.mean([name == label for label, name in names if label in taught]) >= 0.7
+    assert np.mean([name != UNKNOWN for label, name in names if label not in taught]) <= 0.1
 
 
 def test_grasps_that_missed_teach_nothing(train, fresh):

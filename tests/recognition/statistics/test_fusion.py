@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from recognition.recognizer import UNKNOWN, Posterior
-from recognition.statistics.fusion import DecisionKind, StopRule, decide, fuse
+from recognition.statistics.fusion import MAX_UNKNOWN, DecisionKind, StopRule, decide, fuse
 
 LABELS = ("a", "b", "c", "d")
 
@@ -121,7 +121,7 @@ def test_an_unsure_grasp_calls_for_another_until_the_last():
 
 def test_an_untaught_object_ends_the_search():
     strange = posterior(0.9, 0.1, unknown=0.9)
-    rule = StopRule(max_grasps=4, min_unknown=0.95)
+    rule = StopRule(max_grasps=4)
     assert decide([strange], rule).kind is DecisionKind.CONTINUE
     found = decide([strange] * 3, rule)
     assert found.kind is DecisionKind.UNKNOWN
@@ -133,13 +133,23 @@ def test_after_the_last_grasp_an_unlikely_label_is_unknown():
     even = posterior(1, 1, 1, 1)
     decision = decide([even], StopRule(max_grasps=1))
     assert decision.kind is DecisionKind.UNKNOWN
-    assert decision.probability == pytest.approx(0.75)
+    assert decision.probability == pytest.approx(1.0 - 0.95 * 0.25)
 
 
-def test_min_grasps_holds_back_even_a_sure_answer():
-    sure = posterior(1.0, 1e-6)
-    assert decide([sure], StopRule(min_grasps=2)).kind is DecisionKind.CONTINUE
-    assert decide([sure, sure], StopRule(min_grasps=2)).kind is DecisionKind.DECIDED
+@pytest.mark.parametrize("share", [0.4, 0.6, 0.9, 1.0])
+@pytest.mark.parametrize("unknown", [0.0, 0.3, 0.45, 0.6])
+def test_a_name_needs_an_even_chance_with_that_of_a_new_object(share, unknown):
+    one = posterior(share, 1.0 - share, unknown=unknown)
+    named = (1.0 - unknown) * max(share, 1.0 - share)
+    assert (one.name != UNKNOWN) == (named >= 0.5)
+    assert one.name_probability == pytest.approx(max(named, 1.0 - named))
+    assert decide([one], StopRule(max_grasps=1)).label == fuse([one]).name
+
+
+def test_a_sure_name_of_what_may_be_new_calls_for_another_grasp():
+    sure, rule = posterior(1.0, 1e-6, unknown=2.0 * MAX_UNKNOWN), StopRule(max_grasps=2)
+    assert decide([sure], rule).kind is DecisionKind.CONTINUE
+    assert decide([sure, sure], rule).label == "a"
 
 
 @pytest.mark.parametrize(
@@ -148,10 +158,6 @@ def test_min_grasps_holds_back_even_a_sure_answer():
         {"error_rate": 0.0},
         {"error_rate": 1.0},
         {"max_grasps": 0},
-        {"min_grasps": 6},
-        {"max_unknown": 1.1},
-        {"min_unknown": 0.3},
-        {"min_probability": -0.1},
     ],
 )
 def test_stop_rule_refuses_what_cannot_be(wrong):

@@ -178,7 +178,7 @@ def _identify_held(
         )
     was = f" (it was {truth})" if truth else ""
     felt = beside(found.label, found.shape)
-    print_line(f"answer: {found.label} {percent(found.probabilities[found.label])}{felt}{was}")
+    print_line(f"answer: {found.label} {percent(found.fused.name_probability)}{felt}{was}")
     if found.fused.occasion:
         print_line(f"trust in the sensors: {found.fused.occasion}")
     if found.kept and config_file is not None and not config.simulated:
