@@ -7,9 +7,10 @@ from enum import Enum
 from math import sqrt
 
 from gripper.dynamixel.control_table import RAD_PER_PULSE, RAD_S_PER_VELOCITY_UNIT
-from gripper.errors import FeedbackImplausible, ServoFault
+from gripper.errors import FeedbackImplausible, PositionContradicted, ServoFault
 from gripper.force.controller import History
 from gripper.force.loop import Action, Moment
+from gripper.force.mechanics_proof import ForceRise, mechanics_text
 from gripper.kinematics import Linkage, motion_current_a, transmissions
 from gripper.recent import RecentForce
 from gripper.servos.goals import OPENING_MARGIN_RAD, ServoGoal, closing_margin_rad
@@ -32,6 +33,9 @@ _SHORTEST_TRAVEL_M = 1e-3
 """Way in m that a motion is planned for at least."""
 _OPENING_FORCE_N = 3.0
 """Force in N beside friction that the current of an opening allows: pads may stick to a part."""
+_RISING_S = 0.25
+"""Time in s in which it rises to that from what moves the fingers: where they close instead, the
+pads show it before."""
 _CLOSING_SHARE = 0.9
 """Share of the cap of the force that the current of a motion which closes may make."""
 _AGAINST_REST = 1.4
@@ -157,7 +161,10 @@ class MoveTo:
         aperture_m: float,
         only_open: bool = False,
     ) -> None:
+        self._settings = settings
+        self._linkage = linkage
         self._only_open = only_open
+        self._rise = ForceRise()
         self._start_rad = state.angles_rad
         self._target_rad = linkage.angles_rad(aperture_m)
         if only_open:
@@ -177,14 +184,37 @@ class MoveTo:
                 self._current_a,
                 *(path.loading_current_a(_CLOSING_SHARE * settings.force_max_n) for path in paths),
             )
+        self._rising_s = _RISING_S if opening else 0.0
+        self._least_a = motion_current_a(settings, paths, 0.0)
+        self._passed_s = 0.0
         self._share_per_s = speed_m_s / travel_m
         self._share = 0.0
         self._aperture_m = aperture_m
         self._deadline_s = state.t_s + travel_m / speed_m_s + _MOVE_PATIENCE_S
 
     def step(self, moment: Moment) -> Action:
-        """Return the goals of one period; ServoFault when a finger does not arrive in time."""
+        """Return the goals of one period.
+
+        Raises
+        ------
+        PositionContradicted
+            When the pads are pressed more and more though the fingers only open.
+        ServoFault
+            When a finger does not arrive in time.
+        """
+        pressed = self._rise.found(moment) if self._only_open else ""
+        if pressed:
+            raise PositionContradicted(
+                f"{pressed} while the fingers let go: they close, or something pushes them "
+                f"together. They stand still; take the part out by hand, then check "
+                f"{mechanics_text(self._settings, self._linkage)}"
+            )
         self._share = min(1.0, self._share + self._share_per_s * moment.dt_s)
+        self._passed_s += moment.dt_s
+        current_a = self._current_a
+        if self._passed_s < self._rising_s:
+            more = self._passed_s / self._rising_s
+            current_a = min(current_a, self._least_a + more * (current_a - self._least_a))
         goals = []
         arrived = True
         for servo, start_rad, target_rad in zip(
@@ -200,7 +230,7 @@ class MoveTo:
             )
             if self._only_open:
                 angle_rad = max(angle_rad, servo.angle_rad)
-            goals.append(ServoGoal(angle_rad=angle_rad, current_a=self._current_a))
+            goals.append(ServoGoal(angle_rad=angle_rad, current_a=current_a))
         if not arrived and moment.now_s > self._deadline_s:
             raise self._stuck(moment.state)
         return Action(goals=goals, done=arrived)
@@ -214,7 +244,8 @@ class MoveTo:
             slowest.servo_id,
             0,
             f"its finger is stuck: the gripper stands at {state.aperture_m * 1e3:.1f} mm on its "
-            f"way to {self._aperture_m * 1e3:.1f} mm",
+            f"way to {self._aperture_m * 1e3:.1f} mm; if nothing blocks it, check "
+            f"{mechanics_text(self._settings, self._linkage)}",
         )
 
 

@@ -19,7 +19,7 @@ from collections import deque
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, NoReturn
 
 import can
 from can.interfaces.slcan import slcanBus
@@ -59,6 +59,21 @@ _ERROR_CONTROLLER, _PASSIVE, _ACTIVE = 0x04, 0x30, 0x40
 """Error frame as SocketCAN makes it: class of the identifier, and data byte 1."""
 _MESSAGE_KINDS = frozenset("tTrRdDbBx")
 """First letters of what the driver takes for messages; d, D, b, B are CAN FD, x is not standard."""
+
+
+class MissingBus(can.BusABC):
+    """CAN bus that could not be opened; it stands where a link wants one until it is reopened."""
+
+    def __init__(self) -> None:
+        super().__init__(channel="missing")
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> NoReturn:
+        """Raise CanOperationError."""
+        raise can.CanOperationError("the CAN bus could not be opened")
+
+    def recv(self, timeout: float | None = None) -> NoReturn:
+        """Raise CanOperationError."""
+        raise can.CanOperationError("the CAN bus could not be opened")
 
 
 class BusLock:
