@@ -25,7 +25,7 @@ class LiveValues:
     Attributes
     ----------
     force_n
-        Grip force: the smaller force of both fingers in N.
+        Grip force in N: the mean of both fingers, as the force loop controls it.
     force_age_s
         Age of the newest valid force in s, also where it is too old to be shown.
     setpoint_n
@@ -68,7 +68,7 @@ def live_values(measured: Measured, now_s: float) -> LiveValues:
 
     cycle, force, frame = fresh(measured.cycle), fresh(measured.force), fresh(measured.frame)
     return LiveValues(
-        force_n=None if force is None else min(force.force_n),
+        force_n=None if force is None else force.grip_n,
         force_age_s=age_s(measured.force),
         setpoint_n=None if cycle is None else cycle.setpoint_n,
         opening_mm=None if cycle is None else 1e3 * cycle.state.aperture_m,
