@@ -27,7 +27,7 @@ OFFSET_SD_MM = 3.0
 """Standard deviation of the zero of the opening from day to day in mm."""
 _PLACING_LOG_GAIN_SD = 0.1
 """Standard deviation of the logarithm of the load of one object between placings."""
-PLACING_OFFSET_SD_MM = 1.0
+_PLACING_OFFSET_SD_MM = 1.0
 """Standard deviation of the opening on one object between placings in mm."""
 _UNCHANGED = 0.997
 """Prior probability that the sensors are as they are expected."""
@@ -250,7 +250,7 @@ def _normal_samples(n_dimensions: int) -> NDArray[np.float64]:
 def _noise(one: DriftMeasurement, n_pads: int) -> NDArray[np.float64]:
     """Return the covariance of a measurement, with how objects lie from placing to placing."""
     seen = len(one.values)
-    placing = _diagonal(n_pads, _PLACING_LOG_GAIN_SD, PLACING_OFFSET_SD_MM)
+    placing = _diagonal(n_pads, _PLACING_LOG_GAIN_SD, _PLACING_OFFSET_SD_MM)
     return one.covariance + placing[:seen, :seen]
 
 

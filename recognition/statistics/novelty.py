@@ -59,11 +59,16 @@ class NoveltyDetector:
         return cls(slope=float(arrays[f"{prefix}slope"]), even=float(arrays[f"{prefix}even"]))
 
 
+def held_out_kept(n_grasps: NDArray[np.int64]) -> float:
+    """Return the share of held-out grasps of taught objects that lie below the even odds.
+
+    ``n_grasps`` (C,) are the taught grasps of each object.
+    """
+    return KNOWN_KEPT - FEWER_KEPT * float(np.mean(1.0 / n_grasps))
+
+
 def fit_novelty_detector(
-    known: NDArray[np.float64],
-    left_out: NDArray[np.float64],
-    kept: NDArray[np.float64],
-    n_grasps: NDArray[np.int64],
+    known: NDArray[np.float64], left_out: NDArray[np.float64], even: float
 ) -> NoveltyDetector:
     """Fit the detector on grasps of taught objects and of objects left out of teaching.
 
@@ -71,13 +76,9 @@ def fit_novelty_detector(
     ----------
     known, left_out : (n,)
         Novelty of both kinds, from the same fits. With none of either the slope is a fixed one.
-    kept : (n,)
-        Novelty of grasps of taught objects, out of sample, that place the even odds.
-    n_grasps : (C,)
-        Taught grasps of each object.
+    even
+        Novelty with even odds.
     """
-    share = KNOWN_KEPT - FEWER_KEPT * float(np.mean(1.0 / n_grasps))
-    even = float(np.quantile(kept, share))
     if not (len(known) and len(left_out)):
         return NoveltyDetector(slope=_SINGLE_SLOPE, even=even)
 

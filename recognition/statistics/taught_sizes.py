@@ -32,15 +32,14 @@ class TaughtSizes:
     sizes_mm: NDArray[np.float64]
     unit_mm: NDArray[np.float64]
 
-    def novelty(self, sizes_mm: NDArray[np.float64], zero_sd_mm: float) -> NDArray[np.float64]:
+    def novelty(self, sizes_mm: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (n,): how far sizes (n, k) lie from the nearest taught grasp; 0 on its place.
 
         It is the logarithm of 1 plus the squared distance in units, to be added to the logarithm
-        of another squared distance. ``zero_sd_mm`` is the standard deviation in mm of the zero of
-        the opening since teaching.
+        of another squared distance.
         """
-        unit_mm = np.hypot(self.unit_mm, zero_sd_mm)
-        nearest = squared_distances(sizes_mm / unit_mm, self.sizes_mm / unit_mm).min(axis=1)
+        unit = self.unit_mm
+        nearest = squared_distances(sizes_mm / unit, self.sizes_mm / unit).min(axis=1)
         return np.asarray(np.log1p(nearest), dtype=np.float64)
 
     def to_arrays(self, prefix: str) -> dict[str, NDArray[Any]]:

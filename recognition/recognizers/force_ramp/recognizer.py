@@ -9,12 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from recognition.drift.drift import NO_DRIFT, Drift
-from recognition.drift.estimate import (
-    OFFSET_SD_MM,
-    PLACING_OFFSET_SD_MM,
-    DriftEstimate,
-    DriftMeasurement,
-)
+from recognition.drift.estimate import DriftEstimate, DriftMeasurement
 from recognition.features.aperture import sizes_mm
 from recognition.features.footprint import PadGrid, pad_grid
 from recognition.features.groups import FEATURE_VERSION, FeatureView, check_version, features_of
@@ -53,13 +48,8 @@ class Occasion(Enum):
 
     @property
     def trust(self) -> float:
-        """Weight of the discriminant without drift."""
+        """Weight of the discriminant without drift; only with 1 the size counts."""
         return _TRUST[self]
-
-    @property
-    def zero_sd_mm(self) -> float:
-        """Standard deviation in mm of the zero of the opening since teaching."""
-        return _ZERO_SD_MM[self]
 
 
 _TRUST = {
@@ -70,14 +60,6 @@ _TRUST = {
 }
 """Chosen on grasps with made-up drifts and on two pairs of simulated cells: less at another time
 names fewer grasps wrongly UNKNOWN, and finds fewer new objects."""
-
-
-_ZERO_SD_MM = {
-    Occasion.SOON: 0.0,
-    Occasion.GAUGED: PLACING_OFFSET_SD_MM,
-    Occasion.LATER: OFFSET_SD_MM,
-    Occasion.ELSEWHERE: OFFSET_SD_MM,
-}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -144,7 +126,6 @@ class ForceRamp:
             self._features(undone, opening=opening),
             _sizes_mm(undone, opening=opening),
             trust=occasion.trust,
-            zero_sd_mm=occasion.zero_sd_mm,
             caution=self.caution,
         )
         return Posterior(
@@ -239,7 +220,6 @@ class ForceRamp:
             features,
             _sizes_mm(undone, opening=opening),
             trust=Occasion.SOON.trust,
-            zero_sd_mm=Occasion.GAUGED.zero_sd_mm,
             caution=self.caution,
         )
         taught = 1.0 - (_NEW_SHARE if self.mostly_taught else float(np.median(new)))

@@ -18,7 +18,7 @@ from recognition.statistics.calibration import blocked_folds, fit_temperature, t
 from recognition.statistics.class_spread import ClassSpread, fit_class_spread
 from recognition.statistics.fusion import fit_dependence
 from recognition.statistics.lda import LinearDiscriminant, fit_lda, squared_distances
-from recognition.statistics.novelty import NoveltyDetector, fit_novelty_detector
+from recognition.statistics.novelty import NoveltyDetector, fit_novelty_detector, held_out_kept
 from recognition.statistics.taught_sizes import TaughtSizes, fit_sizes
 
 _FREEDOM = 3.0
@@ -27,7 +27,7 @@ _BESIDE_POWER = 0.85
 """Power of the spread beside many classes by which distances are divided: objects left out of
 teaching are found best between 0.75 and 1; the larger, the fewer grasps of another day are called
 new."""
-_PRIOR_AXES = 5.0
+_PRIOR_AXES = 3.0
 """Axes between the classes at which half of that power is reached: few classes do not span what new
 objects differ in, which then shows beside them."""
 _NUISANCE_SD = (0.1, 1.0)
@@ -110,6 +110,9 @@ class View:
         view has the opening, with its zero in mm.
     temperature
         Log odds are divided by it.
+    usual_size
+        What the size adds to the novelty of taught objects at its limit: in place of a size that
+        does not count.
     novelty
         Detector of objects that were never taught.
     dependence
@@ -122,6 +125,7 @@ class View:
     means: NDArray[np.float64]
     slopes: NDArray[np.float64]
     temperature: float
+    usual_size: float
     novelty: NoveltyDetector
     dependence: float
 
@@ -131,21 +135,20 @@ class View:
         sizes_mm: NDArray[np.float64],
         *,
         trust: float,
-        zero_sd_mm: float,
         caution: float,
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Return probabilities of the classes (n, C), and that the object is new (n,).
 
-        ``trust`` from 0 to 1 is the weight of the classes without drift, ``sizes_mm`` (n, k) and
-        ``zero_sd_mm`` are as in `TaughtSizes.novelty`, ``caution`` as in
-        `NoveltyDetector.probability`.
+        ``trust`` from 0 to 1 is the weight of the classes without drift; with less than 1 the zero
+        of the opening, and so the sizes (n, k), may have moved and do not count. ``caution`` is as
+        in `NoveltyDetector.probability`.
         """
         scores, novelty = self.taught.score(features)
+        size = self.sizes.novelty(sizes_mm) if trust == 1.0 else self.usual_size
         if trust < 1.0:
             pooled = zip((scores, novelty), self.drifted.score(features), strict=True)
             scores, novelty = (trust * one + (1.0 - trust) * other for one, other in pooled)
-        novelty = novelty + self.sizes.novelty(sizes_mm, zero_sd_mm)
-        new = self.novelty.probability(novelty, caution=caution)
+        new = self.novelty.probability(novelty + size, caution=caution)
         return to_probability(scores, self.temperature), new
 
     def drift_step(
@@ -176,6 +179,7 @@ class View:
             f"{prefix}means": self.means,
             f"{prefix}slopes": self.slopes,
             f"{prefix}temperature": np.array(self.temperature),
+            f"{prefix}usual_size": np.array(self.usual_size),
             **({} if spread is None else spread.to_arrays(f"{prefix}spread_")),
             **self.novelty.to_arrays(f"{prefix}novelty_"),
             f"{prefix}dependence": np.array(self.dependence),
@@ -196,6 +200,7 @@ class View:
             means=arrays[f"{prefix}means"],
             slopes=arrays[f"{prefix}slopes"],
             temperature=float(arrays[f"{prefix}temperature"]),
+            usual_size=float(arrays[f"{prefix}usual_size"]),
             novelty=NoveltyDetector.from_arrays(arrays, f"{prefix}novelty_"),
             dependence=float(arrays[f"{prefix}dependence"]),
         )
@@ -252,25 +257,27 @@ def fit_view(
 
     def score(
         taught: NDArray[np.bool_], others: NDArray[np.bool_]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         scores, novelty = teach(taught).score(features[others])
         sizes = fit_sizes(sizes_mm[taught], classes[taught])
-        return scores, novelty + sizes.novelty(sizes_mm[others], 0.0)
+        return scores, novelty, novelty + sizes.novelty(sizes_mm[others])
 
     every = np.ones(len(classes), dtype=np.bool_)
     blocks = blocked_folds(classes, _BLOCKS)
     parts = [score(~block, block) for block in blocks]
     rows = np.concatenate([np.flatnonzero(block) for block in blocks])
-    scores, kept = (np.concatenate(found) for found in zip(*parts, strict=True))
+    scores, without_size, kept = (np.concatenate(found) for found in zip(*parts, strict=True))
     temperature = fit_temperature(scores, classes[rows])
     known, new = [np.zeros(0)], [np.zeros(0)]
     n_groups = min(_LEFT_OUT_GROUPS, n_classes) if n_classes >= _MIN_CLASSES_TO_LEAVE_OUT else 0
     for group in range(n_groups):
         out, block = classes % n_groups == group, blocks[group % len(blocks)]
-        novelty = score(~out & ~block, block | out)[1]
+        novelty = score(~out & ~block, block | out)[2]
         is_new = out[block | out]
         known.append(novelty[~is_new])
         new.append(novelty[is_new])
+    share = held_out_kept(np.bincount(classes))
+    even = float(np.quantile(kept, share))
     block_of = np.repeat(np.arange(len(blocks)), [int(block.sum()) for block in blocks])
     order = np.argsort(rows)
     return View(
@@ -280,9 +287,8 @@ def fit_view(
         means=np.stack([features[classes == c].mean(axis=0) for c in range(n_classes)]),
         slopes=slopes,
         temperature=temperature,
-        novelty=fit_novelty_detector(
-            np.concatenate(known), np.concatenate(new), kept, np.bincount(classes)
-        ),
+        usual_size=even - float(np.quantile(without_size, share)),
+        novelty=fit_novelty_detector(np.concatenate(known), np.concatenate(new), even),
         dependence=fit_dependence(
             to_probability(scores, temperature)[order], classes[rows][order], block_of[order]
         ),
