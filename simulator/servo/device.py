@@ -321,10 +321,7 @@ class SimulatedServo:
             return StatusError.DATA_RANGE
         if item.address == TORQUE_ENABLE.address and raw and core.latched:
             return StatusError.RESULT_FAIL
-        return self._check_value(item, raw)
-
-    def _check_value(self, item: Item, raw: int) -> StatusError:
-        registers, data = self.core.registers, self.core.table.data
+        registers, data = core.registers, core.table.data
         lower, upper, refusal = item.minimum, item.maximum, StatusError.DATA_RANGE
         limit = _LIMITED_BY.get(item.address)
         if limit is not None:
