@@ -288,9 +288,7 @@ class SimulatedServo:
             plan = self.core.table.plan(start, len(piece))
             if isinstance(plan, StatusError):
                 return plan
-            for item in plan:
-                at = item.address - start
-                raw = int.from_bytes(piece[at : at + item.size], "little", signed=item.signed)
+            for item, raw in zip(plan.items, plan.layout.unpack(piece), strict=True):
                 refused = self._check(item, raw)
                 if refused is not StatusError.NONE:
                     return refused
