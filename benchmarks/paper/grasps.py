@@ -111,12 +111,10 @@ def press(label: str, pose: ObjectPose, full_n: float) -> Touch:
         rows, columns = (_span(touched, axis) for axis in (0, 1))
         lag_m = lag_m[rows, columns]
         depth_m = _depths_m(lag_m, force_n, grid.cell_area_m2)
+        shares = grid.shares((rows, columns))
         taxels.append(
             np.array(
-                [
-                    grid.taxel_force_n(_FOAM.pressure_pa(d_m - lag_m), (rows, columns))
-                    for d_m in depth_m
-                ]
+                [grid.taxel_force_n(_FOAM.pressure_pa(d_m - lag_m), shares) for d_m in depth_m]
             )
         )
         depths_m.append(depth_m)
@@ -234,7 +232,7 @@ def indent(force_n: NDArray[np.float64]) -> Indentation:
     under_n = []
     for wanted_n in force_n:
         pressure_pa = np.where(touched[window], wanted_n / area_m2, 0.0)
-        under_n.append(float(grid.taxel_force_n(pressure_pa, window)[taxel]))
+        under_n.append(float(grid.taxel_force_n(pressure_pa, grid.shares(window))[taxel]))
     taxel_n = np.array(under_n)
     counts = np.rint(ideal_counts(taxel_n, _PADS.adc_max))
     return Indentation(

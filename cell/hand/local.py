@@ -128,6 +128,8 @@ class SensorTap:
 
 def _objection(status: ForceStatus) -> str:
     """Return why the forces of a message with this status are not to be used, empty if they are."""
+    if status == ForceStatus.ZEROED:
+        return ""
     if not status & ForceStatus.ZEROED:
         return "the control unit has no table or zero for its force messages"
     if status & ForceStatus.CONVERTER_FAULT:

@@ -6,6 +6,7 @@ Source: ROBOTIS e-Manual, pages of each model, sections "Specifications" and "Co
 from collections.abc import Mapping
 from dataclasses import dataclass
 from enum import IntEnum, IntFlag
+from functools import cache
 from math import pi
 from types import MappingProxyType
 
@@ -231,6 +232,7 @@ _WITHOUT_CURRENT_CONTROL = frozenset({"XL430-W250", "XC430-W150", "XC430-W240", 
 """Models of the series without Goal Current (register 102); they are refused."""
 
 
+@cache
 def require_current_control(name: str) -> ServoModel:
     """Return the model of that name; LimitExceeded when it cannot limit its current.
 

@@ -4,7 +4,6 @@ Source: ROBOTIS e-Manual, "DYNAMIXEL Protocol 2.0". The SDK computes length and 
 stuffs; here both cover the stuffed bytes, and the CRC is checked before a packet is unstuffed.
 """
 
-import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
@@ -38,12 +37,6 @@ _READ_AHEAD = 256
 """Bytes asked for at once: answers that came together are fetched together."""
 _CRC_TABLE = tuple(Protocol2PacketHandler().updateCRC(0, (byte,), 1) for byte in range(256))
 """The SDK's own table; its method makes it anew with every call."""
-_CRC_TABLE_2 = tuple(
-    _CRC_TABLE[byte ^ first >> 8] ^ (first << 8 & 0xFFFF)
-    for first in _CRC_TABLE
-    for byte in range(256)
-)
-"""The same for two bytes at once, as a big-endian number."""
 _SHOWN_BYTES = 16
 """Dropped bytes kept for an error message: a header and what follows it."""
 
@@ -194,11 +187,9 @@ class CheckedPacketHandler(Protocol2PacketHandler):  # type: ignore[misc]
         self, crc_accum: int, data_blk_ptr: Sequence[int], data_blk_size: int
     ) -> int:
         """Return the CRC of the first bytes, continued from ``crc_accum``."""
-        crc, data = crc_accum, bytes(data_blk_ptr[:data_blk_size])
-        for two in struct.unpack_from(f">{len(data) // 2}H", data):
-            crc = _CRC_TABLE_2[crc ^ two]
-        if len(data) % 2:
-            crc = (crc << 8 & 0xFFFF) ^ _CRC_TABLE[crc >> 8 ^ data[-1]]
+        crc = crc_accum
+        for byte in data_blk_ptr[:data_blk_size]:
+            crc = (crc << 8 & 0xFFFF) ^ _CRC_TABLE[crc >> 8 ^ byte]
         return crc
 
     def _missing(self, buffer: bytearray) -> int:

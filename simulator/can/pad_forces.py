@@ -143,7 +143,7 @@ class PadForces:
         force_n = np.zeros(len(tared))
         if not self._active.any():
             return force_n
-        touched = self._smoothing @ self._active > 0.0
+        touched = self._smoothing @ self._active.astype(np.float64) > 0.0
         node = tared * ((TABLE_NODES - 1) / self._adc_max)
         n = self._n_first
         for table_n, part in zip(tables_n, (slice(None, n), slice(n, None)), strict=True):

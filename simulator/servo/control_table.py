@@ -5,6 +5,7 @@ stands here after the tables of the ROBOTIS e-Manual. Bytes between the items re
 the servo.
 """
 
+import struct
 from collections.abc import Mapping
 from typing import NamedTuple
 
@@ -106,6 +107,17 @@ class Item(NamedTuple):
     maximum: int
 
 
+_CODES = {1: "b", 2: "h", 4: "i"}
+"""Codes of `struct` for signed items by their size."""
+
+
+class WritePlan(NamedTuple):
+    """The items that a write covers whole, and how their raw values lie in its bytes."""
+
+    items: tuple[Item, ...]
+    layout: struct.Struct
+
+
 class IndirectArea(NamedTuple):
     """One block of indirect addresses and the data that they give access to.
 
@@ -202,7 +214,7 @@ class ControlTable:
         self._defined = bytearray(TABLE_SIZE)
         for item in self._items.values():
             self._defined[item.address : item.address + item.size] = b"\x01" * item.size
-        self._plans: dict[tuple[int, int], tuple[Item, ...] | StatusError] = {}
+        self._plans: dict[tuple[int, int], WritePlan | StatusError] = {}
         self._indirect: dict[int, int] = {}
         for area in indirect_areas(model, firmware):
             for i in range(area.entries):
@@ -237,7 +249,7 @@ class ControlTable:
             return bytes(self.data[address : address + size])
         return bytes(self.data[self._target(a)] for a in range(address, address + size))
 
-    def plan(self, address: int, size: int) -> tuple[Item, ...] | StatusError:
+    def plan(self, address: int, size: int) -> WritePlan | StatusError:
         """Return the items that a write covers whole, or why it cannot be done."""
         key = (address, size)
         plan = self._plans.get(key)
@@ -270,7 +282,7 @@ class ControlTable:
         pointer = self._indirect.get(address)
         return address if pointer is None else self.get(pointer, 2)
 
-    def _make_plan(self, address: int, size: int) -> tuple[Item, ...] | StatusError:
+    def _make_plan(self, address: int, size: int) -> WritePlan | StatusError:
         items = []
         position, end = address, address + size
         while position < end:
@@ -284,7 +296,12 @@ class ControlTable:
                 return StatusError.DATA_LENGTH
             items.append(item)
             position += item.size
-        return tuple(items) if items else StatusError.DATA_LENGTH
+        if not items:
+            return StatusError.DATA_LENGTH
+        codes = (_CODES[item.size] for item in items)
+        signed = (item.signed for item in items)
+        layout = "".join(c if s else c.upper() for c, s in zip(codes, signed, strict=True))
+        return WritePlan(tuple(items), struct.Struct("<" + layout))
 
 
 def in_range(item: Item, value: int) -> bool:
@@ -333,7 +350,7 @@ class ServoRegisters:
         if register is None or not register.eeprom:
             raise SimulatorSettingsError(f"{name!r} is not an EEPROM item of the control table")
         plan = self.table.plan(register.address, register.size)
-        if not isinstance(plan, tuple) or not in_range(plan[0], value):
+        if isinstance(plan, StatusError) or not in_range(plan.items[0], value):
             raise SimulatorSettingsError(f"{name} = {value} is outside the range of the item")
         self.table.set(register.address, register.size, value)
 

@@ -288,9 +288,7 @@ class SimulatedServo:
             plan = self.core.table.plan(start, len(piece))
             if isinstance(plan, StatusError):
                 return plan
-            for item in plan:
-                at = item.address - start
-                raw = int.from_bytes(piece[at : at + item.size], "little", signed=item.signed)
+            for item, raw in zip(plan.items, plan.layout.unpack(piece), strict=True):
                 refused = self._check(item, raw)
                 if refused is not StatusError.NONE:
                     return refused
@@ -321,10 +319,7 @@ class SimulatedServo:
             return StatusError.DATA_RANGE
         if item.address == TORQUE_ENABLE.address and raw and core.latched:
             return StatusError.RESULT_FAIL
-        return self._check_value(item, raw)
-
-    def _check_value(self, item: Item, raw: int) -> StatusError:
-        registers, data = self.core.registers, self.core.table.data
+        registers, data = core.registers, core.table.data
         lower, upper, refusal = item.minimum, item.maximum, StatusError.DATA_RANGE
         limit = _LIMITED_BY.get(item.address)
         if limit is not None:

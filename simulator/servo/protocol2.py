@@ -88,12 +88,6 @@ def _crc_table() -> tuple[int, ...]:
 
 
 _CRC_TABLE = _crc_table()
-_CRC_TABLE_2 = tuple(
-    _CRC_TABLE[byte ^ first >> 8] ^ (first << 8 & 0xFFFF)
-    for first in _CRC_TABLE
-    for byte in range(256)
-)
-"""The same of two bytes at once, the first one in the high byte of the index."""
 
 
 def crc16(data: bytes | bytearray, initial: int = 0) -> int:
@@ -101,12 +95,10 @@ def crc16(data: bytes | bytearray, initial: int = 0) -> int:
 
     ``initial`` continues a checksum over bytes that came before.
     """
-    crc, table = initial, _CRC_TABLE_2
-    n = len(data) // 2
-    for word in struct.unpack_from(f">{n}H", data):
-        crc = table[crc ^ word]
-    if len(data) % 2:
-        crc = (crc << 8 & 0xFFFF) ^ _CRC_TABLE[crc >> 8 ^ data[-1]]
+    crc = initial
+    table = _CRC_TABLE
+    for byte in data:
+        crc = ((crc & 0xFF) << 8) ^ table[(crc >> 8) ^ byte]
     return crc
 
 

@@ -62,10 +62,14 @@ class Foam:
 
         With strain e the pressure is E e (1 + d (e / (1 - e))^2); no pull at negative indentation.
         """
-        strain = np.maximum(indentation_m, 0.0) / self.thickness_m
+        strain = np.maximum(indentation_m, 0.0)
+        strain /= self.thickness_m
         bent = np.minimum(strain, self.limit_strain)
         closing = bent / (1.0 - bent)
         stress = bent * (1.0 + self.densification * closing**2)
+        if strain.max(initial=0.0) <= self.limit_strain:
+            stress *= self.modulus_pa
+            return stress
         limit_closing = self.limit_strain / (1.0 - self.limit_strain)
         tangent = 1.0 + self.densification * limit_closing**2 * (
             1.0 + 2.0 / (1.0 - self.limit_strain)

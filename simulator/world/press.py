@@ -45,7 +45,7 @@ class Press:
         If the object lies beside a pad.
     """
 
-    __slots__ = ("_foam", "_grids", "_lag_m", "_tables", "_windows", "swell_m", "z_m")
+    __slots__ = ("_foam", "_grids", "_lag_m", "_shares", "_tables", "swell_m", "z_m")
 
     def __init__(
         self, shape: Shape, pose: ObjectPose, grids: tuple[PadGrid, ...], foam: Foam
@@ -55,7 +55,7 @@ class Press:
         self._foam = foam
         self._grids = grids
         tables: list[ForceTable] = []
-        windows: list[tuple[slice, slice]] = []
+        shares: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
         lags_m: list[NDArray[np.float64]] = []
         seen: PadGrid | None = None
         for side, grid in enumerate(grids):
@@ -72,10 +72,10 @@ class Press:
             window = (_span(covered, axis=0), _span(covered, axis=1))
             table = ForceTable(foam, reach_m[window], grid.cell_area_m2)
             tables.append(table)
-            windows.append(window)
+            shares.append(grid.shares(window))
             lags_m.append(table.reach_max_m - reach_m[window])
         self._tables = (tables[0], tables[1])
-        self._windows = windows
+        self._shares = shares
         self._lag_m = lags_m
 
     @property
@@ -144,7 +144,7 @@ class Press:
         """Return the force in N on each taxel of one pad, shape (rows * columns,), row-major."""
         depth_m = self._depths_m(position_m)[side]
         pressure_pa = self._foam.pressure_pa(depth_m - self._lag_m[side])
-        return self._grids[side].taxel_force_n(pressure_pa, self._windows[side])
+        return self._grids[side].taxel_force_n(pressure_pa, self._shares[side])
 
 
 def _span(covered: NDArray[np.bool_], *, axis: int) -> slice:

@@ -158,22 +158,30 @@ class PadGrid:
         """Return whether two grids have their cells at the same points of their pads' planes."""
         return np.array_equal(self.x_m, other.x_m) and np.array_equal(self.y_m, other.y_m)
 
+    def shares(
+        self, window: tuple[slice, slice]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return the taxels' shares of the rows and of the columns of a window of the grid."""
+        rows, columns = window
+        return np.ascontiguousarray(self._along[:, rows]), self._across[columns]
+
     def taxel_force_n(
-        self, pressure_pa: NDArray[np.float64], window: tuple[slice, slice]
+        self,
+        pressure_pa: NDArray[np.float64],
+        shares: tuple[NDArray[np.float64], NDArray[np.float64]],
     ) -> NDArray[np.float64]:
         """Return the force in N on each taxel, shape (rows * columns,), row-major.
 
         Parameters
         ----------
         pressure_pa
-            Pressure in Pa on the cells of ``window``; all others carry none.
-        window
-            Rows and columns of the grid.
+            Pressure in Pa on the cells of a window; all others carry none.
+        shares
+            Of that window, from `shares`.
         """
-        rows, columns = window
-        force_n: NDArray[np.float64] = (
-            self._along[:, rows] @ pressure_pa @ self._across[columns] * self.cell_area_m2
-        )
+        along, across = shares
+        force_n: NDArray[np.float64] = along @ pressure_pa @ across
+        force_n *= self.cell_area_m2
         return force_n.ravel()
 
 

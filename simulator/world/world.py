@@ -92,6 +92,7 @@ class PhysicalWorld:
         "_fingers",
         "_force_n",
         "_grids",
+        "_grip_slices",
         "_gripping",
         "_layout",
         "_placed",
@@ -119,6 +120,7 @@ class PhysicalWorld:
         self._rng = np.random.default_rng(self._settings.seed)
         self._fast_rng = np.random.default_rng([self._settings.seed, 1])
         self._gripping = np.flatnonzero(np.isin(layout.taxel_pad, layout.gripping_pads))
+        self._grip_slices = tuple(layout.taxels_of(pad) for pad in layout.gripping_pads)
         self._time_s = start_s
         self._press: Press | None = None
         self._placed: tuple[str, ObjectPose] | None = None
@@ -247,8 +249,8 @@ class PhysicalWorld:
         force_n = np.zeros(self._layout.n_taxels)
         if self._press is not None and self._pressed:
             position_m = self._fingers.finger_position_m
-            for side, pad in enumerate(self._layout.gripping_pads):
-                force_n[self._layout.taxels_of(pad)] = self._press.taxel_force_n(side, position_m)
+            for side, taxels in enumerate(self._grip_slices):
+                force_n[taxels] = self._press.taxel_force_n(side, position_m)
         return force_n
 
     def scan(self) -> NDArray[np.uint16]:

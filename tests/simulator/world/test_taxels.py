@@ -45,7 +45,7 @@ def test_no_force_is_lost_on_the_way_to_the_taxels(pad: object) -> None:
     grid = PadGrid(pad, Foam())  # type: ignore[arg-type]
     rng = np.random.default_rng(1)
     pressure_pa = rng.uniform(0.0, 1e5, (grid.x_m.size, grid.y_m.size))
-    force_n = grid.taxel_force_n(pressure_pa, ALL)
+    force_n = grid.taxel_force_n(pressure_pa, grid.shares(ALL))
     assert force_n.sum() == pytest.approx(pressure_pa.sum() * grid.cell_area_m2, rel=1e-12)
     assert force_n.min() > 0.0
 
@@ -61,7 +61,7 @@ def test_the_grid_is_fine_and_divides_the_taxels_evenly() -> None:
 
 def test_an_even_pressure_stays_even() -> None:
     grid = PadGrid(paper_layout().pads[0], Foam())
-    force_n = grid.taxel_force_n(np.full((grid.x_m.size, grid.y_m.size), 1e4), ALL)
+    force_n = grid.taxel_force_n(np.full((grid.x_m.size, grid.y_m.size), 1e4), grid.shares(ALL))
     assert force_n == pytest.approx(np.full(64, 1e4 * 0.055 * 0.02 / 64), rel=1e-3)
 
 
@@ -70,7 +70,7 @@ def test_a_point_spreads_as_a_gaussian() -> None:
     grid = PadGrid(pad, Foam(spread_m=1.5e-3))
     i, j = grid.x_m.size // 2, grid.y_m.size // 2
     force_n = grid.taxel_force_n(
-        np.array([[1.0 / grid.cell_area_m2]]), (slice(i, i + 1), slice(j, j + 1))
+        np.array([[1.0 / grid.cell_area_m2]]), grid.shares((slice(i, i + 1), slice(j, j + 1)))
     ).reshape(pad.rows, pad.columns)
     offset_m = pad.taxel_xy_m()[:, 0] - grid.x_m[i, 0]
     width_m = math.sqrt(float(force_n.ravel() @ offset_m**2))
