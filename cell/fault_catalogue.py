@@ -89,6 +89,9 @@ CATALOGUE: dict[type[BaseException], Fault] = {
     gripper.WatchdogUnproven: Fault(113, "Servo bus watchdog failed its self-test",
         "Firmware without a working bus watchdog.", "Update the firmware or exchange the servo.",
         UNMOVED),
+    gripper.MechanicsContradicted: Fault(114, "Fingers do not move as the config says",
+        "Wrong `gripper.servos[].direction`, `zero_pulse` or `gripper.linkage`; a blocked finger.",
+        "Look where the fingers stand, correct the key, clear and reset.", LIMP),
     # -- 2xx: grip and force -------------------------------------------------------------------
     gripper.LimitExceeded: Fault(200, "Command or measured value outside a limit",
         "A request beyond the config, or heat.", "Read value and limit in the text.",

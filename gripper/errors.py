@@ -126,6 +126,13 @@ class FeedbackImplausible(GripperError):
     """A servo reports what cannot be: where its finger is, is unknown; the torque goes off."""
 
 
+class MechanicsContradicted(FeedbackImplausible):
+    """Empty fingers move or stop where direction, zero and linkage exclude it; the torque goes off.
+
+    Raised where nothing can be held: while the torque comes on, and where the pads found nothing.
+    """
+
+
 class PositionContradicted(GripperError):
     """The pads contradict the position that a servo reports; goals are frozen, the grip kept."""
 

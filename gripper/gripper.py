@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 from gripper.dynamixel.bus import ServoBus
+from gripper.dynamixel.control_table import PRESENT_POSITION
 from gripper.dynamixel.latency import LinkTiming, check_link
 from gripper.errors import (
     BusTimeout,
@@ -15,10 +16,12 @@ from gripper.errors import (
     GripperStateError,
     LimitExceeded,
     ServoFault,
+    VerificationFailed,
 )
 from gripper.force.grasp import GraspRun
 from gripper.force.grip_control import GripControl
 from gripper.force.loop import LoopRunner, Observer, Running
+from gripper.force.mechanics_proof import FirstMotion, standing_rows
 from gripper.force.motion import MoveTo, StandStill
 from gripper.force.ramp import ForceRamp, check_ramp
 from gripper.force.timing import LoopStatistics
@@ -39,6 +42,7 @@ from gripper.state import (
     ReleaseReport,
     ServoCondition,
     VerificationReport,
+    VerificationRow,
 )
 
 CARRY_RATE_N_S = 10.0
@@ -163,8 +167,19 @@ class Gripper:
         return self._health.conditions()
 
     def inspect(self) -> VerificationReport:
-        """Compare the servos with the settings; reads only, changes nothing."""
-        return self._health.verify(correct=False)
+        """Compare the servos, and where they stand, with the settings; reads only."""
+        report = self._health.verify(correct=False)
+        return replace(report, rows=report.rows + self._standing_rows())
+
+    def _standing_rows(self) -> tuple[VerificationRow, ...]:
+        positions_raw = [self._bus.read(servo_id, PRESENT_POSITION) for servo_id in self._ids]
+        return standing_rows(self._settings, self._linkage, positions_raw)
+
+    def _check_standing(self) -> None:
+        """Raise VerificationFailed where a finger stands where the settings exclude it."""
+        report = VerificationReport(rows=self._standing_rows())
+        if not report.ok:
+            raise VerificationFailed(report, [str(row) for row in report.failed])
 
     def read_state(self) -> GripperState:
         """Read the feedback of all servos in one transaction."""
@@ -215,15 +230,20 @@ class Gripper:
     ) -> GripperState:
         """Move the empty fingers to an opening in m, by default aperture_open_m.
 
-        Where the torque comes on for it, and a servo counts in another turn than that of its zero,
-        the fingers stand for 0.2 s first: one that does not is not where its servo reports it to
-        be, and the torque goes off.
+        Where the torque comes on for it the motion proves direction, zero and linkage, as
+        `gripper.force.mechanics_proof` describes. Where a servo counts in another turn than that of
+        its zero too, the fingers stand for 0.2 s first: one that does not is not where its servo
+        reports it to be. In both cases the torque goes off.
 
         With the setting ``watchdog_self_test`` the first opening ends with that test: the fingers
         close by a few mm, stand until the watchdog has tripped, and open again.
 
         Raises
         ------
+        VerificationFailed
+            When a finger stands where the settings exclude it; nothing has moved.
+        MechanicsContradicted
+            When the fingers do not move as the settings have it; they have no torque then.
         WatchdogUnproven
             When the bus watchdog does not stop the motors.
         GripperStateError
@@ -237,12 +257,11 @@ class Gripper:
                 f"{self._settings.aperture_open_m}"
             )
         with self._life.command(GripperPhase.OPENING):
-            was_limp = not self._servos.goals_in_force
-            self._make_ready()
+            was_limp = self._make_ready()
             if was_limp and self._servos.off_by_turns:
                 standing = StandStill(self._settings, self._servos.read_patiently())
                 self._runner.run(self._life.phase, standing.step, observer, needs_force=False)
-            state = self._move_to(target_m, observer)
+            state = self._move_to(target_m, observer, first=was_limp)
             if self._settings.watchdog_self_test and not self._watchdog_proofs:
                 self._watchdog_proofs = prove_watchdog(
                     self._servos, self._health, self._linkage, self._settings, self._clock
@@ -406,12 +425,14 @@ class Gripper:
             if left:
                 return self._open_one_finger(left[0], observer)
         with self._life.command(GripperPhase.RELEASING):
-            self._make_ready(releasing=True)
+            was_limp = self._make_ready(releasing=True)
             # A part that a stop leaves half held is none whose force can be controlled.
             self._grasping.forget()
             self._life.controlled = False
             try:
-                state = self._move_to(self._settings.aperture_open_m, observer, only_open=True)
+                state = self._move_to(
+                    self._settings.aperture_open_m, observer, only_open=True, first=was_limp
+                )
             finally:
                 self._health.end_release()
         self._life.part_possible = False
@@ -529,7 +550,9 @@ class Gripper:
         held_before = self._life.phase is not GripperPhase.IDLE
         if not self._health.torque_on():
             self._life.switched_off()
-            return self._health.verify(correct=True, refuse=True)
+            report = self._health.verify(correct=True, refuse=True)
+            self._check_standing()
+            return report
         if held_before:
             self._life.phase = GripperPhase.HELD_AFTER_FAULT
             self._life.part_possible = True
@@ -592,16 +615,28 @@ class Gripper:
         return ReleaseReport(state=state, opened=(servo_id,), left=(left,))
 
     def _move_to(
-        self, aperture_m: float, observer: Observer | None, *, only_open: bool = False
+        self,
+        aperture_m: float,
+        observer: Observer | None,
+        *,
+        only_open: bool = False,
+        first: bool = False,
     ) -> GripperState:
+        kind = FirstMotion if first else MoveTo
         state = self._servos.read_patiently()
-        move = MoveTo(
+        move = kind(
             self._settings, self._linkage, state, aperture_m=aperture_m, only_open=only_open
         )
         return self._runner.run(self._life.phase, move.step, observer, needs_force=False)
 
-    def _make_ready(self, *, releasing: bool = False) -> None:
+    def _make_ready(self, *, releasing: bool = False) -> bool:
+        """Make the servos ready for a command; return whether all of them were without torque."""
+        was_limp = not self._servos.goals_in_force and not self._health.torque_on()
+        if was_limp:
+            self._check_standing()
+            self._grasping.begin()
         self._servos.make_ready(part_possible=self._life.part_possible, releasing=releasing)
+        return was_limp
 
 
 def _nothing_to_open(conditions: Sequence[ServoCondition]) -> ServoFault:

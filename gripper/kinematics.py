@@ -80,6 +80,9 @@ class ParallelLinkage:
         if not isfinite(self.offset_m):
             raise LimitExceeded(f"offset_m is {self.offset_m}, must be finite")
 
+    def __str__(self) -> str:
+        return f"link_mm {self.link_m * 1e3:g}, offset_mm {self.offset_m * 1e3:g}"
+
     def aperture_m(self, angles_rad: Sequence[float]) -> float:
         """Return the opening between both pads in m."""
         _check_count(self.n_servos, angles_rad)
@@ -105,7 +108,7 @@ class ParallelLinkage:
         if not -pi / 2.0 < angle_rad < pi / 2.0:
             raise LimitExceeded(
                 f"the link stands at {angle_rad} rad, beyond its dead centre at 1.571 rad: "
-                f"check zero_raw and direction of the servo"
+                f"check gripper.servos[].zero_pulse and direction"
             )
         return self.link_m * cos(angle_rad) * (2.0 / self.n_servos)
 
@@ -133,6 +136,10 @@ class RackPinion:
         _check_n_servos(self.n_servos)
         if not isfinite(self.offset_m):
             raise LimitExceeded(f"offset_m is {self.offset_m}, must be finite")
+
+    def __str__(self) -> str:
+        radius_mm = self.pinion_radius_m * 1e3
+        return f"pinion_radius_mm {radius_mm:g}, offset_mm {self.offset_m * 1e3:g}"
 
     def aperture_m(self, angles_rad: Sequence[float]) -> float:
         """Return the opening between both pads in m."""
@@ -173,6 +180,9 @@ class OneFinger:
 
     linkage: Linkage
     index: int
+
+    def __str__(self) -> str:
+        return str(self.linkage)
 
     @property
     def n_servos(self) -> int:

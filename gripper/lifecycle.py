@@ -20,7 +20,7 @@ from gripper.errors import (
 from gripper.force.loop import LoopRunner
 from gripper.servos.group import ServoGroup
 from gripper.settings import GripperSettings, OverForce
-from gripper.state import GripperPhase
+from gripper.state import GripperPhase, shows_nothing
 
 _DOING = {
     GripperPhase.OPENING: "opening",
@@ -206,12 +206,16 @@ class Lifecycle:
         if not phase.moving:
             self._note_grip(error, left)
             return
-        aperture_m = self._servos.aperture_m
-        where = "" if aperture_m is None else f", at an opening of {aperture_m * 1e3:.1f} mm"
+        state = self._servos.last_read
+        where = "" if state is None else f", at an opening of {state.aperture_m * 1e3:.1f} mm"
         unconfirmed = left is FingersLeft.UNCONFIRMED
         watchdog = "; the servos' bus watchdog stops them" if unconfirmed else ""
         if not self.part_possible:
-            part = "nothing is held"
+            # That no grasp has begun is no witness of what is between the fingers.
+            empty = shows_nothing(
+                state, self._servos.fresh_force, self._settings.contact_force_n
+            ) and not isinstance(error, FeedbackImplausible)
+            part = "nothing is held" if empty else "no part was gripped"
         elif phase is GripperPhase.RELEASING:
             part = "a part may be half held"
         else:

@@ -13,6 +13,9 @@ _HARDWARE_ERROR_BITS = {
 }
 """Bits of Hardware Error Status (e-Manual, Control Table, register 70)."""
 
+_STANDS_M_S = 0.005
+"""Rate of the opening in m/s below which the fingers stand: two counts of each servo."""
+
 
 class Clock(Protocol):
     """A monotonic clock that can wait; the standard module ``time`` is one."""
@@ -189,6 +192,26 @@ class GripperState:
     def angles_rad(self) -> tuple[float, ...]:
         """Angle of each servo in rad."""
         return tuple(servo.angle_rad for servo in self.servos)
+
+
+def shows_nothing(
+    state: GripperState | None, force: ForceSample | None, contact_force_n: float
+) -> bool:
+    """Return whether pads and current both show that nothing is held.
+
+    Parameters
+    ----------
+    state, force
+        Newest feedback and force sample, None where there is none.
+    contact_force_n
+        Force in N from which on something is touched. The current counts while the fingers stand:
+        in motion it is what moves them.
+    """
+    if state is None or force is None or not force.valid:
+        return False
+    stands = abs(state.aperture_velocity_m_s) < _STANDS_M_S
+    pressed_n = state.force_from_current_n if stands else 0.0
+    return max(*force.force_n, pressed_n) < contact_force_n
 
 
 def hardware_error_names(bits: int) -> tuple[str, ...]:

@@ -7,6 +7,7 @@ from math import inf
 from gripper.errors import LimitExceeded, PartLost
 from gripper.force.grip_control import FrictionEstimate, GripControl, StiffnessEstimate
 from gripper.force.loop import Action, LoopRunner, Moment, Observer, Running
+from gripper.force.mechanics_proof import ClosedStop
 from gripper.force.motion import Approach, ApproachEvent, ContactRest
 from gripper.force.ramp import ForceRamp, RampEnd
 from gripper.force.slip import LevelSlip
@@ -46,6 +47,7 @@ class GraspRun:
         self._settings = settings
         self._end = RampEnd()
         self._ramp_step: RampStep | None = None
+        self._closed_is_proven = False
 
     @property
     def control(self) -> GripControl | None:
@@ -55,6 +57,10 @@ class GraspRun:
     def forget(self) -> None:
         """Discard the control of a part: nothing is held any more."""
         self._ramp_step = None
+
+    def begin(self) -> None:
+        """Prove anew where the fingers are closed: their torque comes on."""
+        self._closed_is_proven = False
 
     def end_ramp(self) -> None:
         """End the running ramp at its present set-point; see `Gripper.end_ramp`."""
@@ -73,6 +79,7 @@ class GraspRun:
         with self._end.counting():
             approach, contact = self._approach(stiffness, friction, observer)
             if approach.event is not ApproachEvent.CONTACT:
+                self._prove_closed(contact, observer)
                 return _without_contact(approach.event, contact)
             set_phase(GripperPhase.RAMPING)
             step = RampStep(
@@ -146,6 +153,14 @@ class GraspRun:
 
         state = self._runner.run(GripperPhase.APPROACHING, step, observer, needs_force=True)
         return approach, state
+
+    def _prove_closed(self, state: GripperState, observer: Observer | None) -> None:
+        """Look once whether the pads of fingers that have found nothing stop each other."""
+        if self._closed_is_proven or not ClosedStop.applies(self._settings, state):
+            return
+        proof = ClosedStop(self._settings, self._linkage, state)
+        self._runner.run(GripperPhase.APPROACHING, proof.step, observer, needs_force=True)
+        self._closed_is_proven = True
 
 
 class RampStep:

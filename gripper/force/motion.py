@@ -7,9 +7,10 @@ from enum import Enum
 from math import sqrt
 
 from gripper.dynamixel.control_table import RAD_PER_PULSE, RAD_S_PER_VELOCITY_UNIT
-from gripper.errors import FeedbackImplausible, ServoFault
+from gripper.errors import FeedbackImplausible, PositionContradicted, ServoFault
 from gripper.force.controller import History
 from gripper.force.loop import Action, Moment
+from gripper.force.mechanics_proof import ForceRise, mechanics_text
 from gripper.kinematics import Linkage, motion_current_a, transmissions
 from gripper.recent import RecentForce
 from gripper.servos.goals import OPENING_MARGIN_RAD, ServoGoal, closing_margin_rad
@@ -157,7 +158,10 @@ class MoveTo:
         aperture_m: float,
         only_open: bool = False,
     ) -> None:
+        self._settings = settings
+        self._linkage = linkage
         self._only_open = only_open
+        self._rise = ForceRise()
         self._start_rad = state.angles_rad
         self._target_rad = linkage.angles_rad(aperture_m)
         if only_open:
@@ -183,7 +187,22 @@ class MoveTo:
         self._deadline_s = state.t_s + travel_m / speed_m_s + _MOVE_PATIENCE_S
 
     def step(self, moment: Moment) -> Action:
-        """Return the goals of one period; ServoFault when a finger does not arrive in time."""
+        """Return the goals of one period.
+
+        Raises
+        ------
+        PositionContradicted
+            When the pads are pressed more and more though the fingers only open.
+        ServoFault
+            When a finger does not arrive in time.
+        """
+        pressed = self._rise.found(moment) if self._only_open else ""
+        if pressed:
+            raise PositionContradicted(
+                f"{pressed} while the fingers let go: they close, or something pushes them "
+                f"together. They stand still; take the part out by hand, then check "
+                f"{mechanics_text(self._settings, self._linkage)}"
+            )
         self._share = min(1.0, self._share + self._share_per_s * moment.dt_s)
         goals = []
         arrived = True
@@ -214,7 +233,8 @@ class MoveTo:
             slowest.servo_id,
             0,
             f"its finger is stuck: the gripper stands at {state.aperture_m * 1e3:.1f} mm on its "
-            f"way to {self._aperture_m * 1e3:.1f} mm",
+            f"way to {self._aperture_m * 1e3:.1f} mm; if nothing blocks it, check "
+            f"{mechanics_text(self._settings, self._linkage)}",
         )
 
 

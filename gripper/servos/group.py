@@ -93,9 +93,9 @@ class ServoGroup:
         return self.read()
 
     @property
-    def aperture_m(self) -> float | None:
-        """The opening in m at the last reading; None before the first one."""
-        return None if self._feedback.last is None else self._feedback.last.aperture_m
+    def last_read(self) -> GripperState | None:
+        """The last feedback; None before the first reading."""
+        return self._feedback.last
 
     @property
     def off_by_turns(self) -> bool:

@@ -177,8 +177,16 @@ class Cell:
         zero_raw: int = 2048,
         seed: int = 7,
         rate_hz: float | None = None,
+        turned: tuple[int, ...] = (),
+        zero_off: tuple[int, int] = (0, 0),
+        link_m: float = 0.06,
+        offset_m: float = 0.0,
         **settings: Any,
     ) -> None:
+        """Build the cell; ``turned`` to ``offset_m`` make its settings differ from its mechanics.
+
+        ``turned`` are indices of servos, ``zero_off`` is in pulses of opening too wide.
+        """
         self.clock = VirtualClock()
         self.part = part if part is not None else Part()
         self.sensor = SampledForce(noise_n=noise_n, delay_s=delay_s, seed=seed, rate_hz=rate_hz)
@@ -191,7 +199,7 @@ class Cell:
         own: Linkage
         if linkage == "parallel":
             theirs: Any = ParallelogramLinkage(link_m=0.06)
-            own = ParallelLinkage(link_m=0.06, n_servos=n_servos)
+            own = ParallelLinkage(link_m=link_m, offset_m=offset_m, n_servos=n_servos)
         else:
             theirs = RackLinkage(pinion_radius_m=0.012)
             own = RackPinion(pinion_radius_m=0.012, n_servos=n_servos)
@@ -210,7 +218,12 @@ class Cell:
         self.bus = ServoBus(self.stream, baudrate=1_000_000, clock=self.clock)
         self.settings = GripperSettings(
             servos=tuple(
-                ServoSettings(servo_id=i + 1, model=model.name, direction=d, zero_raw=zero_raw)
+                ServoSettings(
+                    servo_id=i + 1,
+                    model=model.name,
+                    direction=-d if i in turned else d,
+                    zero_raw=zero_raw - d * zero_off[i],
+                )
                 for i, d in enumerate(directions)
             ),
             **(GENEROUS | settings),
@@ -244,6 +257,14 @@ class Cell:
         self.peak_n = max(self.peak_n, self.force_n)
         self.least_n = min(self.least_n, self.force_n)
         self.sensor.measure(now_s, (self.force_n, self.force_n))
+
+    @property
+    def pressed_n(self) -> float:
+        """Largest force in N that a finger's current makes beyond friction: against a stop too."""
+        return max(
+            (abs(motor.current_a) * motor.kt_nm_a - motor.friction_nm) / 0.06
+            for motor in self.motors
+        )
 
     def register(self, index: int, name: str) -> int:
         return self.bus.read(index + 1, REGISTERS[name])
