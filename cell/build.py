@@ -32,7 +32,8 @@ from cell.errors import ConfigError
 from cell.hand.build import SHARED_PROCESS, make_hand, open_hand
 from cell.hand.client import HandProcess
 from cell.hand.interface import Hand
-from cell.simulation import InProcessPlacer, capture_traffic, simulated_cell
+from cell.hand.lines import MISSING, Lines
+from cell.simulation import InProcessPlacer, capture_traffic, open_can_bus, simulated_cell
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.serial_port import ByteStream, SerialStream
 from gripper.state import Clock, GripperPhase
@@ -88,6 +89,11 @@ class Cell:
         """Notes for the operator on how the force loop runs."""
         return self.controller.hand.notes
 
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """Lines of the hand that could not be opened, and why."""
+        return tuple(note.removeprefix(MISSING) for note in self.notes if note.startswith(MISSING))
+
     def health(self) -> dict[str, Any]:
         """Return the counters of both links and the loop."""
         statistics = self.controller.hand.statistics
@@ -131,6 +137,7 @@ def build_cell(
     ask: Callable[[str], str] | None = None,
     capture: Path | None = None,
     simulated: SimulatedCell | None = None,
+    partial: bool = False,
 ) -> Cell:
     """Open the buses of a config and put the cell together; nothing moves yet.
 
@@ -150,6 +157,9 @@ def build_cell(
         pcap file for the CAN traffic of a simulated cell.
     simulated
         A simulated cell that is there already and outlives this one; by default a new one.
+    partial
+        Whether one line of the hand may be missing, for those who look or let go; see
+        `Cell.missing`.
 
     Raises
     ------
@@ -172,7 +182,7 @@ def build_cell(
         positioner = _positioner(config, simulated, mover, ask, undo, phase=lambda: hand.phase)
         if places is not None:
             positioner = HostPlaces(positioner, places)
-        hand = _hand(config, simulated)
+        hand = _hand(config, simulated, partial=partial)
         undo.callback(hand.close)
         recorder = None
         if folder is not None:
@@ -208,19 +218,18 @@ def build_cell(
         )
 
 
-def _hand(config: CellConfig, simulated: SimulatedCell | None) -> Hand:
+def _hand(config: CellConfig, simulated: SimulatedCell | None, *, partial: bool) -> Hand:
     if simulated is None:
         if config.loop.own_process:
-            return HandProcess(config)
-        return open_hand(config, time, notes=(SHARED_PROCESS,))
-    return make_hand(
-        config,
-        clock=simulated.clock,
+            return HandProcess(config, partial=partial)
+        return open_hand(config, time, notes=(SHARED_PROCESS,), partial=partial)
+    lines = Lines(
+        simulated.open_servo_stream,
+        lambda: open_can_bus(simulated),
         stream=simulated.servo_stream,
         can_bus=simulated.can_bus,
-        threaded=False,
-        close_links=lambda: None,
     )
+    return make_hand(config, clock=simulated.clock, lines=lines, threaded=False)
 
 
 def _positioner(

@@ -28,6 +28,8 @@ from simulator.settings import RecordedGrasp, SimulatedServoSettings, SimulatorS
 from simulator.world.shape_files import parse_shape
 from simulator.world.shapes import ObjectPose, Shape
 from simulator.world.taxels import NoiseModel, SensorLaw
+from tactile.can.bus import CanBus
+from tactile.errors import BusNotOpened
 from tactile.layout import TaxelLayout
 
 Counts = NDArray[np.float64]
@@ -191,6 +193,14 @@ def simulated_cell(config: CellConfig) -> SimulatedCell:
         return SimulatedCell(settings, lost_error=PortLost)
     except SimulatorError as error:
         raise ConfigError(f"simulator: {error}") from error
+
+
+def open_can_bus(cell: SimulatedCell) -> CanBus:
+    """Open the CAN bus of a simulated cell anew. Raises BusNotOpened while its adapter is out."""
+    try:
+        return cell.open_can_bus()
+    except SimulatorError as error:
+        raise BusNotOpened(str(error)) from error
 
 
 def fault_table() -> list[tuple[str, str, str, str]]:

@@ -7,7 +7,7 @@ from simulator.can.control_unit import SimulatedControlUnit
 from simulator.can.memory_bus import InMemoryCanBus
 from simulator.clock import VirtualClock
 from simulator.devices import CellDevices
-from simulator.errors import PortUnplugged
+from simulator.errors import PortUnplugged, SimulatorStateError
 from simulator.faults.injector import FaultInjector, InjectedFault
 from simulator.servo.bus import MemoryServoStream
 from simulator.servo.wrist import SimulatedWrist
@@ -107,6 +107,30 @@ class SimulatedCell:
     def play(self, index: int) -> int:
         """Load one of the settings' grasps; see `CellDevices.play`."""
         return self.devices.play(index)
+
+    def open_servo_stream(self) -> MemoryServoStream:
+        """Open the host's end of the servo line anew, as after its adapter was gone.
+
+        Raises ``lost_error`` while the adapter is out.
+        """
+        if self.devices.faults.servo_wire.unplugged:
+            raise self._lost_error("the adapter of the simulated servos is out: plug it in")
+        self.servo_stream.close()
+        self.servo_stream = self._new_stream()
+        return self.servo_stream
+
+    def open_can_bus(self) -> InMemoryCanBus:
+        """Open the host's end of the CAN bus anew, as after its adapter was gone.
+
+        Raises SimulatorStateError while the adapter is out.
+        """
+        if self.devices.faults.can.unplugged:
+            raise SimulatorStateError("the simulated CAN adapter is out: plug it in")
+        capture = self.can_bus.capture
+        self.can_bus.shutdown()
+        self.can_bus = self._new_bus()
+        self.can_bus.capture.extend(capture)
+        return self.can_bus
 
     def replace_host(self) -> None:
         """Cut the host off as if its process were killed, and make ends for the next one.

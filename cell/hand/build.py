@@ -1,15 +1,14 @@
 """Building the hand of a config: links, sensor and gripper; no simulator."""
 
-from collections.abc import Callable
-from contextlib import ExitStack
 from dataclasses import replace
 
 from cell.config.gripper import ParallelLinkageConfig
 from cell.config.model import CellConfig
 from cell.config.tactile import TactileConfig, layout_from_config, link_settings, make_calibration
+from cell.hand.lines import Lines
 from cell.hand.local import LocalHand, SensorTap
 from gripper.dynamixel.bus import ServoBus
-from gripper.dynamixel.serial_port import ByteStream, SerialStream
+from gripper.dynamixel.serial_port import SerialStream
 from gripper.gripper import Gripper
 from gripper.kinematics import Linkage, ParallelLinkage, RackPinion
 from gripper.state import Clock
@@ -19,7 +18,7 @@ from tactile.sensor.force_check import force_table
 from tactile.sensor.quality import QualityLimits
 from tactile.sensor.sensor import SensorSettings, TactileSensor
 from tactile.sensor.tare import TareLimits
-from tactile.unit.link import TactileLink, close_bus, open_bus
+from tactile.unit.link import TactileLink, open_bus
 
 SHARED_PROCESS = (
     "the force loop shares its process with all other work, which may hold it up: set "
@@ -28,7 +27,9 @@ SHARED_PROCESS = (
 """Note of a real cell whose loop has no process of its own."""
 
 
-def open_hand(config: CellConfig, clock: Clock, *, notes: tuple[str, ...] = ()) -> LocalHand:
+def open_hand(
+    config: CellConfig, clock: Clock, *, notes: tuple[str, ...] = (), partial: bool = False
+) -> LocalHand:
     """Open the real ports of a config; nothing moves yet.
 
     Parameters
@@ -39,37 +40,35 @@ def open_hand(config: CellConfig, clock: Clock, *, notes: tuple[str, ...] = ()) 
         Real time.
     notes
         Of the hand.
+    partial
+        Whether one of both lines may be missing; a note of the hand names it.
 
     Raises
     ------
     gripper.errors.PortLost, tactile.errors.LinkFault
-        If a port or bus cannot be opened.
+        If a port or bus cannot be opened; with ``partial`` if none can.
     """
-    with ExitStack() as undo:
-        tactile = config.tactile
-        can_bus = open_bus(tactile.interface, tactile.channel, bitrate=tactile.bitrate)
-        undo.callback(close_bus, can_bus)
-        stream = SerialStream(config.gripper.port, config.gripper.baud_rate)
-        undo.callback(stream.close)
+    gripper, tactile = config.gripper, config.tactile
+    lines = Lines(
+        lambda: SerialStream(gripper.port, gripper.baud_rate),
+        lambda: open_bus(tactile.interface, tactile.channel, bitrate=tactile.bitrate),
+        partial=partial,
+    )
+    try:
         return make_hand(
-            config,
-            clock=clock,
-            stream=stream,
-            can_bus=can_bus,
-            threaded=True,
-            close_links=undo.pop_all().close,
-            notes=notes,
+            config, clock=clock, lines=lines, threaded=True, notes=(*notes, *lines.notes)
         )
+    except BaseException:
+        lines.close()
+        raise
 
 
 def make_hand(
     config: CellConfig,
     *,
     clock: Clock,
-    stream: ByteStream,
-    can_bus: CanBus,
+    lines: Lines,
     threaded: bool,
-    close_links: Callable[[], None],
     notes: tuple[str, ...] = (),
 ) -> LocalHand:
     """Put gripper and sensor together on open links.
@@ -80,12 +79,10 @@ def make_hand(
         The cell.
     clock
         Source of time.
-    stream, can_bus
-        The servos' line and the control unit's bus.
+    lines
+        The servos' line and the control unit's bus; the hand closes them at its end.
     threaded
         Whether a thread receives from the bus: True in real time.
-    close_links
-        Closes both; the hand calls it at its end.
     notes
         Of the hand.
     """
@@ -93,7 +90,7 @@ def make_hand(
     calibration = make_calibration(config.tactile, layout)
     link = make_link(
         config.tactile,
-        can_bus,
+        lines.can_bus,
         layout,
         clock,
         threaded=threaded,
@@ -109,7 +106,7 @@ def make_hand(
     )
     tap = SensorTap(sensor)
     bus = ServoBus(
-        stream,
+        lines.stream,
         baudrate=config.gripper.baud_rate,
         clock=clock,
         period_s=1.0 / config.gripper.loop_rate_hz,
@@ -124,7 +121,7 @@ def make_hand(
         tap=tap,
         bus=bus,
         link=link,
-        close_links=close_links,
+        lines=lines,
         notes=notes,
     )
 

@@ -73,6 +73,8 @@ class LoopProcess:
     ----------
     config
         The cell; its ports are real.
+    partial
+        As `cell.hand.build.open_hand`.
 
     Attributes
     ----------
@@ -89,7 +91,7 @@ class LoopProcess:
         If the process does not come up.
     """
 
-    def __init__(self, config: CellConfig) -> None:
+    def __init__(self, config: CellConfig, *, partial: bool = False) -> None:
         self.lost: HandLost | None = None
         self._watchdog_ms = config.gripper.watchdog_ms
         ours, theirs = socket.socketpair()
@@ -112,7 +114,7 @@ class LoopProcess:
             theirs.close()
             os.close(stop_fd)
         try:
-            self.send(Boot(config=config))
+            self.send(Boot(config=config, partial=partial))
             event = self.next(_BOOT_S)
             if isinstance(event, Fault):
                 raise received_error(event.error)
@@ -221,6 +223,8 @@ class HandProcess:
     ----------
     config
         The cell; its ports are real.
+    partial
+        As `cell.hand.build.open_hand`.
     silence_s
         Longest time in s without a message of the process while the loop runs; what does not run
         the loop may take longer, up to the config's time-outs.
@@ -238,7 +242,9 @@ class HandProcess:
         As in `Hand`: what the process has sent, and `tick` or a command taken in.
     """
 
-    def __init__(self, config: CellConfig, *, silence_s: float = 5.0) -> None:
+    def __init__(
+        self, config: CellConfig, *, partial: bool = False, silence_s: float = 5.0
+    ) -> None:
         self._config = config
         self._layout = layout_from_config(config.tactile)
         self._settings = config.gripper_settings
@@ -247,7 +253,7 @@ class HandProcess:
         self._answer_s = 2.0 * silence_s + 4.0 * config.tactile.startup_timeout_s
         self._number = 0
         self._phase = GripperPhase.OFF
-        self._loop = LoopProcess(config)
+        self._loop = LoopProcess(config, partial=partial)
         self._statistics = self._loop.ready.statistics
         self.measured = Measured()
         self._heard_s = time.monotonic()
@@ -372,7 +378,8 @@ class HandProcess:
     def clear_fault(self, *, reboot: bool) -> None:
         """Acknowledge a fault; where the process is gone, start another, which moves nothing."""
         if self._loop.lost is not None:
-            self._loop = LoopProcess(self._config)
+            # What is missing of the lines is no hindrance to let go.
+            self._loop = LoopProcess(self._config, partial=True)
             self._heard_s = time.monotonic()
             if not reboot:
                 return

@@ -4,6 +4,7 @@ from collections.abc import Callable, Sequence
 from math import sqrt
 
 from cell.hand.interface import HandStatistics, Measured, Watch
+from cell.hand.lines import Lines
 from gripper.dynamixel.bus import ServoBus
 from gripper.force.ramp import ForceRamp
 from gripper.gripper import Gripper
@@ -16,7 +17,7 @@ from gripper.state import (
     ServoCondition,
     VerificationReport,
 )
-from tactile.errors import ZeroDrifted
+from tactile.errors import BusOff, ReceiveLoopDead, ZeroDrifted
 from tactile.frames.codec import TactileFrame
 from tactile.frames.force_message import ForceMessage, ForceStatus
 from tactile.layout import TaxelLayout
@@ -143,8 +144,8 @@ class LocalHand:
         Gripper, sensor, and the tap through which the one asks the other.
     bus, link
         Their links, for statistics.
-    close_links
-        Closes both ports.
+    lines
+        The ports under them; closed at the end.
     notes
         Messages for the operator on how the loop runs.
 
@@ -164,7 +165,7 @@ class LocalHand:
         tap: SensorTap,
         bus: ServoBus,
         link: TactileLink,
-        close_links: Callable[[], None],
+        lines: Lines,
         notes: tuple[str, ...] = (),
     ) -> None:
         self.gripper = gripper
@@ -174,7 +175,7 @@ class LocalHand:
         self.notes = notes
         self.measured = Measured()
         self._tap = tap
-        self._close_links = close_links
+        self._lines = lines
 
     @property
     def layout(self) -> TaxelLayout:
@@ -211,7 +212,9 @@ class LocalHand:
         return self.gripper.start()
 
     def start_sensor(self) -> NodeIdentity:
-        """Start the tactile link; see `Hand`."""
+        """Start the tactile link, on a bus that is opened anew where it was lost; see `Hand`."""
+        if self._lines.can_is_missing or isinstance(self.link.fault, BusOff | ReceiveLoopDead):
+            self.link.use(self._lines.reopen_can())
         identity = self.sensor.start()
         self._tap.running = True
         return identity
@@ -289,7 +292,9 @@ class LocalHand:
         self.gripper.keep_grip()
 
     def clear_fault(self, *, reboot: bool) -> None:
-        """Acknowledge a fault of the servos; see `Gripper.clear_fault`."""
+        """Acknowledge a fault of the servos, on a port that is opened anew where it was lost."""
+        if self.bus.lost:
+            self.bus.use(self._lines.reopen_servos())
         self.gripper.clear_fault(reboot=reboot)
 
     def request_stop(self) -> None:
@@ -304,7 +309,7 @@ class LocalHand:
 
     def close(self) -> None:
         """Give the ports back."""
-        self._close_links()
+        self._lines.close()
 
     def _observer(self, watch: Watch) -> Callable[[Cycle], None]:
         def observe(cycle: Cycle) -> None:

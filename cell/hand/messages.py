@@ -27,6 +27,7 @@ class Boot:
     """First message: what to open."""
 
     config: CellConfig
+    partial: bool = False
 
 
 @dataclass(frozen=True, slots=True)

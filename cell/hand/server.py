@@ -160,7 +160,7 @@ def main(connection_fd: int, stop_fd: int, parent: int) -> None:
     try:
         boot: Boot = connection.recv()
         notes = enter_real_time(boot.config.loop)
-        hand = open_hand(boot.config, time)
+        hand = open_hand(boot.config, time, notes=notes, partial=boot.partial)
     except EOFError:
         return
     except Exception as error:
@@ -172,7 +172,7 @@ def main(connection_fd: int, stop_fd: int, parent: int) -> None:
     signal.signal(signal.SIGTERM, server.terminate)
     stop_collecting()
     try:
-        outbox.post(Ready(notes=notes, statistics=hand.statistics))
+        outbox.post(Ready(notes=hand.notes, statistics=hand.statistics))
         server.serve()
     finally:
         server.end()

@@ -105,6 +105,15 @@ class ServoBus:
         return self._transactions.in_loop()
 
     @property
+    def lost(self) -> bool:
+        """Whether the line has failed since it was opened: then only `use` helps."""
+        return self._port.lost
+
+    def use(self, stream: ByteStream) -> None:
+        """Go on with a line that was opened anew."""
+        self._port.use(stream)
+
+    @property
     def statistics(self) -> BusStatistics:
         """Counts since the bus was opened."""
         return self._transactions.statistics

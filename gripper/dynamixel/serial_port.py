@@ -10,7 +10,8 @@ import os
 import select
 import tempfile
 import termios
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Protocol
 
@@ -192,7 +193,7 @@ class SerialStream:
     def _lost(self, cause: object) -> PortLost:
         return PortLost(
             f"serial port {self.path} is gone ({cause}): check cable and supply of the adapter, "
-            f"then open the port again. A part may still be gripped"
+            f"then clear the fault, which opens the port anew. A part may still be gripped"
         )
 
     def _unlock(self) -> None:
@@ -254,6 +255,13 @@ class SdkPort(PortHandler):  # type: ignore[misc]
         self.return_delay_s = return_delay_s
         self.allowance_s = allowance_s
         self.is_open = True
+        self.lost = False
+        self._unanswered_bytes = 0
+
+    def use(self, stream: ByteStream) -> None:
+        """Take another stream in the place of one that is lost."""
+        self._stream = stream
+        self.is_open, self.lost = True, False
         self._unanswered_bytes = 0
 
     def closePort(self) -> None:  # noqa: N802
@@ -264,19 +272,30 @@ class SdkPort(PortHandler):  # type: ignore[misc]
 
     def clearPort(self) -> None:  # noqa: N802
         """Forget what has arrived."""
-        self._stream.drop_input()
+        with self._noting_loss():
+            self._stream.drop_input()
 
     def writePort(self, packet: bytes) -> int:  # noqa: N802
         """Send a packet and return its length."""
         data = bytes(packet)
-        self._stream.write(data)
+        with self._noting_loss():
+            self._stream.write(data)
         self._unanswered_bytes = len(data)
         return len(data)
 
     def readPort(self, length: int) -> bytes:  # noqa: N802
         """Return up to ``length`` bytes, waiting no longer than the packet's time-out."""
         left_ms = self.packet_timeout - self.getTimeSinceStart()
-        return self._stream.read(length, max(0.0, left_ms) / 1000.0)
+        with self._noting_loss():
+            return self._stream.read(length, max(0.0, left_ms) / 1000.0)
+
+    @contextmanager
+    def _noting_loss(self) -> Iterator[None]:
+        try:
+            yield
+        except PortLost:
+            self.lost = True
+            raise
 
     def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802
         """Start the time-out for an answer of that many bytes."""

@@ -44,7 +44,7 @@ from gripper.errors import LimitExceeded, MechanicsContradicted
 from gripper.force.loop import Action, Moment
 from gripper.kinematics import Linkage, OneFinger, motion_current_a, transmissions
 from gripper.recent import RecentForce
-from gripper.servos.goals import OPENING_MARGIN_RAD, ServoGoal
+from gripper.servos.goals import OPENING_MARGIN_RAD, ServoGoal, closing_margin_rad
 from gripper.settings import GripperSettings
 from gripper.state import GripperState, ServoState, VerificationRow
 
@@ -209,30 +209,34 @@ class FirstMotion:
             for start_rad, end_rad in zip(state.angles_rad, target_rad, strict=True)
         ]
         self._back: _Finger | None = None
+        self._stands_m = state.aperture_m
         self._rise = ForceRise()
 
     def step(self, moment: Moment) -> Action:
         """Return the goals of one period; MechanicsContradicted when a finger is blocked."""
         servos = moment.state.servos
         pressed = self._rise.found(moment)
+        if self._back is None:
+            self._stands_m = moment.state.aperture_m
         if pressed:
-            raise self._contradicted(moment.state, servos[0], pressed)
+            raise self._contradicted(servos[0], pressed)
         goals_rad = []
         for finger, servo in zip(self._fingers, servos, strict=True):
             if self._back is not None and finger is not self._back:
+                finger.begin_at(servo)
                 goals_rad.append(servo.angle_rad)
                 continue
             goals_rad.append(finger.goal_rad(servo, moment.dt_s, back=self._back is finger))
             if finger.blocked:
-                self._blocked(finger, moment.state, servo)
+                self._turn(finger, servo)
             elif self._back is finger and finger.has_gone_back(servo):
                 raise self._contradicted(
-                    moment.state, servo, "it is blocked on its way, and free on its way back"
+                    servo, "it is blocked on its way, and free on its way back"
                 )
         goals = [ServoGoal(angle_rad=rad, current_a=self._current_a) for rad in goals_rad]
         return Action(goals=goals, done=all(finger.there for finger in self._fingers))
 
-    def _blocked(self, finger: "_Finger", state: GripperState, servo: ServoState) -> None:
+    def _turn(self, finger: "_Finger", servo: ServoState) -> None:
         """Turn a blocked finger round, or give it more current, or end the motion."""
         finger.begin_at(servo)
         if self._back is None and finger.opens and not self._only_open:
@@ -240,14 +244,12 @@ class FirstMotion:
             return
         self._back = None
         if self._current_a >= self._stiff_a:
-            raise self._contradicted(state, servo, "it is blocked on its way")
+            raise self._contradicted(servo, "it is blocked on its way")
         self._current_a = self._stiff_a
 
-    def _contradicted(
-        self, state: GripperState, servo: ServoState, found: str
-    ) -> MechanicsContradicted:
+    def _contradicted(self, servo: ServoState, found: str) -> MechanicsContradicted:
         return MechanicsContradicted(
-            f"servo {servo.servo_id}: {found}, at an opening of {state.aperture_m * 1e3:.1f} mm on "
+            f"servo {servo.servo_id}: {found}, at an opening of {self._stands_m * 1e3:.1f} mm on "
             f"its way to {self._aperture_m * 1e3:.1f} mm, with {self._current_a:.2f} A, the least "
             f"that moves it. So the fingers are not where the settings have them, or something "
             f"blocks them; the torque is switched off. Look where they stand, then check "
@@ -261,7 +263,8 @@ class _Finger:
     def __init__(self, start_rad: float, target_rad: float, rate_rad_s: float) -> None:
         self._sign = 1.0 if target_rad >= start_rad else -1.0
         self._target_rad = target_rad
-        self._goal_rad = self._from_rad = start_rad
+        self._from_rad = start_rad
+        self._goal_rad = start_rad + 0.5 * self._sign * _LEAD_RAD
         self._rate_rad_s = rate_rad_s
         self._still_s = 0.0
         self.there = False
@@ -278,7 +281,8 @@ class _Finger:
 
     def begin_at(self, servo: ServoState) -> None:
         """Go on from where the finger is, forwards or back."""
-        self._goal_rad = self._from_rad = servo.angle_rad
+        self._from_rad = servo.angle_rad
+        self._goal_rad = servo.angle_rad + 0.5 * self._sign * _LEAD_RAD
         self._still_s = 0.0
 
     def has_gone_back(self, servo: ServoState) -> bool:
@@ -294,8 +298,10 @@ class _Finger:
             self._goal_rad = servo.angle_rad
             return servo.angle_rad
         sign = -self._sign if back else self._sign
-        ahead_rad = sign * (self._goal_rad - servo.angle_rad) + self._rate_rad_s * dt_s
         most_rad = _LEAD_RAD if back else min(_LEAD_RAD, left_rad + _OVERRUN_RAD)
+        ahead_rad = sign * (self._goal_rad - servo.angle_rad) + self._rate_rad_s * dt_s
+        if back:
+            ahead_rad = most_rad
         stands = abs(servo.velocity_rad_s) < _STILL_RAD_S and ahead_rad >= most_rad
         self._still_s = self._still_s + dt_s if stands else 0.0
         self._goal_rad = servo.angle_rad + sign * min(ahead_rad, most_rad)
@@ -320,10 +326,15 @@ class ClosedStop:
         self._current_a = motion_current_a(settings, paths, settings.approach_force_n)
         per_rad_m = sum(map(linkage.opening_per_rad_m, state.angles_rad))
         rate_rad_s = settings.approach_speed_m_s / per_rad_m
-        end_rad = linkage.angles_rad(-_BEYOND_CLOSED_M)
+        # Each finger alone may be the one that nothing stops.
+        end_rad = linkage.angles_rad(-2.0 * _BEYOND_CLOSED_M)
+        least_rad = [
+            angle_rad - closing_margin_rad(servo.servo_model, settings.current_max_a) + _OVERRUN_RAD
+            for angle_rad, servo in zip(linkage.angles_rad(0.0), settings.servos, strict=True)
+        ]
         self._fingers = [
-            _Finger(start_rad, min(start_rad, rad), rate_rad_s)
-            for start_rad, rad in zip(state.angles_rad, end_rad, strict=True)
+            _Finger(start_rad, min(start_rad, max(rad, least)), rate_rad_s)
+            for start_rad, rad, least in zip(state.angles_rad, end_rad, least_rad, strict=True)
         ]
 
     @staticmethod
@@ -343,7 +354,7 @@ class ClosedStop:
             finger.goal_rad(servo, moment.dt_s, back=False)
             for finger, servo in zip(self._fingers, state.servos, strict=True)
         ]
-        done = met or all(finger.blocked for finger in self._fingers)
+        done = met or all(finger.blocked or finger.there for finger in self._fingers)
         if not done and state.aperture_m < -_MISSED_M:
             raise MechanicsContradicted(
                 f"the fingers have found nothing, and stand at an opening of "

@@ -33,6 +33,9 @@ _SHORTEST_TRAVEL_M = 1e-3
 """Way in m that a motion is planned for at least."""
 _OPENING_FORCE_N = 3.0
 """Force in N beside friction that the current of an opening allows: pads may stick to a part."""
+_RISING_S = 0.25
+"""Time in s in which it rises to that from what moves the fingers: where they close instead, the
+pads show it before."""
 _CLOSING_SHARE = 0.9
 """Share of the cap of the force that the current of a motion which closes may make."""
 _AGAINST_REST = 1.4
@@ -181,6 +184,9 @@ class MoveTo:
                 self._current_a,
                 *(path.loading_current_a(_CLOSING_SHARE * settings.force_max_n) for path in paths),
             )
+        self._rising_s = _RISING_S if opening else 0.0
+        self._least_a = motion_current_a(settings, paths, 0.0)
+        self._passed_s = 0.0
         self._share_per_s = speed_m_s / travel_m
         self._share = 0.0
         self._aperture_m = aperture_m
@@ -204,6 +210,11 @@ class MoveTo:
                 f"{mechanics_text(self._settings, self._linkage)}"
             )
         self._share = min(1.0, self._share + self._share_per_s * moment.dt_s)
+        self._passed_s += moment.dt_s
+        current_a = self._current_a
+        if self._passed_s < self._rising_s:
+            more = self._passed_s / self._rising_s
+            current_a = min(current_a, self._least_a + more * (current_a - self._least_a))
         goals = []
         arrived = True
         for servo, start_rad, target_rad in zip(
@@ -219,7 +230,7 @@ class MoveTo:
             )
             if self._only_open:
                 angle_rad = max(angle_rad, servo.angle_rad)
-            goals.append(ServoGoal(angle_rad=angle_rad, current_a=self._current_a))
+            goals.append(ServoGoal(angle_rad=angle_rad, current_a=current_a))
         if not arrived and moment.now_s > self._deadline_s:
             raise self._stuck(moment.state)
         return Action(goals=goals, done=arrived)

@@ -42,6 +42,7 @@ class InMemoryCanBus(can.BusABC):
         self.channel_info = f"simulated CAN bus at {bitrate} bit/s"
         self._link = CanLink(device, bitrate=bitrate, faults=faults, seed=seed)
         self._clock = clock
+        self._lost = False
         clock.on_advance.append(self._link.advance)
         super().__init__(channel="simulated")
 
@@ -128,5 +129,7 @@ class InMemoryCanBus(can.BusABC):
     def _check_open(self) -> None:
         if self._is_shutdown:
             raise can.CanOperationError("the bus was shut down: open a new one")
-        if self._link.faults.unplugged:
-            raise can.CanOperationError("the CAN adapter is gone: plug it in and start again")
+        # As with the interfaces of the system: an adapter that is back does not help an open bus.
+        self._lost |= self._link.faults.unplugged
+        if self._lost:
+            raise can.CanOperationError("the CAN adapter is gone: plug it in and open it again")

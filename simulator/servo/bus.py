@@ -349,7 +349,8 @@ class MemoryServoStream:
     clock
         Its time; `read` waits by its ``sleep``.
     lost_error
-        Makes the exception raised while the cable is out or after `close`, from a text.
+        Makes the exception raised once the cable was found to be out, and after `close`, from a
+        text: as with a port of the system, a cable that is back does not help an open one.
     """
 
     def __init__(
@@ -363,10 +364,10 @@ class MemoryServoStream:
         self._clock = clock
         self._lost_error = lost_error
         self._input = bytearray()
-        self._closed = False
+        self._closed = self._lost = False
 
     def write(self, data: bytes) -> None:
-        """Send bytes to the servos; raises ``lost_error`` while the cable is out."""
+        """Send bytes to the servos; raises ``lost_error`` where the cable is or was out."""
         self._check()
         self._device.receive(data, self._clock.monotonic())
 
@@ -399,7 +400,8 @@ class MemoryServoStream:
     def _check(self) -> None:
         if self._closed:
             raise self._lost_error("the servo stream is closed; open a new one")
-        if self._device.faults.unplugged:
+        self._lost |= self._device.faults.unplugged
+        if self._lost:
             raise self._lost_error(
                 "the cable to the simulated servos is out (fault servos.unplugged); plug it in "
                 "and open the port again"

@@ -61,6 +61,21 @@ _MESSAGE_KINDS = frozenset("tTrRdDbBx")
 """First letters of what the driver takes for messages; d, D, b, B are CAN FD, x is not standard."""
 
 
+class MissingBus(can.BusABC):
+    """CAN bus that could not be opened; it stands where a link wants one until it is reopened."""
+
+    def __init__(self) -> None:
+        super().__init__(channel="missing")
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> NoReturn:
+        """Raise CanOperationError."""
+        raise can.CanOperationError("the CAN bus could not be opened")
+
+    def recv(self, timeout: float | None = None) -> NoReturn:
+        """Raise CanOperationError."""
+        raise can.CanOperationError("the CAN bus could not be opened")
+
+
 class BusLock:
     """Lock file of a CAN interface or of its adapter's port: one program at a time.
 

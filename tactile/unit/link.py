@@ -91,12 +91,21 @@ class TactileLink:
         self._clock = clock
         self._settings = settings or LinkSettings()
         self._force_table = force_table if self._settings.force_period_s else None
-        self._source: MessageSource = source or (
-            ThreadedReceiver(bus, clock) if self._settings.threaded else PolledSource(bus, clock)
-        )
+        self._source: MessageSource = source or self._new_source()
         self._session = self._new_session()
         self._running = False
         self._fault: LinkFault | None = None
+
+    def _new_source(self) -> MessageSource:
+        kind = ThreadedReceiver if self._settings.threaded else PolledSource
+        return kind(self._bus, self._clock)
+
+    def use(self, bus: can.BusABC) -> None:
+        """Take a bus that was opened anew in the place of a lost one, before the next start."""
+        if self._running:
+            raise LinkStateError("the link is running: close it before it takes another bus")
+        self._bus = bus
+        self._source = self._new_source()
 
     def _new_session(self) -> LinkSession:
         return LinkSession(

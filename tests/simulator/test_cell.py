@@ -170,11 +170,17 @@ def test_the_knobs_of_all_devices_are_in_one_place() -> None:
         cell.devices.faults.servo_wire.unplugged = True
         with pytest.raises(Lost):
             cell.servo_stream.write(b"\0")
+        with pytest.raises(Lost):
+            cell.open_servo_stream()
         cell.devices.faults.servo_wire.unplugged = False
+        cell.open_servo_stream().write(b"\0")
         cell.devices.faults.can.unplugged = True
         with pytest.raises(can.CanOperationError):
             cell.can_bus.recv(0)
+        with pytest.raises(SimulatorStateError):
+            cell.open_can_bus()
         cell.devices.faults.can.unplugged = False
+        cell.open_can_bus()
         host = Host(cell)
         host.start_unit()
         cell.devices.faults.unit.dead_taxels.add(0)

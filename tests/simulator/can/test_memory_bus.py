@@ -365,13 +365,16 @@ def test_bus_off_lets_nothing_pass() -> None:
 
 def test_an_adapter_that_is_gone_fails() -> None:
     faults = CanLinkFaults(unplugged=True)
-    _, bus, _ = echo_bus(faults)
+    echo, bus, clock = echo_bus(faults)
     with pytest.raises(can.CanOperationError, match="gone"):
         bus.recv(0)
     with pytest.raises(can.CanOperationError, match="gone"):
         bus.send(message(1))
     faults.unplugged = False
-    assert bus.recv(0) is None
+    with pytest.raises(can.CanOperationError, match="open it again"):
+        bus.recv(0)
+    with InMemoryCanBus(echo, clock, faults=faults) as opened:
+        assert opened.recv(0) is None
 
 
 @pytest.mark.parametrize(

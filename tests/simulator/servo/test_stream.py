@@ -58,6 +58,9 @@ def test_unplugged_and_plugged_in_again(bench):
     bench.device.receive(PING, bench.clock.monotonic())
     assert bench.device.transmit(bench.clock.monotonic() + 1.0) == b""
     bench.device.faults.unplugged = False
+    with pytest.raises(PortUnplugged, match="open the port again"):
+        bench.stream.write(PING)
+    bench.stream = MemoryServoStream(bench.device, bench.clock)
     assert len(bench.exchange(PING)) == 14
 
 
