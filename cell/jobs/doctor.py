@@ -7,22 +7,30 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
+from shlex import quote
 
 import numpy as np
 
 from cell.build import Cell, build_cell
 from cell.config.model import CellConfig
+from cell.config.tactile import layout_from_config, make_calibration
 from cell.errors import CellError
 from cell.hand.interface import FORCE_FROM_FRAMES
 from cell.installation import EXTRAS, remedy
 from gripper.dynamixel.control_table import HARDWARE_ERROR_STATUS
 from gripper.dynamixel.serial_port import latency_timer_file, latency_timer_ms, serial_candidates
 from gripper.errors import GripperError, VerificationFailed
+from gripper.force.mechanics_proof import POSITION_ITEM
 from gripper.settings import CORRECTABLE
 from gripper.state import VerificationRow
 from motion.errors import MotionError
 from tactile.errors import TactileError
 from tactile.frames.codec import TactileFrame
+
+_TORQUE = "servo torque"
+"""Name of the check whether the servos have torque."""
+_PRESSED_SIGMAS = 6.0
+"""Spreads of the counts at rest above which the mean of a taxel shows that it is pressed."""
 
 
 class Verdict(StrEnum):
@@ -55,15 +63,23 @@ class Finding:
     advice: str = ""
 
 
-def examine(config: CellConfig) -> Iterator[Finding]:
+def examine(config: CellConfig, config_file: Path | None = None) -> Iterator[Finding]:
     """Check the machine, then each device of the cell, yielding findings as they come.
 
     Reads and verifies only: no torque is switched on and nothing moves.
+
+    Parameters
+    ----------
+    config
+        The cell.
+    config_file
+        The file that it was read from, for the commands that are advised.
     """
     yield from _machine()
     if not config.simulated:
         yield from _ports(config)
-    yield from _devices(config)
+    named = "" if config_file is None else f" --config {quote(str(config_file))}"
+    yield from _devices(config, named)
 
 
 def _machine() -> Iterator[Finding]:
@@ -116,9 +132,10 @@ def _ports(config: CellConfig) -> Iterator[Finding]:
         )
 
 
-def _devices(config: CellConfig) -> Iterator[Finding]:
+def _devices(config: CellConfig, named: str) -> Iterator[Finding]:
+    """Check the devices; ``named`` is the option that names the cell in advised commands."""
     try:
-        cell = build_cell(config, mover=lambda _pose: False, ask=str)
+        cell = build_cell(config, mover=lambda _pose: False, ask=str, partial=True)
     except (CellError, GripperError, TactileError) as error:
         yield Finding(
             what="links",
@@ -129,9 +146,9 @@ def _devices(config: CellConfig) -> Iterator[Finding]:
         return
     yield from _loop(cell)
     try:
-        yield from _guarded("servo torque", lambda: _torque(cell))
-        yield from _guarded("servos", lambda: _servos(cell))
-        yield from _guarded("control unit", lambda: _control_unit(cell, config))
+        yield from _guarded(_TORQUE, lambda: _torque(cell, named))
+        yield from _guarded("servos", lambda: _servos(cell, named))
+        yield from _guarded("control unit", lambda: _control_unit(cell, config, named))
         yield from _axes(cell)
     finally:
         cell.close()
@@ -155,15 +172,13 @@ def _guarded(what: str, check: Callable[[], list[Finding]]) -> Iterator[Finding]
                 what=what, verdict=Verdict.FAIL, found=line, advice="see the expected value"
             )
     except (GripperError, TactileError) as error:
-        yield Finding(
-            what=what,
-            verdict=Verdict.FAIL,
-            found=str(error),
-            advice="check power, id and bit rate",
-        )
+        advice = "check power, id and bit rate"
+        if what == _TORQUE:
+            advice += "; whether a part is held is not known: the servos keep their last goals"
+        yield Finding(what=what, verdict=Verdict.FAIL, found=str(error), advice=advice)
 
 
-def _torque(cell: Cell) -> list[Finding]:
+def _torque(cell: Cell, named: str) -> list[Finding]:
     """Check who has torque: all servos, or none; one alone may press on a part."""
     conditions = cell.controller.hand.conditions()
     found = "; ".join(map(str, conditions))
@@ -172,20 +187,20 @@ def _torque(cell: Cell) -> list[Finding]:
         failed = any(condition.shut_down for condition in conditions)
         return [
             Finding(
-                what="servo torque",
+                what=_TORQUE,
                 verdict=Verdict.FAIL if failed else Verdict.PASS,
                 found=found,
-                advice="remedy the cause of the error, then `tactile-cell clear --reboot`"
+                advice=f"remedy the cause of the error, then `tactile-cell clear{named} --reboot`"
                 if failed
                 else "",
             )
         ]
-    advice = "a part may be in the grip: let go of it with `tactile-cell release --confirm`"
+    advice = f"a part may be in the grip: let go of it with `tactile-cell release{named} --confirm`"
     if any(condition.shut_down for condition in limp):
-        advice += ", then clear the error with `tactile-cell clear --reboot`"
+        advice += f", then clear the error with `tactile-cell clear{named} --reboot`"
     return [
         Finding(
-            what="servo torque",
+            what=_TORQUE,
             verdict=Verdict.FAIL if limp else Verdict.WARN,
             found=found,
             advice=advice,
@@ -193,13 +208,13 @@ def _torque(cell: Cell) -> list[Finding]:
     ]
 
 
-def _servos(cell: Cell) -> list[Finding]:
+def _servos(cell: Cell, named: str) -> list[Finding]:
     return [
         Finding(
             what=f"servo {row.servo_id} {row.item}",
             verdict=_verdict(row),
             found=f"{row.found} (expected {row.expected})",
-            advice="" if row.ok else _advice(row),
+            advice="" if row.ok else _advice(row, named),
         )
         for row in cell.controller.hand.inspect().rows
     ]
@@ -211,15 +226,20 @@ def _verdict(row: VerificationRow) -> Verdict:
     return Verdict.WARN if row.item in CORRECTABLE else Verdict.FAIL
 
 
-def _advice(row: VerificationRow) -> str:
+def _advice(row: VerificationRow, named: str) -> str:
     if row.item == HARDWARE_ERROR_STATUS.name:
-        return "remedy its cause, then `tactile-cell clear --reboot`"
+        return f"remedy its cause, then `tactile-cell clear{named} --reboot`"
+    if row.item == POSITION_ITEM:
+        return (
+            "look where the finger stands: on its own side of the middle, one of these keys is "
+            "wrong; else push it there by hand"
+        )
     if row.item in CORRECTABLE:
         return "the cell sets it at its start"
     return "correct it with the servo maker's wizard, or correct the config"
 
 
-def _control_unit(cell: Cell, config: CellConfig) -> list[Finding]:
+def _control_unit(cell: Cell, config: CellConfig, named: str) -> list[Finding]:
     hand = cell.controller.hand
     identity = hand.start_sensor()
     readings = [hand.read_sensor(timeout_s=1.0) for _ in range(10)]
@@ -252,6 +272,7 @@ def _control_unit(cell: Cell, config: CellConfig) -> list[Finding]:
             found=f"{n_saturated} of {len(readings[-1].saturated)} saturated",
             advice="is something touching the pads?" if n_saturated else "",
         ),
+        _load([reading.frame for reading in readings], config, named),
         _noise([reading.frame for reading in readings]),
         _boards(identity.boards, config),
     ]
@@ -275,6 +296,29 @@ def _axes(cell: Cell) -> Iterator[Finding]:
             if fault
             else "",
         )
+
+
+def _load(frames: list[TactileFrame], config: CellConfig, named: str) -> Finding:
+    """Check whether the pads are pressed: without a zero, against the counts of most taxels."""
+    layout = layout_from_config(config.tactile)
+    counts = np.mean([frame.counts for frame in frames], axis=0)
+    pads = [counts[layout.taxels_of(pad)] for pad in layout.gripping_pads]
+    grip = np.concatenate(pads)
+    rest = float(np.median(grip))
+    spread = 1.4826 * float(np.median(np.abs(grip - rest)))
+    over = np.where(counts - rest > _PRESSED_SIGMAS * spread + 1.0, counts - rest, 0.0)
+    force_n = make_calibration(config.tactile, layout).force_n(over)
+    first_n, second_n = (float(force_n[layout.taxels_of(p)].sum()) for p in layout.gripping_pads)
+    pressed = max(first_n, second_n) >= config.gripper.contact_force_n
+    return Finding(
+        what="pads' force",
+        verdict=Verdict.WARN if pressed else Verdict.PASS,
+        found=f"about {first_n:.1f} N on finger 0, {second_n:.1f} N on finger 1, without a zero",
+        advice="a part may be held; look. Let go of it, where the servos answer, with "
+        f"`tactile-cell release{named} --confirm`"
+        if pressed
+        else "",
+    )
 
 
 def _noise(frames: list[TactileFrame]) -> Finding:

@@ -238,12 +238,14 @@ class FirstMotion:
 
     def _turn(self, finger: "_Finger", servo: ServoState) -> None:
         """Turn a blocked finger round, or give it more current, or end the motion."""
+        ran_freely = finger.has_run(servo)
         finger.begin_at(servo)
         if self._back is None and finger.opens and not self._only_open:
             self._back = finger
             return
         self._back = None
-        if self._current_a >= self._stiff_a:
+        # No finger is sent farther open than it stood: where it ran freely before, that is enough.
+        if self._current_a >= self._stiff_a or (ran_freely and not finger.opens):
             raise self._contradicted(servo, "it is blocked on its way")
         self._current_a = self._stiff_a
 
@@ -284,6 +286,10 @@ class _Finger:
         self._from_rad = servo.angle_rad
         self._goal_rad = servo.angle_rad + 0.5 * self._sign * _LEAD_RAD
         self._still_s = 0.0
+
+    def has_run(self, servo: ServoState) -> bool:
+        """Return whether it has moved on its way since `begin_at`."""
+        return self._sign * (servo.angle_rad - self._from_rad) >= _BACK_RAD
 
     def has_gone_back(self, servo: ServoState) -> bool:
         """Return whether it has gone back since `begin_at`."""

@@ -14,6 +14,7 @@ from gripper.errors import (
     GripperError,
     GripperStateError,
     LimitExceeded,
+    MechanicsContradicted,
     PortLost,
     ServoFault,
     fingers_left,
@@ -329,10 +330,16 @@ def test_a_late_period_is_not_caught_up(cell) -> None:
     assert cell.gripper.statistics.worst_lateness_s == pytest.approx(0.026, abs=0.003)
 
 
-def test_a_stuck_finger_is_reported(cell, monkeypatch) -> None:
+@pytest.mark.parametrize("first", [True, False])
+def test_a_stuck_finger_is_reported(cell, monkeypatch, first) -> None:
     cell.gripper.start()
+    if not first:
+        cell.gripper.open(0.025)
     monkeypatch.setattr(type(cell.mechanics), "step", lambda *_, **__: None)
-    with pytest.raises(ServoFault, match="stuck"):
+    with pytest.raises(
+        MechanicsContradicted if first else ServoFault,
+        match="blocked on its way" if first else r"stuck.*gripper.linkage",
+    ):
         cell.gripper.open()
 
 

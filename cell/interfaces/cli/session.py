@@ -85,6 +85,12 @@ def clear_command(config_file: Path) -> str:
     return f"tactile-cell clear --config {shlex.quote(str(config_file))} --reboot"
 
 
+def missing_lines(cell: Cell) -> None:
+    """Print which line of a cell that was built with one missing is not there."""
+    for text in cell.missing:
+        print_note(f"{text}; what needs it is left out")
+
+
 @contextmanager
 def running_cell(
     config: CellConfig,

@@ -20,11 +20,17 @@ def clear(
     """Show torque and errors of servos and axes, and clear them; nothing moves.
 
     A servo that overload, heat or a shock has made switch its torque off stays without it until it
-    is rebooted. A part that other servos hold stays held. Drives of axes need no reboot.
+    is rebooted. A part that other servos hold stays held. Drives of axes need no reboot, and the
+    control unit need not be there.
     """
     from cell.build import build_cell
     from cell.errors import CellError, ConfigError
-    from cell.interfaces.cli.session import cell_config, clear_command, release_command
+    from cell.interfaces.cli.session import (
+        cell_config,
+        clear_command,
+        missing_lines,
+        release_command,
+    )
     from cell.interfaces.cli.signals import END_WITHIN_S, stopping
     from cell.interfaces.cli.terminal import ask, print_line
     from gripper.errors import ServoFault
@@ -35,7 +41,8 @@ def clear(
             "name the cell whose servos are meant: `tactile-cell clear --config FILE`"
         )
     checked = cell_config(config)
-    cell = build_cell(checked, mover=lambda _pose: False, ask=ask)
+    cell = build_cell(checked, mover=lambda _pose: False, ask=ask, partial=True)
+    missing_lines(cell)
     try:
         with stopping(cell.controller.cancel, end_within_s=END_WITHIN_S):
             before = cell.controller.hand.conditions()

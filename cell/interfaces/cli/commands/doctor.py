@@ -4,7 +4,10 @@ from cell.interfaces.cli.options import ConfigOption, JsonOption
 
 
 def doctor(config: ConfigOption = None, json_file: JsonOption = None) -> None:
-    """Check machine, ports, servos and control unit; nothing moves."""
+    """Check machine, ports, servos and control unit; nothing moves.
+
+    Of two lines one may be missing: what the other one shows is listed.
+    """
     from cell.errors import CellError
     from cell.interfaces.cli.session import cell_config
     from cell.interfaces.cli.terminal import out, print_line, write_json
@@ -12,7 +15,7 @@ def doctor(config: ConfigOption = None, json_file: JsonOption = None) -> None:
 
     colours = {Verdict.PASS: "green", Verdict.WARN: "yellow", Verdict.FAIL: "bold red"}
     findings = []
-    for finding in examine(cell_config(config)):
+    for finding in examine(cell_config(config), config):
         findings.append(finding)
         advice = f"  -> {finding.advice}" if finding.advice else ""
         out.print(f"[{colours[finding.verdict]}]{finding.verdict.value:<5}[/]", end="")

@@ -19,13 +19,14 @@ def release(
 ) -> None:
     """Let go of a part in the grip of an earlier run; it may fall.
 
-    A finger whose servo is silent or has switched itself off is left as it is and named; the other
-    one opens. The cell has to be named, even where a config file lies in the folder: the part
-    falls in the cell that is named and in no other.
+    The servos alone are needed for it, not the control unit. A finger whose servo is silent or has
+    switched itself off is left as it is and named; the other one opens. The cell has to be named,
+    even where a config file lies in the folder: the part falls in the cell that is named and in no
+    other.
     """
     from cell.errors import ConfigError
     from cell.interfaces.cli.options import FOLDER_CONFIG
-    from cell.interfaces.cli.session import cell_config, release_command
+    from cell.interfaces.cli.session import cell_config, missing_lines, release_command
 
     if config is None:
         example = FOLDER_CONFIG if FOLDER_CONFIG.exists() else Path("FILE")
@@ -42,7 +43,8 @@ def release(
     from cell.interfaces.cli.terminal import ask, print_line
 
     checked = cell_config(config)
-    cell = build_cell(checked, mover=lambda _pose: False, ask=ask)
+    cell = build_cell(checked, mover=lambda _pose: False, ask=ask, partial=True)
+    missing_lines(cell)
     try:
         with stopping(cell.controller.cancel, end_within_s=END_WITHIN_S):
             report = cell.controller.release_held()
