@@ -32,7 +32,7 @@ from cell.errors import (
 from cell.hand.interface import FORCE_FROM_FRAMES, Hand, Measured
 from cell.hand.local import LocalHand
 from gripper.gripper import Gripper
-from gripper.state import Clock, GripperPhase, ReleaseReport
+from gripper.state import Clock, GripperPhase, ReleaseReport, shows_nothing
 from recognition.grasp import PadArray
 from recognition.recognizer import Recognizer
 from recognition.recognizers.early_classifiers import EarlyClassifiers, EarlyDecider
@@ -145,9 +145,11 @@ class CellController(CellView):
         self._clock = clock
         self._sequence = sequence
         self._tare_frames = tare_frames
+        self._contact_n = contact_force_n
         self._journal = Journal(recorder)
         life = CellLifecycle(
             hand,
+            shows_nothing=lambda: self.shows_nothing,
             note=self._journal.note,
             close_sensor=hand.close_sensor,
             changed=self._record_state,
@@ -171,6 +173,12 @@ class CellController(CellView):
         """What is measured at the moment, from any thread."""
         measured = Measured() if self._life.state in _UNSUPERVISED else self._hand.measured
         return live_values(measured, self._clock.monotonic())
+
+    @property
+    def shows_nothing(self) -> bool:
+        """Whether pads and current both showed at the last look that nothing is held."""
+        cycle, _frame = self._journal.newest
+        return cycle is not None and shows_nothing(cycle.state, cycle.force, self._contact_n)
 
     # -- commands ------------------------------------------------------------------------------
 

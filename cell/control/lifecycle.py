@@ -30,6 +30,9 @@ _HOLDING = (
 )
 """Phases of the gripper in which a part may be in the grip."""
 
+NO_GRIP = ("no part was gripped", "nothing is held")
+"""What is left where no grip is kept: without and with a witness, pads and current."""
+
 ON_REQUEST = "on request"
 """Reason of a stop that a person or host asked for."""
 
@@ -43,6 +46,8 @@ class CellLifecycle:
         Whose grip it is.
     note
         Called at stops and faults, with kind, text, and the fault's number where there is one.
+    shows_nothing
+        Whether pads and current showed last that nothing is held.
     close_sensor
         Ends the tactile link when a start is given up.
     changed
@@ -67,12 +72,14 @@ class CellLifecycle:
         hand: Hand,
         *,
         note: Callable[[str, str, int], None],
+        shows_nothing: Callable[[], bool],
         close_sensor: Callable[[], None],
         changed: Callable[[], None],
         clock: Clock,
     ) -> None:
         self._hand = hand
         self._note = note
+        self._shows_nothing = shows_nothing
         self._close_sensor = close_sensor
         self._changed = changed
         self._clock = clock
@@ -211,7 +218,7 @@ class CellLifecycle:
         """Return what a stop has left as text: fingers on their way, a grip, or nothing held."""
         moved = fingers_left(stop)
         if not self.holding:
-            return moved or "nothing is held"
+            return moved or NO_GRIP[self._shows_nothing()]
         if moved:
             return f"{moved} until it is released on purpose"
         return "the grip is kept until it is released on purpose"

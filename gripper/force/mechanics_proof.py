@@ -112,7 +112,9 @@ def standing_rows(
     opening_m = sum(half_m for half_m in halves_m if half_m is not None) * (2.0 / len(halves_m))
     closed = opening_m < -_BEYOND_CLOSED_M
     rows = []
-    for servo, raw, half_m in zip(settings.servos, positions_raw, halves_m, strict=True):
+    for index, (servo, raw, half_m) in enumerate(
+        zip(settings.servos, positions_raw, halves_m, strict=True)
+    ):
         wrong = half_m is None or half_m < (0.0 if closed else -_BEYOND_MIDDLE_M)
         where = "beyond its dead centre" if half_m is None else f"{half_m * 1e3:.1f} mm from it"
         rows.append(
@@ -120,8 +122,9 @@ def standing_rows(
                 servo_id=servo.servo_id,
                 item=POSITION_ITEM,
                 expected="a finger on its own side of the middle",
-                found=f"{where}, opening {opening_m * 1e3:.1f} mm, by the position {raw} with "
-                f"{mechanics_text(settings, linkage)}"
+                found=f"{where}, opening {opening_m * 1e3:.1f} mm, by the position {raw} and "
+                f"gripper.servos[{index}].direction {servo.direction}, zero_pulse "
+                f"{servo.zero_raw}, gripper.linkage {linkage}"
                 if wrong
                 else str(raw),
                 ok=not wrong,

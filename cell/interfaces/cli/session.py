@@ -10,12 +10,14 @@ from cell.config.file import load_config
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
 from cell.control.journal import loop_line
+from cell.control.lifecycle import NO_GRIP
 from cell.control.records import pad_array
 from cell.errors import CellError, CellStopped, ConfigError, HandLost, PartInGrip, PositionerFault
 from cell.fault_catalogue import fault_number
 from cell.interfaces.cli.signals import END_WITHIN_S, stopping
 from cell.interfaces.cli.terminal import ask, print_cell, print_line, print_note, write_json
 from gripper.errors import (
+    FeedbackImplausible,
     GripperError,
     LinkTooSlow,
     ServoFault,
@@ -134,7 +136,9 @@ def running_cell(
             grip = _grip_left(error, cell)
             text = f"{error}\n{grip}; recording so far: {cell.recording_path}"
         if config_file is not None and not config.simulated:
-            text += f"\nto let go of a part: {release_command(config_file)}"
+            limp = isinstance(error, FeedbackImplausible)
+            if not limp and NO_GRIP[True] not in text:
+                text += f"\nto let go of a part: {release_command(config_file)}"
             if isinstance(error, ServoFault) and error.bits:
                 text += f"\nto clear the servo's error: {clear_command(config_file)}"
             if isinstance(error, PositionerFault):
@@ -157,10 +161,10 @@ def _grip_left(error: BaseException, cell: Cell) -> str:
     if left:
         return left
     if isinstance(error, HandLost):
-        return "a part may still be gripped" if cell.controller.holding else "nothing is held"
+        return "a part may still be gripped" if cell.controller.holding else NO_GRIP[False]
     if isinstance(error, PartInGrip | VerificationFailed | LinkTooSlow):
         return "nothing was moved"
-    return "the grip is kept" if cell.controller.holding else "nothing is held"
+    return "the grip is kept" if cell.controller.holding else NO_GRIP[cell.controller.shows_nothing]
 
 
 @contextmanager

@@ -443,7 +443,7 @@ def test_a_cancelled_start_leaves_the_cell_stopped(bench: Any, when: str) -> Non
         bench.once_in(OPENING, bench.controller.cancel)
     else:
         bench.once_in(GripperPhase.IDLE, bench.controller.cancel, 0.2)
-    with pytest.raises(CellStopped, match="nothing is held"):
+    with pytest.raises(CellStopped, match="no part was gripped"):
         bench.controller.start()
     assert bench.controller.state is CellState.STOPPED
     bench.ready()

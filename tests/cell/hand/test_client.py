@@ -71,7 +71,8 @@ class FakeLoop:
 
     made: ClassVar[list["FakeLoop"]] = []
 
-    def __init__(self, _config: CellConfig) -> None:
+    def __init__(self, _config: CellConfig, *, partial: bool = False) -> None:
+        self.partial = partial
         self.ready = Ready(notes=("a note",), statistics=STATISTICS)
         self.lost: HandLost | None = None
         self.pid = 4711 + len(self.made)
