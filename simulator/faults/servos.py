@@ -113,6 +113,20 @@ def _drift(target: Target) -> Effect:
     return Effect(undo=lambda: knobs.offset_report(0), act=act)
 
 
+def _turned_round(target: Target) -> Effect:
+    def turn() -> None:
+        target.devices.mechanics.remount(target.servo, turned=True)
+
+    turn()
+    return Effect(undo=turn)
+
+
+def _horn(target: Target) -> Effect:
+    mechanics, off_rad = target.devices.mechanics, target.number * RAD_PER_PULSE
+    mechanics.remount(target.servo, off_rad=off_rad)
+    return Effect(undo=lambda: mechanics.remount(target.servo, off_rad=-off_rad))
+
+
 def _supply(target: Target) -> Effect:
     knobs = _knobs(target)
     knobs.supply(target.number)
@@ -235,6 +249,12 @@ SERVO = (
     FaultEntry("servoN.drift", FaultKind.WRONG,
                "the position that it reports drifts away, and it follows its goals as before",
                _drift, "report", Number("rad/s", -6.3, 6.3, default=0.1)),
+    FaultEntry("servoN.turned", FaultKind.WRONG,
+               "it sits the other way round than gripper.servos[].direction has it", _turned_round,
+               "turned"),
+    FaultEntry("servoN.horn", FaultKind.WRONG,
+               "its horn sits so many pulses farther open than gripper.servos[].zero_pulse has it",
+               _horn, "horn", Number("pulses", -1000, 1000, default=100, whole=True)),
     FaultEntry("servoN.watchdog_off", FaultKind.WRONG,
                "its bus watchdog trips and the motor goes on (330 size)", _watchdog_off,
                "watchdog"),

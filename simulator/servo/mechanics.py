@@ -244,6 +244,28 @@ class FingerMechanics:
             motor.angle_rad = zero_rad + direction * theta
             motor.velocity_rad_s = motor.rotor_velocity_rad_s = motor.lead_rad = 0.0
 
+    def remount(self, axis: int, *, turned: bool = False, off_rad: float = 0.0) -> None:
+        """Mount a servo differently; its finger stays where it is.
+
+        Parameters
+        ----------
+        axis
+            Index of the servo.
+        turned
+            Whether it sits the other way round than before.
+        off_rad
+            How much farther open than before its position is.
+        """
+        motor = self.motors[axis]
+        direction, zero_rad = self._axes[axis]
+        theta = direction * (motor.angle_rad - zero_rad)
+        zero_rad += direction * off_rad
+        direction = -direction if turned else direction
+        axes = list(self._axes)
+        axes[axis] = (direction, zero_rad)
+        self._axes = tuple(axes)
+        motor.angle_rad = zero_rad + direction * theta
+
     def step(
         self,
         dt_s: float,

@@ -105,7 +105,7 @@ class _DyingBus(can.BusABC):
 
 
 def adapter_comes_back(row: FaultRow) -> Observed:
-    """Pull the adapter out for a moment; back again, the cell must not go on by itself."""
+    """Pull the adapter out for a moment; back again, the cell must not go on but by a person."""
     with campaign_cell(row.changes) as cell:
         observed = observe(cell, row.injected)
         state = cell.controller.state
@@ -113,21 +113,25 @@ def adapter_comes_back(row: FaultRow) -> Observed:
         cell.controller.tick()
         if cell.controller.state is not state:
             return replace(observed, reaction=f"went from {state} to {cell.controller.state}")
-        return observed
+        return _next_job(cell, observed)
 
 
 def unit_reboots(row: FaultRow) -> Observed:
     """Reboot in a grasp; after clear and reset the next job sets up and zeroes anew."""
     with campaign_cell(row.changes) as cell:
-        observed = observe(cell, row.injected)
-        controller = cell.controller
-        controller.clear()
-        controller.reset()
-        with cell.monitor.release_asked():
-            controller.release_held()
-        controller.start()
-        cell.grasp()
-        again = controller.state is CellState.IDLE
+        return _next_job(cell, observe(cell, row.injected))
+
+
+def _next_job(cell: CampaignCell, observed: Observed) -> Observed:
+    """Clear, reset, release and do the next job; add whether it was done."""
+    controller = cell.controller
+    controller.clear()
+    controller.reset()
+    with cell.monitor.release_asked():
+        controller.release_held()
+    controller.start()
+    cell.grasp()
+    again = controller.state is CellState.IDLE
     return replace(observed, outcome=f"{observed.outcome}; next job {'done' if again else 'not'}")
 
 
