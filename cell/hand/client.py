@@ -15,6 +15,7 @@ from cell.config.tactile import layout_from_config
 from cell.errors import HandLost
 from cell.hand.build import make_linkage
 from cell.hand.interface import HandStatistics, Measured, Watch
+from cell.hand.lines import MISSING
 from cell.hand.messages import (
     Alive,
     Answer,
@@ -381,7 +382,7 @@ class HandProcess:
             # What is missing of the lines is no hindrance to let go.
             self._loop = LoopProcess(self._config, partial=True)
             self._heard_s = time.monotonic()
-            if not reboot:
+            if not reboot and not any(note.startswith(MISSING) for note in self.notes):
                 return
         self._call(ClearFault(reboot=reboot))
 

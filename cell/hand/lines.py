@@ -48,18 +48,23 @@ class Lines:
         self._open_can = open_can
         self._owned = stream is None or can_bus is None
         self._missing: dict[str, Exception] = {}
-        self.stream = stream or self._servos_or(PortLost if partial else ())
+        self.can_bus = can_bus or self._can_or(BusNotOpened if partial else ())
         try:
-            others = BusNotOpened if partial and not self._missing else ()
-            self.can_bus = can_bus or self._can_or(others)
+            others = PortLost if partial and not self._missing else ()
+            self.stream = stream or self._servos_or(others)
         except BaseException:
-            self.close()
+            close_bus(self.can_bus)
             raise
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What cannot be reached, and why."""
         return tuple(MISSING + str(error) for error in self._missing.values())
+
+    @property
+    def servos_are_missing(self) -> bool:
+        """Whether there was no servo line when it was opened last."""
+        return "servos" in self._missing
 
     @property
     def can_is_missing(self) -> bool:
@@ -84,8 +89,7 @@ class Lines:
         """Give the lines back that were opened here."""
         if self._owned:
             self.stream.close()
-            if hasattr(self, "can_bus"):
-                close_bus(self.can_bus)
+            close_bus(self.can_bus)
 
     def _servos_or(self, accepted: type[Exception] | tuple[()]) -> ByteStream:
         try:

@@ -293,7 +293,7 @@ class LocalHand:
 
     def clear_fault(self, *, reboot: bool) -> None:
         """Acknowledge a fault of the servos, on a port that is opened anew where it was lost."""
-        if self.bus.lost:
+        if self._lines.servos_are_missing or self.bus.lost:
             self.bus.use(self._lines.reopen_servos())
         self.gripper.clear_fault(reboot=reboot)
 

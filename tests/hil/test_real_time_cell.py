@@ -14,9 +14,9 @@ import pytest
 
 from cell.config.file import load_config, parse_config
 from cell.data.recording_reader import read_recording
-from cell.interfaces.plugin.plugin import JobFailed, TactileCellPlugin, TeachGoal
+from cell.interfaces.plugin.plugin import GripGoal, JobFailed, TactileCellPlugin, TeachGoal
 from cell.pytest_plugin.process import CellProcess
-from gripper.errors import ServoFault
+from gripper.errors import PortLost, ServoFault
 from tests.hil import program
 from tests.hil.damage import first
 from tests.hil.program import CONFIG, LIMIT_S, end
@@ -187,6 +187,76 @@ def test_a_part_that_one_finger_holds_alone_is_let_go(
     assert "after the reboot servo 1 has no torque" in out
     code, out, err = end(start("doctor", "--config", simulator.config_path))
     assert code == 0, (out, err)
+
+
+def test_a_part_is_let_go_without_the_can_adapter_and_found_without_that_of_the_servos(
+    simulator: CellProcess, tmp_path: Path
+) -> None:
+    """The two lines one after the other: each is enough for what it carries."""
+    config = ("--config", simulator.config_path)
+    release = f"tactile-cell release --config {simulator.config_path} --confirm"
+    unplugged = simulator.inject("can.unplugged@contact+0.3s")
+    with ending(
+        start("teach", "box", *config, "-o", tmp_path / "d.npz", "--out", tmp_path / "out")
+    ) as client:
+        code, _out, err = end(client)
+    assert code == 1
+    assert release in err
+    held_n = simulator.grip_n()
+    assert held_n > 0.5
+
+    code, out, err = end(start("doctor", *config))
+    said = " ".join(out.split())
+    assert code == 1
+    assert "warn servo torque: servo 1 has its torque on; servo 2 has its torque on" in said
+    assert f"a part may be in the grip: let go of it with `{release}`" in said
+    assert "fail control unit: CAN interface" in said
+    code, out, err = end(start("clear", *config))
+    assert code == 0, err
+    assert "NOTE: CAN interface" in " ".join((out + err).split())
+    assert release in out
+
+    unplugged.clear()
+    simulator.inject("servos.unplugged")
+    code, out, err = end(start("doctor", *config))
+    said = " ".join(out.split())
+    assert code == 1
+    assert "fail servo torque: cannot open serial port" in said
+    assert "whether a part is held is not known" in said
+    assert "warn pads' force: about " in said
+    assert "a part may be held" in said
+    code, out, err = end(start("release", "--confirm", *config))
+    assert code == 1
+    assert "cannot open serial port" in err
+    assert simulator.grip_n() == pytest.approx(held_n, abs=0.5)
+
+    simulator.ask(clear="servos.unplugged")
+    simulator.inject("can.unplugged")
+    code, out, err = end(start("release", "--confirm", *config))
+    assert code == 0, err
+    assert "the fingers are open" in out
+    assert simulator.grip_n() == 0.0
+
+
+@pytest.mark.parametrize("line", ["servos", "can"])
+def test_a_line_that_comes_back_is_opened_anew_by_clear_and_reset(
+    simulator: CellProcess, line: str
+) -> None:
+    with TactileCellPlugin(simulator.config_path) as plugin:
+        unplugged = simulator.inject(f"{line}.unplugged@contact+0.3s")
+        with pytest.raises(JobFailed, match="ABORTED"):
+            plugin.result(plugin.start(TeachGoal(label="box", grasps=2)), LIMIT_S)
+        if line == "servos":
+            with pytest.raises(PortLost, match="cannot open serial port"):
+                plugin.clear(LIMIT_S)
+        unplugged.clear()
+        assert plugin.state() == "ABORTED"
+        plugin.clear(LIMIT_S)
+        plugin.release(LIMIT_S)
+        plugin.reset(LIMIT_S)
+        assert plugin.state() == "IDLE"
+        assert plugin.result(plugin.start(GripGoal(force_n=3.0)), LIMIT_S).held
+        plugin.release(LIMIT_S)
 
 
 def test_a_killed_cell_is_named_and_what_was_recorded_can_be_read(
