@@ -52,9 +52,10 @@ class Lines:
         try:
             others = PortLost if partial and not self._missing else ()
             self.stream = stream or self._servos_or(others)
-        except BaseException:
+        except PortLost as error:
             close_bus(self.can_bus)
-            raise
+            both = [str(error), *(str(other) for other in self._missing.values())]
+            raise PortLost("; ".join(both)) from error
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -1,16 +1,22 @@
 """The system check: findings that say what to do, and a machine that is left as it was."""
 
+import contextlib
 import importlib.metadata
+import re
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import cell.jobs.doctor
+from cell.build import build_cell
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
+from cell.control.plan import Pose
 from cell.jobs.doctor import Finding, Verdict, _boards, examine
+from cell.simulation import simulated_cell
 from tests.faults.scenarios.axes import CHANGES
 
 REAL = {
@@ -34,6 +40,8 @@ def test_the_simulated_cell_is_well() -> None:
     assert findings["tactile frames"].found.endswith(" 0 lost or damaged")
     assert findings["taxels at rest"].found.startswith("0 of 408")
     assert findings["noise of the taxels"].verdict is Verdict.PASS
+    assert findings["pads' force"].verdict is Verdict.PASS
+    assert "0.0 N on finger 0, 0.0 N on finger 1" in findings["pads' force"].found
     assert findings["pads' boards"].found == "serial 1 on finger 0, 2 on finger 1"
     assert "servo port" not in findings
 
@@ -148,6 +156,41 @@ def test_a_silent_servo_fails_and_the_control_unit_is_checked_all_the_same(
     assert finding.what == "servos"
     assert "2" in finding.found
     assert by_name(findings)["control unit"].verdict is Verdict.PASS
+
+
+def test_fingers_that_stand_where_the_config_excludes_it_fail(
+    altered: Callable[..., list[Finding]],
+) -> None:
+    findings = altered(lambda simulated: simulated.inject("servo2.turned"))
+    (finding,) = failed(findings)
+    assert finding.what == "servo 2 present_position"
+    assert "gripper.servos[1].direction 1, zero_pulse 2048, gripper.linkage" in finding.found
+    assert "one of these keys is wrong" in finding.advice
+
+
+def test_the_load_of_the_pads_is_shown_and_the_commands_name_the_config(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """With no answer of the servos too: then this is all that shows a held part."""
+    simulated = simulated_cell(CellConfig())
+    with contextlib.closing(build_cell(CellConfig(), simulated=simulated)) as held:
+        held.controller.start()
+        held.controller.present("ball")
+        held.controller.grip(6.0, Pose())
+    monkeypatch.setattr(cell.jobs.doctor, "build_cell", partial(build_cell, simulated=simulated))
+    file = tmp_path / "my cell.yaml"
+    findings = by_name(list(examine(CellConfig(), file)))
+    release = f"tactile-cell release --config '{file}' --confirm"
+    assert release in findings["servo torque"].advice
+    load = findings["pads' force"]
+    assert (load.verdict, release in load.advice) == (Verdict.WARN, True)
+    shown_n = [float(number) for number in re.findall(r"([\d.]+) N", load.found)]
+    assert shown_n == pytest.approx(simulated.world.contact_force_n(), rel=0.25)
+    simulated.inject("servos.unplugged")
+    findings = by_name(list(examine(CellConfig(), file)))
+    assert "whether a part is held is not known" in findings["servo torque"].advice
+    assert findings["pads' force"].verdict is Verdict.WARN
+    simulated.close()
 
 
 def test_lost_frames_are_a_warning(altered: Callable[..., list[Finding]]) -> None:

@@ -144,6 +144,7 @@ def _knobs(cell: SimulatedCell) -> Any:
         for servo in devices.servo_bus.servos
     ]
     stuck = [motor.stuck_at_rad is None for motor in devices.mechanics.motors]
+    stuck += [round(motor.angle_rad, 6) for motor in devices.mechanics.motors]
     press = None if world._press is None else world._press.swell_m
     wire = repr(devices.faults.servo_wire).split("_generator", maxsplit=1)[0]
     drive, wrist = devices.axes["x"], devices.axes["roll"]
@@ -277,3 +278,17 @@ def test_a_cell_that_plays_grasps_has_no_object_to_lose() -> None:
         pytest.raises(SimulatorStateError, match="no objects to place"),
     ):
         cell.inject("object.gone")
+
+
+@pytest.mark.parametrize("text", ["servo1.turned", "servo1.horn=100"])
+def test_a_servo_that_sits_otherwise_leaves_its_finger_where_it_is(
+    cell: SimulatedCell, text: str
+) -> None:
+    mechanics = cell.devices.mechanics
+    before_m = mechanics.finger_position_m
+    before_rad = mechanics.motors[0].angle_rad
+    fault = cell.inject(text)
+    assert mechanics.finger_position_m == pytest.approx(before_m)
+    assert abs(mechanics.motors[0].angle_rad - before_rad) > 0.1
+    cell.injector.end(fault)
+    assert mechanics.motors[0].angle_rad == pytest.approx(before_rad)
