@@ -305,10 +305,8 @@ def _load(frames: list[TactileFrame], config: CellConfig, named: str) -> Finding
     """Check whether the pads are pressed: without a zero, against the counts of most taxels."""
     layout = layout_from_config(config.tactile)
     counts = np.mean([frame.counts for frame in frames], axis=0)
-    pads = [counts[layout.taxels_of(pad)] for pad in layout.gripping_pads]
-    grip = np.concatenate(pads)
-    rest = float(np.median(grip))
-    spread = 1.4826 * float(np.median(np.abs(grip - rest)))
+    rest = float(np.median(counts))
+    spread = 1.4826 * float(np.median(np.abs(counts - rest)))
     over = np.where(counts - rest > _PRESSED_SIGMAS * spread + 1.0, counts - rest, 0.0)
     force_n = make_calibration(config.tactile, layout).force_n(over)
     first_n, second_n = (float(force_n[layout.taxels_of(p)].sum()) for p in layout.gripping_pads)

@@ -12,6 +12,9 @@ the way are where the linkage has them. So it is looked for
 3. at the first approach after it that finds nothing, by `ClosedStop`: a little farther the pads
    must stop each other.
 
+A release whose torque comes on for it closes no finger and so tries no way back: there fingers that
+stand closed, and do not move at all, get up to 5 N before the torque goes off.
+
 Forces of 60 mm links on XM430-W350 with the friction of their data, o the ``offset`` of the
 linkage:
 
@@ -22,7 +25,7 @@ wrong                         is told                            largest force o
                               more, else 2
 ``direction`` of one, o = 0   1 where its finger stands 5 mm or  none; else 2 N
                               more from the middle, else 2
-zero: reads too closed        1 where the opening is less than   none; 1 N of pads on a stop
+zero: reads too closed        1 where the opening is less than   none; 2 N where the pads meet
                               the error; else 3, after a grasp
                               that found nothing
 zero: reads too open          2 where the fingers meet on their  2 N; after that the cap of the
@@ -71,6 +74,8 @@ _BLOCKED_S = 0.05
 """Time in s for which a finger stands at the limit of its current before it counts as blocked."""
 _BACK_RAD = 0.03
 """Way back in rad of a blocked finger that shows that friction is not what blocks it."""
+_RUN_RAD = 0.01
+"""Way in rad that shows that the current moves a finger: more than pads and backlash give."""
 _RISE_N, _RISE_SHARE = 1.0, 0.2
 """Rise of the grip force in N, or as a share of the force at the start if that is more, that no
 opening makes."""
@@ -247,8 +252,9 @@ class FirstMotion:
             self._back = finger
             return
         self._back = None
-        # No finger is sent farther open than it stood: where it ran freely before, that is enough.
-        if self._current_a >= self._stiff_a or (ran_freely and not finger.opens):
+        # Where no way back is tried, it is enough that the finger has moved with this current.
+        may_not_turn = self._only_open or not finger.opens
+        if self._current_a >= self._stiff_a or (ran_freely and may_not_turn):
             raise self._contradicted(servo, "it is blocked on its way")
         self._current_a = self._stiff_a
 
@@ -292,7 +298,7 @@ class _Finger:
 
     def has_run(self, servo: ServoState) -> bool:
         """Return whether it has moved on its way since `begin_at`."""
-        return self._sign * (servo.angle_rad - self._from_rad) >= _BACK_RAD
+        return self._sign * (servo.angle_rad - self._from_rad) >= _RUN_RAD
 
     def has_gone_back(self, servo: ServoState) -> bool:
         """Return whether it has gone back since `begin_at`."""

@@ -113,6 +113,28 @@ def test_a_wrong_direction_of_one_is_refused_where_its_finger_is_beyond_the_midd
     assert f"servo {2 - index} present_position" not in text
 
 
+@pytest.mark.parametrize("linkage", ["parallel", "rack"])
+@pytest.mark.parametrize("aperture_m", [0.0, 0.003, 0.018])
+def test_a_wrong_direction_of_one_servo_that_drives_both_is_told(
+    make_cell, make_part, linkage, aperture_m
+) -> None:
+    cell = make_cell(
+        n_servos=1,
+        linkage=linkage,
+        turned=(0,),
+        aperture_m=aperture_m,
+        part=make_part(present=False),
+    )
+    if aperture_m > 0.004:
+        with pytest.raises(VerificationFailed, match=r"gripper.servos\[0\].direction -1"):
+            cell.gripper.start()
+        return
+    cell.gripper.start()
+    with pytest.raises(MechanicsContradicted, match="free on its way back"):
+        cell.gripper.open()
+    assert torques(cell) == [0]
+
+
 @pytest.mark.parametrize(
     ("zero_off", "aperture_m"),
     [((-452, -452), 0.018), ((-452, -452), 0.03), ((0, -452), 0.03), ((-100, -100), 0.005)],
@@ -214,6 +236,21 @@ def test_a_finger_that_is_blocked_on_its_way_is_no_stiff_gearing(make_cell, make
     cell.gripper.start()
     with pytest.raises(MechanicsContradicted, match=r"25\.\d mm on its way to 30\.0 mm"):
         cell.gripper.open()
+
+
+@pytest.mark.parametrize(("aperture_m", "most_n"), [(0.002, 2.0), (0.0, 5.0)])
+def test_a_release_after_it_goes_limp_again(make_cell, make_part, aperture_m, most_n) -> None:
+    cell = make_cell(turned=(0, 1), aperture_m=aperture_m, part=make_part(present=False))
+    told_by_motion(cell)
+    cell.gripper.clear_fault()
+    cell.mechanics.drive_to(aperture_m)
+    cell.mechanics._driven = False
+    stop = Stop(cell)
+    for gripper in (cell.gripper, cell.new_gripper()):
+        with pytest.raises(MechanicsContradicted, match=KEYS):
+            gripper.release()
+        assert torques(cell) == [0, 0]
+    assert stop.most_n < most_n
 
 
 def test_pads_that_are_pressed_more_and_more_end_a_release(make_cell) -> None:
