@@ -48,7 +48,7 @@ def interface_failed(error: Exception) -> BusOff:
     """Return the fault for an error that a CAN interface raised."""
     return BusOff(
         f"the CAN interface failed: {str(error) or type(error).__name__}; "
-        "check that the adapter is plugged in and its interface is up; the next start opens it anew"
+        "check that the adapter is plugged in and its interface is up, then start the link again"
     )
 
 
