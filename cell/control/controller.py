@@ -15,7 +15,7 @@ from cell.control.identification import (
 from cell.control.journal import Journal
 from cell.control.keeping import HeldCheck, Judge, Keep
 from cell.control.lifecycle import ON_REQUEST, CellLifecycle
-from cell.control.live import LiveValues, live_values
+from cell.control.live import FRESH_S, LiveValues, live_values
 from cell.control.plan import GraspStep, Pose
 from cell.control.positioner import Destination, Positioner
 from cell.control.records import GraspRecord
@@ -177,8 +177,11 @@ class CellController(CellView):
     @property
     def shows_nothing(self) -> bool:
         """Whether pads and current both showed at the last look that nothing is held."""
-        cycle = self._hand.measured.cycle
-        return cycle is not None and shows_nothing(cycle.state, cycle.force, self._contact_n)
+        measured, since_s = self._hand.measured, self._clock.monotonic() - FRESH_S
+        cycle, force = measured.cycle, measured.force
+        if cycle is None or force is None or min(cycle.t_s, force.t_s) < since_s:
+            return False
+        return shows_nothing(cycle.state, force, self._contact_n)
 
     # -- commands ------------------------------------------------------------------------------
 

@@ -26,7 +26,7 @@ FROZEN = {
     "GripperError": 100, "PortLost": 101, "BusTimeout": 102, "FingerSilent": 103,
     "LinkTooSlow": 104, "BusCorrupt": 105, "BusUnreliable": 106, "BusBusy": 107,
     "ServoRejected": 108, "ServoFault": 109, "VerificationFailed": 110, "ServoMissing": 111,
-    "FeedbackImplausible": 112, "WatchdogUnproven": 113,
+    "FeedbackImplausible": 112, "WatchdogUnproven": 113, "MechanicsContradicted": 114,
     "LimitExceeded": 200, "ForceAboveCap": 201, "PositionContradicted": 202,
     "GripperStateError": 203, "ForceSensorStale": 204, "PartLost": 205, "PartSlipped": 206,
     "ForceImbalance": 207, "GraspStopped": 208,

@@ -1,5 +1,7 @@
 """Wrong direction, zero and linkage: told at rest, by the first motion, or where fingers meet."""
 
+from functools import partial
+
 import pytest
 
 from gripper.dynamixel.control_table import TORQUE_ENABLE
@@ -14,6 +16,7 @@ from gripper.force.mechanics_proof import POSITION_ITEM
 from gripper.force.ramp import ForceRamp
 from gripper.state import GraspResult, GripperPhase
 
+LONG = partial(pytest.param, marks=pytest.mark.long)
 RAMP = ForceRamp.linear(4.0, rate_n_s=10.0)
 KEYS = r"gripper.servos\[\].direction \(.*zero_pulse \(.*gripper.linkage \(link_mm"
 LARGEST_N = 2.0
@@ -80,7 +83,7 @@ def test_a_wrong_direction_of_both_is_refused_at_rest(make_cell, make_part, aper
 
 
 @pytest.mark.parametrize("aperture_m", [0.0, 0.0005, 0.0035])
-@pytest.mark.parametrize("friction_error", [-0.2, 0.0, 0.2])
+@pytest.mark.parametrize("friction_error", [LONG(-0.2), 0.0, LONG(0.2)])
 def test_a_wrong_direction_of_both_near_closed_is_told_by_the_first_motion(
     make_cell, make_part, aperture_m, friction_error
 ) -> None:
@@ -208,7 +211,7 @@ def test_an_offset_that_is_wrong_is_a_zero_that_is_wrong(make_cell, make_part, o
             cell.gripper.grasp(RAMP)
 
 
-@pytest.mark.parametrize("friction_error", [-0.3, 0.0, 0.3, 0.6])
+@pytest.mark.parametrize("friction_error", [LONG(-0.3), 0.0, 0.3, LONG(0.6)])
 @pytest.mark.parametrize("aperture_m", [0.0, 0.004, 0.018])
 def test_the_proof_costs_a_right_gripper_little_time(
     make_cell, make_part, friction_error, aperture_m
