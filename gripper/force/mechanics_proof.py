@@ -70,6 +70,8 @@ _OVERRUN_RAD = 0.6 * OPENING_MARGIN_RAD
 """How far in rad beyond the opening the goal runs, so that friction does not stop short of it."""
 _STILL_RAD_S = 0.06
 """Speed in rad/s below which a finger stands: two counts of its velocity and some noise."""
+_PATIENCE_S = 2.0
+"""Time in s beyond that of the motion after which the fingers have not arrived."""
 _BLOCKED_S = 0.05
 """Time in s for which a finger stands at the limit of its current before it counts as blocked."""
 _BACK_RAD = 0.03
@@ -147,6 +149,14 @@ def _half_m(linkage: Linkage, index: int, angle_rad: float) -> float | None:
     return 0.5 * OneFinger(linkage=linkage, index=index).aperture_m((angle_rad,))
 
 
+def _least_rad(settings: GripperSettings, linkage: Linkage) -> list[float]:
+    """Return the most closed goal of each servo that `gripper.servos.goals.GoalGuard` allows."""
+    return [
+        angle_rad - closing_margin_rad(servo.servo_model, settings.current_max_a)
+        for angle_rad, servo in zip(linkage.angles_rad(0.0), settings.servos, strict=True)
+    ]
+
+
 class ForceRise:
     """Detector of a grip force that grows although the fingers open."""
 
@@ -213,9 +223,13 @@ class FirstMotion:
         speed_m_s = settings.open_speed_m_s if opening else settings.approach_speed_m_s
         per_rad_m = sum(map(linkage.opening_per_rad_m, state.angles_rad))
         self._fingers = [
-            _Finger(start_rad, end_rad, speed_m_s / per_rad_m)
-            for start_rad, end_rad in zip(state.angles_rad, target_rad, strict=True)
+            _Finger(start_rad, end_rad, speed_m_s / per_rad_m, least_rad)
+            for start_rad, end_rad, least_rad in zip(
+                state.angles_rad, target_rad, _least_rad(settings, linkage), strict=True
+            )
         ]
+        travel_m = abs(linkage.aperture_m(target_rad) - state.aperture_m)
+        self._deadline_s = state.t_s + travel_m / speed_m_s + _PATIENCE_S
         self._back: _Finger | None = None
         self._stands_m = state.aperture_m
         self._rise = ForceRise()
@@ -226,6 +240,8 @@ class FirstMotion:
         pressed = self._rise.found(moment)
         if self._back is None:
             self._stands_m = moment.state.aperture_m
+        if not pressed and moment.now_s > self._deadline_s:
+            pressed = "the fingers have not arrived in time"
         if pressed:
             raise self._contradicted(servos[0], pressed)
         goals_rad = []
@@ -271,7 +287,10 @@ class FirstMotion:
 class _Finger:
     """One finger on its way: its goal, ahead by a little only, and how long it has stood."""
 
-    def __init__(self, start_rad: float, target_rad: float, rate_rad_s: float) -> None:
+    def __init__(
+        self, start_rad: float, target_rad: float, rate_rad_s: float, least_rad: float
+    ) -> None:
+        self._least_rad = min(least_rad, start_rad)
         self._sign = 1.0 if target_rad >= start_rad else -1.0
         self._target_rad = target_rad
         self._from_rad = start_rad
@@ -319,7 +338,8 @@ class _Finger:
             ahead_rad = most_rad
         stands = abs(servo.velocity_rad_s) < _STILL_RAD_S and ahead_rad >= most_rad
         self._still_s = self._still_s + dt_s if stands else 0.0
-        self._goal_rad = servo.angle_rad + sign * min(ahead_rad, most_rad)
+        goal_rad = servo.angle_rad + sign * min(ahead_rad, most_rad)
+        self._goal_rad = max(goal_rad, min(self._least_rad, servo.angle_rad))
         return self._goal_rad
 
 
@@ -343,14 +363,13 @@ class ClosedStop:
         rate_rad_s = settings.approach_speed_m_s / per_rad_m
         # Each finger alone may be the one that nothing stops.
         end_rad = linkage.angles_rad(-2.0 * _BEYOND_CLOSED_M)
-        least_rad = [
-            angle_rad - closing_margin_rad(servo.servo_model, settings.current_max_a) + _OVERRUN_RAD
-            for angle_rad, servo in zip(linkage.angles_rad(0.0), settings.servos, strict=True)
-        ]
         self._fingers = [
-            _Finger(start_rad, min(start_rad, max(rad, least)), rate_rad_s)
-            for start_rad, rad, least in zip(state.angles_rad, end_rad, least_rad, strict=True)
+            _Finger(start_rad, min(start_rad, rad), rate_rad_s, least_rad)
+            for start_rad, rad, least_rad in zip(
+                state.angles_rad, end_rad, _least_rad(settings, linkage), strict=True
+            )
         ]
+        self._deadline_s = state.t_s + settings.contact_timeout_s
 
     @staticmethod
     def applies(settings: GripperSettings, state: GripperState) -> bool:
@@ -369,6 +388,7 @@ class ClosedStop:
             finger.goal_rad(servo, moment.dt_s, back=False)
             for finger, servo in zip(self._fingers, state.servos, strict=True)
         ]
+        met = met or moment.now_s > self._deadline_s
         done = met or all(finger.blocked or finger.there for finger in self._fingers)
         if not done and state.aperture_m < -_MISSED_M:
             raise MechanicsContradicted(

@@ -96,6 +96,16 @@ def test_a_wrong_direction_of_both_near_closed_is_told_by_the_first_motion(
     told_by_motion(cell)
 
 
+@pytest.mark.parametrize("aperture_m", [0.0, 0.0035])
+def test_a_low_cap_of_the_current_leaves_room_for_the_way_back(
+    make_cell, make_part, aperture_m
+) -> None:
+    cell = make_cell(
+        turned=(0, 1), aperture_m=aperture_m, current_max_a=0.3, part=make_part(present=False)
+    )
+    told_by_motion(cell)
+
+
 @pytest.mark.parametrize("index", [0, 1])
 @pytest.mark.parametrize("aperture_m", [0.0, 0.004, 0.009])
 def test_a_wrong_direction_of_one_is_told_by_the_first_motion(
