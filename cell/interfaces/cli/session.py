@@ -21,6 +21,7 @@ from gripper.errors import (
     GripperError,
     LinkTooSlow,
     ServoFault,
+    ServoMissing,
     VerificationFailed,
     fingers_left,
 )
@@ -136,7 +137,9 @@ def running_cell(
             grip = _grip_left(error, cell)
             text = f"{error}\n{grip}; recording so far: {cell.recording_path}"
         if config_file is not None and not config.simulated:
-            limp = isinstance(error, FeedbackImplausible)
+            limp = isinstance(error, FeedbackImplausible | VerificationFailed) and not isinstance(
+                error, ServoMissing
+            )
             if not limp and NO_GRIP[True] not in text:
                 text += f"\nto let go of a part: {release_command(config_file)}"
             if isinstance(error, ServoFault) and error.bits:
