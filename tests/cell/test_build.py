@@ -70,7 +70,8 @@ def test_linkages(make_config: Callable[..., CellConfig]) -> None:
     "change",
     [
         {"gripper__servos": [{"id": 3}], **SLOW_RACK},
-        SLOW_RACK,
+        # Friction of 28 N at each finger: no lower cap is sure to stop fingers that overcome it.
+        SLOW_RACK | {"gripper__force_max_n": 25.0},
         {"gripper__servos": [{"id": 1, "direction": -1}, {"id": 2, "zero_pulse": 1800}]},
         {"tactile__layout": "pinch"},
         {"tactile__node_id": 127, "tactile__serial_number": 4711},

@@ -24,7 +24,7 @@ def test_the_summary_in_the_docs_has_the_figures_of_the_table() -> None:
 
 def test_the_summary_counts_the_rows() -> None:
     assert f"{len(table.ROWS)} variants of 44 kinds of fault" in page.summary()
-    assert "| servos | 22 to 27, 30 | 25 | 10 REJECT," in page.summary()
+    assert "| servos | 22 to 27, 30 | 30 | 14 REJECT," in page.summary()
 
 
 def test_the_figures_alone_are_written_anew(
