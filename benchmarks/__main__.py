@@ -9,6 +9,7 @@ import sys
 BENCHMARKS = {
     "performance": (
         "doors",
+        "force_cap",
         "force_messages",
         "force_ramps",
         "identify",

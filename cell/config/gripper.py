@@ -7,6 +7,7 @@ from pydantic import AfterValidator, Field, WithJsonSchema, model_validator
 from cell.config.section import MILLI, SIMULATED, OneOf, Section, declared_values, setting_of
 from gripper.dynamixel.models import MODELS, require_current_control
 from gripper.errors import LimitExceeded
+from gripper.kinematics import Linkage, ParallelLinkage, RackPinion
 from gripper.settings import (
     ForceLoopSettings,
     GripperSettings,
@@ -23,6 +24,9 @@ class ContactConfig(Section):
     """Tactile samples in a row on both pads that confirm a contact, 1 to 50."""
     approach_force_n: float = setting_of(GripperSettings, "approach_force_n")
     """Grip force beyond friction that the motors may make while closing in N, up to 10."""
+    pad_stiffness_n_mm: float = setting_of(GripperSettings, "pad_stiffness_n_m", 1e3)
+    """Stiffness of a pad under the hardest part in N/mm, 1 to 1000; with the mass of motors and
+    fingers it limits the speed of the approach, so that no impact passes force_max_n."""
 
 
 class SettleConfig(Section):
@@ -127,8 +131,8 @@ class ParallelLinkageConfig(Section):
     """Kind of drive."""
     link_mm: float = Field(default=60.0, gt=5.0, le=500.0)
     """Length of the parallelogram's links in mm, 5 to 500."""
-    offset_mm: float = Field(default=0.0, ge=-200.0, le=200.0)
-    """Half opening at angle 0 in mm, -200 to 200."""
+    offset_mm: float = Field(default=0.0, ge=-50.0, le=50.0)
+    """Half opening at angle 0 in mm, -50 to 50."""
 
 
 class RackPinionConfig(Section):
@@ -160,30 +164,33 @@ class GripperConfig(Section):
     loop_rate_hz: float = setting_of(GripperSettings, "loop_rate_hz", at_most=500.0)
     """Rate of the force loop in Hz, 20 to 500."""
     aperture_open_mm: float = setting_of(GripperSettings, "aperture_open_m", MILLI)
-    """Opening between the pads before a grasp in mm, up to 400; a little more than the object."""
+    """Opening between the pads before a grasp in mm, 2 to 400; a little more than the object."""
     aperture_min_mm: float = setting_of(GripperSettings, "aperture_min_m", MILLI)
     """Smallest opening that the fingers are closed to in mm; below it there is no object."""
     approach_speed_mm_s: float = setting_of(GripperSettings, "approach_speed_m_s", MILLI)
-    """Closing speed until contact in mm/s of opening, up to 200; the impact grows with it."""
+    """Closing speed until contact in mm/s of opening, 4 to 200. The fingers close no faster than
+    their momentum can be stopped below force_max_n; a note names the speed where that is less."""
     open_speed_mm_s: float = setting_of(GripperSettings, "open_speed_m_s", MILLI)
-    """Opening speed in mm/s of opening, up to 200."""
+    """Opening speed in mm/s of opening, 2 to 200."""
     contact_force_n: float = setting_of(GripperSettings, "contact_force_n")
-    """Force on both pads that counts as contact in N, up to 5; well above the sensor's noise."""
+    """Force on both pads that counts as contact in N, 0.1 to 5; well above the sensor's noise."""
     contact_timeout_s: float = setting_of(GripperSettings, "contact_timeout_s")
-    """Longest time to look for contact in s, up to 60."""
+    """Longest time to look for contact in s, 1 to 60."""
     force_max_n: float = setting_of(GripperSettings, "force_max_n")
-    """Cap of the grip force in N, up to 50; set it per risk assessment. A ramp may ask for so much
-    that its overshoot, 0.2 N or 5 %, stays below it."""
+    """Cap of the grip force in N, 1 to 50; set it per risk assessment. A ramp may ask for so much
+    that its overshoot, 0.2 N or 5 %, stays below it; with a low one the fingers approach slowly, or
+    not at all."""
     current_max_a: float = setting_of(GripperSettings, "current_max_a")
-    """Cap of the goal current of each servo in A, up to the stall current of its model."""
+    """Cap of the goal current of each servo in A, 0.05 to the stall current of its model."""
     temperature_max_c: float = setting_of(GripperSettings, "temperature_max_c")
     """Servo temperature above which no ramp is started and a running one held, C, 30 to 80."""
     force_stale_ms: float = setting_of(GripperSettings, "force_stale_s", MILLI)
-    """Oldest tactile force that control may use in ms, 10 to 1000."""
+    """Oldest tactile force that control may use in ms, 20 to 1000; without force messages at least
+    2.5 times tactile.sync_period_ms."""
     bus_loss_ms: float = setting_of(GripperSettings, "bus_loss_s", MILLI)
     """Time without answers of the servos after which their bus is given up in ms, 20 to 2000."""
     feedback_loss_max_share: float = setting_of(GripperSettings, "feedback_loss_max_share")
-    """Share of the loop's periods that may lack the servos' answers, above 0 to 1; more is a fault.
+    """Share of the loop's periods that may lack the servos' answers, 0.001 to 1; more is a fault.
     Counted over a time of which bus_loss_ms is this share, about 1.5 s as they are here."""
     stall_max_ms: float = setting_of(GripperSettings, "stall_max_s", MILLI)
     """Lateness of one period after which the loop counts as stalled in ms, 10 to 5000."""
@@ -266,4 +273,15 @@ def gripper_settings(config: GripperConfig, *, overruns_max: int) -> GripperSett
         corrected_registers=frozenset(config.servo_care.corrected_registers),
         force_loop=ForceLoopSettings(**declared_values(config, ForceLoopSettings)),
         **declared_values(config, GripperSettings),
+    )
+
+
+def linkage_of(config: GripperConfig) -> Linkage:
+    """Return the linkage of a gripper."""
+    drive, n_servos = config.linkage, len(config.servos)
+    offset_m = drive.offset_mm * MILLI
+    if isinstance(drive, ParallelLinkageConfig):
+        return ParallelLinkage(link_m=drive.link_mm * MILLI, offset_m=offset_m, n_servos=n_servos)
+    return RackPinion(
+        pinion_radius_m=drive.pinion_radius_mm * MILLI, offset_m=offset_m, n_servos=n_servos
     )

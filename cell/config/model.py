@@ -10,15 +10,19 @@ from typing import Annotated, Literal, Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from cell.config.gripper import GripperConfig, gripper_settings
+from cell.config.gripper import GripperConfig, gripper_settings, linkage_of
 from cell.config.positioner import PositionerConfig
 from cell.config.section import SIMULATED, OneOf, Section, setting_of
-from cell.config.sequence import SequenceConfig
+from cell.config.sequence import SequenceConfig, force_ramp
 from cell.config.serve import ServeConfig
 from cell.config.simulator import SimulatorConfig
 from cell.config.sort import SortConfig
 from cell.config.tactile import TactileConfig, layout_from_config, make_calibration
 from cell.errors import ConfigError
+from gripper.errors import LimitExceeded
+from gripper.force.ramp import check_ramp
+from gripper.impact import check_approach
+from gripper.kinematics import Linkage
 from gripper.settings import GripperSettings
 from recognition.recognizers import DEFAULT_TRAINER, TRAINERS
 
@@ -156,7 +160,29 @@ class CellConfig(Section):
                 "or name the socket of a simulated cell in another process"
             )
         self._check_axes(simulated[0])
+        self._check_motion(max(most_n, carry_n))
         return self
+
+    def _check_motion(self, most_n: float) -> None:
+        """Refuse a gripper that cannot move, stop below its cap or make the forces asked for."""
+        for name in ("aperture_open_mm", "aperture_min_mm"):
+            try:
+                self.linkage.angles_rad(1e-3 * getattr(self.gripper, name))
+            except LimitExceeded as error:
+                raise ValueError(
+                    f"gripper.{name} is beyond gripper.linkage, its lengths and offset_mm: {error}"
+                ) from error
+        try:
+            check_ramp(force_ramp(self.sequence.ramp, most_n), self.gripper_settings, self.linkage)
+        except LimitExceeded as error:
+            raise ValueError(f"gripper: {error}") from error
+        gripper, tactile = self.gripper, self.tactile
+        if tactile.force_period_ms == 0 and gripper.force_stale_ms < 2.5 * tactile.sync_period_ms:
+            raise ValueError(
+                f"gripper.force_stale_ms is {gripper.force_stale_ms:g}: without force messages a "
+                f"force may be 2.5 times tactile.sync_period_ms = {tactile.sync_period_ms:g} old; "
+                f"raise the one or lower the other"
+            )
 
     def _check_axes(self, simulated: bool) -> None:
         """Refuse axes that the sequence does not fit, or of which only one side is simulated."""
@@ -208,3 +234,26 @@ class CellConfig(Section):
     def gripper_settings(self) -> GripperSettings:
         """Limits and tuning of the gripper in SI; raises gripper.errors.LimitExceeded."""
         return gripper_settings(self.gripper, overruns_max=self.loop.overruns_max)
+
+    @property
+    def linkage(self) -> Linkage:
+        """Mechanics between servos and fingers."""
+        return linkage_of(self.gripper)
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Notes for the operator on what this cell does otherwise than it is asked to."""
+        asked_mm_s = self.gripper.approach_speed_mm_s
+        speed_mm_s = 1e3 * check_approach(self.gripper_settings, self.linkage)
+        if speed_mm_s >= asked_mm_s:
+            return ()
+        way_mm = speed_mm_s * self.gripper.contact_timeout_s
+        late = way_mm < self.gripper.aperture_open_mm - self.gripper.aperture_min_mm
+        return (
+            f"the fingers approach with as little as {speed_mm_s:.1f} mm/s, not with "
+            f"gripper.approach_speed_mm_s = {asked_mm_s:g}: faster, their momentum could press a "
+            f"part with more than gripper.force_max_n = {self.gripper.force_max_n:g} N. Lower "
+            f"gripper.contact.approach_force_n, or gripper.contact.pad_stiffness_n_mm where the "
+            f"pads are softer, to let them close faster"
+            + (f"; in contact_timeout_s they close by {way_mm:.0f} mm" if late else ""),
+        )

@@ -5,6 +5,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field, model_validator
 
 from cell.config.section import Section
+from gripper.force.ramp import ForceRamp
 
 Range = tuple[float, float]
 
@@ -22,8 +23,8 @@ class LinearRampConfig(Section):
 
     kind: Literal["linear"] = "linear"
     """Shape of the force ramp."""
-    rate_n_s: float = Field(default=5.0, gt=0.0, le=50.0)
-    """Growth of the force in N/s, up to 50."""
+    rate_n_s: float = Field(default=5.0, ge=0.1, le=50.0)
+    """Growth of the force in N/s, 0.1 to 50."""
     hold_s: float = Field(default=0.3, ge=0.0, le=60.0)
     """Time at the final force in s, up to 60."""
 
@@ -35,8 +36,8 @@ class StaircaseRampConfig(Section):
     """Shape of the force ramp."""
     n_levels: int = Field(default=4, ge=1, le=20)
     """Number of equal steps up to the final force, 1 to 20."""
-    rate_n_s: float = Field(default=10.0, gt=0.0, le=50.0)
-    """Growth of the force between the levels in N/s, up to 50."""
+    rate_n_s: float = Field(default=10.0, ge=0.1, le=50.0)
+    """Growth of the force between the levels in N/s, 0.1 to 50."""
     hold_s: float = Field(default=0.2, ge=0.0, le=60.0)
     """Time at each level in s, up to 60."""
 
@@ -101,8 +102,8 @@ class SequenceConfig(Section):
     decide_early: bool = False
     """Whether a force ramp ends as soon as what was felt until then is sure enough; a model file
     needs `train --early`."""
-    carry_force_n: float = Field(default=4.0, gt=0.0, le=50.0)
-    """Force in N with which a part that is kept is held for the host, up to 50."""
+    carry_force_n: float = Field(default=4.0, ge=0.1, le=50.0)
+    """Force in N with which a part that is kept is held for the host, 0.1 to 50."""
     regrasp: Literal["fixture", "none"] = "fixture"
     """fixture: a part that is let go stays where it is, so that further grasps take it at other
     poses; none: it would be gone, so that one grasp has to do, with further ramps in the same
@@ -131,3 +132,17 @@ class SequenceConfig(Section):
             listed = [pose.force_n for pose in self.poses]
             return min(listed), max(listed)
         return self.force_n
+
+
+def force_ramp(
+    config: LinearRampConfig | StaircaseRampConfig | SCurveRampConfig, force_n: float
+) -> ForceRamp:
+    """Return the ramp of the configured shape that ends at ``force_n`` N."""
+    match config:
+        case LinearRampConfig():
+            return ForceRamp.linear(force_n, rate_n_s=config.rate_n_s, hold_s=config.hold_s)
+        case StaircaseRampConfig():
+            levels_n = tuple(force_n * (i + 1) / config.n_levels for i in range(config.n_levels))
+            return ForceRamp.staircase(levels_n, rate_n_s=config.rate_n_s, hold_s=config.hold_s)
+        case SCurveRampConfig():
+            return ForceRamp.s_curve(force_n, duration_s=config.duration_s, hold_s=config.hold_s)

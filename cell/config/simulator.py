@@ -57,8 +57,8 @@ class SimulatorConfig(Section):
     """Objects that can be grasped; the default are the five of the paper."""
     noise: Literal["clipped_normal", "symmetric", "uniform", "none"] = "clipped_normal"
     """Noise of each taxel and frame; the paper's is a normal value clipped to 1 to 20 of 255."""
-    noise_level: float = Field(default=1.0, ge=0.0, le=4.0)
-    """Factor on the noise, 0 to 4; 1 is the paper's."""
+    noise_level: float = Field(default=1.0, ge=0.0, le=2.5)
+    """Factor on the noise, 0 to 2.5; 1 is the paper's."""
     faults: tuple[Annotated[str, Field(min_length=1, max_length=200)], ...] = Field(
         default=(), max_length=100
     )

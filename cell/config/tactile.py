@@ -1,9 +1,9 @@
 """Config of the tactile sensor: pads, calibration, control unit, CAN bus."""
 
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Literal, Self, get_args
 
 import numpy as np
-from pydantic import Discriminator, Field, Tag
+from pydantic import Discriminator, Field, Tag, model_validator
 
 from cell.config.section import MILLI, SIMULATED, OneOf, Section, declared_values, setting_of
 from cell.errors import ConfigError
@@ -47,8 +47,8 @@ class PaperCalibrationConfig(Section):
 
     kind: Literal["paper"] = "paper"
     """Law from counts to force."""
-    gain: float = Field(default=1.0, ge=0.1, le=10.0)
-    """Factor on the force of each taxel, 0.1 to 10; found with a gauge object."""
+    gain: float = Field(default=1.0, ge=0.2, le=10.0)
+    """Factor on the force of each taxel, 0.2 to 10; found with a gauge object."""
 
 
 class LinearCalibrationConfig(Section):
@@ -90,19 +90,24 @@ class TactileConfig(Section):
         PaperCalibrationConfig | LinearCalibrationConfig, Field(discriminator="kind")
     ] = PaperCalibrationConfig()
     """From counts to force."""
-    sync_period_ms: float = setting_of(LinkSettings, "sync_period_s", MILLI, at_least=8.0)
-    """Time between two tactile frames in ms, 8 to 1000."""
+    sync_period_ms: float = setting_of(
+        LinkSettings, "sync_period_s", MILLI, at_least=8.0, at_most=50.0
+    )
+    """Time between two tactile frames in ms, 8 to 50."""
     force_period_ms: int = setting_of(LinkSettings, "force_period_s", MILLI, number=int)
     """Time between two force messages in ms, 0 to 50: one period of the force loop, or less for a
     softer first touch and a bus load that grows; 0: none, the force comes from the frames."""
     heartbeat_ms: int = setting_of(
-        LinkSettings, "heartbeat_s", MILLI, at_least=10, at_most=5000, number=int
+        LinkSettings, "heartbeat_s", MILLI, at_least=10, at_most=1000, number=int
     )
-    """Heartbeat period of the control unit in ms, 10 to 5000."""
-    startup_timeout_s: float = setting_of(LinkSettings, "startup_timeout_s", at_most=60.0)
-    """Longest time to wait for the control unit at the start in s, up to 60."""
-    tare_frames: int = Field(default=100, ge=8, le=1000)
-    """Frames averaged for the zero of each taxel, 8 to 1000; nothing may touch the pads."""
+    """Heartbeat period of the control unit in ms, 10 to 1000."""
+    startup_timeout_s: float = setting_of(
+        LinkSettings, "startup_timeout_s", at_least=0.5, at_most=60.0
+    )
+    """Longest time to wait for the control unit at the start in s, 0.5 to 60; at least twice
+    heartbeat_ms."""
+    tare_frames: int = Field(default=100, ge=8, le=500)
+    """Frames averaged for the zero of each taxel, 8 to 500; nothing may touch the pads."""
     board_serial_numbers: tuple[BoardSerial, BoardSerial] | None = None
     """Serial numbers (object 2103h) of the pads' boards on finger 0 and 1; none: any. With them
     pads that were exchanged are refused at the start."""
@@ -114,6 +119,17 @@ class TactileConfig(Section):
     """Share of a pad's taxels that may be dead or stuck; they are masked, 0 to 0.5."""
     drift_max_share: float = Field(default=0.01, gt=0.0, le=0.2)
     """Share of the full scale by which a pad's zero may drift before a new one is needed."""
+
+    @model_validator(mode="after")
+    def _consistent(self) -> Self:
+        least_s = 2.0 * MILLI * self.heartbeat_ms
+        if self.startup_timeout_s < least_s:
+            raise ValueError(
+                f"startup_timeout_s is {self.startup_timeout_s:g}, with heartbeat_ms "
+                f"{self.heartbeat_ms} the start of the control unit takes {least_s:g} s: raise the "
+                f"one or lower the other"
+            )
+        return self
 
 
 def link_settings(config: TactileConfig, *, threaded: bool = True) -> LinkSettings:

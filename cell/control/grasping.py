@@ -8,12 +8,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from cell.config.sequence import (
-    LinearRampConfig,
-    SCurveRampConfig,
-    SequenceConfig,
-    StaircaseRampConfig,
-)
+from cell.config.sequence import SequenceConfig, force_ramp
 from cell.control.journal import Journal
 from cell.control.keeping import (
     LOOK_S,
@@ -30,28 +25,13 @@ from cell.control.plan import GraspStep, Pose
 from cell.control.positioner import PatientCaller, Positioner
 from cell.control.records import GraspCollector, GraspRecord, pad_array
 from cell.data.dataset import text_refused
-from cell.errors import CellStateError, PlanRefused
+from cell.errors import CellStateError, NoPartFound, PlanRefused
 from cell.hand.interface import Hand, Watch
 from gripper.force.ramp import ForceRamp
 from gripper.state import Clock, Cycle, GraspResult
 from recognition.grasp import CELL_SOURCE, Grasp, PadArray
 from recognition.recognizers.early_classifiers import EarlyDecider
 from tactile.frames.codec import TactileFrame
-
-
-def force_ramp(
-    config: LinearRampConfig | StaircaseRampConfig | SCurveRampConfig, force_n: float
-) -> ForceRamp:
-    """Return the ramp of the configured shape that ends at ``force_n`` N."""
-    match config:
-        case LinearRampConfig():
-            return ForceRamp.linear(force_n, rate_n_s=config.rate_n_s, hold_s=config.hold_s)
-        case StaircaseRampConfig():
-            levels_n = tuple(force_n * (i + 1) / config.n_levels for i in range(config.n_levels))
-            return ForceRamp.staircase(levels_n, rate_n_s=config.rate_n_s, hold_s=config.hold_s)
-        case SCurveRampConfig():
-            return ForceRamp.s_curve(force_n, duration_s=config.duration_s, hold_s=config.hold_s)
-
 
 _T = TypeVar("_T")
 
@@ -199,6 +179,12 @@ class Grasper:
         start_ms = self._next_start_ms()
         outcome = self._hand.grasp(self._ramp(step), watch)
         self._life.result = outcome.result
+        if outcome.result in NOTHING_HELD and not collector.n_frames:
+            self._hand.release(self.watch)
+            raise NoPartFound(
+                f"{NOTHING_HELD[outcome.result]} at {reached}, and the fingers had closed before a "
+                f"frame of the taxels came: open wider, or close more slowly"
+            )
         record = GraspRecord(
             grasp=collector.grasp(
                 self.pads,

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-from cell.config.gripper import ParallelLinkageConfig
 from cell.config.model import CellConfig
 from cell.config.tactile import TactileConfig, layout_from_config, link_settings, make_calibration
 from cell.hand.lines import Lines
@@ -10,7 +9,6 @@ from cell.hand.local import LocalHand, SensorTap
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.serial_port import SerialStream
 from gripper.gripper import Gripper
-from gripper.kinematics import Linkage, ParallelLinkage, RackPinion
 from gripper.state import Clock
 from tactile.can.bus import CanBus
 from tactile.layout import TaxelLayout
@@ -112,9 +110,7 @@ def make_hand(
         period_s=1.0 / config.gripper.loop_rate_hz,
         name=f"the servo line ({config.gripper.port})",
     )
-    gripper = Gripper(
-        bus, make_linkage(config), config.gripper_settings, clock=clock, force_sensor=tap
-    )
+    gripper = Gripper(bus, config.linkage, config.gripper_settings, clock=clock, force_sensor=tap)
     return LocalHand(
         gripper=gripper,
         sensor=sensor,
@@ -122,7 +118,7 @@ def make_hand(
         bus=bus,
         link=link,
         lines=lines,
-        notes=notes,
+        notes=(*notes, *config.notes),
     )
 
 
@@ -155,18 +151,4 @@ def _sensor_settings(config: TactileConfig) -> SensorSettings:
         bad_share=config.bad_taxels_max_share,
         quality=QualityLimits(drift_share=config.drift_max_share),
         tare_limits=TareLimits(bad_share=config.bad_taxels_max_share),
-    )
-
-
-def make_linkage(config: CellConfig) -> Linkage:
-    """Return the linkage of a config."""
-    drive, n_servos = config.gripper.linkage, len(config.gripper.servos)
-    if isinstance(drive, ParallelLinkageConfig):
-        return ParallelLinkage(
-            link_m=drive.link_mm * 1e-3, offset_m=drive.offset_mm * 1e-3, n_servos=n_servos
-        )
-    return RackPinion(
-        pinion_radius_m=drive.pinion_radius_mm * 1e-3,
-        offset_m=drive.offset_mm * 1e-3,
-        n_servos=n_servos,
     )

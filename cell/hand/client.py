@@ -13,7 +13,6 @@ from typing import Any, NoReturn
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
 from cell.errors import HandLost
-from cell.hand.build import make_linkage
 from cell.hand.interface import HandStatistics, Measured, Watch
 from cell.hand.lines import MISSING
 from cell.hand.messages import (
@@ -249,7 +248,7 @@ class HandProcess:
         self._config = config
         self._layout = layout_from_config(config.tactile)
         self._settings = config.gripper_settings
-        self._linkage = make_linkage(config)
+        self._linkage = config.linkage
         self._silence_s = silence_s
         self._answer_s = 2.0 * silence_s + 4.0 * config.tactile.startup_timeout_s
         self._number = 0

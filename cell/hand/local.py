@@ -233,6 +233,8 @@ class LocalHand:
     def tare(self, n_frames: int) -> None:
         """Take the zero of the taxels; see `Hand`."""
         self.sensor.tare(n_frames)
+        # No force is measured before the mean holds frames alone that count from this zero.
+        self.sensor.refresh()
 
     def check_ramp(self, ramp: ForceRamp) -> None:
         """Refuse a ramp beyond the limits; see `Hand`."""

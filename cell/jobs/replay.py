@@ -13,7 +13,7 @@ from cell.config.gripper import GripperConfig, RackPinionConfig, ServoConfig
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_pads
 from cell.errors import CellError
-from cell.hand.build import make_link, make_linkage
+from cell.hand.build import make_link
 from cell.jobs.common import Progress
 from cell.learning.blas import one_blas_thread
 from cell.learning.training import train
@@ -194,7 +194,7 @@ class _Rig:
             )
             self._gripper = Gripper(
                 bus,
-                make_linkage(config),
+                config.linkage,
                 config.gripper_settings,
                 clock=self._cell.clock,
                 force_sensor=_NoForce(),

@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from cell.config.gripper import ParallelLinkageConfig
 from cell.config.model import CellConfig
+from cell.config.sequence import force_ramp
 from cell.config.tactile import layout_from_config
-from cell.control.grasping import force_ramp
 from cell.control.plan import plan
 from cell.control.records import pad_array
 from cell.errors import CellError

@@ -62,7 +62,8 @@ class ServoModel:
     nominal_voltage_v, stall_torque_nm, stall_current_a, no_load_rad_s
         Data sheet at the nominal voltage.
     rotor_inertia_kg_m2
-        Inertia of rotor and gears at the output in kg m², for the simulated servo.
+        Inertia of rotor and gears at the output in kg m², estimated: the vendor gives none. The
+        simulated servo moves by it, and the impact of an approach follows from it.
     torque_source
         Where kt and friction come from.
     """

@@ -8,6 +8,7 @@ from statistics import median
 from gripper.errors import ForceImbalance, PositionContradicted
 from gripper.force.controller import ForceController, History, SetpointFilter
 from gripper.force.loop import Moment
+from gripper.impact import impact_limit
 from gripper.kinematics import Linkage, Transmission, transmissions
 from gripper.recent import RecentForce
 from gripper.servos.goals import ServoGoal, closing_margin_rad
@@ -73,12 +74,14 @@ inertia of the fingers adds so much to the force that their drive makes."""
 _FORCE_TIME_S = 0.015
 """Time constant in s of the force that stiffens a soft part: a fraction of what its swing takes."""
 _YOUNG_S = 0.015
-"""Age in s of a sample up to which all of the stiffening is stable; older ones allow less by the
-square of their age, those of frames next to nothing."""
+"""Age in s of a sample at the end of the period in which it acts, up to which all of the stiffening
+is stable; older ones allow less by the square of their age, those of frames next to nothing."""
 
 _STANDING_S, _STANDING_M = 0.09, 0.0002
 """Time in s in which the opening changes by no more than so many m where the fingers stand: two
 counts of the encoder."""
+_DAMPED_SHARE = 0.25
+"""Share of its momentum that damping takes from a finger in one period, at the most."""
 _STILL_M_S = 0.002
 """Rate of the opening in m/s below which the fingers stand."""
 
@@ -175,6 +178,10 @@ class GripControl:
         self._quick_n, self._quick_s = force_n, now_s
         closed = transmissions(settings, linkage, linkage.angles_rad(0.0))
         self._weight = sum((_LEVER_M / path.radius_m) ** 2 for path in closed) / len(closed)
+        # More than this would swing a light finger that is looked at rarely.
+        stable_n_s_m = _DAMPED_SHARE * impact_limit(settings, linkage).mass_kg / settings.period_s
+        self._damping_n_s_m = min(0.5 * self._weight * tuning.damping_n_s_m, stable_n_s_m)
+        self._inertia_n_s_m = min(self._weight * _INERTIA_N_S_M, stable_n_s_m)
         self._empty_n = _LOST_SHARE * settings.contact_force_n
         self._empty_s = 0.0
         self._uneven_s = 0.0
@@ -244,7 +251,7 @@ class GripControl:
         speed_m_s = 0.5 * abs(state.aperture_velocity_m_s)
         friction_n = self._friction_share * sum(path.friction_n for path in paths) / len(paths)
         drive_max_n = self._drive_max_n(state, paths)
-        inertia_n = self._weight * _INERTIA_N_S_M * max(0.0, -state.aperture_velocity_m_s)
+        inertia_n = self._inertia_n_s_m * max(0.0, -state.aperture_velocity_m_s)
         before_m = self._apertures.at(moment.now_s - _STANDING_S)
         drive_n = self._controller.step(
             moment.now_s,
@@ -393,10 +400,9 @@ class GripControl:
         wanted_m_s = 0.0 if stiffness_n_m is None else self._filter.rate_n_s / stiffness_n_m
         closing_m_s = -state.aperture_velocity_m_s
         reached_m_s = min(max(wanted_m_s, min(closing_m_s, 0.0)), max(closing_m_s, 0.0))
-        damping_n_s_m = 0.5 * self._weight * tuning.damping_n_s_m
-        lag_n = damping_n_s_m * (wanted_m_s - reached_m_s)
+        lag_n = self._damping_n_s_m * (wanted_m_s - reached_m_s)
         most_n = tuning.dither_share * friction_n
-        return damping_n_s_m * (closing_m_s - reached_m_s) - min(max(lag_n, -most_n), most_n)
+        return self._damping_n_s_m * (closing_m_s - reached_m_s) - min(max(lag_n, -most_n), most_n)
 
     def _stiffening_n(self, moment: Moment, sample: ForceSample, friction_n: float) -> float:
         """Return what is added to the drive, in N, so that a soft part answers like a stiffer one.
@@ -412,7 +418,8 @@ class GripControl:
         still = abs(moment.state.aperture_velocity_m_s) < _STILL_M_S
         if stiffness_n_m is None or (still and self._filter.rate_n_s == 0.0):
             return 0.0
-        young = (_YOUNG_S / max(moment.now_s - sample.measured_s, _YOUNG_S)) ** 2
+        acted_on_s = moment.now_s - sample.measured_s + self._settings.period_s
+        young = (_YOUNG_S / max(acted_on_s, _YOUNG_S)) ** 2
         gain = max(0.0, young * tuning.stiffened_n_m / stiffness_n_m - 1.0)
         short_n = self._filter.force_n - self._quick_n
         return min(gain * short_n, tuning.dither_share * friction_n)

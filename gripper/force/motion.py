@@ -11,6 +11,7 @@ from gripper.errors import FeedbackImplausible, PositionContradicted, ServoFault
 from gripper.force.controller import History
 from gripper.force.loop import Action, Moment
 from gripper.force.mechanics_proof import ForceRise, mechanics_text
+from gripper.impact import KEPT_FREE_SHARE, approach_speed_m_s, pressing_current_a
 from gripper.kinematics import Linkage, motion_current_a, transmissions
 from gripper.recent import RecentForce
 from gripper.servos.goals import OPENING_MARGIN_RAD, ServoGoal, closing_margin_rad
@@ -36,8 +37,6 @@ _OPENING_FORCE_N = 3.0
 _RISING_S = 0.25
 """Time in s in which it rises to that from what moves the fingers: where they close instead, the
 pads show it before."""
-_CLOSING_SHARE = 0.9
-"""Share of the cap of the force that the current of a motion which closes may make."""
 _AGAINST_REST = 1.4
 """Current of a motion over that which moves the fingers freely: friction at rest is larger."""
 
@@ -172,7 +171,11 @@ class MoveTo:
             aperture_m = linkage.aperture_m(self._target_rad)
         travel_m = max(abs(aperture_m - state.aperture_m), _SHORTEST_TRAVEL_M)
         opening = aperture_m >= state.aperture_m
-        speed_m_s = settings.open_speed_m_s if opening else settings.approach_speed_m_s
+        speed_m_s = (
+            settings.open_speed_m_s
+            if opening
+            else approach_speed_m_s(settings, linkage, state.angles_rad)
+        )
         force_n = _OPENING_FORCE_N if opening else settings.approach_force_n
         paths = transmissions(settings, linkage, state.angles_rad)
         self._current_a = min(
@@ -182,7 +185,10 @@ class MoveTo:
             # The wider the fingers stand, the more force a current makes.
             self._current_a = min(
                 self._current_a,
-                *(path.loading_current_a(_CLOSING_SHARE * settings.force_max_n) for path in paths),
+                *(
+                    pressing_current_a(path, (1.0 - KEPT_FREE_SHARE) * settings.force_max_n)
+                    for path in paths
+                ),
             )
         self._rising_s = _RISING_S if opening else 0.0
         self._least_a = motion_current_a(settings, paths, 0.0)
@@ -288,8 +294,12 @@ class Approach:
         paths = transmissions(settings, linkage, state.angles_rad)
         self._current_max_a = min(
             settings.current_max_a,
-            *(path.loading_current_a(settings.force_max_n) for path in paths),
+            *(
+                pressing_current_a(path, (1.0 - KEPT_FREE_SHARE) * settings.force_max_n)
+                for path in paths
+            ),
         )
+        self._speed_m_s = approach_speed_m_s(settings, linkage, state.angles_rad)
         self._closing_a = min(
             motion_current_a(settings, paths, settings.approach_force_n), self._current_max_a
         )
@@ -334,6 +344,7 @@ class Approach:
     def step(self, moment: Moment) -> Action:
         """Return the goals of one period; an end leaves the fingers where they are or touch."""
         state, sample = moment.state, moment.sample
+        self._speed_m_s = approach_speed_m_s(self._settings, self._linkage, state.angles_rad)
         self._apertures.add(moment.now_s, state.aperture_m)
         if sample is not None and sample.valid:
             self._detector.push(sample)
@@ -344,7 +355,7 @@ class Approach:
         # The goal runs ahead of the fingers by a little only: that is how far they would go on
         # if nobody wrote a new one.
         self._aperture_m = max(
-            self._aperture_m - self._settings.approach_speed_m_s * moment.dt_s,
+            self._aperture_m - self._speed_m_s * moment.dt_s,
             state.aperture_m - _LEAD_M,
         )
         paused_rad = self._paused_rad(moment.now_s, state)
@@ -413,7 +424,7 @@ class Approach:
 
     def _nominal_rad_s(self, state: GripperState) -> float:
         reach_m = sum(self._linkage.opening_per_rad_m(servo.angle_rad) for servo in state.servos)
-        return self._settings.approach_speed_m_s / reach_m
+        return self._speed_m_s / reach_m
 
     def _angles_rad(
         self,

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from math import cos, inf, isfinite, pi
 
 from gripper.errors import LimitExceeded
+from gripper.impact import check_approach
 from gripper.kinematics import Linkage, transmissions
 from gripper.settings import GripperSettings
 
@@ -248,8 +249,9 @@ def check_ramp(ramp: ForceRamp, settings: GripperSettings, linkage: Linkage) -> 
     if needed_a > settings.current_max_a:
         raise LimitExceeded(
             f"{largest_n} N take {needed_a:.3f} A, current_max_a is {settings.current_max_a} "
-            f"A: lower the force or raise the cap"
+            f"A: lower the force, raise the cap or shorten the lever of the linkage"
         )
+    check_approach(settings, linkage)
 
 
 class RampEnd:

@@ -5,7 +5,7 @@ way back below them.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf, sqrt
 
 from gripper.dynamixel.bus import ServoBus
@@ -13,14 +13,16 @@ from gripper.dynamixel.control_table import (
     GOAL_CURRENT,
     GOAL_POSITION,
     RAD_PER_PULSE,
+    RAD_S_PER_VELOCITY_UNIT,
     RegisterBlock,
 )
 from gripper.dynamixel.models import ServoModel
 from gripper.errors import ForceAboveCap, LimitExceeded
+from gripper.impact import ImpactLimit, impact_limit
 from gripper.kinematics import Linkage, Transmission
 from gripper.recent import RecentForce
-from gripper.settings import GripperSettings, OverForce
-from gripper.state import Clock, ForceSample, GripperState
+from gripper.settings import GripperSettings, OverForce, ServoSettings
+from gripper.state import Clock, ForceSample, GripperState, ServoState
 
 _QUIET_N = 0.08
 """Noise in N of the mean force that is compared with the cap: noise alone must not trip it."""
@@ -35,6 +37,8 @@ _EQUAL = 1e-9
 """Difference, in A or rad, that counts as equal."""
 _EQUAL_ANGLE_RAD = 1e-6
 """Difference of angles in rad that counts as inside of the range; a pulse is 1.5e-3 rad."""
+_SPEED_GRAIN_RAD_S = RAD_S_PER_VELOCITY_UNIT
+"""Resolution of Present Velocity in rad/s (e-Manual)."""
 _WHOLE_PWM = 885.0
 """Counts of PWM that are the whole supply (e-Manual, PWM Limit)."""
 _ERROR_PER_PWM = 128.0
@@ -71,7 +75,7 @@ class ServoGoal:
 
 
 class GoalGuard:
-    """Limits of the goals: caps of force, current, angle, temperature and age of the feedback.
+    """Limits of the goals: caps of force, current, angle, speed, temperature and age of feedback.
 
     Parameters
     ----------
@@ -94,9 +98,54 @@ class GoalGuard:
             for angle, servo in zip(linkage.angles_rad(0.0), settings.servos, strict=True)
         )
 
+        self._pads = 0.5 * linkage.n_servos
+
     def note_force(self, sample: ForceSample) -> None:
         """Add the newest force sample; the same one may come again."""
         self._forces.push(sample)
+
+    def slowed(self, goals: Sequence[ServoGoal], state: GripperState) -> tuple[ServoGoal, ...]:
+        """Return the goals with which the momentum of no finger passes the cap of the force.
+
+        A finger that closes faster than the force left below the cap allows, see `gripper.impact`,
+        is braked. While nothing presses on its pad no goal lies farther ahead than
+        that speed needs: between two writes the position controller of the servo keeps to it.
+        """
+        newest = self.newest_force
+        impact = impact_limit(self._settings, self._linkage, state.angles_rad)
+        first_n, second_n = (0.0, 0.0) if newest is None else newest.force_n
+        forces_n = (first_n, second_n) if len(goals) > 1 else (min(first_n, second_n),)
+        return tuple(
+            self._slowed(impact, *one)
+            for one in zip(self._settings.servos, goals, state.servos, forces_n, strict=True)
+        )
+
+    def _slowed(
+        self,
+        impact: ImpactLimit,
+        settings: ServoSettings,
+        goal: ServoGoal,
+        servo: ServoState,
+        force_n: float,
+    ) -> ServoGoal:
+        if goal.angle_rad >= servo.angle_rad:
+            return goal
+        model = settings.servo_model
+        path = Transmission.at(model, self._linkage, servo.angle_rad)
+        empty = force_n < self._settings.contact_force_n
+        reach_m = self._pads * self._linkage.opening_per_rad_m(servo.angle_rad)
+        fastest_rad_s = impact.pad_speed_m_s(None if empty else force_n) / reach_m
+        over_rad_s = -servo.velocity_rad_s - fastest_rad_s
+        if over_rad_s > _SPEED_GRAIN_RAD_S:
+            # No more momentum is taken than it has too much, or the finger would swing.
+            drive_n = force_n - impact.mass_kg * over_rad_s * reach_m / self._settings.period_s
+            current_a = min(abs(drive_n) * path.radius_m / path.kt_nm_a, goal.current_a)
+            angle_rad = goal.angle_rad if drive_n > 0.0 else servo.angle_rad
+            return ServoGoal(angle_rad=angle_rad, current_a=current_a)
+        if not empty:
+            return goal
+        ahead_rad = lead_rad(model, goal.current_a, fastest_rad_s)
+        return replace(goal, angle_rad=max(goal.angle_rad, servo.angle_rad - ahead_rad))
 
     @property
     def newest_force(self) -> ForceSample | None:
@@ -221,6 +270,20 @@ def closing_margin_rad(model: ServoModel, current_a: float) -> float:
     return pulses * RAD_PER_PULSE
 
 
+def lead_rad(model: ServoModel, current_a: float, speed_rad_s: float) -> float:
+    """Return how far in rad ahead a goal must lie for a current at rest and for a speed.
+
+    What the speed adds to `closing_margin_rad` is the voltage that the motor makes itself, as a
+    share of the supply that of its no-load speed.
+    """
+    _, _, position_p_gain = model.position_gains
+    pwm = _WHOLE_PWM * speed_rad_s / model.no_load_rad_s
+    return (
+        closing_margin_rad(model, current_a)
+        + pwm * _ERROR_PER_PWM / position_p_gain * RAD_PER_PULSE
+    )
+
+
 class GoalWriter:
     """Writer of the goals, behind their limits; keeps the goals that are in force.
 
@@ -269,6 +332,7 @@ class GoalWriter:
         profile_velocity_raw
             Profile Velocity (register 112) in raw units; 0 is no limit.
         """
+        goals = self._guard.slowed(goals, state)
         self._guard.check(goals, state, self._clock.monotonic())
         values: dict[int, list[int]] = {}
         for goal, servo, settings in zip(goals, state.servos, self._settings.servos, strict=True):

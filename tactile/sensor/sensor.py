@@ -367,14 +367,14 @@ class TactileSensor:
         for _ in range(self._settings.mean_frames):
             self.read()
 
-    def tare(self, n_frames: int = 100, timeout_s: float = 5.0) -> TareResult:
+    def tare(self, n_frames: int = 100, timeout_s: float = 1.0) -> TareResult:
         """Take the zero from the next ``n_frames`` frames; the pads must be untouched.
 
         The error of the zero is the noise over the square root of ``n_frames``, and enters every
         later force on as many taxels as are touched.
 
         Raises TareRefused when they are not, when the counts drift or too many taxels are bad (the
-        zero in use stays), and FrameTimeout when the frames do not come within ``timeout_s``.
+        zero in use stays), and FrameTimeout when no frame comes for ``timeout_s``.
         """
         frames: list[TactileFrame] = []
         self.poll()
@@ -382,10 +382,12 @@ class TactileSensor:
         while len(frames) < n_frames:
             new = self._link.poll()
             frames += new
-            if not new:
+            if new:
+                deadline_s = self._clock.monotonic() + timeout_s
+            else:
                 self._wait(
                     deadline_s,
-                    f"{len(frames)} of {n_frames} frames for the tare within {timeout_s:g} s",
+                    f"{len(frames)} of {n_frames} frames for the tare, none within {timeout_s:g} s",
                 )
         counts = np.stack([frame.counts for frame in frames[:n_frames]])
         result = compute_tare(

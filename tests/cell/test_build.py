@@ -21,7 +21,6 @@ from cell.control.positioner import (
     SocketPlacer,
 )
 from cell.errors import ConfigError, PositionerError
-from cell.hand.build import make_linkage
 from gripper.errors import PortLost
 from gripper.kinematics import ParallelLinkage, RackPinion
 from gripper.state import GraspResult
@@ -61,8 +60,8 @@ def test_settings_are_in_si(make_config: Callable[..., CellConfig]) -> None:
 
 
 def test_linkages(make_config: Callable[..., CellConfig]) -> None:
-    assert isinstance(make_linkage(make_config()), ParallelLinkage)
-    rack = make_linkage(make_config(gripper__linkage=RACK, gripper__servos=[{"id": 1}]))
+    assert isinstance(make_config().linkage, ParallelLinkage)
+    rack = make_config(gripper__linkage=RACK, gripper__servos=[{"id": 1}]).linkage
     assert isinstance(rack, RackPinion)
     assert rack.n_servos == 1
 
@@ -71,7 +70,8 @@ def test_linkages(make_config: Callable[..., CellConfig]) -> None:
     "change",
     [
         {"gripper__servos": [{"id": 3}], **SLOW_RACK},
-        SLOW_RACK,
+        # Friction of 28 N at each finger: no lower cap is sure to stop fingers that overcome it.
+        SLOW_RACK | {"gripper__force_max_n": 25.0},
         {"gripper__servos": [{"id": 1, "direction": -1}, {"id": 2, "zero_pulse": 1800}]},
         {"tactile__layout": "pinch"},
         {"tactile__node_id": 127, "tactile__serial_number": 4711},

@@ -38,6 +38,13 @@ _SHORT_COMMANDS = {
     "sequence.max_grasps": 2,
 }
 """Config whose commands take little time: coarse pads, a slow loop, short ways."""
+_FAST_FINGERS = {
+    "gripper.approach_speed_mm_s": 200.0,
+    "gripper.force_max_n": 8.0,
+    "gripper.linkage.link_mm": 45.0,
+    "sequence.force_n": [2.0, 5.0],
+}
+"""Config that asks for an approach whose impact would be far above its cap of the force."""
 
 
 class Driver:
@@ -47,6 +54,8 @@ class Driver:
     ----------
     self_test
         Whether the start proves the servos' bus watchdog.
+    fast
+        Whether the config asks for faster fingers than its cap of the force allows.
 
     Attributes
     ----------
@@ -56,8 +65,12 @@ class Driver:
         What was done, to be read where an invariant was broken.
     """
 
-    def __init__(self, *, self_test: bool) -> None:
-        self._config = campaign_config(_SHORT_COMMANDS | {"gripper.watchdog_self_test": self_test})
+    def __init__(self, *, self_test: bool, fast: bool = False) -> None:
+        self._config = campaign_config(
+            _SHORT_COMMANDS
+            | {"gripper.watchdog_self_test": self_test}
+            | (_FAST_FINGERS if fast else {})
+        )
         self._folder = Path(tempfile.mkdtemp(prefix="tactile-cell-machine-"))
         self.simulated = simulated_cell(self._config)
         self.simulated.place("ball")

@@ -120,9 +120,9 @@ class CellMachine(RuleBasedStateMachine):
     driver_type: type[Driver] = Driver
     taken = 0
 
-    @initialize(self_test=st.booleans(), started=st.booleans())
-    def begin(self, self_test: bool, started: bool) -> None:
-        self.driver = self.driver_type(self_test=self_test)
+    @initialize(self_test=st.booleans(), fast=st.booleans(), started=st.booleans())
+    def begin(self, self_test: bool, fast: bool, started: bool) -> None:
+        self.driver = self.driver_type(self_test=self_test, fast=fast)
         if started:
             self.driver.start()
 

@@ -406,6 +406,14 @@ GRIP = (
                LONG_HOLD | {"sequence.force_n": [2.0, 4.0], "gripper.force_max_n": servo.CAP_N,
                             "gripper.over_force.reaction": reaction})
       for reaction, required in (("lower", "HOLD"), ("open", "HOLD"), ("limp", "LIMP"))),
+    FaultRow(29, "approach of 200 mm per s",
+             "a config asks for an approach whose impact is far above the cap; it is slowed down",
+             "gripper.approach_speed_mm_s=200", "NOTHING", None, servo.fast_approach,
+             {"gripper.approach_speed_mm_s": 200.0, "gripper.force_max_n": 8.0,
+                      "gripper.aperture_open_mm": 18.0, "gripper.linkage.link_mm": 30.0,
+                      "sequence.force_n": [2.0, 4.0], "tactile.force_period_ms": 0}),
+    FaultRow(29, "random configs", "valid configs with fast, strong or late fingers",
+             "12 configs that are drawn", "NOTHING", None, servo.random_configs),
 )
 
 HOST_PROGRAM = (
@@ -497,6 +505,8 @@ BAD_CONFIGS = (
     ("out of range", "gripper:\n  force_max_n: 51.0\n", "gripper.force_max_n"),
     ("misspelt", "gripper:\n  forc_max_n: 5.0\n", "is force_max_n meant"),
     ("wrong type", "gripper:\n  force_max_n: '5'\n", "gripper.force_max_n"),
+    ("nothing stops below the cap", "gripper:\n  force_max_n: 2.0\n"
+     "sequence:\n  force_n: [1.8, 1.8]\n  carry_force_n: 1.0\n", "Raise force_max_n"),
     ("alias bomb", "a: &a [x, x]\nb: &b [*a, *a]\nc: [*b, *b]\n", "aliases"),
 )
 BAD_MODELS: tuple[tuple[str, Callable[[Path], bytes]], ...] = (

@@ -343,12 +343,12 @@ class WireDriver(Driver):
 
     door = ""
 
-    def __init__(self, *, self_test: bool) -> None:
+    def __init__(self, *, self_test: bool, fast: bool = False) -> None:
         self.clock = Clock()
         self._ending: list[Callable[[], None]] = []
         self._held = False
         self._due: list[Callable[[float], None]] = []
-        super().__init__(self_test=self_test)
+        super().__init__(self_test=self_test, fast=fast)
 
     # -- commands ------------------------------------------------------------------------------
 

@@ -7,8 +7,8 @@ from cell.config.sequence import (
     SCurveRampConfig,
     SequenceConfig,
     StaircaseRampConfig,
+    force_ramp,
 )
-from cell.control.grasping import force_ramp
 from cell.control.plan import GraspStep, Pose, plan
 
 

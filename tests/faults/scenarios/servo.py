@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 
+from benchmarks.performance.force_cap import trial
 from cell.errors import NoPartFound
 from gripper.state import GripperPhase
 from tests.faults.campaign import (
@@ -17,6 +18,8 @@ from tests.faults.campaign import (
 
 CAP_N = 5.0
 """Cap of the force in N in the rows of something trapped: below the default, soon reached."""
+_SEARCHED = range(20_000, 20_012)
+"""Seeds of the configs that a row of the campaign grasps with."""
 _WITH_THE_PART = frozenset({GripperPhase.APPROACHING, GripperPhase.RAMPING})
 
 
@@ -87,3 +90,25 @@ def something_pushes(row: FaultRow) -> Observed:
         if latched_s is None or not over_s:
             return seen
         return later(cell, replace(seen, detected_after_s=latched_s - over_s[0]))
+
+
+def fast_approach(row: FaultRow) -> Observed:
+    """Grasp with a config that asks for more speed than can be stopped."""
+    with campaign_cell(row.changes) as cell:
+        return observe(cell)
+
+
+def random_configs(_row: FaultRow) -> Observed:
+    """Grasp once with each of some configs that were drawn; the true force stays below the cap."""
+    found = [trial(seed) for seed in _SEARCHED]
+    broken = [one for one in found if one.broken]
+    if broken:
+        return Observed("ABOVE THE CAP", None, str(broken[0]))
+    gripped = [one for one in found if not one.refused]
+    highest = max(one.true_n / one.cap_n for one in gripped)
+    return Observed(
+        "NOTHING",
+        None,
+        f"{len(gripped)} gripped, {len(found) - len(gripped)} were refused; the largest true force "
+        f"was {highest:.2f} of its cap",
+    )

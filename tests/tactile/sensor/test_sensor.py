@@ -549,7 +549,7 @@ def test_a_tare_without_frames_times_out_with_their_number() -> None:
     sensor, frames = make()
     frames.sleep(0.5)
     frames.running = False
-    with pytest.raises(FrameTimeout, match="0 of 100 frames for the tare within 1 s"):
+    with pytest.raises(FrameTimeout, match="0 of 100 frames for the tare, none within 1 s"):
         sensor.tare(100, timeout_s=1.0)
 
 

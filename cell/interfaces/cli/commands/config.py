@@ -62,12 +62,14 @@ def init(
 def check(path: Annotated[Path, typer.Argument(help="Config file.")]) -> None:
     """Check a config file."""
     from cell.config.file import load_config
-    from cell.interfaces.cli.terminal import print_line
+    from cell.interfaces.cli.terminal import print_line, print_note
     from cell.simulation import simulator_settings
 
     config = load_config(path)
     if config.simulated:
         simulator_settings(config)
+    for note in config.notes:
+        print_note(note)
     kind = "simulated ports" if config.simulated else "real ports"
     print_line(f"{path}: valid: {config.name}, {kind}")
 

@@ -1,0 +1,194 @@
+"""Random configs against the cap of the force: the true force on the pads in each step of a grasp.
+
+The keys that make the fingers fast, strong or late are drawn from their whole ranges; with each
+valid config the simulated cell grasps a random part once, its torque figures and friction wrong by
+a random share. The cap is broken where the true force is more than `ALLOWED_N` above it, and that
+is silent where the grasp ends without a fault. The limits were tuned on the seeds from 9000 on.
+"""
+
+import argparse
+import random
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from benchmarks._measure import line, repeats
+from cell.build import build_cell
+from cell.config.file import changed_config
+from cell.config.model import CellConfig
+from cell.control.plan import GraspStep, Pose
+from cell.errors import CellError
+from cell.simulation import simulated_cell
+from gripper.errors import ForceAboveCap, GripperError
+from tactile.errors import TactileError
+
+ALLOWED_N = 0.3
+"""True force above the cap in N that does not count: less than the noise of a sample."""
+_FIRST_SEED = 20_000
+_KT_ERROR, _FRICTION_ERROR = 0.1, 0.2
+"""Largest shares by which torque constant and friction of a servo differ from its model's."""
+_PADS = [
+    {"finger": finger, "face": "inner", "rows": 11, "columns": 4}
+    | {"pitch_x_mm": 5.0, "pitch_y_mm": 5.0}
+    for finger in (0, 1)
+]
+"""Pads of 55 x 20 mm as the paper's, of fewer taxels: less to compute."""
+_PARTS = {
+    "ball": "sphere:diameter=9.5mm",
+    "box": "box:length=15.9mm,width=10mm,height=10mm",
+    "pin": "cylinder:diameter=6mm,length=20mm",
+    "rod": "cylinder:diameter=3mm,length=12mm",
+    "plate": "box:length=60mm,width=25mm,height=8mm",
+}
+"""Parts from one that sinks in and then meets the bottom to one that presses all of the pads."""
+_MODELS = ("XM430-W350", "XM430-W350", "XM430-W210", "XC330-M288")
+_LINKAGES = (
+    *({"kind": "parallel_linkage", "link_mm": mm} for mm in (20.0, 30.0, 45.0, 60.0, 60.0, 90.0)),
+    *({"kind": "rack_pinion", "pinion_radius_mm": mm} for mm in (12.0, 20.0)),
+)
+
+
+def drawn_changes(seed: int) -> dict[str, Any]:
+    """Return changes of the config by dotted path, drawn with a seed."""
+    draw = random.Random(seed)
+    cap_n = draw.choice((2.0, 3.0, 5.0, 8.0, 12.0, 15.0, 20.0, 30.0, 50.0))
+    limit_n = min(cap_n - 0.2, cap_n / 1.05)
+    contact_n = min(draw.choice((0.3, 0.6, 0.6, 1.0, 2.0)), 0.5 * limit_n)
+    force_n = max(draw.uniform(0.3, 1.0) * limit_n, contact_n, 0.5)
+    rate_n_s = draw.choice((2.0, 5.0, 10.0, 20.0, 40.0, 50.0))
+    servo = {"model": draw.choice(_MODELS)}
+    return {
+        "tactile.layout": {"name": "coarse", "adc_max": 255, "pads": _PADS},
+        "tactile.tare_frames": 10,
+        "tactile.force_period_ms": draw.choice((0, 0, 2, 2, 3, 5, 10, 20)),
+        "tactile.sync_period_ms": draw.choice((10.0, 20.0, 20.0, 30.0)),
+        "simulator.objects": [{"label": name, "shape": text} for name, text in _PARTS.items()],
+        "simulator.noise_level": draw.choice((0.5, 1.0)),
+        "gripper.servos": [{"id": i} | servo for i in draw.choice(((1,), (1, 2), (1, 2), (1, 2)))],
+        "gripper.linkage": draw.choice(_LINKAGES),
+        "gripper.loop_rate_hz": draw.choice((50.0, 100.0, 200.0, 200.0, 400.0)),
+        "gripper.aperture_open_mm": draw.choice((12.0, 14.0, 18.0, 25.0)),
+        "gripper.approach_speed_mm_s": draw.choice((5.0, 20.0, 40.0, 60.0, 100.0, 200.0)),
+        "gripper.contact_force_n": contact_n,
+        "gripper.contact.samples": draw.choice((1, 3, 3, 6)),
+        "gripper.contact.approach_force_n": draw.choice((0.3, 1.0, 1.0, 2.0, 5.0)),
+        "gripper.force_max_n": cap_n,
+        "gripper.current_max_a": draw.choice((0.4, 0.8, 0.8, 1.5)),
+        "sequence.force_n": [force_n, force_n],
+        "sequence.carry_force_n": force_n,
+        "sequence.ramp": {"kind": "linear", "rate_n_s": rate_n_s, "hold_s": 0.1},
+    }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trial:
+    """Grasp under one config.
+
+    Attributes
+    ----------
+    seed
+        Of config, part and truth.
+    part
+        What was between the fingers.
+    cap_n, true_n
+        Cap of the force, and largest true force on a pad, in N.
+    phase
+        Phase of the gripper at that force.
+    slowed
+        Whether a note says that the approach is slower than asked for.
+    error
+        What ended the grasp; None where it was done.
+    refused
+        Whether the config was refused, so that nothing moved.
+    """
+
+    seed: int
+    part: str
+    cap_n: float
+    true_n: float = 0.0
+    phase: str = ""
+    slowed: bool = False
+    error: Exception | None = None
+    refused: bool = False
+
+    @property
+    def broken(self) -> bool:
+        """Whether the true force was above the cap."""
+        return self.true_n > self.cap_n + ALLOWED_N
+
+    def __str__(self) -> str:
+        end = "done" if self.error is None else f"{type(self.error).__name__}: {self.error}"
+        return (
+            f"seed {self.seed}: {self.part}, cap {self.cap_n:g} N, {self.true_n:.1f} N while "
+            f"{self.phase}; {end:.100}"
+        )
+
+
+def trial(seed: int, changes: Mapping[str, Any] | None = None) -> Trial:
+    """Grasp once with a config that is drawn, and some values changed."""
+    draw = random.Random(-seed)
+    drawn = drawn_changes(seed) | dict(changes or {})
+    part, cap_n = draw.choice(tuple(_PARTS)), float(drawn["gripper.force_max_n"])
+    try:
+        config = changed_config(CellConfig(), drawn)
+    except CellError as error:
+        return Trial(seed=seed, part=part, cap_n=cap_n, error=error, refused=True)
+    most: tuple[float, str] = (0.0, "")
+    error: Exception | None = None
+    with simulated_cell(config) as simulated:
+        for motor in simulated.devices.mechanics.motors:
+            motor.kt_nm_a *= 1.0 + draw.uniform(-_KT_ERROR, _KT_ERROR)
+            motor.friction_nm *= 1.0 + draw.uniform(-_FRICTION_ERROR, _FRICTION_ERROR)
+        cell = build_cell(config, simulated=simulated)
+
+        def look(_now_s: float) -> None:
+            nonlocal most
+            force_n = max(simulated.world.contact_force_n())
+            if force_n > most[0]:
+                most = force_n, cell.controller.hand.phase.value
+
+        simulated.clock.on_advance.append(look)
+        try:
+            cell.controller.start()
+            cell.controller.present(part)
+            cell.controller.grasp(GraspStep(pose=Pose(), force_n=config.sequence.forces_n[1]))
+        except (CellError, GripperError, TactileError) as caught:
+            error = caught
+        finally:
+            cell.close()
+    return Trial(
+        seed=seed,
+        part=part,
+        cap_n=cap_n,
+        true_n=most[0],
+        phase=most[1],
+        slowed=bool(config.notes),
+        error=error,
+    )
+
+
+def main(effort: float = 1.0, *, first_seed: int = _FIRST_SEED) -> None:
+    """Search and print what breaks the cap."""
+    n = repeats(500, effort, least=5)
+    found = [trial(seed) for seed in range(first_seed, first_seed + n)]
+    gripped = [one for one in found if not one.refused]
+    broken = sorted((one for one in gripped if one.broken), key=lambda one: one.cap_n - one.true_n)
+    line("compared", f"{n} configs from seed {first_seed} on, one grasp each")
+    line("refused", f"{n - len(gripped)}, and {sum(one.slowed for one in gripped)} slowed")
+    line("not done", f"{sum(one.error is not None for one in gripped)} ended with an error")
+    above = sum(isinstance(one.error, ForceAboveCap) for one in gripped)
+    line("", f"{above} of them with the force above its cap")
+    silent = sum(one.error is None for one in broken)
+    line("above the cap", f"{len(broken)} by more than {ALLOWED_N} N, {silent} without a fault")
+    for one in broken:
+        line("", str(one))
+    highest = max((one.true_n / one.cap_n for one in gripped), default=0.0)
+    line("  ratio", f"the largest true force is {highest:.2f} of its cap")
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description="Random configs against the cap of the force.")
+    parser.add_argument("--effort", type=float, default=1.0, help="share of the 500 configs")
+    parser.add_argument("--seed", type=int, default=_FIRST_SEED, help="first seed")
+    given = parser.parse_args()
+    main(given.effort, first_seed=given.seed)

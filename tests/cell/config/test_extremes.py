@@ -1,0 +1,172 @@
+"""The ends of the range of each key: the cell works there, or the config is refused by that key.
+
+``python -m tests.cell.config.test_extremes`` grasps with each end alone, which takes minutes; the
+tests grasp with several at once.
+"""
+
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import pytest
+from annotated_types import Ge, Gt, Le, Lt
+from pydantic import BaseModel
+
+from cell.build import build_cell
+from cell.config.model import CellConfig
+from cell.control.plan import GraspStep, Pose
+from cell.errors import CellError, ConfigError
+from cell.simulation import simulated_cell
+from gripper.errors import GripperError
+from tactile.errors import TactileError
+from tests.faults.campaign import COARSE_PADS, campaign_config
+
+_ELSEWHERE = ("serve.", "positioner.", "sort.", "recognition.", "loop.", "seed", "host_timeout_s")
+"""Keys of no effect on a grasp in virtual time; their ends are still read."""
+_MINUTES = ("sequence.ramp.hold_s=60",)
+"""Ends that do nothing but let time pass."""
+_BOUND_S = 60.0
+"""Longest simulated time of a start and a grasp in s."""
+_GROUP = 7
+"""Ends that a test takes at once."""
+_BESIDE: dict[str, dict[str, Any]] = {
+    "gripper.aperture_open_mm=2": {
+        "simulator.objects": [{"label": "ball", "shape": "box:length=20mm,width=10mm,height=1.5mm"}]
+    },
+    "simulator.noise_level=2.5": {"gripper.contact_force_n": 1.5, "tactile.tare_frames": 50},
+}
+"""What an end needs beside it, because of the object or of the short tare of these jobs."""
+_ALONE = (
+    "gripper.contact.samples",
+    "gripper.open_speed_mm_s",
+    "gripper.aperture_open_mm",
+    "sequence.ramp.rate_n_s",
+    "simulator.noise_level",
+    "tactile.force_period_ms",
+    "tactile.tare_frames",
+)
+"""Keys with an end that does not go with others at theirs, or takes long: each is taken alone."""
+
+
+class TooLong(BaseException):
+    """A start and a grasp took more simulated time than allowed; nothing catches it."""
+
+
+@dataclass(frozen=True, slots=True)
+class End:
+    """End of the range of a key."""
+
+    path: str
+    value: float
+
+    def __str__(self) -> str:
+        return f"{self.path}={self.value:g}"
+
+
+def ends(section: BaseModel | None = None, path: str = "") -> Iterator[End]:
+    """Return the lowest and the highest value of each number; just inside of what is excluded."""
+    section = section or CellConfig()
+    for name, key in type(section).model_fields.items():
+        value, here = getattr(section, name), f"{path}{name}"
+        if isinstance(value, BaseModel):
+            yield from ends(value, f"{here}.")
+        for bound in key.metadata:
+            if isinstance(bound, Ge | Le):
+                limit: Any = bound.ge if isinstance(bound, Ge) else bound.le
+                yield End(here, limit)
+            elif isinstance(bound, Gt | Lt):
+                limit = bound.gt + 1e-6 if isinstance(bound, Gt) else bound.lt - 1e-6
+                yield End(here, limit)
+
+
+ENDS = tuple(ends())
+
+
+def config_at(*at: End) -> CellConfig:
+    """Return a config with short jobs and some keys at an end; ConfigError where it is refused."""
+    changes: dict[str, Any] = {"tactile.layout": COARSE_PADS}
+    for end in at:
+        changes |= _BESIDE.get(str(end), {}) | {end.path: end.value}
+    return campaign_config(changes)
+
+
+def refusal(end: End) -> str:
+    """Return why an end is refused beside the others' defaults; empty where it is not."""
+    try:
+        config = config_at(end)
+        simulated_cell(config).close()
+    except ConfigError as error:
+        return str(error)
+    return ""
+
+
+def grasp(*at: End) -> None:
+    """Start, bring the ball and grasp it with some keys at an end; raises what goes wrong."""
+    config = config_at(*at)
+    with simulated_cell(config) as simulated:
+        cell = build_cell(config, simulated=simulated)
+
+        def look(now_s: float) -> None:
+            if now_s > _BOUND_S:
+                raise TooLong
+
+        simulated.clock.on_advance.append(look)
+        try:
+            cell.controller.start()
+            cell.controller.present("ball")
+            cell.controller.grasp(GraspStep(pose=Pose(), force_n=config.sequence.forces_n[0]))
+        finally:
+            simulated.clock.on_advance.remove(look)
+            cell.close()
+
+
+def accepted() -> list[End]:
+    """Return the ends that are not refused and matter for a grasp."""
+    matter = [e for e in ENDS if not e.path.startswith(_ELSEWHERE) and str(e) not in _MINUTES]
+    return [end for end in matter if not refusal(end)]
+
+
+def groups() -> list[tuple[End, ...]]:
+    """Return the accepted ends, several keys at once, no key twice in a group."""
+    ordered = sorted(accepted(), key=lambda end: (end.path in _ALONE, end.value > _default(end)))
+    found: list[tuple[End, ...]] = [(end,) for end in ordered if end.path in _ALONE]
+    rest = [end for end in ordered if end.path not in _ALONE]
+    count = -(-len(rest) // _GROUP)
+    return found + [tuple(rest[number::count]) for number in range(count)]
+
+
+def _default(end: End) -> float:
+    value: Any = CellConfig()
+    for name in end.path.split("."):
+        value = getattr(value, name)
+    return 0.0 if value is None else float(value)
+
+
+@pytest.mark.parametrize("end", ENDS, ids=str)
+def test_an_end_that_is_refused_names_its_key(end: End) -> None:
+    text = refusal(end)
+    section, _, name = end.path.rpartition(".")
+    assert not text or name in text or section.rpartition(".")[2] in text
+
+
+@pytest.mark.parametrize("at", groups(), ids=lambda at: ", ".join(map(str, at)))
+def test_a_grasp_is_done_at_the_ends(at: tuple[End, ...]) -> None:
+    grasp(*at)
+
+
+def main() -> None:
+    """Grasp with each end alone and print what goes wrong."""
+    wrong = 0
+    for end in accepted():
+        try:
+            grasp(end)
+        except (CellError, GripperError, TactileError, TooLong) as error:
+            wrong += 1
+            sys.stdout.write(f"{end}: {type(error).__name__}: {error}\n")
+    sys.stdout.write(f"{len(accepted())} ends, {wrong} wrong\n")
+    sys.exit(bool(wrong))
+
+
+if __name__ == "__main__":
+    main()
