@@ -403,5 +403,5 @@ class FingerMechanics:
 
     def _half_opening_m(self, axis: int) -> float:
         direction, zero_rad = self._axes[axis]
-        theta = direction * (self.motors[axis].angle_rad - zero_rad)
-        return max(0.0, self._linkage.half_opening_m(theta))
+        half_m = self._linkage.half_opening_m(direction * (self.motors[axis].angle_rad - zero_rad))
+        return half_m if half_m > 0.0 else 0.0

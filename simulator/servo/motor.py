@@ -284,17 +284,18 @@ class ServoMotor:
             self.duty = 0.0
             self._account(dt_s)
             return 0.0
-        sensed_rad, velocity = self.sensed_rad, self.sensed_velocity_rad_s
+        velocity = self.velocity_rad_s if self.stuck_at_rad is None else 0.0
         back_emf_v = self._back_emf * self.velocity_rad_s
         if mode is DriveMode.CURRENT_POSITION or mode is DriveMode.POSITION:
             self._advance_reference(dt_s)
             goal_a = (
-                command.p_gain * self._p_current * (self.reference_rad - sensed_rad)
+                command.p_gain * self._p_current * (self.reference_rad - self.sensed_rad)
                 - (command.d_gain * self._d_current + self._back_emf / self._resistance_ohm)
                 * velocity
             )
             if mode is DriveMode.CURRENT_POSITION:
-                goal_a = _bounded(goal_a, -command.current_a, command.current_a)
+                limit_a = command.current_a
+                goal_a = limit_a if goal_a > limit_a else -limit_a if goal_a < -limit_a else goal_a
         elif mode is DriveMode.CURRENT:
             goal_a = command.current_a
         elif mode is DriveMode.VELOCITY:
@@ -304,7 +305,7 @@ class ServoMotor:
         limit_v = abs(command.duty) * self.voltage_v
         highest_a = (limit_v - back_emf_v) / self._resistance_ohm
         lowest_a = (-limit_v - back_emf_v) / self._resistance_ohm
-        goal_a = _bounded(goal_a, lowest_a, highest_a)
+        goal_a = highest_a if goal_a > highest_a else lowest_a if goal_a < lowest_a else goal_a
         if dt_s != self._alpha_dt_s:
             self._alpha_dt_s = dt_s
             self._alpha = 1.0 - math.exp(-dt_s / CURRENT_LOOP_TIME_CONSTANT_S)
@@ -312,7 +313,7 @@ class ServoMotor:
         self.current_a = current_a
         supply_v = self.voltage_v if self.voltage_v > _LEAST_SUPPLY_V else _LEAST_SUPPLY_V
         duty = (current_a * self._resistance_ohm + back_emf_v) / supply_v
-        self.duty = _bounded(duty, -1.0, 1.0)
+        self.duty = 1.0 if duty > 1.0 else -1.0 if duty < -1.0 else duty
         self._account(dt_s)
         torque_nm = self.kt_nm_a * current_a
         gearing = self.gearing
@@ -335,7 +336,7 @@ class ServoMotor:
         error = self.command.velocity_rad_s - velocity_rad_s
         bound_a = self.model.stall_current_a
         integral_a = self._integral_a + _VELOCITY_LOOP_A_RAD * error * dt_s
-        self._integral_a = _bounded(integral_a, -bound_a, bound_a)
+        self._integral_a = min(max(integral_a, -bound_a), bound_a)
         return _VELOCITY_LOOP_A_S_RAD * error + self._integral_a
 
     def _advance_reference(self, dt_s: float) -> None:
@@ -359,9 +360,3 @@ class ServoMotor:
             return
         self.reference_velocity_rad_s = math.copysign(speed, left)
         self.reference_rad += self.reference_velocity_rad_s * dt_s
-
-
-def _bounded(value: float, low: float, high: float) -> float:
-    """Return a value within bounds; the upper one where they cross."""
-    value = low if value < low else value
-    return high if value > high else value

@@ -123,6 +123,7 @@ class ForceTable:
         """Return force in N and stiffness in N/m when the highest point is ``depth_m`` m deep."""
         if depth_m <= 0.0:
             return 0.0, 0.0
-        i = min(int(depth_m / TABLE_STEP_M), self._last)
+        i = int(depth_m / TABLE_STEP_M)
+        i = min(i, self._last)
         stiffness_n_m = self._stiffness_n_m[i]
         return self._force_n[i] + stiffness_n_m * (depth_m - i * TABLE_STEP_M), stiffness_n_m
