@@ -1,4 +1,4 @@
-"""Sizes of the taught grasps: how far the size of a grasp lies from all that were taught."""
+"""Sizes of the taught grasps: how far the size of a grasp lies from those of an object."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,6 +14,9 @@ _PRIOR_MM = (0.5, 0.2)
 the full load, which depends on the force, and of that at the first touch."""
 _PRIOR_GRASPS = 4.0
 """Weight of that expectation, in grasps: the units come from the grasps where there are more."""
+_OUTER_SHARE = 0.1
+"""Share of the grasps of an object, the loneliest, near which a size is new all the same: of many
+grasps, as of a drawing on all foams that may be, some lie where another object does."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -23,33 +26,46 @@ class TaughtSizes:
     Attributes
     ----------
     sizes_mm : (n, k) float64
-        The sizes, as of `recognition.features.aperture.sizes_mm`; k is 0 where the opening is not
-        used, and nothing is far from any size then.
+        Sizes without outliers, as of `recognition.features.aperture.sizes_mm`; k is 0 where the
+        opening is not used, and nothing is far from any size then.
+    classes : (n,) int64
+        Object of each.
     unit_mm : (k,) float64
         Usual distance in mm from a grasp to the nearest one of the same object.
     """
 
     sizes_mm: NDArray[np.float64]
+    classes: NDArray[np.int64]
     unit_mm: NDArray[np.float64]
 
-    def novelty(self, sizes_mm: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return (n,): how far sizes (n, k) lie from the nearest taught grasp; 0 on its place.
+    def novelty(
+        self, sizes_mm: NDArray[np.float64], classes: NDArray[np.int64]
+    ) -> NDArray[np.float64]:
+        """Return (n,): how far sizes (n, k) lie from the taught ones of objects (n,); 0 at one.
 
-        It is the logarithm of 1 plus the squared distance in units, to be added to the logarithm
-        of another squared distance.
+        It is the logarithm of 1 plus the squared distance in units to the nearest, to be added to
+        the logarithm of another squared distance.
         """
-        unit = self.unit_mm
-        nearest = squared_distances(sizes_mm / unit, self.sizes_mm / unit).min(axis=1)
-        return np.asarray(np.log1p(nearest), dtype=np.float64)
+        squared = squared_distances(sizes_mm / self.unit_mm, self.sizes_mm / self.unit_mm)
+        squared[classes[:, None] != self.classes] = np.inf
+        return np.asarray(np.log1p(squared.min(axis=1)), dtype=np.float64)
 
     def to_arrays(self, prefix: str) -> dict[str, NDArray[Any]]:
         """Return everything as plain arrays under names that begin with the prefix."""
-        return {f"{prefix}mm": self.sizes_mm, f"{prefix}unit_mm": self.unit_mm}
+        return {
+            f"{prefix}mm": self.sizes_mm,
+            f"{prefix}classes": self.classes,
+            f"{prefix}unit_mm": self.unit_mm,
+        }
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]], prefix: str) -> Self:
         """Rebuild from `to_arrays`; KeyError where an array is missing."""
-        return cls(sizes_mm=arrays[f"{prefix}mm"], unit_mm=arrays[f"{prefix}unit_mm"])
+        return cls(
+            sizes_mm=arrays[f"{prefix}mm"],
+            classes=arrays[f"{prefix}classes"],
+            unit_mm=arrays[f"{prefix}unit_mm"],
+        )
 
 
 def fit_sizes(sizes_mm: NDArray[np.float64], classes: NDArray[np.int64]) -> TaughtSizes:
@@ -63,4 +79,14 @@ def fit_sizes(sizes_mm: NDArray[np.float64], classes: NDArray[np.int64]) -> Taug
     total_mm2 = _PRIOR_GRASPS * np.array(_PRIOR_MM[: sizes_mm.shape[1]]) ** 2
     total_mm2 = total_mm2 + nearest_mm2.sum(axis=0)
     unit_mm = np.sqrt(total_mm2 / (_PRIOR_GRASPS + len(sizes_mm)))
-    return TaughtSizes(sizes_mm=sizes_mm, unit_mm=unit_mm)
+    kept = np.concatenate([_inner(sizes_mm / unit_mm, classes == c) for c in np.unique(classes)])
+    return TaughtSizes(sizes_mm=sizes_mm[kept], classes=classes[kept], unit_mm=unit_mm)
+
+
+def _inner(sizes: NDArray[np.float64], members: NDArray[np.bool_]) -> NDArray[np.int64]:
+    """Return the rows of one object without the loneliest of its sizes (n, k), `_OUTER_SHARE`."""
+    rows = np.flatnonzero(members)
+    n_outer = int(_OUTER_SHARE * len(rows))
+    to_others = np.sort(squared_distances(sizes[rows], sizes[rows]), axis=1)
+    lonely = to_others[:, min(1 + n_outer, len(rows) - 1)]
+    return rows[np.argsort(lonely, kind="stable")[: len(rows) - n_outer]]

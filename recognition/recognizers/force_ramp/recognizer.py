@@ -48,7 +48,7 @@ class Occasion(Enum):
 
     @property
     def trust(self) -> float:
-        """Weight of the discriminant without drift; only with 1 the size counts."""
+        """Weight of the discriminant without drift; with 1 the zero of the opening holds."""
         return _TRUST[self]
 
 

@@ -110,9 +110,10 @@ class View:
         view has the opening, with its zero in mm.
     temperature
         Log odds are divided by it.
+    usual_novelty
+        Median novelty of held-out grasps without their size: nearer ones are no less novel.
     usual_size
-        What the size adds to the novelty of taught objects at its limit: in place of a size that
-        does not count.
+        What the size adds to the novelty at its limit: in place of a size that does not count.
     novelty
         Detector of objects that were never taught.
     dependence
@@ -125,6 +126,7 @@ class View:
     means: NDArray[np.float64]
     slopes: NDArray[np.float64]
     temperature: float
+    usual_novelty: float
     usual_size: float
     novelty: NoveltyDetector
     dependence: float
@@ -140,15 +142,18 @@ class View:
         """Return probabilities of the classes (n, C), and that the object is new (n,).
 
         ``trust`` from 0 to 1 is the weight of the classes without drift; with less than 1 the zero
-        of the opening, and so the sizes (n, k), may have moved and do not count. ``caution`` is as
-        in `NoveltyDetector.probability`.
+        of the opening may have moved, and the sizes (n, k) do not count. ``caution`` is as in
+        `NoveltyDetector.probability`.
         """
         scores, novelty = self.taught.score(features)
-        size = self.sizes.novelty(sizes_mm) if trust == 1.0 else self.usual_size
-        if trust < 1.0:
+        size = self.usual_size
+        if trust == 1.0:
+            size = self.sizes.novelty(sizes_mm, scores.argmax(axis=1))
+        else:
             pooled = zip((scores, novelty), self.drifted.score(features), strict=True)
             scores, novelty = (trust * one + (1.0 - trust) * other for one, other in pooled)
-        new = self.novelty.probability(novelty + size, caution=caution)
+        novelty = np.maximum(novelty, self.usual_novelty) + size
+        new = self.novelty.probability(novelty, caution=caution)
         return to_probability(scores, self.temperature), new
 
     def drift_step(
@@ -179,6 +184,7 @@ class View:
             f"{prefix}means": self.means,
             f"{prefix}slopes": self.slopes,
             f"{prefix}temperature": np.array(self.temperature),
+            f"{prefix}usual_novelty": np.array(self.usual_novelty),
             f"{prefix}usual_size": np.array(self.usual_size),
             **({} if spread is None else spread.to_arrays(f"{prefix}spread_")),
             **self.novelty.to_arrays(f"{prefix}novelty_"),
@@ -200,6 +206,7 @@ class View:
             means=arrays[f"{prefix}means"],
             slopes=arrays[f"{prefix}slopes"],
             temperature=float(arrays[f"{prefix}temperature"]),
+            usual_novelty=float(arrays[f"{prefix}usual_novelty"]),
             usual_size=float(arrays[f"{prefix}usual_size"]),
             novelty=NoveltyDetector.from_arrays(arrays, f"{prefix}novelty_"),
             dependence=float(arrays[f"{prefix}dependence"]),
@@ -259,25 +266,28 @@ def fit_view(
         taught: NDArray[np.bool_], others: NDArray[np.bool_]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         scores, novelty = teach(taught).score(features[others])
-        sizes = fit_sizes(sizes_mm[taught], classes[taught])
-        return scores, novelty, novelty + sizes.novelty(sizes_mm[others])
+        sizes = fit_sizes(sizes_mm[taught], np.unique(classes[taught], return_inverse=True)[1])
+        return scores, novelty, sizes.novelty(sizes_mm[others], scores.argmax(axis=1))
 
     every = np.ones(len(classes), dtype=np.bool_)
     blocks = blocked_folds(classes, _BLOCKS)
     parts = [score(~block, block) for block in blocks]
     rows = np.concatenate([np.flatnonzero(block) for block in blocks])
-    scores, without_size, kept = (np.concatenate(found) for found in zip(*parts, strict=True))
+    scores, kept, kept_size = (np.concatenate(found) for found in zip(*parts, strict=True))
+    usual = float(np.median(kept))
+    kept = np.maximum(kept, usual)
     temperature = fit_temperature(scores, classes[rows])
     known, new = [np.zeros(0)], [np.zeros(0)]
     n_groups = min(_LEFT_OUT_GROUPS, n_classes) if n_classes >= _MIN_CLASSES_TO_LEAVE_OUT else 0
     for group in range(n_groups):
         out, block = classes % n_groups == group, blocks[group % len(blocks)]
-        novelty = score(~out & ~block, block | out)[2]
+        _, novelty, size = score(~out & ~block, block | out)
+        novelty = np.maximum(novelty, usual) + size
         is_new = out[block | out]
         known.append(novelty[~is_new])
         new.append(novelty[is_new])
     share = held_out_kept(np.bincount(classes))
-    even = float(np.quantile(kept, share))
+    even = float(np.quantile(kept + kept_size, share))
     block_of = np.repeat(np.arange(len(blocks)), [int(block.sum()) for block in blocks])
     order = np.argsort(rows)
     return View(
@@ -287,7 +297,8 @@ def fit_view(
         means=np.stack([features[classes == c].mean(axis=0) for c in range(n_classes)]),
         slopes=slopes,
         temperature=temperature,
-        usual_size=even - float(np.quantile(without_size, share)),
+        usual_novelty=usual,
+        usual_size=even - float(np.quantile(kept, share)),
         novelty=fit_novelty_detector(np.concatenate(known), np.concatenate(new), even),
         dependence=fit_dependence(
             to_probability(scores, temperature)[order], classes[rows][order], block_of[order]

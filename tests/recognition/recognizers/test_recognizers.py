@@ -260,6 +260,6 @@ def test_the_occasion_is_when_and_where_a_grasp_was_taken(train, fresh):
     assert taught.posterior(anywhere).occasion == "within an hour of teaching"
     assert taught.posterior(a_day_later(here)).occasion == "at another time than the teaching"
     assert taught.posterior(there).occasion == "on another cell than the teaching"
-    assert taught.posterior(there).unknown < taught.posterior(here).unknown
+    assert taught.posterior(there).unknown > taught.posterior(here).unknown
     gauged = taught.expecting(NO_DRIFT, gauged=True)
     assert gauged.posterior(there).occasion == "the drift was gauged"

@@ -16,15 +16,19 @@ def sizes(spread_mm: float) -> np.ndarray:
 
 def test_a_size_between_the_taught_ones_is_new_and_theirs_is_not():
     found = fit_sizes(sizes(0.2), CLASSES)
-    taught, between = found.novelty(np.array([[10.1, 12.1], [20.0, 22.0]]))
+    taught, between, of_the_other = found.novelty(
+        np.array([[10.1, 12.1], [20.0, 22.0], [30.0, 32.0]]), np.zeros(3)
+    )
     assert taught < 0.5
-    assert between > 6.0
+    assert of_the_other > between > 6.0
 
 
 def test_both_faces_of_an_object_are_taught_sizes():
     two_faces = np.where(np.arange(12) % 2, 10.0, 16.0)[:, None] + np.array([0.0, 2.0])
     found = fit_sizes(two_faces, np.zeros(12, dtype=np.int64))
-    thin, middle, thick = found.novelty(np.array([[10.0, 12.0], [13.0, 15.0], [16.0, 18.0]]))
+    thin, middle, thick = found.novelty(
+        np.array([[10.0, 12.0], [13.0, 15.0], [16.0, 18.0]]), np.zeros(3)
+    )
     assert thin == thick == 0.0
     assert middle > 4.0
 
@@ -42,9 +46,15 @@ def test_few_grasps_keep_the_unit_near_the_expected_one():
     assert np.all(many.unit_mm < 0.5 * few.unit_mm)
 
 
+def test_a_lonely_one_of_many_grasps_teaches_no_size():
+    many = np.append(np.linspace(9.5, 10.5, 59), 14.0)[:, None] + np.array([0.0, 2.0])
+    (at_the_lonely,) = fit_sizes(many, np.zeros(60, dtype=np.int64)).novelty(many[-1:], np.zeros(1))
+    assert at_the_lonely > 2.0
+
+
 def test_without_the_opening_no_size_is_new():
     found = fit_sizes(np.zeros((12, 0)), CLASSES)
-    assert found.novelty(np.zeros((3, 0))) == pytest.approx(np.zeros(3))
+    assert found.novelty(np.zeros((3, 0)), np.zeros(3)) == pytest.approx(np.zeros(3))
 
 
 def test_sizes_come_back_from_their_arrays():
