@@ -5,15 +5,14 @@ elsewhere is refused by its Origin. JSON in and out; what is refused has a fault
 """
 
 import asyncio
-import hmac
 import json
 import secrets
 import socket
 import threading
 from collections.abc import Awaitable, Callable, MutableMapping
 from dataclasses import asdict, fields
+from functools import partial
 from ipaddress import ip_address
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import uvicorn
@@ -22,12 +21,19 @@ from fastapi.responses import JSONResponse
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from pydantic import BaseModel, ConfigDict
 from starlette.websockets import WebSocketDisconnect
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from cell.control.plan import Pose
 from cell.control.states import CellStatus, Command
 from cell.errors import CellError, CellStateError, ConfigError, NotInCommand, RequestRefused
 from cell.fault_catalogue import fault_number
-from cell.interfaces.service.doors import BUSY_MAX, QUIET_S, may_connect
+from cell.interfaces.service.doors import (
+    Places,
+    is_for_this_machine,
+    may_connect,
+    read_secret,
+    same_secret,
+)
 from cell.interfaces.service.service import Service, Snapshot
 from gripper.errors import GripperError
 from tactile.errors import TactileError
@@ -111,7 +117,7 @@ class Api:
 
     def __init__(self, service: Service, token: str) -> None:
         self._service = service
-        self._token = token.encode()
+        self._token = token
 
     def app(self) -> FastAPI:
         """Return the application."""
@@ -139,7 +145,7 @@ class Api:
     def _authorize(
         self, found: Annotated[HTTPAuthorizationCredentials, Depends(HTTPBearer())]
     ) -> None:
-        if not hmac.compare_digest(found.credentials.encode(), self._token):
+        if not same_secret(found.credentials, self._token):
             raise HTTPException(401, "wrong token")
 
     def info(self) -> dict[str, Any]:
@@ -202,7 +208,7 @@ class Api:
         Each message is the newest there is when the client can take it: a slow one misses some.
         """
         asked = link.query_params
-        if not hmac.compare_digest(asked.get("token", "").encode(), self._token):
+        if not same_secret(asked.get("token", ""), self._token):
             await link.close(1008, "wrong token")
             return
         await link.accept()
@@ -210,7 +216,7 @@ class Api:
         try:
             while not gone.done():
                 now = self._service.snapshot()
-                async with asyncio.timeout(QUIET_S):
+                async with asyncio.timeout(self._service.config.serve.request_timeout_s):
                     await link.send_text(json.dumps(snapshot_json(now)))
                     counts = now.status.live.counts
                     if asked.get("frames") == "1" and counts is not None:
@@ -233,7 +239,7 @@ async def _until_gone(link: WebSocket) -> None:
 
 
 class Gate:
-    """ASGI middleware: refuses hosts, origins and sizes before anything is read.
+    """ASGI middleware: refuses clients, names, origins and sizes before anything is read.
 
     Parameters
     ----------
@@ -260,8 +266,12 @@ class Gate:
 
     def _refusal(self, scope: Scope) -> int:
         headers = {name.lower(): value.decode("latin-1") for name, value in scope["headers"]}
-        client = scope.get("client")
-        if client is None or not may_connect(client[0], self._service.config.serve):
+        hosts = [value.decode("latin-1") for name, value in scope["headers"] if name == b"host"]
+        client, reached = scope.get("client"), scope.get("server")
+        config = self._service.config.serve
+        if client is None or reached is None or not may_connect(client[0], config):
+            return 403
+        if not is_for_this_machine(hosts, reached[0], config):
             return 403
         origin = headers.get(b"origin")
         if origin is not None and origin.partition("://")[2] != headers.get(b"host"):
@@ -270,6 +280,61 @@ class Gate:
         if b"transfer-encoding" in headers or not length.isdecimal() or int(length) > LONGEST:
             return 413
         return 0
+
+
+class Connection(H11Protocol):
+    """A connection that has a place at the door, and whose requests have a limit of time.
+
+    Parameters
+    ----------
+    places
+        Those of the door.
+    limit_s
+        Longest time in s from the first byte of a request to the end of its answer; a new
+        connection has as much for its first one.
+    """
+
+    def __init__(self, places: Places[asyncio.Transport], limit_s: float, **server: Any) -> None:
+        super().__init__(**server)
+        self._places = places
+        self._limit_s = limit_s
+        self._limit: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Begin."""
+        super().connection_made(transport)
+        self._places.enter(transport)
+        self._begin()
+
+    def data_received(self, data: bytes) -> None:
+        """Take bytes, the first ones of a request too."""
+        self._begin()
+        super().data_received(data)
+
+    def handle_websocket_upgrade(self, event: Any) -> None:
+        """Hand the connection on; the limits of a WebSocket are those of its messages."""
+        self._end()
+        super().handle_websocket_upgrade(event)
+
+    def on_response_complete(self) -> None:
+        """Go on to the next request."""
+        self._end()
+        super().on_response_complete()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """End."""
+        self._end()
+        super().connection_lost(exc)
+
+    def _begin(self) -> None:
+        if self._limit is None:
+            self._limit = self.loop.call_later(self._limit_s, self.transport.abort)
+
+    def _end(self) -> None:
+        self._places.heard(self.transport)
+        if self._limit is not None:
+            self._limit.cancel()
+            self._limit = None
 
 
 class WebDoor:
@@ -288,21 +353,19 @@ class WebDoor:
 
     def __init__(self, service: Service) -> None:
         config = service.config.serve
-        self.token = (
-            Path(config.token_file).read_text(encoding="ascii").strip()
-            if config.token_file
-            else secrets.token_urlsafe(24)
+        places = Places[asyncio.Transport](
+            lambda link: link.abort(), lambda link: link.is_closing()
         )
-        if len(self.token) < 16:
-            raise ConfigError(f"{config.token_file}: a token has at least 16 characters")
+        file = config.token_file
+        self.token = read_secret(file) if file else secrets.token_urlsafe(24)
         settings = uvicorn.Config(
             Gate(Api(service, self.token).app(), service),
             log_config=None,
             access_log=False,
             lifespan="off",
+            http=partial(Connection, places, config.request_timeout_s),  # type: ignore[arg-type]
             ws="websockets-sansio",
             ws_max_size=LONGEST,
-            limit_concurrency=BUSY_MAX,
             timeout_graceful_shutdown=1,
             ssl_certfile=config.tls_certificate or None,
             ssl_keyfile=config.tls_key or None,

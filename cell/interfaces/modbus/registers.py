@@ -6,12 +6,13 @@ changes; a client that connects anew first writes the acknowledged number. The p
 """
 
 import itertools
+import struct
 from collections.abc import Callable, Sequence
 from math import degrees
 from typing import Any
 
 from cell.control.states import CellState, Command, GraspState
-from cell.errors import NotInCommand, RequestRefused
+from cell.errors import ConfigError, NotInCommand, RequestRefused
 from cell.fault_catalogue import fault_number
 from cell.interfaces.modbus.protocol import (
     DEVICE_BUSY,
@@ -20,7 +21,7 @@ from cell.interfaces.modbus.protocol import (
     ModbusError,
     ModbusServer,
 )
-from cell.interfaces.service.doors import may_connect
+from cell.interfaces.service.doors import may_connect, read_secret, same_secret
 from cell.interfaces.service.service import JobView, Service, Snapshot
 from recognition.recognizer import UNKNOWN
 
@@ -30,6 +31,8 @@ SIGNATURE = 0x5443
 LIFE, COMMAND, OBJECT, FORCE, GRASPS, OPTIONS, KEY, HOLD, COMMAND_SEQ = range(9)
 """Holding registers. `OBJECT` is the number of the pose for commands 40 and 41."""
 N_HOLDING, N_INPUT = 9, 64
+SECRET_AT, N_SECRET = 32, 32
+"""Holding registers of the secret: written and never read."""
 TEXT_AT = 32
 """First input register of the fault's text."""
 KEEP_ALWAYS, KEEP_NAMED = 1, 2
@@ -134,7 +137,9 @@ class ModbusDoor:
     Raises
     ------
     OSError
-        If it cannot listen at the configured address and port.
+        If it cannot listen at the configured address and port, or the file of the secret be read.
+    ConfigError
+        If the secret is too short or too long.
     """
 
     def __init__(self, service: Service) -> None:
@@ -148,10 +153,14 @@ class ModbusDoor:
         self._synchronous = False
         self._seq = 0
         self._result = 0
+        self._secret = read_secret(config.secret_file) if config.secret_file else ""
+        if len(self._secret) > 2 * N_SECRET:
+            raise ConfigError(f"{config.secret_file}: Modbus carries {2 * N_SECRET} characters")
         self._server = ModbusServer(
             config.listen,
             config.modbus_port or 0,
             lambda host: _Client(self, host) if may_connect(host, config) else None,
+            request_timeout_s=config.request_timeout_s,
         )
         self.port = self._server.port
 
@@ -177,7 +186,10 @@ class ModbusDoor:
         return everything[address : address + count]
 
     def write(self, client: "_Client", address: int, values: Sequence[int]) -> None:
-        """Write registers of the client in command, or hold for any client."""
+        """Write registers of the client in command, or hold or the secret for any client."""
+        if address >= SECRET_AT and address + len(values) <= SECRET_AT + N_SECRET:
+            client.secret[address - SECRET_AT : address - SECRET_AT + len(values)] = values
+            return
         if address + len(values) > N_HOLDING:
             raise ModbusError(ILLEGAL_ADDRESS)
         new = dict(enumerate(values, start=address))
@@ -206,6 +218,10 @@ class ModbusDoor:
 
     def _command(self, client: "_Client", new: dict[int, int]) -> None:
         """Check that the client may write, and give or keep the lease with its life counter."""
+        if client is not self._owner and self._secret:
+            given = struct.pack(f">{N_SECRET}H", *client.secret).rstrip(b"\0").decode("latin-1")
+            if not same_secret(given, self._secret):
+                raise ModbusError(ILLEGAL_VALUE)
         mine = self._has_lease()
         lives = LIFE in new and new[LIFE] != self._holding[LIFE]
         inherits = self._owner is None and self._host == client.host
@@ -252,6 +268,7 @@ class _Client:
 
     def __init__(self, door: ModbusDoor, host: str) -> None:
         self.host = host
+        self.secret = [0] * N_SECRET
         self._door = door
 
     def read(self, function: int, address: int, count: int) -> Sequence[int]:

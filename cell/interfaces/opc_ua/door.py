@@ -19,7 +19,7 @@ from cryptography.x509 import ExtensionNotFound
 from cell.errors import ConfigError
 from cell.interfaces.opc_ua.server import CellServer, Clients, Sessions
 from cell.interfaces.service.service import Service, Snapshot
-from cell.interfaces.xml_rpc import methods, ur_pose
+from cell.interfaces.xml_rpc import Calls, methods, ur_pose
 
 NAMESPACE = "urn:tactile-cell:cell"
 """Namespace of the nodes; their ids are their paths, as ``Cell.Job.Label``."""
@@ -211,8 +211,14 @@ def called_methods(service: Service) -> dict[str, Callable[..., Any]]:
         service.hold("over OPC UA")
         return 0
 
-    every = methods(service)
-    return {"hold": hold} | {n: c for n, c in every.items() if inspect.signature(c).parameters}
+    every = methods(Calls(service))
+
+    def acquire(name: str) -> int:
+        """Return the number of the lease to command with; keep it with `alive`."""
+        return int(every["acquire"](name))
+
+    of_cell = {name: call for name, call in every.items() if inspect.signature(call).parameters}
+    return of_cell | {"hold": hold, "acquire": acquire}
 
 
 def _called(call: Callable[..., Any], _parent: Any, *given: ua.Variant) -> list[ua.Variant]:

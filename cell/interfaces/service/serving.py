@@ -16,8 +16,11 @@ def warnings(service: Service) -> tuple[str, ...]:
     notes = []
     if not ip_address(config.listen).is_loopback:
         if config.modbus_port is not None or config.xmlrpc_port is not None:
+            weakness = (
+                "send their secret in the clear" if config.secret_file else "authenticate nobody"
+            )
             notes.append(
-                f"Modbus and XML-RPC authenticate nobody: who reaches {config.listen} from "
+                f"Modbus and XML-RPC {weakness}: who reaches {config.listen} from "
                 f"{', '.join(config.allow)} can move the gripper; use a network of the cell alone"
             )
         if config.http_port is not None and not config.tls_certificate:

@@ -6,6 +6,7 @@ import socket
 import struct
 import subprocess
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -29,6 +30,7 @@ from cell.interfaces.modbus.registers import (
     RUNNING,
     SIGNATURE,
 )
+from cell.interfaces.service.doors import BUSY_MAX
 from cell.interfaces.service.service import RELEASE_KEY
 from tests.cell.interfaces.conftest import Served, until
 from tests.cell.interfaces.modbus.structured_text import FunctionBlock
@@ -241,6 +243,45 @@ def test_a_second_master_over_another_door_is_refused(connect: Any) -> None:
     served.pass_lease()
     assert plc.live() == 0
     assert plc.inputs()[2] == READY | REMOTE
+
+
+def test_who_commands_writes_the_secret_first_where_there_is_one(
+    connect: Any, tmp_path: Path
+) -> None:
+    (tmp_path / "secret").write_text("seventeen letters\n")
+    served, plc = connect(serve__secret_file=str(tmp_path / "secret"))
+    _, second = connect(served)
+    words = struct.unpack(">9H", b"seventeen letters\0")
+    assert plc.live() == 3
+    assert plc.write(32, *words[:-1]) == 0
+    assert plc.live() == 3
+    assert plc.write(7, 1) == 0  # anyone holds
+    assert plc.write(7, 0) == 0
+    for address, word in enumerate(words, start=32):  # one by one, as a UR writes
+        assert not plc.link.write_register(address, word).isError()
+    assert plc.link.read_holding_registers(32, count=1).exception_code == 2
+    plc.adopt()
+    assert second.write(LIFE, 9) == 3
+    plc.link.close()
+    # The lease that a closed connection has left is no way round it.
+    assert second.write(LIFE, 10) == 3
+    assert second.write(63, 0, 0) == 2
+    assert second.write(32, *words, *[0] * 23) == 0
+    until(lambda: second.write(LIFE, 11) == 0)
+    assert served.service.snapshot().commander
+
+
+def test_connections_that_say_nothing_keep_nobody_out(connect: Any) -> None:
+    served, plc = connect()
+    plc.adopt()
+    with contextlib.ExitStack() as idle:
+        for _ in range(2 * BUSY_MAX):
+            place = ("127.0.0.1", served.doors["modbus_port"])
+            idle.enter_context(socket.create_connection(place, timeout=20.0))
+        _, second = connect(served)
+        assert second.write(7, 1) == 0
+        assert second.write(7, 0) == 0
+        assert plc.live() == 0  # the one in command was heard later than all of them
 
 
 def test_a_frozen_life_counter_holds_the_job(connect: Any) -> None:

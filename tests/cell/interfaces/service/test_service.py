@@ -1,6 +1,7 @@
 """The service: one lease commands, anyone holds, nothing is done twice, nothing resumes."""
 
 import math
+import socket
 import threading
 from pathlib import Path
 from typing import Any
@@ -12,7 +13,7 @@ from cell.data.recording_reader import read_recording
 from cell.errors import CellStateError, ConfigError, NotInCommand, RequestRefused
 from cell.interfaces.plugin import worker
 from cell.interfaces.service import service as service_module
-from cell.interfaces.service.doors import may_connect
+from cell.interfaces.service.doors import is_for_this_machine, may_connect
 from cell.interfaces.service.service import RELEASE_KEY
 from tests.cell.interfaces.conftest import LEASE_S, until
 
@@ -447,8 +448,47 @@ def test_hosts_are_this_machine_and_those_allowed(make_config: Any) -> None:
 
 
 @pytest.mark.parametrize(
+    ("host", "may"),
+    [
+        ("localhost", True),
+        ("LocalHost.:5021", True),
+        ("127.0.0.1", True),
+        ("127.9.9.9:1", True),
+        ("[::1]", True),
+        ("[::1]:5021", True),
+        (socket.gethostname(), True),
+        ("192.0.2.1:5021", True),  # the address that the connection has reached
+        ("192.0.2.2", False),
+        ("cell.lan", True),
+        ("CELL.lan:80", True),
+        ("10.0.0.7", True),
+        ("evil.example", False),
+        ("evil.cell.lan", False),
+        ("cell.lan.evil.example", False),
+        ("localhost.evil.example", False),
+        ("localhost:5021:evil", False),
+        ("127.0.0.1@evil.example", False),
+        ("127.1", False),
+        ("0.0.0.0", False),
+        ("", False),
+        (".", False),
+        ("[::1", False),
+        ("localhost\n", False),
+    ],
+)
+def test_requests_name_this_machine(make_config: Any, host: str, may: bool) -> None:
+    config = make_config(serve__hosts=["cell.lan", "10.0.0.7"]).serve
+    assert is_for_this_machine([host], "192.0.2.1", config) is may
+    assert not is_for_this_machine([host, host], "192.0.2.1", config)
+    assert not is_for_this_machine([], "192.0.2.1", config)
+
+
+@pytest.mark.parametrize(
     ("changes", "complaint"),
     [
+        ({"serve__hosts": ["http://cell.lan"]}, "without port"),
+        ({"serve__hosts": ["cell.lan:80"]}, "without port"),
+        ({"serve__hosts": [""]}, "without port"),
         ({"serve__listen": "0.0.0.0"}, "serve.allow is empty"),
         ({"serve__listen": "localhost"}, "does not appear to be"),
         ({"serve__allow": ["everyone"]}, "does not appear to be"),
