@@ -16,7 +16,7 @@ from ipaddress import ip_address
 from typing import Annotated, Any, Literal
 
 import uvicorn
-from fastapi import APIRouter, Depends, FastAPI, HTTPException, Request, WebSocket
+from fastapi import APIRouter, Depends, FastAPI, HTTPException, Query, Request, WebSocket
 from fastapi.responses import JSONResponse
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from pydantic import BaseModel, ConfigDict
@@ -25,7 +25,14 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from cell.control.plan import Pose
 from cell.control.states import CellStatus, Command
-from cell.errors import CellError, CellStateError, ConfigError, NotInCommand, RequestRefused
+from cell.errors import (
+    CellError,
+    CellStateError,
+    ConfigError,
+    HeldByClient,
+    NotInCommand,
+    RequestRefused,
+)
 from cell.fault_catalogue import fault_number
 from cell.interfaces.service.doors import (
     Places,
@@ -42,7 +49,13 @@ LONGEST = 65536
 """Largest request in bytes."""
 RATE_HZ = 30.0
 """Messages a second to one WebSocket, whatever the source."""
-_STATUS = {NotInCommand: 403, CellStateError: 409, RequestRefused: 422, ConfigError: 422}
+_STATUS = {
+    NotInCommand: 403,
+    CellStateError: 409,
+    HeldByClient: 409,
+    RequestRefused: 422,
+    ConfigError: 422,
+}
 """HTTP status of refusals; 500 for all others."""
 
 Scope = MutableMapping[str, Any]
@@ -99,6 +112,7 @@ def snapshot_json(now: Snapshot) -> dict[str, Any]:
         "last_answer": None if now.last_answer is None else asdict(now.last_answer),
         "live": {name: getattr(live, name) for name in live.__slots__ if name != "counts"},
         "commander": now.commander,
+        "held_by": now.held_by,
         "pose_seq": now.pose_seq,
         "pose": None if now.pose is None else now.pose.as_dict(),
     }
@@ -197,10 +211,20 @@ class Api:
         self._service.pose_reached(body.lease, body.seq, ok=body.ok, pose=reached)
         return {"seq": body.seq}
 
-    def hold(self) -> dict[str, str]:
-        """Stop what runs and keep the grip; anyone may, without token and lease."""
-        self._service.hold("over HTTP")
-        return {"state": self._service.status().state}
+    def hold(
+        self,
+        request: Request,
+        latch: bool | None = None,
+        name: Annotated[str, Query(max_length=60)] = "",
+    ) -> dict[str, Any]:
+        """Stop what runs and keep the grip; anyone may, without token and lease.
+
+        With ``latch=true`` nothing that moves starts until the same client, by address and name,
+        asks with ``latch=false``. A pressed button repeats it at least each serve.lease_timeout_s.
+        """
+        host = "" if request.client is None else request.client.host
+        self._service.hold_as(f"HTTP {host} {name}".rstrip(), latch)
+        return {"state": self._service.status().state, "held_by": self._service.held_by}
 
     async def live(self, link: WebSocket) -> None:
         """Send the state as JSON; with ``?frames=1`` the newest counts too (uint16, LE).

@@ -10,6 +10,7 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
+from contextvars import ContextVar
 from io import BufferedReader
 from math import atan2, cos, hypot, inf, sin
 from socket import SHUT_RDWR, socket
@@ -34,6 +35,8 @@ from cell.interfaces.service.service import Service
 
 LONGEST = 65536
 """Largest request in bytes."""
+_CLIENT: ContextVar[str] = ContextVar("client", default="")
+"""Address of the client whose call is answered on this thread; empty where that is not known."""
 _IDLE_S = 60.0
 """Silence in s after which a connection is closed; robots connect anew by themselves."""
 
@@ -70,11 +73,14 @@ class Calls:
         The cell.
     secret
         What `acquire` asks for; empty: nothing.
+    door
+        Name of the door in what is shown.
     """
 
-    def __init__(self, service: Service, secret: str = "") -> None:
+    def __init__(self, service: Service, secret: str = "", *, door: str = "XML-RPC") -> None:
         self._service = service
         self._secret = secret
+        self._door = door
 
     def acquire(self, secret: str, name: str | None = None) -> int:
         """Return the lease to command with; keep it with `alive`.
@@ -170,10 +176,19 @@ class Calls:
         """Start to verify the devices anew; return the job."""
         return self._service.command(lease, Command.RESET, number=job)
 
-    def hold(self) -> int:
-        """Stop what runs and keep the grip; anyone may. Return 0."""
-        self._service.hold("over XML-RPC")
+    def hold(self, latch: int = -1, name: str = "") -> int:
+        """Stop what runs and keep the grip; anyone may. Return 0.
+
+        With `latch` 1 nothing that moves starts until the same client, by address and name, calls
+        with 0; -1: once. A pressed button repeats 1 at least each `serve.lease_timeout_s`.
+        """
+        who = " ".join(filter(None, (self._door, _CLIENT.get(), name[:60])))
+        self._service.hold_as(who, None if latch < 0 else bool(latch))
         return 0
+
+    def held_by(self) -> str:
+        """Return the clients that keep the cell on hold; empty for none."""
+        return ", ".join(self._service.held_by)
 
     def job_state(self, job: int) -> int:
         """Return how a job is: 1 accepted, 2 running, 4 done, 5 held on request, 6 aborted."""
@@ -230,7 +245,12 @@ class Calls:
         return self._service.status().fault or ""
 
 
-_EMPTY: Mapping[str, Any] = {"label": "", "fault_text": "", "next_pose": ur_pose(None)}
+_EMPTY: Mapping[str, Any] = {
+    "label": "",
+    "fault_text": "",
+    "held_by": "",
+    "next_pose": ur_pose(None),
+}
 """What methods that return no number return where they fail."""
 
 
@@ -264,6 +284,7 @@ class _Handler(SimpleXMLRPCRequestHandler):
 
     def handle_one_request(self) -> None:
         """Answer a request, which has a limit of time from its first byte on."""
+        _CLIENT.set(self.client_address[0])  # the thread is of this connection alone
         self.rfile.peek(1)
         self.server.begun(self.connection)
         super().handle_one_request()

@@ -64,6 +64,7 @@ VALUES = (
     Value("State.Name", _TEXT, "PackML name", lambda now: now.status.state),
     Value("State.NeedsReset", _BOOL, "Waits for reset", lambda now: now.status.needs_reset),
     Value("State.Commander", _TEXT, "Client in command", lambda now: now.commander),
+    Value("State.HeldBy", _TEXT, "Clients on hold", lambda now: ", ".join(now.held_by)),
     Value("Grip.Number", _INT, "State, 0 to 7", lambda now: now.status.grasp_number),
     Value("Grip.Name", _TEXT, "State", lambda now: now.status.grasp),
     Value("Grip.Holding", _BOOL, "A part may be held", lambda now: now.status.holding),
@@ -205,20 +206,14 @@ class OpcUaDoor:
 
 def called_methods(service: Service) -> dict[str, Callable[..., Any]]:
     """Return the methods of XML-RPC that do more than read a variable."""
-
-    def hold() -> int:
-        """Stop what runs and keep the grip; needs no lease. Return 0."""
-        service.hold("over OPC UA")
-        return 0
-
-    every = methods(Calls(service))
+    every = methods(Calls(service, door="OPC UA"))
 
     def acquire(name: str) -> int:
         """Return the number of the lease to command with; keep it with `alive`."""
         return int(every["acquire"](name))
 
     of_cell = {name: call for name, call in every.items() if inspect.signature(call).parameters}
-    return of_cell | {"hold": hold, "acquire": acquire}
+    return of_cell | {"acquire": acquire}
 
 
 def _called(call: Callable[..., Any], _parent: Any, *given: ua.Variant) -> list[ua.Variant]:

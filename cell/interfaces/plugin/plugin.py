@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, Self
 from cell.config.file import load_config
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
-from cell.control.states import CellState, CellStatus, Command
+from cell.control.states import CellState, CellStatus, Command, answer
 from cell.errors import PartInGrip, error_text
 from cell.interfaces.plugin.answer import (
     Answer,
@@ -312,7 +312,7 @@ class TactileCellPlugin:
 
     # -- commands ------------------------------------------------------------------------------
 
-    def begin(self, command: Command, *, reboot: bool = False) -> Job:
+    def begin(self, command: Command, *, reboot: bool = False, needless: bool = False) -> Job:
         """Start `release`, `clear`, `reset` or a shutdown as a job and return its handle at once.
 
         Parameters
@@ -322,6 +322,8 @@ class TactileCellPlugin:
             STOPPED, what is held stays held, and `reset` starts it anew.
         reboot
             As `clear`.
+        needless
+            Whether a clear is accepted where nothing of the cell is to be cleared.
 
         Raises
         ------
@@ -329,6 +331,8 @@ class TactileCellPlugin:
             If the state of the cell does not allow it, or another job runs.
         """
         controller = self._cell.controller
+        if needless and not answer(controller.state, command).accepted:
+            return self._accept(lambda _report: None, None, command.value)
         stopped = controller.state is CellState.STOPPED
 
         def reset() -> None:

@@ -174,6 +174,26 @@ def test_all_but_hold_needs_the_token(connect: Any) -> None:
     assert served.grip_n > 1.0
 
 
+def test_a_hold_is_a_level_for_each_client(connect: Any) -> None:
+    served, host = connect()
+    lease = host.post("/api/lease", name="host")["lease"]
+    gate = "HTTP 127.0.0.1 gate"
+    found = host.ask("POST", "/api/hold?latch=true&name=gate", token=None)
+    assert found == (200, {"state": "IDLE", "held_by": [gate]})
+    assert host.get("/api/state")["held_by"] == [gate]
+    with host.live() as link:
+        assert json.loads(link.recv(timeout=20))["held_by"] == [gate]
+    for body in ({"lease": lease, "goal": {"task": "grip", "force_n": 3.0}},):
+        status, found = host.ask("POST", "/api/jobs", body)
+        assert (status, found["fault_number"]) == (409, 515)
+    for query in ("", "?latch=false", "?latch=false&name=door"):
+        assert host.ask("POST", f"/api/hold{query}", {})[1]["held_by"] == [gate]
+    assert host.ask("POST", "/api/hold?latch=false&name=gate")[1]["held_by"] == []
+    assert host.ask("POST", "/api/hold?latch=perhaps")[0] == 422
+    host.post("/api/jobs", lease=lease, goal={"task": "grip", "force_n": 3.0})
+    assert served.ended().outcome == "SUCCEEDED"
+
+
 def test_the_description_has_a_text_for_each_path(connect: Any) -> None:
     _, host = connect()
     paths = host.ask("GET", "/openapi.json", token=None)[1]["paths"]

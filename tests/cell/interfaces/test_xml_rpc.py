@@ -171,6 +171,26 @@ def test_a_second_robot_is_refused_and_may_hold(connect: Any) -> None:
     assert served.grip_n > 1.0
 
 
+def test_a_hold_is_a_level_for_each_client(connect: Any) -> None:
+    served, robot = connect()
+    lease = robot.acquire("robot")
+    with ServerProxy(address(served)) as panel:
+        assert panel.hold(True) == 0
+        assert panel.hold(1, "gate") == 0
+    assert robot.held_by() == "XML-RPC 127.0.0.1, XML-RPC 127.0.0.1 gate"
+    assert robot.grip(lease, 3.0) == -515
+    with ServerProxy(address(served)) as panel:
+        assert panel.hold(False) == 0
+    assert robot.held_by() == "XML-RPC 127.0.0.1 gate"
+    assert robot.identify(lease, 1, 0.0, False) == -515
+    assert robot.hold() == 0  # once: it ends no other hold
+    assert robot.release(lease, RELEASE_KEY) == -515
+    assert robot.hold(0, "gate") == 0
+    assert robot.held_by() == ""
+    assert robot.grip(lease, 3.0) == 1
+    assert served.ended().outcome == "SUCCEEDED"
+
+
 def test_poses_are_those_of_ur(connect: Any) -> None:
     served, cell = connect(positioner__kind="callback")
     zero = dict.fromkeys(("x", "y", "z", "rx", "ry", "rz"), 0.0)

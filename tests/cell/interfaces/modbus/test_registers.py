@@ -24,6 +24,7 @@ from cell.interfaces.modbus.registers import (
     NEEDS_RESET,
     NOT_MEASURED,
     OLDEST_MS,
+    ON_HOLD,
     READY,
     REFUSED,
     REMOTE,
@@ -231,6 +232,7 @@ def test_a_second_master_is_refused_but_may_hold(connect: Any) -> None:
     served.go_on()
     assert served.ended().outcome == "CANCELED"
     assert (second.inputs()[3], served.grip_n > 1.0) == (11, True)
+    assert second.write(7, 0) == 0
     assert first.command(RELEASE, 0, 0, 0, 0, RELEASE_KEY) == 0
     assert served.ended().outcome == "SUCCEEDED"
 
@@ -304,15 +306,47 @@ def test_a_frozen_life_counter_holds_the_job(connect: Any) -> None:
     assert served.state == "HELD"
 
 
-def test_the_hold_register_stands_against_new_jobs(connect: Any) -> None:
+def test_the_hold_register_is_a_level_of_each_client(connect: Any) -> None:
     served, plc = connect()
+    _, panel = connect(served)
     plc.adopt()
-    assert plc.write(7, 1) == 0
+    assert panel.write(7, 1) == 0
+    levels = [one.link.read_holding_registers(7, count=1).registers for one in (plc, panel)]
+    assert levels == [[0], [1]]
+    inputs = plc.inputs()
+    assert inputs[2] == READY | REMOTE | ON_HOLD
+    assert text_of(inputs) == "on hold by Modbus 127.0.0.1"
+    for command in (IDENTIFY, GRIP, RESET):
+        assert plc.command(command, 0, 300) == 515
+    # A pressed button in the block of the client in command counts as well.
     plc.seq += 1
     assert plc.write(COMMAND, IDENTIFY, 0, 0, 0, 0, 0, 1, plc.seq) == 0
-    assert plc.inputs()[6] == 513
-    assert plc.command(IDENTIFY) == 0
+    assert plc.inputs()[6] == 515
+    assert panel.write(7, 0) == 0
+    assert plc.inputs()[2] & ON_HOLD
+    assert plc.command(IDENTIFY) == 0  # its block has 0 in register 7
     assert served.ended().outcome == "SUCCEEDED"
+    # A block that is refused holds, too.
+    assert panel.write(0, 9, *[0] * 6, 1) == 6
+    assert plc.command(IDENTIFY) == 515
+    # The connection of the panel is gone: its hold stays until a person acts.
+    panel.link.close()
+    until(lambda: "gone" in text_of(plc.inputs()))
+    assert plc.command(IDENTIFY) == 515
+    assert plc.command(CLEAR) == 0
+    assert served.ended(2).task == "clear"
+    assert plc.command(IDENTIFY) == 0
+    assert served.ended(3).outcome == "SUCCEEDED"
+
+
+def test_a_client_whose_lease_is_lost_still_holds(connect: Any) -> None:
+    served, plc = connect()
+    plc.adopt()
+    served.pass_lease()
+    assert plc.write(7, 1) == 0
+    assert served.service.held_by == ("Modbus 127.0.0.1",)
+    assert plc.write(7, 0) == 0
+    assert served.service.held_by == ()
 
 
 def test_a_fault_is_a_number_and_a_text(connect: Any) -> None:
@@ -498,6 +532,8 @@ def test_the_function_block_of_the_example_walks_through_a_whole_cycle(connect: 
     run(Command=IDENTIFY, MaxGrasps=1)
     cycle(HoldNow=True)
     assert served.ended().outcome == "CANCELED"
+    assert cycle(HoldNow=True)["OnHold"]
+    assert not cycle(HoldNow=False)["OnHold"] or not cycle()["OnHold"]
 
 
 def test_swapped_bytes_show_in_the_function_block(connect: Any) -> None:

@@ -10,7 +10,13 @@ import pytest
 
 from cell.control.states import Command
 from cell.data.recording_reader import read_recording
-from cell.errors import CellStateError, ConfigError, NotInCommand, RequestRefused
+from cell.errors import (
+    CellStateError,
+    ConfigError,
+    HeldByClient,
+    NotInCommand,
+    RequestRefused,
+)
 from cell.interfaces.plugin import worker
 from cell.interfaces.service import service as service_module
 from cell.interfaces.service.doors import is_for_this_machine, may_connect
@@ -117,6 +123,106 @@ def test_anyone_holds(serve: Any) -> None:
     assert "stopped by the operator" in served.ended().error
     assert (served.state, served.grip_n > 1.0) == ("HELD", True)
     assert served.service.has(lease)
+
+
+def test_a_button_holds_the_cell_until_each_client_has_let_go(serve: Any) -> None:
+    served = serve()
+    service, lease = served.service, served.service.acquire("first")
+    served.pause_while_pressing()
+    service.start(lease, IDENTIFY)
+    served.paused()
+    service.begin_hold(1, "panel 1", connected=True)
+    service.begin_hold(2, "panel 2", connected=True)
+    served.go_on()
+    assert "stopped by panel" in served.ended().error
+    assert (served.state, served.grip_n > 1.0) == ("HELD", True)
+    for left, name in ((1, "panel 1, panel 2"), (2, "panel 2")):
+        assert ", ".join(service.snapshot().held_by) == name
+        for command in (Command.RELEASE, Command.RESET):
+            with pytest.raises(HeldByClient, match=f"{command}: {name} keeps the cell on hold"):
+                service.command(lease, command, key=RELEASE_KEY)
+        with pytest.raises(HeldByClient):
+            service.start(lease, IDENTIFY)
+        service.end_hold(left)
+        service.end_hold(left)
+    assert (service.held_by, service.job().number, served.grip_n > 1.0) == ((), 1, True)
+    service.command(lease, Command.RELEASE, key=RELEASE_KEY)
+    assert served.ended(2).outcome == "SUCCEEDED"
+
+
+@pytest.mark.parametrize("way", ["the button again", "clear", "clear of a fault"])
+def test_a_hold_outlives_its_client_until_a_person_acts(serve: Any, way: str) -> None:
+    served = serve()
+    service, lease = served.service, served.service.acquire("first")
+    if way == "clear of a fault":
+        unit_off = served.simulated.inject("unit.off")
+        service.start(lease, IDENTIFY)
+        assert served.ended().outcome == "ABORTED"
+        unit_off.clear()
+    service.begin_hold(1, "panel", connected=True)
+    service.begin_hold(3, "other", connected=True)
+    service.leave_hold(1)
+    service.leave_hold(2)
+    assert service.held_by == ("panel (gone)", "other")
+    service.begin_hold(2, "panel 2", connected=True)
+    service.end_hold(2)  # another button is not this one
+    assert service.held_by == ("panel (gone)", "other")
+    if way == "the button again":
+        service.begin_hold(4, "panel", connected=True)
+        assert service.held_by == ("other", "panel")
+        service.end_hold(4)
+    else:
+        served.ended(service.command(lease, Command.CLEAR))
+        assert served.ended().outcome == "SUCCEEDED"
+    assert service.held_by == ("other",)
+    if way != "clear of a fault":
+        with pytest.raises(CellStateError, match="'clear' is not allowed"):
+            service.command(lease, Command.CLEAR)  # it stands: no clear lets a pressed button go
+    with pytest.raises(HeldByClient):
+        service.command(lease, Command.RESET)
+    service.end_hold(3)
+    if way != "clear of a fault":
+        service.start(lease, IDENTIFY)
+        assert served.ended().outcome == "SUCCEEDED"
+
+
+def test_a_client_without_a_connection_repeats_its_hold(serve: Any) -> None:
+    served = serve()
+    service, lease = served.service, served.service.acquire("first")
+    service.hold_as("HTTP 192.0.2.1 panel", None)  # once: nothing stays
+    assert service.held_by == ()
+    for _ in range(3):
+        service.hold_as("HTTP 192.0.2.1 panel", True)
+        served.clock.now_s += LEASE_S
+        service.alive(lease)
+        with pytest.raises(CellStateError, match="'clear' is not allowed"):
+            service.command(lease, Command.CLEAR)
+    served.clock.now_s += 1.0
+    assert service.held_by == ("HTTP 192.0.2.1 panel (gone)",)
+    with pytest.raises(HeldByClient):
+        service.start(lease, IDENTIFY)
+    service.hold_as("HTTP 192.0.2.1", False)
+    assert service.held_by == ("HTTP 192.0.2.1 panel (gone)",)
+    service.hold_as("HTTP 192.0.2.1 panel", False)
+    assert service.held_by == ()
+
+
+def test_many_holds_do_not_grow_and_still_stop_the_job(serve: Any) -> None:
+    served = serve()
+    service, lease = served.service, served.service.acquire("first")
+    for number in range(100):
+        service.begin_hold(number, f"{number}")
+    for number in range(100):
+        service.end_hold(number)
+    for number in range(99):
+        service.begin_hold(number, f"{number}")
+    assert service.job().number == 0
+    service.begin_hold("last", "last")
+    service.begin_hold("last", "last")
+    with pytest.raises(RequestRefused, match="100 clients"):
+        service.begin_hold("one more", "one more")
+    assert len(service.held_by) == 100
+    assert service.has(lease)
 
 
 def test_a_person_at_the_cell_takes_the_lease_and_the_job_is_held(serve: Any) -> None:
