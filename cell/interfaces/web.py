@@ -279,31 +279,32 @@ class Gate:
 
     async def __call__(self, scope: Scope, receive: Any, send: Send) -> None:
         """Pass a request on, or answer 403 or 413."""
-        status = self._refusal(scope) if scope["type"] in ("http", "websocket") else 0
+        listened = scope["type"] in ("http", "websocket")
+        status, reason = self._refusal(scope) if listened else (0, "")
         if not status:
             await self._app(scope, receive, send)
         elif scope["type"] == "websocket":
             await receive()
             await send({"type": "websocket.close", "code": 1008})
         else:
-            await JSONResponse({"error": "refused"}, status)(scope, receive, send)
+            await JSONResponse({"error": reason}, status)(scope, receive, send)
 
-    def _refusal(self, scope: Scope) -> int:
+    def _refusal(self, scope: Scope) -> tuple[int, str]:
         headers = {name.lower(): value.decode("latin-1") for name, value in scope["headers"]}
         hosts = [value.decode("latin-1") for name, value in scope["headers"] if name == b"host"]
         client, reached = scope.get("client"), scope.get("server")
         config = self._service.config.serve
         if client is None or reached is None or not may_connect(client[0], config):
-            return 403
+            return 403, "this client is not in serve.allow"
         if not is_for_this_machine(hosts, reached[0], config):
-            return 403
+            return 403, f"Host {', '.join(hosts)!r:.80} is not this machine; serve.hosts adds names"
         origin = headers.get(b"origin")
         if origin is not None and origin.partition("://")[2] != headers.get(b"host"):
-            return 403
+            return 403, f"a page of another origin, {origin!r:.80}"
         length = headers.get(b"content-length", "0")
         if b"transfer-encoding" in headers or not length.isdecimal() or int(length) > LONGEST:
-            return 413
-        return 0
+            return 413, f"a request has a Content-Length of at most {LONGEST}"
+        return 0, ""
 
 
 class Connection(H11Protocol):

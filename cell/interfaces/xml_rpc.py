@@ -292,8 +292,16 @@ class _Handler(SimpleXMLRPCRequestHandler):
 
     def do_POST(self) -> None:  # noqa: N802  name of the base class
         """Answer a request that no web page has made, whose length is stated and small."""
-        if not self._is_of_a_program():
-            self._refuse(403, "no page of a browser; Content-Type text/xml; Host in serve.hosts")
+        hosts = self.headers.get_all("Host", ())
+        reached = str(self.connection.getsockname()[0])
+        if "Origin" in self.headers:
+            self._refuse(403, "no web page of any origin")
+            return
+        if not is_for_this_machine(hosts, reached, self.server.config):
+            self._refuse(403, "the header Host is not this machine: serve.hosts adds names")
+            return
+        if self.headers.get_content_type() != "text/xml":
+            self._refuse(403, "the Content-Type is text/xml")
             return
         length = self.headers.get("Content-Length", "")
         chunked = "Transfer-Encoding" in self.headers
@@ -301,16 +309,6 @@ class _Handler(SimpleXMLRPCRequestHandler):
             self._refuse(413, f"a request has a Content-Length of at most {LONGEST}")
             return
         super().do_POST()
-
-    def _is_of_a_program(self) -> bool:
-        """Whether the request names this machine and is one that no browser sends unasked."""
-        reached = str(self.connection.getsockname()[0])
-        hosts = self.headers.get_all("Host", ())
-        return (
-            "Origin" not in self.headers
-            and self.headers.get_content_type() == "text/xml"
-            and is_for_this_machine(hosts, reached, self.server.config)
-        )
 
     def _refuse(self, status: int, reason: str) -> None:
         self.close_connection = True

@@ -19,7 +19,7 @@ from typing import Any
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.control.states import Command
-from cell.errors import CellError, HeldByClient, NotInCommand, RequestRefused, error_text
+from cell.errors import HeldByClient, NotInCommand, RequestRefused, error_text
 from cell.interfaces.plugin.answer import Answer, HostStatus, Verification
 from cell.interfaces.plugin.goals import Goal, GripGoal, IdentifyGoal, checked_goal
 from cell.interfaces.plugin.plugin import TactileCellPlugin
@@ -140,10 +140,8 @@ class Service:
     ----------
     config
         The cell. A positioner of kind ``callback`` is the pose handshake.
-    model, training_set
+    model, training_set, save
         As `TactileCellPlugin`.
-    save
-        File to which the model is written after each teaching; None writes none.
     folder
         Where the recording goes, with each command, its client and its end; None makes none.
     note
@@ -170,8 +168,6 @@ class Service:
         # The lease watches the clients, each by itself.
         self.config = config = config.model_copy(update={"host_timeout_s": None})
         self._clock = clock
-        self._save = save
-        self._saved = 0
         self._note = note
         self._lock = threading.RLock()
         self._changed = threading.Condition(self._lock)
@@ -186,7 +182,7 @@ class Service:
         self._stopped = False
         mover = self._move if config.positioner.kind == "callback" else None
         self._plugin = TactileCellPlugin(
-            config, mover=mover, model=model, training_set=training_set, folder=folder
+            config, mover=mover, model=model, training_set=training_set, folder=folder, save=save
         )
         self._parts = itertools.cycle(entry.label for entry in config.simulator.objects)
         self._over = threading.Event()
@@ -528,35 +524,24 @@ class Service:
     # -- the end -------------------------------------------------------------------------------
 
     def close(self, timeout_s: float = 30.0) -> None:
-        """Hold what runs and disconnect; a held part stays held. A second call does nothing."""
+        """Hold what runs and disconnect; a held part stays held. A second call does nothing.
+
+        Raises ModelError or DatasetError if what was taught cannot be saved; all has ended then.
+        """
         self._over.set()
         self.hold("because the service ends")
         with self._changed:
             self._stopped = True
             self._changed.notify_all()
         self._watch.join()
-        self._save_taught()
         self._plugin.close(timeout_s)
 
     def _run_watch(self) -> None:
         while not self._over.wait(self.config.serve.lease_timeout_s / _LOOKS):
             try:
                 self.look()
-                self._save_taught()
             except Exception as error:  # the watch over the lease must outlive whatever it meets
                 self._note(f"watch over the lease: {error_text(error)}")
-
-    def _save_taught(self) -> None:
-        """Write the model after a teaching; one that cannot be written is a note."""
-        newest = self.job()
-        taught = newest.task == "teach" and newest.outcome == JobOutcome.SUCCEEDED
-        if self._save is None or not taught or newest.number == self._saved:
-            return
-        self._saved = newest.number
-        try:
-            self._plugin.save(self._save)
-        except (CellError, OSError) as error:
-            self._note(f"the model could not be written: {error}")
 
     def _answered(self, status: HostStatus) -> JobView | None:
         """Return the job of the last answer, also where it is no longer among those kept."""

@@ -448,6 +448,10 @@ def test_torn_requests_and_many_connects_change_nothing(connect: Any) -> None:
             link.sendall(release[:cut])
     for _ in range(200):
         socket.create_connection(("127.0.0.1", port), timeout=10.0).close()
+    with socket.create_connection(("127.0.0.1", port), timeout=10.0) as page:
+        page.sendall(b"POST / HTTP/1.1\r\nHost: localhost\r\n\r\n" + release)
+        with contextlib.suppress(ConnectionResetError):
+            assert page.recv(100) == b""
     assert (plc.inputs()[5], plc.inputs()[8], served.grip_n > 1.0) == (1, 1, True)
 
 
