@@ -315,7 +315,10 @@ class _Handler(SimpleXMLRPCRequestHandler):
         self.send_error(status, reason)
 
     def decode_request_content(self, data: bytes) -> bytes | None:
-        """Refuse compressed requests and document types: nothing small may grow large."""
+        """Refuse what may grow large, compressed or a document type, and what was cut off."""
+        if len(data) != int(self.headers["Content-Length"]):
+            self._refuse(400, "the request is shorter than its Content-Length")
+            return None
         if self.headers.get("content-encoding", "identity") != "identity" or b"<!" in data:
             self._refuse(501, "no compression, no document type")
             return None
