@@ -399,16 +399,16 @@ class WireDriver(Driver):
         before = self._seen()
         self.command("hold", self._wire.hold)
         self.command("press", partial(self._wire.hold, True))
-        if self._service.has(self._lease()):
-            for request in (
-                Request(task="grip", force_n=3.0),
-                Request(task="release", key=RELEASE_KEY),
-                Request(task="reset"),
-            ):
-                found = self._wire.send(request, self._service.job().number + 1)
-                self._expect(
-                    found == -ON_HOLD, f"{request.task}: {found} while a button is pressed"
-                )
+        moving = (
+            Request(task="grip", force_n=3.0),
+            Request(task="release", key=RELEASE_KEY),
+            Request(task="reset"),
+        )
+        for request in moving if self._service.has(self._lease()) else ():
+            found = self._wire.send(request, self._service.job().number + 1)
+            self._expect(found == -ON_HOLD, f"{request.task}: {found} while a button is pressed")
+            if found != -ON_HOLD:
+                break
         self.command("let go", partial(self._wire.hold, False))
         self._expect(self._seen() == before, f"hold has changed {before} to {self._seen()}")
         self.check()
