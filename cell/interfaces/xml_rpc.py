@@ -82,13 +82,13 @@ class Calls:
         self._secret = secret
         self._door = door
 
-    def acquire(self, secret: str, name: str | None = None) -> int:
+    def acquire(self, secret: str, name: str = "") -> int:
         """Return the lease to command with; keep it with `alive`.
 
         Without `serve.secret_file` the only argument is the name.
         """
         if not self._secret:
-            return self._service.acquire(secret if name is None else name)
+            return self._service.acquire(name or secret)
         if not same_secret(str(secret), self._secret):
             raise RequestRefused("acquire: the first argument is not that of serve.secret_file")
         return self._service.acquire(name or "a client with the secret")
@@ -182,7 +182,7 @@ class Calls:
         With `latch` 1 nothing that moves starts until the same client, by address and name, calls
         with 0; -1: once. A pressed button repeats 1 at least each `serve.lease_timeout_s`.
         """
-        who = " ".join(filter(None, (self._door, _CLIENT.get(), name[:60])))
+        who = " ".join(filter(None, (self._door, _CLIENT.get(), str(name)[:60])))
         self._service.hold_as(who, None if latch < 0 else bool(latch))
         return 0
 
