@@ -64,8 +64,11 @@ def _address(text: str) -> IPv4Address | IPv6Address | None:
 
 
 def read_secret(path: str) -> str:
-    """Return the token or secret in a file; ConfigError for a short one, OSError for no file."""
-    found = Path(path).read_text(encoding="ascii").strip()
+    """Return the token or secret in a file; ConfigError for a bad one, OSError for no file."""
+    try:
+        found = Path(path).read_text(encoding="ascii").strip()
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: a token or secret is of ASCII characters ({error})") from error
     if len(found) < _SECRET_MIN:
         raise ConfigError(
             f"{path}: a token or secret has at least {_SECRET_MIN} characters, not {len(found)}"

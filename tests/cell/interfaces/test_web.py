@@ -352,10 +352,16 @@ def test_doors_that_cannot_be_opened_say_why(serve: Any, tmp_path: Path) -> None
     with pytest.raises(CellError, match="cannot be opened"):
         serve("http", serve__token_file=str(tmp_path / "missing"))
     os.mkfifo(tmp_path / "pipe")
-    for key in ("token_file", "tls_key"):
+    for key in ("secret_file", "token_file", "tls_key"):
         files = {"serve__tls_certificate": str(tmp_path / "missing")} if key == "tls_key" else {}
         with pytest.raises(ConfigError, match="pipe: not a plain file"):
             serve("http", **files, **{f"serve__{key}": str(tmp_path / "pipe")})
+    (tmp_path / "bad").write_bytes(b"\xff" * 20)
+    with pytest.raises(ConfigError, match="of ASCII characters"):
+        serve("xmlrpc", serve__secret_file=str(tmp_path / "bad"))
+    (tmp_path / "long").write_text("x" * 65)
+    with pytest.raises(ConfigError, match="Modbus carries 64"):
+        serve("modbus", serve__secret_file=str(tmp_path / "long"))
     (tmp_path / "short").write_text("short")
     with pytest.raises(ConfigError, match="at least 16 characters"):
         serve("http", serve__token_file=str(tmp_path / "short"))
