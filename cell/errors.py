@@ -77,5 +77,9 @@ class NotMeasured(CellError):
     """A value was asked for that is not measured at the moment."""
 
 
+class HeldByClient(CellError):
+    """A client keeps the cell on hold: nothing that moves starts until it lets go."""
+
+
 class CellStopped(CellError):
     """The sequence was stopped on request; the grip is kept until it is released on purpose."""

@@ -49,9 +49,10 @@ Door = tuple[int, bytes]
 def requests(found: dict[str, Any]) -> dict[str, Door]:
     """Return port and request of each door."""
     body = dumps((), "state").encode()
-    call = b"POST /RPC2 HTTP/1.1\r\nContent-Length: %d\r\n\r\n" % len(body) + body
-    token = found["token"].encode()
-    get = b"GET /api/info HTTP/1.1\r\nHost: cell\r\nAuthorization: Bearer " + token + b"\r\n\r\n"
+    head = b"POST /RPC2 HTTP/1.1\r\nHost: localhost\r\nContent-Type: text/xml\r\n"
+    call = head + b"Content-Length: %d\r\n\r\n" % len(body) + body
+    token = b"Authorization: Bearer " + found["token"].encode()
+    get = b"GET /api/info HTTP/1.1\r\nHost: localhost\r\n" + token + b"\r\n\r\n"
     return {
         "modbus": (found["modbus_port"], _READ),
         "xmlrpc": (found["xmlrpc_port"], call),
@@ -71,7 +72,7 @@ def connect(door: Door, number: int) -> None:
                     link.sendall(request)
                     link.recv(_ANSWER)
         except ConnectionError:
-            pass  # a door that is full closes at once
+            pass  # a door that is full ends the oldest connection
 
 
 def answers(door: Door) -> bool:

@@ -1,5 +1,7 @@
 """Config of `tactile-cell serve`: doors, who may connect, the lease."""
 
+import re
+from contextlib import suppress
 from ipaddress import ip_address, ip_network
 from typing import Annotated, Self
 
@@ -14,6 +16,15 @@ def _address(text: str) -> str:
     return str(ip_network(text, strict=False) if "/" in text else ip_address(text))
 
 
+def _host(text: str) -> str:
+    """Return a name or address, without port, as it is compared with the header ``Host``."""
+    with suppress(ValueError):
+        return str(ip_address(text))
+    if not re.fullmatch(r"\w([\w.-]{0,251}\w)?", text, re.ASCII):
+        raise ValueError(f"{text!r} is no host name or address; write it without port, as cell.lan")
+    return text.lower()
+
+
 Port = Annotated[int, Field(ge=0, le=65535)]
 """TCP port; 0: any free one."""
 
@@ -25,6 +36,12 @@ class ServeConfig(Section):
     """Address that clients reach; another one than 127.0.0.1 needs `allow`."""
     allow: tuple[Annotated[str, AfterValidator(_address)], ...] = Field(default=(), max_length=100)
     """Hosts or networks that may connect, as 192.168.1.10 or 192.168.1.0/24; this one always."""
+    hosts: tuple[Annotated[str, AfterValidator(_host)], ...] = Field(default=(), max_length=100)
+    """Names and addresses, without port, by which clients reach this machine over HTTP or XML-RPC,
+    beside localhost, its host name and the address that they reach it at; others are refused."""
+    request_timeout_s: float = Field(default=5.0, ge=0.1, le=60.0)
+    """Longest time in s from the first to the last byte of a request, 0.1 to 60; later the
+    connection is closed."""
     modbus_port: Port | None = 5020
     """Port of Modbus TCP, for PLCs; 0: any free one; none: closed. 502 needs the right to it."""
     xmlrpc_port: Port | None = 5021
@@ -44,6 +61,9 @@ class ServeConfig(Section):
     """Labels in the order of their ids from 1, for hosts that use numbers; other labels follow."""
     token_file: str = Field(default="", max_length=500)
     """File with the token of HTTP clients; empty: a new one at each start, which is printed."""
+    secret_file: str = Field(default="", max_length=500)
+    """File with the secret, 16 to 64 ASCII characters, without which no client of Modbus or XML-RPC
+    commands; empty: none is asked for."""
     tls_certificate: str = Field(default="", max_length=500)
     """Certificate file (PEM) of HTTP; empty: no TLS."""
     tls_key: str = Field(default="", max_length=500)

@@ -5,29 +5,42 @@ elsewhere is refused by its Origin. JSON in and out; what is refused has a fault
 """
 
 import asyncio
-import hmac
 import json
 import secrets
 import socket
 import threading
 from collections.abc import Awaitable, Callable, MutableMapping
 from dataclasses import asdict, fields
+from functools import partial
 from ipaddress import ip_address
-from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import uvicorn
-from fastapi import APIRouter, Depends, FastAPI, HTTPException, Request, WebSocket
+from fastapi import APIRouter, Depends, FastAPI, HTTPException, Query, Request, WebSocket
 from fastapi.responses import JSONResponse
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from pydantic import BaseModel, ConfigDict
 from starlette.websockets import WebSocketDisconnect
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from cell.control.plan import Pose
 from cell.control.states import CellStatus, Command
-from cell.errors import CellError, CellStateError, ConfigError, NotInCommand, RequestRefused
+from cell.errors import (
+    CellError,
+    CellStateError,
+    ConfigError,
+    HeldByClient,
+    NotInCommand,
+    RequestRefused,
+)
 from cell.fault_catalogue import fault_number
-from cell.interfaces.service.doors import BUSY_MAX, QUIET_S, may_connect
+from cell.interfaces.service.doors import (
+    Places,
+    is_for_this_machine,
+    may_connect,
+    read_secret,
+    same_secret,
+)
 from cell.interfaces.service.service import Service, Snapshot
 from gripper.errors import GripperError
 from tactile.errors import TactileError
@@ -36,7 +49,13 @@ LONGEST = 65536
 """Largest request in bytes."""
 RATE_HZ = 30.0
 """Messages a second to one WebSocket, whatever the source."""
-_STATUS = {NotInCommand: 403, CellStateError: 409, RequestRefused: 422, ConfigError: 422}
+_STATUS = {
+    NotInCommand: 403,
+    CellStateError: 409,
+    HeldByClient: 409,
+    RequestRefused: 422,
+    ConfigError: 422,
+}
 """HTTP status of refusals; 500 for all others."""
 
 Scope = MutableMapping[str, Any]
@@ -93,6 +112,7 @@ def snapshot_json(now: Snapshot) -> dict[str, Any]:
         "last_answer": None if now.last_answer is None else asdict(now.last_answer),
         "live": {name: getattr(live, name) for name in live.__slots__ if name != "counts"},
         "commander": now.commander,
+        "held_by": now.held_by,
         "pose_seq": now.pose_seq,
         "pose": None if now.pose is None else now.pose.as_dict(),
     }
@@ -111,7 +131,7 @@ class Api:
 
     def __init__(self, service: Service, token: str) -> None:
         self._service = service
-        self._token = token.encode()
+        self._token = token
 
     def app(self) -> FastAPI:
         """Return the application."""
@@ -139,7 +159,7 @@ class Api:
     def _authorize(
         self, found: Annotated[HTTPAuthorizationCredentials, Depends(HTTPBearer())]
     ) -> None:
-        if not hmac.compare_digest(found.credentials.encode(), self._token):
+        if not same_secret(found.credentials, self._token):
             raise HTTPException(401, "wrong token")
 
     def info(self) -> dict[str, Any]:
@@ -191,10 +211,20 @@ class Api:
         self._service.pose_reached(body.lease, body.seq, ok=body.ok, pose=reached)
         return {"seq": body.seq}
 
-    def hold(self) -> dict[str, str]:
-        """Stop what runs and keep the grip; anyone may, without token and lease."""
-        self._service.hold("over HTTP")
-        return {"state": self._service.status().state}
+    def hold(
+        self,
+        request: Request,
+        latch: bool | None = None,
+        name: Annotated[str, Query(max_length=60)] = "",
+    ) -> dict[str, Any]:
+        """Stop what runs and keep the grip; anyone may, without token and lease.
+
+        With ``latch=true`` nothing that moves starts until the same client, by address and name,
+        asks with ``latch=false``. A pressed button repeats it at least each serve.lease_timeout_s.
+        """
+        host = "" if request.client is None else request.client.host
+        self._service.hold_as(f"HTTP {host} {name}".rstrip(), latch)
+        return {"state": self._service.status().state, "held_by": self._service.held_by}
 
     async def live(self, link: WebSocket) -> None:
         """Send the state as JSON; with ``?frames=1`` the newest counts too (uint16, LE).
@@ -202,7 +232,7 @@ class Api:
         Each message is the newest there is when the client can take it: a slow one misses some.
         """
         asked = link.query_params
-        if not hmac.compare_digest(asked.get("token", "").encode(), self._token):
+        if not same_secret(asked.get("token", ""), self._token):
             await link.close(1008, "wrong token")
             return
         await link.accept()
@@ -210,7 +240,7 @@ class Api:
         try:
             while not gone.done():
                 now = self._service.snapshot()
-                async with asyncio.timeout(QUIET_S):
+                async with asyncio.timeout(self._service.config.serve.request_timeout_s):
                     await link.send_text(json.dumps(snapshot_json(now)))
                     counts = now.status.live.counts
                     if asked.get("frames") == "1" and counts is not None:
@@ -233,7 +263,7 @@ async def _until_gone(link: WebSocket) -> None:
 
 
 class Gate:
-    """ASGI middleware: refuses hosts, origins and sizes before anything is read.
+    """ASGI middleware: refuses clients, names, origins and sizes before anything is read.
 
     Parameters
     ----------
@@ -249,27 +279,87 @@ class Gate:
 
     async def __call__(self, scope: Scope, receive: Any, send: Send) -> None:
         """Pass a request on, or answer 403 or 413."""
-        status = self._refusal(scope) if scope["type"] in ("http", "websocket") else 0
+        listened = scope["type"] in ("http", "websocket")
+        status, reason = self._refusal(scope) if listened else (0, "")
         if not status:
             await self._app(scope, receive, send)
         elif scope["type"] == "websocket":
             await receive()
             await send({"type": "websocket.close", "code": 1008})
         else:
-            await JSONResponse({"error": "refused"}, status)(scope, receive, send)
+            await JSONResponse({"error": reason}, status)(scope, receive, send)
 
-    def _refusal(self, scope: Scope) -> int:
+    def _refusal(self, scope: Scope) -> tuple[int, str]:
         headers = {name.lower(): value.decode("latin-1") for name, value in scope["headers"]}
-        client = scope.get("client")
-        if client is None or not may_connect(client[0], self._service.config.serve):
-            return 403
+        hosts = [value.decode("latin-1") for name, value in scope["headers"] if name == b"host"]
+        client, reached = scope.get("client"), scope.get("server")
+        config = self._service.config.serve
+        if client is None or reached is None or not may_connect(client[0], config):
+            return 403, "this client is not in serve.allow"
+        if not is_for_this_machine(hosts, reached[0], config):
+            return 403, f"Host {', '.join(hosts)!r:.80} is not this machine; serve.hosts adds names"
         origin = headers.get(b"origin")
         if origin is not None and origin.partition("://")[2] != headers.get(b"host"):
-            return 403
+            return 403, f"a page of another origin, {origin!r:.80}"
         length = headers.get(b"content-length", "0")
         if b"transfer-encoding" in headers or not length.isdecimal() or int(length) > LONGEST:
-            return 413
-        return 0
+            return 413, f"a request has a Content-Length of at most {LONGEST}"
+        return 0, ""
+
+
+class Connection(H11Protocol):
+    """A connection that has a place at the door, and whose requests have a limit of time.
+
+    Parameters
+    ----------
+    places
+        Those of the door.
+    limit_s
+        Longest time in s from the first byte of a request to the end of its answer; a new
+        connection has as much for its first one.
+    """
+
+    def __init__(self, places: Places[asyncio.Transport], limit_s: float, **server: Any) -> None:
+        super().__init__(**server)
+        self._places = places
+        self._limit_s = limit_s
+        self._limit: asyncio.TimerHandle | None = None
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Begin."""
+        super().connection_made(transport)
+        self._places.enter(transport)
+        self._begin()
+
+    def data_received(self, data: bytes) -> None:
+        """Take bytes, the first ones of a request too."""
+        self._begin()
+        super().data_received(data)
+
+    def handle_websocket_upgrade(self, event: Any) -> None:
+        """Hand the connection on; the limits of a WebSocket are those of its messages."""
+        self._end()
+        super().handle_websocket_upgrade(event)
+
+    def on_response_complete(self) -> None:
+        """Go on to the next request."""
+        self._end()
+        super().on_response_complete()
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        """End."""
+        self._end()
+        super().connection_lost(exc)
+
+    def _begin(self) -> None:
+        if self._limit is None:
+            self._limit = self.loop.call_later(self._limit_s, self.transport.abort)
+
+    def _end(self) -> None:
+        self._places.heard(self.transport)
+        if self._limit is not None:
+            self._limit.cancel()
+            self._limit = None
 
 
 class WebDoor:
@@ -288,21 +378,19 @@ class WebDoor:
 
     def __init__(self, service: Service) -> None:
         config = service.config.serve
-        self.token = (
-            Path(config.token_file).read_text(encoding="ascii").strip()
-            if config.token_file
-            else secrets.token_urlsafe(24)
+        places = Places[asyncio.Transport](
+            lambda link: link.abort(), lambda link: link.is_closing()
         )
-        if len(self.token) < 16:
-            raise ConfigError(f"{config.token_file}: a token has at least 16 characters")
+        file = config.token_file
+        self.token = read_secret(file) if file else secrets.token_urlsafe(24)
         settings = uvicorn.Config(
             Gate(Api(service, self.token).app(), service),
             log_config=None,
             access_log=False,
             lifespan="off",
+            http=partial(Connection, places, config.request_timeout_s),  # type: ignore[arg-type]
             ws="websockets-sansio",
             ws_max_size=LONGEST,
-            limit_concurrency=BUSY_MAX,
             timeout_graceful_shutdown=1,
             ssl_certfile=config.tls_certificate or None,
             ssl_keyfile=config.tls_key or None,

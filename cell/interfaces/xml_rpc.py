@@ -7,10 +7,13 @@ catalogue, or an empty text. ``docs/reference/xml-rpc.md`` is made from the meth
 
 import functools
 import threading
+import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from math import atan2, cos, hypot, sin
-from socket import SHUT_RDWR
+from contextvars import ContextVar
+from io import BufferedReader
+from math import atan2, cos, hypot, inf, sin
+from socket import SHUT_RDWR, socket
 from socketserver import ThreadingMixIn
 from typing import Any, cast
 from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
@@ -18,13 +21,22 @@ from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
 from cell.config.serve import ServeConfig
 from cell.control.plan import Pose
 from cell.control.states import Command
-from cell.errors import NotMeasured
+from cell.errors import NotMeasured, RequestRefused
 from cell.fault_catalogue import fault_number
-from cell.interfaces.service.doors import BUSY_MAX, may_connect
+from cell.interfaces.service.doors import (
+    BUSY_MAX,
+    Places,
+    is_for_this_machine,
+    may_connect,
+    read_secret,
+    same_secret,
+)
 from cell.interfaces.service.service import Service
 
 LONGEST = 65536
 """Largest request in bytes."""
+_CLIENT: ContextVar[str] = ContextVar("client", default="")
+"""Address of the client whose call is answered on this thread; empty where that is not known."""
 _IDLE_S = 60.0
 """Silence in s after which a connection is closed; robots connect anew by themselves."""
 
@@ -59,14 +71,27 @@ class Calls:
     ----------
     service
         The cell.
+    secret
+        What `acquire` asks for; empty: nothing.
+    door
+        Name of the door in what is shown.
     """
 
-    def __init__(self, service: Service) -> None:
+    def __init__(self, service: Service, secret: str = "", *, door: str = "XML-RPC") -> None:
         self._service = service
+        self._secret = secret
+        self._door = door
 
-    def acquire(self, name: str) -> int:
-        """Return the number of the lease to command with; keep it with `alive`."""
-        return self._service.acquire(name)
+    def acquire(self, secret: str, name: str = "") -> int:
+        """Return the lease to command with; keep it with `alive`.
+
+        Without `serve.secret_file` the only argument is the name.
+        """
+        if not self._secret:
+            return self._service.acquire(name or secret)
+        if not same_secret(str(secret), self._secret):
+            raise RequestRefused("acquire: the first argument is not that of serve.secret_file")
+        return self._service.acquire(name or "a client with the secret")
 
     def alive(self, lease: int) -> int:
         """Keep the lease; return 0. Every command keeps it too."""
@@ -151,10 +176,19 @@ class Calls:
         """Start to verify the devices anew; return the job."""
         return self._service.command(lease, Command.RESET, number=job)
 
-    def hold(self) -> int:
-        """Stop what runs and keep the grip; anyone may. Return 0."""
-        self._service.hold("over XML-RPC")
+    def hold(self, latch: int = -1, name: str = "") -> int:
+        """Stop what runs and keep the grip; anyone may. Return 0.
+
+        With `latch` 1 nothing that moves starts until the same client, by address and name, calls
+        with 0; -1: once. A pressed button repeats 1 at least each `serve.lease_timeout_s`.
+        """
+        who = " ".join(filter(None, (self._door, _CLIENT.get(), str(name)[:60])))
+        self._service.hold_as(who, None if latch < 0 else bool(latch))
         return 0
+
+    def held_by(self) -> str:
+        """Return the clients that keep the cell on hold; empty for none."""
+        return ", ".join(self._service.held_by)
 
     def job_state(self, job: int) -> int:
         """Return how a job is: 1 accepted, 2 running, 4 done, 5 held on request, 6 aborted."""
@@ -211,13 +245,17 @@ class Calls:
         return self._service.status().fault or ""
 
 
-_EMPTY: Mapping[str, Any] = {"label": "", "fault_text": "", "next_pose": ur_pose(None)}
+_EMPTY: Mapping[str, Any] = {
+    "label": "",
+    "fault_text": "",
+    "held_by": "",
+    "next_pose": ur_pose(None),
+}
 """What methods that return no number return where they fail."""
 
 
-def methods(service: Service) -> dict[str, Callable[..., Any]]:
+def methods(calls: Calls) -> dict[str, Callable[..., Any]]:
     """Return all methods by name; none of them raises."""
-    calls = Calls(service)
     return {name: _harmless(name, getattr(calls, name)) for name in vars(Calls) if name[0] != "_"}
 
 
@@ -240,21 +278,49 @@ class _Handler(SimpleXMLRPCRequestHandler):
     protocol_version = "HTTP/1.1"  # robots keep the connection
     timeout = _IDLE_S
     disable_nagle_algorithm = True
+    server: "_Server"
+    connection: socket
+    rfile: BufferedReader
+
+    def handle_one_request(self) -> None:
+        """Answer a request, which has a limit of time from its first byte on."""
+        _CLIENT.set(self.client_address[0])  # the thread is of this connection alone
+        self.rfile.peek(1)
+        self.server.begun(self.connection)
+        super().handle_one_request()
+        self.server.answered(self.connection)
 
     def do_POST(self) -> None:  # noqa: N802  name of the base class
-        """Answer a request whose length is stated and small."""
+        """Answer a request that no web page has made, whose length is stated and small."""
+        hosts = self.headers.get_all("Host", ())
+        reached = str(self.connection.getsockname()[0])
+        if "Origin" in self.headers:
+            self._refuse(403, "no web page of any origin")
+            return
+        if not is_for_this_machine(hosts, reached, self.server.config):
+            self._refuse(403, "the header Host is not this machine: serve.hosts adds names")
+            return
+        if self.headers.get_content_type() != "text/xml":
+            self._refuse(403, "the Content-Type is text/xml")
+            return
         length = self.headers.get("Content-Length", "")
-        if not length.isdecimal() or int(length) > LONGEST:
-            self.close_connection = True
-            self.send_error(413, f"a request has a Content-Length of at most {LONGEST}")
+        chunked = "Transfer-Encoding" in self.headers
+        if chunked or not length.isdecimal() or int(length) > LONGEST:
+            self._refuse(413, f"a request has a Content-Length of at most {LONGEST}")
             return
         super().do_POST()
 
+    def _refuse(self, status: int, reason: str) -> None:
+        self.close_connection = True
+        self.send_error(status, reason)
+
     def decode_request_content(self, data: bytes) -> bytes | None:
-        """Refuse compressed requests and document types: nothing small may grow large."""
+        """Refuse what may grow large, compressed or a document type, and what was cut off."""
+        if len(data) != int(self.headers["Content-Length"]):
+            self._refuse(400, "the request is shorter than its Content-Length")
+            return None
         if self.headers.get("content-encoding", "identity") != "identity" or b"<!" in data:
-            self.close_connection = True
-            self.send_error(501, "no compression, no document type")
+            self._refuse(501, "no compression, no document type")
             return None
         return data
 
@@ -267,8 +333,9 @@ class _Server(ThreadingMixIn, SimpleXMLRPCServer):
     request_queue_size = BUSY_MAX
 
     def __init__(self, config: ServeConfig) -> None:
-        self._config = config
-        self._open: set[Any] = set()
+        self.config = config
+        self._places: Places[socket] = Places(_end, lambda request: request.fileno() < 0)
+        self._due_s: dict[socket, float] = {}
         super().__init__(
             (config.listen, config.xmlrpc_port or 0),
             requestHandler=_Handler,
@@ -277,14 +344,31 @@ class _Server(ThreadingMixIn, SimpleXMLRPCServer):
         )
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
-        return may_connect(client_address[0], self._config) and len(self._open) < BUSY_MAX
+        return may_connect(client_address[0], self.config)
 
     def process_request(self, request: Any, client_address: Any) -> None:
-        self._open.add(request)
+        self._due_s[request] = inf
+        self._places.enter(request)
         super().process_request(request, client_address)
 
+    def begun(self, request: socket) -> None:
+        """Take note of the first byte of a request."""
+        self._due_s[request] = time.monotonic() + self.config.request_timeout_s
+
+    def answered(self, request: socket) -> None:
+        """Take note that a request is answered."""
+        self._due_s[request] = inf
+        self._places.heard(request)
+
+    def service_actions(self) -> None:
+        """End connections whose request takes too long; called between two looks for new ones."""
+        now_s = time.monotonic()
+        for request, due_s in tuple(self._due_s.items()):
+            if due_s < now_s:
+                _end(request)
+
     def shutdown_request(self, request: Any) -> None:
-        self._open.discard(request)
+        self._due_s.pop(request, None)
         super().shutdown_request(request)
 
     def handle_error(self, request: Any, client_address: Any) -> None:
@@ -293,10 +377,14 @@ class _Server(ThreadingMixIn, SimpleXMLRPCServer):
     def end(self) -> None:
         """End all connections, then wait for their threads."""
         self.shutdown()
-        for request in tuple(self._open):
-            with suppress(OSError):
-                request.shutdown(SHUT_RDWR)
+        for request in tuple(self._due_s):
+            _end(request)
         self.server_close()
+
+
+def _end(request: socket) -> None:
+    with suppress(OSError):
+        request.shutdown(SHUT_RDWR)
 
 
 class XmlRpcDoor:
@@ -310,12 +398,16 @@ class XmlRpcDoor:
     Raises
     ------
     OSError
-        If it cannot listen at the configured address and port.
+        If it cannot listen at the configured address and port, or the file of the secret be read.
+    ConfigError
+        If the secret is too short.
     """
 
     def __init__(self, service: Service) -> None:
-        self._server = _Server(service.config.serve)
-        for name, method in methods(service).items():
+        config = service.config.serve
+        secret = read_secret(config.secret_file) if config.secret_file else ""
+        self._server = _Server(config)
+        for name, method in methods(Calls(service, secret)).items():
             self._server.register_function(method, name)
         self.port: int = cast("tuple[str, int]", self._server.server_address)[1]
         self._thread = threading.Thread(

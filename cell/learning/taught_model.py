@@ -344,6 +344,7 @@ class TaughtModel:
             sections[TRAINING_SECTION] = {
                 "file": np.array(file.name),
                 "sha256": np.array(_checksum(grasps)),
+                "grasps": np.array(len(grasps)),
             }
         save_model(
             path,
@@ -379,15 +380,21 @@ def _saved_with(model: LoadedModel) -> Path | None:
 
 
 def _check_training_set(model: LoadedModel, grasps: Sequence[Grasp]) -> None:
-    """Raise ModelError for grasps that cannot have trained a model."""
+    """Raise ModelError for grasps that cannot have trained a model.
+
+    Further grasps after those of the model are no fault: the data set is written first, and the
+    program may have ended before the model.
+    """
     if not grasps:
         return
     labels = {grasp.label for grasp in grasps}
-    kept = model.sections.get(TRAINING_SECTION, {}).get("sha256")
+    section = model.sections.get(TRAINING_SECTION, {})
+    kept, count = section.get("sha256"), str(section.get("grasps", len(grasps)))
+    n_trained = int(count) if count.isdecimal() and len(count) < 10 else len(grasps)
     if (
         not labels.issuperset(model.labels)
         or not grasps[0].pads.same_as(model.pads)
-        or (kept is not None and str(kept) != _checksum(grasps))
+        or (kept is not None and str(kept) != _checksum(grasps[:n_trained]))
     ):
         raise ModelError(
             f"the training set, {len(grasps)} grasps of {', '.join(sorted(labels))}, is not the "

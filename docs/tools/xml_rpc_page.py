@@ -19,6 +19,6 @@ def xml_rpc_page() -> str:
         for python, script in _TYPES.items():
             named = named.replace(f": {python}", f": {script}")
         returned = inspect.formatannotation(found.return_annotation)
-        text = (method.__doc__ or "").strip().replace("\n", " ")
+        text = " ".join((method.__doc__ or "").split())
         rows.append(f"| `{name}({named})` | {_TYPES.get(returned, returned)} | {text} |")
     return "\n".join(rows)

@@ -280,6 +280,13 @@ def test_a_hold_that_waits_for_the_next_command_is_found(
         drive_through(door)
 
 
+@pytest.mark.parametrize("door", WIRES)
+def test_a_button_that_holds_but_once_is_found(door: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Service, "_check_held", lambda *_: None)
+    with pytest.raises(InvariantBroken, match="grip: -505 while a button is pressed"):
+        drive_through(door)
+
+
 def test_a_door_that_shows_another_fault_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Calls, "fault_number", lambda _calls: 500)
     with pytest.raises(InvariantBroken, match=r"the door shows .*fault_number=500"):

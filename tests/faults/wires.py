@@ -23,7 +23,7 @@ from cell.control.controller import CellController
 from cell.control.keeping import Keep
 from cell.control.plan import GraspStep, Pose
 from cell.control.states import CellState, Command, answer
-from cell.errors import CellError, NotInCommand
+from cell.errors import CellError, HeldByClient, NotInCommand
 from cell.fault_catalogue import fault_number
 from cell.interfaces.modbus.registers import (
     COMMAND,
@@ -48,7 +48,7 @@ PATIENCE_S = 60.0
 """Longest real time in s of a job or of an answer: later it hangs."""
 STARTS = 5
 """Starts of a service, with all faults healed after the first one, until it must be there."""
-NOT_IN_COMMAND = fault_number(NotInCommand(""))
+NOT_IN_COMMAND, ON_HOLD = fault_number(NotInCommand("")), fault_number(HeldByClient(""))
 LATCHES_NOTHING = (200, 507, 510, 511)
 """Fault numbers of jobs after which the cell is ready: limits, plan, pose, no part."""
 SUCCEEDED, CANCELED = 4, 5
@@ -109,8 +109,8 @@ class Wire(Protocol):
         """Send the last request once more; return as `send`."""
         ...
 
-    def hold(self) -> None:
-        """Stop what runs, over a connection of its own that has no lease."""
+    def hold(self, latch: bool | None = None) -> None:
+        """Hold over a connection of its own that has no lease: once, or begin or end it."""
         ...
 
     def shown(self) -> Shown:
@@ -137,6 +137,7 @@ class ModbusWire:
     def __init__(self, doors: dict[str, Any]) -> None:
         self._port = doors["modbus_port"]
         self._link = self._connected()
+        self._panel = self._connected()
         self._seq = 0
         self._block: list[int] = []
 
@@ -160,9 +161,9 @@ class ModbusWire:
         inputs = self._inputs()
         return -inputs[6] if inputs[6] else inputs[8]
 
-    def hold(self) -> None:
-        with closing(self._connected()) as other:
-            other.write_register(HOLD, 1)
+    def hold(self, latch: bool | None = None) -> None:
+        for pressed in (True, False) if latch is None else (latch,):
+            self._panel.write_register(HOLD, int(pressed))
 
     def shown(self) -> Shown:
         inputs = self._inputs()
@@ -178,6 +179,7 @@ class ModbusWire:
 
     def close(self) -> None:
         self._link.close()
+        self._panel.close()
 
     def _connected(self) -> ModbusTcpClient:
         link = ModbusTcpClient("127.0.0.1", port=self._port, timeout=PATIENCE_S, retries=0)
@@ -223,8 +225,8 @@ class XmlRpcWire:
     def repeat(self) -> int:
         return int(self._call())
 
-    def hold(self) -> None:
-        self._other.hold()
+    def hold(self, latch: bool | None = None) -> None:
+        self._other.hold(*(() if latch is None else (latch,)))
 
     def shown(self) -> Shown:
         job = self._cell.next_job() - 1
@@ -279,8 +281,8 @@ class HttpWire:
         found = self._ask("POST", *self._last)
         return int(found["job"]) if "job" in found else -int(found["fault_number"])
 
-    def hold(self) -> None:
-        self._ask("POST", "/api/hold")
+    def hold(self, latch: bool | None = None) -> None:
+        self._ask("POST", "/api/hold" if latch is None else f"/api/hold?latch={latch}")
 
     def shown(self) -> Shown:
         found = self._ask("GET", "/api/state")
@@ -390,9 +392,24 @@ class WireDriver(Driver):
         return self.ask(Request(task="shutdown"), Command.SHUTDOWN)
 
     def cancel(self) -> None:
-        """Hold while nothing runs: nothing happens, to the next command neither."""
+        """Hold while nothing runs: nothing happens, to the next command neither.
+
+        While a button is pressed all that would move something is refused, in every state.
+        """
         before = self._seen()
         self.command("hold", self._wire.hold)
+        self.command("press", partial(self._wire.hold, True))
+        moving = (
+            Request(task="grip", force_n=3.0),
+            Request(task="release", key=RELEASE_KEY),
+            Request(task="reset"),
+        )
+        for request in moving if self._service.has(self._lease()) else ():
+            found = self._wire.send(request, self._service.job().number + 1)
+            self._expect(found == -ON_HOLD, f"{request.task}: {found} while a button is pressed")
+            if found != -ON_HOLD:
+                break
+        self.command("let go", partial(self._wire.hold, False))
         self._expect(self._seen() == before, f"hold has changed {before} to {self._seen()}")
         self.check()
 

@@ -74,7 +74,7 @@ def test_every_request_gets_an_answer_of_its_function_or_an_exception(request):
 
 @contextmanager
 def serving() -> Iterator[ModbusServer]:
-    made = ModbusServer("127.0.0.1", 0, lambda _host: Memory())
+    made = ModbusServer("127.0.0.1", 0, lambda _host: Memory(), request_timeout_s=5.0)
     try:
         yield made
     finally:

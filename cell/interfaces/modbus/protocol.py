@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from typing import Protocol
 
-from cell.interfaces.service.doors import BUSY_MAX, QUIET_S
+from cell.interfaces.service.doors import Places
 
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE, DEVICE_FAILURE, DEVICE_BUSY = 1, 2, 3, 4, 6
 """Exception codes."""
@@ -115,6 +115,8 @@ class ModbusServer:
         Where it listens; port 0 takes any free one.
     connect
         Returns the registers for a client at that host; None refuses it.
+    request_timeout_s
+        Longest time in s for the rest of a request, and to take its answer.
 
     Raises
     ------
@@ -122,9 +124,19 @@ class ModbusServer:
         If it cannot listen there.
     """
 
-    def __init__(self, address: str, port: int, connect: Callable[[str], Registers | None]) -> None:
+    def __init__(
+        self,
+        address: str,
+        port: int,
+        connect: Callable[[str], Registers | None],
+        *,
+        request_timeout_s: float,
+    ) -> None:
         self._connect = connect
-        self._tasks: set[asyncio.Task[None]] = set()
+        self._request_timeout_s = request_timeout_s
+        self._places = Places[asyncio.WriteTransport](
+            lambda link: link.abort(), lambda link: link.is_closing()
+        )
         self._loop = asyncio.new_event_loop()
         try:
             self._server = self._loop.run_until_complete(
@@ -158,40 +170,36 @@ class ModbusServer:
         await asyncio.gather(*tasks, return_exceptions=True)
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-        task = asyncio.current_task()
-        peer, registers = writer.get_extra_info("peername"), None
-        if peer is not None and len(self._tasks) < BUSY_MAX:
-            registers = self._connect(peer[0])
-        if registers is None or task is None:
+        peer = writer.get_extra_info("peername")
+        registers = None if peer is None else self._connect(peer[0])
+        if registers is None:
             writer.close()
             return
-        self._tasks.add(task)
+        self._places.enter(writer.transport)
         try:
             # What is torn off, late or no Modbus ends the connection: nothing can be told from it.
             # Cancelled at the end of the server is an end as well as any.
             with suppress(
                 asyncio.IncompleteReadError, TimeoutError, OSError, asyncio.CancelledError
             ):
-                while await _one_request(reader, writer, registers):
-                    pass
+                while await self._one_request(reader, writer, registers):
+                    self._places.heard(writer.transport)
         finally:
-            self._tasks.discard(task)
             registers.disconnected()
             writer.transport.abort()
 
-
-async def _one_request(
-    reader: asyncio.StreamReader, writer: asyncio.StreamWriter, registers: Registers
-) -> bool:
-    """Answer one request; False where the bytes are no Modbus."""
-    async with asyncio.timeout(_IDLE_S):
-        first = await reader.readexactly(1)
-    async with asyncio.timeout(QUIET_S):
-        header = first + await reader.readexactly(_HEADER.size - 1)
-        transaction, protocol, length, unit = _HEADER.unpack(header)
-        if protocol != 0 or not 2 <= length <= _LONGEST:
-            return False
-        found = answer(await reader.readexactly(length - 1), registers)
-        writer.write(_HEADER.pack(transaction, 0, len(found) + 1, unit) + found)
-        await writer.drain()
-    return True
+    async def _one_request(
+        self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter, registers: Registers
+    ) -> bool:
+        """Answer one request; False where the bytes are no Modbus."""
+        async with asyncio.timeout(_IDLE_S):
+            first = await reader.readexactly(1)
+        async with asyncio.timeout(self._request_timeout_s):
+            header = first + await reader.readexactly(_HEADER.size - 1)
+            transaction, protocol, length, unit = _HEADER.unpack(header)
+            if protocol != 0 or not 2 <= length <= _LONGEST:
+                return False
+            found = answer(await reader.readexactly(length - 1), registers)
+            writer.write(_HEADER.pack(transaction, 0, len(found) + 1, unit) + found)
+            await writer.drain()
+        return True

@@ -6,12 +6,13 @@ changes; a client that connects anew first writes the acknowledged number. The p
 """
 
 import itertools
+import struct
 from collections.abc import Callable, Sequence
 from math import degrees
 from typing import Any
 
 from cell.control.states import CellState, Command, GraspState
-from cell.errors import NotInCommand, RequestRefused
+from cell.errors import ConfigError, NotInCommand, RequestRefused
 from cell.fault_catalogue import fault_number
 from cell.interfaces.modbus.protocol import (
     DEVICE_BUSY,
@@ -20,7 +21,7 @@ from cell.interfaces.modbus.protocol import (
     ModbusError,
     ModbusServer,
 )
-from cell.interfaces.service.doors import may_connect
+from cell.interfaces.service.doors import may_connect, read_secret, same_secret
 from cell.interfaces.service.service import JobView, Service, Snapshot
 from recognition.recognizer import UNKNOWN
 
@@ -30,6 +31,8 @@ SIGNATURE = 0x5443
 LIFE, COMMAND, OBJECT, FORCE, GRASPS, OPTIONS, KEY, HOLD, COMMAND_SEQ = range(9)
 """Holding registers. `OBJECT` is the number of the pose for commands 40 and 41."""
 N_HOLDING, N_INPUT = 9, 64
+SECRET_AT, N_SECRET = 32, 32
+"""Holding registers of the secret: written and never read."""
 TEXT_AT = 32
 """First input register of the fault's text."""
 KEEP_ALWAYS, KEEP_NAMED = 1, 2
@@ -40,7 +43,9 @@ REBOOT = 4
 READY, REMOTE, RUNNING, DONE, REFUSED, FAULT, HOLDING, NO_PART, LOST, UNNAMED, NEEDS_RESET = (
     1 << bit for bit in range(11)
 )
-"""Bits of the third input register; `REMOTE`: the lease is with Modbus."""
+ON_HOLD = 1 << 11
+"""Bits of the third input register; `REMOTE`: the lease is with Modbus, `ON_HOLD`: some client
+keeps the cell on hold, `HOLDING`: a part may be in the grip."""
 
 
 NOT_MEASURED = 0x8000
@@ -88,6 +93,7 @@ def input_registers(now: Snapshot, *, life: int, remote: bool, seq: int, result:
         (LOST, status.grasp == GraspState.PART_LOST),
         (UNNAMED, job.label == UNKNOWN or job.same is False),
         (NEEDS_RESET, status.needs_reset),
+        (ON_HOLD, bool(now.held_by)),
     )
     values = [
         SIGNATURE,
@@ -117,7 +123,9 @@ def input_registers(now: Snapshot, *, life: int, remote: bool, seq: int, result:
         answer.number & 0xFFFF,
         sum(bit for bit, on in flags if on),
     ]
-    text = (status.fault or job.error).encode("ascii", "replace")[: 2 * (N_INPUT - TEXT_AT)]
+    on_hold = f"on hold by {', '.join(now.held_by)}" if now.held_by else ""
+    shown = status.fault or on_hold or job.error
+    text = shown.encode("ascii", "replace")[: 2 * (N_INPUT - TEXT_AT)]
     text += bytes(2 * (N_INPUT - TEXT_AT) - len(text))
     words = [high << 8 | low for high, low in zip(text[::2], text[1::2], strict=True)]
     return values + [0] * (TEXT_AT - len(values)) + words
@@ -134,7 +142,9 @@ class ModbusDoor:
     Raises
     ------
     OSError
-        If it cannot listen at the configured address and port.
+        If it cannot listen at the configured address and port, or the file of the secret be read.
+    ConfigError
+        If the secret is too short or too long.
     """
 
     def __init__(self, service: Service) -> None:
@@ -148,10 +158,14 @@ class ModbusDoor:
         self._synchronous = False
         self._seq = 0
         self._result = 0
+        self._secret = read_secret(config.secret_file) if config.secret_file else ""
+        if len(self._secret) > 2 * N_SECRET:
+            raise ConfigError(f"{config.secret_file}: Modbus carries {2 * N_SECRET} characters")
         self._server = ModbusServer(
             config.listen,
             config.modbus_port or 0,
             lambda host: _Client(self, host) if may_connect(host, config) else None,
+            request_timeout_s=config.request_timeout_s,
         )
         self.port = self._server.port
 
@@ -161,11 +175,12 @@ class ModbusDoor:
 
     # All of the following runs on the one thread of the server.
 
-    def read(self, function: int, address: int, count: int) -> Sequence[int]:
+    def read(self, client: "_Client", function: int, address: int, count: int) -> Sequence[int]:
         """Return registers; see `cell.interfaces.modbus.protocol.Registers`."""
         if address + count > (N_HOLDING if function == 3 else N_INPUT):
             raise ModbusError(ILLEGAL_ADDRESS)
         if function == 3:
+            self._holding[HOLD] = client.hold  # each client has its own
             return self._holding[address : address + count]
         everything = input_registers(
             self._service.snapshot(),
@@ -177,18 +192,24 @@ class ModbusDoor:
         return everything[address : address + count]
 
     def write(self, client: "_Client", address: int, values: Sequence[int]) -> None:
-        """Write registers of the client in command, or hold for any client."""
+        """Write registers of the client in command, and hold or the secret of any client."""
+        if address >= SECRET_AT and address + len(values) <= SECRET_AT + N_SECRET:
+            client.secret[address - SECRET_AT : address - SECRET_AT + len(values)] = values
+            return
         if address + len(values) > N_HOLDING:
             raise ModbusError(ILLEGAL_ADDRESS)
         new = dict(enumerate(values, start=address))
-        if list(new) == [HOLD] and client is not self._owner:
-            if new[HOLD]:
-                self._service.hold(f"by {client.host} over Modbus")
+        if HOLD in new:
+            # First of all, and whoever writes it: a hold counts in a block that is refused, too.
+            client.hold = new[HOLD]
+            if client.hold:
+                self._service.begin_hold(client, client.name, connected=True)
+            else:
+                self._service.end_hold(client)
+        if list(new) == [HOLD]:
             return
         self._command(client, new)
         self._holding[address : address + len(values)] = values
-        if new.get(HOLD):
-            self._service.hold(f"by {client.host} over Modbus")
         seq = new.get(COMMAND_SEQ, self._seq)
         if seq != self._seq:
             # Taken note of before it runs: whatever becomes of it, it does not run again.
@@ -197,7 +218,8 @@ class ModbusDoor:
             self._holding[KEY] = 0
 
     def disconnected(self, client: "_Client") -> None:
-        """Keep the lease for a client of the same host until its time is over."""
+        """Keep the lease for a client of the same host until its time is over, and its hold."""
+        self._service.leave_hold(client)
         if client is self._owner:
             self._owner = None
 
@@ -206,6 +228,10 @@ class ModbusDoor:
 
     def _command(self, client: "_Client", new: dict[int, int]) -> None:
         """Check that the client may write, and give or keep the lease with its life counter."""
+        if client is not self._owner and self._secret:
+            given = struct.pack(f">{N_SECRET}H", *client.secret).rstrip(b"\0").decode("latin-1")
+            if not same_secret(given, self._secret):
+                raise ModbusError(ILLEGAL_VALUE)
         mine = self._has_lease()
         lives = LIFE in new and new[LIFE] != self._holding[LIFE]
         inherits = self._owner is None and self._host == client.host
@@ -220,7 +246,7 @@ class ModbusDoor:
             if not mine:
                 if not lives:
                     raise ModbusError(DEVICE_BUSY)
-                self._lease = self._service.acquire(f"Modbus {client.host}")
+                self._lease = self._service.acquire(client.name)
             elif lives:
                 self._service.alive(self._lease)
         except NotInCommand:
@@ -239,8 +265,6 @@ class ModbusDoor:
         try:
             if command is None:
                 raise RequestRefused(f"command {asked[COMMAND]} is not one of {list(_COMMANDS)}")
-            if asked[HOLD]:
-                raise RequestRefused("hold is set: write 0 to it first")
             command(self._service, self._lease, asked)
         except Exception as error:
             return fault_number(error)
@@ -252,10 +276,13 @@ class _Client:
 
     def __init__(self, door: ModbusDoor, host: str) -> None:
         self.host = host
+        self.name = f"Modbus {host}"
+        self.hold = 0
+        self.secret = [0] * N_SECRET
         self._door = door
 
     def read(self, function: int, address: int, count: int) -> Sequence[int]:
-        return self._door.read(function, address, count)
+        return self._door.read(self, function, address, count)
 
     def write(self, address: int, values: Sequence[int]) -> None:
         self._door.write(self, address, values)
@@ -293,7 +320,7 @@ _COMMANDS: dict[int, Callable[[Service, int, Sequence[int]], object]] = {
     1: lambda service, lease, _: service.command(lease, Command.RESET),
     2: _identify,
     3: lambda service, lease, _: service.command(lease, Command.SHUTDOWN),
-    4: lambda service, _, __: service.hold("over Modbus"),
+    4: lambda service, _, __: service.hold("by its client over Modbus"),
     9: lambda service, lease, asked: service.command(
         lease, Command.CLEAR, reboot=bool(asked[OPTIONS] & REBOOT)
     ),

@@ -19,7 +19,7 @@ from cryptography.x509 import ExtensionNotFound
 from cell.errors import ConfigError
 from cell.interfaces.opc_ua.server import CellServer, Clients, Sessions
 from cell.interfaces.service.service import Service, Snapshot
-from cell.interfaces.xml_rpc import methods, ur_pose
+from cell.interfaces.xml_rpc import Calls, methods, ur_pose
 
 NAMESPACE = "urn:tactile-cell:cell"
 """Namespace of the nodes; their ids are their paths, as ``Cell.Job.Label``."""
@@ -64,6 +64,7 @@ VALUES = (
     Value("State.Name", _TEXT, "PackML name", lambda now: now.status.state),
     Value("State.NeedsReset", _BOOL, "Waits for reset", lambda now: now.status.needs_reset),
     Value("State.Commander", _TEXT, "Client in command", lambda now: now.commander),
+    Value("State.HeldBy", _TEXT, "Clients on hold", lambda now: ", ".join(now.held_by)),
     Value("Grip.Number", _INT, "State, 0 to 7", lambda now: now.status.grasp_number),
     Value("Grip.Name", _TEXT, "State", lambda now: now.status.grasp),
     Value("Grip.Holding", _BOOL, "A part may be held", lambda now: now.status.holding),
@@ -205,14 +206,14 @@ class OpcUaDoor:
 
 def called_methods(service: Service) -> dict[str, Callable[..., Any]]:
     """Return the methods of XML-RPC that do more than read a variable."""
+    every = methods(Calls(service, door="OPC UA"))
 
-    def hold() -> int:
-        """Stop what runs and keep the grip; needs no lease. Return 0."""
-        service.hold("over OPC UA")
-        return 0
+    def acquire(name: str) -> int:
+        """Return the number of the lease to command with; keep it with `alive`."""
+        return int(every["acquire"](name))
 
-    every = methods(service)
-    return {"hold": hold} | {n: c for n, c in every.items() if inspect.signature(c).parameters}
+    of_cell = {name: call for name, call in every.items() if inspect.signature(call).parameters}
+    return of_cell | {"acquire": acquire}
 
 
 def _called(call: Callable[..., Any], _parent: Any, *given: ua.Variant) -> list[ua.Variant]:

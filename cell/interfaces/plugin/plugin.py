@@ -12,7 +12,7 @@ import warnings
 import weakref
 from collections import deque
 from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import AbstractContextManager, nullcontext, suppress
 from dataclasses import fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Self
@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, Any, Self
 from cell.config.file import load_config
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
-from cell.control.states import CellState, CellStatus, Command
-from cell.errors import PartInGrip, error_text
+from cell.control.states import CellState, CellStatus, Command, answer
+from cell.errors import CellError, PartInGrip, error_text
 from cell.interfaces.plugin.answer import (
     Answer,
     FeltShape,
@@ -97,6 +97,7 @@ class TactileCellPlugin:
         gauge: Path | str | None = None,
         gauge_shape: str | None = None,
         folder: Path | None = None,
+        save: Path | str | None = None,
     ) -> None:
         """Connect to the cell, verify the devices and take the zero of the taxels.
 
@@ -124,6 +125,10 @@ class TactileCellPlugin:
             the grasps' label.
         folder
             Where the recording goes; None makes none.
+        save
+            Model file that each teaching writes before its job succeeds, as `save` does. One that
+            cannot be written aborts the job, though what was taught is in use, and is tried again
+            after each job that leaves the grip empty, and by `close`. None writes none.
 
         Raises
         ------
@@ -157,6 +162,7 @@ class TactileCellPlugin:
             if model is None
             else TaughtModel.load(checked, model, training_set=training_set, known=known)
         )
+        self._file = tasks.ModelFile(self._model, None if save is None else Path(save))
         self._cell = build_cell(checked, folder=folder, mover=mover, places=places)
         self._remarks: deque[tuple[str, str]] = deque(maxlen=_REMARKS_MAX)
         self._last_answer: deque[Answer] = deque(maxlen=1)
@@ -257,7 +263,7 @@ class TactileCellPlugin:
         match checked:
             case TeachGoal():
                 model.check_extendable()
-                work = functools.partial(tasks.teach, controller, model, checked)
+                work = functools.partial(tasks.teach, controller, model, self._file, checked)
             case IdentifyGoal():
                 model.check_taught()
                 work = functools.partial(tasks.identify, controller, model, checked)
@@ -312,7 +318,7 @@ class TactileCellPlugin:
 
     # -- commands ------------------------------------------------------------------------------
 
-    def begin(self, command: Command, *, reboot: bool = False) -> Job:
+    def begin(self, command: Command, *, reboot: bool = False, needless: bool = False) -> Job:
         """Start `release`, `clear`, `reset` or a shutdown as a job and return its handle at once.
 
         Parameters
@@ -322,6 +328,8 @@ class TactileCellPlugin:
             STOPPED, what is held stays held, and `reset` starts it anew.
         reboot
             As `clear`.
+        needless
+            Whether a clear is accepted where nothing of the cell is to be cleared.
 
         Raises
         ------
@@ -329,6 +337,8 @@ class TactileCellPlugin:
             If the state of the cell does not allow it, or another job runs.
         """
         controller = self._cell.controller
+        if needless and not answer(controller.state, command).accepted:
+            return self._accept(lambda _report: None, None, command.value)
         stopped = controller.state is CellState.STOPPED
 
         def reset() -> None:
@@ -413,17 +423,21 @@ class TactileCellPlugin:
         TimeoutError
             If the running job does not end in time, as while the mover has not returned. Jobs are
             refused from then on; call this again to disconnect.
+        ModelError, DatasetError
+            If what was taught cannot be written to ``save``. Everything else has ended.
         """
         self._worker.check_outside()
         with self._ending:
+            if self._closed:
+                return
             if self._watch is not None:
                 self._watch.close()
             self._stop_jobs()
             self._worker.close(timeout_s)
-            if not self._closed:
-                _write_remarks(self._cell.controller, self._remarks)
+            _write_remarks(self._cell.controller, self._remarks)
             self._cell.close()
             self._closed = True
+            self._file.write()
 
     def __del__(self) -> None:
         if self._closed or sys.is_finalizing():
@@ -461,7 +475,7 @@ class TactileCellPlugin:
 
     def _accept(self, work: Callable[[Report], Any], command: Command | None, task: str) -> Job:
         """Start a job that no earlier `cancel` is meant for, where its command is allowed now."""
-        controller, remarks = self._cell.controller, self._remarks
+        controller, remarks, file = self._cell.controller, self._remarks, self._file
         last_answer, number = self._last_answer, 0
 
         def accepted(job: Job) -> None:
@@ -488,6 +502,9 @@ class TactileCellPlugin:
             finally:
                 _write_remarks(controller, remarks)
                 controller.remark("job", f"{task} {end}")
+                if not controller.status.holding:  # nothing to look after meanwhile
+                    with suppress(CellError):  # `close` is the last to try, and raises it
+                        file.write()
 
         with self._calling(), self._starting:
             return self._worker.start(recorded, accepted=accepted)

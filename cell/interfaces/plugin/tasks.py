@@ -1,11 +1,13 @@
 """Tasks of a host's jobs: teach, identify, grip, verify and sort, with progress as plain data."""
 
+from pathlib import Path
 from typing import Any
 
 from cell.control.controller import CellController
 from cell.control.keeping import Keep
 from cell.control.plan import Pose
 from cell.control.records import GraspRecord
+from cell.errors import CellError
 from cell.interfaces.plugin.answer import Answer, SortAnswer, Verification
 from cell.interfaces.plugin.goals import GripGoal, IdentifyGoal, SortGoal, TeachGoal
 from cell.interfaces.plugin.worker import Report
@@ -15,8 +17,43 @@ from cell.learning.taught_model import TaughtModel
 from recognition.recognizer import Posterior
 
 
-def teach(controller: CellController, model: TaughtModel, goal: TeachGoal, report: Report) -> int:
-    """Grasp an object, train the model anew, and return the number of grasps that held it.
+class ModelFile:
+    """The file that each teaching renews; what could not be written is tried again.
+
+    Parameters
+    ----------
+    model
+        What is taught.
+    path
+        The file; None writes none.
+    """
+
+    def __init__(self, model: TaughtModel, path: Path | None) -> None:
+        self._model = model
+        self._path = path
+        self.due = False
+
+    def write(self) -> None:
+        """Write what was taught since the last time, if anything.
+
+        Raises
+        ------
+        ModelError, DatasetError
+            If a file cannot be written; it is due still.
+        """
+        if self._path is not None and self.due and self._model.labels:
+            self._model.save(self._path)
+        self.due = False
+
+
+def teach(
+    controller: CellController,
+    model: TaughtModel,
+    file: ModelFile,
+    goal: TeachGoal,
+    report: Report,
+) -> int:
+    """Grasp an object, train the model anew, write it, and return the number of grasps of it.
 
     Raises
     ------
@@ -24,6 +61,8 @@ def teach(controller: CellController, model: TaughtModel, goal: TeachGoal, repor
         As `TaughtModel.collect`; the grasps until then count at the next teaching.
     CellError
         If all taught grasps together are too few to train with; they are kept too.
+    ModelError, DatasetError
+        If the model cannot be written; what was taught is in use all the same.
     """
 
     def progress(now: Collection) -> None:
@@ -38,8 +77,16 @@ def teach(controller: CellController, model: TaughtModel, goal: TeachGoal, repor
         )
 
     collection = Collection(label=goal.label, n_planned=goal.grasps)
+    file.due = True
     model.collect(controller, collection, seed=goal.seed, on_grasp=progress)
     model.train()
+    try:
+        file.write()
+    except CellError as error:
+        raise type(error)(
+            f"{goal.label} is taught and in use, but not saved: {error}; it is tried again with "
+            "the next job and at the end"
+        ) from error
     return len(collection.records)
 
 

@@ -1,18 +1,121 @@
-"""What all doors share: who may connect, and how patient they are."""
+"""What all doors share: who may connect and under which name, secrets, places for connections."""
 
-from ipaddress import ip_address, ip_network
+import hmac
+import re
+import socket
+import time
+from collections.abc import Callable, Sequence
+from ipaddress import IPv4Address, IPv6Address, ip_address, ip_network
+from pathlib import Path
+from threading import Lock
+from typing import Generic, TypeVar
 
 from cell.config.serve import ServeConfig
+from cell.errors import ConfigError
 
 BUSY_MAX = 64
-"""Connections at once on one door; further ones are closed at once."""
-QUIET_S = 5.0
-"""Longest time in s that a client may take for the rest of a message, or to take an answer."""
+"""Connections at once on one door; a further one takes the place of the oldest."""
+_SECRET_MIN = 16
+"""Fewest characters of a token or secret."""
+
+T = TypeVar("T")
 
 
 def may_connect(host: str, config: ServeConfig) -> bool:
     """Whether a host may connect: this machine, or one of the allow-list."""
-    address = ip_address(host.partition("%")[0])
-    mapped = getattr(address, "ipv4_mapped", None)
-    found = address if mapped is None else mapped
-    return found.is_loopback or any(found in ip_network(one) for one in config.allow)
+    found = _address(host)
+    return found is not None and (
+        found.is_loopback or any(found in ip_network(one) for one in config.allow)
+    )
+
+
+def is_for_this_machine(hosts: Sequence[str], reached: str, config: ServeConfig) -> bool:
+    """Whether a request over HTTP names this machine, as a page of another site cannot make it.
+
+    A browser writes the name in the address of the page into the header ``Host``. With a name of
+    its own that leads to this machine (DNS rebinding) a page of any site would else be let in.
+
+    Parameters
+    ----------
+    hosts
+        All values of ``Host`` in the request; anything but one value is refused.
+    reached
+        Address of this machine that the connection has reached.
+    config
+        Has further names in ``hosts``.
+    """
+    found = re.fullmatch(r"(\[[^]]*\]|[^][:]+)(:\d*)?", hosts[0]) if len(hosts) == 1 else None
+    if found is None:
+        return False
+    name = found[1].strip("[]").rstrip(".").lower()
+    address = _address(name)
+    if address is None:
+        return name in ("localhost", socket.gethostname().lower(), *config.hosts)
+    return address.is_loopback or address == _address(reached) or str(address) in config.hosts
+
+
+def _address(text: str) -> IPv4Address | IPv6Address | None:
+    """Return an IP address, one of IPv4 within IPv6 as that of IPv4; None for what is none."""
+    try:
+        address = ip_address(text.partition("%")[0])
+    except ValueError:
+        return None
+    return getattr(address, "ipv4_mapped", None) or address
+
+
+def read_secret(path: str) -> str:
+    """Return the token or secret in a file; ConfigError for a bad one, OSError for no file."""
+    try:
+        found = Path(path).read_text(encoding="ascii").strip()
+    except UnicodeDecodeError as error:
+        raise ConfigError(f"{path}: a token or secret is of ASCII characters ({error})") from error
+    if len(found) < _SECRET_MIN:
+        raise ConfigError(
+            f"{path}: a token or secret has at least {_SECRET_MIN} characters, not {len(found)}"
+        )
+    return found
+
+
+def same_secret(given: str, secret: str) -> bool:
+    """Whether both are the same, in a time that does not depend on where they differ."""
+    return hmac.compare_digest(given.encode(), secret.encode())
+
+
+class Places(Generic[T]):
+    """The connections of a door: where all places are taken, a new one takes the oldest.
+
+    The oldest is the one whose last whole request is longest ago, first of all one that never made
+    any: connections that say nothing keep no other client from a hold.
+
+    Parameters
+    ----------
+    close
+        Ends a connection.
+    closed
+        Whether a connection has ended.
+    """
+
+    def __init__(self, close: Callable[[T], object], closed: Callable[[T], bool]) -> None:
+        self._close = close
+        self._closed = closed
+        self._lock = Lock()
+        self._heard_s: dict[T, float] = {}
+
+    def enter(self, one: T) -> None:
+        """Give a new connection its place."""
+        with self._lock:
+            for other in [other for other in self._heard_s if self._closed(other)]:
+                del self._heard_s[other]
+            oldest = min(self._heard_s, key=self._heard_s.__getitem__, default=None)
+            full = len(self._heard_s) >= BUSY_MAX
+            if full and oldest is not None:
+                del self._heard_s[oldest]
+            self._heard_s[one] = 0.0
+        if full and oldest is not None:
+            self._close(oldest)
+
+    def heard(self, one: T) -> None:
+        """Take note of a whole request."""
+        with self._lock:
+            if one in self._heard_s:
+                self._heard_s[one] = time.monotonic()

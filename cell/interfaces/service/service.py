@@ -1,23 +1,25 @@
 """The service: one cell for many clients, of which one at a time may command.
 
 Every call returns at once: what moves is a job with a number, to be asked for. A client commands
-under a lease that it keeps alive; `hold` needs none, and anyone may call it. A lease that is lost
-while a job runs has the job held: the grip is kept, and nothing is resumed by itself.
+under a lease that it keeps alive; `hold` needs none, and anyone may call it, once or for as long as
+a button is pressed. A lease that is lost while a job runs has the job held: the grip is kept, and
+nothing is resumed by itself.
 """
 
 import itertools
 import secrets
 import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field, replace
+from math import inf
 from pathlib import Path
 from typing import Any
 
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.control.states import Command
-from cell.errors import CellError, NotInCommand, RequestRefused, error_text
+from cell.errors import HeldByClient, NotInCommand, RequestRefused, error_text
 from cell.interfaces.plugin.answer import Answer, HostStatus, Verification
 from cell.interfaces.plugin.goals import Goal, GripGoal, IdentifyGoal, checked_goal
 from cell.interfaces.plugin.plugin import TactileCellPlugin
@@ -27,6 +29,10 @@ from gripper.state import Clock
 
 RELEASE_KEY = 0x4F50
 """Key of a release ("OP"): zeroed or repeated outputs of a controller let nothing go."""
+_HOLDERS_MAX = 100
+"""Clients that keep the cell on hold at once; further ones are refused, the cell is held anyway."""
+_UNMOVING = (Command.CLEAR.value, Command.SHUTDOWN.value)
+"""Commands that move nothing and are obeyed while a client keeps the cell on hold."""
 _LOOKS = 10
 """Looks at the lease within its time-out: its loss is noticed at most a tenth of it late."""
 _POSE_GONE_S = 0.05
@@ -97,6 +103,8 @@ class Snapshot:
         The job of the last answer of an identification, as `HostStatus.last_answer`, for doors.
     commander
         Name of the client with the lease; empty for none.
+    held_by
+        Clients that keep the cell on hold; "(gone)" stands after one that is gone.
     pose_seq, pose
         The pose that the host shall reach and its number; 0 and None where none is waited for.
     """
@@ -105,6 +113,7 @@ class Snapshot:
     job: JobView
     last_answer: JobView | None
     commander: str
+    held_by: tuple[str, ...]
     pose_seq: int
     pose: Pose | None
 
@@ -116,6 +125,14 @@ class _Lease:
     heard_s: float
 
 
+@dataclass(slots=True)
+class _Holder:
+    """A client that keeps the cell on hold; inf for one whose connection stands."""
+
+    name: str
+    heard_s: float
+
+
 class Service:
     """One cell, its lease, its jobs and its pose handshake; every method from any thread.
 
@@ -123,10 +140,8 @@ class Service:
     ----------
     config
         The cell. A positioner of kind ``callback`` is the pose handshake.
-    model, training_set
+    model, training_set, save
         As `TactileCellPlugin`.
-    save
-        File to which the model is written after each teaching; None writes none.
     folder
         Where the recording goes, with each command, its client and its end; None makes none.
     note
@@ -153,12 +168,11 @@ class Service:
         # The lease watches the clients, each by itself.
         self.config = config = config.model_copy(update={"host_timeout_s": None})
         self._clock = clock
-        self._save = save
-        self._saved = 0
         self._note = note
         self._lock = threading.RLock()
         self._changed = threading.Condition(self._lock)
         self._lease: _Lease | None = None
+        self._holders: dict[Hashable, _Holder] = {}
         self._jobs: dict[int, tuple[Job, str, int]] = {}
         self._newest = 0
         self._pose_seq = 0
@@ -168,7 +182,7 @@ class Service:
         self._stopped = False
         mover = self._move if config.positioner.kind == "callback" else None
         self._plugin = TactileCellPlugin(
-            config, mover=mover, model=model, training_set=training_set, folder=folder
+            config, mover=mover, model=model, training_set=training_set, folder=folder, save=save
         )
         self._parts = itertools.cycle(entry.label for entry in config.simulator.objects)
         self._over = threading.Event()
@@ -199,6 +213,7 @@ class Service:
                 job=job,
                 last_answer=self._answered(status),
                 commander="" if self._lease is None else self._lease.name,
+                held_by=self.held_by,
                 pose_seq=self._pose_seq if self._pose is not None else 0,
                 pose=self._pose,
             )
@@ -332,12 +347,20 @@ class Service:
             As `TactileCellPlugin.begin`.
         key
             `RELEASE_KEY` for a release, the only way to let the part go.
+
+        A clear acknowledges the holds of clients that are gone, too.
         """
 
         def begin() -> Job:
             if command is Command.RELEASE and key != RELEASE_KEY:
                 raise RequestRefused(f"release: {key:#x} is not the key; with it the part may fall")
-            return self._plugin.begin(command, reboot=reboot)
+            if command is not Command.CLEAR:
+                return self._plugin.begin(command, reboot=reboot)
+            gone = [client for client, holder in self._holders.items() if self._is_gone(holder)]
+            job = self._plugin.begin(command, reboot=reboot, needless=bool(gone))
+            for client in gone:
+                self.end_hold(client)
+            return job
 
         given = {"reboot": True} if reboot else {}
         return self._begin(lease, command.value, given, number, begin)
@@ -352,6 +375,76 @@ class Service:
                 self._plugin.cancel(entry[0], reason)
                 self._stopped = True
                 self._changed.notify_all()
+
+    @property
+    def held_by(self) -> tuple[str, ...]:
+        """Names of the clients that keep the cell on hold; those that are gone are marked."""
+        with self._lock:
+            every = self._holders.values()
+            return tuple(f"{one.name} (gone)" if self._is_gone(one) else one.name for one in every)
+
+    def hold_as(self, name: str, latch: bool | None) -> None:
+        """Hold for a client without a connection: True begins, False ends, None holds once."""
+        if latch is None:
+            self.hold(f"by {name}")
+        elif latch:
+            self.begin_hold(name, name)
+        else:
+            self.end_hold(name)
+
+    def begin_hold(self, client: Hashable, name: str, *, connected: bool = False) -> None:
+        """Stop what runs, and start nothing that moves until this client ends its hold.
+
+        Parameters
+        ----------
+        client, name
+            The client and its name for all to see. One that comes again takes up the hold that a
+            client of the same name has left behind.
+        connected
+            Whether its connection tells when it is gone, by `leave_hold`. Any other client counts
+            as gone when it has not repeated this for ``serve.lease_timeout_s``. A client that is
+            gone keeps the cell on hold until a person comes: the client again, or a clear.
+
+        Raises
+        ------
+        RequestRefused
+            If too many clients do so; what runs is stopped.
+        """
+        with self._changed:
+            for left in [k for k, one in self._holders.items() if one.name == name and k != client]:
+                if self._is_gone(self._holders[left]):
+                    del self._holders[left]
+            if room := client in self._holders or len(self._holders) < _HOLDERS_MAX:
+                if client not in self._holders:
+                    self._plugin.remark("hold", f"begun by {name}")
+                heard_s = inf if connected else self._clock.monotonic()
+                self._holders[client] = _Holder(name, heard_s)
+            self.hold(f"by {name}")
+        if not room:
+            raise RequestRefused(f"{_HOLDERS_MAX} clients hold the cell already")
+
+    def end_hold(self, client: Hashable) -> None:
+        """End the hold of a client, if it has one; nothing is resumed."""
+        with self._lock:
+            holder = self._holders.pop(client, None)
+            if holder is not None:
+                self._plugin.remark("hold", f"ended for {holder.name}")
+
+    def leave_hold(self, client: Hashable) -> None:
+        """Take note that the connection of a client is gone; its hold stays."""
+        with self._lock:
+            if client in self._holders:
+                self._holders[client].heard_s = -inf
+
+    def _is_gone(self, holder: _Holder) -> bool:
+        return self._clock.monotonic() - holder.heard_s > self.config.serve.lease_timeout_s
+
+    def _check_held(self, task: str) -> None:
+        if self._holders and task not in _UNMOVING:
+            raise HeldByClient(
+                f"{task}: {', '.join(self.held_by)} keeps the cell on hold; let its button go, or "
+                "clear the hold of one that is gone"
+            )
 
     def _begin(
         self,
@@ -375,6 +468,7 @@ class Service:
             values = "".join(f", {field} {value}" for field, value in given.items())
             self._plugin.remark("command", f"job {self._next}: {task}{values}, by {name!r}")
             try:
+                self._check_held(task)
                 job = begin()
             except Exception as error:
                 self._plugin.remark("command", f"job {self._next} refused: {error_text(error)}")
@@ -430,35 +524,24 @@ class Service:
     # -- the end -------------------------------------------------------------------------------
 
     def close(self, timeout_s: float = 30.0) -> None:
-        """Hold what runs and disconnect; a held part stays held. A second call does nothing."""
+        """Hold what runs and disconnect; a held part stays held. A second call does nothing.
+
+        Raises ModelError or DatasetError if what was taught cannot be saved; all has ended then.
+        """
         self._over.set()
         self.hold("because the service ends")
         with self._changed:
             self._stopped = True
             self._changed.notify_all()
         self._watch.join()
-        self._save_taught()
         self._plugin.close(timeout_s)
 
     def _run_watch(self) -> None:
         while not self._over.wait(self.config.serve.lease_timeout_s / _LOOKS):
             try:
                 self.look()
-                self._save_taught()
             except Exception as error:  # the watch over the lease must outlive whatever it meets
                 self._note(f"watch over the lease: {error_text(error)}")
-
-    def _save_taught(self) -> None:
-        """Write the model after a teaching; one that cannot be written is a note."""
-        newest = self.job()
-        taught = newest.task == "teach" and newest.outcome == JobOutcome.SUCCEEDED
-        if self._save is None or not taught or newest.number == self._saved:
-            return
-        self._saved = newest.number
-        try:
-            self._plugin.save(self._save)
-        except (CellError, OSError) as error:
-            self._note(f"the model could not be written: {error}")
 
     def _answered(self, status: HostStatus) -> JobView | None:
         """Return the job of the last answer, also where it is no longer among those kept."""

@@ -16,8 +16,11 @@ def warnings(service: Service) -> tuple[str, ...]:
     notes = []
     if not ip_address(config.listen).is_loopback:
         if config.modbus_port is not None or config.xmlrpc_port is not None:
+            weakness = (
+                "send their secret in the clear" if config.secret_file else "authenticate nobody"
+            )
             notes.append(
-                f"Modbus and XML-RPC authenticate nobody: who reaches {config.listen} from "
+                f"Modbus and XML-RPC {weakness}: who reaches {config.listen} from "
                 f"{', '.join(config.allow)} can move the gripper; use a network of the cell alone"
             )
         if config.http_port is not None and not config.tls_certificate:
@@ -36,6 +39,10 @@ def open_doors(service: Service) -> Iterator[dict[str, Any]]:
     """
     config = service.config.serve
     found: dict[str, Any] = {"listen": config.listen}
+    files = (config.secret_file, config.token_file, config.tls_certificate, config.tls_key)
+    for name in files:
+        if name and Path(name).exists() and not Path(name).is_file():
+            raise ConfigError(f"{name}: not a plain file; name the file itself")
     with ExitStack() as undo:
         try:
             if config.modbus_port is not None:
@@ -53,9 +60,6 @@ def open_doors(service: Service) -> Iterator[dict[str, Any]]:
             if config.http_port is not None:
                 from cell.interfaces.web import WebDoor  # noqa: PLC0415
 
-                for name in (config.token_file, config.tls_certificate, config.tls_key):
-                    if name and Path(name).exists() and not Path(name).is_file():
-                        raise ConfigError(f"{name}: not a plain file; name the file itself")
                 web = WebDoor(service)
                 undo.callback(web.close)
                 found |= {"http_port": web.port, "token": web.token}

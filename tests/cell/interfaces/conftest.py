@@ -1,5 +1,6 @@
 """Plugins and services on small simulated cells; a service has a clock of its own, and doors."""
 
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -29,6 +30,18 @@ def until(true: Callable[[], Any]) -> Any:
         assert time.monotonic() < end_s
         threading.Event().wait(0.005)
     return found
+
+
+def ended(link: socket.socket) -> bool:
+    """Send one more byte of a request; whether the door has closed the connection."""
+    try:
+        link.sendall(b"x")
+        link.setblocking(False)
+        return link.recv(1) == b""
+    except BlockingIOError:
+        return False
+    except OSError:
+        return True
 
 
 @dataclass

@@ -2,12 +2,13 @@
 
 import json
 import os
+import socket
 import ssl
 import subprocess
 import threading
 import time
 from collections.abc import Callable
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from http.client import HTTPConnection, HTTPSConnection
 from pathlib import Path
 from typing import Any
@@ -17,9 +18,10 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect as open_socket
 
 from cell.errors import CellError, ConfigError
+from cell.interfaces.service.doors import BUSY_MAX
 from cell.interfaces.service.service import RELEASE_KEY, Service
 from cell.interfaces.service.serving import open_doors, warnings
-from tests.cell.interfaces.conftest import Served, until
+from tests.cell.interfaces.conftest import Served, ended, until
 
 
 class Client:
@@ -172,6 +174,26 @@ def test_all_but_hold_needs_the_token(connect: Any) -> None:
     assert served.grip_n > 1.0
 
 
+def test_a_hold_is_a_level_for_each_client(connect: Any) -> None:
+    served, host = connect()
+    lease = host.post("/api/lease", name="host")["lease"]
+    gate = "HTTP 127.0.0.1 gate"
+    found = host.ask("POST", "/api/hold?latch=true&name=gate", token=None)
+    assert found == (200, {"state": "IDLE", "held_by": [gate]})
+    assert host.get("/api/state")["held_by"] == [gate]
+    with host.live() as link:
+        assert json.loads(link.recv(timeout=20))["held_by"] == [gate]
+    for body in ({"lease": lease, "goal": {"task": "grip", "force_n": 3.0}},):
+        status, found = host.ask("POST", "/api/jobs", body)
+        assert (status, found["fault_number"]) == (409, 515)
+    for query in ("", "?latch=false", "?latch=false&name=door"):
+        assert host.ask("POST", f"/api/hold{query}", {})[1]["held_by"] == [gate]
+    assert host.ask("POST", "/api/hold?latch=false&name=gate")[1]["held_by"] == []
+    assert host.ask("POST", "/api/hold?latch=perhaps")[0] == 422
+    host.post("/api/jobs", lease=lease, goal={"task": "grip", "force_n": 3.0})
+    assert served.ended().outcome == "SUCCEEDED"
+
+
 def test_the_description_has_a_text_for_each_path(connect: Any) -> None:
     _, host = connect()
     paths = host.ask("GET", "/openapi.json", token=None)[1]["paths"]
@@ -192,6 +214,41 @@ def test_a_page_from_elsewhere_is_refused(connect: Any) -> None:
     host.token = "wrong"
     with pytest.raises(InvalidStatus, match="403"), host.live():
         pass
+
+
+def test_a_page_whose_name_leads_here_is_refused_everywhere(connect: Any) -> None:
+    served, host = connect(serve__hosts=["cell.lan"])
+    ways = host.ask("GET", "/openapi.json", token=None)[1]["paths"]
+    everything = [(way.upper(), path) for path, found in ways.items() for way in found]
+    rebound = {"Host": f"evil.example:{host.port}", "Origin": f"http://evil.example:{host.port}"}
+    for way, path in (*everything, ("GET", "/openapi.json"), ("GET", "/nothing")):
+        place = path.format(lease=1, number=1)
+        assert host.ask(way, place, {}, **rebound)[0] == 403, path
+        assert host.ask(way, place, {}, Host="evil.example")[0] == 403, path
+    assert host.ask("POST", "/api/hold", {}, Host="cell.lan:80")[0] == 200
+    assert host.ask("POST", "/api/hold", {}, Host="LOCALHOST")[0] == 200
+    upgrade = {"Upgrade": "websocket", "Connection": "Upgrade", "Sec-WebSocket-Version": "13"}
+    upgrade["Sec-WebSocket-Key"] = "MDEyMzQ1Njc4OWFiY2RlZg=="
+    assert host.ask("GET", f"/api/live?token={host.token}", **upgrade, **rebound)[0] == 403
+    assert served.service.job().number == 0
+
+
+def test_half_sent_requests_keep_nobody_out(connect: Any) -> None:
+    _, host = connect(serve__request_timeout_s=0.2)
+    place = ("127.0.0.1", host.port)
+    with ExitStack() as slow:
+        links = [
+            slow.enter_context(socket.create_connection(place, timeout=20.0))
+            for _ in range(2 * BUSY_MAX)
+        ]
+        for link in links[::2]:
+            with suppress(OSError):
+                link.sendall(b"POST /api/hold HTTP/1.1\r\nHost: localhost\r\n")
+        assert host.ask("POST", "/api/hold", token=None)[0] == 200
+        until(lambda: all(ended(link) for link in links))
+    with host.live() as live:
+        for _ in range(20):  # a WebSocket has no such limit
+            live.recv(timeout=20)
 
 
 def test_a_lease_is_taken_over_at_this_machine(connect: Any) -> None:
@@ -295,10 +352,16 @@ def test_doors_that_cannot_be_opened_say_why(serve: Any, tmp_path: Path) -> None
     with pytest.raises(CellError, match="cannot be opened"):
         serve("http", serve__token_file=str(tmp_path / "missing"))
     os.mkfifo(tmp_path / "pipe")
-    for key in ("token_file", "tls_key"):
+    for key in ("secret_file", "token_file", "tls_key"):
         files = {"serve__tls_certificate": str(tmp_path / "missing")} if key == "tls_key" else {}
         with pytest.raises(ConfigError, match="pipe: not a plain file"):
             serve("http", **files, **{f"serve__{key}": str(tmp_path / "pipe")})
+    (tmp_path / "bad").write_bytes(b"\xff" * 20)
+    with pytest.raises(ConfigError, match="of ASCII characters"):
+        serve("xmlrpc", serve__secret_file=str(tmp_path / "bad"))
+    (tmp_path / "long").write_text("x" * 65)
+    with pytest.raises(ConfigError, match="Modbus carries 64"):
+        serve("modbus", serve__secret_file=str(tmp_path / "long"))
     (tmp_path / "short").write_text("short")
     with pytest.raises(ConfigError, match="at least 16 characters"):
         serve("http", serve__token_file=str(tmp_path / "short"))

@@ -6,6 +6,7 @@ import socket
 import struct
 import subprocess
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -23,12 +24,14 @@ from cell.interfaces.modbus.registers import (
     NEEDS_RESET,
     NOT_MEASURED,
     OLDEST_MS,
+    ON_HOLD,
     READY,
     REFUSED,
     REMOTE,
     RUNNING,
     SIGNATURE,
 )
+from cell.interfaces.service.doors import BUSY_MAX
 from cell.interfaces.service.service import RELEASE_KEY
 from tests.cell.interfaces.conftest import Served, until
 from tests.cell.interfaces.modbus.structured_text import FunctionBlock
@@ -229,6 +232,7 @@ def test_a_second_master_is_refused_but_may_hold(connect: Any) -> None:
     served.go_on()
     assert served.ended().outcome == "CANCELED"
     assert (second.inputs()[3], served.grip_n > 1.0) == (11, True)
+    assert second.write(7, 0) == 0
     assert first.command(RELEASE, 0, 0, 0, 0, RELEASE_KEY) == 0
     assert served.ended().outcome == "SUCCEEDED"
 
@@ -241,6 +245,45 @@ def test_a_second_master_over_another_door_is_refused(connect: Any) -> None:
     served.pass_lease()
     assert plc.live() == 0
     assert plc.inputs()[2] == READY | REMOTE
+
+
+def test_who_commands_writes_the_secret_first_where_there_is_one(
+    connect: Any, tmp_path: Path
+) -> None:
+    (tmp_path / "secret").write_text("seventeen letters\n")
+    served, plc = connect(serve__secret_file=str(tmp_path / "secret"))
+    _, second = connect(served)
+    words = struct.unpack(">9H", b"seventeen letters\0")
+    assert plc.live() == 3
+    assert plc.write(32, *words[:-1]) == 0
+    assert plc.live() == 3
+    assert plc.write(7, 1) == 0  # anyone holds
+    assert plc.write(7, 0) == 0
+    for address, word in enumerate(words, start=32):  # one by one, as a UR writes
+        assert not plc.link.write_register(address, word).isError()
+    assert plc.link.read_holding_registers(32, count=1).exception_code == 2
+    plc.adopt()
+    assert second.write(LIFE, 9) == 3
+    plc.link.close()
+    # The lease that a closed connection has left is no way round it.
+    assert second.write(LIFE, 10) == 3
+    assert second.write(63, 0, 0) == 2
+    assert second.write(32, *words, *[0] * 23) == 0
+    until(lambda: second.write(LIFE, 11) == 0)
+    assert served.service.snapshot().commander
+
+
+def test_connections_that_say_nothing_keep_nobody_out(connect: Any) -> None:
+    served, plc = connect()
+    plc.adopt()
+    with contextlib.ExitStack() as idle:
+        for _ in range(2 * BUSY_MAX):
+            place = ("127.0.0.1", served.doors["modbus_port"])
+            idle.enter_context(socket.create_connection(place, timeout=20.0))
+        _, second = connect(served)
+        assert second.write(7, 1) == 0
+        assert second.write(7, 0) == 0
+        assert plc.live() == 0  # the one in command was heard later than all of them
 
 
 def test_a_frozen_life_counter_holds_the_job(connect: Any) -> None:
@@ -263,15 +306,47 @@ def test_a_frozen_life_counter_holds_the_job(connect: Any) -> None:
     assert served.state == "HELD"
 
 
-def test_the_hold_register_stands_against_new_jobs(connect: Any) -> None:
+def test_the_hold_register_is_a_level_of_each_client(connect: Any) -> None:
     served, plc = connect()
+    _, panel = connect(served)
     plc.adopt()
-    assert plc.write(7, 1) == 0
+    assert panel.write(7, 1) == 0
+    levels = [one.link.read_holding_registers(7, count=1).registers for one in (plc, panel)]
+    assert levels == [[0], [1]]
+    inputs = plc.inputs()
+    assert inputs[2] == READY | REMOTE | ON_HOLD
+    assert text_of(inputs) == "on hold by Modbus 127.0.0.1"
+    for command in (IDENTIFY, GRIP, RESET):
+        assert plc.command(command, 0, 300) == 515
+    # A pressed button in the block of the client in command counts as well.
     plc.seq += 1
     assert plc.write(COMMAND, IDENTIFY, 0, 0, 0, 0, 0, 1, plc.seq) == 0
-    assert plc.inputs()[6] == 513
-    assert plc.command(IDENTIFY) == 0
+    assert plc.inputs()[6] == 515
+    assert panel.write(7, 0) == 0
+    assert plc.inputs()[2] & ON_HOLD
+    assert plc.command(IDENTIFY) == 0  # its block has 0 in register 7
     assert served.ended().outcome == "SUCCEEDED"
+    # A block that is refused holds, too.
+    assert panel.write(0, 9, *[0] * 6, 1) == 6
+    assert plc.command(IDENTIFY) == 515
+    # The connection of the panel is gone: its hold stays until a person acts.
+    panel.link.close()
+    until(lambda: "gone" in text_of(plc.inputs()))
+    assert plc.command(IDENTIFY) == 515
+    assert plc.command(CLEAR) == 0
+    assert served.ended(2).task == "clear"
+    assert plc.command(IDENTIFY) == 0
+    assert served.ended(3).outcome == "SUCCEEDED"
+
+
+def test_a_client_whose_lease_is_lost_still_holds(connect: Any) -> None:
+    served, plc = connect()
+    plc.adopt()
+    served.pass_lease()
+    assert plc.write(7, 1) == 0
+    assert served.service.held_by == ("Modbus 127.0.0.1",)
+    assert plc.write(7, 0) == 0
+    assert served.service.held_by == ()
 
 
 def test_a_fault_is_a_number_and_a_text(connect: Any) -> None:
@@ -373,6 +448,10 @@ def test_torn_requests_and_many_connects_change_nothing(connect: Any) -> None:
             link.sendall(release[:cut])
     for _ in range(200):
         socket.create_connection(("127.0.0.1", port), timeout=10.0).close()
+    with socket.create_connection(("127.0.0.1", port), timeout=10.0) as page:
+        page.sendall(b"POST / HTTP/1.1\r\nHost: localhost\r\n\r\n" + release)
+        with contextlib.suppress(ConnectionResetError):
+            assert page.recv(100) == b""
     assert (plc.inputs()[5], plc.inputs()[8], served.grip_n > 1.0) == (1, 1, True)
 
 
@@ -457,6 +536,8 @@ def test_the_function_block_of_the_example_walks_through_a_whole_cycle(connect: 
     run(Command=IDENTIFY, MaxGrasps=1)
     cycle(HoldNow=True)
     assert served.ended().outcome == "CANCELED"
+    assert cycle(HoldNow=True)["OnHold"]
+    assert not cycle(HoldNow=False)["OnHold"] or not cycle()["OnHold"]
 
 
 def test_swapped_bytes_show_in_the_function_block(connect: Any) -> None:

@@ -1,6 +1,8 @@
 """The service: one lease commands, anyone holds, nothing is done twice, nothing resumes."""
 
 import math
+import shutil
+import socket
 import threading
 from pathlib import Path
 from typing import Any
@@ -8,12 +10,22 @@ from typing import Any
 import pytest
 
 from cell.control.states import Command
+from cell.data.dataset import read_dataset, write_dataset
 from cell.data.recording_reader import read_recording
-from cell.errors import CellStateError, ConfigError, NotInCommand, RequestRefused
+from cell.errors import (
+    CellStateError,
+    ConfigError,
+    DatasetError,
+    HeldByClient,
+    ModelError,
+    NotInCommand,
+    RequestRefused,
+)
 from cell.interfaces.plugin import worker
 from cell.interfaces.service import service as service_module
-from cell.interfaces.service.doors import may_connect
+from cell.interfaces.service.doors import is_for_this_machine, may_connect
 from cell.interfaces.service.service import RELEASE_KEY
+from cell.learning.taught_model import TaughtModel
 from tests.cell.interfaces.conftest import LEASE_S, until
 
 IDENTIFY = {"task": "identify", "max_grasps": 1, "present": "ball"}
@@ -116,6 +128,106 @@ def test_anyone_holds(serve: Any) -> None:
     assert "stopped by the operator" in served.ended().error
     assert (served.state, served.grip_n > 1.0) == ("HELD", True)
     assert served.service.has(lease)
+
+
+def test_a_button_holds_the_cell_until_each_client_has_let_go(serve: Any) -> None:
+    served = serve()
+    service, lease = served.service, served.service.acquire("first")
+    served.pause_while_pressing()
+    service.start(lease, IDENTIFY)
+    served.paused()
+    service.begin_hold(1, "panel 1", connected=True)
+    service.begin_hold(2, "panel 2", connected=True)
+    served.go_on()
+    assert "stopped by panel" in served.ended().error
+    assert (served.state, served.grip_n > 1.0) == ("HELD", True)
+    for left, name in ((1, "panel 1, panel 2"), (2, "panel 2")):
+        assert ", ".join(service.snapshot().held_by) == name
+        for command in (Command.RELEASE, Command.RESET):
+            with pytest.raises(HeldByClient, match=f"{command}: {name} keeps the cell on hold"):
+                service.command(lease, command, key=RELEASE_KEY)
+        with pytest.raises(HeldByClient):
+            service.start(lease, IDENTIFY)
+        service.end_hold(left)
+        service.end_hold(left)
+    assert (service.held_by, service.job().number, served.grip_n > 1.0) == ((), 1, True)
+    service.command(lease, Command.RELEASE, key=RELEASE_KEY)
+    assert served.ended(2).outcome == "SUCCEEDED"
+
+
+@pytest.mark.parametrize("way", ["the button again", "clear", "clear of a fault"])
+def test_a_hold_outlives_its_client_until_a_person_acts(serve: Any, way: str) -> None:
+    served = serve()
+    service, lease = served.service, served.service.acquire("first")
+    if way == "clear of a fault":
+        unit_off = served.simulated.inject("unit.off")
+        service.start(lease, IDENTIFY)
+        assert served.ended().outcome == "ABORTED"
+        unit_off.clear()
+    service.begin_hold(1, "panel", connected=True)
+    service.begin_hold(3, "other", connected=True)
+    service.leave_hold(1)
+    service.leave_hold(2)
+    assert service.held_by == ("panel (gone)", "other")
+    service.begin_hold(2, "panel 2", connected=True)
+    service.end_hold(2)  # another button is not this one
+    assert service.held_by == ("panel (gone)", "other")
+    if way == "the button again":
+        service.begin_hold(4, "panel", connected=True)
+        assert service.held_by == ("other", "panel")
+        service.end_hold(4)
+    else:
+        served.ended(service.command(lease, Command.CLEAR))
+        assert served.ended().outcome == "SUCCEEDED"
+    assert service.held_by == ("other",)
+    if way != "clear of a fault":
+        with pytest.raises(CellStateError, match="'clear' is not allowed"):
+            service.command(lease, Command.CLEAR)  # it stands: no clear lets a pressed button go
+    with pytest.raises(HeldByClient):
+        service.command(lease, Command.RESET)
+    service.end_hold(3)
+    if way != "clear of a fault":
+        service.start(lease, IDENTIFY)
+        assert served.ended().outcome == "SUCCEEDED"
+
+
+def test_a_client_without_a_connection_repeats_its_hold(serve: Any) -> None:
+    served = serve()
+    service, lease = served.service, served.service.acquire("first")
+    service.hold_as("HTTP 192.0.2.1 panel", None)  # once: nothing stays
+    assert service.held_by == ()
+    for _ in range(3):
+        service.hold_as("HTTP 192.0.2.1 panel", True)
+        served.clock.now_s += LEASE_S
+        service.alive(lease)
+        with pytest.raises(CellStateError, match="'clear' is not allowed"):
+            service.command(lease, Command.CLEAR)
+    served.clock.now_s += 1.0
+    assert service.held_by == ("HTTP 192.0.2.1 panel (gone)",)
+    with pytest.raises(HeldByClient):
+        service.start(lease, IDENTIFY)
+    service.hold_as("HTTP 192.0.2.1", False)
+    assert service.held_by == ("HTTP 192.0.2.1 panel (gone)",)
+    service.hold_as("HTTP 192.0.2.1 panel", False)
+    assert service.held_by == ()
+
+
+def test_many_holds_do_not_grow_and_still_stop_the_job(serve: Any) -> None:
+    served = serve()
+    service, lease = served.service, served.service.acquire("first")
+    for number in range(100):
+        service.begin_hold(number, f"{number}")
+    for number in range(100):
+        service.end_hold(number)
+    for number in range(99):
+        service.begin_hold(number, f"{number}")
+    assert service.job().number == 0
+    service.begin_hold("last", "last")
+    service.begin_hold("last", "last")
+    with pytest.raises(RequestRefused, match="100 clients"):
+        service.begin_hold("one more", "one more")
+    assert len(service.held_by) == 100
+    assert service.has(lease)
 
 
 def test_a_person_at_the_cell_takes_the_lease_and_the_job_is_held(serve: Any) -> None:
@@ -277,32 +389,105 @@ def test_labels_have_ids_that_the_config_fixes(serve: Any) -> None:
     assert service.info()["labels"] == ["cube", "box", "ball"]
 
 
-def test_a_taught_model_is_saved(serve: Any, tmp_path: Path) -> None:
-    path = tmp_path / "new.npz"
-    served = serve(options={"model": None, "save": path}, serve__lease_timeout_s=0.2)
+def test_each_teaching_is_saved_before_its_job_succeeds(
+    serve: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, outcomes, save = tmp_path / "new.npz", [], TaughtModel.save
+    served = serve(options={"model": None, "save": path})
+
+    def look(model: TaughtModel, *arguments: Any, **options: Any) -> None:
+        save(model, *arguments, **options)
+        outcomes.append(served.service.job().outcome)
+
+    monkeypatch.setattr(TaughtModel, "save", look)
     lease = served.service.acquire("first")
-    for label in ("ball", "box"):
-        served.service.start(lease, {"task": "teach", "label": label, "grasps": 3})
-        assert served.ended().outcome == "SUCCEEDED"
-    until(path.exists)
-    served.service.close()
+    teach = {"task": "teach", "grasps": 3}
+    for number, goal in enumerate(
+        (teach | {"label": "ball"}, teach | {"label": "box"}, IDENTIFY), start=1
+    ):
+        served.service.start(lease, goal)
+        served.ended(number)
+    assert outcomes == ["EXECUTING", "EXECUTING"]  # and once for each teaching
     again = serve(options={"model": path}).service
     assert again.labels == ("ball", "box")
 
 
-def test_a_model_that_cannot_be_saved_is_a_note(serve: Any, tmp_path: Path) -> None:
-    notes: list[str] = []
-    where = tmp_path / "missing" / "folder" / "model.npz"
-    where.parent.parent.write_text("a file where a folder should be")
-    options = {"model": None, "save": where, "note": notes.append}
-    served = serve(options=options)
-    served.service.start(
-        served.service.acquire("first"), {"task": "teach", "label": "ball", "grasps": 3}
-    )
+def test_a_teaching_that_cannot_be_saved_says_so_and_is_tried_again(
+    serve: Any, tmp_path: Path
+) -> None:
+    where = tmp_path / "folder"
+    where.write_text("a file where a folder should be")
+    path = where / "model.npz"
+    served = serve(options={"model": None, "save": path})
+    service, lease = served.service, served.service.acquire("first")
+    service.start(lease, {"task": "teach", "label": "ball", "grasps": 3})
+    job = served.ended()
+    assert (job.outcome, job.fault_number, served.state) == ("ABORTED", 502, "IDLE")
+    assert job.error.startswith("DatasetError: ball is taught and in use, but not saved: cannot ")
+    service.start(lease, KEEP)
+    assert served.ended(2).label in ("ball", "UNKNOWN")
+    where.unlink()
+    where.mkdir()
+    service.start(lease, {"task": "verify"})
+    served.ended(3)
+    assert not path.exists()  # a part is held: nothing but its watch counts
+    service.command(lease, Command.RELEASE, key=RELEASE_KEY)
+    served.ended(4)
+    until(path.exists)
+    assert serve(options={"model": path}).service.labels == ("ball",)
+
+
+def test_what_was_taught_is_written_at_the_end_or_the_end_says_why(
+    serve: Any, tmp_path: Path
+) -> None:
+    where = tmp_path / "folder"
+    for mended in (True, False):
+        path = where / f"{mended}.npz"
+        served = serve(options={"model": None, "save": path})
+        goal = {"task": "teach", "label": "ball", "grasps": 3}
+        served.service.start(served.service.acquire("first"), goal)
+        assert "the folder" in served.ended().error
+        if mended:
+            where.mkdir()
+            served.service.close()
+            assert serve(options={"model": path}).service.labels == ("ball",)
+            shutil.rmtree(where)
+        else:
+            with pytest.raises(DatasetError, match=r"the folder .* does not exist"):
+                served.service.close()
+            served.service.close()
+
+
+def test_a_teaching_that_was_stopped_adds_its_grasps(serve: Any, tmp_path: Path) -> None:
+    path = tmp_path / "new.npz"
+    served = serve(options={"model": None, "save": path})
+    service, lease = served.service, served.service.acquire("first")
+    teach = {"task": "teach", "label": "ball", "grasps": 3}
+    service.start(lease, teach)
     served.ended()
-    served.service.close()
-    assert len(notes) == 1
-    assert notes[0].startswith("the model could not be written")
+    before = path.read_bytes()
+    service.start(lease, teach | {"label": "box", "grasps": 50})
+    until(lambda: service.job().progress.get("grasps", 0) >= 2)
+    service.hold()
+    assert served.ended().outcome == "CANCELED"
+    if served.state == "HELD":
+        service.command(lease, Command.RELEASE, key=RELEASE_KEY)
+        served.ended(3)
+    service.close()
+    assert path.read_bytes() != before
+    # Killed between the two files: the grasps are there, the model is that of before.
+    file = tmp_path / "new.grasps.npz"
+    grasps = read_dataset(file)
+    assert "box" in {grasp.label for grasp in grasps}
+    write_dataset(file, [*grasps, grasps[0]])
+    again = serve(options={"model": path})
+    assert again.service.labels == ("ball",)
+    again.service.start(again.service.acquire("first"), teach | {"label": "box"})
+    assert again.ended().error == ""
+    assert set(again.service.labels) == {"ball", "box"}
+    write_dataset(file, [grasps[-1], *grasps])
+    with pytest.raises(ModelError, match="is not the one that trained"):
+        serve(options={"model": path})
 
 
 def test_the_recording_has_each_command_with_its_client_and_its_end(
@@ -447,8 +632,47 @@ def test_hosts_are_this_machine_and_those_allowed(make_config: Any) -> None:
 
 
 @pytest.mark.parametrize(
+    ("host", "may"),
+    [
+        ("localhost", True),
+        ("LocalHost.:5021", True),
+        ("127.0.0.1", True),
+        ("127.9.9.9:1", True),
+        ("[::1]", True),
+        ("[::1]:5021", True),
+        (socket.gethostname(), True),
+        ("192.0.2.1:5021", True),  # the address that the connection has reached
+        ("192.0.2.2", False),
+        ("cell.lan", True),
+        ("CELL.lan:80", True),
+        ("10.0.0.7", True),
+        ("evil.example", False),
+        ("evil.cell.lan", False),
+        ("cell.lan.evil.example", False),
+        ("localhost.evil.example", False),
+        ("localhost:5021:evil", False),
+        ("127.0.0.1@evil.example", False),
+        ("127.1", False),
+        ("0.0.0.0", False),
+        ("", False),
+        (".", False),
+        ("[::1", False),
+        ("localhost\n", False),
+    ],
+)
+def test_requests_name_this_machine(make_config: Any, host: str, may: bool) -> None:
+    config = make_config(serve__hosts=["cell.lan", "10.0.0.7"]).serve
+    assert is_for_this_machine([host], "192.0.2.1", config) is may
+    assert not is_for_this_machine([host, host], "192.0.2.1", config)
+    assert not is_for_this_machine([], "192.0.2.1", config)
+
+
+@pytest.mark.parametrize(
     ("changes", "complaint"),
     [
+        ({"serve__hosts": ["http://cell.lan"]}, "without port"),
+        ({"serve__hosts": ["cell.lan:80"]}, "without port"),
+        ({"serve__hosts": [""]}, "without port"),
         ({"serve__listen": "0.0.0.0"}, "serve.allow is empty"),
         ({"serve__listen": "localhost"}, "does not appear to be"),
         ({"serve__allow": ["everyone"]}, "does not appear to be"),
