@@ -65,7 +65,7 @@ class ForceByCurrent:
     approach, by the current that closes the empty fingers. ``noise_n`` of the samples is what
     remains uncertain: 0.7 N at 5 N with two XM430-W350 on links of 60 mm, where phi is 3.7 N. In
     the simulated cell 5 N that were asked for are 4.9 to 5.0 N, 4.5 and 5.5 N with a torque
-    constant that is off by 10 %, and 4.6 N on a part as soft as 1 N/mm.
+    constant that is off by 10 %, and 4.6 to 4.8 N on a part as soft as 1 N/mm.
 
     A contact shows when the fingers stand still although the motor makes more than friction at
     rest may hold: later, and with more force, than taxels show it. The force of the impact stays
