@@ -33,14 +33,20 @@ from cell.hand.build import SHARED_PROCESS, make_hand, open_hand
 from cell.hand.client import HandProcess
 from cell.hand.interface import Hand
 from cell.hand.lines import MISSING, Lines
-from cell.simulation import InProcessPlacer, capture_traffic, open_can_bus, simulated_cell
+from cell.simulation import (
+    InProcessPlacer,
+    capture_traffic,
+    open_can_bus,
+    open_servo_port,
+    simulated_cell,
+)
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.serial_port import ByteStream, SerialStream
 from gripper.state import Clock, GripperPhase
 from motion.axes import Axes
 from simulator.cell import SimulatedCell
 from tactile.can.bus import CanBus, close_bus, open_bus
-from tactile.unit.link import TactileLink
+from tactile.sensor.sensor import FrameSource
 
 Mover = Callable[[Pose], Pose | bool | None]
 """Moves to a pose: returns the pose reached, None or True for that asked for, False to refuse."""
@@ -75,7 +81,7 @@ class Cell:
         return None if self._recorder is None else self._recorder.path
 
     @property
-    def link(self) -> TactileLink:
+    def link(self) -> FrameSource:
         """The link to the control unit, of a cell whose loop runs in this process, for tests."""
         return self.controller.local_hand.link
 
@@ -222,14 +228,14 @@ def _hand(config: CellConfig, simulated: SimulatedCell | None, *, partial: bool)
     if simulated is None:
         if config.loop.own_process:
             return HandProcess(config, partial=partial)
-        return open_hand(config, time, notes=(SHARED_PROCESS,), partial=partial)
+        return open_hand(config, notes=(SHARED_PROCESS,), partial=partial)
     lines = Lines(
-        simulated.open_servo_stream,
+        lambda: open_servo_port(simulated),
         lambda: open_can_bus(simulated),
-        stream=simulated.servo_stream,
+        stream=simulated.servo_port,
         can_bus=simulated.can_bus,
     )
-    return make_hand(config, clock=simulated.clock, lines=lines, threaded=False)
+    return make_hand(config, lines)
 
 
 def _positioner(

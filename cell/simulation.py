@@ -15,6 +15,7 @@ from cell.control.axes import si_per_unit
 from cell.control.plan import Pose
 from cell.errors import ConfigError, PositionerError
 from gripper.dynamixel.models import MODELS
+from gripper.dynamixel.serial_port import ByteStream
 from gripper.errors import PortLost
 from recognition.grasp import Grasp
 from simulator.can.capture import PcapWriter
@@ -190,9 +191,17 @@ def simulated_cell(config: CellConfig) -> SimulatedCell:
     """
     settings = simulator_settings(config)
     try:
-        return SimulatedCell(settings, lost_error=PortLost)
+        return SimulatedCell(settings)
     except SimulatorError as error:
         raise ConfigError(f"simulator: {error}") from error
+
+
+def open_servo_port(cell: SimulatedCell) -> ByteStream:
+    """Open the servo line of a simulated cell anew. Raises PortLost while its adapter is out."""
+    try:
+        return cell.open_servo_port()
+    except SimulatorError as error:
+        raise PortLost(str(error)) from error
 
 
 def open_can_bus(cell: SimulatedCell) -> CanBus:

@@ -16,6 +16,7 @@ from docutils.utils.math.latex2mathml import tex2mathml
 
 sys.path.insert(0, str(Path(__file__).parent / "tools"))
 
+from api_page import api_page
 from catalogue_page import catalogue_page
 from command_page import command_page
 from config_page import config_page
@@ -26,6 +27,9 @@ from states_page import states_page
 from xml_rpc_page import xml_rpc_page
 
 MAKERS: dict[str, Callable[[], str]] = {
+    "api gripper": lambda: api_page("gripper"),
+    "api recognition": lambda: api_page("recognition"),
+    "api tactile": lambda: api_page("tactile"),
     "catalogue": catalogue_page,
     "command line": command_page,
     "config": config_page,
@@ -67,6 +71,7 @@ napoleon_numpy_docstring = True
 napoleon_google_docstring = False
 napoleon_use_ivar = True
 
+suppress_warnings = ["ref.python"]  # words of types, as n_taxels, that several classes have too
 nitpicky = True
 nitpick_ignore_regex = [("py:.*", ".*")]  # types of other libraries: their sites are not asked
 

@@ -1,8 +1,83 @@
 """A force-controlled two-finger gripper on DYNAMIXEL X servos; no taxels, no objects.
 
-For a program that moves a gripper: `gripper.gripper.Gripper` with
-`gripper.settings.GripperSettings`; the values that it returns are in `gripper.state`, the
-mechanics in `gripper.kinematics`, the errors in `gripper.errors`. Chapters: `force` (ramps and
-the force loop), `servos` (the servos of one gripper as a group), `dynamixel` (Protocol 2.0 on a
-serial line; the only importer of `serial` and the SDK).
+`open_gripper` opens the servos' port; what stands below is all that a program needs that moves a
+gripper. Chapters: `force` (ramps and the force loop), `servos` (the servos of one gripper as a
+group), `dynamixel` (Protocol 2.0 on a serial line; the only importer of `serial` and the SDK);
+beside them `gripper`, `lifecycle`, `kinematics`, `settings`, `state` (the values) and `errors`.
 """
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from gripper.errors import GripperError as GripperError
+    from gripper.force.ramp import ForceRamp as ForceRamp
+    from gripper.gripper import Gripper as Gripper
+    from gripper.gripper import open_gripper as open_gripper
+    from gripper.kinematics import (
+        Linkage as Linkage,
+    )
+    from gripper.kinematics import (
+        ParallelLinkage as ParallelLinkage,
+    )
+    from gripper.kinematics import (
+        RackPinion as RackPinion,
+    )
+    from gripper.settings import (
+        ForceLoopSettings as ForceLoopSettings,
+    )
+    from gripper.settings import (
+        GripperSettings as GripperSettings,
+    )
+    from gripper.settings import (
+        OverForce as OverForce,
+    )
+    from gripper.settings import (
+        ServoSettings as ServoSettings,
+    )
+    from gripper.state import (
+        Cycle as Cycle,
+    )
+    from gripper.state import (
+        ForceSample as ForceSample,
+    )
+    from gripper.state import (
+        ForceSensor as ForceSensor,
+    )
+    from gripper.state import (
+        GraspOutcome as GraspOutcome,
+    )
+    from gripper.state import (
+        GraspResult as GraspResult,
+    )
+    from gripper.state import (
+        GripperPhase as GripperPhase,
+    )
+    from gripper.state import (
+        GripperState as GripperState,
+    )
+
+_FACE = {
+    "gripper.errors": "GripperError",
+    "gripper.force.ramp": "ForceRamp",
+    "gripper.gripper": "Gripper open_gripper",
+    "gripper.kinematics": "Linkage ParallelLinkage RackPinion",
+    "gripper.settings": "ForceLoopSettings GripperSettings OverForce ServoSettings",
+    "gripper.state": (
+        "Cycle ForceSample ForceSensor GraspOutcome GraspResult GripperPhase GripperState"
+    ),
+}
+"""Names by module, which is imported when one of them is first used."""
+_HOMES = {name: home for home, names in _FACE.items() for name in names.split()}
+
+__all__ = list(_HOMES)
+
+if not TYPE_CHECKING:
+
+    def __getattr__(name: str) -> object:
+        if name not in _HOMES:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return getattr(import_module(_HOMES[name]), name)
+
+    def __dir__() -> list[str]:
+        return sorted({*globals(), *_HOMES})

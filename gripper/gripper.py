@@ -6,10 +6,12 @@ goals and torque as they are.
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Self
 
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import PRESENT_POSITION
 from gripper.dynamixel.latency import LinkTiming, check_link
+from gripper.dynamixel.serial_port import ByteStream, open_line
 from gripper.errors import (
     BusTimeout,
     GripperError,
@@ -18,6 +20,7 @@ from gripper.errors import (
     ServoFault,
     VerificationFailed,
 )
+from gripper.force.by_current import ForceByCurrent, cap_by_current_n
 from gripper.force.grasp import GraspRun
 from gripper.force.grip_control import GripControl
 from gripper.force.loop import LoopRunner, Observer, Running
@@ -25,7 +28,7 @@ from gripper.force.mechanics_proof import FirstMotion, standing_rows
 from gripper.force.motion import MoveTo, StandStill
 from gripper.force.ramp import ForceRamp, check_ramp
 from gripper.force.timing import LoopStatistics
-from gripper.kinematics import Linkage, OneFinger
+from gripper.kinematics import Linkage, OneFinger, ParallelLinkage
 from gripper.lifecycle import Lifecycle, bus_is_lost
 from gripper.servos.group import ServoGroup
 from gripper.servos.health import ServoHealth
@@ -70,7 +73,8 @@ class Gripper:
     clock
         Source of time.
     force_sensor
-        Asked once every period of the loop.
+        Asked once every period of the loop; None: force by current, see
+        `gripper.force.by_current.ForceByCurrent`.
     """
 
     def __init__(
@@ -80,13 +84,15 @@ class Gripper:
         settings: GripperSettings,
         *,
         clock: Clock,
-        force_sensor: ForceSensor,
+        force_sensor: ForceSensor | None,
     ) -> None:
         if linkage.n_servos != len(settings.servos):
             raise LimitExceeded(
                 f"the linkage is driven by {linkage.n_servos} servos, the settings name "
                 f"{len(settings.servos)}"
             )
+        if force_sensor is None:
+            settings = replace(settings, force_max_n=cap_by_current_n(settings, linkage))
         self._bus = bus
         self._linkage = linkage
         self._settings = settings
@@ -95,13 +101,33 @@ class Gripper:
         self._ids = [servo.servo_id for servo in settings.servos]
         self._health = ServoHealth(bus, settings)
         self._servos = ServoGroup(bus, linkage, settings, clock, self._health)
-        self._runner = LoopRunner(self._servos, self._health, force_sensor, settings, clock)
+        sensor = force_sensor or ForceByCurrent(self._servos, linkage, settings)
+        self._runner = LoopRunner(self._servos, self._health, sensor, settings, clock)
         self._grasping = GraspRun(self._runner, self._servos, linkage, settings)
         self._life = Lifecycle(self._servos, self._runner, settings)
         self._watchdog_proofs: tuple[WatchdogProof, ...] = ()
         self._link_timing: LinkTiming | None = None
         self._one_finger: Gripper | None = None
         self._carried: Running | None = None
+
+    def __enter__(self) -> Self:
+        """Verify the servos, see `start`; where that raises the port is closed."""
+        try:
+            self.start()
+        except BaseException:
+            self._bus.close()
+            raise
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        """End the work with the servos, see `close`, and close the port: a held part stays held."""
+        self.close()
+        self._bus.close()
+
+    @property
+    def bus(self) -> ServoBus:
+        """The servos' line."""
+        return self._bus
 
     @property
     def link_timing(self) -> LinkTiming | None:
@@ -649,3 +675,58 @@ def _nothing_to_open(conditions: Sequence[ServoCondition]) -> ServoFault:
         f"no finger can be opened: {found}. Take the part out by hand, or remedy the cause, clear "
         f"the error with a reboot and release again",
     )
+
+
+def open_gripper(
+    port: str | ByteStream,
+    settings: GripperSettings | None = None,
+    linkage: Linkage | None = None,
+    *,
+    baud_rate: int = 1_000_000,
+    force_sensor: ForceSensor | None = None,
+) -> Gripper:
+    """Open the servos' port and return their gripper; ``with`` verifies the servos.
+
+    Leaving the block closes the port and lets no part go: what is held stays held, with its torque
+    on and nothing supervised, until somebody releases it; with nothing held the torque goes off.
+
+    One thread commands the gripper. Between two commands the servos' bus watchdog trips after
+    ``watchdog_s``: with a part in the grip call `Gripper.tick` or `Gripper.hold` meanwhile, or
+    `Gripper.keep_grip` before work that takes longer.
+
+    Parameters
+    ----------
+    port
+        Serial port, as /dev/ttyUSB0; or an open line, as a simulated cell has one in its place.
+    settings
+        Servos, limits and tuning; by default two XM430-W350 with the IDs 1 and 2.
+    linkage
+        Mechanics; by default fingers on parallelograms with links of 60 mm.
+    baud_rate
+        Of the servos, in bit/s.
+    force_sensor
+        Asked once every period of the loop. None: the force is controlled by the motors' current
+        alone, which is less exact and sees less; see `gripper.force.by_current.ForceByCurrent`.
+
+    Raises
+    ------
+    PortLost
+        When the port cannot be opened.
+    LimitExceeded
+        When the settings contradict each other, the linkage or the port.
+    """
+    settings = settings or GripperSettings()
+    linkage = linkage or ParallelLinkage(link_m=0.06, n_servos=len(settings.servos))
+    stream, clock = open_line(port, baud_rate)
+    try:
+        bus = ServoBus(
+            stream,
+            baudrate=baud_rate,
+            clock=clock,
+            period_s=settings.period_s,
+            name=f"the servo line ({port})",
+        )
+        return Gripper(bus, linkage, settings, clock=clock, force_sensor=force_sensor)
+    except BaseException:
+        stream.close()
+        raise

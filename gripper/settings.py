@@ -172,7 +172,7 @@ class ServoSettings:
 class GripperSettings:
     """All that a gripper needs to know beside its linkage."""
 
-    servos: tuple[ServoSettings, ...]
+    servos: tuple[ServoSettings, ...] = (ServoSettings(servo_id=1), ServoSettings(servo_id=2))
     """One servo that drives both fingers, or two that drive one each (finger 0, finger 1)."""
     loop_rate_hz: float = setting(200.0, low=20.0, high=1000.0)
     """Rate of the loop in Hz."""

@@ -1,7 +1,44 @@
 """Axes that move the object between two grasps: CiA 402 drives and one Dynamixel wrist.
 
-For a program that moves axes: `motion.axes.Axes` with `motion.axes.Axis` for each, in m and rad.
+For a program that moves axes: `Axes` with an `Axis` for each, in m and rad.
 `drive` is one CiA 402 drive on a CAN bus (`bus`), `servo` one Dynamixel servo in extended position
 mode; both count in increments. `object_dictionary` names the objects of a drive (``drive.eds``),
 `errors` what can go wrong. Nothing here touches the fingers.
 """
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from motion.axes import Axes as Axes
+    from motion.axes import Axis as Axis
+    from motion.axes import AxisDevice as AxisDevice
+    from motion.bus import DriveBus as DriveBus
+    from motion.bus import Watch as Watch
+    from motion.drive import Cia402Drive as Cia402Drive
+    from motion.drive import DriveSettings as DriveSettings
+    from motion.errors import MotionError as MotionError
+    from motion.servo import ServoAxis as ServoAxis
+    from motion.servo import ServoAxisSettings as ServoAxisSettings
+
+_FACE = {
+    "motion.axes": "Axes Axis AxisDevice",
+    "motion.bus": "DriveBus Watch",
+    "motion.drive": "Cia402Drive DriveSettings",
+    "motion.errors": "MotionError",
+    "motion.servo": "ServoAxis ServoAxisSettings",
+}
+"""Names by module, which is imported when one of them is first used."""
+_HOMES = {name: home for home, names in _FACE.items() for name in names.split()}
+
+__all__ = list(_HOMES)
+
+if not TYPE_CHECKING:
+
+    def __getattr__(name: str) -> object:
+        if name not in _HOMES:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return getattr(import_module(_HOMES[name]), name)
+
+    def __dir__() -> list[str]:
+        return sorted({*globals(), *_HOMES})

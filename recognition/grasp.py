@@ -3,7 +3,7 @@
 import math
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Self
 
 import numpy as np
@@ -119,6 +119,32 @@ class PadArray:
                 f"pad_shape has {self.pad_shape.prod(axis=1).tolist()}"
             )
 
+    @classmethod
+    def grid(
+        cls, rows: int, columns: int, pitch_m: float, *, n_pads: int = 2, adc_max: int = 4095
+    ) -> "PadArray":
+        """Return equal pads, each a grid of taxels around its centre.
+
+        Parameters
+        ----------
+        rows, columns
+            Taxels of each pad, along the finger and across it.
+        pitch_m
+            Distance between two of them in m.
+        n_pads
+            Number of pads; two grip.
+        adc_max
+            Full scale of the counts.
+        """
+        x, y = np.indices((rows, columns), dtype=np.float64).reshape(2, -1)
+        xy_m = pitch_m * np.column_stack([x - 0.5 * (rows - 1), y - 0.5 * (columns - 1)])
+        return cls(
+            pad_shape=np.tile([rows, columns], (n_pads, 1)),
+            taxel_pad=np.repeat(np.arange(n_pads), rows * columns),
+            taxel_xy_m=np.tile(xy_m, (n_pads, 1)),
+            adc_max=adc_max,
+        )
+
     @property
     def n_pads(self) -> int:
         """Number of pads."""
@@ -156,9 +182,9 @@ class Grasp:
     t_s : (n_frames,) float64
         Time since the first frame in s.
     aperture_m : (n_frames,) float64
-        Opening between the fingers in m; NaN where unknown.
+        Opening between the fingers in m; NaN where unknown. One number stands for all frames.
     force_n : (n_frames,) float64
-        Commanded grip force in N; NaN where unknown.
+        Commanded grip force in N, likewise.
     label, shape, source
         What was grasped, its class of shape, where the record came from (``cell NAME`` for one that
         a cell took); empty where unknown.
@@ -171,8 +197,8 @@ class Grasp:
     pads: PadArray
     counts: NDArray[np.uint16]
     t_s: NDArray[np.float64]
-    aperture_m: NDArray[np.float64]
-    force_n: NDArray[np.float64]
+    aperture_m: NDArray[np.float64] = field(default_factory=lambda: np.array(np.nan))
+    force_n: NDArray[np.float64] = field(default_factory=lambda: np.array(np.nan))
     label: str = ""
     shape: str = ""
     source: str = ""
@@ -192,9 +218,10 @@ class Grasp:
             _frozen(self.counts, np.uint16, (n_frames, self.pads.n_taxels), "counts"),
         )
         for name in ("t_s", "aperture_m", "force_n"):
-            object.__setattr__(
-                self, name, _frozen(getattr(self, name), np.float64, (n_frames,), name)
-            )
+            value = getattr(self, name)
+            if np.ndim(value) == 0 and name != "t_s":
+                value = np.full(n_frames, value)
+            object.__setattr__(self, name, _frozen(value, np.float64, (n_frames,), name))
 
     @property
     def n_frames(self) -> int:

@@ -1,6 +1,5 @@
 """The simulated cell: one world, the devices in it, and the ends of their buses in memory."""
 
-from collections.abc import Callable
 from typing import Self
 
 from simulator.can.control_unit import SimulatedControlUnit
@@ -15,6 +14,7 @@ from simulator.settings import SimulatorSettings
 from simulator.world.recorded import RecordedWorld
 from simulator.world.shapes import ObjectPose
 from simulator.world.world import PhysicalWorld
+from tactile.layout import TaxelLayout, paper_layout
 
 
 class SimulatedCell:
@@ -26,8 +26,6 @@ class SimulatedCell:
         What the cell is made of.
     clock
         Its time; inject the same one into everything that talks to the cell.
-    lost_error
-        Makes the exception that `servo_stream` raises while its cable is out, from a text.
 
     Attributes
     ----------
@@ -37,10 +35,8 @@ class SimulatedCell:
         World and devices.
     injector
         Faults by name.
-    servo_stream
-        The host's end of the servo bus.
     can_bus
-        The host's end of the CAN bus.
+        The host's end of the CAN bus; its ``clock`` is that of the cell.
     axes_can_bus
         The host's end of the bus of the axes' drives; None in a cell without any.
     axes_streams
@@ -51,21 +47,26 @@ class SimulatedCell:
         self,
         settings: SimulatorSettings | None = None,
         clock: VirtualClock | None = None,
-        *,
-        lost_error: Callable[[str], Exception] = PortUnplugged,
     ) -> None:
         self.settings = settings or SimulatorSettings()
         self.clock = clock or VirtualClock()
         self.devices = CellDevices(self.settings, start_s=self.clock.monotonic())
         self.injector = FaultInjector(self.devices, self.clock.monotonic())
         self.clock.on_advance += [self.devices.advance_to, self.injector.advance]
-        self._lost_error = lost_error
-        self.servo_stream = self._new_stream()
+        self._servo_port = MemoryServoStream(self.devices.servo_bus, self.clock)
+        self._closed = False
         self.can_bus = self._new_bus()
         self.axes_can_bus = self._new_axes_bus()
         self.axes_streams = self._new_axes_streams()
         for text in self.settings.faults:
             self.inject(text)
+
+    @property
+    def servo_port(self) -> MemoryServoStream:
+        """The host's end of the servo bus; opened anew where the last one was closed."""
+        if self._servo_port.closed and not self._closed:
+            self._servo_port = MemoryServoStream(self.devices.servo_bus, self.clock)
+        return self._servo_port
 
     @property
     def world(self) -> PhysicalWorld | RecordedWorld:
@@ -108,16 +109,15 @@ class SimulatedCell:
         """Load one of the settings' grasps; see `CellDevices.play`."""
         return self.devices.play(index)
 
-    def open_servo_stream(self) -> MemoryServoStream:
+    def open_servo_port(self) -> MemoryServoStream:
         """Open the host's end of the servo line anew, as after its adapter was gone.
 
-        Raises ``lost_error`` while the adapter is out.
+        Raises PortUnplugged while the adapter is out.
         """
         if self.devices.faults.servo_wire.unplugged:
-            raise self._lost_error("the adapter of the simulated servos is out: plug it in")
-        self.servo_stream.close()
-        self.servo_stream = self._new_stream()
-        return self.servo_stream
+            raise PortUnplugged("the adapter of the simulated servos is out: plug it in")
+        self._servo_port.close()
+        return self.servo_port
 
     def open_can_bus(self) -> InMemoryCanBus:
         """Open the host's end of the CAN bus anew, as after its adapter was gone.
@@ -138,13 +138,9 @@ class SimulatedCell:
         The old ends fail from now on; the devices notice nothing but silence.
         """
         self._close_ends()
-        self.servo_stream = self._new_stream()
         self.can_bus = self._new_bus()
         self.axes_can_bus = self._new_axes_bus()
         self.axes_streams = self._new_axes_streams()
-
-    def _new_stream(self) -> MemoryServoStream:
-        return MemoryServoStream(self.devices.servo_bus, self.clock, lost_error=self._lost_error)
 
     def _new_bus(self) -> InMemoryCanBus:
         return InMemoryCanBus(
@@ -163,7 +159,7 @@ class SimulatedCell:
 
     def _new_axes_streams(self) -> dict[str, MemoryServoStream]:
         return {
-            moves: MemoryServoStream(axis.bus, self.clock, lost_error=self._lost_error)
+            moves: MemoryServoStream(axis.bus, self.clock)
             for moves, axis in self.devices.axes.items()
             if isinstance(axis, SimulatedWrist)
         }
@@ -171,13 +167,14 @@ class SimulatedCell:
     def _close_ends(self) -> None:
         for stream in self.axes_streams.values():
             stream.close()
-        self.servo_stream.close()
+        self._servo_port.close()
         self.can_bus.shutdown()
         if self.axes_can_bus is not None:
             self.axes_can_bus.shutdown()
 
     def close(self) -> None:
         """Give all buses back; the cell cannot be used afterwards."""
+        self._closed = True
         self._close_ends()
         for callback in (self.devices.advance_to, self.injector.advance):
             if callback in self.clock.on_advance:
@@ -188,3 +185,27 @@ class SimulatedCell:
 
     def __exit__(self, *_error: object) -> None:
         self.close()
+
+
+def simulated_cell(
+    present: str | None = None, *, layout: TaxelLayout | None = None, seed: int = 0
+) -> SimulatedCell:
+    """Return a simulated cell in virtual time; ``with`` gives its buses back.
+
+    Its ``servo_port`` and ``can_bus`` are what `gripper.open_gripper` and `tactile.open_sensor`
+    take in the place of a port. Two XM430-W350 on links of 60 mm, and the control unit.
+
+    Parameters
+    ----------
+    present
+        Object between the fingers: oval, cylinder, box, ball or dumbbell; None: nothing.
+        `SimulatedCell.place` brings another one.
+    layout
+        The taxels; by default the paper's: 408 on ten pads.
+    seed
+        Of the noise.
+    """
+    cell = SimulatedCell(SimulatorSettings(layout=layout or paper_layout(), seed=seed))
+    if present is not None:
+        cell.place(present)
+    return cell

@@ -1,1 +1,74 @@
-"""The tactile sensor: taxels, CAN transport, node supervision, force; no servos, no objects."""
+"""The tactile sensor: taxels, CAN transport, node supervision, force; no servos, no objects.
+
+`open_sensor` opens the control unit's bus; what stands below is all that a program needs that
+measures. Chapters: `sensor` (counts to newtons, tare), `unit` (the CANopen node), `frames` (whole
+frames and force messages), `can` (the bus); beside them `layout`, `clock` and `errors`.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from tactile.errors import TactileError as TactileError
+    from tactile.frames.codec import TactileFrame as TactileFrame
+    from tactile.layout import (
+        Pad as Pad,
+    )
+    from tactile.layout import (
+        TaxelLayout as TaxelLayout,
+    )
+    from tactile.layout import (
+        paper_layout as paper_layout,
+    )
+    from tactile.layout import (
+        pinch_layout as pinch_layout,
+    )
+    from tactile.sensor.calibration import (
+        Calibration as Calibration,
+    )
+    from tactile.sensor.calibration import (
+        FoamCalibration as FoamCalibration,
+    )
+    from tactile.sensor.calibration import (
+        LinearCalibration as LinearCalibration,
+    )
+    from tactile.sensor.grip_force import GripForce as GripForce
+    from tactile.sensor.sensor import (
+        SensorSettings as SensorSettings,
+    )
+    from tactile.sensor.sensor import (
+        TactileReading as TactileReading,
+    )
+    from tactile.sensor.sensor import (
+        TactileSensor as TactileSensor,
+    )
+    from tactile.sensor.sensor import (
+        open_sensor as open_sensor,
+    )
+    from tactile.sensor.tare import TareResult as TareResult
+    from tactile.unit.settings import LinkSettings as LinkSettings
+
+_FACE = {
+    "tactile.errors": "TactileError",
+    "tactile.frames.codec": "TactileFrame",
+    "tactile.layout": "Pad TaxelLayout paper_layout pinch_layout",
+    "tactile.sensor.calibration": "Calibration FoamCalibration LinearCalibration",
+    "tactile.sensor.grip_force": "GripForce",
+    "tactile.sensor.sensor": "SensorSettings TactileReading TactileSensor open_sensor",
+    "tactile.sensor.tare": "TareResult",
+    "tactile.unit.settings": "LinkSettings",
+}
+"""Names by module, which is imported when one of them is first used."""
+_HOMES = {name: home for home, names in _FACE.items() for name in names.split()}
+
+__all__ = list(_HOMES)
+
+if not TYPE_CHECKING:
+
+    def __getattr__(name: str) -> object:
+        if name not in _HOMES:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        return getattr(import_module(_HOMES[name]), name)
+
+    def __dir__() -> list[str]:
+        return sorted({*globals(), *_HOMES})

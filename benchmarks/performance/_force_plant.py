@@ -87,7 +87,7 @@ class Sensor(Protocol):
 class MessageSensor:
     """Force messages, each of one scan: none is a mean, and none comes twice.
 
-    A sample is the mean of the messages since the last one, as `cell.hand.local.SensorTap` makes.
+    A sample is the mean of the messages since the last one, as `tactile.GripForce` makes it.
 
     Parameters
     ----------

@@ -132,19 +132,10 @@ class TactileConfig(Section):
         return self
 
 
-def link_settings(config: TactileConfig, *, threaded: bool = True) -> LinkSettings:
-    """Return the settings of the link to the control unit in SI.
-
-    Parameters
-    ----------
-    config
-        The sensor's section.
-    threaded
-        Whether a thread receives from the bus: True in real time.
-    """
+def link_settings(config: TactileConfig) -> LinkSettings:
+    """Return the settings of the link to the control unit in SI."""
     return LinkSettings(
         identity=ExpectedIdentity(serial=config.serial_number, boards=config.board_serial_numbers),
-        threaded=threaded,
         **declared_values(config, LinkSettings),
     )
 

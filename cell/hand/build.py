@@ -1,22 +1,17 @@
 """Building the hand of a config: links, sensor and gripper; no simulator."""
 
-from dataclasses import replace
-
 from cell.config.model import CellConfig
 from cell.config.tactile import TactileConfig, layout_from_config, link_settings, make_calibration
 from cell.hand.lines import Lines
-from cell.hand.local import LocalHand, SensorTap
-from gripper.dynamixel.bus import ServoBus
+from cell.hand.local import LocalHand
 from gripper.dynamixel.serial_port import SerialStream
-from gripper.gripper import Gripper
-from gripper.state import Clock
-from tactile.can.bus import CanBus
-from tactile.layout import TaxelLayout
-from tactile.sensor.force_check import force_table
+from gripper.gripper import open_gripper
+from gripper.state import ForceSample
+from tactile.can.bus import open_bus
+from tactile.sensor.grip_force import GripForce
 from tactile.sensor.quality import QualityLimits
-from tactile.sensor.sensor import SensorSettings, TactileSensor
+from tactile.sensor.sensor import SensorSettings, open_sensor
 from tactile.sensor.tare import TareLimits
-from tactile.unit.link import TactileLink, open_bus
 
 SHARED_PROCESS = (
     "the force loop shares its process with all other work, which may hold it up: set "
@@ -26,7 +21,7 @@ SHARED_PROCESS = (
 
 
 def open_hand(
-    config: CellConfig, clock: Clock, *, notes: tuple[str, ...] = (), partial: bool = False
+    config: CellConfig, *, notes: tuple[str, ...] = (), partial: bool = False
 ) -> LocalHand:
     """Open the real ports of a config; nothing moves yet.
 
@@ -34,8 +29,6 @@ def open_hand(
     ----------
     config
         The cell.
-    clock
-        Real time.
     notes
         Of the hand.
     partial
@@ -53,96 +46,43 @@ def open_hand(
         partial=partial,
     )
     try:
-        return make_hand(
-            config, clock=clock, lines=lines, threaded=True, notes=(*notes, *lines.notes)
-        )
+        return make_hand(config, lines, notes=(*notes, *lines.notes))
     except BaseException:
         lines.close()
         raise
 
 
-def make_hand(
-    config: CellConfig,
-    *,
-    clock: Clock,
-    lines: Lines,
-    threaded: bool,
-    notes: tuple[str, ...] = (),
-) -> LocalHand:
-    """Put gripper and sensor together on open links.
+def make_hand(config: CellConfig, lines: Lines, *, notes: tuple[str, ...] = ()) -> LocalHand:
+    """Put gripper and sensor together on open lines.
 
     Parameters
     ----------
     config
         The cell.
-    clock
-        Source of time.
     lines
         The servos' line and the control unit's bus; the hand closes them at its end.
-    threaded
-        Whether a thread receives from the bus: True in real time.
     notes
         Of the hand.
     """
     layout = layout_from_config(config.tactile)
-    calibration = make_calibration(config.tactile, layout)
-    link = make_link(
-        config.tactile,
+    sensor = open_sensor(
         lines.can_bus,
         layout,
-        clock,
-        threaded=threaded,
-        force_table=force_table(layout, calibration),
-    )
-    sensor = TactileSensor(
-        link,
-        layout,
-        calibration,
-        clock=clock,
+        make_calibration(config.tactile, layout),
+        node_id=config.tactile.node_id,
+        link=link_settings(config.tactile),
         settings=_sensor_settings(config.tactile),
-        forces=link,
     )
-    tap = SensorTap(sensor)
-    bus = ServoBus(
+    force = GripForce(sensor, ForceSample)
+    gripper = open_gripper(
         lines.stream,
-        baudrate=config.gripper.baud_rate,
-        clock=clock,
-        period_s=1.0 / config.gripper.loop_rate_hz,
-        name=f"the servo line ({config.gripper.port})",
+        config.gripper_settings,
+        config.linkage,
+        baud_rate=config.gripper.baud_rate,
+        force_sensor=force,
     )
-    gripper = Gripper(bus, config.linkage, config.gripper_settings, clock=clock, force_sensor=tap)
     return LocalHand(
-        gripper=gripper,
-        sensor=sensor,
-        tap=tap,
-        bus=bus,
-        link=link,
-        lines=lines,
-        notes=(*notes, *config.notes),
-    )
-
-
-def make_link(
-    config: TactileConfig,
-    bus: CanBus,
-    layout: TaxelLayout,
-    clock: Clock,
-    *,
-    threaded: bool,
-    sync_period_s: float | None = None,
-    force_table: bytes | None = None,
-) -> TactileLink:
-    """Return the link to the control unit on an open bus."""
-    settings = link_settings(config, threaded=threaded)
-    if sync_period_s is not None:
-        settings = replace(settings, sync_period_s=sync_period_s)
-    return TactileLink(
-        bus,
-        node_id=config.node_id,
-        layout=layout,
-        clock=clock,
-        settings=settings,
-        force_table=force_table,
+        gripper=gripper, sensor=sensor, force=force, lines=lines, notes=(*notes, *config.notes)
     )
 
 

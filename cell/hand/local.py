@@ -1,7 +1,6 @@
 """The hand in this process: its loop runs in the thread that commands it."""
 
-from collections.abc import Callable, Sequence
-from math import sqrt
+from collections.abc import Callable
 
 from cell.hand.interface import HandStatistics, Measured, Watch
 from cell.hand.lines import Lines
@@ -18,123 +17,10 @@ from gripper.state import (
     VerificationReport,
 )
 from tactile.errors import BusOff, ReceiveLoopDead, ZeroDrifted
-from tactile.frames.codec import TactileFrame
-from tactile.frames.force_message import ForceMessage, ForceStatus
 from tactile.layout import TaxelLayout
-from tactile.sensor.sensor import ForceCentres, TactileReading, TactileSensor
-from tactile.unit.link import TactileLink
+from tactile.sensor.grip_force import GripForce
+from tactile.sensor.sensor import FrameSource, TactileReading, TactileSensor
 from tactile.unit.settings import NodeIdentity
-
-_MESSAGE_S = 0.0015
-"""From a scan to the reception of its message in s: half a scan, the wire, the adapter."""
-_FRAME_CENTRE_N_M = 0.0014
-"""Noise of a frame's centre of force along one axis times the grip force, in N m: on a box in the
-simulated cell 0.3 mm at 3 N, and half as much again, as each frame is in three means."""
-_MESSAGE_CENTRE_N_M = 0.0024
-"""The same of one force message, of a single scan: 0.4 mm on a ball and 0.7 mm on a cylinder at 3 N
-in the simulated cell, 0.3 mm at 8 N."""
-_LEAST_FORCE_N = 0.1
-"""Grip force in N that a weaker one counts as, so that this noise stays finite."""
-
-
-class SensorTap:
-    """The force sensor that the gripper asks each period; keeps what passes for the recording.
-
-    Implements `gripper.state.ForceSensor` on a `TactileSensor`.
-    """
-
-    def __init__(self, sensor: TactileSensor) -> None:
-        self._sensor = sensor
-        self._new: list[TactileReading] = []
-        self._centres = ForceCentres(sensor.layout)
-        self._sample: ForceSample | None = None
-        self.running = False
-        """Whether the sensor was started; without it there is no force, and none is asked for."""
-
-    def latest_force(self) -> ForceSample | None:
-        """Take in what has arrived and return the newest force; see `ForceSensor`.
-
-        It is the mean of the force messages since the last call, or from the newest frame where
-        the unit sends none.
-        """
-        if not self.running:
-            return None
-        self._new.extend(self._sensor.poll())
-        messages = self._sensor.take_forces()
-        reading = self._sensor.latest
-        zero = self._sensor.tare_result
-        if reading is None or (zero is not None and reading.frame.t_s <= zero.t_s):
-            # What was measured against an earlier zero is no force of this one.
-            return None
-        if not self._sensor.has_forces:
-            if self._sample is None or reading.frame.t_s > self._sample.t_s:
-                self._sample = self._from_frame(reading)
-        elif messages:
-            self._sample = self._from_messages(messages, reading)
-        return self._sample
-
-    def _from_frame(self, reading: TactileReading) -> ForceSample:
-        left, right = reading.finger_force_n
-        return ForceSample(
-            t_s=reading.frame.t_s,
-            force_n=(float(left), float(right)),
-            valid=reading.ok,
-            reason=reading.reason,
-            centre_m=self._centres.of(reading.force_n),
-            centre_noise_m=_FRAME_CENTRE_N_M / max(0.5 * (left + right), _LEAST_FORCE_N),
-        )
-
-    def _from_messages(
-        self, messages: Sequence[ForceMessage], reading: TactileReading
-    ) -> ForceSample:
-        n, newest = len(messages), messages[-1]
-        reason = reading.reason
-        for message in messages:
-            reason = reason or _objection(message.status)
-        first_n = sum(message.force_n[0] for message in messages) / n
-        second_n = sum(message.force_n[1] for message in messages) / n
-        grip_n = max(0.5 * (first_n + second_n), _LEAST_FORCE_N)
-        return ForceSample(
-            t_s=newest.t_s,
-            force_n=(first_n, second_n),
-            valid=not reason,
-            reason=reason,
-            centre_m=self._centre_m(messages),
-            centre_noise_m=_MESSAGE_CENTRE_N_M / grip_n / sqrt(n),
-            lag_s=_MESSAGE_S + newest.t_s - sum(message.t_s for message in messages) / n,
-            noise_n=self._sensor.scan_noise_n / sqrt(n),
-        )
-
-    def _centre_m(self, messages: Sequence[ForceMessage]) -> tuple[float, float] | None:
-        """Return the centre of what the messages show, the stronger ones for more, in m."""
-        loaded = [
-            (max(0.0, sum(message.force_n)), message.centre_taxels)
-            for message in messages
-            if message.centre_taxels is not None
-        ]
-        total_n = sum(force_n for force_n, _ in loaded)
-        if not total_n > 0.0:
-            return None
-        pad = self._sensor.layout.pads[self._sensor.layout.gripping_pads[0]]
-        along = sum(force_n * centre[0] for force_n, centre in loaded) / total_n
-        across = sum(force_n * centre[1] for force_n, centre in loaded) / total_n
-        return along * pad.pitch_x_m, across * pad.pitch_y_m
-
-    def take(self) -> list[TactileFrame]:
-        """Return the frames since the last call, oldest first."""
-        taken, self._new = self._new, []
-        return [reading.frame for reading in taken]
-
-
-def _objection(status: ForceStatus) -> str:
-    """Return why the forces of a message with this status are not to be used, empty if they are."""
-    if status == ForceStatus.ZEROED:
-        return ""
-    if not status & ForceStatus.ZEROED:
-        return "the control unit has no table or zero for its force messages"
-    if status & ForceStatus.CONVERTER_FAULT:
-        return "the unit's converter failed its self-test"
-    return "a taxel of a gripping pad is saturated" if status & ForceStatus.SATURATED else ""
 
 
 class LocalHand:
@@ -142,10 +28,8 @@ class LocalHand:
 
     Parameters
     ----------
-    gripper, sensor, tap
-        Gripper, sensor, and the tap through which the one asks the other.
-    bus, link
-        Their links, for statistics.
+    gripper, sensor, force
+        Gripper, sensor, and the force of the sensor that the gripper asks for.
     lines
         The ports under them; closed at the end.
     notes
@@ -153,7 +37,7 @@ class LocalHand:
 
     Attributes
     ----------
-    gripper, sensor, bus, link
+    gripper, sensor
         The parts, for tests and benchmarks; commands go through the hand.
     measured
         As in `Hand`.
@@ -164,20 +48,26 @@ class LocalHand:
         *,
         gripper: Gripper,
         sensor: TactileSensor,
-        tap: SensorTap,
-        bus: ServoBus,
-        link: TactileLink,
+        force: GripForce[ForceSample],
         lines: Lines,
         notes: tuple[str, ...] = (),
     ) -> None:
         self.gripper = gripper
         self.sensor = sensor
-        self.bus = bus
-        self.link = link
         self.notes = notes
         self.measured = Measured()
-        self._tap = tap
+        self._force = force
         self._lines = lines
+
+    @property
+    def bus(self) -> ServoBus:
+        """The servos' line, for tests; commands go through the hand."""
+        return self.gripper.bus
+
+    @property
+    def link(self) -> FrameSource:
+        """The link to the control unit, likewise."""
+        return self.sensor.link
 
     @property
     def layout(self) -> TaxelLayout:
@@ -197,7 +87,7 @@ class LocalHand:
     @property
     def sensing(self) -> bool:
         """Whether the tactile link was started."""
-        return self._tap.running
+        return self.sensor.running
 
     @property
     def statistics(self) -> HandStatistics:
@@ -217,13 +107,10 @@ class LocalHand:
         """Start the tactile link, on a bus that is opened anew where it was lost; see `Hand`."""
         if self._lines.can_is_missing or isinstance(self.link.fault, BusOff | ReceiveLoopDead):
             self.link.use(self._lines.reopen_can())
-        identity = self.sensor.start()
-        self._tap.running = True
-        return identity
+        return self.sensor.start()
 
     def close_sensor(self) -> None:
         """End the tactile link."""
-        self._tap.running = False
         self.sensor.close()
 
     def open(self, watch: Watch) -> None:
@@ -243,17 +130,17 @@ class LocalHand:
     def grasp(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
         """Close and follow the ramp; see `Hand`."""
         self._check_zero()
-        self._tap.take()
+        self._force.take()
         return self.gripper.grasp(ramp, observer=self._observer(watch))
 
     def carry(self, force_n: float, duration_s: float, watch: Watch) -> None:
         """Hold the part with another force; see `Hand`."""
-        self._tap.take()
+        self._force.take()
         self.gripper.carry(force_n, duration_s, self._observer(watch))
 
     def squeeze(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
         """Follow a further ramp in the same grip; see `Hand`."""
-        self._tap.take()
+        self._force.take()
         return self.gripper.squeeze(ramp, self._observer(watch))
 
     def end_ramp(self) -> None:
@@ -288,8 +175,8 @@ class LocalHand:
         cycle = self.gripper.tick()
         if cycle is not None and cycle.force is not None:
             self._aim(cycle)
-        force = self._tap.latest_force()
-        self.measured = self.measured.then(cycle, force, self._tap.take())
+        force = self._force.latest_force()
+        self.measured = self.measured.then(cycle, force, self._force.take())
 
     def keep_grip(self) -> None:
         """Freeze in any state; see `Gripper.keep_grip`."""
@@ -318,7 +205,7 @@ class LocalHand:
     def _observer(self, watch: Watch) -> Callable[[Cycle], None]:
         def observe(cycle: Cycle) -> None:
             self._aim(cycle)
-            frames = self._tap.take()
+            frames = self._force.take()
             self.measured = self.measured.then(cycle, cycle.force, frames)
             watch(cycle, frames)
 
@@ -329,5 +216,5 @@ class LocalHand:
 
     def _check_zero(self) -> None:
         """Refuse to measure with a zero that has moved; the fingers are open now."""
-        if self._tap.running:
+        if self.sensor.running:
             self.sensor.check_zero()

@@ -160,7 +160,7 @@ def main(connection_fd: int, stop_fd: int, parent: int) -> None:
     try:
         boot: Boot = connection.recv()
         notes = enter_real_time(boot.config.loop)
-        hand = open_hand(boot.config, time, notes=notes, partial=boot.partial)
+        hand = open_hand(boot.config, notes=notes, partial=boot.partial)
     except EOFError:
         return
     except Exception as error:

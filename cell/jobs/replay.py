@@ -3,7 +3,7 @@
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -11,22 +11,20 @@ import numpy as np
 
 from cell.config.gripper import GripperConfig, RackPinionConfig, ServoConfig
 from cell.config.model import CellConfig
-from cell.config.tactile import layout_from_pads
+from cell.config.tactile import layout_from_pads, link_settings
 from cell.errors import CellError
-from cell.hand.build import make_link
 from cell.jobs.common import Progress
 from cell.learning.blas import one_blas_thread
 from cell.learning.training import train
 from cell.simulation import capture_traffic, largest_aperture_m, simulator_settings
-from gripper.dynamixel.bus import ServoBus
-from gripper.errors import PortLost
-from gripper.gripper import Gripper
+from gripper.gripper import open_gripper
 from gripper.state import ForceSample
 from recognition.evaluation.metrics import wilson_interval
 from recognition.evaluation.splits import parse_split
 from recognition.grasp import Grasp
 from simulator.cell import SimulatedCell
 from tactile.frames.codec import TactileFrame
+from tactile.unit.link import TactileLink
 
 _SHORTEST_PERIOD_S = 0.012
 _WAIT_S = 0.001
@@ -172,34 +170,29 @@ class _Rig:
     def __init__(self, config: CellConfig, grasps: Sequence[Grasp], capture: Path | None) -> None:
         layout = layout_from_pads(grasps[0].pads)
         with ExitStack() as undo:
-            self._cell = SimulatedCell(
-                simulator_settings(config, layout=layout, grasps=grasps), lost_error=PortLost
-            )
+            self._cell = SimulatedCell(simulator_settings(config, layout=layout, grasps=grasps))
             undo.callback(self._cell.close)
             if capture is not None:
                 capture_traffic(self._cell, capture, undo)
             self._period_s = max(_frame_period_s(grasps), _SHORTEST_PERIOD_S)
-            self._link = make_link(
-                config.tactile,
+            self._link = TactileLink(
                 self._cell.can_bus,
-                layout,
-                self._cell.clock,
-                threaded=False,
-                sync_period_s=self._period_s,
-            )
-            bus = ServoBus(
-                self._cell.servo_stream,
-                baudrate=config.gripper.baud_rate,
+                node_id=config.tactile.node_id,
+                layout=layout,
                 clock=self._cell.clock,
+                settings=replace(
+                    link_settings(config.tactile), sync_period_s=self._period_s, threaded=False
+                ),
             )
-            self._gripper = Gripper(
-                bus,
-                config.linkage,
-                config.gripper_settings,
-                clock=self._cell.clock,
-                force_sensor=_NoForce(),
+            self._gripper = undo.enter_context(
+                open_gripper(
+                    self._cell.servo_port,
+                    config.gripper_settings,
+                    config.linkage,
+                    baud_rate=config.gripper.baud_rate,
+                    force_sensor=_NoForce(),
+                )
             )
-            self._gripper.start()
             self._link.start()
             undo.callback(self._link.close)
             self._closing = undo.pop_all()

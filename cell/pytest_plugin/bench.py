@@ -10,8 +10,7 @@ from cell.pytest_plugin.faults import FaultRegistry
 from cell.pytest_plugin.options import HardwareOptions
 from cell.simulation import simulator_settings
 from gripper.dynamixel.bus import ServoBus
-from gripper.dynamixel.serial_port import ByteStream, SerialStream
-from gripper.errors import PortLost
+from gripper.dynamixel.serial_port import ByteStream, open_line
 from gripper.state import Clock
 from simulator.cell import SimulatedCell
 from tactile.can.bus import CanBus, close_bus, open_bus
@@ -73,7 +72,7 @@ class LinkBench:
         """The simulated devices, made when first asked for."""
         if self._simulated is None:
             settings = simulator_settings(simulated_config(self.config))
-            self._simulated = SimulatedCell(settings, lost_error=PortLost)
+            self._simulated = SimulatedCell(settings)
             self._closing.callback(self._simulated.close)
             self._registry.add(self._simulated)
         return self._simulated
@@ -82,13 +81,9 @@ class LinkBench:
         """Open the servo line; no servo is written to. Raises gripper.errors.PortLost."""
         if self._servos is None:
             port, rate = self.options.servo_port, self.config.gripper.baud_rate
-            stream: ByteStream
-            clock: Clock = time
-            if port is None:
-                stream, clock = self.simulated.servo_stream, self.simulated.clock
-            else:
+            if port is not None:
                 self._registry.add_hardware(f"servos at {port}")
-                stream = SerialStream(port, rate)
+            stream, clock = open_line(self.simulated.servo_port if port is None else port, rate)
             bus = ServoBus(
                 stream,
                 baudrate=rate,

@@ -10,6 +10,7 @@ import os
 import select
 import tempfile
 import termios
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -34,10 +35,10 @@ _PORT_ERRORS = (serial.SerialException, OSError, termios.error)
 
 
 class ByteStream(Protocol):
-    """Both directions of a serial line."""
+    """Both directions of a serial line; OSError or PortLost when it is gone."""
 
     def write(self, data: bytes, /) -> None:
-        """Send all bytes; PortLost when the line is gone."""
+        """Send all bytes."""
         ...
 
     def read(self, size: int, timeout_s: float, /) -> bytes:
@@ -51,6 +52,17 @@ class ByteStream(Protocol):
     def close(self) -> None:
         """Give the line back; may be called twice."""
         ...
+
+
+def open_line(port: str | ByteStream, baudrate: int) -> tuple[ByteStream, Clock]:
+    """Return the bytes and the time of a serial port, or of a line that is open already.
+
+    A line to simulated servos has their time with it, as ``clock``. Raises PortLost and
+    LimitExceeded as `SerialStream`.
+    """
+    stream = SerialStream(port, baudrate) if isinstance(port, str) else port
+    clock: Clock = getattr(stream, "clock", time)
+    return stream, clock
 
 
 def serial_candidates() -> tuple[str, ...]:
@@ -133,6 +145,9 @@ class SerialStream:
             self._unlock()
             raise PortLost(_opening_failed(path, error)) from error
         self._request_low_latency()
+
+    def __str__(self) -> str:
+        return self.path
 
     def write(self, data: bytes, /) -> None:
         """Send all bytes; PortLost when the line is gone, or takes no more for 0.1 s.
@@ -231,7 +246,7 @@ class SdkPort(PortHandler):  # type: ignore[misc]
     clock
         Source of time.
     baudrate
-        Baud rate in bit/s; 10 bits a byte.
+        Baud rate in bit/s that the line has; 10 bits a byte.
     return_delay_s
         Return Delay Time of the slowest servo (register 9) in s.
     allowance_s
@@ -243,9 +258,9 @@ class SdkPort(PortHandler):  # type: ignore[misc]
         stream: ByteStream,
         clock: Clock,
         *,
-        baudrate: int,
-        return_delay_s: float,
-        allowance_s: float,
+        baudrate: int = 1_000_000,
+        return_delay_s: float = 0.0005,
+        allowance_s: float = 0.0015,
     ) -> None:
         super().__init__("")
         self._stream = stream
@@ -296,6 +311,9 @@ class SdkPort(PortHandler):  # type: ignore[misc]
         except PortLost:
             self.lost = True
             raise
+        except OSError as error:
+            self.lost = True
+            raise PortLost(f"the servo line is gone: {error}") from error
 
     def setPacketTimeout(self, packet_length: int) -> None:  # noqa: N802
         """Start the time-out for an answer of that many bytes."""

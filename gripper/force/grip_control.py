@@ -600,12 +600,20 @@ class FrictionEstimate:
         while self._shares[0][0] < now_s - _WINDOW_S - _BEFORE_CONTACT_S:
             self._shares.popleft()
 
+    @property
+    def measured(self) -> bool:
+        """Whether the fingers have run freely for long enough."""
+        return len(self._free_shares()) >= _LEAST_PERIODS
+
     def friction_share(self) -> float:
         """Return the friction as a share of the model's; 1 where too little was measured."""
-        if not self._shares:
-            return 1.0
-        last_s = self._shares[-1][0] - _BEFORE_CONTACT_S
-        shares = [share for then_s, share in self._shares if then_s <= last_s]
+        shares = self._free_shares()
         if len(shares) < _LEAST_PERIODS:
             return 1.0
         return min(max(median(shares), _LOW_SHARE), _HIGH_SHARE)
+
+    def _free_shares(self) -> list[float]:
+        if not self._shares:
+            return []
+        last_s = self._shares[-1][0] - _BEFORE_CONTACT_S
+        return [share for then_s, share in self._shares if then_s <= last_s]

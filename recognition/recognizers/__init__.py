@@ -84,7 +84,7 @@ def recognizer_module(name: str) -> str:
     return _BY_NAME[name].module
 
 
-def make_trainer(name: str, *, use_aperture: bool = True) -> "Trainer":
+def make_trainer(name: str = DEFAULT_TRAINER, *, use_aperture: bool = True) -> "Trainer":
     """Return the trainer of that name. Raises ValueError, listing the names, for an unknown one."""
     module = importlib.import_module(recognizer_module(name))
     maker = attrgetter(_BY_NAME[name].trainer)(module)

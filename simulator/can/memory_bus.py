@@ -28,6 +28,11 @@ class InMemoryCanBus(can.BusABC):
         Knobs that may be turned at any time.
     seed
         Seed of the faults that come by chance.
+
+    Attributes
+    ----------
+    clock
+        As given.
     """
 
     def __init__(
@@ -41,7 +46,7 @@ class InMemoryCanBus(can.BusABC):
     ) -> None:
         self.channel_info = f"simulated CAN bus at {bitrate} bit/s"
         self._link = CanLink(device, bitrate=bitrate, faults=faults, seed=seed)
-        self._clock = clock
+        self.clock = clock
         self._lost = False
         clock.on_advance.append(self._link.advance)
         super().__init__(channel="simulated")
@@ -73,7 +78,7 @@ class InMemoryCanBus(can.BusABC):
         self._link.send(
             msg.arbitration_id,
             bytes(msg.data),
-            self._clock.monotonic(),
+            self.clock.monotonic(),
             extended=msg.is_extended_id,
         )
 
@@ -89,7 +94,7 @@ class InMemoryCanBus(can.BusABC):
         SimulatorStateError
             If it shall wait without limit on a bus on which nothing will ever come.
         """
-        clock, link = self._clock, self._link
+        clock, link = self.clock, self._link
         now_s = clock.monotonic()
         deadline_s = math.inf
         if timeout is not None:
@@ -123,7 +128,7 @@ class InMemoryCanBus(can.BusABC):
     def shutdown(self) -> None:
         """Leave the bus; a second call changes nothing."""
         if not self._is_shutdown:
-            self._clock.on_advance.remove(self._link.advance)
+            self.clock.on_advance.remove(self._link.advance)
         super().shutdown()
 
     def _check_open(self) -> None:

@@ -6,7 +6,7 @@ return delay is over, and servos that answer one after the other wait for each o
 
 import heapq
 import itertools
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 
 from simulator.clock import ROUNDING_S, VirtualClock
 from simulator.errors import PortUnplugged, SimulatorSettingsError
@@ -348,35 +348,40 @@ class MemoryServoStream:
         The servos.
     clock
         Its time; `read` waits by its ``sleep``.
-    lost_error
-        Makes the exception raised once the cable was found to be out, and after `close`, from a
-        text: as with a port of the system, a cable that is back does not help an open one.
+
+    Attributes
+    ----------
+    clock
+        As given.
+    closed
+        Whether it was closed.
     """
 
-    def __init__(
-        self,
-        device: ServoBusDevice,
-        clock: VirtualClock,
-        *,
-        lost_error: Callable[[str], Exception] = PortUnplugged,
-    ) -> None:
+    def __init__(self, device: ServoBusDevice, clock: VirtualClock) -> None:
+        self.clock = clock
+        self.closed = False
         self._device = device
-        self._clock = clock
-        self._lost_error = lost_error
         self._input = bytearray()
-        self._closed = self._lost = False
+        self._lost = False
+
+    def __str__(self) -> str:
+        return "simulated"
 
     def write(self, data: bytes) -> None:
-        """Send bytes to the servos; raises ``lost_error`` where the cable is or was out."""
+        """Send bytes to the servos.
+
+        PortUnplugged once the cable was found to be out, and after `close`: as with a port of the
+        system, a cable that is back does not help an open one.
+        """
         self._check()
-        self._device.receive(data, self._clock.monotonic())
+        self._device.receive(data, self.clock.monotonic())
 
     def read(self, size: int, timeout_s: float) -> bytes:
         """Return up to ``size`` bytes as soon as one is there, ``b""`` after ``timeout_s`` s."""
         self._check()
-        deadline_s = self._clock.monotonic() + timeout_s
+        deadline_s = self.clock.monotonic() + timeout_s
         while True:
-            now_s = self._clock.monotonic()
+            now_s = self.clock.monotonic()
             self._input += self._device.transmit(now_s)
             if self._input or now_s >= deadline_s:
                 found = bytes(self._input[:size])
@@ -384,25 +389,25 @@ class MemoryServoStream:
                 return found
             due_s = self._device.next_event_s()
             until_s = deadline_s if due_s is None else min(due_s, deadline_s)
-            self._clock.sleep(max(until_s - now_s, ROUNDING_S))
+            self.clock.sleep(max(until_s - now_s, ROUNDING_S))
             self._check()
 
     def drop_input(self) -> None:
         """Forget the bytes that have arrived and were not read."""
         self._check()
-        self._device.transmit(self._clock.monotonic())
+        self._device.transmit(self.clock.monotonic())
         self._input.clear()
 
     def close(self) -> None:
         """Close the stream; closing it again changes nothing."""
-        self._closed = True
+        self.closed = True
 
     def _check(self) -> None:
-        if self._closed:
-            raise self._lost_error("the servo stream is closed; open a new one")
+        if self.closed:
+            raise PortUnplugged("the servo stream is closed; open a new one")
         self._lost |= self._device.faults.unplugged
         if self._lost:
-            raise self._lost_error(
+            raise PortUnplugged(
                 "the cable to the simulated servos is out (fault servos.unplugged); plug it in "
                 "and open the port again"
             )

@@ -1,25 +1,29 @@
 """The tactile sensor: whole frames in, forces on taxels, pads and fingers out."""
 
+import time
 from collections import deque
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from math import inf, sqrt
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactile.can.bus import CanBus, close_bus, open_bus
 from tactile.clock import Clock
 from tactile.errors import (
     CalibrationError,
     ForceContradicted,
     FrameTimeout,
+    LinkFault,
     ZeroDrifted,
     require_at_least,
 )
 from tactile.frames.codec import FrameStatus, TactileFrame
 from tactile.frames.force_message import ForceMessage, encode_zero
-from tactile.layout import TaxelLayout
-from tactile.sensor.calibration import Calibration
+from tactile.layout import TaxelLayout, paper_layout
+from tactile.sensor.calibration import Calibration, FoamCalibration
 from tactile.sensor.filters import (
     ActiveTaxels,
     MovingMean,
@@ -28,10 +32,11 @@ from tactile.sensor.filters import (
     Values,
     fill_bad,
 )
-from tactile.sensor.force_check import ForceCheck
+from tactile.sensor.force_check import ForceCheck, force_table
 from tactile.sensor.quality import QualityLimits, QualityWatch
 from tactile.sensor.tare import TareLimits, TareResult, compute_tare, too_many_bad
-from tactile.unit.settings import NodeIdentity
+from tactile.unit.link import TactileLink
+from tactile.unit.settings import LinkSettings, LinkStatistics, NodeIdentity
 
 _KEPT_FORCES = 1000
 """Force messages that wait to be taken: five seconds at 200 a second; older ones are dropped."""
@@ -47,37 +52,6 @@ _UNIT_GAIN = 6.0 / 16.0 * sqrt(1.0 / 7.0)
 independent noise."""
 _TOUCH_SHARE = 0.012
 """Least such threshold, as a share of the full scale: above the drift that a zero may have."""
-
-
-class ForceCentres:
-    """Centre of the grip force: the mean of both pads' centres, each weighted by its taxels.
-
-    Parameters
-    ----------
-    layout
-        The taxels.
-    """
-
-    def __init__(self, layout: TaxelLayout) -> None:
-        self._taxels = tuple(np.flatnonzero(layout.taxel_pad == p) for p in layout.gripping_pads)
-        self._xy_m = tuple(layout.position_m[taxels, :2] for taxels in self._taxels)
-
-    def of(self, force_n: NDArray[np.float64]) -> tuple[float, float] | None:
-        """Return the centre in the grip frame in m; None where a pad has no force.
-
-        Parameters
-        ----------
-        force_n : (n_taxels,) float64
-            Normal force on each taxel in N.
-        """
-        centre_m = np.zeros(2)
-        for taxels, xy_m in zip(self._taxels, self._xy_m, strict=True):
-            weights = force_n[taxels]
-            total_n = float(weights.sum())
-            if not total_n > 0.0:
-                return None
-            centre_m += 0.5 * (weights @ xy_m) / total_n
-        return float(centre_m[0]), float(centre_m[1])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -186,6 +160,20 @@ class TactileReading:
 class FrameSource(Protocol):
     """Source of frames; `TactileLink` is one."""
 
+    @property
+    def statistics(self) -> LinkStatistics:
+        """Counts since the last start."""
+        ...
+
+    @property
+    def fault(self) -> LinkFault | None:
+        """The latched fault, None while there is none."""
+        ...
+
+    def use(self, bus: CanBus) -> None:
+        """Take a bus that was opened anew in the place of a lost one, before the next start."""
+        ...
+
     def start(self) -> NodeIdentity:
         """Begin."""
         ...
@@ -233,6 +221,8 @@ class TactileSensor:
         Filters and limits.
     forces
         Source of force messages, polled with the link; None without one.
+    close_bus
+        Closes the bus of the link at the end of a ``with``; None where that is another's.
     """
 
     def __init__(
@@ -244,6 +234,7 @@ class TactileSensor:
         clock: Clock,
         settings: SensorSettings | None = None,
         forces: ForceSource | None = None,
+        close_bus: Callable[[], None] | None = None,
     ) -> None:
         if calibration.adc_max != layout.adc_max:
             raise CalibrationError(
@@ -252,6 +243,8 @@ class TactileSensor:
             )
         self._link = link
         self._forces = forces
+        self._close_bus = close_bus
+        self._running = False
         self._layout = layout
         self._calibration = calibration
         self._clock = clock
@@ -302,14 +295,47 @@ class TactileSensor:
         """The zero in use, None before the first tare after a start."""
         return self._tare
 
+    @property
+    def link(self) -> FrameSource:
+        """Where the frames come from."""
+        return self._link
+
+    @property
+    def running(self) -> bool:
+        """Whether it was started, and not closed since."""
+        return self._running
+
     def start(self) -> NodeIdentity:
         """Start the link; the zero of an earlier start is forgotten."""
+        self._running = False
         self._reset()
-        return self._link.start()
+        identity = self._link.start()
+        self._running = True
+        return identity
 
     def close(self) -> None:
-        """Close the link."""
+        """Close the link; the bus stays open for another start."""
+        self._running = False
         self._link.close()
+
+    def close_bus(self) -> None:
+        """Close the bus, where `open_sensor` has opened it."""
+        if self._close_bus is not None:
+            self._close_bus()
+
+    def __enter__(self) -> Self:
+        """Start the sensor, see `start`; where that raises the bus is closed."""
+        try:
+            self.start()
+        except BaseException:
+            self.__exit__()
+            raise
+        return self
+
+    def __exit__(self, *_error: object) -> None:
+        """Close link and bus."""
+        self.close()
+        self.close_bus()
 
     def poll(self) -> tuple[TactileReading, ...]:
         """Return the readings that came since the last call, oldest first; does not wait.
@@ -551,3 +577,73 @@ class TactileSensor:
             if too_many_bad(n_bad, taxels.stop - taxels.start, self._settings.bad_share):
                 return f"{np.count_nonzero(bad[taxels])} taxels of finger {finger} bad"
         return ""
+
+
+def open_sensor(
+    channel: str | CanBus,
+    layout: TaxelLayout | None = None,
+    calibration: Calibration | None = None,
+    *,
+    interface: str = "socketcan",
+    bitrate: int = 1_000_000,
+    node_id: int = 5,
+    link: LinkSettings | None = None,
+    settings: SensorSettings | None = None,
+) -> TactileSensor:
+    """Open the control unit's CAN bus and return its sensor; ``with`` starts the unit.
+
+    Leaving the block stops the frames and closes the bus. SYNC goes out, and faults show, while the
+    sensor is read; messages that nobody takes for half a minute are a fault of the link.
+
+    Parameters
+    ----------
+    channel
+        Channel of the CAN interface, as can0 or /dev/ttyACM0; or an open bus, which stays open: a
+        simulated one has the time of its devices with it, as ``clock``.
+    layout
+        The taxels; by default the paper's: 408 on ten pads.
+    calibration
+        From counts to newtons; by default the paper's foam.
+    interface
+        python-can's name of the interface: socketcan, slcan, pcan, ...
+    bitrate
+        Of the CAN bus, in bit/s.
+    node_id
+        CANopen node-ID of the unit, 1 to 127.
+    link, settings
+        Periods and limits of the link, and of the way from frames to forces.
+
+    Raises
+    ------
+    BusNotOpened
+        When the bus cannot be opened.
+    CalibrationError
+        When the calibration is for another full scale than the layout's.
+    """
+    layout = layout or paper_layout()
+    calibration = calibration or FoamCalibration(layout.adc_max)
+    owned = isinstance(channel, str)
+    bus = open_bus(interface, channel, bitrate=bitrate) if isinstance(channel, str) else channel
+    clock: Clock = getattr(bus, "clock", time)
+    try:
+        tactile_link = TactileLink(
+            bus,
+            node_id=node_id,
+            layout=layout,
+            clock=clock,
+            settings=replace(link or LinkSettings(), threaded=clock is time),
+            force_table=force_table(layout, calibration),
+        )
+        return TactileSensor(
+            tactile_link,
+            layout,
+            calibration,
+            clock=clock,
+            settings=settings,
+            forces=tactile_link,
+            close_bus=(lambda: close_bus(bus)) if owned else None,
+        )
+    except BaseException:
+        if owned:
+            close_bus(bus)
+        raise

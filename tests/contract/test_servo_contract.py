@@ -76,14 +76,18 @@ def test_a_sync_read_tells_what_single_reads_tell(servos: Any) -> None:
     with servos.restoring(PROFILE_ACCELERATION, PROFILE_VELOCITY):
         for servo_id in servos.ids:
             servos.bus.write(servo_id, PROFILE_VELOCITY, 100 + servo_id)
-        found = servos.bus.sync_read(servos.ids, PROFILE_ACCELERATION, PROFILE_VELOCITY)
+        found = servos.bus.sync_read(
+            servos.ids, RegisterBlock(PROFILE_ACCELERATION, PROFILE_VELOCITY)
+        )
         assert list(found) == list(servos.ids)
         for servo_id in servos.ids:
             assert found[servo_id]["profile_velocity"] == 100 + servo_id
 
 
 def test_present_values_are_plausible_at_rest(servos: Any) -> None:
-    found = servos.bus.sync_read(servos.ids, PRESENT_CURRENT, PRESENT_POSITION)
+    found = servos.bus.sync_read(
+        servos.ids, RegisterBlock.between(PRESENT_CURRENT, PRESENT_POSITION)
+    )
     for values in found.values():
         assert abs(values["present_current"]) < 20
         assert abs(values["present_velocity"]) < 5

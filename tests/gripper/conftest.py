@@ -11,7 +11,6 @@ import pytest
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import REGISTERS
 from gripper.dynamixel.models import XM430_W350, ServoModel
-from gripper.errors import PortLost
 from gripper.gripper import Gripper
 from gripper.kinematics import Linkage, ParallelLinkage, RackPinion
 from gripper.settings import HARD_FORCE_CAP_N, GripperSettings, ServoSettings
@@ -214,7 +213,7 @@ class Cell:
             for servo, motor in zip(self.servos, self.motors, strict=True)
         ]
         self.device = ServoBusDevice(self.servos, 1_000_000)
-        self.stream = MemoryServoStream(self.device, self.clock, lost_error=PortLost)
+        self.stream = MemoryServoStream(self.device, self.clock)
         self.bus = ServoBus(self.stream, baudrate=1_000_000, clock=self.clock)
         self.settings = GripperSettings(
             servos=tuple(

@@ -9,7 +9,6 @@ import pytest
 
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.models import XM430_W350
-from gripper.errors import PortLost
 from motion.axes import Axes, Axis
 from motion.bus import DriveBus, Watch
 from motion.drive import Cia402Drive, DriveSettings
@@ -131,7 +130,7 @@ def make_wrist() -> Callable[..., WristBench]:
         mount = WristMount(servo_id=7, increments=PER_RAD, zero=500, start=start_rad)
         simulated = SimulatedWrist(mount)
         clock.on_advance.append(simulated.advance)
-        stream = MemoryServoStream(simulated.bus, clock, lost_error=PortLost)
+        stream = MemoryServoStream(simulated.bus, clock)
         watch = Watch(clock, 0.005)
         settings = ServoAxisSettings(
             model=XM430_W350,

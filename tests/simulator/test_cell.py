@@ -30,10 +30,10 @@ class Host:
         for servo in self.cell.settings.servos:
             value = raw.to_bytes(register.size, "little", signed=raw < 0)
             parameters = register.address.to_bytes(2, "little") + value
-            self.cell.servo_stream.write(
+            self.cell.servo_port.write(
                 encode_instruction(servo.servo_id, Instruction.WRITE, parameters)
             )
-            answer = self.cell.servo_stream.read(64, 0.05)
+            answer = self.cell.servo_port.read(64, 0.05)
             assert answer[4] == servo.servo_id
             assert answer[8] == 0, f"servo refused {name}: {answer.hex()}"
 
@@ -163,17 +163,14 @@ def test_objects_come_and_go() -> None:
 
 
 def test_the_knobs_of_all_devices_are_in_one_place() -> None:
-    class Lost(Exception):
-        pass
-
-    with SimulatedCell(lost_error=Lost) as cell:
+    with SimulatedCell() as cell:
         cell.devices.faults.servo_wire.unplugged = True
-        with pytest.raises(Lost):
-            cell.servo_stream.write(b"\0")
-        with pytest.raises(Lost):
-            cell.open_servo_stream()
+        with pytest.raises(PortUnplugged):
+            cell.servo_port.write(b"\0")
+        with pytest.raises(PortUnplugged):
+            cell.open_servo_port()
         cell.devices.faults.servo_wire.unplugged = False
-        cell.open_servo_stream().write(b"\0")
+        cell.open_servo_port().write(b"\0")
         cell.devices.faults.can.unplugged = True
         with pytest.raises(can.CanOperationError):
             cell.can_bus.recv(0)
@@ -197,7 +194,7 @@ def test_a_closed_cell_is_of_no_use() -> None:
     cell.close()
     cell.close()
     with pytest.raises(PortUnplugged):
-        cell.servo_stream.write(b"\0")
+        cell.servo_port.write(b"\0")
     with pytest.raises(can.CanOperationError):
         cell.can_bus.recv(0)
 

@@ -146,7 +146,7 @@ class View:
         `NoveltyDetector.probability`.
         """
         scores, novelty = self.taught.score(features)
-        size = self.usual_size
+        size: float | NDArray[np.float64] = self.usual_size
         if trust == 1.0:
             size = self.sizes.novelty(sizes_mm, scores.argmax(axis=1))
         else:

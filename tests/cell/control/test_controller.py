@@ -703,7 +703,7 @@ def test_the_cell_is_supervised_while_a_person_moves_the_object(
     bench.controller.present("ball")
     assert "'ball'" in asked[0]
     assert bench.controller.state is CellState.IDLE
-    assert len(bench.controller.local_hand._tap._new) < 5
+    assert len(bench.controller.local_hand._force._new) < 5
 
     bench.simulated.place("ball")
     assert bench.grasp().outcome.result is not GraspResult.NO_CONTACT

@@ -1,6 +1,5 @@
 """The stream in memory: it waits on the injected clock and fails when the cable is out."""
 
-import errno
 from collections.abc import Callable
 
 import pytest
@@ -76,12 +75,9 @@ def test_unplugging_ends_a_read_that_waits(bench):
     assert bench.clock.monotonic() < 0.05
 
 
-def test_the_owner_chooses_the_error(bench):
-    def lost(text: str) -> OSError:
-        return OSError(errno.EIO, text)
-
-    stream = MemoryServoStream(bench.device, bench.clock, lost_error=lost)
+def test_a_closed_stream_is_of_no_use(bench):
+    stream = MemoryServoStream(bench.device, bench.clock)
     stream.close()
     stream.close()
-    with pytest.raises(OSError, match="closed"):
+    with pytest.raises(PortUnplugged, match="closed"):
         stream.write(PING)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tactile.layout import paper_layout
-from tactile.sensor.sensor import ForceCentres
+from tactile.sensor.grip_force import ForceCentres
 
 
 def test_the_centre_is_the_mean_place_weighted_by_force() -> None:

@@ -1,0 +1,120 @@
+"""The grip force by the motors' current alone, against the true one of the simulated fingers."""
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from gripper.errors import LimitExceeded, PartLost
+from gripper.force.ramp import ForceRamp
+from gripper.gripper import Gripper
+from gripper.settings import largest_setpoint_n
+from gripper.state import Cycle, GraspOutcome, GraspResult
+
+
+def by_current(cell: Any) -> Gripper:
+    return Gripper(cell.bus, cell.linkage, cell.settings, clock=cell.clock, force_sensor=None)
+
+
+def closed(cell: Any, force_n: float = 5.0) -> tuple[Gripper, GraspOutcome]:
+    """The outcome of a grasp in which no contact was claimed before there was a force."""
+    gripper = by_current(cell)
+
+    def watch(cycle: Cycle) -> None:
+        assert cycle.force is not None
+        # At an opening of 0 the fingers press on each other.
+        pressed = cell.force_n > 0.5 or cycle.state.aperture_m < cell.settings.aperture_min_m
+        assert cycle.force.grip_n == 0.0 or pressed
+
+    gripper.start()
+    gripper.open()
+    return gripper, gripper.grasp(ForceRamp.linear(force_n, 5.0, 0.5), watch)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "within_n"),
+    [
+        ({}, 0.15),
+        ({"friction_error": 0.3}, 0.15),
+        ({"friction_error": -0.3}, 0.15),
+        ({"kt_error": 0.1}, 0.6),
+        ({"kt_error": -0.1}, 0.6),
+        ({"n_servos": 1}, 0.15),
+    ],
+)
+def test_five_newtons_by_current_are_five_newtons_but_for_the_torque_constant(
+    make_cell: Callable[..., Any], wrong: dict[str, Any], within_n: float
+) -> None:
+    cell = make_cell(**wrong)
+    gripper, outcome = closed(cell)
+    assert outcome.result is GraspResult.FORCE_REACHED
+    assert cell.force_n == pytest.approx(5.0, abs=within_n)
+    gripper.release()
+    assert cell.force_n == 0.0
+
+
+def test_the_samples_carry_what_the_torque_figures_leave_open(
+    make_cell: Callable[..., Any],
+) -> None:
+    cell = make_cell(kt_error=0.1)
+    samples = []
+    gripper, _ = closed(cell)
+    gripper.hold(0.1, lambda cycle: samples.append(cycle.force))
+    assert samples[-1].noise_n == pytest.approx(0.7, abs=0.1)
+    assert abs(samples[-1].grip_n - cell.force_n) < 2.0 * samples[-1].noise_n
+
+
+def test_a_soft_part_is_gripped_too(
+    make_cell: Callable[..., Any], make_part: Callable[..., Any]
+) -> None:
+    cell = make_cell(part=make_part(stiffness_n_m=1000.0))
+    assert closed(cell)[1].result is GraspResult.FORCE_REACHED
+    assert cell.force_n == pytest.approx(4.7, abs=0.3)
+
+
+def test_fingers_that_start_on_the_part_find_it(make_cell: Callable[..., Any]) -> None:
+    cell = make_cell(aperture_open_m=0.0125, aperture_m=0.0125)
+    assert closed(cell)[1].result is GraspResult.FORCE_REACHED
+    assert cell.force_n == pytest.approx(5.0, abs=0.3)
+
+
+@pytest.mark.parametrize("friction_error", [-0.5, 0.0, 0.3, 0.5])
+def test_friction_is_no_part(
+    make_cell: Callable[..., Any], make_part: Callable[..., Any], friction_error: float
+) -> None:
+    cell = make_cell(part=make_part(present=False), friction_error=friction_error)
+    assert closed(cell)[1].result is GraspResult.NO_CONTACT
+
+
+@pytest.mark.parametrize("stiffness_n_m", [3000.0, 20_000.0])
+def test_a_part_that_is_taken_away_is_lost(
+    make_cell: Callable[..., Any], make_part: Callable[..., Any], stiffness_n_m: float
+) -> None:
+    cell = make_cell(part=make_part(stiffness_n_m=stiffness_n_m))
+    gripper, _ = closed(cell)
+
+    def take(cycle: Cycle) -> None:
+        cell.part.present = False
+
+    with pytest.raises(PartLost):
+        gripper.hold(1.0, take)
+
+
+def test_the_true_force_keeps_its_cap_where_the_torque_constant_is_wrong(
+    make_cell: Callable[..., Any],
+) -> None:
+    cell = make_cell(kt_error=0.1, friction_error=-0.2, force_max_n=15.0)
+    gripper = by_current(cell)
+    most_n = largest_setpoint_n(gripper.settings.force_max_n)
+    with pytest.raises(LimitExceeded, match=r"its overshoot stays below force_max_n = 12\.8 N"):
+        gripper.check_ramp(ForceRamp.linear(most_n + 0.1, 5.0))
+    closed(cell, most_n)
+    assert 12.0 < cell.peak_n < 15.0
+
+
+def test_a_cap_below_what_the_current_can_tell_is_refused(make_cell: Callable[..., Any]) -> None:
+    cell = make_cell(force_max_n=1.5)
+    with pytest.raises(
+        LimitExceeded, match=r"is known to 1\.2 N, which leaves 0\.3 N of force_max"
+    ):
+        by_current(cell)

@@ -1,0 +1,101 @@
+"""A gripper from its port: what the block verifies at its beginning and keeps at its end."""
+
+import pytest
+from dynamixel_sdk import (
+    COMM_RX_CORRUPT,
+    COMM_RX_TIMEOUT,
+    COMM_SUCCESS,
+    GroupBulkRead,
+    GroupSyncRead,
+)
+
+from gripper import ForceRamp, GripperPhase, GripperSettings, RackPinion, open_gripper
+from gripper.dynamixel.control_table import PRESENT_POSITION
+from gripper.dynamixel.protocol2 import CheckedPacketHandler
+from gripper.dynamixel.serial_port import SdkPort, open_line
+from gripper.errors import LimitExceeded, PortLost, VerificationFailed
+from simulator import SimulatedCell, simulated_cell
+
+
+def gripped_n(sim: SimulatedCell) -> float:
+    return min(sim.world.contact_force_n())
+
+
+@pytest.mark.parametrize("error", [None, KeyError])
+def test_leaving_the_block_closes_the_port_and_keeps_the_part(
+    error: type[Exception] | None,
+) -> None:
+    with simulated_cell("box") as sim:
+        try:
+            with open_gripper(sim.servo_port) as gripper:
+                line = sim.servo_port
+                gripper.open()
+                gripper.grasp(ForceRamp.linear(5.0, 10.0))
+                if error is not None:
+                    raise error
+        except KeyError:
+            pass
+        assert line.closed
+        sim.clock.sleep(3.0)
+        assert gripped_n(sim) > 4.0
+        with open_gripper(sim.servo_port) as gripper:
+            assert gripper.state is GripperPhase.HELD_AFTER_FAULT
+            assert gripped_n(sim) > 4.0
+            gripper.release()
+            assert gripped_n(sim) == 0.0
+        assert not any(servo.core.torque_on for servo in sim.devices.servo_bus.servos)
+
+
+def test_a_block_begins_with_servos_that_match_or_not_at_all() -> None:
+    with simulated_cell() as sim:
+        line = sim.servo_port
+        sim.inject("servos.off")
+        with pytest.raises(VerificationFailed), open_gripper(line):
+            pass
+        assert line.closed
+
+
+def test_a_gripper_that_cannot_be_leaves_no_port_open() -> None:
+    with simulated_cell() as sim:
+        line = sim.servo_port
+        with pytest.raises(LimitExceeded, match="driven by 1 servos, the settings name 2"):
+            open_gripper(line, GripperSettings(), RackPinion(pinion_radius_m=0.012))
+        assert line.closed
+    with pytest.raises(PortLost, match="cannot open serial port /dev/nowhere"):
+        open_gripper("/dev/nowhere")
+
+
+def test_a_line_that_is_cut_is_a_lost_port() -> None:
+    with simulated_cell() as sim, open_gripper(sim.servo_port) as gripper:
+        sim.inject("servos.unplugged")
+        with pytest.raises(PortLost, match="the cable to the simulated servos is out"):
+            gripper.read_state()
+
+
+@pytest.mark.parametrize("kind", [GroupSyncRead, GroupBulkRead])
+def test_the_groups_of_the_sdk_read_over_our_port_and_handler(kind: type) -> None:
+    with simulated_cell() as sim:
+        port, handler = SdkPort(*open_line(sim.servo_port, 1_000_000)), CheckedPacketHandler()
+        place = (PRESENT_POSITION.address, PRESENT_POSITION.size)
+        if kind is GroupSyncRead:
+            group = GroupSyncRead(port, handler, *place)
+            added = [group.addParam(1), group.addParam(2)]
+        else:
+            group = GroupBulkRead(port, handler)
+            added = [group.addParam(servo_id, *place) for servo_id in (1, 2)]
+        assert all(added)
+        assert group.txRxPacket() == COMM_SUCCESS
+        with open_gripper(sim.servo_port) as gripper:
+            found = {servo_id: gripper.bus.read(servo_id, PRESENT_POSITION) for servo_id in (1, 2)}
+        for servo_id in (1, 2):
+            assert group.isAvailable(servo_id, *place)
+            assert group.getData(servo_id, *place) == found[servo_id]
+        port = SdkPort(*open_line(sim.servo_port, 1_000_000))
+        group.port = port
+        wire = sim.devices.faults.servo_wire
+        for fault, result in ((wire.drop, COMM_RX_TIMEOUT), (wire.bit_flip, COMM_RX_CORRUPT)):
+            fault.next_packets = 2
+            assert group.txRxPacket() == result
+            assert not group.isAvailable(2, *place)
+            sim.clock.sleep(0.1)
+        assert group.txRxPacket() == COMM_SUCCESS

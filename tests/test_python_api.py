@@ -1,0 +1,61 @@
+"""The faces of the packages, and the examples of the Python reference as they stand there."""
+
+import ast
+import re
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+
+import pytest
+
+PAGE = Path(__file__).parents[1] / "docs/reference/python-api.md"
+EXAMPLES = re.findall(r"```python\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+PRINTED = (
+    r"force_reached (4\.[6-9]|5\.[0-4]) N\n",
+    r"\(408,\) \(0\.0, 0\.0\)\n",
+    "8 mm\n",
+    "box\n",
+    r"\['(\[TxRxResult\] Communication success!)', '\1'\]\n2213 25\n",
+)
+FACES = ("gripper", "tactile", "motion", "recognition", "simulator", "cell")
+
+
+@pytest.mark.parametrize(("example", "printed"), list(zip(EXAMPLES, PRINTED, strict=True)))
+def test_the_examples_run_as_they_are_printed(
+    example: str, printed: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    exec(compile(example, PAGE.name, "exec"), {})
+    assert re.fullmatch(printed, capsys.readouterr().out)
+
+
+def test_one_package_takes_at_most_ten_lines() -> None:
+    lines = [len([line for line in example.splitlines() if line.strip()]) for example in EXAMPLES]
+    assert max(lines[:3]) <= 10
+
+
+@pytest.mark.parametrize("package", FACES)
+def test_a_face_names_what_its_homes_have_and_type_checkers_see_the_same(package: str) -> None:
+    module = import_module(package)
+    assert set(module.__all__) == set(module._HOMES) <= set(dir(module))
+    for name in module.__all__:
+        assert getattr(module, name) is getattr(import_module(module._HOMES[name]), name)
+    imports = {
+        (alias.name, node.module)
+        for node in ast.walk(ast.parse(Path(str(module.__file__)).read_text("utf-8")))
+        if isinstance(node, ast.ImportFrom) and node.module.startswith(package)
+        for alias in node.names
+    }
+    assert imports == set(module._HOMES.items())
+    with pytest.raises(AttributeError, match=f"module '{package}' has no attribute 'nonsense'"):
+        _ = module.nonsense
+
+
+@pytest.mark.parametrize("package", FACES)
+def test_a_package_imports_nothing_before_it_is_used(package: str) -> None:
+    code = f"import sys, {package}; print(*sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    heavy = {"numpy", "scipy", "serial", "can", "canopen", "dynamixel_sdk", "pydantic"}
+    loaded = set(done.stdout.split())
+    assert not loaded & heavy
+    assert {name for name in loaded if name.partition(".")[0] in FACES} == {package}
