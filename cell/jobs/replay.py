@@ -18,6 +18,7 @@ from cell.learning.blas import one_blas_thread
 from cell.learning.training import train
 from cell.simulation import capture_traffic, largest_aperture_m, simulator_settings
 from gripper.gripper import open_gripper
+from gripper.settings import HARD_FORCE_CAP_N
 from gripper.state import ForceSample
 from recognition.evaluation.metrics import wilson_interval
 from recognition.evaluation.splits import parse_split
@@ -29,8 +30,8 @@ from tactile.unit.link import TactileLink
 _SHORTEST_PERIOD_S = 0.012
 _WAIT_S = 0.001
 _BURST_SHARE = 0.9
-_OPENING_PER_RADIUS = 10.0
-"""Opening at which the pinion has turned by 2.5 rad either way: well within one turn."""
+_OPENING_PER_RADIUS = 4.0
+"""Opening at which the pinion has turned by 1 rad either way: well within one turn."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -271,6 +272,7 @@ def _wide_config(grasps: Sequence[Grasp]) -> CellConfig:
                 offset_mm=0.25 * opening_mm,
             ),
             aperture_open_mm=opening_mm,
+            force_max_n=HARD_FORCE_CAP_N,
         ),
     )
 
