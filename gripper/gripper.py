@@ -201,9 +201,9 @@ class Gripper:
         positions_raw = [self._bus.read(servo_id, PRESENT_POSITION) for servo_id in self._ids]
         return standing_rows(self._settings, self._linkage, positions_raw)
 
-    def _check_standing(self) -> None:
+    def _check_standing(self, rows: tuple[VerificationRow, ...]) -> None:
         """Raise VerificationFailed where a finger stands where the settings exclude it."""
-        report = VerificationReport(rows=self._standing_rows())
+        report = VerificationReport(rows=rows)
         if not report.ok:
             raise VerificationFailed(report, [str(row) for row in report.failed])
 
@@ -577,7 +577,7 @@ class Gripper:
         if not self._health.torque_on():
             self._life.switched_off()
             report = self._health.verify(correct=True, refuse=True)
-            self._check_standing()
+            self._check_standing(self._standing_rows())
             return report
         if held_before:
             self._life.phase = GripperPhase.HELD_AFTER_FAULT
@@ -657,12 +657,16 @@ class Gripper:
 
     def _make_ready(self, *, releasing: bool = False) -> bool:
         """Make the servos ready for a command; return whether all of them were without torque."""
-        was_limp = not self._servos.goals_in_force and not self._health.torque_on()
-        if was_limp:
-            self._check_standing()
+        limp: GripperState | None = None
+        if not self._servos.goals_in_force and not self._health.torque_on():
+            limp = self._servos.read_patiently()
+            positions_raw = [servo.position_raw for servo in limp.servos]
+            self._check_standing(standing_rows(self._settings, self._linkage, positions_raw))
             self._grasping.begin()
-        self._servos.make_ready(part_possible=self._life.part_possible, releasing=releasing)
-        return was_limp
+        self._servos.make_ready(
+            part_possible=self._life.part_possible, releasing=releasing, limp=limp
+        )
+        return limp is not None
 
 
 def _nothing_to_open(conditions: Sequence[ServoCondition]) -> ServoFault:

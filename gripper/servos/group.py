@@ -209,7 +209,9 @@ class ServoGroup:
 
     # Torque and bus watchdog
 
-    def make_ready(self, *, part_possible: bool, releasing: bool) -> None:
+    def make_ready(
+        self, *, part_possible: bool, releasing: bool, limp: GripperState | None = None
+    ) -> None:
         """Switch the torque on where it is off, arm or restart the watchdog, before a command.
 
         Goals are set to the present positions before the torque goes on and after a watchdog that
@@ -222,6 +224,8 @@ class ServoGroup:
         releasing
             True when the part is to be let go: then it is not, and torque that was found on may be
             switched off to correct the mode.
+        limp
+            Feedback that was just read, where no servo has torque.
 
         Raises
         ------
@@ -235,8 +239,8 @@ class ServoGroup:
         health, goals_in_force = self._health, self.goals_in_force
         if releasing and not goals_in_force:
             health.make_releasable()
-        if not health.torque_on_everywhere():
-            self._switch_on(self._motion_current_a())
+        if limp is not None or not health.torque_on_everywhere():
+            self._switch_on(self._motion_current_a(limp))
         elif not goals_in_force or self._finds_trip():
             if part_possible and not releasing:
                 raise ServoFault(
@@ -364,8 +368,9 @@ class ServoGroup:
                 f"held part possibly dropped. Check who else writes to this servo, and its encoder"
             )
 
-    def _motion_current_a(self) -> float:
-        paths = transmissions(self._settings, self._linkage, self.read_patiently().angles_rad)
+    def _motion_current_a(self, state: GripperState | None = None) -> float:
+        state = state or self.read_patiently()
+        paths = transmissions(self._settings, self._linkage, state.angles_rad)
         return motion_current_a(self._settings, paths, self._settings.approach_force_n)
 
     def _check_mode(self) -> None:

@@ -11,6 +11,7 @@ from gripper.dynamixel.control_table import (
     SHUTDOWN,
     TORQUE_ENABLE,
     WATCHDOG_TRIPPED_RAW,
+    RegisterBlock,
 )
 from gripper.dynamixel.models import MODELS
 from gripper.errors import BusCorrupt, BusTimeout, ServoFault, ServoMissing, VerificationFailed
@@ -18,6 +19,7 @@ from gripper.servos.verification import compare, requirements
 from gripper.settings import GripperSettings, ServoSettings
 from gripper.state import GripperState, ServoCondition, VerificationReport, VerificationRow
 
+_TORQUE = RegisterBlock(TORQUE_ENABLE)
 _CHECKS = 3
 """Checks that take turns on each servo: torque, a register of the start, bus watchdog."""
 _CONDITION_TRIES = 3
@@ -43,11 +45,15 @@ class ServoHealth:
 
     def torque_on(self) -> bool:
         """Read whether any servo has its torque on."""
-        return any(self._bus.read(i, TORQUE_ENABLE) != 0 for i in self._ids)
+        return any(self._torques())
 
     def torque_on_everywhere(self) -> bool:
         """Read whether all servos have their torque on."""
-        return all(self._bus.read(i, TORQUE_ENABLE) != 0 for i in self._ids)
+        return all(self._torques())
+
+    def _torques(self) -> list[int]:
+        found = self._bus.sync_read(self._ids, _TORQUE)
+        return [found[servo_id][TORQUE_ENABLE.name] for servo_id in self._ids]
 
     def conditions(self) -> tuple[ServoCondition, ...]:
         """Read torque and errors of each servo; one that does not answer is no error here."""
