@@ -54,6 +54,7 @@ def measure(
         unit.dictionary.pretend(
             object_dictionary.TPDO1_PARAMETER, 1, object_dictionary.COB_TPDO1 + NODE_ID
         )
+        unit.command("OPERATIONAL", clock.monotonic())
     force_id = object_dictionary.COB_TPDO2 + NODE_ID
     bits = 0.0
     ready_s: deque[float] = deque()
