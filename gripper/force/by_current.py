@@ -69,9 +69,9 @@ class ForceByCurrent:
 
     A contact shows when the fingers stand still although the motor makes more than friction at
     rest may hold: later, and with more force, than taxels show it. The force of the impact stays
-    in the grip, and no current shows it: there 2.8 N at an approach of 20 mm/s, 1.3 N at 8 mm/s;
-    9 N at 20 mm/s with one servo on a pinion of 12 mm. A set-point below it is not reached. A part
-    that stops no finger shows only when its force does; a finger that is stuck passes for a part.
+    in the grip, and no current shows it: there 2.8 N at an approach of 20 mm/s, 1.3 N at 8 mm/s. A
+    set-point below it is not reached. A part that stops no finger shows only when its force does; a
+    finger that is stuck passes for a part.
 
     What compares sensor and current has no second witness here, and must not be taken for one: a
     torque constant that has changed, a part beside the pad, a force that the part makes by itself
