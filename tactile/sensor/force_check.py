@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from math import inf, isinf, sqrt
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactile.errors import ForceContradicted
 from tactile.frames.force_message import TABLE_NODES, ForceMessage, encode_table
@@ -65,6 +66,37 @@ def force_table(layout: TaxelLayout, calibration: Calibration) -> bytes:
         for finger, pad in enumerate(layout.gripping_pads):
             table_n[finger, node] = force_n[layout.taxels_of(pad)].mean()
     return encode_table(table_n)
+
+
+class ForceCentres:
+    """Centre of the grip force: the mean of both pads' centres, each weighted by its taxels.
+
+    Parameters
+    ----------
+    layout
+        The taxels.
+    """
+
+    def __init__(self, layout: TaxelLayout) -> None:
+        self._taxels = tuple(np.flatnonzero(layout.taxel_pad == p) for p in layout.gripping_pads)
+        self._xy_m = tuple(layout.position_m[taxels, :2] for taxels in self._taxels)
+
+    def of(self, force_n: NDArray[np.float64]) -> tuple[float, float] | None:
+        """Return the centre in the grip frame in m; None where a pad has no force.
+
+        Parameters
+        ----------
+        force_n : (n_taxels,) float64
+            Normal force on each taxel in N.
+        """
+        centre_m = np.zeros(2)
+        for taxels, xy_m in zip(self._taxels, self._xy_m, strict=True):
+            weights = force_n[taxels]
+            total_n = float(weights.sum())
+            if not total_n > 0.0:
+                return None
+            centre_m += 0.5 * (weights @ xy_m) / total_n
+        return float(centre_m[0]), float(centre_m[1])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -32,7 +32,7 @@ from tactile.sensor.filters import (
     Values,
     fill_bad,
 )
-from tactile.sensor.force_check import ForceCheck, FrameForces, force_table
+from tactile.sensor.force_check import ForceCentres, ForceCheck, FrameForces, force_table
 from tactile.sensor.quality import QualityLimits, QualityWatch
 from tactile.sensor.tare import TareLimits, TareResult, compute_tare, too_many_bad
 from tactile.unit.link import TactileLink

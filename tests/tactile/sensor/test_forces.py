@@ -17,8 +17,8 @@ from tactile.frames.force_message import (
     decode_zero,
 )
 from tactile.sensor.calibration import FoamCalibration
-from tactile.sensor.force_check import ForceCheck, FrameForces, force_table
-from tactile.sensor.sensor import ForceCentres, TactileSensor
+from tactile.sensor.force_check import ForceCentres, ForceCheck, FrameForces, force_table
+from tactile.sensor.sensor import TactileSensor
 from tests.tactile.sensor.test_sensor import CALIBRATION, LAYOUT, Frames, readings
 
 
