@@ -84,7 +84,13 @@ class GraspRun:
             if approach.event is not ApproachEvent.CONTACT:
                 closing = -contact.aperture_velocity_m_s > STALL_SPEED_M_S
                 closed = contact.aperture_m <= self._settings.aperture_min_m
-                self._confirm_empty(contact, stiffness, observer, set_phase, ran=closed or closing)
+                self._confirm_empty(
+                    contact,
+                    observer,
+                    set_phase,
+                    ran=closed or closing,
+                    approached=True,
+                )
                 set_phase(GripperPhase.APPROACHING)
                 self._prove_closed(contact, observer)
                 return _without_contact(contact)
@@ -103,23 +109,31 @@ class GraspRun:
             final = self._runner.run(GripperPhase.RAMPING, step.step, observer, needs_force=True)
         if step.lost:
             ran = step.control is not None and step.control.ran
-            self._confirm_empty(final, stiffness, observer, set_phase, ran=ran)
+            self._confirm_empty(
+                final, observer, set_phase, ran=ran, stiffness_n_m=stiffness.stiffness_n_m
+            )
             self.forget()
         return step.outcome(final)
 
     def _confirm_empty(
         self,
         state: GripperState,
-        stiffness: StiffnessEstimate,
         observer: Observer | None,
         set_phase: Callable[[GripperPhase], None],
         *,
         ran: bool,
+        stiffness_n_m: float | None = None,
+        approached: bool = False,
     ) -> None:
         """Return when nothing shows a part any more; GripContradicted where something does."""
         set_phase(GripperPhase.HOLDING)
         step = EmptyGrip(
-            self._settings, self._linkage, state, stiffness_n_m=stiffness.stiffness_n_m, ran=ran
+            self._settings,
+            self._linkage,
+            state,
+            stiffness_n_m=stiffness_n_m,
+            approached=approached,
+            ran=ran,
         )
         self._runner.run(GripperPhase.HOLDING, step.step, observer, needs_force=True)
 

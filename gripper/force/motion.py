@@ -56,9 +56,9 @@ _SLOWEST_RAD_S = 4.0 * RAD_S_PER_VELOCITY_UNIT
 """Nominal speed in rad/s below which a slowed finger does not stand out of the grain of 0.024."""
 _PAUSE_S = 0.15
 """Time in s for which a slowed finger waits for the pads: their delay and three samples."""
-_LARGEST_BOOST = 1.6
+LARGEST_BOOST = 1.6
 """Largest factor on the current of fingers that stand still untouched."""
-_BOOST_PER_S = 2.0
+BOOST_PER_S = 2.0
 """Growth of that factor in 1/s; it falls twice as fast."""
 _YOUNG_S = 0.015
 """Age in s up to which a first touch is still worth braking for; later the part itself and friction
@@ -362,9 +362,9 @@ class Approach:
         angles_rad = self._angles_rad(state, touched, paused_rad)
         still = abs(state.aperture_velocity_m_s) <= STALL_SPEED_M_S
         if still and not any(touched) and all(rad is None for rad in paused_rad):
-            self._boost = min(_LARGEST_BOOST, self._boost + _BOOST_PER_S * moment.dt_s)
+            self._boost = min(LARGEST_BOOST, self._boost + BOOST_PER_S * moment.dt_s)
         else:
-            self._boost = max(1.0, self._boost - 2.0 * _BOOST_PER_S * moment.dt_s)
+            self._boost = max(1.0, self._boost - 2.0 * BOOST_PER_S * moment.dt_s)
         self.event = self._found(moment.now_s, state, touched)
         if self.event in (ApproachEvent.LIMIT, ApproachEvent.OBSTRUCTED):
             angles_rad = state.angles_rad
@@ -416,7 +416,7 @@ class Approach:
         brake.drive_n += rate_n_s * moment.dt_s
         current_a = min(
             self._free_a[finger] + brake.drive_n * path.radius_m / path.kt_nm_a,
-            _LARGEST_BOOST * self._closing_a,
+            LARGEST_BOOST * self._closing_a,
             self._current_max_a,
         )
         margin_rad = closing_margin_rad(settings.servos[finger].servo_model, current_a)

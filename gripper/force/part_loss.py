@@ -13,7 +13,7 @@ from math import inf, sqrt
 from gripper.errors import GripContradicted
 from gripper.force.controller import History
 from gripper.force.loop import Action, Moment
-from gripper.force.motion import LEAD_M
+from gripper.force.motion import BOOST_PER_S, LARGEST_BOOST, LEAD_M
 from gripper.kinematics import Linkage, motion_current_a, transmissions
 from gripper.recent import RecentForce
 from gripper.servos.goals import ServoGoal
@@ -441,6 +441,9 @@ class EmptyGrip:
         Feedback at the end of the grasp.
     stiffness_n_m
         Stiffness of the part in N/m; None where it is not known.
+    approached
+        Whether an approach has just ended, to whose current nothing yields any more; as in it the
+        current grows then while the fingers stand.
     ran
         Whether the fingers have closed already as they do on no part.
     """
@@ -452,6 +455,7 @@ class EmptyGrip:
         state: GripperState,
         *,
         stiffness_n_m: float | None,
+        approached: bool,
         ran: bool,
     ) -> None:
         paths = transmissions(settings, linkage, state.angles_rad)
@@ -459,11 +463,15 @@ class EmptyGrip:
         pressed_n = settings.approach_force_n + BREAKAWAY_SHARE * friction_n
         self._settings = settings
         self._linkage = linkage
-        self._current_a = min(
-            motion_current_a(settings, paths, settings.approach_force_n),
+        self._current_a = motion_current_a(settings, paths, settings.approach_force_n)
+        self._most_a = min(
+            (LARGEST_BOOST if approached else 1.0) * self._current_a,
+            settings.current_max_a,
             *(path.loading_current_a(settings.force_max_n) for path in paths),
         )
-        self._run_m = _RUN_M + pressed_n / (stiffness_n_m or _SOFTEST_N_M)
+        self._run_m = _RUN_M
+        if not approached:
+            self._run_m += pressed_n / (stiffness_n_m or _SOFTEST_N_M)
         self._loaded_n = _LOADED_SHARE * settings.contact_force_n
         self._begun = state
         self._goal_m = state.aperture_m
@@ -494,6 +502,8 @@ class EmptyGrip:
                 f"{_ADVICE}"
             )
         self._pads(moment)
+        boost = 1.0 + BOOST_PER_S * moment.dt_s
+        self._current_a = min(boost * self._current_a, self._most_a)
         self._goal_m = max(
             self._goal_m - self._settings.approach_speed_m_s * moment.dt_s,
             state.aperture_m - LEAD_M,

@@ -236,10 +236,11 @@ FORCES = _near((
              at_six_newtons, LONG_HOLD),
     FaultRow(44, "each third wrong", "each third force message shows 0.6 of the force, at 6 N",
              "unit.force_gain=0.6@contact+1.5s, unit.spoiled_each=3@contact+1.5s", "HOLD", 0.3,
-
              at_six_newtons, LONG_HOLD),
-    FaultRow(44, "seldom", "each 15th force message is sent, none is missing by the counter",
-             "unit.forces_each=15@contact+0.3s", "HOLD", 0.2, changes=LONG_HOLD),
+    *(FaultRow(44, f"seldom, each {n}th",
+               f"each {n}th force message is sent, none is missing by the counter",
+               f"unit.forces_each={n}@contact+0.3s", "HOLD", 0.2, changes=LONG_HOLD)
+      for n in (6, 15)),
     FaultRow(44, "late", "force messages come 20 ms late",
              "unit.forces_late=0.02@contact+0.3s", "HOLD", 0.2, changes=LONG_HOLD),
     FaultRow(44, "late at the start", "the same from the start on",

@@ -6,6 +6,7 @@ import pytest
 
 from gripper.dynamixel.control_table import TORQUE_ENABLE
 from gripper.errors import (
+    GripContradicted,
     MechanicsContradicted,
     PositionContradicted,
     ServoFault,
@@ -192,7 +193,7 @@ def test_a_zero_that_reads_too_open_by_less_is_met_as_an_obstruction(
     cell.gripper.start()
     stop = Stop(cell)
     cell.gripper.open(0.03)
-    with pytest.raises(GripContradicted, match=r"at an opening of 1[789]\.\d mm, .* zero_pulse"):
+    with pytest.raises(GripContradicted, match=r"at an opening of 1[789]\.\d mm, .*zero_pulse"):
         cell.gripper.grasp(RAMP)
     assert stop.most_n < 8.0
 
