@@ -115,6 +115,9 @@ CATALOGUE: dict[type[BaseException], Fault] = {
     gripper.ForceImbalance: Fault(207, "Fingers press with different forces",
         "One finger is blocked, or the part is held from outside.", "Free the finger or the part.",
         KEPT),
+    gripper.GripContradicted: Fault(209, "Pads and motors disagree on a part in the grip",
+        "Wrong force messages, blind pads, something beside the taxels.",
+        "Look between the fingers, check control unit and pads, then release.", KEPT),
     gripper.GraspStopped: Fault(208, "Motion stopped on request",
         "A stop was requested.", "Release or go on.", KEPT),
     # -- 3xx: CAN and control unit -------------------------------------------------------------

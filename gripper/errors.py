@@ -137,6 +137,13 @@ class PositionContradicted(GripperError):
     """The pads contradict the position that a servo reports; goals are frozen, the grip kept."""
 
 
+class GripContradicted(GripperError):
+    """One witness shows that nothing is gripped, another one that something is; the grip is kept.
+
+    Witnesses are force samples, whole frames, and motors that press while the fingers stand.
+    """
+
+
 class GripperStateError(GripperError):
     """The command is not allowed in the present state."""
 

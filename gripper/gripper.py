@@ -14,6 +14,7 @@ from gripper.dynamixel.latency import LinkTiming, check_link
 from gripper.dynamixel.serial_port import ByteStream, open_line
 from gripper.errors import (
     BusTimeout,
+    FeedbackImplausible,
     GripperError,
     GripperStateError,
     LimitExceeded,
@@ -30,6 +31,7 @@ from gripper.force.ramp import ForceRamp, check_ramp
 from gripper.force.timing import LoopStatistics
 from gripper.kinematics import Linkage, OneFinger, ParallelLinkage
 from gripper.lifecycle import Lifecycle, bus_is_lost
+from gripper.servos.goals import OPENING_MARGIN_RAD
 from gripper.servos.group import ServoGroup
 from gripper.servos.health import ServoHealth
 from gripper.servos.watchdog_proof import WatchdogProof, prove_watchdog
@@ -184,13 +186,22 @@ class Gripper:
         """
         self._life.check_ready("start")
         self._health.require_present()
+        for servo_id, seen in self._servos.strayed.items():
+            raise FeedbackImplausible(
+                f"servo {servo_id}: {seen}, and it was not restarted since then: where its finger "
+                f"is, is unknown, and nothing is moved. Check encoder, horn and linkage, then "
+                f"clear the fault with a reboot"
+            )
         report = self._verify()
         self._link_timing = check_link(self._bus, self._ids, self.period_s)
         return report
 
     def conditions(self) -> tuple[ServoCondition, ...]:
         """Read torque and errors of each servo, of those too that others hide; reads only."""
-        return self._health.conditions()
+        return tuple(
+            replace(one, strayed=self._servos.strayed.get(one.servo_id, ""))
+            for one in self._health.conditions()
+        )
 
     def inspect(self) -> VerificationReport:
         """Compare the servos, and where they stand, with the settings; reads only."""
@@ -455,6 +466,7 @@ class Gripper:
             # A part that a stop leaves half held is none whose force can be controlled.
             self._grasping.forget()
             self._life.controlled = False
+            wider = self._wider_open()
             try:
                 state = self._move_to(
                     self._settings.aperture_open_m, observer, only_open=True, first=was_limp
@@ -463,7 +475,7 @@ class Gripper:
                 self._health.end_release()
         self._life.part_possible = False
         self._life.phase = GripperPhase.IDLE
-        return ReleaseReport(state=state, opened=tuple(self._ids))
+        return ReleaseReport(state=state, opened=tuple(self._ids), wider=wider)
 
     def end_ramp(self) -> None:
         """Let the running ramp end at its present set-point, as if it had no more; from any thread.
@@ -510,8 +522,9 @@ class Gripper:
         Parameters
         ----------
         reboot
-            True to restart servos that report a hardware error: the only way on after a servo
-            has switched its torque off. A part that such a servo still held would be dropped.
+            True to restart servos that report a hardware error, or whose position has leapt: the
+            only way on after a servo has switched its torque off. A part that such a servo still
+            held would be dropped.
 
         Raises
         ------
@@ -522,7 +535,7 @@ class Gripper:
         """
         if self._life.running:
             raise GripperStateError("clear_fault is not possible while a command runs")
-        conditions = self._health.conditions()
+        conditions = self.conditions()
         if not any(condition.answers for condition in conditions):
             # Reading again raises what is wrong with the bus.
             self._health.torque_on()
@@ -533,9 +546,10 @@ class Gripper:
                 faulty[0].error_bits,
                 "the error lasts: remedy its cause, then clear it with a reboot",
             )
-        if faulty:
-            self._servos.reboot([condition.servo_id for condition in faulty])
-            conditions = self._health.conditions()
+        restart = [one.servo_id for one in conditions if one.error_bits or one.strayed]
+        if restart and reboot:
+            self._servos.reboot(restart)
+            conditions = self.conditions()
         self._life.fault = None
         self._life.motion_unconfirmed = False
         self._runner.forget_stop()
@@ -599,9 +613,20 @@ class Gripper:
             raise GripperStateError(f"{command} needs a grasp before it")
         return control
 
+    def _wider_open(self) -> tuple[int, ...]:
+        """Return the IDs of the servos whose fingers stand wider open than the gripper opens."""
+        widest_rad = self._linkage.angles_rad(self._settings.aperture_open_m)
+        return tuple(
+            servo.servo_id
+            for servo, open_rad in zip(
+                self._servos.read_patiently().servos, widest_rad, strict=True
+            )
+            if servo.angle_rad > open_rad + OPENING_MARGIN_RAD
+        )
+
     def _not_able(self) -> list[ServoCondition]:
         """Return the servos that cannot be moved; raises where none can be."""
-        conditions = self._health.conditions()
+        conditions = self.conditions()
         if not any(condition.answers for condition in conditions):
             self._health.require_present()
             raise BusTimeout(

@@ -52,6 +52,11 @@ class ForceSample:
         How much older than ``t_s`` the force is in the mean, in s: filters, transmission.
     noise_n
         Standard deviation of `grip_n` in N, on top of that of the samples before it.
+    frame_s
+        Monotonic time in s at which the newest whole frame was scanned: a second measurement; None
+        where the samples come from frames themselves.
+    frame_n
+        Normal force on finger 0 and on finger 1 in N in that frame alone.
     """
 
     t_s: float
@@ -62,6 +67,8 @@ class ForceSample:
     centre_noise_m: float = 0.0
     lag_s: float = 0.02
     noise_n: float = 0.3
+    frame_s: float | None = None
+    frame_n: tuple[float, float] = (0.0, 0.0)
 
     @property
     def measured_s(self) -> float:
@@ -115,7 +122,6 @@ class GraspResult(Enum):
     FORCE_REACHED = "force_reached"
     FORCE_NOT_REACHED = "force_not_reached"
     NO_CONTACT = "no_contact"
-    OBSTRUCTED = "obstructed"
     PART_LOST = "part_lost"
 
 
@@ -237,6 +243,8 @@ class ServoCondition:
         Hardware Error Status (register 70).
     shut_down
         Whether one of these errors keeps the torque off until a reboot (register 63).
+    strayed
+        Why its position is not to be used until a reboot; empty where it is.
     """
 
     servo_id: int
@@ -244,18 +252,20 @@ class ServoCondition:
     torque_on: bool = False
     error_bits: int = 0
     shut_down: bool = False
+    strayed: str = ""
 
     @property
     def able(self) -> bool:
         """True when the servo can be moved, by switching its torque on where that is off."""
-        return self.answers and not self.shut_down
+        return self.answers and not self.shut_down and not self.strayed
 
     def __str__(self) -> str:
         if not self.answers:
             return f"servo {self.servo_id} does not answer"
         torque = "its torque on" if self.torque_on else "no torque"
         errors = ", ".join(hardware_error_names(self.error_bits))
-        return f"servo {self.servo_id} has {torque}" + (f" ({errors})" if errors else "")
+        strayed = f", and where its finger is, is unknown: {self.strayed}" if self.strayed else ""
+        return f"servo {self.servo_id} has {torque}" + (f" ({errors})" if errors else "") + strayed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -270,19 +280,34 @@ class ReleaseReport:
         IDs of the servos whose fingers are open.
     left
         The servos that could not be moved.
+    wider
+        IDs of the servos that report a finger as wider open than the gripper opens; they stay.
     """
 
     state: GripperState
     opened: tuple[int, ...]
     left: tuple[ServoCondition, ...] = ()
+    wider: tuple[int, ...] = ()
 
     def __str__(self) -> str:
-        if not self.left:
+        if not self.left and not self.wider:
             return "the fingers are open"
+        if not self.left:
+            wider = ", ".join(map(str, self.wider))
+            return (
+                f"the fingers are open, by what their servos report; the finger of servo {wider} "
+                f"was not moved, as it is said to stand wider open than the gripper opens. If it "
+                f"does not, check encoder, horn and zero_pulse of the servo"
+            )
         opened = ", ".join(map(str, self.opened))
         remedies = []
         if any(condition.shut_down for condition in self.left):
             remedies.append("after its cause is remedied, clear the error with a reboot")
+        if any(condition.strayed for condition in self.left):
+            remedies.append(
+                "push that finger open by hand and check encoder and horn; after the reset, clear "
+                "with a reboot, which restarts the servo"
+            )
         if any(not condition.answers for condition in self.left):
             remedies.append(
                 "a servo that does not answer may still have its torque: check its supply and cable"

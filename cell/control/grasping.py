@@ -37,8 +37,6 @@ _T = TypeVar("_T")
 
 NOTHING_HELD = {
     GraspResult.NO_CONTACT: "no contact",
-    GraspResult.OBSTRUCTED: "the way of the fingers is obstructed, the pads felt nothing (where "
-    "nothing blocks them check gripper.servos[].zero_pulse, direction and gripper.linkage)",
     GraspResult.PART_LOST: "the part was lost while the fingers pressed",
 }
 """Results of a grasp after which nothing is held and nothing can be learnt."""

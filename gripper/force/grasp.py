@@ -4,11 +4,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from math import inf
 
-from gripper.errors import LimitExceeded, PartLost
+from gripper.errors import GripContradicted, LimitExceeded, PartLost
 from gripper.force.grip_control import FrictionEstimate, GripControl, StiffnessEstimate
 from gripper.force.loop import Action, LoopRunner, Moment, Observer, Running
 from gripper.force.mechanics_proof import ClosedStop
-from gripper.force.motion import Approach, ApproachEvent, ContactRest
+from gripper.force.motion import STALL_SPEED_M_S, Approach, ApproachEvent, ContactRest
+from gripper.force.part_loss import EmptyGrip
 from gripper.force.ramp import ForceRamp, RampEnd
 from gripper.force.slip import LevelSlip
 from gripper.kinematics import Linkage, transmissions
@@ -78,9 +79,21 @@ class GraspRun:
         friction = FrictionEstimate(self._settings, self._linkage)
         with self._end.counting():
             approach, contact = self._approach(stiffness, friction, observer)
+            if approach.event is ApproachEvent.OBSTRUCTED:
+                raise _obstructed(contact)
             if approach.event is not ApproachEvent.CONTACT:
+                closing = -contact.aperture_velocity_m_s > STALL_SPEED_M_S
+                closed = contact.aperture_m <= self._settings.aperture_min_m
+                self._confirm_empty(
+                    contact,
+                    observer,
+                    set_phase,
+                    ran=closed or closing,
+                    approached=True,
+                )
+                set_phase(GripperPhase.APPROACHING)
                 self._prove_closed(contact, observer)
-                return _without_contact(approach.event, contact)
+                return _without_contact(contact)
             set_phase(GripperPhase.RAMPING)
             step = RampStep(
                 self._settings,
@@ -95,8 +108,34 @@ class GraspRun:
             self._ramp_step = step
             final = self._runner.run(GripperPhase.RAMPING, step.step, observer, needs_force=True)
         if step.lost:
+            ran = step.control is not None and step.control.ran
+            self._confirm_empty(
+                final, observer, set_phase, ran=ran, stiffness_n_m=stiffness.stiffness_n_m
+            )
             self.forget()
         return step.outcome(final)
+
+    def _confirm_empty(
+        self,
+        state: GripperState,
+        observer: Observer | None,
+        set_phase: Callable[[GripperPhase], None],
+        *,
+        ran: bool,
+        stiffness_n_m: float | None = None,
+        approached: bool = False,
+    ) -> None:
+        """Return when nothing shows a part any more; GripContradicted where something does."""
+        set_phase(GripperPhase.HOLDING)
+        step = EmptyGrip(
+            self._settings,
+            self._linkage,
+            state,
+            stiffness_n_m=stiffness_n_m,
+            approached=approached,
+            ran=ran,
+        )
+        self._runner.run(GripperPhase.HOLDING, step.step, observer, needs_force=True)
 
     def hold(
         self, control: GripControl, duration_s: float, observer: Observer | None
@@ -225,15 +264,15 @@ class RampStep:
         control = self._advance(moment)
         setpoint_n = self._ramp.setpoint_n(self._elapsed_s)
         level = self._ramp.level_at(self._elapsed_s)
+        self.lost = control.part_lost(moment)
         goals = control.goals(moment, setpoint_n, arrival_n=self._ramp.arrival_n(self._elapsed_s))
         self._peak_n = max(self._peak_n, control.force_n)
-        self.lost = control.part_lost(moment)
         if self.lost:
             goals = tuple(
                 ServoGoal(angle_rad=angle_rad, current_a=goal.current_a)
                 for angle_rad, goal in zip(moment.state.angles_rad, goals, strict=True)
             )
-        else:
+        elif not control.doubts:
             self._slip.check(moment, level, setpoint_n=setpoint_n)
         done = self.lost or _settled(self._settings, self._ramp, self._elapsed_s, control)
         return Action(goals=goals, setpoint_n=setpoint_n, level=level, done=done)
@@ -320,7 +359,8 @@ class HoldStep:
         """Return the action of one period; PartLost, PartSlipped when the part goes."""
         self._elapsed_s += moment.dt_s
         _check_part(self._control, moment)
-        self._slip.check(moment, 0, setpoint_n=self._setpoint_n)
+        if not self._control.doubts:
+            self._slip.check(moment, 0, setpoint_n=self._setpoint_n)
         taper = self._elapsed_s > self._settings.taper_after_s
         goals = self._control.goals(moment, self._setpoint_n, taper=taper)
         done = self._elapsed_s >= self._duration_s - _EQUAL_S
@@ -378,7 +418,8 @@ class SqueezeStep(BackOffStep):
         action = super().step(moment)
         level = self._ramp.level_at(self._elapsed_s)
         self._peak_n = max(self._peak_n, self._control.force_n)
-        self._slip.check(moment, level, setpoint_n=action.setpoint_n)
+        if not self._control.doubts:
+            self._slip.check(moment, level, setpoint_n=action.setpoint_n)
         return replace(action, level=level)
 
     def outcome(self, final: GripperState) -> GraspOutcome:
@@ -437,13 +478,22 @@ def _outcome(
     )
 
 
-def _without_contact(event: ApproachEvent, state: GripperState) -> GraspOutcome:
-    limit = event is ApproachEvent.LIMIT
+def _without_contact(state: GripperState) -> GraspOutcome:
     return GraspOutcome(
-        result=GraspResult.NO_CONTACT if limit else GraspResult.OBSTRUCTED,
+        result=GraspResult.NO_CONTACT,
         contact_t_s=None,
         contact_aperture_m=None,
         final_aperture_m=state.aperture_m,
         final_force_n=0.0,
         overshoot_n=0.0,
+    )
+
+
+def _obstructed(state: GripperState) -> GripContradicted:
+    return GripContradicted(
+        f"the fingers were stopped at an opening of {state.aperture_m * 1e3:.1f} mm, pressing with "
+        f"{state.current_a:.2f} A, and the pads feel nothing: something is between the fingers "
+        f"beside the taxels, or the pads are blind (where nothing blocks the fingers check "
+        f"gripper.servos[].zero_pulse, direction and gripper.linkage). Nothing opens by itself: "
+        f"look between the fingers, check pads and control unit, then clear the fault and release"
     )

@@ -2,15 +2,15 @@
 
 from collections import deque
 from collections.abc import Sequence
-from math import inf, sqrt
+from math import inf
 from statistics import median
 
 from gripper.errors import ForceImbalance, PositionContradicted
 from gripper.force.controller import ForceController, History, SetpointFilter
 from gripper.force.loop import Moment
+from gripper.force.part_loss import BREAKAWAY_SHARE, PartWatch
 from gripper.impact import impact_limit
 from gripper.kinematics import Linkage, Transmission, transmissions
-from gripper.recent import RecentForce
 from gripper.servos.goals import ServoGoal, closing_margin_rad
 from gripper.settings import GripperSettings
 from gripper.state import ForceSample, GripperState
@@ -18,42 +18,8 @@ from gripper.state import ForceSample, GripperState
 # Figures without another source are tuned in the simulated cell.
 _MEAN_SAMPLES = 3
 """Samples whose mean a stiffness is taken with: 60 ms at 50 Hz."""
-_QUIET_N = 0.08
-"""Noise in N of the mean that is the grip force: a fraction of what a ramp must settle within."""
-_LEAST_SAMPLES, _LONGEST_S = 3, 0.05
-"""Samples of that mean where the sensor is too slow for it, and its longest time in s."""
-_BEFORE_S = 0.09
-"""Time in s in which a force is looked for that was there before a pad became empty: 5 samples at
-50 Hz."""
-_LOST_SHARE = 0.25
-"""Share of ``contact_force_n`` below which both pads are empty."""
-_LOST_TIME_S = 0.1
-"""Time in s after which empty pads show that the part is lost: 5 samples at 50 Hz."""
-_SUDDEN_RATIO = 6.0
-"""Force over that of an empty pad from which on samples that are empty at once show that the part
-is lost."""
-_SUDDEN_SHARE = 0.5
-"""Share of the force before that noise must not turn into that of an empty pad."""
-_SUDDEN_SIGMAS = 3.0
-"""How sure of that the samples must be, in standard deviations of each pad's mean."""
-_PAD_NOISE = sqrt(2.0)
-"""Noise of one pad over that of the grip force, the mean of both."""
-_SUDDEN_S = 0.018
-"""Time in s of such samples: one frame at 50 Hz."""
-_RUNAWAY_RESERVE = 2.0
-"""Closing speed that a ramp on the part may need, in multiples of that by its stiffness."""
-_RUNAWAY_HELD_SHARE = 0.5
-"""Share of the force before fingers ran ahead above which the pads show that the part is there."""
-_RUNAWAY_N = 1.0
-"""Force in N by which a part would be loaded more over the way of fingers that run ahead, from
-which on the way alone shows that it has gone; by a stiffness that is known well."""
 _KNOWN_N = 3.0
-"""Force in N from which on the stiffness is known well: it is taken anew with each 0.7 N."""
-_BLIND_N, _BLIND_SHARE = 6.0, 0.05
-"""Growth of the force in N that its stiffness promises for a way of the fingers, and the share of
-it below which the pads do not see what the fingers press on."""
-_STEADY_S = 0.3
-"""Time in s of a hold until its fingers rest, whatever the part."""
+"""Force in N from which on the first touch shows the stiffness well."""
 _GIVE_RAD = 0.03
 """How far in rad a goal may open beyond the contact: pads and part are deeper there by no more."""
 _CONTRADICTED_S = 0.1
@@ -169,12 +135,11 @@ class GripControl:
         self._contradicted_s = 0.0
         # Loaded so much at the first touch: stiff, or no part at all.
         yielded_m = max(touch_m - state.aperture_m, _SHORTEST_M)
-        self._contact_n_m = force_n / yielded_m if force_n > _KNOWN_N else None
+        contact_n_m = force_n / yielded_m if force_n > _KNOWN_N else None
+        self._watch = PartWatch(settings, linkage, self._apertures, contact_n_m)
         self._filter = SetpointFilter(force_n, tuning.end_time_s)
         self._controller = ForceController(tuning, force_n=force_n, drive_n=drive_n, now_s=now_s)
         self._drive_n = drive_n
-        self._samples = RecentForce(_QUIET_N, least=_LEAST_SAMPLES, longest_s=_LONGEST_S)
-        self._before_n: deque[tuple[float, float]] = deque()
         self._quick_n, self._quick_s = force_n, now_s
         closed = transmissions(settings, linkage, linkage.angles_rad(0.0))
         self._weight = sum((_LEVER_M / path.radius_m) ** 2 for path in closed) / len(closed)
@@ -182,23 +147,28 @@ class GripControl:
         stable_n_s_m = _DAMPED_SHARE * impact_limit(settings, linkage).mass_kg / settings.period_s
         self._damping_n_s_m = min(0.5 * self._weight * tuning.damping_n_s_m, stable_n_s_m)
         self._inertia_n_s_m = min(self._weight * _INERTIA_N_S_M, stable_n_s_m)
-        self._empty_n = _LOST_SHARE * settings.contact_force_n
-        self._empty_s = 0.0
         self._uneven_s = 0.0
-        self._paused = False
-        self._runaway: tuple[float, float, float] | None = None
-        self._ahead: tuple[float, float] | None = None
-        self._steady_s = 0.0
 
     @property
     def force_n(self) -> float:
         """Mean of the last samples of the grip force in N."""
-        return self._samples.grip_n if self._samples else self._controller.model_n
+        samples = self._watch.samples
+        return samples.grip_n if samples else self._controller.model_n
+
+    @property
+    def doubts(self) -> bool:
+        """Whether the samples show a part as gone and no other witness does yet."""
+        return self._watch.doubts
+
+    @property
+    def ran(self) -> bool:
+        """Whether the fingers have run together as they do on no part."""
+        return self._watch.ran
 
     def resume(self) -> None:
         """Begin again after a pause: samples from before it are discarded."""
-        self._samples.clear()
-        self._paused = True
+        self._watch.resume()
+        self._uneven_s = 0.0
 
     def goals(
         self,
@@ -234,15 +204,13 @@ class GripControl:
         sample, state = moment.sample, moment.state
         self._apertures.add(moment.now_s, state.aperture_m)
         paths = transmissions(self._settings, self._linkage, state.angles_rad)
-        if self._paused:
-            self._paused = False
-            self._empty_s = self._uneven_s = 0.0
-        if sample is None or not sample.valid:
-            # A sample that is young enough was there before: nothing new to go by. The crest of the
-            # square wave must not stay meanwhile.
+        if sample is None or not sample.valid or self._watch.doubts:
+            # Nothing new to go by: a sample that is young enough was there before, or the samples
+            # show a part as gone and no other witness does yet. The crest of the square wave must
+            # not stay meanwhile.
             self._drive_n = min(self._drive_n, self._controller.drive_n)
             return self._servo_goals(state, paths)
-        self._add_sample(moment.dt_s, sample)
+        self._watch.take(sample)
         self._check_position(moment.dt_s, state)
         self._check_balance(moment.dt_s)
         filtered_n = self._filter.step(
@@ -270,22 +238,21 @@ class GripControl:
         return self._servo_goals(state, paths)
 
     def part_lost(self, moment: Moment) -> bool:
-        """Return whether the part is gone.
-
-        Both pads have been empty for some time, or are at once where much force was; or the
-        fingers have closed fully and the pads are not loaded, or run together as nothing holds them
-        apart. Time without samples, as in a stall, shows nothing.
-        """
-        if moment.sample is not None and moment.sample.valid and not self._paused:
-            self._take(moment.sample)
-        closed = moment.state.aperture_m < self._settings.aperture_min_m and not self._loaded
-        empty = self._empty_s > _LOST_TIME_S
-        return closed or empty or self._suddenly_empty(moment) or self._runs_away(moment)
-
-    @property
-    def _loaded(self) -> bool:
-        """Whether the mean of the last samples shows force on both pads."""
-        return bool(self._samples) and min(self._samples.finger_means_n) > self._empty_n
+        """Return whether the part is gone; see `PartWatch.lost`. Comes before `goals`."""
+        paths = transmissions(self._settings, self._linkage, moment.state.angles_rad)
+        pressing_n = sum(
+            -servo.current_a * path.kt_nm_a / path.radius_m
+            - (1.0 + BREAKAWAY_SHARE) * self._friction_share * path.friction_n
+            for servo, path in zip(moment.state.servos, paths, strict=True)
+        ) / len(paths)
+        return self._watch.lost(
+            moment,
+            setpoint_n=self._filter.force_n,
+            rate_n_s=self._filter.rate_n_s,
+            stiffness_n_m=self._stiffness.stiffness_n_m,
+            drive_n=self._controller.drive_n,
+            pressing_n=pressing_n,
+        )
 
     def _check_position(self, dt_s: float, state: GripperState) -> None:
         """Raise PositionContradicted where loaded pads have contradicted the opening for long.
@@ -294,98 +261,18 @@ class GripControl:
         closed: then the count of a position drifts, and what is gripped is gripped all the same.
         """
         least_m = self._settings.aperture_min_m
-        if least_m <= state.aperture_m <= self._widest_m or not self._loaded:
+        if least_m <= state.aperture_m <= self._widest_m or not self._watch.loaded:
             self._contradicted_s = 0.0
             return
         self._contradicted_s += dt_s
         if self._contradicted_s < _CONTRADICTED_S:
             return
-        first_n, second_n = self._samples.finger_means_n
+        first_n, second_n = self._watch.samples.finger_means_n
         raise PositionContradicted(
             f"the servos report an opening of {state.aperture_m * 1e3:.1f} mm while the pads "
             f"measure {first_n:.2f} and {second_n:.2f} N on a part that can be from "
             f"{least_m * 1e3:.1f} to {self._widest_m * 1e3:.1f} mm wide: a position is wrong, or "
             f"the pads press on each other; {_CONTRADICTED_ADVICE}"
-        )
-
-    def _suddenly_empty(self, moment: Moment) -> bool:
-        """Return whether next to nothing is left where much force was asked for.
-
-        One sample shows it where its noise cannot hide the force that was there; of a fast sensor
-        as many as that takes.
-        """
-        if moment.sample is None or not moment.sample.valid or self._paused or not self._samples:
-            return False
-        before_n = max((force_n for _, force_n in self._before_n), default=0.0)
-        much_n = min(self._filter.force_n, before_n)
-        if much_n <= _SUDDEN_RATIO * self._empty_n:
-            return False
-        held_n = _SUDDEN_SHARE * much_n
-        noise_n = (held_n - self._empty_n) / _SUDDEN_SIGMAS / _PAD_NOISE
-        sudden = RecentForce(noise_n, least=1, longest_s=_SUDDEN_S)
-        for sample in reversed(list(self._samples)):
-            sudden.push(sample)
-        pad_noise_n = _PAD_NOISE * sudden.noise_n
-        noisy_n = min(self._empty_n + pad_noise_n, held_n - _SUDDEN_SIGMAS * pad_noise_n)
-        return max(sudden.finger_means_n) < max(self._empty_n, noisy_n)
-
-    def _runs_away(self, moment: Moment) -> bool:
-        """Return whether the fingers close faster, and farther, than any part lets them.
-
-        A soft part lets them run far where friction breaks, and its stiffness is not known well
-        before the force has grown: then the pads decide, by a sample from after the beginning.
-        Later, and in a hold that is steady, the way is enough.
-        """
-        state, sample, settings = moment.state, moment.sample, self._settings
-        stiffness_n_m, rate_n_s = self._stiffness.stiffness_n_m, self._filter.rate_n_s
-        if stiffness_n_m is None:
-            stiffness_n_m = self._contact_n_m
-        self._steady_s = 0.0 if rate_n_s != 0.0 else self._steady_s + moment.dt_s
-        if stiffness_n_m is None and rate_n_s != 0.0:
-            return False
-        wanted_m_s = 0.0 if stiffness_n_m is None else max(0.0, rate_n_s / stiffness_n_m)
-        closing_m_s = -state.aperture_velocity_m_s
-        if closing_m_s <= settings.runaway_speed_m_s + _RUNAWAY_RESERVE * wanted_m_s:
-            self._runaway = self._ahead = None
-            return False
-        if self._runaway is None:
-            self._runaway = moment.now_s, state.aperture_m, self.force_n
-            self._ahead = state.aperture_m, self.force_n
-        began_s, began_m, began_n = self._runaway
-        travel_m = began_m - state.aperture_m
-        if sample is not None and sample.valid:
-            late_n = [one.grip_n for one in self._samples if one.measured_s >= began_s]
-            if late_n:
-                mean_n = sum(late_n) / len(late_n)
-                loaded = mean_n > max(self._empty_n, _RUNAWAY_HELD_SHARE * began_n)
-                if loaded:
-                    self._runaway = moment.now_s, state.aperture_m, self.force_n
-                    return self._blind(moment, sample, stiffness_n_m)
-                return not loaded and travel_m >= settings.runaway_travel_m
-        yields_m = inf if stiffness_n_m is None else _RUNAWAY_N / stiffness_n_m
-        known = self._steady_s > _STEADY_S or began_n > _KNOWN_N
-        return known and travel_m >= max(settings.runaway_travel_m, yields_m)
-
-    def _blind(self, moment: Moment, sample: ForceSample, stiffness_n_m: float | None) -> bool:
-        """Return whether fingers that run ahead meet nothing although the pads are loaded.
-
-        The force does not grow with their way. One finger alone may be an encoder that drifts.
-        """
-        if stiffness_n_m is None or self._ahead is None:
-            return False
-        began_m, began_n = self._ahead
-        travel_m = began_m - self._apertures.at(sample.measured_s)
-        promised_n = stiffness_n_m * travel_m
-        least_m_s = 0.5 * self._settings.runaway_speed_m_s / len(moment.state.servos)
-        together = all(
-            -servo.velocity_rad_s * self._linkage.opening_per_rad_m(servo.angle_rad) > least_m_s
-            for servo in moment.state.servos
-        )
-        return (
-            together
-            and travel_m >= self._settings.runaway_travel_m
-            and promised_n >= _BLIND_N
-            and self.force_n - began_n < _BLIND_SHARE * promised_n
         )
 
     def _braking_n(self, state: GripperState, friction_n: float) -> float:
@@ -437,22 +324,10 @@ class GripControl:
             for path in paths
         )
 
-    def _take(self, sample: ForceSample) -> None:
-        """Add a sample, which may be the same as before."""
-        if self._samples.push(sample) is not None:
-            self._before_n.append((sample.t_s, self._samples.grip_n))
-            while sample.t_s - self._before_n[0][0] > _BEFORE_S:
-                self._before_n.popleft()
-
-    def _add_sample(self, dt_s: float, sample: ForceSample) -> None:
-        self._take(sample)
-        empty = max(self._samples.finger_means_n) < self._empty_n
-        self._empty_s = self._empty_s + dt_s if empty else 0.0
-
     def _check_balance(self, dt_s: float) -> None:
         """Raise ForceImbalance when the fingers' forces have differed for too long."""
         settings = self._settings
-        first_n, second_n = self._samples.finger_means_n
+        first_n, second_n = self._watch.samples.finger_means_n
         allowed_n = max(settings.imbalance_n, settings.imbalance_share * 0.5 * (first_n + second_n))
         if abs(first_n - second_n) <= allowed_n:
             self._uneven_s = 0.0

@@ -40,13 +40,13 @@ pads show it before."""
 _AGAINST_REST = 1.4
 """Current of a motion over that which moves the fingers freely: friction at rest is larger."""
 
-_STALL_SPEED_M_S = 0.002
+STALL_SPEED_M_S = 0.002
 """Rate of the opening in m/s below which the fingers stand still."""
 _STALL_CURRENT_SHARE = 0.8
 """Share of the goal current from which on a servo that stands still pushes against something."""
 _STALL_TIME_S = 0.5
 """Time in s for which both must last before the fingers are stalled."""
-_LEAD_M = 0.006
+LEAD_M = 0.006
 """How far in m the goal runs ahead of the fingers: how far they go on if nobody writes again."""
 _RUNNING_SHARE = 0.8
 """Share of the nominal speed from which on a finger runs, and the inverse of the fastest one."""
@@ -56,9 +56,9 @@ _SLOWEST_RAD_S = 4.0 * RAD_S_PER_VELOCITY_UNIT
 """Nominal speed in rad/s below which a slowed finger does not stand out of the grain of 0.024."""
 _PAUSE_S = 0.15
 """Time in s for which a slowed finger waits for the pads: their delay and three samples."""
-_LARGEST_BOOST = 1.6
+LARGEST_BOOST = 1.6
 """Largest factor on the current of fingers that stand still untouched."""
-_BOOST_PER_S = 2.0
+BOOST_PER_S = 2.0
 """Growth of that factor in 1/s; it falls twice as fast."""
 _YOUNG_S = 0.015
 """Age in s up to which a first touch is still worth braking for; later the part itself and friction
@@ -356,15 +356,15 @@ class Approach:
         # if nobody wrote a new one.
         self._aperture_m = max(
             self._aperture_m - self._speed_m_s * moment.dt_s,
-            state.aperture_m - _LEAD_M,
+            state.aperture_m - LEAD_M,
         )
         paused_rad = self._paused_rad(moment.now_s, state)
         angles_rad = self._angles_rad(state, touched, paused_rad)
-        still = abs(state.aperture_velocity_m_s) <= _STALL_SPEED_M_S
+        still = abs(state.aperture_velocity_m_s) <= STALL_SPEED_M_S
         if still and not any(touched) and all(rad is None for rad in paused_rad):
-            self._boost = min(_LARGEST_BOOST, self._boost + _BOOST_PER_S * moment.dt_s)
+            self._boost = min(LARGEST_BOOST, self._boost + BOOST_PER_S * moment.dt_s)
         else:
-            self._boost = max(1.0, self._boost - 2.0 * _BOOST_PER_S * moment.dt_s)
+            self._boost = max(1.0, self._boost - 2.0 * BOOST_PER_S * moment.dt_s)
         self.event = self._found(moment.now_s, state, touched)
         if self.event in (ApproachEvent.LIMIT, ApproachEvent.OBSTRUCTED):
             angles_rad = state.angles_rad
@@ -416,7 +416,7 @@ class Approach:
         brake.drive_n += rate_n_s * moment.dt_s
         current_a = min(
             self._free_a[finger] + brake.drive_n * path.radius_m / path.kt_nm_a,
-            _LARGEST_BOOST * self._closing_a,
+            LARGEST_BOOST * self._closing_a,
             self._current_max_a,
         )
         margin_rad = closing_margin_rad(settings.servos[finger].servo_model, current_a)
@@ -481,7 +481,7 @@ class Approach:
         loaded = max(abs(s.current_a) for s in state.servos) >= (
             _STALL_CURRENT_SHARE * self.current_a
         )
-        if not loaded or abs(state.aperture_velocity_m_s) > _STALL_SPEED_M_S:
+        if not loaded or abs(state.aperture_velocity_m_s) > STALL_SPEED_M_S:
             self._moving_s = now_s
         if now_s - self._moving_s >= _STALL_TIME_S:
             return ApproachEvent.CONTACT if any(touched) else ApproachEvent.OBSTRUCTED

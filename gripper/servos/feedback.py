@@ -79,6 +79,9 @@ class Feedback:
     ----------
     last
         The last feedback; None before the first reading.
+    strayed
+        Servos whose position has leapt or left its range, and by what that was seen; until they are
+        restarted where their fingers are is unknown.
     """
 
     def __init__(
@@ -99,6 +102,7 @@ class Feedback:
         self._turns: dict[int, int] = {}
         self._ticks = TickWatch()
         self._plausible = FeedbackCheck(settings, linkage)
+        self.strayed = self._plausible.strayed
 
     @property
     def off_by_turns(self) -> bool:
@@ -358,9 +362,15 @@ class FeedbackCheck:
     ----------
     settings, linkage
         Of the gripper.
+
+    Attributes
+    ----------
+    strayed
+        See `Feedback`.
     """
 
     def __init__(self, settings: GripperSettings, linkage: Linkage) -> None:
+        self.strayed: dict[int, str] = {}
         self._settings = settings
         self._linkage = linkage
         self._lowest_rad = tuple(
@@ -405,10 +415,11 @@ class FeedbackCheck:
             farthest_rad = _SPEED_RESERVE * model.no_load_rad_s * passed_s + _LEAP_RAD
             leapt_rad = servo.angle_rad - last_rad
             if passed_s < _LEAP_LONGEST_S and abs(leapt_rad) > farthest_rad:
+                self.strayed[servo.servo_id] = f"its position leapt by {leapt_rad:+.3f} rad"
                 raise FeedbackImplausible(
-                    f"servo {servo.servo_id}: its position leapt by "
-                    f"{leapt_rad:+.3f} rad within {passed_s * 1e3:.0f} ms, "
-                    f"at most {farthest_rad:.3f} rad are possible: {_ADVICE}"
+                    f"servo {servo.servo_id}: {self.strayed[servo.servo_id]} within "
+                    f"{passed_s * 1e3:.0f} ms, at most {farthest_rad:.3f} rad are possible: "
+                    f"{_ADVICE}"
                 )
             self._check_range(index, servo, last_rad)
             self._check_link(servo)
@@ -439,9 +450,10 @@ class FeedbackCheck:
         low_rad, high_rad = self._lowest_rad[index], self._highest_rad[index]
         # Fingers that were left outside by hand may be brought back in.
         if low_rad <= last_rad <= high_rad and not low_rad <= servo.angle_rad <= high_rad:
+            self.strayed[servo.servo_id] = f"its finger stands at {servo.angle_rad:.3f} rad"
             raise FeedbackImplausible(
-                f"servo {servo.servo_id}: its finger stands at {servo.angle_rad:.3f} rad, it can "
-                f"be from {low_rad:.3f} to {high_rad:.3f} rad: {_ADVICE}"
+                f"servo {servo.servo_id}: {self.strayed[servo.servo_id]}, it can be from "
+                f"{low_rad:.3f} to {high_rad:.3f} rad: {_ADVICE}"
             )
 
     def _check_link(self, servo: ServoState) -> None:

@@ -102,6 +102,11 @@ class ServoGroup:
         """Whether a servo counts in another turn than that of its zero."""
         return self._feedback.off_by_turns
 
+    @property
+    def strayed(self) -> dict[int, str]:
+        """Servos whose position is not to be used until a restart, and why; see `Feedback`."""
+        return self._feedback.strayed
+
     def silent_and_living(self) -> tuple[list[int], list[int]]:
         """Return the IDs of the servos that did not answer last, and of those that did."""
         silent = [servo_id for servo_id in self._ids if self._bus.misses(servo_id)]
@@ -311,6 +316,7 @@ class ServoGroup:
         """
         for servo_id in ids:
             self._bus.reboot(servo_id)
+            self.strayed.pop(servo_id, None)
             self._clock.sleep(_BOOT_S)
             deadline_s = self._clock.monotonic() + _BOOT_TIMEOUT_S
             while True:

@@ -225,7 +225,7 @@ class SimulatedControlUnit:
         "_force_hits",
         "_force_id",
         "_force_period_s",
-        "_forces_again",
+        "_forces_later",
         "_frame_id",
         "_gate",
         "_held_force",
@@ -315,7 +315,7 @@ class SimulatedControlUnit:
         self._network.now_s = now_s
         while self._force_due_s <= now_s:
             self._send_force(self._force_due_s)
-            self._force_due_s += self._force_period_s
+            self._force_due_s += self._force_period_s * self.faults.forces_each
 
     def receive(self, can_id: int, data: bytes, now_s: float) -> None:
         """Take one message from the bus at ``now_s`` s and answer it."""
@@ -387,7 +387,7 @@ class SimulatedControlUnit:
         self._force_due_s, self._force_period_s = math.inf, 0.0
         self._force_hits = [0.0, 0.0, 0.0]
         self._held_force: bytes | None = None
-        self._forces_again: deque[tuple[float, bytes]] = deque()
+        self._forces_later: deque[tuple[float, bytes]] = deque()
         self._boot_due_s = self._network.now_s + self.settings.boot_s
 
     def _nmt(self, data: bytes) -> None:
@@ -429,10 +429,13 @@ class SimulatedControlUnit:
             self.scanner.force_overrun = True
             return
         messages = self._disturbed(self.scanner.force_message())
-        if self.faults.forces_again_s:
-            self._forces_again.extend((due_s + self.faults.forces_again_s, one) for one in messages)
-        while self._forces_again and self._forces_again[0][0] <= due_s:
-            messages.append(self._forces_again.popleft()[1])
+        faults = self.faults
+        if later_s := faults.forces_again_s or faults.forces_late_s:
+            self._forces_later.extend((due_s + later_s, one) for one in messages)
+        if faults.forces_late_s:
+            messages = []
+        while self._forces_later and self._forces_later[0][0] <= due_s + ROUNDING_S:
+            messages.append(self._forces_later.popleft()[1])
         if messages:
             self._force_end_s = self.send(due_s, can_id, messages)
 

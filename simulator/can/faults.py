@@ -1,13 +1,15 @@
 """Fault knobs of the CAN link and of the control unit; all of them are off by default."""
 
 import math
+from collections import deque
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import SimulatorSettingsError
+from tactile.frames.force_message import ForceMessage
 
 _RATES = (
     "drop_rate",
@@ -18,6 +20,8 @@ _RATES = (
     "wrong_dlc_rate",
 )
 """Knobs that are probabilities."""
+_EMPTY_MESSAGES = 50
+"""Messages of the empty pads that are kept to be shown again."""
 _SWAP_S = 1.5e-4
 """Delay in s of a swapped message: longer than the one after it takes at 1 Mbit/s (135 us)."""
 
@@ -122,8 +126,20 @@ class ControlUnitFaults:
         the next one.
     forces_again_s
         Each force message comes once more so long later, in s; 0: it does not.
-    force_gain
-        Factor on the forces in the messages, as of a table of other pads.
+    forces_late_s
+        Force messages come so long after their scan, in s.
+    forces_each
+        Only each so many-th force message is made; the counter counts those that are.
+    force_gain, force_offset_n
+        Factor on the forces in the messages, as of a table of other pads; N added to each.
+    spoiled_each
+        These two spoil only each so many-th force message.
+    pads_empty
+        The force messages are those of the empty pads, with new counters.
+    centres_stuck, centres_off
+        The centre in the messages stays as it is; there is none.
+    centre_shift_taxels
+        Pitches of the taxels by which the centre in the messages is shifted along the fingers.
     """
 
     dead: bool = False
@@ -141,7 +157,18 @@ class ControlUnitFaults:
     forces_twice: float = 0.0
     forces_swapped: float = 0.0
     forces_again_s: float = 0.0
+    forces_late_s: float = 0.0
+    forces_each: float = 1.0
     force_gain: float = 1.0
+    force_offset_n: float = 0.0
+    spoiled_each: float = 1.0
+    pads_empty: bool = False
+    centres_stuck: bool = False
+    centres_off: bool = False
+    centre_shift_taxels: float = 0.0
+    _n_spoiled: int = 0
+    _empty_pads: deque[ForceMessage] = field(default_factory=lambda: deque(maxlen=_EMPTY_MESSAGES))
+    _centre_taxels: tuple[float, float] | None = None
 
     def apply(self, counts: NDArray[np.uint16], adc_max: int) -> NDArray[np.uint16]:
         """Return converted counts (n_taxels,) with these faults; IndexError for no taxel."""
@@ -155,6 +182,27 @@ class ControlUnitFaults:
         if self.dead_taxels:
             counts[list(self.dead_taxels)] = 0
         return counts
+
+    def spoil(self, message: ForceMessage) -> ForceMessage:
+        """Return a force message with the faults of forces and centres."""
+        if message.centre_taxels is None and not self.pads_empty:
+            self._empty_pads.append(message)
+        if self.pads_empty and self._empty_pads:
+            self._empty_pads.rotate(-1)
+            shown = self._empty_pads[0]
+            return replace(message, force_n=shown.force_n, centre_taxels=shown.centre_taxels)
+        force_n, centre = message.force_n, message.centre_taxels
+        self._n_spoiled += 1
+        if self._n_spoiled >= self.spoiled_each:
+            self._n_spoiled = 0
+            first_n, second_n = (self.force_gain * n + self.force_offset_n for n in force_n)
+            force_n = first_n, second_n
+        if self.centres_stuck:
+            centre = self._centre_taxels
+        self._centre_taxels = centre
+        if centre is not None:
+            centre = centre[0] + self.centre_shift_taxels, centre[1]
+        return replace(message, force_n=force_n, centre_taxels=None if self.centres_off else centre)
 
 
 @dataclass(slots=True)

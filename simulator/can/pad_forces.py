@@ -7,6 +7,8 @@ above the threshold, and until it is back at the zero; so no single scan decides
 has of noise enters the force once, unclipped.
 """
 
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import block_diag
@@ -97,7 +99,11 @@ class PadForces:
         self._mean = np.zeros(len(self._place))
 
     def message(
-        self, counts: NDArray[np.uint16], status: ForceStatus, *, gain: float = 1.0
+        self,
+        counts: NDArray[np.uint16],
+        status: ForceStatus,
+        *,
+        spoil: Callable[[ForceMessage], ForceMessage] = lambda message: message,
     ) -> bytes:
         """Return the next message.
 
@@ -107,15 +113,15 @@ class PadForces:
             Scan of both gripping pads, finger 0 first.
         status
             What the unit says of this scan.
-        gain
-            Factor on the forces: a fault.
+        spoil
+            Applies the faults of forces and centres.
         """
         if (counts[~self._bad] >= self._adc_max).any():
             status |= ForceStatus.SATURATED
         force_n, centre = np.zeros(len(counts)), None
         if self._table_n is not None and self._zero_counts is not None:
             status |= ForceStatus.ZEROED
-            force_n = gain * self._force_n(counts - self._zero_counts, self._table_n)
+            force_n = self._force_n(counts - self._zero_counts, self._table_n)
         if (total_n := float(force_n.sum())) > 0.0:
             x, y = force_n @ self._place / total_n
             centre = (float(x), float(y))
@@ -128,7 +134,7 @@ class PadForces:
             force_n=(float(force_n[:n].sum()), float(force_n[n:].sum())),
             centre_taxels=centre,
         )
-        return encode_force_message(message)
+        return encode_force_message(spoil(message))
 
     def _force_n(
         self, tared: NDArray[np.float64], tables_n: NDArray[np.float64]

@@ -141,7 +141,7 @@ class Scanner:
             status |= ForceStatus.OVERRUN
             self.force_overrun = False
         gripping = self._gripping.take(self._grip)
-        self.last_force = self.forces.message(gripping, status, gain=faults.force_gain)
+        self.last_force = self.forces.message(gripping, status, spoil=faults.spoil)
         return self.last_force
 
     def last_frame(self) -> bytes | None:

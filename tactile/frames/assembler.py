@@ -59,10 +59,11 @@ class FrameStatistics:
 class _Burst:
     """The messages of one frame so far, by index."""
 
-    __slots__ = ("missing", "next_index", "parts", "phase")
+    __slots__ = ("begun_s", "missing", "next_index", "parts", "phase")
 
-    def __init__(self, phase: int, n_messages: int) -> None:
+    def __init__(self, phase: int, n_messages: int, begun_s: float) -> None:
         self.phase = phase
+        self.begun_s = begun_s
         self.parts: list[bytes | None] = [None] * n_messages
         self.missing = n_messages
         self.next_index = 0
@@ -141,7 +142,7 @@ class FrameAssembler:
         burst = self._current
         phase = head >> PHASE_SHIFT
         if burst is None or burst.phase != phase or burst.parts[index] is not None:
-            burst = self._burst_for(phase, index, data)
+            burst = self._burst_for(phase, index, data, t_s)
             if burst is None:
                 return None
         burst.parts[index] = bytes(data)
@@ -152,7 +153,9 @@ class FrameAssembler:
         burst.missing -= 1
         return None if burst.missing else self._finish(burst, t_s)
 
-    def _burst_for(self, phase: int, index: int, data: bytes | bytearray) -> _Burst | None:
+    def _burst_for(
+        self, phase: int, index: int, data: bytes | bytearray, t_s: float
+    ) -> _Burst | None:
         """Return the burst that a message out of the usual run belongs to, None to drop it."""
         for burst in (self._current, self._previous):
             if burst is None or burst.phase != phase:
@@ -167,7 +170,7 @@ class FrameAssembler:
         if self._previous is not None and self._previous.missing:
             self._torn += 1
         self._previous = self._current
-        self._current = _Burst(phase, self._n)
+        self._current = _Burst(phase, self._n, t_s)
         if self._previous is not None and self._previous.phase == phase:
             # Same phase, other content: four scans later. The two must not share messages.
             if self._previous.missing:
@@ -200,4 +203,6 @@ class FrameAssembler:
         counts = np.frombuffer(payload, dtype=self._dtype, count=self._format.n_taxels)
         counts = counts.astype(np.uint16)
         counts.setflags(write=False)
-        return TactileFrame(t_s=t_s, counter=counter, status=status, counts=counts)
+        return TactileFrame(
+            t_s=t_s, counter=counter, status=status, counts=counts, begun_s=burst.begun_s
+        )

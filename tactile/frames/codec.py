@@ -121,12 +121,21 @@ class TactileFrame:
         `FrameStatus` bits.
     counts : (n_taxels,) uint16
         Samples in the order of the layout.
+    begun_s
+        Monotonic time in s at which its first message was received, just after the scan; None
+        where that is not known.
     """
 
     t_s: float
     counter: int
     status: int
     counts: NDArray[np.uint16]
+    begun_s: float | None = None
+
+    @property
+    def scanned_s(self) -> float:
+        """Monotonic time of the scan in s, as near as it is known."""
+        return self.t_s if self.begun_s is None else self.begun_s
 
 
 def crc16(data: bytes) -> int:

@@ -1,9 +1,17 @@
 """The stream of force messages: each is handed out once, none after a newer one. Pure."""
 
+from collections import deque
 from dataclasses import dataclass
+from math import inf
 
 from tactile.errors import FrameError
-from tactile.frames.force_message import COUNTERS, ForceMessage, decode_force_message
+from tactile.frames.force_message import COUNTERS, ForceMessage, ForceStatus, decode_force_message
+
+_USUAL_MESSAGES = 250
+"""Messages after which their least delay is forgotten, once or twice: a unit's clock may be wrong
+by a few thousandths."""
+_BEHIND_S, _LEAST_BEHIND = 0.1, 3
+"""Time in s, and least number of messages, that must all come later than usual."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -49,6 +57,9 @@ class ForceStream:
         self._came_s = 0.0
         self.lost = self.late = self.damaged = 0
         self._received = self._repeated = 0
+        self._sent = 0
+        self._delays: deque[tuple[float, float]] = deque()
+        self._least_s = self._least_before_s = inf
 
     @property
     def statistics(self) -> ForceStatistics:
@@ -71,9 +82,34 @@ class ForceStream:
         silence_s, self._came_s = t_s - self._came_s, t_s
         if self._last_data and not self._follows(message.counter, data, silence_s):
             return None
+        self._note_delay(message)
         self._last_counter, self._last_data = message.counter, bytes(data)
         self._received += 1
         return message
+
+    @property
+    def behind_s(self) -> float:
+        """Time in s by which all messages of the last 0.1 s came later than was usual before.
+
+        By their counters: messages that are sent more seldom fall behind too, and so do messages
+        of which sixteen were lost at once.
+        """
+        if len(self._delays) < _LEAST_BEHIND:
+            return 0.0
+        usual_s = min(self._least_s, self._least_before_s)
+        return min(delay_s for _, delay_s in self._delays) - usual_s
+
+    def _note_delay(self, message: ForceMessage) -> None:
+        """Add how late a message comes after the time at which its counter was due."""
+        step = (message.counter - self._last_counter) % COUNTERS if self._last_data else 1
+        self._sent += step + bool(message.status & ForceStatus.OVERRUN)
+        delay_s = message.t_s - self._sent * self._period_s
+        self._delays.append((message.t_s, delay_s))
+        while message.t_s - self._delays[0][0] > _BEHIND_S and len(self._delays) > _LEAST_BEHIND:
+            # What was usual ends where the messages that may be late begin.
+            self._least_s = min(self._least_s, self._delays.popleft()[1])
+        if self._received % _USUAL_MESSAGES == 0:
+            self._least_before_s, self._least_s = self._least_s, inf
 
     def _follows(self, counter: int, data: bytes | bytearray, silence_s: float) -> bool:
         step = (counter - self._last_counter) % COUNTERS

@@ -2,10 +2,15 @@
 
 Both come from the same taxels: the messages from fast scans that the unit sums by the host's table
 and zero, the frames from the host's own calibration. A table of another pad, a zero that was lost
-or a unit that counts wrongly shows as a difference that stays.
+or a unit that counts wrongly shows as a difference that stays. Each frame is compared with the
+messages from around its scan, so that a force that changes makes no difference; the mean of more
+frames shows a smaller one.
 """
 
 from collections import deque
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from math import inf, isinf, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,20 +20,41 @@ from tactile.frames.force_message import TABLE_NODES, ForceMessage, encode_table
 from tactile.layout import TaxelLayout
 from tactile.sensor.calibration import Calibration
 
-_LIMIT_N, _LIMIT_SHARE = 0.7, 0.15
-"""Difference in N, or as a share of the force if that is more, that is one. In the simulated cell,
-both layouts, five objects, ramps of 6 N/s to 1.5, 4 and 9 N, six frames in a row have differed by
-up to 0.6 N while the force grew, and in a hold by up to 0.2 N."""
-_LIMIT_SIGMAS = 15.0
-"""The same in standard deviations of one taxel, where that is more: frames leave out taxels below
-a threshold by noise. At 0.1 N of noise frames have shown 0.8 N less."""
-_UNSEEN = 2.0
-"""Factor on it where the frames show no touch: then all taxels are below the threshold. Six frames
-in a row have shown none at 0.8 N, at 0.1 N of noise at 1.2 N."""
-_FRAMES = 6
-"""Frames in a row that must show it: 0.12 s at 50 Hz."""
+_BEFORE_S, _AFTER_S = 0.0065, 0.0055
+"""Messages compared with a frame: received from so many s before the first message of its burst to
+so many s after it. A message shows a force that is 1.5 ms old."""
+_WINDOWS = (2, 3, 6, 12, 25)
+"""Numbers of frames whose mean difference is looked at: from 40 ms to half a second at 50 Hz."""
+_SIGMAS = 5.0
+"""Difference in standard deviations of that mean that is one: less than one false alarm in a
+hundred hours of a hold, all windows taken together."""
+_OUTLIER_SIGMAS = 4.0
+"""What the difference of one frame counts for at most: a part that leaves between two messages
+differs in one frame alone."""
+_LEAST_N, _LEAST_SHARE = 0.05, 0.04
+"""Difference in N, plus a share of the force, that is none however small the noise. In the
+simulated cell, fine and coarse pads, balls, boxes and cylinders, ramps of 6 and 20 N/s to 1.5, 6
+and 14 N, the mean of 25 frames has differed by up to 0.13 N at 6 N and 0.26 N at 14 N."""
+_BELOW_SIGMAS = 13.0
+"""What the frames may show less beside that, in standard deviations of one taxel: they leave out
+taxels below a threshold by noise. At 0.045 N of noise six frames have shown 0.65 N less."""
+_UNSEEN_N, _UNSEEN_SIGMAS = 1.4, 30.0
+"""Force in N, or in standard deviations of one taxel if that is more, of which a frame may show
+nothing: then all taxels are below the threshold. Six frames in a row have shown none at 0.8 N, at
+0.1 N of noise at 1.2 N."""
+_CENTRE_TAXELS = 0.3
+"""Distance of the centres in pitches that is none however small the noise."""
+_CENTRE_N_TAXELS = 1.0
+"""Noise of that distance for one frame times the grip force, in N times pitches: up to 0.8 on a
+cylinder of 4 mm in the simulated cell with twice its usual noise."""
+_CENTRE_LEAST_N = 1.0
+"""Grip force in N from which on the centres are compared."""
 _KEPT = 64
-"""Messages kept: 0.13 s at 500 a second, 0.32 s at 200: more than the mean of the frames spans."""
+"""Messages kept: 0.13 s at 500 a second, more than a burst takes."""
+_ADVICE = (
+    "table, zero or pads are wrong, so neither is used; the grip is kept. Look at the pads and the "
+    "calibration, then start the link again"
+)
 
 
 def force_table(layout: TaxelLayout, calibration: Calibration) -> bytes:
@@ -42,20 +68,66 @@ def force_table(layout: TaxelLayout, calibration: Calibration) -> bytes:
     return encode_table(table_n)
 
 
-class ForceCheck:
-    """Comparison of messages and frames over the time that a frame's mean spans.
+class ForceCentres:
+    """Centre of the grip force: the mean of both pads' centres, each weighted by its taxels.
 
     Parameters
     ----------
-    mean_frames
-        Frames over which the frames' force is a mean.
+    layout
+        The taxels.
     """
 
-    def __init__(self, mean_frames: int) -> None:
-        self._frames_s: deque[float] = deque(maxlen=mean_frames + 1)
+    def __init__(self, layout: TaxelLayout) -> None:
+        self._taxels = tuple(np.flatnonzero(layout.taxel_pad == p) for p in layout.gripping_pads)
+        self._xy_m = tuple(layout.position_m[taxels, :2] for taxels in self._taxels)
+
+    def of(self, force_n: NDArray[np.float64]) -> tuple[float, float] | None:
+        """Return the centre in the grip frame in m; None where a pad has no force.
+
+        Parameters
+        ----------
+        force_n : (n_taxels,) float64
+            Normal force on each taxel in N.
+        """
+        centre_m = np.zeros(2)
+        for taxels, xy_m in zip(self._taxels, self._xy_m, strict=True):
+            weights = force_n[taxels]
+            total_n = float(weights.sum())
+            if not total_n > 0.0:
+                return None
+            centre_m += 0.5 * (weights @ xy_m) / total_n
+        return float(centre_m[0]), float(centre_m[1])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FrameForces:
+    """What one frame alone shows of the force.
+
+    Attributes
+    ----------
+    scanned_s
+        Monotonic time of its scan in s.
+    force_n
+        Force on finger 0 and finger 1 in N.
+    centre_taxels
+        Centre of both pads along and across the fingers in pitches; None where nothing touches.
+    noise_n
+        Standard deviation of each force in N.
+    """
+
+    scanned_s: float
+    force_n: tuple[float, float]
+    centre_taxels: tuple[float, float] | None
+    noise_n: float
+
+
+class ForceCheck:
+    """Comparison of messages and frames, frame by frame and over the last ones."""
+
+    def __init__(self) -> None:
         self._messages: deque[ForceMessage] = deque(maxlen=_KEPT)
-        self._limit_n = _LIMIT_N
-        self._differs = 0
+        self._pairs: deque[_Pair] = deque(maxlen=_WINDOWS[-1])
+        self._taxel_noise_n = 0.0
 
     def add(self, message: ForceMessage) -> None:
         """Add a message."""
@@ -63,37 +135,130 @@ class ForceCheck:
 
     def reset(self, taxel_noise_n: float) -> None:
         """Forget messages and frames: a new zero, with this noise of one taxel in N."""
-        self._limit_n = max(_LIMIT_N, _LIMIT_SIGMAS * taxel_noise_n)
+        self._taxel_noise_n = taxel_noise_n
         self._messages.clear()
-        self._frames_s.clear()
-        self._differs = 0
+        self._pairs.clear()
 
-    def compare(self, t_s: float, frame_n: tuple[float, float]) -> None:
-        """Compare the force of a frame at ``t_s`` s, in N on both fingers, with the messages'.
+    def compare(self, frame: FrameForces) -> None:
+        """Compare a frame with the messages from around its scan.
 
         Raises
         ------
         ForceContradicted
-            When they have differed for several frames in a row.
+            When force or centre of the last frames differ from those of the messages.
         """
-        self._frames_s.append(t_s)
-        while self._messages and self._messages[0].t_s < self._frames_s[0]:
+        first_s, last_s = frame.scanned_s - _BEFORE_S, frame.scanned_s + _AFTER_S
+        while self._messages and self._messages[0].t_s < first_s:
             self._messages.popleft()
-        within = [message.force_n for message in self._messages if message.t_s <= t_s]
+        within = [message for message in self._messages if message.t_s <= last_s]
         if not within:
             return
-        mean_n: NDArray[np.float64] = np.mean(within, axis=0)
-        least_n = self._limit_n * np.where(np.equal(frame_n, 0.0), _UNSEEN, 1.0)
-        allowed_n = np.maximum(least_n, _LIMIT_SHARE * np.maximum(mean_n, frame_n))
-        finger = int(np.argmax(np.abs(mean_n - frame_n) - allowed_n))
-        if abs(mean_n[finger] - frame_n[finger]) <= allowed_n[finger]:
-            self._differs = 0
-            return
-        self._differs += 1
-        if self._differs >= _FRAMES:
-            raise ForceContradicted(
-                f"the force messages show {mean_n[finger]:.2f} N on finger {finger}, the frames "
-                f"{frame_n[finger]:.2f} N; a difference of {allowed_n[finger]:.2f} N is allowed: "
-                "table, zero or pads are wrong, so neither is used; the grip is kept. Look at the "
-                "pads and the calibration, then start the link again"
-            )
+        self._pairs.appendleft(_Pair.of(within, frame, self._taxel_noise_n))
+        for finger in (0, 1):
+            self._check_force(finger)
+        self._check_centre()
+
+    def _check_force(self, finger: int) -> None:
+        """Raise ForceContradicted where the mean of the last frames differs from the messages'."""
+        apart_n = above_n = below_n = noise_n = 0.0
+        for n, pair in enumerate(self._pairs, 1):
+            apart_n += pair.apart_n[finger]
+            above_n += pair.above_n[finger]
+            below_n += pair.below_n[finger]
+            noise_n += pair.noise_n
+            least_n = above_n if apart_n > 0.0 else below_n
+            allowed_n = (least_n + _SIGMAS * noise_n / sqrt(n)) / n
+            if n in _WINDOWS and abs(apart_n) / n > allowed_n:
+                last = list(self._pairs)[:n]
+                raise ForceContradicted(
+                    f"the force messages show {_mean(p.message_n[finger] for p in last):.2f} N on "
+                    f"finger {finger}, {n} frames of the same time "
+                    f"{_mean(p.frame_n[finger] for p in last):.2f} N; a difference of "
+                    f"{allowed_n:.2f} N is allowed: {_ADVICE}"
+                )
+
+    def _check_centre(self) -> None:
+        """Raise ForceContradicted where the last frames have another centre than the messages."""
+        along = across = 0.0
+        force_n = inf
+        for n, pair in enumerate(self._pairs, 1):
+            if pair.apart_taxels is None:
+                return
+            along += pair.apart_taxels[0]
+            across += pair.apart_taxels[1]
+            force_n = min(force_n, sum(pair.frame_n) / 2.0)
+            apart = max(abs(along), abs(across)) / n
+            allowed = _CENTRE_TAXELS + _SIGMAS * _CENTRE_N_TAXELS / force_n / sqrt(n)
+            if n in _WINDOWS and apart > allowed:
+                where = f"is {apart:.2f} pitches of the taxels away from that in"
+                if isinf(apart):
+                    where = "is missing, though there is one in"
+                raise ForceContradicted(
+                    f"the centre of the force in the messages {where} {n} frames of the same time, "
+                    f"{allowed:.2f} pitches are allowed: {_ADVICE}"
+                )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Pair:
+    """Frame and messages of one scan: what each shows, and how far they are apart.
+
+    ``apart_n`` is the force in the frame less that in the messages; ``above_n`` and ``below_n`` are
+    what it may be either way however small the noise.
+    """
+
+    frame_n: tuple[float, float]
+    message_n: tuple[float, float]
+    apart_n: tuple[float, float]
+    above_n: tuple[float, float]
+    below_n: tuple[float, float]
+    noise_n: float
+    apart_taxels: tuple[float, float] | None
+
+    @classmethod
+    def of(
+        cls, messages: Sequence[ForceMessage], frame: FrameForces, taxel_noise_n: float
+    ) -> "_Pair":
+        """Return the pair of a frame and the messages from around its scan."""
+        first_n = _mean(message.force_n[0] for message in messages)
+        second_n = _mean(message.force_n[1] for message in messages)
+        most_n = _OUTLIER_SIGMAS * frame.noise_n
+        unseen_n = max(_UNSEEN_N, _UNSEEN_SIGMAS * taxel_noise_n)
+        apart_n, above_n, below_n = [], [], []
+        for frame_n, message_n in zip(frame.force_n, (first_n, second_n), strict=True):
+            above = _LEAST_N + _LEAST_SHARE * max(frame_n, message_n)
+            below = above + _BELOW_SIGMAS * taxel_noise_n
+            if frame_n == 0.0:
+                below = max(below, unseen_n)
+            apart_n.append(min(max(frame_n - message_n, -below - most_n), above + most_n))
+            above_n.append(above)
+            below_n.append(below)
+        return cls(
+            frame_n=frame.force_n,
+            message_n=(first_n, second_n),
+            apart_n=(apart_n[0], apart_n[1]),
+            above_n=(above_n[0], above_n[1]),
+            below_n=(below_n[0], below_n[1]),
+            noise_n=frame.noise_n,
+            apart_taxels=_centres_apart(messages, frame, 0.5 * (first_n + second_n)),
+        )
+
+
+def _centres_apart(
+    messages: Sequence[ForceMessage], frame: FrameForces, message_n: float
+) -> tuple[float, float] | None:
+    """Return how far the centres are apart in pitches; None where the force is too light."""
+    light = min(sum(frame.force_n) / 2.0, message_n) < _CENTRE_LEAST_N
+    if light or frame.centre_taxels is None:
+        return None
+    named = [one.centre_taxels for one in messages if one.centre_taxels is not None]
+    if not named:
+        # Messages that name no centre where the frame shows one are as wrong as can be.
+        return inf, inf
+    along, across = frame.centre_taxels
+    return _mean(one[0] for one in named) - along, _mean(one[1] for one in named) - across
+
+
+def _mean(values: Iterable[float]) -> float:
+    found = tuple(values)
+    return sum(found) / len(found)

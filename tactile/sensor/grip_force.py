@@ -4,12 +4,9 @@ from collections.abc import Callable, Sequence
 from math import inf, sqrt
 from typing import Generic, TypeVar
 
-import numpy as np
-from numpy.typing import NDArray
-
 from tactile.frames.codec import TactileFrame
 from tactile.frames.force_message import ForceMessage, ForceStatus
-from tactile.layout import TaxelLayout
+from tactile.sensor.force_check import ForceCentres
 from tactile.sensor.sensor import TactileReading, TactileSensor
 
 _MESSAGE_S = 0.0015
@@ -28,37 +25,6 @@ Sample = TypeVar("Sample")
 """A value of who controls the force; see `GripForce`."""
 
 
-class ForceCentres:
-    """Centre of the grip force: the mean of both pads' centres, each weighted by its taxels.
-
-    Parameters
-    ----------
-    layout
-        The taxels.
-    """
-
-    def __init__(self, layout: TaxelLayout) -> None:
-        self._taxels = tuple(np.flatnonzero(layout.taxel_pad == p) for p in layout.gripping_pads)
-        self._xy_m = tuple(layout.position_m[taxels, :2] for taxels in self._taxels)
-
-    def of(self, force_n: NDArray[np.float64]) -> tuple[float, float] | None:
-        """Return the centre in the grip frame in m; None where a pad has no force.
-
-        Parameters
-        ----------
-        force_n : (n_taxels,) float64
-            Normal force on each taxel in N.
-        """
-        centre_m = np.zeros(2)
-        for taxels, xy_m in zip(self._taxels, self._xy_m, strict=True):
-            weights = force_n[taxels]
-            total_n = float(weights.sum())
-            if not total_n > 0.0:
-                return None
-            centre_m += 0.5 * (weights @ xy_m) / total_n
-        return float(centre_m[0]), float(centre_m[1])
-
-
 class GripForce(Generic[Sample]):
     """Force samples for the one who controls the force; the frames beside them are kept.
 
@@ -72,7 +38,8 @@ class GripForce(Generic[Sample]):
         and ``reason`` where it is not; ``centre_m``, centre of the force along and across the
         fingers in m, or None; ``centre_noise_m``, its standard deviation; ``lag_s``, how much older
         than ``t_s`` the force is, and ``noise_n``, the standard deviation of the mean of both
-        forces, for samples of force messages alone.
+        forces, and of the newest whole frame ``frame_s``, monotonic time of its scan in s, and
+        ``frame_n``, force on both fingers in it in N, for samples of force messages alone.
     """
 
     def __init__(self, sensor: TactileSensor, sample: Callable[..., Sample]) -> None:
@@ -133,6 +100,8 @@ class GripForce(Generic[Sample]):
             centre_noise_m=_MESSAGE_CENTRE_N_M / grip_n / sqrt(n),
             lag_s=_MESSAGE_S + newest.t_s - sum(message.t_s for message in messages) / n,
             noise_n=self._sensor.scan_noise_n / sqrt(n),
+            frame_s=reading.frame.scanned_s,
+            frame_n=reading.scan_force_n,
         )
 
     def _centre_m(self, messages: Sequence[ForceMessage]) -> tuple[float, float] | None:

@@ -32,7 +32,7 @@ from tactile.sensor.filters import (
     Values,
     fill_bad,
 )
-from tactile.sensor.force_check import ForceCheck, force_table
+from tactile.sensor.force_check import ForceCentres, ForceCheck, FrameForces, force_table
 from tactile.sensor.quality import QualityLimits, QualityWatch
 from tactile.sensor.tare import TareLimits, TareResult, compute_tare, too_many_bad
 from tactile.unit.link import TactileLink
@@ -131,6 +131,8 @@ class TactileReading:
         Sum over each pad in N.
     finger_force_n
         Force on the gripping pad of finger 0 and of finger 1 in N.
+    scan_force_n
+        The same of this frame alone, on the taxels that the last frames show as touched.
     active, saturated, bad : (n_taxels,) bool
         Touched taxels; taxels at full scale in this frame; taxels that do not measure: dead,
         stuck or constantly at full scale, filled from their neighbours.
@@ -145,6 +147,7 @@ class TactileReading:
     force_n: Values
     pad_force_n: Values
     finger_force_n: tuple[float, float]
+    scan_force_n: tuple[float, float]
     active: NDArray[np.bool_]
     saturated: NDArray[np.bool_]
     bad: NDArray[np.bool_]
@@ -249,7 +252,8 @@ class TactileSensor:
         self._calibration = calibration
         self._clock = clock
         self._settings = settings or SensorSettings()
-        self._force_check = ForceCheck(self._settings.mean_frames)
+        self._force_check = ForceCheck()
+        self._centres = ForceCentres(layout)
         self._hood = Neighbourhood(layout)
         self._mean = MovingMean(self._settings.mean_frames)
         self._quality = QualityWatch(self._hood, self._settings.quality, self._settings.mean_frames)
@@ -507,14 +511,16 @@ class TactileSensor:
         bad = self._quality.bad
         if tare is not None:
             counts -= tare.offset_counts
-        tared = self._mean.step(fill_bad(self._hood, counts, bad))
+        counts = fill_bad(self._hood, counts, bad)
+        tared = self._mean.step(counts)
         active = np.zeros_like(bad) if self._touch is None else self._touch.step(tared)
         force_n = np.where(active, self._calibration.force_n(tared), 0.0)
         pad_force_n = np.add.reduceat(force_n, self._pad_starts)
+        scan_n = np.where(active, self._calibration.force_n(counts), 0.0)
+        first_n, second_n = (float(scan_n[taxels].sum()) for taxels in self._grips)
         reason = self._objection(frame, saturated & ~bad, bad, tared)
         if not reason and self.has_forces:
-            first_n, second_n = (pad_force_n[pad] for pad in self._layout.gripping_pads)
-            self._compare(frame.t_s, (float(first_n), float(second_n)))
+            self._compare(frame, counts, active, scan_n)
         for array in (tared, active, force_n, pad_force_n, saturated, bad):
             array.setflags(write=False)
         self._saturated_frames += bool((saturated & ~bad).any())
@@ -526,6 +532,7 @@ class TactileSensor:
             force_n=force_n,
             pad_force_n=pad_force_n,
             finger_force_n=(float(pad_force_n[first]), float(pad_force_n[second])),
+            scan_force_n=(first_n, second_n),
             active=active,
             saturated=saturated,
             bad=bad,
@@ -533,12 +540,39 @@ class TactileSensor:
             reason=reason,
         )
 
-    def _compare(self, t_s: float, force_n: tuple[float, float]) -> None:
+    def _compare(
+        self,
+        frame: TactileFrame,
+        counts: Values,
+        active: NDArray[np.bool_],
+        scan_n: Values,
+    ) -> None:
+        pad = self._layout.pads[self._layout.gripping_pads[0]]
+        centre_m = self._centres.of(scan_n)
+        shown = FrameForces(
+            scanned_s=frame.scanned_s,
+            force_n=(float(scan_n[self._grips[0]].sum()), float(scan_n[self._grips[1]].sum())),
+            centre_taxels=None
+            if centre_m is None
+            else (centre_m[0] / pad.pitch_x_m, centre_m[1] / pad.pitch_y_m),
+            noise_n=self._frame_noise_n(counts, active),
+        )
         try:
-            self._force_check.compare(t_s, force_n)
+            self._force_check.compare(shown)
         except ForceContradicted as fault:
             self._failed = fault
             raise
+
+    def _frame_noise_n(self, counts: Values, active: NDArray[np.bool_]) -> float:
+        """Return the noise in N of one finger's force in one frame, the larger one of both."""
+        # A loaded taxel makes more force of a count than an empty one.
+        slope = self._calibration.force_n(counts + 1.0) - self._calibration.force_n(counts)
+        slope /= self._calibration.force_n(np.ones(self._layout.n_taxels))
+        largest_n2 = 0.0
+        for taxels, taxel_n in zip(self._grips, self._taxel_noise_n, strict=True):
+            sum2 = float((slope[taxels][active[taxels]] ** 2).sum())
+            largest_n2 = max(largest_n2, _EDGE * max(_LEAST_TOUCHED, sum2) * taxel_n**2)
+        return sqrt(largest_n2)
 
     def _watch_changes(self, frame: TactileFrame) -> None:
         last_s, self._last_s = self._last_s, frame.t_s

@@ -16,7 +16,7 @@ from tactile.can.receiver import MessageSource, PolledSource, ThreadedReceiver
 from tactile.clock import Clock
 from tactile.errors import LinkFault, LinkStateError, NodeMissing
 from tactile.frames.codec import TactileFrame
-from tactile.frames.force_message import ForceMessage
+from tactile.frames.force_message import ForceMessage, ForceStatus
 from tactile.layout import TaxelLayout
 from tactile.unit import object_dictionary
 from tactile.unit.commissioning import (
@@ -200,13 +200,20 @@ class TactileLink:
     def write_zero(self, zero: bytes) -> None:
         """Write object 0x2142, the zero of the force messages, and read it back.
 
-        Raises IdentityMismatch where the unit did not keep it. Takes tens of ms.
+        Raises IdentityMismatch where the unit did not keep it, and FrameTimeout where messages from
+        before it still come after it. Takes tens of ms; the messages of that time are dropped.
         """
 
         def write() -> None:
-            objects = self._session.objects
+            session = self._session
+            objects = session.objects
             objects.write(object_dictionary.FORCE_ZERO, 0, zero)
+            session.take_forces()
             found = objects.read(object_dictionary.FORCE_ZERO)
+            old = [one for one in session.take_forces() if not one.status & ForceStatus.ZEROED]
+            late_s = len(old) * self._settings.force_period_s
+            if late_s > self._settings.force_late_s:
+                raise session.forces_late(late_s)
             refuse_mismatch(
                 [Check(what="zero of the force", expected=zero.hex(), found=found.hex())],
                 f"{self._session.name} did not keep its zero and so",

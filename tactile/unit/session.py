@@ -289,8 +289,19 @@ class LinkSession:
         if message is not None:
             self._new_forces.append(message)
             self._force_s = t_s
+            if self._forces.behind_s > self._settings.force_late_s:
+                raise self.forces_late(self._forces.behind_s)
         self._lost_forces.add(t_s, self._forces.lost - lost)
         self._late_forces.add(t_s, self._forces.late - late)
+
+    def forces_late(self, late_s: float) -> FrameTimeout:
+        """Return the error of force messages that are so many s older than they seem."""
+        return FrameTimeout(
+            f"the force messages of {self.name} come {1e3 * late_s:.0f} ms late, allowed are "
+            f"{1e3 * self._settings.force_late_s:.0f} ms: the unit sends them later or more "
+            "seldom than it was set to, or many were lost at once; check its firmware and the bus "
+            "load, or set tactile.force_period_ms to 0, then start the link again"
+        )
 
     def _check_forces(self, now_s: float) -> None:
         """Raise FrameTimeout where force messages have stayed away for too long."""

@@ -14,6 +14,9 @@ from tactile.unit import object_dictionary
 _FORCE_TIMEOUT_SYNCS, _LEAST_FORCES = 2.0, 4.0
 """So many periods of SYNC, and of the force messages, may pass without a force message."""
 
+_FORCE_LATE_S, _LATE_FORCES = 0.015, 3.0
+"""Time in s, or periods of the force messages if that is more, by which all of them may be late."""
+
 
 def setting(default: Any, low: float, high: float) -> Any:
     """Return a dataclass field with its default and range, both ends allowed."""
@@ -93,6 +96,11 @@ class LinkSettings:
     def force_timeout_s(self) -> float:
         """So long in s without a force message is a fault: what disturbs one frame is none."""
         return max(_FORCE_TIMEOUT_SYNCS * self.sync_period_s, _LEAST_FORCES * self.force_period_s)
+
+    @property
+    def force_late_s(self) -> float:
+        """Force messages may come so many s later than usual: a force that is older shakes."""
+        return max(_FORCE_LATE_S, _LATE_FORCES * self.force_period_s)
 
     def __post_init__(self) -> None:
         for one in fields(self):

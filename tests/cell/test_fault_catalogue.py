@@ -29,7 +29,7 @@ FROZEN = {
     "FeedbackImplausible": 112, "WatchdogUnproven": 113, "MechanicsContradicted": 114,
     "LimitExceeded": 200, "ForceAboveCap": 201, "PositionContradicted": 202,
     "GripperStateError": 203, "ForceSensorStale": 204, "PartLost": 205, "PartSlipped": 206,
-    "ForceImbalance": 207, "GraspStopped": 208,
+    "ForceImbalance": 207, "GraspStopped": 208, "GripContradicted": 209,
     "TactileError": 300, "LinkStateError": 301, "LinkFault": 302, "NodeMissing": 303,
     "IdentityMismatch": 304, "HeartbeatLost": 305, "DuplicateNode": 306, "BusDisturbed": 307,
     "NodeRebooted": 308, "NodeStateChanged": 309, "NodeEmergency": 310, "BusOff": 311,

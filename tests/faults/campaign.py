@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -226,10 +227,10 @@ def campaign_cell(
     monitor.check()
 
 
-def grasp_job(cell: CampaignCell) -> None:
+def grasp_job(cell: CampaignCell, *, force_n: float = 3.0) -> None:
     """Start, bring the ball, and grasp it."""
     cell.start()
-    cell.grasp()
+    cell.grasp(force_n)
 
 
 def carry_job(cell: CampaignCell) -> None:
@@ -250,7 +251,7 @@ def carry_with_fault(row: FaultRow) -> Observed:
         return seen
 
 
-def grasp_with_fault(row: FaultRow, *, look_again: bool = True) -> Observed:
+def grasp_with_fault(row: FaultRow, *, look_again: bool = True, force_n: float = 3.0) -> Observed:
     """Inject what a row names, grasp, and look again later: nobody may have let go.
 
     Parameters
@@ -259,13 +260,15 @@ def grasp_with_fault(row: FaultRow, *, look_again: bool = True) -> Observed:
         Its text names one fault or several; the detection of the first one counts.
     look_again
         False where the fault goes on without an end, and later shows nothing.
+    force_n
+        Force of the grasp in N.
     """
     first, *more = row.injected.split(", ")
     with campaign_cell(row.changes) as cell:
         cell.monitor.limp_allowed = row.reaction == "LIMP"
         for text in more:
             cell.simulated.inject(text)
-        seen = observe(cell, first)
+        seen = observe(cell, first, partial(grasp_job, force_n=force_n))
         return later(cell, seen) if look_again else seen
 
 

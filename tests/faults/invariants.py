@@ -32,6 +32,7 @@ _FALL_S = 0.5
 _ERROR = 70
 """Address of the register Hardware Error Status (XM430 manual)."""
 _RESTING = (GripperPhase.IDLE, GripperPhase.HOLDING, GripperPhase.HELD_AFTER_FAULT)
+_OPENING = (GripperPhase.OPENING, GripperPhase.RELEASING)
 _BRAKING_M = 0.001
 """How far in m fingers may open after the gripper has ended a motion: their inertia, one period."""
 _LOST_REQUESTS = ("servos.corrupt_requests", "servos.lost_requests")
@@ -85,7 +86,7 @@ class InvariantMonitor:
 
     - Force: no pad is pressed with more than ``gripper.force_max_n`` unless the world does it.
     - Release: while a part is held, neither do the fingers leave it nor is torque switched off,
-      but by a grasp's own end or a release that was asked for.
+      but by a release that was asked for, or the end of a grasp that has found the part.
     - Stop: fingers that a fault or a cancel stops open no farther than it takes to brake them, or
       their bus watchdog to trip where they hear nothing.
     - Torque: none is switched on between a fault and the reset, but for a release asked for.
@@ -124,11 +125,13 @@ class InvariantMonitor:
         self.limp_allowed = False
         self._simulated = simulated
         self._force_max_n = gripper.force_max_n
+        self._contact_force_n = gripper.contact_force_n
         self._watchdog_s = 1e-3 * gripper.watchdog_ms + _WATCHDOG_S
         self._open_speed_m_s = 1e-3 * gripper.open_speed_mm_s
         self._cell: Cell | None = None
         self._asked = self._torque_asked = False
         self._moving_s, self._motion = -math.inf, GripperPhase.OFF
+        self._phase_before: GripperPhase | None = None
         self._stood_m: float | None = None
         self._frozen_raw: list[int] | None = None
         self._pushed_s = -math.inf
@@ -205,6 +208,9 @@ class InvariantMonitor:
         force_n = self._simulated.world.contact_force_n()
         controller = None if self._cell is None else self._cell.controller
         phase = self._phase()
+        if phase in _OPENING and phase is not self._phase_before:
+            self._look_at_opening(min(force_n))
+        self._phase_before = phase
         if phase is not None and phase.moving:
             self._moving_s, self._motion = now_s, phase
         pushed = self._world_pushes(now_s)
@@ -237,6 +243,16 @@ class InvariantMonitor:
             if fault.entry.name == "object.trapped" and fault.began_s is not None:
                 self._pushed_s = now_s
         return self.world_pushes or now_s - self._pushed_s < _FALL_S
+
+    def _look_at_opening(self, force_n: float) -> None:
+        """Judge that fingers which begin to open by themselves have found the part, or hold none.
+
+        What is judged is the world: what the cell has measured may be wrong.
+        """
+        if self._asked or self._cell is None or force_n < self._contact_force_n:
+            return
+        if not self._cell.controller.local_hand.gripper._life.part_possible:
+            self._break(f"the fingers open by themselves on a part pressed with {force_n:.2f} N")
 
     def _look_at_goals(self, controller: CellController) -> None:
         """Judge that nothing pushes harder while a fault is latched."""

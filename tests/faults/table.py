@@ -81,7 +81,10 @@ FOLLOWING_S = 0.4
 STALL_S = 0.6
 """8 degrees behind at 90 degrees a second, and 0.15 s allowed for it; the wrist speeds up first."""
 LONG_HOLD = {"sequence.ramp.hold_s": 3.0}
+FRAME_S = SYNC_S + BURST_S
+"""A whole frame of a later scan is there after so long at most."""
 HOUR_S = 3600.0
+at_six_newtons = partial(grasp_with_fault, force_n=6.0)
 OVERRUNS_MAX = campaign_config().loop.overruns_max
 
 
@@ -204,6 +207,63 @@ FORCES = _near((
              "unit.force_gain=1.6@contact+0.3s", "HOLD", 0.5, changes=LONG_HOLD),
     FaultRow(44, "another table at the start", "the same from the start on",
              "unit.force_gain=1.6", "HOLD", 3.0),
+    # The frames show all the while what is held; nothing that a frame shows is let go.
+    *(FaultRow(44, f"{variant} in the {phase}", f"force messages show {fault}, {when}",
+               ", ".join(f"{text}@contact+{at_s}s{end}" for text in texts),
+               "HOLD", FRAME_S + CYCLE_S,
+               at_six_newtons, LONG_HOLD)
+      for phase, at_s, when in (("ramp", 0.35, "in the ramp at 3 N"), ("hold", 1.5, "at 6 N"))
+      for variant, fault, texts, end in (
+          ("zero", "no force", ("unit.force_gain=0",), ""),
+          ("zero for 10 ms", "no force for 10 ms", ("unit.force_gain=0",),
+           f"..contact+{at_s + 0.01:g}s"),
+          ("negative", "negative forces", ("unit.force_gain=-1",), ""),
+          ("nearly zero", "0.12 N",
+           ("unit.force_gain=0", "unit.force_offset=0.12"), ""),
+          ("empty pads", "those of the empty pads again", ("unit.pads_empty",), ""))),
+    FaultRow(44, "zero in a carry", "force messages show no force while a part is kept",
+             "unit.force_gain=0@contact+2.5s", "HOLD", FRAME_S + CYCLE_S, carry_with_fault),
+    FaultRow(44, "zero in the approach", "force messages show no force when the part is touched",
+             "unit.force_gain=0@moving+0.3s", "HOLD", 2.0),
+    FaultRow(44, "less by 2 N in the ramp", "force messages show 2 N less, in the ramp at 3 N",
+             "unit.force_offset=-2@contact+0.35s", "HOLD", 0.1,
+             at_six_newtons, LONG_HOLD),
+    FaultRow(44, "less by 2 N in the hold", "force messages show 2 N less, at 6 N",
+             "unit.force_offset=-2@contact+1.5s", "HOLD", 0.1,
+             at_six_newtons, LONG_HOLD),
+    FaultRow(44, "less by a seventh", "force messages show 0.86 of the force, at 6 N",
+             "unit.force_gain=0.86@contact+1.5s", "HOLD", 0.3,
+             at_six_newtons, LONG_HOLD),
+    FaultRow(44, "each third wrong", "each third force message shows 0.6 of the force, at 6 N",
+             "unit.force_gain=0.6@contact+1.5s, unit.spoiled_each=3@contact+1.5s", "HOLD", 0.3,
+             at_six_newtons, LONG_HOLD),
+    *(FaultRow(44, f"seldom, each {n}th",
+               f"each {n}th force message is sent, none is missing by the counter",
+               f"unit.forces_each={n}@contact+0.3s", "HOLD", 0.2, changes=LONG_HOLD)
+      for n in (6, 15)),
+    FaultRow(44, "late", "force messages come 20 ms late",
+             "unit.forces_late=0.02@contact+0.3s", "HOLD", 0.2, changes=LONG_HOLD),
+    FaultRow(44, "late at the start", "the same from the start on",
+             "unit.forces_late=0.02", "REJECT", START_S),
+    FaultRow(44, "centre elsewhere", "the centre in the messages is shifted by a pitch, at 6 N",
+             "unit.centre_shift=1@contact+1.5s", "HOLD", 0.3,
+             at_six_newtons, LONG_HOLD),
+    FaultRow(44, "no centre", "force messages without a centre, at 6 N",
+             "unit.centres_off@contact+1.5s", "HOLD", 0.1,
+             at_six_newtons, LONG_HOLD),
+    FaultRow(44, "centre stuck",
+             "the centre in the messages stays where it is, and the part slides with 20 mm/s",
+             "object.slips=20@contact+1.5s, unit.centres_stuck@contact+1.2s", "HOLD", 0.3,
+             partial(grasp_with_fault, look_again=False, force_n=6.0), LONG_HOLD),
+    *(FaultRow(44, f"blind pads, {variant}",
+               f"all taxels read nothing any more, {where}: the fingers stand, the motors press",
+               f"taxels.gain=0@contact+{at_s}s", "HOLD", 0.5,
+               at_six_newtons, LONG_HOLD | changes)
+      for variant, where, at_s, changes in (
+          ("in the ramp", "in the ramp at 3 N", 0.35, {}),
+          ("in the hold", "at 6 N", 1.5, {}),
+          ("frames alone", "in the ramp of a cell without force messages", 0.35,
+           {"tactile.force_period_ms": 0}))),
 ))
 
 TAXELS = _near((

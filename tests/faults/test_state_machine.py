@@ -11,6 +11,8 @@ from cell.interfaces.modbus.registers import ModbusDoor
 from cell.interfaces.service.service import RELEASE_KEY, Service
 from cell.interfaces.xml_rpc import Calls
 from gripper.dynamixel.control_table import REGISTERS
+from gripper.force.loop import Action
+from gripper.force.part_loss import EmptyGrip, PartWatch
 from gripper.gripper import Gripper
 from gripper.servos.group import ServoGroup
 from gripper.state import GripperPhase
@@ -82,6 +84,15 @@ def test_a_grip_that_a_fault_opens_is_found(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(Gripper, "keep_grip", open_instead)
     with pytest.raises(InvariantBroken, match="torque of servo 1 off with a part in the grip"):
         drive()
+
+
+def test_a_part_that_the_cell_lets_go_by_itself_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    fault = "unit.force_gain=0@contact+170ms"
+    drive(fault=fault)
+    monkeypatch.setattr(PartWatch, "_confirmed", lambda watch, *_, **__: watch.doubts)
+    monkeypatch.setattr(EmptyGrip, "step", lambda *_: Action(done=True))
+    with pytest.raises(InvariantBroken, match=r"open by themselves on a part pressed with 2\.\d"):
+        drive(fault=fault)
 
 
 def test_fingers_that_a_cancel_does_not_stop_are_found(monkeypatch: pytest.MonkeyPatch) -> None:

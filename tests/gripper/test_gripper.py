@@ -9,6 +9,7 @@ from gripper.dynamixel.control_table import BUS_WATCHDOG, CURRENT_LIMIT, SHUTDOW
 from gripper.dynamixel.models import XL330_M288
 from gripper.errors import (
     GraspStopped,
+    GripContradicted,
     GripperStateError,
     LimitExceeded,
     PartLost,
@@ -274,9 +275,13 @@ def test_a_hard_stop_beside_the_pads_is_an_obstruction(make_cell, make_part) -> 
     cell = make_cell(part=make_part(stiffness_n_m=50_000.0))
     cell.sensor.gain = 0.0
     cell.gripper.start()
-    outcome = cell.gripper.grasp(RAMP)
-    assert outcome.result is GraspResult.OBSTRUCTED
-    assert cell.peak_n < 8.0
+    with pytest.raises(GripContradicted, match="the pads feel nothing"):
+        cell.gripper.grasp(RAMP)
+    assert 0.5 < cell.peak_n < 8.0
+    cell.clock.sleep(1.0)
+    assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
+    cell.gripper.clear_fault()
+    cell.gripper.release()
 
 
 def test_a_part_that_is_taken_away_is_lost_not_pursued(cell) -> None:

@@ -5,6 +5,7 @@ import pytest
 from gripper.dynamixel.control_table import TORQUE_ENABLE
 from gripper.errors import (
     BusTimeout,
+    FeedbackImplausible,
     GraspStopped,
     ServoFault,
     VerificationFailed,
@@ -181,3 +182,34 @@ def test_a_release_closes_no_finger_that_stands_wide_open(make_cell, make_part) 
     cell.clock.sleep(0.5)
     assert cell.mechanics.aperture_m == pytest.approx(0.07, abs=0.002)
     assert cell.gripper.open().aperture_m == pytest.approx(0.018, abs=0.001)
+
+
+def test_a_finger_whose_position_has_leapt_is_not_said_to_be_open(cell) -> None:
+    cell.gripper.start()
+    cell.gripper.grasp(RAMP)
+    cell.knobs[0].jump_encoder(0.3)
+    with pytest.raises(FeedbackImplausible, match="leapt"):
+        cell.gripper.hold(1.0)
+    cell.gripper.clear_fault()
+    report = cell.gripper.release()
+    assert report.opened == (2,)
+    assert "servo 1 has no torque, and where its finger is, is unknown" in str(report)
+    assert [cell.register(i, "torque_enable") for i in range(2)] == [0, 0]
+    with pytest.raises(FeedbackImplausible, match=r"leapt .* not restarted since then"):
+        cell.gripper.start()
+    cell.knobs[0].jump_encoder(-0.3)
+    cell.gripper.clear_fault(reboot=True)
+    cell.gripper.start()
+    assert cell.gripper.open().aperture_m == pytest.approx(0.03, abs=0.001)
+    assert str(cell.gripper.release()) == "the fingers are open"
+
+
+def test_a_finger_that_is_said_to_stand_too_wide_open_is_named(cell) -> None:
+    cell.gripper.start()
+    cell.gripper.open()
+    cell.gripper.close()
+    cell.knobs[0].jump_encoder(0.3)
+    cell.clock.sleep(2.0)
+    report = cell.gripper.release()
+    assert report.wider == (1,)
+    assert "the finger of servo 1 was not moved" in str(report)

@@ -6,6 +6,7 @@ import pytest
 
 from gripper.dynamixel.control_table import TORQUE_ENABLE
 from gripper.errors import (
+    GripContradicted,
     MechanicsContradicted,
     PositionContradicted,
     ServoFault,
@@ -192,9 +193,8 @@ def test_a_zero_that_reads_too_open_by_less_is_met_as_an_obstruction(
     cell.gripper.start()
     stop = Stop(cell)
     cell.gripper.open(0.03)
-    outcome = cell.gripper.grasp(RAMP)
-    assert outcome.result is GraspResult.OBSTRUCTED
-    assert outcome.final_aperture_m == pytest.approx(0.0184, abs=0.001)
+    with pytest.raises(GripContradicted, match=r"at an opening of 1[789]\.\d mm, .*zero_pulse"):
+        cell.gripper.grasp(RAMP)
     assert stop.most_n < 8.0
 
 
@@ -214,11 +214,11 @@ def test_an_offset_that_is_wrong_is_a_zero_that_is_wrong(make_cell, make_part, o
     cell = make_cell(offset_m=offset_m, part=make_part(present=False))
     cell.gripper.start()
     cell.gripper.open()
-    if offset_m > 0.0:
-        assert cell.gripper.grasp(RAMP).result is GraspResult.OBSTRUCTED
-    else:
-        with pytest.raises(MechanicsContradicted, match="found nothing"):
-            cell.gripper.grasp(RAMP)
+    error, told = (GripContradicted, "zero_pulse")
+    if offset_m < 0.0:
+        error, told = (MechanicsContradicted, "found nothing")
+    with pytest.raises(error, match=told):
+        cell.gripper.grasp(RAMP)
 
 
 @pytest.mark.parametrize("friction_error", [LONG(-0.3), 0.0, 0.3, LONG(0.6)])

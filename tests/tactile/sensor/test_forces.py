@@ -1,6 +1,9 @@
 """Force messages in the sensor: the zero that the unit gets, and the comparison with the frames."""
 
-from contextlib import nullcontext
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,7 +17,7 @@ from tactile.frames.force_message import (
     decode_zero,
 )
 from tactile.sensor.calibration import FoamCalibration
-from tactile.sensor.force_check import ForceCheck, force_table
+from tactile.sensor.force_check import ForceCentres, ForceCheck, FrameForces, force_table
 from tactile.sensor.sensor import TactileSensor
 from tests.tactile.sensor.test_sensor import CALIBRATION, LAYOUT, Frames, readings
 
@@ -37,10 +40,18 @@ class Forces:
     def write_zero(self, zero: bytes) -> None:
         self.zeros.append(zero)
 
+    def centre_taxels(self) -> tuple[float, float] | None:
+        pad = LAYOUT.pads[LAYOUT.gripping_pads[0]]
+        centre_m = ForceCentres(LAYOUT).of(CALIBRATION.force_n(self.frames.base))
+        if centre_m is None:
+            return None
+        return centre_m[0] / pad.pitch_x_m, centre_m[1] / pad.pitch_y_m
+
     def take_forces(self) -> tuple[ForceMessage, ...]:
         found = []
         while self.due_s <= self.frames.now_s:
-            found.append(message(self.due_s, *self.force_n))
+            shown = message(self.due_s, *self.force_n)
+            found.append(replace(shown, centre_taxels=self.centre_taxels()))
             self.due_s += 0.003
         return tuple(found)
 
@@ -116,43 +127,100 @@ def test_messages_that_differ_from_the_frames_are_a_fault_with_both_numbers() ->
     readings(sensor, frames, 40)
     forces.force_n = (4.0, 6.5)
     with pytest.raises(
-        ForceContradicted, match=r"show 6\.\d+ N on finger 1, the frames [34]\.\d+ N"
+        ForceContradicted,
+        match=r"show 6\.\d+ N on finger 1, .* same time [34]\.\d+ N",
     ):
         readings(sensor, frames, 20)
     with pytest.raises(ForceContradicted):
         sensor.poll()
 
 
+def compared(
+    check: ForceCheck,
+    at_s: float,
+    messages: Sequence[ForceMessage],
+    frame_n: tuple[float, float],
+    *,
+    noise_n: float = 0.2,
+    centre: tuple[float, float] | None = (0.0, 0.0),
+) -> None:
+    """Give the check the messages from around a scan, and the frame."""
+    for one in messages:
+        check.add(one)
+    check.compare(
+        FrameForces(scanned_s=at_s, force_n=frame_n, centre_taxels=centre, noise_n=noise_n)
+    )
+
+
+def around(at_s: float, *force_n: float, centre=(0.0, 0.0)) -> list[ForceMessage]:
+    shown = [message(at_s - 0.004 + 0.002 * i, *force_n) for i in range(5)]
+    return [replace(one, centre_taxels=centre) for one in shown]
+
+
+def frames_until_found(check: ForceCheck, shown_n: float, frame_n: float, **more: Any) -> int:
+    """Return after how many frames a difference that stays is found; 100 for never."""
+    centre = more.pop("message_centre", (0.0, 0.0))
+    for n in range(1, 100):
+        at_s = 0.02 * n
+        messages = around(at_s, shown_n, shown_n, centre=centre)
+        try:
+            compared(check, at_s, messages, (frame_n, frame_n), **more)
+        except ForceContradicted:
+            return n
+    return 100
+
+
 @pytest.mark.parametrize(
-    ("noise_n", "shown_n", "missing_n", "found"),
+    ("shown_n", "frame_n", "taxel_n", "noise_n", "most"),
     [
-        (0.05, 2.0, 0.9, True),
-        (0.10, 2.0, 0.9, False),
-        (0.10, 3.0, 1.8, True),
-        (0.05, 1.2, 1.2, False),
-        (0.05, 1.8, 1.8, True),
+        (0.0, 2.0, 0.02, 0.2, 2),  # the messages are empty
+        (4.0, 6.0, 0.02, 0.2, 2),  # 2 N less
+        (5.16, 6.0, 0.02, 0.15, 3),  # 14 % less
+        (5.16, 6.0, 0.045, 0.3, 12),
+        (5.2, 6.0, 0.045, 0.3, 12),  # each third message at 0.6
+        (2.6, 3.0, 0.02, 0.15, 12),
+        (9.6, 6.0, 0.02, 0.2, 2),  # another table
+        (1.8, 0.0, 0.02, 0.2, 12),
+        (1.2, 0.0, 0.045, 0.3, 100),  # below the frames' threshold
+        (1.0, 0.4, 0.045, 0.3, 100),
+        (5.8, 6.0, 0.02, 0.15, 100),  # no more than is allowed
     ],
 )
-def test_the_noise_decides_what_frames_may_leave_out(noise_n, shown_n, missing_n, found) -> None:
-    check = ForceCheck(mean_frames=3)
-    check.reset(taxel_noise_n=noise_n)
-    frames_n = shown_n - missing_n
-    with pytest.raises(ForceContradicted) if found else nullcontext():
-        for n in range(100):
-            check.add(message(0.002 * n, shown_n, shown_n))
-            if n % 10 == 9:
-                check.compare(0.002 * n, (frames_n, frames_n))
+def test_a_difference_is_found_the_sooner_the_larger_it_is(
+    shown_n, frame_n, taxel_n, noise_n, most
+) -> None:
+    check = ForceCheck()
+    check.reset(taxel_noise_n=taxel_n)
+    found = frames_until_found(check, shown_n, frame_n, noise_n=noise_n)
+    assert found == 100 if most == 100 else found <= most
 
 
-def test_a_force_that_moves_is_no_contradiction_and_a_short_one_neither() -> None:
-    check = ForceCheck(mean_frames=3)
-    for n in range(400):
-        force_n = 10.0 * 0.003 * n
-        check.add(message(0.003 * n, force_n, force_n))
-        if n % 7 == 6:  # the frames' mean is 30 ms behind
-            check.compare(0.003 * n, (max(0.0, force_n - 0.3), max(0.0, force_n - 0.3)))
-    check.reset(taxel_noise_n=0.05)
-    for n in range(60):
-        check.add(message(2.0 + 0.003 * n, 5.0 if n < 12 else 1.0, 1.0))
-        if n % 7 == 6:
-            check.compare(2.0 + 0.003 * n, (1.0, 1.0))
+@pytest.mark.parametrize("seed", range(3))
+def test_noise_alone_is_no_difference(seed: int) -> None:
+    check, draw = ForceCheck(), np.random.default_rng(seed)
+    check.reset(taxel_noise_n=0.03)
+    for n in range(3000):  # a minute
+        at_s = 0.02 * n
+        forces_n = 4.0 + draw.normal(0.0, 0.2, (5, 2))
+        messages = [message(at_s - 0.004 + 0.002 * i, *forces_n[i]) for i in range(5)]
+        first_n, second_n = 4.0 + draw.normal(0.0, 0.2, 2)
+        compared(check, at_s, messages, (float(first_n), float(second_n)), centre=None)
+
+
+def test_a_part_that_leaves_or_is_touched_between_two_messages_is_no_difference() -> None:
+    check = ForceCheck()
+    check.reset(taxel_noise_n=0.02)
+    forces_n = [6.0] * 30 + [0.0] * 30 + [5.0] * 30
+    for n, (before_n, now_n) in enumerate(itertools.pairwise(forces_n)):
+        compared(check, 0.02 * n, around(0.02 * n, before_n, before_n), (now_n, now_n))
+
+
+@pytest.mark.parametrize(
+    ("force_n", "centre", "most"),
+    [(6.0, (1.0, 0.0), 3), (2.0, (0.0, -1.0), 25), (6.0, None, 2), (6.0, (0.2, 0.2), 100)],
+)
+def test_centres_that_are_elsewhere_or_missing_are_found(force_n, centre, most) -> None:
+    check = ForceCheck()
+    check.reset(taxel_noise_n=0.02)
+    found = frames_until_found(check, force_n, force_n, message_centre=centre)
+    assert found == 100 if most == 100 else found <= most
