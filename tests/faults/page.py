@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from simulator.faults.injector import VOCABULARY
 from tests.faults.campaign import FaultRow, Observed
 from tests.faults.results import AS_REQUIRED, Result
-from tests.faults.state_machine import PIECES, STEPS
 from tests.faults.table import GROUPS, REACTIONS, ROWS
 
 BEGIN, END = (
@@ -83,7 +82,7 @@ def summary() -> str:
         f"{BEGIN}\n{len(ROWS)} variants of {len(kinds)} kinds of fault, "
         f"{sum(row.real_time for row in ROWS)} of them between real processes in real time, "
         f"{sum(row.limit_s is not None for row in ROWS)} with a limit for the time until the fault "
-        f"is detected. `make test` runs all of them and {PIECES * STEPS:,} steps of random "
+        f"is detected. `make campaign` runs all of them, `make test` one of each kind; both run random "
         f"commands and faults.\n\n{_table(heads, lines, right=(2,))}\n{_reactions()}{END}\n"
     )
 
