@@ -82,8 +82,8 @@ def summary() -> str:
         f"{BEGIN}\n{len(ROWS)} variants of {len(kinds)} kinds of fault, "
         f"{sum(row.real_time for row in ROWS)} of them between real processes in real time, "
         f"{sum(row.limit_s is not None for row in ROWS)} with a limit for the time until the fault "
-        f"is detected. `make campaign` runs all of them, `make test` one of each kind; both run random "
-        f"commands and faults.\n\n{_table(heads, lines, right=(2,))}\n{_reactions()}{END}\n"
+        f"is detected. `make campaign` runs all of them, `make test` one of each kind; both run "
+        f"random commands and faults.\n\n{_table(heads, lines, right=(2,))}\n{_reactions()}{END}\n"
     )
 
 
