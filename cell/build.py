@@ -54,24 +54,16 @@ Mover = Callable[[Pose], Pose | bool | None]
 
 @dataclass(kw_only=True)
 class Cell:
-    """A cell and what it was built from; `close` ends all of it and keeps the grip.
-
-    Attributes
-    ----------
-    controller
-        Runs the sequences.
-    realtime
-        Whether time passes by itself; in a simulated cell it passes while a caller waits.
-    simulated
-        The simulated cell, where there is one in this process.
-    axes
-        The axes of its positioner; None where something else moves the object.
-    """
+    """A cell and what it was built from; `close` ends all of it and keeps the grip."""
 
     controller: CellController
+    """Runs the sequences."""
     realtime: bool
+    """Whether time passes by itself; in a simulated cell it passes while a caller waits."""
     simulated: SimulatedCell | None
+    """The simulated cell, where there is one in this process."""
     axes: Axes | None
+    """The axes of its positioner; None where something else moves the object."""
     _recorder: Recorder | None
     _closing: ExitStack
 

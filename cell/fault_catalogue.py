@@ -24,25 +24,17 @@ AXES_STOP = "As it was; all axes are stopped."
 
 @dataclass(frozen=True, slots=True)
 class Fault:
-    """One entry of the catalogue.
-
-    Attributes
-    ----------
-    number
-        Stable number, 100 to 799; 0 stands for no fault on all links.
-    text
-        Short English text for displays, at most 64 ASCII characters.
-    cause, remedy
-        What usually causes it, and what to do.
-    grip
-        What the grip does.
-    """
+    """One entry of the catalogue."""
 
     number: int
+    """Stable number, 100 to 799; 0 stands for no fault on all links."""
     text: str
+    """Short English text for displays, at most 64 ASCII characters."""
     cause: str
     remedy: str
+    """What usually causes it, and what to do."""
     grip: str
+    """What the grip does."""
 
 
 # fmt: off

@@ -37,24 +37,16 @@ standing."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ImpactLimit:
-    """Speed of closing fingers whose momentum the cap of the force allows.
-
-    Attributes
-    ----------
-    most_n
-        Force in N that a peak may reach: the cap less what is left free.
-    drive_n
-        Force in N that the current of an approach may press with.
-    mass_kg
-        Moving mass of a finger, with the motor's behind its gears, as it is at the pad.
-    momentum_n_s_m
-        Force in N that the moving mass adds for each m/s of a pad.
-    """
+    """Speed of closing fingers whose momentum the cap of the force allows."""
 
     most_n: float
+    """Force in N that a peak may reach: the cap less what is left free."""
     drive_n: float
+    """Force in N that the current of an approach may press with."""
     mass_kg: float
+    """Moving mass of a finger, with the motor's behind its gears, as it is at the pad."""
     momentum_n_s_m: float
+    """Force in N that the moving mass adds for each m/s of a pad."""
 
     def pad_speed_m_s(self, force_n: float | None = None) -> float:
         """Return the largest speed of a pad in m/s, with a force in N on it or before the touch."""

@@ -59,20 +59,14 @@ class ParallelLinkage:
 
     Half opening = link_m * sin(angle) + offset_m; by virtual work a grip force F on a finger is a
     torque of F * link_m * cos(angle), twice that where one servo drives both.
-
-    Attributes
-    ----------
-    link_m
-        Length of the parallelogram's links in m.
-    offset_m
-        Half opening at angle 0 in m.
-    n_servos
-        1 or 2.
     """
 
     link_m: float
+    """Length of the parallelogram's links in m."""
     offset_m: float = 0.0
+    """Half opening at angle 0 in m."""
     n_servos: int = 2
+    """1 or 2."""
 
     def __post_init__(self) -> None:
         _check_positive("link_m", self.link_m)
@@ -115,21 +109,14 @@ class ParallelLinkage:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RackPinion:
-    """Straight fingers on racks: half opening = pinion_radius_m * angle + offset_m.
-
-    Attributes
-    ----------
-    pinion_radius_m
-        Pitch radius of the pinion in m.
-    offset_m
-        Half opening at angle 0 in m.
-    n_servos
-        1 (one pinion between two racks) or 2.
-    """
+    """Straight fingers on racks: half opening = pinion_radius_m * angle + offset_m."""
 
     pinion_radius_m: float
+    """Pitch radius of the pinion in m."""
     offset_m: float = 0.0
+    """Half opening at angle 0 in m."""
     n_servos: int = 1
+    """1 (one pinion between two racks) or 2."""
 
     def __post_init__(self) -> None:
         _check_positive("pinion_radius_m", self.pinion_radius_m)
@@ -168,18 +155,12 @@ class RackPinion:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OneFinger:
-    """One finger of a linkage with a servo for each, as if the other were its mirror image.
-
-    Attributes
-    ----------
-    linkage
-        The whole linkage.
-    index
-        Servo of the finger.
-    """
+    """One finger of a linkage with a servo for each, as if the other were its mirror image."""
 
     linkage: Linkage
+    """The whole linkage."""
     index: int
+    """Servo of the finger."""
 
     def __str__(self) -> str:
         return str(self.linkage)
@@ -218,20 +199,14 @@ class Transmission:
 
     The torque at rest may lie anywhere in a band: while the force rises the motor works against
     friction, T = kt I - Tc; while it falls friction helps, T = kt I + Tc.
-
-    Attributes
-    ----------
-    kt_nm_a
-        Torque constant at the servo's output in N m / A.
-    friction_nm
-        Tc in N m.
-    radius_m
-        Torque of the servo for a grip force of 1 N, in N m / N.
     """
 
     kt_nm_a: float
+    """Torque constant at the servo's output in N m / A."""
     friction_nm: float
+    """Tc in N m."""
     radius_m: float
+    """Torque of the servo for a grip force of 1 N, in N m / N."""
 
     @classmethod
     def at(cls, model: ServoModel, linkage: Linkage, angle_rad: float) -> "Transmission":

@@ -134,24 +134,16 @@ class OverForce(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServoSettings:
-    """One servo.
-
-    Attributes
-    ----------
-    servo_id
-        ID on the bus, 0 to 252.
-    model
-        Name of the model, see `gripper.dynamixel.models.MODELS`.
-    direction
-        1 where growing positions open the gripper, -1 where they close it.
-    zero_raw
-        Present Position at angle 0 of the linkage, 0 to 4095.
-    """
+    """One servo."""
 
     servo_id: int
+    """ID on the bus, 0 to 252."""
     model: str = "XM430-W350"
+    """Name of the model, see `gripper.dynamixel.models.MODELS`."""
     direction: int = 1
+    """1 where growing positions open the gripper, -1 where they close it."""
     zero_raw: int = 2048
+    """Present Position at angle 0 of the linkage, 0 to 4095."""
 
     def __post_init__(self) -> None:
         require_current_control(self.model)

@@ -31,44 +31,30 @@ class Clock(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ForceSample:
-    """Normal force on both fingers, tared and calibrated.
-
-    Attributes
-    ----------
-    t_s
-        Monotonic time of the measurement in s.
-    force_n
-        Normal force on finger 0 and on finger 1 in N.
-    valid
-        False when the value must not be used for control (saturated pad, too many bad taxels).
-    reason
-        Why it is not valid; empty where it is.
-    centre_m
-        Centre of the grip force in the grip frame in m, along the fingers and across them: the
-        mean of both pads' centres; None where it is not known, or nothing touches.
-    centre_noise_m
-        Standard deviation of each coordinate of ``centre_m``, as ``noise_n`` is of the force.
-    lag_s
-        How much older than ``t_s`` the force is in the mean, in s: filters, transmission.
-    noise_n
-        Standard deviation of `grip_n` in N, on top of that of the samples before it.
-    frame_s
-        Monotonic time in s at which the newest whole frame was scanned: a second measurement; None
-        where the samples come from frames themselves.
-    frame_n
-        Normal force on finger 0 and on finger 1 in N in that frame alone.
-    """
+    """Normal force on both fingers, tared and calibrated."""
 
     t_s: float
+    """Monotonic time of the measurement in s."""
     force_n: tuple[float, float]
+    """Normal force on finger 0 and on finger 1 in N."""
     valid: bool = True
+    """False when the value must not be used for control (saturated pad, too many bad taxels)."""
     reason: str = ""
+    """Why it is not valid; empty where it is."""
     centre_m: tuple[float, float] | None = None
+    """Centre of the grip force in the grip frame in m, along the fingers and across them: the mean
+    of both pads' centres; None where it is not known, or nothing touches."""
     centre_noise_m: float = 0.0
+    """Standard deviation of each coordinate of ``centre_m``, as ``noise_n`` is of the force."""
     lag_s: float = 0.02
+    """How much older than ``t_s`` the force is in the mean, in s: filters, transmission."""
     noise_n: float = 0.3
+    """Standard deviation of `grip_n` in N, on top of that of the samples before it."""
     frame_s: float | None = None
+    """Monotonic time in s at which the newest whole frame was scanned: a second measurement; None
+    where the samples come from frames themselves."""
     frame_n: tuple[float, float] = (0.0, 0.0)
+    """Normal force on finger 0 and on finger 1 in N in that frame alone."""
 
     @property
     def measured_s(self) -> float:
@@ -127,72 +113,48 @@ class GraspResult(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServoState:
-    """Feedback of one servo, from registers 120 to 146.
-
-    Attributes
-    ----------
-    servo_id
-        The servo.
-    angle_rad
-        Angle in the direction of the linkage: 0 at zero_raw, grows while the gripper opens.
-    velocity_rad_s
-        Velocity in the same direction.
-    current_a
-        Present Current; positive drives the gripper open.
-    position_raw
-        Present Position as read.
-    temperature_c, voltage_v
-        Present Temperature and Present Input Voltage.
-    tick_ms
-        Realtime Tick: the servo's own time, modulo 32768 ms.
-    alert
-        True while Hardware Error Status (register 70) is not zero.
-    """
+    """Feedback of one servo, from registers 120 to 146."""
 
     servo_id: int
+    """The servo."""
     angle_rad: float
+    """Angle in the direction of the linkage: 0 at zero_raw, grows while the gripper opens."""
     velocity_rad_s: float
+    """Velocity in the same direction."""
     current_a: float
+    """Present Current; positive drives the gripper open."""
     position_raw: int
+    """Present Position as read."""
     temperature_c: float
     voltage_v: float
+    """Present Temperature and Present Input Voltage."""
     tick_ms: int
+    """Realtime Tick: the servo's own time, modulo 32768 ms."""
     alert: bool
+    """True while Hardware Error Status (register 70) is not zero."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GripperState:
-    """Feedback of the gripper, read in one transaction.
-
-    Attributes
-    ----------
-    t_s
-        Monotonic time at which the answers were there, in s.
-    aperture_m
-        Opening between the pads in m.
-    aperture_velocity_m_s
-        Its rate in m/s; below 0 while closing.
-    current_a
-        Mean magnitude of the servo currents in A.
-    force_from_current_n
-        Grip force that the current can hold up while the force rises, in N. Not a measurement:
-        friction makes it too low by up to twice the friction band once the force falls.
-    temperature_c
-        Temperature of the warmest servo in degrees Celsius.
-    voltage_v
-        Lowest supply voltage in V.
-    servos
-        Feedback of each servo.
-    """
+    """Feedback of the gripper, read in one transaction."""
 
     t_s: float
+    """Monotonic time at which the answers were there, in s."""
     aperture_m: float
+    """Opening between the pads in m."""
     aperture_velocity_m_s: float
+    """Its rate in m/s; below 0 while closing."""
     current_a: float
+    """Mean magnitude of the servo currents in A."""
     force_from_current_n: float
+    """Grip force that the current can hold up while the force rises, in N. Not a measurement:
+    friction makes it too low by up to twice the friction band once the force falls."""
     temperature_c: float
+    """Temperature of the warmest servo in degrees Celsius."""
     voltage_v: float
+    """Lowest supply voltage in V."""
     servos: tuple[ServoState, ...]
+    """Feedback of each servo."""
 
     @property
     def angles_rad(self) -> tuple[float, ...]:
@@ -229,30 +191,20 @@ def hardware_error_names(bits: int) -> tuple[str, ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServoCondition:
-    """Torque and errors of one servo, as read one by one: a silent servo hides no other.
-
-    Attributes
-    ----------
-    servo_id
-        The servo.
-    answers
-        False where it did not answer; its torque is then unknown, and the rest False and 0.
-    torque_on
-        Whether its torque is on.
-    error_bits
-        Hardware Error Status (register 70).
-    shut_down
-        Whether one of these errors keeps the torque off until a reboot (register 63).
-    strayed
-        Why its position is not to be used until a reboot; empty where it is.
-    """
+    """Torque and errors of one servo, as read one by one: a silent servo hides no other."""
 
     servo_id: int
+    """The servo."""
     answers: bool = True
+    """False where it did not answer; its torque is then unknown, and the rest False and 0."""
     torque_on: bool = False
+    """Whether its torque is on."""
     error_bits: int = 0
+    """Hardware Error Status (register 70)."""
     shut_down: bool = False
+    """Whether one of these errors keeps the torque off until a reboot (register 63)."""
     strayed: str = ""
+    """Why its position is not to be used until a reboot; empty where it is."""
 
     @property
     def able(self) -> bool:
@@ -270,24 +222,16 @@ class ServoCondition:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReleaseReport:
-    """End of a release: what was opened, and what could not be.
-
-    Attributes
-    ----------
-    state
-        Last feedback; of the servos that were opened alone.
-    opened
-        IDs of the servos whose fingers are open.
-    left
-        The servos that could not be moved.
-    wider
-        IDs of the servos that report a finger as wider open than the gripper opens; they stay.
-    """
+    """End of a release: what was opened, and what could not be."""
 
     state: GripperState
+    """Last feedback; of the servos that were opened alone."""
     opened: tuple[int, ...]
+    """IDs of the servos whose fingers are open."""
     left: tuple[ServoCondition, ...] = ()
+    """The servos that could not be moved."""
     wider: tuple[int, ...] = ()
+    """IDs of the servos that report a finger as wider open than the gripper opens; they stay."""
 
     def __str__(self) -> str:
         if not self.left and not self.wider:
@@ -320,91 +264,61 @@ class ReleaseReport:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Cycle:
-    """One period of the loop, as its observer receives it after the goals were written.
-
-    Attributes
-    ----------
-    t_s
-        Monotonic time in s.
-    phase
-        Phase of the gripper.
-    state
-        Feedback of this period.
-    force
-        Newest force sample, None where there is none.
-    setpoint_n
-        Force that is asked for in N; 0 while no force is controlled.
-    goal_current_a
-        Mean magnitude of the goal currents in A.
-    level
-        Level of the ramp that is held, None while the force changes.
-    """
+    """One period of the loop, as its observer receives it after the goals were written."""
 
     t_s: float
+    """Monotonic time in s."""
     phase: GripperPhase
+    """Phase of the gripper."""
     state: GripperState
+    """Feedback of this period."""
     force: ForceSample | None
+    """Newest force sample, None where there is none."""
     setpoint_n: float
+    """Force that is asked for in N; 0 while no force is controlled."""
     goal_current_a: float
+    """Mean magnitude of the goal currents in A."""
     level: int | None = None
+    """Level of the ramp that is held, None while the force changes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GraspOutcome:
-    """End of a grasp; the part is held unless the result is that there is none.
-
-    Attributes
-    ----------
-    result
-        The end.
-    contact_t_s, contact_aperture_m
-        When and where both pads touched; None without contact.
-    final_aperture_m
-        Opening at the end in m.
-    final_force_n
-        Grip force at the end in N, mean of the last samples: as many as their noise asks for, three
-        frames; 0 without contact.
-    overshoot_n
-        Largest mean of the last samples, as in ``final_force_n``, minus the end of the ramp in N,
-        at least 0.
-    ended_early
-        Whether the ramp was ended on request, before its usual end: the force that was reached or
-        not is then the set-point at that time.
-    """
+    """End of a grasp; the part is held unless the result is that there is none."""
 
     result: GraspResult
+    """The end."""
     contact_t_s: float | None
     contact_aperture_m: float | None
+    """When and where both pads touched; None without contact."""
     final_aperture_m: float
+    """Opening at the end in m."""
     final_force_n: float
+    """Grip force at the end in N, mean of the last samples: as many as their noise asks for, three
+    frames; 0 without contact."""
     overshoot_n: float
+    """Largest mean of the last samples, as in ``final_force_n``, minus the end of the ramp in N, at
+    least 0."""
     ended_early: bool = False
+    """Whether the ramp was ended on request, before its usual end: the force that was reached or
+    not is then the set-point at that time."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VerificationRow:
-    """Comparison of one register of a servo with its requirement.
-
-    Attributes
-    ----------
-    servo_id
-        The servo.
-    item
-        Name of the register.
-    expected, found
-        As text, in raw units of the register.
-    ok
-        True when they agree, or were made to agree.
-    corrected
-        True when the register was rewritten to agree.
-    """
+    """Comparison of one register of a servo with its requirement."""
 
     servo_id: int
+    """The servo."""
     item: str
+    """Name of the register."""
     expected: str
     found: str
+    """As text, in raw units of the register."""
     ok: bool
+    """True when they agree, or were made to agree."""
     corrected: bool = False
+    """True when the register was rewritten to agree."""
 
     def __str__(self) -> str:
         return f"servo {self.servo_id} {self.item}: expected {self.expected}, found {self.found}"
@@ -412,18 +326,12 @@ class VerificationRow:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class VerificationReport:
-    """All comparisons of a start.
-
-    Attributes
-    ----------
-    rows
-        One for each servo and item.
-    torque_was_on
-        True when a servo had its torque on: it may hold a part, and nothing was changed.
-    """
+    """All comparisons of a start."""
 
     rows: tuple[VerificationRow, ...]
+    """One for each servo and item."""
     torque_was_on: bool = False
+    """True when a servo had its torque on: it may hold a part, and nothing was changed."""
 
     @property
     def ok(self) -> bool:

@@ -65,33 +65,23 @@ class AxisDevice(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Axis:
-    """One axis: its device, and what its increments are.
-
-    Attributes
-    ----------
-    name
-        What it moves.
-    device
-        Drive or servo.
-    increments
-        Increments in one m or rad; negative where the device counts the other way.
-    low, high
-        Limits in m or rad.
-    velocity, acceleration
-        Of its profile in m/s and m/s², or rad/s and rad/s²; for the longest time of a way.
-    unit, shown
-        Unit of messages, and how many of it are one m or rad.
-    """
+    """One axis: its device, and what its increments are."""
 
     name: str
+    """What it moves."""
     device: AxisDevice
+    """Drive or servo."""
     increments: float
+    """Increments in one m or rad; negative where the device counts the other way."""
     low: float
     high: float
+    """Limits in m or rad."""
     velocity: float
     acceleration: float
+    """Of its profile in m/s and m/s², or rad/s and rad/s²; for the longest time of a way."""
     unit: str
     shown: float
+    """Unit of messages, and how many of it are one m or rad."""
 
     @property
     def position(self) -> float:

@@ -58,36 +58,25 @@ _NEXT = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveSettings:
-    """Set-up of a drive in its own increments; written at each preparation and read back.
-
-    Attributes
-    ----------
-    low, high
-        Software position limits (607Dh).
-    velocity, acceleration
-        Profile velocity (6081h) in increments/s and acceleration (6083h, 6084h) in increments/s²;
-        the quick stop brakes twice as hard.
-    window
-        Position window (6067h): so near counts as reached.
-    following_error
-        Following error window (6065h) beyond which the drive goes to fault.
-    homing
-        Homing method; None for a drive that knows its position (absolute encoder).
-    home
-        Position at the home (607Ch).
-    homing_velocity
-        Speed to the switch in increments/s; back from it a fifth.
-    """
+    """Set-up of a drive in its own increments; written at each preparation and read back."""
 
     low: int
     high: int
+    """Software position limits (607Dh)."""
     velocity: int
     acceleration: int
+    """Profile velocity (6081h) in increments/s and acceleration (6083h, 6084h) in increments/s²;
+    the quick stop brakes twice as hard."""
     window: int
+    """Position window (6067h): so near counts as reached."""
     following_error: int
+    """Following error window (6065h) beyond which the drive goes to fault."""
     homing: HomingMethod | None
+    """Homing method; None for a drive that knows its position (absolute encoder)."""
     home: int
+    """Position at the home (607Ch)."""
     homing_velocity: int
+    """Speed to the switch in increments/s; back from it a fifth."""
 
 
 _FOLLOWING_MS, _WINDOW_MS = 50, 20

@@ -52,38 +52,26 @@ _T = TypeVar("_T")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServoAxisSettings:
-    """Set-up of a servo in pulses, 4096 a turn.
-
-    Attributes
-    ----------
-    model
-        Model that it must be.
-    low, high
-        Limits, less than a turn apart: after a loss of power the servo counts within one turn.
-    zero
-        Present Position at 0 of the axis.
-    velocity, acceleration
-        Profile Velocity and Acceleration in their counts, at least 1.
-    window
-        So near counts as reached; also the reserve at the limits for a servo that is switched on.
-    lag
-        Distance to the profile's own position beyond which the servo is stalled.
-    current_a
-        Current beyond which the servo is stalled in A.
-    loss_s
-        Time in s without an answer after which the servo is lost.
-    """
+    """Set-up of a servo in pulses, 4096 a turn."""
 
     model: ServoModel
+    """Model that it must be."""
     low: int
     high: int
+    """Limits, less than a turn apart: after a loss of power the servo counts within one turn."""
     zero: int
+    """Present Position at 0 of the axis."""
     velocity: int
     acceleration: int
+    """Profile Velocity and Acceleration in their counts, at least 1."""
     window: int
+    """So near counts as reached; also the reserve at the limits for a servo that is switched on."""
     lag: int
+    """Distance to the profile's own position beyond which the servo is stalled."""
     current_a: float
+    """Current beyond which the servo is stalled in A."""
     loss_s: float
+    """Time in s without an answer after which the servo is lost."""
 
 
 class ServoAxis:

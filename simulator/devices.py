@@ -22,24 +22,16 @@ from simulator.world.world import PhysicalWorld, WorldSettings
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CellFaults:
-    """All fault knobs of a simulated cell; all are off until they are turned.
-
-    Attributes
-    ----------
-    servo_wire
-        The line between host and servos.
-    servos
-        The servos by their ID.
-    can
-        The way between control unit and host.
-    unit
-        The control unit.
-    """
+    """All fault knobs of a simulated cell; all are off until they are turned."""
 
     servo_wire: WireFaults
+    """The line between host and servos."""
     servos: dict[int, ServoFaultKnobs]
+    """The servos by their ID."""
     can: CanLinkFaults
+    """The way between control unit and host."""
     unit: ControlUnitFaults
+    """The control unit."""
 
 
 class CellDevices:

@@ -19,99 +19,68 @@ from tactile.layout import TaxelLayout, paper_layout
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimulatedServoSettings:
-    """One servo and how it sits in the gripper.
-
-    Attributes
-    ----------
-    servo_id
-        ID on the bus.
-    model
-        The servo model.
-    mount
-        Direction and zero.
-    """
+    """One servo and how it sits in the gripper."""
 
     servo_id: int
+    """ID on the bus."""
     model: ServoModel = XM430_W350
+    """The servo model."""
     mount: ServoMount = field(default_factory=ServoMount)
+    """Direction and zero."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RecordedGrasp:
-    """Frames of one real grasp, to be played.
-
-    Attributes
-    ----------
-    counts : (n, n_taxels) uint16
-        Frames in the order of time.
-    aperture_m : (n,) float64
-        Opening between the fingers in m; NaN where unknown.
-    label
-        What was grasped.
-    """
+    """Frames of one real grasp, to be played."""
 
     counts: NDArray[np.uint16]
+    """(n, n_taxels) uint16: frames in the order of time."""
     aperture_m: NDArray[np.float64]
+    """(n,) float64: opening between the fingers in m; NaN where unknown."""
     label: str = ""
+    """What was grasped."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SimulatorSettings:
-    """A simulated cell: the default is the paper's sensor on two XM430-W350.
-
-    Attributes
-    ----------
-    layout
-        The taxels.
-    servos
-        One servo that drives both fingers, or two that drive one each.
-    linkage
-        Geometry from servo angle to half opening.
-    servo_baud_rate
-        Baud rate that the servos are set to.
-    node_id, can_bitrate, serial_number
-        Node id, bit rate in bit/s and serial number of the control unit.
-    board_serial_numbers
-        Those of the pads' boards on finger 0 and finger 1.
-    foam, law, noise, seed
-        The pads, how force becomes counts, the converter's noise, the seed of everything that
-        comes by chance.
-    objects
-        Objects that can be placed by their name.
-    aperture_m
-        Opening between the pads at the start in m.
-    grasps
-        With any, the cell plays these grasps instead of pressing objects into foam.
-    axes
-        Drives and servos that carry the object, by what they move: ``x``, ``y``, ``rotation`` or
-        ``roll``.
-    axes_can_bitrate
-        Bit rate of the drives' CAN bus in bit/s.
-    faults
-        Texts of faults that the cell injects as it is made, as ``can.loss=0.05@2s``.
-    """
+    """A simulated cell: the default is the paper's sensor on two XM430-W350."""
 
     layout: TaxelLayout = field(default_factory=paper_layout)
+    """The taxels."""
     servos: tuple[SimulatedServoSettings, ...] = (
         SimulatedServoSettings(servo_id=1),
         SimulatedServoSettings(servo_id=2),
     )
+    """One servo that drives both fingers, or two that drive one each."""
     linkage: FingerLinkage = field(default_factory=lambda: ParallelogramLinkage(link_m=0.06))
+    """Geometry from servo angle to half opening."""
     servo_baud_rate: int = 1_000_000
+    """Baud rate that the servos are set to."""
     node_id: int = 5
     can_bitrate: int = 1_000_000
     serial_number: int = 1
+    """Node id, bit rate in bit/s and serial number of the control unit."""
     board_serial_numbers: tuple[int, int] = (1, 2)
+    """Those of the pads' boards on finger 0 and finger 1."""
     foam: Foam = field(default_factory=Foam)
     law: SensorLaw = EQUATION_11
     noise: NoiseModel = field(default_factory=NoiseModel)
     seed: int = 0
+    """The pads, how force becomes counts, the converter's noise, the seed of everything that comes
+    by chance."""
     objects: Mapping[str, Shape] = field(default_factory=lambda: PAPER_OBJECTS)
+    """Objects that can be placed by their name."""
     aperture_m: float = 0.03
+    """Opening between the pads at the start in m."""
     grasps: tuple[RecordedGrasp, ...] = ()
+    """With any, the cell plays these grasps instead of pressing objects into foam."""
     axes: Mapping[str, DriveMount | WristMount] = field(default_factory=dict)
+    """Drives and servos that carry the object, by what they move: ``x``, ``y``, ``rotation`` or
+    ``roll``."""
     axes_can_bitrate: int = 1_000_000
+    """Bit rate of the drives' CAN bus in bit/s."""
     faults: tuple[str, ...] = ()
+    """Texts of faults that the cell injects as it is made, as ``can.loss=0.05@2s``."""
 
     def __post_init__(self) -> None:
         reach_m = 2.0 * self.linkage.half_opening_max_m

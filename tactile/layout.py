@@ -29,36 +29,25 @@ Vector = tuple[float, float, float]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Pad:
-    """One rectangular field of taxels.
-
-    Attributes
-    ----------
-    name
-        Unique in the layout.
-    finger
-        0 or 1.
-    face
-        Side of the finger; the inner face grips.
-    rows, columns
-        Number of taxels along the pad's x and y axis. Taxels are counted row by row.
-    pitch_x_m, pitch_y_m
-        Distance of neighbours along x and along y in m.
-    centre_m
-        Centre of the pad in the finger frame in m.
-    x_axis, y_axis
-        Unit vectors of the pad's plane in the finger frame; the normal is x cross y.
-    """
+    """One rectangular field of taxels."""
 
     name: str
+    """Unique in the layout."""
     finger: int
+    """0 or 1."""
     face: Face
+    """Side of the finger; the inner face grips."""
     rows: int
     columns: int
+    """Number of taxels along the pad's x and y axis. Taxels are counted row by row."""
     pitch_x_m: float
     pitch_y_m: float
+    """Distance of neighbours along x and along y in m."""
     centre_m: Vector = (0.0, 0.0, 0.0)
+    """Centre of the pad in the finger frame in m."""
     x_axis: Vector = (1.0, 0.0, 0.0)
     y_axis: Vector = (0.0, 1.0, 0.0)
+    """Unit vectors of the pad's plane in the finger frame; the normal is x cross y."""
 
     def __post_init__(self) -> None:
         if self.finger not in (0, 1):
@@ -112,43 +101,30 @@ def _read_only(values: ArrayLike, dtype: type) -> NDArray[Any]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TaxelLayout:
-    """All pads of both fingers, in the order in which the control unit sends their taxels.
-
-    Attributes
-    ----------
-    name
-        For messages; does not enter the hash.
-    pads
-        Pads in the order of transmission.
-    sample_bits
-        Size of a sample on the bus: 8 or 16.
-    adc_max
-        Full scale of the counts.
-    pad_shape : (n_pads, 2) int64
-        Rows and columns.
-    taxel_pad : (n_taxels,) int64
-        Pad of each taxel; row-major within a pad.
-    taxel_xy_m : (n_taxels, 2) float64
-        Position in the pad's plane in m: x along the finger, y across.
-    position_m, normal : (n_taxels, 3) float64
-        Position in m and outward normal in the frame of the taxel's finger.
-    gripping_pads
-        Index of the inner pad of finger 0 and of finger 1.
-    layout_hash
-        16 hexadecimal digits over all that gives the samples their meaning.
-    """
+    """All pads of both fingers, in the order in which the control unit sends their taxels."""
 
     name: str
+    """For messages; does not enter the hash."""
     pads: tuple[Pad, ...]
+    """Pads in the order of transmission."""
     sample_bits: int = 8
+    """Size of a sample on the bus: 8 or 16."""
     adc_max: int = 255
+    """Full scale of the counts."""
     pad_shape: NDArray[np.int64] = field(init=False)
+    """(n_pads, 2) int64: rows and columns."""
     taxel_pad: NDArray[np.int64] = field(init=False)
+    """(n_taxels,) int64: pad of each taxel; row-major within a pad."""
     taxel_xy_m: NDArray[np.float64] = field(init=False)
+    """(n_taxels, 2) float64: position in the pad's plane in m: x along the finger, y across."""
     position_m: NDArray[np.float64] = field(init=False)
     normal: NDArray[np.float64] = field(init=False)
+    """(n_taxels, 3) float64: position in m and outward normal in the frame of the taxel's finger.
+    """
     gripping_pads: tuple[int, int] = field(init=False)
+    """Index of the inner pad of finger 0 and of finger 1."""
     layout_hash: str = field(init=False)
+    """16 hexadecimal digits over all that gives the samples their meaning."""
 
     def __post_init__(self) -> None:
         if self.sample_bits not in (8, 16):

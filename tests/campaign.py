@@ -55,30 +55,20 @@ FIRST_MACHINE_SEED = 101
 
 @dataclass(slots=True, kw_only=True)
 class Progress:
-    """What is done of one property.
-
-    Attributes
-    ----------
-    next_piece
-        Number of the next piece.
-    inputs
-        Inputs, or steps, that were tried.
-    seconds
-        Time that they took on one processor in s.
-    outcomes
-        How many ended how.
-    failures
-        What broke, by the number of its piece.
-    unfinished
-        Pieces before the next one that were still running when the file was written.
-    """
+    """What is done of one property."""
 
     next_piece: int = 0
+    """Number of the next piece."""
     inputs: int = 0
+    """Inputs, or steps, that were tried."""
     seconds: float = 0.0
+    """Time that they took on one processor in s."""
     outcomes: dict[str, int] = field(default_factory=dict)
+    """How many ended how."""
     failures: dict[str, list[str]] = field(default_factory=dict)
+    """What broke, by the number of its piece."""
     unfinished: list[int] = field(default_factory=list)
+    """Pieces before the next one that were still running when the file was written."""
 
     def add(self, number: int, piece: Piece, seconds: float, *, again: bool) -> None:
         """Take note of a piece; one that is tried again counts no further inputs."""

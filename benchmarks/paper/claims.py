@@ -20,22 +20,15 @@ _NO_EFFECT = 0.02
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Claim:
-    """One claim.
-
-    Attributes
-    ----------
-    where
-        Its place in the paper.
-    claim, found
-        What it says and what we measured.
-    verdict
-        Whether it holds here.
-    """
+    """One claim."""
 
     where: str
+    """Its place in the paper."""
     claim: str
     found: str
+    """What it says and what we measured."""
     verdict: Verdict
+    """Whether it holds here."""
 
 
 def share(outcome: Outcome) -> str:

@@ -20,22 +20,15 @@ _APERTURE_TOO = ("force_ramp", "shrinkage_lda", "extra_trees")
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Contender:
-    """One recogniser on the same kind of grasps.
-
-    Attributes
-    ----------
-    name, uses_aperture
-        Which, and whether it sees the opening.
-    counts : (objects, objects) int64
-        Row: held; column: the likeliest label.
-    rejected
-        Trials that it took for an untaught object.
-    """
+    """One recogniser on the same kind of grasps."""
 
     name: str
     uses_aperture: bool
+    """Which, and whether it sees the opening."""
     counts: NDArray[np.int64]
+    """(objects, objects) int64: row: held; column: the likeliest label."""
     rejected: int
+    """Trials that it took for an untaught object."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

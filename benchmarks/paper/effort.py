@@ -10,39 +10,27 @@ Spread = Callable[[Callable[[Any], Any], list[Any]], list[Any]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Effort:
-    """How many trials.
-
-    Attributes
-    ----------
-    n_taught
-        Grasps that teach each object.
-    table_lessons, table_tested
-        Teachings behind Table 1, and trials of each object in each.
-    curve_lessons, curve_tested
-        The same for each noise of the accuracy curve.
-    repeats
-        Trials of each object in which nothing but the noise is new.
-    other_lessons, other_tested
-        As for Table 1, for the recognisers that are put beside it.
-    iterations
-        Recordings of each touch at each noise of figure 4: the paper's ten.
-    every
-        1 for all noise levels of figure 4 and of the accuracy curve, n for every n-th.
-    seed
-        Of all that is random.
-    """
+    """How many trials."""
 
     n_taught: int = 20
+    """Grasps that teach each object."""
     table_lessons: int = 10
     table_tested: int = 100
+    """Teachings behind Table 1, and trials of each object in each."""
     curve_lessons: int = 4
     curve_tested: int = 50
+    """The same for each noise of the accuracy curve."""
     repeats: int = 1000
+    """Trials of each object in which nothing but the noise is new."""
     other_lessons: int = 3
     other_tested: int = 100
+    """As for Table 1, for the recognisers that are put beside it."""
     iterations: int = 10
+    """Recordings of each touch at each noise of figure 4: the paper's ten."""
     every: int = 1
+    """1 for all noise levels of figure 4 and of the accuracy curve, n for every n-th."""
     seed: int = 2008
+    """Of all that is random."""
 
     def scaled(self, effort: float) -> "Effort":
         """Return the same with fewer trials for an effort below 1."""

@@ -62,24 +62,16 @@ _PADS = gripping_pads()
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Touch:
-    """One object in one pose, pressed with rising force.
-
-    Attributes
-    ----------
-    label
-        The object.
-    force_n : (K,) float64
-        Grip force in N, ascending from 0.
-    taxel_n : (K, n_taxels) float64
-        Force on each taxel in N.
-    aperture_m : (K,) float64
-        Opening between the undeformed pads in m.
-    """
+    """One object in one pose, pressed with rising force."""
 
     label: str
+    """The object."""
     force_n: NDArray[np.float64]
+    """(K,) float64: grip force in N, ascending from 0."""
     taxel_n: NDArray[np.float64]
+    """(K, n_taxels) float64: force on each taxel in N."""
     aperture_m: NDArray[np.float64]
+    """(K,) float64: opening between the undeformed pads in m."""
 
 
 def random_pose(label: str, rng: np.random.Generator) -> ObjectPose:
@@ -199,21 +191,14 @@ def random_grasp(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Indentation:
-    """A flat indenter, as large as a taxel, pressed on the middle of one taxel.
-
-    Attributes
-    ----------
-    force_n : (K,) float64
-        Force on the indenter in N.
-    taxel_n : (K,) float64
-        What of it reaches the taxel under it in N.
-    resistance_mohm : (K,) float64
-        What the converter's whole counts say of the taxel's resistance, in MOhm.
-    """
+    """A flat indenter, as large as a taxel, pressed on the middle of one taxel."""
 
     force_n: NDArray[np.float64]
+    """(K,) float64: force on the indenter in N."""
     taxel_n: NDArray[np.float64]
+    """(K,) float64: what of it reaches the taxel under it in N."""
     resistance_mohm: NDArray[np.float64]
+    """(K,) float64: what the converter's whole counts say of the taxel's resistance, in MOhm."""
 
 
 def indent(force_n: NDArray[np.float64]) -> Indentation:

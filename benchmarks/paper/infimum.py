@@ -30,51 +30,33 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Pencil:
-    """A quotient v.P v / v.N v of two quadratic polynomials in x, v = (x, 1).
-
-    Attributes
-    ----------
-    P, N : (n, n) float64
-        Numerator and denominator, symmetric.
-    """
+    """A quotient v.P v / v.N v of two quadratic polynomials in x, v = (x, 1)."""
 
     P: Array
     N: Array
+    """(n, n) float64: numerator and denominator, symmetric."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SdpBound:
-    """The largest alpha with P - alpha N positive semidefinite, enclosed.
-
-    Attributes
-    ----------
-    feasible
-        Largest value at which Cholesky's factorisation was found.
-    infeasible
-        Smallest value at which there is none.
-    n_factorisations
-        How many were tried.
-    """
+    """The largest alpha with P - alpha N positive semidefinite, enclosed."""
 
     feasible: float
+    """Largest value at which Cholesky's factorisation was found."""
     infeasible: float
+    """Smallest value at which there is none."""
     n_factorisations: int
+    """How many were tried."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Approached:
-    """A value of the quotient found by descent.
-
-    Attributes
-    ----------
-    value
-        The least value found.
-    x : (n - 1,) float64
-        Point where it stands; far out where the infimum is only approached.
-    """
+    """A value of the quotient found by descent."""
 
     value: float
+    """The least value found."""
     x: Array
+    """(n - 1,) float64: point where it stands; far out where the infimum is only approached."""
 
 
 def _has_cholesky(A: Array) -> bool:

@@ -43,22 +43,15 @@ TRANSFORMATIONS: Mapping[str, SweepSettings] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Change:
-    """The smallest eigenvalue of one object under one kind of transformation.
-
-    Attributes
-    ----------
-    at_rest
-        Value of the matrix itself.
-    least, greatest
-        Extremes over the grid.
-    n
-        Poses.
-    """
+    """The smallest eigenvalue of one object under one kind of transformation."""
 
     at_rest: float
+    """Value of the matrix itself."""
     least: float
     greatest: float
+    """Extremes over the grid."""
     n: int
+    """Poses."""
 
     @property
     def relative(self) -> float:

@@ -29,21 +29,14 @@ FILTERED = (False, True)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Condition:
-    """One way to take a level.
-
-    Attributes
-    ----------
-    reading
-        Which eigenvalue.
-    force_n
-        Force in N; None for each grasp's own full force.
-    filtered
-        Whether the frames near the force are averaged before the surface is fitted.
-    """
+    """One way to take a level."""
 
     reading: Reading
+    """Which eigenvalue."""
     force_n: float | None
+    """Force in N; None for each grasp's own full force."""
     filtered: bool
+    """Whether the frames near the force are averaged before the surface is fitted."""
 
 
 CONDITIONS = tuple(
@@ -94,22 +87,15 @@ def levels_of(grasp: Grasp) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Lesson:
-    """One teaching and its test.
-
-    Attributes
-    ----------
-    seed
-        Of all that is random in it.
-    noise_share
-        Largest noise as a part of full scale.
-    n_taught, n_tested
-        Grasps of each object.
-    """
+    """One teaching and its test."""
 
     seed: int
+    """Of all that is random in it."""
     noise_share: float
+    """Largest noise as a part of full scale."""
     n_taught: int
     n_tested: int
+    """Grasps of each object."""
 
 
 def lesson_levels(lesson: Lesson) -> NDArray[np.float64]:
@@ -166,23 +152,17 @@ def name_by_threshold(levels: Levels, values: NDArray[np.float64]) -> NDArray[np
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Outcome:
-    """How tested levels were named.
-
-    Attributes
-    ----------
-    counts : (objects, objects + 1) int64
-        Row: held; column: named by thresholds alone; the last one: no surface, so no name.
-    windows_named, windows_right
-        With the windows kept (no name inside an overlap or beyond every band): how many were
-        named, and how many of those right.
-    closed
-        Share of the teachings in which at least one window was closed.
-    """
+    """How tested levels were named."""
 
     counts: NDArray[np.int64]
+    """(objects, objects + 1) int64: row: held; column: named by thresholds alone; the last one: no
+    surface, so no name."""
     windows_named: int
     windows_right: int
+    """With the windows kept (no name inside an overlap or beyond every band): how many were named,
+    and how many of those right."""
     closed: float
+    """Share of the teachings in which at least one window was closed."""
 
     @property
     def n(self) -> int:

@@ -41,21 +41,14 @@ _CURVES = tuple(i for i, c in enumerate(CONDITIONS) if c.reading is READINGS[0])
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Invariance:
-    """Largest over smallest magnitude of an object's value over a part of the sweep.
-
-    Attributes
-    ----------
-    name
-        What is varied.
-    ratio : mapping of reading to (objects,) float64
-        1 where nothing changes.
-    overlaps : mapping of reading to int
-        Pairs of objects, of 10, whose values overlap.
-    """
+    """Largest over smallest magnitude of an object's value over a part of the sweep."""
 
     name: str
+    """What is varied."""
     ratio: Mapping[Reading, NDArray[np.float64]]
+    """mapping of reading to (objects,) float64: 1 where nothing changes."""
     overlaps: Mapping[Reading, int]
+    """mapping of reading to int: pairs of objects, of 10, whose values overlap."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -69,48 +62,33 @@ class NoisePoint:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PaperStudy:
-    """What the page shows.
-
-    Attributes
-    ----------
-    effort
-        How many trials.
-    indentation
-        Figure 2.
-    trajectories
-        Figure 3: the printed sweep, by reading.
-    eigenvalues : (objects, 4) float64
-        All eigenvalues of the touches behind it, by falling magnitude.
-    invariance
-        What each part of the sweep changes.
-    noise_trails : (noise, objects, iterations, conditions) float64
-        Figure 4: levels of one touch each under rising noise, at `trail_shares`.
-    trail_shares
-        Noise of figure 4.
-    tables
-        Outcomes at the paper's noise by condition.
-    repeated
-        Outcomes by condition where only the noise is new.
-    noise_patch
-        The same by force for averaged frames on the patch of all taxels above the noise, min |λ|.
-    curve
-        Accuracy over noise.
-    contenders
-        Other recognisers at the paper's noise.
-    """
+    """What the page shows."""
 
     effort: Effort
+    """How many trials."""
     indentation: Indentation
+    """Figure 2."""
     trajectories: Mapping[Reading, Trajectory]
+    """Figure 3: the printed sweep, by reading."""
     eigenvalues: NDArray[np.float64]
+    """(objects, 4) float64: all eigenvalues of the touches behind it, by falling magnitude."""
     invariance: tuple[Invariance, ...]
+    """What each part of the sweep changes."""
     noise_trails: NDArray[np.float64]
+    """(noise, objects, iterations, conditions) float64: figure 4: levels of one touch each under
+    rising noise, at `trail_shares`."""
     trail_shares: tuple[float, ...]
+    """Noise of figure 4."""
     tables: Mapping[int, Outcome]
+    """Outcomes at the paper's noise by condition."""
     repeated: Mapping[int, Outcome]
+    """Outcomes by condition where only the noise is new."""
     noise_patch: Mapping[float | None, Outcome]
+    """The same by force for averaged frames on the patch of all taxels above the noise, min |λ|."""
     curve: tuple[NoisePoint, ...]
+    """Accuracy over noise."""
     contenders: tuple[Contender, ...]
+    """Other recognisers at the paper's noise."""
 
 
 def one_touch(label: str) -> Touch:

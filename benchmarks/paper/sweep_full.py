@@ -32,38 +32,27 @@ FULL_PRODUCT = SweepSettings(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SweepSummary:
-    """Smallest eigenvalues of one object over a whole grid, as numbers of poses.
-
-    Attributes
-    ----------
-    least, greatest
-        Extremes over all poses.
-    edges : (n_bins + 1,) float64
-        Ascending edges of the bins; read-only.
-    counts : (n_bins,) int64
-        Poses in each bin, its lower edge included, its upper edge only in the last one; read-only.
-    below, above
-        Poses outside the edges.
-    n_degenerate
-        Poses whose value is rounding noise.
-    n_evaluations
-        Poses of the grid.
-    n_solved
-        Matrices that were solved for them.
-    n_fallback
-        Those of them that were left to the full solver.
-    """
+    """Smallest eigenvalues of one object over a whole grid, as numbers of poses."""
 
     least: float
     greatest: float
+    """Extremes over all poses."""
     edges: Array
+    """(n_bins + 1,) float64: ascending edges of the bins; read-only."""
     counts: NDArray[np.int64]
+    """(n_bins,) int64: poses in each bin, its lower edge included, its upper edge only in the last
+    one; read-only."""
     below: int
     above: int
+    """Poses outside the edges."""
     n_degenerate: int
+    """Poses whose value is rounding noise."""
     n_evaluations: int
+    """Poses of the grid."""
     n_solved: int
+    """Matrices that were solved for them."""
     n_fallback: int
+    """Those of them that were left to the full solver."""
 
     def __post_init__(self) -> None:
         self.edges.setflags(write=False)

@@ -82,34 +82,23 @@ def drawn_changes(seed: int) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trial:
-    """Grasp under one config.
-
-    Attributes
-    ----------
-    seed
-        Of config, part and truth.
-    part
-        What was between the fingers.
-    cap_n, true_n
-        Cap of the force, and largest true force on a pad, in N.
-    phase
-        Phase of the gripper at that force.
-    slowed
-        Whether a note says that the approach is slower than asked for.
-    error
-        What ended the grasp; None where it was done.
-    refused
-        Whether the config was refused, so that nothing moved.
-    """
+    """Grasp under one config."""
 
     seed: int
+    """Of config, part and truth."""
     part: str
+    """What was between the fingers."""
     cap_n: float
     true_n: float = 0.0
+    """Cap of the force, and largest true force on a pad, in N."""
     phase: str = ""
+    """Phase of the gripper at that force."""
     slowed: bool = False
+    """Whether a note says that the approach is slower than asked for."""
     error: Exception | None = None
+    """What ended the grasp; None where it was done."""
     refused: bool = False
+    """Whether the config was refused, so that nothing moved."""
 
     @property
     def broken(self) -> bool:

@@ -57,24 +57,16 @@ _PLAIN = ForceLoopSettings(damping_n_s_m=0.0, stiffened_n_m=0.0, end_time_s=0.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setup:
-    """A law with its sensor and plant.
-
-    Attributes
-    ----------
-    law
-        Class of the law; None is the gripper's own.
-    rate_hz
-        Force messages a second; None: frames at 50 Hz.
-    further_truths
-        As for `Rig`.
-    hard
-        True with `HARD_TRUTHS` and `HARD_NOISE_N`.
-    """
+    """A law with its sensor and plant."""
 
     law: type[Any] | None = None
+    """Class of the law; None is the gripper's own."""
     rate_hz: float | None = MESSAGES_HZ
+    """Force messages a second; None: frames at 50 Hz."""
     further_truths: bool = False
+    """As for `Rig`."""
     hard: bool = False
+    """True with `HARD_TRUTHS` and `HARD_NOISE_N`."""
 
     @contextmanager
     def tuning(self) -> Iterator[ForceLoopSettings]:

@@ -48,28 +48,19 @@ _PAGE_KIB = os.sysconf("SC_PAGE_SIZE") // 1024
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sample:
-    """The process after so many grasps, or connections.
-
-    Attributes
-    ----------
-    done
-        How many.
-    virtual_s
-        Time that has passed in the simulated cells, in s.
-    rss_kib
-        Resident memory in KiB.
-    objects
-        Objects that the garbage collector keeps track of, after a collection.
-    descriptors, threads
-        Open file descriptors and threads of the process.
-    """
+    """The process after so many grasps, or connections."""
 
     done: int
+    """How many."""
     virtual_s: float
+    """Time that has passed in the simulated cells, in s."""
     rss_kib: int
+    """Resident memory in KiB."""
     objects: int
+    """Objects that the garbage collector keeps track of, after a collection."""
     descriptors: int
     threads: int
+    """Open file descriptors and threads of the process."""
 
 
 def look(done: int, virtual_s: float) -> Sample:

@@ -26,25 +26,17 @@ _DEEP = 16.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ElasticPad:
-    """A pad.
-
-    Attributes
-    ----------
-    modulus_pa
-        Young's modulus in Pa.
-    poisson
-        Poisson's ratio, below 0.5.
-    thickness_m
-        Thickness of the layer in m; None: a half-space.
-    sensor_m
-        Depth of the sensor in m below the surface of a half-space; that of a layer lies on its
-        ground.
-    """
+    """A pad."""
 
     modulus_pa: float
+    """Young's modulus in Pa."""
     poisson: float = 0.3
+    """Poisson's ratio, below 0.5."""
     thickness_m: float | None = None
+    """Thickness of the layer in m; None: a half-space."""
     sensor_m: float = 1.5e-3
+    """Depth of the sensor in m below the surface of a half-space; that of a layer lies on its
+    ground."""
 
 
 def bonded_layer(alpha: Array, poisson: float) -> tuple[Array, Array]:

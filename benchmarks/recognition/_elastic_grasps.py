@@ -42,30 +42,20 @@ FULL_SCALE_N = {"paper": None, "pinch": 4.0}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Material:
-    """A pad, how it creeps, and how its sensor bends.
-
-    Attributes
-    ----------
-    pad
-        The elastic pad.
-    creep
-        Share by which an indentation still grows under a force that stays.
-    relaxation
-        Share of the force that is lost in the hold.
-    lag
-        Share of the reading that follows the force only slowly.
-    slow_s
-        Time constant in s of all three.
-    bend
-        Exponent of the reading over what the law of the sensor says; 1: as the law says.
-    """
+    """A pad, how it creeps, and how its sensor bends."""
 
     pad: ElasticPad
+    """The elastic pad."""
     creep: float = 0.0
+    """Share by which an indentation still grows under a force that stays."""
     relaxation: float = 0.0
+    """Share of the force that is lost in the hold."""
     lag: float = 0.0
+    """Share of the reading that follows the force only slowly."""
     slow_s: float = 0.5
+    """Time constant in s of all three."""
     bend: float = 1.0
+    """Exponent of the reading over what the law of the sensor says; 1: as the law says."""
 
 
 MATERIALS = {
@@ -87,49 +77,33 @@ MATERIALS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Sensed:
-    """What the sensors add.
-
-    Attributes
-    ----------
-    noise
-        Factor on the paper's noise (`simulator.world.taxels`).
-    gain
-        Factor on what a taxel feels: drift.
-    aperture_offset_m, aperture_sd_m
-        Error in m of the opening: the same in all grasps, and drawn for each grasp.
-    force_sd
-        Relative standard deviation of the force over the commanded one, of a grasp.
-    pad_gain_sd, taxel_gain_sd
-        Relative standard deviations of the gains of the two pads, and of single taxels.
-    """
+    """What the sensors add."""
 
     noise: float = 1.0
+    """Factor on the paper's noise (`simulator.world.taxels`)."""
     gain: float = 1.0
+    """Factor on what a taxel feels: drift."""
     aperture_offset_m: float = 0.0
     aperture_sd_m: float = 0.0
+    """Error in m of the opening: the same in all grasps, and drawn for each grasp."""
     force_sd: float = 0.03
+    """Relative standard deviation of the force over the commanded one, of a grasp."""
     pad_gain_sd: float = 0.02
     taxel_gain_sd: float = 0.03
+    """Relative standard deviations of the gains of the two pads, and of single taxels."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Pressed:
-    """One pad pressed deeper and deeper; K depths, the first of them 0.
-
-    Attributes
-    ----------
-    thick_m
-        Thickness of the object at its highest points in m.
-    depth_m, force_n : (K,) float64
-        Depth of the highest point in m, and force on the pad in N.
-    taxels_n : (K, n_taxels of the pad) float64
-        Force that reaches each taxel in N.
-    """
+    """One pad pressed deeper and deeper; K depths, the first of them 0."""
 
     thick_m: float
+    """Thickness of the object at its highest points in m."""
     depth_m: Array
     force_n: Array
+    """(K,) float64: depth of the highest point in m, and force on the pad in N."""
     taxels_n: Array
+    """(K, n_taxels of the pad) float64: force that reaches each taxel in N."""
 
 
 @lru_cache(maxsize=256)

@@ -29,19 +29,13 @@ _FAR_LOG_GAIN, _FAR_M = 0.25, 1.25e-3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Bench:
-    """A taught recogniser and grasps that did not teach it.
-
-    Attributes
-    ----------
-    taught
-        What is followed.
-    known, new
-        Grasps in the order of time by taught and by never-taught object.
-    """
+    """A taught recogniser and grasps that did not teach it."""
 
     taught: ForceRamp
+    """What is followed."""
     known: dict[str, list[Grasp]]
     new: dict[str, list[Grasp]]
+    """Grasps in the order of time by taught and by never-taught object."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

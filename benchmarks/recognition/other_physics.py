@@ -55,18 +55,12 @@ _LAYOUTS: tuple[tuple[LayoutName, float, str], ...] = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Case:
-    """How the cell is when it is asked.
-
-    Attributes
-    ----------
-    sensed
-        What the sensors add.
-    use_aperture
-        Whether the recogniser may use the opening.
-    """
+    """How the cell is when it is asked."""
 
     sensed: Sensed
+    """What the sensors add."""
     use_aperture: bool = True
+    """Whether the recogniser may use the opening."""
 
 
 CASES = {

@@ -36,21 +36,14 @@ class Section(BaseModel):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Declared:
-    """The link from a key of the config to the setting that declares its default and range.
-
-    Attributes
-    ----------
-    owner
-        Dataclass with the setting.
-    name
-        Field of the owner.
-    unit
-        SI units in one unit of the key.
-    """
+    """The link from a key of the config to the setting that declares its default and range."""
 
     owner: type
+    """Dataclass with the setting."""
     name: str
+    """Field of the owner."""
     unit: float
+    """SI units in one unit of the key."""
 
 
 def setting_of(
@@ -112,15 +105,10 @@ def declared_values(section: BaseModel, owner: type) -> dict[str, Any]:
 
 @dataclass(frozen=True, slots=True)
 class OneOf:
-    """Annotation of a text that is one of the names in a table, as ``Annotated[str, OneOf(...)]``.
-
-    Attributes
-    ----------
-    names
-        The names, in the order of the table.
-    """
+    """Annotation of a text that is one of the names in a table: ``Annotated[str, OneOf(...)]``."""
 
     names: tuple[str, ...]
+    """The names, in the order of the table."""
 
     def __get_pydantic_core_schema__(self, _source: object, _handler: object) -> CoreSchema:
         return core_schema.literal_schema(list(self.names))

@@ -27,51 +27,35 @@ ReadShape = Callable[[Grasp], ShapeAnswer | None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Identification:
-    """The answer of one grasp-then-classify sequence.
-
-    Attributes
-    ----------
-    label
-        A taught label, or ``UNKNOWN``.
-    probability
-        Probability of the label after all grasps, given that the object was taught; of ``UNKNOWN``
-        the probability that it was not. The stop rule goes by it; see also `probabilities`.
-    decision
-        Why the sequence ended.
-    posteriors
-        Answer to each grasp by itself, in order.
-    fused
-        Answer to all grasps together.
-    records
-        The grasps.
-    drift
-        Estimate of the drift with which the answer was given; None for a recogniser that does not
-        follow it.
-    complaints
-        Errors of the callback and of the fits of shape; the label does not depend on these.
-    shapes
-        Shape and size by each grasp, in order; None where its pads do not show them. Empty where
-        none was asked for.
-    shape
-        Shape and size by all grasps together; None where none of them shows it.
-    remark
-        Message for the operator, as that the sensors have drifted; empty where there is none.
-    kept
-        Whether the part is still in the grip, for the host.
-    """
+    """The answer of one grasp-then-classify sequence."""
 
     label: str
+    """A taught label, or ``UNKNOWN``."""
     probability: float
+    """Probability of the label after all grasps, given that the object was taught; of ``UNKNOWN``
+    the probability that it was not. The stop rule goes by it; see also `probabilities`."""
     decision: Decision
+    """Why the sequence ended."""
     posteriors: tuple[Posterior, ...]
+    """Answer to each grasp by itself, in order."""
     fused: Posterior
+    """Answer to all grasps together."""
     records: tuple[GraspRecord, ...]
+    """The grasps."""
     drift: DriftEstimate | None = None
+    """Estimate of the drift with which the answer was given; None for a recogniser that does not
+    follow it."""
     complaints: tuple[str, ...] = ()
+    """Errors of the callback and of the fits of shape; the label does not depend on these."""
     shapes: tuple[ShapeAnswer | None, ...] = ()
+    """Shape and size by each grasp, in order; None where its pads do not show them. Empty where
+    none was asked for."""
     shape: ShapeAnswer | None = None
+    """Shape and size by all grasps together; None where none of them shows it."""
     remark: str = ""
+    """Message for the operator, as that the sensors have drifted; empty where there is none."""
     kept: bool = False
+    """Whether the part is still in the grip, for the host."""
 
     @property
     def probabilities(self) -> dict[str, float]:

@@ -41,18 +41,12 @@ class Keep(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verdict:
-    """What becomes of a part that is held while its grasp is looked at.
-
-    Attributes
-    ----------
-    keep
-        Whether it stays in the grip for the host.
-    further
-        Step whose force is the end of a further ramp in the same grip; None for no more of them.
-    """
+    """What becomes of a part that is held while its grasp is looked at."""
 
     keep: bool = False
+    """Whether it stays in the grip for the host."""
     further: GraspStep | None = None
+    """Step whose force is the end of a further ramp in the same grip; None for no more of them."""
 
 
 Judge = Callable[[GraspRecord], Verdict]
@@ -61,46 +55,30 @@ Judge = Callable[[GraspRecord], Verdict]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class HeldPart:
-    """Measurement of a part that is held with the force of a carry.
-
-    Attributes
-    ----------
-    force_n
-        Grip force in N, mean over the measurement.
-    opening_m
-        Opening between the pads in m.
-    footprint : (n_taxels,) float64
-        Mean of the counts above those of the open fingers.
-    """
+    """Measurement of a part that is held with the force of a carry."""
 
     force_n: float
+    """Grip force in N, mean over the measurement."""
     opening_m: float
+    """Opening between the pads in m."""
     footprint: NDArray[np.float64]
+    """(n_taxels,) float64: mean of the counts above those of the open fingers."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HeldCheck:
-    """Comparison of the part in the grip with the one that was kept.
-
-    Attributes
-    ----------
-    held
-        Whether the pads are loaded.
-    same
-        Whether opening and footprint are as they were; None where nothing is held.
-    force_n
-        Grip force in N.
-    opening_m
-        Opening between the pads in m.
-    reasons
-        What differs, with value and limit.
-    """
+    """Comparison of the part in the grip with the one that was kept."""
 
     held: bool
+    """Whether the pads are loaded."""
     same: bool | None
+    """Whether opening and footprint are as they were; None where nothing is held."""
     force_n: float
+    """Grip force in N."""
     opening_m: float
+    """Opening between the pads in m."""
     reasons: tuple[str, ...] = ()
+    """What differs, with value and limit."""
 
 
 def measured(collector: GraspCollector, zero: NDArray[np.float64]) -> HeldPart:

@@ -21,32 +21,22 @@ class LiveValues:
     and where it is older than `FRESH_S`. An age is that at the time of asking, by the cell's own
     clock. In virtual time that clock stands still between two commands, and so do the fingers:
     values and ages stay as they are until the next one.
-
-    Attributes
-    ----------
-    force_n
-        Grip force in N: the mean of both fingers, as the force loop controls it.
-    force_age_s
-        Age of the newest valid force in s, also where it is too old to be shown.
-    setpoint_n
-        Force that is asked for in N; 0 while no force is controlled.
-    opening_mm
-        Opening between the fingers in mm.
-    temperature_c
-        Temperature of the warmest servo in degrees Celsius.
-    counts : (n_taxels,) uint16
-        Raw counts of the newest frame, read-only.
-    frame_age_s
-        Age of the newest frame in s, also where it is too old to be shown.
     """
 
     force_n: float | None = None
+    """Grip force in N: the mean of both fingers, as the force loop controls it."""
     force_age_s: float | None = None
+    """Age of the newest valid force in s, also where it is too old to be shown."""
     setpoint_n: float | None = None
+    """Force that is asked for in N; 0 while no force is controlled."""
     opening_mm: float | None = None
+    """Opening between the fingers in mm."""
     temperature_c: float | None = None
+    """Temperature of the warmest servo in degrees Celsius."""
     counts: NDArray[np.uint16] | None = None
+    """(n_taxels,) uint16: raw counts of the newest frame, read-only."""
     frame_age_s: float | None = None
+    """Age of the newest frame in s, also where it is too old to be shown."""
 
 
 class _Stamped(Protocol):

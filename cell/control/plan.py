@@ -16,21 +16,15 @@ class Pose:
 
     The origin is the centre between the gripping pads. x points along the fingers to their tips,
     y across them; the fingers close along z.
-
-    Attributes
-    ----------
-    x_m, y_m
-        Offset of the object's centre in the plane of the pads in m.
-    rotation_rad
-        Turn about the approach axis, along which the pads approach the object (z), in rad.
-    roll_rad
-        Turn about the object's own long axis in rad, applied before the rotation.
     """
 
     x_m: float = 0.0
     y_m: float = 0.0
+    """Offset of the object's centre in the plane of the pads in m."""
     rotation_rad: float = 0.0
+    """Turn about the approach axis, along which the pads approach the object (z), in rad."""
     roll_rad: float = 0.0
+    """Turn about the object's own long axis in rad, applied before the rotation."""
 
     def __post_init__(self) -> None:
         for name in ("x_m", "y_m", "rotation_rad", "roll_rad"):
@@ -57,18 +51,12 @@ class Pose:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GraspStep:
-    """One grasp of a plan.
-
-    Attributes
-    ----------
-    pose
-        Where the object shall be.
-    force_n
-        Force at the end of the ramp in N.
-    """
+    """One grasp of a plan."""
 
     pose: Pose
+    """Where the object shall be."""
     force_n: float
+    """Force at the end of the ramp in N."""
 
     @property
     def command(self) -> GraspCommand:

@@ -30,21 +30,15 @@ def unwatched() -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Destination:
-    """Place that a named part is brought to.
-
-    Attributes
-    ----------
-    label
-        Name of the part, or ``UNKNOWN``.
-    place
-        Name of the place.
-    pose
-        Where that is, for a positioner with axes of its own; None where only the host can find it.
-    """
+    """Place that a named part is brought to."""
 
     label: str
+    """Name of the part, or ``UNKNOWN``."""
     place: str
+    """Name of the place."""
     pose: Pose | None = None
+    """Where that is, for a positioner with axes of its own; None where only the host can find it.
+    """
 
 
 class Positioner(Protocol):

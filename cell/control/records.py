@@ -17,34 +17,23 @@ from tactile.layout import TaxelLayout
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class GraspRecord:
-    """Record of one grasp of a sequence.
-
-    Attributes
-    ----------
-    grasp
-        Input of the recognisers.
-    step
-        Planned pose and force.
-    reached
-        Pose that the positioner reached.
-    outcome
-        Result of the gripper.
-    cycles
-        Every period of the force loop, in order.
-    early
-        Answer that ended the ramp before its usual end; None where that was reached. The grasp goes
-        on until the force had settled, so it holds more than what decided.
-    same_grip
-        Whether this is a further ramp in the grip of the record before; its periods begin there.
-    """
+    """Record of one grasp of a sequence."""
 
     grasp: Grasp
+    """Input of the recognisers."""
     step: GraspStep
+    """Planned pose and force."""
     reached: Pose
+    """Pose that the positioner reached."""
     outcome: GraspOutcome
+    """Result of the gripper."""
     cycles: tuple[Cycle, ...]
+    """Every period of the force loop, in order."""
     early: EarlyAnswer | None = None
+    """Answer that ended the ramp before its usual end; None where that was reached. The grasp goes
+    on until the force had settled, so it holds more than what decided."""
     same_grip: bool = False
+    """Whether this is a further ramp in the grip of the record before; its periods begin there."""
 
     @property
     def duration_s(self) -> float:

@@ -226,18 +226,12 @@ _CANCELLED = {CellState.EXECUTE: Event.HOLD, CellState.STARTING: Event.STOP}
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """Effect of a command in a state when nothing goes wrong.
-
-    Attributes
-    ----------
-    accepted
-        False: the command raises CellStateError and changes nothing.
-    path
-        States that the cell goes through to the one it stays in; empty where it stays as it is.
-    """
+    """Effect of a command in a state when nothing goes wrong."""
 
     accepted: bool
+    """False: the command raises CellStateError and changes nothing."""
     path: tuple[CellState, ...] = ()
+    """States that the cell goes through to the one it stays in; empty where it stays as it is."""
 
 
 def next_state(state: CellState, event: Event) -> CellState:
@@ -294,29 +288,19 @@ def _path(state: CellState, event: Event, *, kept: bool = False) -> tuple[CellSt
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CellStatus:
-    """State of cell and grip at one moment, for hosts that show or forward it.
-
-    Attributes
-    ----------
-    state, state_number
-        PackML name, and number in PackTags.
-    needs_reset
-        Whether an acknowledged fault waits for `reset`; the number is then that of STOPPED.
-    grasp, grasp_number
-        State of the grip, and its number.
-    holding
-        Whether a part may be in the grip.
-    fault
-        The fault, while one is latched.
-    fault_number
-        Its number in the fault catalogue; 0 for none.
-    """
+    """State of cell and grip at one moment, for hosts that show or forward it."""
 
     state: str
     state_number: int
+    """PackML name, and number in PackTags."""
     needs_reset: bool
+    """Whether an acknowledged fault waits for `reset`; the number is then that of STOPPED."""
     grasp: str
     grasp_number: int
+    """State of the grip, and its number."""
     holding: bool
+    """Whether a part may be in the grip."""
     fault: str | None
+    """The fault, while one is latched."""
     fault_number: int
+    """Its number in the fault catalogue; 0 for none."""

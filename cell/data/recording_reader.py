@@ -46,21 +46,14 @@ _DAMAGE = (
 
 @dataclass(slots=True, kw_only=True)
 class RawRecording:
-    """Messages of a recording, decoded from JSON, in the order of the file.
-
-    Attributes
-    ----------
-    metadata
-        Records of metadata by name.
-    messages
-        Topic and content of each message.
-    lost_reason
-        Why something is missing; empty for a whole file.
-    """
+    """Messages of a recording, decoded from JSON, in the order of the file."""
 
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
+    """Records of metadata by name."""
     messages: list[tuple[str, dict[str, Any]]] = field(default_factory=list)
+    """Topic and content of each message."""
     lost_reason: str = ""
+    """Why something is missing; empty for a whole file."""
 
     def lose(self, reason: str) -> None:
         """Note that something is missing; the first reason stays."""
@@ -200,25 +193,17 @@ def _brief(cause: BaseException) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RecordedFrames:
-    """Tactile frames in the order of time.
-
-    Attributes
-    ----------
-    t_s : (n,) float64
-        Monotonic time in s.
-    number : (n,) int64
-        Number of the frame in the recording; a gap is a lost chunk.
-    counter, status : (n,) int64
-        As the control unit sent them.
-    counts : (n, n_taxels) uint16
-        Raw counts.
-    """
+    """Tactile frames in the order of time."""
 
     t_s: NDArray[np.float64]
+    """(n,) float64: monotonic time in s."""
     number: NDArray[np.int64]
+    """(n,) int64: number of the frame in the recording; a gap is a lost chunk."""
     counter: NDArray[np.int64]
     status: NDArray[np.int64]
+    """(n,) int64: as the control unit sent them."""
     counts: NDArray[np.uint16]
+    """(n, n_taxels) uint16: raw counts."""
 
     def __len__(self) -> int:
         return len(self.t_s)
@@ -226,27 +211,19 @@ class RecordedFrames:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class RecordedCycles:
-    """Periods of the force loop in the order of time; NaN where a value was not known.
-
-    Attributes
-    ----------
-    t_s : (n,) float64
-        Monotonic time in s.
-    phase
-        Phase of the gripper in each period.
-    setpoint_n, goal_current_a, aperture_m, current_a : (n,) float64
-        Set-point in N, goal current in A, opening in m, present current in A.
-    force_n : (n, 2) float64
-        Tactile force on both fingers in N.
-    """
+    """Periods of the force loop in the order of time; NaN where a value was not known."""
 
     t_s: NDArray[np.float64]
+    """(n,) float64: monotonic time in s."""
     phase: tuple[str, ...]
+    """Phase of the gripper in each period."""
     setpoint_n: NDArray[np.float64]
     goal_current_a: NDArray[np.float64]
     aperture_m: NDArray[np.float64]
     current_a: NDArray[np.float64]
+    """(n,) float64: set-point in N, goal current in A, opening in m, present current in A."""
     force_n: NDArray[np.float64]
+    """(n, 2) float64: tactile force on both fingers in N."""
 
     def __len__(self) -> int:
         return len(self.t_s)
@@ -254,44 +231,32 @@ class RecordedCycles:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Recording:
-    """What a recording holds.
-
-    Attributes
-    ----------
-    path, metadata, pads
-        Where it lies, its metadata, the pads of its frames.
-    wall_clock_start_ns, monotonic_start_ns
-        Both clocks at the start in ns.
-    frames, cycles
-        As arrays.
-    poses, events, results, states, statistics
-        Messages as plain objects, fields as in `recording_schema`.
-    grasps
-        The grasps of which every frame is there.
-    n_broken_grasps
-        Grasps of which frames are missing or damaged; they are not in ``grasps``.
-    complete
-        Whether the file was closed and nothing in it is damaged.
-    lost_reason
-        Why not; empty where complete.
-    """
+    """What a recording holds."""
 
     path: Path
     metadata: dict[str, str]
     pads: PadArray
+    """Where it lies, its metadata, the pads of its frames."""
     wall_clock_start_ns: int
     monotonic_start_ns: int
+    """Both clocks at the start in ns."""
     frames: RecordedFrames
     cycles: RecordedCycles
+    """As arrays."""
     poses: tuple[dict[str, Any], ...] = ()
     events: tuple[dict[str, Any], ...] = ()
     results: tuple[dict[str, Any], ...] = ()
     states: tuple[dict[str, Any], ...] = ()
     statistics: tuple[dict[str, Any], ...] = ()
+    """Messages as plain objects, fields as in `recording_schema`."""
     grasps: tuple[Grasp, ...] = ()
+    """The grasps of which every frame is there."""
     n_broken_grasps: int = 0
+    """Grasps of which frames are missing or damaged; they are not in ``grasps``."""
     complete: bool = True
+    """Whether the file was closed and nothing in it is damaged."""
     lost_reason: str = ""
+    """Why not; empty where complete."""
 
 
 def read_recording(path: Path | str) -> Recording:

@@ -19,26 +19,18 @@ RECOVERED = "recovered"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Recovered:
-    """What was recovered.
-
-    Attributes
-    ----------
-    path
-        The new recording.
-    n_frames, n_cycles, n_grasps
-        Whole frames, periods of the loop, and grasps in it.
-    n_broken_grasps
-        Grasps that were left out because frames of them are missing or damaged.
-    lost_reason
-        Why the old recording is not complete; empty if it was.
-    """
+    """What was recovered."""
 
     path: Path
+    """The new recording."""
     n_frames: int
     n_cycles: int
     n_grasps: int
+    """Whole frames, periods of the loop, and grasps in it."""
     n_broken_grasps: int
+    """Grasps that were left out because frames of them are missing or damaged."""
     lost_reason: str
+    """Why the old recording is not complete; empty if it was."""
 
 
 def recover_recording(path: Path | str, target: Path | str) -> Recovered:

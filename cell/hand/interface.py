@@ -42,46 +42,30 @@ FORCE_FROM_FRAMES = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HandStatistics:
-    """What loop and links counted.
-
-    Attributes
-    ----------
-    loop
-        Timing of the force loop since it was made.
-    servo_bus
-        Since the servos' port was opened.
-    link
-        Since the last start of the tactile link.
-    sensor
-        Since the last start of the tactile sensor.
-    undelivered
-        Periods that did not reach this process because it took nothing for too long.
-    """
+    """What loop and links counted."""
 
     loop: LoopStatistics
+    """Timing of the force loop since it was made."""
     servo_bus: BusStatistics
+    """Since the servos' port was opened."""
     link: LinkStatistics
+    """Since the last start of the tactile link."""
     sensor: SensorStatistics = field(default_factory=SensorStatistics)
+    """Since the last start of the tactile sensor."""
     undelivered: int = 0
+    """Periods that did not reach this process because it took nothing for too long."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Measured:
-    """Newest values of a hand, of motions and of the supervision between them; None before any.
-
-    Attributes
-    ----------
-    cycle
-        Newest period in which the servos answered.
-    force
-        Newest valid force sample.
-    frame
-        Newest tactile frame.
-    """
+    """Newest values of a hand, of motions and of the supervision between them; None before any."""
 
     cycle: Cycle | None = None
+    """Newest period in which the servos answered."""
     force: ForceSample | None = None
+    """Newest valid force sample."""
     frame: TactileFrame | None = None
+    """Newest tactile frame."""
 
     def then(
         self, cycle: Cycle | None, force: ForceSample | None, frames: Sequence[TactileFrame]

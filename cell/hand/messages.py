@@ -147,15 +147,10 @@ class Request:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EndRamp:
-    """`Hand.end_ramp`, sent while a grasp runs; no answer follows.
-
-    Attributes
-    ----------
-    number
-        Of the request to grasp that it is meant for: while another one runs it counts no more.
-    """
+    """`Hand.end_ramp`, sent while a grasp runs; no answer follows."""
 
     number: int
+    """Of the request to grasp that it is meant for: while another one runs it counts no more."""
 
 
 # -- from the process ----------------------------------------------------------------------------
@@ -179,46 +174,31 @@ class Progress:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SentError:
-    """An error on its way to the other process.
-
-    Attributes
-    ----------
-    tree, name
-        Module and class.
-    args, attributes
-        What makes it up.
-    trace
-        Where it came from, for a class that cannot be sent.
-    """
+    """An error on its way to the other process."""
 
     tree: str
     name: str
+    """Module and class."""
     args: tuple[Any, ...]
     attributes: dict[str, Any]
+    """What makes it up."""
     trace: str = ""
+    """Where it came from, for a class that cannot be sent."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
-    """How a command ended, and how the hand stands then.
-
-    Attributes
-    ----------
-    number
-        Of the request.
-    value
-        What the command returned.
-    error
-        What it raised, None where it returned.
-    phase, statistics
-        Of the hand.
-    """
+    """How a command ended, and how the hand stands then."""
 
     number: int
+    """Of the request."""
     value: Any
+    """What the command returned."""
     error: SentError | None
+    """What it raised, None where it returned."""
     phase: GripperPhase
     statistics: HandStatistics
+    """Of the hand."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

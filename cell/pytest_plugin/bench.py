@@ -18,21 +18,14 @@ from tactile.can.bus import CanBus, close_bus, open_bus
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServoEnd:
-    """The host's end of the servo line.
-
-    Attributes
-    ----------
-    stream
-        Its bytes.
-    bus
-        Its transactions.
-    clock
-        The time that passes for it.
-    """
+    """The host's end of the servo line."""
 
     stream: ByteStream
+    """Its bytes."""
     bus: ServoBus
+    """Its transactions."""
     clock: Clock
+    """The time that passes for it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

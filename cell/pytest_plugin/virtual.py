@@ -21,21 +21,14 @@ from simulator.faults.injector import InjectedFault
 
 @dataclass(frozen=True, kw_only=True)
 class VirtualCell:
-    """A simulated cell in virtual time: time passes only while somebody waits.
-
-    Attributes
-    ----------
-    config
-        What it was made from.
-    cell
-        Controller and both links, as `cell.build.build_cell` makes them for every cell.
-    simulated
-        The simulated devices, and what only a simulator can tell.
-    """
+    """A simulated cell in virtual time: time passes only while somebody waits."""
 
     config: CellConfig
+    """What it was made from."""
     cell: Cell
+    """Controller and both links, as `cell.build.build_cell` makes them for every cell."""
     simulated: SimulatedCell
+    """The simulated devices, and what only a simulator can tell."""
 
     @property
     def controller(self) -> CellController:

@@ -28,56 +28,37 @@ def _freeze(owner: Any, *names: str) -> None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KeyFigure:
-    """One large figure at the head of the page.
-
-    Attributes
-    ----------
-    value, caption, note
-        The figure with its unit, what it is, and in small what it rests on.
-    """
+    """One large figure at the head of the page."""
 
     value: str
     caption: str
     note: str = ""
+    """The figure with its unit, what it is, and in small what it rests on."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IdentifyStep:
-    """One grasp of an identification.
-
-    Attributes
-    ----------
-    single, fused
-        By this grasp alone, and by all grasps so far.
-    note
-        Pose and force, for people.
-    """
+    """One grasp of an identification."""
 
     single: Posterior
     fused: Posterior
+    """By this grasp alone, and by all grasps so far."""
     note: str = ""
+    """Pose and force, for people."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class IdentifySequence:
-    """One identification, grasp by grasp.
-
-    Attributes
-    ----------
-    truth
-        What it really was; None where that is not known.
-    answer
-        What was answered.
-    steps
-        The grasps in order.
-    shape
-        Shape and size by all grasps; None where not asked for, or not felt.
-    """
+    """One identification, grasp by grasp."""
 
     truth: str | None
+    """What it really was; None where that is not known."""
     answer: str
+    """What was answered."""
     steps: tuple[IdentifyStep, ...]
+    """The grasps in order."""
     shape: ShapeAnswer | None = None
+    """Shape and size by all grasps; None where not asked for, or not felt."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -140,56 +121,36 @@ class FileEntry:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShapeRow:
-    """Shape and size by one identification.
-
-    Attributes
-    ----------
-    truth
-        What it really was; None where that is not known.
-    answer
-        What it was named.
-    shape
-        Shape and size by all of its grasps; None where none was felt.
-    """
+    """Shape and size by one identification."""
 
     truth: str | None
+    """What it really was; None where that is not known."""
     answer: str
+    """What it was named."""
     shape: ShapeAnswer | None
+    """Shape and size by all of its grasps; None where none was felt."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PadView:
-    """What is known of a pad beyond its taxels.
-
-    Attributes
-    ----------
-    name
-        Shown beside its map.
-    finger
-        0 or 1.
-    gripping
-        Whether it is the finger's inner pad, which is shown large.
-    """
+    """What is known of a pad beyond its taxels."""
 
     name: str
+    """Shown beside its map."""
     finger: int
+    """0 or 1."""
     gripping: bool
+    """Whether it is the finger's inner pad, which is shown large."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PressureLevel:
-    """What all taxels showed at one force.
-
-    Attributes
-    ----------
-    caption
-        The force, for people: ``2.0 N``.
-    counts : (n_taxels,) float64
-        Counts, as a rule averaged over some frames.
-    """
+    """What all taxels showed at one force."""
 
     caption: str
+    """The force, for people: ``2.0 N``."""
     counts: NDArray[np.float64]
+    """(n_taxels,) float64: counts, as a rule averaged over some frames."""
 
     def __post_init__(self) -> None:
         _freeze(self, "counts")
@@ -197,26 +158,18 @@ class PressureLevel:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class GraspTimeline:
-    """One grasp over time; NaN where a value is not known.
-
-    Attributes
-    ----------
-    t_s : (n,) float64
-        Time in s.
-    force_n : (n, 2) float64
-        Tactile force on finger 0 and 1 in N.
-    setpoint_n, goal_current_a, aperture_m : (n,) float64
-        Set-point of the grip force in N, goal current in A, opening in m.
-    contact_t_s
-        Time of contact in s, None where there was none.
-    """
+    """One grasp over time; NaN where a value is not known."""
 
     t_s: NDArray[np.float64]
+    """(n,) float64: time in s."""
     force_n: NDArray[np.float64]
+    """(n, 2) float64: tactile force on finger 0 and 1 in N."""
     setpoint_n: NDArray[np.float64]
     goal_current_a: NDArray[np.float64]
     aperture_m: NDArray[np.float64]
+    """(n,) float64: set-point of the grip force in N, goal current in A, opening in m."""
     contact_t_s: float | None = None
+    """Time of contact in s, None where there was none."""
 
     def __post_init__(self) -> None:
         _freeze(self, "t_s", "force_n", "setpoint_n", "goal_current_a", "aperture_m")
@@ -224,52 +177,36 @@ class GraspTimeline:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ExampleGrasp:
-    """One grasp that is shown in full.
-
-    Attributes
-    ----------
-    label
-        What was grasped.
-    pads, pad_views
-        The pads, and what is known of each, in the same order.
-    levels
-        Pressure at rising forces.
-    timeline
-        The grasp over time, if known.
-    note
-        Pose and the like, in small.
-    """
+    """One grasp that is shown in full."""
 
     label: str
+    """What was grasped."""
     pads: PadArray
     pad_views: tuple[PadView, ...]
+    """The pads, and what is known of each, in the same order."""
     levels: tuple[PressureLevel, ...]
+    """Pressure at rising forces."""
     timeline: GraspTimeline | None = None
+    """The grasp over time, if known."""
     note: str = ""
+    """Pose and the like, in small."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ObjectTrajectory:
-    """The paper's eigenvalue of one object.
-
-    Attributes
-    ----------
-    label
-        The object.
-    sweep : (n,) float64
-        Smallest eigenvalue over the poses of Algorithm 1, in its order; may be empty.
-    ramp_force_n, ramp_value : (m,) float64
-        Smallest eigenvalue along the force ramp, and the force in N; may be empty.
-    low, high
-        The object's level: least and largest taught value; NaN where it has none.
-    """
+    """The paper's eigenvalue of one object."""
 
     label: str
+    """The object."""
     sweep: NDArray[np.float64]
+    """(n,) float64: smallest eigenvalue over the poses of Algorithm 1, in its order; may be empty.
+    """
     ramp_force_n: NDArray[np.float64]
     ramp_value: NDArray[np.float64]
+    """(m,) float64: smallest eigenvalue along the force ramp, and the force in N; may be empty."""
     low: float
     high: float
+    """The object's level: least and largest taught value; NaN where it has none."""
 
     def __post_init__(self) -> None:
         _freeze(self, "sweep", "ramp_force_n", "ramp_value")
@@ -277,26 +214,18 @@ class ObjectTrajectory:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Window:
-    """The gap between the levels of two neighbouring objects.
-
-    Attributes
-    ----------
-    name
-        A, B, C ... as in the paper's Fig. 4.
-    below, above
-        The neighbours.
-    low, high
-        Edges; a window is closed where ``high <= low``.
-    threshold
-        The middle, the threshold between the two.
-    """
+    """The gap between the levels of two neighbouring objects."""
 
     name: str
+    """A, B, C ... as in the paper's Fig. 4."""
     below: str
     above: str
+    """The neighbours."""
     low: float
     high: float
+    """Edges; a window is closed where ``high <= low``."""
     threshold: float
+    """The middle, the threshold between the two."""
 
     @property
     def closed(self) -> bool:

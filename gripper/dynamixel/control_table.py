@@ -37,31 +37,22 @@ BAUD_CODES: Mapping[int, int] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Register:
-    """One item of the control table.
-
-    Attributes
-    ----------
-    name
-        Name in snake_case after the e-Manual.
-    address, size
-        First byte and number of bytes (1, 2 or 4), little endian.
-    signed
-        True for two's complement.
-    writable, eeprom
-        EEPROM items can be written with torque off only.
-    unit, lsb
-        SI unit of the item and its value for one count; current items take the unit of the
-        model (`ServoModel.current_unit_a`) and have an lsb of 0 here.
-    """
+    """One item of the control table."""
 
     name: str
+    """Name in snake_case after the e-Manual."""
     address: int
     size: int
+    """First byte and number of bytes (1, 2 or 4), little endian."""
     signed: bool = False
+    """True for two's complement."""
     writable: bool = True
     eeprom: bool = False
+    """EEPROM items can be written with torque off only."""
     unit: str = ""
     lsb: float = 1.0
+    """SI unit of the item and its value for one count; current items take the unit of the model
+    (`ServoModel.current_unit_a`) and have an lsb of 0 here."""
 
     @property
     def end(self) -> int:

@@ -36,23 +36,16 @@ _WRITE_BYTES, _WRITE_BYTES_ONE = 10 + 4, 1 + 18
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LinkTiming:
-    """Round trips of single pings.
-
-    Attributes
-    ----------
-    median_s, high_s, worst_s
-        Median, nine tenths and longest of the round trips in s.
-    slow_share
-        Share of them that were lost or took longer than a period of the loop.
-    work_s
-        What one period needs of the bus in s: reading all servos and writing their goals.
-    """
+    """Round trips of single pings."""
 
     median_s: float
     high_s: float
     worst_s: float
+    """Median, nine tenths and longest of the round trips in s."""
     slow_share: float
+    """Share of them that were lost or took longer than a period of the loop."""
     work_s: float
+    """What one period needs of the bus in s: reading all servos and writing their goals."""
 
 
 def check_link(bus: ServoBus, ids: Sequence[int], period_s: float) -> LinkTiming:

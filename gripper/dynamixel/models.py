@@ -39,54 +39,39 @@ class HardwareError(IntFlag):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServoModel:
-    """One model of the series with the figures that a gripper and its simulation need.
-
-    Attributes
-    ----------
-    name, number
-        Name and content of Model Number (register 0).
-    current_unit_a
-        A for one count of the current items.
-    current_limit_raw, velocity_limit_raw
-        Factory values and upper bounds of registers 38 and 44 (the latter: factory value).
-    temperature_limit_c, min_voltage_raw, max_voltage_raw
-        Factory values of registers 31, 34 and 32.
-    shutdown_raw
-        Factory value of register 63.
-    position_gains
-        Factory D, I and P gain (registers 80, 82, 84).
-    velocity_gains
-        Factory I and P gain (registers 76, 78).
-    kt_nm_a, friction_nm
-        Torque at the output with rising load: T = kt I - friction.
-    nominal_voltage_v, stall_torque_nm, stall_current_a, no_load_rad_s
-        Data sheet at the nominal voltage.
-    rotor_inertia_kg_m2
-        Inertia of rotor and gears at the output in kg m², estimated: the vendor gives none. The
-        simulated servo moves by it, and the impact of an approach follows from it.
-    torque_source
-        Where kt and friction come from.
-    """
+    """One model of the series with the figures that a gripper and its simulation need."""
 
     name: str
     number: int
+    """Name and content of Model Number (register 0)."""
     current_unit_a: float
+    """A for one count of the current items."""
     current_limit_raw: int
     velocity_limit_raw: int
+    """Factory values and upper bounds of registers 38 and 44 (the latter: factory value)."""
     temperature_limit_c: int
     min_voltage_raw: int
     max_voltage_raw: int
+    """Factory values of registers 31, 34 and 32."""
     shutdown_raw: int
+    """Factory value of register 63."""
     position_gains: tuple[int, int, int]
+    """Factory D, I and P gain (registers 80, 82, 84)."""
     velocity_gains: tuple[int, int]
+    """Factory I and P gain (registers 76, 78)."""
     kt_nm_a: float
     friction_nm: float
+    """Torque at the output with rising load: T = kt I - friction."""
     nominal_voltage_v: float
     stall_torque_nm: float
     stall_current_a: float
     no_load_rad_s: float
+    """Data sheet at the nominal voltage."""
     rotor_inertia_kg_m2: float
+    """Inertia of rotor and gears at the output in kg m², estimated: the vendor gives none. The
+    simulated servo moves by it, and the impact of an approach follows from it."""
     torque_source: str
+    """Where kt and friction come from."""
 
     def current_raw(self, current_a: float) -> int:
         """Return the counts for a current in A, rounded to the nearest."""

@@ -54,24 +54,16 @@ class Instruction(IntEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StatusPacket:
-    """A status packet whose CRC is right.
-
-    Attributes
-    ----------
-    servo_id
-        ID of the servo that answered.
-    error
-        Error number 0 to 7, without the Alert bit.
-    alert
-        True while Hardware Error Status (register 70) is not zero.
-    data
-        Parameters, unstuffed.
-    """
+    """A status packet whose CRC is right."""
 
     servo_id: int
+    """ID of the servo that answered."""
     error: int
+    """Error number 0 to 7, without the Alert bit."""
     alert: bool
+    """True while Hardware Error Status (register 70) is not zero."""
     data: bytes
+    """Parameters, unstuffed."""
 
 
 def stuff(body: bytes) -> bytes:

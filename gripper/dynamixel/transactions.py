@@ -52,24 +52,17 @@ class Precaution(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RetryPolicy:
-    """Treatment of late and lost answers.
-
-    Attributes
-    ----------
-    before_one, before_several
-        Precaution before a request to one servo and before a sync read, on a suspect line.
-    repetitions
-        How often a lost answer is asked for again, each time behind a ping.
-    patient
-        True where ping and repetition wait ``late_guard_s`` for their answers, and a quiet line is
-        waited for. False where they wait for the time-out of a packet, a sync read starts none
-        after its period, and on a line that is not quiet yet a transaction fails at once.
-    """
+    """Treatment of late and lost answers."""
 
     before_one: Precaution
     before_several: Precaution
+    """Precaution before a request to one servo and before a sync read, on a suspect line."""
     repetitions: int
+    """How often a lost answer is asked for again, each time behind a ping."""
     patient: bool
+    """True where ping and repetition wait ``late_guard_s`` for their answers, and a quiet line is
+    waited for. False where they wait for the time-out of a packet, a sync read starts none after
+    its period, and on a line that is not quiet yet a transaction fails at once."""
 
 
 BETWEEN_COMMANDS = RetryPolicy(
@@ -90,27 +83,18 @@ IN_LOOP = RetryPolicy(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BusStatistics:
-    """Counts since the bus was opened.
-
-    Attributes
-    ----------
-    transactions
-        Transactions asked for.
-    retries
-        Requests sent a second time.
-    timeouts
-        Answers that did not come in time.
-    corrupt
-        Answers that came damaged, or behind bytes that are none.
-    late
-        Answers to an earlier request, or of another servo; dropped.
-    """
+    """Counts since the bus was opened."""
 
     transactions: int = 0
+    """Transactions asked for."""
     retries: int = 0
+    """Requests sent a second time."""
     timeouts: int = 0
+    """Answers that did not come in time."""
     corrupt: int = 0
+    """Answers that came damaged, or behind bytes that are none."""
     late: int = 0
+    """Answers to an earlier request, or of another servo; dropped."""
 
 
 class Request(NamedTuple):

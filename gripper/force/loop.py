@@ -41,68 +41,46 @@ Observer = Callable[[Cycle], None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Action:
-    """Result of one step of control.
-
-    Attributes
-    ----------
-    goals
-        Goal of each servo; None writes nothing.
-    setpoint_n
-        Force that is asked for in N.
-    level
-        Level of the ramp that is held.
-    done
-        True when the command ends after this period.
-    """
+    """Result of one step of control."""
 
     goals: Sequence[ServoGoal] | None = None
+    """Goal of each servo; None writes nothing."""
     setpoint_n: float = 0.0
+    """Force that is asked for in N."""
     level: int | None = None
+    """Level of the ramp that is held."""
     done: bool = False
+    """True when the command ends after this period."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Moment:
-    """Input of one step of control.
-
-    Attributes
-    ----------
-    now_s, dt_s
-        Monotonic time of the feedback and time since the last step in s; a late step counts as
-        two periods at most, so that nothing catches up.
-    state, sample
-        Feedback and newest force sample, checked for age where force matters.
-    """
+    """Input of one step of control."""
 
     now_s: float
     dt_s: float
+    """Monotonic time of the feedback and time since the last step in s; a late step counts as two
+    periods at most, so that nothing catches up."""
     state: GripperState
     sample: ForceSample | None
+    """Feedback and newest force sample, checked for age where force matters."""
 
 
 @dataclass(slots=True, kw_only=True)
 class Running:
-    """Steps of control that are being run.
-
-    Attributes
-    ----------
-    phase, step, observer, needs_force
-        As in `LoopRunner.run`.
-    last_s
-        Monotonic time of the last feedback in s.
-    fresh_s
-        Monotonic time of the newest valid force sample in s; of the beginning before one came.
-    done
-        Whether the last step was the last one.
-    """
+    """Steps of control that are being run."""
 
     phase: GripperPhase
     step: Callable[[Moment], Action]
     observer: Observer | None
     needs_force: bool
+    """As in `LoopRunner.run`."""
     last_s: float
+    """Monotonic time of the last feedback in s."""
     fresh_s: float
+    """Monotonic time of the newest valid force sample in s; of the beginning before one came."""
     done: bool = False
+    """Whether the last step was the last one."""
 
 
 class LoopRunner:

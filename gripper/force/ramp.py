@@ -14,25 +14,17 @@ from gripper.settings import GripperSettings
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RampSegment:
-    """One piece of a ramp.
-
-    Attributes
-    ----------
-    duration_s
-        Length of the piece in s.
-    start_n, end_n
-        Force at its ends in N.
-    smooth
-        False for a straight line, True for half a cosine (no jump of the rate at the ends).
-    level
-        Index of the level that a hold belongs to; None while the force changes.
-    """
+    """One piece of a ramp."""
 
     duration_s: float
+    """Length of the piece in s."""
     start_n: float
     end_n: float
+    """Force at its ends in N."""
     smooth: bool = False
+    """False for a straight line, True for half a cosine (no jump of the rate at the ends)."""
     level: int | None = None
+    """Index of the level that a hold belongs to; None while the force changes."""
 
     @property
     def rate_n_s(self) -> float:
@@ -57,14 +49,10 @@ class ForceRamp:
     """Set-point of the grip force, continuous and monotone from its start to its end.
 
     Made by `linear`, `staircase` or `s_curve`.
-
-    Attributes
-    ----------
-    segments
-        The pieces, in order; each starts at the force where the one before ends.
     """
 
     segments: tuple[RampSegment, ...]
+    """The pieces, in order; each starts at the force where the one before ends."""
 
     def __post_init__(self) -> None:
         if not self.segments:

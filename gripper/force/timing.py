@@ -17,23 +17,16 @@ _LATE_SHARE = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Distribution:
-    """Quantiles of durations; they are upper edges of bins 6 % wide, the largest is exact.
-
-    Attributes
-    ----------
-    n
-        Durations counted.
-    p50_s, p99_s, p999_s
-        Durations in s that 50, 99 and 99.9 % do not exceed; 0 where there are none.
-    max_s
-        The longest in s.
-    """
+    """Quantiles of durations; they are upper edges of bins 6 % wide, the largest is exact."""
 
     n: int = 0
+    """Durations counted."""
     p50_s: float = 0.0
     p99_s: float = 0.0
     p999_s: float = 0.0
+    """Durations in s that 50, 99 and 99.9 % do not exceed; 0 where there are none."""
     max_s: float = 0.0
+    """The longest in s."""
 
 
 class Histogram:
@@ -79,39 +72,26 @@ class Histogram:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoopStatistics:
-    """Timing of the loop since the gripper was made.
-
-    Attributes
-    ----------
-    cycles
-        Periods that were run.
-    overruns
-        Periods whose work was not done when the next one was due.
-    late
-        Periods that began more than half a period late.
-    missed_reads
-        Periods without feedback; nothing was written in them.
-    derated
-        Periods in which a warm servo lowered the cap of the current.
-    worst_lateness_s
-        Largest lateness in s.
-    lateness
-        How late each period began.
-    transaction
-        How long reading the feedback of all servos took.
-    sensor_age
-        Age of the newest force sample when a step of control used it.
-    """
+    """Timing of the loop since the gripper was made."""
 
     cycles: int = 0
+    """Periods that were run."""
     overruns: int = 0
+    """Periods whose work was not done when the next one was due."""
     late: int = 0
+    """Periods that began more than half a period late."""
     missed_reads: int = 0
+    """Periods without feedback; nothing was written in them."""
     derated: int = 0
+    """Periods in which a warm servo lowered the cap of the current."""
     worst_lateness_s: float = 0.0
+    """Largest lateness in s."""
     lateness: Distribution = field(default_factory=Distribution)
+    """How late each period began."""
     transaction: Distribution = field(default_factory=Distribution)
+    """How long reading the feedback of all servos took."""
     sensor_age: Distribution = field(default_factory=Distribution)
+    """Age of the newest force sample when a step of control used it."""
 
 
 class LoopTimer:

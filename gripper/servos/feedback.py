@@ -333,19 +333,13 @@ class TickClock:
 
 
 class TickMark(NamedTuple):
-    """Answer from which the rate of a servo's clock is measured.
-
-    Attributes
-    ----------
-    tick_s
-        Progress of the tick since the first answer in s.
-    sent_s, latest_s
-        Host's time before its request, and the latest one of its tick, in s.
-    """
+    """Answer from which the rate of a servo's clock is measured."""
 
     tick_s: float
+    """Progress of the tick since the first answer in s."""
     sent_s: float
     latest_s: float
+    """Host's time before its request, and the latest one of its tick, in s."""
 
     def rate(self, tick_s: float, host_s: float) -> float:
         """Return the host's seconds per second of the servo that passed since, if possible ones."""

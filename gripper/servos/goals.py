@@ -60,18 +60,12 @@ OPENING_MARGIN_RAD = 0.05
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServoGoal:
-    """Goal of one servo in current-based position mode.
-
-    Attributes
-    ----------
-    angle_rad
-        Goal position in the linkage's sense.
-    current_a
-        Limit of the current's magnitude.
-    """
+    """Goal of one servo in current-based position mode."""
 
     angle_rad: float
+    """Goal position in the linkage's sense."""
     current_a: float
+    """Limit of the current's magnitude."""
 
 
 class GoalGuard:

@@ -42,28 +42,19 @@ _NO_SECOND_ID = 255
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Requirement:
-    """Requirement of one register.
-
-    Attributes
-    ----------
-    item
-        Name of the register.
-    expected
-        Text for the report.
-    low, high
-        Bounds of the raw value after the mask.
-    mask
-        Bits that count.
-    write_raw
-        Value to write when it does not agree; None where that is the user's decision.
-    """
+    """Requirement of one register."""
 
     item: str
+    """Name of the register."""
     expected: str
+    """Text for the report."""
     low: int
     high: int
+    """Bounds of the raw value after the mask."""
     mask: int = -1
+    """Bits that count."""
     write_raw: int | None = None
+    """Value to write when it does not agree; None where that is the user's decision."""
 
     def met_by(self, raw: int) -> bool:
         """Return whether a raw value agrees."""

@@ -44,27 +44,19 @@ _LONGEST_RAD = 0.2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WatchdogProof:
-    """Result of the self-test for one servo.
-
-    Attributes
-    ----------
-    servo_id
-        The servo.
-    tripped
-        Whether Bus Watchdog (register 98) read -1 after the silence.
-    moved_pulses, after_pulses, left_pulses
-        How far it had moved in the silence, how far it moved afterwards, and how far its goal
-        still was: counts of Present Position.
-    farthest_pulses
-        How far it may have moved before the watchdog tripped.
-    """
+    """Result of the self-test for one servo."""
 
     servo_id: int
+    """The servo."""
     tripped: bool
+    """Whether Bus Watchdog (register 98) read -1 after the silence."""
     moved_pulses: int
     after_pulses: int
     left_pulses: int
+    """How far it had moved in the silence, how far it moved afterwards, and how far its goal still
+    was: counts of Present Position."""
     farthest_pulses: int
+    """How far it may have moved before the watchdog tripped."""
 
     @property
     def ok(self) -> bool:

@@ -158,33 +158,22 @@ after the other and returns when the last one is through, in s."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ControlUnitSettings:
-    """Settings of one control unit.
-
-    Attributes
-    ----------
-    node_id
-        1 to 127.
-    bitrate
-        Bit rate in bit/s that its CAN controller is set to.
-    serial_number
-        Object 0x1018:04.
-    identity
-        Other sub-indices of 0x1018 that differ from the EDS, to stand for a wrong device.
-    boards
-        Object 0x2103: serial numbers of the pads' boards on finger 0 and finger 1.
-    boot_s
-        Time in s from power-on or reset to the boot-up message.
-    force_messages
-        False for an older unit, of minor revision 0, which has none.
-    """
+    """Settings of one control unit."""
 
     node_id: int = 5
+    """1 to 127."""
     bitrate: int = 1_000_000
+    """Bit rate in bit/s that its CAN controller is set to."""
     serial_number: int = 1
+    """Object 0x1018:04."""
     identity: Mapping[int, int] = field(default_factory=dict)
+    """Other sub-indices of 0x1018 that differ from the EDS, to stand for a wrong device."""
     boards: tuple[int, int] = (1, 2)
+    """Object 0x2103: serial numbers of the pads' boards on finger 0 and finger 1."""
     boot_s: float = 0.02
+    """Time in s from power-on or reset to the boot-up message."""
     force_messages: bool = True
+    """False for an older unit, of minor revision 0, which has none."""
 
     def __post_init__(self) -> None:
         if not 1 <= self.node_id <= 127:

@@ -37,26 +37,19 @@ _POWERED = (State.OPERATION_ENABLED, State.QUICK_STOP_ACTIVE, State.FAULT_REACTI
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DriveMount:
-    """A simulated drive and the axis that it moves.
-
-    Attributes
-    ----------
-    node_id
-        CANopen node-ID.
-    increments
-        Increments in one m or rad of the axis; negative where it counts the other way.
-    absolute
-        Whether its encoder shows the true position at once, without homing.
-    start, low_switch, high_switch
-        True position at power-on and of the limit switches at its lower and upper end in m or rad.
-    """
+    """A simulated drive and the axis that it moves."""
 
     node_id: int
+    """CANopen node-ID."""
     increments: float
+    """Increments in one m or rad of the axis; negative where it counts the other way."""
     absolute: bool = False
+    """Whether its encoder shows the true position at once, without homing."""
     start: float
     low_switch: float
     high_switch: float
+    """True position at power-on and of the limit switches at its lower and upper end in m or rad.
+    """
 
 
 class SimulatedDrive:

@@ -28,42 +28,31 @@ _SWAP_S = 1.5e-4
 
 @dataclass(slots=True, kw_only=True)
 class CanLinkFaults:
-    """Knobs of the way between the control unit and the host.
-
-    Attributes
-    ----------
-    drop_rate, duplicate_rate, swap_rate, corrupt_rate, truncate_rate
-        Probability from 0 to 1 that a message to the host is lost, comes twice, comes after its
-        successor, has one bit turned after the CAN checksum, or has fewer bytes than its length
-        code (as an adapter on a serial line makes them).
-    wrong_dlc_rate
-        Probability that a message comes with fewer bytes and a length code that fits them.
-    drop_next
-        So many of the next messages to the host are lost.
-    delay_s
-        Messages to the host come so much later, in s.
-    flood_hz
-        Messages with an unknown identifier and random content that come every second.
-    error_passive, bus_off
-        The host's CAN controller reports that state with an error frame, once each time it is
-        switched on (and the way back from error-passive); while it is bus-off nothing passes in
-        either direction.
-    unplugged
-        The host's adapter is gone: sending and receiving fail.
-    """
+    """Knobs of the way between the control unit and the host."""
 
     drop_rate: float = 0.0
     duplicate_rate: float = 0.0
     swap_rate: float = 0.0
     corrupt_rate: float = 0.0
     truncate_rate: float = 0.0
+    """Probability from 0 to 1 that a message to the host is lost, comes twice, comes after its
+    successor, has one bit turned after the CAN checksum, or has fewer bytes than its length code
+    (as an adapter on a serial line makes them)."""
     wrong_dlc_rate: float = 0.0
+    """Probability that a message comes with fewer bytes and a length code that fits them."""
     drop_next: int = 0
+    """So many of the next messages to the host are lost."""
     delay_s: float = 0.0
+    """Messages to the host come so much later, in s."""
     flood_hz: float = 0.0
+    """Messages with an unknown identifier and random content that come every second."""
     error_passive: bool = False
     bus_off: bool = False
+    """The host's CAN controller reports that state with an error frame, once each time it is
+    switched on (and the way back from error-passive); while it is bus-off nothing passes in either
+    direction."""
     unplugged: bool = False
+    """The host's adapter is gone: sending and receiving fail."""
 
     @property
     def disturbs(self) -> bool:
@@ -94,78 +83,54 @@ class CanLinkFaults:
 
 @dataclass(slots=True, kw_only=True)
 class ControlUnitFaults:
-    """Knobs inside the control unit.
-
-    Attributes
-    ----------
-    dead
-        The unit neither hears nor sends anything; it comes back where it stopped.
-    heartbeat_off
-        The heartbeat stops, all else goes on.
-    frozen
-        The converter returns its last scan for ever; counter and checksum are valid.
-    converter_fault
-        The self-test of the converter fails: a bit in the status of the frames.
-    stuck_counts
-        Taxels that always read the counts given.
-    dead_taxels
-        Taxels that always read 0.
-    offset_counts
-        Drift that is added to all taxels.
-    gain
-        Factor on all taxels before the offset.
-    late_s
-        The burst of a frame begins so long after its SYNC, in s.
-    pads_swapped
-        The connectors of the two fingers are exchanged: each half of a scan stands where the
-        other belongs.
-    forces_off
-        No force messages any more; frames go on.
-    forces_lost, forces_twice, forces_swapped
-        Share from 0 to 1 of the force messages, evenly, that are lost, come twice, or come after
-        the next one.
-    forces_again_s
-        Each force message comes once more so long later, in s; 0: it does not.
-    forces_late_s
-        Force messages come so long after their scan, in s.
-    forces_each
-        Only each so many-th force message is made; the counter counts those that are.
-    force_gain, force_offset_n
-        Factor on the forces in the messages, as of a table of other pads; N added to each.
-    spoiled_each
-        These two spoil only each so many-th force message.
-    pads_empty
-        The force messages are those of the empty pads, with new counters.
-    centres_stuck, centres_off
-        The centre in the messages stays as it is; there is none.
-    centre_shift_taxels
-        Pitches of the taxels by which the centre in the messages is shifted along the fingers.
-    """
+    """Knobs inside the control unit."""
 
     dead: bool = False
+    """The unit neither hears nor sends anything; it comes back where it stopped."""
     heartbeat_off: bool = False
+    """The heartbeat stops, all else goes on."""
     frozen: bool = False
+    """The converter returns its last scan for ever; counter and checksum are valid."""
     converter_fault: bool = False
+    """The self-test of the converter fails: a bit in the status of the frames."""
     stuck_counts: dict[int, int] = field(default_factory=dict)
+    """Taxels that always read the counts given."""
     dead_taxels: set[int] = field(default_factory=set)
+    """Taxels that always read 0."""
     offset_counts: float = 0.0
+    """Drift that is added to all taxels."""
     gain: float = 1.0
+    """Factor on all taxels before the offset."""
     late_s: float = 0.0
+    """The burst of a frame begins so long after its SYNC, in s."""
     pads_swapped: bool = False
+    """The connectors of the two fingers are exchanged: each half of a scan stands where the other
+    belongs."""
     forces_off: bool = False
+    """No force messages any more; frames go on."""
     forces_lost: float = 0.0
     forces_twice: float = 0.0
     forces_swapped: float = 0.0
+    """Share from 0 to 1 of the force messages, evenly, that are lost, come twice, or come after the
+    next one."""
     forces_again_s: float = 0.0
+    """Each force message comes once more so long later, in s; 0: it does not."""
     forces_late_s: float = 0.0
+    """Force messages come so long after their scan, in s."""
     forces_each: float = 1.0
+    """Only each so many-th force message is made; the counter counts those that are."""
     force_gain: float = 1.0
     force_offset_n: float = 0.0
+    """Factor on the forces in the messages, as of a table of other pads; N added to each."""
     spoiled_each: float = 1.0
+    """These two spoil only each so many-th force message."""
     pads_empty: bool = False
+    """The force messages are those of the empty pads, with new counters."""
     centres_stuck: bool = False
     centres_off: bool = False
+    """The centre in the messages stays as it is; there is none."""
     centre_shift_taxels: float = 0.0
+    """Pitches of the taxels by which the centre in the messages is shifted along the fingers."""
     _n_spoiled: int = 0
     _empty_pads: deque[ForceMessage] = field(default_factory=lambda: deque(maxlen=_EMPTY_MESSAGES))
     _centre_taxels: tuple[float, float] | None = None
@@ -207,18 +172,12 @@ class ControlUnitFaults:
 
 @dataclass(slots=True)
 class Disturber:
-    """Applies the faults of a link to single messages, given as (time in s, identifier, data).
-
-    Attributes
-    ----------
-    faults
-        The knobs.
-    rng
-        Source of chance.
-    """
+    """Applies the faults of a link to single messages, given as (time in s, identifier, data)."""
 
     faults: CanLinkFaults
+    """The knobs."""
     rng: np.random.Generator
+    """Source of chance."""
 
     def pass_on(self, t_s: float, data: bytes) -> Iterable[tuple[float, int, bytes]]:
         """Return what becomes of one message: any number of (arrival in s, length code, data)."""

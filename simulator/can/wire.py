@@ -80,23 +80,16 @@ def mean_bits(data: bytes, *, extended: bool = False) -> float:
 
 
 class Burst(NamedTuple):
-    """Messages of one identifier that wait for the wire together.
-
-    Attributes
-    ----------
-    ready_s
-        Time in s from which on their controller offers them.
-    can_id, messages, extended
-        Identifier, content of each, and whether the identifier has 29 bits.
-    sender
-        Value that the caller gets back with them.
-    """
+    """Messages of one identifier that wait for the wire together."""
 
     ready_s: float
+    """Time in s from which on their controller offers them."""
     can_id: int
     messages: Sequence[bytes]
     extended: bool
+    """Identifier, content of each, and whether the identifier has 29 bits."""
     sender: object
+    """Value that the caller gets back with them."""
 
 
 class _Queued:

@@ -26,25 +26,17 @@ class FaultKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Number:
-    """A value that is a number.
-
-    Attributes
-    ----------
-    unit
-        Its unit; ``share`` for a probability.
-    low, high
-        Its range.
-    default
-        What holds where the text names none.
-    whole
-        Whether it is an integer; it may be written as hexadecimal then.
-    """
+    """A value that is a number."""
 
     unit: str
+    """Its unit; ``share`` for a probability."""
     low: float
     high: float
+    """Its range."""
     default: float
+    """What holds where the text names none."""
     whole: bool = False
+    """Whether it is an integer; it may be written as hexadecimal then."""
 
     @property
     def text(self) -> str:
@@ -73,18 +65,12 @@ class Number:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Setting:
-    """A value that is a name and a whole number, as ``current_limit:100``.
-
-    Attributes
-    ----------
-    unit
-        What the name and the number are.
-    default
-        What holds where the text names none.
-    """
+    """A value that is a name and a whole number, as ``current_limit:100``."""
 
     unit: str
+    """What the name and the number are."""
     default: str
+    """What holds where the text names none."""
 
     @property
     def text(self) -> str:
@@ -110,57 +96,37 @@ Undo = Callable[[], None]
 
 
 class Plug(NamedTuple):
-    """A cable that can be pulled.
-
-    Attributes
-    ----------
-    pull, plug_in
-        Pull the cable; plug it in again.
-    """
+    """A cable that can be pulled."""
 
     pull: Callable[[], None]
     plug_in: Callable[[], None]
+    """Pull the cable; plug it in again."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Effect:
-    """A fault at work on a cell.
-
-    Attributes
-    ----------
-    undo
-        Takes back what the fault has done.
-    act
-        Called with the time in s as often as the world moves on, for faults that go on happening.
-    """
+    """A fault at work on a cell."""
 
     undo: Undo
+    """Takes back what the fault has done."""
     act: Callable[[float], None] | None = None
+    """Called with the time in s as often as the world moves on, for faults that go on happening."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Target:
-    """Cell, servo and value to which a fault is applied.
-
-    Attributes
-    ----------
-    devices
-        The simulated cell.
-    plugs
-        Its cables by name: ``can`` and ``servos``.
-    servo
-        Position of the servo or axis in the settings, for faults of one of them.
-    value
-        The value, checked.
-    now_s
-        Time in s.
-    """
+    """Cell, servo and value to which a fault is applied."""
 
     devices: CellDevices
+    """The simulated cell."""
     plugs: Mapping[str, Plug]
+    """Its cables by name: ``can`` and ``servos``."""
     servo: int
+    """Position of the servo or axis in the settings, for faults of one of them."""
     value: FaultValue
+    """The value, checked."""
     now_s: float
+    """Time in s."""
 
     @property
     def number(self) -> float:
@@ -179,37 +145,26 @@ class Target:
 
 @dataclass(frozen=True, slots=True)
 class FaultEntry:
-    """One fault of the vocabulary.
-
-    Attributes
-    ----------
-    name
-        ``component.fault``; ``servoN`` stands for servo1, servo2, ... in the order of the config,
-        ``axisN`` for its axes.
-    kind
-        What it does to the component.
-    meaning
-        One line.
-    apply
-        Begins the fault on a target.
-    knob
-        Faults of one knob (and one servo) exclude each other at the same time.
-    value
-        What may stand behind ``=``; None for nothing.
-    moment
-        Whether it happens and is over, so that it has no end.
-    check
-        Refuses what does not fit the cell, with SimulatorSettingsError, before anything is changed.
-    """
+    """One fault of the vocabulary."""
 
     name: str
+    """``component.fault``; ``servoN`` stands for servo1, servo2, ... in the order of the config,
+    ``axisN`` for its axes."""
     kind: FaultKind
+    """What it does to the component."""
     meaning: str
+    """One line."""
     apply: Callable[[Target], Effect]
+    """Begins the fault on a target."""
     knob: str = ""
+    """Faults of one knob (and one servo) exclude each other at the same time."""
     value: Number | Setting | None = None
+    """What may stand behind ``=``; None for nothing."""
     moment: bool = False
+    """Whether it happens and is over, so that it has no end."""
     check: Callable[[Target], object] | None = None
+    """Refuses what does not fit the cell, with SimulatorSettingsError, before anything is changed.
+    """
 
 
 Apply = Callable[[Target], Effect]

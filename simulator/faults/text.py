@@ -25,41 +25,27 @@ class FaultEvent(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class When:
-    """A moment: so long after the first such event that follows the injection.
-
-    Attributes
-    ----------
-    event
-        The event; INJECTED is the injection itself.
-    offset_s
-        Time after it in s.
-    """
+    """A moment: so long after the first such event that follows the injection."""
 
     event: FaultEvent
+    """The event; INJECTED is the injection itself."""
     offset_s: float
+    """Time after it in s."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FaultText:
-    """A fault as it was written.
-
-    Attributes
-    ----------
-    text
-        All of it.
-    name
-        ``component.fault``.
-    value
-        What stands behind ``=``, None where nothing does.
-    start, end
-        When it begins and ends; None for at once and never.
-    """
+    """A fault as it was written."""
 
     text: str
+    """All of it."""
     name: str
+    """``component.fault``."""
     value: str | None
+    """What stands behind ``=``, None where nothing does."""
     start: When | None
     end: When | None
+    """When it begins and ends; None for at once and never."""
 
 
 def parse_fault(text: str) -> FaultText:

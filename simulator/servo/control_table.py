@@ -87,15 +87,7 @@ Those that differ between models are added for the model."""
 
 
 class Item(NamedTuple):
-    """One item with its rules.
-
-    Attributes
-    ----------
-    name, address, size, signed, writable, eeprom
-        As in `gripper.dynamixel.control_table.Register`.
-    minimum, maximum
-        Accepted raw values; anything else is a Data Range Error.
-    """
+    """One item with its rules."""
 
     name: str
     address: int
@@ -103,8 +95,10 @@ class Item(NamedTuple):
     signed: bool
     writable: bool
     eeprom: bool
+    """As in `gripper.dynamixel.control_table.Register`."""
     minimum: int
     maximum: int
+    """Accepted raw values; anything else is a Data Range Error."""
 
 
 _CODES = {1: "b", 2: "h", 4: "i"}
@@ -119,21 +113,14 @@ class WritePlan(NamedTuple):
 
 
 class IndirectArea(NamedTuple):
-    """One block of indirect addresses and the data that they give access to.
-
-    Attributes
-    ----------
-    address
-        First indirect address (2 bytes each).
-    data
-        First byte of indirect data.
-    entries
-        Number of entries.
-    """
+    """One block of indirect addresses and the data that they give access to."""
 
     address: int
+    """First indirect address (2 bytes each)."""
     data: int
+    """First byte of indirect data."""
     entries: int
+    """Number of entries."""
 
 
 def indirect_areas(model: ServoModel, firmware: int) -> tuple[IndirectArea, ...]:

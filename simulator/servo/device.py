@@ -148,18 +148,12 @@ def _backup(core: ServoCore, parameters: bytes, now_s: float) -> StatusError:
 
 
 class Answer(NamedTuple):
-    """Answer of a servo to an instruction, before it is put into a packet.
-
-    Attributes
-    ----------
-    error
-        Error byte, Alert bit included.
-    data
-        Parameters after the error byte.
-    """
+    """Answer of a servo to an instruction, before it is put into a packet."""
 
     error: int
+    """Error byte, Alert bit included."""
     data: bytes = b""
+    """Parameters after the error byte."""
 
 
 class SimulatedServo:

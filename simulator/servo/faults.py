@@ -20,24 +20,16 @@ _ROUNDING = 1e-6
 
 @dataclass(slots=True, kw_only=True)
 class Trigger:
-    """Choice of the packets that a fault hits; off as it is made.
-
-    Attributes
-    ----------
-    probability
-        Chance for each packet, 0 to 1.
-    every
-        Hits each n-th packet; 0 = never.
-    next_packets
-        Hits this many of the next packets, then goes off; counts down.
-    servo_ids
-        Only packets of these servos; None = all.
-    """
+    """Choice of the packets that a fault hits; off as it is made."""
 
     probability: float = 0.0
+    """Chance for each packet, 0 to 1."""
     every: int = 0
+    """Hits each n-th packet; 0 = never."""
     next_packets: int = 0
+    """Hits this many of the next packets, then goes off; counts down."""
     servo_ids: frozenset[int] | None = None
+    """Only packets of these servos; None = all."""
     _seen: int = field(default=0, init=False, repr=False)
 
     @property
@@ -61,34 +53,22 @@ class Trigger:
 
 
 class Piece(NamedTuple):
-    """Bytes that leave for the host.
-
-    Attributes
-    ----------
-    delay_s
-        How much later than without faults, s.
-    data
-        The bytes.
-    """
+    """Bytes that leave for the host."""
 
     delay_s: float
+    """How much later than without faults, s."""
     data: bytes
+    """The bytes."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Chatter:
-    """What another device sends on the wire, whoever speaks there.
-
-    Attributes
-    ----------
-    data
-        Bytes of one burst.
-    every_s
-        Time from the begin of a burst to that of the next one, s.
-    """
+    """What another device sends on the wire, whoever speaks there."""
 
     data: bytes
+    """Bytes of one burst."""
     every_s: float
+    """Time from the begin of a burst to that of the next one, s."""
 
     def moments_s(self, after_s: float, until_s: float) -> list[float]:
         """Return the times in s at which bursts begin, after one time and up to another one."""
@@ -105,41 +85,13 @@ class Chatter:
 
 @dataclass(slots=True, kw_only=True)
 class WireFaults:
-    """Knobs of the wire between host and servos.
-
-    Attributes
-    ----------
-    seed
-        Seed of all chances.
-    lose_request, corrupt_request
-        A write of the host is lost; one bit of it flips.
-    drop, delay, duplicate, bit_flip, truncate, garbage, wrong_id
-        What happens to an answer. A dropped answer was heard by the other servos.
-    delay_s
-        How late a delayed answer is, s.
-    truncate_bytes
-        How many bytes a truncated answer lacks at its end.
-    garbage_data
-        What comes in front of an answer hit by ``garbage``.
-    repeat_s
-        Each answer comes again so much later, s; 0 = it does not.
-    lag
-        Each answer is replaced by the servo's answer of the same length before it.
-    chatter
-        What another device sends; an answer that it meets on the wire is damaged. None = nothing.
-    silent
-        Servos that neither hear nor answer: later ones of a sync read stay silent too.
-    echo
-        The host receives its own bytes back, as on a half-duplex adapter without switching.
-    fragment_bytes, fragment_gap_s
-        Answers come in pieces of so many bytes with pauses between; 0 = whole.
-    unplugged
-        The adapter is gone: nothing passes.
-    """
+    """Knobs of the wire between host and servos."""
 
     seed: int = 0
+    """Seed of all chances."""
     lose_request: Trigger = field(default_factory=Trigger)
     corrupt_request: Trigger = field(default_factory=Trigger)
+    """A write of the host is lost; one bit of it flips."""
     drop: Trigger = field(default_factory=Trigger)
     delay: Trigger = field(default_factory=Trigger)
     duplicate: Trigger = field(default_factory=Trigger)
@@ -147,17 +99,28 @@ class WireFaults:
     truncate: Trigger = field(default_factory=Trigger)
     garbage: Trigger = field(default_factory=Trigger)
     wrong_id: Trigger = field(default_factory=Trigger)
+    """What happens to an answer. A dropped answer was heard by the other servos."""
     delay_s: float = 0.04
+    """How late a delayed answer is, s."""
     truncate_bytes: int = 3
+    """How many bytes a truncated answer lacks at its end."""
     garbage_data: bytes = b"\xaa\xff\xff\xfd\x55"
+    """What comes in front of an answer hit by ``garbage``."""
     repeat_s: float = 0.0
+    """Each answer comes again so much later, s; 0 = it does not."""
     lag: bool = False
+    """Each answer is replaced by the servo's answer of the same length before it."""
     chatter: Chatter | None = None
+    """What another device sends; an answer that it meets on the wire is damaged. None = nothing."""
     silent: set[int] = field(default_factory=set)
+    """Servos that neither hear nor answer: later ones of a sync read stay silent too."""
     echo: bool = False
+    """The host receives its own bytes back, as on a half-duplex adapter without switching."""
     fragment_bytes: int = 0
     fragment_gap_s: float = 0.002
+    """Answers come in pieces of so many bytes with pauses between; 0 = whole."""
     unplugged: bool = False
+    """The adapter is gone: nothing passes."""
     _generator: random.Random | None = field(default=None, init=False, repr=False)
     _before: dict[tuple[int, int], bytes] = field(default_factory=dict, init=False, repr=False)
 

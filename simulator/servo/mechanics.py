@@ -55,18 +55,12 @@ class FingerLinkage(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParallelogramLinkage:
-    """A finger on a parallelogram: the pad stays parallel, half opening = L sin(angle) + offset.
-
-    Attributes
-    ----------
-    link_m
-        Length L of the parallelogram's link in m.
-    offset_m
-        Half opening in m at the angle 0.
-    """
+    """A finger on a parallelogram: the pad stays parallel, half opening = L sin(angle) + offset."""
 
     link_m: float = 0.06
+    """Length L of the parallelogram's link in m."""
     offset_m: float = 0.0
+    """Half opening in m at the angle 0."""
 
     def __post_init__(self) -> None:
         require_positive(link_m=self.link_m)
@@ -97,21 +91,14 @@ class ParallelogramLinkage:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RackLinkage:
-    """A finger on a rack: half opening = pinion radius x angle + offset.
-
-    Attributes
-    ----------
-    pinion_radius_m
-        Radius of the pinion's pitch circle in m.
-    offset_m
-        Half opening in m at the angle 0.
-    travel_m
-        Largest half opening in m.
-    """
+    """A finger on a rack: half opening = pinion radius x angle + offset."""
 
     pinion_radius_m: float = 0.01
+    """Radius of the pinion's pitch circle in m."""
     offset_m: float = 0.0
+    """Half opening in m at the angle 0."""
     travel_m: float = 0.05
+    """Largest half opening in m."""
 
     def __post_init__(self) -> None:
         require_positive(pinion_radius_m=self.pinion_radius_m, travel_m=self.travel_m)
@@ -140,18 +127,12 @@ class RackLinkage:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServoMount:
-    """Mounting of a servo in the gripper: direction and zero.
-
-    Attributes
-    ----------
-    direction
-        +1 when the fingers open with a growing position, -1 when they close.
-    zero_raw
-        Raw position at the linkage angle 0.
-    """
+    """Mounting of a servo in the gripper: direction and zero."""
 
     direction: int = 1
+    """+1 when the fingers open with a growing position, -1 when they close."""
     zero_raw: int = 2048
+    """Raw position at the linkage angle 0."""
 
     def __post_init__(self) -> None:
         if self.direction not in {-1, 1}:

@@ -50,27 +50,18 @@ _LEAST_SUPPLY_V = 0.1
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gearing:
-    """What a real gearing does to the torque of its motor; the defaults are an ideal one.
-
-    Attributes
-    ----------
-    load_friction
-        Friction over the torque of the load, on top of `ServoModel.friction_nm`.
-    backlash_rad
-        Way of the motor at the output from one flank of the teeth to the other.
-    output_friction
-        Share of the friction that brakes the output behind the backlash: bearings, horn, finger.
-    ripple
-        Amplitude of the torque's ripple over the motor, as a share of it.
-    ripple_per_turn
-        Periods of the ripple in one turn of the output.
-    """
+    """What a real gearing does to the torque of its motor; the defaults are an ideal one."""
 
     load_friction: float = 0.0
+    """Friction over the torque of the load, on top of `ServoModel.friction_nm`."""
     backlash_rad: float = 0.0
+    """Way of the motor at the output from one flank of the teeth to the other."""
     output_friction: float = 0.0
+    """Share of the friction that brakes the output behind the backlash: bearings, horn, finger."""
     ripple: float = 0.0
+    """Amplitude of the torque's ripple over the motor, as a share of it."""
     ripple_per_turn: float = 0.0
+    """Periods of the ripple in one turn of the output."""
 
     def __post_init__(self) -> None:
         for name in ("load_friction", "output_friction", "ripple"):
@@ -116,35 +107,24 @@ class DriveMode(IntEnum):
 
 
 class DriveCommand(NamedTuple):
-    """Command of the servo's firmware to its motor.
-
-    Attributes
-    ----------
-    mode
-        What is regulated.
-    current_a
-        Set-point (CURRENT) or limit of the magnitude (CURRENT_POSITION), A.
-    position_rad
-        Goal of the position modes, rad.
-    velocity_rad_s
-        Goal of VELOCITY, rad/s.
-    duty
-        Set-point (PWM) or limit of the magnitude (all others), 1 = supply voltage.
-    p_gain, d_gain
-        Raw position gains.
-    profile_velocity_rad_s, profile_acceleration_rad_s2
-        Limits of the reference's motion towards the goal; 0 = none.
-    """
+    """Command of the servo's firmware to its motor."""
 
     mode: DriveMode = DriveMode.OFF
+    """What is regulated."""
     current_a: float = 0.0
+    """Set-point (CURRENT) or limit of the magnitude (CURRENT_POSITION), A."""
     position_rad: float = 0.0
+    """Goal of the position modes, rad."""
     velocity_rad_s: float = 0.0
+    """Goal of VELOCITY, rad/s."""
     duty: float = 1.0
+    """Set-point (PWM) or limit of the magnitude (all others), 1 = supply voltage."""
     p_gain: float = 0.0
     d_gain: float = 0.0
+    """Raw position gains."""
     profile_velocity_rad_s: float = 0.0
     profile_acceleration_rad_s2: float = 0.0
+    """Limits of the reference's motion towards the goal; 0 = none."""
 
 
 class ServoMotor:

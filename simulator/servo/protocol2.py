@@ -129,21 +129,14 @@ def encode_status(packet_id: int, error: int, parameters: bytes = b"") -> bytes:
 
 
 class FastBlock(NamedTuple):
-    """The part of one servo in the joint status of a fast read.
-
-    Attributes
-    ----------
-    servo_id
-        The servo.
-    error
-        Its error byte.
-    data
-        What it read; its length is the one asked for.
-    """
+    """The part of one servo in the joint status of a fast read."""
 
     servo_id: int
+    """The servo."""
     error: int
+    """Its error byte."""
     data: bytes
+    """What it read; its length is the one asked for."""
 
 
 def encode_fast_status(lengths: Sequence[int], blocks: Sequence[FastBlock]) -> tuple[bytes, ...]:
@@ -168,24 +161,16 @@ def encode_fast_status(lengths: Sequence[int], blocks: Sequence[FastBlock]) -> t
 
 
 class Packet(NamedTuple):
-    """One packet as the parser found it.
-
-    Attributes
-    ----------
-    packet_id
-        ID field: 0 to 252 or `BROADCAST_ID`.
-    instruction
-        Instruction code; `STATUS` for a status packet.
-    parameters
-        Parameters with the stuffing removed (error byte first in a status packet).
-    intact
-        False when the checksum is wrong: nothing in the packet may be used.
-    """
+    """One packet as the parser found it."""
 
     packet_id: int
+    """ID field: 0 to 252 or `BROADCAST_ID`."""
     instruction: int
+    """Instruction code; `STATUS` for a status packet."""
     parameters: bytes
+    """Parameters with the stuffing removed (error byte first in a status packet)."""
     intact: bool
+    """False when the checksum is wrong: nothing in the packet may be used."""
 
 
 class PacketParser:

@@ -20,26 +20,18 @@ _MOVING_RAD_S = 1e-3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WristMount:
-    """A simulated servo and the axis that it moves.
-
-    Attributes
-    ----------
-    servo_id, model, baud_rate
-        ID, model, and rate of its line in bit/s.
-    increments
-        Pulses in one m or rad of the axis; negative where it turns the other way.
-    zero
-        Present Position at 0 of the axis.
-    start
-        True position at power-on in m or rad.
-    """
+    """A simulated servo and the axis that it moves."""
 
     servo_id: int
     model: ServoModel = XM430_W350
     baud_rate: int = 1_000_000
+    """ID, model, and rate of its line in bit/s."""
     increments: float
+    """Pulses in one m or rad of the axis; negative where it turns the other way."""
     zero: int
+    """Present Position at 0 of the axis."""
     start: float
+    """True position at power-on in m or rad."""
 
 
 class SimulatedWrist:

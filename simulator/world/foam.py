@@ -19,30 +19,21 @@ TABLE_STEP_M = 10e-6
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Foam:
-    """A sheet of conductive foam.
-
-    Attributes
-    ----------
-    thickness_m
-        Thickness of the sheet in m; the paper's pads have 3 mm.
-    modulus_pa
-        Young's modulus at small strain in Pa: 150 kPa, the only reading of the paper's threshold
-        (4.9 kPa at 3.3 % strain) that is a foam.
-    densification
-        How fast it stiffens: at a strain of one half the secant modulus is ``1 + densification``
-        times the modulus.
-    limit_strain
-        From here on the law goes on along its tangent.
-    spread_m
-        Standard deviation in m of the spreading of a pressure on its way through the sheet: about
-        half the thickness.
-    """
+    """A sheet of conductive foam."""
 
     thickness_m: float = 3e-3
+    """Thickness of the sheet in m; the paper's pads have 3 mm."""
     modulus_pa: float = 150e3
+    """Young's modulus at small strain in Pa: 150 kPa, the only reading of the paper's threshold
+    (4.9 kPa at 3.3 % strain) that is a foam."""
     densification: float = 0.5
+    """How fast it stiffens: at a strain of one half the secant modulus is ``1 + densification``
+    times the modulus."""
     limit_strain: float = 0.9
+    """From here on the law goes on along its tangent."""
     spread_m: float = 1.5e-3
+    """Standard deviation in m of the spreading of a pressure on its way through the sheet: about
+    half the thickness."""
 
     def __post_init__(self) -> None:
         require_positive(

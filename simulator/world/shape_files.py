@@ -50,18 +50,12 @@ _TEXT = re.compile(
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class MeshShape:
-    """A closed surface of triangles.
-
-    Attributes
-    ----------
-    triangles_m : (n, 3, 3) float64
-        Corners of each triangle in m, centred; x is the long axis.
-    roll_step_rad
-        Rolls in which it rests between the pads, multiples of this in rad; 0 allows any.
-    """
+    """A closed surface of triangles."""
 
     triangles_m: NDArray[np.float64] = field(repr=False)
+    """(n, 3, 3) float64: corners of each triangle in m, centred; x is the long axis."""
     roll_step_rad: float = 0.0
+    """Rolls in which it rests between the pads, multiples of this in rad; 0 allows any."""
 
     def __post_init__(self) -> None:
         triangles_m = np.array(self.triangles_m, dtype=np.float64)

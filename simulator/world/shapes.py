@@ -27,25 +27,17 @@ Heights = tuple[NDArray[np.float64], NDArray[np.float64]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ObjectPose:
-    """Pose of an object between the pads.
-
-    Attributes
-    ----------
-    x_m, y_m
-        Offset of the object's centre from the pads' centre in m: x along the finger, y across.
-    z_m
-        Offset along the closing axis in m, towards finger 1; the object then floats.
-    rotation_rad
-        Turn about the closing axis (the normal of the pads) in rad.
-    roll_rad
-        Turn about the object's own long axis in rad.
-    """
+    """Pose of an object between the pads."""
 
     x_m: float = 0.0
     y_m: float = 0.0
+    """Offset of the object's centre from the pads' centre in m: x along the finger, y across."""
     z_m: float = 0.0
+    """Offset along the closing axis in m, towards finger 1; the object then floats."""
     rotation_rad: float = 0.0
+    """Turn about the closing axis (the normal of the pads) in rad."""
     roll_rad: float = 0.0
+    """Turn about the object's own long axis in rad."""
 
     def __post_init__(self) -> None:
         for name in ("x_m", "y_m", "z_m", "rotation_rad", "roll_rad"):
@@ -140,19 +132,13 @@ class Ellipsoid:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Revolution:
-    """A solid of revolution about its long axis.
-
-    Attributes
-    ----------
-    length_m
-        Length along the axis in m.
-    radius_m
-        Radius in m over the distance from the middle in m, elementwise, for distances up to half
-        the length.
-    """
+    """A solid of revolution about its long axis."""
 
     length_m: float
+    """Length along the axis in m."""
     radius_m: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+    """Radius in m over the distance from the middle in m, elementwise, for distances up to half the
+    length."""
 
     def __post_init__(self) -> None:
         require_positive(length_m=self.length_m)

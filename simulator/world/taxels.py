@@ -30,19 +30,14 @@ class NoiseModel:
     The paper adds "values from a normal distribution in the range [1, 20]" to counts of 8 bit. A
     normal variable has no such range, so there are readings to choose from; all are scaled with
     the converter's full scale.
-
-    Attributes
-    ----------
-    kind
-        ``clipped_normal``: the magnitude of N(0, 10) clipped to [1, 20], never negative.
-        ``symmetric``: N(0, 10) clipped to [-20, 20]. ``uniform``: even over [1, 20].
-        ``none``: nothing.
-    level
-        Factor from 0 to 4 on all of it; 1 is the paper's upper limit, 8 % of full scale.
     """
 
     kind: NoiseKind = "clipped_normal"
+    """``clipped_normal``: the magnitude of N(0, 10) clipped to [1, 20], never negative.
+    ``symmetric``: N(0, 10) clipped to [-20, 20]. ``uniform``: even over [1, 20]. ``none``: nothing.
+    """
     level: float = 1.0
+    """Factor from 0 to 4 on all of it; 1 is the paper's upper limit, 8 % of full scale."""
 
     def __post_init__(self) -> None:
         if self.kind not in get_args(NoiseKind):
@@ -95,19 +90,13 @@ def resistance_mohm(force_n: NDArray[np.float64]) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorLaw:
-    """Law by which force becomes counts; without force the converter reads 0.
-
-    Attributes
-    ----------
-    gain
-        Factor on the force that a taxel feels.
-    full_scale_n
-        Force in N that reads the full scale of a sensor whose counts are proportional to the
-        force; None: equation (11), constant current and an inverting stage.
-    """
+    """Law by which force becomes counts; without force the converter reads 0."""
 
     gain: float = 1.0
+    """Factor on the force that a taxel feels."""
     full_scale_n: float | None = None
+    """Force in N that reads the full scale of a sensor whose counts are proportional to the force;
+    None: equation (11), constant current and an inverting stage."""
 
 
 EQUATION_11 = SensorLaw()

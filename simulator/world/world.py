@@ -41,31 +41,21 @@ class Fingers(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class WorldSettings:
-    """Settings of the world.
-
-    Attributes
-    ----------
-    foam
-        The sheet on each inner pad.
-    law
-        How force becomes counts.
-    noise
-        Noise of the converter.
-    seed
-        Seed of all noise.
-    nest_friction_n
-        Force in N that it takes to move the object along the closing axis: the nest in which it
-        stands holds it that much.
-    objects
-        Objects that can be placed by their name.
-    """
+    """Settings of the world."""
 
     foam: Foam = field(default_factory=Foam)
+    """The sheet on each inner pad."""
     law: SensorLaw = EQUATION_11
+    """How force becomes counts."""
     noise: NoiseModel = field(default_factory=NoiseModel)
+    """Noise of the converter."""
     seed: int = 0
+    """Seed of all noise."""
     nest_friction_n: float = 0.05
+    """Force in N that it takes to move the object along the closing axis: the nest in which it
+    stands holds it that much."""
     objects: Mapping[str, Shape] = field(default_factory=lambda: PAPER_OBJECTS)
+    """Objects that can be placed by their name."""
 
 
 class PhysicalWorld:

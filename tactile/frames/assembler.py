@@ -24,36 +24,24 @@ _HALF_TURN = 0x8000
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameStatistics:
-    """Counts of messages and frames since the last reset.
-
-    Attributes
-    ----------
-    complete
-        Frames handed out.
-    lost
-        Frames missing between two handed out, by their counters.
-    torn
-        Frames begun and given up because messages were missing.
-    duplicate
-        Messages received twice, dropped.
-    reordered
-        Messages received after one with a higher index, or after a newer frame had begun; used.
-    stale
-        Whole frames that were not newer than the last one handed out, dropped.
-    short
-        Messages that are not of 8 bytes, dropped.
-    corrupt
-        Frames or messages refused: wrong CRC, wrong phase, index beyond the burst.
-    """
+    """Counts of messages and frames since the last reset."""
 
     complete: int = 0
+    """Frames handed out."""
     lost: int = 0
+    """Frames missing between two handed out, by their counters."""
     torn: int = 0
+    """Frames begun and given up because messages were missing."""
     duplicate: int = 0
+    """Messages received twice, dropped."""
     reordered: int = 0
+    """Messages received after one with a higher index, or after a newer frame had begun; used."""
     stale: int = 0
+    """Whole frames that were not newer than the last one handed out, dropped."""
     short: int = 0
+    """Messages that are not of 8 bytes, dropped."""
     corrupt: int = 0
+    """Frames or messages refused: wrong CRC, wrong phase, index beyond the burst."""
 
 
 class _Burst:

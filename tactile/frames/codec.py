@@ -51,18 +51,12 @@ class FrameStatus(IntFlag):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameFormat:
-    """Cut of a frame of a given size into messages.
-
-    Attributes
-    ----------
-    n_taxels
-        Samples in a frame.
-    sample_bytes
-        1 or 2.
-    """
+    """Cut of a frame of a given size into messages."""
 
     n_taxels: int
+    """Samples in a frame."""
     sample_bytes: int
+    """1 or 2."""
 
     def __post_init__(self) -> None:
         if self.sample_bytes not in (1, 2):
@@ -109,28 +103,19 @@ class FrameFormat:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TactileFrame:
-    """One whole scan of all taxels.
-
-    Attributes
-    ----------
-    t_s
-        Monotonic time in s at which its last message was received.
-    counter
-        Number of the scan, modulo 65536.
-    status
-        `FrameStatus` bits.
-    counts : (n_taxels,) uint16
-        Samples in the order of the layout.
-    begun_s
-        Monotonic time in s at which its first message was received, just after the scan; None
-        where that is not known.
-    """
+    """One whole scan of all taxels."""
 
     t_s: float
+    """Monotonic time in s at which its last message was received."""
     counter: int
+    """Number of the scan, modulo 65536."""
     status: int
+    """`FrameStatus` bits."""
     counts: NDArray[np.uint16]
+    """(n_taxels,) uint16: samples in the order of the layout."""
     begun_s: float | None = None
+    """Monotonic time in s at which its first message was received, just after the scan; None where
+    that is not known."""
 
     @property
     def scanned_s(self) -> float:

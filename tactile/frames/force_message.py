@@ -78,28 +78,19 @@ class ForceStatus(IntFlag):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ForceMessage:
-    """Force on both gripping pads in one scan.
-
-    Attributes
-    ----------
-    t_s
-        Monotonic time of reception in s.
-    counter
-        Number of the message modulo 16.
-    status
-        What the unit says of it.
-    force_n
-        Force on the pad of finger 0 and of finger 1 in N.
-    centre_taxels
-        Centre of force of both pads together, along and across the fingers from the pads' middle,
-        in pitches of the taxels; None where nothing touches.
-    """
+    """Force on both gripping pads in one scan."""
 
     t_s: float
+    """Monotonic time of reception in s."""
     counter: int
+    """Number of the message modulo 16."""
     status: ForceStatus
+    """What the unit says of it."""
     force_n: tuple[float, float]
+    """Force on the pad of finger 0 and of finger 1 in N."""
     centre_taxels: tuple[float, float] | None = None
+    """Centre of force of both pads together, along and across the fingers from the pads' middle, in
+    pitches of the taxels; None where nothing touches."""
 
 
 def encode_force_message(message: ForceMessage) -> bytes:

@@ -16,25 +16,17 @@ _BEHIND_S, _LEAST_BEHIND = 0.1, 3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ForceStatistics:
-    """Counts of force messages since the start.
-
-    Attributes
-    ----------
-    received
-        Messages handed out.
-    lost
-        Messages missing between two handed out, by counter; after a silence so many at least.
-    repeated, late
-        Messages received twice; messages that came after a newer one. Dropped.
-    damaged
-        Messages with a wrong CRC or length, dropped.
-    """
+    """Counts of force messages since the start."""
 
     received: int = 0
+    """Messages handed out."""
     lost: int = 0
+    """Messages missing between two handed out, by counter; after a silence so many at least."""
     repeated: int = 0
     late: int = 0
+    """Messages received twice; messages that came after a newer one. Dropped."""
     damaged: int = 0
+    """Messages with a wrong CRC or length, dropped."""
 
 
 class ForceStream:

@@ -51,17 +51,13 @@ class FoamCalibration:
     Below zero the law goes on as its tangent, so that noise around zero averages out. At full scale
     it gives the smallest force that is rounded to full scale: such a taxel is saturated and its
     force unknown above that.
-
-    Attributes
-    ----------
-    adc_max
-        Full scale in counts.
-    gain : (n_taxels,) float64 or scalar
-        True force over the law's force, for each taxel as its own force cell.
     """
 
     adc_max: int
+    """Full scale in counts."""
     gain: Array | float = 1.0
+    """(n_taxels,) float64 or scalar: true force over the law's force, for each taxel as its own
+    force cell."""
 
     def __post_init__(self) -> None:
         if self.adc_max < 1:
@@ -89,18 +85,12 @@ class FoamCalibration:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LinearCalibration:
-    """A sensor whose counts are proportional to the force.
-
-    Attributes
-    ----------
-    force_per_count_n : (n_taxels,) float64 or scalar
-        Force of one count in N.
-    adc_max
-        Full scale in counts.
-    """
+    """A sensor whose counts are proportional to the force."""
 
     force_per_count_n: Array | float
+    """(n_taxels,) float64 or scalar: force of one count in N."""
     adc_max: int
+    """Full scale in counts."""
 
     def __post_init__(self) -> None:
         if self.adc_max < 1:

@@ -22,24 +22,17 @@ _BINOMIAL = {0: 4.0, 1: 2.0, 2: 1.0}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Neighbourhood:
-    """The 3 x 3 neighbours of each taxel on its own pad; nothing reaches across a pad's border.
-
-    Attributes
-    ----------
-    layout
-        The pads.
-    index : (n_taxels, 9) int64
-        Neighbours row by row, the taxel itself in the middle; n_taxels where the pad ends.
-    weight : (n_taxels, 9) float64
-        Binomial weights, 0 beyond the border.
-    total : (n_taxels,) float64
-        Sum of the weights of each taxel.
-    """
+    """The 3 x 3 neighbours of each taxel on its own pad; nothing reaches across a pad's border."""
 
     layout: TaxelLayout
+    """The pads."""
     index: NDArray[np.int64] = field(init=False)
+    """(n_taxels, 9) int64: neighbours row by row, the taxel itself in the middle; n_taxels where
+    the pad ends."""
     weight: Values = field(init=False)
+    """(n_taxels, 9) float64: binomial weights, 0 beyond the border."""
     total: Values = field(init=False)
+    """(n_taxels,) float64: sum of the weights of each taxel."""
 
     def __post_init__(self) -> None:
         n = self.layout.n_taxels
@@ -143,24 +136,16 @@ class MovingMean:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TouchThresholds:
-    """Thresholds above which a taxel is touched, in standard deviations of its smoothed noise.
-
-    Attributes
-    ----------
-    start
-        A region starts where this is exceeded.
-    keep
-        A region lasts while this is exceeded somewhere in it.
-    join
-        A taxel next to a region joins it above this.
-    leave
-        A taxel leaves its region below this.
-    """
+    """Thresholds above which a taxel is touched, in standard deviations of its smoothed noise."""
 
     start: float = 5.5
+    """A region starts where this is exceeded."""
     keep: float = 3.0
+    """A region lasts while this is exceeded somewhere in it."""
     join: float = 4.0
+    """A taxel next to a region joins it above this."""
     leave: float = 0.0
+    """A taxel leaves its region below this."""
 
     def __post_init__(self) -> None:
         if not (self.leave <= self.join <= self.start and 0.0 < self.keep <= self.start):

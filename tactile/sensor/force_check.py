@@ -101,24 +101,16 @@ class ForceCentres:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrameForces:
-    """What one frame alone shows of the force.
-
-    Attributes
-    ----------
-    scanned_s
-        Monotonic time of its scan in s.
-    force_n
-        Force on finger 0 and finger 1 in N.
-    centre_taxels
-        Centre of both pads along and across the fingers in pitches; None where nothing touches.
-    noise_n
-        Standard deviation of each force in N.
-    """
+    """What one frame alone shows of the force."""
 
     scanned_s: float
+    """Monotonic time of its scan in s."""
     force_n: tuple[float, float]
+    """Force on finger 0 and finger 1 in N."""
     centre_taxels: tuple[float, float] | None
+    """Centre of both pads along and across the fingers in pitches; None where nothing touches."""
     noise_n: float
+    """Standard deviation of each force in N."""
 
 
 class ForceCheck:

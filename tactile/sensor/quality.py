@@ -34,26 +34,18 @@ _MEDIAN_SPREAD = 1.25
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class QualityLimits:
-    """Limits beyond which samples are refused.
-
-    Attributes
-    ----------
-    frozen_s
-        All samples may stay identical for this long in s, where the zero has seen noise.
-    stuck_frames
-        A taxel that repeats itself so often while others do not is bad.
-    force_step_n, width_step_m
-        Without noise: identical samples are frozen ones once the wanted force has changed by so
-        many N, or the opening by so many m while the pads are touched.
-    drift_share
-        Of the full scale: so far the untouched pads may be from their zero.
-    """
+    """Limits beyond which samples are refused."""
 
     frozen_s: float = 0.08
+    """All samples may stay identical for this long in s, where the zero has seen noise."""
     stuck_frames: int = 25
+    """A taxel that repeats itself so often while others do not is bad."""
     force_step_n: float = 1.0
     width_step_m: float = 5e-4
+    """Without noise: identical samples are frozen ones once the wanted force has changed by so many
+    N, or the opening by so many m while the pads are touched."""
     drift_share: float = 0.01
+    """Of the full scale: so far the untouched pads may be from their zero."""
 
     def __post_init__(self) -> None:
         require_at_least(

@@ -60,35 +60,24 @@ class SensorSettings:
 
     The defaults suit 50 frames/s and one-sided noise of up to 8 % of the full scale on each taxel
     and frame; the thresholds follow the noise that the tare finds.
-
-    Attributes
-    ----------
-    mean_frames
-        Frames averaged: the force follows a step completely after so many.
-    touch
-        Thresholds above which a taxel is touched.
-    noise_floor_share
-        Noise of a taxel is taken to be at least this share of the full scale.
-    gap_s
-        A longer gap between frames starts the mean anew, in s.
-    quality
-        Limits beyond which samples are refused.
-    bad_share
-        Forces are not ok with a larger share of bad taxels on a gripping pad.
-    poll_s
-        Pause between two polls while waiting, in s.
-    tare_limits
-        Limits beyond which a zero is refused.
     """
 
     mean_frames: int = 3
+    """Frames averaged: the force follows a step completely after so many."""
     touch: TouchThresholds = field(default_factory=TouchThresholds)
+    """Thresholds above which a taxel is touched."""
     noise_floor_share: float = 0.002
+    """Noise of a taxel is taken to be at least this share of the full scale."""
     gap_s: float = 0.1
+    """A longer gap between frames starts the mean anew, in s."""
     quality: QualityLimits = field(default_factory=QualityLimits)
+    """Limits beyond which samples are refused."""
     bad_share: float = 0.05
+    """Forces are not ok with a larger share of bad taxels on a gripping pad."""
     poll_s: float = 0.001
+    """Pause between two polls while waiting, in s."""
     tare_limits: TareLimits = field(default_factory=TareLimits)
+    """Limits beyond which a zero is refused."""
 
     def __post_init__(self) -> None:
         require_at_least(
@@ -98,61 +87,42 @@ class SensorSettings:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SensorStatistics:
-    """Counts since the start of the sensor.
-
-    Attributes
-    ----------
-    bad_taxels
-        Taxels that do not measure now; masked and filled from their neighbours.
-    saturated_frames
-        Frames with healthy taxels at full scale.
-    void_frames
-        Frames after the tare whose finger forces were not fit for control.
-    """
+    """Counts since the start of the sensor."""
 
     bad_taxels: int = 0
+    """Taxels that do not measure now; masked and filled from their neighbours."""
     saturated_frames: int = 0
+    """Frames with healthy taxels at full scale."""
     void_frames: int = 0
+    """Frames after the tare whose finger forces were not fit for control."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TactileReading:
-    """One frame and its forces in newtons. Arrays are read-only.
-
-    Attributes
-    ----------
-    frame
-        The raw frame.
-    tared_counts : (n_taxels,) float64
-        Counts above the zero, averaged over the last frames, bad taxels filled from neighbours.
-    force_n : (n_taxels,) float64
-        Normal force on each active taxel in N, 0 on the others.
-    pad_force_n : (n_pads,) float64
-        Sum over each pad in N.
-    finger_force_n
-        Force on the gripping pad of finger 0 and of finger 1 in N.
-    scan_force_n
-        The same of this frame alone, on the taxels that the last frames show as touched.
-    active, saturated, bad : (n_taxels,) bool
-        Touched taxels; taxels at full scale in this frame; taxels that do not measure: dead,
-        stuck or constantly at full scale, filled from their neighbours.
-    ok
-        Whether the finger forces may be used for control.
-    reason
-        Why not, empty if ok.
-    """
+    """One frame and its forces in newtons. Arrays are read-only."""
 
     frame: TactileFrame
+    """The raw frame."""
     tared_counts: Values
+    """(n_taxels,) float64: counts above the zero, averaged over the last frames, bad taxels filled
+    from neighbours."""
     force_n: Values
+    """(n_taxels,) float64: normal force on each active taxel in N, 0 on the others."""
     pad_force_n: Values
+    """(n_pads,) float64: sum over each pad in N."""
     finger_force_n: tuple[float, float]
+    """Force on the gripping pad of finger 0 and of finger 1 in N."""
     scan_force_n: tuple[float, float]
+    """The same of this frame alone, on the taxels that the last frames show as touched."""
     active: NDArray[np.bool_]
     saturated: NDArray[np.bool_]
     bad: NDArray[np.bool_]
+    """(n_taxels,) bool: touched taxels; taxels at full scale in this frame; taxels that do not
+    measure: dead, stuck or constantly at full scale, filled from their neighbours."""
     ok: bool
+    """Whether the finger forces may be used for control."""
     reason: str
+    """Why not, empty if ok."""
 
     @property
     def t_s(self) -> float:

@@ -22,24 +22,16 @@ _NOISY_SHARE = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TaxelHealth:
-    """Health of each taxel, judged from untouched frames.
-
-    Attributes
-    ----------
-    dead : (n_taxels,) bool
-        Constantly 0 while the others show noise.
-    stuck : (n_taxels,) bool
-        Constant at another value while the others show noise.
-    saturated : (n_taxels,) bool
-        Constantly at full scale, whatever the others do.
-    noisy : bool
-        Whether the sensor shows noise; without, dead and stuck taxels cannot be found.
-    """
+    """Health of each taxel, judged from untouched frames."""
 
     dead: Mask
+    """(n_taxels,) bool: constantly 0 while the others show noise."""
     stuck: Mask
+    """(n_taxels,) bool: constant at another value while the others show noise."""
     saturated: Mask
+    """(n_taxels,) bool: constantly at full scale, whatever the others do."""
     noisy: bool
+    """bool: whether the sensor shows noise; without, dead and stuck taxels cannot be found."""
 
     @property
     def bad(self) -> Mask:
@@ -85,29 +77,20 @@ def assess_health(frames: NDArray[np.uint16], adc_max: int) -> TaxelHealth:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TareLimits:
-    """Limits beyond which a zero is refused; counts as shares of the full scale.
-
-    Attributes
-    ----------
-    offset_share
-        No healthy taxel's mean may exceed this: pressed, or out of order.
-    bump_share
-        No region, smoothed over 3 x 3 taxels, may stand out of its pad's median by more.
-    pad_share
-        No gripping pad's median may stand out of that of the pads that nothing grips by more:
-        something large presses it evenly. Not judged where a layout has no such pads.
-    drift_share
-        No region may differ by more between the first and the second half of the frames.
-    bad_share
-        At most this share of the taxels of any pad may be bad; one of a pad always may, unless
-        the share is 0.
-    """
+    """Limits beyond which a zero is refused; counts as shares of the full scale."""
 
     offset_share: float = 0.12
+    """No healthy taxel's mean may exceed this: pressed, or out of order."""
     bump_share: float = 0.016
+    """No region, smoothed over 3 x 3 taxels, may stand out of its pad's median by more."""
     pad_share: float = 0.016
+    """No gripping pad's median may stand out of that of the pads that nothing grips by more:
+    something large presses it evenly. Not judged where a layout has no such pads."""
     drift_share: float = 0.024
+    """No region may differ by more between the first and the second half of the frames."""
     bad_share: float = 0.05
+    """At most this share of the taxels of any pad may be bad; one of a pad always may, unless the
+    share is 0."""
 
     def __post_init__(self) -> None:
         for name in ("offset_share", "bump_share", "pad_share", "drift_share", "bad_share"):
@@ -118,27 +101,18 @@ class TareLimits:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TareResult:
-    """The zero.
-
-    Attributes
-    ----------
-    offset_counts : (n_taxels,) float64
-        Mean counts without a touch; bad taxels have their neighbours' mean.
-    noise_counts : (n_taxels,) float64
-        Standard deviation of the counts.
-    health
-        Broken taxels.
-    n_frames
-        Frames averaged.
-    t_s
-        Monotonic time of the last one in s.
-    """
+    """The zero."""
 
     offset_counts: Values
+    """(n_taxels,) float64: mean counts without a touch; bad taxels have their neighbours' mean."""
     noise_counts: Values
+    """(n_taxels,) float64: standard deviation of the counts."""
     health: TaxelHealth
+    """Broken taxels."""
     n_frames: int
+    """Frames averaged."""
     t_s: float
+    """Monotonic time of the last one in s."""
 
 
 def too_many_bad(n_bad: int, n_taxels: int, share: float) -> bool:

@@ -31,41 +31,28 @@ _NMT_STATES = {state: state_name(state) for state in (0, 4, 5, 127)}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Signal:
-    """One signal of a message.
-
-    Attributes
-    ----------
-    name
-        A C identifier.
-    start, size
-        Bits; a little-endian signal starts at its lowest bit, a big-endian one at its highest.
-    multiplex
-        ``M`` for the multiplexer, ``m12`` for what is there only while it is 12, else empty.
-    big_endian
-        Whether the high byte comes first.
-    signed
-        Whether the raw value is a two's complement.
-    maximum
-        Largest raw value, None for what fits.
-    factor
-        Physical value of one count, as it is to be written.
-    unit, comment
-        Text.
-    values
-        Names of raw values.
-    """
+    """One signal of a message."""
 
     name: str
+    """A C identifier."""
     start: int
     size: int
+    """Bits; a little-endian signal starts at its lowest bit, a big-endian one at its highest."""
     multiplex: str = ""
+    """``M`` for the multiplexer, ``m12`` for what is there only while it is 12, else empty."""
     big_endian: bool = False
+    """Whether the high byte comes first."""
     signed: bool = False
+    """Whether the raw value is a two's complement."""
     maximum: int | None = None
+    """Largest raw value, None for what fits."""
     factor: str = "1"
+    """Physical value of one count, as it is to be written."""
     unit: str = ""
     comment: str = ""
+    """Text."""
     values: Mapping[int, str] | None = None
+    """Names of raw values."""
 
     def text(self, receivers: str) -> str:
         """Return the signal's line, without a line end."""
@@ -80,33 +67,22 @@ class Signal:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Message:
-    """One message and who sends it.
-
-    Attributes
-    ----------
-    can_id
-        Identifier of 11 bits.
-    name
-        A C identifier.
-    size
-        Bytes of data.
-    sender
-        Name of the node.
-    signals
-        What is in it.
-    comment
-        Text.
-    period_ms
-        Cycle time in ms, 0 where it has none.
-    """
+    """One message and who sends it."""
 
     can_id: int
+    """Identifier of 11 bits."""
     name: str
+    """A C identifier."""
     size: int
+    """Bytes of data."""
     sender: str
+    """Name of the node."""
     signals: tuple[Signal, ...]
+    """What is in it."""
     comment: str
+    """Text."""
     period_ms: int = 0
+    """Cycle time in ms, 0 where it has none."""
 
 
 def file_text(messages: Sequence[Message], nodes: Sequence[str], comment: str) -> str:

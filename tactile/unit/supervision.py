@@ -82,21 +82,14 @@ def state_name(state: int) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Emergency:
-    """An emergency message.
-
-    Attributes
-    ----------
-    code
-        Emergency error code; 0 = the error is gone.
-    register
-        Error register, object 0x1001.
-    detail
-        The five manufacturer-specific bytes.
-    """
+    """An emergency message."""
 
     code: int
+    """Emergency error code; 0 = the error is gone."""
     register: int
+    """Error register, object 0x1001."""
     detail: bytes
+    """The five manufacturer-specific bytes."""
 
     @property
     def text(self) -> str:
@@ -158,21 +151,14 @@ class TrafficLimit:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SupervisionLimits:
-    """Deadlines of a supervisor.
-
-    Attributes
-    ----------
-    heartbeat_s
-        Period of the unit's heartbeat in s.
-    heartbeat_factor
-        The heartbeat is lost after this many periods without one.
-    passive_s
-        The controller may be error-passive for this long.
-    """
+    """Deadlines of a supervisor."""
 
     heartbeat_s: float
+    """Period of the unit's heartbeat in s."""
     heartbeat_factor: float = 2.5
+    """The heartbeat is lost after this many periods without one."""
     passive_s: float = 0.5
+    """The controller may be error-passive for this long."""
 
 
 class NodeSupervisor:

@@ -42,59 +42,39 @@ PRODUCT_ERRORS = (CellError, GripperError, TactileError)
 
 @dataclass(frozen=True, slots=True)
 class Observed:
-    """What the cell did about a fault.
-
-    Attributes
-    ----------
-    reaction
-        One of `tests.faults.table.REACTIONS`, or a word for what must not be, as ``LOST``.
-    detected_after_s
-        From the beginning of the fault until the cell detected it, in s; None where there is no
-        such time.
-    outcome
-        One line: the message to the operator, and what became of the grip.
-    """
+    """What the cell did about a fault."""
 
     reaction: str
+    """One of `tests.faults.table.REACTIONS`, or a word for what must not be, as ``LOST``."""
     detected_after_s: float | None
+    """From the beginning of the fault until the cell detected it, in s; None where there is no such
+    time."""
     outcome: str
+    """One line: the message to the operator, and what became of the grip."""
 
 
 @dataclass(frozen=True, slots=True)
 class FaultRow:
-    """One variant of one of the 44 kinds of fault.
-
-    Attributes
-    ----------
-    row
-        Kind of fault, 1 to 44.
-    variant
-        What makes it differ from the other variants of this kind; may be empty.
-    fault
-        The fault in plain words.
-    injected
-        Text of the simulator's vocabulary of faults, or how else it is brought about.
-    reaction
-        What the cell has to do.
-    limit_s
-        Within which time in s the cell has to detect it; None where no time applies.
-    scenario
-        Brings the fault about; None for `grasp_with_fault`.
-    changes
-        Changes of the config for it, see `campaign_config`.
-    real_time
-        Whether it runs real processes in real time.
-    """
+    """One variant of one of the 44 kinds of fault."""
 
     row: int
+    """Kind of fault, 1 to 44."""
     variant: str
+    """What makes it differ from the other variants of this kind; may be empty."""
     fault: str
+    """The fault in plain words."""
     injected: str
+    """Text of the simulator's vocabulary of faults, or how else it is brought about."""
     reaction: str
+    """What the cell has to do."""
     limit_s: float | None
+    """Within which time in s the cell has to detect it; None where no time applies."""
     scenario: "Callable[[FaultRow], Observed] | None" = None
+    """Brings the fault about; None for `grasp_with_fault`."""
     changes: Mapping[str, Any] = field(default_factory=dict)
+    """Changes of the config for it, see `campaign_config`."""
     real_time: bool = False
+    """Whether it runs real processes in real time."""
 
     @property
     def name(self) -> str:
@@ -136,15 +116,10 @@ def campaign_config(changes: Mapping[str, Any] | None = None) -> CellConfig:
 
 @dataclass(frozen=True, kw_only=True)
 class CampaignCell(VirtualCell):
-    """A simulated cell in virtual time, its controller, and the monitor that watches both.
-
-    Attributes
-    ----------
-    monitor
-        The invariants.
-    """
+    """A simulated cell in virtual time, its controller, and the monitor that watches both."""
 
     monitor: InvariantMonitor
+    """The invariants."""
 
     @property
     def now_s(self) -> float:

@@ -16,24 +16,16 @@ AS_REQUIRED = "as required"
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What became of one row.
-
-    Attributes
-    ----------
-    row
-        The row.
-    observed
-        What was observed; None where the row itself failed.
-    failure
-        What broke; empty where nothing did.
-    seconds
-        How long it took in s.
-    """
+    """What became of one row."""
 
     row: FaultRow
+    """The row."""
     observed: Observed | None
+    """What was observed; None where the row itself failed."""
     failure: str = ""
+    """What broke; empty where nothing did."""
     seconds: float = 0.0
+    """How long it took in s."""
 
     @property
     def verdict(self) -> str:

@@ -242,21 +242,14 @@ class CellMachine(RuleBasedStateMachine):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """What a run of the machine has found.
-
-    Attributes
-    ----------
-    steps
-        Commands, faults and events that were driven.
-    seconds
-        How long it took in s.
-    defect
-        What was broken, with the steps that led there; empty for nothing.
-    """
+    """What a run of the machine has found."""
 
     steps: int
+    """Commands, faults and events that were driven."""
     seconds: float
+    """How long it took in s."""
     defect: str
+    """What was broken, with the steps that led there; empty for nothing."""
 
 
 MACHINES: dict[str, type[CellMachine]] = {"": CellMachine} | {

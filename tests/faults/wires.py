@@ -56,26 +56,18 @@ SUCCEEDED, CANCELED = 4, 5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Request:
-    """A command as a client sends it.
-
-    Attributes
-    ----------
-    task
-        ``identify``, ``grip``, ``verify``, ``release``, ``clear``, ``reset`` or ``shutdown``.
-    force_n, max_grasps, keep
-        Of an identification; the force of a grip too.
-    key
-        Of a release.
-    reboot
-        Of a clear.
-    """
+    """A command as a client sends it."""
 
     task: str
+    """``identify``, ``grip``, ``verify``, ``release``, ``clear``, ``reset`` or ``shutdown``."""
     force_n: float = 0.0
     max_grasps: int = 0
     keep: Keep = Keep.NEVER
+    """Of an identification; the force of a grip too."""
     key: int = 0
+    """Of a release."""
     reboot: bool = False
+    """Of a clear."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

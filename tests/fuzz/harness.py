@@ -138,37 +138,24 @@ json_values = st.recursive(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Piece:
-    """What became of the inputs of one piece of a campaign.
-
-    Attributes
-    ----------
-    outcomes
-        How many inputs ended how.
-    failures
-        What was broken, with the seed and the input; empty for nothing.
-    """
+    """What became of the inputs of one piece of a campaign."""
 
     outcomes: Mapping[str, int]
+    """How many inputs ended how."""
     failures: Sequence[str] = ()
+    """What was broken, with the seed and the input; empty for nothing."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Property:
-    """A property of a parser, for campaigns.
-
-    Attributes
-    ----------
-    name
-        Module and function.
-    seeded
-        Whether its inputs are made without Hypothesis.
-    run
-        Tries the piece with that number: each number stands for the same inputs in every run.
-    """
+    """A property of a parser, for campaigns."""
 
     name: str
+    """Module and function."""
     seeded: bool
+    """Whether its inputs are made without Hypothesis."""
     run: Callable[[int], Piece] = field(repr=False)
+    """Tries the piece with that number: each number stands for the same inputs in every run."""
 
 
 PROPERTIES: dict[str, Property] = {}

@@ -115,27 +115,18 @@ def relay_on(line: str, port: str) -> Iterator[Relay]:
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """A kind of damage on one line and what has to become of a job.
-
-    Attributes
-    ----------
-    line
-        ``servos`` or ``can``.
-    order
-        For the relay, see `relay.py`.
-    errors
-        Classes of the error that may end the job.
-    fatal
-        Whether an error has to end it.
-    contact
-        Whether it begins at the contact; else with the job.
-    """
+    """A kind of damage on one line and what has to become of a job."""
 
     line: str
+    """``servos`` or ``can``."""
     order: str
+    """For the relay, see `relay.py`."""
     errors: tuple[type[Exception], ...]
+    """Classes of the error that may end the job."""
     fatal: bool = False
+    """Whether an error has to end it."""
     contact: bool = True
+    """Whether it begins at the contact; else with the job."""
 
     @property
     def name(self) -> str:

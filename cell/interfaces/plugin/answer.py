@@ -17,35 +17,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FeltShape:
-    """Shape and size of an object, lengths in mm.
-
-    Attributes
-    ----------
-    kind
-        ``sphere``, ``oval``, ``cylinder``, ``flat``, ``dumbbell``, or ``unclear``.
-    probability
-        Probability of the likeliest kind, given that it is one of them.
-    probabilities
-        Probability of each kind.
-    size_mm, interval_mm
-        Thickness along the closing axis (the diameter of what is round), and the interval that
-        holds it with 90 % probability.
-    thicknesses_mm
-        All thicknesses that were met: size, and both ends of the interval.
-    dimensions_mm
-        Dimensions of the likeliest kind by their names, without interval.
-    n_grasps
-        Grasps that it rests on.
-    """
+    """Shape and size of an object, lengths in mm."""
 
     kind: str
+    """``sphere``, ``oval``, ``cylinder``, ``flat``, ``dumbbell``, or ``unclear``."""
     probability: float
+    """Probability of the likeliest kind, given that it is one of them."""
     probabilities: Mapping[str, float] = field(hash=False)
+    """Probability of each kind."""
     size_mm: float
     interval_mm: tuple[float, float]
+    """Thickness along the closing axis (the diameter of what is round), and the interval that holds
+    it with 90 % probability."""
     thicknesses_mm: tuple[tuple[float, float, float], ...]
+    """All thicknesses that were met: size, and both ends of the interval."""
     dimensions_mm: Mapping[str, float] = field(hash=False)
+    """Dimensions of the likeliest kind by their names, without interval."""
     n_grasps: int
+    """Grasps that it rests on."""
 
     def __str__(self) -> str:
         sizes = (f"{at:.1f} mm ({low:.1f} to {high:.1f})" for at, low, high in self.thicknesses_mm)
@@ -70,45 +59,31 @@ class FeltShape:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Answer:
-    """Answer of an identification.
-
-    Attributes
-    ----------
-    label
-        A taught label, or ``UNKNOWN``.
-    probabilities
-        Probability of each taught label and of ``UNKNOWN``; they sum to 1.
-    n_grasps
-        Grasps that it took.
-    shape
-        Shape and size, also of an object that was never taught; None where the pads do not show
-        them, or the config has ``recognition.shape`` off.
-    n_ended_early
-        Grasps whose ramp ended early, because it sufficed.
-    drift
-        Estimate of the drift of the sensors; None where it is not followed.
-    occasion
-        How far the sensors were trusted to be as at teaching, and why: ``within an hour of
-        teaching``, ``the drift was gauged``, ``at another time than the teaching`` or ``on another
-        cell than the teaching``. Empty for recognisers that do not ask.
-    remark
-        Message for the operator, as that the sensors have drifted: once, empty otherwise.
-    kept
-        Whether the part is still in the grip, for the host to release where it wants it.
-    job
-        Number of the job that found it.
-    """
+    """Answer of an identification."""
 
     label: str
+    """A taught label, or ``UNKNOWN``."""
     probabilities: Mapping[str, float] = field(hash=False)
+    """Probability of each taught label and of ``UNKNOWN``; they sum to 1."""
     n_grasps: int
+    """Grasps that it took."""
     kept: bool = False
+    """Whether the part is still in the grip, for the host to release where it wants it."""
     shape: FeltShape | None = None
+    """Shape and size, also of an object that was never taught; None where the pads do not show
+    them, or the config has ``recognition.shape`` off."""
     n_ended_early: int = 0
+    """Grasps whose ramp ended early, because it sufficed."""
     drift: "DriftEstimate | None" = None
+    """Estimate of the drift of the sensors; None where it is not followed."""
     occasion: str = ""
+    """How far the sensors were trusted to be as at teaching, and why: ``within an hour of
+    teaching``, ``the drift was gauged``, ``at another time than the teaching`` or ``on another cell
+    than the teaching``. Empty for recognisers that do not ask."""
     remark: str = ""
+    """Message for the operator, as that the sensors have drifted: once, empty otherwise."""
     job: int = 0
+    """Number of the job that found it."""
 
     @property
     def probability(self) -> float:
@@ -138,45 +113,30 @@ class Answer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HostStatus(CellStatus):
-    """States of cell and grip, and what a host that carries a part needs beside them.
-
-    Attributes
-    ----------
-    live
-        Force, opening, temperature and taxels as they are measured at the moment.
-    last_answer
-        Answer of the last identification, whatever jobs came after it; None from the beginning of
-        the next identification or sort on, until the identification has succeeded.
-    """
+    """States of cell and grip, and what a host that carries a part needs beside them."""
 
     live: "LiveValues" = field(compare=False)
+    """Force, opening, temperature and taxels as they are measured at the moment."""
     last_answer: Answer | None
+    """Answer of the last identification, whatever jobs came after it; None from the beginning of
+    the next identification or sort on, until the identification has succeeded."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Verification:
-    """Result of the look at a part in the grip: whether it is still the one that was kept.
-
-    Attributes
-    ----------
-    held
-        Whether both pads are loaded.
-    same
-        Whether opening and footprint on the pads are those with which it was kept; None where
-        nothing is held.
-    force_n
-        Grip force in N.
-    opening_mm
-        Opening between the pads in mm.
-    reasons
-        What differs, in words with value and limit; empty where nothing does.
-    """
+    """Result of the look at a part in the grip: whether it is still the one that was kept."""
 
     held: bool
+    """Whether both pads are loaded."""
     same: bool | None
+    """Whether opening and footprint on the pads are those with which it was kept; None where
+    nothing is held."""
     force_n: float
+    """Grip force in N."""
     opening_mm: float
+    """Opening between the pads in mm."""
     reasons: tuple[str, ...] = ()
+    """What differs, in words with value and limit; empty where nothing does."""
 
     @classmethod
     def of(cls, check: "HeldCheck") -> Self:
@@ -192,21 +152,13 @@ class Verification:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SortAnswer:
-    """Count of a sort.
-
-    Attributes
-    ----------
-    n_parts
-        Parts that were let go at a place.
-    n_missed
-        Turns in which no part was found.
-    n_rejected
-        Parts at the place of the rejects: never taught, or not what they were any more.
-    places
-        Parts at each place.
-    """
+    """Count of a sort."""
 
     n_parts: int
+    """Parts that were let go at a place."""
     n_missed: int
+    """Turns in which no part was found."""
     n_rejected: int
+    """Parts at the place of the rejects: never taught, or not what they were any more."""
     places: Mapping[str, int] = field(hash=False)
+    """Parts at each place."""

@@ -34,43 +34,28 @@ class JobOutcome(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """Handle of a started job.
-
-    Attributes
-    ----------
-    number
-        Its number among the jobs of its worker, from 1.
-    worker
-        Name of the worker that runs it: jobs of two cells have the same numbers.
-    """
+    """Handle of a started job."""
 
     number: int
+    """Its number among the jobs of its worker, from 1."""
     worker: str
+    """Name of the worker that runs it: jobs of two cells have the same numbers."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JobStatus:
-    """State and progress of a job.
-
-    Attributes
-    ----------
-    outcome
-        Its state.
-    progress
-        Its last report; the keys depend on the job.
-    value
-        Its result, once it succeeded.
-    error
-        Why it ended otherwise, as text; empty before.
-    exception
-        The error that ended it; None where it did not fail.
-    """
+    """State and progress of a job."""
 
     outcome: JobOutcome
+    """Its state."""
     progress: dict[str, Any]
+    """Its last report; the keys depend on the job."""
     value: Any = None
+    """Its result, once it succeeded."""
     error: str = ""
+    """Why it ended otherwise, as text; empty before."""
     exception: BaseException | None = None
+    """The error that ended it; None where it did not fail."""
 
     @property
     def fault_number(self) -> int:

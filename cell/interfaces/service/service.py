@@ -49,73 +49,51 @@ OUTCOME_NUMBERS = {
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class JobView:
-    """A job as every door shows it.
-
-    Attributes
-    ----------
-    number, task
-        Its number, 0 for none yet, and what was asked for.
-    outcome, outcome_number
-        Its state.
-    fault_number, error
-        Why it did not succeed; 0 and empty else.
-    label, label_id, probability, n_grasps
-        Answer of an identification; before its end what is likeliest so far, with label id 0.
-    shape, size_mm
-        Shape of the part, empty where it is not known, and its size in mm, 0 then.
-    kept
-        Whether the answer leaves the part in the grip.
-    held, same
-        Answer of a verification.
-    progress
-        Last report of the job.
-    """
+    """A job as every door shows it."""
 
     number: int = 0
     task: str = ""
+    """Its number, 0 for none yet, and what was asked for."""
     outcome: str = ""
     outcome_number: int = 0
+    """Its state."""
     fault_number: int = 0
     error: str = ""
+    """Why it did not succeed; 0 and empty else."""
     label: str = ""
     label_id: int = 0
     probability: float = 0.0
     n_grasps: int = 0
+    """Answer of an identification; before its end what is likeliest so far, with label id 0."""
     shape: str = ""
     size_mm: float = 0.0
+    """Shape of the part, empty where it is not known, and its size in mm, 0 then."""
     kept: bool = False
+    """Whether the answer leaves the part in the grip."""
     held: bool | None = None
     same: bool | None = None
+    """Answer of a verification."""
     progress: Mapping[str, Any] = field(default_factory=dict)
+    """Last report of the job."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Snapshot:
-    """Everything that a door shows, at one moment.
-
-    Attributes
-    ----------
-    status
-        States, live values, last answer.
-    job
-        The newest job.
-    last_answer
-        The job of the last answer of an identification, as `HostStatus.last_answer`, for doors.
-    commander
-        Name of the client with the lease; empty for none.
-    held_by
-        Clients that keep the cell on hold; "(gone)" stands after one that is gone.
-    pose_seq, pose
-        The pose that the host shall reach and its number; 0 and None where none is waited for.
-    """
+    """Everything that a door shows, at one moment."""
 
     status: HostStatus
+    """States, live values, last answer."""
     job: JobView
+    """The newest job."""
     last_answer: JobView | None
+    """The job of the last answer of an identification, as `HostStatus.last_answer`, for doors."""
     commander: str
+    """Name of the client with the lease; empty for none."""
     held_by: tuple[str, ...]
+    """Clients that keep the cell on hold; "(gone)" stands after one that is gone."""
     pose_seq: int
     pose: Pose | None
+    """The pose that the host shall reach and its number; 0 and None where none is waited for."""
 
 
 @dataclass(slots=True)

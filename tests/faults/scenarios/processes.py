@@ -299,21 +299,14 @@ def _client_config() -> CellConfig:
 
 @dataclass(kw_only=True)
 class _Client:
-    """The program with a part in its grip, in a process and session of its own.
-
-    Attributes
-    ----------
-    process
-        What was started: the program, or its parent.
-    pid
-        The program.
-    folder
-        Where its recording is.
-    """
+    """The program with a part in its grip, in a process and session of its own."""
 
     process: "subprocess.Popen[bytes]"
+    """What was started: the program, or its parent."""
     pid: int
+    """The program."""
     folder: Path
+    """Where its recording is."""
 
 
 @contextlib.contextmanager
