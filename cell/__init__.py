@@ -11,8 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from cell.build import Cell as Cell
-    from cell.build import build_cell as build_cell
+    from cell.build import Cell as Cell, build_cell as build_cell
     from cell.config.file import load_config as load_config
     from cell.config.model import CellConfig as CellConfig
     from cell.control.controller import CellController as CellController

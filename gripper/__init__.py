@@ -12,48 +12,25 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from gripper.errors import GripperError as GripperError
     from gripper.force.ramp import ForceRamp as ForceRamp
-    from gripper.gripper import Gripper as Gripper
-    from gripper.gripper import open_gripper as open_gripper
+    from gripper.gripper import Gripper as Gripper, open_gripper as open_gripper
     from gripper.kinematics import (
         Linkage as Linkage,
-    )
-    from gripper.kinematics import (
         ParallelLinkage as ParallelLinkage,
-    )
-    from gripper.kinematics import (
         RackPinion as RackPinion,
     )
     from gripper.settings import (
         ForceLoopSettings as ForceLoopSettings,
-    )
-    from gripper.settings import (
         GripperSettings as GripperSettings,
-    )
-    from gripper.settings import (
         OverForce as OverForce,
-    )
-    from gripper.settings import (
         ServoSettings as ServoSettings,
     )
     from gripper.state import (
         Cycle as Cycle,
-    )
-    from gripper.state import (
         ForceSample as ForceSample,
-    )
-    from gripper.state import (
         ForceSensor as ForceSensor,
-    )
-    from gripper.state import (
         GraspOutcome as GraspOutcome,
-    )
-    from gripper.state import (
         GraspResult as GraspResult,
-    )
-    from gripper.state import (
         GripperPhase as GripperPhase,
-    )
-    from gripper.state import (
         GripperState as GripperState,
     )
 

@@ -10,16 +10,11 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from motion.axes import Axes as Axes
-    from motion.axes import Axis as Axis
-    from motion.axes import AxisDevice as AxisDevice
-    from motion.bus import DriveBus as DriveBus
-    from motion.bus import Watch as Watch
-    from motion.drive import Cia402Drive as Cia402Drive
-    from motion.drive import DriveSettings as DriveSettings
+    from motion.axes import Axes as Axes, Axis as Axis, AxisDevice as AxisDevice
+    from motion.bus import DriveBus as DriveBus, Watch as Watch
+    from motion.drive import Cia402Drive as Cia402Drive, DriveSettings as DriveSettings
     from motion.errors import MotionError as MotionError
-    from motion.servo import ServoAxis as ServoAxis
-    from motion.servo import ServoAxisSettings as ServoAxisSettings
+    from motion.servo import ServoAxis as ServoAxis, ServoAxisSettings as ServoAxisSettings
 
 _FACE = {
     "motion.axes": "Axes Axis AxisDevice",

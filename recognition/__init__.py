@@ -12,33 +12,18 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from recognition.grasp import Grasp as Grasp
-    from recognition.grasp import GraspCommand as GraspCommand
-    from recognition.grasp import PadArray as PadArray
+    from recognition.grasp import Grasp as Grasp, GraspCommand as GraspCommand, PadArray as PadArray
     from recognition.recognizer import (
         UNKNOWN as UNKNOWN,
-    )
-    from recognition.recognizer import (
         Posterior as Posterior,
-    )
-    from recognition.recognizer import (
         Recognizer as Recognizer,
-    )
-    from recognition.recognizer import (
         Trainer as Trainer,
     )
-    from recognition.recognizers import make_trainer as make_trainer
-    from recognition.recognizers import trainer_names as trainer_names
+    from recognition.recognizers import make_trainer as make_trainer, trainer_names as trainer_names
     from recognition.statistics.fusion import (
         Decision as Decision,
-    )
-    from recognition.statistics.fusion import (
         StopRule as StopRule,
-    )
-    from recognition.statistics.fusion import (
         decide as decide,
-    )
-    from recognition.statistics.fusion import (
         fuse as fuse,
     )
 

@@ -10,8 +10,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from simulator.cell import SimulatedCell as SimulatedCell
-    from simulator.cell import simulated_cell as simulated_cell
+    from simulator.cell import SimulatedCell as SimulatedCell, simulated_cell as simulated_cell
     from simulator.settings import SimulatorSettings as SimulatorSettings
 
 _FACE = {

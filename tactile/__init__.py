@@ -13,37 +13,21 @@ if TYPE_CHECKING:
     from tactile.frames.codec import TactileFrame as TactileFrame
     from tactile.layout import (
         Pad as Pad,
-    )
-    from tactile.layout import (
         TaxelLayout as TaxelLayout,
-    )
-    from tactile.layout import (
         paper_layout as paper_layout,
-    )
-    from tactile.layout import (
         pinch_layout as pinch_layout,
     )
     from tactile.sensor.calibration import (
         Calibration as Calibration,
-    )
-    from tactile.sensor.calibration import (
         FoamCalibration as FoamCalibration,
-    )
-    from tactile.sensor.calibration import (
         LinearCalibration as LinearCalibration,
     )
     from tactile.sensor.grip_force import GripForce as GripForce
+    from tactile.sensor.opening import open_sensor as open_sensor
     from tactile.sensor.sensor import (
         SensorSettings as SensorSettings,
-    )
-    from tactile.sensor.sensor import (
         TactileReading as TactileReading,
-    )
-    from tactile.sensor.sensor import (
         TactileSensor as TactileSensor,
-    )
-    from tactile.sensor.sensor import (
-        open_sensor as open_sensor,
     )
     from tactile.sensor.tare import TareResult as TareResult
     from tactile.unit.settings import LinkSettings as LinkSettings
@@ -54,7 +38,8 @@ _FACE = {
     "tactile.layout": "Pad TaxelLayout paper_layout pinch_layout",
     "tactile.sensor.calibration": "Calibration FoamCalibration LinearCalibration",
     "tactile.sensor.grip_force": "GripForce",
-    "tactile.sensor.sensor": "SensorSettings TactileReading TactileSensor open_sensor",
+    "tactile.sensor.opening": "open_sensor",
+    "tactile.sensor.sensor": "SensorSettings TactileReading TactileSensor",
     "tactile.sensor.tare": "TareResult",
     "tactile.unit.settings": "LinkSettings",
 }

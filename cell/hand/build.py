@@ -9,8 +9,9 @@ from gripper.gripper import open_gripper
 from gripper.state import ForceSample
 from tactile.can.bus import open_bus
 from tactile.sensor.grip_force import GripForce
+from tactile.sensor.opening import open_sensor
 from tactile.sensor.quality import QualityLimits
-from tactile.sensor.sensor import SensorSettings, open_sensor
+from tactile.sensor.sensor import SensorSettings
 from tactile.sensor.tare import TareLimits
 
 SHARED_PROCESS = (

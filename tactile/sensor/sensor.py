@@ -1,16 +1,14 @@
 """The tactile sensor: whole frames in, forces on taxels, pads and fingers out."""
 
-import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from math import inf, sqrt
-from typing import Protocol, Self
+from typing import TYPE_CHECKING, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile.can.bus import CanBus, close_bus, open_bus
 from tactile.clock import Clock
 from tactile.errors import (
     CalibrationError,
@@ -22,8 +20,8 @@ from tactile.errors import (
 )
 from tactile.frames.codec import FrameStatus, TactileFrame
 from tactile.frames.force_message import ForceMessage, encode_zero
-from tactile.layout import TaxelLayout, paper_layout
-from tactile.sensor.calibration import Calibration, FoamCalibration
+from tactile.layout import TaxelLayout
+from tactile.sensor.calibration import Calibration
 from tactile.sensor.filters import (
     ActiveTaxels,
     MovingMean,
@@ -32,11 +30,13 @@ from tactile.sensor.filters import (
     Values,
     fill_bad,
 )
-from tactile.sensor.force_check import ForceCentres, ForceCheck, FrameForces, force_table
+from tactile.sensor.force_check import ForceCentres, ForceCheck, FrameForces
 from tactile.sensor.quality import QualityLimits, QualityWatch
 from tactile.sensor.tare import TareLimits, TareResult, compute_tare, too_many_bad
-from tactile.unit.link import TactileLink
-from tactile.unit.settings import LinkSettings, LinkStatistics, NodeIdentity
+from tactile.unit.settings import LinkStatistics, NodeIdentity
+
+if TYPE_CHECKING:
+    from tactile.can.bus import CanBus
 
 _KEPT_FORCES = 1000
 """Force messages that wait to be taken: five seconds at 200 a second; older ones are dropped."""
@@ -143,7 +143,7 @@ class FrameSource(Protocol):
         """The latched fault, None while there is none."""
         ...
 
-    def use(self, bus: CanBus) -> None:
+    def use(self, bus: "CanBus") -> None:
         """Take a bus that was opened anew in the place of a lost one, before the next start."""
         ...
 
@@ -581,73 +581,3 @@ class TactileSensor:
             if too_many_bad(n_bad, taxels.stop - taxels.start, self._settings.bad_share):
                 return f"{np.count_nonzero(bad[taxels])} taxels of finger {finger} bad"
         return ""
-
-
-def open_sensor(
-    channel: str | CanBus,
-    layout: TaxelLayout | None = None,
-    calibration: Calibration | None = None,
-    *,
-    interface: str = "socketcan",
-    bitrate: int = 1_000_000,
-    node_id: int = 5,
-    link: LinkSettings | None = None,
-    settings: SensorSettings | None = None,
-) -> TactileSensor:
-    """Open the control unit's CAN bus and return its sensor; ``with`` starts the unit.
-
-    Leaving the block stops the frames and closes the bus. SYNC goes out, and faults show, while the
-    sensor is read; messages that nobody takes for half a minute are a fault of the link.
-
-    Parameters
-    ----------
-    channel
-        Channel of the CAN interface, as can0 or /dev/ttyACM0; or an open bus, which stays open: a
-        simulated one has the time of its devices with it, as ``clock``.
-    layout
-        The taxels; by default the paper's: 408 on ten pads.
-    calibration
-        From counts to newtons; by default the paper's foam.
-    interface
-        python-can's name of the interface: socketcan, slcan, pcan, ...
-    bitrate
-        Of the CAN bus, in bit/s.
-    node_id
-        CANopen node-ID of the unit, 1 to 127.
-    link, settings
-        Periods and limits of the link, and of the way from frames to forces.
-
-    Raises
-    ------
-    BusNotOpened
-        When the bus cannot be opened.
-    CalibrationError
-        When the calibration is for another full scale than the layout's.
-    """
-    layout = layout or paper_layout()
-    calibration = calibration or FoamCalibration(layout.adc_max)
-    owned = isinstance(channel, str)
-    bus = open_bus(interface, channel, bitrate=bitrate) if isinstance(channel, str) else channel
-    clock: Clock = getattr(bus, "clock", time)
-    try:
-        tactile_link = TactileLink(
-            bus,
-            node_id=node_id,
-            layout=layout,
-            clock=clock,
-            settings=replace(link or LinkSettings(), threaded=clock is time),
-            force_table=force_table(layout, calibration),
-        )
-        return TactileSensor(
-            tactile_link,
-            layout,
-            calibration,
-            clock=clock,
-            settings=settings,
-            forces=tactile_link,
-            close_bus=(lambda: close_bus(bus)) if owned else None,
-        )
-    except BaseException:
-        if owned:
-            close_bus(bus)
-        raise

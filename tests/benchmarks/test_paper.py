@@ -6,9 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from benchmarks.paper import level_trials
-from benchmarks.paper import page as job
-from benchmarks.paper import reproduction as command
+from benchmarks.paper import level_trials, page as job, reproduction as command
 from benchmarks.paper.claims import claims, most_confused, paper_share
 from benchmarks.paper.effort import Effort
 from benchmarks.paper.grasps import (

@@ -59,7 +59,7 @@ def test_the_built_in_objects_are_those_of_the_paper() -> None:
         ),
         (
             {"gripper__aperture_open_mm": 300.0},
-            "gripper.aperture_open_mm is 300, the linkage reaches",
+            "gripper.aperture_open_mm is beyond gripper.linkage",
         ),
         ({"gripper__linkage": {"kind": "parallel_linkage", "offset_mm": -100.0}}, "linkage"),
         (

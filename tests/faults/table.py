@@ -129,7 +129,7 @@ CAN_BUS = _near((
              "too old is one too many",
              "can.delayed=0.045@contact+0.1s", "HOLD", 0.045 + BURST_S + 3 * SYNC_S + LOOP_S),
     FaultRow(5, "corrupt payload", "one bit turned in each message for one period",
-             "can.garbage=1@contact+0.1s..contact+0.12s", "NOTE", SYNC_S + BURST_S + LOOP_S),
+             "can.garbage=1@contact+0.14s..contact+0.16s", "NOTE", SYNC_S + BURST_S + LOOP_S),
     FaultRow(5, "corrupt payload often", "a bit in 1 % of messages",
              "can.garbage=0.01@contact+0.1s", "HOLD", 0.3),
     FaultRow(5, "wrong length", "some of them",

@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from simulator.faults.injector import VOCABULARY
-from tests.faults import __main__ as command
-from tests.faults import page, results, table
+from tests.faults import __main__ as command, page, results, table
 from tests.faults.campaign import FaultRow, Observed
 from tests.faults.results import AS_REQUIRED, Result
 

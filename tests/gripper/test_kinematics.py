@@ -1,8 +1,7 @@
 from math import asin, pi
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from gripper.dynamixel.models import XM430_W350
 from gripper.errors import LimitExceeded

@@ -484,7 +484,9 @@ def test_train_writes_a_model(dataset: Path, tmp_path: Path) -> None:
     assert "taught 2 objects with 20 grasps" in text
     assert load_model(path).trainer_name == "level_check"
     written = read_json(tmp_path / "t.json")
-    assert "one series" in written.pop("teaching")["notes"][0]
+    amount, series = written.pop("teaching")["notes"]
+    assert "4 objects (now 2)" in amount
+    assert "one series" in series
     assert written == {
         "model": str(path),
         "recognizer": "level_check",
@@ -983,7 +985,7 @@ def test_a_second_signal_ends_at_once() -> None:
 def test_an_interrupt_outside_a_sequence_is_one(
     monkeypatch: pytest.MonkeyPatch, fail: Callable[..., tuple[int, str]]
 ) -> None:
-    def interrupt(_config: Any) -> Any:
+    def interrupt(*_config: Any) -> Any:
         raise KeyboardInterrupt
 
     monkeypatch.setattr(cell.jobs.doctor, "examine", interrupt)

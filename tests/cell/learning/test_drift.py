@@ -219,7 +219,8 @@ def test_a_session_says_the_drift_and_takes_it_off_what_is_taught_then(
     monkeypatch.setattr("cell.learning.taught_model.train", train)
     controller: Any = Grasping(make_grasp("ball"))
     model, told = TaughtModel(make_config()), list[Any]()
-    tasks.teach(controller, model, TeachGoal(label="ball", grasps=1), told.append)
+    file = tasks.ModelFile(model, None)
+    tasks.teach(controller, model, file, TeachGoal(label="ball", grasps=1), told.append)
     assert np.array_equal(taught_with[0][0].counts, controller.given.counts)
     answers = []
     for _ in range(3):
@@ -228,7 +229,7 @@ def test_a_session_says_the_drift_and_takes_it_off_what_is_taught_then(
     assert controller.remarks == [("drift", answers[1].remark)]
     assert told[-1] == {"task": "identify", "remark": answers[1].remark}
     assert [a.drift.likely for a in answers if a.drift] == [False, False, True]
-    tasks.teach(controller, model, TeachGoal(label="box", grasps=1), told.append)
+    tasks.teach(controller, model, file, TeachGoal(label="box", grasps=1), told.append)
     first, second = taught_with[1]
     assert np.array_equal(first.counts, controller.given.counts)
     assert second.aperture_m == pytest.approx(controller.given.aperture_m + 3.8e-3)

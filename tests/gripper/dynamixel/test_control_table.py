@@ -3,8 +3,7 @@ import sys
 from itertools import pairwise
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from gripper.dynamixel.control_table import (
     BUS_WATCHDOG,

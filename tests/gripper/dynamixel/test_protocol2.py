@@ -1,7 +1,6 @@
 import pytest
 from dynamixel_sdk import COMM_PORT_BUSY, Protocol2PacketHandler
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from gripper.dynamixel.protocol2 import (
     CheckedPacketHandler,

@@ -2,8 +2,7 @@ from itertools import pairwise
 from math import inf, nan, pi
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from gripper.errors import LimitExceeded
 from gripper.force.ramp import ForceRamp, RampSegment

@@ -4,8 +4,7 @@ from dataclasses import replace
 import mpmath
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from benchmarks.paper.sweep_full import FULL_PRODUCT, sweep_summary
 from recognition.errors import QuadricError, TrajectoryError

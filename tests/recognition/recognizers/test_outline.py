@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from recognition.features.footprint import PadGrid
-from recognition.recognizers.comparators.invariants import LocalGeometry as Geometry
 from recognition.recognizers.comparators.invariants import (
+    LocalGeometry as Geometry,
     conic_invariants,
     cubic_geometry,
     parabola_invariant,

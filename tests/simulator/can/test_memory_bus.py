@@ -7,8 +7,7 @@ from pathlib import Path
 import can
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from simulator.can.capture import PcapWriter
 from simulator.can.control_unit import ControlUnitSettings, SendBurst, SimulatedControlUnit

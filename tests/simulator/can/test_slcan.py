@@ -2,8 +2,7 @@ import math
 from random import Random
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from simulator.can.control_unit import SendBurst
 from simulator.can.faults import CanLinkFaults

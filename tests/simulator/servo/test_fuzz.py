@@ -1,7 +1,6 @@
 """Whatever comes over the wire, the servos go on: no exception, no broken answer, no lost limit."""
 
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from gripper.dynamixel.models import MODELS
 from simulator.servo.bus import ServoBusDevice

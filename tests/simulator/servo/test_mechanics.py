@@ -3,8 +3,7 @@
 import math
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from gripper.dynamixel.control_table import RAD_PER_PULSE
 from gripper.dynamixel.models import XL330_M288, XM430_W350

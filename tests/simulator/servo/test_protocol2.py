@@ -1,8 +1,7 @@
 """Protocol 2.0 on the wire: byte vectors of the e-Manual and properties of the strict parser."""
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from simulator.servo.protocol2 import (
     HEADER,

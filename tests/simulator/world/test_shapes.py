@@ -3,8 +3,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 
 from simulator.errors import SimulatorSettingsError
 from simulator.world.shape_files import MeshShape, load_mesh, parse_shape

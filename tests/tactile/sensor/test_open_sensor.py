@@ -25,7 +25,7 @@ def opened(sim: SimulatedCell, monkeypatch: pytest.MonkeyPatch) -> list[tuple[st
         asked.append((interface, channel, bitrate))
         return sim.can_bus
 
-    monkeypatch.setattr("tactile.sensor.sensor.open_bus", open_bus)
+    monkeypatch.setattr("tactile.sensor.opening.open_bus", open_bus)
     return asked
 
 

@@ -1,0 +1,83 @@
+"""Opening a sensor: the control unit's bus, its link and the sensor in one call."""
+
+import time
+from dataclasses import replace
+
+from tactile.can.bus import CanBus, close_bus, open_bus
+from tactile.clock import Clock
+from tactile.layout import TaxelLayout, paper_layout
+from tactile.sensor.calibration import Calibration, FoamCalibration
+from tactile.sensor.force_check import force_table
+from tactile.sensor.sensor import SensorSettings, TactileSensor
+from tactile.unit.link import TactileLink
+from tactile.unit.settings import LinkSettings
+
+
+def open_sensor(
+    channel: str | CanBus,
+    layout: TaxelLayout | None = None,
+    calibration: Calibration | None = None,
+    *,
+    interface: str = "socketcan",
+    bitrate: int = 1_000_000,
+    node_id: int = 5,
+    link: LinkSettings | None = None,
+    settings: SensorSettings | None = None,
+) -> TactileSensor:
+    """Open the control unit's CAN bus and return its sensor; ``with`` starts the unit.
+
+    Leaving the block stops the frames and closes the bus. SYNC goes out, and faults show, while the
+    sensor is read; messages that nobody takes for half a minute are a fault of the link.
+
+    Parameters
+    ----------
+    channel
+        Channel of the CAN interface, as can0 or /dev/ttyACM0; or an open bus, which stays open: a
+        simulated one has the time of its devices with it, as ``clock``.
+    layout
+        The taxels; by default the paper's: 408 on ten pads.
+    calibration
+        From counts to newtons; by default the paper's foam.
+    interface
+        python-can's name of the interface: socketcan, slcan, pcan, ...
+    bitrate
+        Of the CAN bus, in bit/s.
+    node_id
+        CANopen node-ID of the unit, 1 to 127.
+    link, settings
+        Periods and limits of the link, and of the way from frames to forces.
+
+    Raises
+    ------
+    BusNotOpened
+        When the bus cannot be opened.
+    CalibrationError
+        When the calibration is for another full scale than the layout's.
+    """
+    layout = layout or paper_layout()
+    calibration = calibration or FoamCalibration(layout.adc_max)
+    owned = isinstance(channel, str)
+    bus = open_bus(interface, channel, bitrate=bitrate) if isinstance(channel, str) else channel
+    clock: Clock = getattr(bus, "clock", time)
+    try:
+        tactile_link = TactileLink(
+            bus,
+            node_id=node_id,
+            layout=layout,
+            clock=clock,
+            settings=replace(link or LinkSettings(), threaded=clock is time),
+            force_table=force_table(layout, calibration),
+        )
+        return TactileSensor(
+            tactile_link,
+            layout,
+            calibration,
+            clock=clock,
+            settings=settings,
+            forces=tactile_link,
+            close_bus=(lambda: close_bus(bus)) if owned else None,
+        )
+    except BaseException:
+        if owned:
+            close_bus(bus)
+        raise
