@@ -16,31 +16,17 @@ from cell.errors import HandLost
 from cell.hand.interface import HandStatistics, Measured, Watch
 from cell.hand.lines import MISSING
 from cell.hand.messages import (
+    WATCHED,
     Alive,
     Answer,
     Boot,
-    Carry,
-    ClearFault,
-    CloseSensor,
     Command,
-    Conditions,
     EndRamp,
     Event,
     Fault,
-    GraspUnder,
-    Inspect,
-    KeepGrip,
-    Open,
     Progress,
-    ReadSensor,
     Ready,
-    Release,
     Request,
-    Shutdown,
-    Squeeze,
-    Start,
-    StartSensor,
-    Tare,
     received_error,
 )
 from gripper.errors import GripperError, copy_fingers
@@ -296,26 +282,26 @@ class HandProcess:
 
     def start(self) -> VerificationReport:
         """Verify the servos; see `Hand`."""
-        report: VerificationReport = self._call(Start())
+        report: VerificationReport = self._call("start")
         return report
 
     def start_sensor(self) -> NodeIdentity:
         """Start the tactile link; see `Hand`."""
-        identity: NodeIdentity = self._call(StartSensor())
+        identity: NodeIdentity = self._call("start_sensor")
         return identity
 
     def close_sensor(self) -> None:
         """End the tactile link; it has ended where the process is gone."""
         if self._loop.lost is None:
-            self._call(CloseSensor())
+            self._call("close_sensor")
 
     def open(self, watch: Watch) -> None:
         """Open the empty fingers; see `Hand`."""
-        self._call(Open(), watch)
+        self._call("open", watch)
 
     def tare(self, n_frames: int) -> None:
         """Take the zero of the taxels; see `Hand`."""
-        self._call(Tare(n_frames=n_frames))
+        self._call("tare", n_frames=n_frames)
 
     def check_ramp(self, ramp: ForceRamp) -> None:
         """Refuse a ramp beyond the limits; see `Hand`."""
@@ -323,16 +309,16 @@ class HandProcess:
 
     def grasp(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
         """Close and follow the ramp; see `Hand`."""
-        outcome: GraspOutcome = self._call(GraspUnder(ramp=ramp), watch)
+        outcome: GraspOutcome = self._call("grasp", watch, ramp=ramp)
         return outcome
 
     def carry(self, force_n: float, duration_s: float, watch: Watch) -> None:
         """Hold the part with another force; see `Hand`."""
-        self._call(Carry(force_n=force_n, duration_s=duration_s), watch)
+        self._call("carry", watch, force_n=force_n, duration_s=duration_s)
 
     def squeeze(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
         """Follow a further ramp in the same grip; see `Hand`."""
-        outcome: GraspOutcome = self._call(Squeeze(ramp=ramp), watch)
+        outcome: GraspOutcome = self._call("squeeze", watch, ramp=ramp)
         return outcome
 
     def end_ramp(self) -> None:
@@ -341,22 +327,22 @@ class HandProcess:
 
     def release(self, watch: Watch | None = None) -> ReleaseReport:
         """Let go; see `Hand`."""
-        report: ReleaseReport = self._call(Release(), watch)
+        report: ReleaseReport = self._call("release", watch)
         return report
 
     def conditions(self) -> tuple[ServoCondition, ...]:
         """Read torque and errors of each servo; see `Hand`."""
-        conditions: tuple[ServoCondition, ...] = self._call(Conditions())
+        conditions: tuple[ServoCondition, ...] = self._call("conditions")
         return conditions
 
     def inspect(self) -> VerificationReport:
         """Compare the servos with the settings; reads only."""
-        report: VerificationReport = self._call(Inspect())
+        report: VerificationReport = self._call("inspect")
         return report
 
     def read_sensor(self, timeout_s: float) -> TactileReading:
         """Wait for a new reading of the taxels."""
-        reading: TactileReading = self._call(ReadSensor(timeout_s=timeout_s))
+        reading: TactileReading = self._call("read_sensor", timeout_s=timeout_s)
         return reading
 
     def tick(self) -> None:
@@ -373,7 +359,7 @@ class HandProcess:
 
     def keep_grip(self) -> None:
         """Freeze in any state; see `Gripper.keep_grip`."""
-        self._call(KeepGrip())
+        self._call("keep_grip")
 
     def clear_fault(self, *, reboot: bool) -> None:
         """Acknowledge a fault; where the process is gone, start another, which moves nothing."""
@@ -383,7 +369,7 @@ class HandProcess:
             self._heard_s = time.monotonic()
             if not reboot and not any(note.startswith(MISSING) for note in self.notes):
                 return
-        self._call(ClearFault(reboot=reboot))
+        self._call("clear_fault", reboot=reboot)
 
     def request_stop(self) -> None:
         """Let the running command end with GraspStopped."""
@@ -397,7 +383,7 @@ class HandProcess:
         found = ""
         if self._loop.lost is None:
             try:
-                self._call(Shutdown(), unasked=True)
+                self._call("shutdown")
             except (GripperError, TactileError) as error:
                 found = f"{type(error).__name__}: {error}"
         return found
@@ -408,17 +394,16 @@ class HandProcess:
 
     # -- inside --------------------------------------------------------------------------------
 
-    def _call(self, command: Command, watch: Watch | None = None, *, unasked: bool = False) -> Any:
+    def _call(self, name: str, watch: Watch | None = None, **arguments: Any) -> Any:
         """Have a command carried out; what goes wrong here stops it and is raised at its end.
 
-        With ``unasked`` it is carried out although a fault waits to be raised.
+        A shutdown is carried out although a fault waits to be raised.
         """
-        if not unasked:
+        if name != "shutdown":
             self.tick()
         self._number += 1
-        self._loop.send(Request(number=self._number, command=command))
-        runs_loop = isinstance(command, Open | GraspUnder | Carry | Squeeze | Release)
-        patience_s = self._silence_s if runs_loop else self._answer_s
+        self._loop.send(Request(number=self._number, command=Command(name, arguments)))
+        patience_s = self._silence_s if name in WATCHED else self._answer_s
         failure: BaseException | None = None
         while True:
             try:

@@ -6,15 +6,14 @@ cross as what they are: class, arguments and attributes.
 
 import builtins
 import traceback
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
 from cell import errors as cell_errors
 from cell.config.model import CellConfig
-from cell.hand.interface import HandStatistics, Measured
+from cell.hand.interface import Hand, HandStatistics, Measured, Watch
 from gripper import errors as gripper_errors
-from gripper.force.ramp import ForceRamp
 from gripper.state import Cycle, GripperPhase
 from tactile import errors as tactile_errors
 from tactile.frames.codec import TactileFrame
@@ -30,111 +29,31 @@ class Boot:
     partial: bool = False
 
 
-@dataclass(frozen=True, slots=True)
-class Start:
-    """`Hand.start`."""
-
-
-@dataclass(frozen=True, slots=True)
-class StartSensor:
-    """`Hand.start_sensor`."""
-
-
-@dataclass(frozen=True, slots=True)
-class CloseSensor:
-    """`Hand.close_sensor`."""
-
-
-@dataclass(frozen=True, slots=True)
-class Open:
-    """`Hand.open`."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Tare:
-    """`Hand.tare`."""
-
-    n_frames: int
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GraspUnder:
-    """`Hand.grasp`."""
-
-    ramp: ForceRamp
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Carry:
-    """`Hand.carry`."""
-
-    force_n: float
-    duration_s: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Squeeze:
-    """`Hand.squeeze`."""
-
-    ramp: ForceRamp
-
-
-@dataclass(frozen=True, slots=True)
-class Release:
-    """`Hand.release`."""
-
-
-@dataclass(frozen=True, slots=True)
-class Conditions:
-    """`Hand.conditions`."""
-
-
-@dataclass(frozen=True, slots=True)
-class Inspect:
-    """`Hand.inspect`."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ReadSensor:
-    """`Hand.read_sensor`."""
-
-    timeout_s: float
-
-
-@dataclass(frozen=True, slots=True)
-class KeepGrip:
-    """`Hand.keep_grip`."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ClearFault:
-    """`Hand.clear_fault`."""
-
-    reboot: bool
-
-
-@dataclass(frozen=True, slots=True)
-class Shutdown:
-    """`Hand.shutdown`."""
-
-
-Command = (
-    Start
-    | StartSensor
-    | CloseSensor
-    | Open
-    | Tare
-    | GraspUnder
-    | Carry
-    | Squeeze
-    | Release
-    | Conditions
-    | Inspect
-    | ReadSensor
-    | KeepGrip
-    | ClearFault
-    | Shutdown
+WATCHED = frozenset({"open", "grasp", "carry", "squeeze", "release"})
+"""Methods of `Hand` that run the force loop; each period of it is sent as `Progress`."""
+UNWATCHED = frozenset(
+    {"start", "start_sensor", "close_sensor", "tare", "conditions", "inspect", "read_sensor"}
+    | {"keep_grip", "clear_fault", "shutdown"}
 )
+"""The other methods of `Hand` that the process carries out."""
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """A method of `Hand` and its arguments; ValueError for a name that is no such method."""
+
+    name: str
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+    """By name, without the callback ``watch``."""
+
+    def __post_init__(self) -> None:
+        if self.name not in WATCHED | UNWATCHED:
+            raise ValueError(f"{self.name!r} is no command of the hand")
+
+    def run(self, hand: Hand, watch: Watch) -> Any:
+        """Carry it out and return what the method returns."""
+        watched = {"watch": watch} if self.name in WATCHED else {}
+        return getattr(hand, self.name)(**self.arguments, **watched)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,11 +12,10 @@ import signal
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from multiprocessing.connection import Connection
-from operator import methodcaller
 from types import FrameType
 from typing import Any
 
@@ -28,28 +27,12 @@ from cell.hand.messages import (
     Alive,
     Answer,
     Boot,
-    Carry,
-    ClearFault,
-    CloseSensor,
-    Command,
-    Conditions,
     EndRamp,
     Event,
     Fault,
-    GraspUnder,
-    Inspect,
-    KeepGrip,
-    Open,
     Progress,
-    ReadSensor,
     Ready,
-    Release,
     Request,
-    Shutdown,
-    Squeeze,
-    Start,
-    StartSensor,
-    Tare,
     send_error,
 )
 from cell.hand.real_time import collect_now, enter_real_time, stop_collecting
@@ -123,16 +106,6 @@ class Outbox:
         return bool(self._poller.poll(1e3 * timeout_s))
 
 
-_PLAIN: dict[type[Command], Callable[[LocalHand], Any]] = {
-    Start: methodcaller("start"),
-    StartSensor: methodcaller("start_sensor"),
-    CloseSensor: methodcaller("close_sensor"),
-    Conditions: methodcaller("conditions"),
-    Inspect: methodcaller("inspect"),
-    KeepGrip: methodcaller("keep_grip"),
-    Shutdown: methodcaller("shutdown"),
-}
-"""Methods of the hand for the commands without arguments."""
 WAITING_PERIODS = 1000
 """Periods that wait for a program that takes nothing, before the grip is frozen."""
 _LAST_WORDS_S = 0.5
@@ -264,9 +237,9 @@ class HandServer:
         value: Any = None
         failure: BaseException | None = None
         dropped = self._outbox.dropped
-        self._grasp = request.number if isinstance(request.command, GraspUnder) else 0
+        self._grasp = request.number if request.command.name == "grasp" else 0
         try:
-            value = self._run(request.command)
+            value = request.command.run(self._hand, self._watch)
         except GraspStopped as stop:
             failure = stop
             if self._outbox.dropped > dropped:
@@ -279,7 +252,7 @@ class HandServer:
             failure = error
             self._stand_by()
         else:
-            self._supervised = self._supervised or isinstance(request.command, Start)
+            self._supervised = self._supervised or request.command.name == "start"
         self._outbox.post(
             Answer(
                 number=request.number,
@@ -290,31 +263,6 @@ class HandServer:
             )
         )
         collect_now()
-
-    def _run(self, command: Command) -> Any:
-        hand = self._hand
-        plain = _PLAIN.get(type(command))
-        if plain is not None:
-            return plain(hand)
-        value: Any = None
-        match command:
-            case Open():
-                hand.open(self._watch)
-            case Tare(n_frames=n_frames):
-                hand.tare(n_frames)
-            case GraspUnder(ramp=ramp):
-                value = hand.grasp(ramp, self._watch)
-            case Carry(force_n=force_n, duration_s=duration_s):
-                hand.carry(force_n, duration_s, self._watch)
-            case Squeeze(ramp=ramp):
-                value = hand.squeeze(ramp, self._watch)
-            case Release():
-                value = hand.release(self._watch)
-            case ReadSensor(timeout_s=timeout_s):
-                value = hand.read_sensor(timeout_s)
-            case ClearFault(reboot=reboot):
-                hand.clear_fault(reboot=reboot)
-        return value
 
     def _watch(self, cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
         dropped = self._outbox.dropped

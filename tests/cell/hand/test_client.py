@@ -17,12 +17,11 @@ from cell.hand.interface import HandStatistics, Measured
 from cell.hand.messages import (
     Alive,
     Answer,
+    Command,
     EndRamp,
     Fault,
-    GraspUnder,
     Progress,
     Ready,
-    Shutdown,
     send_error,
 )
 from gripper.dynamixel.transactions import BusStatistics
@@ -157,7 +156,7 @@ def test_periods_reach_the_watch_and_the_answer_is_returned(hand: HandProcess) -
     )
     assert seen == [(GripperPhase.RAMPING, GripperPhase.RAMPING)] * 2
     assert hand.phase is GripperPhase.HOLDING
-    assert loop_of(hand).sent == [GraspUnder(ramp=RAMP)]
+    assert loop_of(hand).sent == [Command("grasp", {"ramp": RAMP})]
     assert hand.notes == ("a note",)
     assert hand.statistics.loop.cycles == 5
 
@@ -188,7 +187,8 @@ def test_the_end_of_a_ramp_names_the_grasp_that_it_is_meant_for(hand: HandProces
     hand.start()
     loop.script.append([period(), period(), None])
     hand.grasp(RAMP, lambda _cycle, _frames: hand.end_ramp())
-    assert loop.sent[1:] == [GraspUnder(ramp=RAMP), EndRamp(number=2), EndRamp(number=2)]
+    grasp = Command("grasp", {"ramp": RAMP})
+    assert loop.sent[1:] == [grasp, EndRamp(number=2), EndRamp(number=2)]
     assert loop.stops == 0
 
 
@@ -259,7 +259,7 @@ def test_a_fault_that_nobody_asked_for_does_not_spoil_the_end(hand: HandProcess)
     assert hand.shutdown() == ""
     loop.coming.append(Fault(error=send_error(HeartbeatLost("silent")), phase=GripperPhase.IDLE))
     assert hand.shutdown() == "HeartbeatLost: silent"
-    assert loop.sent == [Shutdown(), Shutdown()]
+    assert loop.sent == [Command("shutdown"), Command("shutdown")]
 
 
 def test_a_lost_process_is_told_until_it_is_cleared(hand: HandProcess) -> None:

@@ -1,6 +1,7 @@
 """What crosses to the process of the force loop, and what that process does with it."""
 
 import builtins
+import inspect
 import os
 import pickle
 import signal
@@ -17,32 +18,20 @@ import pytest
 from cell import errors as cell_errors
 from cell.config.model import CellConfig
 from cell.errors import CellStopped, HostSilent
-from cell.hand import messages, server
-from cell.hand.interface import HandStatistics, Measured
+from cell.hand import server
+from cell.hand.interface import Hand, HandStatistics, Measured
 from cell.hand.messages import (
+    UNWATCHED,
+    WATCHED,
     Alive,
     Answer,
     Boot,
-    Carry,
-    ClearFault,
-    CloseSensor,
-    Conditions,
+    Command,
     EndRamp,
     Fault,
-    GraspUnder,
-    Inspect,
-    KeepGrip,
-    Open,
     Progress,
-    ReadSensor,
     Ready,
-    Release,
     Request,
-    Shutdown,
-    Squeeze,
-    Start,
-    StartSensor,
-    Tare,
     received_error,
     send_error,
 )
@@ -123,21 +112,21 @@ def frame() -> TactileFrame:
 
 
 COMMANDS = [
-    Start(),
-    StartSensor(),
-    CloseSensor(),
-    Open(),
-    Tare(n_frames=25),
-    GraspUnder(ramp=RAMP),
-    Carry(force_n=4.0, duration_s=0.3),
-    Squeeze(ramp=RAMP),
-    Release(),
-    Conditions(),
-    Inspect(),
-    ReadSensor(timeout_s=0.5),
-    KeepGrip(),
-    ClearFault(reboot=True),
-    Shutdown(),
+    Command("start"),
+    Command("start_sensor"),
+    Command("close_sensor"),
+    Command("open"),
+    Command("tare", {"n_frames": 25}),
+    Command("grasp", {"ramp": RAMP}),
+    Command("carry", {"force_n": 4.0, "duration_s": 0.3}),
+    Command("squeeze", {"ramp": RAMP}),
+    Command("release"),
+    Command("conditions"),
+    Command("inspect"),
+    Command("read_sensor", {"timeout_s": 0.5}),
+    Command("keep_grip"),
+    Command("clear_fault", {"reboot": True}),
+    Command("shutdown"),
 ]
 ANSWER = Answer(
     number=3,
@@ -154,8 +143,14 @@ EVENTS = [
 ]
 
 
-def test_the_list_of_commands_is_whole() -> None:
-    assert {type(command) for command in COMMANDS} == set(messages.Command.__args__)
+def test_a_command_is_a_method_of_the_hand_and_no_other_one() -> None:
+    assert {command.name for command in COMMANDS} == WATCHED | UNWATCHED
+    for command in COMMANDS:
+        watched = {"watch"} if command.name in WATCHED else set()
+        signature = inspect.signature(getattr(Hand, command.name))
+        assert set(signature.parameters) == {"self", *command.arguments} | watched
+    with pytest.raises(ValueError, match="'close' is no command of the hand"):
+        Command("close")
 
 
 @pytest.mark.parametrize(
@@ -166,7 +161,7 @@ def test_the_list_of_commands_is_whole() -> None:
         EndRamp(number=7),
         *EVENTS,
     ],
-    ids=lambda message: type(getattr(message, "command", message)).__name__,
+    ids=lambda m: m.command.name if isinstance(m, Request) else type(m).__name__,
 )
 def test_each_message_arrives_as_it_was_sent(message: Any) -> None:
     assert pickle.loads(pickle.dumps(message)) == message
@@ -258,7 +253,8 @@ class FakeHand:
     def end_ramp(self) -> None:
         self.ended_at.append(self.now_s)
 
-    def grasp(self, _ramp: ForceRamp, watch: Any) -> str:
+    def grasp(self, ramp: ForceRamp, watch: Any) -> str:
+        del ramp
         self.stopped = False
         for number in range(self.cycles):
             if self.stopped:
@@ -329,7 +325,7 @@ def line() -> Iterator[Line]:
 
 
 def test_requests_are_answered_in_order_with_value_error_and_statistics(line: Line) -> None:
-    line.ask(GraspUnder(ramp=RAMP), Inspect(), Tare(n_frames=3))
+    line.ask(Command("grasp", {"ramp": RAMP}), Command("inspect"), Command("tare", {"n_frames": 3}))
     events = line.serve()
     assert [type(event) for event in events] == [Progress] * 10 + [Answer] * 3
     grasped, inspected, tared = events[10:]
@@ -345,7 +341,7 @@ def test_requests_are_answered_in_order_with_value_error_and_statistics(line: Li
 def test_a_program_that_takes_nothing_freezes_the_loop_and_is_told_what_is_lost() -> None:
     line = Line(limit=20)
     line.hand.cycles = 2000
-    line.ask(GraspUnder(ramp=RAMP))
+    line.ask(Command("grasp", {"ramp": RAMP}))
     events = line.serve()
     *periods, answer = events
     error = received_error(answer.error)
@@ -360,12 +356,12 @@ def test_a_program_that_takes_nothing_freezes_the_loop_and_is_told_what_is_lost(
 def test_the_end_of_a_ramp_counts_for_its_own_grasp_only(line: Line) -> None:
     line.hand.cycles = 3
     line.near.send(EndRamp(number=1))
-    line.near.send(Request(number=1, command=Tare(n_frames=3)))
-    line.near.send(Request(number=2, command=GraspUnder(ramp=RAMP)))
+    line.near.send(Request(number=1, command=Command("tare", {"n_frames": 3})))
+    line.near.send(Request(number=2, command=Command("grasp", {"ramp": RAMP})))
     line.near.send(EndRamp(number=1))
     line.near.send(EndRamp(number=2))
     # One message is taken in each period; a command that comes during a grasp waits for its end.
-    line.near.send(Request(number=3, command=GraspUnder(ramp=RAMP)))
+    line.near.send(Request(number=3, command=Command("grasp", {"ramp": RAMP})))
     line.near.send(EndRamp(number=2))
     events = line.serve()
     assert [event.number for event in events if isinstance(event, Answer)] == [1, 2, 3]
@@ -381,7 +377,7 @@ def test_between_commands_the_process_ticks_and_tells_once_what_it_found(line: L
     assert isinstance(received_error(event.error), BusTimeout)
     assert line.hand.calls == ["tick", "keep_grip"]
     line.hand.tick_error = None
-    line.ask(Start())
+    line.ask(Command("start"))
     line.serve()
     line.server._supervise()
     assert line.hand.calls[-1] == "tick"
@@ -399,7 +395,7 @@ def test_the_end_freezes_keeps_and_says_why(line: Line, cause: str) -> None:
         line.server.listen(reader)
     else:
         line.server._parent = -1
-    line.server._execute(Request(number=1, command=GraspUnder(ramp=RAMP)))
+    line.server._execute(Request(number=1, command=Command("grasp", {"ramp": RAMP})))
     line.server.serve()
     line.server.end()
     *periods, answer, last = line.events()
