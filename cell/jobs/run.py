@@ -23,8 +23,8 @@ from recognition.evaluation.metrics import wilson_interval
 from recognition.recognizer import UNKNOWN, Posterior, Recognizer
 
 BASELINE = "level_check"
-"""The paper's own classifier: it names the likeliest object by one grasp, as in its Table 1, which has
-no UNKNOWN."""
+"""The paper's own classifier: it names the likeliest object by one grasp, never UNKNOWN, as in its
+Table 1."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
