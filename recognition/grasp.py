@@ -190,6 +190,8 @@ class Grasp:
         a cell took); empty where unknown.
     start_ms
         Time of the first frame in ms: sorts the grasps of a label.
+    thickness_m
+        Thickness of the object along the closing axis in m by its drawing; NaN where unknown.
     command
         Commanded pose and force; None where unknown. Recognisers do not use it.
     """
@@ -203,6 +205,7 @@ class Grasp:
     shape: str = ""
     source: str = ""
     start_ms: int = 0
+    thickness_m: float = float("nan")
     command: GraspCommand | None = None
 
     def __post_init__(self) -> None:

@@ -1,7 +1,7 @@
 """Protocols of recognisers and trainers, and the posterior that a recogniser returns."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol, Self
 
 import numpy as np
@@ -15,6 +15,10 @@ UNKNOWN = "UNKNOWN"
 LEAST_PROBABILITY = 0.5
 """Least probability of a name, in which that of a new object is taken into account: with less the
 answer is ``UNKNOWN``, everywhere."""
+
+_FAR = 3.0
+"""Half widths of a 90 % interval between a measured thickness and one that it excludes by far: five
+standard deviations."""
 
 DEPENDENCE = 0.2
 """Correlation, 0 to 1, of the log evidence of two grasps of one object where no fitted value
@@ -38,6 +42,9 @@ class Posterior:
         How far further grasps of the object repeat this one, 0 to 1; fusion weighs grasps by it.
     occasion
         How far the sensors were trusted to be as at teaching, and why; empty where it is not asked.
+    drawn_m
+        Thicknesses in m of the likeliest object along the closing axis by its drawing; empty where
+        there is none, or the zero of the opening may have moved.
     """
 
     labels: tuple[str, ...]
@@ -45,6 +52,7 @@ class Posterior:
     unknown: float
     dependence: float = DEPENDENCE
     occasion: str = ""
+    drawn_m: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         p = np.array(self.probability, dtype=np.float64)
@@ -69,6 +77,15 @@ class Posterior:
         """Return the posterior of a grasp without evidence: even probabilities, surely unknown."""
         even = np.full(len(labels), 1.0 / len(labels))
         return cls(labels=labels, probability=even, unknown=1.0)
+
+    def with_size(self, low_m: float, high_m: float) -> "Posterior":
+        """Return the posterior after a thickness with a 90 % interval in m was measured.
+
+        Where that excludes all drawn ones by far, the object is surely none that was taught.
+        """
+        middle_m, reach_m = 0.5 * (low_m + high_m), 0.5 * _FAR * (high_m - low_m)
+        far = bool(self.drawn_m) and min(abs(d - middle_m) for d in self.drawn_m) > reach_m
+        return replace(self, unknown=1.0) if far else self
 
     @property
     def name(self) -> str:

@@ -46,7 +46,7 @@ class Identification:
     """Estimate of the drift with which the answer was given; None for a recogniser that does not
     follow it."""
     complaints: tuple[str, ...] = ()
-    """Errors of the callback and of the fits of shape; the label does not depend on these."""
+    """Errors of the callback and of the fits of shape; they do not end the sequence."""
     shapes: tuple[ShapeAnswer | None, ...] = ()
     """Shape and size by each grasp, in order; None where its pads do not show them. Empty where
     none was asked for."""
@@ -93,7 +93,7 @@ class Evidence:
     rule
         When the sequence ends.
     read_shape
-        Reads shape and size of a grasp, which the label does not depend on.
+        Reads shape and size of a grasp; see `recognition.recognizer.Posterior.with_size`.
     on_grasp
         Called after each grasp.
 
@@ -143,7 +143,6 @@ class Evidence:
         if record.same_grip:
             posterior = replace(posterior, dependence=SAME_GRIP_DEPENDENCE)
         self.records.append(record)
-        self.posteriors.append(posterior)
         number = len(self.records)
         shape: ShapeAnswer | None = None
         if self._read_shape is not None:
@@ -152,6 +151,9 @@ class Evidence:
             except Exception as error:
                 self._complain(f"shape of grasp {number}", error)
             self._shapes.append(shape)
+        if shape is not None:
+            posterior = posterior.with_size(shape.low_m, shape.high_m)
+        self.posteriors.append(posterior)
         if self._on_grasp is not None:
             try:
                 self._on_grasp(number, record, posterior, shape)
@@ -222,7 +224,7 @@ def grasp_and_classify(
         False where a part must not be let go before the answer: the steps after the first one are
         further ramps in the same grip.
     read_shape
-        Reads shape and size of a grasp, which the label does not depend on.
+        Reads shape and size of a grasp; see `recognition.recognizer.Posterior.with_size`.
     early
         Looks at each ramp while it runs: together with the earlier grasps it may decide before the
         ramp is at its end, whose answer is then the one of that moment. None: whole ramps only.

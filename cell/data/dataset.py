@@ -17,6 +17,8 @@ label          str (n_grasps,)             what was grasped; empty where unknown
 shape          str (n_grasps,)             class of shape; optional
 start_ms       int64 (n_grasps,)           time of the grasp's first frame
 source         str (n_grasps,)             where it came from; optional
+thickness_mm   float32 (n_grasps,)         of the object along the closing axis by its drawing;
+                                           NaN where unknown; optional
 pose           float64 (n_grasps, 5)       commanded: ``recognition.grasp.COMMAND_COLUMNS``;
                                            a row of NaN where unknown; optional
 ============== =========================== ======================================================
@@ -39,6 +41,7 @@ RANGES = {
     "aperture_mm": (-100.0, 1000.0, "openings stand in mm"),
     "force_n": (-100.0, 10_000.0, "grip forces stand in N"),
     "taxel_xy_mm": (-1000.0, 1000.0, "places stand in mm"),
+    "thickness_mm": (0.0, 1000.0, "thicknesses stand in mm"),
     "pose": (-0.5, 0.5, "offsets stand in m"),
     "start_ms": (-1e15, 1e15, "times stand in ms since 1970"),
 }
@@ -140,7 +143,7 @@ _REQUIRED = (
     "label",
     "start_ms",
 )
-_OPTIONAL = ("force_n", "shape", "source", "pose")
+_OPTIONAL = ("force_n", "shape", "source", "thickness_mm", "pose")
 _MAX_TEXT = 200
 """Characters of a text in a data set."""
 _MAX_TAXELS = 1 << 16
@@ -228,8 +231,10 @@ def _arrays_of(path: Path, grasps: Sequence[Grasp]) -> dict[str, NDArray[Any]]:
         "start_ms": np.array([grasp.start_ms for grasp in grasps], dtype=np.int64),
     }
     force_n = np.concatenate([grasp.force_n for grasp in grasps])
-    if not np.all(np.isnan(force_n)):
-        arrays["force_n"] = force_n.astype(np.float32)
+    thickness_mm = np.array([1e3 * grasp.thickness_m for grasp in grasps])
+    for name, values in {"force_n": force_n, "thickness_mm": thickness_mm}.items():
+        if not np.all(np.isnan(values)):
+            arrays[name] = values.astype(np.float32)
     for name in ("shape", "source"):
         texts = [getattr(grasp, name) for grasp in grasps]
         if any(texts):
@@ -291,6 +296,10 @@ class _Checker:
         array = self._floats(name, shape, nan=nan)
         self._allow(name, beyond_range(name, array))
         return array
+
+    def _known(self, name: str, n: int) -> NDArray[np.float64]:
+        """Return an optional array of n numbers; NaN where there is none."""
+        return self._in_range(name, (n,), nan=True) if name in self._arrays else np.full(n, np.nan)
 
     def _allow(self, name: str, wrong: str | None) -> None:
         if wrong is not None:
@@ -370,11 +379,8 @@ class _Checker:
         aperture_mm = self._in_range("aperture_mm", (n_frames,), nan=True)
         self._allow("aperture_mm", openings_too_small(aperture_mm))
         aperture_m = aperture_mm * 1e-3
-        force_n = (
-            self._in_range("force_n", (n_frames,), nan=True)
-            if "force_n" in self._arrays
-            else np.full(n_frames, np.nan)
-        )
+        force_n = self._known("force_n", n_frames)
+        thickness_m = 1e-3 * self._known("thickness_mm", n_grasps)
         start_ms = self._ints("start_ms", (n_grasps,))
         self._allow("start_ms", beyond_range("start_ms", start_ms))
         texts = [self._texts(name, n_grasps) for name in ("label", "shape", "source")]
@@ -390,6 +396,7 @@ class _Checker:
                 shape=texts[1][i],
                 source=texts[2][i],
                 start_ms=int(start_ms[i]),
+                thickness_m=float(thickness_m[i]),
                 command=placings[i],
             )
             for i, (first, last) in enumerate(itertools.pairwise(offsets))

@@ -9,7 +9,7 @@ import numpy as np
 
 from cell.build import Cell
 from cell.config.model import CellConfig
-from cell.control.identification import Identification
+from cell.control.identification import Identification, ReadShape
 from cell.control.keeping import Keep
 from cell.jobs.common import Progress
 from cell.learning.blas import one_blas_thread
@@ -19,6 +19,7 @@ from cell.learning.taught_model import TaughtModel
 from recognition.drift.estimate import DriftEstimate
 from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer
+from recognition.shape.answer import ShapeAnswer
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,6 +38,8 @@ class RecordedAnswer:
         Label in the file; empty where there is none.
     drift
         Estimate of the drift with which the answer was given; None where it is not followed.
+    shape
+        Shape and size; None where they were not asked for, or the pads do not show them.
     """
 
     number: int
@@ -45,6 +48,7 @@ class RecordedAnswer:
     unknown: float
     truth: str
     drift: DriftEstimate | None = None
+    shape: ShapeAnswer | None = None
 
     def as_json(self) -> dict[str, Any]:
         """Return the answer as plain data."""
@@ -54,12 +58,17 @@ class RecordedAnswer:
             "probability": self.probability,
             "unknown": self.unknown,
             "truth": self.truth or None,
+            "shape": None if self.shape is None else self.shape.as_dict(),
         } | ({} if self.drift is None else {"drift": estimate_values(self.drift)})
 
 
 @one_blas_thread()
 def identify_recorded(
-    model: LoadedModel, grasps: Sequence[Grasp], *, tracker: DriftTracker | None = None
+    model: LoadedModel,
+    grasps: Sequence[Grasp],
+    *,
+    tracker: DriftTracker | None = None,
+    read_shape: ReadShape | None = None,
 ) -> list[RecordedAnswer]:
     """Answer each recorded grasp, in the order of the file.
 
@@ -68,10 +77,10 @@ def identify_recorded(
     """
     check_pads(model, grasps[0].pads)
     if tracker is None:
-        return _answers(model.recognizer, list(enumerate(grasps)), None)
+        return _answers(model.recognizer, list(enumerate(grasps)), read_shape)
     answers: list[RecordedAnswer] = []
     for run in objects_in_turn(grasps):
-        answers += _answers(tracker.recognizer, run, tracker.drift_estimate)
+        answers += _answers(tracker.recognizer, run, read_shape, tracker.drift_estimate)
         tracker.add_grasps([grasp for _, grasp in run])
     return sorted(answers, key=lambda answer: answer.number)
 
@@ -88,11 +97,17 @@ def objects_in_turn(grasps: Sequence[Grasp]) -> list[list[tuple[int, Grasp]]]:
 
 
 def _answers(
-    recognizer: Recognizer, grasps: Sequence[tuple[int, Grasp]], drift: DriftEstimate | None
+    recognizer: Recognizer,
+    grasps: Sequence[tuple[int, Grasp]],
+    read_shape: ReadShape | None,
+    drift: DriftEstimate | None = None,
 ) -> list[RecordedAnswer]:
     answers = []
     for number, grasp in grasps:
         posterior = recognizer.posterior(grasp)
+        shape = None if read_shape is None else read_shape(grasp)
+        if shape is not None:
+            posterior = posterior.with_size(shape.low_m, shape.high_m)
         answers.append(
             RecordedAnswer(
                 number=number,
@@ -101,6 +116,7 @@ def _answers(
                 unknown=posterior.unknown,
                 truth=grasp.label,
                 drift=drift,
+                shape=shape,
             )
         )
     return answers

@@ -23,7 +23,8 @@ from recognition.evaluation.metrics import wilson_interval
 from recognition.recognizer import UNKNOWN, Posterior, Recognizer
 
 BASELINE = "level_check"
-"""The paper's own classifier, which answers from one grasp, as in its Table 1."""
+"""The paper's own classifier: it names the likeliest object by one grasp, never UNKNOWN, as in its
+Table 1."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -318,6 +319,7 @@ def _scores(trials: Sequence[Trial], labels: Sequence[str], default: str) -> dic
     answers: dict[str, list[str]] = {default: [trial.found.label for trial in trials]}
     for name in trials[0].first if trials else ():
         key = f"{name}_one_grasp" if name == default else name
-        answers[key] = [trial.first[name].name for trial in trials]
+        posteriors = [trial.first[name] for trial in trials]
+        answers[key] = [p.best if name == BASELINE else p.name for p in posteriors]
     truths = [trial.truth for trial in trials]
     return {name: score(truths, given, labels) for name, given in answers.items()}

@@ -111,7 +111,7 @@ def _key_figures(result: MainResult, config: CellConfig) -> tuple[KeyFigure, ...
             KeyFigure(
                 value=f"{baseline.accuracy:.0%}",
                 caption="the paper's level check",
-                note=f"{baseline.n_right} of {baseline.n}, one grasp",
+                note=f"{baseline.n_right} of {baseline.n}, the likeliest by one grasp",
             )
         )
     per_trial = np.mean([len(trial.found.records) for trial in result.trials])
@@ -162,8 +162,8 @@ def _facts(config: CellConfig, cell: Cell) -> tuple[tuple[str, str], ...]:
 def _notes(config: CellConfig) -> tuple[str, ...]:
     notes = [
         "Poses and forces of the identifications were drawn anew; none was taught.",
-        "The level check sees the taxels of one grasp, as in the paper; the default recogniser "
-        "uses the whole ramp, both pads"
+        "The level check names the likeliest object by the taxels of one grasp, as in the paper, "
+        "never UNKNOWN; the default recogniser uses the whole ramp, both pads"
         + (", the opening of the fingers" if config.recognition.use_aperture else "")
         + " and several grasps.",
     ]

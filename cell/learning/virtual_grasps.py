@@ -284,6 +284,7 @@ class VirtualPads:
             press(bed, reach_m, foam)
             for bed, reach_m in zip(beds, reaches_m(drawing, step.pose, beds, aslant), strict=True)
         ]
+        upright = reaches_m(drawing, step.pose, beds)
         touch_m = sum(p.reach_max_m for p in presses)
         if touch_m >= course.aperture_open_m:
             raise ValueError(
@@ -304,6 +305,7 @@ class VirtualPads:
             shape=shape,
             source=SOURCE,
             start_ms=start_ms,
+            thickness_m=sum(float(reach_m.max()) for reach_m in upright),
             command=step.command,
         )
 

@@ -80,6 +80,8 @@ class ForceRamp:
         Time of the last taught grasp of each object.
     taught_on
         Sources of the taught grasps that name a cell; empty where none does.
+    drawn_m : (C, k) float64
+        Thicknesses of each object along the closing axis by its drawing in m, NaN behind them.
     drift_estimate
         The drift since teaching.
     gauged
@@ -96,6 +98,7 @@ class ForceRamp:
     both: View | None
     taught_ms: NDArray[np.int64]
     taught_on: tuple[str, ...]
+    drawn_m: NDArray[np.float64]
     drift_estimate: DriftEstimate
     gauged: bool = False
     mostly_taught: bool = False
@@ -128,12 +131,15 @@ class ForceRamp:
             trust=occasion.trust,
             caution=self.caution,
         )
+        drawn_m = self.drawn_m[int(probability[0].argmax())]
+        drawn_m = drawn_m[np.isfinite(drawn_m) & (occasion.trust == 1.0)]
         return Posterior(
             labels=self.labels,
             probability=probability[0],
             unknown=float(unknown[0]),
             dependence=view.dependence,
             occasion=occasion.value,
+            drawn_m=tuple(drawn_m.tolist()),
         )
 
     # Drift
@@ -244,6 +250,7 @@ class ForceRamp:
             "labels": np.array(self.labels),
             "has_both": np.array(self.both is not None),
             "taught_ms": self.taught_ms,
+            "drawn_m": self.drawn_m,
             "taught_on": np.array(self.taught_on, dtype=np.str_),
             "drift_gains": np.array(expected.gains),
             "drift_aperture_offset_m": np.array(expected.aperture_offset_m),
@@ -272,6 +279,7 @@ class ForceRamp:
                 both=View.from_arrays(arrays, "both_") if bool(arrays["has_both"]) else None,
                 taught_ms=arrays["taught_ms"],
                 taught_on=tuple(str(source) for source in arrays["taught_on"]),
+                drawn_m=arrays["drawn_m"].reshape(len(arrays["labels"]), -1),
                 drift_estimate=_before(rest, len(arrays["labels"]), expected),
                 gauged=bool(arrays["gauged"]),
             )
@@ -326,6 +334,7 @@ class ForceRampTrainer:
             both=both,
             taught_ms=np.array([group[-1].start_ms for group in members.values()]),
             taught_on=tuple(sorted({g.source for g in ordered if _on_cell(g)})),
+            drawn_m=_drawn_m(list(members.values())),
             drift_estimate=_before(rest, len(labels), NO_DRIFT),
         )
 
@@ -352,6 +361,13 @@ def _taught(levels: Levels, classes: NDArray[np.int64], rest: Rest, *, opening: 
 def _sizes_mm(levels: Levels, *, opening: bool) -> NDArray[np.float64]:
     """Return the sizes of grasps in mm, (n, 2), or (n, 0) where the opening is not used."""
     return sizes_mm(levels) if opening else np.zeros((len(levels), 0))
+
+
+def _drawn_m(members: Sequence[Sequence[Grasp]]) -> NDArray[np.float64]:
+    """Return the different thicknesses of each object by its drawing, (C, k), to 0.1 mm."""
+    drawn_m = [np.unique(np.round([g.thickness_m for g in group], 4)) for group in members]
+    longest = max(len(sizes_m) for sizes_m in drawn_m)
+    return np.stack([np.pad(m, (0, longest - len(m)), constant_values=np.nan) for m in drawn_m])
 
 
 def _on_cell(grasp: Grasp) -> bool:

@@ -28,6 +28,7 @@ from cell.learning.pad_knowledge import PadKnowledge
 from cell.learning.shapes import in_words, shape_reader
 from gripper.errors import BusTimeout, GripperError, LimitExceeded, PortLost, ServoFault
 from gripper.state import GraspResult, GripperPhase
+from recognition.recognizer import UNKNOWN, Posterior
 from recognition.shape.foam import FoamModel
 from recognition.statistics.fusion import DecisionKind
 from tactile.errors import BusOff, LinkFault, TareRefused
@@ -133,18 +134,22 @@ class Sure:
 
     name, labels, uses_aperture = "sure", ("ball", "box"), False
 
-    def __init__(self, after: int) -> None:
+    def __init__(self, after: int, drawn_m: tuple[float, ...] = ()) -> None:
         self.left = after
+        self.drawn_m = drawn_m
         self.seen = 0
 
     def posterior(self, grasp: Any) -> Any:
-        from recognition.recognizer import Posterior
-
         assert grasp.label == ""
         self.seen += 1
         self.left -= 1
         share = 0.55 if self.left > 0 else 1.0 - 1e-9
-        return Posterior(labels=self.labels, probability=np.array([share, 1 - share]), unknown=0.01)
+        return Posterior(
+            labels=self.labels,
+            probability=np.array([share, 1 - share]),
+            unknown=0.01,
+            drawn_m=self.drawn_m,
+        )
 
 
 def test_identifying_ends_as_soon_as_it_is_sure(bench: Any) -> None:
@@ -234,6 +239,23 @@ def test_nor_on_whether_shapes_can_be_fused(bench: Any, make_config: Callable[..
     assert (found.label, found.shape) == ("ball", None)
     (complaint,) = found.complaints
     assert complaint.startswith("shape of all grasps: ValueError: a fused shape")
+
+
+@pytest.mark.parametrize(("drawn_m", "label"), [((4e-3,), UNKNOWN), ((4e-3, 9.5e-3), "ball")])
+def test_a_felt_size_far_from_the_drawn_ones_is_of_no_taught_object(
+    bench: Any, make_config: Callable[..., Any], drawn_m: tuple[float, ...], label: str
+) -> None:
+    bench.ready()
+    told: list[Posterior] = []
+    found = bench.controller.identify(
+        Sure(2, drawn_m),
+        plan(bench.controller._sequence, 2, seed=1),
+        read_shape=shape_reader(make_config()),
+        on_grasp=lambda *parts: told.append(parts[2]),
+    )
+    assert found.label == found.fused.name == label
+    assert tuple(told) == found.posteriors
+    assert found.shape.kind == "sphere"
 
 
 def test_a_config_may_want_no_shapes(make_config: Callable[..., Any]) -> None:

@@ -57,10 +57,11 @@ def test_what_is_written_comes_back(tmp_path: Path) -> None:
         make_grasp(0),
         make_grasp(1, 1, label="", shape="", source="", force_n=np.array([np.nan])),
         make_grasp(2, 9, aperture_m=np.full(9, np.nan), label="Müller's <b>Kugel</b>"),
+        make_grasp(3, thickness_m=4e-3),
     ]
     write_dataset(tmp_path / "d.npz", grasps)
     back = read_dataset(tmp_path / "d.npz")
-    assert len(back) == 3
+    assert len(back) == 4
     assert all(grasp.pads is back[0].pads for grasp in back)
     assert back[0].pads.same_as(PADS)
     for was, now in zip(grasps, back, strict=True):
@@ -70,6 +71,7 @@ def test_what_is_written_comes_back(tmp_path: Path) -> None:
         np.testing.assert_allclose(now.force_n, was.force_n, rtol=1e-6)
         assert (now.label, now.shape, now.source) == (was.label, was.shape, was.source)
         assert now.start_ms == was.start_ms
+        assert now.thickness_m == pytest.approx(was.thickness_m, rel=1e-6, nan_ok=True)
 
 
 def test_file_is_the_documented_format_for_numpy_alone(good: Path) -> None:
@@ -87,7 +89,7 @@ def test_file_is_the_documented_format_for_numpy_alone(good: Path) -> None:
 def test_optional_arrays_are_left_out_where_nothing_is_known(tmp_path: Path) -> None:
     blank = make_grasp(shape="", source="", force_n=np.full(4, np.nan))
     write_dataset(tmp_path / "d.npz", [blank])
-    assert not {"force_n", "shape", "source"} & set(arrays_of(tmp_path / "d.npz"))
+    assert not {"force_n", "shape", "source", "thickness_mm"} & set(arrays_of(tmp_path / "d.npz"))
     assert np.all(np.isnan(read_dataset(tmp_path / "d.npz")[0].force_n))
 
 

@@ -191,6 +191,7 @@ def test_recorded_grasps_are_answered_one_by_one(taught: Any) -> None:
         "probability": answers[1].probability,
         "unknown": answers[1].unknown,
         "truth": None,
+        "shape": None,
     }
 
 

@@ -2,6 +2,7 @@
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +13,7 @@ from cell.data.dataset import read_dataset, read_grasps, write_dataset
 from cell.data.recording_reader import read_recording
 from cell.errors import CellError, CellStopped, DatasetError, NoPartFound
 from cell.jobs.common import job_folder, silent
-from cell.jobs.run import BASELINE, score, teach_and_identify
+from cell.jobs.run import BASELINE, _scores, score, teach_and_identify
 from cell.jobs.run_report import main_report
 from cell.jobs.teach import (
     append_to_dataset,
@@ -26,7 +27,7 @@ from cell.learning.model import load_model
 from cell.learning.taught_model import TaughtModel
 from cell.learning.training import train
 from gripper.state import GripperPhase
-from recognition.recognizer import UNKNOWN
+from recognition.recognizer import UNKNOWN, Posterior
 
 
 def test_each_object_is_taught_and_identified(taught: Any) -> None:
@@ -39,6 +40,15 @@ def test_each_object_is_taught_and_identified(taught: Any) -> None:
     assert result.scores["force_ramp"].accuracy == 1.0
     assert set(result.examples) == {"ball", "box"}
     assert result.seconds > 0.0
+
+
+def test_the_papers_check_names_the_likeliest_also_in_doubt(taught: Any) -> None:
+    doubtful = Posterior(labels=("ball", "box"), probability=np.array([0.55, 0.45]), unknown=0.4)
+    (trial, _) = taught.result.trials
+    trial = replace(trial, first={"force_ramp": doubtful, BASELINE: doubtful})
+    scores = _scores([trial], ("ball", "box"), "force_ramp")
+    assert scores[BASELINE].confusion == ((1, 0, 0), (0, 0, 0))
+    assert scores["force_ramp_one_grasp"].confusion == ((0, 0, 1), (0, 0, 0))
 
 
 def test_what_was_taught_is_written(taught: Any) -> None:

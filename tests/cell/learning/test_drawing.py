@@ -20,11 +20,12 @@ from cell.data.dataset import read_dataset, write_dataset
 from cell.errors import CellError, ConfigError
 from cell.interfaces.cli.app import app
 from cell.interfaces.plugin.goals import checked_goal
+from cell.jobs.identify import identify_recorded
 from cell.jobs.teach_from_drawing import course_of, teach_drawing
-from cell.learning.model import load_model
+from cell.learning.model import load_model, save_model
 from cell.learning.pad_knowledge import PadKnowledge, calibrate_on_gauge, gauge_shape, usual_foam
-from cell.learning.shapes import reader_under
-from cell.learning.training import load_pose_memory
+from cell.learning.shapes import reader_under, shape_reader
+from cell.learning.training import load_pose_memory, train
 from cell.learning.virtual_grasps import reaches_m
 from cell.simulation import drawn_shape, simulator_settings
 from recognition.ramp.ramp import find_ramp, learn_rest
@@ -123,6 +124,33 @@ def test_drawings_alone_name_what_the_cell_grasps(taught: Any, tmp_path: Path) -
     assert right >= len(answers) - 1
     assert "sphere, 9." in printed
     assert "flat, " in printed
+
+
+def test_a_size_that_the_drawing_excludes_is_no_name(taught: Any, tmp_path: Path) -> None:
+    path, config, read = tmp_path / "d.npz", CellConfig(), shape_reader(CellConfig())
+    soon_ms = taught.grasps[-1].start_ms
+
+    def drawn(label: str, text: str, n: int, at_ms: int, **known: Any) -> list[Any]:
+        return teach_drawing(config, label, drawn_shape(text), n, start_ms=at_ms, **known)
+
+    pin = "cylinder:diameter=4mm,length=20mm"
+    write_dataset(path, [*taught.grasps[:5], *drawn("pin", pin, 40, soon_ms)])
+    trained = train(read_dataset(path), "force_ramp").recognizer
+    save_model(path, trained, trainer_name="force_ramp", pads=taught.grasps[0].pads)
+    model = load_model(path)
+    # New objects count for nothing here: the size alone can make the answer UNKNOWN.
+    model = replace(model, recognizer=replace(model.recognizer, caution=1e-9))
+    known = PadKnowledge(foam=FoamModel(), other_foams=1.0, **EXACT)
+
+    def names(text: str, at_ms: int, read: Any = read) -> set[str]:
+        grasps = drawn("", text, 4, at_ms, known=known)
+        return {answer.label for answer in identify_recorded(model, grasps, read_shape=read)}
+
+    assert names(CYLINDER, soon_ms, read=None) == {"pin"}
+    assert names(CYLINDER, soon_ms) == {"UNKNOWN"}
+    assert names(pin, soon_ms) == {"pin"}
+    next_day_ms = soon_ms + 86_400_000  # on which the zero of the opening may have moved
+    assert names(CYLINDER, next_day_ms) == {"pin"}
 
 
 def test_a_gauge_calibrates_and_is_printed(taught: Any, tmp_path: Path) -> None:

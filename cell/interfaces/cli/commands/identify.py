@@ -117,12 +117,13 @@ def _identify_recorded(
         raise ModelError(
             f"a model of {loaded.trainer_name} cannot follow a drift; train one of force_ramp"
         )
-    answers = identify_recorded(loaded, recorded, tracker=tracker if follow else None)
-    shapes = [None if read_shape is None else read_shape(grasp) for grasp in recorded]
-    for answer, shape in zip(answers, shapes, strict=True):
+    answers = identify_recorded(
+        loaded, recorded, tracker=tracker if follow else None, read_shape=read_shape
+    )
+    for answer in answers:
         print_line(
             f"grasp {answer.number:4d}: {answer.label:<24} {percent(answer.probability)}"
-            + ("" if read_shape is None else f"   {shape or NO_SHAPE}")
+            + ("" if read_shape is None else f"   {answer.shape or NO_SHAPE}")
             + (f"   (was {answer.truth})" if answer.truth else "")
         )
     if tracker.drift_estimate is not None and tracker.drift_estimate.likely:
@@ -130,11 +131,7 @@ def _identify_recorded(
             f"the sensors have drifted: {drift_text(tracker.drift)}; `tactile-cell calibrate "
             f"{dataset} --model {model} -o NEW.npz` takes it off where most objects were taught"
         )
-    both = zip(answers, shapes, strict=True)
-    write_json(
-        json_file,
-        {"answers": [answer.as_json() | {"shape": _plain(shape)} for answer, shape in both]},
-    )
+    write_json(json_file, {"answers": [answer.as_json() for answer in answers]})
 
 
 def _identify_held(
