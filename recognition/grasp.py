@@ -26,15 +26,6 @@ _SAME_PLACE_M = 1e-6
 class GraspCommand:
     """Commanded pose and force of one grasp; the pose that was reached may differ.
 
-    Attributes
-    ----------
-    x_m, y_m
-        Offset of the object along the fingers and across them in m.
-    rotation_rad, roll_rad
-        Turn about the closing axis, and before that about the object's own axis, in rad.
-    force_n
-        Force at the end of the ramp in N.
-
     Raises
     ------
     ValueError
@@ -43,9 +34,12 @@ class GraspCommand:
 
     x_m: float
     y_m: float
+    """Offset of the object along the fingers and across them in m."""
     rotation_rad: float
     roll_rad: float
+    """Turn about the closing axis, and before that about the object's own axis, in rad."""
     force_n: float
+    """Force at the end of the ramp in N."""
 
     def __post_init__(self) -> None:
         for name in COMMAND_COLUMNS:
@@ -75,24 +69,16 @@ def _frozen(values: ArrayLike, dtype: DTypeLike, shape: tuple[int, ...], name: s
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PadArray:
-    """Positions of the taxels on their pads, and the full scale of their counts.
-
-    Attributes
-    ----------
-    pad_shape : (n_pads, 2) int64
-        Rows and columns of each pad.
-    taxel_pad : (n_taxels,) int64
-        Pad of each taxel; row-major within a pad.
-    taxel_xy_m : (n_taxels, 2) float64
-        Position in the pad's plane in m: x along the finger, y across.
-    adc_max : int
-        Full scale of the counts.
-    """
+    """Positions of the taxels on their pads, and the full scale of their counts."""
 
     pad_shape: NDArray[np.int64]
+    """(n_pads, 2) int64: rows and columns of each pad."""
     taxel_pad: NDArray[np.int64]
+    """(n_taxels,) int64: pad of each taxel; row-major within a pad."""
     taxel_xy_m: NDArray[np.float64]
+    """(n_taxels, 2) float64: position in the pad's plane in m: x along the finger, y across."""
     adc_max: int
+    """int: full scale of the counts."""
 
     def __post_init__(self) -> None:
         n_pads = len(np.atleast_2d(self.pad_shape))
@@ -171,42 +157,30 @@ class PadArray:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Grasp:
-    """One force ramp on one object: from the open gripper to the full force.
-
-    Attributes
-    ----------
-    pads
-        The pads that the counts belong to.
-    counts : (n_frames, n_taxels) uint16
-        Raw frames, in the order of time.
-    t_s : (n_frames,) float64
-        Time since the first frame in s.
-    aperture_m : (n_frames,) float64
-        Opening between the fingers in m; NaN where unknown. One number stands for all frames.
-    force_n : (n_frames,) float64
-        Commanded grip force in N, likewise.
-    label, shape, source
-        What was grasped, its class of shape, where the record came from (``cell NAME`` for one that
-        a cell took); empty where unknown.
-    start_ms
-        Time of the first frame in ms: sorts the grasps of a label.
-    thickness_m
-        Thickness of the object along the closing axis in m by its drawing; NaN where unknown.
-    command
-        Commanded pose and force; None where unknown. Recognisers do not use it.
-    """
+    """One force ramp on one object: from the open gripper to the full force."""
 
     pads: PadArray
+    """The pads that the counts belong to."""
     counts: NDArray[np.uint16]
+    """(n_frames, n_taxels) uint16: raw frames, in the order of time."""
     t_s: NDArray[np.float64]
+    """(n_frames,) float64: time since the first frame in s."""
     aperture_m: NDArray[np.float64] = field(default_factory=lambda: np.array(np.nan))
+    """(n_frames,) float64: opening between the fingers in m; NaN where unknown. One number stands
+    for all frames."""
     force_n: NDArray[np.float64] = field(default_factory=lambda: np.array(np.nan))
+    """(n_frames,) float64: commanded grip force in N, likewise."""
     label: str = ""
     shape: str = ""
     source: str = ""
+    """What was grasped, its class of shape, where the record came from (``cell NAME`` for one that
+    a cell took); empty where unknown."""
     start_ms: int = 0
+    """Time of the first frame in ms: sorts the grasps of a label."""
     thickness_m: float = float("nan")
+    """Thickness of the object along the closing axis in m by its drawing; NaN where unknown."""
     command: GraspCommand | None = None
+    """Commanded pose and force; None where unknown. Recognisers do not use it."""
 
     def __post_init__(self) -> None:
         n_frames = len(self.counts)

@@ -28,31 +28,23 @@ docs/explanations/sequences.md."""
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Posterior:
-    """Posterior probabilities of the taught objects after one grasp, or after several fused ones.
-
-    Attributes
-    ----------
-    labels
-        The taught objects.
-    probability : (n_labels,) float64
-        Calibrated probability of each label, given that the object was taught. Sums to 1.
-    unknown : float
-        Probability from 0 to 1 that the object was never taught.
-    dependence
-        How far further grasps of the object repeat this one, 0 to 1; fusion weighs grasps by it.
-    occasion
-        How far the sensors were trusted to be as at teaching, and why; empty where it is not asked.
-    drawn_m
-        Thicknesses in m of the likeliest object along the closing axis by its drawing; empty where
-        there is none, or the zero of the opening may have moved.
-    """
+    """Posterior probabilities of the taught objects after one grasp or several fused ones."""
 
     labels: tuple[str, ...]
+    """The taught objects."""
     probability: NDArray[np.float64]
+    """(n_labels,) float64: calibrated probability of each label, given that the object was taught.
+    Sums to 1."""
     unknown: float
+    """float: probability from 0 to 1 that the object was never taught."""
     dependence: float = DEPENDENCE
+    """How far further grasps of the object repeat this one, 0 to 1; fusion weighs grasps by it."""
     occasion: str = ""
+    """How far the sensors were trusted to be as at teaching, and why; empty where it is not asked.
+    """
     drawn_m: tuple[float, ...] = ()
+    """Thicknesses in m of the likeliest object along the closing axis by its drawing; empty where
+    there is none, or the zero of the opening may have moved."""
 
     def __post_init__(self) -> None:
         p = np.array(self.probability, dtype=np.float64)

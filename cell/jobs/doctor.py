@@ -44,24 +44,16 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Finding:
-    """One checked thing.
-
-    Attributes
-    ----------
-    what
-        What was checked.
-    verdict
-        How it ended.
-    found
-        What was found.
-    advice
-        What to do; empty where all is well.
-    """
+    """One checked thing."""
 
     what: str
+    """What was checked."""
     verdict: Verdict
+    """How it ended."""
     found: str
+    """What was found."""
     advice: str = ""
+    """What to do; empty where all is well."""
 
 
 def examine(config: CellConfig, config_file: Path | None = None) -> Iterator[Finding]:

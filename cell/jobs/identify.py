@@ -24,31 +24,21 @@ from recognition.shape.answer import ShapeAnswer
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RecordedAnswer:
-    """Answer to one recorded grasp.
-
-    Attributes
-    ----------
-    number
-        Place of the grasp in its file, from 0.
-    label, probability
-        The answer and its probability.
-    unknown
-        Probability that the object was never taught.
-    truth
-        Label in the file; empty where there is none.
-    drift
-        Estimate of the drift with which the answer was given; None where it is not followed.
-    shape
-        Shape and size; None where they were not asked for, or the pads do not show them.
-    """
+    """Answer to one recorded grasp."""
 
     number: int
+    """Place of the grasp in its file, from 0."""
     label: str
     probability: float
+    """The answer and its probability."""
     unknown: float
+    """Probability that the object was never taught."""
     truth: str
+    """Label in the file; empty where there is none."""
     drift: DriftEstimate | None = None
+    """Estimate of the drift with which the answer was given; None where it is not followed."""
     shape: ShapeAnswer | None = None
+    """Shape and size; None where they were not asked for, or the pads do not show them."""
 
     def as_json(self) -> dict[str, Any]:
         """Return the answer as plain data."""

@@ -36,40 +36,28 @@ _OPENING_PER_RADIUS = 4.0
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReplayResult:
-    """What came back.
-
-    Attributes
-    ----------
-    n_grasps
-        Grasps replayed.
-    frames_sent, frames_received
-        Tactile frames into the simulated control unit and out of the link.
-    frames_equal
-        Whether each received frame equals the one sent, bit for bit.
-    difference
-        The first difference; empty where there is none.
-    aperture_error_m
-        Largest difference of a received opening in m: the servos report whole pulses.
-    accuracy, interval
-        Share of grasps whose likeliest label is right, and its 95 % interval; None where there are
-        no labels to train with.
-    n_train
-        Grasps that the recogniser was trained on, none of them replayed.
-    seconds
-        Time it took in s.
-    """
+    """What came back."""
 
     n_grasps: int
+    """Grasps replayed."""
     frames_sent: int
     frames_received: int
+    """Tactile frames into the simulated control unit and out of the link."""
     frames_equal: bool
+    """Whether each received frame equals the one sent, bit for bit."""
     difference: str
+    """The first difference; empty where there is none."""
     aperture_error_m: float
+    """Largest difference of a received opening in m: the servos report whole pulses."""
     accuracy: float | None
     interval: tuple[float, float] | None
+    """Share of grasps whose likeliest label is right, and its 95 % interval; None where there are
+    no labels to train with."""
     n_train: int
+    """Grasps that the recogniser was trained on, none of them replayed."""
     recognizer: str
     seconds: float
+    """Time it took in s."""
 
     def as_json(self) -> dict[str, Any]:
         """Return what ``--json`` writes."""

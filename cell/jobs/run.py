@@ -29,42 +29,29 @@ Table 1."""
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trial:
-    """One identification, the object that was really held, and answers to its first grasp.
-
-    Attributes
-    ----------
-    truth
-        The object that was held.
-    found
-        The answer of the sequence.
-    first
-        Answer of each recogniser to the first grasp alone, by name.
-    """
+    """One identification, the object that was really held, and answers to its first grasp."""
 
     truth: str
+    """The object that was held."""
     found: Identification
+    """The answer of the sequence."""
     first: dict[str, Posterior]
+    """Answer of each recogniser to the first grasp alone, by name."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Score:
-    """Accuracy of one recogniser.
-
-    Attributes
-    ----------
-    accuracy, interval
-        Share of right answers and its 95 % interval (Wilson).
-    n, n_right
-        Answers in all and right ones.
-    confusion : (n_labels, n_labels + 1) int
-        Row: what was held; column: the answer, the last one UNKNOWN.
-    """
+    """Accuracy of one recogniser."""
 
     accuracy: float
     interval: tuple[float, float]
+    """Share of right answers and its 95 % interval (Wilson)."""
     n: int
     n_right: int
+    """Answers in all and right ones."""
     confusion: tuple[tuple[int, ...], ...]
+    """(n_labels, n_labels + 1) int: row: what was held; column: the answer, the last one UNKNOWN.
+    """
 
 
 @dataclass(slots=True, kw_only=True)

@@ -76,50 +76,34 @@ def _pose(config: PlacePoseConfig | None) -> Pose | None:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SortedPart:
-    """One part that was brought to a place.
-
-    Attributes
-    ----------
-    number
-        Its number in the sort, from 1.
-    label, probability
-        Answer of its identification.
-    place
-        Where it was let go.
-    n_grasps
-        Grasps of its identification.
-    truth
-        What it was, of a simulated cell; None where nobody can tell.
-    changed
-        What had changed in the grip on the way, for which it was rejected; empty where nothing had.
-    """
+    """One part that was brought to a place."""
 
     number: int
+    """Its number in the sort, from 1."""
     label: str
     probability: float
+    """Answer of its identification."""
     place: str
+    """Where it was let go."""
     n_grasps: int
+    """Grasps of its identification."""
     truth: str | None = None
+    """What it was, of a simulated cell; None where nobody can tell."""
     changed: tuple[str, ...] = ()
+    """What had changed in the grip on the way, for which it was rejected; empty where nothing had.
+    """
 
 
 @dataclass(slots=True, kw_only=True)
 class Tally:
-    """Count of a sort, which is whole as far as it came when the sort ends early.
-
-    Attributes
-    ----------
-    places
-        The places.
-    parts
-        The parts that were let go at a place, in order.
-    n_missed
-        Turns in which no part was found.
-    """
+    """Count of a sort, which is whole as far as it came when the sort ends early."""
 
     places: Places
+    """The places."""
     parts: list[SortedPart] = field(default_factory=list)
+    """The parts that were let go at a place, in order."""
     n_missed: int = 0
+    """Turns in which no part was found."""
 
     @property
     def n_rejected(self) -> int:

@@ -14,24 +14,16 @@ from recognition.grasp import Grasp
 
 @dataclass(slots=True, kw_only=True)
 class Collection:
-    """Grasps of one known object, as far as they have come.
-
-    Attributes
-    ----------
-    label
-        Name of the object.
-    n_planned
-        Grasps that were asked for.
-    records
-        Grasps that held the object, in order.
-    n_missed
-        Grasps that found no part; they are left out of the records.
-    """
+    """Grasps of one known object, as far as they have come."""
 
     label: str
+    """Name of the object."""
     n_planned: int
+    """Grasps that were asked for."""
     records: list[GraspRecord] = field(default_factory=list)
+    """Grasps that held the object, in order."""
     n_missed: int = 0
+    """Grasps that found no part; they are left out of the records."""
 
     @property
     def grasps(self) -> list[Grasp]:

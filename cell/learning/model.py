@@ -88,30 +88,20 @@ _OWN_SECTIONS = ("model", "learnt", "pads")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LoadedModel:
-    """Content of a model file that was read and suits this program.
-
-    Attributes
-    ----------
-    recognizer
-        Ready to answer.
-    trainer_name
-        Name of its kind, one of `recognition.recognizers.trainer_names`.
-    labels
-        The taught objects.
-    pads
-        The pads that it was taught on.
-    path
-        The file.
-    sections
-        Further arrays of the file by section; see `section`.
-    """
+    """Content of a model file that was read and suits this program."""
 
     recognizer: Recognizer
+    """Ready to answer."""
     trainer_name: str
+    """Name of its kind, one of `recognition.recognizers.trainer_names`."""
     labels: tuple[str, ...]
+    """The taught objects."""
     pads: PadArray
+    """The pads that it was taught on."""
     path: Path = Path()
+    """The file."""
     sections: Mapping[str, Arrays] = field(default_factory=dict)
+    """Further arrays of the file by section; see `section`."""
 
     def section(self, name: str, build: Callable[[Arrays], _T]) -> _T | None:
         """Return what ``build`` makes of a section's arrays; None where there is no such section.

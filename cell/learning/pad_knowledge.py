@@ -45,37 +45,27 @@ _BAD_FIT = " where 1 is the noise: is this the gauge's shape? These pads are not
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PadKnowledge:
-    """Foam and sensor with their uncertainties, from a gauge or the usual ones.
-
-    Attributes
-    ----------
-    foam
-        Foam and sensor.
-    modulus_sd, gain_sd, spread_sd, densification_sd, thickness_sd
-        Relative standard deviations.
-    other_foams
-        Virtual grasps are drawn with this many times these deviations: a name that was taught
-        without a gauge has to hold on whatever foam it will meet, and a grasp on another foam is
-        no unknown object. A gauge tells of one shape only; others differ from what it makes of
-        the foam by more than its deviations.
-    aperture_sd_m
-        Standard deviation in m of the measured opening.
-    rest : (n, n_taxels) uint16 or None
-        Frames of the untouched pads; None without a gauge.
-    fit
-        The calibration; None without a gauge.
-    """
+    """Foam and sensor with their uncertainties, from a gauge or the usual ones."""
 
     foam: FoamModel
+    """Foam and sensor."""
     modulus_sd: float = _UNKNOWN_SD
     gain_sd: float = _UNKNOWN_SD
     spread_sd: float = _UNKNOWN_SD
     densification_sd: float = 2.0 * _UNKNOWN_SD
     thickness_sd: float = 0.6 * _UNKNOWN_SD
+    """Relative standard deviations."""
     other_foams: float = _OTHER_FOAMS
+    """Virtual grasps are drawn with this many times these deviations: a name that was taught
+    without a gauge has to hold on whatever foam it will meet, and a grasp on another foam is no
+    unknown object. A gauge tells of one shape only; others differ from what it makes of the foam by
+    more than its deviations."""
     aperture_sd_m: float = 0.2e-3
+    """Standard deviation in m of the measured opening."""
     rest: NDArray[np.uint16] | None = None
+    """(n, n_taxels) uint16 or None: frames of the untouched pads; None without a gauge."""
     fit: FoamFit | None = None
+    """The calibration; None without a gauge."""
 
     @property
     def trust(self) -> PadUncertainty:

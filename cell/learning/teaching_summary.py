@@ -17,32 +17,22 @@ _ENOUGH_OBJECTS = 4
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TeachingSummary:
-    """How much the taught grasps vary.
-
-    Attributes
-    ----------
-    n_objects, n_grasps
-        Number of objects and of their grasps.
-    few
-        Number of grasps of each object that has too few.
-    drawn
-        Objects that were taught from drawings alone.
-    again
-        Objects that were taught in several series, with a pause of an hour or more between them.
-    longest_series_s
-        Duration of the longest series in s.
-    opening_sd_mm
-        Standard deviation in mm of the smallest opening over the grasps of an object, the median of
-        all objects; None where no opening is known.
-    """
+    """How much the taught grasps vary."""
 
     n_objects: int
     n_grasps: int
+    """Number of objects and of their grasps."""
     few: Mapping[str, int]
+    """Number of grasps of each object that has too few."""
     drawn: tuple[str, ...]
+    """Objects that were taught from drawings alone."""
     again: tuple[str, ...]
+    """Objects that were taught in several series, with a pause of an hour or more between them."""
     longest_series_s: float
+    """Duration of the longest series in s."""
     opening_sd_mm: float | None
+    """Standard deviation in mm of the smallest opening over the grasps of an object, the median of
+    all objects; None where no opening is known."""
 
     def __str__(self) -> str:
         minutes = self.longest_series_s / 60.0

@@ -35,24 +35,16 @@ def with_caution(recognizer: Recognizer, config: RecognitionConfig) -> Recognize
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trained:
-    """Result of a training.
-
-    Attributes
-    ----------
-    recognizer
-        The recogniser of whole ramps.
-    trainer_name
-        Its kind, one of `recognition.recognizers.trainer_names`.
-    early
-        Classifiers for ramps that end early; None where they were not asked for.
-    memory
-        Answers to the training grasps by pose; None where it was not asked for.
-    """
+    """Result of a training."""
 
     recognizer: Recognizer
+    """The recogniser of whole ramps."""
     trainer_name: str
+    """Its kind, one of `recognition.recognizers.trainer_names`."""
     early: EarlyClassifiers | None = None
+    """Classifiers for ramps that end early; None where they were not asked for."""
     memory: PoseMemory | None = None
+    """Answers to the training grasps by pose; None where it was not asked for."""
 
     @property
     def sections(self) -> dict[str, Arrays]:

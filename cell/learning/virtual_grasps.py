@@ -44,24 +44,16 @@ _SLOW_S = 0.5
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Press:
-    """One pad pressed by one surface, over the depth of its highest point.
-
-    Attributes
-    ----------
-    reach_max_m
-        Highest point of the surface above the middle plane in m.
-    depth_m : (k,) float64
-        Depths of the highest point in m, evenly spaced from 0.
-    force_n : (k,) float64
-        Force on the pad in N.
-    taxels_n : (k, n_taxels) float64
-        Force on each taxel in N.
-    """
+    """One pad pressed by one surface, over the depth of its highest point."""
 
     reach_max_m: float
+    """Highest point of the surface above the middle plane in m."""
     depth_m: NDArray[np.float64]
+    """(k,) float64: depths of the highest point in m, evenly spaced from 0."""
     force_n: NDArray[np.float64]
+    """(k,) float64: force on the pad in N."""
     taxels_n: NDArray[np.float64]
+    """(k, n_taxels) float64: force on each taxel in N."""
 
     def taxel_force_n(self, depth_m: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return forces (n, n_taxels) in N at depths (n,) in m."""
@@ -150,63 +142,44 @@ class Noise(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Course:
-    """Motion and sensor of a cell, with their uncertainties.
-
-    Attributes
-    ----------
-    period_s
-        Time between two frames in s.
-    aperture_open_m
-        Opening at the start in m.
-    approach_speed_m_s
-        Closing speed of the opening in m/s.
-    aperture_step_m
-        Smallest step of the measured opening in m.
-    aperture_sd_m
-        Standard deviation in m of the measured opening, the same over one grasp.
-    impact_n : (low, high)
-        Grip force in N with which the ramp begins.
-    slip_n
-        Largest lag in N behind the set-point before the fingers move on.
-    force_sd
-        Relative standard deviation of the force at the end of the ramp.
-    modulus_sd, gain_sd, spread_sd, densification_sd, thickness_sd
-        Relative standard deviations of what is known of foam and sensor; drawn for each grasp.
-    bend_sd
-        Standard deviation of the logarithm of an exponent of the reading: a converter that bends
-        otherwise than its law.
-    lag
-        Largest share of a reading that follows the force only slowly: foam creeps.
-    noise_sd
-        Standard deviation of the logarithm of a factor on the noise.
-    pad_gain_sd, taxel_gain_sd
-        Relative standard deviations of the gains of the two pads, and of single taxels.
-    tilt_rad
-        Standard deviation in rad by which an object lies aslant between the pads, about x and y.
-    imbalance_n
-        Largest difference in N between the forces on both pads: the object is held a little.
-    """
+    """Motion and sensor of a cell, with their uncertainties."""
 
     period_s: float = 0.02
+    """Time between two frames in s."""
     aperture_open_m: float = 18e-3
+    """Opening at the start in m."""
     approach_speed_m_s: float = 20e-3
+    """Closing speed of the opening in m/s."""
     aperture_step_m: float = 0.1e-3
+    """Smallest step of the measured opening in m."""
     aperture_sd_m: float = 0.2e-3
+    """Standard deviation in m of the measured opening, the same over one grasp."""
     impact_n: tuple[float, float] = (0.6, 1.1)
+    """(low, high): grip force in N with which the ramp begins."""
     slip_n: float = 0.2
+    """Largest lag in N behind the set-point before the fingers move on."""
     force_sd: float = 0.02
+    """Relative standard deviation of the force at the end of the ramp."""
     modulus_sd: float = 0.05
     gain_sd: float = 0.05
     spread_sd: float = 0.05
     densification_sd: float = 0.1
     thickness_sd: float = 0.03
+    """Relative standard deviations of what is known of foam and sensor; drawn for each grasp."""
     bend_sd: float = 0.0
+    """Standard deviation of the logarithm of an exponent of the reading: a converter that bends
+    otherwise than its law."""
     lag: float = 0.0
+    """Largest share of a reading that follows the force only slowly: foam creeps."""
     noise_sd: float = 0.0
+    """Standard deviation of the logarithm of a factor on the noise."""
     pad_gain_sd: float = 0.05
     taxel_gain_sd: float = 0.08
+    """Relative standard deviations of the gains of the two pads, and of single taxels."""
     tilt_rad: float = 0.01
+    """Standard deviation in rad by which an object lies aslant between the pads, about x and y."""
     imbalance_n: float = 0.05
+    """Largest difference in N between the forces on both pads: the object is held a little."""
 
 
 class VirtualPads:

@@ -21,14 +21,6 @@ _MAX_OFFSET_M = 0.1
 class Drift:
     """Drift of the sensors since teaching.
 
-    Attributes
-    ----------
-    gains
-        Counts above rest are this many times those of the taught sensor, 0.2 to 5: one value for
-        each pad in the order of the layout, or a single one for all pads.
-    aperture_offset_m
-        The opening reads this much more than it did, in m, at most 0.1 either way.
-
     Raises
     ------
     ValueError
@@ -36,7 +28,10 @@ class Drift:
     """
 
     gains: tuple[float, ...] = (1.0,)
+    """Counts above rest are this many times those of the taught sensor, 0.2 to 5: one value for
+    each pad in the order of the layout, or a single one for all pads."""
     aperture_offset_m: float = 0.0
+    """The opening reads this much more than it did, in m, at most 0.1 either way."""
 
     def __post_init__(self) -> None:
         low, high = _GAIN_RANGE

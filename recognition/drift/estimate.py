@@ -44,61 +44,42 @@ _REMEMBERED = 5
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DriftMeasurement:
-    """Drift by the grasps of one sequence, if they were of one taught object.
-
-    Attributes
-    ----------
-    label
-        The object.
-    probability
-        Probability that it was this object, 0 to 1.
-    values : (d,) float64
-        Logarithm of the gain of each gripping pad; then the offset of the opening in mm, where the
-        grasps show it.
-    covariance : (d, d) float64
-        Covariance of the values, from the variation of such grasps.
-    """
+    """Drift by the grasps of one sequence, if they were of one taught object."""
 
     label: str
+    """The object."""
     probability: float
+    """Probability that it was this object, 0 to 1."""
     values: NDArray[np.float64]
+    """(d,) float64: logarithm of the gain of each gripping pad; then the offset of the opening in
+    mm, where the grasps show it."""
     covariance: NDArray[np.float64]
+    """(d, d) float64: covariance of the values, from the variation of such grasps."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class DriftEstimate:
-    """Gaussian estimate of the drift.
-
-    Attributes
-    ----------
-    pads
-        The gripping pads, by their numbers in the layout.
-    n_pads
-        Number of pads of the layout; pads that do not grip are taken to have the mean gain.
-    expected
-        The drift that is expected before any grasp.
-    mean : (P + 1,) float64
-        Logarithm of the gain of each gripping pad, and the offset of the opening in mm.
-    covariance : (P + 1, P + 1) float64
-        Covariance of the mean.
-    unchanged
-        Probability that the sensors are as expected.
-    n_labels
-        Number of taught objects.
-    measured
-        What all sequences of one object show together, by object. However often an object comes,
-        it counts as one: how it lies in the fingers is its own, not the sensors', and a new object
-        may look like a taught one under a drift.
-    """
+    """Gaussian estimate of the drift."""
 
     pads: tuple[int, ...]
+    """The gripping pads, by their numbers in the layout."""
     n_pads: int
+    """Number of pads of the layout; pads that do not grip are taken to have the mean gain."""
     expected: Drift
+    """The drift that is expected before any grasp."""
     mean: NDArray[np.float64]
+    """(P + 1,) float64: logarithm of the gain of each gripping pad, and the offset of the opening
+    in mm."""
     covariance: NDArray[np.float64]
+    """(P + 1, P + 1) float64: covariance of the mean."""
     n_labels: int
+    """Number of taught objects."""
     unchanged: float = _UNCHANGED
+    """Probability that the sensors are as expected."""
     measured: Mapping[str, tuple[DriftMeasurement, ...]] = field(default_factory=dict)
+    """What all sequences of one object show together, by object. However often an object comes, it
+    counts as one: how it lies in the fingers is its own, not the sensors', and a new object may
+    look like a taught one under a drift."""
 
     @classmethod
     def before(

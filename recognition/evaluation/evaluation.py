@@ -51,82 +51,56 @@ def one_by_one(work: Callable[[_Item], _Result], items: Sequence[_Item], /) -> I
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShiftFigures:
-    """Figures of a recogniser that tracks the drift, over grasps in a mixed order.
-
-    Attributes
-    ----------
-    before
-        Number of grasps of the shift before the first that counts.
-    n
-        Number of grasps that count.
-    accuracy, interval
-        Share of them whose likeliest label is right, and its 95 % Wilson interval.
-    known_rejected
-        Share of them with ``unknown`` above 0.5.
-    """
+    """Figures of a recogniser that tracks the drift, over grasps in a mixed order."""
 
     before: int
+    """Number of grasps of the shift before the first that counts."""
     n: int
+    """Number of grasps that count."""
     accuracy: float
     interval: tuple[float, float]
+    """Share of them whose likeliest label is right, and its 95 % Wilson interval."""
     known_rejected: float
+    """Share of them with ``unknown`` above 0.5."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Evaluation:
-    """Figures of a recogniser on grasps that did not teach it.
-
-    Attributes
-    ----------
-    trainer, uses_aperture
-        The recogniser.
-    labels
-        The taught objects.
-    n
-        Number of tested grasps of taught objects.
-    n_untaught
-        Number of tested grasps of other objects; they count in no accuracy.
-    single_accuracy, interval
-        Share of grasps whose likeliest label is right, and its 95 % Wilson interval.
-    fused_accuracy
-        The same for k grasps of one label that follow each other in time, all such runs, by k.
-    random_fused_accuracy
-        The same for random sets of k grasps of one label.
-    calibration_error
-        Expected calibration error of the probability of the likeliest label, ten bins.
-    named_right, named_wrong
-        Share of tested grasps of taught objects that one grasp names rightly and wrongly; the
-        others are called UNKNOWN.
-    known_rejected
-        Share of tested grasps of taught objects with ``unknown`` above 0.5.
-    unknown_auroc
-        Area under the curve of ``unknown`` for objects that were left out of teaching, against
-        those that were not; NaN where it was not measured.
-    unknown_rejected
-        Share of grasps of left-out objects with ``unknown`` above 0.5; NaN where not measured.
-    confusion : (C, C) int64
-        Row = what it was, column = the likeliest label.
-    shift
-        The same grasps in a mixed order; None for a recogniser that does not track drift.
-    """
+    """Figures of a recogniser on grasps that did not teach it."""
 
     trainer: str
     uses_aperture: bool
+    """The recogniser."""
     labels: tuple[str, ...]
+    """The taught objects."""
     n: int
+    """Number of tested grasps of taught objects."""
     n_untaught: int
+    """Number of tested grasps of other objects; they count in no accuracy."""
     single_accuracy: float
     interval: tuple[float, float]
+    """Share of grasps whose likeliest label is right, and its 95 % Wilson interval."""
     fused_accuracy: Mapping[int, float]
+    """The same for k grasps of one label that follow each other in time, all such runs, by k."""
     random_fused_accuracy: Mapping[int, float]
+    """The same for random sets of k grasps of one label."""
     calibration_error: float
+    """Expected calibration error of the probability of the likeliest label, ten bins."""
     named_right: float
     named_wrong: float
+    """Share of tested grasps of taught objects that one grasp names rightly and wrongly; the others
+    are called UNKNOWN."""
     known_rejected: float
+    """Share of tested grasps of taught objects with ``unknown`` above 0.5."""
     unknown_auroc: float
+    """Area under the curve of ``unknown`` for objects that were left out of teaching, against those
+    that were not; NaN where it was not measured."""
     unknown_rejected: float
+    """Share of grasps of left-out objects with ``unknown`` above 0.5; NaN where not measured."""
     confusion: NDArray[np.int64]
+    """(C, C) int64: row = what it was, column = the likeliest label."""
     shift: ShiftFigures | None = None
+    """The same grasps in a mixed order; None for a recogniser that does not track drift."""
 
 
 def evaluate(

@@ -31,21 +31,14 @@ _TAIL_FLOOR = 0.1
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PadGrid:
-    """Positions of the taxels of one pad.
-
-    Attributes
-    ----------
-    xy_mm : (n_taxels, 2) float64
-        Position in the pad's plane in mm.
-    pitch_mm : (2,) float64
-        Distance between neighbours along and across the finger in mm.
-    shape : tuple of int
-        Rows and columns.
-    """
+    """Positions of the taxels of one pad."""
 
     xy_mm: NDArray[np.float64]
+    """(n_taxels, 2) float64: position in the pad's plane in mm."""
     pitch_mm: NDArray[np.float64]
+    """(2,) float64: distance between neighbours along and across the finger in mm."""
     shape: tuple[int, int]
+    """tuple of int: rows and columns."""
 
 
 def pad_grid(pads: PadArray, pad: int) -> PadGrid:
@@ -64,40 +57,29 @@ class Footprint:
     """Patches of one pad, n grasps by K levels, described in logarithms and ratios.
 
     Each array has the shape (n, K) or, where noted, one more axis.
-
-    Attributes
-    ----------
-    log_load, log_peak
-        Logarithm of the sum and the largest value, in full scales of a taxel.
-    log_extent : (n, K, 5)
-        Logarithm of the number of taxels that carry the load (inverse participation), and that
-        exceed 10, 25, 50 and 75 % of the peak.
-    log_pressed : (n, K, 4)
-        Logarithm of the number of taxels above 1, 5, 15 and 30 % of full scale.
-    log_axes : (n, K, 3)
-        Logarithm of the larger and smaller second moment in mm², and of their ratio.
-    tails : (n, K, 2)
-        Fourth and sixth radial moment against powers of the second, in logarithms.
-    harmonics : (n, K, 4)
-        Sizes of the third- and fourth-order moments that do not change in a turn of the patch.
-    direction : (n, K, 2)
-        Cosine and sine of twice the axis angle, weighted by the elongation.
-    centroid_mm : (n, K, 2)
-        Centre of the load in mm.
-    profile : (n, 20)
-        Root of the largest values at full load, in falling order, over the peak.
     """
 
     log_load: NDArray[np.float64]
     log_peak: NDArray[np.float64]
+    """Logarithm of the sum and the largest value, in full scales of a taxel."""
     log_extent: NDArray[np.float64]
+    """(n, K, 5): logarithm of the number of taxels that carry the load (inverse participation), and
+    that exceed 10, 25, 50 and 75 % of the peak."""
     log_pressed: NDArray[np.float64]
+    """(n, K, 4): logarithm of the number of taxels above 1, 5, 15 and 30 % of full scale."""
     log_axes: NDArray[np.float64]
+    """(n, K, 3): logarithm of the larger and smaller second moment in mm², and of their ratio."""
     tails: NDArray[np.float64]
+    """(n, K, 2): fourth and sixth radial moment against powers of the second, in logarithms."""
     harmonics: NDArray[np.float64]
+    """(n, K, 4): sizes of the third- and fourth-order moments that do not change in a turn of the
+    patch."""
     direction: NDArray[np.float64]
+    """(n, K, 2): cosine and sine of twice the axis angle, weighted by the elongation."""
     centroid_mm: NDArray[np.float64]
+    """(n, K, 2): centre of the load in mm."""
     profile: NDArray[np.float64]
+    """(n, 20): root of the largest values at full load, in falling order, over the peak."""
 
 
 def pressed(maps: NDArray[np.float64], noise: NDArray[np.float64]) -> NDArray[np.float64]:

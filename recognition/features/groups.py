@@ -80,27 +80,18 @@ class GraspDescription:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FeatureGroup:
-    """One entry of the table.
-
-    Attributes
-    ----------
-    name
-        Name of the group.
-    features
-        Returns the features, (n, F) float64.
-    views
-        The recognisers whose vectors contain the group.
-    n_pads
-        Fewest gripping pads it needs; with fewer it is left out.
-    opening
-        Whether it is for vectors with the opening only, or without it only; None: for both.
-    """
+    """One entry of the table."""
 
     name: str
+    """Name of the group."""
     features: Callable[[GraspDescription], NDArray[np.float64]]
+    """Returns the features, (n, F) float64."""
     views: frozenset[FeatureView] = frozenset(FeatureView)
+    """The recognisers whose vectors contain the group."""
     n_pads: int = 1
+    """Fewest gripping pads it needs; with fewer it is left out."""
     opening: bool | None = None
+    """Whether it is for vectors with the opening only, or without it only; None: for both."""
 
 
 FEATURE_GROUPS: tuple[FeatureGroup, ...] = (

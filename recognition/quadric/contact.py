@@ -32,27 +32,18 @@ _NEIGHBOURS = np.ones((3, 3), dtype=np.int64)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ContactPatch:
-    """Connected loaded taxels of one pad.
-
-    Attributes
-    ----------
-    pad : int
-        Pad in the `PadArray`.
-    taxels : (n,) int64
-        Indices among all taxels of the grasp, ascending.
-    xy_m : (n, 2) float64
-        Positions in the pad's plane in m.
-    height : (n,) float64
-        Baseline-corrected counts.
-    weight : (n,) float64
-        Weight of each taxel in a fit.
-    """
+    """Connected loaded taxels of one pad."""
 
     pad: int
+    """int: pad in the `PadArray`."""
     taxels: NDArray[np.int64]
+    """(n,) int64: indices among all taxels of the grasp, ascending."""
     xy_m: NDArray[np.float64]
+    """(n, 2) float64: positions in the pad's plane in m."""
     height: NDArray[np.float64]
+    """(n,) float64: baseline-corrected counts."""
     weight: NDArray[np.float64]
+    """(n,) float64: weight of each taxel in a fit."""
 
     def __post_init__(self) -> None:
         n = len(self.taxels)
@@ -76,22 +67,15 @@ class ContactPatch:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Baseline:
-    """Readings of the untouched pads in one grasp, and their noise.
-
-    Attributes
-    ----------
-    counts : (n_taxels,) float64
-        Reading of each taxel without load.
-    noise_counts : (n_pads,) float64
-        Robust standard deviation of one taxel in one frame, for each pad.
-    quiet_frames : (n_pads,) int64
-        Frames before contact that the baseline rests on; 0 where there were too few and the
-        median of the pad's first frame stands in for all its taxels.
-    """
+    """Readings of the untouched pads in one grasp, and their noise."""
 
     counts: NDArray[np.float64]
+    """(n_taxels,) float64: reading of each taxel without load."""
     noise_counts: NDArray[np.float64]
+    """(n_pads,) float64: robust standard deviation of one taxel in one frame, for each pad."""
     quiet_frames: NDArray[np.int64]
+    """(n_pads,) int64: frames before contact that the baseline rests on; 0 where there were too few
+    and the median of the pad's first frame stands in for all its taxels."""
 
     def __post_init__(self) -> None:
         for name in ("counts", "noise_counts", "quiet_frames"):

@@ -30,20 +30,14 @@ class Reading(StrEnum):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SmallestEigenvalue:
-    """Smallest eigenvalues of a batch.
-
-    Attributes
-    ----------
-    value : (...) float64
-        In the unit of the matrix; never below the floor of rounding in the readings that are
-        magnitudes.
-    degenerate : (...) bool
-        True where the value is rounding noise: its magnitude is not above n * eps * max|lambda|,
-        n the size of the matrix, so that the matrix may as well be singular.
-    """
+    """Smallest eigenvalues of a batch."""
 
     value: NDArray[np.float64]
+    """(...) float64: in the unit of the matrix; never below the floor of rounding in the readings
+    that are magnitudes."""
     degenerate: NDArray[np.bool_]
+    """(...) bool: true where the value is rounding noise: its magnitude is not above n * eps *
+    max|lambda|, n the size of the matrix, so that the matrix may as well be singular."""
 
 
 def check_symmetric(Q: ArrayLike) -> NDArray[np.float64]:

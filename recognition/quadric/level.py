@@ -21,33 +21,23 @@ from recognition.quadric.thresholds import Levels
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LevelSettings:
-    """Settings of a level.
-
-    Attributes
-    ----------
-    force_n
-        Grip force in N to take it at; None: near the full force of the ramp. Grasps without a
-        record of the force are taken near their full load.
-    tolerance
-        Frames count as near a force, or load, within this part of it.
-    sigmas
-        Threshold of a loaded taxel in standard deviations of the noise.
-    peak_share
-        Least height of a loaded taxel as a part of the pad's largest. Without it the threshold
-        falls as more frames are averaged, and taxels at the edge of the patch come and go with
-        what is left of the noise, the fitted surface with them.
-    rim
-        Rings of unloaded taxels that the fit takes along.
-    reading
-        Which eigenvalue.
-    """
+    """Settings of a level."""
 
     force_n: float | None = None
+    """Grip force in N to take it at; None: near the full force of the ramp. Grasps without a record
+    of the force are taken near their full load."""
     tolerance: float = 0.1
+    """Frames count as near a force, or load, within this part of it."""
     sigmas: float = 4.0
+    """Threshold of a loaded taxel in standard deviations of the noise."""
     peak_share: float = 0.4
+    """Least height of a loaded taxel as a part of the pad's largest. Without it the threshold falls
+    as more frames are averaged, and taxels at the edge of the patch come and go with what is left
+    of the noise, the fitted surface with them."""
     rim: int = 1
+    """Rings of unloaded taxels that the fit takes along."""
     reading: Reading = Reading.SMALLEST_MAGNITUDE
+    """Which eigenvalue."""
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Return everything as plain arrays."""

@@ -164,30 +164,21 @@ def by_inverse(Q: NDArray[np.float64], M_inv: NDArray[np.float64]) -> NDArray[np
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Quadric:
-    """A fitted height field.
-
-    Attributes
-    ----------
-    Q : (4, 4) float64
-        Form (7), read-only. x and y are (position - centre_m) / scale_m, z is the height.
-    residual
-        Weighted root mean square of the height error, in the unit of the heights.
-    condition
-        Condition number of the weighted design matrix.
-    n_points
-        Points of positive weight.
-    centre_m : (2,) float64
-        Weighted centroid of the points in the pad's plane, read-only.
-    scale_m
-        Weighted root-mean-square distance of the points from the centre.
-    """
+    """A fitted height field."""
 
     Q: NDArray[np.float64]
+    """(4, 4) float64: form (7), read-only. x and y are (position - centre_m) / scale_m, z is the
+    height."""
     residual: float
+    """Weighted root mean square of the height error, in the unit of the heights."""
     condition: float
+    """Condition number of the weighted design matrix."""
     n_points: int
+    """Points of positive weight."""
     centre_m: NDArray[np.float64]
+    """(2,) float64: weighted centroid of the points in the pad's plane, read-only."""
     scale_m: float
+    """Weighted root-mean-square distance of the points from the centre."""
 
     def __post_init__(self) -> None:
         for name, shape in (("Q", (4, 4)), ("centre_m", (2,))):

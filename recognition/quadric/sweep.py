@@ -41,28 +41,20 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Arrow:
-    """A batch of arrow matrices: diag(pole) bordered by a shaft and a corner.
-
-    Attributes
-    ----------
-    pole : tuple of arrays
-        Diagonal entries, at most three, ascending along the tuple; each broadcasts to the batch.
-    shaft : tuple of arrays
-        Square of the border's entry beside each pole, not negative.
-    corner : (...) float64
-        Last diagonal entry.
-    fixed : tuple of arrays
-        Further eigenvalues of the whole matrix that the arrow does not hold.
-    n_negative
-        Negative eigenvalues of the arrow, the same in the whole batch (Sylvester); None where the
-        matrix is singular.
-    """
+    """A batch of arrow matrices: diag(pole) bordered by a shaft and a corner."""
 
     pole: tuple[Array, ...]
+    """tuple of arrays: diagonal entries, at most three, ascending along the tuple; each broadcasts
+    to the batch."""
     shaft: tuple[Array, ...]
+    """tuple of arrays: square of the border's entry beside each pole, not negative."""
     corner: Array
+    """(...) float64: last diagonal entry."""
     fixed: tuple[Array, ...]
+    """tuple of arrays: further eigenvalues of the whole matrix that the arrow does not hold."""
     n_negative: int | None
+    """Negative eigenvalues of the arrow, the same in the whole batch (Sylvester); None where the
+    matrix is singular."""
 
     def matrices(self, which: NDArray[np.bool_]) -> Array:
         """Return the marked ones as full symmetric matrices, (n, m + 1, m + 1)."""
@@ -93,24 +85,16 @@ class _Pole:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ArrowForm:
-    """A quadric ready for the sweep; make it with `arrow_form`.
-
-    Attributes
-    ----------
-    poles
-        Distinct eigenvalues of A that couple to the pose.
-    fixed
-        Eigenvalues of A that stay eigenvalues, divided by s^2.
-    k
-        Last entry of Q.
-    n_negative
-        See `Arrow`.
-    """
+    """A quadric ready for the sweep; make it with `arrow_form`."""
 
     poles: tuple[_Pole, ...]
+    """Distinct eigenvalues of A that couple to the pose."""
     fixed: tuple[float, ...]
+    """Eigenvalues of A that stay eigenvalues, divided by s^2."""
     k: float
+    """Last entry of Q."""
     n_negative: int | None
+    """See `Arrow`."""
 
     def features(self, u: Array) -> Array:
         """Return what counts of rotated translations (n, 3), as (n_features, n), n_features <= 3.

@@ -37,18 +37,12 @@ Side = Literal[1, -1]
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Found:
-    """Eigenvalues of a batch.
-
-    Attributes
-    ----------
-    smallest
-        As `recognition.quadric.eigen.smallest_of` gives them.
-    n_fallback
-        How many of them were left to the full solver.
-    """
+    """Eigenvalues of a batch."""
 
     smallest: SmallestEigenvalue
+    """As `recognition.quadric.eigen.smallest_of` gives them."""
     n_fallback: int
+    """How many of them were left to the full solver."""
 
 
 def smallest_of_arrow(arrow: Arrow, reading: Reading = Reading.SMALLEST_MAGNITUDE) -> Found:

@@ -19,28 +19,19 @@ NOISE_SHARE = 0.08
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Levels:
-    """Bands of the taught objects and what lies between them.
-
-    Attributes
-    ----------
-    low, high : (n_objects,) float64
-        Band of each object; NaN where an object has no level.
-    order : (n_levels,) int64
-        Objects that have a level, by the middle of their band, ascending.
-    threshold : (n_levels - 1,) float64
-        Middle between the bands of neighbours in ``order``.
-    window : (n_levels - 1,) float64
-        Gap between them; closed where it is not above 0.
-    margin
-        Part of its edge by which a band reaches into open space.
-    """
+    """Bands of the taught objects and what lies between them."""
 
     low: NDArray[np.float64]
     high: NDArray[np.float64]
+    """(n_objects,) float64: band of each object; NaN where an object has no level."""
     order: NDArray[np.int64]
+    """(n_levels,) int64: objects that have a level, by the middle of their band, ascending."""
     threshold: NDArray[np.float64]
+    """(n_levels - 1,) float64: middle between the bands of neighbours in ``order``."""
     window: NDArray[np.float64]
+    """(n_levels - 1,) float64: gap between them; closed where it is not above 0."""
     margin: float
+    """Part of its edge by which a band reaches into open space."""
 
     def __post_init__(self) -> None:
         for name in ("low", "high", "order", "threshold", "window"):

@@ -54,35 +54,25 @@ def _grid(start: float, stop: float, count: int) -> NDArray[np.float64]:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class SweepSettings:
-    """The grid of Algorithm 1 and its readings; the defaults are those of the printed text.
-
-    Attributes
-    ----------
-    scale : (n_scale,) float64
-        Scale factors: 1 to 4 in steps of 0.1.
-    translation : (n_translation,) float64
-        Translation along x and y in the unit of the matrices: -2 to 2 in steps of 0.1.
-    angle_rad : (n_angle,) float64
-        Rotation about x, y and z: 0 to 2 pi in steps of pi/8, both ends.
-    translation_axes, rotation_axes
-        Whether x and y, and the three angles, run together or in loops of their own.
-    order
-        Product that maps points: "TRS" is M = T R S. With rotation last ("RTS") it changes no
-        eigenvalue.
-    reading
-        Which eigenvalue is followed.
-    max_evaluations
-        Largest number of matrices of one object that is accepted.
-    """
+    """The grid of Algorithm 1 and its readings; the defaults are those of the printed text."""
 
     scale: NDArray[np.float64] = field(default_factory=lambda: _grid(1.0, 4.0, 31))
+    """(n_scale,) float64: scale factors: 1 to 4 in steps of 0.1."""
     translation: NDArray[np.float64] = field(default_factory=lambda: _grid(-2.0, 2.0, 41))
+    """(n_translation,) float64: translation along x and y in the unit of the matrices: -2 to 2 in
+    steps of 0.1."""
     angle_rad: NDArray[np.float64] = field(default_factory=lambda: _grid(0.0, 2 * np.pi, 17))
+    """(n_angle,) float64: rotation about x, y and z: 0 to 2 pi in steps of pi/8, both ends."""
     translation_axes: Axes = Axes.EQUAL
     rotation_axes: Axes = Axes.EQUAL
+    """Whether x and y, and the three angles, run together or in loops of their own."""
     order: str = DEFAULT_ORDER
+    """Product that maps points: "TRS" is M = T R S. With rotation last ("RTS") it changes no
+    eigenvalue."""
     reading: Reading = Reading.SMALLEST_MAGNITUDE
+    """Which eigenvalue is followed."""
     max_evaluations: int = 2_000_000
+    """Largest number of matrices of one object that is accepted."""
 
     def __post_init__(self) -> None:
         check_order(self.order)
@@ -112,21 +102,15 @@ PAPER_SWEEP = SweepSettings()
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Trajectory:
-    """Smallest eigenvalues of the taught objects over the grid.
-
-    Attributes
-    ----------
-    value : (n_objects, n_evaluations) float64
-        In the order of the printed loops: scale outermost, rotation innermost. Read-only.
-    degenerate : (n_objects, n_evaluations) bool
-        True where a value is rounding noise. Read-only.
-    settings
-        The grid.
-    """
+    """Smallest eigenvalues of the taught objects over the grid."""
 
     value: NDArray[np.float64]
+    """(n_objects, n_evaluations) float64: in the order of the printed loops: scale outermost,
+    rotation innermost. Read-only."""
     degenerate: NDArray[np.bool_]
+    """(n_objects, n_evaluations) bool: true where a value is rounding noise. Read-only."""
     settings: SweepSettings
+    """The grid."""
 
     def __post_init__(self) -> None:
         self.value.setflags(write=False)

@@ -22,42 +22,31 @@ _FINAL_FRACTION = 0.125
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Levels:
-    """Levels of n grasps; n is their number, K the number of levels, P of gripping pads.
-
-    Attributes
-    ----------
-    maps : tuple of (n, K, n_taxels_of_pad) float64
-        Mean rise at each level per gripping pad, as a fraction of the full scale.
-    noise : (n, K, P) float64
-        Standard deviation that noise leaves on each value of `maps`.
-    aperture_mm : (n, K) float64
-        Opening at each level in mm; NaN where unknown.
-    touch_aperture_mm : (n, P) float64
-        Opening where each pad is first touched, in mm.
-    timed_load : (n, P, 8) float64
-        Sum of the rise at `TIME_FRACTIONS`, as a fraction of one taxel's full scale.
-    timed_aperture_mm : (n, 8) float64
-        Opening at `TIME_FRACTIONS` in mm.
-    level_time_s : (n, K) float64
-        Time from the touch of both pads to each level in s.
-    touch_delay_s : (n,) float64
-        Time from the touch of the first pad to that of the second, negative for the reverse, in s.
-    force_n : (n,) float64
-        Commanded force at the end in N; NaN where unknown.
-    touched : (n,) bool
-        Whether every gripping pad was touched.
-    """
+    """Levels of n grasps; n is their number, K the number of levels, P of gripping pads."""
 
     maps: tuple[NDArray[np.float64], ...]
+    """tuple of (n, K, n_taxels_of_pad) float64: mean rise at each level per gripping pad, as a
+    fraction of the full scale."""
     noise: NDArray[np.float64]
+    """(n, K, P) float64: standard deviation that noise leaves on each value of `maps`."""
     aperture_mm: NDArray[np.float64]
+    """(n, K) float64: opening at each level in mm; NaN where unknown."""
     touch_aperture_mm: NDArray[np.float64]
+    """(n, P) float64: opening where each pad is first touched, in mm."""
     timed_load: NDArray[np.float64]
+    """(n, P, 8) float64: sum of the rise at `TIME_FRACTIONS`, as a fraction of one taxel's full
+    scale."""
     timed_aperture_mm: NDArray[np.float64]
+    """(n, 8) float64: opening at `TIME_FRACTIONS` in mm."""
     level_time_s: NDArray[np.float64]
+    """(n, K) float64: time from the touch of both pads to each level in s."""
     touch_delay_s: NDArray[np.float64]
+    """(n,) float64: time from the touch of the first pad to that of the second, negative for the
+    reverse, in s."""
     force_n: NDArray[np.float64]
+    """(n,) float64: commanded force at the end in N; NaN where unknown."""
     touched: NDArray[np.bool_]
+    """(n,) bool: whether every gripping pad was touched."""
 
     def __len__(self) -> int:
         return len(self.force_n)

@@ -40,24 +40,16 @@ _LEAST_FRAMES = 2 * QUIET_FRAMES
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Rest:
-    """Readings of the untouched pads and their noise, from the first frames of taught grasps.
-
-    Attributes
-    ----------
-    pads
-        The pads that were taught.
-    gripping : tuple of int
-        The one or two pads that rise most under load, in the order of the layout.
-    counts : (n_taxels,) float64
-        Reading of each untouched taxel in counts.
-    noise_counts : (n_gripping,) float64
-        Standard deviation of one sample of an untouched taxel in counts.
-    """
+    """Readings of the untouched pads and their noise, from the first frames of taught grasps."""
 
     pads: PadArray
+    """The pads that were taught."""
     gripping: tuple[int, ...]
+    """tuple of int: the one or two pads that rise most under load, in the order of the layout."""
     counts: NDArray[np.float64]
+    """(n_taxels,) float64: reading of each untouched taxel in counts."""
     noise_counts: NDArray[np.float64]
+    """(n_gripping,) float64: standard deviation of one sample of an untouched taxel in counts."""
 
     def check(self, pads: PadArray) -> None:
         """Raise ValueError for pads other than the taught ones."""
@@ -98,27 +90,20 @@ class Rest:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Ramp:
-    """Rise of one grasp above rest, frame by frame, with the touch of each gripping pad.
-
-    Attributes
-    ----------
-    rise : tuple of (n_frames, n_taxels_of_pad) float64
-        Counts above rest of each gripping pad, negative noise included.
-    noise_counts : (n_gripping,) float64
-        Standard deviation of one sample in counts.
-    load : (n_frames, n_gripping) float64
-        Sum of the rise of each pad in counts.
-    touch : (n_gripping,) int64
-        First frame of the lasting touch of each pad; n_frames where it was never touched.
-    smoothing : int
-        Number of frames that a running mean may span without blurring the ramp.
-    """
+    """Rise of one grasp above rest, frame by frame, with the touch of each gripping pad."""
 
     rise: tuple[NDArray[np.float64], ...]
+    """tuple of (n_frames, n_taxels_of_pad) float64: counts above rest of each gripping pad,
+    negative noise included."""
     noise_counts: NDArray[np.float64]
+    """(n_gripping,) float64: standard deviation of one sample in counts."""
     load: NDArray[np.float64]
+    """(n_frames, n_gripping) float64: sum of the rise of each pad in counts."""
     touch: NDArray[np.int64]
+    """(n_gripping,) int64: first frame of the lasting touch of each pad; n_frames where it was
+    never touched."""
     smoothing: int
+    """int: number of frames that a running mean may span without blurring the ramp."""
 
     @property
     def touched(self) -> bool:

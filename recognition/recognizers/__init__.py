@@ -25,24 +25,16 @@ _METHODS = "recognition.recognizers.comparators.methods"
 
 @dataclass(frozen=True, slots=True)
 class RecognizerEntry:
-    """One kind of recogniser.
-
-    Attributes
-    ----------
-    name
-        Name in tables, models and on the command line.
-    module
-        Module of its trainer and its recogniser; imported when a trainer is made.
-    trainer
-        Name in that module of what makes a trainer when called with ``use_aperture``.
-    comparator
-        Whether it is used only where it is asked for; some are taught by scikit-learn.
-    """
+    """One kind of recogniser."""
 
     name: str
+    """Name in tables, models and on the command line."""
     module: str
+    """Module of its trainer and its recogniser; imported when a trainer is made."""
     trainer: str
+    """Name in that module of what makes a trainer when called with ``use_aperture``."""
     comparator: bool = False
+    """Whether it is used only where it is asked for; some are taught by scikit-learn."""
 
 
 RECOGNIZERS: tuple[RecognizerEntry, ...] = (

@@ -22,43 +22,28 @@ SHARES = (0.25, 0.5, 0.75)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class EarlyAnswer:
-    """Posterior of a ramp at its last look, and when that was.
-
-    Attributes
-    ----------
-    posterior
-        Posterior of this grasp alone at the last look.
-    looks
-        Number of looks, the last one included.
-    n_frames
-        Frames of the grasp up to that look.
-    decided
-        Whether the stop rule was satisfied; False where the ramp came to its end without.
-    """
+    """Posterior of a ramp at its last look, and when that was."""
 
     posterior: Posterior
+    """Posterior of this grasp alone at the last look."""
     looks: int
+    """Number of looks, the last one included."""
     n_frames: int
+    """Frames of the grasp up to that look."""
     decided: bool
+    """Whether the stop rule was satisfied; False where the ramp came to its end without."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class EarlyClassifiers:
-    """One recogniser for each load at which a ramp is looked at before its end.
-
-    Attributes
-    ----------
-    rest
-        The untouched pads.
-    load_counts : (L,) float64
-        Loads in counts, summed over the gripping pads, ascending.
-    recognizers
-        L recognisers, each taught with ramps cut at its load.
-    """
+    """One recogniser for each load at which a ramp is looked at before its end."""
 
     rest: Rest
+    """The untouched pads."""
     load_counts: NDArray[np.float64]
+    """(L,) float64: loads in counts, summed over the gripping pads, ascending."""
     recognizers: tuple[Recognizer, ...]
+    """L recognisers, each taught with ramps cut at its load."""
 
     def __post_init__(self) -> None:
         loads = np.array(self.load_counts, dtype=np.float64)
@@ -182,18 +167,12 @@ class EarlyDecider:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class EarlyRecognizer:
-    """Early classifiers and a recogniser of whole ramps.
-
-    Attributes
-    ----------
-    early
-        The early classifiers.
-    whole
-        The recogniser of whole ramps.
-    """
+    """Early classifiers and a recogniser of whole ramps."""
 
     early: EarlyClassifiers
+    """The early classifiers."""
     whole: Recognizer
+    """The recogniser of whole ramps."""
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -224,18 +203,12 @@ class EarlyRecognizer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EarlyTrainer:
-    """Teaches whole ramps and ramps cut short.
-
-    Attributes
-    ----------
-    base
-        Trainer of each of the recognisers.
-    shares
-        Parts of the usual full load, ascending, between 0 and 1.
-    """
+    """Teaches whole ramps and ramps cut short."""
 
     base: Trainer
+    """Trainer of each of the recognisers."""
     shares: tuple[float, ...] = SHARES
+    """Parts of the usual full load, ascending, between 0 and 1."""
 
     def __post_init__(self) -> None:
         if not self.shares or list(self.shares) != sorted(set(self.shares)):

@@ -37,39 +37,27 @@ _FLATTEN = 0.01
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LevelCheckRecognizer:
-    """Taught levels.
-
-    Attributes
-    ----------
-    labels
-        The taught objects, sorted.
-    pads
-        The pads that they were taught on.
-    settings
-        How the level of a grasp is taken.
-    mean, spread : (n_labels,) float64
-        Mean and standard deviation of the natural logarithm of the level's magnitude; NaN for an
-        object none of whose taught grasps carried a surface.
-    low, high : (n_labels,) float64
-        Least and largest taught level; NaN likewise.
-    margin
-        Part of its edge by which a level's band reaches into open space.
-    noise_counts
-        Noise of the taught grasps, see `recognition.quadric.level.averaged_noise`.
-    noise_per_count
-        Part of a level by which noise moves it, for each count.
-    """
+    """Taught levels."""
 
     labels: tuple[str, ...]
+    """The taught objects, sorted."""
     pads: PadArray
+    """The pads that they were taught on."""
     settings: LevelSettings
+    """How the level of a grasp is taken."""
     mean: NDArray[np.float64]
     spread: NDArray[np.float64]
+    """(n_labels,) float64: mean and standard deviation of the natural logarithm of the level's
+    magnitude; NaN for an object none of whose taught grasps carried a surface."""
     low: NDArray[np.float64]
     high: NDArray[np.float64]
+    """(n_labels,) float64: least and largest taught level; NaN likewise."""
     margin: float
+    """Part of its edge by which a level's band reaches into open space."""
     noise_counts: float
+    """Noise of the taught grasps, see `recognition.quadric.level.averaged_noise`."""
     noise_per_count: float
+    """Part of a level by which noise moves it, for each count."""
 
     def __post_init__(self) -> None:
         for name in ("mean", "spread", "low", "high"):
@@ -216,25 +204,18 @@ class LevelCheckRecognizer:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LevelCheckTrainer:
-    """Teaches the levels.
-
-    Attributes
-    ----------
-    settings
-        How the level of a grasp is taken. Without a force of its own it is taken at the largest
-        force that every taught grasp reached, because levels compare at equal force only; where
-        forces are not recorded, near the full load.
-    margin
-        Part of its edge by which a level's band reaches into open space, above 0, below 1.
-    use_aperture
-        Taken as by every trainer of this package; the paper's method has no place for the
-        opening, so both values teach the same and `uses_aperture` is always False.
-    """
+    """Teaches the levels."""
 
     settings: LevelSettings = DEFAULT_LEVEL
+    """How the level of a grasp is taken. Without a force of its own it is taken at the largest
+    force that every taught grasp reached, because levels compare at equal force only; where forces
+    are not recorded, near the full load."""
     margin: float = 0.08
+    """Part of its edge by which a level's band reaches into open space, above 0, below 1."""
     name: ClassVar[str] = NAME
     use_aperture: bool = False
+    """Taken as by every trainer of this package; the paper's method has no place for the opening,
+    so both values teach the same and `uses_aperture` is always False."""
 
     def __post_init__(self) -> None:
         if not 0.0 < self.margin < 1.0:

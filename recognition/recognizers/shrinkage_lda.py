@@ -36,33 +36,22 @@ _SHARPNESS = 4.0
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ShrinkageLda:
-    """A taught linear discriminant.
-
-    Attributes
-    ----------
-    labels
-        The taught objects, sorted.
-    uses_aperture
-        Whether the opening between the fingers is used.
-    rest
-        The untouched pads.
-    fill : (F,) float64
-        Value in place of a feature that is unknown.
-    discriminant
-        The classes.
-    temperature
-        Squared distances are divided by it.
-    limit
-        Squared distance to the nearest class above which a grasp is more likely unknown.
-    """
+    """A taught linear discriminant."""
 
     labels: tuple[str, ...]
+    """The taught objects, sorted."""
     uses_aperture: bool
+    """Whether the opening between the fingers is used."""
     rest: Rest
+    """The untouched pads."""
     fill: NDArray[np.float64]
+    """(F,) float64: value in place of a feature that is unknown."""
     discriminant: LinearDiscriminant
+    """The classes."""
     temperature: float
+    """Squared distances are divided by it."""
     limit: float
+    """Squared distance to the nearest class above which a grasp is more likely unknown."""
 
     def posterior(self, grasp: Grasp) -> Posterior:
         """Return the posterior of a grasp; ValueError for pads other than the taught ones."""

@@ -27,20 +27,14 @@ _90_PERCENT = 1.645
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Thickness:
-    """One thickness along the closing axis.
-
-    Attributes
-    ----------
-    size_m, low_m, high_m
-        The thickness in m, and the interval that holds it with 90 % probability.
-    n_grasps
-        Grasps that met it.
-    """
+    """One thickness along the closing axis."""
 
     size_m: float
     low_m: float
     high_m: float
+    """The thickness in m, and the interval that holds it with 90 % probability."""
     n_grasps: int = 1
+    """Grasps that met it."""
 
     def __str__(self) -> str:
         return f"{1e3 * self.size_m:.1f} mm ({1e3 * self.low_m:.1f} to {1e3 * self.high_m:.1f})"
@@ -56,39 +50,28 @@ class Thickness:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShapeAnswer:
-    """Shape and size by one grasp, or by several of one object.
-
-    Attributes
-    ----------
-    kind
-        ``sphere``, ``oval``, ``cylinder``, ``flat``, ``dumbbell`` or `UNCLEAR`.
-    probability
-        Probability of each kind, given that it is one of them.
-    size_m, low_m, high_m
-        Thickness along the closing axis in m (the diameter of what is round), and the interval
-        that holds it with 90 % probability, over all kinds.
-    dimensions_m
-        Dimensions of the likeliest kind in m by their names, without interval.
-    misfit
-        Squared residual of the best kind per degree of freedom: 1 where it fits within the noise;
-        the median of several grasps.
-    thicknesses
-        All thicknesses that several grasps met, thinnest first; the one that most grasps met is
-        `size_m`. One grasp meets one.
-    evidence
-        Evidence of this grasp for each hypothesis, for `recognition.shape.fusion`; empty for
-        several grasps.
-    """
+    """Shape and size by one grasp, or by several of one object."""
 
     kind: str
+    """``sphere``, ``oval``, ``cylinder``, ``flat``, ``dumbbell`` or `UNCLEAR`."""
     probability: Mapping[str, float]
+    """Probability of each kind, given that it is one of them."""
     size_m: float
     low_m: float
     high_m: float
+    """Thickness along the closing axis in m (the diameter of what is round), and the interval that
+    holds it with 90 % probability, over all kinds."""
     dimensions_m: Mapping[str, float]
+    """Dimensions of the likeliest kind in m by their names, without interval."""
     misfit: float
+    """Squared residual of the best kind per degree of freedom: 1 where it fits within the noise;
+    the median of several grasps."""
     thicknesses: tuple[Thickness, ...]
+    """All thicknesses that several grasps met, thinnest first; the one that most grasps met is
+    `size_m`. One grasp meets one."""
     evidence: tuple[KindEvidence, ...] = field(default=(), repr=False, compare=False)
+    """Evidence of this grasp for each hypothesis, for `recognition.shape.fusion`; empty for several
+    grasps."""
 
     @property
     def n_grasps(self) -> int:

@@ -75,36 +75,26 @@ def n_determined(normal: NDArray[np.float64], prior_sd: NDArray[np.float64]) -> 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ShapeFit:
-    """One kind of shape, fitted.
-
-    Attributes
-    ----------
-    model
-        The kind.
-    theta : (n,) float64
-        Parameters: log of the half thickness in mm, the model's own, then pose, depths, foam.
-    normal : (n, n) float64
-    gradient : (n,) float64
-        J^T J and J^T r of the data alone.
-    prior_mean, prior_sd : (n,) float64
-        The prior.
-    chi2
-        Sum of the squared residuals of the data over their variances.
-    misfit
-        Squared residual per degree of freedom, see `recognition.shape.fit`.
-    n_shared
-        Number of the last parameters, which all grasps of a cell have in common.
-    """
+    """One kind of shape, fitted."""
 
     model: ShapeModel
+    """The kind."""
     theta: Array
+    """(n,) float64: parameters: log of the half thickness in mm, the model's own, then pose,
+    depths, foam."""
     normal: Array
+    """(n, n) float64: """
     gradient: Array
+    """(n,) float64: J^T J and J^T r of the data alone."""
     prior_mean: Array
     prior_sd: Array
+    """(n,) float64: the prior."""
     chi2: float
+    """Sum of the squared residuals of the data over their variances."""
     misfit: float
+    """Squared residual per degree of freedom, see `recognition.shape.fit`."""
     n_shared: int
+    """Number of the last parameters, which all grasps of a cell have in common."""
 
     @property
     def half_m(self) -> float:
@@ -239,32 +229,23 @@ class KindEvidence:
 
     The first of the m parameters s is the logarithm of the half thickness in mm, the others are
     those of the cell.
-
-    Attributes
-    ----------
-    kind
-        Kind of shape.
-    level, eta, precision
-        Scalar, (m,) and (m, m) float64.
-    prior_mean, prior_sd : (m,) float64
-        The prior of s.
-    log_prior
-        Logarithm of how likely the hypothesis is before anything is gripped.
-    log_half_mm
-        The likeliest logarithm of the half thickness in mm, by this grasp alone.
-    dimensions_m
-        Dimensions in m by their names, by this grasp alone; the thickness is the first.
     """
 
     kind: str
+    """Kind of shape."""
     level: float
     eta: Array
     precision: Array
+    """Scalar, (m,) and (m, m) float64."""
     prior_mean: Array
     prior_sd: Array
+    """(m,) float64: the prior of s."""
     log_prior: float
+    """Logarithm of how likely the hypothesis is before anything is gripped."""
     log_half_mm: float
+    """The likeliest logarithm of the half thickness in mm, by this grasp alone."""
     dimensions_m: Mapping[str, float]
+    """Dimensions in m by their names, by this grasp alone; the thickness is the first."""
 
     def scattered(self, sd_m: float) -> "KindEvidence":
         """Return the same with a further error of the thickness in m in this grasp alone."""

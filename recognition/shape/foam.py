@@ -100,29 +100,6 @@ def closed_columns_m(
 class FoamModel:
     """Foam of the pads and the sensor below it.
 
-    Attributes
-    ----------
-    thickness_m
-        Thickness of the sheet in m.
-    modulus_pa
-        Young's modulus at small strain in Pa.
-    densification
-        d: at a strain of one half the secant modulus is 1 + d times the modulus.
-    limit_strain
-        From here on the law goes on along its tangent.
-    spread_m
-        Standard deviation in m by which the pressure spreads.
-    gain
-        Factor on the force that a taxel feels; 1 is equation (11), or the force of the full scale.
-    aperture_offset_m
-        What is added to the true opening when it is measured, in m.
-    full_scale_n
-        Force on a taxel in N at which a linear sensor reads its full scale; None: equation (11).
-    sideways
-        Share, from 0 to below 1, of the give of a point that pressure around it causes.
-    sideways_m
-        Standard deviation in m of the weights with which it does.
-
     Raises
     ------
     ValueError
@@ -130,15 +107,26 @@ class FoamModel:
     """
 
     thickness_m: float = 3e-3
+    """Thickness of the sheet in m."""
     modulus_pa: float = 150e3
+    """Young's modulus at small strain in Pa."""
     densification: float = 0.5
+    """d: at a strain of one half the secant modulus is 1 + d times the modulus."""
     limit_strain: float = 0.9
+    """From here on the law goes on along its tangent."""
     spread_m: float = 1.5e-3
+    """Standard deviation in m by which the pressure spreads."""
     gain: float = 1.0
+    """Factor on the force that a taxel feels; 1 is equation (11), or the force of the full scale.
+    """
     aperture_offset_m: float = 0.0
+    """What is added to the true opening when it is measured, in m."""
     full_scale_n: float | None = None
+    """Force on a taxel in N at which a linear sensor reads its full scale; None: equation (11)."""
     sideways: float = 0.0
+    """Share, from 0 to below 1, of the give of a point that pressure around it causes."""
     sideways_m: float = 1.2e-3
+    """Standard deviation in m of the weights with which it does."""
 
     def __post_init__(self) -> None:
         for name in ("thickness_m", "modulus_pa", "spread_m", "gain", "sideways_m"):

@@ -59,30 +59,21 @@ _TRIAL_DEPTHS_MM = np.linspace(0.05, 2.7, 12)
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class FoamFit:
-    """Foam and sensor as calibrated on the gauge.
-
-    Attributes
-    ----------
-    foam
-        Foam and sensor.
-    sd : (5,) float64
-        Standard deviation of log modulus, log gain, log spread, of the offset in mm, and of log
-        densification.
-    misfit
-        Squared residual per degree of freedom: 1 where the model fits within the noise; see
-        `recognition.shape.fit`.
-    opening_sd_m
-        By how much the zero of the opening differed from grasp to grasp: standard deviation in m;
-        0 without openings.
-    n_grasps
-        Number of grasps that it rests on.
-    """
+    """Foam and sensor as calibrated on the gauge."""
 
     foam: FoamModel
+    """Foam and sensor."""
     sd: Array
+    """(5,) float64: standard deviation of log modulus, log gain, log spread, of the offset in mm,
+    and of log densification."""
     misfit: float
+    """Squared residual per degree of freedom: 1 where the model fits within the noise; see
+    `recognition.shape.fit`."""
     opening_sd_m: float
+    """By how much the zero of the opening differed from grasp to grasp: standard deviation in m; 0
+    without openings."""
     n_grasps: int
+    """Number of grasps that it rests on."""
 
 
 @dataclass(slots=True)

@@ -78,34 +78,24 @@ _FLAT_UNIT_M = 5e-3
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ShapeModel:
-    """One kind of shape.
-
-    Attributes
-    ----------
-    kind
-        What it is called in an answer.
-    mean, sd
-        Prior, normal: of the logarithm of h in mm, then of the shape's own parameters.
-    turns
-        Whether a turn about the closing axis changes what the pads see.
-    surface
-        From h in m (B, 1, 1), own parameters (B, n, 1, 1), u and v in m (B, n_x, n_y) and the
-        length of a cell in m to the surface.
-    dimensions_m
-        From h in m and own parameters (n,) to dimensions in m by their names; those of
-        `simulator.world.shape_files` where there are such.
-    starts
-        From h, half length and half width of the pressed patch in m to own parameters from which
-        a fit may start.
-    """
+    """One kind of shape."""
 
     kind: str
+    """What it is called in an answer."""
     mean: tuple[float, ...]
     sd: tuple[float, ...]
+    """Prior, normal: of the logarithm of h in mm, then of the shape's own parameters."""
     turns: bool
+    """Whether a turn about the closing axis changes what the pads see."""
     surface: Callable[[Array, Array, Array, Array, float], Surface]
+    """From h in m (B, 1, 1), own parameters (B, n, 1, 1), u and v in m (B, n_x, n_y) and the length
+    of a cell in m to the surface."""
     dimensions_m: Callable[[float, Array], dict[str, float]]
+    """From h in m and own parameters (n,) to dimensions in m by their names; those of
+    `simulator.world.shape_files` where there are such."""
     starts: Callable[[float, float, float], tuple[tuple[float, ...], ...]]
+    """From h, half length and half width of the pressed patch in m to own parameters from which a
+    fit may start."""
 
     @property
     def n_own(self) -> int:

@@ -48,46 +48,35 @@ _MIN_QUIET = 4
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class PressedPads:
-    """Both pads of one grasp, laid on each other, at some levels of the load; K levels.
-
-    Attributes
-    ----------
-    bed
-        The pad, cropped to what can be pressed.
-    along : (S, rows, n_x) float32
-    across : (S, columns, n_y) float32
-        Those of `bed` for spreads of the pressure from e^(-`SPREAD_STEPS` `SPREAD_STEP`) to
-        e^(`SPREAD_STEPS` `SPREAD_STEP`) times as wide.
-    share : (K, n_taxels) float64
-        Mean rise of both pads' taxels as a share of the full scale.
-    sd : (K, n_taxels) float64
-        Standard deviation of each: noise, and what the model is not better than.
-    pressed : (n_taxels,) bool
-        Taxels that stand out of the noise at the last level: only these show how a shape fits.
-    whitener : (n_taxels, K, K) float64
-        Turns the deviations of one taxel at all levels into independent ones of variance 1: beside
-        noise a taxel has errors that grow with its load, its gain and what no model explains.
-    aperture_m : (K,) float64
-        Opening in m; NaN where unknown.
-    force_n
-        Commanded force at the last level in N; NaN where unknown.
-    centre_m : (2,) float64
-        Centroid of the load in the pads' plane.
-    spread_m2 : (2, 2) float64
-        Second moments of the load about it.
-    """
+    """Both pads of one grasp, laid on each other, at some levels of the load; K levels."""
 
     bed: PadBed
+    """The pad, cropped to what can be pressed."""
     along: NDArray[np.float32]
+    """(S, rows, n_x) float32: """
     across: NDArray[np.float32]
+    """(S, columns, n_y) float32: those of `bed` for spreads of the pressure from e^(-`SPREAD_STEPS`
+    `SPREAD_STEP`) to e^(`SPREAD_STEPS` `SPREAD_STEP`) times as wide."""
     share: NDArray[np.float64]
+    """(K, n_taxels) float64: mean rise of both pads' taxels as a share of the full scale."""
     sd: NDArray[np.float64]
+    """(K, n_taxels) float64: standard deviation of each: noise, and what the model is not better
+    than."""
     pressed: NDArray[np.bool_]
+    """(n_taxels,) bool: taxels that stand out of the noise at the last level: only these show how a
+    shape fits."""
     whitener: NDArray[np.float64]
+    """(n_taxels, K, K) float64: turns the deviations of one taxel at all levels into independent
+    ones of variance 1: beside noise a taxel has errors that grow with its load, its gain and what
+    no model explains."""
     aperture_m: NDArray[np.float64]
+    """(K,) float64: opening in m; NaN where unknown."""
     force_n: float
+    """Commanded force at the last level in N; NaN where unknown."""
     centre_m: NDArray[np.float64]
+    """(2,) float64: centroid of the load in the pads' plane."""
     spread_m2: NDArray[np.float64]
+    """(2, 2) float64: second moments of the load about it."""
 
     def informative(self, n_data: int) -> NDArray[np.bool_]:
         """Return which of ``n_data`` residuals depend on a shape: not those of untouched taxels.

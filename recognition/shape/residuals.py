@@ -39,38 +39,27 @@ _START_DEPTHS_MM = np.array([0.1, 0.4, 0.8, 1.2, 1.6, 2.0, 2.5])
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PadUncertainty:
-    """Uncertainty of foam, sensor and opening.
-
-    Attributes
-    ----------
-    modulus, gain, spread, stiffening
-        Standard deviation of the logarithm of modulus, gain, spread and densification.
-    bend
-        Standard deviation of the logarithm of an exponent of the reading: 0 follows the law.
-    aperture_m
-        Standard deviation in m of the opening, the same over one grasp.
-    aperture_jitter_m
-        Standard deviation in m of the opening at one level.
-    force
-        Relative standard deviation of the commanded force.
-    other_foams
-        Factor on how far pads may be from what is known of them where they are not as known
-        (`recognition.shape.search`): 1 without a calibration, less with one.
-    misfit
-        Squared residual per degree of freedom that these pads left on a known shape, 0 where none
-        was tried: no other shape is expected to fit better.
-    """
+    """Uncertainty of foam, sensor and opening."""
 
     modulus: float = 0.1
     gain: float = 0.1
     spread: float = 0.05
     stiffening: float = 0.1
+    """Standard deviation of the logarithm of modulus, gain, spread and densification."""
     bend: float = 0.02
+    """Standard deviation of the logarithm of an exponent of the reading: 0 follows the law."""
     aperture_m: float = 0.2e-3
+    """Standard deviation in m of the opening, the same over one grasp."""
     aperture_jitter_m: float = 0.06e-3
+    """Standard deviation in m of the opening at one level."""
     force: float = 0.06
+    """Relative standard deviation of the commanded force."""
     other_foams: float = 1.0
+    """Factor on how far pads may be from what is known of them where they are not as known
+    (`recognition.shape.search`): 1 without a calibration, less with one."""
     misfit: float = 0.0
+    """Squared residual per degree of freedom that these pads left on a known shape, 0 where none
+    was tried: no other shape is expected to fit better."""
 
 
 class ShapeProblem:

@@ -42,19 +42,13 @@ _N_PROBED = 2
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class PossibleFoam:
-    """One way the pads may be.
-
-    Attributes
-    ----------
-    foam, uncertainty
-        Foam and sensor, and the uncertainty of both.
-    probability
-        Prior probability of it.
-    """
+    """One way the pads may be."""
 
     foam: FoamModel
     uncertainty: PadUncertainty
+    """Foam and sensor, and the uncertainty of both."""
     probability: float
+    """Prior probability of it."""
 
 
 def possible_foams(foam: FoamModel, uncertainty: PadUncertainty) -> tuple[PossibleFoam, ...]:

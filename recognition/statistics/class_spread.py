@@ -17,21 +17,14 @@ _MOST_AXES = 48
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ClassSpread:
-    """Covariances of C classes in a space where the one that all share is the identity.
-
-    Attributes
-    ----------
-    centres : (C, k) float64
-        The classes along the first k axes.
-    precision : (C, k, k) float64
-        Inverse of the covariance of each class along these axes.
-    log_volume : (C,) float64
-        Half the logarithm of its determinant.
-    """
+    """Covariances of C classes in a space where the one that all share is the identity."""
 
     centres: NDArray[np.float64]
+    """(C, k) float64: the classes along the first k axes."""
     precision: NDArray[np.float64]
+    """(C, k, k) float64: inverse of the covariance of each class along these axes."""
     log_volume: NDArray[np.float64]
+    """(C,) float64: half the logarithm of its determinant."""
 
     def distances(self, z: NDArray[np.float64], plain: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (n, C) squared distances of points to the classes, by the covariance of each.

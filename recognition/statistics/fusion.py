@@ -91,34 +91,19 @@ class DecisionKind(Enum):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Decision:
-    """Decision after some grasps of one object.
-
-    Attributes
-    ----------
-    kind
-        Decided, unknown object, or one more grasp.
-    label
-        The object where decided, ``UNKNOWN`` where unknown, the likeliest so far otherwise.
-    probability
-        Probability that `label` is right.
-    """
+    """Decision after some grasps of one object."""
 
     kind: DecisionKind
+    """Decided, unknown object, or one more grasp."""
     label: str
+    """The object where decided, ``UNKNOWN`` where unknown, the likeliest so far otherwise."""
     probability: float
+    """Probability that `label` is right."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StopRule:
     """Stop rule of a sequence of grasps.
-
-    Attributes
-    ----------
-    error_rate
-        A label is given as soon as the probability that it is wrong, if the object was taught, is
-        at most this, and that of an untaught object at most `MAX_UNKNOWN`.
-    max_grasps
-        Number of grasps after which the answer must be given: `Posterior.name`.
 
     Raises
     ------
@@ -127,7 +112,10 @@ class StopRule:
     """
 
     error_rate: float = 0.01
+    """A label is given as soon as the probability that it is wrong, if the object was taught, is at
+    most this, and that of an untaught object at most `MAX_UNKNOWN`."""
     max_grasps: int = 5
+    """Number of grasps after which the answer must be given: `Posterior.name`."""
 
     def __post_init__(self) -> None:
         if not 0.0 < self.error_rate < 1.0:

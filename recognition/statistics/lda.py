@@ -20,26 +20,19 @@ factorisation."""
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LinearDiscriminant:
-    """Gaussian classes with one covariance, seen in the space that separates them.
-
-    Attributes
-    ----------
-    mean, scale : (F,) float64
-        Features are centred and scaled by these before all else.
-    projection : (F, r) float64
-        From scaled features to the discriminant space, where each class has unit covariance.
-    centres : (C, r) float64
-        Classes in the discriminant space.
-    whitening : (F, F) float64 or None
-        From scaled features to the whole space in which each class has unit covariance; None
-        where it was not kept.
-    """
+    """Gaussian classes with one covariance, seen in the space that separates them."""
 
     mean: NDArray[np.float64]
     scale: NDArray[np.float64]
+    """(F,) float64: features are centred and scaled by these before all else."""
     projection: NDArray[np.float64]
+    """(F, r) float64: from scaled features to the discriminant space, where each class has unit
+    covariance."""
     centres: NDArray[np.float64]
+    """(C, r) float64: classes in the discriminant space."""
     whitening: NDArray[np.float64] | None = None
+    """(F, F) float64 or None: from scaled features to the whole space in which each class has unit
+    covariance; None where it was not kept."""
 
     def project(self, features: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return (n, r): features (n, F) in the discriminant space."""

@@ -21,17 +21,6 @@ _FOLDS = 4
 class PoseMemory:
     """Evidence of each taught grasp, by a recogniser taught without it, with its command.
 
-    Attributes
-    ----------
-    labels
-        The taught objects.
-    commands : (n, 5) float64
-        Commanded pose and force: `recognition.grasp.COMMAND_COLUMNS`.
-    log_evidence : (n, C) float64
-        Logarithm of the probability of each label over the even one.
-    classes : (n,) int64
-        Index of the label of the object that was held.
-
     Raises
     ------
     ValueError
@@ -39,9 +28,13 @@ class PoseMemory:
     """
 
     labels: tuple[str, ...]
+    """The taught objects."""
     commands: NDArray[np.float64]
+    """(n, 5) float64: commanded pose and force: `recognition.grasp.COMMAND_COLUMNS`."""
     log_evidence: NDArray[np.float64]
+    """(n, C) float64: logarithm of the probability of each label over the even one."""
     classes: NDArray[np.int64]
+    """(n,) int64: index of the label of the object that was held."""
 
     def __post_init__(self) -> None:
         n, n_labels = len(self.classes), len(self.labels)

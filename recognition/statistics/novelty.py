@@ -27,17 +27,13 @@ class NoveltyDetector:
     """Logistic curve from the novelty of a grasp to the probability that its object is new.
 
     The novelty is the logarithm of a squared distance to the nearest class, with that of the size.
-
-    Attributes
-    ----------
-    slope
-        Log odds for each unit of the novelty.
-    even
-        Novelty with even odds; up to ``KNOWN_KEPT`` of held-out grasps of taught objects lie below.
     """
 
     slope: float
+    """Log odds for each unit of the novelty."""
     even: float
+    """Novelty with even odds; up to ``KNOWN_KEPT`` of held-out grasps of taught objects lie below.
+    """
 
     def probability(
         self, novelty: NDArray[np.float64], *, caution: float = 1.0

@@ -21,22 +21,15 @@ grasps, as of a drawing on all foams that may be, some lie where another object 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TaughtSizes:
-    """Sizes of the taught grasps.
-
-    Attributes
-    ----------
-    sizes_mm : (n, k) float64
-        Sizes without outliers, as of `recognition.features.aperture.sizes_mm`; k is 0 where the
-        opening is not used, and nothing is far from any size then.
-    classes : (n,) int64
-        Object of each.
-    unit_mm : (k,) float64
-        Usual distance in mm from a grasp to the nearest one of the same object.
-    """
+    """Sizes of the taught grasps."""
 
     sizes_mm: NDArray[np.float64]
+    """(n, k) float64: sizes without outliers, as of `recognition.features.aperture.sizes_mm`; k is
+    0 where the opening is not used, and nothing is far from any size then."""
     classes: NDArray[np.int64]
+    """(n,) int64: object of each."""
     unit_mm: NDArray[np.float64]
+    """(k,) float64: usual distance in mm from a grasp to the nearest one of the same object."""
 
     def novelty(
         self, sizes_mm: NDArray[np.float64], classes: NDArray[np.int64]

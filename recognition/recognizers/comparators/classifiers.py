@@ -67,19 +67,15 @@ class _Arrays:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Network(_Arrays):
-    """A neural network with one hidden layer of rectified units.
-
-    Attributes
-    ----------
-    hidden_weight, hidden_bias : (F, H), (H,) float64
-    output_weight, output_bias : (H, C), (C,) float64
-        Of both layers; with two classes one output is the log odds of the second.
-    """
+    """A neural network with one hidden layer of rectified units."""
 
     hidden_weight: NDArray[np.float64]
     hidden_bias: NDArray[np.float64]
+    """(F, H), (H,) float64: """
     output_weight: NDArray[np.float64]
     output_bias: NDArray[np.float64]
+    """(H, C), (C,) float64: of both layers; with two classes one output is the log odds of the
+    second."""
 
     @classmethod
     def fit(cls, rows: NDArray[np.float64], classes: NDArray[np.int64], n_classes: int) -> Self:
@@ -117,17 +113,12 @@ class Network(_Arrays):
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class NearestNeighbour(_Arrays):
-    """Nearest neighbour: the score of a class is minus the squared distance to its nearest row.
-
-    Attributes
-    ----------
-    rows : (n, F) float64
-    row_classes : (n,) int64
-        Taught rows and the class of each, 0 to n_classes - 1.
-    """
+    """Nearest neighbour: the score of a class is minus the squared distance to its nearest row."""
 
     rows: NDArray[np.float64]
+    """(n, F) float64: """
     row_classes: NDArray[np.int64]
+    """(n,) int64: taught rows and the class of each, 0 to n_classes - 1."""
 
     @classmethod
     def fit(cls, rows: NDArray[np.float64], classes: NDArray[np.int64], n_classes: int) -> Self:
@@ -176,25 +167,20 @@ class Forest(_Arrays):
     """A forest of extremely randomised trees, grown by scikit-learn, evaluated in numpy.
 
     All nodes of all trees are in one list; children come after their parent.
-
-    Attributes
-    ----------
-    roots : (n_trees,) int32
-        First node of each tree.
-    left, right : (n_nodes,) int32
-        Children: left where the feature is not above the threshold. A leaf is its own child.
-    feature, threshold : (n_nodes,) int32, float64
-        The test of a node; 0 in leaves.
-    value : (n_nodes, C) float32
-        Shares of the classes among the taught rows in a node; used in leaves.
     """
 
     roots: NDArray[np.int32]
+    """(n_trees,) int32: first node of each tree."""
     left: NDArray[np.int32]
     right: NDArray[np.int32]
+    """(n_nodes,) int32: children: left where the feature is not above the threshold. A leaf is its
+    own child."""
     feature: NDArray[np.int32]
     threshold: NDArray[np.float64]
+    """(n_nodes,) int32, float64: the test of a node; 0 in leaves."""
     value: NDArray[np.float32]
+    """(n_nodes, C) float32: shares of the classes among the taught rows in a node; used in leaves.
+    """
 
     def __post_init__(self) -> None:
         own = np.arange(len(self.left))

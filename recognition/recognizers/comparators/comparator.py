@@ -41,65 +41,44 @@ _PREFIX = "classifier_"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Method:
-    """Parts of one comparator.
-
-    Attributes
-    ----------
-    name
-        Name in tables, models and on the command line.
-    describe
-        Its features; NaN where unknown.
-    classifier
-        Its decision.
-    can_use_aperture
-        Whether the method has a place for the opening.
-    standardise
-        Whether each feature is centred and scaled to unit deviation first.
-    """
+    """Parts of one comparator."""
 
     name: str
+    """Name in tables, models and on the command line."""
     describe: Describe
+    """Its features; NaN where unknown."""
     classifier: type[Classifier]
+    """Its decision."""
     can_use_aperture: bool = False
+    """Whether the method has a place for the opening."""
     standardise: bool = True
+    """Whether each feature is centred and scaled to unit deviation first."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Comparator:
-    """A taught comparator; a subclass gives its `method`.
-
-    Attributes
-    ----------
-    labels
-        The taught objects, sorted.
-    uses_aperture
-        Whether the opening between the fingers is used.
-    rest
-        The untouched pads.
-    fill, mean, scale : (F,) float64
-        What stands for an unknown feature; centre and unit of each.
-    classifier
-        The decision.
-    temperature
-        Scores are divided by it.
-    samples : (n, F) float64
-        Taught grasps.
-    limit
-        Squared distance to the nearest of them above which a grasp is more likely unknown.
-    """
+    """A taught comparator; a subclass gives its `method`."""
 
     method: ClassVar[Method]
 
     labels: tuple[str, ...]
+    """The taught objects, sorted."""
     uses_aperture: bool
+    """Whether the opening between the fingers is used."""
     rest: Rest
+    """The untouched pads."""
     fill: NDArray[np.float64]
     mean: NDArray[np.float64]
     scale: NDArray[np.float64]
+    """(F,) float64: what stands for an unknown feature; centre and unit of each."""
     classifier: Classifier
+    """The decision."""
     temperature: float
+    """Scores are divided by it."""
     samples: NDArray[np.float64]
+    """(n, F) float64: taught grasps."""
     limit: float
+    """Squared distance to the nearest of them above which a grasp is more likely unknown."""
 
     @classmethod
     def trainer(cls, *, use_aperture: bool = True) -> "ComparatorTrainer":
@@ -178,18 +157,12 @@ class Comparator:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ComparatorTrainer:
-    """Teaches one comparator.
-
-    Attributes
-    ----------
-    kind
-        Which.
-    use_aperture
-        Whether the opening may be used; without effect where the method has no place for it.
-    """
+    """Teaches one comparator."""
 
     kind: type[Comparator]
+    """Which."""
     use_aperture: bool = True
+    """Whether the opening may be used; without effect where the method has no place for it."""
 
     @property
     def name(self) -> str:

@@ -64,45 +64,31 @@ names fewer grasps wrongly UNKNOWN, and finds fewer new objects."""
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ForceRamp:
-    """A taught recogniser with two views: touch and opening, and touch alone.
-
-    Attributes
-    ----------
-    labels
-        The taught objects, sorted.
-    rest
-        The untouched pads.
-    touch
-        The view of touch alone, for grasps whose opening is unknown.
-    both
-        The view of touch and opening; None where the opening is not used or was never known.
-    taught_ms : (C,) int64
-        Time of the last taught grasp of each object.
-    taught_on
-        Sources of the taught grasps that name a cell; empty where none does.
-    drawn_m : (C, k) float64
-        Thicknesses of each object along the closing axis by its drawing in m, NaN behind them.
-    drift_estimate
-        The drift since teaching.
-    gauged
-        Whether the expected drift was measured on a known object.
-    mostly_taught
-        Whether most of the grasped objects are taken to be taught ones when the drift is tracked.
-    caution
-        The odds of a new object are multiplied by it.
-    """
+    """A taught recogniser with two views: touch and opening, and touch alone."""
 
     labels: tuple[str, ...]
+    """The taught objects, sorted."""
     rest: Rest
+    """The untouched pads."""
     touch: View
+    """The view of touch alone, for grasps whose opening is unknown."""
     both: View | None
+    """The view of touch and opening; None where the opening is not used or was never known."""
     taught_ms: NDArray[np.int64]
+    """(C,) int64: time of the last taught grasp of each object."""
     taught_on: tuple[str, ...]
+    """Sources of the taught grasps that name a cell; empty where none does."""
     drawn_m: NDArray[np.float64]
+    """(C, k) float64: thicknesses of each object along the closing axis by its drawing in m, NaN
+    behind them."""
     drift_estimate: DriftEstimate
+    """The drift since teaching."""
     gauged: bool = False
+    """Whether the expected drift was measured on a known object."""
     mostly_taught: bool = False
+    """Whether most of the grasped objects are taken to be taught ones when the drift is tracked."""
     caution: float = 1.0
+    """The odds of a new object are multiplied by it."""
 
     def occasion(self, grasp: Grasp) -> Occasion:
         """Return when and where a grasp was taken, seen from the teaching."""

@@ -47,20 +47,13 @@ _MIN_CLASSES_TO_LEAVE_OUT = 4
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ClassModel:
-    """The classes under one covariance.
-
-    Attributes
-    ----------
-    discriminant
-        The classes, its whitening kept.
-    spread
-        The covariance of each class beside the shared one, by touch alone: there the variation of
-        an object separates it from others. With the opening it would only fit the series that
-        taught.
-    """
+    """The classes under one covariance."""
 
     discriminant: LinearDiscriminant
+    """The classes, its whitening kept."""
     spread: ClassSpread | None = None
+    """The covariance of each class beside the shared one, by touch alone: there the variation of an
+    object separates it from others. With the opening it would only fit the series that taught."""
 
     def score(
         self, features: NDArray[np.float64]
@@ -93,43 +86,29 @@ class ClassModel:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class View:
-    """One view: what it was taught, for grasps with the opening or by touch alone.
-
-    Attributes
-    ----------
-    taught
-        The classes with the variation of the taught grasps.
-    drifted
-        The same with drift as a nuisance.
-    sizes
-        Sizes of the taught grasps; of no dimension where the opening is not used.
-    means : (C, F) float64
-        Mean features of each class.
-    slopes : (d, F) float64
-        Change of the features with the logarithm of the gain of each gripping pad and, where the
-        view has the opening, with its zero in mm.
-    temperature
-        Log odds are divided by it.
-    usual_novelty
-        Median novelty of held-out grasps without their size: nearer ones are no less novel.
-    usual_size
-        What the size adds to the novelty at its limit: in place of a size that does not count.
-    novelty
-        Detector of objects that were never taught.
-    dependence
-        How far grasps of one object repeat each other, 0 to 1.
-    """
+    """One view: what it was taught, for grasps with the opening or by touch alone."""
 
     taught: ClassModel
+    """The classes with the variation of the taught grasps."""
     drifted: ClassModel
+    """The same with drift as a nuisance."""
     sizes: TaughtSizes
+    """Sizes of the taught grasps; of no dimension where the opening is not used."""
     means: NDArray[np.float64]
+    """(C, F) float64: mean features of each class."""
     slopes: NDArray[np.float64]
+    """(d, F) float64: change of the features with the logarithm of the gain of each gripping pad
+    and, where the view has the opening, with its zero in mm."""
     temperature: float
+    """Log odds are divided by it."""
     usual_novelty: float
+    """Median novelty of held-out grasps without their size: nearer ones are no less novel."""
     usual_size: float
+    """What the size adds to the novelty at its limit: in place of a size that does not count."""
     novelty: NoveltyDetector
+    """Detector of objects that were never taught."""
     dependence: float
+    """How far grasps of one object repeat each other, 0 to 1."""
 
     def probabilities(
         self,
