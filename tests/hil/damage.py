@@ -273,7 +273,9 @@ class Bench:
                 if isinstance(found.error, SLOW_ERRORS):
                     return None
                 raise Broken(f"{damage.name}: {found}") from found.error
-            found = Found(answer.label, None, self.grip_n(), time.monotonic() - began_s)
+            # Few grasps have taught it: the name may be UNKNOWN, the likeliest not another one.
+            likeliest = max(LABELS, key=lambda label: answer.probabilities[label])
+            found = Found(likeliest, None, self.grip_n(), time.monotonic() - began_s)
             if found.label != LABELS[0] or damage.fatal:
                 raise Broken(f"{damage.name}: the label {found.label!r} was given")
             return found

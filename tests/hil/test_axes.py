@@ -86,7 +86,8 @@ def identify_then_fail(base: CellConfig, model: Path) -> None:
         with may_be_slow():
             plugin = undo.enter_context(TactileCellPlugin(config, model=model))
             answer = plugin.result(plugin.start(IdentifyGoal(present=LABELS[0])), LIMIT_S)
-        assert answer.label == LABELS[0]
+        # Few grasps have taught it: the name may be UNKNOWN, the likeliest object not another one.
+        assert max(LABELS, key=lambda label: answer.probabilities[label]) == LABELS[0]
         found = positions(cell)
         assert found["x"] == pytest.approx(1e-3 * X_MM, abs=NEAR_M)
         assert found["rotation"] == pytest.approx(radians(ROTATION_DEG), abs=NEAR_RAD)
