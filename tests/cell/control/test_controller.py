@@ -26,7 +26,14 @@ from cell.errors import (
 )
 from cell.learning.pad_knowledge import PadKnowledge
 from cell.learning.shapes import in_words, shape_reader
-from gripper.errors import BusTimeout, GripperError, LimitExceeded, PortLost, ServoFault
+from gripper.errors import (
+    BusTimeout,
+    GripContradicted,
+    GripperError,
+    LimitExceeded,
+    PortLost,
+    ServoFault,
+)
 from gripper.state import GraspResult, GripperPhase
 from recognition.recognizer import UNKNOWN, Posterior
 from recognition.shape.foam import FoamModel
@@ -749,3 +756,12 @@ def test_a_link_lost_while_a_person_moves_is_a_fault(
     with pytest.raises(LinkFault):
         bench.controller.present("ball")
     assert bench.controller.state is CellState.ABORTED
+
+
+def test_a_frame_that_shows_the_part_stands_against_messages_that_show_none(bench: Any) -> None:
+    bench.ready()
+    bench.simulated.inject("unit.force_gain=0@contact+0.3s")
+    with pytest.raises(GripContradicted, match="a frame scanned since then shows"):
+        bench.controller.grasp(GraspStep(pose=Pose(), force_n=5.0))
+    assert bench.controller.state is CellState.ABORTED
+    assert min(bench.simulated.world.contact_force_n()) > 1.0
