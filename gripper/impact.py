@@ -21,7 +21,7 @@ from gripper.settings import GripperSettings
 FRICTION_DOUBT = 0.2
 """Share by which the friction of a gearing may be less than its model's: the force loop is tuned
 with so much."""
-KEPT_FREE_SHARE = 0.1
+_KEPT_FREE_SHARE = 0.1
 """Share of the cap that is left free: inertia, torque and foam differ from their figures."""
 _FINGER_KG_M2 = 2e-4
 """Inertia of a finger and its link about the servo's axis in kg m²: 55 g at 60 mm, assumed.
@@ -85,11 +85,16 @@ def impact_limit(
             mass_kg = max(mass_kg, fingers * inertia_kg_m2 / path.radius_m**2)
     stiffness_n_m = max(settings.pad_stiffness_n_m, settings.force_max_n / _SMALL_PART_M)
     return ImpactLimit(
-        most_n=(1.0 - KEPT_FREE_SHARE) * settings.force_max_n,
+        most_n=_most_n(settings),
         drive_n=drive_n,
         mass_kg=mass_kg,
         momentum_n_s_m=sqrt(stiffness_n_m * mass_kg),
     )
+
+
+def _most_n(settings: GripperSettings) -> float:
+    """Return the force in N that a peak may reach."""
+    return (1.0 - _KEPT_FREE_SHARE) * settings.force_max_n
 
 
 def pressing_n(path: Transmission, current_a: float) -> float:
@@ -102,6 +107,12 @@ def pressing_current_a(path: Transmission, force_n: float) -> float:
     """Return the current in A that presses with a force in N at most: the inverse of the above."""
     friction_nm = (1.0 - FRICTION_DOUBT) * path.friction_nm
     return (force_n * path.radius_m + friction_nm) / path.kt_nm_a
+
+
+def closing_current_max_a(settings: GripperSettings, paths: Sequence[Transmission]) -> float:
+    """Return the current in A with which closing fingers press with less than the cap."""
+    most_n = _most_n(settings)
+    return min(settings.current_max_a, *(pressing_current_a(path, most_n) for path in paths))
 
 
 def approach_speed_m_s(
@@ -125,7 +136,7 @@ def check_approach(settings: GripperSettings, linkage: Linkage) -> float:
     allowed_m_s = 2.0 * limit.pad_speed_m_s()
     if allowed_m_s < _SLOWEST_M_S:
         least_n = (limit.drive_n + 0.5 * _SLOWEST_M_S * limit.momentum_n_s_m) / (
-            1.0 - KEPT_FREE_SHARE
+            1.0 - _KEPT_FREE_SHARE
         )
         raise LimitExceeded(
             f"force_max_n is {settings.force_max_n:g} N: fingers that have just overcome their "

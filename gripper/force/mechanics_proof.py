@@ -47,7 +47,7 @@ from gripper.errors import LimitExceeded, MechanicsContradicted
 from gripper.force.loop import Action, Moment
 from gripper.kinematics import Linkage, OneFinger, motion_current_a, transmissions
 from gripper.recent import RecentForce
-from gripper.servos.goals import OPENING_MARGIN_RAD, ServoGoal, closing_margin_rad
+from gripper.servos.goals import OPENING_MARGIN_RAD, ServoGoal, most_closed_rad
 from gripper.settings import GripperSettings
 from gripper.state import GripperState, ServoState, VerificationRow
 
@@ -149,14 +149,6 @@ def _half_m(linkage: Linkage, index: int, angle_rad: float) -> float | None:
     return 0.5 * OneFinger(linkage=linkage, index=index).aperture_m((angle_rad,))
 
 
-def _least_rad(settings: GripperSettings, linkage: Linkage) -> list[float]:
-    """Return the most closed goal of each servo that `gripper.servos.goals.GoalGuard` allows."""
-    return [
-        angle_rad - closing_margin_rad(servo.servo_model, settings.current_max_a)
-        for angle_rad, servo in zip(linkage.angles_rad(0.0), settings.servos, strict=True)
-    ]
-
-
 class ForceRise:
     """Detector of a grip force that grows although the fingers open."""
 
@@ -225,7 +217,7 @@ class FirstMotion:
         self._fingers = [
             _Finger(start_rad, end_rad, speed_m_s / per_rad_m, least_rad)
             for start_rad, end_rad, least_rad in zip(
-                state.angles_rad, target_rad, _least_rad(settings, linkage), strict=True
+                state.angles_rad, target_rad, most_closed_rad(settings, linkage), strict=True
             )
         ]
         travel_m = abs(linkage.aperture_m(target_rad) - state.aperture_m)
@@ -366,7 +358,7 @@ class ClosedStop:
         self._fingers = [
             _Finger(start_rad, min(start_rad, rad), rate_rad_s, least_rad)
             for start_rad, rad, least_rad in zip(
-                state.angles_rad, end_rad, _least_rad(settings, linkage), strict=True
+                state.angles_rad, end_rad, most_closed_rad(settings, linkage), strict=True
             )
         ]
         self._deadline_s = state.t_s + settings.contact_timeout_s

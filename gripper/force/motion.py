@@ -11,7 +11,7 @@ from gripper.errors import FeedbackImplausible, PositionContradicted, ServoFault
 from gripper.force.controller import History
 from gripper.force.loop import Action, Moment
 from gripper.force.mechanics_proof import ForceRise, mechanics_text
-from gripper.impact import KEPT_FREE_SHARE, approach_speed_m_s, pressing_current_a
+from gripper.impact import approach_speed_m_s, closing_current_max_a
 from gripper.kinematics import Linkage, motion_current_a, transmissions
 from gripper.recent import RecentForce
 from gripper.servos.goals import OPENING_MARGIN_RAD, ServoGoal, closing_margin_rad
@@ -179,17 +179,10 @@ class MoveTo:
         force_n = _OPENING_FORCE_N if opening else settings.approach_force_n
         paths = transmissions(settings, linkage, state.angles_rad)
         self._current_a = min(
-            _AGAINST_REST * motion_current_a(settings, paths, force_n), settings.current_max_a
-        )
-        if not opening:
+            _AGAINST_REST * motion_current_a(settings, paths, force_n),
             # The wider the fingers stand, the more force a current makes.
-            self._current_a = min(
-                self._current_a,
-                *(
-                    pressing_current_a(path, (1.0 - KEPT_FREE_SHARE) * settings.force_max_n)
-                    for path in paths
-                ),
-            )
+            settings.current_max_a if opening else closing_current_max_a(settings, paths),
+        )
         self._rising_s = _RISING_S if opening else 0.0
         self._least_a = motion_current_a(settings, paths, 0.0)
         self._passed_s = 0.0
@@ -292,13 +285,7 @@ class Approach:
         self._settings = settings
         self._linkage = linkage
         paths = transmissions(settings, linkage, state.angles_rad)
-        self._current_max_a = min(
-            settings.current_max_a,
-            *(
-                pressing_current_a(path, (1.0 - KEPT_FREE_SHARE) * settings.force_max_n)
-                for path in paths
-            ),
-        )
+        self._current_max_a = closing_current_max_a(settings, paths)
         self._speed_m_s = approach_speed_m_s(settings, linkage, state.angles_rad)
         self._closing_a = min(
             motion_current_a(settings, paths, settings.approach_force_n), self._current_max_a

@@ -87,11 +87,7 @@ class GoalGuard:
         self._highest_rad = tuple(
             angle + OPENING_MARGIN_RAD for angle in linkage.angles_rad(settings.aperture_open_m)
         )
-        self._lowest_rad = tuple(
-            angle - closing_margin_rad(servo.servo_model, settings.current_max_a)
-            for angle, servo in zip(linkage.angles_rad(0.0), settings.servos, strict=True)
-        )
-
+        self._lowest_rad = most_closed_rad(settings, linkage)
         self._pads = 0.5 * linkage.n_servos
 
     def note_force(self, sample: ForceSample) -> None:
@@ -248,6 +244,14 @@ class GoalGuard:
                 f"goal current {goal.current_a:.3f} A of servo {servo.servo_id} makes at least "
                 f"{least_n:.1f} N, force_max_n is {settings.force_max_n} N"
             )
+
+
+def most_closed_rad(settings: GripperSettings, linkage: Linkage) -> tuple[float, ...]:
+    """Return the most closed goal of each servo in rad: pads that meet, at the largest current."""
+    return tuple(
+        angle_rad - closing_margin_rad(servo.servo_model, settings.current_max_a)
+        for angle_rad, servo in zip(linkage.angles_rad(0.0), settings.servos, strict=True)
+    )
 
 
 def closing_margin_rad(model: ServoModel, current_a: float) -> float:
