@@ -22,7 +22,7 @@ from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.control.states import CellState
 from cell.interfaces.service.service import Service
-from cell.interfaces.service.serving import open_doors
+from cell.interfaces.service.serving import open_doors, open_service
 
 BLOCK = 1000
 """Connections between two looks."""
@@ -129,7 +129,7 @@ def _idle(first: Sample) -> bool:
 def serve() -> Service:
     """Return a service that holds a part."""
     ports = {f"serve.{door}_port": 0 for door in ("modbus", "xmlrpc", "http")}
-    service = Service(changed_config(CellConfig(), ports | {"serve.lease_timeout_s": 60.0}))
+    service = open_service(changed_config(CellConfig(), ports | {"serve.lease_timeout_s": 60.0}))
     lease = service.acquire("soak")
     number = service.start(lease, {"task": "grip", "force_n": _GRIP_N})
     settle(lambda: service.job(number).outcome_number >= 4, "the grip is not over")

@@ -28,7 +28,7 @@ from cell.control.states import Command
 from cell.errors import CellStateError
 from cell.fault_catalogue import fault_number
 from cell.interfaces.service.service import RELEASE_KEY, Service
-from cell.interfaces.service.serving import open_doors
+from cell.interfaces.service.serving import open_doors, open_service
 
 _DOORS = {
     "serve.modbus_port": 0,
@@ -109,7 +109,7 @@ def plain_reset(service: Service, lease: int) -> int:
 
 def compare(rounds: int, count: int) -> None:
     """Print question and command over both doors and by the plain call."""
-    service = Service(changed_config(CellConfig(), _DOORS))
+    service = open_service(changed_config(CellConfig(), _DOORS))
     with contextlib.closing(service), open_doors(service) as doors:
         ready = service.status().state_number
         with ServerProxy(f"http://127.0.0.1:{doors['xmlrpc_port']}") as robot:
@@ -176,7 +176,7 @@ def clients(n_clients: int, address: str) -> Iterator[None]:
 def lateness(n_clients: int) -> dict[str, Any]:
     """Grip on pseudo-terminals while so many clients ask; return the loop's figures."""
     with simulated_cell() as hello:
-        service = Service(changed_config(load_config(Path(hello["config"])), _DOORS))
+        service = open_service(changed_config(load_config(Path(hello["config"])), _DOORS))
         with contextlib.closing(service), open_doors(service) as doors:
             lease = service.acquire("benchmark")
             grip = {"task": "grip", "force_n": 3.0, "present": "ball"}

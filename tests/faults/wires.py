@@ -36,7 +36,7 @@ from cell.interfaces.modbus.registers import (
     REBOOT,
 )
 from cell.interfaces.service.service import RELEASE_KEY, JobView, Service
-from cell.interfaces.service.serving import open_doors
+from cell.interfaces.service.serving import open_doors, open_service
 from tests.faults.campaign import PRODUCT_ERRORS
 from tests.faults.driver import COMMAND_BOUND_S, Driver
 from tests.faults.invariants import FrameWitness, InvariantBroken, Overrun
@@ -578,7 +578,7 @@ class WireDriver(Driver):
         for _ in range(STARTS):
             try:
                 with self.monitor.bounded(COMMAND_BOUND_S):
-                    return Service(config, folder=self._host_folder(), clock=self.clock)
+                    return open_service(config, folder=self._host_folder(), clock=self.clock)
             except PRODUCT_ERRORS as refused:
                 error = refused
                 self.monitor.attach(None)

@@ -13,8 +13,7 @@ import time
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field, replace
 from math import inf
-from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
@@ -22,9 +21,8 @@ from cell.control.states import Command
 from cell.errors import HeldByClient, NotInCommand, RequestRefused, error_text
 from cell.interfaces.plugin.answer import Answer, HostStatus, Verification
 from cell.interfaces.plugin.goals import Goal, GripGoal, IdentifyGoal, checked_goal
-from cell.interfaces.plugin.plugin import TactileCellPlugin
 from cell.interfaces.plugin.worker import KEPT_JOBS, Job, JobOutcome, JobStatus
-from gripper.errors import GraspStopped
+from cell.interfaces.service.pose_handshake import PoseHandshake
 from gripper.state import Clock
 
 RELEASE_KEY = 0x4F50
@@ -35,8 +33,6 @@ _UNMOVING = (Command.CLEAR.value, Command.SHUTDOWN.value)
 """Commands that move nothing and are obeyed while a client keeps the cell on hold."""
 _LOOKS = 10
 """Looks at the lease within its time-out: its loss is noticed at most a tenth of it late."""
-_POSE_GONE_S = 0.05
-"""Longest wait in s until a pose that was given up is out of the way of the next job."""
 OUTCOME_NUMBERS = {
     JobOutcome.ACCEPTED: 1,
     JobOutcome.EXECUTING: 2,
@@ -96,6 +92,21 @@ class Snapshot:
     """The pose that the host shall reach and its number; 0 and None where none is waited for."""
 
 
+class _Plugin(Protocol):
+    """What the service needs of the cell, as `TactileCellPlugin` describes it."""
+
+    @property
+    def labels(self) -> tuple[str, ...]: ...
+    def info(self) -> dict[str, Any]: ...
+    def status(self) -> HostStatus: ...
+    def start(self, goal: Goal) -> Job: ...
+    def begin(self, command: Command, *, reboot: bool = False, needless: bool = False) -> Job: ...
+    def feedback(self, job: Job) -> JobStatus: ...
+    def cancel(self, job: Job, reason: str) -> None: ...
+    def remark(self, kind: str, text: str) -> None: ...
+    def close(self, timeout_s: float) -> None: ...
+
+
 @dataclass(slots=True)
 class _Lease:
     number: int
@@ -114,54 +125,42 @@ class _Holder:
 class Service:
     """One cell, its lease, its jobs and its pose handshake; every method from any thread.
 
+    `open_service` of `cell.interfaces.service.serving` opens a cell behind one.
+
     Parameters
     ----------
+    plugin
+        The cell, without a host watch: the lease watches the clients, each by itself. It is closed
+        with the service.
     config
-        The cell. A positioner of kind ``callback`` is the pose handshake.
-    model, training_set, save
-        As `TactileCellPlugin`.
-    folder
-        Where the recording goes, with each command, its client and its end; None makes none.
+        Its config.
+    poses
+        Mover of a cell with a positioner of kind ``callback``; other cells move by themselves.
     note
         Gets messages for the operator.
     clock
         Time of the clients: real time also where that of the cell is virtual.
-
-    Raises
-    ------
-    As `TactileCellPlugin`.
     """
 
     def __init__(
         self,
+        plugin: _Plugin,
         config: CellConfig,
         *,
-        model: Path | None = None,
-        training_set: Path | None = None,
-        save: Path | None = None,
-        folder: Path | None = None,
+        poses: PoseHandshake | None = None,
         note: Callable[[str], None] = lambda _text: None,
         clock: Clock = time,
     ) -> None:
-        # The lease watches the clients, each by itself.
-        self.config = config = config.model_copy(update={"host_timeout_s": None})
+        self.config = config
+        self._plugin = plugin
+        self._poses = PoseHandshake() if poses is None else poses
         self._clock = clock
         self._note = note
         self._lock = threading.RLock()
-        self._changed = threading.Condition(self._lock)
         self._lease: _Lease | None = None
         self._holders: dict[Hashable, _Holder] = {}
         self._jobs: dict[int, tuple[Job, str, int]] = {}
         self._newest = 0
-        self._pose_seq = 0
-        self._pose: Pose | None = None
-        self._reached: Pose | bool | None = None
-        self._moving = False
-        self._stopped = False
-        mover = self._move if config.positioner.kind == "callback" else None
-        self._plugin = TactileCellPlugin(
-            config, mover=mover, model=model, training_set=training_set, folder=folder, save=save
-        )
         self._parts = itertools.cycle(entry.label for entry in config.simulator.objects)
         self._over = threading.Event()
         self._watch = threading.Thread(target=self._run_watch, name="lease", daemon=True)
@@ -186,14 +185,15 @@ class Service:
             # The job before the answer, which stands there before the job has succeeded.
             job = self.job()
             status = self.status()
+            seq, pose = self._poses.awaited
             return Snapshot(
                 status=status,
                 job=job,
                 last_answer=self._answered(status),
                 commander="" if self._lease is None else self._lease.name,
                 held_by=self.held_by,
-                pose_seq=self._pose_seq if self._pose is not None else 0,
-                pose=self._pose,
+                pose_seq=seq,
+                pose=pose,
             )
 
     def status(self) -> HostStatus:
@@ -345,14 +345,13 @@ class Service:
 
     def hold(self, reason: str = "on request") -> None:
         """Stop what runs and keep the grip; anyone may."""
-        with self._changed:
+        with self._lock:
             entry = self._jobs.get(self._newest)
             if entry is not None and not self._plugin.feedback(entry[0]).outcome.terminal:
                 self._plugin.remark("hold", reason)
                 # First the cell, then the pose: the job ends as held, not as refused by the host.
                 self._plugin.cancel(entry[0], reason)
-                self._stopped = True
-                self._changed.notify_all()
+                self._poses.stop()
 
     @property
     def held_by(self) -> tuple[str, ...]:
@@ -388,7 +387,7 @@ class Service:
         RequestRefused
             If too many clients do so; what runs is stopped.
         """
-        with self._changed:
+        with self._lock:
             for left in [k for k, one in self._holders.items() if one.name == name and k != client]:
                 if self._is_gone(self._holders[left]):
                     del self._holders[left]
@@ -432,8 +431,8 @@ class Service:
         number: int,
         begin: Callable[[], Job],
     ) -> int:
-        with self._changed:
-            self._changed.wait_for(lambda: not self._moving or not self._stopped, _POSE_GONE_S)
+        self._poses.settle()
+        with self._lock:
             self.alive(lease)
             if number and number <= self._newest:
                 _, last_task, last_lease = self._jobs.get(number, (None, "", 0))
@@ -447,11 +446,11 @@ class Service:
             self._plugin.remark("command", f"job {self._next}: {task}{values}, by {name!r}")
             try:
                 self._check_held(task)
-                job = begin()
+                with self._poses.beginning():
+                    job = begin()
             except Exception as error:
                 self._plugin.remark("command", f"job {self._next} refused: {error_text(error)}")
                 raise
-            self._stopped = False
             self._jobs[job.number] = (job, task, lease)
             self._jobs.pop(job.number - KEPT_JOBS, None)
             self._newest = job.number
@@ -475,29 +474,9 @@ class Service:
         RequestRefused
             If the pose is not the one that is waited for.
         """
-        with self._changed:
+        with self._lock:
             self.alive(lease)
-            if self._pose is None or seq != self._pose_seq:
-                expected = self._pose_seq if self._pose is not None else "none"
-                raise RequestRefused(f"pose {seq} is not waited for, but {expected}")
-            self._reached = (pose or True) if ok else False
-            self._pose = None
-            self._changed.notify_all()
-
-    def _move(self, pose: Pose) -> Pose | bool:
-        """Show a pose and wait for the host: the mover of the cell, in a thread of its own."""
-        with self._changed:
-            self._pose_seq = self._pose_seq % 0xFFFF + 1
-            self._pose, self._reached, self._moving = pose, None, True
-            try:
-                self._changed.wait_for(lambda: self._reached is not None or self._stopped)
-                reached: Pose | bool | None = self._reached
-                if reached is None:
-                    raise GraspStopped("stopped on request while a pose was waited for")
-                return reached
-            finally:
-                self._pose, self._moving = None, False
-                self._changed.notify_all()
+            self._poses.answer(seq, (pose or True) if ok else False)
 
     # -- the end -------------------------------------------------------------------------------
 
@@ -508,9 +487,7 @@ class Service:
         """
         self._over.set()
         self.hold("because the service ends")
-        with self._changed:
-            self._stopped = True
-            self._changed.notify_all()
+        self._poses.stop()
         self._watch.join()
         self._plugin.close(timeout_s)
 

@@ -1,13 +1,48 @@
-"""All configured doors of one service, opened together and closed in order."""
+"""Opens a service: the cell behind it, and all its configured doors, closed in order."""
 
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Any
 
+from cell.config.model import CellConfig
 from cell.errors import CellError, ConfigError
+from cell.interfaces.plugin.plugin import TactileCellPlugin
+from cell.interfaces.service.pose_handshake import PoseHandshake
 from cell.interfaces.service.service import Service
+from gripper.state import Clock
+
+
+def open_service(
+    config: CellConfig,
+    *,
+    note: Callable[[str], None] = lambda _text: None,
+    clock: Clock = time,
+    **cell: Any,
+) -> Service:
+    """Open a cell and return the service of it.
+
+    Parameters
+    ----------
+    config
+        The cell. A positioner of kind ``callback`` is the pose handshake; ``host_timeout_s`` does
+        not count, because the service watches its clients by the lease.
+    note, clock
+        As `Service`.
+    cell
+        Model, folder of the recording and more, as `TactileCellPlugin` takes them.
+
+    Raises
+    ------
+    As `TactileCellPlugin`.
+    """
+    config = config.model_copy(update={"host_timeout_s": None})
+    poses = PoseHandshake()
+    mover = poses.move if config.positioner.kind == "callback" else None
+    plugin = TactileCellPlugin(config, mover=mover, **cell)
+    return Service(plugin, config, poses=poses, note=note, clock=clock)
 
 
 def warnings(service: Service) -> tuple[str, ...]:

@@ -13,7 +13,7 @@ import pytest
 from cell.config.model import CellConfig
 from cell.interfaces.plugin.plugin import TactileCellPlugin
 from cell.interfaces.service.service import JobView, Service
-from cell.interfaces.service.serving import open_doors
+from cell.interfaces.service.serving import open_doors, open_service
 from gripper.state import GripperPhase
 from tests.fuzz.harness import Clock
 
@@ -116,7 +116,7 @@ def serve(make_config: Callable[..., CellConfig], taught: Any) -> Iterator[Calla
             wanted = {"serve__lease_timeout_s": LEASE_S, **ports, **changes}
             clock = Clock()
             given = {"model": taught.result.model, "clock": clock} | (options or {})
-            service = Service(make_config(**wanted), **given)
+            service = open_service(make_config(**wanted), **given)
             undo.callback(service.close)
             served = Served(service, clock)
             undo.callback(served.go_on)

@@ -75,8 +75,7 @@ def serve(
     from cell.interfaces.cli.session import cell_config
     from cell.interfaces.cli.signals import END_WITHIN_S, stopping
     from cell.interfaces.cli.terminal import print_note
-    from cell.interfaces.service.service import Service
-    from cell.interfaces.service.serving import open_doors, warnings
+    from cell.interfaces.service.serving import open_doors, open_service, warnings
     from cell.jobs.common import job_folder
 
     given: dict[str, Any] = {
@@ -95,7 +94,7 @@ def serve(
     folder = None if out_folder is None else job_folder(out_folder, "serve")
     over = threading.Event()
     with stopping(over.set, end_within_s=END_WITHIN_S):
-        service = Service(
+        service = open_service(
             checked,
             model=model,
             training_set=training_set,

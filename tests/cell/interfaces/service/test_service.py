@@ -594,7 +594,7 @@ def test_the_end_of_the_service_keeps_the_part_and_ends_all_threads(serve: Any, 
         served.paused()
         ending = threading.Thread(target=served.service.close)
         ending.start()
-        until(lambda: served.service._stopped)
+        until(lambda: served.service._poses._stopped)
         served.go_on()
         ending.join()
         assert served.grip_n > 1.0
