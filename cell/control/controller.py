@@ -79,6 +79,11 @@ class CellView:
         return self._life.fault
 
     @property
+    def fault_since_s(self) -> float:
+        """Unix time in s at which the last fault was latched; 0 before the first one."""
+        return self._life.fault_since_s
+
+    @property
     def holding(self) -> bool:
         """Whether a part may be in the grip."""
         return self._life.holding

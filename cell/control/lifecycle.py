@@ -1,5 +1,6 @@
 """State, latched fault and requested stop of a cell, and what each does to the grip."""
 
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
@@ -61,6 +62,8 @@ class CellLifecycle:
         How the last grasp ended; None before the first one and after a release.
     fault, fault_number
         What went wrong, while a fault is latched, and its number in `cell.fault_catalogue`.
+    fault_since_s
+        Unix time in s at which the last fault was latched; 0 before the first one.
     cancelled
         Whether a stop was requested and nothing has obeyed it yet.
     stop_reason
@@ -89,6 +92,7 @@ class CellLifecycle:
         self.result: GraspResult | None = None
         self.fault: str | None = None
         self.fault_number = 0
+        self.fault_since_s = 0.0
         self.cancelled = False
         self.stop_reason = ON_REQUEST
 
@@ -159,6 +163,7 @@ class CellLifecycle:
         except BaseException as error:
             if self.fault is None:
                 self.fault, self.fault_number = error_text(error), fault_number(error)
+                self.fault_since_s = time.time()
             self.go(Event.FAULT)
             self.go(Event.ABORTED)
             raise
@@ -194,6 +199,7 @@ class CellLifecycle:
         """Keep the grip and go where a fault leads; what is seen last does not hide the first."""
         self.fault = error_text(error) + self._carried_for()
         self.fault_number = fault_number(error)
+        self.fault_since_s = time.time()
         # A kept part that slips is no longer where the host has it.
         lost = (PartLost, PartSlipped) if self._kept else PartLost
         self._part_lost = isinstance(error, lost)

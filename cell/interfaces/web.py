@@ -10,21 +10,23 @@ import secrets
 import socket
 import threading
 from collections.abc import Awaitable, Callable, MutableMapping
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from functools import partial
 from ipaddress import ip_address
 from typing import Annotated, Any, Literal
 
 import uvicorn
 from fastapi import APIRouter, Depends, FastAPI, HTTPException, Query, Request, WebSocket
+from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
-from pydantic import BaseModel, ConfigDict
+from pydantic import BaseModel, ConfigDict, Field
+from starlette.exceptions import HTTPException as StarletteHTTPException
 from starlette.websockets import WebSocketDisconnect
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from cell.control.plan import Pose
-from cell.control.states import CellStatus, Command
+from cell.control.states import Command
 from cell.errors import (
     CellError,
     CellStateError,
@@ -33,7 +35,8 @@ from cell.errors import (
     NotInCommand,
     RequestRefused,
 )
-from cell.fault_catalogue import fault_number
+from cell.fault_catalogue import BY_NUMBER, CATALOGUE, fault_of
+from cell.interfaces.live_socket import LiveFeed, LiveLink
 from cell.interfaces.service.doors import (
     Places,
     is_for_this_machine,
@@ -41,14 +44,15 @@ from cell.interfaces.service.doors import (
     read_secret,
     same_secret,
 )
-from cell.interfaces.service.service import Service, Snapshot
+from cell.interfaces.service.service import Service
+from cell.interfaces.service.state import plain, state_values
 from gripper.errors import GripperError
 from tactile.errors import TactileError
 
 LONGEST = 65536
 """Largest request in bytes."""
-RATE_HZ = 30.0
-"""Messages a second to one WebSocket, whatever the source."""
+_SUBPROTOCOL = "tactile-cell"
+"""Subprotocol of the WebSocket."""
 _STATUS = {
     NotInCommand: 403,
     CellStateError: 409,
@@ -57,9 +61,23 @@ _STATUS = {
     ConfigError: 422,
 }
 """HTTP status of refusals; 500 for all others."""
+_ERRORS = (CellError, GripperError, TactileError, OSError)
+"""Errors that leave the cell on purpose."""
+_REMEDIES = {
+    401: "Send the token that `serve` has printed, as `Authorization: Bearer TOKEN`.",
+    403: "Use an address, name and origin that `serve.allow` and `serve.hosts` have.",
+    404: "Read the paths in /openapi.json, and the numbers in GET /api/jobs.",
+    405: "Read the methods of each path in /openapi.json.",
+    413: "Send less.",
+}
+"""What to do about refusals that do not come from the cell."""
 
 Scope = MutableMapping[str, Any]
 Send = Callable[[MutableMapping[str, Any]], Awaitable[None]]
+
+
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+"""A number in a request."""
 
 
 class _Body(BaseModel):
@@ -94,28 +112,36 @@ class CommandBody(LeaseBody):
     reboot: bool = False
 
 
+class PoseFields(_Body):
+    """Pose of the object: offset along and across the fingers in m, turns in rad."""
+
+    x_m: Finite = 0.0
+    y_m: Finite = 0.0
+    rotation_rad: Finite = 0.0
+    roll_rad: Finite = 0.0
+
+
 class PoseBody(_Body):
     """Whether the pose of that number was reached, or the one (m, rad) reached instead."""
 
     lease: int
     seq: int
     ok: bool
-    pose: dict[str, float] | None = None
+    pose: PoseFields | None = None
 
 
-def snapshot_json(now: Snapshot) -> dict[str, Any]:
-    """Return everything but the counts of the taxels as plain data."""
-    live = now.status.live
-    return {
-        "status": {one.name: getattr(now.status, one.name) for one in fields(CellStatus)},
-        "job": asdict(now.job),
-        "last_answer": None if now.last_answer is None else asdict(now.last_answer),
-        "live": {name: getattr(live, name) for name in live.__slots__ if name != "counts"},
-        "commander": now.commander,
-        "held_by": now.held_by,
-        "pose_seq": now.pose_seq,
-        "pose": None if now.pose is None else now.pose.as_dict(),
-    }
+class StateMoment:
+    """State and newest frame of a service at one moment; implements `live_socket.Moment`."""
+
+    def __init__(self, service: Service) -> None:
+        self.text = json.dumps(state_values(service), allow_nan=False)
+        self._counts = service.status().live.counts
+
+    def frame(self, kind: str) -> bytes | None:
+        """Return the counts of the taxels (``1``) as bytes."""
+        if self._counts is None or kind != "1":
+            return None
+        return self._counts.astype("<u2").tobytes()
 
 
 class Api:
@@ -132,16 +158,19 @@ class Api:
     def __init__(self, service: Service, token: str) -> None:
         self._service = service
         self._token = token
+        self._feed = LiveFeed(lambda: StateMoment(service))
 
     def app(self) -> FastAPI:
         """Return the application."""
         app = FastAPI(title="tactile-cell", docs_url=None, redoc_url=None)
-        for kind in (CellError, GripperError, TactileError):
+        for kind in (StarletteHTTPException, RequestValidationError, *_ERRORS):
             app.add_exception_handler(kind, _refused)
         guarded = APIRouter(prefix="/api", dependencies=[Depends(self._authorize)])
         for path, method, call in (
             ("/info", "GET", self.info),
             ("/state", "GET", self.state),
+            ("/faults", "GET", self.faults),
+            ("/jobs", "GET", self.jobs),
             ("/jobs/{number}", "GET", self.job),
             ("/lease", "POST", self.acquire),
             ("/lease/{lease}/alive", "POST", self.alive),
@@ -163,16 +192,31 @@ class Api:
             raise HTTPException(401, "wrong token")
 
     def info(self) -> dict[str, Any]:
-        """Name, pads, labels by id, time-out of the lease."""
+        """Name, mode, version, pads, limits, forces, taught labels by id, places, time-out."""
         return self._service.info()
 
     def state(self) -> dict[str, Any]:
-        """States, newest job, last answer, live values (null: not measured), pose waited for."""
-        return snapshot_json(self._service.snapshot())
+        """States, newest job, last answer, live values (null: not measured), pose waited for.
+
+        ``allowed`` has null for each task and command that is allowed to the client in command.
+        """
+        return state_values(self._service)
+
+    def faults(self) -> list[dict[str, Any]]:
+        """List the fault catalogue: number, text, cause, remedy, what the grip does, steps."""
+        return [asdict(fault) for fault in sorted(CATALOGUE.values(), key=lambda one: one.number)]
+
+    def jobs(self) -> list[dict[str, Any]]:
+        """List the newest jobs, oldest first."""
+        return [plain(asdict(job)) for job in self._service.jobs()]
 
     def job(self, number: int) -> dict[str, Any]:
         """One job: outcome, progress, answer."""
-        return asdict(self._service.job(number))
+        try:
+            found: dict[str, Any] = plain(asdict(self._service.job(number)))
+        except RequestRefused as error:
+            raise HTTPException(404, str(error)) from error
+        return found
 
     def acquire(self, body: AcquireBody, request: Request) -> dict[str, int]:
         """Acquire the lease to command with."""
@@ -204,10 +248,7 @@ class Api:
 
     def pose(self, body: PoseBody) -> dict[str, int]:
         """Answer the pose that is waited for."""
-        try:
-            reached = None if body.pose is None else Pose(**body.pose)
-        except (TypeError, ValueError) as error:
-            raise RequestRefused(f"pose: {error}") from error
+        reached = None if body.pose is None else Pose(**body.pose.model_dump())
         self._service.pose_reached(body.lease, body.seq, ok=body.ok, pose=reached)
         return {"seq": body.seq}
 
@@ -229,37 +270,63 @@ class Api:
     async def live(self, link: WebSocket) -> None:
         """Send the state as JSON; with ``?frames=1`` the newest counts too (uint16, LE).
 
-        Each message is the newest there is when the client can take it: a slow one misses some.
+        The token is a subprotocol ``token.TOKEN`` beside ``tactile-cell``, or ``?token=``, or the
+        first message ``{"token": TOKEN}``. Each message is the newest there is when the client can
+        take it: a slow one misses some.
         """
-        asked = link.query_params
-        if not same_secret(asked.get("token", ""), self._token):
+        serve = self._service.config.serve
+        offered = link.scope.get("subprotocols", [])
+        chosen = _SUBPROTOCOL if _SUBPROTOCOL in offered else None
+        tokens = [one.removeprefix("token.") for one in offered if one.startswith("token.")]
+        tokens += link.query_params.getlist("token")
+        if tokens and not any(same_secret(token, self._token) for token in tokens):
             await link.close(1008, "wrong token")
             return
-        await link.accept()
-        gone = asyncio.create_task(_until_gone(link))
+        await link.accept(chosen)
         try:
-            while not gone.done():
-                now = self._service.snapshot()
-                async with asyncio.timeout(self._service.config.serve.request_timeout_s):
-                    await link.send_text(json.dumps(snapshot_json(now)))
-                    counts = now.status.live.counts
-                    if asked.get("frames") == "1" and counts is not None:
-                        await link.send_bytes(counts.astype("<u2").tobytes())
-                await asyncio.wait([gone], timeout=1.0 / RATE_HZ)
-        except (WebSocketDisconnect, TimeoutError, RuntimeError):
-            return  # the client is gone or takes nothing
-        finally:
-            gone.cancel()
+            if not tokens:
+                async with asyncio.timeout(serve.request_timeout_s):
+                    first = await link.receive_text()
+                if not same_secret(_token_of(first), self._token):
+                    await link.close(1008, "wrong token")
+                    return
+            await self._feed.send_to(link, link.query_params.get("frames", ""))
+        except (WebSocketDisconnect, TimeoutError, RuntimeError, KeyError):
+            return  # the client is gone, takes nothing, or has not named its token
+
+
+def _token_of(message: str) -> str:
+    """Return the token in the first message of a WebSocket; empty where there is none."""
+    try:
+        found = json.loads(message)["token"]
+    except (ValueError, KeyError, TypeError):
+        return ""
+    return found if isinstance(found, str) else ""
 
 
 def _refused(_request: Request, error: Exception) -> JSONResponse:
+    """Return a refusal in the one shape of all refusals: number, text, remedy."""
+    match error:
+        case StarletteHTTPException():
+            return refusal_answer(error.status_code, str(error.detail))
+        case RequestValidationError():
+            complaints = "; ".join(
+                f"{'.'.join(map(str, item['loc']))}: {item['msg']}" for item in error.errors()
+            )
+            return refusal_answer(422, complaints)
     status = next((code for kind, code in _STATUS.items() if isinstance(error, kind)), 500)
-    return JSONResponse({"fault_number": fault_number(error), "error": str(error)}, status)
+    fault = fault_of(error)
+    return _answer(status, fault.number, str(error), fault.remedy)
 
 
-async def _until_gone(link: WebSocket) -> None:
-    while (await link.receive())["type"] != "websocket.disconnect":
-        pass
+def refusal_answer(status: int, text: str) -> JSONResponse:
+    """Return the refusal of a request that has not reached the cell."""
+    number = 514 if status == 401 else 513
+    return _answer(status, number, text, _REMEDIES.get(status) or BY_NUMBER[number].remedy)
+
+
+def _answer(status: int, number: int, text: str, remedy: str) -> JSONResponse:
+    return JSONResponse({"fault_number": number, "error": text, "remedy": remedy}, status)
 
 
 class Gate:
@@ -287,7 +354,7 @@ class Gate:
             await receive()
             await send({"type": "websocket.close", "code": 1008})
         else:
-            await JSONResponse({"error": reason}, status)(scope, receive, send)
+            await refusal_answer(status, reason)(scope, receive, send)
 
     def _refusal(self, scope: Scope) -> tuple[int, str]:
         headers = {name.lower(): value.decode("latin-1") for name, value in scope["headers"]}
@@ -389,8 +456,9 @@ class WebDoor:
             access_log=False,
             lifespan="off",
             http=partial(Connection, places, config.request_timeout_s),  # type: ignore[arg-type]
-            ws="websockets-sansio",
+            ws=partial(LiveLink, config.request_timeout_s),  # type: ignore[arg-type]
             ws_max_size=LONGEST,
+            ws_per_message_deflate=False,  # on a local network it costs more than it saves
             timeout_graceful_shutdown=1,
             ssl_certfile=config.tls_certificate or None,
             ssl_keyfile=config.tls_key or None,

@@ -20,11 +20,11 @@ def catalogue_page() -> str:
     for hundred, heading in _CHAPTERS.items():
         rows = [
             f"| {fault.number} | {fault.text}<br>`{kind.__name__}` | {fault.cause} | "
-            f"{fault.remedy} | {fault.grip} |"
+            f"{fault.remedy} | {', '.join(fault.steps)} | {fault.grip} |"
             for kind, fault in sorted(CATALOGUE.items(), key=lambda entry: entry[1].number)
             if fault.number // 100 == hundred
         ]
         if rows:
-            head = "| number | text, error class | usual cause | remedy | grip |"
-            parts += [f"## {hundred}xx: {heading}\n", head, "|---|---|---|---|---|", *rows, ""]
+            head = "| number | text, error class | usual cause | remedy | steps | grip |"
+            parts += [f"## {hundred}xx: {heading}\n", head, "|---|---|---|---|---|---|", *rows, ""]
     return "\n".join(parts)

@@ -120,6 +120,8 @@ class HostStatus(CellStatus):
     last_answer: Answer | None
     """Answer of the last identification, whatever jobs came after it; None from the beginning of
     the next identification or sort on, until the identification has succeeded."""
+    fault_since_s: float | None = None
+    """Unix time in s at which the fault was latched; None where there is none."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from typing import Annotated, Any, ClassVar, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
 
 from cell.config.simulator import checked_label
 from cell.errors import ConfigError
@@ -74,7 +74,7 @@ class SortGoal(_Goal):
     task: ClassVar[str] = "sort"
     parts: int = Field(default=1, ge=1, le=1_000_000)
     """How many parts."""
-    feed: tuple[Label, ...] = ()
+    feed: tuple[Label, ...] = Field(default=(), strict=False, max_length=1000)
     """Objects to place, one for each part and then again from the first, where the positioner can
     do so (simulated cell)."""
     seed: int = Field(default=1, ge=0, le=2**32 - 1)
@@ -88,10 +88,10 @@ class SortGoal(_Goal):
 Goal = TeachGoal | IdentifyGoal | GripGoal | VerifyGoal | SortGoal
 """Goal of a job."""
 
-_TASKS: dict[str, TypeAdapter[Any]] = {
-    goal.task: TypeAdapter(goal)
-    for goal in (TeachGoal, IdentifyGoal, GripGoal, VerifyGoal, SortGoal)
+TASKS: dict[str, type[_Goal]] = {
+    goal.task: goal for goal in (TeachGoal, IdentifyGoal, GripGoal, VerifyGoal, SortGoal)
 }
+"""Kind of goal of each task."""
 
 
 def checked_goal(goal: Goal | Mapping[str, Any]) -> Goal:
@@ -111,10 +111,10 @@ def checked_goal(goal: Goal | Mapping[str, Any]) -> Goal:
         )
     fields = dict(goal)
     task = fields.pop("task", None)
-    if not isinstance(task, str) or task not in _TASKS:
-        raise ConfigError(f"goal has task {task!r}; write one of {', '.join(_TASKS)}")
+    if not isinstance(task, str) or task not in TASKS:
+        raise ConfigError(f"goal has task {task!r:.60}; write one of {', '.join(TASKS)}")
     try:
-        checked: Goal = _TASKS[task].validate_python(fields)
+        checked: Goal = TASKS[task].model_validate(fields)  # type: ignore[assignment]
         return checked
     except ValidationError as error:
         complaints = "; ".join(

@@ -21,7 +21,7 @@ from cell.config.file import load_config
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.control.states import CellState, CellStatus, Command, answer
-from cell.errors import CellError, PartInGrip, error_text
+from cell.errors import CellError, ConfigError, PartInGrip, error_text
 from cell.interfaces.plugin.answer import (
     Answer,
     FeltShape,
@@ -45,6 +45,7 @@ from gripper.errors import ServoFault
 if TYPE_CHECKING:
     from cell.control.controller import CellController
     from cell.control.positioner import Places
+    from cell.jobs.sort import Places as SortPlaces
     from gripper.state import ReleaseReport
 
 __all__ = [
@@ -64,6 +65,14 @@ __all__ = [
 ]
 
 
+_COMMANDS = {
+    "teach": Command.GRASP,
+    "identify": Command.GRASP,
+    "grip": Command.GRIP,
+    "verify": Command.VERIFY,
+    "sort": Command.GRASP,
+}
+"""Command of the controller that each task begins with."""
 _NAMING = ("identify", "sort")
 """Tasks that name parts: an earlier answer is not that of their part."""
 _REMARKS_MAX = 1000
@@ -198,13 +207,44 @@ class TactileCellPlugin:
     # -- questions -----------------------------------------------------------------------------
 
     def info(self) -> dict[str, Any]:
-        """Return name, layout and taught labels."""
+        """Return name, pads in the order of the layout, limits, forces, taught labels, places."""
+        gripper, layout = self._config.gripper, self._cell.controller.hand.layout
+        low_n, high_n = self._config.sequence.forces_n
         return {
             "name": self._config.name,
             "simulated": self._config.simulated,
-            "n_taxels": self._cell.controller.pads.n_taxels,
+            "n_taxels": layout.n_taxels,
+            "pads": [
+                {
+                    "name": pad.name,
+                    "finger": pad.finger,
+                    "face": pad.face,
+                    "inner": index in layout.gripping_pads,
+                    "rows": pad.rows,
+                    "columns": pad.columns,
+                    "first": layout.taxels_of(index).start,
+                    "pitch_mm": [1e3 * pad.pitch_x_m, 1e3 * pad.pitch_y_m],
+                }
+                for index, pad in enumerate(layout.pads)
+            ],
+            "opening_max_mm": gripper.aperture_open_mm,
+            "force_cap_n": gripper.force_max_n,
+            "contact_force_n": gripper.contact_force_n,
+            "levels_n": [low_n, high_n],
             "labels": self.labels,
+            "places": self._place_names(),
         }
+
+    def _place_names(self) -> tuple[str, ...]:
+        try:
+            return self._places().names
+        except ConfigError:  # a taught part has no place yet; a sort is refused
+            return self._tasks.SortPlaces(self._config, ()).names
+
+    @property
+    def recording_path(self) -> Path | None:
+        """The recording, if one is made."""
+        return self._cell.recording_path
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -224,6 +264,7 @@ class TactileCellPlugin:
             return HostStatus(
                 **{one.name: getattr(states, one.name) for one in fields(CellStatus)},
                 live=controller.live,
+                fault_since_s=controller.fault_since_s if states.fault else None,
                 last_answer=next(iter(self._last_answer), None),
             )
 
@@ -259,25 +300,55 @@ class TactileCellPlugin:
         checked = checked_goal(goal)
         controller, model, tasks = self._cell.controller, self._model, self._tasks
         work: Callable[[Report], Any]
-        command = Command.GRASP
+        self._check_taught(checked.task)
         match checked:
             case TeachGoal():
-                model.check_extendable()
                 work = functools.partial(tasks.teach, controller, model, self._file, checked)
             case IdentifyGoal():
-                model.check_taught()
                 work = functools.partial(tasks.identify, controller, model, checked)
             case GripGoal():
                 work = functools.partial(tasks.grip, controller, checked)
-                command = Command.GRIP
             case VerifyGoal():
                 work = functools.partial(tasks.verify, controller)
-                command = Command.VERIFY
             case SortGoal():
-                model.check_taught()
-                places = tasks.Places(self._config, model.labels)
-                work = functools.partial(tasks.sort, controller, model, places, checked)
-        return self._accept(work, command, checked.task)
+                work = functools.partial(tasks.sort, controller, model, self._places(), checked)
+        return self._accept(work, _COMMANDS[checked.task], checked.task)
+
+    def check(self, task: str) -> None:
+        """Raise what `start` and `begin` would raise now for a task or command, whatever its goal.
+
+        Raises
+        ------
+        CellStateError, ConfigError
+            As `start` and `begin`.
+        """
+        self._worker.check_free()
+        if task in _COMMANDS:
+            self._cell.controller.check(_COMMANDS[task])
+            self._check_taught(task)
+        else:
+            self._cell.controller.check(self._needed(Command(task)))
+
+    def _check_taught(self, task: str) -> None:
+        """Raise CellStateError or ConfigError where the taught objects do not allow a task."""
+        if task == "teach":
+            self._model.check_extendable()
+        elif task in _NAMING:
+            self._model.check_taught()
+            if task == "sort":
+                self._places()
+
+    def _places(self) -> "SortPlaces":
+        return self._tasks.SortPlaces(self._config, self._model.labels)
+
+    def _needed(self, command: Command) -> Command:
+        """Return the command of the controller that a command of the host is in this state."""
+        state = self._cell.controller.state
+        if command is Command.RESET and state is CellState.STOPPED:
+            return Command.START
+        if command is Command.RELEASE and state in (CellState.RESETTING, CellState.STOPPED):
+            return Command.RELEASE_HELD
+        return command
 
     def feedback(self, job: Job) -> JobStatus:
         """Return state and progress of a job; never waits.
@@ -346,16 +417,16 @@ class TactileCellPlugin:
                 controller.reset()
             controller.start()
 
-        works: dict[Command, tuple[Command, Callable[[], Any]]] = {
-            Command.RELEASE: (Command.RELEASE, controller.release),
-            Command.CLEAR: (Command.CLEAR, lambda: controller.clear(reboot=reboot)),
-            Command.RESET: (Command.START if stopped else Command.RESET, reset),
-            Command.SHUTDOWN: (Command.SHUTDOWN, controller.shutdown),
+        works: dict[Command, Callable[[], Any]] = {
+            Command.RELEASE: controller.release,
+            Command.RELEASE_HELD: controller.release_held,
+            Command.CLEAR: lambda: controller.clear(reboot=reboot),
+            Command.RESET: reset,
+            Command.START: reset,
+            Command.SHUTDOWN: controller.shutdown,
         }
-        if controller.state in (CellState.RESETTING, CellState.STOPPED):
-            works[Command.RELEASE] = (Command.RELEASE_HELD, controller.release_held)
-        needed, work = works[command]
-        return self._accept(lambda _report: work(), needed, command.value)
+        needed = self._needed(command)
+        return self._accept(lambda _report: works[needed](), needed, command.value)
 
     def release(self, timeout_s: float = 30.0) -> "ReleaseReport":
         """Let the part go and open the fingers; the only way to do so outside a sequence.

@@ -11,10 +11,12 @@ from cell.errors import CellError
 from cell.interfaces.plugin.answer import Answer, SortAnswer, Verification
 from cell.interfaces.plugin.goals import GripGoal, IdentifyGoal, SortGoal, TeachGoal
 from cell.interfaces.plugin.worker import Report
-from cell.jobs.sort import Places, SortedPart, Tally, sort_parts
+from cell.jobs.sort import Places as SortPlaces, SortedPart, Tally, sort_parts
 from cell.learning.collection import Collection
 from cell.learning.taught_model import TaughtModel
 from recognition.recognizer import Posterior
+
+__all__ = ["ModelFile", "SortPlaces", "grip", "identify", "sort", "teach", "verify"]
 
 
 class ModelFile:
@@ -160,7 +162,7 @@ def verify(controller: CellController, report: Report) -> Verification:
 def sort(
     controller: CellController,
     model: TaughtModel,
-    places: Places,
+    places: SortPlaces,
     goal: SortGoal,
     report: Report,
 ) -> SortAnswer:

@@ -138,13 +138,7 @@ class CellWorker:
             If another job is not over yet, or the cell is being closed.
         """
         with self._changed:
-            if self._refusing:
-                raise CellStateError("the cell is closed; load the plugin anew")
-            running = [job for job, status in self._status.items() if not status.outcome.terminal]
-            if running:
-                raise CellStateError(
-                    f"job {running[0].number} is not over; wait for its result or cancel it"
-                )
+            self.check_free()
             job = Job(self._newest + 1, self._name)
             accepted(job)
             self._newest = job.number
@@ -154,6 +148,17 @@ class CellWorker:
             # Within the lock: whatever is accepted stands before the end in the queue.
             self._queue.put(functools.partial(self._execute, job, work))
         return job
+
+    def check_free(self) -> None:
+        """Raise CellStateError where `start` would refuse every job, as while one runs."""
+        with self._changed:
+            if self._refusing:
+                raise CellStateError("the cell is closed; load the plugin anew")
+            running = [job for job, status in self._status.items() if not status.outcome.terminal]
+            if running:
+                raise CellStateError(
+                    f"job {running[0].number} is not over; wait for its result or cancel it"
+                )
 
     def status(self, job: Job) -> JobStatus:
         """Return the state of a job. Raises CellStateError for a job of another worker."""

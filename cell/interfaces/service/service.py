@@ -12,15 +12,17 @@ import threading
 import time
 from collections.abc import Callable, Hashable, Mapping
 from dataclasses import dataclass, field, replace
+from importlib.metadata import version
 from math import inf
+from pathlib import Path
 from typing import Any, Protocol
 
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.control.states import Command
-from cell.errors import HeldByClient, NotInCommand, RequestRefused, error_text
+from cell.errors import CellError, HeldByClient, NotInCommand, RequestRefused, error_text
 from cell.interfaces.plugin.answer import Answer, HostStatus, Verification
-from cell.interfaces.plugin.goals import Goal, GripGoal, IdentifyGoal, checked_goal
+from cell.interfaces.plugin.goals import TASKS, Goal, GripGoal, IdentifyGoal, checked_goal
 from cell.interfaces.plugin.worker import KEPT_JOBS, Job, JobOutcome, JobStatus
 from cell.interfaces.service.pose_handshake import PoseHandshake
 from gripper.state import Clock
@@ -31,6 +33,8 @@ _HOLDERS_MAX = 100
 """Clients that keep the cell on hold at once; further ones are refused, the cell is held anyway."""
 _UNMOVING = (Command.CLEAR.value, Command.SHUTDOWN.value)
 """Commands that move nothing and are obeyed while a client keeps the cell on hold."""
+_COMMANDS = (Command.RELEASE, Command.CLEAR, Command.RESET, Command.SHUTDOWN)
+"""Commands of clients."""
 _LOOKS = 10
 """Looks at the lease within its time-out: its loss is noticed at most a tenth of it late."""
 OUTCOME_NUMBERS = {
@@ -50,6 +54,8 @@ class JobView:
     number: int = 0
     task: str = ""
     """Its number, 0 for none yet, and what was asked for."""
+    since_s: float = 0.0
+    """Unix time in s of its start."""
     outcome: str = ""
     outcome_number: int = 0
     """Its state."""
@@ -97,8 +103,11 @@ class _Plugin(Protocol):
 
     @property
     def labels(self) -> tuple[str, ...]: ...
+    @property
+    def recording_path(self) -> Path | None: ...
     def info(self) -> dict[str, Any]: ...
     def status(self) -> HostStatus: ...
+    def check(self, task: str) -> None: ...
     def start(self, goal: Goal) -> Job: ...
     def begin(self, command: Command, *, reboot: bool = False, needless: bool = False) -> Job: ...
     def feedback(self, job: Job) -> JobStatus: ...
@@ -159,7 +168,7 @@ class Service:
         self._lock = threading.RLock()
         self._lease: _Lease | None = None
         self._holders: dict[Hashable, _Holder] = {}
-        self._jobs: dict[int, tuple[Job, str, int]] = {}
+        self._jobs: dict[int, tuple[Job, str, int, float]] = {}
         self._newest = 0
         self._parts = itertools.cycle(entry.label for entry in config.simulator.objects)
         self._over = threading.Event()
@@ -211,12 +220,41 @@ class Service:
                 if last is not None and last.number == wanted:
                     return last
                 raise RequestRefused(f"there is no job {wanted}; the newest is {self._newest}")
-            job, task, _ = self._jobs[wanted]
-            return self._view(wanted, task, self._plugin.feedback(job))
+            job, task, _, since_s = self._jobs[wanted]
+            return self._view(wanted, task, self._plugin.feedback(job), since_s)
+
+    def jobs(self) -> tuple[JobView, ...]:
+        """Return the newest jobs, at most `KEPT_JOBS`, oldest first."""
+        with self._lock:
+            return tuple(self.job(number) for number in sorted(self._jobs))
+
+    def allowed(self) -> dict[str, CellError | None]:
+        """Return what refuses each task and command at the moment, for a client with the lease.
+
+        None stands for what is allowed.
+        """
+        found: dict[str, CellError | None] = {}
+        with self._lock:
+            for task in (*TASKS, *_COMMANDS):
+                try:
+                    self._check_held(task)
+                    if task != Command.CLEAR or not self._gone:
+                        self._plugin.check(task)
+                    found[task] = None
+                except CellError as error:
+                    found[task] = error
+        return found
+
+    @property
+    def recording_path(self) -> Path | None:
+        """The recording, if one is made."""
+        return self._plugin.recording_path
 
     def info(self) -> dict[str, Any]:
-        """Return what stays as it is: name, pads, labels by id, time-out of the lease."""
+        """Return what stays as it is, as plain data; lengths in mm, forces in N."""
         return self._plugin.info() | {
+            "mode": "cell",
+            "version": version("tactile-cell"),
             "labels": list(self.labels),
             "lease_timeout_s": self.config.serve.lease_timeout_s,
         }
@@ -334,7 +372,7 @@ class Service:
                 raise RequestRefused(f"release: {key:#x} is not the key; with it the part may fall")
             if command is not Command.CLEAR:
                 return self._plugin.begin(command, reboot=reboot)
-            gone = [client for client, holder in self._holders.items() if self._is_gone(holder)]
+            gone = self._gone
             job = self._plugin.begin(command, reboot=reboot, needless=bool(gone))
             for client in gone:
                 self.end_hold(client)
@@ -413,6 +451,11 @@ class Service:
             if client in self._holders:
                 self._holders[client].heard_s = -inf
 
+    @property
+    def _gone(self) -> list[Hashable]:
+        """Clients that keep the cell on hold and are gone."""
+        return [client for client, holder in self._holders.items() if self._is_gone(holder)]
+
     def _is_gone(self, holder: _Holder) -> bool:
         return self._clock.monotonic() - holder.heard_s > self.config.serve.lease_timeout_s
 
@@ -435,7 +478,7 @@ class Service:
         with self._lock:
             self.alive(lease)
             if number and number <= self._newest:
-                _, last_task, last_lease = self._jobs.get(number, (None, "", 0))
+                _, last_task, last_lease, _ = self._jobs.get(number, (None, "", 0, 0.0))
                 if number == self._newest and (last_task, last_lease) == (task, lease):
                     return number
                 raise RequestRefused(f"job {number} is another request; the next is {self._next}")
@@ -451,7 +494,7 @@ class Service:
             except Exception as error:
                 self._plugin.remark("command", f"job {self._next} refused: {error_text(error)}")
                 raise
-            self._jobs[job.number] = (job, task, lease)
+            self._jobs[job.number] = (job, task, lease, time.time())
             self._jobs.pop(job.number - KEPT_JOBS, None)
             self._newest = job.number
             return job.number
@@ -504,12 +547,14 @@ class Service:
         if answer is None:
             return None
         ended = JobStatus(outcome=JobOutcome.SUCCEEDED, progress={}, value=answer)
-        return self._view(answer.job, "identify", ended)
+        since_s = self._jobs[answer.job][3] if answer.job in self._jobs else 0.0
+        return self._view(answer.job, "identify", ended, since_s)
 
-    def _view(self, number: int, task: str, status: JobStatus) -> JobView:
+    def _view(self, number: int, task: str, status: JobStatus, since_s: float) -> JobView:
         view = JobView(
             number=number,
             task=task,
+            since_s=since_s,
             outcome=status.outcome.value,
             outcome_number=OUTCOME_NUMBERS[status.outcome],
             fault_number=status.fault_number,

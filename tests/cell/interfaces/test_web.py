@@ -1,6 +1,7 @@
 """The cell over HTTP and WebSocket, with the standard library and `websockets` as clients."""
 
 import json
+import math
 import os
 import socket
 import ssl
@@ -10,6 +11,7 @@ import time
 from collections.abc import Callable
 from contextlib import ExitStack, suppress
 from http.client import HTTPConnection, HTTPSConnection
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -141,23 +143,111 @@ def test_refusals_have_a_status_and_a_fault_number(connect: Any) -> None:
         ("/api/pose", {"lease": lease, "seq": 1, "ok": True, "pose": {"w": 1}}, 422, 513),
     ):
         found = host.ask("POST", path, body)
-        assert (found[0], found[1]["fault_number"]) == (status, number), path
+        check_refusal(*found, status=status)
+        assert found[1]["fault_number"] == number, path
     for path, body in (
         ("/api/jobs", {"lease": "x", "goal": identify}),
+        ("/api/jobs", {"lease": math.nan, "goal": identify}),
         ("/api/jobs", {"lease": lease}),
         ("/api/commands", {"lease": lease, "command": "grasp"}),
         ("/api/commands", {"lease": lease, "command": "reset", "force": 1}),
     ):
-        assert host.ask("POST", path, body)[0] == 422
-    assert host.ask("GET", "/api/jobs/3")[0] == 422
+        check_refusal(*host.ask("POST", path, body), status=422)
+    for way, path, status in (
+        ("GET", "/api/jobs/3", 404),
+        ("GET", "/api/nothing", 404),
+        ("DELETE", "/api/jobs/3", 405),
+        ("POST", "/api/hold?latch=perhaps", 422),
+    ):
+        check_refusal(*host.ask(way, path), status=status)
+    check_refusal(*host.ask("GET", "/api/state", token="wrong"), status=401)
+    check_refusal(*host.ask("GET", "/api/state", token=None), status=401)
+    check_refusal(*host.ask("POST", "/api/hold", {"x": "y" * 70_000}), status=413)
+    check_refusal(*host.ask("POST", "/api/hold", Origin="http://evil.example"), status=403)
     assert served.service.job().number == 0
+
+
+def check_refusal(found: int, answer: Any, *, status: int) -> None:
+    """Check status and the one shape of all refusals, which has no name of a function in it."""
+    assert found == status, answer
+    assert answer.keys() == {"fault_number", "error", "remedy"}
+    assert answer["fault_number"] >= 100
+    assert answer["error"]
+    assert answer["remedy"]
+    assert "__" not in answer["error"]
+
+
+def test_the_state_says_what_is_allowed_and_since_when(connect: Any) -> None:
+    served, host = connect()
+    begin_s = time.time()
+    now = host.get("/api/state")
+    assert begin_s - 1.0 <= now["time_s"] <= time.time() + 1.0
+    may = {task for task, refused in now["allowed"].items() if refused is None}
+    assert may == {"teach", "identify", "grip", "sort", "release", "shutdown"}
+    refused = now["allowed"]["reset"]
+    assert refused["number"] == 505
+    assert "'reset' is not allowed while the cell is IDLE" in refused["text"]
+    assert refused["remedy"]
+    lease = host.post("/api/lease", name="host")["lease"]
+    served.pause_while_pressing()
+    host.post("/api/jobs", lease=lease, goal={"task": "identify"})
+    served.paused()
+    now = host.get("/api/state")
+    assert set(now["allowed"]) == set(may) | {"verify", "clear", "reset"}
+    assert all("job 1 is not over" in one["text"] for one in now["allowed"].values())
+    assert begin_s <= now["job"]["since_s"] <= now["time_s"]
+    served.go_on()
+    served.ended()
+    host.ask("POST", "/api/hold?latch=true&name=gate", token=None)
+    allowed = host.get("/api/state")["allowed"]
+    assert {task for task, one in allowed.items() if one is None} == {"shutdown"}
+    assert allowed["teach"]["number"] == 515
+    assert [one["number"] for one in host.get("/api/jobs")] == [1]
+
+
+def test_a_fault_has_its_remedy_and_steps(connect: Any) -> None:
+    served, host = connect()
+    assert host.get("/api/state")["fault"] is None
+    lease = host.post("/api/lease", name="host")["lease"]
+    served.simulated.inject("unit.off")
+    host.post("/api/jobs", lease=lease, goal={"task": "grip", "force_n": 3.0})
+    assert served.ended().outcome == "ABORTED"
+    now = host.get("/api/state")
+    fault = now["fault"]
+    assert (fault["number"], fault["detail"]) == (
+        now["status"]["fault_number"],
+        now["status"]["fault"],
+    )
+    assert now["job"]["since_s"] <= fault["since_s"] <= now["time_s"]
+    assert (fault["recording"], fault["steps"][-1]) == (None, "reset")
+    listed = {one["number"]: one for one in host.get("/api/faults")}
+    assert {name: fault[name] for name in listed[100]} == listed[fault["number"]]
+    assert sorted(listed) == list(listed)
+
+
+def test_info_has_the_pads_and_limits(connect: Any) -> None:
+    served, host = connect()
+    info = host.get("/api/info")
+    assert (info["mode"], info["simulated"], info["version"]) == (
+        "cell",
+        True,
+        version("tactile-cell"),
+    )
+    pads = info["pads"]
+    assert sum(pad["rows"] * pad["columns"] for pad in pads) == info["n_taxels"]
+    assert [pad["name"] for pad in pads if pad["inner"]] == ["finger0.inner", "finger1.inner"]
+    assert pads[0]["pitch_mm"] == pytest.approx([3.44, 5.0], abs=0.01)
+    assert pads[1]["first"] == pads[0]["rows"] * pads[0]["columns"]
+    assert info["force_cap_n"] == served.service.config.gripper.force_max_n
+    assert info["opening_max_mm"] == served.service.config.gripper.aperture_open_mm
+    assert info["places"] == ["ball", "box", "reject"]
 
 
 def test_all_but_hold_needs_the_token(connect: Any) -> None:
     served, host = connect()
     paths = host.ask("GET", "/openapi.json", token=None)[1]["paths"]
     guarded = [(path, method) for path, ways in paths.items() for method in ways]
-    assert len(guarded) == 10
+    assert len(guarded) == 12
     for path, method in guarded:
         if path == "/api/hold":
             continue
@@ -271,6 +361,28 @@ def test_the_socket_sends_states_and_frames(connect: Any) -> None:
         )
         assert len(frame) == 2 * 408
         until(lambda: (m := link.recv(timeout=20)) and isinstance(m, str) and "COMPLETE" in m)
+
+
+def test_the_token_comes_as_subprotocol_or_first_message(connect: Any) -> None:
+    _, host = connect()
+    at = f"ws://127.0.0.1:{host.port}/api/live"
+
+    def shown(link: Any) -> bool:
+        return json.loads(link.recv(timeout=20))["status"]["state"] == "IDLE"
+
+    with open_socket(at, subprotocols=["tactile-cell", f"token.{host.token}"]) as link:
+        assert link.subprotocol == "tactile-cell"
+        assert shown(link)
+    with open_socket(at) as link:
+        link.send(json.dumps({"token": host.token}))
+        assert shown(link)
+    with pytest.raises(InvalidStatus, match="403"):
+        open_socket(at, subprotocols=["tactile-cell", "token.wrong"])
+    for first in ("{}", "no json", '{"token": 1}', '{"token": "wrong"}'):
+        with open_socket(at) as link:
+            link.send(first)
+            with pytest.raises(ConnectionClosed):
+                link.recv(timeout=20)
 
 
 def test_a_slow_socket_gets_the_newest_and_holds_nobody_up(connect: Any) -> None:
