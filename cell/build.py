@@ -45,8 +45,12 @@ from gripper.dynamixel.serial_port import ByteStream, SerialStream
 from gripper.state import Clock, GripperPhase
 from motion.axes import Axes
 from simulator.cell import SimulatedCell
+from simulator.clock import Pace
 from tactile.can.bus import CanBus, close_bus, open_bus
 from tactile.sensor.sensor import FrameSource
+
+_IDLE_STEP_S = 0.02
+"""Virtual time in s from one look at a paced cell with empty fingers to the next: one frame."""
 
 Mover = Callable[[Pose], Pose | bool | None]
 """Moves to a pose: returns the pose reached, None or True for that asked for, False to refuse."""
@@ -59,13 +63,40 @@ class Cell:
     controller: CellController
     """Runs the sequences."""
     realtime: bool
-    """Whether time passes by itself; in a simulated cell it passes while a caller waits."""
+    """Whether time passes by itself; in a simulated cell it passes while a caller waits, or follows
+    real time from `follow` on."""
     simulated: SimulatedCell | None
     """The simulated cell, where there is one in this process."""
     axes: Axes | None
     """The axes of its positioner; None where something else moves the object."""
     _recorder: Recorder | None
     _closing: ExitStack
+    _pace: Pace | None = None
+
+    def follow(self, real: Clock, speed: float) -> float | None:
+        """Have virtual time follow a real clock, at so many virtual seconds in a real one.
+
+        Returns the real period in s at which `idle` is to be called from now on; None where time
+        stands still between two commands again, for a ``speed`` of 0.
+        """
+        if self._pace is not None:
+            self._pace.end()
+        self._pace = None
+        if self.simulated is not None and speed > 0.0:
+            self._pace = Pace(self.simulated.clock, real, speed=speed)
+        return None if self._pace is None else _IDLE_STEP_S
+
+    def idle(self) -> None:
+        """Look after the cell while no job runs; a paced one lives on to the present."""
+        if self.simulated is None or self._pace is None:
+            self.controller.tick()
+            return
+        clock, hand = self.simulated.clock, self.controller.hand
+        end_s = clock.monotonic() + self._pace.lag_s()
+        while (left_s := end_s - clock.monotonic()) > 0.0:
+            # First the time: it goes on whatever the look finds.
+            clock.sleep(min(left_s, hand.period_s if self.controller.holding else _IDLE_STEP_S))
+            self.controller.tick()
 
     @property
     def recording_path(self) -> Path | None:

@@ -1,7 +1,8 @@
-"""The clock of virtual time: one thread, no waiting, every run the same."""
+"""The clock of virtual time, in one thread: every run the same; and its pace, where people watch."""
 
 import math
 from collections.abc import Callable
+from typing import Protocol
 
 STEP_S = 1e-3
 """Longest piece in s by which a virtual clock moves at once."""
@@ -9,6 +10,10 @@ ROUNDING_S = 1e-9
 """Allowance in s for sums of times that should be equal."""
 _ROUNDING_SHARE = 1e-6
 """A rest below this share of a step joins the last piece."""
+_LEAD_S = 0.01
+"""Lead of virtual over real time in s that is waited off at once: half the period of a frame."""
+_BACKLOG_S = 0.2
+"""Lag behind real time in s that is caught up; of a longer one the rest is left out for good."""
 
 
 class VirtualClock:
@@ -81,3 +86,57 @@ class VirtualClock:
                     callback(self._now_s)
         finally:
             self._advancing = False
+
+
+class RealClock(Protocol):
+    """A clock that moves by itself, as the standard module ``time``."""
+
+    def monotonic(self) -> float:
+        """Return the time in s."""
+        ...
+
+    def sleep(self, seconds: float, /) -> None:
+        """Wait."""
+        ...
+
+
+class Pace:
+    """The pace of a virtual clock: from now on it does not run ahead of real time.
+
+    A machine that is too slow for it only makes virtual time run later: what is behind by more
+    than 0.2 s is not caught up.
+
+    Parameters
+    ----------
+    clock
+        The virtual clock; it waits after a piece that leads by 10 ms.
+    real
+        The clock that it follows.
+    speed
+        Virtual seconds in a real one.
+    """
+
+    def __init__(self, clock: VirtualClock, real: RealClock, *, speed: float = 1.0) -> None:
+        if not (math.isfinite(speed) and speed > 0.0):
+            raise ValueError(f"a pace has a positive speed, got speed={speed}")
+        self._clock = clock
+        self._real = real
+        self._speed = speed
+        self._origin_s = clock.monotonic() - speed * real.monotonic()
+        clock.on_advance.append(self._wait)
+
+    def end(self) -> None:
+        """Let the clock run freely again."""
+        self._clock.on_advance.remove(self._wait)
+
+    def lag_s(self) -> float:
+        """Return by how much virtual time is behind in s, at most 0.2 s x speed; ahead: negative."""
+        lag_s = self._origin_s + self._speed * self._real.monotonic() - self._clock.monotonic()
+        left_out_s = max(0.0, lag_s - self._speed * _BACKLOG_S)
+        self._origin_s -= left_out_s
+        return lag_s - left_out_s
+
+    def _wait(self, _now_s: float) -> None:
+        lead_s = -self.lag_s() / self._speed
+        if lead_s >= _LEAD_S:
+            self._real.sleep(lead_s)

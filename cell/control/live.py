@@ -20,7 +20,8 @@ class LiveValues:
     A value that is not measured now is None: before the first motion, after a fault and a shutdown,
     and where it is older than `FRESH_S`. An age is that at the time of asking, by the cell's own
     clock. In virtual time that clock stands still between two commands, and so do the fingers:
-    values and ages stay as they are until the next one.
+    values and ages stay as they are until the next one. `tactile-cell serve` has it follow real
+    time.
     """
 
     force_n: float | None = None

@@ -4,13 +4,14 @@ import json
 import socket
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 import cell.build
-from cell.build import build_cell
+from cell.build import Cell, build_cell
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.control.positioner import (
@@ -20,12 +21,14 @@ from cell.control.positioner import (
     SimulatedPositioner,
     SocketPlacer,
 )
+from cell.control.states import CellState
 from cell.errors import ConfigError, PositionerError
 from gripper.errors import PortLost
 from gripper.kinematics import ParallelLinkage, RackPinion
 from gripper.state import GraspResult
-from tactile.errors import BusNotOpened
+from tactile.errors import BusNotOpened, TactileError
 from tactile.sensor.calibration import FoamCalibration, LinearCalibration
+from tests.fuzz.harness import Clock
 
 RACK = {"kind": "rack_pinion", "pinion_radius_mm": 8.0, "offset_mm": 10.0}
 SLOW_RACK = {"gripper__linkage": RACK, "gripper__approach_speed_mm_s": 5.0}
@@ -215,3 +218,61 @@ def test_closing_twice_is_harmless(make_bench: Callable[..., Any], tmp_path: Pat
     bench.cell.close()
     bench.cell.close()
     assert bench.cell.recording_path.stat().st_size > 0
+
+
+def paced(cell: Cell, real: Clock, real_s: float) -> None:
+    """Let real time pass as the worker of a plugin does while no job runs."""
+    for _ in range(round(real_s / 0.02)):
+        real.now_s += 0.02
+        cell.idle()
+
+
+def test_a_paced_cell_lives_on_while_no_command_runs(make_bench: Callable[..., Any]) -> None:
+    bench, real = make_bench().ready(), Clock()
+    cell, clock = bench.cell, bench.simulated.clock
+    began_s = clock.monotonic()
+    cell.idle()
+    cell.idle()
+    assert clock.monotonic() - began_s < 0.02  # free: no time but that of the two looks
+    assert cell.follow(real, 1.0) == 0.02
+    began_s, ages_s = clock.monotonic(), []
+    for _ in range(50):
+        paced(cell, real, 0.06)
+        ages_s.append(cell.controller.live.frame_age_s)
+    assert clock.monotonic() - began_s == pytest.approx(3.0, abs=0.03)
+    assert max(age_s for age_s in ages_s if age_s is not None) < 0.05
+    assert None not in ages_s
+    real.now_s += 3600.0  # the machine was asleep: an hour is not caught up
+    began_s = clock.monotonic()
+    cell.idle()
+    assert clock.monotonic() - began_s == pytest.approx(0.2, abs=0.03)
+    assert cell.follow(real, 0.0) is None
+    began_s = clock.monotonic()
+    paced(cell, real, 1.0)
+    assert clock.monotonic() - began_s < 0.2
+
+
+def test_a_paced_cell_keeps_a_part_and_its_fault_and_is_ready_again(
+    make_bench: Callable[..., Any],
+) -> None:
+    bench, real = make_bench().ready(), Clock()
+    cell, controller, clock = bench.cell, bench.controller, bench.simulated.clock
+    cell.follow(real, 1.0)
+    began_s, real_s = clock.monotonic(), real.now_s
+    controller.grip(3.0, Pose())
+    assert real.now_s - real_s == pytest.approx(clock.monotonic() - began_s, abs=0.02)
+    paced(cell, real, 0.5)
+    assert controller.state is CellState.COMPLETE
+    assert bench.grip_n > 2.5
+    bench.inject("can.off")
+    with suppress(TactileError):
+        paced(cell, real, 1.0)
+    assert controller.state is CellState.ABORTED
+    began_s = clock.monotonic()
+    paced(cell, real, 1.0)
+    assert clock.monotonic() - began_s == pytest.approx(1.0, abs=0.03)
+    assert bench.grip_n > 2.5
+    controller.clear()
+    paced(cell, real, 1.0)
+    controller.release_held()
+    assert bench.grip_n == 0.0

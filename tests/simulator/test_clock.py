@@ -2,7 +2,7 @@ import math
 
 import pytest
 
-from simulator.clock import VirtualClock
+from simulator.clock import Pace, VirtualClock
 
 
 def test_time_moves_only_by_sleeping() -> None:
@@ -62,3 +62,62 @@ def test_a_callback_cannot_move_the_clock() -> None:
     clock.on_advance.clear()
     clock.sleep(0.001)
     assert clock.monotonic() == pytest.approx(0.002)
+
+
+class Machine:
+    """A real clock that only the test moves; ``slow_s`` passes with each look at it."""
+
+    def __init__(self) -> None:
+        self.now_s = 100.0
+        self.slow_s = 0.0
+        self.waits: list[float] = []
+
+    def monotonic(self) -> float:
+        self.now_s += self.slow_s
+        return self.now_s
+
+    def sleep(self, seconds: float, /) -> None:
+        self.waits.append(seconds)
+        self.now_s += seconds
+
+
+def test_a_paced_clock_waits_for_real_time_and_never_leads_by_more_than_a_piece() -> None:
+    clock, real, leads_s = VirtualClock(), Machine(), []
+    Pace(clock, real)
+    clock.on_advance.append(lambda now_s: leads_s.append(now_s - (real.now_s - 100.0)))
+    clock.sleep(1.0)
+    assert sum(real.waits) == pytest.approx(1.0, abs=0.011)
+    assert max(leads_s) < 0.011
+    assert len(real.waits) <= 100
+
+
+def test_a_paced_clock_has_a_speed_and_an_end() -> None:
+    clock, real = VirtualClock(), Machine()
+    pace = Pace(clock, real, speed=4.0)
+    clock.sleep(2.0)
+    assert real.now_s - 100.0 == pytest.approx(0.5, abs=0.011)
+    pace.end()
+    real.waits.clear()
+    clock.sleep(2.0)
+    assert real.waits == []
+    for speed in (0.0, -1.0, math.inf):
+        with pytest.raises(ValueError, match="positive speed"):
+            Pace(clock, real, speed=speed)
+
+
+def test_a_slow_machine_makes_virtual_time_run_later_and_catches_up_only_a_little() -> None:
+    clock, real = VirtualClock(), Machine()
+    pace = Pace(clock, real)
+    real.now_s += 0.15
+    assert pace.lag_s() == pytest.approx(0.15)
+    clock.sleep(0.15)
+    assert real.waits == []
+    real.now_s += 3600.0
+    assert pace.lag_s() == pytest.approx(0.2)
+    clock.sleep(1.2)
+    assert sum(real.waits) == pytest.approx(1.0, abs=0.011)
+    real.slow_s = 0.002
+    before_s = real.now_s
+    clock.sleep(1.0)  # each piece of 1 ms takes 2 ms of the machine: nothing is waited for
+    assert real.now_s - before_s == pytest.approx(2.0, abs=0.05)
+    assert pace.lag_s() == pytest.approx(0.2, abs=0.01)

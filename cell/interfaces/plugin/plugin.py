@@ -8,6 +8,7 @@ with the first cell, not with this module.
 import functools
 import sys
 import threading
+import time
 import warnings
 import weakref
 from collections import deque
@@ -46,7 +47,7 @@ if TYPE_CHECKING:
     from cell.control.controller import CellController
     from cell.control.positioner import Places
     from cell.jobs.sort import Places as SortPlaces
-    from gripper.state import ReleaseReport
+    from gripper.state import Clock, ReleaseReport
 
 __all__ = [
     "Answer",
@@ -184,7 +185,7 @@ class TactileCellPlugin:
             self._cell.close()
             raise
         self._worker = CellWorker(
-            idle=self._cell.controller.tick,
+            idle=self._cell.idle,
             idle_period_s=1.0 / checked.gripper.loop_rate_hz if self._cell.realtime else None,
         )
         self._ending = threading.Lock()
@@ -455,6 +456,26 @@ class TactileCellPlugin:
         `release` the part on purpose, and `reset` again. Other faults are raised as they are.
         """
         self._finish(self.begin(Command.RESET), timeout_s)
+
+    def follow_real_time(self, speed: float = 1.0, clock: "Clock" = time) -> None:
+        """Have the time of a simulated cell follow a real clock, where people watch it.
+
+        It begins between two jobs. Before it, and for tests, virtual time runs as fast as the
+        machine goes, and stands still between two jobs. A real cell is left as it is.
+
+        Parameters
+        ----------
+        speed
+            Virtual seconds in a real one; 0: as before it.
+        clock
+            The real clock.
+        """
+
+        def begin() -> None:
+            self._worker.idle_period_s = self._cell.follow(clock, speed)
+
+        if not self._cell.realtime:
+            self._worker.between_jobs(begin)
 
     def save(self, path: Path | str, *, followed: bool = False) -> None:
         """Write the taught model, and its training set as a data set beside it.

@@ -101,9 +101,11 @@ class CellWorker:
         idle
             Called on the thread once a period while no job runs.
         idle_period_s
-            That period in s; None for a cell whose time stands still while nothing runs.
+            That period in s; None for a cell whose time stands still while nothing runs. It can be
+            changed on the thread, by what `between_jobs` runs there.
         """
         self._idle = idle
+        self.idle_period_s = idle_period_s
         self._queue: queue.SimpleQueue[Callable[[], None] | None] = queue.SimpleQueue()
         self._name = uuid.uuid4().hex
         self._refusing = False
@@ -113,7 +115,7 @@ class CellWorker:
         self._idle_error: Exception | None = None
         self._thread = threading.Thread(
             target=_serve,
-            args=(weakref.ref(self), self._queue, idle_period_s),
+            args=(weakref.ref(self), self._queue),
             name="tactile-cell",
             daemon=True,
         )
@@ -186,6 +188,10 @@ class CellWorker:
     def idle_error(self) -> Exception | None:
         """The last error of the supervision while no job ran."""
         return self._idle_error
+
+    def between_jobs(self, act: Callable[[], None]) -> None:
+        """Have something done on the thread, after the jobs that are accepted; it must not fail."""
+        self._queue.put(act)
 
     def refuse(self) -> None:
         """Accept no further job; those that are accepted go on to their end."""
@@ -262,10 +268,13 @@ class CellWorker:
 def _serve(
     worker: "weakref.ref[CellWorker]",
     work: "queue.SimpleQueue[Callable[[], None] | None]",
-    idle_period_s: float | None,
 ) -> None:
     """Carry out what stands in the queue until its end, or until the worker is gone."""
+    idle_period_s = None
     while True:
+        if (owner := worker()) is not None:
+            idle_period_s = owner.idle_period_s
+        del owner
         try:
             item = work.get(timeout=idle_period_s)
         except queue.Empty:
