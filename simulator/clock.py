@@ -1,4 +1,4 @@
-"""The clock of virtual time, in one thread: every run the same; and its pace, where people watch."""
+"""The clock of virtual time: one thread, every run the same; and its pace, where people watch."""
 
 import math
 from collections.abc import Callable
@@ -130,7 +130,7 @@ class Pace:
         self._clock.on_advance.remove(self._wait)
 
     def lag_s(self) -> float:
-        """Return by how much virtual time is behind in s, at most 0.2 s x speed; ahead: negative."""
+        """Return the lag of virtual time in s, at most 0.2 s times the speed; negative: a lead."""
         lag_s = self._origin_s + self._speed * self._real.monotonic() - self._clock.monotonic()
         left_out_s = max(0.0, lag_s - self._speed * _BACKLOG_S)
         self._origin_s -= left_out_s
