@@ -9,10 +9,13 @@ INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt --e
 PYTEST_ARGS ?=
 TESTS = OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal $(PYTEST_ARGS)
 
-.PHONY: run test test-long test-real-time coverage wheel-test check format docs bench paper campaign damage soak vcan clients help clean distclean
+.PHONY: run serve test test-long test-real-time coverage wheel-test check format docs bench paper campaign damage soak vcan clients help clean distclean
 
 run: $(RUN)  ## teach and identify the paper's five objects on the simulated cell
 	$(BIN)/tactile-cell run
+
+serve: $(RUN)  ## the simulated cell in real time, with five taught objects: prints the address of its page
+	$(BIN)/tactile-cell serve
 
 test: $(DEV)  ## the tests of each change: minutes, on any machine
 	$(TESTS) -m "not real_time and not long"
@@ -68,7 +71,7 @@ paper: $(DEV)  ## the paper's figures and Table 1 beside ours: out/paper/paper.h
 $(RUN): pyproject.toml constraints.txt
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "tactile-cell needs Python 3.11 or newer; call make PYTHON=python3.12")'
 	$(PYTHON) -m venv $(VENV)
-	$(INSTALL) '.[report]'
+	$(INSTALL) '.[report,serve]'
 	touch $@
 
 $(DEV): $(RUN)  # what tests, checks and benchmarks need beside it

@@ -62,15 +62,22 @@ def cell_config(
         print_cell(f"{config.name}, real at {ports} ({file})")
     if seed is not None:
         config = config.model_copy(update={"seed": seed})
-    if faults:
-        if not (config.simulated or simulate):
-            raise ConfigError(
-                f"--fault {faults[0]} is for the simulated cell, and {config.name} has real "
-                "ports: give it to `tactile-cell simulate`, or leave it out"
-            )
-        added = {"faults": (*config.simulator.faults, *faults)}
-        config = config.model_copy(update={"simulator": config.simulator.model_copy(update=added)})
-    return config
+    return with_faults(config, faults, simulate=simulate)
+
+
+def with_faults(
+    config: CellConfig, faults: Sequence[str] | None, *, simulate: bool = False
+) -> CellConfig:
+    """Return a config with further faults of its simulated cell, as `cell_config`."""
+    if not faults:
+        return config
+    if not (config.simulated or simulate):
+        raise ConfigError(
+            f"--fault {faults[0]} is for the simulated cell, and {config.name} has real "
+            "ports: give it to `tactile-cell simulate`, or leave it out"
+        )
+    added = {"faults": (*config.simulator.faults, *faults)}
+    return config.model_copy(update={"simulator": config.simulator.model_copy(update=added)})
 
 
 def pads_of(config: CellConfig) -> PadArray:

@@ -81,6 +81,11 @@ def print_cell(text: str) -> None:
     err.print(f"cell: {plain(text)}", soft_wrap=True)
 
 
+def print_page(address: str) -> None:
+    """Print the address of the page, for a person to open, on standard error."""
+    err.print(f"[bold]page:[/] {plain(address)}", soft_wrap=True)
+
+
 def print_note(text: str) -> None:
     """Print one note for the operator on standard error."""
     err.print(f"[bold yellow]NOTE:[/] {plain(text)}", soft_wrap=True)

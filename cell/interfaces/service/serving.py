@@ -1,13 +1,17 @@
 """Opens a service: the cell behind it, and all its configured doors, closed in order."""
 
+import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
+from errno import EACCES, EADDRINUSE
+from functools import partial
 from ipaddress import ip_address
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from cell.config.model import CellConfig
+from cell.config.serve import ServeConfig
 from cell.errors import CellError, ConfigError
 from cell.interfaces.plugin.plugin import TactileCellPlugin
 from cell.interfaces.service.pose_handshake import PoseHandshake
@@ -38,11 +42,29 @@ def open_service(
     ------
     As `TactileCellPlugin`.
     """
+    plugin, poses = open_plugin(config, **cell)
+    return Service(plugin, config, poses=poses, note=note, clock=clock)
+
+
+def open_plugin(config: CellConfig, **cell: Any) -> tuple[TactileCellPlugin, PoseHandshake]:
+    """Open a cell for a service, as `open_service`, and return it with its pose handshake."""
     config = config.model_copy(update={"host_timeout_s": None})
     poses = PoseHandshake()
     mover = poses.move if config.positioner.kind == "callback" else None
-    plugin = TactileCellPlugin(config, mover=mover, **cell)
-    return Service(plugin, config, poses=poses, note=note, clock=clock)
+    return TactileCellPlugin(config, mover=mover, **cell), poses
+
+
+class Door(Protocol):
+    """A door of a service."""
+
+    @property
+    def port(self) -> int:
+        """Its TCP port."""
+        ...
+
+    def close(self) -> None:
+        """End all connections."""
+        ...
 
 
 def warnings(service: Service) -> tuple[str, ...]:
@@ -79,38 +101,71 @@ def open_doors(service: Service) -> Iterator[dict[str, Any]]:
         if name and Path(name).exists() and not Path(name).is_file():
             raise ConfigError(f"{name}: not a plain file; name the file itself")
     with ExitStack() as undo:
-        try:
-            if config.modbus_port is not None:
-                from cell.interfaces.modbus.registers import ModbusDoor  # noqa: PLC0415
 
-                modbus = ModbusDoor(service)
-                undo.callback(modbus.close)
-                found["modbus_port"] = modbus.port
-            if config.xmlrpc_port is not None:
-                from cell.interfaces.xml_rpc import XmlRpcDoor  # noqa: PLC0415
+        def open_door(name: str, option: str, extra: str, make: Callable[[], Door]) -> None:
+            port = getattr(config, name)
+            if port is None:
+                return
+            try:
+                door = make()
+            except ImportError as error:
+                raise ConfigError(
+                    f"serve.{name} needs the extra tactile-cell[{extra}] ({error})"
+                ) from error
+            except OSError as error:
+                taken = error.errno in (EADDRINUSE, EACCES) and error.filename is None
+                remedy = f"; {option} PORT takes another one, 0 any free one" if taken else ""
+                raise CellError(
+                    f"a door at {config.listen}:{port} (serve.{name}) cannot be opened: "
+                    f"{error}{remedy}"
+                ) from error
+            undo.callback(door.close)
+            found[name] = door.port
 
-                xml_rpc = XmlRpcDoor(service)
-                undo.callback(xml_rpc.close)
-                found["xmlrpc_port"] = xml_rpc.port
-            if config.http_port is not None:
-                from cell.interfaces.web import WebDoor  # noqa: PLC0415
-
-                web = WebDoor(service)
-                undo.callback(web.close)
-                found |= {"http_port": web.port, "token": web.token}
-            if config.opcua_port is not None:
-                from cell.interfaces.opc_ua.door import OpcUaDoor  # noqa: PLC0415
-
-                opc_ua = OpcUaDoor(service)
-                undo.callback(opc_ua.close)
-                found["opcua_port"] = opc_ua.port
-        except ImportError as error:
-            raise ConfigError(
-                "serve.http_port needs the extra tactile-cell[serve], serve.opcua_port "
-                f"tactile-cell[opcua] ({error})"
-            ) from error
-        except OSError as error:
-            raise CellError(f"a door at {config.listen} cannot be opened: {error}") from error
+        open_door("modbus_port", "--modbus", "serve", partial(_modbus, service))
+        open_door("xmlrpc_port", "--xml-rpc", "serve", partial(_xml_rpc, service))
+        open_door("http_port", "--http", "serve", partial(_web, service, found))
+        open_door("opcua_port", "--opcua", "opcua", partial(_opc_ua, service))
         if len(found) == 1:
             raise ConfigError("no door is open: set a port in `serve`, or give --modbus 0")
         yield found
+
+
+def page_address(found: Mapping[str, Any], config: ServeConfig) -> str | None:
+    """Return the address of the page, with its token, for a browser; None without HTTP."""
+    if "http_port" not in found:
+        return None
+    anywhere = ip_address(config.listen).is_unspecified
+    host = socket.gethostname() if anywhere else config.listen
+    host = f"[{host}]" if ":" in host else host
+    scheme = "https" if config.tls_certificate else "http"
+    return f"{scheme}://{host}:{found['http_port']}/#token={found['token']}"
+
+
+# Each door loads what it needs only where it is opened.
+
+
+def _modbus(service: Service) -> Door:
+    from cell.interfaces.modbus.registers import ModbusDoor  # noqa: PLC0415
+
+    return ModbusDoor(service)
+
+
+def _xml_rpc(service: Service) -> Door:
+    from cell.interfaces.xml_rpc import XmlRpcDoor  # noqa: PLC0415
+
+    return XmlRpcDoor(service)
+
+
+def _web(service: Service, found: dict[str, Any]) -> Door:
+    from cell.interfaces.web import WebDoor  # noqa: PLC0415
+
+    door = WebDoor(service)
+    found["token"] = door.token
+    return door
+
+
+def _opc_ua(service: Service) -> Door:
+    from cell.interfaces.opc_ua.door import OpcUaDoor  # noqa: PLC0415
+
+    return OpcUaDoor(service)

@@ -1,16 +1,25 @@
 """`tactile-cell serve` as a process: its line, its notes, and its end with the part held."""
 
 import json
+import shutil
 import signal
+import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
+from urllib.request import Request, urlopen
 from xmlrpc.client import ServerProxy
 
 import pytest
 
+from cell.config.model import CellConfig
+from cell.errors import CellError
+from cell.interfaces.cli.commands import serve as serving
+from cell.interfaces.service.serving import open_doors, page_address
+from cell.jobs.taught_cache import MODEL_FILE, cached_model, keep_model
 from tests.cell.interfaces.conftest import LIMIT_S, until
 
 PROGRAM = "from cell.interfaces.cli import main; main()"
@@ -23,9 +32,11 @@ def start(tmp_path: Path) -> Iterator[Callable[..., Any]]:
     """Return what starts the program on the small simulated cell: the process and its line."""
     made: list[subprocess.Popen[str]] = []
 
-    def run(*options: str, config: str = "") -> tuple[subprocess.Popen[str], dict[str, Any]]:
-        (tmp_path / "cell.yaml").write_text(SMALL + config)
-        command = [sys.executable, "-c", PROGRAM, "serve", "-c", "cell.yaml", *options]
+    def run(*options: str, config: str | None = "") -> tuple[subprocess.Popen[str], dict[str, Any]]:
+        command = [sys.executable, "-c", PROGRAM, "serve", "--speed", "0", *options]
+        if config is not None:
+            (tmp_path / "cell.yaml").write_text(SMALL + config)
+            command += ["-c", "cell.yaml"]
         process = subprocess.Popen(
             command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
         )
@@ -55,7 +66,8 @@ def test_the_program_ends_in_order_while_a_job_waits_and_clients_are_connected(
         assert cell.holding()
         process.send_signal(number)
         assert process.wait(LIMIT_S) == 0
-    assert process.communicate()[1].splitlines()[1:] == []
+    page = f"page: http://127.0.0.1:{line['http_port']}/#token={line['token']}"
+    assert process.communicate()[1].splitlines()[1:] == [page]
 
 
 def test_a_model_taught_over_a_link_is_saved_and_loaded(
@@ -89,3 +101,135 @@ def test_other_addresses_need_an_allow_list_and_get_a_warning(start: Callable[..
     process.send_signal(signal.SIGTERM)
     process.wait(LIMIT_S)
     assert "authenticate nobody" in process.communicate()[1]
+
+
+@pytest.fixture
+def cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of the user's cache, empty."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    return tmp_path / "cache"
+
+
+def copied(model: Path) -> Callable[[Path], None]:
+    """Return what writes a model with its training set into a folder, as a run does."""
+
+    def write(folder: Path) -> None:
+        shutil.copyfile(model, folder / MODEL_FILE)
+        shutil.copyfile(model.with_name("taught.npz"), folder / "taught.npz")
+
+    return write
+
+
+def test_without_a_config_the_taught_cell_is_there_with_its_page(
+    start: Callable[..., Any], cache: Path, taught: Any
+) -> None:
+    keep_model(CellConfig(), copied(taught.result.model))
+    process, line = start("--modbus", "0", "--xml-rpc", "0", config=None)
+    assert 8080 <= line["http_port"] < 8180
+    ask = Request(f"http://127.0.0.1:{line['http_port']}/api/info")
+    ask.add_header("Authorization", f"Bearer {line['token']}")
+    with urlopen(ask, timeout=20.0) as answer:
+        assert json.load(answer)["labels"] == ["ball", "box"]
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(LIMIT_S) == 0
+    lines = process.communicate()[1].splitlines()
+    assert lines[1:] == [f"page: http://127.0.0.1:{line['http_port']}/#token={line['token']}"]
+
+
+def test_the_page_takes_the_next_port_where_its_own_is_taken(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        monkeypatch.setattr(serving, "_PAGE_PORT", taken.getsockname()[1])
+        found = serving._free_page_port("127.0.0.1")
+        assert found is not None
+        assert found > taken.getsockname()[1]
+
+
+def test_without_its_extra_there_is_no_page_but_a_note(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("cell.installation.missing_packages", lambda _extra: ("uvicorn",))
+    assert serving._free_page_port("127.0.0.1") is None
+    assert "no page: uvicorn missing" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("door", "option"),
+    [("modbus", "--modbus"), ("xmlrpc", "--xml-rpc"), ("http", "--http"), ("opcua", "--opcua")],
+)
+def test_a_taken_port_names_the_option_that_takes_another(
+    serve: Callable[..., Any], door: str, option: str
+) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        ports = {f"serve__{name}_port": None for name in ("modbus", "xmlrpc", "http", "opcua")}
+        served = serve(**ports | {f"serve__{door}_port": port})
+        with (
+            pytest.raises(CellError, match=f"127.0.0.1:{port} .*{option} PORT takes another one"),
+            open_doors(served.service),
+        ):
+            pass
+
+
+@pytest.mark.parametrize(
+    ("changes", "address"),
+    [
+        ({}, "http://127.0.0.1:7/#token=t"),
+        ({"listen": "::1", "tls_certificate": "c", "tls_key": "k"}, "https://[::1]:7/#token=t"),
+        (
+            {"listen": "0.0.0.0", "allow": ("10.0.0.0/8",)},
+            f"http://{socket.gethostname()}:7/#token=t",
+        ),
+    ],
+)
+def test_the_address_of_the_page_suits_a_browser(changes: dict[str, Any], address: str) -> None:
+    config = CellConfig(serve=changes).serve
+    assert page_address({"http_port": 7, "token": "t"}, config) == address
+    assert page_address({"modbus_port": 7}, config) is None
+
+
+def test_the_first_start_teaches_visibly_and_keeps_the_model(
+    serve: Callable[..., Any], cache: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(serving, "_FIRST_GRASPS", 3)
+    monkeypatch.setattr(serving, "_LOOK_S", 0.01)
+    served, seen = serve(options={"model": None}), set()
+    service = served.service
+    plain_job = service.job
+
+    def job(number: int | None = None) -> Any:
+        now = plain_job(number)
+        if number is not None:
+            seen.add((now.task, now.progress.get("label"), service.snapshot().commander))
+        return now
+
+    monkeypatch.setattr(service, "job", job)
+    serving._teach_first(service, service._plugin, service.config, threading.Event())
+    assert {("teach", "ball", "first start"), ("teach", "box", "first start")} <= seen
+    assert service.snapshot().commander == ""
+    assert cached_model(service.config) is not None
+    assert service._plugin.labels == ("ball", "box")
+
+
+def test_a_first_start_that_is_interrupted_keeps_nothing(
+    serve: Callable[..., Any],
+    cache: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.setattr(serving, "_LOOK_S", 0.01)
+    served = serve(options={"model": None})
+    service = served.service
+    plain_alive = service.alive
+
+    def alive(lease: int) -> None:
+        monkeypatch.setattr(service, "alive", plain_alive)
+        service.acquire("operator", take=True)
+        service.alive(lease)
+
+    monkeypatch.setattr(service, "alive", alive)
+    serving._teach_first(service, service._plugin, service.config, threading.Event())
+    assert "not all objects are taught" in capsys.readouterr().err
+    assert cached_model(service.config) is None
+    assert service.snapshot().commander == "operator"

@@ -85,12 +85,37 @@ def run(
                 result.report = main_report(result, checked, cell, folder / "report.html")
             except ReportError as error:
                 failed = error
+    if config is None and seed is None and not faults:
+        _keep_for_serve(result, checked)
     print_result(result)
     if missing:
         print_note(no_report)
     write_json(json_file, result.as_json())
     if failed is not None:
         raise failed
+
+
+def _keep_for_serve(result: "MainResult", config: "CellConfig") -> None:
+    """Keep the model of the built-in cell for `serve`, where all its objects were taught."""
+    import shutil
+
+    from cell.interfaces.cli.terminal import print_note
+    from cell.jobs.taught_cache import MODEL_FILE, keep_model
+
+    model, dataset = result.model, result.dataset
+    if model is None or dataset is None:
+        return
+    if set(result.labels) != {entry.label for entry in config.simulator.objects}:
+        return
+
+    def write(folder: Path) -> None:
+        shutil.copyfile(model, folder / MODEL_FILE)
+        shutil.copyfile(dataset, folder / dataset.name)
+
+    try:
+        keep_model(config, write)
+    except OSError as error:
+        print_note(f"`serve` cannot begin with this model: {error}")
 
 
 def _labels(

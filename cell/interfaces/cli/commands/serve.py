@@ -1,17 +1,30 @@
 """`serve`: owns the cell and opens doors for PLCs, robot programs and other hosts."""
 
 import json
+import socket
 import threading
 from contextlib import closing
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from cell.interfaces.cli.options import ConfigOption, FaultOption, ModelOption
 
-_LOOK_S = 0.5
+if TYPE_CHECKING:
+    from cell.config.model import CellConfig
+    from cell.interfaces.plugin.plugin import TactileCellPlugin
+    from cell.interfaces.service.service import Service
+
+_LOOK_S = 0.25
 """Wait in s after which signals are looked for; Python carries them out between two waits."""
+_PAGE_PORT = 8080
+"""Port of HTTP for the built-in cell, the customary one beside 80; or the next free one."""
+_PAGE_PORTS = 100
+"""Ports that are tried for it."""
+_FIRST_GRASPS = 10
+"""Grasps taught of each object at the first start of the built-in cell: half as many as `run`
+teaches, in half the time."""
 
 TrainingSetOption = Annotated[
     Path | None,
@@ -64,20 +77,36 @@ def serve(
             help="Certificates of OPC UA; without: read-only [default: serve.opcua_folder].",
         ),
     ] = None,
+    speed: Annotated[
+        float,
+        typer.Option(
+            "--speed",
+            min=0.0,
+            max=100.0,
+            help="Seconds of the simulated cell in a real one; 0: as fast as it goes, standing "
+            "still between two jobs.",
+        ),
+    ] = 1.0,
     faults: FaultOption = None,
 ) -> None:
-    """Own the cell and serve PLCs, robot programs and other hosts, until SIGTERM.
+    """Own the cell and serve people, PLCs, robot programs and other hosts, until SIGTERM.
 
-    Prints one JSON line with its addresses when they can connect. What is held at the end stays
-    held.
+    Without a config file this is the simulated cell with five taught objects, and the page for a
+    browser is open. Its address is printed on standard error; one JSON line on standard output has
+    all addresses when clients can connect. What is held at the end stays held.
     """
     from cell.config.file import changed_config
-    from cell.interfaces.cli.session import cell_config
+    from cell.interfaces.cli.session import cell_config, with_faults
     from cell.interfaces.cli.signals import END_WITHIN_S, stopping
-    from cell.interfaces.cli.terminal import print_note
-    from cell.interfaces.service.serving import open_doors, open_service, warnings
+    from cell.interfaces.cli.terminal import print_note, print_page
+    from cell.interfaces.service.service import Service
+    from cell.interfaces.service.serving import open_doors, open_plugin, page_address, warnings
     from cell.jobs.common import job_folder
+    from cell.jobs.taught_cache import cached_model
 
+    own = cell_config(config)
+    if config is None and http_port is None:
+        http_port = _free_page_port(listen or own.serve.listen)
     given: dict[str, Any] = {
         "serve.listen": listen,
         "serve.allow": allow,
@@ -88,23 +117,79 @@ def serve(
         "serve.opcua_folder": opcua_folder,
     }
     checked = changed_config(
-        cell_config(config, faults=faults),
-        {key: value for key, value in given.items() if value is not None},
+        with_faults(own, faults), {key: value for key, value in given.items() if value is not None}
     )
     folder = None if out_folder is None else job_folder(out_folder, "serve")
     over = threading.Event()
     with stopping(over.set, end_within_s=END_WITHIN_S):
-        service = open_service(
-            checked,
-            model=model,
-            training_set=training_set,
-            save=save,
-            folder=folder,
-            note=print_note,
+        untaught = config is None and model is None
+        if untaught:
+            model = cached_model(own)
+        plugin, poses = open_plugin(
+            checked, model=model, training_set=training_set, save=save, folder=folder
         )
+        service = Service(plugin, checked, poses=poses, note=print_note)
         with closing(service), open_doors(service) as found:
             for note in warnings(service):
                 print_note(note)
             typer.echo(json.dumps(found))
+            if (page := page_address(found, checked.serve)) is not None:
+                print_page(page)
+            if untaught and model is None:
+                _teach_first(service, plugin, own, over)
+            plugin.follow_real_time(speed)
             while not over.wait(_LOOK_S):
                 pass
+
+
+def _free_page_port(listen: str) -> int | None:
+    """Return the port of the page, or the next free one; None, and a note, without its extra."""
+    from cell.installation import missing_packages, remedy
+    from cell.interfaces.cli.terminal import print_note
+
+    if missing := missing_packages("serve"):
+        print_note(f"no page: {' and '.join(missing)} missing; {remedy('serve')}")
+        return None
+    family = socket.AF_INET6 if ":" in listen else socket.AF_INET
+    for port in range(_PAGE_PORT, _PAGE_PORT + _PAGE_PORTS):
+        try:
+            socket.create_server((listen, port), family=family).close()
+        except OSError:
+            continue
+        return port
+    return 0
+
+
+def _teach_first(
+    service: "Service", plugin: "TactileCellPlugin", config: "CellConfig", over: threading.Event
+) -> None:
+    """Teach the objects of the built-in cell before all eyes, and keep the model."""
+    from cell.errors import CellError
+    from cell.interfaces.cli.terminal import print_note
+    from cell.interfaces.plugin.worker import JobOutcome
+    from cell.jobs.taught_cache import MODEL_FILE, keep_model
+
+    labels = [entry.label for entry in config.simulator.objects]
+    print_note(
+        f"first start: {_FIRST_GRASPS} grasps of each of {', '.join(labels)} are taught, for about "
+        "half a minute; `tactile-cell run` teaches more and takes their place"
+    )
+    try:
+        lease = service.acquire("first start")
+        for seed, label in enumerate(labels):
+            goal = {"task": "teach", "label": label, "grasps": _FIRST_GRASPS, "seed": seed}
+            number = service.start(lease, goal)
+            while not JobOutcome((job := service.job(number)).outcome).terminal:
+                if over.wait(_LOOK_S):
+                    return
+                service.alive(lease)
+            if job.error:
+                raise CellError(job.error)
+        service.give_up(lease)
+    except CellError as error:
+        print_note(f"not all objects are taught: {error}")
+        return
+    try:
+        keep_model(config, lambda folder: plugin.save(folder / MODEL_FILE))
+    except (CellError, OSError) as error:
+        print_note(f"the next start has to teach again, the model cannot be kept: {error}")

@@ -1,0 +1,87 @@
+"""The model of the built-in cell in the user's cache: found by what it was taught with, or not."""
+
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cell.interfaces.cli.commands.run import _keep_for_serve
+from cell.jobs import taught_cache
+from cell.jobs.taught_cache import MODEL_FILE, cached_model, keep_model
+
+
+@pytest.fixture
+def kept(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, taught: Any) -> Path:
+    """A model in a cache of its own."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+
+    def write(folder: Path) -> None:
+        shutil.copyfile(taught.result.model, folder / MODEL_FILE)
+        shutil.copyfile(taught.result.dataset, folder / "taught.npz")
+
+    return keep_model(taught.config, write)
+
+
+def test_a_kept_model_is_found_and_replaced(kept: Path, taught: Any, tmp_path: Path) -> None:
+    assert cached_model(taught.config) == kept
+    assert kept.is_relative_to(tmp_path / "tactile-cell")
+    keep_model(taught.config, lambda folder: (folder / "other").touch())
+    assert [path.name for path in kept.parent.iterdir()] == ["other"]
+    assert len(list(kept.parent.parent.iterdir())) == 1
+
+
+def test_a_model_of_another_config_or_version_is_not_found(
+    kept: Path, taught: Any, make_config: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert cached_model(make_config(serve__http_port=0, recording__directory="there")) == kept
+    assert cached_model(make_config(simulator__noise_level=1.5)) is None
+    monkeypatch.setattr(taught_cache, "version", lambda _name: "99")
+    assert cached_model(taught.config) is None
+
+
+@pytest.mark.parametrize("broken", [MODEL_FILE, "taught.npz"])
+def test_a_broken_file_is_removed(kept: Path, taught: Any, broken: str) -> None:
+    path = kept.with_name(broken)
+    path.write_bytes(path.read_bytes()[:1000])
+    assert cached_model(taught.config) is None
+    assert not kept.parent.exists()
+
+
+def test_a_model_that_nothing_can_be_taught_beside_is_removed(kept: Path, taught: Any) -> None:
+    kept.with_name("taught.npz").unlink()
+    assert cached_model(taught.config) is None
+    assert not kept.parent.exists()
+
+
+def test_a_model_that_is_not_written_whole_changes_nothing(kept: Path, taught: Any) -> None:
+    def fail(_folder: Path) -> None:
+        raise OSError("disk full")
+
+    with pytest.raises(OSError, match="disk full"):
+        keep_model(taught.config, fail)
+    assert cached_model(taught.config) == kept
+    assert len(list(kept.parent.parent.iterdir())) == 1
+
+
+def test_without_a_usable_variable_the_cache_is_that_of_the_home(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, taught: Any
+) -> None:
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for value in ("", "relative"):
+        monkeypatch.setenv("XDG_CACHE_HOME", value)
+        made = keep_model(taught.config, lambda folder: (folder / MODEL_FILE).touch())
+        assert made.is_relative_to(tmp_path / ".cache" / "tactile-cell")
+
+
+def test_a_run_that_has_taught_all_objects_keeps_its_model(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, taught: Any
+) -> None:
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    _keep_for_serve(replace(taught.result, labels=("ball",)), taught.config)
+    _keep_for_serve(replace(taught.result, model=None), taught.config)
+    assert cached_model(taught.config) is None
+    _keep_for_serve(taught.result, taught.config)
+    assert cached_model(taught.config) is not None
