@@ -11,8 +11,8 @@ passed. What stops the finger in time is that it is slow enough when it touches.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from math import ceil, sqrt
+from typing import NamedTuple
 
 from gripper.errors import LimitExceeded
 from gripper.kinematics import Linkage, Transmission, motion_current_a, transmissions
@@ -35,8 +35,7 @@ _SLOWEST_M_S = 0.004
 standing."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ImpactLimit:
+class ImpactLimit(NamedTuple):
     """Speed of closing fingers whose momentum the cap of the force allows."""
 
     most_n: float

@@ -7,7 +7,7 @@ the normal force on one finger; both fingers carry the same one in equilibrium.
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import asin, cos, isfinite, pi, sin
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 from gripper.dynamixel.models import ServoModel
 from gripper.errors import LimitExceeded
@@ -193,8 +193,7 @@ def _check_n_servos(n_servos: int) -> None:
         raise LimitExceeded(f"n_servos is {n_servos}, must be 1 or 2")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Transmission:
+class Transmission(NamedTuple):
     """Relation of servo current and grip force at one position, with the friction of the gearing.
 
     The torque at rest may lie anywhere in a band: while the force rises the motor works against

@@ -77,7 +77,7 @@ class RecentForce:
         if samples and sample.t_s <= samples[-1].t_s:
             return None
         samples.append(sample)
-        variance_n2 = sum(one.noise_n**2 for one in samples)
+        variance_n2 = sum([one.noise_n**2 for one in samples])
         replaced: list[ForceSample] = []
         while len(samples) > 1:
             variance_n2 -= samples[0].noise_n ** 2

@@ -144,20 +144,17 @@ class ServoSettings:
     """1 where growing positions open the gripper, -1 where they close it."""
     zero_raw: int = 2048
     """Present Position at angle 0 of the linkage, 0 to 4095."""
+    servo_model: ServoModel = field(init=False, repr=False, compare=False)
+    """Figures of the model."""
 
     def __post_init__(self) -> None:
-        require_current_control(self.model)
+        object.__setattr__(self, "servo_model", require_current_control(self.model))
         if not 0 <= self.servo_id <= 252:
             raise LimitExceeded(f"servo_id is {self.servo_id}, must be from 0 to 252")
         if self.direction not in (-1, 1):
             raise LimitExceeded(f"direction is {self.direction}, must be 1 or -1")
         if not 0 <= self.zero_raw < PULSES_PER_TURN:
             raise LimitExceeded(f"zero_raw is {self.zero_raw}, must be from 0 to 4095")
-
-    @property
-    def servo_model(self) -> ServoModel:
-        """Figures of the model."""
-        return require_current_control(self.model)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

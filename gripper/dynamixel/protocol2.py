@@ -5,8 +5,8 @@ stuffs; here both cover the stuffed bytes, and the CRC is checked before a packe
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from enum import IntEnum
+from typing import NamedTuple
 
 from dynamixel_sdk import COMM_PORT_BUSY, COMM_SUCCESS, Protocol2PacketHandler
 
@@ -52,8 +52,7 @@ class Instruction(IntEnum):
     SYNC_WRITE = 0x83
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class StatusPacket:
+class StatusPacket(NamedTuple):
     """A status packet whose CRC is right."""
 
     servo_id: int

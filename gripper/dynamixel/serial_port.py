@@ -11,10 +11,10 @@ import select
 import tempfile
 import termios
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import serial
 from dynamixel_sdk import PortHandler
@@ -31,6 +31,7 @@ _WRITE_TIMEOUT_S = 0.1
 _TIMER_GRAIN_MS = 1e-3
 """A time-out is over so many ms early, against the rounding of times as floats."""
 _PORT_ERRORS = (serial.SerialException, OSError, termios.error)
+_Result = TypeVar("_Result")
 """What pyserial and the operating system raise when a port is missing, taken or gone."""
 
 
@@ -287,27 +288,23 @@ class SdkPort(PortHandler):  # type: ignore[misc]
 
     def clearPort(self) -> None:  # noqa: N802
         """Forget what has arrived."""
-        with self._noting_loss():
-            self._stream.drop_input()
+        self._noting_loss(self._stream.drop_input)
 
     def writePort(self, packet: bytes) -> int:  # noqa: N802
         """Send a packet and return its length."""
         data = bytes(packet)
-        with self._noting_loss():
-            self._stream.write(data)
+        self._noting_loss(self._stream.write, data)
         self._unanswered_bytes = len(data)
         return len(data)
 
     def readPort(self, length: int) -> bytes:  # noqa: N802
         """Return up to ``length`` bytes, waiting no longer than the packet's time-out."""
         left_ms = self.packet_timeout - self.getTimeSinceStart()
-        with self._noting_loss():
-            return self._stream.read(length, max(0.0, left_ms) / 1000.0)
+        return self._noting_loss(self._stream.read, length, max(0.0, left_ms) / 1000.0)
 
-    @contextmanager
-    def _noting_loss(self) -> Iterator[None]:
+    def _noting_loss(self, action: Callable[..., _Result], *arguments: object) -> _Result:
         try:
-            yield
+            return action(*arguments)
         except PortLost:
             self.lost = True
             raise

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import cache
 from math import ceil
 
 from gripper.dynamixel.control_table import (
@@ -76,6 +77,7 @@ def _between(item: str, low: int, high: int) -> Requirement:
     return Requirement(item=item, expected=f"{low} to {high}", low=low, high=high)
 
 
+@cache
 def requirements(
     model: ServoModel,
     current_max_a: float,

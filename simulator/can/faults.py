@@ -166,8 +166,10 @@ class ControlUnitFaults:
             centre = self._centre_taxels
         self._centre_taxels = centre
         if centre is not None:
-            centre = centre[0] + self.centre_shift_taxels, centre[1]
-        return replace(message, force_n=force_n, centre_taxels=None if self.centres_off else centre)
+            centre = None if self.centres_off else (centre[0] + self.centre_shift_taxels, centre[1])
+        if (force_n, centre) == (message.force_n, message.centre_taxels):
+            return message
+        return replace(message, force_n=force_n, centre_taxels=centre)
 
 
 @dataclass(slots=True)

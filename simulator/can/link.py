@@ -6,8 +6,10 @@
 import bisect
 import math
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from enum import Enum
+from functools import partial
+from itertools import islice
 from typing import Protocol
 
 import can
@@ -130,6 +132,15 @@ class CanLink:
             return inbox.popleft()
         return None
 
+    def take_all(self, now_s: float, limit: int) -> list[can.Message]:
+        """Return up to ``limit`` messages that have arrived until ``now_s`` s."""
+        inbox = self._inbox
+        if inbox and inbox[-1].timestamp <= now_s and len(inbox) <= limit:
+            messages = list(inbox)
+            inbox.clear()
+            return messages
+        return list(islice(iter(partial(self.take, now_s), None), limit))
+
     def advance(self, now_s: float) -> None:
         """Let device and faults act until ``now_s`` s."""
         self._device.advance(now_s)
@@ -167,30 +178,34 @@ class CanLink:
     def _transmit(self, now_s: float) -> None:
         """Put what the wire has carried until ``now_s`` s into the inbox, with the faults."""
         inbox = self._inbox
-        for ends_s, (_, can_id, messages, _, sender) in self._wire.take(now_s):
+        for ends_s, (_, can_id, _, _, sender), messages in self._wire.take(now_s):
             for through_s, data in zip(ends_s, messages, strict=True) if self.capture else ():
                 for capture in self.capture:
                     capture(through_s, can_id, data)
             if sender is _Sender.HOST:
                 continue
             disturbed = sender is _Sender.DEVICE and self.faults.disturbs
-            arrived = self._arrived(ends_s, can_id, messages, disturbed=disturbed)
+            arrived: Iterable[can.Message]
+            if disturbed:
+                arrived = self._disturbed(ends_s, can_id, messages)
+            else:
+                arrived = [
+                    can.Message(through_s, can_id, False, data=data)
+                    for through_s, data in zip(ends_s, messages, strict=True)
+                ]
             if disturbed or (inbox and inbox[-1].timestamp > ends_s[0]):
                 for message in arrived:
                     bisect.insort(inbox, message, key=_arrival_s)
             else:
                 inbox.extend(arrived)
 
-    def _arrived(
-        self, ends_s: Sequence[float], can_id: int, messages: Sequence[bytes], *, disturbed: bool
+    def _disturbed(
+        self, ends_s: Sequence[float], can_id: int, messages: Sequence[bytes]
     ) -> Iterator[can.Message]:
         """Yield what arrives of messages that are through at these times, with the faults."""
         for through_s, data in zip(ends_s, messages, strict=True):
-            if disturbed and self.faults.disturbs:
-                for arrival_s, code, changed in self._disturber.pass_on(through_s, data):
-                    yield can.Message(arrival_s, can_id, False, dlc=code, data=changed)
-            else:
-                yield can.Message(through_s, can_id, False, data=data)
+            for arrival_s, code, changed in self._disturber.pass_on(through_s, data):
+                yield can.Message(arrival_s, can_id, False, dlc=code, data=changed)
 
     def _flood(self, now_s: float) -> None:
         self.faults.check()

@@ -96,17 +96,13 @@ class InMemoryCanBus(can.BusABC):
         """
         clock, link = self.clock, self._link
         now_s = clock.monotonic()
-        deadline_s = math.inf
-        if timeout is not None:
-            deadline_s = now_s + timeout if timeout > 0.0 else now_s
+        deadline_s = math.inf if timeout is None else now_s + max(timeout, 0.0)
         looked = False
         while True:
             self._check_open()
-            message = link.take(now_s)
-            if message is not None:
+            while (message := link.take(now_s)) is not None:
                 if self._filters is None or self._matches_filters(message):
                     return message
-                continue
             if not looked:
                 link.advance(now_s)
                 looked = True
@@ -120,6 +116,14 @@ class InMemoryCanBus(can.BusABC):
                 )
             clock.advance_to(next_s)
             now_s, looked = clock.monotonic(), False
+
+    def recv_all(self, limit: int) -> list[can.Message]:
+        """Return up to ``limit`` messages that have arrived; does not wait. Raises as `recv`."""
+        self._check_open()
+        now_s = self.clock.monotonic()
+        self._link.advance(now_s)
+        messages = self._link.take_all(now_s, limit)
+        return messages if self._filters is None else list(filter(self._matches_filters, messages))
 
     def flush(self) -> None:
         """Let what waits for the wire go out, for those who capture it; the host forgets it."""

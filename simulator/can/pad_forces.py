@@ -116,13 +116,13 @@ class PadForces:
         spoil
             Applies the faults of forces and centres.
         """
-        if (counts[~self._bad] >= self._adc_max).any():
+        if np.count_nonzero((counts >= self._adc_max) & ~self._bad):
             status |= ForceStatus.SATURATED
         force_n, centre = np.zeros(len(counts)), None
         if self._table_n is not None and self._zero_counts is not None:
             status |= ForceStatus.ZEROED
             force_n = self._force_n(counts - self._zero_counts, self._table_n)
-        if (total_n := float(force_n.sum())) > 0.0:
+        if (total_n := float(np.add.reduce(force_n))) > 0.0:
             x, y = force_n @ self._place / total_n
             centre = (float(x), float(y))
         self._counter = (self._counter + 1) % COUNTERS
@@ -131,7 +131,7 @@ class PadForces:
             t_s=0.0,
             counter=self._counter,
             status=status,
-            force_n=(float(force_n[:n].sum()), float(force_n[n:].sum())),
+            force_n=(float(np.add.reduce(force_n[:n])), float(np.add.reduce(force_n[n:]))),
             centre_taxels=centre,
         )
         return encode_force_message(spoil(message))
@@ -140,14 +140,14 @@ class PadForces:
         self, tared: NDArray[np.float64], tables_n: NDArray[np.float64]
     ) -> NDArray[np.float64]:
         """Return the force in N on each taxel that is touched, 0 on the others, (n,)."""
-        if self._bad.any():
+        if np.count_nonzero(self._bad):
             good = self._smoothing[self._bad] * ~self._bad
             tared[self._bad] = good @ tared / np.maximum(good.sum(axis=1), 1.0)
         self._mean += (tared - self._mean) / _MEAN_SCANS
         smooth = self._smoothing @ self._mean / _KERNEL_SUM
         self._active = (smooth > self._touch_counts) | (self._active & (smooth > 0.0))
         force_n = np.zeros(len(tared))
-        if not self._active.any():
+        if not np.count_nonzero(self._active):
             return force_n
         touched = self._smoothing @ self._active.astype(np.float64) > 0.0
         node = tared * ((TABLE_NODES - 1) / self._adc_max)

@@ -165,8 +165,8 @@ class CanWire:
         cut_s = min((at_s for key, at_s in ready_s.items() if key < self._key), default=math.inf)
         self._ends_s = ends_s[: bisect_left(ends_s, cut_s) + 1]
 
-    def take(self, now_s: float) -> Iterator[tuple[list[float], Burst]]:
-        """Yield the messages that are through until ``now_s`` s, with the end of each in s."""
+    def take(self, now_s: float) -> Iterator[tuple[list[float], Burst, Sequence[bytes]]]:
+        """Yield what is through until ``now_s`` s: the end of each message in s, its burst, it."""
         while self._queues and self.next_end_s() <= now_s:
             queue = self._queues[self._key]
             head, n = queue[0], bisect_right(self._ends_s, now_s)
@@ -179,7 +179,7 @@ class CanWire:
                 queue.popleft()
                 if not queue:
                     del self._queues[self._key]
-            yield ends_s, head.burst._replace(messages=messages)
+            yield ends_s, head.burst, messages
 
     def end_s(self, ready_s: float, can_id: int) -> float:
         """Return when the last message of an 11 bit identifier will be through, in s.

@@ -168,7 +168,7 @@ class FrameAssembler:
 
     def _finish(self, burst: _Burst, t_s: float) -> TactileFrame | None:
         header = self._format.header_bytes
-        whole = np.frombuffer(b"".join(part for part in burst.parts if part), dtype=np.uint8)
+        whole = np.frombuffer(b"".join(filter(None, burst.parts)), dtype=np.uint8)
         payload = whole.reshape(self._n, MESSAGE_BYTES)[:, header:].tobytes()
         if burst is self._current:
             # The burst before is over: what of its phase comes now is its late duplicate or, after

@@ -3,6 +3,7 @@
 from collections import deque
 from dataclasses import dataclass
 from math import inf
+from operator import itemgetter
 
 from tactile.errors import FrameError
 from tactile.frames.force_message import COUNTERS, ForceMessage, ForceStatus, decode_force_message
@@ -89,7 +90,7 @@ class ForceStream:
         if len(self._delays) < _LEAST_BEHIND:
             return 0.0
         usual_s = min(self._least_s, self._least_before_s)
-        return min(delay_s for _, delay_s in self._delays) - usual_s
+        return min(self._delays, key=itemgetter(1))[1] - usual_s
 
     def _note_delay(self, message: ForceMessage) -> None:
         """Add how late a message comes after the time at which its counter was due."""

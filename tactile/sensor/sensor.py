@@ -222,6 +222,7 @@ class TactileSensor:
         self._calibration = calibration
         self._clock = clock
         self._settings = settings or SensorSettings()
+        self._per_count_n = calibration.force_n(np.ones(layout.n_taxels))
         self._force_check = ForceCheck()
         self._centres = ForceCentres(layout)
         self._hood = Neighbourhood(layout)
@@ -407,9 +408,8 @@ class TactileSensor:
         self._force_bad = None
         if self._forces is None or not self._forces.sends_forces:
             return
-        per_count_n = self._calibration.force_n(np.ones(self._layout.n_taxels))
         first_n, second_n = (
-            float(np.median(per_count_n[one] * tare.noise_counts[one])) for one in self._grips
+            float(np.median(self._per_count_n[one] * tare.noise_counts[one])) for one in self._grips
         )
         self._taxel_noise_n = (first_n, second_n)
         grip = np.concatenate([np.arange(one.start, one.stop) for one in self._grips])
@@ -537,7 +537,7 @@ class TactileSensor:
         """Return the noise in N of one finger's force in one frame, the larger one of both."""
         # A loaded taxel makes more force of a count than an empty one.
         slope = self._calibration.force_n(counts + 1.0) - self._calibration.force_n(counts)
-        slope /= self._calibration.force_n(np.ones(self._layout.n_taxels))
+        slope /= self._per_count_n
         largest_n2 = 0.0
         for taxels, taxel_n in zip(self._grips, self._taxel_noise_n, strict=True):
             sum2 = float((slope[taxels][active[taxels]] ** 2).sum())

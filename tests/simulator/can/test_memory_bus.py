@@ -158,7 +158,7 @@ def test_messages_wait_for_each_other_on_the_wire() -> None:
     wire.put(waiting(2.0, TPDO_ID << 18, data, extended=True))
     assert wire.end_s(1.0, TPDO_ID) == pytest.approx(1.0 + 2 * length_s)
     assert wire.end_s(1.0, TPDO_ID - 1) == 1.0
-    ends_s = [end_s for burst_ends_s, _ in wire.take(3.0) for end_s in burst_ends_s]
+    ends_s = [end_s for burst_ends_s, *_ in wire.take(3.0) for end_s in burst_ends_s]
     assert ends_s == pytest.approx([1.0 + length_s, 1.0 + 2 * length_s, 2.0 + length_s + 4e-5])
     assert math.isinf(wire.next_end_s())
     with pytest.raises(SimulatorSettingsError, match="bit rate"):
@@ -171,7 +171,7 @@ def test_the_lowest_identifier_goes_first_but_never_interrupts_one_on_the_wire()
     wire.put(waiting(1.0, 0x385, data, data, data))
     wire.put(waiting(1.0001, 0x285, data))  # while the first of the burst is on the wire
     wire.put(waiting(1.0001, 0x285, data, extended=True))  # base identifier 0: before the burst
-    order = [(burst.can_id, burst.extended) for ends_s, burst in wire.take(2.0) for _ in ends_s]
+    order = [(burst.can_id, burst.extended) for ends_s, burst, _ in wire.take(2.0) for _ in ends_s]
     assert order == [
         (0x385, False), (0x285, True), (0x285, False), (0x385, False), (0x385, False)
     ]  # fmt: skip
