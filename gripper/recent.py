@@ -53,19 +53,19 @@ class RecentForce:
         """Mean force in N on finger 0 and finger 1."""
         n = len(self._samples)
         return (
-            sum(sample.force_n[0] for sample in self._samples) / n,
-            sum(sample.force_n[1] for sample in self._samples) / n,
+            sum([sample.force_n[0] for sample in self._samples]) / n,
+            sum([sample.force_n[1] for sample in self._samples]) / n,
         )
 
     @property
     def grip_n(self) -> float:
         """Mean grip force in N."""
-        return sum(sample.grip_n for sample in self._samples) / len(self._samples)
+        return sum([sample.grip_n for sample in self._samples]) / len(self._samples)
 
     @property
     def noise_n(self) -> float:
         """Standard deviation of the mean grip force in N."""
-        return sqrt(sum(sample.noise_n**2 for sample in self._samples)) / len(self._samples)
+        return sqrt(sum([sample.noise_n**2 for sample in self._samples])) / len(self._samples)
 
     def clear(self) -> None:
         """Discard all samples."""

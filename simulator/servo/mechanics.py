@@ -203,8 +203,12 @@ class FingerMechanics:
     @property
     def finger_position_m(self) -> tuple[float, float]:
         """Half openings of finger 0 and finger 1 from the centre plane in m."""
-        first = self._half_opening_m(0)
-        return (first, first) if len(self.motors) == 1 else (first, self._half_opening_m(1))
+        half_opening_m = self._linkage.half_opening_m
+        found_m = [
+            max(0.0, half_opening_m(direction * (motor.angle_rad - zero_rad)))
+            for motor, (direction, zero_rad) in zip(self.motors, self._axes, strict=True)
+        ]
+        return found_m[0], found_m[-1]
 
     @property
     def aperture_m(self) -> float:
@@ -381,8 +385,3 @@ class FingerMechanics:
             output = rotor - (motor.lead_rad - before_rad) / dt_s
         motor.rotor_velocity_rad_s = rotor
         return output
-
-    def _half_opening_m(self, axis: int) -> float:
-        direction, zero_rad = self._axes[axis]
-        half_m = self._linkage.half_opening_m(direction * (self.motors[axis].angle_rad - zero_rad))
-        return half_m if half_m > 0.0 else 0.0

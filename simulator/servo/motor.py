@@ -267,7 +267,10 @@ class ServoMotor:
         velocity = self.velocity_rad_s if self.stuck_at_rad is None else 0.0
         back_emf_v = self._back_emf * self.velocity_rad_s
         if mode is DriveMode.CURRENT_POSITION or mode is DriveMode.POSITION:
-            self._advance_reference(dt_s)
+            if command.profile_velocity_rad_s > 0.0:
+                self._advance_reference(dt_s)
+            else:
+                self.reference_rad, self.reference_velocity_rad_s = command.position_rad, 0.0
             goal_a = (
                 command.p_gain * self._p_current * (self.reference_rad - self.sensed_rad)
                 - (command.d_gain * self._d_current + self._back_emf / self._resistance_ohm)
@@ -322,21 +325,15 @@ class ServoMotor:
     def _advance_reference(self, dt_s: float) -> None:
         """Move the reference towards the goal within the profile's velocity and acceleration."""
         command = self.command
-        fastest = command.profile_velocity_rad_s
+        speed = fastest = command.profile_velocity_rad_s
         left = command.position_rad - self.reference_rad
-        if fastest <= 0.0 or left == 0.0:
-            self.reference_rad = command.position_rad
-            self.reference_velocity_rad_s = 0.0
-            return
-        speed = fastest
         if command.profile_acceleration_rad_s2 > 0.0:
             gain = command.profile_acceleration_rad_s2
             along = math.copysign(self.reference_velocity_rad_s, left)
             along = along if self.reference_velocity_rad_s * left >= 0.0 else 0.0
             speed = min(fastest, abs(along) + gain * dt_s, math.sqrt(2.0 * gain * abs(left)))
         if speed * dt_s >= abs(left):
-            self.reference_rad = command.position_rad
-            self.reference_velocity_rad_s = 0.0
+            self.reference_rad, self.reference_velocity_rad_s = command.position_rad, 0.0
             return
         self.reference_velocity_rad_s = math.copysign(speed, left)
         self.reference_rad += self.reference_velocity_rad_s * dt_s
