@@ -1,9 +1,10 @@
-"""Plugins and services on small simulated cells; a service has a clock of its own, and doors."""
+"""Services with their doors, on a stub and a clock of the test, and plugins on simulated cells."""
 
 import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from typing import Any
@@ -11,10 +12,11 @@ from typing import Any
 import pytest
 
 from cell.config.model import CellConfig
+from cell.control.plan import Pose
 from cell.interfaces.plugin.plugin import TactileCellPlugin
 from cell.interfaces.service.service import JobView, Service
 from cell.interfaces.service.serving import open_doors, open_service
-from gripper.state import GripperPhase
+from tests.cell.interfaces.stub_plugin import GRIP_N, StubPlugin
 from tests.fuzz.harness import Clock
 
 LIMIT_S = 60.0
@@ -46,80 +48,70 @@ def ended(link: socket.socket) -> bool:
 
 @dataclass
 class Served:
-    """A service, its doors, and what only the simulator can tell of it."""
+    """A service and its doors, on a stub or on a plugin with a simulated cell."""
 
     service: Service
     clock: Clock
     doors: dict[str, Any] = field(default_factory=dict)
-    _going_on: threading.Event = field(default_factory=threading.Event)
-    _paused: threading.Event = field(default_factory=threading.Event)
 
     @property
-    def simulated(self) -> Any:
-        return self.service._plugin._cell.simulated
+    def plugin(self) -> Any:
+        return self.service._plugin
 
     @property
     def grip_n(self) -> float:
         """Force on the pad that carries less."""
-        return min(self.simulated.world.contact_force_n())
+        if isinstance(self.plugin, StubPlugin):
+            return GRIP_N if self.plugin.status().holding else 0.0
+        return grip_n(self.plugin)
 
     @property
     def state(self) -> str:
         return self.service.status().state
 
-    def pause_while_pressing(self) -> None:
-        """Have the next grasp stand still in its ramp, until `go_on`."""
-        gripper = self.service._plugin._cell.controller.gripper
-        self._paused.clear()
-        self._going_on.clear()
-
-        def look(_now_s: float) -> None:
-            if gripper.state is GripperPhase.RAMPING and self.grip_n > 1.0:
-                self.simulated.clock.on_advance.remove(look)
-                self._paused.set()
-                assert self._going_on.wait(LIMIT_S)
-
-        self.simulated.clock.on_advance.append(look)
-
-    def paused(self) -> None:
-        assert self._paused.wait(LIMIT_S)
-
-    def go_on(self) -> None:
-        self._going_on.set()
-
     def ended(self, number: int | None = None) -> JobView:
         """Wait for the end of a job and return it."""
         return until(lambda: (job := self.service.job(number)).outcome_number >= 4 and job)
-
-    def carry(self, seconds: float = 0.05) -> None:
-        """Let the cell's time pass while nothing runs, supervised as in real time."""
-        plugin = self.service._plugin
-        end_s = self.simulated.clock.monotonic() + seconds
-        while self.simulated.clock.monotonic() < end_s:
-            self.simulated.clock.sleep(0.005)
-            plugin._worker.supervise()
 
     def pass_lease(self) -> None:
         """Let the time of the lease pass."""
         self.clock.now_s += LEASE_S + 1.0
         self.service.look()
 
+    def ask_pose(self, pose: Pose) -> Future[Pose | bool]:
+        """Wait for the host at a pose, as the thread of a cell does; return what it answers."""
+        thread = ThreadPoolExecutor(1)
+        found = thread.submit(self.service._poses.move, pose)
+        thread.shutdown(wait=False)
+        until(lambda: self.service.snapshot().pose)
+        return found
+
 
 @pytest.fixture
-def serve(make_config: Callable[..., CellConfig], taught: Any) -> Iterator[Callable[..., Served]]:
-    """Return the maker of services; ``doors`` opens them, ``options`` are those of `Service`."""
+def serve(
+    make_config: Callable[..., CellConfig], request: pytest.FixtureRequest
+) -> Iterator[Callable[..., Served]]:
+    """Return the maker of services; ``doors`` opens them.
+
+    Each stands on a stub, or with ``cell``, options of the plugin, on a simulated cell that was
+    taught.
+    """
     with ExitStack() as undo:
 
-        def make(*doors: str, options: dict[str, Any] | None = None, **changes: Any) -> Served:
+        def make(
+            *doors: str, cell: dict[str, Any] | None = None, note: Any = print, **changes: Any
+        ) -> Served:
             ports = {f"serve__{name}_port": None for name in ("modbus", "xmlrpc", "http")}
             ports |= {f"serve__{name}_port": 0 for name in doors}
-            wanted = {"serve__lease_timeout_s": LEASE_S, **ports, **changes}
+            config = make_config(**{"serve__lease_timeout_s": LEASE_S, **ports, **changes})
             clock = Clock()
-            given = {"model": taught.result.model, "clock": clock} | (options or {})
-            service = open_service(make_config(**wanted), **given)
+            if cell is None:
+                service = Service(StubPlugin(), config, note=note, clock=clock)
+            else:
+                model = request.getfixturevalue("taught").result.model
+                service = open_service(config, clock=clock, **({"model": model} | cell))
             undo.callback(service.close)
             served = Served(service, clock)
-            undo.callback(served.go_on)
             if doors:
                 served.doors = undo.enter_context(open_doors(service))
             return served

@@ -42,6 +42,7 @@ from cell.interfaces.opc_ua import server as opc_ua_server
 from cell.interfaces.opc_ua.door import NAMESPACE, PERIOD_S, PLATE, VALUES, OpcUaDoor
 from cell.interfaces.service.service import RELEASE_KEY
 from cell.interfaces.service.serving import open_doors
+from tactile.errors import FrameTimeout
 from tests.cell.interfaces.conftest import LIMIT_S
 
 ENCRYPTED = ua.MessageSecurityMode.SignAndEncrypt
@@ -314,8 +315,10 @@ def test_without_a_folder_the_door_is_read_only(serve: Any, plc: Identity) -> No
 # -- commands and values -----------------------------------------------------------------------
 
 
-def test_a_trusted_client_identifies_keeps_and_releases(open_cell: Any, plc: Identity) -> None:
-    served = open_cell()
+def test_a_trusted_client_walks_a_simulated_cell_through_all_commands(
+    open_cell: Any, plc: Identity
+) -> None:
+    served = open_cell(cell={})
 
     async def work() -> None:
         async with linked(served, plc) as link:
@@ -353,6 +356,21 @@ def test_a_trusted_client_identifies_keeps_and_releases(open_cell: Any, plc: Ide
             await link.until("State.Name", lambda name: name == "IDLE")
             assert served.grip_n == 0.0
             assert await link.read("LastAnswer.LabelId") == 1
+            assert await link.call("teach", lease, "ball", 1, 3) == 3
+            await link.ended(3)
+            fault = served.plugin._cell.simulated.inject("unit.off@contact+50ms")
+            assert await link.call("grip", lease, 3.0, 4) == 4
+            await link.until("State.Name", lambda name: name == "ABORTED")
+            assert await link.read("FaultNumber") == served.service.status().fault_number > 0
+            assert served.grip_n > 0.3
+            fault.clear()
+            assert await link.call("clear", lease, 5, False) == 5
+            await link.ended(5)
+            assert await link.call("release", lease, RELEASE_KEY, 6) == 6
+            await link.ended(6)
+            assert await link.call("reset", lease, 7) == 7
+            await link.ended(7)
+            await link.until("State.Name", lambda name: name == "IDLE")
             served.service.command(lease, Command.SHUTDOWN)
             await link.until("State.Name", lambda name: name == "STOPPED")
             for path in ("Grip.Force", "Grip.ForceAge", "Grip.Opening", "FrameAge", "Taxels"):
@@ -369,11 +387,9 @@ def test_a_lost_lease_holds_the_job_and_anyone_trusted_holds(open_cell: Any, plc
         async with linked(served, plc) as link, linked(served) as watcher:
             for number, stop in enumerate((served.pass_lease, None), start=1):
                 lease = await link.call("acquire", "plc")
-                served.pause_while_pressing()
+                served.plugin.pause()
                 assert await link.call("identify", lease, 1, 0.0, False, 0) > 0
-                await asyncio.to_thread(served.paused)
                 await (asyncio.to_thread(stop) if stop else link.call("hold"))
-                served.go_on()
                 await watcher.until("State.Name", lambda name: name == "HELD")
                 assert await watcher.until("Job.State", lambda state: state >= 4) == 5
                 assert await watcher.read("Job.FaultNumber") == 512
@@ -411,11 +427,9 @@ def test_faults_are_shown_and_taxels_follow_at_most_ten_times_a_second(
                 async with asyncio.timeout(LIMIT_S):
                     while len(frames) < job:
                         await asyncio.sleep(0.02)
-            served.pause_while_pressing()
+            served.plugin.pause()
             await link.call("identify", lease, 1, 0.0, False, 4)
-            await asyncio.to_thread(served.paused)
-            served.simulated.inject("unit.off")
-            served.go_on()
+            served.plugin.fail(FrameTimeout("no frame for 0.20 s"))
             await link.until("State.Name", lambda name: name == "ABORTED")
             status = served.service.status()
             assert await link.read("FaultNumber") == status.fault_number > 0

@@ -74,8 +74,8 @@ def connect(serve: Any) -> Callable[..., tuple[Served, Client]]:
     return make
 
 
-def test_a_host_identifies_keeps_verifies_and_releases(connect: Any) -> None:
-    served, host = connect()
+def test_a_host_walks_a_simulated_cell_through_all_commands(connect: Any) -> None:
+    served, host = connect(cell={})
     assert host.get("/api/info")["labels"] == ["ball", "box"]
     lease = host.post("/api/lease", name="host")["lease"]
     assert host.post(f"/api/lease/{lease}/alive") == {"lease": lease}
@@ -109,6 +109,20 @@ def test_a_host_identifies_keeps_verifies_and_releases(connect: Any) -> None:
     assert served.ended(done["job"]).outcome == "SUCCEEDED"
     assert served.grip_n == 0.0
     assert host.get("/api/state")["last_answer"]["label"] == "box"
+    for goal in ({"task": "teach", "label": "ball", "grasps": 1}, {"task": "grip", "force_n": 3.0}):
+        done = host.post("/api/jobs", lease=lease, goal=goal)
+        assert served.ended(done["job"]).outcome == "SUCCEEDED"
+    fault = served.plugin._cell.simulated.inject("unit.off")
+    done = host.post("/api/jobs", lease=lease, goal={"task": "verify"})
+    job, now = served.ended(done["job"]), host.get("/api/state")
+    assert (now["status"]["state"], now["status"]["holding"]) == ("ABORTED", True)
+    assert now["status"]["fault_number"] == job.fault_number > 0
+    assert served.grip_n > 1.0
+    fault.clear()
+    for command in ("clear", "release", "reset"):
+        done = host.post("/api/commands", lease=lease, command=command, key=RELEASE_KEY)
+        assert served.ended(done["job"]).error == ""
+    assert host.get("/api/state")["status"]["state"] == "IDLE"
     done = host.post("/api/commands", lease=lease, command="shutdown")
     served.ended(done["job"])
     assert set(host.get("/api/state")["live"].values()) == {None}
@@ -254,12 +268,10 @@ def test_all_but_hold_needs_the_token(connect: Any) -> None:
         place = path.format(lease=1, number=1)
         for token in (None, "wrong"):
             assert host.ask(method.upper(), place, {}, token=token)[0] == 401, path
-    served.pause_while_pressing()
+    served.plugin.pause()
     lease = host.post("/api/lease", name="host")["lease"]
     host.post("/api/jobs", lease=lease, goal={"task": "identify"})
-    served.paused()
     assert host.ask("POST", "/api/hold", {}, token=None)[0] == 200
-    served.go_on()
     assert served.ended().outcome == "CANCELED"
     assert served.grip_n > 1.0
 

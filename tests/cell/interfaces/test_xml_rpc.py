@@ -4,6 +4,7 @@ import gzip
 import http.client
 import math
 import socket
+import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
@@ -15,10 +16,12 @@ import numpy as np
 import pytest
 
 from cell.control.plan import Pose
+from cell.control.states import Command
 from cell.interfaces.service.doors import BUSY_MAX
 from cell.interfaces.service.service import RELEASE_KEY
 from cell.interfaces.xml_rpc import LONGEST, Calls, ur_pose
-from tests.cell.interfaces.conftest import Served, ended, until
+from gripper.errors import ServoFault
+from tests.cell.interfaces.conftest import LIMIT_S, Served, ended, until
 from tests.cell.interfaces.ur_script import Robot
 
 LONGEST_CALL_S = 0.1
@@ -57,8 +60,8 @@ def post(served: Served, body: bytes, *hosts: str, **headers: str) -> tuple[int,
     return found
 
 
-def test_a_robot_program_identifies_keeps_verifies_and_releases(connect: Any) -> None:
-    served, cell = connect()
+def test_a_robot_program_walks_a_simulated_cell_through_all_commands(connect: Any) -> None:
+    served, cell = connect(cell={})
     assert (cell.state(), cell.grip_state(), cell.holding()) == (4, 0, False)
     lease = cell.acquire("robot")
     assert lease > 0
@@ -80,6 +83,19 @@ def test_a_robot_program_identifies_keeps_verifies_and_releases(connect: Any) ->
     job = cell.release(lease, RELEASE_KEY)
     until(lambda: cell.job_state(job) == 4)
     assert (cell.state(), served.grip_n) == (4, 0.0)
+    cell.teach(lease, "ball", 1)
+    assert served.ended(4).outcome == "SUCCEEDED"
+    served.plugin._cell.simulated.inject("servo1.overload@contact+50ms")
+    cell.grip(lease, 3.0)
+    assert served.ended(5).fault_number == 109
+    served.plugin._cell.simulated.injector.clear_all()
+    cell.clear(lease)
+    assert served.ended(6).fault_number == 109
+    cell.clear(lease, 0, True)
+    cell.release(lease, RELEASE_KEY) if served.ended(7) else None
+    cell.reset(lease) if served.ended(8) else None
+    assert served.ended(9).error == ""
+    assert (cell.state(), cell.fault_number()) == (4, 0)
     assert cell.give_up(lease) == 0
 
 
@@ -110,29 +126,29 @@ def test_a_repeated_call_is_not_done_twice(connect: Any) -> None:
     assert served.grip_n > 1.0
 
 
-def test_clear_restarts_a_servo_at_fault_where_that_is_asked_for(connect: Any) -> None:
+def test_a_fault_has_its_number_and_clear_restarts_servos_where_that_is_asked_for(
+    connect: Any,
+) -> None:
     served, cell = connect()
     lease = cell.acquire("robot")
-    served.simulated.inject("servo1.overload@contact+50ms")
+    served.plugin.pause()
     cell.grip(lease, 3.0)
-    assert served.ended().fault_number == 109
-    served.simulated.injector.clear_all()
-    cell.clear(lease)
-    assert served.ended(2).fault_number == 109
-    assert cell.state() == 9
+    served.plugin.fail(ServoFault(1, 0x20, "overload"))
     shown = (cell.force(), cell.force_age(), cell.opening(), cell.frame_age())
-    assert (shown, cell.last_answer()) == ((-516.0,) * 4, 0)
-    cell.clear(lease, 0, True)
-    assert served.ended(3).outcome == "SUCCEEDED"
-    assert (cell.fault_number(), cell.needs_reset()) == (0, True)
+    assert (shown, cell.last_answer(), cell.state()) == ((-516.0,) * 4, 0, 9)
+    assert cell.fault_number() == cell.job_fault(1) == 109
+    for reboot in (False, True):
+        cell.clear(lease, 0, reboot)
+        assert served.plugin.asked[-1] == (Command.CLEAR, reboot)
+        assert (cell.fault_number(), cell.needs_reset()) == (0, True)
+        served.plugin.fail(ServoFault(1, 0x20, "overload"))
 
 
 def test_no_call_waits_while_the_cell_is_busy(connect: Any) -> None:
     served, cell = connect()
     lease = cell.acquire("robot")
-    served.pause_while_pressing()
+    served.plugin.pause()
     job = cell.identify(lease, 1, 0.0, False)
-    served.paused()
     took_s = []
     for call in (
         cell.state,
@@ -151,7 +167,6 @@ def test_no_call_waits_while_the_cell_is_busy(connect: Any) -> None:
             each_s.append(time.perf_counter() - begin_s)
         took_s.append(min(each_s))  # the machine may be another's for a moment
     assert max(took_s) < LONGEST_CALL_S
-    served.go_on()
     assert served.ended().outcome == "CANCELED"
     assert cell.state() == 11
 
@@ -162,11 +177,9 @@ def test_a_second_robot_is_refused_and_may_hold(connect: Any) -> None:
     with ServerProxy(address(served)) as second:
         assert second.acquire("second") == -514
         assert second.release(lease + 1, RELEASE_KEY) == -514
-        served.pause_while_pressing()
+        served.plugin.pause()
         first.identify(lease, 1, 0.0, True)
-        served.paused()
         assert second.hold() == 0
-        served.go_on()
     assert served.ended().outcome == "CANCELED"
     assert served.grip_n > 1.0
 
@@ -192,17 +205,17 @@ def test_a_hold_is_a_level_for_each_client(connect: Any) -> None:
 
 
 def test_poses_are_those_of_ur(connect: Any) -> None:
-    served, cell = connect(positioner__kind="callback")
+    served, cell = connect()
     zero = dict.fromkeys(("x", "y", "z", "rx", "ry", "rz"), 0.0)
     assert (cell.pose_seq(), cell.next_pose()) == (0, zero)
     lease = cell.acquire("robot")
-    job = cell.identify(lease, 1, 0.0, False)
-    seq = until(cell.pose_seq)
-    assert cell.next_pose() == pytest.approx(ur_pose(served.service.snapshot().pose))
-    assert cell.pose_reached(lease, seq + 1, True) == -513
-    assert cell.pose_reached(lease, seq, False) == 0
-    until(lambda: cell.job_state(job) == 6)
-    assert cell.job_fault(job) == 510
+    pose = Pose(x_m=0.001, rotation_rad=0.4)
+    for answer in (True, False):
+        found = served.ask_pose(pose)
+        assert cell.next_pose() == pytest.approx(ur_pose(pose))
+        assert cell.pose_reached(lease, cell.pose_seq() + 1, answer) == -513
+        assert cell.pose_reached(lease, cell.pose_seq(), answer) == 0
+        assert found.result(LIMIT_S) is answer
 
 
 @pytest.mark.parametrize(
@@ -225,9 +238,11 @@ def test_a_rotation_vector_rolls_first_then_turns(rotation: float, roll: float) 
 # -- the example -------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["simulated", "callback"])
-def test_the_robot_program_of_the_example_sorts_parts(connect: Any, kind: str) -> None:
-    served, _ = connect(positioner__kind=kind)
+@pytest.mark.parametrize(
+    ("kind", "cell"), [("simulated", None), ("callback", {})], ids=["stub", "cell whose host moves"]
+)
+def test_the_robot_program_of_the_example_sorts_parts(connect: Any, kind: str, cell: Any) -> None:
+    served, _ = connect(cell=cell, positioner__kind=kind)
     robot = Robot(address(served))
     try:
         assert robot.sort_parts(2) == 2
@@ -259,17 +274,18 @@ def test_the_robot_program_of_the_example_stops_where_another_commands(connect: 
 def test_the_robot_program_of_the_example_ends_with_the_part_where_it_is_held(
     connect: Any,
 ) -> None:
-    served, client = connect()
-    served.pause_while_pressing()
-    served.simulated.clock.on_advance.append(lambda _now_s: served._paused.is_set() and hold())
+    served, _ = connect()
+    served.plugin.pause()
 
     def hold() -> None:
-        served.simulated.clock.on_advance.pop()
-        client.hold()
+        until(lambda: served.service.job().number)
+        served.service.hold()
 
-    served.go_on()
+    operator = threading.Thread(target=hold)
+    operator.start()
     robot = Robot(address(served))
     assert robot.sort_parts(1) == 0
+    operator.join()
     robot.close()
     assert robot.messages == [("identify: ", 512)]
     assert (served.state, served.grip_n > 1.0) == ("HELD", True)

@@ -6,12 +6,14 @@ import socket
 import struct
 import subprocess
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 from pymodbus.client import ModbusTcpClient
 
+from cell.control.plan import Pose
 from cell.interfaces.modbus.registers import (
     ANSWER_KEPT,
     ANSWERED,
@@ -33,10 +35,11 @@ from cell.interfaces.modbus.registers import (
 )
 from cell.interfaces.service.doors import BUSY_MAX
 from cell.interfaces.service.service import RELEASE_KEY
-from tests.cell.interfaces.conftest import Served, until
+from tactile.errors import FrameTimeout
+from tests.cell.interfaces.conftest import LIMIT_S, Served, until
 from tests.cell.interfaces.modbus.structured_text import FunctionBlock
 
-IDENTIFY, GRIP, VERIFY, RELEASE, REACHED, REFUSE = 21, 22, 23, 30, 40, 41
+TEACH, IDENTIFY, GRIP, VERIFY, RELEASE, REACHED, REFUSE = 20, 21, 22, 23, 30, 40, 41
 CLEAR, RESET = 9, 1
 KEEP = 1
 
@@ -99,8 +102,8 @@ def text_of(inputs: list[int]) -> str:
     return struct.pack(">32H", *inputs[32:]).rstrip(b"\0").decode("ascii")
 
 
-def test_a_plc_identifies_keeps_verifies_and_releases(connect: Any) -> None:
-    served, plc = connect()
+def test_a_plc_walks_a_simulated_cell_through_all_commands(connect: Any) -> None:
+    served, plc = connect(cell={})
     inputs = plc.inputs()
     assert inputs[0] == SIGNATURE
     assert inputs[2:5] == [READY, 4, 0]
@@ -126,32 +129,44 @@ def test_a_plc_identifies_keeps_verifies_and_releases(connect: Any) -> None:
     inputs = plc.inputs()
     assert [*inputs[10:12], inputs[15], *inputs[24:26]] == answer
     assert (inputs[2], inputs[3], served.grip_n) == (READY | REMOTE | DONE, 4, 0.0)
+    assert plc.command(TEACH, 1, 0, 1) == 0
+    assert served.ended(4).outcome == "SUCCEEDED"
+    fault = served.plugin._cell.simulated.inject("unit.off@contact+50ms")
+    assert plc.command(GRIP, 0, 300) == 0
+    served.ended(5)
+    inputs = plc.inputs()
+    assert inputs[2] & (FAULT | HOLDING | READY) == FAULT | HOLDING
+    assert (inputs[3], inputs[7]) == (9, served.service.status().fault_number)
+    assert served.grip_n > 0.3
+    fault.clear()
+    for number, command in enumerate((CLEAR, RELEASE, RESET), start=6):
+        assert plc.command(command, 0, 0, 0, 0, RELEASE_KEY) == 0
+        assert served.ended(number).error == ""
+    assert plc.inputs()[2:4] == [READY | REMOTE | DONE, 4]
 
 
-def test_a_plc_sees_force_and_age_of_a_carried_part_live(connect: Any) -> None:
+def test_live_values_have_their_registers(connect: Any) -> None:
     served, plc = connect()
     plc.adopt()
-    assert plc.command(GRIP, 0, 300) == 0
-    served.ended()
-    forces = []
-    for _ in range(20):
-        served.carry()
+    live = served.plugin.status().live
+    for force_n, age_s, opening_mm, warm_c, frame_age_s, shown in (
+        (3.256, 0.0124, 9.53, 31.2, 0.0, [326, 953, 0, 31, 12]),
+        (None, 0.61, None, None, 0.41, [NOT_MEASURED, NOT_MEASURED, 410, NOT_MEASURED, 610]),
+        (0.0, None, 0.0, 0.0, None, [0, 0, OLDEST_MS, 0, OLDEST_MS]),
+        (3.0, 99.0, 40.0, 70.0, 99.0, [300, 4000, OLDEST_MS, 70, OLDEST_MS]),
+    ):
+        served.plugin.show_live(
+            replace(
+                live,
+                force_n=force_n,
+                force_age_s=age_s,
+                opening_mm=opening_mm,
+                temperature_c=warm_c,
+                frame_age_s=frame_age_s,
+            )
+        )
         inputs = plc.inputs()
-        forces.append(inputs[13])
-        assert inputs[13] == pytest.approx(served.grip_n * 100, abs=100)
-        assert (inputs[21] <= 40, inputs[23] <= 10) == (True, True)
-    assert len(set(forces)) > 10
-    served.simulated.clock.sleep(0.4)  # the supervision is held up: an age says so
-    assert 400 <= plc.inputs()[23] <= 420
-    served.simulated.clock.sleep(0.2)
-    inputs = plc.inputs()
-    assert [*inputs[13:15], inputs[22]] == [NOT_MEASURED] * 3
-    assert 600 <= inputs[23] <= 620
-    served.simulated.inject("unit.off")
-    served.carry(1.0)
-    inputs = plc.inputs()
-    assert (inputs[3], inputs[13]) == (9, NOT_MEASURED)
-    assert inputs[21:24] == [OLDEST_MS, NOT_MEASURED, OLDEST_MS]
+        assert [*inputs[13:15], *inputs[21:24]] == shown
 
 
 def test_a_zeroed_stale_or_wrong_key_lets_nothing_go(connect: Any) -> None:
@@ -222,14 +237,12 @@ def test_a_second_master_is_refused_but_may_hold(connect: Any) -> None:
     assert second.write(LIFE, 9) == 6
     assert second.write(COMMAND, RELEASE, 0, 0, 0, 0, RELEASE_KEY, 0, 1) == 6
     assert second.write(COMMAND_SEQ, 0) == 6
-    served.pause_while_pressing()
+    served.plugin.pause()
     assert first.command(IDENTIFY) == 0
-    served.paused()
     assert first.inputs()[2] & RUNNING
     assert second.write(7, 0) == 0
     assert served.service.job().outcome_number == 2
     assert second.write(7, 1) == 0
-    served.go_on()
     assert served.ended().outcome == "CANCELED"
     assert (second.inputs()[3], served.grip_n > 1.0) == (11, True)
     assert second.write(7, 0) == 0
@@ -289,14 +302,12 @@ def test_connections_that_say_nothing_keep_nobody_out(connect: Any) -> None:
 def test_a_frozen_life_counter_holds_the_job(connect: Any) -> None:
     served, plc = connect()
     plc.adopt()
-    served.pause_while_pressing()
+    served.plugin.pause()
     assert plc.command(IDENTIFY) == 0
-    served.paused()
     served.clock.now_s += 50.0
     plc.write(LIFE, plc.life)  # written, but the same: the PLC's program stands
     served.clock.now_s += 11.0
     served.service.look()
-    served.go_on()
     assert "was silent for 61.00 s" in served.ended().error
     assert plc.inputs()[2:4] == [DONE | HOLDING, 11]
     assert text_of(plc.inputs()).startswith("stopped because 'Modbus 127.0.0.1' was silent")
@@ -352,27 +363,17 @@ def test_a_client_whose_lease_is_lost_still_holds(connect: Any) -> None:
 def test_a_fault_is_a_number_and_a_text(connect: Any) -> None:
     served, plc = connect()
     plc.adopt()
-    served.pause_while_pressing()
-    plc.command(IDENTIFY)
-    served.paused()
-    fault = served.simulated.inject("unit.off")
-    served.go_on()
-    served.ended()
+    served.plugin.pause()
+    plc.command(GRIP, 0, 300)
+    served.plugin.fail(FrameTimeout("no frame for 0.20 s; " + 60 * "x"))
     inputs = plc.inputs()
     assert inputs[2] & (FAULT | HOLDING | READY) == FAULT | HOLDING
     assert (inputs[3], inputs[9]) == (9, 6)
-    assert inputs[7] == served.service.status().fault_number
+    assert inputs[7] == served.service.status().fault_number > 0
     assert text_of(inputs) == served.service.status().fault[:64]
     assert plc.command(IDENTIFY) == 505
-    fault.clear()
     assert plc.command(CLEAR) == 0
-    served.ended()
     assert plc.inputs()[2] & (FAULT | NEEDS_RESET) == NEEDS_RESET
-    assert plc.command(RELEASE, 0, 0, 0, 0, RELEASE_KEY) == 0
-    served.ended()
-    assert plc.command(RESET) == 0
-    served.ended()
-    assert plc.inputs()[2:4] == [READY | REMOTE | DONE, 4]
 
 
 def test_unknown_commands_objects_and_addresses_are_refused(connect: Any) -> None:
@@ -413,24 +414,18 @@ def test_function_23_writes_then_reads_or_does_neither(connect: Any) -> None:
 
 
 def test_poses_are_reached_or_refused(connect: Any) -> None:
-    served, plc = connect(positioner__kind="callback")
+    served, plc = connect()
     plc.adopt()
-    assert plc.command(IDENTIFY, 0, 0, 1) == 0
-    until(lambda: plc.inputs()[16])
-    inputs = plc.inputs()
-    pose = served.service.snapshot().pose
-    shown = struct.unpack(">4h", struct.pack(">4H", *inputs[17:21]))
-    assert shown[0] == round(pose.x_m * 1e5)
-    assert shown[1] == round(pose.y_m * 1e5)
-    assert shown[2] == round(pose.as_dict()["rotation_rad"] * 1800 / 3.141592653589793)
-    assert plc.command(REACHED, inputs[16] + 1) == 513
-    assert plc.command(REACHED, inputs[16]) == 0
-    served.ended()
-    assert plc.inputs()[16:21] == [0] * 5
-    plc.command(IDENTIFY, 0, 0, 1)
-    assert plc.command(REFUSE, until(lambda: plc.inputs()[16])) == 0
-    assert served.ended().fault_number == 510
-    assert plc.inputs()[7] == 510
+    pose = Pose(x_m=0.00123, y_m=-0.0004, rotation_rad=0.5, roll_rad=-0.25)
+    for command, answer in ((REACHED, True), (REFUSE, False)):
+        found = served.ask_pose(pose)
+        inputs = plc.inputs()
+        shown = struct.unpack(">4h", struct.pack(">4H", *inputs[17:21]))
+        assert shown == (123, -40, 286, -143)
+        assert plc.command(command, inputs[16] + 1) == 513
+        assert plc.command(command, inputs[16]) == 0
+        assert found.result(LIMIT_S) is answer
+        assert plc.inputs()[16:21] == [0] * 5
 
 
 def test_torn_requests_and_many_connects_change_nothing(connect: Any) -> None:
@@ -477,7 +472,7 @@ def test_a_client_that_never_reads_holds_nobody_up(connect: Any) -> None:
 
 
 def test_the_function_block_of_the_example_walks_through_a_whole_cycle(connect: Any) -> None:
-    served, plc = connect(positioner__kind="callback")
+    served, plc = connect(cell={}, positioner__kind="callback")
     block = FunctionBlock()
     release = {"Command": RELEASE}
 
@@ -509,7 +504,6 @@ def test_the_function_block_of_the_example_walks_through_a_whole_cycle(connect: 
     cycle()
     assert (block["State"], block["Outcome"], block["Holding"]) == (17, 4, True)
     assert (block["Answered"], block["LabelId"], block["AnswerJob"]) == (True, 1, 1)
-    served.carry()
     cycle()
     assert (block["GripForce"] > 50, block["GripForceAge"] < 100) == (True, True)
     run(Command=VERIFY)

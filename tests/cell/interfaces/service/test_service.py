@@ -4,6 +4,7 @@ import math
 import shutil
 import socket
 import threading
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,7 @@ from cell.interfaces.service import service as service_module
 from cell.interfaces.service.doors import is_for_this_machine, may_connect
 from cell.interfaces.service.service import RELEASE_KEY
 from cell.learning.taught_model import TaughtModel
+from tactile.errors import FrameTimeout
 from tests.cell.interfaces.conftest import LEASE_S, until
 
 IDENTIFY = {"task": "identify", "max_grasps": 1, "present": "ball"}
@@ -73,11 +75,9 @@ def test_a_lease_lasts_as_long_as_its_client_is_heard(serve: Any) -> None:
 def test_a_lost_lease_holds_the_job_and_nothing_resumes(serve: Any) -> None:
     served = serve()
     lease = served.service.acquire("first")
-    served.pause_while_pressing()
+    served.plugin.pause()
     served.service.start(lease, IDENTIFY)
-    served.paused()
     served.pass_lease()
-    served.go_on()
     job = served.ended()
     assert (job.outcome, job.fault_number) == ("CANCELED", 512)
     assert "because 'first' was silent for 61.00 s" in job.error
@@ -97,12 +97,10 @@ def test_a_lost_lease_holds_the_job_and_nothing_resumes(serve: Any) -> None:
 def test_the_watch_notices_a_silent_client_by_itself(serve: Any) -> None:
     served = serve(serve__lease_timeout_s=0.2)
     lease = served.service.acquire("first")
-    served.pause_while_pressing()
+    served.plugin.pause()
     served.service.start(lease, IDENTIFY)
-    served.paused()
     served.clock.now_s += 1.0
     until(lambda: served.service._lease is None)
-    served.go_on()
     assert served.ended().outcome == "CANCELED"
     assert served.state == "HELD"
 
@@ -120,11 +118,9 @@ def test_anyone_holds(serve: Any) -> None:
     served = serve()
     served.service.hold()  # nothing runs: nothing happens
     lease = served.service.acquire("first")
-    served.pause_while_pressing()
+    served.plugin.pause()
     served.service.start(lease, IDENTIFY)
-    served.paused()
     served.service.hold("by the operator")
-    served.go_on()
     assert "stopped by the operator" in served.ended().error
     assert (served.state, served.grip_n > 1.0) == ("HELD", True)
     assert served.service.has(lease)
@@ -133,12 +129,10 @@ def test_anyone_holds(serve: Any) -> None:
 def test_a_button_holds_the_cell_until_each_client_has_let_go(serve: Any) -> None:
     served = serve()
     service, lease = served.service, served.service.acquire("first")
-    served.pause_while_pressing()
+    served.plugin.pause()
     service.start(lease, IDENTIFY)
-    served.paused()
     service.begin_hold(1, "panel 1", connected=True)
     service.begin_hold(2, "panel 2", connected=True)
-    served.go_on()
     assert "stopped by panel" in served.ended().error
     assert (served.state, served.grip_n > 1.0) == ("HELD", True)
     for left, name in ((1, "panel 1, panel 2"), (2, "panel 2")):
@@ -160,10 +154,7 @@ def test_a_hold_outlives_its_client_until_a_person_acts(serve: Any, way: str) ->
     served = serve()
     service, lease = served.service, served.service.acquire("first")
     if way == "clear of a fault":
-        unit_off = served.simulated.inject("unit.off")
-        service.start(lease, IDENTIFY)
-        assert served.ended().outcome == "ABORTED"
-        unit_off.clear()
+        served.plugin.fail(FrameTimeout("no frame"))
     service.begin_hold(1, "panel", connected=True)
     service.begin_hold(3, "other", connected=True)
     service.leave_hold(1)
@@ -233,11 +224,9 @@ def test_many_holds_do_not_grow_and_still_stop_the_job(serve: Any) -> None:
 def test_a_person_at_the_cell_takes_the_lease_and_the_job_is_held(serve: Any) -> None:
     served = serve()
     first = served.service.acquire("first")
-    served.pause_while_pressing()
+    served.plugin.pause()
     served.service.start(first, IDENTIFY)
-    served.paused()
     second = served.service.acquire("operator", take=True)
-    served.go_on()
     assert "because 'operator' took command" in served.ended().error
     assert (served.service.has(first), served.service.has(second)) == (False, True)
     assert served.state == "HELD"
@@ -246,28 +235,79 @@ def test_a_person_at_the_cell_takes_the_lease_and_the_job_is_held(serve: Any) ->
 # -- commands ----------------------------------------------------------------------------------
 
 
-def test_an_identification_keeps_verifies_and_releases(serve: Any) -> None:
-    served = serve()
-    lease = served.service.acquire("first")
-    assert served.service.start(lease, KEEP) == 1
-    job = served.ended()
+def test_a_simulated_cell_walks_through_all_commands_and_records_them(
+    serve: Any, tmp_path: Path
+) -> None:
+    served = serve(cell={"folder": tmp_path})
+    service, lease = served.service, served.service.acquire("first")
+    service.start(lease, {"task": "teach", "label": "ball", "grasps": 1})
+    assert served.ended(1).outcome == "SUCCEEDED"
+    service.start(lease, KEEP)
+    job = served.ended(2)
     assert (job.task, job.outcome, job.outcome_number) == ("identify", "SUCCEEDED", 4)
     assert (job.label, job.label_id, job.kept, job.n_grasps) == ("ball", 1, True, 1)
     assert 0.5 < job.probability <= 1.0
-    assert served.service.status().live.force_n > 1.0
-    served.service.start(lease, {"task": "verify"})
-    job = served.ended(2)
+    assert service.status().live.force_n > 1.0
+    service.start(lease, {"task": "verify"})
+    job = served.ended(3)
     assert (job.held, job.same, job.kept) == (True, True, True)
+    with pytest.raises(RequestRefused, match="is not the key"):
+        service.command(lease, Command.RELEASE, key=1)
+    with pytest.raises(CellStateError):
+        service.command(lease, Command.RESET)
+    assert (served.state, served.grip_n > 1.0) == ("COMPLETE", True)
+    service.command(lease, Command.RELEASE, key=RELEASE_KEY)
+    assert served.ended(4).outcome == "SUCCEEDED"
+    assert (served.state, served.grip_n) == ("IDLE", 0.0)
+    fault = served.plugin._cell.simulated.inject("unit.off@contact+50ms")
+    service.start(lease, {"task": "grip", "force_n": 3.0})
+    job, status = served.ended(5), service.status()
+    assert (job.outcome, status.state) == ("ABORTED", "ABORTED")
+    assert job.fault_number == status.fault_number > 0
+    assert served.grip_n > 0.3
+    fault.clear()
+    for command, state in (
+        (Command.CLEAR, "RESETTING"),
+        (Command.RELEASE, "RESETTING"),
+        (Command.RESET, "IDLE"),
+        (Command.SHUTDOWN, "STOPPED"),
+        (Command.RESET, "IDLE"),
+    ):
+        number = service.command(lease, command, key=RELEASE_KEY)
+        assert served.ended(number).error == ""
+        assert served.state == state
+    service.close()
+    recording = read_recording(tmp_path / "recording.mcap")
+    assert recording.complete
+    events = [e["text"] for e in recording.events if e["kind"] in ("lease", "command", "job")]
+    for earlier, later in pairwise(
+        (
+            "'first' is in command",
+            "job 2: identify, max_grasps 1, present ball, keep always, by 'first'",
+            "identify succeeded",
+            "job 4: release, by 'first'",
+            "release succeeded",
+            "job 5: grip, force_n 3.0, present ball, by 'first'",
+            f"grip failed: {job.error}",
+        )
+    ):
+        assert events.index(earlier) < events.index(later)
+    assert recording.results[0]["label"] == "ball"
+
+
+def test_only_the_key_releases(serve: Any) -> None:
+    served = serve()
+    lease = served.service.acquire("first")
+    assert served.service.start(lease, KEEP) == 1
     for key in (0, RELEASE_KEY + 1, 0x504F):
         with pytest.raises(RequestRefused, match="is not the key"):
             served.service.command(lease, Command.RELEASE, key=key)
     assert (served.state, served.grip_n > 1.0) == ("COMPLETE", True)
-    assert served.service.command(lease, Command.RELEASE, key=RELEASE_KEY) == 3
-    assert served.ended(3).outcome == "SUCCEEDED"
+    assert served.service.command(lease, Command.RELEASE, key=RELEASE_KEY) == 2
     assert (served.state, served.grip_n) == ("IDLE", 0.0)
     assert served.service.job(1).label == "ball"
-    with pytest.raises(RequestRefused, match="no job 4; the newest is 3"):
-        served.service.job(4)
+    with pytest.raises(RequestRefused, match="no job 3; the newest is 2"):
+        served.service.job(3)
 
 
 def test_the_last_answer_stays_until_the_next_identification_begins(serve: Any) -> None:
@@ -289,12 +329,10 @@ def test_the_last_answer_stays_until_the_next_identification_begins(serve: Any) 
     with pytest.raises(ConfigError):
         service.start(lease, IDENTIFY | {"max_grasps": 0})
     assert service.snapshot().last_answer is not None
-    served.pause_while_pressing()
+    served.plugin.pause()
     service.start(lease, IDENTIFY | {"present": "box"})
-    served.paused()
     assert service.snapshot().last_answer is None
     service.hold()
-    served.go_on()
     served.ended()
     assert service.snapshot().last_answer is None  # it was held: there is no answer
     service.command(lease, Command.RELEASE, key=RELEASE_KEY)
@@ -339,32 +377,6 @@ def test_a_repeated_request_is_not_done_twice(serve: Any) -> None:
     assert served.grip_n > 1.0
 
 
-def test_a_fault_has_its_number_and_is_cleared_and_reset(serve: Any) -> None:
-    served = serve()
-    lease = served.service.acquire("first")
-    served.pause_while_pressing()
-    served.service.start(lease, IDENTIFY)
-    served.paused()
-    unit_off = served.simulated.inject("unit.off")
-    served.go_on()
-    job = served.ended()
-    status = served.service.status()
-    assert (job.outcome, status.state) == ("ABORTED", "ABORTED")
-    assert job.fault_number == status.fault_number > 0
-    assert served.grip_n > 1.0
-    unit_off.clear()
-    for command, state in (
-        (Command.CLEAR, "RESETTING"),
-        (Command.RELEASE, "RESETTING"),
-        (Command.RESET, "IDLE"),
-        (Command.SHUTDOWN, "STOPPED"),
-        (Command.RESET, "IDLE"),
-    ):
-        number = served.service.command(lease, command, key=RELEASE_KEY)
-        assert served.ended(number).error == ""
-        assert served.state == state
-
-
 def test_bad_goals_are_refused(serve: Any) -> None:
     service = serve().service
     lease = service.acquire("first")
@@ -393,7 +405,7 @@ def test_each_teaching_is_saved_before_its_job_succeeds(
     serve: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path, outcomes, save = tmp_path / "new.npz", [], TaughtModel.save
-    served = serve(options={"model": None, "save": path})
+    served = serve(cell={"model": None, "save": path})
 
     def look(model: TaughtModel, *arguments: Any, **options: Any) -> None:
         save(model, *arguments, **options)
@@ -408,7 +420,7 @@ def test_each_teaching_is_saved_before_its_job_succeeds(
         served.service.start(lease, goal)
         served.ended(number)
     assert outcomes == ["EXECUTING", "EXECUTING"]  # and once for each teaching
-    again = serve(options={"model": path}).service
+    again = serve(cell={"model": path}).service
     assert again.labels == ("ball", "box")
 
 
@@ -418,7 +430,7 @@ def test_a_teaching_that_cannot_be_saved_says_so_and_is_tried_again(
     where = tmp_path / "folder"
     where.write_text("a file where a folder should be")
     path = where / "model.npz"
-    served = serve(options={"model": None, "save": path})
+    served = serve(cell={"model": None, "save": path})
     service, lease = served.service, served.service.acquire("first")
     service.start(lease, {"task": "teach", "label": "ball", "grasps": 3})
     job = served.ended()
@@ -434,7 +446,7 @@ def test_a_teaching_that_cannot_be_saved_says_so_and_is_tried_again(
     service.command(lease, Command.RELEASE, key=RELEASE_KEY)
     served.ended(4)
     until(path.exists)
-    assert serve(options={"model": path}).service.labels == ("ball",)
+    assert serve(cell={"model": path}).service.labels == ("ball",)
 
 
 def test_what_was_taught_is_written_at_the_end_or_the_end_says_why(
@@ -443,14 +455,14 @@ def test_what_was_taught_is_written_at_the_end_or_the_end_says_why(
     where = tmp_path / "folder"
     for mended in (True, False):
         path = where / f"{mended}.npz"
-        served = serve(options={"model": None, "save": path})
+        served = serve(cell={"model": None, "save": path})
         goal = {"task": "teach", "label": "ball", "grasps": 3}
         served.service.start(served.service.acquire("first"), goal)
         assert "the folder" in served.ended().error
         if mended:
             where.mkdir()
             served.service.close()
-            assert serve(options={"model": path}).service.labels == ("ball",)
+            assert serve(cell={"model": path}).service.labels == ("ball",)
             shutil.rmtree(where)
         else:
             with pytest.raises(DatasetError, match=r"the folder .* does not exist"):
@@ -460,7 +472,7 @@ def test_what_was_taught_is_written_at_the_end_or_the_end_says_why(
 
 def test_a_teaching_that_was_stopped_adds_its_grasps(serve: Any, tmp_path: Path) -> None:
     path = tmp_path / "new.npz"
-    served = serve(options={"model": None, "save": path})
+    served = serve(cell={"model": None, "save": path})
     service, lease = served.service, served.service.acquire("first")
     teach = {"task": "teach", "label": "ball", "grasps": 3}
     service.start(lease, teach)
@@ -480,64 +492,48 @@ def test_a_teaching_that_was_stopped_adds_its_grasps(serve: Any, tmp_path: Path)
     grasps = read_dataset(file)
     assert "box" in {grasp.label for grasp in grasps}
     write_dataset(file, [*grasps, grasps[0]])
-    again = serve(options={"model": path})
+    again = serve(cell={"model": path})
     assert again.service.labels == ("ball",)
     again.service.start(again.service.acquire("first"), teach | {"label": "box"})
     assert again.ended().error == ""
     assert set(again.service.labels) == {"ball", "box"}
     write_dataset(file, [grasps[-1], *grasps])
     with pytest.raises(ModelError, match="is not the one that trained"):
-        serve(options={"model": path})
+        serve(cell={"model": path})
 
 
-def test_the_recording_has_each_command_with_its_client_and_its_end(
-    serve: Any, tmp_path: Path
-) -> None:
-    served = serve(options={"folder": tmp_path})
+def test_each_command_is_remarked_with_its_client(serve: Any) -> None:
+    served = serve()
     service, lease = served.service, served.service.acquire("first")
     service.start(lease, KEEP)
-    served.ended()
     with pytest.raises(RequestRefused):
         service.command(lease, Command.RELEASE, key=1)
     with pytest.raises(CellStateError):
         service.command(lease, Command.RESET)
     service.command(lease, Command.RELEASE, key=RELEASE_KEY)
-    served.ended(2)
-    served.pause_while_pressing()
+    served.plugin.pause()
     service.start(lease, {"task": "grip", "force_n": 3.0})
-    served.paused()
     served.pass_lease()
-    served.go_on()
-    served.ended(3)
-    service.close()
-    recording = read_recording(tmp_path / "recording.mcap")
-    assert recording.complete
-    kinds = ("lease", "command", "job", "hold")
-    events = [(e["kind"], e["text"]) for e in recording.events if e["kind"] in kinds]
     silent = "because 'first' was silent for 61.00 s"
-    assert [(kind, text[:60]) for kind, text in events] == [
+    assert [(kind, text[:60]) for kind, text in served.plugin.remarks] == [
         ("lease", "'first' is in command"),
         ("command", "job 1: identify, max_grasps 1, present ball, keep always, by 'first'"[:60]),
-        ("job", "identify succeeded"),
         ("command", "job 2: release, by 'first'"),
         ("command", "job 2 refused: RequestRefused: release: 0x1 is not the key; with it"[:60]),
         ("command", "job 2: reset, by 'first'"),
         ("command", "job 2 refused: CellStateError: 'reset' is not allowed while the"[:60]),
         ("command", "job 2: release, by 'first'"),
-        ("job", "release succeeded"),
         ("command", "job 3: grip, force_n 3.0, present ball, by 'first'"),
         ("lease", f"nobody is in command, {silent}"[:60]),
         ("hold", silent),
-        ("job", f"grip failed: CellStopped: stopped {silent}"[:60]),
     ]
-    assert recording.results[0]["label"] == "ball"
 
 
 # -- the pose handshake ------------------------------------------------------------------------
 
 
 def test_the_host_reaches_poses_or_refuses_them(serve: Any) -> None:
-    served = serve(positioner__kind="callback")
+    served = serve(cell={}, positioner__kind="callback")
     service, lease = served.service, served.service.acquire("robot")
     goal = IDENTIFY | {"max_grasps": 2, "seed": 5}
     service.start(lease, goal)
@@ -560,11 +556,10 @@ def test_the_host_reaches_poses_or_refuses_them(serve: Any) -> None:
     assert (job.outcome, job.fault_number, served.state) == ("ABORTED", 510, "IDLE")
 
 
-@pytest.mark.parametrize("again", [1, 2, 3])
-def test_a_hold_while_a_pose_is_waited_for_leaves_nothing_behind(serve: Any, again: int) -> None:
-    served = serve(positioner__kind="callback")
+def test_a_hold_while_a_pose_is_waited_for_leaves_nothing_behind(serve: Any) -> None:
+    served = serve(cell={}, positioner__kind="callback")
     service, lease = served.service, served.service.acquire("robot")
-    for _ in range(again):
+    for _ in range(2):
         service.start(lease, IDENTIFY)
         seq = until(lambda: service.snapshot().pose_seq)
         service.hold()
@@ -583,25 +578,13 @@ def test_a_hold_while_a_pose_is_waited_for_leaves_nothing_behind(serve: Any, aga
 # -- the end -----------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", ["simulated", "callback"])
-def test_the_end_of_the_service_keeps_the_part_and_ends_all_threads(serve: Any, kind: str) -> None:
+def test_the_end_of_the_service_keeps_the_part_and_ends_all_threads(serve: Any) -> None:
     before = set(threading.enumerate())
-    served = serve(positioner__kind=kind)
+    served = serve(cell={}, positioner__kind="callback")
     lease = served.service.acquire("first")
-    if kind == "simulated":
-        served.pause_while_pressing()
-        served.service.start(lease, IDENTIFY)
-        served.paused()
-        ending = threading.Thread(target=served.service.close)
-        ending.start()
-        until(lambda: served.service._poses._stopped)
-        served.go_on()
-        ending.join()
-        assert served.grip_n > 1.0
-    else:
-        served.service.start(lease, IDENTIFY)
-        until(lambda: served.service.snapshot().pose_seq)
-        served.service.close()
+    served.service.start(lease, {"task": "grip", "force_n": 3.0})
+    until(lambda: served.service.snapshot().pose_seq)
+    served.service.close()
     served.service.close()
     assert served.ended().outcome == "CANCELED"
     with pytest.raises(CellStateError, match="the cell is closed"):
@@ -690,8 +673,8 @@ def test_a_config_that_opens_doors_to_nobody_in_particular_is_refused(
 
 def test_the_watch_outlives_what_goes_wrong(serve: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     notes: list[str] = []
-    served = serve(options={"note": notes.append}, serve__lease_timeout_s=0.2)
-    cancel, failed = served.service._plugin.cancel, threading.Event()
+    served = serve(note=notes.append, serve__lease_timeout_s=0.2)
+    cancel, failed = served.plugin.cancel, threading.Event()
 
     def fail_once(*arguments: Any) -> None:
         if not failed.is_set():
@@ -699,14 +682,12 @@ def test_the_watch_outlives_what_goes_wrong(serve: Any, monkeypatch: pytest.Monk
             raise OSError("the pipe is broken")
         cancel(*arguments)
 
-    monkeypatch.setattr(served.service._plugin, "cancel", fail_once)
+    monkeypatch.setattr(served.plugin, "cancel", fail_once)
     lease = served.service.acquire("first")
-    served.pause_while_pressing()
+    served.plugin.pause()
     served.service.start(lease, IDENTIFY)
-    served.paused()
     served.clock.now_s += 1.0
     until(lambda: notes)
     assert notes[0] == "watch over the lease: OSError: the pipe is broken"
     served.service.hold()
-    served.go_on()
     assert served.ended().outcome == "CANCELED"

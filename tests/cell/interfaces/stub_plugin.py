@@ -1,0 +1,184 @@
+"""A stub of `TactileCellPlugin`: the table of states, without devices, time and threads.
+
+A job is over as it is started, unless the test has paused it: that one runs until the test lets it
+go on or fail, or a client holds it.
+"""
+
+from dataclasses import asdict, replace
+from typing import Any
+
+import numpy as np
+
+from cell.control.live import LiveValues
+from cell.control.states import CellState, CellStatus, Command, GraspState, answer, refusal
+from cell.errors import CellStateError, CellStopped, error_text
+from cell.fault_catalogue import fault_number
+from cell.interfaces.plugin.answer import Answer, FeltShape, HostStatus, Verification
+from cell.interfaces.plugin.goals import Goal, GripGoal, IdentifyGoal, VerifyGoal
+from cell.interfaces.plugin.worker import Job, JobOutcome, JobStatus
+from recognition.recognizer import UNKNOWN
+
+GRIP_N = 3.25
+"""Force of the stub on a part, in N."""
+ROUND = FeltShape(
+    kind="sphere",
+    probability=1.0,
+    probabilities={"sphere": 1.0},
+    size_mm=9.5,
+    interval_mm=(9.0, 10.0),
+    thicknesses_mm=((9.5, 9.0, 10.0),),
+    dimensions_mm={"diameter": 9.5},
+    n_grasps=1,
+)
+"""Shape of each part."""
+FOUND = Verification(held=True, same=True, force_n=GRIP_N, opening_mm=9.5)
+"""Answer of each grip and verify."""
+
+
+class StubPlugin:
+    """A cell that does as it is asked."""
+
+    def __init__(self) -> None:
+        self.labels = ("ball", "box")
+        self.asked: list[Goal | tuple[Command, bool]] = []
+        """What was accepted: goals, and commands with their ``reboot``."""
+        self.remarks: list[tuple[str, str]] = []
+        self._jobs: dict[Job, JobStatus] = {}
+        self._running: Job | None = None
+        self._end: tuple[CellState, bool, Any] = (CellState.IDLE, False, None)
+        self._paused = self._closed = False
+        self._last_answer: Answer | None = None
+        self._error: Exception | None = None
+        self._show(CellState.IDLE, holding=False)
+
+    # -- what tests do -------------------------------------------------------------------------
+
+    def pause(self) -> None:
+        """Have the next job run until `go_on` or `fail`."""
+        self._paused = True
+
+    def go_on(self) -> None:
+        """Let the job that runs, if any, succeed."""
+        if (job := self._running) is not None:
+            state, holding, value = self._end
+            if isinstance(value, Answer):
+                value = self._last_answer = replace(value, job=job.number)
+            self._over(JobOutcome.SUCCEEDED, state, holding=holding, value=value)
+
+    def fail(self, error: Exception) -> None:
+        """Have a fault: the job that runs ends with it, and the grip is kept."""
+        self._error = error
+        self._over(JobOutcome.ABORTED, CellState.ABORTED, error=error_text(error), exception=error)
+
+    def show_live(self, live: LiveValues) -> None:
+        """Have these live values until the next change of state."""
+        self._status = replace(self._status, live=live)
+
+    # -- what the service asks -----------------------------------------------------------------
+
+    def info(self) -> dict[str, Any]:
+        return {"name": "stub", "simulated": True, "n_taxels": 408, "labels": self.labels}
+
+    def status(self) -> HostStatus:
+        return self._status
+
+    def feedback(self, job: Job) -> JobStatus:
+        return self._jobs[job]
+
+    def remark(self, kind: str, text: str) -> None:
+        self.remarks.append((kind, text))
+
+    def start(self, goal: Goal) -> Job:
+        command, value, keeps = Command.GRASP, None, False
+        if isinstance(goal, IdentifyGoal):
+            label, keeps = goal.present or "ball", goal.keep != "never"
+            found = {label: 0.9, UNKNOWN: 0.1}
+            value = Answer(label=label, probabilities=found, n_grasps=1, kept=keeps, shape=ROUND)
+        elif isinstance(goal, GripGoal | VerifyGoal):
+            command, value, keeps = Command(goal.task), FOUND, True
+        end = CellState.COMPLETE if keeps else CellState.IDLE
+        return self._accept(goal, command, CellState.EXECUTE, (end, keeps, value))
+
+    def begin(self, command: Command, *, reboot: bool = False, needless: bool = False) -> Job:
+        state, holding = self._cell, self._status.holding
+        needed: Command | None = command
+        if command is Command.RELEASE and state in (CellState.RESETTING, CellState.STOPPED):
+            needed = Command.RELEASE_HELD
+        elif command is Command.RESET and state is CellState.STOPPED:
+            needed = Command.START
+        path = answer(state, needed).path or (state,)
+        if needless and not answer(state, needed).accepted:
+            needed = None
+        end = CellState.IDLE if command is Command.RESET else path[-1]
+        keeps = holding and command is not Command.RELEASE
+        return self._accept((command, reboot), needed, path[0], (end, keeps, None))
+
+    def cancel(self, job: Job, reason: str) -> None:
+        if job == self._running:
+            stop = CellStopped(f"stopped {reason}")
+            self._over(JobOutcome.CANCELED, CellState.HELD, error=str(stop), exception=stop)
+
+    def close(self, _timeout_s: float) -> None:
+        self._closed = True
+
+    def _accept(
+        self,
+        asked: Goal | tuple[Command, bool],
+        needed: Command | None,
+        acting: CellState,
+        end: tuple[CellState, bool, Any],
+    ) -> Job:
+        if self._closed:
+            raise CellStateError("the cell is closed")
+        if self._running is not None:
+            raise CellStateError(f"job {self._running.number} is not over")
+        if needed is not None and not answer(self._cell, needed).accepted:
+            raise CellStateError(refusal(self._cell, needed))
+        self.asked.append(asked)
+        if isinstance(asked, IdentifyGoal):
+            self._last_answer = None
+        if needed is Command.CLEAR:
+            self._error = None
+        job = self._running = Job(len(self._jobs) + 1, "stub")
+        self._jobs[job] = JobStatus(outcome=JobOutcome.EXECUTING, progress={})
+        self._end = end
+        self._show(acting, holding=self._status.holding or acting is CellState.EXECUTE)
+        if not self._paused:
+            self.go_on()
+        self._paused = False
+        return job
+
+    def _over(
+        self, outcome: JobOutcome, state: CellState, *, holding: bool | None = None, **end: Any
+    ) -> None:
+        job, self._running = self._running, None
+        self._show(state, holding=self._status.holding if holding is None else holding)
+        if job is not None:
+            self._jobs[job] = JobStatus(outcome=outcome, progress={}, **end)
+
+    def _show(self, state: CellState, *, holding: bool) -> None:
+        """Set the states in one assignment: doors read them in threads of their own."""
+        self._cell = state
+        grasp = GraspState.HOLDING if holding else GraspState.IDLE
+        states = CellStatus(
+            state=state.value,
+            state_number=state.number,
+            needs_reset=state.needs_reset,
+            grasp=grasp.value,
+            grasp_number=grasp.number,
+            holding=holding,
+            fault=None if self._error is None else error_text(self._error),
+            fault_number=fault_number(self._error),
+        )
+        live = LiveValues(
+            force_n=GRIP_N if holding else 0.0,
+            force_age_s=0.005,
+            setpoint_n=GRIP_N if holding else 0.0,
+            opening_mm=9.5 if holding else 40.0,
+            temperature_c=31.0,
+            counts=np.full(408, len(self._jobs), dtype=np.uint16),
+            frame_age_s=0.02,
+        )
+        if state in (CellState.ABORTED, CellState.STOPPED):
+            live = LiveValues()
+        self._status = HostStatus(**asdict(states), live=live, last_answer=self._last_answer)
