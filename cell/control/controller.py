@@ -37,6 +37,7 @@ from recognition.grasp import PadArray
 from recognition.recognizer import Recognizer
 from recognition.recognizers.early_classifiers import EarlyClassifiers, EarlyDecider
 from tactile.sensor.sensor import TactileSensor
+from tactile.sensor.tare import TareResult
 
 _UNSUPERVISED = (
     CellState.STOPPED,
@@ -82,6 +83,11 @@ class CellView:
     def fault_since_s(self) -> float:
         """Unix time in s at which the last fault was latched; 0 before the first one."""
         return self._life.fault_since_s
+
+    @property
+    def n_faults(self) -> int:
+        """Faults latched so far."""
+        return self._life.n_faults
 
     @property
     def holding(self) -> bool:
@@ -132,6 +138,11 @@ class CellController(CellView):
     sequences. A fault keeps the grip, latches, and needs `clear` and `reset`, two acts of a person
     or host. The part is let go by `release` and `release_held`, and at the end of each grasp of a
     sequence, whose purpose that is; never by a fault, by `cancel` or by `shutdown`.
+
+    Attributes
+    ----------
+    zero
+        Zero of the taxels that the last start has taken; None before.
     """
 
     def __init__(
@@ -152,6 +163,7 @@ class CellController(CellView):
         self._tare_frames = tare_frames
         self._contact_n = contact_force_n
         self._journal = Journal(recorder)
+        self.zero: TareResult | None = None
         life = CellLifecycle(
             hand,
             shows_nothing=lambda: self.shows_nothing,
@@ -172,6 +184,11 @@ class CellController(CellView):
             clock=clock,
         )
         self.pads: PadArray = self._grasper.pads
+
+    @property
+    def now_s(self) -> float:
+        """Monotonic time of the cell in s."""
+        return self._clock.monotonic()
 
     @property
     def live(self) -> LiveValues:
@@ -219,7 +236,7 @@ class CellController(CellView):
                     f"start again"
                 )
             self._hand.open(self._grasper.watch)
-            self._hand.tare(self._tare_frames)
+            self.zero = self._hand.tare(self._tare_frames)
             self._life.check_cancelled()
             self._life.complete()
 

@@ -62,8 +62,9 @@ class CellLifecycle:
         How the last grasp ended; None before the first one and after a release.
     fault, fault_number
         What went wrong, while a fault is latched, and its number in `cell.fault_catalogue`.
-    fault_since_s
-        Unix time in s at which the last fault was latched; 0 before the first one.
+    fault_since_s, n_faults
+        Unix time in s at which the last fault was latched, 0 before the first one; and how many
+        have been so far.
     cancelled
         Whether a stop was requested and nothing has obeyed it yet.
     stop_reason
@@ -93,6 +94,7 @@ class CellLifecycle:
         self.fault: str | None = None
         self.fault_number = 0
         self.fault_since_s = 0.0
+        self.n_faults = 0
         self.cancelled = False
         self.stop_reason = ON_REQUEST
 
@@ -200,6 +202,7 @@ class CellLifecycle:
         self.fault = error_text(error) + self._carried_for()
         self.fault_number = fault_number(error)
         self.fault_since_s = time.time()
+        self.n_faults += 1
         # A kept part that slips is no longer where the host has it.
         lost = (PartLost, PartSlipped) if self._kept else PartLost
         self._part_lost = isinstance(error, lost)

@@ -41,6 +41,7 @@ from gripper.state import (
 from tactile.errors import TactileError
 from tactile.layout import TaxelLayout
 from tactile.sensor.sensor import TactileReading
+from tactile.sensor.tare import TareResult
 from tactile.unit.settings import NodeIdentity
 
 _BOOT_S = 60.0
@@ -299,9 +300,10 @@ class HandProcess:
         """Open the empty fingers; see `Hand`."""
         self._call("open", watch)
 
-    def tare(self, n_frames: int) -> None:
+    def tare(self, n_frames: int) -> TareResult:
         """Take the zero of the taxels; see `Hand`."""
-        self._call("tare", n_frames=n_frames)
+        zero: TareResult = self._call("tare", n_frames=n_frames)
+        return zero
 
     def check_ramp(self, ramp: ForceRamp) -> None:
         """Refuse a ramp beyond the limits; see `Hand`."""

@@ -23,6 +23,7 @@ from gripper.state import (
 from tactile.frames.codec import TactileFrame
 from tactile.layout import TaxelLayout
 from tactile.sensor.sensor import SensorStatistics, TactileReading
+from tactile.sensor.tare import TareResult
 from tactile.unit.settings import LinkStatistics, NodeIdentity
 
 Watch = Callable[[Cycle, Sequence[TactileFrame]], None]
@@ -131,8 +132,8 @@ class Hand(Protocol):
         """Open the empty fingers."""
         ...
 
-    def tare(self, n_frames: int) -> None:
-        """Take the zero of the taxels from so many frames."""
+    def tare(self, n_frames: int) -> TareResult:
+        """Take the zero of the taxels from so many frames, and return it."""
         ...
 
     def check_ramp(self, ramp: ForceRamp) -> None:

@@ -20,6 +20,7 @@ from tactile.errors import BusOff, ReceiveLoopDead, ZeroDrifted
 from tactile.layout import TaxelLayout
 from tactile.sensor.grip_force import GripForce
 from tactile.sensor.sensor import FrameSource, TactileReading, TactileSensor
+from tactile.sensor.tare import TareResult
 from tactile.unit.settings import NodeIdentity
 
 
@@ -117,11 +118,12 @@ class LocalHand:
         """Open the empty fingers; see `Hand`."""
         self.gripper.open(observer=self._observer(watch))
 
-    def tare(self, n_frames: int) -> None:
+    def tare(self, n_frames: int) -> TareResult:
         """Take the zero of the taxels; see `Hand`."""
-        self.sensor.tare(n_frames)
+        zero = self.sensor.tare(n_frames)
         # No force is measured before the mean holds frames alone that count from this zero.
         self.sensor.refresh()
+        return zero
 
     def check_ramp(self, ramp: ForceRamp) -> None:
         """Refuse a ramp beyond the limits; see `Hand`."""

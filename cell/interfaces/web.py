@@ -11,7 +11,7 @@ import socket
 import threading
 from collections.abc import Awaitable, Callable, MutableMapping
 from dataclasses import asdict
-from functools import partial
+from functools import cached_property, partial
 from ipaddress import ip_address
 from typing import Annotated, Any, Literal
 
@@ -135,13 +135,19 @@ class StateMoment:
 
     def __init__(self, service: Service) -> None:
         self.text = json.dumps(state_values(service), allow_nan=False)
-        self._counts = service.status().live.counts
+        self._service = service
 
     def frame(self, kind: str) -> bytes | None:
-        """Return the counts of the taxels (``1``) as bytes."""
-        if self._counts is None or kind != "1":
-            return None
-        return self._counts.astype("<u2").tobytes()
+        """Return counts (``1``) or ``newtons`` of the taxels as bytes; None for other kinds."""
+        if kind == "newtons":
+            return self._newtons
+        counts = self._service.status().live.counts if kind == "1" else None
+        return None if counts is None else counts.astype("<u2").tobytes()
+
+    @cached_property
+    def _newtons(self) -> bytes | None:
+        force_n = self._service.frame_n()
+        return None if force_n is None else force_n.astype("<f4").tobytes()
 
 
 class Api:
@@ -170,6 +176,7 @@ class Api:
             ("/info", "GET", self.info),
             ("/state", "GET", self.state),
             ("/faults", "GET", self.faults),
+            ("/grasps/{number}", "GET", self.grasp),
             ("/jobs", "GET", self.jobs),
             ("/jobs/{number}", "GET", self.job),
             ("/lease", "POST", self.acquire),
@@ -205,6 +212,16 @@ class Api:
     def faults(self) -> list[dict[str, Any]]:
         """List the fault catalogue: number, text, cause, remedy, what the grip does, steps."""
         return [asdict(fault) for fault in sorted(CATALOGUE.values(), key=lambda one: one.number)]
+
+    def grasp(self, number: int) -> dict[str, Any]:
+        """Return the curves of the last grasp of an answer by its id in ``shift.answers``.
+
+        ``frame`` has the force in N on each taxel under the highest load.
+        """
+        found = self._service.shift.grasp(number)
+        if found is None:
+            raise HTTPException(404, f"grasp {number} is not kept; GET /api/state has the ids")
+        return found
 
     def jobs(self) -> list[dict[str, Any]]:
         """List the newest jobs, oldest first."""
@@ -268,7 +285,9 @@ class Api:
         return {"state": self._service.status().state, "held_by": self._service.held_by}
 
     async def live(self, link: WebSocket) -> None:
-        """Send the state as JSON; with ``?frames=1`` the newest counts too (uint16, LE).
+        """Send the state as JSON, with ``?frames=1`` the newest counts too, uint16, little-endian.
+
+        ``?frames=newtons``: the force on each taxel in N, float32, little-endian.
 
         The token is a subprotocol ``token.TOKEN`` beside ``tactile-cell``, or ``?token=``, or the
         first message ``{"token": TOKEN}``. Each message is the newest there is when the client can

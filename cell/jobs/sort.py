@@ -11,6 +11,7 @@ import numpy as np
 from cell.config.model import CellConfig
 from cell.config.sort import PlacePoseConfig
 from cell.control.controller import MISSES_IN_A_ROW, CellController
+from cell.control.identification import Identification
 from cell.control.keeping import Keep
 from cell.control.plan import Pose
 from cell.control.positioner import Destination
@@ -180,7 +181,8 @@ def sort_parts(
     seed: int = 0,
     max_grasps: int | None = None,
     force_n: float | None = None,
-    on_part: Callable[[SortedPart], None] = lambda part: None,
+    on_part: Callable[[SortedPart, Identification], None] = lambda part, found: None,
+    on_missed: Callable[[], None] = lambda: None,
 ) -> None:
     """Name parts, keep each, bring it to its place, look at it once more, and let it go there.
 
@@ -202,7 +204,9 @@ def sort_parts(
     max_grasps, force_n
         As `TaughtModel.identify`.
     on_part
-        Called after each part.
+        Called after each part, with what its identification has found.
+    on_missed
+        Called after each turn in which no part was found.
 
     Raises
     ------
@@ -228,6 +232,7 @@ def sort_parts(
         except NoPartFound:
             tally.n_missed += 1
             misses += 1
+            on_missed()
             if misses == MISSES_IN_A_ROW:
                 raise
             continue
@@ -249,7 +254,7 @@ def sort_parts(
             changed=check.reasons,
         )
         tally.parts.append(part)
-        on_part(part)
+        on_part(part, found)
 
 
 def simulated_feed(config: CellConfig, n_parts: int) -> list[str]:

@@ -122,6 +122,8 @@ class HostStatus(CellStatus):
     the next identification or sort on, until the identification has succeeded."""
     fault_since_s: float | None = None
     """Unix time in s at which the fault was latched; None where there is none."""
+    n_faults: int = 0
+    """Faults latched since the cell was opened."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -44,8 +44,12 @@ from cell.interfaces.plugin.worker import CellWorker, Job, JobFailed, JobOutcome
 from gripper.errors import ServoFault
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from cell.control.controller import CellController
     from cell.control.positioner import Places
+    from cell.interfaces.plugin.part_report import OnPart
     from cell.jobs.sort import Places as SortPlaces
     from gripper.state import Clock, ReleaseReport
 
@@ -160,11 +164,13 @@ class TactileCellPlugin:
             )
         from cell.build import build_cell  # noqa: PLC0415
         from cell.interfaces.plugin import tasks  # noqa: PLC0415
+        from cell.interfaces.plugin.part_report import TaxelNewtons, part_reporter  # noqa: PLC0415
         from cell.learning.pad_knowledge import pad_knowledge  # noqa: PLC0415
         from cell.learning.taught_model import TaughtModel  # noqa: PLC0415
 
         self._config = checked
         self._starting = threading.Lock()
+        self._part_reporter = part_reporter
         self._tasks = tasks
         known = pad_knowledge(checked, None if gauge is None else Path(gauge), gauge_shape)
         self._model = (
@@ -174,6 +180,8 @@ class TactileCellPlugin:
         )
         self._file = tasks.ModelFile(self._model, None if save is None else Path(save))
         self._cell = build_cell(checked, folder=folder, mover=mover, places=places)
+        self._part_listeners: list[OnPart] = []
+        self._newtons = TaxelNewtons(checked, self._cell.controller)
         self._remarks: deque[tuple[str, str]] = deque(maxlen=_REMARKS_MAX)
         self._last_answer: deque[Answer] = deque(maxlen=1)
         try:
@@ -242,6 +250,17 @@ class TactileCellPlugin:
         except ConfigError:  # a taught part has no place yet; a sort is refused
             return self._tasks.SortPlaces(self._config, ()).names
 
+    def watch_parts(self, on_part: "OnPart") -> None:
+        """Have a function called with each part that is identified or sorted, and with each miss.
+
+        It is called in the thread of the cell.
+        """
+        self._part_listeners.append(on_part)
+
+    def newtons(self, counts: "NDArray[np.uint16]") -> "NDArray[np.float32] | None":
+        """Return the force in N on each taxel by its counts; None before the first zero."""
+        return self._newtons.of(counts)
+
     @property
     def recording_path(self) -> Path | None:
         """The recording, if one is made."""
@@ -266,6 +285,7 @@ class TactileCellPlugin:
                 **{one.name: getattr(states, one.name) for one in fields(CellStatus)},
                 live=controller.live,
                 fault_since_s=controller.fault_since_s if states.fault else None,
+                n_faults=controller.n_faults,
                 last_answer=next(iter(self._last_answer), None),
             )
 
@@ -302,17 +322,26 @@ class TactileCellPlugin:
         controller, model, tasks = self._cell.controller, self._model, self._tasks
         work: Callable[[Report], Any]
         self._check_taught(checked.task)
+        begin, listeners, newtons = self._part_reporter, self._part_listeners, self._newtons
+
+        def reported(task: Callable[..., Any], *given: Any) -> Callable[[Report], Any]:
+            def work(report: Report) -> Any:
+                seen = begin(checked.task, controller, newtons, listeners)
+                return task(controller, model, *given, report, seen=seen)
+
+            return work
+
         match checked:
             case TeachGoal():
                 work = functools.partial(tasks.teach, controller, model, self._file, checked)
             case IdentifyGoal():
-                work = functools.partial(tasks.identify, controller, model, checked)
+                work = reported(tasks.identify, checked)
             case GripGoal():
                 work = functools.partial(tasks.grip, controller, checked)
             case VerifyGoal():
                 work = functools.partial(tasks.verify, controller)
             case SortGoal():
-                work = functools.partial(tasks.sort, controller, model, self._places(), checked)
+                work = reported(tasks.sort, self._places(), checked)
         return self._accept(work, _COMMANDS[checked.task], checked.task)
 
     def check(self, task: str) -> None:

@@ -4,17 +4,19 @@ from pathlib import Path
 from typing import Any
 
 from cell.control.controller import CellController
+from cell.control.identification import Identification
 from cell.control.keeping import Keep
 from cell.control.plan import Pose
 from cell.control.records import GraspRecord
-from cell.errors import CellError
+from cell.errors import CellError, NoPartFound
 from cell.interfaces.plugin.answer import Answer, SortAnswer, Verification
 from cell.interfaces.plugin.goals import GripGoal, IdentifyGoal, SortGoal, TeachGoal
+from cell.interfaces.plugin.part_report import Seen
 from cell.interfaces.plugin.worker import Report
 from cell.jobs.sort import Places as SortPlaces, SortedPart, Tally, sort_parts
 from cell.learning.collection import Collection
 from cell.learning.taught_model import TaughtModel
-from recognition.recognizer import Posterior
+from recognition.recognizer import UNKNOWN, Posterior
 
 __all__ = ["ModelFile", "SortPlaces", "grip", "identify", "sort", "teach", "verify"]
 
@@ -93,7 +95,12 @@ def teach(
 
 
 def identify(
-    controller: CellController, model: TaughtModel, goal: IdentifyGoal, report: Report
+    controller: CellController,
+    model: TaughtModel,
+    goal: IdentifyGoal,
+    report: Report,
+    *,
+    seen: Seen,
 ) -> Answer:
     """Grasp an object until its name is sure enough, and return the answer.
 
@@ -119,15 +126,20 @@ def identify(
             }
         )
 
-    found = model.identify(
-        controller,
-        held=goal.present,
-        seed=goal.seed,
-        max_grasps=goal.max_grasps,
-        force_n=goal.force_n,
-        keep=Keep(goal.keep),
-        on_grasp=progress,
-    )
+    try:
+        found = model.identify(
+            controller,
+            held=goal.present,
+            seed=goal.seed,
+            max_grasps=goal.max_grasps,
+            force_n=goal.force_n,
+            keep=Keep(goal.keep),
+            on_grasp=progress,
+        )
+    except NoPartFound:
+        seen(None)
+        raise
+    seen(found, rejected=found.label == UNKNOWN)
     if found.remark:
         report({"task": "identify", "remark": found.remark})
     return Answer.of(found)
@@ -165,6 +177,8 @@ def sort(
     places: SortPlaces,
     goal: SortGoal,
     report: Report,
+    *,
+    seen: Seen,
 ) -> SortAnswer:
     """Name parts and let each go at its place; return the count.
 
@@ -182,6 +196,10 @@ def sort(
             now |= {"label": part.label, "place": part.place, "probability": part.probability}
         report(now)
 
+    def sorted_part(part: SortedPart, found: Identification) -> None:
+        seen(found, place=part.place, rejected=part.place == places.reject.place)
+        progress(part)
+
     progress()
     feed = goal.feed
     sort_parts(
@@ -193,7 +211,8 @@ def sort(
         seed=goal.seed,
         max_grasps=goal.max_grasps,
         force_n=goal.force_n,
-        on_part=progress,
+        on_part=sorted_part,
+        on_missed=lambda: seen(None),
     )
     return SortAnswer(
         n_parts=len(tally.parts),

@@ -17,14 +17,19 @@ from math import inf
 from pathlib import Path
 from typing import Any, Protocol
 
+import numpy as np
+from numpy.typing import NDArray
+
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.control.states import Command
 from cell.errors import CellError, HeldByClient, NotInCommand, RequestRefused, error_text
 from cell.interfaces.plugin.answer import Answer, HostStatus, Verification
 from cell.interfaces.plugin.goals import TASKS, Goal, GripGoal, IdentifyGoal, checked_goal
+from cell.interfaces.plugin.part_report import OnPart
 from cell.interfaces.plugin.worker import KEPT_JOBS, Job, JobOutcome, JobStatus
 from cell.interfaces.service.pose_handshake import PoseHandshake
+from cell.interfaces.service.shift import Shift
 from gripper.state import Clock
 
 RELEASE_KEY = 0x4F50
@@ -105,6 +110,8 @@ class _Plugin(Protocol):
     def labels(self) -> tuple[str, ...]: ...
     @property
     def recording_path(self) -> Path | None: ...
+    def watch_parts(self, on_part: OnPart) -> None: ...
+    def newtons(self, counts: NDArray[np.uint16]) -> NDArray[np.float32] | None: ...
     def info(self) -> dict[str, Any]: ...
     def status(self) -> HostStatus: ...
     def check(self, task: str) -> None: ...
@@ -149,6 +156,13 @@ class Service:
         Gets messages for the operator.
     clock
         Time of the clients: real time also where that of the cell is virtual.
+
+    Attributes
+    ----------
+    config
+        Of the cell.
+    shift
+        The ledger of the parts.
     """
 
     def __init__(
@@ -161,6 +175,8 @@ class Service:
         clock: Clock = time,
     ) -> None:
         self.config = config
+        self.shift = Shift()
+        plugin.watch_parts(self.shift.add)
         self._plugin = plugin
         self._poses = PoseHandshake() if poses is None else poses
         self._clock = clock
@@ -249,6 +265,11 @@ class Service:
     def recording_path(self) -> Path | None:
         """The recording, if one is made."""
         return self._plugin.recording_path
+
+    def frame_n(self) -> NDArray[np.float32] | None:
+        """Return the newest force in N on each taxel, (n_taxels,); None where none is measured."""
+        counts = self.status().live.counts
+        return None if counts is None else self._plugin.newtons(counts)
 
     def info(self) -> dict[str, Any]:
         """Return what stays as it is, as plain data; lengths in mm, forces in N."""

@@ -32,6 +32,7 @@ def state_values(service: Service) -> dict[str, Any]:
                 for task, error in service.allowed().items()
             },
             "fault": _fault(service, now.status),
+            "shift": service.shift.values(n_faults=now.status.n_faults),
         }
     )
     return state

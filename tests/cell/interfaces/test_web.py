@@ -15,6 +15,7 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect as open_socket
@@ -257,11 +258,57 @@ def test_info_has_the_pads_and_limits(connect: Any) -> None:
     assert info["places"] == ["ball", "box", "reject"]
 
 
+def test_a_shift_counts_what_was_identified_and_sorted(connect: Any) -> None:
+    served, host = connect()
+    lease = host.post("/api/lease", name="host")["lease"]
+    goal = {"task": "identify", "max_grasps": 1, "present": "box"}
+    host.post("/api/jobs", lease=lease, goal=goal)
+    served.ended()
+    goal = {"task": "sort", "parts": 1, "feed": ["ball"], "max_grasps": 1}
+    host.post("/api/jobs", lease=lease, goal=goal)
+    assert served.ended().error == ""
+    shift = host.get("/api/state")["shift"]
+    assert (shift["parts"], shift["missed"], shift["faults"]) == (2, 0, 0)
+    box, ball = shift["answers"]
+    assert (box["label"], box["task"], box["place"]) == ("box", "identify", None)
+    assert (ball["label"], ball["task"], ball["place"]) == ("ball", "sort", "ball")
+    assert box["seconds"] > 1.0
+    assert ball["runner_up"]["probability"] < ball["probability"]
+    low_mm, high_mm = ball["interval_mm"]
+    assert low_mm < ball["size_mm"] < high_mm
+    grasp = host.get(f"/api/grasps/{ball['id']}")
+    n_points = len(grasp["t_s"])
+    assert 100 < n_points <= 300
+    assert {len(grasp[name]) for name in ("force_n", "setpoint_n", "opening_mm")} == {n_points}
+    assert len(grasp["frame"]) == 408
+    inner_n = sum(grasp["frame"][:64])
+    assert inner_n == pytest.approx(max(one or 0.0 for one in grasp["force_n"]), rel=0.3)
+    check_refusal(*host.ask("GET", "/api/grasps/77"), status=404)
+
+
+def test_the_socket_sends_newtons(connect: Any) -> None:
+    served, host = connect()
+    lease = host.post("/api/lease", name="host")["lease"]
+    host.post("/api/jobs", lease=lease, goal={"task": "grip", "force_n": 4.0, "present": "box"})
+    served.ended()
+    with host.live("&frames=newtons") as link:
+        frame = until(
+            lambda: (found := link.recv(timeout=20)) and isinstance(found, bytes) and found
+        )
+    force_n = np.frombuffer(frame, "<f4")
+    assert force_n.shape == (408,)
+    sensor = served.service._plugin._cell.controller.sensor
+    shown_n = host.get("/api/state")["live"]["force_n"]
+    for pad in sensor.layout.gripping_pads:
+        assert force_n[sensor.layout.taxels_of(pad)].sum() == pytest.approx(shown_n, rel=0.15)
+    assert force_n[:64].min() == 0.0
+
+
 def test_all_but_hold_needs_the_token(connect: Any) -> None:
     served, host = connect()
     paths = host.ask("GET", "/openapi.json", token=None)[1]["paths"]
     guarded = [(path, method) for path, ways in paths.items() for method in ways]
-    assert len(guarded) == 12
+    assert len(guarded) == 13
     for path, method in guarded:
         if path == "/api/hold":
             continue

@@ -72,7 +72,7 @@ def sort(
                 n_parts=parts,
                 feed=lambda turn: None if feed is None else feed[turn],
                 seed=checked.seed + 1,
-                on_part=lambda part: progress("sort", part.number, parts),
+                on_part=lambda part, _found: progress("sort", part.number, parts),
             )
             recording = cell.recording_path
     finally:

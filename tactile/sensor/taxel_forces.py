@@ -1,0 +1,41 @@
+"""Forces on the taxels of one frame by itself, for displays: by the law and the zero in use."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile.layout import TaxelLayout
+from tactile.sensor.calibration import Calibration
+from tactile.sensor.filters import ActiveTaxels, Neighbourhood, TouchThresholds, fill_bad
+from tactile.sensor.tare import TareResult
+
+
+class TaxelForces:
+    """Turns the counts of single frames into newtons, as the sensor does with the mean of several.
+
+    Parameters
+    ----------
+    layout
+        The taxels.
+    calibration
+        Counts to forces.
+    zero
+        The tare in use.
+    """
+
+    def __init__(self, layout: TaxelLayout, calibration: Calibration, zero: TareResult) -> None:
+        self._hood = Neighbourhood(layout)
+        self._calibration = calibration
+        self._zero = zero
+        noise = np.maximum(zero.noise_counts, 1.0)  # counts are whole: less noise is not seen
+        for pad in range(layout.n_pads):
+            taxels = layout.taxels_of(pad)
+            noise[taxels] = np.median(noise[taxels])
+        self._noise_counts = noise
+
+    def of(self, counts: NDArray[np.uint16]) -> NDArray[np.float32]:
+        """Return the force in N on each taxel, (n_taxels,) float32; 0 where nothing touches."""
+        bad = self._zero.health.bad
+        tared = fill_bad(self._hood, counts - self._zero.offset_counts, bad)
+        touch = ActiveTaxels(self._hood, TouchThresholds(), self._noise_counts)
+        force_n = np.where(touch.step(tared), self._calibration.force_n(tared), 0.0)
+        return np.maximum(force_n, 0.0).astype(np.float32)
