@@ -42,6 +42,8 @@ class EvaluationResult:
     seconds: float
     default: str
     recognizers: Mapping[str, RecognizerFigures]
+    left_out: Mapping[str, str]
+    """Recognisers that these grasps cannot teach, each with the reason."""
     drift: Drift = NO_DRIFT
     gauge: str | None = None
     gauged: DriftEstimate | None = None
@@ -64,6 +66,7 @@ class EvaluationResult:
                 "n_grasps": self.n_gauged,
                 **drift_values(self.gauged.drift),
             },
+            "left_out": dict(self.left_out),
             "recognizers": {
                 name: _figures(figures.full)
                 | {
@@ -114,7 +117,8 @@ def evaluate_recognizers(
     Raises
     ------
     CellError
-        If the split leaves nothing to train or test, or the grasps were taken on other pads.
+        If the split leaves nothing to train or test, the grasps were taken on other pads, or no
+        recogniser can be taught with them.
     """
     started_s = time.monotonic()
     if train is not None:
@@ -135,7 +139,7 @@ def evaluate_recognizers(
     if len(parts) > 1:
         # A part tests a single object: the others would have to be left out again for each.
         measure = partial(measure, unknown_groups=0)
-    figures = {}
+    figures, left_out = {}, {}
     for number, name in enumerate(names):
         progress("evaluate", 2 * number, 2 * len(names))
         trainer = make_trainer(name, use_aperture=True)
@@ -145,9 +149,14 @@ def evaluate_recognizers(
             if trainer.uses_aperture:
                 without = measure(make_trainer(name, use_aperture=False))
         except ValueError as error:
-            raise CellError(f"{name} cannot be evaluated: {error}") from error
+            left_out[name] = str(error)
+            continue
         figures[name] = RecognizerFigures(full=full, without_aperture=without)
     progress("evaluate", 2 * len(names), 2 * len(names))
+    if not figures:
+        raise CellError(
+            "; ".join(f"{name} cannot be evaluated: {w}" for name, w in left_out.items())
+        )
     return EvaluationResult(
         split=split,
         n_train=min(len(taught) for taught, _ in parts),
@@ -156,6 +165,7 @@ def evaluate_recognizers(
         seconds=time.monotonic() - started_s,
         default=DEFAULT_TRAINER,
         recognizers=figures,
+        left_out=left_out,
         drift=drift,
         gauge=gauge,
         gauged=gauged,

@@ -87,7 +87,10 @@ def find_thresholds(values: Sequence[ArrayLike], *, margin: float = NOISE_SHARE)
     order = np.argsort(0.5 * (low + high), kind="stable")
     order = order[np.isfinite(low[order])]
     if not len(order):
-        raise TrajectoryError(f"none of {len(values)} objects has a level")
+        raise TrajectoryError(
+            f"none of {len(values)} objects has a level: no grasp pressed enough taxels around "
+            "each other for a surface, which takes pads of at least 3 x 3"
+        )
     below, above = order[:-1], order[1:]
     return Levels(
         low=low,

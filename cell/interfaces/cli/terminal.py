@@ -12,6 +12,8 @@ import typer
 from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+from rich.text import Text
 
 from cell.errors import CellError
 
@@ -69,6 +71,25 @@ def plain(text: str) -> str:
 def print_line(text: str) -> None:
     """Print one line of result; square brackets are no markup."""
     out.print(plain(text), soft_wrap=True)
+
+
+def print_table(table: Table) -> None:
+    """Print a table; each row as one plain line where the terminal is too narrow or there is none.
+
+    Such a line names the column before each value, and leaves out what is empty or 0.
+    """
+    if (
+        out.is_terminal
+        and out.measure(table, options=out.options.update(width=10_000)).maximum <= out.width
+    ):
+        out.print(table)
+        return
+    names = [Text.from_markup(str(column.header)).plain for column in table.columns]
+    for row in zip(*(column.cells for column in table.columns), strict=True):
+        first, *values = (Text.from_markup(str(cell)).plain for cell in row)
+        named = zip(names[1:], values, strict=True)
+        shown = [f"{name} {value}" for name, value in named if value not in ("", "0")]
+        print_line(f"{first}: {', '.join(shown)}")
 
 
 def print_error(text: str) -> None:

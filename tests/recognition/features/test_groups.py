@@ -92,3 +92,14 @@ def test_what_is_forgotten_in_the_table_is_an_error():
     ]
     with pytest.raises(ValueError, match="extra_trees"):
         check_table(no_view)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (1, 6), (2, 1), (2, 2), (6, 2)])
+@pytest.mark.parametrize("view", FeatureView)
+def test_pads_of_one_or_two_rows_have_every_feature(factory, shape, view):
+    pads = factory.pads(shapes=(shape, shape))
+    grasps = factory.many(3, seed=1, pads=pads, things=factory.things[:2])
+    rest = learn_rest(grasps)
+    levels, grids = load_levels(grasps, rest), [pad_grid(pads, pad) for pad in rest.gripping]
+    for opening in (True, False):
+        assert np.all(np.isfinite(features_of(levels, grids, view, opening=opening)))

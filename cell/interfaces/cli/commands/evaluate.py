@@ -128,8 +128,9 @@ def _drift(text: str | None) -> "Drift":
 def _print_evaluation(result: "EvaluationResult") -> None:
     from rich.table import Table
 
-    from cell.interfaces.cli.terminal import out, percent, print_line
+    from cell.interfaces.cli.terminal import percent, print_line, print_note, print_table
     from recognition.drift.drift import NO_DRIFT, drift_text
+    from recognition.recognizer import UNKNOWN
 
     print_line(
         f"{result.split}: {result.n_train} grasps to train, {result.n_test} to test, "
@@ -140,31 +141,40 @@ def _print_evaluation(result: "EvaluationResult") -> None:
     if result.gauged is not None:
         found = drift_text(result.gauged.drift)
         print_line(f"gauged with {result.n_gauged} grasps of {result.gauge}: {found}")
+    for name, reason in result.left_out.items():
+        print_note(f"{name} is left out: {reason}")
     fused = sorted({k for f in result.recognizers.values() for k in f.full.fused_accuracy} - {1})
-    table = Table(header_style="bold")
-    table.add_column("recogniser", no_wrap=True)
-    table.add_column("one grasp (95 %)", justify="right", no_wrap=True)
-    for k in fused:
-        table.add_column(f"{k} fused", justify="right", no_wrap=True)
-    table.add_column("named, wrong", justify="right", no_wrap=True)
-    table.add_column("AUROC", justify="right", no_wrap=True)
+    right, named = Table(header_style="bold"), Table(header_style="bold")
+    for table, columns in (
+        (right, ("likeliest right, %", "one grasp", "95 %", *(f"{k} fused" for k in fused))),
+        (named, ("one grasp, %", "named right", "named wrong", UNKNOWN, "AUROC")),
+    ):
+        for column in columns:
+            table.add_column(column, justify="left" if column is columns[0] else "right")
     for name, figures in result.recognizers.items():
         rows = [(name, figures.full)]
         if figures.without_aperture not in (None, figures.full):
-            rows.append(("  tactile only", figures.without_aperture))
+            rows.append((f"{name}, tactile only", figures.without_aperture))
         for shown, evaluation in rows:
             low, high = evaluation.interval
-            table.add_row(
+            right.add_row(
                 shown,
-                f"{100 * evaluation.single_accuracy:.1f} ({100 * low:.1f}-{100 * high:.1f})",
+                f"{100 * evaluation.single_accuracy:.1f}",
+                f"{100 * low:.1f} to {100 * high:.1f}",
                 *(_figure(100 * evaluation.fused_accuracy[k], 1) for k in fused),
-                f"{100 * evaluation.named_right:.1f}, {100 * evaluation.named_wrong:.1f}",
+            )
+            named.add_row(
+                shown,
+                f"{100 * evaluation.named_right:.1f}",
+                f"{100 * evaluation.named_wrong:.1f}",
+                f"{100 * (1.0 - evaluation.named_right - evaluation.named_wrong):.1f}",
                 _figure(evaluation.unknown_auroc, 3),
             )
-    out.print(table)
+    print_table(right)
+    print_table(named)
     print_line(
-        "per cent right, whatever the probability of a new object; named, wrong: per cent that one"
-        " grasp names rightly and wrongly; AUROC: how well objects left out of teaching are found"
+        "AUROC: how well objects left out of teaching are told from taught ones; 1 is always, 0.5 "
+        "is chance"
     )
     if any(math.isnan(f.full.unknown_auroc) for f in result.recognizers.values()):
         print_line(

@@ -140,7 +140,7 @@ def _labels(
 
 def print_result(result: "MainResult") -> None:
     """Print confusion tables, shapes, times and files of a run, and the paper's table beside."""
-    from cell.interfaces.cli.terminal import out, percent, print_line
+    from cell.interfaces.cli.terminal import percent, print_line, print_table
     from cell.jobs.run_report import shape_rows
     from cell.report.paper_table import TABLE_1, TABLE_1_LABELS
     from cell.report.shapes import shapes_view
@@ -149,10 +149,10 @@ def print_result(result: "MainResult") -> None:
         order = [TABLE_1_LABELS.index(label) for label in result.labels]
         print_line("Paper, Table 1 (per cent)")
         rows = [[TABLE_1[row][column] for column in order] for row in order]
-        out.print(confusion_table(result.labels, rows))
+        print_table(confusion_table(result.labels, rows))
     for name, score in result.scores.items():
         print_line(f"{name}: {percent(score.accuracy, score.interval)} of {score.n}")
-        out.print(confusion_table(result.labels, score.confusion))
+        print_table(confusion_table(result.labels, score.confusion))
     ended = f", {result.n_ended_early} ended early" if result.n_ended_early else ""
     print_line(f"{result.grasp_s:.2f} s a grasp, mean of {len(result.records)}{ended}")
     for remark in result.remarks:

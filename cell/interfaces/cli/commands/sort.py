@@ -102,7 +102,7 @@ def print_tally(tally: "Tally") -> None:
     """Print how many parts lie where, and which of them do not belong there."""
     from rich.table import Table
 
-    from cell.interfaces.cli.terminal import out, plain, print_line
+    from cell.interfaces.cli.terminal import plain, print_line, print_table
 
     if not tally.parts:
         print_line("no part was sorted")
@@ -114,7 +114,7 @@ def print_tally(tally: "Tally") -> None:
     for truth, counts in tally.matrix().items():
         table.add_row(plain(truth), *(str(count) if count else "" for count in counts.values()))
     table.add_row("all", *(str(count) for count in tally.counts.values()), style="bold")
-    out.print(table)
+    print_table(table)
     missed = f", {tally.n_missed} times no part was found" if tally.n_missed else ""
     print_line(
         f"{len(tally.parts)} parts sorted, {100 * tally.share_named:.0f} % with a name, "
