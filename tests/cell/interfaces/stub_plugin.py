@@ -5,16 +5,19 @@ go on or fail, or a client holds it.
 """
 
 from dataclasses import asdict, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cell.control.live import LiveValues
 from cell.control.states import CellState, CellStatus, Command, GraspState, answer, refusal
 from cell.errors import CellStateError, CellStopped, error_text
 from cell.fault_catalogue import fault_number
 from cell.interfaces.plugin.answer import Answer, FeltShape, HostStatus, Verification
-from cell.interfaces.plugin.goals import Goal, GripGoal, IdentifyGoal, VerifyGoal
+from cell.interfaces.plugin.goals import TASKS, Goal, GripGoal, IdentifyGoal, VerifyGoal
+from cell.interfaces.plugin.part_report import OnPart
 from cell.interfaces.plugin.worker import Job, JobOutcome, JobStatus
 from recognition.recognizer import UNKNOWN
 
@@ -49,6 +52,7 @@ class StubPlugin:
         self._paused = self._closed = False
         self._last_answer: Answer | None = None
         self._error: Exception | None = None
+        self.recording_path: Path | None = None
         self._show(CellState.IDLE, holding=False)
 
     # -- what tests do -------------------------------------------------------------------------
@@ -82,6 +86,17 @@ class StubPlugin:
     def status(self) -> HostStatus:
         return self._status
 
+    def watch_parts(self, on_part: OnPart) -> None:
+        self.on_part = on_part
+
+    def newtons(self, counts: NDArray[np.uint16]) -> NDArray[np.float32]:
+        return counts.astype(np.float32)
+
+    def check(self, task: str) -> None:
+        goal = task in TASKS
+        command = {"grip": Command.GRIP, "verify": Command.VERIFY}.get(task, Command.GRASP)
+        self._check(command if goal else self._needed(Command(task)))
+
     def feedback(self, job: Job) -> JobStatus:
         return self._jobs[job]
 
@@ -101,17 +116,28 @@ class StubPlugin:
 
     def begin(self, command: Command, *, reboot: bool = False, needless: bool = False) -> Job:
         state, holding = self._cell, self._status.holding
-        needed: Command | None = command
-        if command is Command.RELEASE and state in (CellState.RESETTING, CellState.STOPPED):
-            needed = Command.RELEASE_HELD
-        elif command is Command.RESET and state is CellState.STOPPED:
-            needed = Command.START
+        needed: Command | None = self._needed(command)
         path = answer(state, needed).path or (state,)
         if needless and not answer(state, needed).accepted:
             needed = None
         end = CellState.IDLE if command is Command.RESET else path[-1]
         keeps = holding and command is not Command.RELEASE
         return self._accept((command, reboot), needed, path[0], (end, keeps, None))
+
+    def _needed(self, command: Command) -> Command:
+        if command is Command.RELEASE and self._cell in (CellState.RESETTING, CellState.STOPPED):
+            return Command.RELEASE_HELD
+        if command is Command.RESET and self._cell is CellState.STOPPED:
+            return Command.START
+        return command
+
+    def _check(self, needed: Command | None) -> None:
+        if self._closed:
+            raise CellStateError("the cell is closed")
+        if self._running is not None:
+            raise CellStateError(f"job {self._running.number} is not over")
+        if needed is not None and not answer(self._cell, needed).accepted:
+            raise CellStateError(refusal(self._cell, needed))
 
     def cancel(self, job: Job, reason: str) -> None:
         if job == self._running:
@@ -128,12 +154,7 @@ class StubPlugin:
         acting: CellState,
         end: tuple[CellState, bool, Any],
     ) -> Job:
-        if self._closed:
-            raise CellStateError("the cell is closed")
-        if self._running is not None:
-            raise CellStateError(f"job {self._running.number} is not over")
-        if needed is not None and not answer(self._cell, needed).accepted:
-            raise CellStateError(refusal(self._cell, needed))
+        self._check(needed)
         self.asked.append(asked)
         if isinstance(asked, IdentifyGoal):
             self._last_answer = None
@@ -181,4 +202,9 @@ class StubPlugin:
         )
         if state in (CellState.ABORTED, CellState.STOPPED):
             live = LiveValues()
-        self._status = HostStatus(**asdict(states), live=live, last_answer=self._last_answer)
+        self._status = HostStatus(
+            **asdict(states),
+            live=live,
+            last_answer=self._last_answer,
+            fault_since_s=None if self._error is None else 1.0e9,
+        )

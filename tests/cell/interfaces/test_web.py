@@ -24,6 +24,7 @@ from cell.errors import CellError, ConfigError
 from cell.interfaces.service.doors import BUSY_MAX
 from cell.interfaces.service.service import RELEASE_KEY, Service
 from cell.interfaces.service.serving import open_doors, warnings
+from tactile.errors import HeartbeatLost
 from tests.cell.interfaces.conftest import Served, ended, until
 
 
@@ -204,15 +205,13 @@ def test_the_state_says_what_is_allowed_and_since_when(connect: Any) -> None:
     assert "'reset' is not allowed while the cell is IDLE" in refused["text"]
     assert refused["remedy"]
     lease = host.post("/api/lease", name="host")["lease"]
-    served.pause_while_pressing()
+    served.plugin.pause()
     host.post("/api/jobs", lease=lease, goal={"task": "identify"})
-    served.paused()
     now = host.get("/api/state")
     assert set(now["allowed"]) == set(may) | {"verify", "clear", "reset"}
     assert all("job 1 is not over" in one["text"] for one in now["allowed"].values())
     assert begin_s <= now["job"]["since_s"] <= now["time_s"]
-    served.go_on()
-    served.ended()
+    served.plugin.go_on()
     host.ask("POST", "/api/hold?latch=true&name=gate", token=None)
     allowed = host.get("/api/state")["allowed"]
     assert {task for task, one in allowed.items() if one is None} == {"shutdown"}
@@ -224,24 +223,30 @@ def test_a_fault_has_its_remedy_and_steps(connect: Any) -> None:
     served, host = connect()
     assert host.get("/api/state")["fault"] is None
     lease = host.post("/api/lease", name="host")["lease"]
-    served.simulated.inject("unit.off")
+    served.plugin.pause()
     host.post("/api/jobs", lease=lease, goal={"task": "grip", "force_n": 3.0})
-    assert served.ended().outcome == "ABORTED"
+    served.plugin.fail(HeartbeatLost("no heartbeat for 0.3 s"))
     now = host.get("/api/state")
     fault = now["fault"]
     assert (fault["number"], fault["detail"]) == (
         now["status"]["fault_number"],
         now["status"]["fault"],
     )
-    assert now["job"]["since_s"] <= fault["since_s"] <= now["time_s"]
-    assert (fault["recording"], fault["steps"][-1]) == (None, "reset")
+    assert (fault["number"], fault["since_s"], fault["recording"]) == (305, 1.0e9, None)
+    assert fault["steps"] == ["look", "mend", "clear", "support_part", "release", "reset"]
     listed = {one["number"]: one for one in host.get("/api/faults")}
     assert {name: fault[name] for name in listed[100]} == listed[fault["number"]]
     assert sorted(listed) == list(listed)
 
 
-def test_info_has_the_pads_and_limits(connect: Any) -> None:
-    served, host = connect()
+def test_a_simulated_cell_shows_pads_shift_grasps_and_newtons(connect: Any) -> None:
+    served, host = connect(cell={})
+    check_info(served, host)
+    check_shift(served, host)
+    check_newtons(served, host)
+
+
+def check_info(served: Served, host: Client) -> None:
     info = host.get("/api/info")
     assert (info["mode"], info["simulated"], info["version"]) == (
         "cell",
@@ -258,8 +263,8 @@ def test_info_has_the_pads_and_limits(connect: Any) -> None:
     assert info["places"] == ["ball", "box", "reject"]
 
 
-def test_a_shift_counts_what_was_identified_and_sorted(connect: Any) -> None:
-    served, host = connect()
+def check_shift(served: Served, host: Client) -> None:
+    """Two parts are counted, one identified and one sorted, and the last grasps are kept."""
     lease = host.post("/api/lease", name="host")["lease"]
     goal = {"task": "identify", "max_grasps": 1, "present": "box"}
     host.post("/api/jobs", lease=lease, goal=goal)
@@ -284,10 +289,11 @@ def test_a_shift_counts_what_was_identified_and_sorted(connect: Any) -> None:
     inner_n = sum(grasp["frame"][:64])
     assert inner_n == pytest.approx(max(one or 0.0 for one in grasp["force_n"]), rel=0.3)
     check_refusal(*host.ask("GET", "/api/grasps/77"), status=404)
+    host.ask("DELETE", f"/api/lease/{lease}")
 
 
-def test_the_socket_sends_newtons(connect: Any) -> None:
-    served, host = connect()
+def check_newtons(served: Served, host: Client) -> None:
+    """The socket sends the forces on the taxels; those of a finger are its force."""
     lease = host.post("/api/lease", name="host")["lease"]
     host.post("/api/jobs", lease=lease, goal={"task": "grip", "force_n": 4.0, "present": "box"})
     served.ended()
