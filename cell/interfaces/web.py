@@ -37,6 +37,7 @@ from cell.errors import (
 )
 from cell.fault_catalogue import BY_NUMBER, CATALOGUE, fault_of
 from cell.interfaces.live_socket import LiveFeed, LiveLink
+from cell.interfaces.page import mount_page
 from cell.interfaces.service.doors import (
     Places,
     is_for_this_machine,
@@ -190,6 +191,7 @@ class Api:
         app.include_router(guarded)
         app.add_api_route("/api/hold", self.hold, methods=["POST"])
         app.add_api_websocket_route("/api/live", self.live)
+        mount_page(app)
         return app
 
     def _authorize(

@@ -1,0 +1,100 @@
+// Commands: Hold for everybody, the others for the page in command; what is not allowed says why.
+
+import { allow, byId, isAllowed, onLongPress, setText } from "./dom.js";
+import { Refused } from "./link.js";
+import { runs } from "./band.js";
+import { faultText, has, t } from "./words.js";
+
+const RELEASE_KEY = 0x4f50;
+// What a state allows, for a server that does not say it itself.
+const BY_STATE = {
+  IDLE: ["teach", "identify", "grip", "sort", "release"],
+  COMPLETE: ["verify", "release"],
+  HELD: ["release"],
+  ABORTED: ["clear"],
+  RESETTING: ["release", "reset"],
+  STOPPED: ["release", "clear", "reset"],
+};
+
+// Why a command is not allowed now, in words; empty where it is. `any`: whoever is in command.
+export function reasonOf({ link, state, taught }, command, any = false) {
+  if (!state || link.stale) return t("why.connection");
+  if (!any && !link.commands) return t("why.lease");
+  if (!any && link.pending) return t("why.sent");
+  const { status, allowed, held_by: heldBy = [] } = state;
+  if (!allowed) {
+    return BY_STATE[status.state]?.includes(command) && !runs(state.job) ? "" : ofState(status.state);
+  }
+  const refusal = allowed[command];
+  if (!refusal) return command in allowed ? "" : t("why.not_offered");
+  if (refusal.number === 505) {
+    if (status.state === "IDLE" && !runs(state.job)) return taught.length ? refusal.text : t("why.not_taught");
+    return runs(state.job) && status.state === "IDLE" ? t("why.state.EXECUTE") : ofState(status.state);
+  }
+  if (refusal.number === 515) return t("why.held_by", { names: heldBy.join(", ") });
+  return faultText(refusal, "text");
+}
+
+const ofState = (state) => (has(`why.state.${state}`) ? t(`why.state.${state}`) : state);
+
+// What went wrong with a request, in words.
+export function complaint(error) {
+  if (!(error instanceof Refused)) return t("said.no_answer");
+  const text = error.number === 505 || error.number === 513 || !error.number
+    ? error.message : faultText({ number: error.number, text: error.message }, "text");
+  const remedy = error.number ? faultText({ number: error.number, remedy: error.remedy }, "remedy") : "";
+  return t("said.refused", { text: remedy ? `${text} – ${remedy}` : text });
+}
+
+export function setupCommands(view) {
+  const { link, say } = view;
+  const attempt = async (act, done = "") => {
+    try {
+      await act();
+      say(done);
+    } catch (error) {
+      say(complaint(error), true);
+    }
+    view.changed();
+  };
+  view.attempt = attempt;
+  view.start = (goal) => attempt(() => link.start(goal), t("said.started"));
+  view.send = (command, more = {}) => attempt(() => link.command("api/commands", {
+    command, ...(command === "release" ? { key: RELEASE_KEY } : {}), ...more,
+  }), t("said.started"));
+
+  const hold = byId("hold");
+  const doHold = () => {
+    hold.classList.add("sent");
+    attempt(() => link.hold(), t("said.held")).finally(() => setTimeout(() => hold.classList.remove("sent"), 600));
+  };
+  hold.addEventListener("click", doHold);
+  document.addEventListener("keydown", (event) => {
+    if (event.key === "Escape" && !event.repeat) doHold();
+  });
+
+  const click = (id, act) => byId(id).addEventListener("click", () => isAllowed(byId(id)) && act());
+  click("do_identify", () => view.start({ task: "identify", keep: byId("keep").value }));
+  click("do_grip", () => view.start({ task: "grip", force_n: byId("force").valueAsNumber || 0 }));
+  click("do_verify", () => view.start({ task: "verify" }));
+  click("do_sort", () => {
+    view.tab("sort");
+    byId("sort_parts").focus();
+  });
+  click("do_clear", () => view.send("clear"));
+  click("do_reset", () => view.send("reset"));
+  onLongPress(byId("do_release"), 1, () => view.send("release"));
+
+  byId("command").addEventListener("click", () => attempt(async () => {
+    if (link.commands) await link.giveUp();
+    else await link.acquire(Boolean(view.state?.commander));
+  }));
+}
+
+export function renderCommands(view) {
+  for (const command of ["identify", "grip", "verify", "sort", "clear", "reset"]) {
+    allow(byId(`do_${command}`), t(`do.${command}`), t(`hint.${command}`), reasonOf(view, command));
+  }
+  allow(byId("do_release"), t("do.release"), t("release.hint"), reasonOf(view, "release"));
+  setText(byId("hold").firstElementChild, t("hold.word"));
+}

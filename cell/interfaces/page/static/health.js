@@ -1,0 +1,37 @@
+// Health in words: one calm line where all is well, otherwise what is not, first.
+
+import { byId, make, renew } from "./dom.js";
+import { number, t } from "./words.js";
+
+const LEVELS = ["bad", "watch", "ok"];
+const most = (values) => (values?.length ? Math.max(...values.filter((one) => one !== null)) : null);
+
+function sentences(health) {
+  const { servos, can, loop, drift, recording } = health;
+  const found = [];
+  const add = (level, key, values) => found.push([LEVELS.includes(level) ? level : "watch", t(key, values)]);
+  if (servos) {
+    add(servos.level, servos.load?.length ? "health.servos" : "health.servos_heat", {
+      heat: number(most(servos.temperature_c), 0), load: number(100 * (most(servos.load) ?? 0), 0),
+    });
+  }
+  if (can) add(can.level, "health.can", { lost: can.lost ?? 0, frames: number(can.frames ?? 0), age: number(1000 * (can.age_s ?? 0), 0) });
+  if (loop) add(loop.level, "health.loop", { late: loop.late ?? 0, p99: number(loop.p99_ms, 1) });
+  if (drift) add(drift.level, "health.drift", { gain: number(100 * ((drift.gain ?? 1) - 1), 1), opening: number(drift.opening_mm, 2) });
+  if (recording) add(recording.level, recording.path ? "health.recording" : "health.no_recording", {});
+  if (recording?.text && recording.level !== "ok") found.at(-1)[1] += `: ${recording.text}`;
+  return found.sort((a, b) => LEVELS.indexOf(a[0]) - LEVELS.indexOf(b[0]));
+}
+
+export function renderHealth({ state, link }) {
+  const node = byId("health");
+  const found = state?.health && !link.stale ? sentences(state.health) : [];
+  const well = found.length > 0 && found.every(([level]) => level === "ok");
+  renew(node, [link.stale, found, document.documentElement.lang], () => {
+    node.setAttribute("aria-label", t("health.title"));
+    if (!found.length) return [make("span", { class: "muted" }, t(link.stale ? "health.not_now" : "health.none"))];
+    const lines = found.map(([level, text]) => make("span", { class: `line ${level}` },
+      level === "ok" ? "" : `${t(`level.${level}`)} – `, text));
+    return well ? [make("b", {}, `✓ ${t("health.well")}`), ...lines] : lines;
+  });
+}

@@ -1,0 +1,123 @@
+// What is held: name, how sure, shape and size to scale, and what comes next to it.
+
+import { byId, drawing, renew, setText, show } from "./dom.js";
+import { doing, labelWord, runs } from "./band.js";
+import { clockShort, has, millimetres, number, percent, t } from "./words.js";
+
+const FINGER_MM = 4;
+const NAMING = ["identify", "sort"];
+
+// What is shown: {label, probability, ..., tentative}, or null while nothing was named.
+export function current(state) {
+  const answers = state.shift?.answers ?? [];
+  const newest = answers.at(-1) ?? null;
+  const { job, last_answer: last } = state;
+  if (runs(job) && NAMING.includes(job.task)) {
+    const fromThisJob = newest && newest.time_s >= (job.since_s ?? Infinity);
+    const best = job.progress?.best;
+    if (best) return { label: best, probability: job.progress.probability, tentative: true };
+    if (job.task === "sort" && fromThisJob) return newest;
+    return { tentative: true };
+  }
+  if (last && newest && newest.label === last.label && newest.task !== "sort") {
+    return { ...last, ...newest, size_mm: newest.size_mm ?? last.size_mm, shape: newest.shape ?? last.shape };
+  }
+  return newest && !last ? newest : last;
+}
+
+export const shapeWord = (kind, size_mm) =>
+  (has(`shape.${kind}`) ? t(`shape.${kind}`, { size: millimetres(size_mm) }) : "");
+
+// A part between two fingers, drawn to scale: closing axis upright, with a ruler of 10 mm.
+export function drawShape(svg, kind, size_mm, interval_mm = null) {
+  renew(svg, [kind, size_mm, interval_mm, document.documentElement.lang], () => {
+    if (!kind || !size_mm) return [];
+    const k = Math.min(7, 96 / size_mm);
+    const h = k * size_mm;
+    const [cx, cy] = [100, 66];
+    const at = (name, more) => drawing(name, { class: "part", ...more });
+    const parts = [];
+    for (const side of [-1, 1]) {
+      const y = side < 0 ? cy - h / 2 - FINGER_MM * 2 : cy + h / 2;
+      parts.push(drawing("rect", { class: "finger", x: 34, width: 132, y, height: FINGER_MM * 2, rx: 1.5 }));
+    }
+    if (interval_mm) {
+      for (const edge of interval_mm) {
+        for (const side of [-1, 1]) {
+          const y = cy + (side * k * edge) / 2;
+          parts.push(drawing("path", { class: "limit", d: `M${cx - h / 2 - 24} ${y}h${h + 48}` }));
+        }
+      }
+    }
+    if (kind === "sphere") parts.push(at("circle", { cx, cy, r: h / 2 }));
+    else if (kind === "oval") parts.push(at("ellipse", { cx, cy, rx: 0.7 * h, ry: h / 2 }));
+    else if (kind === "cylinder") {
+      const long = Math.min(92, 2.2 * h);
+      const d = `M${cx - long / 2} ${cy - h / 2}h${long}a${h / 6} ${h / 2} 0 0 1 0 ${h}h${-long}a${h / 6} ${h / 2} 0 0 1 0 ${-h}z`;
+      parts.push(at("path", { d }));
+      parts.push(drawing("ellipse", { class: "edge", cx: cx + long / 2, cy, rx: h / 6, ry: h / 2 }));
+    } else if (kind === "flat") parts.push(at("rect", { x: cx - 46, width: 92, y: cy - h / 2, height: h }));
+    else if (kind === "dumbbell") {
+      parts.push(at("path", { d: `M${cx - 30} ${cy - h / 5}h60v${0.4 * h}h-60z` }));
+      for (const side of [-1, 1]) parts.push(at("circle", { cx: cx + side * 34, cy, r: h / 2 }));
+    } else parts.push(drawing("rect", { class: "part open", x: cx - h / 2, width: h, y: cy - h / 2, height: h, rx: h / 4 }));
+    parts.push(drawing("path", { class: "size", d: `M182 ${cy - h / 2}v${h}M177 ${cy - h / 2}h10M177 ${cy + h / 2}h10` }));
+    parts.push(drawing("path", { class: "size", d: `M34 143v4h${10 * k}v-4` }));
+    const ruler = drawing("text", { class: "ruler", x: 40 + 10 * k, y: 148 });
+    ruler.textContent = millimetres(10);
+    parts.push(ruler);
+    return parts;
+  });
+  svg.setAttribute("aria-label", shapeWord(kind, size_mm));
+  show(svg.parentElement, Boolean(kind && size_mm));
+}
+
+export function renderHeld({ state, info, taught, photo, link }) {
+  if (!state) return;
+  const { status, job } = state;
+  const found = current(state);
+  const panel = byId("held");
+  const unknown = found?.label === "UNKNOWN";
+  const sure = found?.probability >= (info?.sure_probability ?? 0.9);
+  panel.classList.toggle("tentative", Boolean(found?.tentative));
+  panel.classList.toggle("unknown", unknown);
+  panel.classList.toggle("unsure", Boolean(found?.label) && !sure && !unknown && !found.tentative);
+  const when = found?.time_s ? clockShort(found.time_s) : "";
+  const where = found?.tentative ? doing(state)[0]
+    : status.holding ? t("held.in_grip") : found?.place ? t("held.at_place", { place: found.place })
+      : found ? t("held.let_go") : t("held.empty");
+  setText(byId("held_when"), when && !found.tentative ? `${where} – ${when}` : where);
+  setText(byId("held_name"), !found ? (status.holding ? t("held.not_named") : t("held.nothing"))
+    : found.label ? labelWord(found.label) : t("held.feeling"));
+  const size_mm = found?.size_mm || null;
+  const feels = found?.shape && size_mm ? shapeWord(found.shape, size_mm) : "";
+  setText(byId("held_sure"), !found?.label ? ""
+    : unknown ? (feels ? t("held.feels", { shape: feels }) : t("held.no_shape"))
+      : found.tentative ? t("held.so_far", { probability: percent(found.probability) })
+        : t(sure ? "held.sure" : "held.unsure", { probability: percent(found.probability) }));
+  byId("held_bar").style.width = `${100 * (found?.label ? found.probability ?? 0 : 0)}%`;
+  const second = found?.runner_up;
+  setText(byId("held_second"), second ? t("held.second", {
+    label: labelWord(second.label), probability: percent(second.probability),
+    behind: number(100 * (found.probability - second.probability), 0),
+  }) : "");
+
+  drawShape(byId("held_shape"), found?.tentative ? null : found?.shape, size_mm, found?.interval_mm);
+  setText(byId("held_size"), feels && found.interval_mm
+    ? t("held.size", { shape: feels, low: number(found.interval_mm[0], 1), high: millimetres(found.interval_mm[1]) }) : feels);
+
+  const object = found?.label ? taught.find((one) => one.label === found.label) : null;
+  const picture = object?.photo ? photo(object) : null;
+  show(byId("held_photo_box"), Boolean(picture));
+  if (picture && byId("held_photo").src !== picture) byId("held_photo").src = picture;
+  byId("held_photo").alt = object ? t("held.photo_of", { label: object.label }) : "";
+  setText(byId("held_photo_text"), t("held.as_taught"));
+  if (object && !picture) drawShape(byId("held_taught"), object.shape, object.size_mm);
+  else show(byId("held_taught_box"), false);
+
+  const checked = !runs(job) && ["verify", "grip"].includes(job?.task) && job.held !== null;
+  const check = !checked ? "" : !job.held ? "check.nothing" : job.same === false ? "check.other" : "check.same";
+  setText(byId("held_check"), check && (job.task === "verify" || !job.held) ? t(check) : "");
+  byId("held_check").classList.toggle("bad", check === "check.nothing" || check === "check.other");
+  panel.classList.toggle("old", link.stale);
+}

@@ -1,0 +1,262 @@
+// The connection with the cell: states and frames as they come, commands that are done once.
+
+const STALE_S = 1; // an older state is not shown as if it were live
+const RENEW_S = 2.5; // after so long without a message the connection is made anew
+const TRY_S = 3; // a command whose answer was lost is repeated for so long
+const ANSWER_MS = 1500; // longest wait for one answer
+
+export class Refused extends Error {
+  constructor(status, answer) {
+    super(answer?.error ?? answer?.detail ?? String(status));
+    this.status = status;
+    this.number = answer?.fault_number ?? 0;
+    this.remedy = answer?.remedy ?? "";
+  }
+}
+export class NoAnswer extends Error {}
+
+const wait = (ms) => new Promise((go) => setTimeout(go, ms));
+const now_s = () => Date.now() / 1000;
+
+export class Link {
+  // `on` has: state(state), frame(Float32Array), connected(), refused(), lost().
+  constructor(on) {
+    this.on = on;
+    this.token = keptToken();
+    this.name = kept("name", () => `page-${Math.floor(0x1000 + Math.random() * 0xefff).toString(16)}`);
+    this.lease = Number(sessionStorage.getItem("lease") ?? 0);
+    this.leaseTimeout_s = 2;
+    this.state = null;
+    this.pending = false;
+    this.heard_s = 0;
+    this.offset_s = Infinity;
+    this.lag_s = 0;
+    this.lateSince_s = 0;
+    this.socket = null;
+    this.begun_s = 0;
+    this.delay_ms = 250;
+    this.aliveDue_s = 0;
+    setInterval(() => this.look(), 250);
+    document.addEventListener("visibilitychange", () => {
+      if (!document.hidden) this.look();
+    });
+    window.addEventListener("online", () => this.renew());
+  }
+
+  // Age in s of what is shown: since the last message, and how late this one came.
+  get age_s() {
+    return this.heard_s ? Math.max(now_s() - this.heard_s, this.lag_s) : Infinity;
+  }
+
+  get stale() {
+    return this.age_s > STALE_S;
+  }
+
+  // Whether this page is in command, as the cell itself says.
+  get commands() {
+    return this.lease !== 0 && this.state?.commander === this.name && !this.stale;
+  }
+
+  url(path) {
+    return new URL(path, document.baseURI);
+  }
+
+  connect() {
+    this.drop();
+    const url = this.url("api/live?frames=newtons");
+    url.protocol = url.protocol === "https:" ? "wss:" : "ws:";
+    this.begun_s = now_s();
+    this.offset_s = Infinity;
+    this.lag_s = 0;
+    this.lateSince_s = 0;
+    const socket = new WebSocket(url, ["tactile-cell", `token.${this.token}`]);
+    socket.binaryType = "arraybuffer";
+    let first = true;
+    socket.onmessage = ({ data }) => {
+      if (socket !== this.socket) return;
+      if (typeof data !== "string") {
+        this.on.frame(new Float32Array(data));
+        return;
+      }
+      this.take(JSON.parse(data));
+      if (first) {
+        first = false;
+        this.delay_ms = 250;
+        this.on.connected();
+      }
+    };
+    socket.onclose = () => {
+      if (socket !== this.socket) return;
+      this.socket = null;
+      this.askWhy();
+    };
+    this.socket = socket;
+  }
+
+  take(state) {
+    const now = now_s();
+    this.state = state;
+    this.heard_s = now;
+    if (state.time_s !== undefined) {
+      // Clocks differ; the quickest message of this connection shows by how much.
+      this.offset_s = Math.min(this.offset_s, now - state.time_s);
+      this.lag_s = now - state.time_s - this.offset_s;
+    }
+    this.lateSince_s = this.lag_s > STALE_S ? this.lateSince_s || now : 0;
+    this.keepLease();
+    this.on.state(state);
+  }
+
+  drop() {
+    const old = this.socket;
+    this.socket = null;
+    old?.close();
+  }
+
+  renew() {
+    if (!this.stopped) this.connect();
+  }
+
+  // Messages wake a page that the browser has put to sleep; this looks where there are none.
+  look() {
+    const now = now_s();
+    this.keepLease();
+    const silent = this.socket && now - Math.max(this.heard_s, this.begun_s) > RENEW_S;
+    if (silent || (this.lateSince_s && now - this.lateSince_s > RENEW_S)) this.renew();
+  }
+
+  async askWhy() {
+    try {
+      await this.call("GET", "api/info");
+    } catch (error) {
+      if (error instanceof Refused && error.status === 401) {
+        this.stopped = true;
+        this.on.refused();
+        return;
+      }
+    }
+    await wait(this.delay_ms);
+    this.delay_ms = Math.min(2 * this.delay_ms, 2000);
+    if (!this.socket && !this.stopped) this.connect();
+  }
+
+  login(token) {
+    this.token = token;
+    sessionStorage.setItem("token", token);
+    this.stopped = false;
+    this.connect();
+  }
+
+  // -- requests -----------------------------------------------------------------------------------
+
+  async fetch(method, path, { body, type, timeout_ms = ANSWER_MS } = {}) {
+    const headers = { Authorization: `Bearer ${this.token}` };
+    if (body !== undefined) headers["Content-Type"] = type ?? "application/json";
+    let answer;
+    try {
+      answer = await fetch(this.url(path), {
+        method,
+        headers,
+        body: body === undefined || type ? body : JSON.stringify(body),
+        cache: "no-store",
+        signal: AbortSignal.timeout(timeout_ms),
+      });
+    } catch (error) {
+      throw new NoAnswer(String(error));
+    }
+    if (!answer.ok) throw new Refused(answer.status, await answer.json().catch(() => null));
+    return answer;
+  }
+
+  async call(method, path, options) {
+    return (await this.fetch(method, path, options)).json().catch(() => null);
+  }
+
+  // Start a job or a command. Its number makes a repeated request the same one: with a lost answer
+  // nothing is done twice.
+  async command(path, body) {
+    if (this.pending) return 0;
+    this.pending = true;
+    const end_s = now_s() + TRY_S;
+    const wanted = { ...body, lease: this.lease, job: (this.state?.job?.number ?? 0) + 1 };
+    try {
+      for (;;) {
+        try {
+          return (await this.call("POST", path, { body: wanted })).job;
+        } catch (error) {
+          if (error instanceof Refused || now_s() > end_s) throw error;
+          await wait(200);
+        }
+      }
+    } finally {
+      this.pending = false;
+    }
+  }
+
+  start(goal) {
+    return this.command("api/jobs", { goal });
+  }
+
+  // Anyone may, without token and lease; tried until it is answered.
+  async hold() {
+    const end_s = now_s() + TRY_S;
+    for (;;) {
+      try {
+        return await this.call("POST", `api/hold?name=${this.name}`, { timeout_ms: 700 });
+      } catch (error) {
+        if (error instanceof Refused || now_s() > end_s) throw error;
+        await wait(100);
+      }
+    }
+  }
+
+  // -- the lease ----------------------------------------------------------------------------------
+
+  async acquire(take = false) {
+    const { lease } = await this.call("POST", "api/lease", { body: { name: this.name, take } });
+    this.setLease(lease);
+    this.aliveDue_s = now_s() + this.leaseTimeout_s / 4;
+  }
+
+  async giveUp() {
+    const lease = this.lease;
+    this.setLease(0);
+    await this.call("DELETE", `api/lease/${lease}`);
+  }
+
+  setLease(lease) {
+    this.lease = lease;
+    sessionStorage.setItem("lease", String(lease));
+  }
+
+  async keepLease() {
+    const now = now_s();
+    if (!this.lease || now < this.aliveDue_s) return;
+    this.aliveDue_s = now + this.leaseTimeout_s / 4;
+    const lease = this.lease;
+    try {
+      await this.call("POST", `api/lease/${lease}/alive`);
+    } catch (error) {
+      if (error instanceof Refused && this.lease === lease) {
+        this.setLease(0);
+        this.on.lost();
+      }
+    }
+  }
+}
+
+function kept(key, made) {
+  const value = sessionStorage.getItem(key) ?? made();
+  sessionStorage.setItem(key, value);
+  return value;
+}
+
+// The token comes in the fragment of the address, which no server and no log sees.
+function keptToken() {
+  const given = new URLSearchParams(location.hash.slice(1)).get("token");
+  if (given) {
+    sessionStorage.setItem("token", given);
+    history.replaceState(null, "", location.pathname + location.search);
+  }
+  return sessionStorage.getItem("token") ?? "";
+}

@@ -1,0 +1,185 @@
+// The page: everything that it shows comes from the state of the cell; this file joins the parts.
+
+import { byId, setText, show } from "./dom.js";
+import { Link } from "./link.js";
+import { loadWords, millimetres, number, t } from "./words.js";
+import { renderBand, runs } from "./band.js";
+import { renderHeld } from "./held.js";
+import { forget, renderFelt, takeFrame, takeValues } from "./felt.js";
+import { drawOpened, openGrasp, renderShift } from "./shift.js";
+import { renderHealth } from "./health.js";
+import { renderFault } from "./fault.js";
+import { reasonOf, renderCommands, setupCommands } from "./commands.js";
+import { renderTeach, setupTeach, teachEnded } from "./teach.js";
+import { renderSort, setupSort } from "./sort.js";
+import { renderReplay, setupReplay } from "./replay.js";
+
+const TABS = ["held", "teach", "sort"];
+const photos = new Map(); // URL of each photograph that was fetched, by its address
+let dirty = true;
+let lastJob = null;
+
+const view = {
+  link: null, info: null, state: null, taught: [],
+  changed: () => (dirty = true),
+  why: (command, any) => reasonOf(view, command, any),
+  say(text, bad = false) {
+    setText(byId("said"), text);
+    byId("said").classList.toggle("bad", bad);
+  },
+  open: (answer) => openGrasp(view, answer),
+  tab: chooseTab,
+  ask,
+  photo,
+  refreshTaught,
+};
+
+function chooseTab(name) {
+  for (const one of TABS) {
+    const chosen = one === name;
+    byId(`tab_${one}`).setAttribute("aria-selected", String(chosen));
+    byId(`tab_${one}`).tabIndex = chosen ? 0 : -1;
+    show(byId(one), chosen);
+  }
+  dirty = true;
+}
+
+// A question before what cannot be undone.
+function ask(text, word, act) {
+  setText(byId("sure_text"), text);
+  setText(byId("sure_yes"), word);
+  byId("sure_yes").onclick = () => {
+    byId("sure").close();
+    act();
+  };
+  byId("sure").showModal();
+}
+
+// Pictures need the token, so they are fetched like everything else.
+function photo(object) {
+  if (!photos.has(object.photo)) {
+    photos.set(object.photo, null);
+    view.link.fetch("GET", object.photo.replace(/^\//, "")).then((answer) => answer.blob()).then((blob) => {
+      photos.set(object.photo, URL.createObjectURL(blob));
+      dirty = true;
+    }).catch(() => photos.delete(object.photo));
+  }
+  return photos.get(object.photo);
+}
+
+async function refreshInfo() {
+  try {
+    view.info = await view.link.call("GET", "api/info");
+    view.link.leaseTimeout_s = view.info.lease_timeout_s ?? 2;
+  } catch { /* the next connection asks again */ }
+  await refreshTaught();
+}
+
+async function refreshTaught() {
+  for (const url of photos.values()) if (url) URL.revokeObjectURL(url);
+  photos.clear();
+  try {
+    view.taught = await view.link.call("GET", "api/taught");
+  } catch {
+    view.taught = (view.info?.labels ?? []).map((label) => ({ label }));
+  }
+  dirty = true;
+}
+
+function take(state) {
+  const before = view.state;
+  if (before && (before.time_s ?? 0) + 2 < (state.time_s ?? 0)) forget();
+  view.state = state;
+  takeValues(state, Date.now() / 1000);
+  const job = state.job ?? {};
+  if (before && before.taught_revision !== state.taught_revision) refreshTaught();
+  if (lastJob && (job.number !== lastJob.number || job.outcome !== lastJob.outcome)) {
+    if (runs(job) && !(runs(lastJob) && lastJob.number === job.number)) {
+      chooseTab(TABS.includes(job.task) ? job.task : "held");
+      view.say("");
+    }
+    if (job.task === "teach" && !runs(job)) teachEnded(view, job);
+  }
+  lastJob = { number: job.number, outcome: job.outcome };
+  dirty = true;
+}
+
+function renderPose() {
+  const { state, link } = view;
+  const pose = state?.pose;
+  show(byId("pose"), Boolean(pose) && link.commands);
+  if (!pose) return;
+  const degrees = (rad) => `${number((180 / Math.PI) * (rad ?? 0), 0)}°`;
+  setText(byId("pose_text"), t("pose.text", {
+    x: millimetres(1000 * (pose.x_m ?? 0)), y: millimetres(1000 * (pose.y_m ?? 0)),
+    rotation: degrees(pose.rotation_rad), roll: degrees(pose.roll_rad),
+  }));
+}
+
+let wasStale = null;
+function render() {
+  requestAnimationFrame(render);
+  const { stale } = view.link;
+  if (!dirty && stale === wasStale) return;
+  wasStale = stale;
+  dirty = false;
+  if (stale) forget();
+  for (const part of [renderBand, renderFault, renderHeld, renderFelt, renderShift, renderHealth,
+    renderCommands, renderTeach, renderSort, renderReplay, renderPose]) part(view);
+}
+
+function setup() {
+  setupCommands(view);
+  setupTeach(view);
+  setupSort(view);
+  setupReplay(view);
+  byId("tabs").addEventListener("click", (event) => {
+    const name = event.target.id?.replace("tab_", "");
+    if (TABS.includes(name)) chooseTab(name);
+  });
+  byId("tabs").addEventListener("keydown", (event) => {
+    const step = { ArrowRight: 1, ArrowLeft: -1 }[event.key];
+    const at = TABS.findIndex((one) => byId(`tab_${one}`) === document.activeElement);
+    if (!step || at < 0) return;
+    const name = TABS[(at + step + TABS.length) % TABS.length];
+    chooseTab(name);
+    byId(`tab_${name}`).focus();
+  });
+  for (const [id, ok] of [["pose_ok", true], ["pose_no", false]]) {
+    byId(id).addEventListener("click", () => view.attempt(() => view.link.call("POST", "api/pose", {
+      body: { lease: view.link.lease, seq: view.state.pose_seq, ok },
+    })));
+  }
+  byId("grasp_close").addEventListener("click", () => byId("grasp").close());
+  byId("sure_no").addEventListener("click", () => byId("sure").close());
+  byId("login_form").addEventListener("submit", () => view.link.login(byId("login_token").value.trim()));
+  byId("login").addEventListener("cancel", (event) => event.preventDefault());
+  window.addEventListener("resize", () => {
+    dirty = true;
+    drawOpened();
+  });
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+    dirty = true;
+    drawOpened();
+  });
+  // What is not live any more is shown as such, whether a message comes or not.
+  setInterval(() => (dirty = true), 250);
+}
+
+function login(wrong) {
+  setText(byId("login_wrong"), wrong ? t("login.wrong") : "");
+  if (!byId("login").open) byId("login").showModal();
+}
+
+view.link = new Link({
+  state: take,
+  frame: takeFrame,
+  connected: refreshInfo,
+  refused: () => login(true),
+  lost: () => view.say(t("said.lost"), true),
+});
+await loadWords();
+setup();
+render();
+if (view.link.token) view.link.connect();
+else login(false);

@@ -1,0 +1,71 @@
+// Texts in the language of the browser; numbers and times as its locale writes them.
+
+const LANGUAGES = ["en", "de"];
+const wanted = navigator.languages?.length ? navigator.languages : [navigator.language];
+const locale = wanted.find((one) => LANGUAGES.includes(one.slice(0, 2).toLowerCase())) ?? "en";
+export const language = locale.slice(0, 2).toLowerCase();
+
+let texts = {};
+let faults = {};
+const plural = new Intl.PluralRules(locale);
+
+export async function loadWords() {
+  const answer = await fetch(new URL(`${language}.json`, import.meta.url));
+  ({ faults = {}, ...texts } = await answer.json());
+  document.documentElement.lang = language;
+  for (const node of document.querySelectorAll("[data-t]")) node.textContent = t(node.dataset.t);
+}
+
+// The text of a key, with `{name}` replaced; `n` chooses between `key.one` and `key.other`.
+export function t(key, values = {}) {
+  const numbered = values.n === undefined ? key : `${key}.${plural.select(values.n)}`;
+  const text = texts[numbered] ?? texts[key];
+  if (text === undefined) {
+    console.error(`no text for ${numbered}`);
+    return key;
+  }
+  return text.replace(/\{(\w+)\}/g, (_, name) =>
+    typeof values[name] === "number" ? number(values[name]) : String(values[name] ?? ""));
+}
+
+export const has = (key) => key in texts;
+
+// A text of the fault catalogue: the server's is English, the others stand here by number.
+export function faultText(fault, field) {
+  return faults[fault.number]?.[field] ?? fault[field] ?? "";
+}
+
+const formats = new Map();
+function format(options) {
+  const key = JSON.stringify(options);
+  if (!formats.has(key)) formats.set(key, new Intl.NumberFormat(locale, options));
+  return formats.get(key);
+}
+
+export function number(value, digits) {
+  if (value === null || value === undefined || !Number.isFinite(value)) return "–";
+  return format({ minimumFractionDigits: digits, maximumFractionDigits: digits ?? 1 }).format(value);
+}
+
+export const newtons = (value) => (value == null ? "–" : `${number(value, 1)} N`);
+export const millimetres = (value) => (value == null ? "–" : `${number(value, 1)} mm`);
+
+export function percent(share) {
+  if (share === null || share === undefined) return "–";
+  // No answer is wholly sure.
+  const digits = share > 0.99 ? 1 : 0;
+  const style = format({ style: "percent", minimumFractionDigits: digits, maximumFractionDigits: digits });
+  return share > 0.999 ? `> ${style.format(0.999)}` : style.format(share);
+}
+
+const clockFormat = new Intl.DateTimeFormat(locale, { timeStyle: "medium" });
+const shortClock = new Intl.DateTimeFormat(locale, { timeStyle: "short" });
+export const clock = (unix_s) => clockFormat.format(new Date(1000 * unix_s));
+export const clockShort = (unix_s) => shortClock.format(new Date(1000 * unix_s));
+
+export function duration(seconds) {
+  const whole = Math.max(0, Math.floor(seconds));
+  if (whole < 60) return `${whole} s`;
+  if (whole < 3600) return `${Math.floor(whole / 60)} min`;
+  return `${number(Math.floor(whole / 3600))} h ${Math.floor((whole % 3600) / 60)} min`;
+}
