@@ -95,15 +95,23 @@ class FakeCell:
         self.refusals: dict[str, tuple[int, int, str]] = {}
         app = FastAPI()
         app.add_api_websocket_route("/api/live", self._live)
-        app.add_api_route("/api/{path:path}", self._answer, methods=["GET", "POST", "PUT", "DELETE"])
+        app.add_api_route(
+            "/api/{path:path}", self._answer, methods=["GET", "POST", "PUT", "DELETE"]
+        )
         mount_page(app)
         self._socket = socket.create_server(("127.0.0.1", 0))
         self.port: int = self._socket.getsockname()[1]
         config = uvicorn.Config(
-            app, log_config=None, lifespan="off", ws="websockets-sansio", timeout_graceful_shutdown=1
+            app,
+            log_config=None,
+            lifespan="off",
+            ws="websockets-sansio",
+            timeout_graceful_shutdown=1,
         )
         self._server = uvicorn.Server(config)
-        self._thread = threading.Thread(target=self._server.run, args=([self._socket],), daemon=True)
+        self._thread = threading.Thread(
+            target=self._server.run, args=([self._socket],), daemon=True
+        )
         self._thread.start()
 
     @property
@@ -172,7 +180,13 @@ class FakeCell:
         state["status"] = self._status("EXECUTE", "GRIPPING")
         state["job"] = self._job("identify", "EXECUTING", number=13) | {
             "since_s": time.time() - 7,
-            "progress": {"task": "identify", "grasps": 1, "of": 4, "best": "nut", "probability": 0.63},
+            "progress": {
+                "task": "identify",
+                "grasps": 1,
+                "of": 4,
+                "best": "nut",
+                "probability": 0.63,
+            },
         }
         state["last_answer"] = None
         state["live"] |= {"force_n": force_n, "setpoint_n": force_n + 0.1, "opening_mm": 6.5}
@@ -214,7 +228,14 @@ class FakeCell:
             for i in range(grasps)
         ]
         state["job"] = self._job("teach", "EXECUTING", number=13) | {
-            "progress": {"task": "teach", "label": "washer", "grasps": grasps, "missed": 1, "of": 10, "each": each},
+            "progress": {
+                "task": "teach",
+                "label": "washer",
+                "grasps": grasps,
+                "missed": 1,
+                "of": 10,
+                "each": each,
+            },
         }
         state["live"] |= {"force_n": 3.4, "setpoint_n": 3.5, "opening_mm": 2.2}
         return state
@@ -321,7 +342,9 @@ class FakeCell:
                 }  # fmt: skip
             case "POST", ["lease"]:
                 if self.lease and not body["take"]:
-                    return JSONResponse({"fault_number": 514, "error": "another is in command"}, 403)
+                    return JSONResponse(
+                        {"fault_number": 514, "error": "another is in command"}, 403
+                    )
                 self.lease += 1
                 self.state["commander"] = body["name"]
                 return {"lease": self.lease}
