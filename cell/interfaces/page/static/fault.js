@@ -20,11 +20,11 @@ export function dealtWith(state) {
 }
 
 function stepsOf(fault, status) {
-  return fault.steps ?? (status.holding ? ["support_part", "clear", "release", "reset"] : ["look", "mend", "clear", "reset"]);
+  return fault.steps ? [...fault.steps] : (status.holding ? ["support_part", "clear", "release", "reset"] : ["look", "mend", "clear", "reset"]);
 }
 
 export function renderFault(view) {
-  const { state, link, why, send } = view;
+  const { state, why, send } = view;
   const fault = dealtWith(state);
   document.body.classList.toggle("faulted", Boolean(fault));
   show(byId("fault"), Boolean(fault));
@@ -38,6 +38,10 @@ export function renderFault(view) {
   setText(byId("fault_recording"), recording ? t("fault.keep", { path: recording }) : t("fault.no_recording"));
 
   const steps = stepsOf(fault, state.status);
+  for (const command of ["clear", "release", "reset"]) {
+    // What the state allows beside the steps can be done, too.
+    if (!steps.some((step) => COMMANDS[step] === command) && !why(command, true)) steps.push(command);
+  }
   const commands = steps.filter((step) => COMMANDS[step]);
   const next = commands.find((step) => !why(COMMANDS[step], true));
   const done = new Set(next ? steps.slice(0, steps.indexOf(next)).filter((step) => COMMANDS[step]) : []);
@@ -63,6 +67,4 @@ export function renderFault(view) {
     const hint = step === "release" ? t("release.hint") : step === next ? t("fault.next") : " ";
     allow(button, t(`do.${step}`), hint, done.has(step) ? t("fault.done") : why(COMMANDS[step]));
   }
-  if (link.stale) byId("fault").classList.add("old");
-  else byId("fault").classList.remove("old");
 }

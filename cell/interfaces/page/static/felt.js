@@ -267,7 +267,8 @@ export function drawChart(canvas, series, { begin_s, end_s, levels_n = [], cap_n
     context.lineTo(toX(at), height - bottom);
     context.stroke();
     context.setLineDash([]);
-    label(t("felt.contact"), toX(at) + 5, openTop - 10, "left");
+    const right_edge = toX(at) > width - right - 70;
+    label(t("felt.contact"), toX(at) + (right_edge ? -5 : 5), openTop - 10, right_edge ? "right" : "left");
   }
   context.lineJoin = "round";
   context.strokeStyle = colour("muted");

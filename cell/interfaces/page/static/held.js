@@ -30,46 +30,47 @@ export const shapeWord = (kind, size_mm) =>
 
 // A part between two fingers, drawn to scale: closing axis upright, with a ruler of 10 mm.
 export function drawShape(svg, kind, size_mm, interval_mm = null) {
-  renew(svg, [kind, size_mm, interval_mm, document.documentElement.lang], () => {
-    if (!kind || !size_mm) return [];
-    const k = Math.min(7, 96 / size_mm);
-    const h = k * size_mm;
-    const [cx, cy] = [100, 66];
-    const at = (name, more) => drawing(name, { class: "part", ...more });
-    const parts = [];
-    for (const side of [-1, 1]) {
-      const y = side < 0 ? cy - h / 2 - FINGER_MM * 2 : cy + h / 2;
-      parts.push(drawing("rect", { class: "finger", x: 34, width: 132, y, height: FINGER_MM * 2, rx: 1.5 }));
-    }
-    if (interval_mm) {
-      for (const edge of interval_mm) {
-        for (const side of [-1, 1]) {
-          const y = cy + (side * k * edge) / 2;
-          parts.push(drawing("path", { class: "limit", d: `M${cx - h / 2 - 24} ${y}h${h + 48}` }));
-        }
-      }
-    }
-    if (kind === "sphere") parts.push(at("circle", { cx, cy, r: h / 2 }));
-    else if (kind === "oval") parts.push(at("ellipse", { cx, cy, rx: 0.7 * h, ry: h / 2 }));
-    else if (kind === "cylinder") {
-      const long = Math.min(92, 2.2 * h);
-      const d = `M${cx - long / 2} ${cy - h / 2}h${long}a${h / 6} ${h / 2} 0 0 1 0 ${h}h${-long}a${h / 6} ${h / 2} 0 0 1 0 ${-h}z`;
-      parts.push(at("path", { d }));
-      parts.push(drawing("ellipse", { class: "edge", cx: cx + long / 2, cy, rx: h / 6, ry: h / 2 }));
-    } else if (kind === "flat") parts.push(at("rect", { x: cx - 46, width: 92, y: cy - h / 2, height: h }));
-    else if (kind === "dumbbell") {
-      parts.push(at("path", { d: `M${cx - 30} ${cy - h / 5}h60v${0.4 * h}h-60z` }));
-      for (const side of [-1, 1]) parts.push(at("circle", { cx: cx + side * 34, cy, r: h / 2 }));
-    } else parts.push(drawing("rect", { class: "part open", x: cx - h / 2, width: h, y: cy - h / 2, height: h, rx: h / 4 }));
-    parts.push(drawing("path", { class: "size", d: `M182 ${cy - h / 2}v${h}M177 ${cy - h / 2}h10M177 ${cy + h / 2}h10` }));
-    parts.push(drawing("path", { class: "size", d: `M34 143v4h${10 * k}v-4` }));
-    const ruler = drawing("text", { class: "ruler", x: 40 + 10 * k, y: 148 });
-    ruler.textContent = millimetres(10);
-    parts.push(ruler);
-    return parts;
-  });
+  renew(svg, [kind, size_mm, interval_mm], () => (kind && size_mm ? shapeParts(kind, size_mm, interval_mm) : []));
   svg.setAttribute("aria-label", shapeWord(kind, size_mm));
   show(svg.parentElement, Boolean(kind && size_mm));
+}
+
+export function shapeParts(kind, size_mm, interval_mm) {
+  const k = Math.min(7, 96 / size_mm);
+  const h = k * size_mm;
+  const [cx, cy] = [100, 66];
+  const at = (name, more) => drawing(name, { class: "part", ...more });
+  const parts = [];
+  for (const side of [-1, 1]) {
+    const y = side < 0 ? cy - h / 2 - FINGER_MM * 2 : cy + h / 2;
+    parts.push(drawing("rect", { class: "finger", x: 34, width: 132, y, height: FINGER_MM * 2, rx: 1.5 }));
+  }
+  if (interval_mm) {
+    for (const edge of interval_mm) {
+      for (const side of [-1, 1]) {
+        const y = cy + (side * k * edge) / 2;
+        parts.push(drawing("path", { class: "limit", d: `M${cx - h / 2 - 24} ${y}h${h + 48}` }));
+      }
+    }
+  }
+  if (kind === "sphere") parts.push(at("circle", { cx, cy, r: h / 2 }));
+  else if (kind === "oval") parts.push(at("ellipse", { cx, cy, rx: 0.7 * h, ry: h / 2 }));
+  else if (kind === "cylinder") {
+    const long = Math.min(92, 2.2 * h);
+    const d = `M${cx - long / 2} ${cy - h / 2}h${long}a${h / 6} ${h / 2} 0 0 1 0 ${h}h${-long}a${h / 6} ${h / 2} 0 0 1 0 ${-h}z`;
+    parts.push(at("path", { d }));
+    parts.push(drawing("ellipse", { class: "edge", cx: cx + long / 2, cy, rx: h / 6, ry: h / 2 }));
+  } else if (kind === "flat") parts.push(at("rect", { x: cx - 46, width: 92, y: cy - h / 2, height: h }));
+  else if (kind === "dumbbell") {
+    parts.push(at("path", { d: `M${cx - 30} ${cy - h / 5}h60v${0.4 * h}h-60z` }));
+    for (const side of [-1, 1]) parts.push(at("circle", { cx: cx + side * 34, cy, r: h / 2 }));
+  } else parts.push(drawing("rect", { class: "part open", x: cx - h / 2, width: h, y: cy - h / 2, height: h, rx: h / 4 }));
+  parts.push(drawing("path", { class: "size", d: `M182 ${cy - h / 2}v${h}M177 ${cy - h / 2}h10M177 ${cy + h / 2}h10` }));
+  parts.push(drawing("path", { class: "size", d: `M34 143v4h${10 * k}v-4` }));
+  const ruler = drawing("text", { class: "ruler", x: 40 + 10 * k, y: 148 });
+  ruler.textContent = millimetres(10);
+  parts.push(ruler);
+  return parts;
 }
 
 export function renderHeld({ state, info, taught, photo, link }) {
@@ -86,7 +87,8 @@ export function renderHeld({ state, info, taught, photo, link }) {
   const where = found?.tentative ? doing(state)[0]
     : status.holding ? t("held.in_grip") : found?.place ? t("held.at_place", { place: found.place })
       : found ? t("held.let_go") : t("held.empty");
-  setText(byId("held_when"), when && !found.tentative ? `${where} – ${when}` : where);
+  const what = when && !found.tentative ? `${where} – ${when}` : where;
+  setText(byId("held_when"), link.stale ? t("held.last_known", { what }) : what);
   setText(byId("held_name"), !found ? (status.holding ? t("held.not_named") : t("held.nothing"))
     : found.label ? labelWord(found.label) : t("held.feeling"));
   const size_mm = found?.size_mm || null;
@@ -119,5 +121,4 @@ export function renderHeld({ state, info, taught, photo, link }) {
   const check = !checked ? "" : !job.held ? "check.nothing" : job.same === false ? "check.other" : "check.same";
   setText(byId("held_check"), check && (job.task === "verify" || !job.held) ? t(check) : "");
   byId("held_check").classList.toggle("bad", check === "check.nothing" || check === "check.other");
-  panel.classList.toggle("old", link.stale);
 }

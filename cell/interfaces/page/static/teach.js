@@ -1,9 +1,9 @@
 // Teach: name, photograph, grasps; what each grasp gave, how well it is told apart, what is taught.
 
-import { allow, byId, isAllowed, make, renew, setText, show } from "./dom.js";
+import { allow, byId, drawing, isAllowed, make, renew, setText, show } from "./dom.js";
 import { runs } from "./band.js";
-import { shapeWord } from "./held.js";
-import { millimetres, newtons, percent, t } from "./words.js";
+import { shapeParts, shapeWord } from "./held.js";
+import { millimetres, newtons, number, percent, t } from "./words.js";
 
 const PHOTO_PX = 640;
 const PHOTO_MAX = 500_000;
@@ -113,8 +113,9 @@ export function renderTeach(view) {
   if (teaching) {
     setText(byId("teach_progress"), t("teach.progress", { label, grasps, of }) + (missed ? ` – ${t("teach.missed", { n: missed })}` : ""));
     byId("teach_bar").style.width = `${of ? (100 * grasps) / of : 0}%`;
-    renew(byId("teach_each"), each, () => each.map((one) => make("li", {},
-      [newtons(one.force_n), millimetres(one.opening_mm), one.size_mm ? `⌀ ${millimetres(one.size_mm)}` : ""].filter(Boolean).join(" · "))));
+    renew(byId("teach_each"), each, () => each.map((one, i) => make("li", { value: i + 1 },
+      ...[number(i + 1), newtons(one.force_n), millimetres(one.opening_mm), one.size_mm ? `⌀ ${millimetres(one.size_mm)}` : ""]
+        .map((text) => make("span", {}, text)))).reverse());
     setText(byId("teach_end"), runs(job) ? "" : job.taught ? result(job.taught)
       : job.outcome === "SUCCEEDED" ? t("teach.done") : t(`teach.${job.outcome}`));
   }
@@ -123,7 +124,8 @@ export function renderTeach(view) {
   renew(byId("taught"), [taught, off, taught.map((one) => (one.photo ? photoOf(one) : null))], () =>
     (taught.length ? taught.map((one) => {
       const url = one.photo ? photoOf(one) : null;
-      const image = url ? make("img", { alt: "", src: url }) : make("i", { "aria-hidden": "true", class: `kind ${/^[a-z]+$/.test(one.shape ?? "") ? one.shape : ""}` });
+      const image = url ? make("img", { alt: "", src: url }) : drawing("svg", { "aria-hidden": "true", class: "kind shape", viewBox: "30 0 140 132" });
+      if (!url && one.shape && one.size_mm) image.append(...shapeParts(one.shape, one.size_mm, null).slice(0, -3));
       const back = make("button", { type: "button", class: "plain" }, t("teach.back"));
       const forget = make("button", { type: "button", class: "plain" }, t("teach.forget"));
       back.setAttribute("aria-label", t("teach.back_of", { label: one.label }));

@@ -17,7 +17,7 @@ from cell.fault_catalogue import CATALOGUE
 from cell.interfaces.page import mount_page
 from tactile.layout import paper_layout
 
-TOKEN = "token-of-the-test"  # noqa: S105
+TOKEN = "token-of-the-test"
 COMMANDS = ("teach", "identify", "grip", "verify", "sort", "release", "clear", "reset", "shutdown")
 NOT_NOW = {"number": 505, "text": "not allowed now", "remedy": "Read the allowed commands."}
 ALLOWED = {
@@ -83,9 +83,11 @@ class FakeCell:
         self.info = info_json()
         self.state = self.idle()
         self.taught: list[dict[str, Any]] = [
-            {"label": "bolt", "label_id": 1, "n_grasps": 20, "shape": "cylinder", "size_mm": 8.0, "photo": None},
-            {"label": "nut", "label_id": 2, "n_grasps": 20, "shape": "flat", "size_mm": 6.4, "photo": None},
-            {"label": "pin", "label_id": 3, "n_grasps": 12, "shape": "cylinder", "size_mm": 3.0, "photo": None},
+            {"label": label, "label_id": number, "n_grasps": 20, "shape": shape, "size_mm": size_mm,
+             "photo": None}
+            for number, (label, shape, size_mm) in enumerate(
+                [("bolt", "cylinder", 8.0), ("nut", "flat", 6.4), ("pin", "cylinder", 3.0)], start=1
+            )
         ]  # fmt: skip
         self.photos: dict[str, bytes] = {}
         self.asked: list[tuple[str, str, Any]] = []
@@ -309,7 +311,7 @@ class FakeCell:
         found = self._found(way, path, body)
         return found if isinstance(found, Response) else JSONResponse(found)
 
-    def _found(self, way: str, path: str, body: Any) -> Any:  # noqa: PLR0911
+    def _found(self, way: str, path: str, body: Any) -> Any:  # noqa: PLR0911, PLR0912
         part = path.split("/")
         match way, part:
             case "GET", ["info"]:

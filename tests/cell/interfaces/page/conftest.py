@@ -1,0 +1,67 @@
+"""A browser on the machine, a server with any state, and pages on it."""
+
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.cell.interfaces.page.fake_cell import FakeCell
+
+CHROMIUM = Path("/usr/bin/chromium")
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Any]:
+    """Chromium of the system; for a module alone: its event loop is in the way of others."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    if not CHROMIUM.exists():
+        pytest.skip(f"{CHROMIUM} is not there")
+    with playwright.sync_playwright() as started:
+        flags = ["--no-sandbox", "--disable-gpu"]
+        found = started.chromium.launch(executable_path=str(CHROMIUM), args=flags)
+        yield found
+        found.close()
+
+
+@pytest.fixture
+def cell() -> Iterator[FakeCell]:
+    """A server whose state the test writes."""
+    made = FakeCell()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def open_page(browser: Any, cell: FakeCell) -> Iterator[Callable[..., Any]]:
+    """Return the opener of pages; what one writes to its console as an error fails the test."""
+    errors: list[str] = []
+    with ExitStack() as undo:
+
+        def make(url: str = "", *, wide: bool = True, command: bool = False, **options: Any) -> Any:
+            size = {"width": 1400, "height": 900} if wide else {"width": 420, "height": 900}
+            context = browser.new_context(**{"viewport": size, "locale": "en-GB"} | options)
+            undo.callback(context.close)
+            page = context.new_page()
+            page.set_default_timeout(10_000)
+            page.on("pageerror", lambda error: errors.append(str(error)))
+            page.on(
+                "console",
+                # Refusals and cut connections are wanted; the browser writes them down.
+                lambda told: (
+                    errors.append(told.text)
+                    if told.type == "error"
+                    and "Failed to load resource" not in told.text
+                    and "WebSocket connection" not in told.text
+                    else None
+                ),
+            )
+            page.goto(url or cell.url)
+            if command:
+                page.click("#command")
+                page.wait_for_function("document.querySelector('#commander').textContent !== ''")
+            return page
+
+        yield make
+    assert not errors, errors

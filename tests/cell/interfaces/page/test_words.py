@@ -1,0 +1,121 @@
+"""The languages of the page: each text in each of them, each used, and German for each fault."""
+
+import json
+import re
+from typing import Any, get_args
+
+import pytest
+
+from cell.control.states import CellState, GraspState
+from cell.fault_catalogue import CATALOGUE, Step
+from cell.interfaces.page import FOLDER
+from cell.interfaces.plugin.goals import TASKS
+from recognition.shape.answer import UNCLEAR
+from recognition.shape.models import SHAPE_MODELS
+
+WORDS = {path.stem: json.loads(path.read_text()) for path in FOLDER.glob("*.json")}
+SOURCE = "\n".join(path.read_text() for path in FOLDER.glob("*.js"))
+HTML = (FOLDER / "index.html").read_text()
+FAMILIES: dict[str, set[str]] = {
+    "state.": {*CellState, "away"},
+    "grip.": set(GraspState),
+    "task.": {*TASKS, "release", "clear", "reset", "shutdown", "forget_drift"},
+    "step.": set(get_args(Step)),
+    "shape.": {*SHAPE_MODELS, UNCLEAR},
+    "why.state.": set(CellState),
+    "do.": {*TASKS, "release", "clear", "clear_reboot", "reset"},
+    "ended.": {"SUCCEEDED", "CANCELED", "ABORTED"},
+    "teach.": {"CANCELED", "ABORTED"},
+    "kind.": {"sure", "unsure", "unknown"},
+    "level.": {"watch", "bad"},
+}
+"""Keys that end with what the cell reports."""
+
+
+def used() -> set[str]:
+    """Return the keys that the page asks for by their whole name."""
+    found = set(re.findall(r'data-t="([^"]+)"', HTML))
+    for quoted in re.findall(r'["`]([a-z_]+(?:\.[A-Za-z_]+)+)["`]', SOURCE):
+        found.add(quoted)
+    return found
+
+
+def texts(language: str) -> dict[str, str]:
+    return {key: text for key, text in WORDS[language].items() if key != "faults"}
+
+
+def all_keys() -> set[str]:
+    """Return the keys; those of one and of several are one."""
+    english = texts("en")
+    both = {key.removesuffix(".one") for key in english if key.endswith(".one")}
+    return {key for key in english if key.rpartition(".")[0] not in both} | both
+
+
+@pytest.mark.parametrize("language", sorted(WORDS))
+def test_a_language_has_the_keys_and_places_of_english(language: str) -> None:
+    english, found = texts("en"), texts(language)
+    assert found.keys() == english.keys()
+    for key, text in english.items():
+        assert text.strip()
+        assert found[key].strip()
+        wanted = set(re.findall(r"\{(\w+)\}", text)) - {"n"}
+        assert set(re.findall(r"\{(\w+)\}", found[key])) - {"n"} == wanted, key
+
+
+def test_the_page_asks_for_no_text_that_is_missing() -> None:
+    keys = all_keys()
+    modules = {path.name for path in FOLDER.iterdir()}
+    asked = {key for key in used() if key not in modules}
+    families = {f"{prefix}{name}" for prefix, names in FAMILIES.items() for name in names}
+    prefixes = {key.partition(".")[0] for key in keys}
+    assert {key for key in asked if key.partition(".")[0] in prefixes} - keys == set()
+    assert families - keys == set()
+
+
+def test_no_text_is_unused() -> None:
+    keys = all_keys()
+    families = {f"{prefix}{name}" for prefix, names in FAMILIES.items() for name in names}
+    # Keys that a template ends, as t(`shift.${key}`), with the names in the same file.
+    made = {
+        f"{prefix}{name}"
+        for path in FOLDER.glob("*.js")
+        for prefix in re.findall(r"`([a-z_]+\.)\$\{", path.read_text())
+        for name in re.findall(r'"([A-Za-z_]+)"', path.read_text())
+    }
+    assert keys - used() - families - made == set()
+
+
+def test_german_has_each_fault_and_no_other() -> None:
+    faults: dict[str, dict[str, Any]] = WORDS["de"]["faults"]
+    assert set(faults) == {str(fault.number) for fault in CATALOGUE.values()}
+    for fault in CATALOGUE.values():
+        german = faults[str(fault.number)]
+        assert set(german) == {"text", "cause", "remedy", "grip"}
+        for name, text in german.items():
+            english = getattr(fault, name)
+            assert text.strip()
+            assert text != english, fault.number
+            # Keys of the config and commands stand in both as they are.
+            assert re.findall(r"`[^`]+`", text) == re.findall(r"`[^`]+`", english), fault.number
+
+
+def test_equal_english_texts_of_faults_are_equal_in_german() -> None:
+    """A text that changes in one of them needs its translation looked at."""
+    seen: dict[tuple[str, str], str] = {}
+    for fault in CATALOGUE.values():
+        for name in ("grip",):
+            english = getattr(fault, name)
+            german = WORDS["de"]["faults"][str(fault.number)][name]
+            assert seen.setdefault((name, english), german) == german
+
+
+def test_all_files_together_are_small() -> None:
+    assert sum(path.stat().st_size for path in FOLDER.iterdir()) <= 250_000
+
+
+def test_nothing_is_written_as_html_and_nothing_comes_from_elsewhere() -> None:
+    assert not re.search(r"innerHTML|outerHTML|insertAdjacent|document\.write|\beval\(", SOURCE)
+    assert "style=" not in HTML
+    assert not re.search(r"\son[a-z]+=", HTML)
+    for text in (SOURCE, HTML, (FOLDER / "style.css").read_text()):
+        assert set(re.findall(r"https?://[\w./]+", text)) <= {"http://www.w3.org/2000/svg"}
