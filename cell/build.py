@@ -104,6 +104,12 @@ class Cell:
         return None if self._recorder is None else self._recorder.path
 
     @property
+    def recording_fault(self) -> str | None:
+        """Why the recording has stopped; None where it has not, or there is none."""
+        fault = None if self._recorder is None else self._recorder.fault
+        return None if fault is None else str(fault)
+
+    @property
     def link(self) -> FrameSource:
         """The link to the control unit, of a cell whose loop runs in this process, for tests."""
         return self.controller.local_hand.link
@@ -147,9 +153,7 @@ class Cell:
                 for name in ("transactions", "retries", "timeouts", "corrupt", "late")
             },
             "loop": loop_values(loop, undelivered=statistics.undelivered),
-            "recording": None
-            if self._recorder is None or self._recorder.fault is None
-            else str(self._recorder.fault),
+            "recording": self.recording_fault,
         }
 
     def close(self) -> None:

@@ -85,6 +85,11 @@ class CellView:
         return self._life.fault_since_s
 
     @property
+    def state_since_s(self) -> float:
+        """Unix time in s of the last change of the state."""
+        return self._life.state_since_s
+
+    @property
     def n_faults(self) -> int:
         """Faults latched so far."""
         return self._life.n_faults
@@ -193,8 +198,12 @@ class CellController(CellView):
     @property
     def live(self) -> LiveValues:
         """What is measured at the moment, from any thread."""
-        measured = Measured() if self._life.state in _UNSUPERVISED else self._hand.measured
-        return live_values(measured, self._clock.monotonic())
+        return live_values(self.measured, self._clock.monotonic())
+
+    @property
+    def measured(self) -> Measured:
+        """Newest values of the hand; none while nothing looks at it, as after a fault."""
+        return Measured() if self._life.state in _UNSUPERVISED else self._hand.measured
 
     @property
     def shows_nothing(self) -> bool:

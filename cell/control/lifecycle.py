@@ -62,6 +62,8 @@ class CellLifecycle:
         How the last grasp ended; None before the first one and after a release.
     fault, fault_number
         What went wrong, while a fault is latched, and its number in `cell.fault_catalogue`.
+    state_since_s
+        Unix time in s of the last change of the state.
     fault_since_s, n_faults
         Unix time in s at which the last fault was latched, 0 before the first one; and how many
         have been so far.
@@ -93,6 +95,7 @@ class CellLifecycle:
         self.result: GraspResult | None = None
         self.fault: str | None = None
         self.fault_number = 0
+        self.state_since_s = time.time()
         self.fault_since_s = 0.0
         self.n_faults = 0
         self.cancelled = False
@@ -133,6 +136,7 @@ class CellLifecycle:
             self._state = next_state(self._state, event)
         except ValueError as error:
             raise self._refused(str(error)) from None
+        self.state_since_s = time.time()
         if event in (Event.RELEASE, Event.RELEASE_HELD, Event.START):
             self._kept = None
         self._changed()

@@ -11,7 +11,7 @@ _DECADES = 7
 """Factors of ten that the bins cover: 1 us to 10 s."""
 _N_BINS = _PER_DECADE * _DECADES + 2
 """All bins, with one below and one above that range."""
-_LATE_SHARE = 0.5
+LATE_SHARE = 0.5
 """Share of the period by which a period that began later is counted as late."""
 
 
@@ -152,7 +152,7 @@ class LoopTimer:
         """Count a period that began so late, in s."""
         self._cycles += 1
         self._lateness.add(late_s)
-        self._late += late_s > _LATE_SHARE * self._period_s
+        self._late += late_s > LATE_SHARE * self._period_s
         self._worst_s = max(self._worst_s, late_s)
 
     def statistics(self) -> LoopStatistics:

@@ -164,13 +164,14 @@ class TactileCellPlugin:
             )
         from cell.build import build_cell  # noqa: PLC0415
         from cell.interfaces.plugin import tasks  # noqa: PLC0415
+        from cell.interfaces.plugin.health import health_values  # noqa: PLC0415
         from cell.interfaces.plugin.part_report import TaxelNewtons, part_reporter  # noqa: PLC0415
         from cell.learning.pad_knowledge import pad_knowledge  # noqa: PLC0415
         from cell.learning.taught_model import TaughtModel  # noqa: PLC0415
 
         self._config = checked
         self._starting = threading.Lock()
-        self._part_reporter = part_reporter
+        self._part_reporter, self._health = part_reporter, health_values
         self._tasks = tasks
         known = pad_knowledge(checked, None if gauge is None else Path(gauge), gauge_shape)
         self._model = (
@@ -257,6 +258,10 @@ class TactileCellPlugin:
         """
         self._part_listeners.append(on_part)
 
+    def health(self) -> dict[str, Any]:
+        """Return the levels of servos, CAN, loop, drift and recording, and figures behind them."""
+        return self._health(self._config, self._cell, self._model.drift_estimate)
+
     def newtons(self, counts: "NDArray[np.uint16]") -> "NDArray[np.float32] | None":
         """Return the force in N on each taxel by its counts; None before the first zero."""
         return self._newtons.of(counts)
@@ -284,6 +289,7 @@ class TactileCellPlugin:
             return HostStatus(
                 **{one.name: getattr(states, one.name) for one in fields(CellStatus)},
                 live=controller.live,
+                since_s=controller.state_since_s,
                 fault_since_s=controller.fault_since_s if states.fault else None,
                 n_faults=controller.n_faults,
                 last_answer=next(iter(self._last_answer), None),

@@ -40,6 +40,8 @@ _UNMOVING = (Command.CLEAR.value, Command.SHUTDOWN.value)
 """Commands that move nothing and are obeyed while a client keeps the cell on hold."""
 _COMMANDS = (Command.RELEASE, Command.CLEAR, Command.RESET, Command.SHUTDOWN)
 """Commands of clients."""
+_HEALTH_S = 0.5
+"""Time in s for which the health of the cell is not worked out again."""
 _LOOKS = 10
 """Looks at the lease within its time-out: its loss is noticed at most a tenth of it late."""
 OUTCOME_NUMBERS = {
@@ -111,6 +113,7 @@ class _Plugin(Protocol):
     @property
     def recording_path(self) -> Path | None: ...
     def watch_parts(self, on_part: OnPart) -> None: ...
+    def health(self) -> dict[str, Any]: ...
     def newtons(self, counts: NDArray[np.uint16]) -> NDArray[np.float32] | None: ...
     def info(self) -> dict[str, Any]: ...
     def status(self) -> HostStatus: ...
@@ -186,6 +189,7 @@ class Service:
         self._holders: dict[Hashable, _Holder] = {}
         self._jobs: dict[int, tuple[Job, str, int, float]] = {}
         self._newest = 0
+        self._health: tuple[float, dict[str, Any]] = (-inf, {})
         self._parts = itertools.cycle(entry.label for entry in config.simulator.objects)
         self._over = threading.Event()
         self._watch = threading.Thread(target=self._run_watch, name="lease", daemon=True)
@@ -265,6 +269,15 @@ class Service:
     def recording_path(self) -> Path | None:
         """The recording, if one is made."""
         return self._plugin.recording_path
+
+    def health(self) -> dict[str, Any]:
+        """Return what `TactileCellPlugin.health` does, at most `_HEALTH_S` old."""
+        now_s = time.monotonic()
+        seen_s, found = self._health
+        if now_s - seen_s >= _HEALTH_S:
+            found = self._plugin.health()
+            self._health = (now_s, found)
+        return found
 
     def frame_n(self) -> NDArray[np.float32] | None:
         """Return the newest force in N on each taxel, (n_taxels,); None where none is measured."""

@@ -89,6 +89,9 @@ class StubPlugin:
     def watch_parts(self, on_part: OnPart) -> None:
         self.on_part = on_part
 
+    def health(self) -> dict[str, Any]:
+        return {"servos": {"level": "ok"}}
+
     def newtons(self, counts: NDArray[np.uint16]) -> NDArray[np.float32]:
         return counts.astype(np.float32)
 

@@ -243,6 +243,7 @@ def test_a_simulated_cell_shows_pads_shift_grasps_and_newtons(connect: Any) -> N
     served, host = connect(cell={})
     check_info(served, host)
     check_shift(served, host)
+    check_health(host)
     check_newtons(served, host)
 
 
@@ -290,6 +291,18 @@ def check_shift(served: Served, host: Client) -> None:
     assert inner_n == pytest.approx(max(one or 0.0 for one in grasp["force_n"]), rel=0.3)
     check_refusal(*host.ask("GET", "/api/grasps/77"), status=404)
     host.ask("DELETE", f"/api/lease/{lease}")
+
+
+def check_health(host: Client) -> None:
+    """A cell without fault is healthy, by figures that were measured."""
+    health = host.get("/api/state")["health"]
+    assert health["servos"]["level"] == health["can"]["level"] == health["loop"]["level"] == "ok"
+    assert len(health["servos"]["temperature_c"]) == len(health["servos"]["load"]) == 2
+    assert health["can"]["frames"] > 100
+    assert health["can"]["age_s"] < 0.5
+    assert health["loop"]["periods"] > 100
+    assert health["drift"]["gain"] == pytest.approx(1.0, abs=0.1)
+    assert health["recording"] == {"level": "ok", "path": None, "text": ""}
 
 
 def check_newtons(served: Served, host: Client) -> None:
