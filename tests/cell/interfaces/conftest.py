@@ -5,7 +5,7 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import ExitStack, closing, contextmanager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -16,6 +16,7 @@ from cell.control.plan import Pose
 from cell.interfaces.plugin.plugin import TactileCellPlugin
 from cell.interfaces.service.service import JobView, Service
 from cell.interfaces.service.serving import open_doors, open_service
+from tests.cell.conftest import small_config
 from tests.cell.interfaces.stub_plugin import GRIP_N, StubPlugin
 from tests.fuzz.harness import Clock
 
@@ -87,10 +88,27 @@ class Served:
         return found
 
 
+@contextmanager
+def serving(
+    *doors: str, cell: dict[str, Any] | None = None, note: Any = print, **changes: Any
+) -> Iterator[Served]:
+    """Open a service as `serve` does; ``changes`` are those of the config."""
+    ports = {f"serve__{name}_port": None for name in ("modbus", "xmlrpc", "http")}
+    ports |= {f"serve__{name}_port": 0 for name in doors}
+    config = small_config(**{"serve__lease_timeout_s": LEASE_S, **ports, **changes})
+    clock = Clock()
+    if cell is None:
+        service = Service(StubPlugin(), config, note=note, clock=clock)
+    else:
+        service = open_service(config, clock=clock, **cell)
+    with closing(service):
+        served = Served(service, clock)
+        with open_doors(service) if doors else nullcontext({}) as served.doors:
+            yield served
+
+
 @pytest.fixture
-def serve(
-    make_config: Callable[..., CellConfig], request: pytest.FixtureRequest
-) -> Iterator[Callable[..., Served]]:
+def serve(request: pytest.FixtureRequest) -> Iterator[Callable[..., Served]]:
     """Return the maker of services; ``doors`` opens them.
 
     Each stands on a stub, or with ``cell``, options of the plugin, on a simulated cell that was
@@ -98,23 +116,10 @@ def serve(
     """
     with ExitStack() as undo:
 
-        def make(
-            *doors: str, cell: dict[str, Any] | None = None, note: Any = print, **changes: Any
-        ) -> Served:
-            ports = {f"serve__{name}_port": None for name in ("modbus", "xmlrpc", "http")}
-            ports |= {f"serve__{name}_port": 0 for name in doors}
-            config = make_config(**{"serve__lease_timeout_s": LEASE_S, **ports, **changes})
-            clock = Clock()
-            if cell is None:
-                service = Service(StubPlugin(), config, note=note, clock=clock)
-            else:
-                model = request.getfixturevalue("taught").result.model
-                service = open_service(config, clock=clock, **({"model": model} | cell))
-            undo.callback(service.close)
-            served = Served(service, clock)
-            if doors:
-                served.doors = undo.enter_context(open_doors(service))
-            return served
+        def make(*doors: str, cell: dict[str, Any] | None = None, **more: Any) -> Served:
+            if cell is not None:
+                cell = {"model": request.getfixturevalue("taught").result.model} | cell
+            return undo.enter_context(serving(*doors, cell=cell, **more))
 
         yield make
 

@@ -7,7 +7,7 @@ import socket
 import struct
 import subprocess
 import sys
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, suppress
 from itertools import pairwise
 from pathlib import Path
@@ -43,7 +43,7 @@ from cell.interfaces.opc_ua.door import NAMESPACE, PERIOD_S, PLATE, VALUES, OpcU
 from cell.interfaces.service.service import RELEASE_KEY
 from cell.interfaces.service.serving import open_doors
 from tactile.errors import FrameTimeout
-from tests.cell.interfaces.conftest import LIMIT_S
+from tests.cell.interfaces.conftest import LIMIT_S, Served, serving
 
 ENCRYPTED = ua.MessageSecurityMode.SignAndEncrypt
 
@@ -82,10 +82,22 @@ def plc() -> Identity:
 @pytest.fixture
 def folder(tmp_path: Path, plc: Identity) -> Path:
     """Return a folder of OPC UA that trusts the PLC."""
-    (tmp_path / "trusted").mkdir()
-    (tmp_path / "trusted" / "plc.der").write_bytes(plc.der)
-    (tmp_path / "trusted" / "README.txt").write_text("clients that may command")
-    return tmp_path
+    return trusting(tmp_path, plc)
+
+
+def trusting(folder: Path, plc: Identity) -> Path:
+    (folder / "trusted").mkdir()
+    (folder / "trusted" / "plc.der").write_bytes(plc.der)
+    (folder / "trusted" / "README.txt").write_text("clients that may command")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def opened(tmp_path_factory: pytest.TempPathFactory, plc: Identity) -> Iterator[Served]:
+    """A door for what changes nothing: to open one takes more than a second."""
+    folder = trusting(tmp_path_factory.mktemp("pki"), plc)
+    with serving("opcua", serve__opcua_folder=str(folder)) as served:
+        yield served
 
 
 class Link:
@@ -145,11 +157,10 @@ def open_cell(serve: Any, folder: Path) -> Callable[..., Any]:
 # -- who may do what ---------------------------------------------------------------------------
 
 
-def test_an_anonymous_session_reads_and_does_nothing_else(open_cell: Any) -> None:
-    served = open_cell()
+def test_an_anonymous_session_reads_and_does_nothing_else(opened: Served) -> None:
 
     async def attack() -> None:
-        async with linked(served) as link:
+        async with linked(opened) as link:
             assert await link.read("State.Name") == "IDLE"
             methods = await link.cell.get_children(nodeclassmask=ua.NodeClass.Method)
             names = [(await node.read_browse_name()).Name for node in methods]
@@ -171,15 +182,14 @@ def test_an_anonymous_session_reads_and_does_nothing_else(open_cell: Any) -> Non
             assert await link.read("State.Commander") == ""
 
     asyncio.run(attack())
-    assert served.service.job().number == 0
-    assert served.service.acquire("free")
+    assert opened.service.job().number == 0
+    opened.service.give_up(opened.service.acquire("free"))
 
 
-def test_no_name_and_no_password_opens_a_session(open_cell: Any) -> None:
-    served = open_cell()
+def test_no_name_and_no_password_opens_a_session(opened: Served) -> None:
 
     async def attack(name: str) -> None:
-        client = Client(url(served), timeout=LIMIT_S)
+        client = Client(url(opened), timeout=LIMIT_S)
         client.set_user(name)
         client.set_password("any")
         with pytest.raises(BadIdentityTokenRejected):
@@ -190,9 +200,8 @@ def test_no_name_and_no_password_opens_a_session(open_cell: Any) -> None:
 
 
 def test_a_certificate_that_a_plain_channel_names_proves_nothing(
-    open_cell: Any, plc: Identity, monkeypatch: pytest.MonkeyPatch
+    opened: Served, plc: Identity, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    served = open_cell()
     honest = MessageChunk.message_to_chunks
     named: list[bytes] = []
 
@@ -204,7 +213,7 @@ def test_a_certificate_that_a_plain_channel_names_proves_nothing(
         return chunks
 
     async def attack() -> None:
-        async with linked(served) as link:
+        async with linked(opened) as link:
             assert await link.read("State.Name") == "IDLE"
             with pytest.raises(BadUserAccessDenied):
                 await link.call("acquire", "nobody")
@@ -214,11 +223,10 @@ def test_a_certificate_that_a_plain_channel_names_proves_nothing(
     assert named
 
 
-def test_a_session_without_a_channel_calls_nothing(open_cell: Any) -> None:
-    served = open_cell()
+def test_a_session_without_a_channel_calls_nothing(opened: Served) -> None:
 
     async def attack() -> None:
-        client = Client(url(served), timeout=LIMIT_S)
+        client = Client(url(opened), timeout=LIMIT_S)
         await client.connect_socket()
         await client.send_hello()
         await client.create_session()
@@ -233,12 +241,11 @@ def test_a_session_without_a_channel_calls_nothing(open_cell: Any) -> None:
     asyncio.run(attack())
 
 
-def test_a_session_of_another_client_cannot_be_taken(open_cell: Any, plc: Identity) -> None:
-    served = open_cell()
+def test_a_session_of_another_client_cannot_be_taken(opened: Served, plc: Identity) -> None:
 
     async def attack() -> None:
-        async with linked(served, plc) as link:
-            thief = Client(url(served), timeout=LIMIT_S)
+        async with linked(opened, plc) as link:
+            thief = Client(url(opened), timeout=LIMIT_S)
             await thief.connect_socket()
             await thief.send_hello()
             await thief.open_secure_channel()
@@ -251,7 +258,7 @@ def test_a_session_of_another_client_cannot_be_taken(open_cell: Any, plc: Identi
                 with pytest.raises(BadUserAccessDenied):
                     await Link(thief, link.space).call("acquire", "thief")
             thief.disconnect_socket()
-            assert await link.call("acquire", "plc") > 0
+            assert await link.call("give_up", await link.call("acquire", "plc")) == 0
 
     asyncio.run(attack())
 
@@ -443,9 +450,8 @@ def test_faults_are_shown_and_taxels_follow_at_most_ten_times_a_second(
 
 
 def test_values_are_bad_while_the_cell_cannot_be_asked(
-    open_cell: Any, monkeypatch: pytest.MonkeyPatch
+    opened: Served, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    served = open_cell()
 
     def silent() -> None:
         raise CellError("the process of the loop is gone")
@@ -455,8 +461,8 @@ def test_values_are_bad_while_the_cell_cannot_be_asked(
         return data.StatusCode.value == ua.StatusCodes.BadNoCommunication
 
     async def work() -> None:
-        async with linked(served) as link, asyncio.timeout(LIMIT_S):
-            monkeypatch.setattr(served.service, "snapshot", silent)
+        async with linked(opened) as link, asyncio.timeout(LIMIT_S):
+            monkeypatch.setattr(opened.service, "snapshot", silent)
             while not await bad(link):
                 await asyncio.sleep(0.02)
             monkeypatch.undo()
@@ -471,14 +477,13 @@ def test_values_are_bad_while_the_cell_cannot_be_asked(
 
 
 def test_other_hosts_and_endless_requests_are_cut_off(
-    open_cell: Any, monkeypatch: pytest.MonkeyPatch
+    opened: Served, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def never(_connection: Any) -> None:
         """Stand for the time after which a connection without session is closed anyhow."""
 
     monkeypatch.setattr(OPCUAProtocol, "_activation_watchdog", never)
-    served = open_cell()
-    address = ("127.0.0.1", served.doors["opcua_port"])
+    address = ("127.0.0.1", opened.doors["opcua_port"])
     header = b"HELF" + struct.pack("<I", 2**31)
     with socket.create_connection(address, LIMIT_S) as link, suppress(ConnectionError):
         link.sendall(header)
@@ -491,7 +496,7 @@ def test_other_hosts_and_endless_requests_are_cut_off(
             assert link.recv(1) == b""
 
     async def read() -> None:
-        async with linked(served) as link:
+        async with linked(opened) as link:
             assert await link.read("State.Name") == "IDLE"
 
     asyncio.run(read())
@@ -503,13 +508,11 @@ def test_the_folder_is_made_once_and_its_key_is_the_operators(serve: Any, tmp_pa
     made = {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
     assert set(made) == {"certificate.der", "key.pem"}
     assert (folder / "key.pem").stat().st_mode & 0o777 == 0o600
-    again = OpcUaDoor(served.service)
-    again.close()
-    assert made == {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
     busy = served.service.config.serve.model_copy(update={"opcua_port": served.doors["opcua_port"]})
     served.service.config = served.service.config.model_copy(update={"serve": busy})
     with pytest.raises(CellError, match="cannot be opened"), open_doors(served.service):
         pass
+    assert made == {path.name: path.read_bytes() for path in folder.iterdir() if path.is_file()}
     (folder / "trusted" / "bad.pem").write_bytes(b"no certificate")
     with pytest.raises(ConfigError, match="opcua_folder"):
         OpcUaDoor(served.service)
@@ -520,13 +523,9 @@ def test_the_folder_is_made_once_and_its_key_is_the_operators(serve: Any, tmp_pa
 
 
 def test_a_missing_extra_is_named(serve: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    served = serve("opcua")
     monkeypatch.setitem(sys.modules, "cell.interfaces.opc_ua.door", None)
-    with (
-        pytest.raises(ConfigError, match=r"tactile-cell\[opcua\]"),
-        open_doors(served.service),
-    ):
-        pass
+    with pytest.raises(ConfigError, match=r"tactile-cell\[opcua\]"):
+        serve("opcua")
 
 
 def test_the_program_opens_the_door_and_keeps_the_console_clean(tmp_path: Path) -> None:
