@@ -38,8 +38,6 @@ class VirtualClock:
         the clock itself.
     """
 
-    __slots__ = ("_advancing", "_now_s", "_step_s", "on_advance")
-
     def __init__(self, start_s: float = 0.0, *, step_s: float = STEP_S) -> None:
         if not math.isfinite(start_s):
             raise ValueError(f"a clock starts at a finite time, got start_s={start_s}")

@@ -66,19 +66,6 @@ class CellDevices:
         The knobs.
     """
 
-    __slots__ = (
-        "axes",
-        "axes_can_devices",
-        "can_devices",
-        "faults",
-        "mechanics",
-        "servo_bus",
-        "settings",
-        "stage",
-        "unit",
-        "world",
-    )
-
     def __init__(self, settings: SimulatorSettings, *, start_s: float = 0.0) -> None:
         self.settings = settings
         motors = [ServoMotor(servo.model) for servo in settings.servos]

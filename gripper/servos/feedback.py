@@ -270,17 +270,6 @@ class TickClock:
         Host's time before the last request that was answered in time.
     """
 
-    __slots__ = (
-        "_latest_s",
-        "_mark",
-        "_next_mark",
-        "_rate",
-        "_refused",
-        "_tick",
-        "_tick_s",
-        "sent_s",
-    )
-
     def __init__(self, tick_ms: int, sent_s: float, received_s: float) -> None:
         self.sent_s = sent_s
         self._tick = tick_ms

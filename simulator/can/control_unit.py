@@ -59,8 +59,6 @@ _ON_EACH_SYNC, _MOST_SYNCS = 1, 240
 class PeriodicTask:
     """A message that is sent again and again; canopen's heartbeat producer holds one."""
 
-    __slots__ = ("_stop", "can_id", "data", "due_s", "period_s")
-
     def __init__(
         self,
         can_id: int,
@@ -102,8 +100,6 @@ class DeviceNetwork:
     next_due_s
         Time in s at which the next periodic message is due, infinity without any.
     """
-
-    __slots__ = ("_send", "_tasks", "next_due_s", "now_s")
 
     def __init__(self, send: Callable[[float, int, bytes], None], now_s: float) -> None:
         self._send = send
@@ -205,32 +201,6 @@ class SimulatedControlUnit:
     dictionary, scanner
         Its objects, and the scanner that makes messages of a scan.
     """
-
-    __slots__ = (
-        "_boot_due_s",
-        "_burst_end_s",
-        "_force_due_s",
-        "_force_end_s",
-        "_force_hits",
-        "_force_id",
-        "_force_period_s",
-        "_forces_later",
-        "_frame_id",
-        "_gate",
-        "_held_force",
-        "_layout",
-        "_network",
-        "_node",
-        "_send",
-        "_sync_count",
-        "_sync_id",
-        "_sync_kind",
-        "_window_s",
-        "dictionary",
-        "faults",
-        "scanner",
-        "settings",
-    )
 
     def __init__(
         self,

@@ -88,18 +88,6 @@ class CanLink:
         Messages that nobody fetched until the adapter's memory was full.
     """
 
-    __slots__ = (
-        "_device",
-        "_disturber",
-        "_flood_due_s",
-        "_inbox",
-        "_reported",
-        "_wire",
-        "capture",
-        "faults",
-        "lost",
-    )
-
     def __init__(
         self,
         device: CanDevice,
@@ -245,8 +233,6 @@ class CanDevices:
     devices
         The cell's own, at least one.
     """
-
-    __slots__ = ("_devices", "_send")
 
     def __init__(self, *devices: CanDevice) -> None:
         self._devices = list(devices)

@@ -113,8 +113,6 @@ class SdoGate:
         Sends 8 bytes to the client.
     """
 
-    __slots__ = ("_index", "_received", "_respond", "_serve", "_size", "_subindex", "_transfer")
-
     def __init__(
         self, serve: Callable[[bytearray], None], respond: Callable[[bytes], None]
     ) -> None:
@@ -228,8 +226,6 @@ class UnitDictionary:
     error_register
         Object 0x1001.
     """
-
-    __slots__ = ("_constants", "_live", "_missing", "_node", "_scanner", "error_register", "errors")
 
     def __init__(
         self,

@@ -53,20 +53,6 @@ class PadForces:
         The taxels.
     """
 
-    __slots__ = (
-        "_active",
-        "_adc_max",
-        "_bad",
-        "_counter",
-        "_mean",
-        "_n_first",
-        "_place",
-        "_smoothing",
-        "_table_n",
-        "_touch_counts",
-        "_zero_counts",
-    )
-
     def __init__(self, layout: TaxelLayout) -> None:
         first, second = (layout.pads[pad] for pad in layout.gripping_pads)
         self._adc_max = layout.adc_max

@@ -28,18 +28,6 @@ class ProfileMotion:
         Deceleration in increments/s² of a stop that is under way; 0 without one.
     """
 
-    __slots__ = (
-        "_goal",
-        "_limits",
-        "_switches",
-        "actual",
-        "actual_speed",
-        "blocked",
-        "braking",
-        "demand",
-        "speed",
-    )
-
     def __init__(self, position: float, low: float, high: float) -> None:
         self.demand = self.actual = position
         self.speed = self.actual_speed = 0.0

@@ -57,27 +57,6 @@ class Scanner:
         As ``overrun``, of the force messages; the last of them.
     """
 
-    __slots__ = (
-        "_counts",
-        "_faults",
-        "_grip",
-        "_gripping",
-        "_layout",
-        "_offsets",
-        "_raw",
-        "_tare",
-        "_world",
-        "counter",
-        "force_overrun",
-        "forces",
-        "frame_format",
-        "last_force",
-        "overrun",
-        "read_counter",
-        "tare_largest",
-        "tare_result",
-    )
-
     def __init__(self, world: ScannedWorld, layout: TaxelLayout, faults: ControlUnitFaults) -> None:
         self._world = world
         self._layout = layout

@@ -45,19 +45,6 @@ class SlcanAdapter:
         nobody.
     """
 
-    __slots__ = (
-        "_bitrate",
-        "_chosen",
-        "_input",
-        "_link",
-        "_listen_only",
-        "_open",
-        "_output",
-        "_overflow",
-        "_passing_over",
-        "_stamps",
-    )
-
     def __init__(self, link: CanLink, *, bitrate: int) -> None:
         self._link = link
         self._bitrate = bitrate

@@ -95,8 +95,6 @@ class Burst(NamedTuple):
 class _Queued:
     """A burst with the time in s that each of its messages takes, and how many are through."""
 
-    __slots__ = ("burst", "lengths_s", "sent")
-
     def __init__(self, burst: Burst, bit_s: float) -> None:
         self.burst = burst
         more = _EXTENDED_BITS if burst.extended else 0
@@ -124,8 +122,6 @@ class CanWire:
     n_waiting
         Number of messages that wait.
     """
-
-    __slots__ = ("_bit_s", "_busy_until_s", "_ends_s", "_key", "_queues", "bitrate", "n_waiting")
 
     def __init__(self, bitrate: int) -> None:
         if bitrate <= 0:

@@ -94,8 +94,6 @@ class InjectedFault:
         When it begins and ends: an event and the time after it, or no event and the time.
     """
 
-    __slots__ = ("_injector", "_value", "began_s", "ended_s", "entry", "servo", "text", "window")
-
     def __init__(self, injector: "FaultInjector", text: str, injected_s: float) -> None:
         self._injector = injector
         parsed, self.entry, self.servo, self._value = check_fault(
@@ -176,8 +174,6 @@ class FaultInjector:
     now_s
         Time of the cell in s.
     """
-
-    __slots__ = ("_devices", "_effects", "_pending", "_plugs", "_seen_s", "now_s")
 
     def __init__(
         self, devices: CellDevices, start_s: float, *, plugs: Mapping[str, Plug] | None = None

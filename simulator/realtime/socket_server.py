@@ -19,8 +19,6 @@ Handler = Callable[[dict[str, Any]], dict[str, Any]]
 
 
 class _Client:
-    __slots__ = ("connection", "received")
-
     def __init__(self, connection: socket.socket) -> None:
         self.connection = connection
         self.received = bytearray()

@@ -185,16 +185,6 @@ class ControlTable:
         Firmware version (register 6).
     """
 
-    __slots__ = (
-        "_defined",
-        "_indirect",
-        "_indirect_end",
-        "_indirect_start",
-        "_items",
-        "_plans",
-        "data",
-    )
-
     def __init__(self, model: ServoModel, firmware: int) -> None:
         self.data = bytearray(TABLE_SIZE)
         self._items = _items(model, firmware)
@@ -314,8 +304,6 @@ class ServoRegisters:
     table
         The control table.
     """
-
-    __slots__ = ("_backup", "_factory", "firmware", "model", "table")
 
     def __init__(self, model: ServoModel, firmware: int, settings: Mapping[str, int]) -> None:
         self.model = model

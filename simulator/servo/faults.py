@@ -212,8 +212,6 @@ class ServoFaultKnobs:
         Its motor.
     """
 
-    __slots__ = ("_motor", "_servo")
-
     def __init__(self, servo: SimulatedServo, motor: ServoMotor) -> None:
         self._servo = servo
         self._motor = motor

@@ -126,8 +126,6 @@ class ServoPosition:
         without it.
     """
 
-    __slots__ = ("_plant", "_registers", "_turn_offset", "reported_offset_raw")
-
     def __init__(self, registers: ServoRegisters, plant: ServoPlant) -> None:
         self.reported_offset_raw = 0
         self._registers = registers

@@ -158,16 +158,6 @@ class FingerMechanics:
         Torque that sets an axis at rest in motion, over its Coulomb friction; at least 1.
     """
 
-    __slots__ = (
-        "_axes",
-        "_driven",
-        "_linkage",
-        "_lower_rad",
-        "_stiction_ratio",
-        "_upper_rad",
-        "motors",
-    )
-
     def __init__(
         self,
         motors: Sequence[ServoMotor],

@@ -163,37 +163,6 @@ class ServoMotor:
         How much more than the true angle the encoder reports.
     """
 
-    __slots__ = (
-        "_alpha",
-        "_alpha_dt_s",
-        "_back_emf",
-        "_d_current",
-        "_heat",
-        "_integral_a",
-        "_p_current",
-        "_resistance_ohm",
-        "angle_rad",
-        "command",
-        "current_a",
-        "duty",
-        "encoder_offset_rad",
-        "friction_nm",
-        "gearing",
-        "inertia_kg_m2",
-        "kt_nm_a",
-        "lead_rad",
-        "load_excess_s",
-        "model",
-        "reference_rad",
-        "reference_velocity_rad_s",
-        "rotor_velocity_rad_s",
-        "stuck_at_rad",
-        "temperature_c",
-        "velocity_rad_s",
-        "viscous_nm_s",
-        "voltage_v",
-    )
-
     def __init__(
         self,
         model: ServoModel = XM430_W350,

@@ -182,8 +182,6 @@ class PacketParser:
     some and swallowed the head of its successor.
     """
 
-    __slots__ = ("_buffer",)
-
     def __init__(self) -> None:
         self._buffer = b""
 

@@ -87,8 +87,6 @@ class ForceTable:
         Highest point of the surface in m.
     """
 
-    __slots__ = ("_force_n", "_last", "_stiffness_n_m", "reach_max_m")
-
     def __init__(self, foam: Foam, reach_m: NDArray[np.float64], cell_area_m2: float) -> None:
         surface_m = reach_m[np.isfinite(reach_m)]
         if surface_m.size == 0:

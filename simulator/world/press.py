@@ -45,8 +45,6 @@ class Press:
         If the object lies beside a pad.
     """
 
-    __slots__ = ("_foam", "_grids", "_lag_m", "_shares", "_tables", "swell_m", "z_m")
-
     def __init__(
         self, shape: Shape, pose: ObjectPose, grids: tuple[PadGrid, ...], foam: Foam
     ) -> None:

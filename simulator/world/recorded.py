@@ -46,17 +46,6 @@ class RecordedWorld:
         Time at the start in s.
     """
 
-    __slots__ = (
-        "_aperture_m",
-        "_counts",
-        "_fingers",
-        "_frame",
-        "_gripping",
-        "_layout",
-        "_next",
-        "_time_s",
-    )
-
     def __init__(
         self, layout: TaxelLayout, fingers: DrivenFingers, *, start_s: float = 0.0
     ) -> None:

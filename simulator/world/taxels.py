@@ -132,8 +132,6 @@ class PadGrid:
         Area of a cell in m².
     """
 
-    __slots__ = ("_across", "_along", "cell_area_m2", "pad", "x_m", "y_m")
-
     def __init__(self, pad: Pad, foam: Foam) -> None:
         self.pad = pad
         x_m, self._along = _share_of_taxels(pad.rows, pad.pitch_x_m, foam.spread_m)

@@ -77,22 +77,6 @@ class PhysicalWorld:
         Time at the start in s.
     """
 
-    __slots__ = (
-        "_fast_rng",
-        "_fingers",
-        "_force_n",
-        "_grids",
-        "_grip_slices",
-        "_gripping",
-        "_layout",
-        "_placed",
-        "_press",
-        "_rng",
-        "_settings",
-        "_stiffness_n_m",
-        "_time_s",
-    )
-
     def __init__(
         self,
         layout: TaxelLayout,

@@ -47,8 +47,6 @@ class FrameStatistics:
 class _Burst:
     """The messages of one frame so far, by index."""
 
-    __slots__ = ("begun_s", "missing", "next_index", "parts", "phase")
-
     def __init__(self, phase: int, n_messages: int, begun_s: float) -> None:
         self.phase = phase
         self.begun_s = begun_s

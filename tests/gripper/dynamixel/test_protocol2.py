@@ -1,32 +1,13 @@
 import pytest
 from dynamixel_sdk import COMM_PORT_BUSY, Protocol2PacketHandler
-from hypothesis import given, settings, strategies as st
 
 from gripper.dynamixel.protocol2 import (
     CheckedPacketHandler,
     Instruction,
     packet_length,
     parse_status,
-    stuff,
-    unstuff,
 )
 from gripper.errors import BusBusy
-
-PIECES = st.lists(
-    st.one_of(st.sampled_from([b"\xff\xff\xfd", b"\xff", b"\xfd"]), st.binary(max_size=4)),
-    max_size=8,
-).map(b"".join)
-
-
-@settings(derandomize=True, max_examples=300)
-@given(PIECES)
-def test_stuffing_comes_back_and_leaves_no_header(body: bytes) -> None:
-    stuffed = stuff(b"\x55" + body)
-    assert unstuff(stuffed) == b"\x55" + body
-    start = stuffed.find(b"\xff\xff\xfd")
-    while start >= 0:
-        assert stuffed[start + 3] == 0xFD
-        start = stuffed.find(b"\xff\xff\xfd", start + 1)
 
 
 def test_two_stuffed_places_lose_no_byte() -> None:
@@ -95,14 +76,3 @@ def test_a_port_in_use_is_busy() -> None:
     assert CheckedPacketHandler().txPacket(wire, [0] * 10) == COMM_PORT_BUSY
     with pytest.raises(BusBusy):
         CheckedPacketHandler().send(wire, 1, Instruction.PING, b"")
-
-
-@settings(derandomize=True, max_examples=200)
-@given(st.binary(max_size=40))
-def test_garbage_before_an_answer_is_passed_over(garbage: bytes) -> None:
-    answer = bytes.fromhex("FFFFFD00010800550 0A60000008CC0".replace(" ", ""))
-    handler = CheckedPacketHandler()
-    status = handler.receive(Wire(garbage + answer))
-    assert status is not None
-    assert status.data == bytes.fromhex("A6000000")
-    assert handler.dropped_bytes == len(garbage)

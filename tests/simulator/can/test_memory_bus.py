@@ -18,8 +18,6 @@ from simulator.can.wire import Burst, CanWire, crc15, exact_bits, mean_bits, stu
 from simulator.clock import VirtualClock
 from simulator.errors import SimulatorSettingsError, SimulatorStateError
 from simulator.world.world import PhysicalWorld
-from tactile.frames.assembler import FrameAssembler
-from tactile.frames.codec import FrameFormat
 from tactile.layout import paper_layout
 
 SYNC_ID, TPDO_ID = 0x80, 0x185
@@ -264,18 +262,6 @@ def test_a_burst_takes_as_long_as_its_bits(bitrate: int, duration_s: float) -> N
     burst = drain(bus)
     assert len(burst) == 59
     assert burst[-1].timestamp - start_s == pytest.approx(duration_s, rel=0.05)
-
-
-def test_each_sync_becomes_one_whole_frame() -> None:
-    _, bus, clock = real_bus()
-    assembler = FrameAssembler(FrameFormat.of(paper_layout()))
-    frames = 0
-    for _ in range(100):
-        bus.send(message(SYNC_ID))
-        clock.sleep(0.01)
-        while (one := bus.recv(0)) is not None:
-            frames += assembler.push(bytes(one.data), one.dlc, one.timestamp) is not None
-    assert frames == 100
 
 
 def run_with(faults: CanLinkFaults, n: int = 400) -> list[can.Message]:

@@ -28,12 +28,6 @@ def sync_read(address: int, size: int, *servo_ids: int, fast: bool = False) -> b
     return encode_instruction(0xFE, code, parameters)
 
 
-def test_everybody_answers_a_broadcast_ping_in_the_order_of_ids(servo_bench):
-    bench = servo_bench(count=3)
-    answer = bench.exchange(encode_instruction(0xFE, Instruction.PING))
-    assert answer == b"".join(encode_status(i, 0, bytes((0xFC, 0x03, 48))) for i in (1, 2, 3))
-
-
 @pytest.mark.parametrize(
     ("instruction", "parameters"),
     [
@@ -62,39 +56,6 @@ def test_action_for_all_starts_all_at_once(bench):
     assert [bench.read(i, 65, 1) for i in (1, 2)] == [1, 1]
 
 
-def test_a_factory_reset_of_everything_is_refused_as_broadcast(bench):
-    bench.write(1, 31, 1, 60)
-    bench.exchange(encode_instruction(0xFE, Instruction.FACTORY_RESET, b"\xff"))
-    assert bench.read(1, 31, 1) == 60
-    bench.exchange(encode_instruction(0xFE, Instruction.FACTORY_RESET, b"\x02"))
-    bench.clock.sleep(0.5)
-    assert bench.read(1, 31, 1) == 80
-
-
-def test_sync_write_gives_each_servo_its_own_value(bench):
-    raw = bytes.fromhex("FFFFFD00FE0D0083660002000164 00029CFFE1DB".replace(" ", ""))
-    assert bench.exchange(raw) == b""
-    assert [bench.read(i, 102, 2, signed=True) for i in (1, 2)] == [100, -100]
-
-
-def test_bulk_write_gives_each_servo_its_own_item(bench):
-    raw = bytes.fromhex("FFFFFD00FE1000930120000200A000021F00010050B768")
-    assert bench.exchange(raw) == b""
-    assert (bench.read(1, 32, 2), bench.read(2, 31, 1)) == (160, 80)
-    other = bytes((2, 116, 0, 4, 0, 1, 2, 0, 0, 1, 84, 0, 2, 0, 3, 1))
-    assert bench.exchange(encode_instruction(0xFE, Instruction.BULK_WRITE, other)) == b""
-    assert (bench.read(2, 116, 4), bench.read(1, 84, 2)) == (0x201, 0x103)
-    assert bench.read(1, 80, 4) == 0
-
-
-def test_a_stuffed_sync_write_arrives(servo_bench):
-    bench = servo_bench(settings={"operating_mode": 0})
-    raw = bytes.fromhex("FFFFFD00FE0F008366000600 01FFFFFDFDFFFFFF67DC".replace(" ", ""))
-    assert bench.exchange(raw) == b""
-    assert bench.read(1, 102, 2, signed=True) == -1
-    assert bench.read(1, 104, 4, signed=True) == -3
-
-
 @pytest.mark.parametrize(
     ("instruction", "parameters"),
     [
@@ -113,50 +74,11 @@ def test_group_instructions_cut_off_are_passed_over(bench, instruction: int, par
     assert [bench.read(i, 65, 1) for i in (1, 2)] == [0, 0]
 
 
-def test_a_sync_read_is_answered_in_the_order_of_the_request(servo_bench):
-    bench = servo_bench(count=3)
-    assert ids(bench.exchange(sync_read(132, 4, 3, 1, 2))) == [3, 1, 2]
-
-
 @pytest.mark.parametrize(
     ("request_ids", "answered"), [((1, 9, 2), [1]), ((9, 1, 2), []), ((1, 2, 9), [1, 2])]
 )
 def test_a_servo_stays_silent_when_an_earlier_one_is_missing(bench, request_ids, answered):
     assert ids(bench.exchange(sync_read(132, 4, *request_ids))) == answered
-
-
-def test_a_bulk_read_asks_for_different_items(bench):
-    raw = bytes.fromhex("FFFFFD00FE0D009201900002000292000100 1A05".replace(" ", ""))
-    answer = bench.exchange(raw)
-    expected = encode_status(1, 0, (120).to_bytes(2, "little")) + encode_status(2, 0, bytes((25,)))
-    assert answer == expected
-
-
-def test_a_refused_read_in_a_chain_carries_no_data(bench):
-    answer = bench.exchange(sync_read(71, 1, 1, 2))
-    assert answer == encode_status(1, 7) + encode_status(2, 7)
-
-
-def test_a_fast_sync_read_is_one_status(bench):
-    expected = bench.read(1, 132, 4), bench.read(2, 132, 4)
-    answer = bench.exchange(sync_read(132, 4, 1, 2, fast=True))
-    assert len(answer) == 8 + 2 * (4 + 4)
-    (packet,) = PacketParser().push(answer)
-    assert packet.intact
-    found = packet.parameters
-    assert found[:2] == b"\x00\x01"
-    assert int.from_bytes(found[2:6], "little") == expected[0]
-    assert found[8:10] == b"\x00\x02"
-    assert int.from_bytes(found[10:14], "little") == expected[1]
-
-
-def test_a_fast_bulk_read_is_one_status(bench):
-    parameters = bytes((1, 144, 0, 2, 0, 2, 146, 0, 1, 0))
-    answer = bench.exchange(encode_instruction(0xFE, Instruction.FAST_BULK_READ, parameters))
-    (packet,) = PacketParser().push(answer)
-    assert packet.intact
-    assert packet.parameters[:4] == bytes((0, 1, 120, 0))
-    assert packet.parameters[6:9] == bytes((0, 2, 25))
 
 
 @pytest.mark.parametrize(("missing", "length"), [(2, 8 + 8), (1, 0)])
@@ -187,18 +109,6 @@ def test_fast_reads_are_not_stuffed_and_others_are(bench):
 def test_status_packets_and_unused_ids_are_passed_over(bench):
     assert bench.exchange(encode_status(1, 0)) == b""
     assert bench.exchange(encode_instruction(253, Instruction.PING)) == b""
-
-
-def test_a_packet_that_was_not_stuffed_is_not_carried_out(servo_bench):
-    bench = servo_bench(settings={"operating_mode": 4})
-    before = bench.read(1, 116, 4)
-    assert (
-        bench.exchange(bytes.fromhex("FFFFFD000109000374 00FFFFFDFFCB05".replace(" ", ""))) == b""
-    )
-    assert bench.read(1, 116, 4) == before
-    stuffed = bytes.fromhex("FFFFFD00010A00037400FFFFFDFDFF23E5")
-    assert bench.exchange(stuffed) == encode_status(1, 0)
-    assert bench.read(1, 116, 4, signed=True) == -131073
 
 
 @pytest.mark.parametrize(("reply", "expected"), [(True, encode_status(1, 3)), (False, b"")])

@@ -20,10 +20,6 @@ def bench(servo_bench: Callable):
     return servo_bench()
 
 
-def test_ping_tells_model_and_firmware(bench):
-    assert bench.ask(1, Instruction.PING) == (0, bytes((0xFC, 0x03, 48)))
-
-
 @pytest.mark.parametrize("model", [XM430_W350, XL330_M288, XC330_M288])
 def test_factory_values(servo_bench, model):
     bench = servo_bench(model=model, settings={"baud_rate": 3})
@@ -111,22 +107,6 @@ def test_one_bad_item_keeps_the_whole_block_from_being_written(bench):
     data = (200).to_bytes(2, "little") + (5000).to_bytes(2, "little")
     assert bench.ask(1, Instruction.WRITE, bytes((100, 0)) + data) == (LIMIT, b"")
     assert bench.read(1, 100, 2) == 885
-
-
-def test_the_eeprom_is_locked_with_torque_on(bench):
-    assert bench.write(1, 64, 1, 1) == 0
-    assert bench.write(1, 9, 1, 10) == ACCESS
-    assert bench.write(1, 64, 1, 0) == 0
-    assert bench.write(1, 9, 1, 10) == 0
-
-
-def test_reg_write_waits_for_action(bench):
-    parameters = bytes((104, 0)) + (200).to_bytes(4, "little")
-    assert bench.ask(1, Instruction.REG_WRITE, parameters) == (0, b"")
-    assert (bench.read(1, 69, 1), bench.read(1, 104, 4)) == (1, 0)
-    assert bench.ask(1, Instruction.ACTION) == (0, b"")
-    assert (bench.read(1, 69, 1), bench.read(1, 104, 4)) == (0, 200)
-    assert bench.ask(1, Instruction.ACTION) == (UNKNOWN, b"")
 
 
 def test_action_checks_the_value_when_it_is_carried_out(bench):

@@ -126,13 +126,6 @@ def test_stuffed_answers(driver: Any, client: dxl2.MotorBus) -> None:
     assert good(client.sync_read(sync_params(116, 4))) == [-131073, -131073]
 
 
-def test_its_unstuffed_write_is_not_carried_out(driver: Any, client: dxl2.MotorBus) -> None:
-    before = registers(driver, 1).get("goal_position")
-    client.conn.serial.timeout = 0.05
-    assert client.write(1, 116, 4, -131073, True).timeout
-    assert registers(driver, 1).get("goal_position") == before
-
-
 def test_an_alert_comes_with_every_answer(driver: Any, client: dxl2.MotorBus) -> None:
     driver.bench.servos[0].core.injected_error = 0x20
     driver.bench.device.advance_to(time.monotonic())

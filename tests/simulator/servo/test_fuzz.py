@@ -47,16 +47,3 @@ def test_any_instruction_is_survived(model, packets, pause_s: float):
             assert abs(registers.get("goal_current")) <= registers.model.current_limit_raw
             assert registers.get("operating_mode") in {0, 1, 3, 4, 5, 16}
             assert registers.get("model_number") == model.number
-
-
-@settings(max_examples=150, derandomize=True, deadline=None)
-@given(st.lists(st.binary(max_size=40), max_size=10))
-def test_any_bytes_are_survived(chunks: list[bytes]):
-    device, _ = make(MODELS["XM430-W350"])
-    for i, chunk in enumerate(chunks):
-        device.receive(chunk, float(i))
-    device.transmit(100.0)
-    for _ in range(30):
-        device.receive(encode_instruction(2, Instruction.PING), 200.0)
-    answers = PacketParser().push(device.transmit(300.0))
-    assert any(p.packet_id == 2 and p.intact for p in answers)

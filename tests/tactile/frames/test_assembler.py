@@ -4,7 +4,6 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
 
 from tactile.frames.assembler import FrameAssembler
 from tactile.frames.codec import FrameFormat, TactileFrame, encode_frame
@@ -50,70 +49,8 @@ def loss_of_exactly_four_frames(stream: Stream, rng: np.random.Generator) -> Str
     return stream[:start] + stream[start + 4 * N_MESSAGES :]
 
 
-def delayed(stream: Stream, rng: np.random.Generator) -> Stream:
-    places = int(rng.integers(1, 71))
-    start = int(rng.integers(0, len(stream) - places))
-    message = stream[start]
-    rest = stream[:start] + stream[start + 1 :]
-    return [*rest[: start + places], message, *rest[start + places :]]
-
-
 def random_loss(stream: Stream, rng: np.random.Generator) -> Stream:
     return [message for message in stream if rng.random() > 0.01]
-
-
-def bit_flip(stream: Stream, rng: np.random.Generator) -> Stream:
-    place, bit = int(rng.integers(0, len(stream))), int(rng.integers(0, 64))
-    flipped = bytearray(stream[place])
-    flipped[bit // 8] ^= 1 << bit % 8
-    return [*stream[:place], bytes(flipped), *stream[place + 1 :]]
-
-
-def everything(stream: Stream, rng: np.random.Generator) -> Stream:
-    for damage in (burst_loss, delayed, random_loss, bit_flip, duplicate, neighbour_swap):
-        if rng.random() < 0.6:
-            stream = damage(stream, rng)
-    return stream
-
-
-def duplicate(stream: Stream, rng: np.random.Generator) -> Stream:
-    place = int(rng.integers(0, len(stream)))
-    return stream[: place + 1] + stream[place:]
-
-
-def neighbour_swap(stream: Stream, rng: np.random.Generator) -> Stream:
-    place = int(rng.integers(0, len(stream) - 1))
-    return [*stream[:place], stream[place + 1], stream[place], *stream[place + 2 :]]
-
-
-@pytest.mark.parametrize(
-    ("damage", "least_good"),
-    [
-        (burst_loss, 2),
-        (loss_of_exactly_one_frame, 4),
-        (loss_of_exactly_four_frames, 1),
-        (delayed, 5),
-        (random_loss, 0),
-        (bit_flip, 4),
-        (duplicate, 6),
-        (neighbour_swap, 6),
-        (everything, 0),
-    ],
-)
-def test_no_damage_yields_a_torn_frame(damage: Damage, least_good: int) -> None:
-    rng = np.random.default_rng(20)
-    for _ in range(RUNS):
-        sent = sent_frames(rng)
-        assembler = FrameAssembler(PAPER)
-        frames = received(assembler, damage(stream_of(sent), rng))
-        for frame in frames:
-            np.testing.assert_array_equal(frame.counts, sent[frame.counter])
-        order = list(sent)
-        assert [order.index(frame.counter) for frame in frames] == sorted(
-            order.index(frame.counter) for frame in frames
-        )
-        assert len(frames) >= least_good
-        assert assembler.statistics.complete == len(frames)
 
 
 @pytest.mark.parametrize(
@@ -131,17 +68,6 @@ def test_every_frame_that_lost_nothing_is_handed_out(damage: Damage) -> None:
             if left.issuperset(encode_frame(PAPER, counts, counter, 0))
         ]
         assert [f.counter for f in received(FrameAssembler(PAPER), stream)] == whole
-
-
-def test_idle_frames_of_equal_samples_are_not_mixed_up() -> None:
-    rng = np.random.default_rng(3)
-    counts = np.zeros(408, int)
-    for _ in range(RUNS):
-        stream = stream_of(dict.fromkeys(range(12), counts))
-        frames = received(FrameAssembler(PAPER), everything(stream, rng))
-        counters = [frame.counter for frame in frames]
-        assert counters == sorted(set(counters))
-        assert all(not frame.counts.any() for frame in frames)
 
 
 def test_undamaged_stream_is_all_there_across_the_counters_turn() -> None:
@@ -248,15 +174,3 @@ def test_reset_forgets_counter_and_statistics() -> None:
     assembler.reset()
     assert len(received(assembler, stream_of({0: np.zeros(408, int)}))) == 1
     assert assembler.statistics.complete == 1
-
-
-@settings(derandomize=True, max_examples=60, deadline=None)
-@given(
-    data=st.lists(st.binary(min_size=8, max_size=8), max_size=300),
-    n_taxels=st.sampled_from([1, 5, 30, 500]),
-)
-def test_garbage_never_raises_and_never_becomes_a_frame(data: list[bytes], n_taxels: int) -> None:
-    assembler = FrameAssembler(FrameFormat(n_taxels=n_taxels, sample_bytes=1))
-    # A one-message frame passes garbage with probability 2**-16 and a fitting phase.
-    frames = [assembler.push(message, len(message), 0.0) for message in data]
-    assert [frame for frame in frames if frame is not None] == []
