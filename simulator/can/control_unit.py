@@ -22,7 +22,7 @@ from simulator.can.wire import mean_bits
 from simulator.clock import ROUNDING_S
 from simulator.errors import SimulatorSettingsError, SimulatorStateError
 from tactile.layout import TaxelLayout
-from tactile.unit import object_dictionary
+from tactile.unit import object_dictionary as od
 
 EMCY_WINDOW = 0xFF01
 """EMCY code: a burst was cut short, it does not fit into the synchronous window (0x1007)."""
@@ -44,11 +44,11 @@ _MAX_HISTORY = 8
 """Error codes that object 0x1003 keeps: its sub-indices in the EDS."""
 _FORCE_OBJECTS = frozenset(
     (
-        object_dictionary.FORCE_MESSAGE,
-        object_dictionary.FORCE_TABLE,
-        object_dictionary.FORCE_ZERO,
-        object_dictionary.TPDO2_PARAMETER,
-        object_dictionary.TPDO2_MAPPING,
+        od.FORCE_MESSAGE,
+        od.FORCE_TABLE,
+        od.FORCE_ZERO,
+        od.TPDO2_PARAMETER,
+        od.TPDO2_MAPPING,
     )
 )
 """What the minor revision 1 of the unit brought."""
@@ -220,7 +220,7 @@ class SimulatedControlUnit:
         self._force_due_s = math.inf
         self.scanner = Scanner(world, layout, self.faults)
         node_id = self.settings.node_id
-        self._node = local_node(node_id, object_dictionary.of_node(node_id))
+        self._node = local_node(node_id, od.of_node(node_id))
         self._network = DeviceNetwork(self._emit, start_s)
         self._node.associate_network(self._network)
         self.dictionary = UnitDictionary(
@@ -281,7 +281,7 @@ class SimulatedControlUnit:
         self.advance(now_s)
         if self.faults.dead or math.isfinite(self._boot_due_s):
             return
-        if can_id == object_dictionary.COB_NMT:
+        if can_id == od.COB_NMT:
             self._nmt(data)
         elif self.state == _STOPPED:
             return
@@ -302,7 +302,7 @@ class SimulatedControlUnit:
             Time in s.
         """
         command = bytes((NMT_COMMANDS[state], self.settings.node_id))
-        self.receive(object_dictionary.COB_NMT, command, now_s)
+        self.receive(od.COB_NMT, command, now_s)
 
     def emergency(self, code: int, *, register: int = REGISTER_GENERIC, data: bytes = b"") -> None:
         """Report an error: EMCY, error register and history; code 0 reports that all are gone.
@@ -362,8 +362,8 @@ class SimulatedControlUnit:
         """Take over what the dictionary holds: after each SDO request and change of state."""
         dictionary = self.dictionary
         self._sync_id = dictionary.sync_cob_id
-        self._sync_kind = dictionary.number(object_dictionary.TPDO1_PARAMETER, 2)
-        self._window_s = 1e-6 * dictionary.number(object_dictionary.SYNC_WINDOW_US)
+        self._sync_kind = dictionary.number(od.TPDO1_PARAMETER, 2)
+        self._window_s = 1e-6 * dictionary.number(od.SYNC_WINDOW_US)
         self._frame_id = dictionary.pdo_cob_id(1)
         self._force_id = dictionary.pdo_cob_id(2) if self.settings.force_messages else None
 
@@ -372,9 +372,7 @@ class SimulatedControlUnit:
         self._take_settings()
         period_s = 0.0
         if self.settings.force_messages and self.state == _OPERATIONAL:
-            period_s = 1e-3 * self.dictionary.number(
-                object_dictionary.TPDO2_PARAMETER, object_dictionary.PDO_EVENT_TIMER
-            )
+            period_s = 1e-3 * self.dictionary.number(od.TPDO2_PARAMETER, od.PDO_EVENT_TIMER)
         if period_s != self._force_period_s:
             self._force_period_s = period_s
             self._force_due_s = self._network.now_s + period_s if period_s else math.inf

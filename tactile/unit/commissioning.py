@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from tactile.errors import IdentityMismatch
 from tactile.frames.codec import FrameFormat
 from tactile.layout import TaxelLayout
-from tactile.unit import object_dictionary
+from tactile.unit import object_dictionary as od
 from tactile.unit.sdo import ObjectAccess
 from tactile.unit.settings import ExpectedIdentity, LinkSettings, NodeIdentity
 
@@ -30,20 +30,14 @@ class Check:
 def read_identity(objects: ObjectAccess) -> NodeIdentity:
     """Read the identity object, the device name and the boards of the pads."""
     return NodeIdentity(
-        vendor_id=objects.read_unsigned(
-            object_dictionary.IDENTITY, object_dictionary.IDENTITY_VENDOR
-        ),
-        product_code=objects.read_unsigned(
-            object_dictionary.IDENTITY, object_dictionary.IDENTITY_PRODUCT
-        ),
-        revision=objects.read_unsigned(
-            object_dictionary.IDENTITY, object_dictionary.IDENTITY_REVISION
-        ),
-        serial=objects.read_unsigned(object_dictionary.IDENTITY, object_dictionary.IDENTITY_SERIAL),
-        name=objects.read_text(object_dictionary.DEVICE_NAME),
+        vendor_id=objects.read_unsigned(od.IDENTITY, od.IDENTITY_VENDOR),
+        product_code=objects.read_unsigned(od.IDENTITY, od.IDENTITY_PRODUCT),
+        revision=objects.read_unsigned(od.IDENTITY, od.IDENTITY_REVISION),
+        serial=objects.read_unsigned(od.IDENTITY, od.IDENTITY_SERIAL),
+        name=objects.read_text(od.DEVICE_NAME),
         boards=(
-            objects.read_unsigned(object_dictionary.BOARDS, 1),
-            objects.read_unsigned(object_dictionary.BOARDS, 2),
+            objects.read_unsigned(od.BOARDS, 1),
+            objects.read_unsigned(od.BOARDS, 2),
         ),
     )
 
@@ -83,37 +77,37 @@ def layout_checks(objects: ObjectAccess, layout: TaxelLayout, node_id: int) -> l
     """Return the comparison of taxels, frame format and mapping of the frame messages."""
     frame_format = FrameFormat.of(layout)
     unsigned = (
-        ("taxels", object_dictionary.LAYOUT, object_dictionary.LAYOUT_TAXELS, layout.n_taxels),
-        ("full scale", object_dictionary.LAYOUT, object_dictionary.LAYOUT_ADC_MAX, layout.adc_max),
+        ("taxels", od.LAYOUT, od.LAYOUT_TAXELS, layout.n_taxels),
+        ("full scale", od.LAYOUT, od.LAYOUT_ADC_MAX, layout.adc_max),
         (
             "sample bytes",
-            object_dictionary.FORMAT,
-            object_dictionary.FORMAT_SAMPLE_BYTES,
+            od.FORMAT,
+            od.FORMAT_SAMPLE_BYTES,
             layout.sample_bytes,
         ),
         (
             "messages per frame",
-            object_dictionary.FORMAT,
-            object_dictionary.FORMAT_MESSAGES,
+            od.FORMAT,
+            od.FORMAT_MESSAGES,
             frame_format.n_messages,
         ),
         (
             "header bytes",
-            object_dictionary.FORMAT,
-            object_dictionary.FORMAT_HEADER_BYTES,
+            od.FORMAT,
+            od.FORMAT_HEADER_BYTES,
             frame_format.header_bytes,
         ),
-        ("TPDO1 entries", object_dictionary.TPDO1_MAPPING, 0, len(object_dictionary.TPDO1_ENTRIES)),
+        ("TPDO1 entries", od.TPDO1_MAPPING, 0, len(od.TPDO1_ENTRIES)),
         *(
-            (f"TPDO1 entry {sub}", object_dictionary.TPDO1_MAPPING, sub, entry)
-            for sub, entry in enumerate(object_dictionary.TPDO1_ENTRIES, start=1)
+            (f"TPDO1 entry {sub}", od.TPDO1_MAPPING, sub, entry)
+            for sub, entry in enumerate(od.TPDO1_ENTRIES, start=1)
         ),
     )
     checks = [
         Check(
             what="layout hash",
             expected=layout.layout_hash,
-            found=objects.read_text(object_dictionary.LAYOUT, object_dictionary.LAYOUT_HASH),
+            found=objects.read_text(od.LAYOUT, od.LAYOUT_HASH),
         )
     ]
     checks += [
@@ -123,8 +117,8 @@ def layout_checks(objects: ObjectAccess, layout: TaxelLayout, node_id: int) -> l
     checks.append(
         Check(
             what="TPDO1 COB-ID",
-            expected=object_dictionary.COB_TPDO1 + node_id,
-            found=objects.read_unsigned(object_dictionary.TPDO1_PARAMETER, 1) & _COB_ID_MASK,
+            expected=od.COB_TPDO1 + node_id,
+            found=objects.read_unsigned(od.TPDO1_PARAMETER, 1) & _COB_ID_MASK,
         )
     )
     return checks
@@ -156,29 +150,26 @@ def set_up(objects: ObjectAccess, settings: LinkSettings) -> None:
     """
     # name, index, value, bytes of the object
     writes = (
-        ("SYNC COB-ID", object_dictionary.SYNC_COB_ID, object_dictionary.COB_SYNC, 4),
-        ("SYNC window in us", object_dictionary.SYNC_WINDOW_US, round(settings.window_s * 1e6), 4),
+        ("SYNC COB-ID", od.SYNC_COB_ID, od.COB_SYNC, 4),
+        ("SYNC window in us", od.SYNC_WINDOW_US, round(settings.window_s * 1e6), 4),
         (
             "SYNC period in us",
-            object_dictionary.SYNC_PERIOD_US,
+            od.SYNC_PERIOD_US,
             round(settings.sync_period_s * 1e6),
             4,
         ),
-        ("heartbeat in ms", object_dictionary.HEARTBEAT_MS, round(settings.heartbeat_s * 1e3), 2),
+        ("heartbeat in ms", od.HEARTBEAT_MS, round(settings.heartbeat_s * 1e3), 2),
     )
     checks = []
     for what, index, value, n_bytes in writes:
         objects.write_unsigned(index, 0, value, n_bytes)
         checks.append(Check(what=what, expected=value, found=objects.read_unsigned(index)))
     refuse_mismatch(checks, "the control unit did not keep its set-up and so")
-    if (
-        objects.read_unsigned(object_dictionary.TARE, object_dictionary.TARE_RESULT)
-        == object_dictionary.TareResult.DONE
-    ):
+    if objects.read_unsigned(od.TARE, od.TARE_RESULT) == od.TareResult.DONE:
         objects.write_unsigned(
-            object_dictionary.TARE,
-            object_dictionary.TARE_COMMAND,
-            object_dictionary.TARE_CLEAR_SIGNATURE,
+            od.TARE,
+            od.TARE_COMMAND,
+            od.TARE_CLEAR_SIGNATURE,
             4,
         )
 
@@ -196,16 +187,16 @@ def set_up_forces(objects: ObjectAccess, settings: LinkSettings, node_id: int, t
     table
         Object 0x2141, see `tactile.frames.force_message.encode_table`.
     """
-    objects.write(object_dictionary.FORCE_TABLE, 0, table)
-    frame_id = object_dictionary.COB_TPDO3 + node_id
-    frames, forces = object_dictionary.TPDO1_PARAMETER, object_dictionary.TPDO2_PARAMETER
-    cob_id, timer = object_dictionary.PDO_COB_ID, object_dictionary.PDO_EVENT_TIMER
+    objects.write(od.FORCE_TABLE, 0, table)
+    frame_id = od.COB_TPDO3 + node_id
+    frames, forces = od.TPDO1_PARAMETER, od.TPDO2_PARAMETER
+    cob_id, timer = od.PDO_COB_ID, od.PDO_EVENT_TIMER
     # A PDO's identifier may be changed while the PDO is off only (CiA 301, 7.5.2.37).
-    objects.write_unsigned(frames, cob_id, object_dictionary.PDO_INVALID | frame_id, 4)
+    objects.write_unsigned(frames, cob_id, od.PDO_INVALID | frame_id, 4)
     objects.write_unsigned(frames, cob_id, frame_id, 4)
     period_ms = round(1e3 * settings.force_period_s)
     objects.write_unsigned(forces, timer, period_ms, 2)
-    found = objects.read(object_dictionary.FORCE_TABLE)
+    found = objects.read(od.FORCE_TABLE)
     checks = [
         Check(
             what="table of counts to force",
@@ -219,7 +210,7 @@ def set_up_forces(objects: ObjectAccess, settings: LinkSettings, node_id: int, t
         ),
         Check(
             what="TPDO2 COB-ID",
-            expected=object_dictionary.COB_TPDO2 + node_id,
+            expected=od.COB_TPDO2 + node_id,
             found=objects.read_unsigned(forces, cob_id) & _COB_ID_MASK,
         ),
         Check(
@@ -231,9 +222,9 @@ def set_up_forces(objects: ObjectAccess, settings: LinkSettings, node_id: int, t
             Check(
                 what=f"TPDO2 entry {sub}",
                 expected=entry,
-                found=objects.read_unsigned(object_dictionary.TPDO2_MAPPING, sub),
+                found=objects.read_unsigned(od.TPDO2_MAPPING, sub),
             )
-            for sub, entry in enumerate(object_dictionary.TPDO2_ENTRIES, start=1)
+            for sub, entry in enumerate(od.TPDO2_ENTRIES, start=1)
         ),
     ]
     refuse_mismatch(checks, "the control unit did not keep the set-up of its force messages and so")

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from tactile.frames.codec import MESSAGE_BYTES, TRAILER, FrameFormat
 from tactile.frames.force_message import CENTRE_TAXELS, COUNTERS, FORCE_N, ForceStatus
 from tactile.layout import TaxelLayout
-from tactile.unit import object_dictionary
+from tactile.unit import object_dictionary as od
 from tactile.unit.supervision import EMERGENCY_TEXTS, state_name
 
 HOST, UNIT = "Host", "ControlUnit"
@@ -146,7 +146,7 @@ def dbc_text(
     """
     if not 1 <= node_id <= 127:
         raise ValueError(f"node-ID is {node_id}, must be 1 to 127")
-    function = object_dictionary.COB_TPDO3 if force_period_ms else object_dictionary.COB_TPDO1
+    function = od.COB_TPDO3 if force_period_ms else od.COB_TPDO1
     frame_id = function + node_id
     messages = (
         *_network_messages(node_id, sync_period_ms, heartbeat_ms),
@@ -162,7 +162,7 @@ def _network_messages(node_id: int, sync_period_ms: int, heartbeat_ms: int) -> t
     """Return the messages of CiA 301 beside SDO: NMT, SYNC, EMCY, heartbeat."""
     return (
         Message(
-            can_id=object_dictionary.COB_NMT,
+            can_id=od.COB_NMT,
             name="NMT",
             size=2,
             sender=HOST,
@@ -173,7 +173,7 @@ def _network_messages(node_id: int, sync_period_ms: int, heartbeat_ms: int) -> t
             comment="CANopen network management",
         ),
         Message(
-            can_id=object_dictionary.COB_SYNC,
+            can_id=od.COB_SYNC,
             name="SYNC",
             size=0,
             sender=HOST,
@@ -182,7 +182,7 @@ def _network_messages(node_id: int, sync_period_ms: int, heartbeat_ms: int) -> t
             period_ms=sync_period_ms,
         ),
         Message(
-            can_id=object_dictionary.COB_EMCY + node_id,
+            can_id=od.COB_EMCY + node_id,
             name="EMCY",
             size=8,
             sender=UNIT,
@@ -194,7 +194,7 @@ def _network_messages(node_id: int, sync_period_ms: int, heartbeat_ms: int) -> t
             comment="emergency; code 0: no error any more",
         ),
         Message(
-            can_id=object_dictionary.COB_HEARTBEAT + node_id,
+            can_id=od.COB_HEARTBEAT + node_id,
             name="Heartbeat",
             size=1,
             sender=UNIT,
@@ -216,7 +216,7 @@ def _sdo_messages(node_id: int) -> tuple[Message, ...]:
     segments = "index and data are those of an initiate; segments have 7 bytes of data instead"
     return (
         Message(
-            can_id=object_dictionary.COB_SDO_RESPONSE + node_id,
+            can_id=od.COB_SDO_RESPONSE + node_id,
             name="SdoResponse",
             size=8,
             sender=UNIT,
@@ -224,7 +224,7 @@ def _sdo_messages(node_id: int) -> tuple[Message, ...]:
             comment=segments,
         ),
         Message(
-            can_id=object_dictionary.COB_SDO_REQUEST + node_id,
+            can_id=od.COB_SDO_REQUEST + node_id,
             name="SdoRequest",
             size=8,
             sender=HOST,
@@ -328,7 +328,7 @@ def _force_message(node_id: int, period_ms: int) -> Message:
     """Return TPDO2: the force on both gripping pads, on its event timer."""
     pitch = f"{CENTRE_TAXELS:.10g}"
     return Message(
-        can_id=object_dictionary.COB_TPDO2 + node_id,
+        can_id=od.COB_TPDO2 + node_id,
         name="PadForces",
         size=8,
         sender=UNIT,

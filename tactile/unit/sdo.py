@@ -13,7 +13,7 @@ from tactile.can.sdo_client import PolledSdoClient
 from tactile.clock import Clock
 from tactile.errors import FrameError, NodeMissing, TareRefused
 from tactile.layout import TaxelLayout
-from tactile.unit import object_dictionary
+from tactile.unit import object_dictionary as od
 
 _NO_OBJECT = 0x0602_0000
 """SDO abort code: the object does not exist (CiA 301, 7.2.4.3.17)."""
@@ -96,8 +96,8 @@ class ObjectAccess:
 
 
 _REFUSALS = {
-    int(object_dictionary.TareResult.REFUSED_TOUCHED): "a taxel was touched",
-    int(object_dictionary.TareResult.REFUSED_SPREAD): "the counts moved while the zero was taken",
+    int(od.TareResult.REFUSED_TOUCHED): "a taxel was touched",
+    int(od.TareResult.REFUSED_SPREAD): "the counts moved while the zero was taken",
 }
 """Results of the unit's own tare in words."""
 
@@ -124,19 +124,15 @@ def take_unit_tare(
         When the unit refuses, or does not come to an end.
     """
     deadline_s = clock.monotonic() + timeout_s
-    objects.write_unsigned(
-        object_dictionary.TARE, object_dictionary.TARE_COMMAND, object_dictionary.TARE_SIGNATURE, 4
-    )
-    while (
-        result := objects.read_unsigned(object_dictionary.TARE, object_dictionary.TARE_RESULT)
-    ) == object_dictionary.TareResult.RUNNING:
+    objects.write_unsigned(od.TARE, od.TARE_COMMAND, od.TARE_SIGNATURE, 4)
+    while (result := objects.read_unsigned(od.TARE, od.TARE_RESULT)) == od.TareResult.RUNNING:
         if clock.monotonic() >= deadline_s:
             raise TareRefused(
                 f"the unit did not finish its tare within {timeout_s:g} s: check that frames run"
             )
         pump()
-    if result != object_dictionary.TareResult.DONE:
-        largest = objects.read_unsigned(object_dictionary.TARE, object_dictionary.TARE_LARGEST)
+    if result != od.TareResult.DONE:
+        largest = objects.read_unsigned(od.TARE, od.TARE_LARGEST)
         raise TareRefused(
             f"the unit refused its tare: {_REFUSALS.get(result, f'result {result}')}, largest "
             f"sample {largest} counts; clear the pads and try again"
@@ -145,8 +141,8 @@ def take_unit_tare(
 
 def read_last_frame(objects: ObjectAccess, layout: TaxelLayout) -> tuple[int, NDArray[np.uint16]]:
     """Return counter and counts of the unit's last complete frame; FrameError if of wrong size."""
-    data = objects.read(object_dictionary.LAST_FRAME)
-    counter = objects.read_unsigned(object_dictionary.LAST_FRAME_COUNTER)
+    data = objects.read(od.LAST_FRAME)
+    counter = objects.read_unsigned(od.LAST_FRAME_COUNTER)
     expected = layout.n_taxels * layout.sample_bytes
     if len(data) != expected:
         raise FrameError(f"the unit gave a last frame of {len(data)} bytes, expected {expected}")

@@ -18,7 +18,7 @@ from tactile.frames.flow import FrameFlow
 from tactile.frames.force_message import ForceMessage
 from tactile.frames.force_stream import ForceStatistics, ForceStream
 from tactile.layout import TaxelLayout
-from tactile.unit import object_dictionary
+from tactile.unit import object_dictionary as od
 from tactile.unit.sdo import ObjectAccess
 from tactile.unit.settings import LinkSettings, LinkStatistics
 from tactile.unit.supervision import NodeSupervisor, SupervisionLimits, TrafficLimit
@@ -76,7 +76,7 @@ class LinkSession:
         self._network = canopen.Network(bus)
         self._client = PolledSdoClient(
             node_id=node_id,
-            dictionary=object_dictionary.of_node(node_id),
+            dictionary=od.of_node(node_id),
             clock=clock,
             service=self.service,
             wait=source.wait,
@@ -114,7 +114,7 @@ class LinkSession:
         self._forces: ForceStream | None = None
         self._new_forces: list[ForceMessage] = []
         self._force_s = 0.0
-        self._frame_id = object_dictionary.COB_TPDO1 + node_id
+        self._frame_id = od.COB_TPDO1 + node_id
         self.last_frame_s: float | None = None
         self._frames: list[TactileFrame] = []
         self._nodes_heard: set[int] = set()
@@ -123,9 +123,9 @@ class LinkSession:
         self._bad_lines = bad_lines(bus)
         self._unusable = 0
         self._handlers: dict[int, Callable[[bytes, float], None]] = {
-            object_dictionary.COB_EMCY + node_id: self._on_emergency,
-            object_dictionary.COB_SDO_RESPONSE + node_id: self._on_sdo_response,
-            object_dictionary.COB_HEARTBEAT + node_id: self.supervisor.on_heartbeat,
+            od.COB_EMCY + node_id: self._on_emergency,
+            od.COB_SDO_RESPONSE + node_id: self._on_sdo_response,
+            od.COB_HEARTBEAT + node_id: self.supervisor.on_heartbeat,
         }
 
     @property
@@ -158,7 +158,7 @@ class LinkSession:
         """Take force messages from now on, and the frames under another COB-ID."""
         self._forces = ForceStream(self._settings.force_period_s)
         self._frame_id = frame_id
-        self._handlers[object_dictionary.COB_TPDO2 + self._node_id] = self._on_force
+        self._handlers[od.COB_TPDO2 + self._node_id] = self._on_force
 
     @property
     def sends_forces(self) -> bool:
@@ -177,7 +177,7 @@ class LinkSession:
 
     def command(self, name: str) -> None:
         """Send an NMT command to the unit, by its name in ``canopen.nmt.NMT_COMMANDS``."""
-        self._send(object_dictionary.COB_NMT, bytes((NMT_COMMANDS[name], self._node_id)))
+        self._send(od.COB_NMT, bytes((NMT_COMMANDS[name], self._node_id)))
 
     def service(self) -> None:
         """Take in what was received, look at the deadlines, send SYNC when due."""
@@ -237,7 +237,7 @@ class LinkSession:
 
     def _dispatch(self, message: can.Message, t_s: float) -> None:
         cob_id = message.arbitration_id
-        if cob_id & _FUNCTION_BITS == object_dictionary.COB_HEARTBEAT:
+        if cob_id & _FUNCTION_BITS == od.COB_HEARTBEAT:
             self._nodes_heard.add(cob_id & _NODE_BITS)
         handler = self._handlers.get(cob_id)
         if handler is None:
@@ -269,7 +269,7 @@ class LinkSession:
 
     def _sync(self, now_s: float, due_s: float) -> None:
         self._flow.before_sync()
-        self._send(object_dictionary.COB_SYNC, b"")
+        self._send(od.COB_SYNC, b"")
         self._syncs += 1
         period_s = self._settings.sync_period_s
         if now_s - due_s >= period_s:
@@ -318,7 +318,7 @@ class LinkSession:
         self.supervisor.on_emergency(data)
 
     def _on_sdo_response(self, data: bytes, t_s: float) -> None:
-        self._client.on_response(object_dictionary.COB_SDO_RESPONSE + self._node_id, data, t_s)
+        self._client.on_response(od.COB_SDO_RESPONSE + self._node_id, data, t_s)
 
 
 def _supervisor(name: str, settings: LinkSettings) -> NodeSupervisor:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tactile.errors import TareRefused
-from tactile.unit import object_dictionary
+from tactile.unit import object_dictionary as od
 
 PRE_OPERATIONAL, OPERATIONAL = 127, 5
 ABORT = 0x80
@@ -28,10 +28,10 @@ def request(command: int, index: int, subindex: int, value: int = 0) -> bytes:
 def test_the_unit_is_what_its_eds_says(unit: Any) -> None:
     identity = unit.link.start()  # compares layout, formats and mapping, or raises
     assert (identity.vendor_id, identity.product_code) == (
-        object_dictionary.VENDOR_ID,
-        object_dictionary.PRODUCT_CODE,
+        od.VENDOR_ID,
+        od.PRODUCT_CODE,
     )
-    assert identity.revision >> 16 == object_dictionary.REVISION >> 16
+    assert identity.revision >> 16 == od.REVISION >> 16
     assert identity.name
 
 
@@ -72,14 +72,14 @@ def test_the_last_frame_can_be_read_by_sdo_too(unit: Any) -> None:
 def test_a_reset_is_told_by_a_boot_up_and_ends_pre_operational(unit: Any) -> None:
     unit.send(0, bytes((1, unit.node_id)))
     unit.reset()  # fails without a boot-up
-    answer = unit.sdo(request(WRITE_2, object_dictionary.HEARTBEAT_MS, 0, 50))
+    answer = unit.sdo(request(WRITE_2, od.HEARTBEAT_MS, 0, 50))
     assert answer[0] == WRITTEN
     assert unit.receive(0x700 + unit.node_id)[1] == bytes([PRE_OPERATIONAL])
 
 
 def test_the_heartbeat_comes_as_often_as_it_is_set(unit: Any) -> None:
     node, period_s = unit.node_id, 0.1
-    answer = unit.sdo(request(WRITE_2, object_dictionary.HEARTBEAT_MS, 0, round(1000 * period_s)))
+    answer = unit.sdo(request(WRITE_2, od.HEARTBEAT_MS, 0, round(1000 * period_s)))
     assert answer[0] == WRITTEN
     beats = [unit.receive(0x700 + node, 2.0) for _ in range(6)]
     assert all(beat is not None for beat in beats)
@@ -96,12 +96,12 @@ def test_the_heartbeat_comes_as_often_as_it_is_set(unit: Any) -> None:
     ("asked", "code"),
     [
         (request(READ, 0x5FFF, 0), NO_SUCH_OBJECT),
-        (request(READ, object_dictionary.IDENTITY, 9), NO_SUCH_SUBINDEX),
+        (request(READ, od.IDENTITY, 9), NO_SUCH_SUBINDEX),
         (
-            request(WRITE_4, object_dictionary.IDENTITY, object_dictionary.IDENTITY_VENDOR, 1),
+            request(WRITE_4, od.IDENTITY, od.IDENTITY_VENDOR, 1),
             READ_ONLY,
         ),
-        (request(0xE0, object_dictionary.IDENTITY, 1), UNKNOWN_COMMAND),
+        (request(0xE0, od.IDENTITY, 1), UNKNOWN_COMMAND),
     ],
     ids=["no object", "no sub-index", "read only", "no command"],
 )
@@ -111,13 +111,13 @@ def test_what_cannot_be_done_is_aborted_with_its_code(unit: Any, asked: bytes, c
     assert answer[1:4] == asked[1:4]
     assert int.from_bytes(answer[4:], "little") == code
     # and the server still serves
-    vendor = unit.sdo(request(READ, object_dictionary.IDENTITY, object_dictionary.IDENTITY_VENDOR))
-    assert int.from_bytes(vendor[4:], "little") == object_dictionary.VENDOR_ID
+    vendor = unit.sdo(request(READ, od.IDENTITY, od.IDENTITY_VENDOR))
+    assert int.from_bytes(vendor[4:], "little") == od.VENDOR_ID
 
 
 def test_the_unit_takes_a_zero_of_its_own_and_forgets_it(unit: Any) -> None:
     """Nothing may touch the pads. A zero that the unit had before is taken anew, not kept."""
-    before = unit.sdo(request(READ, object_dictionary.TARE, object_dictionary.TARE_RESULT))[4]
+    before = unit.sdo(request(READ, od.TARE, od.TARE_RESULT))[4]
     unit.link.start()
 
     def mean_counts() -> float:
@@ -130,11 +130,11 @@ def test_the_unit_takes_a_zero_of_its_own_and_forgets_it(unit: Any) -> None:
         pytest.skip(f"the pads are touched: {refused}")
     tared = mean_counts()
     assert tared < raw or raw == 0.0
-    if before != object_dictionary.TareResult.DONE:
+    if before != od.TareResult.DONE:
         unit.forget_tare()
         assert mean_counts() == pytest.approx(raw, rel=0.2, abs=0.5)
 
 
 def test_a_stray_write_takes_no_zero(unit: Any) -> None:
-    answer = unit.sdo(request(WRITE_4, object_dictionary.TARE, object_dictionary.TARE_COMMAND, 1))
+    answer = unit.sdo(request(WRITE_4, od.TARE, od.TARE_COMMAND, 1))
     assert answer[0] == ABORT

@@ -21,7 +21,7 @@ from tactile.frames.codec import FrameFormat, TactileFrame, encode_frame
 from tactile.frames.force_message import ForceMessage, ForceStatus, encode_force_message
 from tactile.frames.force_stream import ForceStream
 from tactile.layout import paper_layout
-from tactile.unit import object_dictionary
+from tactile.unit import object_dictionary as od
 from tactile.unit.sdo import ObjectAccess
 from tactile.unit.session import LinkSession
 from tactile.unit.settings import LinkSettings
@@ -264,7 +264,7 @@ def read(bus: QuietBus, index: int, subindex: int, answer: Callable[[bytes], lis
     clock = Clock()
     client = PolledSdoClient(
         node_id=NODE,
-        dictionary=object_dictionary.of_node(NODE),
+        dictionary=od.of_node(NODE),
         clock=clock,
         service=lambda: None,
         wait=clock.sleep,
@@ -285,11 +285,11 @@ def read(bus: QuietBus, index: int, subindex: int, answer: Callable[[bytes], lis
 
 
 PLACES = (
-    (object_dictionary.IDENTITY, 1),
-    (object_dictionary.DEVICE_NAME, 0),
-    (object_dictionary.LAYOUT, 3),
-    (object_dictionary.LAYOUT, 2),
-    (object_dictionary.FORMAT, 2),
+    (od.IDENTITY, 1),
+    (od.DEVICE_NAME, 0),
+    (od.LAYOUT, 3),
+    (od.LAYOUT, 2),
+    (od.FORMAT, 2),
 )
 
 
@@ -324,11 +324,11 @@ def test_an_object_is_read_as_it_came_or_not_at_all(bus, place, script):
 
 
 def test_an_object_without_an_end_is_given_up(bus: QuietBus) -> None:
-    head = b"\x41" + object_dictionary.DEVICE_NAME.to_bytes(2, "little") + bytes(5)
+    head = b"\x41" + od.DEVICE_NAME.to_bytes(2, "little") + bytes(5)
     with pytest.raises(NodeMissing, match=f"more than {MAX_OBJECT_BYTES} bytes"):
         read(
             bus,
-            object_dictionary.DEVICE_NAME,
+            od.DEVICE_NAME,
             0,
             lambda r: [head if r[0] == 0x40 else bytes((r[0] & 0x10, *bytes(7)))],
         )
@@ -337,4 +337,4 @@ def test_an_object_without_an_end_is_given_up(bus: QuietBus) -> None:
 def test_an_object_shorter_than_announced_is_refused(bus: QuietBus) -> None:
     answers = iter([b"\x41\x08\x10\0\x14\0\0\0", b"\x0da" + bytes(6)] * 3)
     with pytest.raises(NodeMissing, match="1 bytes came, 20 were announced"):
-        read(bus, object_dictionary.DEVICE_NAME, 0, lambda _: [next(answers)])
+        read(bus, od.DEVICE_NAME, 0, lambda _: [next(answers)])

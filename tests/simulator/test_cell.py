@@ -1,5 +1,3 @@
-import math
-
 import can
 import numpy as np
 import pytest
@@ -146,47 +144,6 @@ def test_recorded_grasps_go_over_the_same_links() -> None:
             cell.play(1)
         with pytest.raises(SimulatorStateError, match="no objects to place"):
             cell.place("ball")
-
-
-def test_a_cell_with_objects_plays_no_grasps() -> None:
-    with SimulatedCell() as cell, pytest.raises(SimulatorStateError, match="no grasps to play"):
-        cell.play(0)
-
-
-def test_objects_come_and_go() -> None:
-    with SimulatedCell() as cell:
-        pose = cell.place("box", ObjectPose(roll_rad=math.radians(100.0)))
-        assert math.degrees(pose.roll_rad) == pytest.approx(90.0)
-        assert cell.devices.physical.placed == ("box", pose)
-        cell.remove()
-        assert cell.devices.physical.placed is None
-
-
-def test_the_knobs_of_all_devices_are_in_one_place() -> None:
-    with SimulatedCell() as cell:
-        cell.devices.faults.servo_wire.unplugged = True
-        with pytest.raises(PortUnplugged):
-            cell.servo_port.write(b"\0")
-        with pytest.raises(PortUnplugged):
-            cell.open_servo_port()
-        cell.devices.faults.servo_wire.unplugged = False
-        cell.open_servo_port().write(b"\0")
-        cell.devices.faults.can.unplugged = True
-        with pytest.raises(can.CanOperationError):
-            cell.can_bus.recv(0)
-        with pytest.raises(SimulatorStateError):
-            cell.open_can_bus()
-        cell.devices.faults.can.unplugged = False
-        cell.open_can_bus()
-        host = Host(cell)
-        host.start_unit()
-        cell.devices.faults.unit.dead_taxels.add(0)
-        assert host.frame().counts[0] == 0
-        assert set(cell.devices.faults.servos) == {1, 2}
-        cell.unit.emergency(0x5000)
-        emergency = cell.can_bus.recv(0.01)
-        assert emergency is not None
-        assert emergency.arbitration_id == 0x85
 
 
 def test_a_closed_cell_is_of_no_use() -> None:

@@ -10,7 +10,7 @@ import pytest
 
 from tactile.frames.codec import FrameFormat, encode_frame
 from tactile.layout import TaxelLayout, paper_layout
-from tactile.unit import object_dictionary
+from tactile.unit import object_dictionary as od
 from tactile.unit.link import LinkSettings, TactileLink
 
 NODE = 5
@@ -91,7 +91,7 @@ class ScriptedUnit:
         self.boots = 1
         self.alter: Callable[[list[bytes]], list[bytes]] = lambda messages: messages
         self.mute_sdo = 0
-        self.tare_result = int(object_dictionary.TareResult.DONE)
+        self.tare_result = int(od.TareResult.DONE)
         self.tare_polls = 2
         self.nmt: list[int] = []
         self.written: dict[tuple[int, int], int] = {}
@@ -99,30 +99,26 @@ class ScriptedUnit:
         self._next_heartbeat_s = 0.0
         self._segments: list[bytes] = []
         self.objects: dict[tuple[int, int], bytes] = {
-            (object_dictionary.DEVICE_NAME, 0): b"Tactile control unit",
-            (object_dictionary.IDENTITY, 1): struct.pack("<L", object_dictionary.VENDOR_ID),
-            (object_dictionary.IDENTITY, 2): struct.pack("<L", object_dictionary.PRODUCT_CODE),
-            (object_dictionary.IDENTITY, 3): struct.pack("<L", object_dictionary.REVISION + 7),
-            (object_dictionary.IDENTITY, 4): struct.pack("<L", 4711),
-            (object_dictionary.BOARDS, 1): struct.pack("<L", 31),
-            (object_dictionary.BOARDS, 2): struct.pack("<L", 32),
-            (object_dictionary.LAYOUT, 2): struct.pack("<H", layout.n_taxels),
-            (object_dictionary.LAYOUT, 3): layout.layout_hash.encode(),
-            (object_dictionary.LAYOUT, 4): struct.pack("<H", layout.adc_max),
-            (object_dictionary.FORMAT, 2): bytes([layout.sample_bytes]),
-            (object_dictionary.FORMAT, 3): struct.pack("<H", self.format.n_messages),
-            (object_dictionary.FORMAT, 4): bytes([self.format.header_bytes]),
-            (object_dictionary.TPDO1_MAPPING, 0): b"\x02",
-            (object_dictionary.TPDO1_MAPPING, 1): struct.pack(
-                "<L", object_dictionary.TPDO1_ENTRIES[0]
-            ),
-            (object_dictionary.TPDO1_MAPPING, 2): struct.pack(
-                "<L", object_dictionary.TPDO1_ENTRIES[1]
-            ),
-            (object_dictionary.TPDO1_PARAMETER, 1): struct.pack("<L", 0x4000_0180 + NODE),
-            (object_dictionary.TARE, 2): b"\x00",
-            (object_dictionary.TARE, 4): struct.pack("<H", 93),
-            (object_dictionary.LAST_FRAME_COUNTER, 0): b"\0\0",
+            (od.DEVICE_NAME, 0): b"Tactile control unit",
+            (od.IDENTITY, 1): struct.pack("<L", od.VENDOR_ID),
+            (od.IDENTITY, 2): struct.pack("<L", od.PRODUCT_CODE),
+            (od.IDENTITY, 3): struct.pack("<L", od.REVISION + 7),
+            (od.IDENTITY, 4): struct.pack("<L", 4711),
+            (od.BOARDS, 1): struct.pack("<L", 31),
+            (od.BOARDS, 2): struct.pack("<L", 32),
+            (od.LAYOUT, 2): struct.pack("<H", layout.n_taxels),
+            (od.LAYOUT, 3): layout.layout_hash.encode(),
+            (od.LAYOUT, 4): struct.pack("<H", layout.adc_max),
+            (od.FORMAT, 2): bytes([layout.sample_bytes]),
+            (od.FORMAT, 3): struct.pack("<H", self.format.n_messages),
+            (od.FORMAT, 4): bytes([self.format.header_bytes]),
+            (od.TPDO1_MAPPING, 0): b"\x02",
+            (od.TPDO1_MAPPING, 1): struct.pack("<L", od.TPDO1_ENTRIES[0]),
+            (od.TPDO1_MAPPING, 2): struct.pack("<L", od.TPDO1_ENTRIES[1]),
+            (od.TPDO1_PARAMETER, 1): struct.pack("<L", 0x4000_0180 + NODE),
+            (od.TARE, 2): b"\x00",
+            (od.TARE, 4): struct.pack("<H", 93),
+            (od.LAST_FRAME_COUNTER, 0): b"\0\0",
         }
         bus.on_send = self.receive
         clock.on_advance.append(self.advance)
@@ -160,12 +156,10 @@ class ScriptedUnit:
             noise = np.rint(np.clip(np.abs(self.rng.normal(0, 10, len(counts))), 1, 20))
             counts = np.minimum(counts + noise.astype(np.uint16), self.layout.adc_max)
         messages = encode_frame(self.format, counts, self.counter & 0xFFFF, 0)
-        self.objects[object_dictionary.LAST_FRAME, 0] = counts.astype(
+        self.objects[od.LAST_FRAME, 0] = counts.astype(
             np.uint8 if self.layout.sample_bytes == 1 else "<u2"
         ).tobytes()
-        self.objects[object_dictionary.LAST_FRAME_COUNTER, 0] = struct.pack(
-            "<H", self.counter & 0xFFFF
-        )
+        self.objects[od.LAST_FRAME_COUNTER, 0] = struct.pack("<H", self.counter & 0xFFFF)
         self.counter += 1
         return messages
 
@@ -196,12 +190,12 @@ class ScriptedUnit:
 
     def read(self, index: int, sub: int) -> bytes:
         if (index, sub) == (
-            object_dictionary.TARE,
-            object_dictionary.TARE_RESULT,
-        ) and self.written.get((object_dictionary.TARE, 1)):
+            od.TARE,
+            od.TARE_RESULT,
+        ) and self.written.get((od.TARE, 1)):
             self.tare_polls -= 1
             done = self.tare_polls < 0
-            value = bytes([self.tare_result if done else object_dictionary.TareResult.RUNNING])
+            value = bytes([self.tare_result if done else od.TareResult.RUNNING])
         elif (index, sub) in self.objects:
             value = self.objects[index, sub]
         else:
@@ -215,7 +209,7 @@ class ScriptedUnit:
     def write(self, index: int, sub: int, value: int, size: int) -> bytes:
         self.written[index, sub] = value
         self.objects[index, sub] = value.to_bytes(size, "little")
-        if index == object_dictionary.HEARTBEAT_MS:
+        if index == od.HEARTBEAT_MS:
             self._heartbeat_s = value / 1000
             self._next_heartbeat_s = self.clock.now_s
         return struct.pack("<BHBL", 0x60, index, sub, 0)

@@ -17,7 +17,7 @@ from tactile.frames.force_message import ForceMessage, ForceStatus, decode_force
 from tactile.layout import TaxelLayout, paper_layout, pinch_layout
 from tactile.sensor.calibration import FoamCalibration
 from tactile.sensor.force_check import force_table
-from tactile.unit import object_dictionary
+from tactile.unit import object_dictionary as od
 from tactile.unit.object_dictionary import TareResult
 
 NMT, SYNC, EMCY, TPDO1, SDO_OUT, SDO_IN, HEARTBEAT = 0, 0x80, 0x85, 0x185, 0x585, 0x605, 0x705
@@ -162,7 +162,7 @@ def test_one_boot_up_comes_after_power_on() -> None:
 
 def test_the_heartbeat_tells_the_state_at_its_period() -> None:
     line = Line()
-    assert line.write(object_dictionary.HEARTBEAT_MS, 0, 50, 2) == 0
+    assert line.write(od.HEARTBEAT_MS, 0, 50, 2) == 0
     line.wait(0.12)
     start_s = 0.05
     assert line.heard == [
@@ -179,14 +179,14 @@ def test_the_heartbeat_tells_the_state_at_its_period() -> None:
     line.tell(NMT, bytes((PRE_OPERATIONAL, 5)))
     line.wait(0.05)
     assert line.take() == [(HEARTBEAT, b"\x7f")]
-    line.write(object_dictionary.HEARTBEAT_MS, 0, 0, 2)
+    line.write(od.HEARTBEAT_MS, 0, 0, 2)
     line.wait(1.0)
     assert line.take() == []
 
 
 def test_services_follow_the_nmt_state() -> None:
     line = Line()
-    upload = struct.pack("<BHB4x", 0x40, object_dictionary.DEVICE_TYPE, 0)
+    upload = struct.pack("<BHB4x", 0x40, od.DEVICE_TYPE, 0)
     assert line.tell(SYNC) == []
     assert len(line.tell(SDO_IN, upload)) == 1
     line.start()
@@ -211,8 +211,8 @@ def test_nmt_commands_that_are_not_meant_change_nothing(command: bytes) -> None:
 @pytest.mark.parametrize("command", [RESET_NODE, RESET_COMMUNICATION])
 def test_a_reset_brings_one_boot_up_and_the_defaults_back(command: int) -> None:
     line = Line()
-    line.write(object_dictionary.HEARTBEAT_MS, 0, 50, 2)
-    line.write(object_dictionary.THRESHOLDS, object_dictionary.THRESHOLD_TOUCH, 77, 2)
+    line.write(od.HEARTBEAT_MS, 0, 50, 2)
+    line.write(od.THRESHOLDS, od.THRESHOLD_TOUCH, 77, 2)
     line.start()
     line.frame()
     assert line.tell(NMT, bytes((command, 5))) == []
@@ -221,11 +221,9 @@ def test_a_reset_brings_one_boot_up_and_the_defaults_back(command: int) -> None:
     line.wait(1.0)
     assert line.take() == [(HEARTBEAT, b"\x00")]
     assert line.unit.state == "PRE-OPERATIONAL"
-    assert line.number(object_dictionary.HEARTBEAT_MS) == 0
+    assert line.number(od.HEARTBEAT_MS) == 0
     kept = command == RESET_COMMUNICATION
-    assert line.number(object_dictionary.THRESHOLDS, object_dictionary.THRESHOLD_TOUCH) == (
-        77 if kept else 30
-    )
+    assert line.number(od.THRESHOLDS, od.THRESHOLD_TOUCH) == (77 if kept else 30)
     line.start()
     assert line.frame().counter == (1 if kept else 0)
 
@@ -253,7 +251,7 @@ def test_a_sync_may_carry_a_counter() -> None:
 
 def test_the_sync_identifier_can_be_moved() -> None:
     line = Line()
-    assert line.write(object_dictionary.SYNC_COB_ID, 0, 0x90, 4) == 0
+    assert line.write(od.SYNC_COB_ID, 0, 0x90, 4) == 0
     line.start()
     assert line.tell(SYNC) == []
     assert len(line.tell(0x90)) == 59
@@ -261,7 +259,7 @@ def test_the_sync_identifier_can_be_moved() -> None:
 
 def test_a_synchronous_type_sends_after_each_nth_sync() -> None:
     line = Line()
-    assert line.write(object_dictionary.TPDO1_PARAMETER, 2, 3, 1) == 0
+    assert line.write(od.TPDO1_PARAMETER, 2, 3, 1) == 0
     line.start()
     bursts = []
     for _ in range(6):
@@ -272,10 +270,10 @@ def test_a_synchronous_type_sends_after_each_nth_sync() -> None:
 
 def test_a_tpdo_that_is_switched_off_is_not_sent() -> None:
     line = Line()
-    assert line.write(object_dictionary.TPDO1_PARAMETER, 1, 0x8000_0185, 4) == 0
+    assert line.write(od.TPDO1_PARAMETER, 1, 0x8000_0185, 4) == 0
     line.start()
     assert line.tell(SYNC) == []
-    assert line.write(object_dictionary.TPDO1_PARAMETER, 1, 0x0000_0186, 4) == 0
+    assert line.write(od.TPDO1_PARAMETER, 1, 0x0000_0186, 4) == 0
     assert {can_id for can_id, _ in line.tell(SYNC)} == {0x186}
 
 
@@ -292,7 +290,7 @@ def forces(line: Line, seconds: float) -> list[ForceMessage]:
 
 def test_the_force_goes_out_on_the_event_timer_while_operational() -> None:
     line = Line()
-    timer = (object_dictionary.TPDO2_PARAMETER, object_dictionary.PDO_EVENT_TIMER)
+    timer = (od.TPDO2_PARAMETER, od.PDO_EVENT_TIMER)
     assert line.write(*timer, 3, 2) == 0
     assert forces(line, 0.05) == []
     line.start()
@@ -307,7 +305,7 @@ def test_the_force_goes_out_on_the_event_timer_while_operational() -> None:
 
 def test_a_force_message_waits_for_the_one_before_and_says_so() -> None:
     line = Line()
-    timer = (object_dictionary.TPDO2_PARAMETER, object_dictionary.PDO_EVENT_TIMER)
+    timer = (od.TPDO2_PARAMETER, od.PDO_EVENT_TIMER)
     assert line.write(*timer, 2, 2) == 0
     line.start()
     line.message_s = 0.005
@@ -319,54 +317,40 @@ def test_a_force_message_waits_for_the_one_before_and_says_so() -> None:
 def test_table_and_zero_need_a_right_checksum_and_can_be_read_back() -> None:
     line = Line()
     table = force_table(line.layout, FoamCalibration(255))
-    assert line.download(object_dictionary.FORCE_TABLE, table) == 0
-    assert line.read(object_dictionary.FORCE_TABLE) == table
+    assert line.download(od.FORCE_TABLE, table) == 0
+    assert line.read(od.FORCE_TABLE) == table
     damaged = bytes((table[0] ^ 1,)) + table[1:]
-    assert line.download(object_dictionary.FORCE_TABLE, damaged) == 0x0609_0030
-    assert line.read(object_dictionary.FORCE_TABLE) == table
+    assert line.download(od.FORCE_TABLE, damaged) == 0x0609_0030
+    assert line.read(od.FORCE_TABLE) == table
 
 
 def test_the_force_message_can_be_read_as_an_object() -> None:
     line = Line()
-    assert (
-        line.write(object_dictionary.TPDO2_PARAMETER, object_dictionary.PDO_EVENT_TIMER, 3, 2) == 0
-    )
+    assert line.write(od.TPDO2_PARAMETER, od.PDO_EVENT_TIMER, 3, 2) == 0
     line.start()
     message = forces(line, 0.01)[-1]
-    assert line.number(object_dictionary.FORCE_MESSAGE, 1) % 16 == message.counter
+    assert line.number(od.FORCE_MESSAGE, 1) % 16 == message.counter
 
 
 def test_an_older_unit_has_no_force_messages() -> None:
     line = Line(settings=ControlUnitSettings(force_messages=False))
-    for index in (object_dictionary.FORCE_MESSAGE, object_dictionary.TPDO2_PARAMETER):
+    for index in (od.FORCE_MESSAGE, od.TPDO2_PARAMETER):
         assert line.sdo(struct.pack("<BHB4x", 0x40, index, 0))[4:] == struct.pack("<L", 0x0602_0000)
 
 
 def test_the_dictionary_describes_the_layout() -> None:
     for layout in (paper_layout(), pinch_layout()):
         line = Line(layout)
-        assert line.number(object_dictionary.LAYOUT, object_dictionary.LAYOUT_PADS) == layout.n_pads
-        assert (
-            line.number(object_dictionary.LAYOUT, object_dictionary.LAYOUT_TAXELS)
-            == layout.n_taxels
-        )
-        assert (
-            line.read(object_dictionary.LAYOUT, object_dictionary.LAYOUT_HASH)
-            == layout.layout_hash.encode()
-        )
-        assert (
-            line.number(object_dictionary.LAYOUT, object_dictionary.LAYOUT_ADC_MAX)
-            == layout.adc_max
-        )
-        assert (
-            line.number(object_dictionary.FORMAT, object_dictionary.FORMAT_MESSAGES)
-            == FrameFormat.of(layout).n_messages
-        )
-        shapes = line.read(object_dictionary.PAD_SHAPES)
+        assert line.number(od.LAYOUT, od.LAYOUT_PADS) == layout.n_pads
+        assert line.number(od.LAYOUT, od.LAYOUT_TAXELS) == layout.n_taxels
+        assert line.read(od.LAYOUT, od.LAYOUT_HASH) == layout.layout_hash.encode()
+        assert line.number(od.LAYOUT, od.LAYOUT_ADC_MAX) == layout.adc_max
+        assert line.number(od.FORMAT, od.FORMAT_MESSAGES) == FrameFormat.of(layout).n_messages
+        shapes = line.read(od.PAD_SHAPES)
         assert [tuple(shapes[i : i + 2]) for i in range(0, len(shapes), 2)] == [
             (pad.rows, pad.columns) for pad in layout.pads
         ]
-        touch = line.number(object_dictionary.THRESHOLDS, object_dictionary.THRESHOLD_TOUCH)
+        touch = line.number(od.THRESHOLDS, od.THRESHOLD_TOUCH)
         assert touch == round(30 * layout.adc_max / 255)
 
 
@@ -374,23 +358,20 @@ def test_the_dictionary_describes_the_layout() -> None:
 def test_the_last_frame_can_be_read_in_segments(layout: TaxelLayout) -> None:
     line = Line(layout)
     with pytest.raises(KeyError, match=str(0x0800_0024)):
-        line.read(object_dictionary.LAST_FRAME)
+        line.read(od.LAST_FRAME)
     line.start()
     line.skin.counts[:] = np.arange(layout.n_taxels)[::-1] % 256
     frame = line.frame()
-    samples = np.frombuffer(line.read(object_dictionary.LAST_FRAME), f"<u{layout.sample_bytes}")
+    samples = np.frombuffer(line.read(od.LAST_FRAME), f"<u{layout.sample_bytes}")
     assert np.array_equal(samples, frame.counts)
-    assert line.number(object_dictionary.LAST_FRAME_COUNTER) == frame.counter
+    assert line.number(od.LAST_FRAME_COUNTER) == frame.counter
 
 
 def test_the_identity_is_that_of_the_settings() -> None:
     line = Line(settings=ControlUnitSettings(serial_number=4711, identity={1: 0xBAD}))
-    assert line.number(object_dictionary.IDENTITY, object_dictionary.IDENTITY_SERIAL) == 4711
-    assert line.number(object_dictionary.IDENTITY, object_dictionary.IDENTITY_VENDOR) == 0xBAD
-    assert (
-        line.number(object_dictionary.IDENTITY, object_dictionary.IDENTITY_PRODUCT)
-        == object_dictionary.PRODUCT_CODE
-    )
+    assert line.number(od.IDENTITY, od.IDENTITY_SERIAL) == 4711
+    assert line.number(od.IDENTITY, od.IDENTITY_VENDOR) == 0xBAD
+    assert line.number(od.IDENTITY, od.IDENTITY_PRODUCT) == od.PRODUCT_CODE
 
 
 def test_an_emergency_is_sent_and_remembered() -> None:
@@ -399,19 +380,19 @@ def test_an_emergency_is_sent_and_remembered() -> None:
     assert line.take() == [(EMCY, bytes.fromhex("00 50 01 01 02 00 00 00"))]
     line.unit.emergency(0x8110, register=0x10)
     assert line.take() == [(EMCY, bytes.fromhex("10 81 11 00 00 00 00 00"))]
-    assert line.number(object_dictionary.ERROR_HISTORY) == 2
-    assert line.number(object_dictionary.ERROR_HISTORY, 1) == 0x8110
-    assert line.number(object_dictionary.ERROR_HISTORY, 2) == 0x5000
-    assert line.number(object_dictionary.ERROR_REGISTER) == 0x11
+    assert line.number(od.ERROR_HISTORY) == 2
+    assert line.number(od.ERROR_HISTORY, 1) == 0x8110
+    assert line.number(od.ERROR_HISTORY, 2) == 0x5000
+    assert line.number(od.ERROR_REGISTER) == 0x11
     with pytest.raises(KeyError, match=str(0x0800_0024)):
-        line.read(object_dictionary.ERROR_HISTORY, 3)
+        line.read(od.ERROR_HISTORY, 3)
     line.unit.emergency(0)
     assert line.take() == [(EMCY, bytes(8))]
-    assert line.number(object_dictionary.ERROR_REGISTER) == 0
+    assert line.number(od.ERROR_REGISTER) == 0
     for code in range(0xFF10, 0xFF30):
         line.unit.emergency(code)
     line.take()
-    assert line.number(object_dictionary.ERROR_HISTORY) == 8
+    assert line.number(od.ERROR_HISTORY) == 8
 
 
 def test_a_sync_during_a_burst_is_passed_over_and_told() -> None:
@@ -433,14 +414,14 @@ def test_a_sync_during_a_burst_is_passed_over_and_told() -> None:
 
 def test_a_burst_that_does_not_fit_the_window_is_cut_short_and_told() -> None:
     line = Line()
-    line.write(object_dictionary.SYNC_WINDOW_US, 0, 3000, 4)
+    line.write(od.SYNC_WINDOW_US, 0, 3000, 4)
     line.start()
     heard = line.tell(SYNC)
     assert heard[0][0] == EMCY
     assert struct.unpack_from("<H", heard[0][1]) == (EMCY_WINDOW,)
     assert 20 < len(heard) - 1 < 30
     line.wait(0.02)
-    line.write(object_dictionary.SYNC_WINDOW_US, 0, 0, 4)
+    line.write(od.SYNC_WINDOW_US, 0, 0, 4)
     assert line.frame().status == FrameStatus.OVERRUN
 
 
@@ -448,25 +429,23 @@ def test_the_unit_takes_a_zero_on_command() -> None:
     line = Line()
     line.skin.counts[:] = 12
     line.start()
-    line.write(object_dictionary.TARE, object_dictionary.TARE_FRAMES, 4, 1)
-    assert line.write(object_dictionary.TARE, object_dictionary.TARE_COMMAND, 1, 4) == 0x0800_0020
+    line.write(od.TARE, od.TARE_FRAMES, 4, 1)
+    assert line.write(od.TARE, od.TARE_COMMAND, 1, 4) == 0x0800_0020
     assert (
         line.write(
-            object_dictionary.TARE,
-            object_dictionary.TARE_COMMAND,
-            object_dictionary.TARE_SIGNATURE,
+            od.TARE,
+            od.TARE_COMMAND,
+            od.TARE_SIGNATURE,
             4,
         )
         == 0
     )
     for _ in range(3):
         assert line.frame().status == 0
-        assert (
-            line.number(object_dictionary.TARE, object_dictionary.TARE_RESULT) == TareResult.RUNNING
-        )
+        assert line.number(od.TARE, od.TARE_RESULT) == TareResult.RUNNING
     assert line.frame().status == FrameStatus.TARED
-    assert line.number(object_dictionary.TARE, object_dictionary.TARE_RESULT) == TareResult.DONE
-    assert line.number(object_dictionary.TARE, object_dictionary.TARE_LARGEST) == 12
+    assert line.number(od.TARE, od.TARE_RESULT) == TareResult.DONE
+    assert line.number(od.TARE, od.TARE_LARGEST) == 12
     line.skin.counts[5] = 40
     line.skin.counts[6] = 2
     frame = line.frame()
@@ -474,9 +453,9 @@ def test_the_unit_takes_a_zero_on_command() -> None:
     assert frame.counts[4:7].tolist() == [0, 28, 0]
     assert (
         line.write(
-            object_dictionary.TARE,
-            object_dictionary.TARE_COMMAND,
-            object_dictionary.TARE_CLEAR_SIGNATURE,
+            od.TARE,
+            od.TARE_COMMAND,
+            od.TARE_CLEAR_SIGNATURE,
             4,
         )
         == 0
@@ -493,15 +472,13 @@ def test_a_touched_or_restless_skin_gives_no_zero(
 ) -> None:
     line = Line()
     line.start()
-    line.write(object_dictionary.THRESHOLDS, object_dictionary.THRESHOLD_TARE_SPREAD, 11, 2)
-    line.write(object_dictionary.TARE, object_dictionary.TARE_FRAMES, 2, 1)
-    line.write(
-        object_dictionary.TARE, object_dictionary.TARE_COMMAND, object_dictionary.TARE_SIGNATURE, 4
-    )
+    line.write(od.THRESHOLDS, od.THRESHOLD_TARE_SPREAD, 11, 2)
+    line.write(od.TARE, od.TARE_FRAMES, 2, 1)
+    line.write(od.TARE, od.TARE_COMMAND, od.TARE_SIGNATURE, 4)
     for value in counts:
         line.skin.counts[9] = value
         line.frame()
-    assert line.number(object_dictionary.TARE, object_dictionary.TARE_RESULT) == result
+    assert line.number(od.TARE, od.TARE_RESULT) == result
     assert line.frame().status == 0
 
 
@@ -531,19 +508,19 @@ def test_writes_that_are_not_allowed_are_refused(
 
 def test_the_sync_counter_is_set_before_the_period() -> None:
     line = Line()
-    assert line.write(object_dictionary.SYNC_OVERFLOW, 0, 240, 1) == 0
-    assert line.write(object_dictionary.SYNC_PERIOD_US, 0, 20_000, 4) == 0
-    assert line.write(object_dictionary.SYNC_OVERFLOW, 0, 0, 1) == 0x0800_0022
+    assert line.write(od.SYNC_OVERFLOW, 0, 240, 1) == 0
+    assert line.write(od.SYNC_PERIOD_US, 0, 20_000, 4) == 0
+    assert line.write(od.SYNC_OVERFLOW, 0, 0, 1) == 0x0800_0022
 
 
 def test_the_mapping_can_be_written_again_but_not_changed() -> None:
     line = Line()
-    mapping, parameter = object_dictionary.TPDO1_MAPPING, object_dictionary.TPDO1_PARAMETER
+    mapping, parameter = od.TPDO1_MAPPING, od.TPDO1_PARAMETER
     assert line.write(parameter, 1, 0xC000_0185, 4) == 0
     assert line.write(mapping, 0, 0, 1) == 0
-    assert line.write(mapping, 1, object_dictionary.TPDO1_ENTRIES[0], 4) == 0
+    assert line.write(mapping, 1, od.TPDO1_ENTRIES[0], 4) == 0
     assert line.write(mapping, 2, 0x2140_0108, 4) == 0x0604_0041
-    assert line.write(mapping, 2, object_dictionary.TPDO1_ENTRIES[1], 4) == 0
+    assert line.write(mapping, 2, od.TPDO1_ENTRIES[1], 4) == 0
     assert line.write(mapping, 0, 1, 1) == 0x0604_0041
     assert line.write(mapping, 0, 2, 1) == 0
     assert line.write(parameter, 1, 0x4000_0185, 4) == 0
@@ -577,8 +554,8 @@ def test_hostile_sdo_requests_are_aborted_and_leave_the_server_working(
     for request in before:
         assert line.sdo(bytes.fromhex(request))[0] != 0x80
     assert abort_code(line.sdo(bytes.fromhex(last))) == code
-    assert line.read(object_dictionary.DEVICE_NAME) == b"Tactile control unit"
-    assert line.write(object_dictionary.HEARTBEAT_MS, 0, 100, 2) == 0
+    assert line.read(od.DEVICE_NAME) == b"Tactile control unit"
+    assert line.write(od.HEARTBEAT_MS, 0, 100, 2) == 0
 
 
 def test_a_download_without_an_end_is_cut_off() -> None:
@@ -597,7 +574,7 @@ def test_a_segmented_download_works() -> None:
     line = Line()
     assert line.sdo(bytes.fromhex("21 17 10 00 02 00 00 00"))[0] == 0x60
     assert line.sdo(bytes.fromhex("0B 64 00 00 00 00 00 00"))[0] == 0x20
-    assert line.number(object_dictionary.HEARTBEAT_MS) == 100
+    assert line.number(od.HEARTBEAT_MS) == 100
 
 
 def test_an_abort_of_the_client_ends_the_transfer() -> None:
@@ -628,7 +605,7 @@ def test_faults_of_the_converter_show_in_the_frames() -> None:
 
 def test_a_dead_unit_neither_hears_nor_speaks() -> None:
     line = Line()
-    line.write(object_dictionary.HEARTBEAT_MS, 0, 100, 2)
+    line.write(od.HEARTBEAT_MS, 0, 100, 2)
     line.start()
     line.faults.dead = True
     line.wait(0.5)
@@ -643,7 +620,7 @@ def test_a_dead_unit_neither_hears_nor_speaks() -> None:
 
 def test_the_heartbeat_alone_can_fail() -> None:
     line = Line()
-    line.write(object_dictionary.HEARTBEAT_MS, 0, 100, 2)
+    line.write(od.HEARTBEAT_MS, 0, 100, 2)
     line.start()
     line.faults.heartbeat_off = True
     line.wait(0.5)

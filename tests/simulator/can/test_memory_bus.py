@@ -2,14 +2,10 @@ import itertools
 import math
 import random
 import struct
-from pathlib import Path
 
 import can
-import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
 
-from simulator.can.capture import PcapWriter
 from simulator.can.control_unit import ControlUnitSettings, SendBurst, SimulatedControlUnit
 from simulator.can.faults import CanLinkFaults
 from simulator.can.link import CanLink
@@ -99,26 +95,6 @@ def test_the_checksum_is_that_of_can() -> None:
 )
 def test_bits_are_stuffed_after_five_equal_ones(bits: str, stuffed: str) -> None:
     assert "".join(map(str, stuff([int(bit) for bit in bits]))) == stuffed
-
-
-@given(data=st.binary(min_size=1, max_size=12))
-@settings(max_examples=100, derandomize=True, deadline=None)
-def test_stuffing_can_be_undone_and_leaves_no_run_of_six(data: bytes) -> None:
-    stuffed = stuff(bits_of(data))
-    assert "000000" not in "".join(map(str, stuffed))
-    assert "111111" not in "".join(map(str, stuffed))
-    plain: list[int] = []
-    run, last, drop = 0, -1, False
-    for bit in stuffed:
-        if drop:
-            assert bit != last
-            run, drop = 1, False
-        else:
-            plain.append(bit)
-            run = run + 1 if bit == last else 1
-            drop = run == 5
-        last = bit
-    assert plain == bits_of(data)
 
 
 def test_exact_bits_stay_within_the_bounds_of_the_standard() -> None:
@@ -253,17 +229,6 @@ def test_the_device_does_not_hear_extended_identifiers() -> None:
     assert echo.heard == []
 
 
-@pytest.mark.parametrize(("bitrate", "duration_s"), [(1_000_000, 6.9e-3), (500_000, 13.8e-3)])
-def test_a_burst_takes_as_long_as_its_bits(bitrate: int, duration_s: float) -> None:
-    _, bus, clock = real_bus(bitrate)
-    drain(bus)
-    start_s = clock.monotonic()
-    bus.send(message(SYNC_ID))
-    burst = drain(bus)
-    assert len(burst) == 59
-    assert burst[-1].timestamp - start_s == pytest.approx(duration_s, rel=0.05)
-
-
 def run_with(faults: CanLinkFaults, n: int = 400) -> list[can.Message]:
     echo, bus, _ = echo_bus(faults)
     echo.send(10.0, 0x185, [struct.pack("<Q", i) for i in range(n)])
@@ -370,45 +335,17 @@ def test_impossible_faults_are_refused(faults: CanLinkFaults) -> None:
         run_with(faults, 1)
 
 
-def test_a_run_with_faults_repeats() -> None:
-    faults = [CanLinkFaults(drop_rate=0.3, corrupt_rate=0.3) for _ in range(2)]
-    assert numbers(run_with(faults[0])) == numbers(run_with(faults[1]))
-
-
-def test_everything_on_the_wire_is_captured(tmp_path: Path) -> None:
-    path = tmp_path / "bus.pcap"
+def test_everything_on_the_wire_is_captured() -> None:
     _, bus, _ = real_bus()
     bus.faults.drop_rate = 0.5
     heard: list[tuple[float, int, bytes]] = []
-    with PcapWriter(path) as writer:
-        bus.capture.extend((writer, lambda *one: heard.append(one)))
-        bus.send(message(SYNC_ID))
-        bus.send(message(0x605, 0x40, 0, 0x10, 0, 0, 0, 0, 0))
-        drain(bus)
+    bus.capture.append(lambda *one: heard.append(one))
+    bus.send(message(SYNC_ID))
+    bus.send(message(0x605, 0x40, 0, 0x10, 0, 0, 0, 0, 0))
+    drain(bus)
     assert [can_id for _, can_id, _ in heard] == [SYNC_ID, 0x605] + [TPDO_ID] * 59 + [0x585]
     times = [t_s for t_s, _, _ in heard]
     assert times == sorted(times)
-    content = path.read_bytes()
-    assert struct.unpack_from("<L", content)[0] == 0xA1B23C4D
-    assert struct.unpack_from("<L", content, 20)[0] == 227
-    offset, packets = 24, []
-    while offset < len(content):
-        seconds, nanoseconds, size, original = struct.unpack_from("<LLLL", content, offset)
-        assert size == original
-        can_id, length, fd, _, _ = struct.unpack_from(">LBBBB", content, offset + 16)
-        assert fd == 0
-        data = content[offset + 24 : offset + 24 + length]
-        packets.append((seconds + 1e-9 * nanoseconds, can_id, data))
-        offset += 16 + size
-    assert [p[1:] for p in packets] == [h[1:] for h in heard]
-    np.testing.assert_allclose([p[0] for p in packets], times, atol=1e-9)
-
-
-def test_a_capture_marks_extended_identifiers(tmp_path: Path) -> None:
-    path = tmp_path / "one.pcap"
-    with PcapWriter(path) as writer:
-        writer(1.5, 0x123, b"\x01", extended=True)
-    assert struct.unpack_from(">L", path.read_bytes(), 24 + 16)[0] == 0x8000_0123
 
 
 def test_an_adapter_that_nobody_reads_loses_messages_and_counts_them() -> None:

@@ -13,7 +13,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import can
 import pytest
 import serial
 
@@ -274,49 +273,6 @@ def running(folder: str) -> Iterator[tuple[subprocess.Popen[str], dict[str, Any]
     finally:
         process.kill()
         process.communicate()
-
-
-def test_another_process_serves_both_buses_and_the_positioner(tmp_path: Path) -> None:
-    with running(str(tmp_path)) as (process, hello):
-        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as client:
-            client.settimeout(LIMIT_S)
-            client.connect(hello["positioner_socket"])
-            client.sendall(b'{"place": "ball", "pose": {"x_m": 0.001}}\n')
-            assert json.loads(client.recv(4096))["pose"]["x_m"] == 0.001
-
-        with serial.Serial(hello["servo_port"], hello["servo_baud_rate"], timeout=LIMIT_S) as line:
-            line.write(encode_instruction(2, Instruction.PING))
-            assert line.read(14)[:5] == bytes.fromhex("FF FF FD 00 02")
-
-        bus = can.Bus(
-            interface="slcan",
-            channel=hello["can_channel"],
-            bitrate=hello["can_bitrate"],
-            sleep_after_open=0,
-        )
-        try:
-            bus.send(can.Message(arbitration_id=0, is_extended_id=False, data=[1, 5]))
-            assembler = FrameAssembler(FrameFormat.of(paper_layout()))
-            frames = 0
-            for _ in range(5):
-                bus.send(can.Message(arbitration_id=0x80, is_extended_id=False))
-                end_s = time.monotonic() + LIMIT_S
-                while time.monotonic() < end_s:
-                    message = bus.recv(0.1)
-                    if message is None or message.arbitration_id != 0x185:
-                        continue
-                    frame = assembler.push(bytes(message.data), message.dlc, message.timestamp)
-                    if frame is not None:
-                        assert frame.counter == frames
-                        frames += 1
-                        break
-            assert frames == 5
-        finally:
-            bus.shutdown()
-
-        process.send_signal(signal.SIGTERM)
-        assert process.wait(LIMIT_S) == 0
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_it_ends_when_it_is_told_to_and_leaves_nothing_behind() -> None:

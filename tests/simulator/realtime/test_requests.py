@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simulator.cell import SimulatedCell
 from simulator.devices import CellDevices
 from simulator.errors import EndpointError, SimulatorError, SimulatorSettingsError
 from simulator.faults.injector import FaultInjector
@@ -225,14 +224,3 @@ def test_faults_are_injected_and_cleared_by_their_text(
     assert began_s == pytest.approx(0.2)
     assert requests({"clear": "can.loss"}) == {"cleared": 1}
     assert devices.faults.can.drop_rate == 0.0
-    for request in ({"inject": "can.lost"}, {"clear": "can.loss"}, {"inject": 5}, {"clear": None}):
-        with pytest.raises(SimulatorError):
-            requests(request)
-
-
-def test_the_settings_bring_their_faults_along() -> None:
-    with SimulatedCell(SimulatorSettings(faults=("can.loss=0.5@50ms", "unit.off"))) as cell:
-        assert cell.devices.faults.unit.dead
-        assert [fault.began_s for fault in cell.injector.faults] == [0.0, None]
-    with pytest.raises(SimulatorSettingsError, match=r"no fault 'can.lost'"):
-        SimulatedCell(SimulatorSettings(faults=("can.lost",)))

@@ -10,14 +10,11 @@ import tty
 from collections.abc import Iterator
 
 import can
-import numpy as np
 import pytest
 
 from tactile.can.bus import BulkSlcanBus, close_bus, open_bus
 from tactile.can.receiver import PolledSource, ThreadedReceiver
 from tactile.errors import BusNotOpened, BusOff, LinkFault, ReceiveLoopDead
-from tactile.frames.assembler import FrameAssembler
-from tactile.frames.codec import FrameFormat, encode_frame
 
 
 class QueueBus(can.BusABC):
@@ -237,45 +234,6 @@ def test_slcan_opens_with_bit_rate_and_without_waiting(adapter: Adapter) -> None
     assert sent == b"t0800\rt60524018\r"
     close_bus(bus)
     assert adapter.read() == b"C\r"
-
-
-def test_slcan_reads_a_burst_whole(adapter: Adapter, slcan: BulkSlcanBus) -> None:
-    frame_format = FrameFormat(n_taxels=408, sample_bytes=1)
-    counts = np.arange(408) & 255
-    lines = b"".join(
-        b"t1858" + m.hex().upper().encode() + b"\r"
-        for m in encode_frame(frame_format, counts, 9, 0)
-    )
-    adapter.write(b"z\r\r\a" + lines[:500])
-    messages = received(slcan)
-    adapter.write(lines[500:])
-    messages += received(slcan)
-    assembler = FrameAssembler(frame_format)
-    frames = [assembler.push(m.data, m.dlc, 0.0) for m in messages]
-    assert len(messages) == 59
-    frame = frames[-1]
-    assert frame is not None
-    np.testing.assert_array_equal(frame.counts, counts)
-
-
-def test_slcan_survives_damaged_lines_and_counts_them(
-    adapter: Adapter, slcan: BulkSlcanBus
-) -> None:
-    bad = [b"t1812ZZZZ", b"t1812\xff\xff", b"tZZZ0", b"t1818112233"]
-    good = [b"t1812AABB", b"T000000102FF1F", b"t1813112233"]
-    adapter.write(
-        b"".join(line + b"\r" for pair in zip(bad, [*good, b"z"], strict=True) for line in pair)
-    )
-    assert [(m.arbitration_id, m.dlc, bytes(m.data)) for m in received(slcan)] == [
-        (0x181, 2, b"\xaa\xbb"),
-        (0x10, 2, b"\xff\x1f"),
-        (0x181, 3, b"\x11\x22\x33"),
-    ]
-    assert slcan.bad_lines == len(bad)
-    adapter.write(b"x" * 100)
-    assert received(slcan) == []
-    adapter.write(b"\rt1811AA\r")
-    assert [bytes(m.data) for m in received(slcan)] == [b"\xaa"]
 
 
 def test_an_unplugged_adapter_is_bus_off_and_can_be_closed(

@@ -16,7 +16,7 @@ from tactile.frames.force_message import ForceMessage, ForceStatus, encode_zero
 from tactile.layout import paper_layout
 from tactile.sensor.calibration import FoamCalibration
 from tactile.sensor.force_check import force_table
-from tactile.unit import object_dictionary
+from tactile.unit import object_dictionary as od
 from tactile.unit.link import LinkSettings, TactileLink
 
 LAYOUT = paper_layout()
@@ -106,8 +106,8 @@ def test_the_force_comes_by_table_and_zero_each_three_milliseconds(bench: Bench)
 
 def test_an_independent_client_reads_table_and_zero_back(bench: Bench) -> None:
     for index, expected in (
-        (object_dictionary.FORCE_TABLE, TABLE),
-        (object_dictionary.FORCE_ZERO, ZERO),
+        (od.FORCE_TABLE, TABLE),
+        (od.FORCE_ZERO, ZERO),
     ):
         assert read_by_canopen(bench, index) == expected
 
@@ -115,7 +115,7 @@ def test_an_independent_client_reads_table_and_zero_back(bench: Bench) -> None:
 def read_by_canopen(bench: Bench, index: int) -> bytes:
     """Read an object with canopen's own client, in the steps of its transfer."""
     network = canopen.Network()
-    node = canopen.RemoteNode(5, canopen.import_od(str(object_dictionary.EDS_PATH), 5))
+    node = canopen.RemoteNode(5, canopen.import_od(str(od.EDS_PATH), 5))
     network.add_node(node)
 
     def exchange(can_id: int, data: bytes, remote: bool = False) -> None:
@@ -136,14 +136,14 @@ def test_a_force_message_waits_for_one_message_of_a_burst_and_no_more(
     def worst_wait_s(frame_function: int) -> float:
         bench = make_bench()
         bench.link.start()
-        if frame_function != object_dictionary.COB_TPDO3:
+        if frame_function != od.COB_TPDO3:
             # As if the frames had stayed before the forces: TPDO1 and TPDO2 as in the EDS.
-            bench.unit.dictionary.pretend(object_dictionary.TPDO1_PARAMETER, 1, frame_function + 5)
+            bench.unit.dictionary.pretend(od.TPDO1_PARAMETER, 1, frame_function + 5)
             bench.unit.command("OPERATIONAL", bench.clock.monotonic())
         bench.traffic.clear()
         for _ in range(300):
             bench.clock.sleep(0.001)
-            if frame_function == object_dictionary.COB_TPDO3:
+            if frame_function == od.COB_TPDO3:
                 bench.link.poll()
             elif bench.clock.monotonic() % 0.02 < 0.001:
                 bench.bus.send(can.Message(arbitration_id=0x80, is_extended_id=False))
@@ -151,8 +151,8 @@ def test_a_force_message_waits_for_one_message_of_a_burst_and_no_more(
         spacing_s = np.diff(ends_s)
         return float(np.abs(spacing_s - 0.003).max())
 
-    assert worst_wait_s(object_dictionary.COB_TPDO3) < 0.00026
-    assert worst_wait_s(object_dictionary.COB_TPDO1) > 0.002
+    assert worst_wait_s(od.COB_TPDO3) < 0.00026
+    assert worst_wait_s(od.COB_TPDO1) > 0.002
 
 
 def test_a_unit_without_force_messages_runs_as_before(make_bench: Callable[..., Bench]) -> None:
@@ -166,7 +166,7 @@ def test_a_unit_without_force_messages_runs_as_before(make_bench: Callable[..., 
 
 def test_a_table_that_the_unit_does_not_keep_is_refused(make_bench: Callable[..., Bench]) -> None:
     bench = make_bench()
-    bench.unit.dictionary.pretend(object_dictionary.FORCE_TABLE, 0, TABLE[:-2] + b"\0\0")
+    bench.unit.dictionary.pretend(od.FORCE_TABLE, 0, TABLE[:-2] + b"\0\0")
     with pytest.raises(IdentityMismatch, match="table of counts to force"):
         bench.link.start()
 

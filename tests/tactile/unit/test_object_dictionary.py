@@ -10,18 +10,18 @@ from canopen.objectdictionary import ODRecord
 
 from tactile.frames.codec import FrameFormat
 from tactile.layout import paper_layout
-from tactile.unit import object_dictionary
+from tactile.unit import object_dictionary as od
 
 
 @pytest.fixture(scope="module")
 def dictionary() -> canopen.ObjectDictionary:
-    return object_dictionary.of_node(5)
+    return od.of_node(5)
 
 
 def test_dcfchk_finds_nothing() -> None:
     checker = Path(sys.executable).with_name("dcfchk")
     done = subprocess.run(
-        [checker, "-n", "5", object_dictionary.EDS_PATH],
+        [checker, "-n", "5", od.EDS_PATH],
         capture_output=True,
         text=True,
         check=False,
@@ -44,15 +44,15 @@ def test_every_tpdo_maps_64_bits(dictionary: canopen.ObjectDictionary) -> None:
             assert variable.pdo_mappable
             assert len(variable) == entry & 0xFF
     for index, known in (
-        (0x1A00, object_dictionary.TPDO1_ENTRIES),
-        (0x1A01, object_dictionary.TPDO2_ENTRIES),
+        (0x1A00, od.TPDO1_ENTRIES),
+        (0x1A01, od.TPDO2_ENTRIES),
     ):
         assert tuple(dictionary[index][sub].default for sub in dictionary[index] if sub) == known
 
 
 def test_cob_ids_follow_the_node_id(dictionary: canopen.ObjectDictionary) -> None:
-    assert dictionary[object_dictionary.TPDO1_PARAMETER][1].default == 0x185
-    assert dictionary[object_dictionary.EMCY_COB_ID].default == 0x85
+    assert dictionary[od.TPDO1_PARAMETER][1].default == 0x185
+    assert dictionary[od.EMCY_COB_ID].default == 0x85
 
 
 def test_defaults_are_the_papers_layout(dictionary: canopen.ObjectDictionary) -> None:
@@ -61,36 +61,36 @@ def test_defaults_are_the_papers_layout(dictionary: canopen.ObjectDictionary) ->
     found = {
         (index, sub): dictionary[index][sub].default
         for index in (
-            object_dictionary.IDENTITY,
-            object_dictionary.LAYOUT,
-            object_dictionary.FORMAT,
+            od.IDENTITY,
+            od.LAYOUT,
+            od.FORMAT,
         )
         for sub in (1, 2, 3, 4)
     }
     assert found == {
         (
-            object_dictionary.IDENTITY,
-            object_dictionary.IDENTITY_VENDOR,
-        ): object_dictionary.VENDOR_ID,
+            od.IDENTITY,
+            od.IDENTITY_VENDOR,
+        ): od.VENDOR_ID,
         (
-            object_dictionary.IDENTITY,
-            object_dictionary.IDENTITY_PRODUCT,
-        ): object_dictionary.PRODUCT_CODE,
+            od.IDENTITY,
+            od.IDENTITY_PRODUCT,
+        ): od.PRODUCT_CODE,
         (
-            object_dictionary.IDENTITY,
-            object_dictionary.IDENTITY_REVISION,
-        ): object_dictionary.REVISION,
-        (object_dictionary.IDENTITY, object_dictionary.IDENTITY_SERIAL): 1,
-        (object_dictionary.LAYOUT, object_dictionary.LAYOUT_PADS): layout.n_pads,
-        (object_dictionary.LAYOUT, object_dictionary.LAYOUT_TAXELS): layout.n_taxels,
-        (object_dictionary.LAYOUT, object_dictionary.LAYOUT_HASH): layout.layout_hash,
-        (object_dictionary.LAYOUT, object_dictionary.LAYOUT_ADC_MAX): layout.adc_max,
-        (object_dictionary.FORMAT, object_dictionary.FORMAT_SAMPLE_BITS): layout.sample_bits,
-        (object_dictionary.FORMAT, object_dictionary.FORMAT_SAMPLE_BYTES): layout.sample_bytes,
-        (object_dictionary.FORMAT, object_dictionary.FORMAT_MESSAGES): frame_format.n_messages,
+            od.IDENTITY,
+            od.IDENTITY_REVISION,
+        ): od.REVISION,
+        (od.IDENTITY, od.IDENTITY_SERIAL): 1,
+        (od.LAYOUT, od.LAYOUT_PADS): layout.n_pads,
+        (od.LAYOUT, od.LAYOUT_TAXELS): layout.n_taxels,
+        (od.LAYOUT, od.LAYOUT_HASH): layout.layout_hash,
+        (od.LAYOUT, od.LAYOUT_ADC_MAX): layout.adc_max,
+        (od.FORMAT, od.FORMAT_SAMPLE_BITS): layout.sample_bits,
+        (od.FORMAT, od.FORMAT_SAMPLE_BYTES): layout.sample_bytes,
+        (od.FORMAT, od.FORMAT_MESSAGES): frame_format.n_messages,
         (
-            object_dictionary.FORMAT,
-            object_dictionary.FORMAT_HEADER_BYTES,
+            od.FORMAT,
+            od.FORMAT_HEADER_BYTES,
         ): frame_format.header_bytes,
     }
 
@@ -98,7 +98,7 @@ def test_defaults_are_the_papers_layout(dictionary: canopen.ObjectDictionary) ->
 def test_every_index_constant_is_in_the_dictionary(dictionary: canopen.ObjectDictionary) -> None:
     indices = {
         value
-        for name, value in vars(object_dictionary).items()
+        for name, value in vars(od).items()
         if name.isupper() and isinstance(value, int) and 0x1000 <= value <= 0x2FFF
     }
     assert len(indices) > 20
