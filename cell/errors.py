@@ -41,6 +41,10 @@ class PartInGrip(CellStateError):
     """The cell cannot start: a part may still be in the grip, and only a release lets it go."""
 
 
+class TrainingSetMissing(CellStateError):
+    """Teaching beside a loaded model needs the grasps that trained it; nothing has moved."""
+
+
 class PlanRefused(CellError, ValueError):
     """A grasp or plan that cannot be carried out was asked for; nothing has moved."""
 

@@ -6,8 +6,9 @@ force, 3xx CAN and control unit, 4xx taxels and frames, 5xx cell, job and host, 
 all links are made from this table.
 """
 
+import re
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Self
 
 from cell import errors as cell
 from gripper import errors as gripper
@@ -242,6 +243,9 @@ CATALOGUE: dict[type[BaseException], Fault] = {
     cell.NotMeasured: Fault(516, "Value is not measured at the moment",
         "A fault, a shutdown, or nothing that was moved yet.", "Read the state of the cell.",
         UNMOVED, REQUEST),
+    cell.TrainingSetMissing: Fault(517, "Teaching needs the training set of the loaded model",
+        "A model was loaded alone.",
+        "Start `serve` with `--training-set`, or teach without `--model`.", UNMOVED, REQUEST),
     cell.HeldByClient: Fault(515, "A client keeps the cell on hold",
         "A pressed button of a panel; the text names it.",
         "Let the button go; `clear` acknowledges one whose client is gone.", UNMOVED, ON_HOLD),
@@ -318,3 +322,43 @@ def fault_of(error: BaseException) -> Fault:
 def fault_number(error: BaseException | None) -> int:
     """Return the number of an error; 0 for none."""
     return 0 if error is None else fault_of(error).number
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Refusal:
+    """Why a request was refused, as every door shows it."""
+
+    number: int = 0
+    """Fault number; 0: nothing was refused yet."""
+    text: str = ""
+    """Cause, value, limit and next step."""
+    remedy: str = ""
+    """What to do, from the catalogue."""
+
+    @classmethod
+    def of(cls, error: BaseException) -> Self:
+        """Return an error as a refusal."""
+        fault = fault_of(error)
+        text = f"{type(error).__name__}: {error}" if fault.number >= 598 else str(error)
+        return cls(number=fault.number, text=text, remedy=fault.remedy)
+
+    def __str__(self) -> str:
+        if not self.number:
+            return ""
+        remedy = "" if "text" in self.remedy else f". {self.remedy}".replace("`", "")
+        return f"{self.number}: {self.text}{remedy}"
+
+
+def for_display(number: int, text: str) -> str:
+    """Return the text of a fault for displays that show its beginning alone: the remedy first.
+
+    Parameters
+    ----------
+    number
+        Its number; 0 for none. A remedy that refers to the text is left out.
+    text
+        Its text, as of `cell.errors.error_text`.
+    """
+    remedy = BY_NUMBER[number].remedy.replace("`", "") if number else "text"
+    rest = re.sub(r"^\w+: ", "", text)
+    return rest if "text" in remedy else f"{remedy} {rest}"

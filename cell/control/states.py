@@ -257,8 +257,8 @@ def refusal(state: CellState, asked: Command | Event) -> str:
         if command is not Command.CANCEL and answer(state, command).path
     ]
     return (
-        f"{asked.value!r} is not allowed while the cell is {state.value}; "
-        f"allowed: {', '.join(allowed) or Command.CANCEL.value}"
+        f"the cell is {state.value}; allowed: {', '.join(allowed) or Command.CANCEL.value}; "
+        f"{asked.value!r} is not allowed"
     )
 
 

@@ -35,13 +35,14 @@ from cell.errors import (
     NotInCommand,
     RequestRefused,
 )
-from cell.fault_catalogue import BY_NUMBER, CATALOGUE, fault_of
+from cell.fault_catalogue import BY_NUMBER, CATALOGUE, Refusal
 from cell.interfaces.live_socket import LiveFeed, LiveLink
 from cell.interfaces.page import mount_page
 from cell.interfaces.service.doors import (
     Places,
     is_for_this_machine,
     may_connect,
+    notice_dead_peers,
     read_secret,
     same_secret,
 )
@@ -336,8 +337,8 @@ def _refused(_request: Request, error: Exception) -> JSONResponse:
             )
             return refusal_answer(422, complaints)
     status = next((code for kind, code in _STATUS.items() if isinstance(error, kind)), 500)
-    fault = fault_of(error)
-    return _answer(status, fault.number, str(error), fault.remedy)
+    refusal = Refusal.of(error)
+    return _answer(status, refusal.number, refusal.text, refusal.remedy)
 
 
 def refusal_answer(status: int, text: str) -> JSONResponse:
@@ -416,7 +417,8 @@ class Connection(H11Protocol):
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
         """Begin."""
         super().connection_made(transport)
-        self._places.enter(transport)
+        notice_dead_peers(transport.get_extra_info("socket"))
+        self._places.enter(transport, (transport.get_extra_info("peername") or ("",))[0])
         self._begin()
 
     def data_received(self, data: bytes) -> None:

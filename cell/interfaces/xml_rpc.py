@@ -6,6 +6,7 @@ catalogue, or an empty text. ``docs/reference/xml-rpc.md`` is made from the meth
 """
 
 import functools
+import inspect
 import threading
 import time
 from collections.abc import Callable, Mapping
@@ -21,18 +22,21 @@ from xmlrpc.server import SimpleXMLRPCRequestHandler, SimpleXMLRPCServer
 from cell.config.serve import ServeConfig
 from cell.control.plan import Pose
 from cell.control.states import Command
-from cell.errors import NotMeasured, RequestRefused
-from cell.fault_catalogue import fault_number
+from cell.errors import ConfigError, NotMeasured, RequestRefused
+from cell.fault_catalogue import Refusal, for_display
 from cell.interfaces.service.doors import (
     BUSY_MAX,
     Places,
     is_for_this_machine,
     may_connect,
+    notice_dead_peers,
     read_secret,
     same_secret,
 )
 from cell.interfaces.service.service import Service
 
+_REFUSALS_MAX = 100
+"""Clients whose last refusal is kept; that of the one that was refused first goes first."""
 LONGEST = 65536
 """Largest request in bytes."""
 _CLIENT: ContextVar[str] = ContextVar("client", default="")
@@ -81,6 +85,24 @@ class Calls:
         self._service = service
         self._secret = secret
         self._door = door
+        self._refusals: dict[str, Refusal] = {}
+
+    def _refuse(self, error: Exception) -> int:
+        """Take note why a call of this client is refused; return the number."""
+        if isinstance(error, TypeError):  # wrong arguments are the request's fault
+            error = ConfigError(str(error))
+        refusal, client = Refusal.of(error), _CLIENT.get()
+        if not isinstance(error, NotMeasured):  # nothing was asked for that could be refused
+            self._refusals.pop(client, None)
+            self._refusals[client] = refusal
+            if len(self._refusals) > _REFUSALS_MAX:
+                self._refusals.pop(next(iter(self._refusals)), None)
+        return refusal.number
+
+    @property
+    def refusal(self) -> Refusal:
+        """Why the last refused call of this address was."""
+        return self._refusals.get(_CLIENT.get(), Refusal())
 
     def acquire(self, secret: str, name: str = "") -> int:
         """Return the lease to command with; keep it with `alive`.
@@ -164,6 +186,15 @@ class Calls:
         """Start to look whether the held part is still the same; return the job."""
         return self._service.start(lease, {"task": "verify"}, number=job)
 
+    def sort(self, lease: int, parts: int, max_grasps: int, force_n: float, job: int = 0) -> int:
+        """Start to name parts and let each go at its place of `sort.places`; return the job."""
+        goal: dict[str, Any] = {"task": "sort", "parts": parts}
+        if max_grasps:
+            goal["max_grasps"] = max_grasps
+        if force_n:
+            goal["force_n"] = float(force_n)
+        return self._service.start(lease, goal, number=job)
+
     def release(self, lease: int, key: int, job: int = 0) -> int:
         """Start to let the part go, with key 20304 (0x4F50); return the job."""
         return self._service.command(lease, Command.RELEASE, key=key, number=job)
@@ -173,8 +204,12 @@ class Calls:
         return self._service.command(lease, Command.CLEAR, reboot=reboot, number=job)
 
     def reset(self, lease: int, job: int = 0) -> int:
-        """Start to verify the devices anew; return the job."""
+        """Start to verify the devices anew, also after a shutdown; return the job."""
         return self._service.command(lease, Command.RESET, number=job)
+
+    def shutdown(self, lease: int, job: int = 0) -> int:
+        """Start to end the work with the devices; a held part stays held. Return the job."""
+        return self._service.command(lease, Command.SHUTDOWN, number=job)
 
     def hold(self, latch: int = -1, name: str = "") -> int:
         """Stop what runs and keep the grip; anyone may. Return 0.
@@ -197,6 +232,22 @@ class Calls:
     def job_fault(self, job: int) -> int:
         """Return the fault number of a job that failed; 0 else."""
         return self._service.job(job).fault_number
+
+    def job_text(self, job: int) -> str:
+        """Return why a job failed, the remedy first; empty else."""
+        found = self._service.job(job)
+        return for_display(found.fault_number, found.error)
+
+    def last_refusal(self) -> str:
+        """Return why the last refused call of this address was: number, text, remedy; empty: none.
+
+        A value that is not measured is no refusal.
+        """
+        return str(self.refusal)
+
+    def boot(self) -> int:
+        """Return a number that differs after each start of the cell's program, 1 to 65535."""
+        return self._service.boot
 
     def last_answer(self) -> int:
         """Return the job of the last identification, for `label_id` and others; 0: no answer.
@@ -245,28 +296,44 @@ class Calls:
         return self._service.status().fault or ""
 
 
+_TYPES = {int: "int", float: "double", bool: "boolean", str: "string"}
+"""Names of the types in XML-RPC."""
 _EMPTY: Mapping[str, Any] = {
     "label": "",
     "fault_text": "",
     "held_by": "",
+    "job_text": "",
+    "last_refusal": "",
     "next_pose": ur_pose(None),
 }
 """What methods that return no number return where they fail."""
 
 
+METHODS = {
+    name: method
+    for name, method in vars(Calls).items()
+    if inspect.isfunction(method) and name[0] != "_"
+}
+"""Methods of `Calls` by name."""
+
+
 def methods(calls: Calls) -> dict[str, Callable[..., Any]]:
     """Return all methods by name; none of them raises."""
-    return {name: _harmless(name, getattr(calls, name)) for name in vars(Calls) if name[0] != "_"}
+    return {
+        name: _harmless(name, getattr(calls, name), calls._refuse)  # noqa: SLF001  as a method
+        for name in METHODS
+    }
 
 
-def _harmless(name: str, call: Callable[..., Any]) -> Callable[..., Any]:
+def _harmless(
+    name: str, call: Callable[..., Any], refuse: Callable[[Exception], int]
+) -> Callable[..., Any]:
     @functools.wraps(call)
     def called(*arguments: Any) -> Any:
         try:
             return call(*arguments)
         except Exception as error:
-            # Wrong arguments (TypeError) are the request's fault, as a wrong value is.
-            number = 501 if isinstance(error, TypeError) else fault_number(error)
+            number = refuse(error)
             found = _EMPTY.get(name, -number)
             return float(found) if call.__annotations__["return"] is float else found
 
@@ -342,13 +409,23 @@ class _Server(ThreadingMixIn, SimpleXMLRPCServer):
             logRequests=False,
             allow_none=False,
         )
+        self.register_introspection_functions()
+
+    def system_methodSignature(self, method_name: str) -> Any:  # noqa: N802  name of the base class
+        """Return the types of a method: what it returns, then its arguments; once with all."""
+        if method_name not in self.funcs or method_name.startswith("system."):
+            return super().system_methodSignature(method_name)
+        found = inspect.signature(self.funcs[method_name])
+        taken = (one.annotation for one in found.parameters.values())
+        return [[_TYPES.get(one, "struct") for one in (found.return_annotation, *taken)]]
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
         return may_connect(client_address[0], self.config)
 
     def process_request(self, request: Any, client_address: Any) -> None:
         self._due_s[request] = inf
-        self._places.enter(request)
+        notice_dead_peers(request)
+        self._places.enter(request, client_address[0])
         super().process_request(request, client_address)
 
     def begun(self, request: socket) -> None:

@@ -20,7 +20,7 @@ from cell.control.keeping import Keep
 from cell.control.plan import plan
 from cell.control.records import pad_array
 from cell.data.dataset import read_dataset, write_dataset
-from cell.errors import CellError, CellStateError, ModelError
+from cell.errors import CellError, CellStateError, ModelError, TrainingSetMissing
 from cell.learning.blas import one_blas_thread
 from cell.learning.collection import Collection
 from cell.learning.drift import DriftTracker
@@ -196,12 +196,11 @@ class TaughtModel:
                 self._training_file = None
 
     def check_extendable(self) -> None:
-        """Refuse to teach beside a model whose training set is missing. Raises CellStateError."""
+        """Raise TrainingSetMissing where teaching would lose the objects of a loaded model."""
         if not self.extendable:
-            raise CellStateError(
-                f"the loaded model names {', '.join(self.labels)}, but the grasps that trained it "
-                "are not at hand, and teaching without them would lose these objects: name their "
-                "data set when the model is loaded, or begin without a model"
+            raise TrainingSetMissing(
+                "name the data set that trained the model when it is loaded, or begin without a "
+                f"model: teaching alone would lose {', '.join(self.labels)}"
             )
 
     def train(self) -> None:

@@ -2,7 +2,7 @@
 
 import inspect
 
-from cell.interfaces.xml_rpc import Calls
+from cell.interfaces.xml_rpc import METHODS
 
 _TYPES = {"dict[str, float]": "pose", "float": "double", "str": "string"}
 """Names of the types in URScript, where they differ."""
@@ -11,9 +11,7 @@ _TYPES = {"dict[str, float]": "pose", "float": "double", "str": "string"}
 def xml_rpc_page() -> str:
     """Return one row for each method."""
     rows = ["| method | returns | what it does |", "| --- | --- | --- |"]
-    for name, method in vars(Calls).items():
-        if name.startswith("_"):
-            continue
+    for name, method in METHODS.items():
         found = inspect.signature(method)
         named = ", ".join(str(one) for one in found.parameters.values() if one.name != "self")
         for python, script in _TYPES.items():

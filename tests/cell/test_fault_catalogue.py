@@ -40,6 +40,7 @@ FROZEN = {
     "ReportError": 504, "CellStateError": 505, "PartInGrip": 506, "PlanRefused": 507,
     "HandLost": 508, "HostSilent": 509, "PositionerError": 510, "NoPartFound": 511,
     "CellStopped": 512, "RequestRefused": 513, "NotInCommand": 514, "HeldByClient": 515,
+    "TrainingSetMissing": 517,
     "NotMeasured": 516, "OSError": 598,
     "Exception": 599,
     "MotionError": 600, "AxisLimitExceeded": 601, "PositionNotReached": 602, "AxisMissing": 603,

@@ -7,13 +7,14 @@ changes; a client that connects anew first writes the acknowledged number. The p
 
 import itertools
 import struct
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from importlib.metadata import version
 from math import degrees
 from typing import Any
 
 from cell.control.states import CellState, Command, GraspState
-from cell.errors import ConfigError, NotInCommand, RequestRefused
-from cell.fault_catalogue import fault_number
+from cell.errors import CellError, ConfigError, NotInCommand, RequestRefused
+from cell.fault_catalogue import Refusal, for_display
 from cell.interfaces.modbus.protocol import (
     DEVICE_BUSY,
     ILLEGAL_ADDRESS,
@@ -29,12 +30,12 @@ SIGNATURE = 0x5443
 """First input register ("TC"): a host that reads 0x4354 has its bytes swapped."""
 
 LIFE, COMMAND, OBJECT, FORCE, GRASPS, OPTIONS, KEY, HOLD, COMMAND_SEQ = range(9)
-"""Holding registers. `OBJECT` is the number of the pose for commands 40 and 41."""
-N_HOLDING, N_INPUT = 9, 64
+"""Holding registers. `OBJECT`: also the number of the pose (40, 41) and the parts to sort (24)."""
+N_HOLDING, N_INPUT = 9, 96
 SECRET_AT, N_SECRET = 32, 32
 """Holding registers of the secret: written and never read."""
-TEXT_AT = 32
-"""First input register of the fault's text."""
+TEXT_AT, REFUSAL_AT, N_TEXT = 32, 64, 32
+"""First input registers of the fault's text and of the last refusal's; registers of a text."""
 KEEP_ALWAYS, KEEP_NAMED = 1, 2
 """Bits of `OPTIONS`: keep the part; keep it only where it was named."""
 REBOOT = 4
@@ -72,7 +73,15 @@ def _age(age_s: float | None) -> int:
     return OLDEST_MS if age_s is None else min(OLDEST_MS, round(1e3 * age_s))
 
 
-def input_registers(now: Snapshot, *, life: int, remote: bool, seq: int, result: int) -> list[int]:
+def _text(text: str) -> list[int]:
+    """Return the beginning of a text, two characters a register."""
+    shown = text.encode("ascii", "replace")[: 2 * N_TEXT].ljust(2 * N_TEXT, b"\0")
+    return list(struct.unpack(f">{N_TEXT}H", shown))
+
+
+def input_registers(
+    now: Snapshot, *, life: int, remote: bool, seq: int, result: int, refusal: Refusal, boot: int
+) -> list[int]:
     """Return all input registers of one moment."""
     status, job, pose, live = now.status, now.job, now.pose, now.status.live
     answer = now.last_answer or JobView()
@@ -122,13 +131,15 @@ def input_registers(now: Snapshot, *, life: int, remote: bool, seq: int, result:
         _age(live.force_age_s),
         answer.number & 0xFFFF,
         sum(bit for bit, on in flags if on),
+        refusal.number,
+        boot,
     ]
     on_hold = f"on hold by {', '.join(now.held_by)}" if now.held_by else ""
-    shown = status.fault or on_hold or job.error
-    text = shown.encode("ascii", "replace")[: 2 * (N_INPUT - TEXT_AT)]
-    text += bytes(2 * (N_INPUT - TEXT_AT) - len(text))
-    words = [high << 8 | low for high, low in zip(text[::2], text[1::2], strict=True)]
-    return values + [0] * (TEXT_AT - len(values)) + words
+    if status.fault:
+        shown = for_display(status.fault_number, status.fault)
+    else:
+        shown = on_hold or for_display(job.fault_number, job.error)
+    return values + [0] * (TEXT_AT - len(values)) + _text(shown) + _text(refusal.text)
 
 
 class ModbusDoor:
@@ -158,6 +169,14 @@ class ModbusDoor:
         self._synchronous = False
         self._seq = 0
         self._result = 0
+        self.identification: Mapping[int, str] = {
+            0: "tactile-cell maintainers",
+            1: "tactile-cell",
+            2: version("tactile-cell"),
+            4: "tactile-cell",
+            5: "simulated cell" if service.config.simulated else "cell",
+            6: service.config.name,
+        }
         self._secret = read_secret(config.secret_file) if config.secret_file else ""
         if len(self._secret) > 2 * N_SECRET:
             raise ConfigError(f"{config.secret_file}: Modbus carries {2 * N_SECRET} characters")
@@ -188,6 +207,8 @@ class ModbusDoor:
             remote=self._has_lease(),
             seq=self._seq,
             result=self._result,
+            refusal=client.refusal,
+            boot=self._service.boot,
         )
         return everything[address : address + count]
 
@@ -214,7 +235,10 @@ class ModbusDoor:
         if seq != self._seq:
             # Taken note of before it runs: whatever becomes of it, it does not run again.
             self._seq = seq
-            self._result = self._run()
+            refusal = self._run()
+            self._result = refusal.number
+            if refusal.number:
+                client.refusal = refusal
             self._holding[KEY] = 0
 
     def disconnected(self, client: "_Client") -> None:
@@ -231,25 +255,32 @@ class ModbusDoor:
         if client is not self._owner and self._secret:
             given = struct.pack(f">{N_SECRET}H", *client.secret).rstrip(b"\0").decode("latin-1")
             if not same_secret(given, self._secret):
+                client.refuse(RequestRefused("write the secret to registers 32 to 63 first"))
                 raise ModbusError(ILLEGAL_VALUE)
         mine = self._has_lease()
         lives = LIFE in new and new[LIFE] != self._holding[LIFE]
         inherits = self._owner is None and self._host == client.host
         if mine and client is not self._owner and not inherits:
+            client.refuse(NotInCommand(f"Modbus {self._host} is in command; wait until it ends"))
             raise ModbusError(DEVICE_BUSY)
         known = mine and client is self._owner and self._synchronous
         seq = new.get(COMMAND_SEQ)
         if seq is not None and not known and seq != self._seq:
             # A block that is left from an earlier connection must not run again.
+            client.refuse(RequestRefused(f"write {self._seq} to register 8 first, as acknowledged"))
             raise ModbusError(ILLEGAL_VALUE)
         try:
             if not mine:
                 if not lives:
+                    client.refuse(
+                        NotInCommand("change register 0, the life counter, to get the lease")
+                    )
                     raise ModbusError(DEVICE_BUSY)
                 self._lease = self._service.acquire(client.name)
             elif lives:
                 self._service.alive(self._lease)
-        except NotInCommand:
+        except NotInCommand as error:
+            client.refuse(error)
             raise ModbusError(DEVICE_BUSY) from None
         if client is not self._owner:
             # What another connection left half written counts for nothing.
@@ -258,8 +289,8 @@ class ModbusDoor:
         self._owner, self._host = client, client.host
         self._synchronous = known or seq is not None
 
-    def _run(self) -> int:
-        """Carry the command out and return 0, or the number of the error that refuses it."""
+    def _run(self) -> Refusal:
+        """Carry the command out and return why it is refused; number 0 where it is not."""
         asked = self._holding
         command = _COMMANDS.get(asked[COMMAND])
         try:
@@ -267,8 +298,8 @@ class ModbusDoor:
                 raise RequestRefused(f"command {asked[COMMAND]} is not one of {list(_COMMANDS)}")
             command(self._service, self._lease, asked)
         except Exception as error:
-            return fault_number(error)
-        return 0
+            return Refusal.of(error)
+        return Refusal()
 
 
 class _Client:
@@ -279,7 +310,13 @@ class _Client:
         self.name = f"Modbus {host}"
         self.hold = 0
         self.secret = [0] * N_SECRET
+        self.refusal = Refusal()
+        self.identification = door.identification
         self._door = door
+
+    def refuse(self, error: CellError) -> None:
+        """Take note why an exception answers a request of this client."""
+        self.refusal = Refusal.of(error)
 
     def read(self, function: int, address: int, count: int) -> Sequence[int]:
         return self._door.read(self, function, address, count)
@@ -312,6 +349,11 @@ def _identify(service: Service, lease: int, asked: Sequence[int]) -> None:
     service.start(lease, goal)
 
 
+def _sort(service: Service, lease: int, asked: Sequence[int]) -> None:
+    goal = _goal("sort", parts=asked[OBJECT], max_grasps=asked[GRASPS], force_n=0.01 * asked[FORCE])
+    service.start(lease, goal)
+
+
 def _pose(service: Service, lease: int, asked: Sequence[int], *, ok: bool) -> None:
     service.pose_reached(lease, asked[OBJECT], ok=ok)
 
@@ -330,9 +372,11 @@ _COMMANDS: dict[int, Callable[[Service, int, Sequence[int]], object]] = {
         lease, {"task": "grip", "force_n": 0.01 * asked[FORCE]}
     ),
     23: lambda service, lease, _: service.start(lease, {"task": "verify"}),
+    24: _sort,
     30: lambda service, lease, asked: service.command(lease, Command.RELEASE, key=asked[KEY]),
     40: lambda service, lease, asked: _pose(service, lease, asked, ok=True),
     41: lambda service, lease, asked: _pose(service, lease, asked, ok=False),
 }
 """Commands: below 20 CntrlCmd of PackTags (1 reset, 2 start, 3 stop, 4 hold, 9 clear), then those
-of the cell: 20 teach, 21 identify, 22 grip, 23 verify, 30 release, 40 pose reached, 41 refused."""
+of the cell: 20 teach, 21 identify, 22 grip, 23 verify, 24 sort, 30 release, 40 pose reached, 41
+refused."""

@@ -17,6 +17,7 @@ from asyncua.ua import StatusCodes
 from cryptography.x509 import ExtensionNotFound
 
 from cell.errors import ConfigError
+from cell.fault_catalogue import BY_NUMBER
 from cell.interfaces.opc_ua.server import CellServer, Clients, Sessions
 from cell.interfaces.service.service import Service, Snapshot
 from cell.interfaces.xml_rpc import Calls, methods, ur_pose
@@ -56,9 +57,16 @@ PLATE = (
     Value("Identification.Name", _TEXT, "Name of the cell", lambda of: of.config.name),
     Value("Identification.Simulated", _BOOL, "No hardware", lambda of: of.config.simulated),
     Value("Identification.Version", _TEXT, "Of this program", lambda _: version("tactile-cell")),
+    Value("Identification.Boot", _INT, "Differs after each start", lambda of: of.boot),
     Value("Identification.Labels", _TEXT, "By id, from 1", lambda of: list(of.labels)),
 )
 """Variables that are taken from the service."""
+REFUSALS = (
+    Value("LastRefusal.Number", _INT, "Of the last refused call; 0", lambda last: last.number),
+    Value("LastRefusal.Text", _TEXT, "Why it was refused", lambda last: last.text),
+    Value("LastRefusal.Remedy", _TEXT, "What to do", lambda last: last.remedy),
+)
+"""Variables that are taken from the last refusal of this door."""
 VALUES = (
     Value("State.Number", _INT, "PackTags number", lambda now: now.status.state_number),
     Value("State.Name", _TEXT, "PackML name", lambda now: now.status.state),
@@ -100,6 +108,12 @@ VALUES = (
 """Variables that are taken from a snapshot; what is not there at the moment has a bad status."""
 ARRAYS = ("Identification.Labels", "Pose.Value", "Taxels")
 """Paths of variables that are arrays."""
+FAULT_EVENT, SHUTDOWN_EVENT = "CellFault", "CellShutdown"
+"""Event types, sent by the object Server: a fault is latched, with its fields as in the variables
+of these names and its remedy; the door closes."""
+_SEVERITY = 700
+"""Severity of events, 1 to 1000: high."""
+_EVENT_FIELDS = (("FaultNumber", _INT), ("FaultText", _TEXT), ("Remedy", _TEXT))
 
 
 class OpcUaDoor:
@@ -120,6 +134,8 @@ class OpcUaDoor:
 
     def __init__(self, service: Service) -> None:
         self._service = service
+        self._calls = Calls(service, door="OPC UA")
+        self._fault: str | None = None
         started: Future[int] = Future()
         self._thread = threading.Thread(
             target=lambda: asyncio.run(self._run(started)), name="opc-ua", daemon=True
@@ -154,29 +170,51 @@ class OpcUaDoor:
             space = await self._add_nodes(server)
             await self._show(server, space)
             await server.start()
+            fault, shutdown = await self._add_events(server, space)
         except Exception as error:
             started.set_exception(error)
             return
         started.set_result(server.bserver.port)
         while not self._over.is_set():
-            await self._show(server, space)
+            now = await self._show(server, space)
+            if now is not None and now.status.fault != self._fault:
+                self._fault = now.status.fault
+                if self._fault is not None:
+                    fault.event.FaultNumber = now.status.fault_number
+                    fault.event.FaultText = self._fault
+                    fault.event.Remedy = BY_NUMBER[now.status.fault_number].remedy
+                    await fault.trigger(message=self._fault)
             with suppress(TimeoutError):
                 await asyncio.wait_for(self._over.wait(), PERIOD_S)
+        if server.iserver.subscription_service.subscriptions:
+            await shutdown.trigger(message="The program of the cell ends; what is held stays held.")
+            await asyncio.sleep(2 * PERIOD_S)  # until it is sent
         await server.stop()
+
+    async def _add_events(self, server: CellServer, space: int) -> tuple[Any, Any]:
+        """Return what sends the events of a fault and of the end."""
+        made = []
+        for name, fields in ((FAULT_EVENT, _EVENT_FIELDS), (SHUTDOWN_EVENT, ())):
+            kind = await server.create_custom_event_type(space, name, properties=list(fields))
+            sender = await server.get_event_generator(kind)
+            sender.event.SourceNode, sender.event.SourceName = _id("", space), "Cell"
+            sender.event.Severity = _SEVERITY
+            made.append(sender)
+        return made[0], made[1]
 
     async def _add_nodes(self, server: CellServer) -> int:
         space: int = await server.register_namespace(NAMESPACE)
         name = partial(ua.QualifiedName, NamespaceIndex=space)
         cell = await server.nodes.objects.add_object(_id("", space), name("Cell"))
         groups = {"": cell}
-        for path, kind, text, _of in (*PLATE, *VALUES):
+        for path, kind, text, _of in (*PLATE, *VALUES, *REFUSALS):
             group, _, last = path.rpartition(".")
             if group not in groups:
                 groups[group] = await cell.add_object(_id(group, space), name(group))
             empty = [] if path in ARRAYS else ua.get_default_value(kind)
             node = await groups[group].add_variable(_id(path, space), name(last), empty, kind)
             await _describe(node, text)
-        for path, call in called_methods(self._service).items():
+        for path, call in called_methods(self._calls).items():
             taken = inspect.signature(call)
             types = {one.name: one.annotation for one in taken.parameters.values()}
             inputs = [ua.Argument(one, ua.NodeId(_TYPES[t].value), -1) for one, t in types.items()]
@@ -186,27 +224,30 @@ class OpcUaDoor:
             await _describe(node, inspect.getdoc(call) or "")
         return space
 
-    async def _show(self, server: CellServer, space: int) -> None:
-        """Write all values; where the cell cannot be asked, all of them are bad."""
+    async def _show(self, server: CellServer, space: int) -> Snapshot | None:
+        """Write all values and return them; None, and all are bad, where none can be asked."""
+        now = None
         found: dict[str, Any] = {}
         missing = StatusCodes.BadNoData
         try:
             now = await asyncio.to_thread(self._service.snapshot)
             found = {one.path: one.of(now) for one in VALUES}
             found |= {one.path: one.of(self._service) for one in PLATE}
+            found |= {one.path: one.of(self._calls.refusal) for one in REFUSALS}
         except Exception:
             missing = StatusCodes.BadNoCommunication
-        for path, kind, *_ in (*PLATE, *VALUES):
+        for path, kind, *_ in (*PLATE, *VALUES, *REFUSALS):
             value = found.get(path)
             variant = ua.Variant() if value is None else ua.Variant(value, kind)
             status = ua.StatusCode(missing if value is None else StatusCodes.Good)
             data = ua.DataValue(variant, status, SourceTimestamp=datetime.now(UTC))
             await server.write_attribute_value(_id(path, space), data)
+        return now
 
 
-def called_methods(service: Service) -> dict[str, Callable[..., Any]]:
+def called_methods(calls: Calls) -> dict[str, Callable[..., Any]]:
     """Return the methods of XML-RPC that do more than read a variable."""
-    every = methods(Calls(service, door="OPC UA"))
+    every = methods(calls)
 
     def acquire(name: str) -> int:
         """Return the number of the lease to command with; keep it with `alive`."""

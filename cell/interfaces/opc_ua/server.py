@@ -29,7 +29,7 @@ from cryptography import x509
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from cell.config.serve import ServeConfig
-from cell.interfaces.service.doors import BUSY_MAX, may_connect
+from cell.interfaces.service.doors import BUSY_MAX, Places, may_connect, notice_dead_peers
 
 LONGEST = 1 << 20
 """Largest request in bytes."""
@@ -98,7 +98,10 @@ class Sessions(InternalServer):
         self.config = config
         self.allow_remote_admin = False
         self.supported_tokens = (ua.AnonymousIdentityToken,)
-        self.max_connections = self.max_subscriptions = BUSY_MAX
+        self.max_connections = 2 * BUSY_MAX  # `Places` has its limit: those beyond are leaving
+        self.max_subscriptions = BUSY_MAX
+        self.max_pending_activation_seconds = config.request_timeout_s
+        self.places: Places[Any] = Places(lambda link: link.abort(), lambda link: link.is_closing())
         self.max_monitored_item_queue_size = 100  # 10 s of taxels
         self.max_session_timeout_ms = 60_000  # a session that is silent for longer is closed
 
@@ -131,14 +134,20 @@ class Connection(OPCUAProtocol):
 
     def connection_made(self, transport: Any) -> None:
         """Begin, or close what comes from elsewhere."""
-        if may_connect(transport.get_extra_info("peername")[0], self.iserver.config):
+        host = (transport.get_extra_info("peername") or ("",))[0]
+        if may_connect(host, self.iserver.config):
+            notice_dead_peers(transport.get_extra_info("socket"))
             super().connection_made(transport)
+            self.iserver.places.enter(transport, host)
         else:
             transport.close()
 
     def data_received(self, data: bytes) -> None:
         """Take bytes; close where a request does not end."""
         super().data_received(data)
+        session = self.processor.session if self.processor is not None else None
+        if session is not None and session.is_activated():
+            self.iserver.places.heard(self.transport)
         if len(self._buffer) > LONGEST:
             self.transport.close()
 

@@ -4,17 +4,22 @@ import hmac
 import re
 import socket
 import time
+from collections import Counter
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from ipaddress import IPv4Address, IPv6Address, ip_address, ip_network
 from pathlib import Path
 from threading import Lock
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from cell.config.serve import ServeConfig
 from cell.errors import ConfigError
 
 BUSY_MAX = 64
-"""Connections at once on one door; a further one takes the place of the oldest."""
+"""Connections at once on one door; a further one takes the place of another: see `Places`."""
+_PEER_IDLE_S, _PEER_ASKED_S, _PEER_ASKED_MAX = 10, 5, 4
+"""Silence in s after which the system asks whether a peer is still there (TCP keep-alive), time
+between two questions, and questions without an answer: one without power is gone after 30 s."""
 _SECRET_MIN = 16
 """Fewest characters of a token or secret."""
 
@@ -81,11 +86,33 @@ def same_secret(given: str, secret: str) -> bool:
     return hmac.compare_digest(given.encode(), secret.encode())
 
 
-class Places(Generic[T]):
-    """The connections of a door: where all places are taken, a new one takes the oldest.
+def notice_dead_peers(link: Any) -> None:
+    """Have the system end a connection whose peer answers nothing any more, as without power.
 
-    The oldest is the one whose last whole request is longest ago, first of all one that never made
-    any: connections that say nothing keep no other client from a hold.
+    Parameters
+    ----------
+    link
+        The socket, or what has its ``setsockopt``.
+    """
+    with suppress(OSError):  # it is closed already
+        link.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        for option, value in (
+            ("TCP_KEEPIDLE", _PEER_IDLE_S),
+            ("TCP_KEEPINTVL", _PEER_ASKED_S),
+            ("TCP_KEEPCNT", _PEER_ASKED_MAX),
+            # The same where it has not taken what was sent: it is not asked then.
+            ("TCP_USER_TIMEOUT", 1000 * (_PEER_IDLE_S + _PEER_ASKED_S * _PEER_ASKED_MAX)),
+        ):
+            if hasattr(socket, option):  # not every system has all of them
+                link.setsockopt(socket.IPPROTO_TCP, getattr(socket, option), value)
+
+
+class Places(Generic[T]):
+    """The connections of a door: where all places are taken, a new one takes that of another.
+
+    It is one of the address that has most of them, so that no address keeps another one out, and
+    of these the one whose last whole request is longest ago, first of all one that never made any:
+    connections that say nothing keep no client from a hold.
 
     Parameters
     ----------
@@ -100,19 +127,25 @@ class Places(Generic[T]):
         self._closed = closed
         self._lock = Lock()
         self._heard_s: dict[T, float] = {}
+        self._hosts: dict[T, str] = {}
 
-    def enter(self, one: T) -> None:
-        """Give a new connection its place."""
+    def enter(self, one: T, host: str) -> None:
+        """Give a new connection from an address its place."""
+        leaves = None
         with self._lock:
-            for other in [other for other in self._heard_s if self._closed(other)]:
-                del self._heard_s[other]
-            oldest = min(self._heard_s, key=self._heard_s.__getitem__, default=None)
-            full = len(self._heard_s) >= BUSY_MAX
-            if full and oldest is not None:
-                del self._heard_s[oldest]
-            self._heard_s[one] = 0.0
-        if full and oldest is not None:
-            self._close(oldest)
+            for other in [other for other in self._hosts if self._closed(other)]:
+                self._leave(other)
+            if len(self._hosts) >= BUSY_MAX:
+                crowd = Counter(self._hosts.values())
+                rank = {o: (-crowd[at], self._heard_s[o]) for o, at in self._hosts.items()}
+                leaves = min(rank, key=rank.__getitem__)
+                self._leave(leaves)
+            self._heard_s[one], self._hosts[one] = 0.0, host
+        if leaves is not None:
+            self._close(leaves)
+
+    def _leave(self, one: T) -> None:
+        del self._heard_s[one], self._hosts[one]
 
     def heard(self, one: T) -> None:
         """Take note of a whole request."""

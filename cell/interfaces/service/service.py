@@ -25,7 +25,14 @@ from cell.control.plan import Pose
 from cell.control.states import Command
 from cell.errors import CellError, HeldByClient, NotInCommand, RequestRefused, error_text
 from cell.interfaces.plugin.answer import Answer, HostStatus, Verification
-from cell.interfaces.plugin.goals import TASKS, Goal, GripGoal, IdentifyGoal, checked_goal
+from cell.interfaces.plugin.goals import (
+    TASKS,
+    Goal,
+    GripGoal,
+    IdentifyGoal,
+    SortGoal,
+    checked_goal,
+)
 from cell.interfaces.plugin.part_report import OnPart
 from cell.interfaces.plugin.worker import KEPT_JOBS, Job, JobOutcome, JobStatus
 from cell.interfaces.service.pose_handshake import PoseHandshake
@@ -166,6 +173,8 @@ class Service:
         Of the cell.
     shift
         The ledger of the parts.
+    boot
+        Number of this start, 1 to 65535: seconds of its time, so that it differs after each start.
     """
 
     def __init__(
@@ -178,6 +187,7 @@ class Service:
         clock: Clock = time,
     ) -> None:
         self.config = config
+        self.boot = int(time.time()) % 0xFFFF + 1
         self.shift = Shift()
         plugin.watch_parts(self.shift.add)
         self._plugin = plugin
@@ -381,6 +391,9 @@ class Service:
         if placed and isinstance(checked, IdentifyGoal | GripGoal) and checked.present is None:
             # Nobody brings parts to a simulated cell: they come in turn.
             checked = checked.model_copy(update={"present": next(self._parts)})
+        if placed and isinstance(checked, SortGoal) and not checked.feed:
+            fed = tuple(entry.label for entry in self.config.simulator.objects)
+            checked = checked.model_copy(update={"feed": fed})
         given = checked.model_dump(exclude_defaults=True)
         return self._begin(lease, checked.task, given, number, lambda: self._plugin.start(checked))
 

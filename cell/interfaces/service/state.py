@@ -7,7 +7,7 @@ from dataclasses import asdict, fields
 from typing import Any
 
 from cell.control.states import CellStatus
-from cell.fault_catalogue import BY_NUMBER, fault_of
+from cell.fault_catalogue import BY_NUMBER, Refusal
 from cell.interfaces.plugin.answer import HostStatus
 from cell.interfaces.service.service import Service
 
@@ -29,7 +29,7 @@ def state_values(service: Service) -> dict[str, Any]:
             "pose_seq": now.pose_seq,
             "pose": None if now.pose is None else now.pose.as_dict(),
             "allowed": {
-                task: None if error is None else refusal_values(error)
+                task: None if error is None else asdict(Refusal.of(error))
                 for task, error in service.allowed().items()
             },
             "fault": _fault(service, now.status),
@@ -38,12 +38,6 @@ def state_values(service: Service) -> dict[str, Any]:
         }
     )
     return state
-
-
-def refusal_values(error: BaseException) -> dict[str, Any]:
-    """Return number, text and remedy of an error."""
-    fault = fault_of(error)
-    return {"number": fault.number, "text": str(error), "remedy": fault.remedy}
 
 
 def plain(value: Any) -> Any:

@@ -513,7 +513,7 @@ def test_a_fault_in_the_ramp_keeps_the_grip_and_latches(
         controller.release_held,
         controller.reset,
     ):
-        with pytest.raises(CellStateError, match=r"while the cell is ABORTED; allowed: clear; fau"):
+        with pytest.raises(CellStateError, match=r"the cell is ABORTED; allowed: clear; .* fau"):
             command()
     controller.tick()
     bench.sleep(1.0)
@@ -647,10 +647,10 @@ def test_commands_in_the_wrong_state_say_what_is_allowed(bench: Any) -> None:
         (controller.release, "start, release_held, clear"),
         (controller.reset, "start, release_held, clear"),
     ):
-        with pytest.raises(CellStateError, match=f"while the cell is STOPPED; allowed: {allowed}"):
+        with pytest.raises(CellStateError, match=f"the cell is STOPPED; allowed: {allowed}"):
             command()
     controller.start()
-    with pytest.raises(CellStateError, match="'start' is not allowed while the cell is IDLE"):
+    with pytest.raises(CellStateError, match=r"the cell is IDLE; .* 'start' is not allowed"):
         controller.start()
     with pytest.raises(CellStateError, match="IDLE; allowed: grasp, grip, release, shutdown"):
         controller.release_held()

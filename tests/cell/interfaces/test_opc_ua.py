@@ -39,7 +39,15 @@ from cryptography.x509.oid import ExtendedKeyUsageOID
 from cell.control.states import Command
 from cell.errors import CellError, ConfigError
 from cell.interfaces.opc_ua import server as opc_ua_server
-from cell.interfaces.opc_ua.door import NAMESPACE, PERIOD_S, PLATE, VALUES, OpcUaDoor
+from cell.interfaces.opc_ua.door import (
+    FAULT_EVENT,
+    NAMESPACE,
+    PERIOD_S,
+    PLATE,
+    SHUTDOWN_EVENT,
+    VALUES,
+    OpcUaDoor,
+)
 from cell.interfaces.service.service import RELEASE_KEY
 from cell.interfaces.service.serving import open_doors
 from tactile.errors import FrameTimeout
@@ -447,6 +455,52 @@ def test_faults_are_shown_and_taxels_follow_at_most_ten_times_a_second(
     taken_s = [frame.SourceTimestamp.timestamp() for frame in frames]
     assert len(taken_s) > 2
     assert all(b - a > 0.9 * PERIOD_S for a, b in pairwise(taken_s))
+
+
+def test_faults_refusals_and_the_end_reach_who_subscribes(open_cell: Any, plc: Identity) -> None:
+    served = open_cell()
+    door = OpcUaDoor(served.service)
+    events: list[Any] = []
+
+    class Listener:
+        def event_notification(self, event: Any) -> None:
+            events.append(event)
+
+    async def came(number: int) -> Any:
+        async with asyncio.timeout(LIMIT_S):
+            while len(events) < number:
+                await asyncio.sleep(0.02)
+        return events[number - 1]
+
+    async def work() -> None:
+        own = SimpleNamespace(doors={"opcua_port": door.port})
+        async with linked(own, plc) as link:
+            types = link.client.nodes.base_event_type
+            kinds = [
+                await types.get_child(f"{link.space}:{name}")
+                for name in (FAULT_EVENT, SHUTDOWN_EVENT)
+            ]
+            watch = await link.client.create_subscription(20, Listener())
+            await watch.subscribe_events(evtypes=kinds)
+            assert await link.read("LastRefusal.Number") == 0
+            lease = await link.call("acquire", "plc")
+            assert await link.call("release", lease, 1, 0) == -513
+            await link.until("LastRefusal.Number", lambda number: number == 513)
+            assert (await link.read("LastRefusal.Text")).startswith("release: 0x1 is not the key")
+            assert await link.read("LastRefusal.Remedy") == "Correct the request."
+            served.plugin.fail(FrameTimeout("no frame for 0.2 s"))
+            event = await came(1)
+            assert event.FaultNumber == served.service.status().fault_number
+            assert event.FaultText == event.Message.Text == served.service.status().fault
+            assert (event.Remedy.startswith("Check"), event.SourceName) == (True, "Cell")
+            closing = asyncio.create_task(asyncio.to_thread(door.close))
+            event = await came(2)
+            assert event.Message.Text.startswith("The program of the cell ends")
+            await closing
+
+    with suppress(ConnectionError):  # the door is closed before its client
+        asyncio.run(work())
+    assert len(events) == 2
 
 
 def test_values_are_bad_while_the_cell_cannot_be_asked(

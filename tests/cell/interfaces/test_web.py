@@ -202,7 +202,7 @@ def test_the_state_says_what_is_allowed_and_since_when(connect: Any) -> None:
     assert may == {"teach", "identify", "grip", "sort", "release", "shutdown"}
     refused = now["allowed"]["reset"]
     assert refused["number"] == 505
-    assert "'reset' is not allowed while the cell is IDLE" in refused["text"]
+    assert "the cell is IDLE; allowed: grasp" in refused["text"]
     assert refused["remedy"]
     lease = host.post("/api/lease", name="host")["lease"]
     served.plugin.pause()

@@ -3,6 +3,7 @@
 import gzip
 import http.client
 import math
+import shutil
 import socket
 import threading
 import time
@@ -17,10 +18,11 @@ import pytest
 
 from cell.control.plan import Pose
 from cell.control.states import Command
+from cell.errors import PositionerError
 from cell.interfaces.service.doors import BUSY_MAX
 from cell.interfaces.service.service import RELEASE_KEY
-from cell.interfaces.xml_rpc import LONGEST, Calls, ur_pose
-from gripper.errors import ServoFault
+from cell.interfaces.xml_rpc import LONGEST, METHODS, ur_pose
+from gripper.errors import PartSlipped, ServoFault
 from tests.cell.interfaces.conftest import LIMIT_S, Served, ended, until
 from tests.cell.interfaces.ur_script import Robot
 
@@ -102,7 +104,7 @@ def test_a_robot_program_walks_a_simulated_cell_through_all_commands(connect: An
 def test_no_method_raises_whatever_it_is_given(connect: Any) -> None:
     _, cell = connect()
     types = (int, float, bool, str, dict)
-    for name in (one for one in vars(Calls) if not one.startswith("_")):
+    for name in METHODS:
         for arguments in ((), (1,), ("x",), (1, 2), (1, "x", 2.0), (1, 1, 1.0, True), (1,) * 7):
             found = getattr(cell, name)(*arguments)
             assert isinstance(found, types), (name, arguments)
@@ -112,6 +114,51 @@ def test_no_method_raises_whatever_it_is_given(connect: Any) -> None:
     assert (cell.label(7), cell.probability(7)) == ("", -513.0)
     with pytest.raises(Fault, match="not supported"):
         cell.nothing()
+
+
+def test_the_last_refusal_of_each_address_says_why(
+    connect: Any, taught: Any, tmp_path: Path
+) -> None:
+    alone = Path(shutil.copy(taught.result.model, tmp_path))
+    _, cell = connect(cell={"model": alone})
+    assert cell.last_refusal() == ""
+    lease = cell.acquire("robot")
+    assert cell.teach(lease, "box", 1) == -517
+    refusal = cell.last_refusal()
+    assert refusal.startswith("517: name the data set that trained the model")
+    assert refusal.endswith("Start serve with --training-set, or teach without --model.")
+    assert cell.grip(lease, 3.0, "x", 4, 5) == -501
+    assert cell.last_refusal().startswith("501: ")
+    job = cell.shutdown(lease)
+    until(lambda: cell.job_state(job) == 4)
+    assert cell.force() == -516.0  # no refusal: nothing is measured
+    assert cell.last_refusal().startswith("501: ")
+    assert cell.grip(lease, 3.0) == -505
+    assert cell.last_refusal().startswith("505: the cell is STOPPED; allowed: start")
+    job = cell.reset(lease)
+    until(lambda: cell.job_state(job) == 4)
+    assert (cell.state(), cell.job_text(job)) == (4, "")
+
+
+def test_a_job_that_failed_says_why_and_what_to_do_first(connect: Any) -> None:
+    served, cell = connect()
+    lease = cell.acquire("robot")
+    served.plugin.pause()
+    assert cell.sort(lease, 1, 1, 0.0) == 1
+    assert cell.job_text(1) == ""
+    served.plugin.fail(PositionerError("pose 1 was refused"))
+    assert cell.job_text(1).startswith("Correct pose or positioner, start again. ")
+    assert cell.boot() == served.service.boot > 0
+
+
+def test_methods_are_listed_with_help_and_types(connect: Any) -> None:
+    _, cell = connect()
+    assert set(METHODS) < set(cell.system.listMethods())
+    assert cell.system.methodHelp("force").startswith("Return the grip force in N")
+    assert cell.system.methodSignature("grip") == [["int", "int", "double", "int"]]
+    assert cell.system.methodSignature("next_pose") == [["struct"]]
+    assert cell.system.methodSignature("held_by") == [["string"]]
+    assert cell.system.methodSignature("system.listMethods") == "signatures not supported"
 
 
 def test_a_repeated_call_is_not_done_twice(connect: Any) -> None:
@@ -261,14 +308,87 @@ def test_the_robot_program_of_the_example_sorts_parts(connect: Any, kind: str, c
     assert served.service.snapshot().commander == ""
 
 
-def test_the_robot_program_of_the_example_stops_where_another_commands(connect: Any) -> None:
-    served, _ = connect()
+def places(robot: Robot) -> list[int]:
+    """Return the numbers of the places that the robot has moved to."""
+    known = robot.names["PLACES"]
+    return [known.index(move) for move in robot.moves if move in known]
+
+
+@pytest.fixture
+def robot(connect: Any) -> Iterator[Callable[..., tuple[Served, Robot]]]:
+    """Return the maker of a served cell and a robot with the program of the example."""
+    made: list[Robot] = []
+
+    def make(**changes: Any) -> tuple[Served, Robot]:
+        served, _ = connect(**changes)
+        made.append(Robot(address(served)))
+        return served, made[-1]
+
+    yield make
+    for one in made:
+        one.close()
+
+
+@pytest.mark.parametrize(("label", "place"), [(3, 0), (-513, 0), (2, 2)])
+def test_the_robot_program_of_the_example_has_a_place_for_every_label(
+    robot: Any, label: int, place: int
+) -> None:
+    served, ur = robot()
+    ur.answers["label_id"] = label
+    assert ur.sort_parts(1) == 1
+    assert (places(ur), served.grip_n) == ([place], 0.0)
+
+
+def test_the_robot_program_of_the_example_lets_no_other_part_go_at_a_place(robot: Any) -> None:
+    served, ur = robot()
+    ur.answers["same"] = 0
+    assert ur.sort_parts(1) == 1
+    assert (places(ur), served.grip_n) == ([1, 0], 0.0)
+    # What no call can tell stays held.
+    served, ur = robot()
+    ur.answers["same"] = -514
+    assert ur.sort_parts(1) == 0
+    assert (places(ur), served.grip_n > 1.0) == ([1], True)
+
+
+def test_the_robot_program_of_the_example_keeps_a_part_that_slips(robot: Any) -> None:
+    served, ur = robot()
+    move = ur.names["movel"]
+
+    def carry(pose: Any, **limits: Any) -> None:
+        move(pose, **limits)
+        if pose in ur.names["PLACES"]:
+            served.plugin.fail(PartSlipped("the part slips"))
+
+    ur.names["movel"] = carry
+    assert ur.sort_parts(1) == 0
+    assert (served.grip_n > 1.0, served.state) == (True, "ABORTED")
+    assert ur.messages[-1][1].startswith("505: the cell is ABORTED; allowed: clear")
+
+
+def test_the_robot_program_of_the_example_waits_for_the_lease_it_left_behind(robot: Any) -> None:
+    served, ur = robot()
+    served.service.acquire("ur")
+    ur.slept = lambda time_s: setattr(served.clock, "now_s", served.clock.now_s + 20 * time_s)
+    assert ur.sort_parts(1) == 1
+
+
+def test_the_robot_program_of_the_example_stops_where_another_commands(robot: Any) -> None:
+    served, ur = robot()
     served.service.acquire("PLC")
-    robot = Robot(address(served))
-    assert robot.sort_parts(1) == -1
-    robot.close()
-    assert robot.messages == [("another client is in command: ", -514)]
-    assert robot.moves == []
+    assert ur.sort_parts(1) == -1
+    ((said, why),) = ur.messages
+    assert (said, why.startswith("514: 'PLC' is in command")) == ("not in command: ", True)
+    assert ur.moves == []
+
+
+def test_the_robot_program_of_the_example_says_that_the_cell_is_gone() -> None:
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        gone = f"http://127.0.0.1:{free.getsockname()[1]}/RPC2"
+    ur = Robot(gone)
+    assert ur.sort_parts(1) == -1
+    ur.close()
+    assert ur.messages == [("the cell cannot be reached at ", gone)]
 
 
 def test_the_robot_program_of_the_example_ends_with_the_part_where_it_is_held(
@@ -287,7 +407,8 @@ def test_the_robot_program_of_the_example_ends_with_the_part_where_it_is_held(
     assert robot.sort_parts(1) == 0
     operator.join()
     robot.close()
-    assert robot.messages == [("identify: ", 512)]
+    ((said, why),) = robot.messages
+    assert (said, why.startswith("Release, then go on. stopped")) == ("job: ", True)
     assert (served.state, served.grip_n > 1.0) == ("HELD", True)
 
 

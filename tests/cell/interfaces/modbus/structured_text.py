@@ -7,12 +7,49 @@ from typing import Any
 BLOCK = Path(__file__).parents[4] / "docs" / "examples" / "tactile_cell.st"
 
 
+_RESERVED = (
+    "ACTION ARRAY AT BY CASE CLASS CONFIGURATION CONSTANT CONTINUE DO EN END ENO EXIT EXTENDS "
+    "FOR FROM FUNCTION GOTO IF INITIAL_STEP INTERFACE INTERNAL JMP LABEL LD METHOD MOD NAMESPACE "
+    "NOT NULL OF ON OVERRIDE POINTER PRIORITY PROGRAM PROPERTY PUBLIC READ_ONLY READ_WRITE REF "
+    "REFERENCE REPEAT REQUEST RESOURCE RETAIN RETURN SINGLE ST STEP STRUCT SUPER TASK THEN THIS TO "
+    "TRANSITION TYPE UNTIL USING VAR WHILE WITH XOR"
+)
+KEYWORDS = set(_RESERVED.split())
+"""Reserved words of IEC 61131-3 and of compilers: no name of a variable."""
+
+
+class Uint(int):
+    """A UINT: a number, and no string of bits."""
+
+    def __and__(self, other: object) -> Any:
+        raise TypeError("AND of a UINT: strict compilers take BOOL and bit strings alone")
+
+
+class Word(int):
+    """A WORD: a string of bits, compared with its like alone."""
+
+    def __and__(self, other: object) -> "Word":
+        assert isinstance(other, Word), other
+        return Word(int(self) & int(other))
+
+    def __ne__(self, other: object) -> bool:
+        assert isinstance(other, Word), other
+        return int(self) != int(other)
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+_TYPES: dict[str, type] = {"BOOL": bool, "UINT": int, "WORD": Word}
+
+
 def _expression(text: str) -> str:
     """Return an expression of Structured Text as one of Python."""
+    text = text.replace("AND WORD#", "& WORD#").replace("UINT_TO_WORD(", "Word(")
+    text = re.sub(r"WORD#16#([0-9A-Fa-f]+)", r"Word(0x\1)", text)
     text = re.sub(r"16#([0-9A-Fa-f]+)", r"0x\1", text)
     text = re.sub(r"(?<![<>:])=", "==", text).replace("<>", "!=")
     for word, python in (
-        ("AND", "&"),
+        ("AND", "and"),
         ("OR", "or"),
         ("NOT", "not"),
         ("TRUE", "True"),
@@ -30,11 +67,6 @@ def _names(text: str, names: set[str]) -> str:
     )
 
 
-def _logical(text: str) -> str:
-    """Return AND between comparisons as ``and``; within brackets it is a mask of bits."""
-    return re.sub(r"& (?!0x)", "and ", text)
-
-
 class FunctionBlock:
     """The block as a PLC holds it: call it once a cycle; variables by name."""
 
@@ -42,9 +74,14 @@ class FunctionBlock:
         text = re.sub(r"\(\*.*?\*\)", "", BLOCK.read_text(), flags=re.S)
         head, body = text.split("VAR_INPUT", 1)[1].rsplit("END_VAR", 1)
         self.values: dict[str, Any] = {"EdgeExecute.Q": False}
+        self._types: dict[str, type] = {}
         for name, kind in re.findall(r"(\w+)\s*:\s*([^;]+);", head):
             size = re.match(r"ARRAY\[0\.\.(\d+)\]", kind)
-            self.values[name] = [0] * (int(size[1]) + 1) if size else kind.strip() != "BOOL" and 0
+            if size:
+                self.values[name] = [0] * (int(size[1]) + 1)
+            elif kind in _TYPES:
+                self._types[name] = _TYPES[kind]
+                self.values[name] = _TYPES[kind]()
         self._last = False
         self._code = compile(self._python(body.split("END_FUNCTION_BLOCK")[0]), str(BLOCK), "exec")
 
@@ -56,9 +93,13 @@ class FunctionBlock:
         unknown = set(inputs) - set(self.values)
         assert not unknown, unknown
         self.values |= inputs
-        exec(self._code, {"me": self.values, "edge": self._edge})
-        self.values["Outputs"] = [value & 0xFFFF for value in self.values["Outputs"]]
-        self.values["Seq"] &= 0xFFFF
+        self.values["Inputs"] = [Uint(value) for value in self.values["Inputs"][:64]]
+        exec(self._code, {"me": self.values, "edge": self._edge, "Word": Word})
+        for name, kind in self._types.items():
+            assert isinstance(self.values[name], kind), name
+            assert isinstance(self.values[name], bool) is (kind is bool), name
+            assert 0 <= self.values[name] <= 0xFFFF, name
+        assert all(0 <= value <= 0xFFFF for value in self.values["Outputs"])
         return list(self.values["Outputs"])
 
     def _edge(self) -> None:
@@ -79,7 +120,7 @@ class FunctionBlock:
             if found := re.fullmatch(r"(IF|ELSIF) (.*) THEN", statement):
                 word, inside = ("if", 0) if found[1] == "IF" else ("elif", 1)
                 before, after = -inside, 1
-                line = f"{word} {_logical(_names(_expression(found[2]), names))}:"
+                line = f"{word} {_names(_expression(found[2]), names)}:"
             elif statement == "ELSE":
                 before, after, line = -1, 1, "else:"
             elif found := re.fullmatch(r"CASE (\w+) OF", statement):

@@ -5,15 +5,20 @@ import shutil
 import socket
 import struct
 import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from importlib.metadata import version
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from pymodbus.client import ModbusTcpClient
 
 from cell.control.plan import Pose
+from cell.errors import TrainingSetMissing
+from cell.interfaces.modbus import protocol
 from cell.interfaces.modbus.registers import (
     ANSWER_KEPT,
     ANSWERED,
@@ -37,10 +42,11 @@ from cell.interfaces.service.doors import BUSY_MAX
 from cell.interfaces.service.service import RELEASE_KEY
 from tactile.errors import FrameTimeout
 from tests.cell.interfaces.conftest import LIMIT_S, Served, until
-from tests.cell.interfaces.modbus.structured_text import FunctionBlock
+from tests.cell.interfaces.modbus.structured_text import BLOCK, KEYWORDS, FunctionBlock
 
-TEACH, IDENTIFY, GRIP, VERIFY, RELEASE, REACHED, REFUSE = 20, 21, 22, 23, 30, 40, 41
-CLEAR, RESET = 9, 1
+TEACH, IDENTIFY, GRIP, VERIFY, SORT = 20, 21, 22, 23, 24
+RELEASE, REACHED, REFUSE = 30, 40, 41
+CLEAR, RESET, STOP, HOLD = 9, 1, 3, 4
 KEEP = 1
 
 
@@ -54,7 +60,12 @@ class Plc:
         self.seq = 0
 
     def inputs(self) -> list[int]:
-        return self.link.read_input_registers(0, count=64).registers
+        return self.link.read_input_registers(0, count=96).registers
+
+    def refusal(self) -> tuple[int, str]:
+        """Return number and text of the last refusal of this connection."""
+        inputs = self.inputs()
+        return inputs[26], struct.pack(">32H", *inputs[64:]).rstrip(b"\0").decode("ascii")
 
     def write(self, address: int, *values: int) -> int:
         """Write registers and return the exception code; 0 for none."""
@@ -98,8 +109,15 @@ def connect(serve: Any) -> Iterator[Callable[..., tuple[Served, Plc]]]:
         plc.link.close()
 
 
+def raising(error: Exception) -> Callable[..., Any]:
+    def refuse(*_arguments: Any) -> Any:
+        raise error
+
+    return refuse
+
+
 def text_of(inputs: list[int]) -> str:
-    return struct.pack(">32H", *inputs[32:]).rstrip(b"\0").decode("ascii")
+    return struct.pack(">32H", *inputs[32:64]).rstrip(b"\0").decode("ascii")
 
 
 def test_a_plc_walks_a_simulated_cell_through_all_commands(connect: Any) -> None:
@@ -310,7 +328,7 @@ def test_a_frozen_life_counter_holds_the_job(connect: Any) -> None:
     served.service.look()
     assert "was silent for 61.00 s" in served.ended().error
     assert plc.inputs()[2:4] == [DONE | HOLDING, 11]
-    assert text_of(plc.inputs()).startswith("stopped because 'Modbus 127.0.0.1' was silent")
+    assert text_of(plc.inputs()).startswith("Release, then go on. stopped because 'Modb")
     # It goes on: nothing resumes, and it has to adopt the number again.
     assert plc.live() == 0
     assert plc.write(COMMAND_SEQ, plc.seq + 1) == 3
@@ -370,10 +388,84 @@ def test_a_fault_is_a_number_and_a_text(connect: Any) -> None:
     assert inputs[2] & (FAULT | HOLDING | READY) == FAULT | HOLDING
     assert (inputs[3], inputs[9]) == (9, 6)
     assert inputs[7] == served.service.status().fault_number > 0
-    assert text_of(inputs) == served.service.status().fault[:64]
+    assert text_of(inputs).startswith(
+        "Check the CAN bus; tactile.loss_max_share is the limit of lost"
+    )
     assert plc.command(IDENTIFY) == 505
     assert plc.command(CLEAR) == 0
     assert plc.inputs()[2] & (FAULT | NEEDS_RESET) == NEEDS_RESET
+
+
+def test_the_last_refusal_has_number_and_text_on_each_connection(
+    connect: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    served, plc = connect()
+    _, second = connect(served)
+    assert plc.refusal() == (0, "")
+    assert plc.write(COMMAND, GRIP) == 6
+    assert plc.refusal() == (514, "change register 0, the life counter, to get the lease")
+    plc.adopt()
+    assert second.write(LIFE, 5) == 6
+    assert second.refusal() == (514, "Modbus 127.0.0.1 is in command; wait until it ends")
+    text = "name the data set that trained the model when it is loaded, or begin without one"
+    with monkeypatch.context() as alone:
+        alone.setattr(served.plugin, "start", raising(TrainingSetMissing(text)))
+        assert plc.command(TEACH, 1) == 517
+    assert plc.refusal() == (517, text[:64])
+    assert plc.command(VERIFY) == 505
+    assert plc.refusal()[1].startswith("the cell is IDLE; allowed: grasp, grip")
+    assert plc.command(GRIP, 0, 300) == 0
+    served.ended()
+    assert plc.refusal()[0] == 505  # until the next one
+
+
+def test_a_plc_sorts_parts(connect: Any) -> None:
+    served, plc = connect()
+    plc.adopt()
+    assert plc.command(SORT, 2, 350, 1) == 0
+    (goal,) = served.plugin.asked
+    assert (goal.task, goal.parts, goal.force_n, goal.max_grasps) == ("sort", 2, 3.5, 1)
+    assert goal.feed == tuple(one.label for one in served.service.config.simulator.objects)
+    assert plc.command(SORT, 0) == 0
+    assert served.plugin.asked[1].parts == 1
+
+
+def test_each_start_has_a_number_of_its_own(connect: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("cell.interfaces.service.service.time.time", lambda: 0xFFFF * 7.0 + 65535)
+    _, plc = connect()
+    assert plc.inputs()[27] == 1
+    monkeypatch.setattr("cell.interfaces.service.service.time.time", lambda: 0xFFFF * 8.0 + 3.2)
+    _, again = connect()
+    assert again.inputs()[27] == 4
+
+
+@pytest.mark.parametrize(("code", "objects"), [(1, {0, 1, 2}), (2, {0, 1, 2, 4, 5, 6})])
+def test_the_device_names_itself(connect: Any, code: int, objects: set[int]) -> None:
+    _, plc = connect()
+    found = plc.link.read_device_information(read_code=code, object_id=0)
+    assert set(found.information) == objects
+    assert found.information[1] == b"tactile-cell"
+    assert found.information[2].decode() == version("tactile-cell")
+    one = plc.link.read_device_information(read_code=4, object_id=2)
+    assert one.information == {2: found.information[2]}
+    assert plc.link.read_device_information(read_code=4, object_id=3).exception_code == 2
+    assert plc.link.read_device_information(read_code=5, object_id=0).exception_code == 3
+
+
+def test_a_long_identification_goes_on_in_the_next_answer() -> None:
+    client = SimpleNamespace(identification=dict.fromkeys(range(7), "x" * 100))
+    found, first = [], 0
+    while True:
+        got = protocol.answer(bytes((43, 14, 2, first)), client)
+        assert len(got) <= 253
+        assert got[:4] == bytes((43, 14, 2, 0x82))
+        found += [got[7 + 102 * place] for place in range(got[6])]
+        if not got[4]:
+            break
+        first = got[5]
+    assert found == list(range(7))
+    for wrong in (b"", b"\x0d", b"\x0e\x01", b"\x0e\x01\x00\x00"):
+        assert protocol.answer(b"\x2b" + wrong, client)[0] == 0xAB
 
 
 def test_unknown_commands_objects_and_addresses_are_refused(connect: Any) -> None:
@@ -386,7 +478,7 @@ def test_unknown_commands_objects_and_addresses_are_refused(connect: Any) -> Non
     assert plc.command(REACHED, 1) == 513
     assert plc.write(8, 1, 1) == 2
     assert plc.write(9, 1) == 2
-    assert plc.link.read_input_registers(60, count=5).exception_code == 2
+    assert plc.link.read_input_registers(92, count=5).exception_code == 2
     assert plc.link.read_holding_registers(0, count=10).exception_code == 2
     assert plc.link.read_coils(0, count=1).exception_code == 1
     assert served.service.job().number == 0
@@ -471,67 +563,181 @@ def test_a_client_that_never_reads_holds_nobody_up(connect: Any) -> None:
         assert served.ended().kept
 
 
-def test_the_function_block_of_the_example_walks_through_a_whole_cycle(connect: Any) -> None:
-    served, plc = connect(cell={}, positioner__kind="callback")
-    block = FunctionBlock()
-    release = {"Command": RELEASE}
+class BlockPlc:
+    """A PLC whose program is the block of the example: one exchange with the cell each cycle."""
 
-    def cycle(**inputs: Any) -> FunctionBlock:
-        wanted = {"Enable": True, "Connected": True, "Execute": False, "HoldNow": False}
-        written = block.call(Inputs=plc.inputs(), **(wanted | inputs))
-        if wanted["Enable"]:
-            assert plc.write(0, *written) == 0
-        return block
+    def __init__(self, plc: Plc) -> None:
+        self.plc = plc
+        self.block = FunctionBlock()
+        self.connected = True
 
-    def run(**inputs: Any) -> FunctionBlock:
-        assert block["Ready"]
-        cycle(Execute=True, **inputs)
-        until(lambda: cycle(**inputs)["Ready"])
-        return block
+    def __getitem__(self, name: str) -> Any:
+        return self.block[name]
 
-    # Step by step: life, number, ready.
-    assert cycle()["Ready"] is False
-    assert plc.inputs()[2] & REMOTE
-    cycle()
-    assert cycle()["Ready"] is True
-    assert block["SwappedBytes"] is False
-    # Identify and keep: the block hands the pose on, the PLC moves, the job goes on.
-    run(Command=IDENTIFY, MaxGrasps=1, Options=KEEP)
-    assert (block["Done"], block["PoseSeq"]) == (False, 1)
-    run(Command=REACHED, Object=1)
-    assert (block["Done"], block["Refused"]) == (True, False)
-    served.ended()
-    cycle()
-    assert (block["State"], block["Outcome"], block["Holding"]) == (17, 4, True)
-    assert (block["Answered"], block["LabelId"], block["AnswerJob"]) == (True, 1, 1)
-    cycle()
-    assert (block["GripForce"] > 50, block["GripForceAge"] < 100) == (True, True)
-    run(Command=VERIFY)
-    assert (block["Done"], block["LabelId"], block["AnswerJob"]) == (True, 1, 1)
-    # Held Execute is no second command; a refused command says so.
+    def cycle(self, **inputs: Any) -> "BlockPlc":
+        """Read, call the block, write; an exception as answer is no success."""
+        wanted = {"Enable": True, "Connected": self.connected, "Execute": False, "HoldNow": False}
+        written = self.block.call(Inputs=self.plc.inputs(), **(wanted | inputs))
+        self.connected = self.plc.write(0, *written) == 0
+        return self
+
+    def ready(self) -> "BlockPlc":
+        until(lambda: self.cycle()["Ready"] and not self["Busy"])
+        return self
+
+    def begin(self, command: int, **inputs: Any) -> "BlockPlc":
+        """Give Execute an edge; return when the cell has answered."""
+        arguments = {"Command": command, "Object": 0, "Force": 0, "MaxGrasps": 0, "Options": 0}
+        self.cycle(Execute=True, **arguments | inputs)
+        until(lambda: self.cycle()["Accepted"] or self["Error"])
+        return self
+
+    def run(self, command: int, **inputs: Any) -> tuple[bool, int]:
+        """Run a command to its end; return Done and ErrorId."""
+        self.ready().begin(command, **inputs)
+        until(lambda: not self.cycle()["Busy"])
+        assert self["Done"] is not self["Error"]
+        return self["Done"], self["ErrorId"]
+
+
+@pytest.fixture
+def block(connect: Any) -> Callable[..., tuple[Served, BlockPlc]]:
+    """Return the maker of a served cell and a PLC with the block; with a cell another PLC."""
+
+    def make(served: Served | None = None, **changes: Any) -> tuple[Served, BlockPlc]:
+        served, plc = connect(served, **changes)
+        return served, BlockPlc(plc)
+
+    return make
+
+
+def test_the_function_block_runs_every_command_of_the_map(block: Any) -> None:
+    served, plc = block(cell={})
+    assert plc.cycle()["Ready"] is False
+    assert plc.ready()["Boot"] == served.service.boot
+    assert plc.run(IDENTIFY, MaxGrasps=1, Options=KEEP) == (True, 0)
+    assert (plc["State"], plc["Outcome"], plc["Holding"], plc["Kept"]) == (17, 4, True, True)
+    assert (plc["Answered"], plc["LabelId"], plc["AnswerJob"]) == (True, 1, 1)
+    assert (plc["GripForce"] > 50, plc["GripForceAge"] < 100) == (True, True)
+    assert plc.run(VERIFY) == (True, 0)
+    assert plc.run(RESET) == (False, 505)
+    assert plc.run(HOLD) == (True, 0)  # nothing runs: held once, and not Busy for ever
+    assert plc.run(RELEASE) == (True, 0)
+    assert (plc["Outputs"][6], served.grip_n) == (0, 0.0)
+    assert plc.run(TEACH, Object=2, MaxGrasps=1) == (True, 0)
+    assert plc.run(SORT, Object=1, MaxGrasps=1) == (True, 0)
+    assert plc.run(2, MaxGrasps=1) == (True, 0)
+    fault = served.plugin._cell.simulated.inject("unit.off@contact+50ms")
+    assert plc.run(GRIP, Force=300) == (False, 401)
+    assert (plc["FaultNumber"], plc["State"]) == (401, 9)
+    assert plc.run(VERIFY) == (False, 505)
+    fault.clear()
+    assert plc.run(CLEAR) == (True, 0)
+    assert plc.run(RELEASE) == (True, 0)
+    assert plc.run(RESET) == (True, 0)
+    assert plc.run(STOP) == (True, 0)
+    assert plc["State"] == 2
+    assert plc.run(IDENTIFY) == (False, 505)
+    assert plc.run(RESET) == (True, 0)  # leaves STOPPED
+    for wrong in (0, 5, 99):
+        assert plc.run(wrong) == (False, 513)
+    assert plc.run(TEACH, Object=9) == (False, 513)
+    assert plc.run(GRIP, Force=60000) == (False, 501)
+    assert plc.run(REACHED, Object=1) == (False, 513)
+    assert plc["State"] == 4
+
+
+def test_the_function_block_stays_busy_through_the_poses_of_a_job(block: Any) -> None:
+    served, plc = block(cell={}, positioner__kind="callback")
+    plc.ready().begin(IDENTIFY, MaxGrasps=1)
+    seq = until(lambda: plc.cycle()["PoseSeq"])
+    assert (plc["Busy"], plc["Ready"], plc["Done"]) == (True, True, False)
+    plc.begin(REACHED, Object=seq + 1)
+    assert (plc["ErrorId"], plc["Busy"], plc["Done"]) == (513, True, False)
+    plc.begin(IDENTIFY)  # a second job is refused, the first one goes on
+    assert (plc["ErrorId"], plc["Busy"]) == (505, True)
+    plc.begin(REACHED, Object=seq)
+    until(lambda: plc.cycle()["Done"])
+    assert (plc["Busy"], plc["Error"], served.service.job().number) == (False, False, 1)
+    plc.ready().begin(IDENTIFY, MaxGrasps=1)
+    plc.begin(REFUSE, Object=until(lambda: plc.cycle()["PoseSeq"]))
+    until(lambda: not plc.cycle()["Busy"])
+    assert (plc["Done"], plc["ErrorId"], plc["Outcome"]) == (False, 510, 6)
+    # Hold, by the command and by the input, stops what runs.
+    for stop in ({"Command": HOLD, "Execute": True}, {"HoldNow": True}):
+        plc.ready().begin(IDENTIFY, MaxGrasps=1)
+        until(lambda: plc.cycle()["PoseSeq"])
+        while plc.cycle(**stop)["Busy"]:
+            pass
+        assert (plc["Done"], plc["ErrorId"], plc["Outcome"]) == (False, 512, 5)
+        assert plc.cycle(**stop)["OnHold"] is ("HoldNow" in stop)
+        plc.cycle()
+        assert plc.run(RELEASE) == (True, 0)
+
+
+def test_the_function_block_loses_no_edge_in_silence(block: Any) -> None:
+    served, plc = block()
+    plc.cycle(Execute=True, Command=GRIP, Force=300)  # not ready yet
+    assert (plc["Error"], plc["ErrorId"]) == (True, 1)
+    for _ in range(5):
+        plc.cycle(Execute=True)
+    assert (plc["Ready"], plc["Busy"], served.service.job().number) == (True, False, 0)
+    plc.cycle()
+    plc.cycle(Execute=True, Command=GRIP, Force=300)
+    plc.block.call(Connected=True, Execute=False)
+    plc.block.call(Execute=True, Command=RELEASE)  # before the answer was read
+    assert (plc["ErrorId"], plc["Busy"]) == (2, True)
+    until(lambda: plc.cycle()["Done"])
+    assert (plc["ErrorId"], served.service.job().task, served.grip_n > 1.0) == (0, "grip", True)
+    # Held Execute is no second command.
     for _ in range(3):
-        cycle(Execute=True, Command=RESET)
-    until(lambda: cycle(Execute=True, Command=RESET)["Ready"])
-    assert (block["Refused"], block["ResultCode"]) == (True, 505)
+        plc.cycle(Execute=True, Command=VERIFY)
+    until(lambda: plc.cycle(Execute=True)["Done"])
     assert served.service.job().number == 2
-    assert served.grip_n > 0.5
-    # A lost connection begins anew, and nothing is replayed.
-    cycle(Connected=False, **release)
-    assert block["Ready"] is False
-    plc.link.close()
-    assert plc.link.connect()
-    until(lambda: cycle()["Ready"])
-    assert served.service.job().number == 2
-    run(**release)
-    assert (block["Done"], block["Outcome"]) == (True, 4)
-    assert (served.state, served.grip_n) == ("IDLE", 0.0)
-    assert block["Outputs"][6] == 0
-    # Hold stops what runs.
-    run(Command=IDENTIFY, MaxGrasps=1)
-    cycle(HoldNow=True)
-    assert served.ended().outcome == "CANCELED"
-    assert cycle(HoldNow=True)["OnHold"]
-    assert not cycle(HoldNow=False)["OnHold"] or not cycle()["OnHold"]
+
+
+def test_the_function_block_begins_anew_after_a_lost_connection(block: Any) -> None:
+    served, plc = block()
+    plc.ready()
+    served.plugin.pause()
+    plc.begin(IDENTIFY, MaxGrasps=1, Options=KEEP)
+    plc.cycle(Connected=False)
+    assert (plc["Ready"], plc["Busy"], plc["ErrorId"]) == (False, False, 1)
+    plc.plc.link.close()
+    assert plc.plc.link.connect()
+    served.plugin.go_on()
+    plc.ready()
+    assert served.service.job().number == 1
+    # Another client takes command: the block says so, and comes back by itself.
+    lease = served.service.acquire("person", take=True)
+    until(lambda: not plc.cycle()["Ready"])
+    for _ in range(5):
+        plc.cycle()
+    plc.cycle(Execute=True, Command=RELEASE)
+    assert (plc["ErrorId"], plc["Busy"], served.grip_n > 1.0) == (1, False, True)
+    served.service.give_up(lease)
+    assert plc.run(RELEASE) == (True, 0)
+
+
+def test_the_counters_of_the_function_block_begin_anew_after_65535() -> None:
+    block = FunctionBlock()
+    block["Outputs"][0] = 65534
+    inputs = [SIGNATURE, 0, REMOTE, 4, 0, 65535, *[0] * 58]
+    for execute in (False, False, True):
+        block.call(Enable=True, Connected=True, Execute=execute, Command=VERIFY, Inputs=inputs)
+    assert (block["Outputs"][0], block["Outputs"][8], block["Busy"]) == (1, 0, True)
+
+
+@pytest.mark.long
+def test_an_independent_parser_reads_the_function_block() -> None:
+    pytest.importorskip("blark", reason="blark is not installed")
+    command = [sys.executable, "-m", "blark", "parse"]
+    found = subprocess.run(
+        [*command, BLOCK], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert found.returncode == 0, found.stderr[-2000:]
+    names = set(FunctionBlock().values)
+    assert not {name.upper() for name in names} & KEYWORDS
 
 
 def test_swapped_bytes_show_in_the_function_block(connect: Any) -> None:
