@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from importlib.metadata import version
+from importlib.util import find_spec
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -729,8 +730,8 @@ def test_the_counters_of_the_function_block_begin_anew_after_65535() -> None:
 
 
 @pytest.mark.long
+@pytest.mark.skipif(find_spec("blark") is None, reason="blark is not installed")
 def test_an_independent_parser_reads_the_function_block() -> None:
-    pytest.importorskip("blark", reason="blark is not installed")
     command = [sys.executable, "-m", "blark", "parse"]
     found = subprocess.run(
         [*command, BLOCK], capture_output=True, text=True, timeout=60, check=False
