@@ -221,7 +221,9 @@ class RecordedCycles:
     goal_current_a: NDArray[np.float64]
     aperture_m: NDArray[np.float64]
     current_a: NDArray[np.float64]
-    """(n,) float64: set-point in N, goal current in A, opening in m, present current in A."""
+    temperature_c: NDArray[np.float64]
+    """(n,) float64: set-point in N, goal current in A, opening in m, present current in A,
+    temperature of the warmest servo in degrees Celsius."""
     force_n: NDArray[np.float64]
     """(n, 2) float64: tactile force on both fingers in N."""
 
@@ -251,6 +253,8 @@ class Recording:
     """Messages as plain objects, fields as in `recording_schema`."""
     grasps: tuple[Grasp, ...] = ()
     """The grasps of which every frame is there."""
+    grasp_t_s: tuple[float, ...] = ()
+    """Monotonic time in s of the first frame of each of them."""
     n_broken_grasps: int = 0
     """Grasps of which frames are missing or damaged; they are not in ``grasps``."""
     complete: bool = True
@@ -318,7 +322,7 @@ class _Builder:
             self.by_topic.setdefault(topic, []).append(content)
         pads = PadArray(**json.loads(metadata["pads"]))
         frames = self._frames(pads)
-        grasps, n_broken = self._grasps(pads, frames)
+        grasps, grasp_t_s, n_broken = self._grasps(pads, frames)
         return Recording(
             path=self.path,
             metadata=dict(metadata),
@@ -333,6 +337,7 @@ class _Builder:
             states=tuple(self.by_topic.get(schema.STATE, ())),
             statistics=tuple(self.by_topic.get(schema.LOOP, ())),
             grasps=grasps,
+            grasp_t_s=grasp_t_s,
             n_broken_grasps=n_broken,
             complete=not self.raw.lost_reason,
             lost_reason=self.raw.lost_reason,
@@ -360,12 +365,16 @@ class _Builder:
             goal_current_a=_column(rows, "goal_current_a"),
             aperture_m=_column(rows, "aperture_m"),
             current_a=_column(rows, "current_a"),
+            temperature_c=_column(rows, "temperature_c"),
             force_n=_read_only(force_n.reshape(len(rows), 2)),
         )
 
-    def _grasps(self, pads: PadArray, frames: RecordedFrames) -> tuple[tuple[Grasp, ...], int]:
+    def _grasps(
+        self, pads: PadArray, frames: RecordedFrames
+    ) -> tuple[tuple[Grasp, ...], tuple[float, ...], int]:
         rows = self.by_topic.get(schema.GRASP, [])
         grasps: list[Grasp] = []
+        grasp_t_s: list[float] = []
         place_of = {int(number): place for place, number in enumerate(frames.number)}
         for row in rows:
             first, n_frames = int(row["first_frame"]), int(row["n_frames"])
@@ -382,6 +391,7 @@ class _Builder:
                 if wrong := text_refused(name, str(row[name])):
                     raise ValueError(f"the {name} of a grasp {wrong}")
             unknown = [np.nan] * n_frames
+            grasp_t_s.append(float(frames.t_s[places[0]]))
             grasps.append(
                 Grasp(
                     pads=pads,
@@ -396,7 +406,7 @@ class _Builder:
                     command=GraspCommand.from_values(row["asked"]) if "asked" in row else None,
                 )
             )
-        return tuple(grasps), len(rows) - len(grasps)
+        return tuple(grasps), tuple(grasp_t_s), len(rows) - len(grasps)
 
 
 def _column(rows: list[dict[str, Any]], name: str) -> NDArray[np.float64]:

@@ -13,6 +13,8 @@ from collections.abc import Awaitable, Callable, MutableMapping
 from dataclasses import asdict
 from functools import cached_property, partial
 from ipaddress import ip_address
+from pathlib import Path
+from tempfile import NamedTemporaryFile
 from typing import Annotated, Any, Literal
 
 import uvicorn
@@ -33,6 +35,7 @@ from cell.errors import (
     ConfigError,
     HeldByClient,
     NotInCommand,
+    RecordingError,
     RequestRefused,
 )
 from cell.fault_catalogue import BY_NUMBER, CATALOGUE, Refusal
@@ -46,6 +49,7 @@ from cell.interfaces.service.doors import (
     read_secret,
     same_secret,
 )
+from cell.interfaces.service.replay import UPLOAD_BYTES, Replay
 from cell.interfaces.service.service import Service
 from cell.interfaces.service.state import plain, state_values
 from gripper.errors import GripperError
@@ -112,6 +116,14 @@ class CommandBody(LeaseBody):
     command: Literal[Command.RELEASE, Command.CLEAR, Command.RESET, Command.SHUTDOWN]
     key: int = 0
     reboot: bool = False
+
+
+class ReplayBody(_Body):
+    """To pause or go on; seconds of the recording in a real one; number of a grasp, from 1."""
+
+    pause: bool | None = None
+    speed: Finite | None = None
+    grasp: int | None = None
 
 
 class PoseFields(_Body):
@@ -189,6 +201,9 @@ class Api:
             ("/pose", "POST", self.pose),
         ):
             guarded.add_api_route(path, call, methods=[method])
+        if self._service.replay is not None:
+            guarded.add_api_route("/replay", self.control_replay, methods=["POST"])
+            guarded.add_api_route("/replay", self.load_replay, methods=["PUT"])
         app.include_router(guarded)
         app.add_api_route("/api/hold", self.hold, methods=["POST"])
         app.add_api_websocket_route("/api/live", self.live)
@@ -240,8 +255,7 @@ class Api:
 
     def acquire(self, body: AcquireBody, request: Request) -> dict[str, int]:
         """Acquire the lease to command with."""
-        here = request.client is not None and ip_address(request.client.host).is_loopback
-        if body.take and not here:
+        if body.take and not _is_here(request):
             raise NotInCommand("the lease can be taken from another client at this machine only")
         return {"lease": self._service.acquire(body.name, take=body.take)}
 
@@ -271,6 +285,32 @@ class Api:
         reached = None if body.pose is None else Pose(**body.pose.model_dump())
         self._service.pose_reached(body.lease, body.seq, ok=body.ok, pose=reached)
         return {"seq": body.seq}
+
+    def control_replay(self, body: ReplayBody) -> dict[str, Any]:
+        """Pause the replay, set its speed, or go to a grasp; all clients see the same."""
+        self._replay.control(**body.model_dump())
+        return self._replay.values()
+
+    async def load_replay(self, request: Request) -> dict[str, Any]:
+        """Play the recording in the body instead, from this machine only."""
+        if not _is_here(request):
+            raise NotInCommand("a recording is taken from this machine only")
+        with NamedTemporaryFile(suffix=".mcap") as file:
+            async for piece in request.stream():
+                file.write(piece)
+            file.flush()
+            try:
+                await asyncio.to_thread(self._replay.load, Path(file.name), "the recording sent")
+            except RecordingError as error:
+                text = str(error).replace(file.name, "the file")
+                raise RequestRefused(f"this cannot be played: {text}") from error
+        return self._replay.values()
+
+    @property
+    def _replay(self) -> Replay:
+        if self._service.replay is None:  # its paths are there with a replay only
+            raise RequestRefused("this is a cell, no replay")
+        return self._service.replay
 
     def hold(
         self,
@@ -315,6 +355,11 @@ class Api:
             await self._feed.send_to(link, link.query_params.get("frames", ""))
         except (WebSocketDisconnect, TimeoutError, RuntimeError, KeyError):
             return  # the client is gone, takes nothing, or has not named its token
+
+
+def _is_here(request: Request) -> bool:
+    """Whether a request comes from this machine."""
+    return request.client is not None and ip_address(request.client.host).is_loopback
 
 
 def _token_of(message: str) -> str:
@@ -391,9 +436,16 @@ class Gate:
         if origin is not None and origin.partition("://")[2] != headers.get(b"host"):
             return 403, f"a page of another origin, {origin!r:.80}"
         length = headers.get(b"content-length", "0")
-        if b"transfer-encoding" in headers or not length.isdecimal() or int(length) > LONGEST:
-            return 413, f"a request has a Content-Length of at most {LONGEST}"
+        longest = self._longest(scope, client[0])
+        if b"transfer-encoding" in headers or not length.isdecimal() or int(length) > longest:
+            return 413, f"a request has a Content-Length of at most {longest}"
         return 0, ""
+
+    def _longest(self, scope: Scope, client: str) -> int:
+        """Return the most bytes of a body: more for a recording from this machine to a replay."""
+        sends = (scope.get("method"), scope["path"]) == ("PUT", "/api/replay")
+        taken = sends and self._service.replay is not None and ip_address(client).is_loopback
+        return UPLOAD_BYTES if taken else LONGEST
 
 
 class Connection(H11Protocol):

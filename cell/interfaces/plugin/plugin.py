@@ -52,6 +52,7 @@ if TYPE_CHECKING:
     from cell.interfaces.plugin.part_report import OnPart
     from cell.jobs.sort import Places as SortPlaces
     from gripper.state import Clock, ReleaseReport
+    from tactile.layout import TaxelLayout
 
 __all__ = [
     "Answer",
@@ -218,29 +219,7 @@ class TactileCellPlugin:
 
     def info(self) -> dict[str, Any]:
         """Return name, pads in the order of the layout, limits, forces, taught labels, places."""
-        gripper, layout = self._config.gripper, self._cell.controller.hand.layout
-        low_n, high_n = self._config.sequence.forces_n
-        return {
-            "name": self._config.name,
-            "simulated": self._config.simulated,
-            "n_taxels": layout.n_taxels,
-            "pads": [
-                {
-                    "name": pad.name,
-                    "finger": pad.finger,
-                    "face": pad.face,
-                    "inner": index in layout.gripping_pads,
-                    "rows": pad.rows,
-                    "columns": pad.columns,
-                    "first": layout.taxels_of(index).start,
-                    "pitch_mm": [1e3 * pad.pitch_x_m, 1e3 * pad.pitch_y_m],
-                }
-                for index, pad in enumerate(layout.pads)
-            ],
-            "opening_max_mm": gripper.aperture_open_mm,
-            "force_cap_n": gripper.force_max_n,
-            "contact_force_n": gripper.contact_force_n,
-            "levels_n": [low_n, high_n],
+        return cell_values(self._config, self._cell.controller.hand.layout) | {
             "labels": self.labels,
             "places": self._place_names(),
         }
@@ -638,6 +617,34 @@ class TactileCellPlugin:
 
     def _calling(self) -> AbstractContextManager[None]:
         return nullcontext() if self._watch is None else self._watch.calling()
+
+
+def cell_values(config: CellConfig, layout: "TaxelLayout") -> dict[str, Any]:
+    """Return name, pads in the order of the layout, limits and forces of a cell, as plain data."""
+    gripper = config.gripper
+    low_n, high_n = config.sequence.forces_n
+    return {
+        "name": config.name,
+        "simulated": config.simulated,
+        "n_taxels": layout.n_taxels,
+        "pads": [
+            {
+                "name": pad.name,
+                "finger": pad.finger,
+                "face": pad.face,
+                "inner": index in layout.gripping_pads,
+                "rows": pad.rows,
+                "columns": pad.columns,
+                "first": layout.taxels_of(index).start,
+                "pitch_mm": [1e3 * pad.pitch_x_m, 1e3 * pad.pitch_y_m],
+            }
+            for index, pad in enumerate(layout.pads)
+        ],
+        "opening_max_mm": gripper.aperture_open_mm,
+        "force_cap_n": gripper.force_max_n,
+        "contact_force_n": gripper.contact_force_n,
+        "levels_n": [low_n, high_n],
+    }
 
 
 def _write_remarks(controller: "CellController", remarks: deque[tuple[str, str]]) -> None:

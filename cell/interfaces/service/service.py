@@ -36,6 +36,7 @@ from cell.interfaces.plugin.goals import (
 from cell.interfaces.plugin.part_report import OnPart
 from cell.interfaces.plugin.worker import KEPT_JOBS, Job, JobOutcome, JobStatus
 from cell.interfaces.service.pose_handshake import PoseHandshake
+from cell.interfaces.service.replay import Replay
 from cell.interfaces.service.shift import Shift
 from gripper.state import Clock
 
@@ -171,6 +172,8 @@ class Service:
     ----------
     config
         Of the cell.
+    replay
+        The replay that stands for the cell; None for a cell.
     shift
         The ledger of the parts.
     boot
@@ -188,7 +191,8 @@ class Service:
     ) -> None:
         self.config = config
         self.boot = int(time.time()) % 0xFFFF + 1
-        self.shift = Shift()
+        self.replay = plugin if isinstance(plugin, Replay) else None
+        self.shift = Shift() if self.replay is None else self.replay.shift
         plugin.watch_parts(self.shift.add)
         self._plugin = plugin
         self._poses = PoseHandshake() if poses is None else poses
@@ -297,7 +301,7 @@ class Service:
     def info(self) -> dict[str, Any]:
         """Return what stays as it is, as plain data; lengths in mm, forces in N."""
         return self._plugin.info() | {
-            "mode": "cell",
+            "mode": "cell" if self.replay is None else "replay",
             "version": version("tactile-cell"),
             "labels": list(self.labels),
             "lease_timeout_s": self.config.serve.lease_timeout_s,

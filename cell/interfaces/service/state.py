@@ -35,6 +35,7 @@ def state_values(service: Service) -> dict[str, Any]:
             "fault": _fault(service, now.status),
             "health": service.health(),
             "shift": service.shift.values(n_faults=now.status.n_faults),
+            "replay": None if service.replay is None else service.replay.values(),
         }
     )
     return state

@@ -141,7 +141,7 @@ def test_the_page_takes_the_next_port_where_its_own_is_taken(
 ) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         monkeypatch.setattr(serving, "_PAGE_PORT", taken.getsockname()[1])
-        found = serving._free_page_port("127.0.0.1")
+        found = serving.free_page_port("127.0.0.1")
         assert found is not None
         assert found > taken.getsockname()[1]
 
@@ -150,7 +150,7 @@ def test_without_its_extra_there_is_no_page_but_a_note(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("cell.installation.missing_packages", lambda _extra: ("uvicorn",))
-    assert serving._free_page_port("127.0.0.1") is None
+    assert serving.free_page_port("127.0.0.1") is None
     assert "no page: uvicorn missing" in capsys.readouterr().err
 
 
@@ -193,7 +193,7 @@ def test_the_first_start_teaches_visibly_and_keeps_the_model(
     serve: Callable[..., Any], cache: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(serving, "_FIRST_GRASPS", 3)
-    monkeypatch.setattr(serving, "_LOOK_S", 0.01)
+    monkeypatch.setattr(serving, "LOOK_S", 0.01)
     served, seen = serve(options={"model": None}), set()
     service = served.service
     plain_job = service.job
@@ -218,7 +218,7 @@ def test_a_first_start_that_is_interrupted_keeps_nothing(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(serving, "_LOOK_S", 0.01)
+    monkeypatch.setattr(serving, "LOOK_S", 0.01)
     served = serve(options={"model": None})
     service = served.service
     plain_alive = service.alive

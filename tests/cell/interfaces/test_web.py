@@ -42,7 +42,7 @@ class Client:
         link = HTTPConnection("127.0.0.1", self.port, timeout=20.0)
         if token is not None:
             headers["Authorization"] = f"Bearer {token or self.token}"
-        data = None if body is None else json.dumps(body).encode()
+        data = body if body is None or isinstance(body, bytes) else json.dumps(body).encode()
         link.request(method, path, data, {"Content-Type": "application/json"} | headers)
         answer = link.getresponse()
         found = answer.read()

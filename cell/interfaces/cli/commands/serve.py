@@ -3,7 +3,8 @@
 import json
 import socket
 import threading
-from contextlib import closing
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -16,7 +17,7 @@ if TYPE_CHECKING:
     from cell.interfaces.plugin.plugin import TactileCellPlugin
     from cell.interfaces.service.service import Service
 
-_LOOK_S = 0.25
+LOOK_S = 0.25
 """Wait in s after which signals are looked for; Python carries them out between two waits."""
 _PAGE_PORT = 8080
 """Port of HTTP for the built-in cell, the customary one beside 80; or the next free one."""
@@ -98,15 +99,15 @@ def serve(
     from cell.config.file import changed_config
     from cell.interfaces.cli.session import cell_config, with_faults
     from cell.interfaces.cli.signals import END_WITHIN_S, stopping
-    from cell.interfaces.cli.terminal import print_note, print_page
+    from cell.interfaces.cli.terminal import print_note
     from cell.interfaces.service.service import Service
-    from cell.interfaces.service.serving import open_doors, open_plugin, page_address, warnings
+    from cell.interfaces.service.serving import open_plugin
     from cell.jobs.common import job_folder
     from cell.jobs.taught_cache import cached_model
 
     own = cell_config(config)
     if config is None and http_port is None:
-        http_port = _free_page_port(listen or own.serve.listen)
+        http_port = free_page_port(listen or own.serve.listen)
     given: dict[str, Any] = {
         "serve.listen": listen,
         "serve.allow": allow,
@@ -129,20 +130,30 @@ def serve(
             checked, model=model, training_set=training_set, save=save, folder=folder
         )
         service = Service(plugin, checked, poses=poses, note=print_note)
-        with closing(service), open_doors(service) as found:
-            for note in warnings(service):
-                print_note(note)
-            typer.echo(json.dumps(found))
-            if (page := page_address(found, checked.serve)) is not None:
-                print_page(page)
+        with announced_doors(service):
             if untaught and model is None:
                 _teach_first(service, plugin, own, over)
             plugin.follow_real_time(speed)
-            while not over.wait(_LOOK_S):
+            while not over.wait(LOOK_S):
                 pass
 
 
-def _free_page_port(listen: str) -> int | None:
+@contextmanager
+def announced_doors(service: "Service") -> Iterator[None]:
+    """Open the doors of a service and print their addresses; close doors and service at the end."""
+    from cell.interfaces.cli.terminal import print_note, print_page
+    from cell.interfaces.service.serving import open_doors, page_address, warnings
+
+    with closing(service), open_doors(service) as found:
+        for note in warnings(service):
+            print_note(note)
+        typer.echo(json.dumps(found))
+        if (page := page_address(found, service.config.serve)) is not None:
+            print_page(page)
+        yield
+
+
+def free_page_port(listen: str) -> int | None:
     """Return the port of the page, or the next free one; None, and a note, without its extra."""
     from cell.installation import missing_packages, remedy
     from cell.interfaces.cli.terminal import print_note
@@ -180,7 +191,7 @@ def _teach_first(
             goal = {"task": "teach", "label": label, "grasps": _FIRST_GRASPS, "seed": seed}
             number = service.start(lease, goal)
             while not JobOutcome((job := service.job(number)).outcome).terminal:
-                if over.wait(_LOOK_S):
+                if over.wait(LOOK_S):
                     return
                 service.alive(lease)
             if job.error:
