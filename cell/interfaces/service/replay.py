@@ -131,6 +131,7 @@ class Tape:
             fault=None if fault is None else str(fault["text"]),
             fault_number=0 if fault is None else int(fault["fault_number"]),
             live=self._live_at(t_s),
+            since_s=self.wall_s(float(row.get("t_s", self.begin_s))),
             fault_since_s=None if fault is None else self.wall_s(float(fault["t_s"])),
             n_faults=len(faults),
             last_answer=self.answer(n_results) if n_results else None,
@@ -353,6 +354,13 @@ class Replay:
     def newtons(self, counts: NDArray[np.uint16]) -> NDArray[np.float32] | None:
         """Return the force in N on each taxel; None where the recording shows no zero."""
         return self.moment()[0].newtons(counts)
+
+    def health(self) -> dict[str, Any]:
+        """Return no figures: no device is there. Only whether the recording is whole."""
+        reason = self.moment()[0].recording.lost_reason
+        recording = {"level": "watch" if reason else "ok", "path": self._name, "text": reason}
+        nothing = dict.fromkeys(("servos", "can", "loop", "drift"))
+        return {**nothing, "recording": recording}
 
     def watch_parts(self, on_part: OnPart) -> None:
         """Report no parts: `shift` has those until the present time."""

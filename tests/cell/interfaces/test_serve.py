@@ -32,13 +32,18 @@ def start(tmp_path: Path) -> Iterator[Callable[..., Any]]:
     """Return what starts the program on the small simulated cell: the process and its line."""
     made: list[subprocess.Popen[str]] = []
 
-    def run(*options: str, config: str | None = "") -> tuple[subprocess.Popen[str], dict[str, Any]]:
-        command = [sys.executable, "-c", PROGRAM, "serve", "--speed", "0", *options]
+    def run(
+        *options: str, config: str | None = "", command: tuple[str, ...] = ("serve", "--speed", "0")
+    ) -> tuple[subprocess.Popen[str], dict[str, Any]]:
         if config is not None:
             (tmp_path / "cell.yaml").write_text(SMALL + config)
-            command += ["-c", "cell.yaml"]
+            options += ("-c", "cell.yaml")
         process = subprocess.Popen(
-            command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+            [sys.executable, "-c", PROGRAM, *command, *options],
+            cwd=tmp_path,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
         )
         made.append(process)
         assert process.stdout is not None
@@ -194,7 +199,7 @@ def test_the_first_start_teaches_visibly_and_keeps_the_model(
 ) -> None:
     monkeypatch.setattr(serving, "_FIRST_GRASPS", 3)
     monkeypatch.setattr(serving, "LOOK_S", 0.01)
-    served, seen = serve(options={"model": None}), set()
+    served, seen = serve(cell={"model": None}), set()
     service = served.service
     plain_job = service.job
 
@@ -219,7 +224,7 @@ def test_a_first_start_that_is_interrupted_keeps_nothing(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     monkeypatch.setattr(serving, "LOOK_S", 0.01)
-    served = serve(options={"model": None})
+    served = serve(cell={"model": None})
     service = served.service
     plain_alive = service.alive
 
@@ -233,3 +238,17 @@ def test_a_first_start_that_is_interrupted_keeps_nothing(
     assert "not all objects are taught" in capsys.readouterr().err
     assert cached_model(service.config) is None
     assert service.snapshot().commander == "operator"
+
+
+def test_a_recording_is_shown_on_the_page(start: Callable[..., Any], taught: Any) -> None:
+    recording = str(taught.result.recording)
+    process, line = start(recording, "--live", config=None, command=("replay",))
+    assert set(line) == {"listen", "http_port", "token"}
+    ask = Request(f"http://127.0.0.1:{line['http_port']}/api/state")
+    ask.add_header("Authorization", f"Bearer {line['token']}")
+    with urlopen(ask, timeout=20.0) as answer:
+        assert json.load(answer)["replay"]["name"] == "recording.mcap"
+    process.send_signal(signal.SIGTERM)
+    assert process.wait(LIMIT_S) == 0
+    page = f"page: http://127.0.0.1:{line['http_port']}/#token={line['token']}"
+    assert process.communicate()[1].splitlines() == [page]

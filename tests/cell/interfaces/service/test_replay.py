@@ -147,7 +147,7 @@ def test_a_fault_is_shown_with_its_number(tmp_path: Path, make_bench: Callable[.
     replay = Replay(tmp_path / "recording.mcap", clock=clock)
     clock.now_s += 3600.0
     status = replay.status()
-    assert (status.state, status.fault_number, status.n_faults) == ("ABORTED", 401, 1)
+    assert (status.state, status.fault_number, status.n_faults) == ("ABORTED", 311, 1)
     assert status.fault is not None
     assert status.fault_since_s is not None
 
