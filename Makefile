@@ -9,7 +9,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt --e
 PYTEST_ARGS ?=
 TESTS = OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal $(PYTEST_ARGS)
 
-.PHONY: run serve test test-long test-real-time coverage wheel-test check format docs bench paper campaign damage soak vcan clients help clean distclean
+.PHONY: run serve test test-long test-real-time coverage wheel-test check format docs docs-pages bench paper campaign damage soak vcan clients help clean distclean
 
 run: $(RUN)  ## teach and identify the paper's five objects on the simulated cell
 	$(BIN)/tactile-cell run
@@ -32,11 +32,12 @@ coverage: $(DEV)  ## lines that the tests without real time run: less than 95 % 
 wheel-test: $(DEV)  ## a project that uses the built wheel runs its tests in a fresh environment
 	.ci/wheel-test
 
-check: $(DEV)  ## lint, format, types, layers
+check: $(DEV)  ## lint, format, types, layers, tables of the docs
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/python -m docs.tools --check
 
 format: $(DEV)  ## what ruff can mend by itself
 	$(BIN)/ruff check --fix .
@@ -44,6 +45,9 @@ format: $(DEV)  ## what ruff can mend by itself
 
 docs: $(DOCS)  ## the site in out/docs; a warning or a broken link inside is an error
 	$(BIN)/python -m sphinx -q -W --keep-going -E -b html docs out/docs
+
+docs-pages: $(DEV)  ## write the tables that are made from the code into the pages of docs
+	$(BIN)/python -m docs.tools
 
 bench: $(DEV)  ## each figure that README and docs quote
 	$(BIN)/python -m benchmarks

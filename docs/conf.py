@@ -1,12 +1,11 @@
-"""Sphinx: pages in Markdown (MyST), API pages from docstrings, tables made from the code.
+"""Sphinx: pages in Markdown (MyST), API pages from docstrings.
 
-A line ``<!-- made: NAME -->`` in a page is replaced by what the maker of that name in docs/tools
-returns while the site is built, so that no such table can differ from the program.
+A line ``<!-- api: PACKAGE -->`` in a page is replaced by the directives of the package's names. The
+tables that are made from the code stand in the pages: ``python -m docs.tools`` writes them.
 """
 
 import re
 import sys
-from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -17,28 +16,6 @@ from docutils.utils.math.latex2mathml import tex2mathml
 sys.path.insert(0, str(Path(__file__).parent / "tools"))
 
 from api_page import api_page
-from catalogue_page import catalogue_page
-from command_page import command_page
-from config_page import config_page
-from faults_page import faults_page
-from opc_ua_page import opc_ua_page
-from recording_page import recording_page
-from states_page import states_page
-from xml_rpc_page import xml_rpc_page
-
-MAKERS: dict[str, Callable[[], str]] = {
-    "api gripper": lambda: api_page("gripper"),
-    "api recognition": lambda: api_page("recognition"),
-    "api tactile": lambda: api_page("tactile"),
-    "catalogue": catalogue_page,
-    "command line": command_page,
-    "config": config_page,
-    "faults": faults_page,
-    "opc-ua": opc_ua_page,
-    "recording": recording_page,
-    "states": states_page,
-    "xml-rpc": xml_rpc_page,
-}
 
 project = "tactile-cell"
 author = "The tactile-cell maintainers"
@@ -77,8 +54,8 @@ nitpick_ignore_regex = [("py:.*", ".*")]  # types of other libraries: their site
 
 
 def fill(_app: Any, _name: str, source: list[str]) -> None:
-    """Replace the markers of a page by what their makers return."""
-    source[0] = re.sub("<!-- made: (.+?) -->", lambda found: MAKERS[found[1]](), source[0])
+    """Replace the markers of packages by the directives of their names."""
+    source[0] = re.sub("<!-- api: (.+?) -->", lambda found: api_page(found[1]), source[0])
 
 
 def math(self: Any, node: nodes.math | nodes.math_block) -> None:

@@ -1,0 +1,55 @@
+"""Writes the tables that are made from the code into the pages: ``python -m docs.tools``.
+
+In a page such a table stands between ``<!-- made: NAME -->`` and ``<!-- end: NAME -->``. With
+``--check`` nothing is written, and a page that differs from the code is an error.
+"""
+
+import re
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+from docs.tools.catalogue_page import catalogue_page
+from docs.tools.command_page import command_page
+from docs.tools.config_page import config_page
+from docs.tools.faults_page import faults_page
+from docs.tools.opc_ua_page import opc_ua_page
+from docs.tools.recording_page import recording_page
+from docs.tools.states_page import states_page
+from docs.tools.xml_rpc_page import xml_rpc_page
+
+MAKERS: dict[str, Callable[[], str]] = {
+    "catalogue": catalogue_page,
+    "command line": command_page,
+    "config": config_page,
+    "faults": faults_page,
+    "opc-ua": opc_ua_page,
+    "recording": recording_page,
+    "states": states_page,
+    "xml-rpc": xml_rpc_page,
+}
+"""What makes each table."""
+_TABLE = re.compile(r"(<!-- made: (.+?) -->\n).*?(<!-- end: \2 -->)", flags=re.S)
+
+
+def filled(page: str) -> str:
+    """Return a page with its tables made anew."""
+    return _TABLE.sub(lambda found: f"{found[1]}\n{MAKERS[found[2]]().strip()}\n\n{found[3]}", page)
+
+
+def main() -> None:
+    """Write all pages whose tables have changed; with ``--check``, name them and exit with 1."""
+    docs = Path(__file__).parents[1]
+    stale = []
+    for path in sorted(docs.glob("*/*.md")):
+        page = path.read_text(encoding="utf-8")
+        if (new := filled(page)) != page:
+            stale.append(str(path.relative_to(docs.parent)))
+            if "--check" not in sys.argv:
+                path.write_text(new, encoding="utf-8")
+    if stale and "--check" in sys.argv:
+        sys.exit(f"differ from the code: {', '.join(stale)}; write them with `make docs-pages`")
+
+
+if __name__ == "__main__":
+    main()
