@@ -8,7 +8,7 @@ import pytest
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.control.positioner import Destination
-from cell.errors import CellStateError, ConfigError, PositionerError
+from cell.errors import CellStateError, ConfigError
 from cell.interfaces.plugin.plugin import (
     GripGoal,
     IdentifyGoal,
@@ -17,9 +17,6 @@ from cell.interfaces.plugin.plugin import (
     TactileCellPlugin,
     VerifyGoal,
 )
-from cell.interfaces.plugin.worker import JobOutcome
-from gripper.errors import PartLost
-from recognition.recognizer import UNKNOWN
 from tests.cell.interfaces.conftest import LIMIT_S, grip_n
 
 HELD = ("COMPLETE", 17, False, True)
@@ -54,28 +51,20 @@ def test_a_kept_part_is_verified_and_let_go_where_the_host_wants_it(
     assert standing(plugin) == ("IDLE", 4, False, False)
     with pytest.raises(CellStateError, match=r"the cell is IDLE; .* 'verify' is not allowed"):
         plugin.start(VerifyGoal())
-    assert not run(plugin, IdentifyGoal(present="box", seed=9)).kept
 
 
 def test_a_part_is_gripped_without_a_name_and_survives_the_end_of_the_host(
     plugin: TactileCellPlugin,
 ) -> None:
-    found = run(plugin, {"task": "grip", "force_n": 3.0, "present": "ball"})
+    job = plugin.start({"task": "grip", "force_n": 3.0, "present": "ball"})
+    found = plugin.result(job, LIMIT_S)
     assert (found.held, found.same) == (True, True)
-    assert standing(plugin) == HELD
-    plugin.close()
-    assert grip_n(plugin) > 3.0
-
-
-def test_a_cancel_of_a_kept_part_changes_nothing(plugin: TactileCellPlugin) -> None:
-    job = plugin.start(IdentifyGoal(present="box", keep="always", seed=9))
-    plugin.result(job, LIMIT_S)
-    plugin.cancel(job)
+    plugin.cancel(job)  # changes nothing for a kept part
     plugin._cell.controller.cancel()
     plugin._cell.controller.tick()
     assert standing(plugin) == HELD
-    plugin.release()
-    assert run(plugin, IdentifyGoal(present="box", seed=9)).label == "box"
+    plugin.close()
+    assert grip_n(plugin) > 3.0
 
 
 def test_the_force_of_the_grasps_is_the_hosts(plugin: TactileCellPlugin) -> None:
@@ -107,57 +96,6 @@ def test_the_host_brings_named_parts_to_their_places(
     progress = plugin.feedback(job).progress
     assert (progress["task"], progress["parts"], progress["of"]) == ("sort", 3, 3)
     assert standing(plugin) == ("IDLE", 4, False, False)
-
-
-def test_a_refused_place_aborts_the_sort_without_a_fault(
-    make_plugin: Callable[..., TactileCellPlugin], taught: Any
-) -> None:
-    plugin = make_plugin(model=taught.result.model, places=lambda _destination: False)
-    job = plugin.start(SortGoal(parts=2, feed=("ball",), seed=9))
-    with pytest.raises(JobFailed) as failed:
-        plugin.result(job, LIMIT_S)
-    assert isinstance(failed.value.__cause__, PositionerError)
-    assert plugin.fault() is None
-    assert standing(plugin) == HELD
-    plugin.release()
-    assert plugin.state() == "IDLE"
-
-
-def test_a_sort_that_is_cancelled_or_loses_its_part_keeps_the_grip(
-    make_plugin: Callable[..., TactileCellPlugin], taught: Any
-) -> None:
-    act: list[Callable[[], object]] = []
-
-    def places(_destination: Destination) -> None:
-        act[0]()
-
-    plugin = make_plugin(model=taught.result.model, places=places)
-    act.append(plugin._cell.controller.cancel)
-    with pytest.raises(JobFailed, match="the part is kept until") as failed:
-        run(plugin, SortGoal(feed=("ball",), seed=9))
-    assert failed.value.outcome is JobOutcome.CANCELED
-    assert standing(plugin) == HELD
-    plugin.release()
-
-    assert plugin._cell.simulated is not None
-    act[0] = plugin._cell.simulated.remove
-    with pytest.raises(JobFailed) as lost:
-        run(plugin, SortGoal(feed=("ball",), seed=9))
-    assert isinstance(lost.value.__cause__, PartLost)
-    assert plugin.status().grasp == "PART LOST"
-    assert str(plugin.fault()).endswith(" s after the answer")
-
-
-def test_what_was_never_taught_is_kept_only_where_all_is(
-    make_plugin: Callable[..., TactileCellPlugin], make_config: Callable[..., Any], taught: Any
-) -> None:
-    objects = [{"label": "rod", "shape": "cylinder:diameter=6mm,length=20mm"}]
-    plugin = make_plugin(make_config(simulator__objects=objects), model=taught.result.model)
-    for keep, kept in (("when_named", False), ("always", True)):
-        answer = run(plugin, IdentifyGoal(present="rod", keep=keep, seed=9))
-        assert answer.label == UNKNOWN
-        assert answer.kept is kept
-    assert grip_n(plugin) > 3.0
 
 
 @pytest.mark.parametrize("aperture_open_mm", [10.2, 10.7])
