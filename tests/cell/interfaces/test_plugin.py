@@ -19,18 +19,27 @@ from cell.errors import (
     CellStateError,
     CellStopped,
     ConfigError,
+    DatasetError,
     ModelError,
     NoPartFound,
     PartInGrip,
 )
 from cell.interfaces.plugin.goals import checked_goal
-from cell.interfaces.plugin.plugin import Answer, GripGoal, IdentifyGoal, JobFailed, TeachGoal
+from cell.interfaces.plugin.plugin import (
+    Answer,
+    GripGoal,
+    IdentifyGoal,
+    JobFailed,
+    TeachGoal,
+    VerifyGoal,
+)
 from cell.interfaces.plugin.worker import Job, JobOutcome
+from cell.learning.taught_model import TaughtModel
 from gripper.errors import ServoFault, VerificationFailed
 from gripper.state import GripperPhase
 from recognition.recognizer import UNKNOWN
 from tactile.errors import FrameTimeout, NodeMissing
-from tests.cell.interfaces.conftest import LIMIT_S, grip_n
+from tests.cell.interfaces.conftest import LIMIT_S, grip_n, until
 
 
 @pytest.fixture(scope="module")
@@ -451,6 +460,90 @@ def test_teaching_beside_a_loaded_model_needs_the_grasps_that_trained_it(
     assert len(read_dataset(tmp_path / "parts.model.grasps.npz")) == 13
     again = make_plugin(model=str(tmp_path / "parts.model.npz"))
     assert again.labels == plugin.labels == ("ball", "box", "oval")
+
+
+# -- the file that each teaching renews --------------------------------------------------------
+
+
+def test_each_teaching_is_saved_before_its_job_succeeds(
+    make_plugin: Callable[..., Any], taught: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, running, save = tmp_path / "new.npz", [], TaughtModel.save
+    plugin = make_plugin(model=taught.result.model, save=path)
+
+    def look(model: TaughtModel, *arguments: Any, **options: Any) -> None:
+        save(model, *arguments, **options)
+        running.append(plugin._worker.running)
+
+    monkeypatch.setattr(TaughtModel, "save", look)
+    plugin.result(plugin.start(TeachGoal(label="ball", grasps=1)), LIMIT_S)
+    plugin.result(plugin.start(GripGoal(force_n=3.0)), LIMIT_S)
+    plugin.release()
+    assert running == [True]  # and once for each teaching
+    assert make_plugin(model=path).labels == ("ball", "box")
+
+
+def test_a_teaching_that_cannot_be_saved_says_so_and_is_tried_again(
+    make_plugin: Callable[..., Any], taught: Any, tmp_path: Path
+) -> None:
+    where = tmp_path / "folder"
+    where.write_text("a file where a folder should be")
+    path = where / "model.npz"
+    plugin = make_plugin(model=taught.result.model, save=path)
+    job = plugin.start(TeachGoal(label="ball", grasps=1))
+    with pytest.raises(JobFailed, match="ball is taught and in use, but not saved: cannot ") as bad:
+        plugin.result(job, LIMIT_S)
+    assert (bad.value.fault_number, plugin.state()) == (502, "IDLE")
+    plugin.result(plugin.start(GripGoal(force_n=3.0)), LIMIT_S)
+    where.unlink()
+    where.mkdir()
+    plugin.result(plugin.start(VerifyGoal()), LIMIT_S)
+    assert not path.exists()  # a part is held: nothing but its watch counts
+    plugin.release()
+    assert make_plugin(model=path).labels == ("ball", "box")
+
+
+@pytest.mark.parametrize("mended", [True, False])
+def test_what_was_taught_is_written_at_the_end_or_the_end_says_why(
+    make_plugin: Callable[..., Any], taught: Any, tmp_path: Path, mended: bool
+) -> None:
+    path = tmp_path / "folder" / "model.npz"
+    plugin = make_plugin(model=taught.result.model, save=path)
+    with pytest.raises(JobFailed, match="the folder"):
+        plugin.result(plugin.start(TeachGoal(label="ball", grasps=1)), LIMIT_S)
+    if mended:
+        path.parent.mkdir()
+        plugin.close()
+        assert path.exists()
+    else:
+        with pytest.raises(DatasetError, match=r"the folder .* does not exist"):
+            plugin.close()
+    plugin.close()
+
+
+def test_a_teaching_that_was_stopped_adds_its_grasps(
+    make_plugin: Callable[..., Any], taught: Any, tmp_path: Path
+) -> None:
+    path, file = tmp_path / "new.npz", tmp_path / "new.grasps.npz"
+    plugin = make_plugin(model=taught.result.model, save=path)
+    plugin.result(plugin.start(TeachGoal(label="ball", grasps=1)), LIMIT_S)
+    before = path.read_bytes()
+    job = plugin.start(TeachGoal(label="box", grasps=50))
+    until(lambda: plugin.feedback(job).progress.get("grasps", 0))
+    plugin.cancel(job)
+    with pytest.raises(JobFailed, match="CANCELED"):
+        plugin.result(job, LIMIT_S)
+    plugin.close()
+    assert path.read_bytes() != before
+    # Killed between the two files: the grasps are there, the model is that of before.
+    grasps = read_dataset(file)
+    assert len(grasps) >= 12
+    write_dataset(file, [*grasps, grasps[0]])
+    again = make_plugin(model=path)
+    assert again.result(again.start(TeachGoal(label="box", grasps=1)), LIMIT_S) == 1
+    write_dataset(file, [grasps[-1], *grasps])
+    with pytest.raises(ModelError, match="is not the one that trained"):
+        make_plugin(model=path)
 
 
 # -- grasps that find no part --------------------------------------------------------------------

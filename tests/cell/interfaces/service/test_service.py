@@ -1,7 +1,6 @@
 """The service: one lease commands, anyone holds, nothing is done twice, nothing resumes."""
 
 import math
-import shutil
 import socket
 import threading
 from itertools import pairwise
@@ -11,14 +10,11 @@ from typing import Any
 import pytest
 
 from cell.control.states import Command
-from cell.data.dataset import read_dataset, write_dataset
 from cell.data.recording_reader import read_recording
 from cell.errors import (
     CellStateError,
     ConfigError,
-    DatasetError,
     HeldByClient,
-    ModelError,
     NotInCommand,
     RequestRefused,
 )
@@ -26,7 +22,6 @@ from cell.interfaces.plugin import worker
 from cell.interfaces.service import service as service_module
 from cell.interfaces.service.doors import is_for_this_machine, may_connect
 from cell.interfaces.service.service import RELEASE_KEY
-from cell.learning.taught_model import TaughtModel
 from tactile.errors import FrameTimeout
 from tests.cell.interfaces.conftest import LEASE_S, until
 
@@ -399,107 +394,6 @@ def test_labels_have_ids_that_the_config_fixes(serve: Any) -> None:
     assert service.labels == ("cube", "box", "ball")
     assert [service.label_id(label) for label in ("cube", "ball", "UNKNOWN")] == [1, 3, 0]
     assert service.info()["labels"] == ["cube", "box", "ball"]
-
-
-def test_each_teaching_is_saved_before_its_job_succeeds(
-    serve: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    path, outcomes, save = tmp_path / "new.npz", [], TaughtModel.save
-    served = serve(cell={"model": None, "save": path})
-
-    def look(model: TaughtModel, *arguments: Any, **options: Any) -> None:
-        save(model, *arguments, **options)
-        outcomes.append(served.service.job().outcome)
-
-    monkeypatch.setattr(TaughtModel, "save", look)
-    lease = served.service.acquire("first")
-    teach = {"task": "teach", "grasps": 3}
-    for number, goal in enumerate(
-        (teach | {"label": "ball"}, teach | {"label": "box"}, IDENTIFY), start=1
-    ):
-        served.service.start(lease, goal)
-        served.ended(number)
-    assert outcomes == ["EXECUTING", "EXECUTING"]  # and once for each teaching
-    again = serve(cell={"model": path}).service
-    assert again.labels == ("ball", "box")
-
-
-def test_a_teaching_that_cannot_be_saved_says_so_and_is_tried_again(
-    serve: Any, tmp_path: Path
-) -> None:
-    where = tmp_path / "folder"
-    where.write_text("a file where a folder should be")
-    path = where / "model.npz"
-    served = serve(cell={"model": None, "save": path})
-    service, lease = served.service, served.service.acquire("first")
-    service.start(lease, {"task": "teach", "label": "ball", "grasps": 3})
-    job = served.ended()
-    assert (job.outcome, job.fault_number, served.state) == ("ABORTED", 502, "IDLE")
-    assert job.error.startswith("DatasetError: ball is taught and in use, but not saved: cannot ")
-    service.start(lease, KEEP)
-    assert served.ended(2).label in ("ball", "UNKNOWN")
-    where.unlink()
-    where.mkdir()
-    service.start(lease, {"task": "verify"})
-    served.ended(3)
-    assert not path.exists()  # a part is held: nothing but its watch counts
-    service.command(lease, Command.RELEASE, key=RELEASE_KEY)
-    served.ended(4)
-    until(path.exists)
-    assert serve(cell={"model": path}).service.labels == ("ball",)
-
-
-def test_what_was_taught_is_written_at_the_end_or_the_end_says_why(
-    serve: Any, tmp_path: Path
-) -> None:
-    where = tmp_path / "folder"
-    for mended in (True, False):
-        path = where / f"{mended}.npz"
-        served = serve(cell={"model": None, "save": path})
-        goal = {"task": "teach", "label": "ball", "grasps": 3}
-        served.service.start(served.service.acquire("first"), goal)
-        assert "the folder" in served.ended().error
-        if mended:
-            where.mkdir()
-            served.service.close()
-            assert serve(cell={"model": path}).service.labels == ("ball",)
-            shutil.rmtree(where)
-        else:
-            with pytest.raises(DatasetError, match=r"the folder .* does not exist"):
-                served.service.close()
-            served.service.close()
-
-
-def test_a_teaching_that_was_stopped_adds_its_grasps(serve: Any, tmp_path: Path) -> None:
-    path = tmp_path / "new.npz"
-    served = serve(cell={"model": None, "save": path})
-    service, lease = served.service, served.service.acquire("first")
-    teach = {"task": "teach", "label": "ball", "grasps": 3}
-    service.start(lease, teach)
-    served.ended()
-    before = path.read_bytes()
-    service.start(lease, teach | {"label": "box", "grasps": 50})
-    until(lambda: service.job().progress.get("grasps", 0) >= 2)
-    service.hold()
-    assert served.ended().outcome == "CANCELED"
-    if served.state == "HELD":
-        service.command(lease, Command.RELEASE, key=RELEASE_KEY)
-        served.ended(3)
-    service.close()
-    assert path.read_bytes() != before
-    # Killed between the two files: the grasps are there, the model is that of before.
-    file = tmp_path / "new.grasps.npz"
-    grasps = read_dataset(file)
-    assert "box" in {grasp.label for grasp in grasps}
-    write_dataset(file, [*grasps, grasps[0]])
-    again = serve(cell={"model": path})
-    assert again.service.labels == ("ball",)
-    again.service.start(again.service.acquire("first"), teach | {"label": "box"})
-    assert again.ended().error == ""
-    assert set(again.service.labels) == {"ball", "box"}
-    write_dataset(file, [grasps[-1], *grasps])
-    with pytest.raises(ModelError, match="is not the one that trained"):
-        serve(cell={"model": path})
 
 
 def test_each_command_is_remarked_with_its_client(serve: Any) -> None:
