@@ -16,11 +16,12 @@ from ipaddress import ip_address
 from pathlib import Path
 from tempfile import NamedTemporaryFile
 from typing import Annotated, Any, Literal
+from urllib.parse import quote
 
 import uvicorn
 from fastapi import APIRouter, Depends, FastAPI, HTTPException, Query, Request, WebSocket
 from fastapi.exceptions import RequestValidationError
-from fastapi.responses import JSONResponse
+from fastapi.responses import JSONResponse, Response
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
 from pydantic import BaseModel, ConfigDict, Field
 from starlette.exceptions import HTTPException as StarletteHTTPException
@@ -49,6 +50,7 @@ from cell.interfaces.service.doors import (
     read_secret,
     same_secret,
 )
+from cell.interfaces.service.photos import LONGEST_PHOTO
 from cell.interfaces.service.replay import UPLOAD_BYTES, Replay
 from cell.interfaces.service.service import Service
 from cell.interfaces.service.state import plain, state_values
@@ -56,7 +58,7 @@ from gripper.errors import GripperError
 from tactile.errors import TactileError
 
 LONGEST = 65536
-"""Largest request in bytes."""
+"""Largest request in bytes, without a photo."""
 _SUBPROTOCOL = "tactile-cell"
 """Subprotocol of the WebSocket."""
 _STATUS = {
@@ -113,7 +115,9 @@ class StartBody(LeaseBody):
 class CommandBody(LeaseBody):
     """A command; ``release`` needs its key, 20304; ``reboot`` restarts servos at fault."""
 
-    command: Literal[Command.RELEASE, Command.CLEAR, Command.RESET, Command.SHUTDOWN]
+    command: Literal[
+        Command.RELEASE, Command.CLEAR, Command.RESET, Command.SHUTDOWN, "forget_drift"
+    ]
     key: int = 0
     reboot: bool = False
 
@@ -142,6 +146,13 @@ class PoseBody(_Body):
     seq: int
     ok: bool
     pose: PoseFields | None = None
+
+
+def taught_values(one: dict[str, Any]) -> dict[str, Any]:
+    """Return a taught object with the address of its photo, null for none."""
+    address = f"/api/taught/{quote(one['label'], safe='')}/photo"
+    found: dict[str, Any] = plain(one | {"photo": address if one["photo"] else None})
+    return found
 
 
 class StateMoment:
@@ -193,6 +204,11 @@ class Api:
             ("/grasps/{number}", "GET", self.grasp),
             ("/jobs", "GET", self.jobs),
             ("/jobs/{number}", "GET", self.job),
+            ("/taught", "GET", self.taught),
+            ("/taught/{label:path}/photo", "GET", self.photo),
+            ("/taught/{label:path}/photo", "PUT", self.put_photo),
+            ("/taught/{label:path}/last", "DELETE", self.take_back),
+            ("/taught/{label:path}", "DELETE", self.forget),
             ("/lease", "POST", self.acquire),
             ("/lease/{lease}/alive", "POST", self.alive),
             ("/lease/{lease}", "DELETE", self.give_up),
@@ -217,8 +233,8 @@ class Api:
             raise HTTPException(401, "wrong token")
 
     def info(self) -> dict[str, Any]:
-        """Name, mode, version, pads, limits, forces, taught labels by id, places, time-out."""
-        return self._service.info()
+        """Name, mode, version, pads, limits, forces, taught objects, labels by id, places."""
+        return self._service.info() | {"objects": self.taught()}
 
     def state(self) -> dict[str, Any]:
         """States, newest job, last answer, live values (null: not measured), pose waited for.
@@ -253,6 +269,33 @@ class Api:
             raise HTTPException(404, str(error)) from error
         return found
 
+    def taught(self) -> list[dict[str, Any]]:
+        """List the taught objects: grasps at hand, shape and size in mm, address of the photo."""
+        return [taught_values(one) for one in self._service.taught()]
+
+    def forget(self, label: str, lease: int) -> dict[str, int]:
+        """Start to forget a taught object; it is forgotten when the job has succeeded."""
+        return {"job": self._service.forget(lease, label)}
+
+    def take_back(self, label: str, lease: int) -> dict[str, int]:
+        """Start to take the newest grasp of a taught object back."""
+        return {"job": self._service.forget(lease, label, last=True)}
+
+    def photo(self, label: str) -> Response:
+        """Return the photo of a taught object."""
+        found = self._service.photos.get(label)
+        if found is None:
+            raise HTTPException(404, f"{label!r:.80} has no photo")
+        photo, kind = found
+        headers = {"X-Content-Type-Options": "nosniff", "Cache-Control": "no-store"}
+        return Response(photo, media_type=kind, headers=headers)
+
+    async def put_photo(self, label: str, lease: int, request: Request) -> dict[str, Any]:
+        """Keep a photo of a taught object, JPEG or PNG of at most 512 kB, as the body."""
+        photo = await request.body()
+        await asyncio.to_thread(self._service.put_photo, lease, label, photo)
+        return {}
+
     def acquire(self, body: AcquireBody, request: Request) -> dict[str, int]:
         """Acquire the lease to command with."""
         if body.take and not _is_here(request):
@@ -274,7 +317,12 @@ class Api:
         return {"job": self._service.start(body.lease, body.goal, number=body.job)}
 
     def command(self, body: CommandBody) -> dict[str, int]:
-        """Start to release the part (it may fall), to clear, to reset or to shut down."""
+        """Start to release the part (it may fall), to clear, to reset or to shut down.
+
+        ``forget_drift`` follows the drift of the sensors anew, as after work on them.
+        """
+        if body.command == "forget_drift":
+            return {"job": self._service.forget_drift(body.lease, number=body.job)}
         number = self._service.command(
             body.lease, body.command, key=body.key, reboot=body.reboot, number=body.job
         )
@@ -442,7 +490,9 @@ class Gate:
         return 0, ""
 
     def _longest(self, scope: Scope, client: str) -> int:
-        """Return the most bytes of a body: more for a recording from this machine to a replay."""
+        """Return the most bytes of a body: more for a photo, and for a recording to a replay."""
+        if scope.get("method") == "PUT" and scope["path"].endswith("/photo"):
+            return LONGEST_PHOTO
         sends = (scope.get("method"), scope["path"]) == ("PUT", "/api/replay")
         taken = sends and self._service.replay is not None and ip_address(client).is_loopback
         return UPLOAD_BYTES if taken else LONGEST

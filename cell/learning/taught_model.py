@@ -5,6 +5,7 @@ The main job, the identification at the command line and the plugin all work wit
 
 import hashlib
 import threading
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -28,13 +29,17 @@ from cell.learning.model import Arrays, LoadedModel, check_pads, load_model, sav
 from cell.learning.next_grasp import ActiveChooser
 from cell.learning.pad_knowledge import PadKnowledge
 from cell.learning.shapes import shape_reader
+from cell.learning.teaching_summary import ToldApart, told_apart
 from cell.learning.training import load_early, load_pose_memory, train, with_caution
 from recognition.drift.drift import NO_DRIFT
 from recognition.drift.estimate import DriftEstimate
+from recognition.errors import RecognitionError
 from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer
+from recognition.recognizers import make_trainer
 from recognition.recognizers.early_classifiers import EarlyClassifiers
 from recognition.recognizers.force_ramp.recognizer import ForceRamp
+from recognition.shape.answer import ShapeAnswer
 from recognition.statistics.next_grasp import PoseMemory
 
 TRAINING_SECTION = "training_set"
@@ -62,6 +67,8 @@ class TaughtModel:
     ----------
     tracker
         The recogniser and its followed drift; None where nothing was taught yet.
+    revision
+        Changes of what is taught so far.
 
     Raises
     ------
@@ -86,6 +93,7 @@ class TaughtModel:
         self._early: EarlyClassifiers | None = None
         self._memory: PoseMemory | None = None
         self.tracker: DriftTracker | None = None
+        self.revision = 0
         self._pads = pad_array(layout_from_config(config.tactile))
         if model is not None:
             check_pads(model, self._pads)
@@ -96,6 +104,7 @@ class TaughtModel:
             self.tracker = self._tracker_of(model.recognizer)
             _check_training_set(model, self._training_set)
         self._read_shape = shape_reader(config, known)
+        self._looks: dict[str, tuple[Grasp, ShapeAnswer | None]] = {}
         self._lock = threading.Lock()
 
     @classmethod
@@ -232,6 +241,75 @@ class TaughtModel:
             self._early, self._memory = trained.early, trained.memory
             self._sections = trained.sections
             self.tracker = tracker
+            self.revision += 1
+
+    def forget(self, label: str, *, last: bool = False) -> None:
+        """Forget an object and train anew without it; with ``last`` its newest grasp alone.
+
+        Raises
+        ------
+        CellStateError
+            If it was not taught, or its grasps are not at hand.
+        CellError
+            If the grasps that are left do not suffice; nothing is forgotten then.
+        """
+        self.check_extendable()
+        with self._lock:
+            before = list(self._training_set)
+        taught = [index for index, grasp in enumerate(before) if grasp.label == label]
+        if not taught:
+            raise CellStateError(f"{label!r} is not taught; {', '.join(self.labels) or 'nothing'}")
+        gone = set(taught[-1:] if last else taught)
+        kept = [grasp for index, grasp in enumerate(before) if index not in gone]
+        self._use(kept)
+        if not kept:
+            self.tracker = self._early = self._memory = None
+            self.revision += 1
+            return
+        try:
+            self.train()
+        except CellError as error:
+            self._use(before)
+            raise CellError(
+                f"{label!r} stays as it is taught, because too little would be left: "
+                f"{error.__cause__ or error}; teach more first, or forget the whole object"
+            ) from error
+
+    def _use(self, grasps: list[Grasp]) -> None:
+        with self._lock:
+            self._training_set = grasps
+            self._training_file = None
+
+    def told_apart(self, label: str) -> ToldApart:
+        """Return how well a taught object is told from the others; takes two small trainings."""
+        wanted = self._config.recognition
+        trainer = make_trainer(wanted.recognizer, use_aperture=wanted.use_aperture)
+        return told_apart(list(self._training_set), label, trainer)
+
+    def objects(self) -> dict[str, tuple[int, ShapeAnswer | None]]:
+        """Return the taught objects with their number of grasps, and the shape by the newest one.
+
+        A grasp that is not at hand counts for none. The shape of a grasp is read once.
+        """
+        with self._lock:
+            grasps = list(self._training_set)
+        newest = {grasp.label: grasp for grasp in grasps}
+        counts = Counter(grasp.label for grasp in grasps)
+        found: dict[str, tuple[int, ShapeAnswer | None]] = {}
+        for label in dict.fromkeys((*self.labels, *newest)):
+            grasp = newest.get(label)
+            seen = self._looks.get(label)
+            if grasp is not None and (seen is None or seen[0] is not grasp):
+                seen = self._looks[label] = (grasp, self.read_shape(grasp))
+            found[label] = (counts[label], None if grasp is None or seen is None else seen[1])
+        return found
+
+    def read_shape(self, grasp: Grasp) -> ShapeAnswer | None:
+        """Return shape and size by one grasp; None where it does not show them."""
+        try:
+            return None if self._read_shape is None else self._read_shape(grasp)
+        except (RecognitionError, ValueError):
+            return None
 
     # -- answering -----------------------------------------------------------------------------
 

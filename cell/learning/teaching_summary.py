@@ -6,11 +6,17 @@ from typing import Any
 
 import numpy as np
 
+from cell.learning.blas import one_blas_thread
 from cell.learning.virtual_grasps import SOURCE
 from recognition.grasp import Grasp, by_label, series_of
+from recognition.recognizer import Posterior, Trainer
+from recognition.statistics.calibration import blocked_folds
 
 _ENOUGH_GRASPS = 10
 """Grasps of an object from which names are sure enough within a series."""
+_FOLDS = 2
+"""Parts of the grasps that are left out in turn: as few as there can be, for each costs a training.
+"""
 _ENOUGH_OBJECTS = 4
 """Objects from which leaving some of them out shows how a new one differs."""
 
@@ -95,6 +101,56 @@ class TeachingSummary:
             "opening_sd_mm": self.opening_sd_mm,
             "notes": list(self.notes),
         }
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ToldApart:
+    """How well a taught object is told from the others, by grasps that were left out in turn."""
+
+    nearest: str | None
+    """The object that its grasps look most like beside itself; None where it is the only one."""
+    mistaken_share: float | None
+    """Share of its grasps that look more like another object; None where it is the only one, or
+    there are too few grasps to leave some out."""
+
+
+@one_blas_thread()
+def told_apart(grasps: Sequence[Grasp], label: str, trainer: Trainer) -> ToldApart:
+    """Return how well an object is told from all others, by two trainings with half of the grasps.
+
+    Parameters
+    ----------
+    grasps
+        All taught grasps, those of an object in the order of time.
+    label
+        The object.
+    trainer
+        The kind of recogniser.
+    """
+    names = sorted({grasp.label for grasp in grasps})
+    if len(names) < 2:
+        return ToldApart(nearest=None, mistaken_share=None)
+    folds = blocked_folds(np.array([names.index(grasp.label) for grasp in grasps]), _FOLDS)
+    found: list[Posterior] = []
+    for held_out in folds:
+        taught = [grasp for grasp, out in zip(grasps, held_out, strict=True) if not out]
+        tested = [g for g, out in zip(grasps, held_out, strict=True) if out and g.label == label]
+        try:
+            recognizer = trainer.fit(taught)
+        except ValueError:  # too few grasps are left
+            return ToldApart(nearest=None, mistaken_share=None)
+        found += [recognizer.posterior(grasp) for grasp in tested]
+    others = [name for name in found[0].labels if name != label] if found else []
+    if not others:
+        return ToldApart(nearest=None, mistaken_share=None)
+
+    def likeness(name: str) -> float:
+        return sum(float(one.probability[one.labels.index(name)]) for one in found)
+
+    return ToldApart(
+        nearest=max(others, key=likeness),
+        mistaken_share=sum(one.best != label for one in found) / len(found),
+    )
 
 
 def summarise_teaching(grasps: Sequence[Grasp]) -> TeachingSummary:

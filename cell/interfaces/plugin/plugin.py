@@ -22,7 +22,7 @@ from cell.config.file import load_config
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.control.states import CellState, CellStatus, Command, answer
-from cell.errors import CellError, ConfigError, PartInGrip, error_text
+from cell.errors import CellError, CellStateError, ConfigError, PartInGrip, error_text
 from cell.interfaces.plugin.answer import (
     Answer,
     FeltShape,
@@ -284,6 +284,26 @@ class TactileCellPlugin:
         with self._calling():
             return
 
+    @property
+    def taught_revision(self) -> int:
+        """Changes of what is taught so far."""
+        return self._model.revision
+
+    def taught(self) -> list[dict[str, Any]]:
+        """Return the taught objects as plain data: grasps at hand, shape and size in mm by one.
+
+        The first call after a model was loaded takes some tenths of a second for each object.
+        """
+        return [
+            {
+                "label": label,
+                "n_grasps": n_grasps,
+                "shape": None if shape is None else shape.kind,
+                "size_mm": None if shape is None else 1e3 * shape.size_m,
+            }
+            for label, (n_grasps, shape) in self._model.objects().items()
+        ]
+
     # -- jobs ----------------------------------------------------------------------------------
 
     def start(self, goal: Goal | Mapping[str, Any]) -> Job:
@@ -364,6 +384,35 @@ class TactileCellPlugin:
         if command is Command.RELEASE and state in (CellState.RESETTING, CellState.STOPPED):
             return Command.RELEASE_HELD
         return command
+
+    def forget(
+        self, label: str, *, last: bool = False, forgotten: Callable[[], None] = lambda: None
+    ) -> Job:
+        """Start to forget a taught object and return the handle of the job at once.
+
+        Parameters
+        ----------
+        label
+            The object.
+        last
+            Whether its newest grasp alone is taken back.
+        forgotten
+            Called, in the thread of the cell, once nothing of the object is left.
+
+        Raises
+        ------
+        CellStateError
+            If it is not taught, its grasps are not at hand, or the cell is not IDLE.
+        """
+        self._model.check_extendable()
+        if label not in self._model.labels:
+            raise CellStateError(f"{label!r:.80} is not taught")
+        model, file, tasks = self._model, self._file, self._tasks
+
+        def work(_report: Report) -> None:
+            tasks.forget(model, file, label, last=last, forgotten=forgotten)
+
+        return self._accept(work, Command.GRASP, "forget")
 
     def feedback(self, job: Job) -> JobStatus:
         """Return state and progress of a job; never waits.
@@ -513,8 +562,12 @@ class TactileCellPlugin:
 
     def forget_drift(self, timeout_s: float = 5.0) -> None:
         """Forget the followed drift, as after work on the sensors, and follow anew."""
-        forget = self._accept(lambda _report: self._model.forget_drift(), None, "forget_drift")
-        self._finish(forget, timeout_s)
+        self._finish(self.begin_forget_drift(), timeout_s)
+
+    def begin_forget_drift(self) -> Job:
+        """Start `forget_drift` as a job and return its handle at once."""
+        model = self._model
+        return self._accept(lambda _report: model.forget_drift(), None, "forget_drift")
 
     def close(self, timeout_s: float = 30.0) -> None:
         """Stop what runs and disconnect; a held part stays held. A second call does nothing.

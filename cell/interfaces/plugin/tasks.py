@@ -1,5 +1,8 @@
 """Tasks of a host's jobs: teach, identify, grip, verify and sort, with progress as plain data."""
 
+from collections import deque
+from collections.abc import Callable
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +21,10 @@ from cell.learning.collection import Collection
 from cell.learning.taught_model import TaughtModel
 from recognition.recognizer import UNKNOWN, Posterior
 
-__all__ = ["ModelFile", "SortPlaces", "grip", "identify", "sort", "teach", "verify"]
+__all__ = ["ModelFile", "SortPlaces", "forget", "grip", "identify", "sort", "teach", "verify"]
+
+_SHOWN_GRASPS = 100
+"""Newest grasps of a teaching that its progress lists."""
 
 
 class ModelFile:
@@ -45,8 +51,11 @@ class ModelFile:
         ModelError, DatasetError
             If a file cannot be written; it is due still.
         """
-        if self._path is not None and self.due and self._model.labels:
-            self._model.save(self._path)
+        if self._path is not None and self.due:
+            if self._model.labels:
+                self._model.save(self._path)
+            else:  # all was forgotten: the next start shall not find it
+                self._path.unlink(missing_ok=True)
         self.due = False
 
 
@@ -68,22 +77,24 @@ def teach(
     ModelError, DatasetError
         If the model cannot be written; what was taught is in use all the same.
     """
+    each: deque[dict[str, Any]] = deque(maxlen=_SHOWN_GRASPS)
 
     def progress(now: Collection) -> None:
-        report(
-            {
-                "task": "teach",
-                "label": now.label,
-                "grasps": len(now.records),
-                "missed": now.n_missed,
-                "of": now.n_planned,
-            }
-        )
+        if len(now.records) > shown["grasps"]:
+            each.append(_felt(now.records[-1], model))
+        shown.update(grasps=len(now.records), missed=now.n_missed, each=list(each))
+        report(dict(shown))
 
+    shown: dict[str, Any] = {"task": "teach", "label": goal.label, "grasps": 0, "missed": 0}
+    shown |= {"of": goal.grasps, "each": []}
     collection = Collection(label=goal.label, n_planned=goal.grasps)
     file.due = True
     model.collect(controller, collection, seed=goal.seed, on_grasp=progress)
     model.train()
+    apart = model.told_apart(goal.label)
+    n_grasps = model.objects()[goal.label][0]
+    taught = {"label": goal.label, "n_grasps": n_grasps} | asdict(apart)
+    report(shown | {"taught": taught})
     try:
         file.write()
     except CellError as error:
@@ -92,6 +103,33 @@ def teach(
             "the next job and at the end"
         ) from error
     return len(collection.records)
+
+
+def _felt(record: GraspRecord, model: TaughtModel) -> dict[str, Any]:
+    """Return force, opening and size of one taught grasp as plain data."""
+    shape = model.read_shape(record.grasp)
+    return {
+        "force_n": record.outcome.final_force_n,
+        "opening_mm": 1e3 * record.outcome.final_aperture_m,
+        "size_mm": None if shape is None else 1e3 * shape.size_m,
+    }
+
+
+def forget(
+    model: TaughtModel, file: ModelFile, label: str, *, last: bool, forgotten: Callable[[], None]
+) -> None:
+    """Forget a taught object, or its newest grasp with ``last``, and write the model.
+
+    Raises
+    ------
+    CellError
+        As `TaughtModel.forget`, and where the model cannot be written; it is tried again.
+    """
+    model.forget(label, last=last)
+    if label not in model.objects():
+        forgotten()
+    file.due = True
+    file.write()
 
 
 def identify(

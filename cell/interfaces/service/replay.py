@@ -7,7 +7,7 @@ to a service what `TactileCellPlugin` is for a cell.
 import threading
 import time
 from bisect import bisect_right
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from pathlib import Path
 from typing import Any, NoReturn
@@ -376,6 +376,24 @@ class Replay:
     def begin(self, command: Any, *, reboot: bool = False, needless: bool = False) -> Job:
         """Refuse a command. Raises RequestRefused."""
         self.check(command.value)
+
+    @property
+    def taught_revision(self) -> int:
+        """A number that stays as it is."""
+        return 0
+
+    def taught(self) -> list[dict[str, Any]]:
+        """Return the objects that could be named, without what was taught of them."""
+        unknown = {"n_grasps": 0, "shape": None, "size_mm": None}
+        return [{"label": label} | unknown for label in self.labels]
+
+    def forget(self, label: str, *, last: bool, forgotten: Callable[[], None]) -> Job:
+        """Refuse to forget an object. Raises RequestRefused."""
+        self.check(f"forget {label}")
+
+    def begin_forget_drift(self) -> Job:
+        """Refuse to forget the drift. Raises RequestRefused."""
+        self.check("forget_drift")
 
     def feedback(self, job: Job) -> JobStatus:
         """Refuse to show a job: there is none. Raises RequestRefused."""

@@ -35,6 +35,7 @@ from cell.interfaces.plugin.goals import (
 )
 from cell.interfaces.plugin.part_report import OnPart
 from cell.interfaces.plugin.worker import KEPT_JOBS, Job, JobOutcome, JobStatus
+from cell.interfaces.service.photos import Photos
 from cell.interfaces.service.pose_handshake import PoseHandshake
 from cell.interfaces.service.replay import Replay
 from cell.interfaces.service.shift import Shift
@@ -90,6 +91,9 @@ class JobView:
     held: bool | None = None
     same: bool | None = None
     """Answer of a verification."""
+    taught: Mapping[str, Any] | None = None
+    """Answer of a teaching: label, its grasps at hand, the nearest other object, and the share of
+    grasps that look more like another one."""
     progress: Mapping[str, Any] = field(default_factory=dict)
     """Last report of the job."""
 
@@ -120,6 +124,11 @@ class _Plugin(Protocol):
     def labels(self) -> tuple[str, ...]: ...
     @property
     def recording_path(self) -> Path | None: ...
+    @property
+    def taught_revision(self) -> int: ...
+    def taught(self) -> list[dict[str, Any]]: ...
+    def forget(self, label: str, *, last: bool, forgotten: Callable[[], None]) -> Job: ...
+    def begin_forget_drift(self) -> Job: ...
     def watch_parts(self, on_part: OnPart) -> None: ...
     def health(self) -> dict[str, Any]: ...
     def newtons(self, counts: NDArray[np.uint16]) -> NDArray[np.float32] | None: ...
@@ -163,6 +172,8 @@ class Service:
         Its config.
     poses
         Mover of a cell with a positioner of kind ``callback``; other cells move by themselves.
+    photos_beside
+        Model file beside which the photos of taught objects stand; None keeps them in memory.
     note
         Gets messages for the operator.
     clock
@@ -174,8 +185,8 @@ class Service:
         Of the cell.
     replay
         The replay that stands for the cell; None for a cell.
-    shift
-        The ledger of the parts.
+    shift, photos
+        The ledger of the parts; the photos of taught objects.
     boot
         Number of this start, 1 to 65535: seconds of its time, so that it differs after each start.
     """
@@ -186,6 +197,7 @@ class Service:
         config: CellConfig,
         *,
         poses: PoseHandshake | None = None,
+        photos_beside: Path | None = None,
         note: Callable[[str], None] = lambda _text: None,
         clock: Clock = time,
     ) -> None:
@@ -194,6 +206,7 @@ class Service:
         self.replay = plugin if isinstance(plugin, Replay) else None
         self.shift = Shift() if self.replay is None else self.replay.shift
         plugin.watch_parts(self.shift.add)
+        self.photos = Photos(photos_beside)
         self._plugin = plugin
         self._poses = PoseHandshake() if poses is None else poses
         self._clock = clock
@@ -432,6 +445,61 @@ class Service:
         given = {"reboot": True} if reboot else {}
         return self._begin(lease, command.value, given, number, begin)
 
+    def forget_drift(self, lease: int, *, number: int = 0) -> int:
+        """Start to follow the drift of the sensors anew and return the number of the job.
+
+        Raises as `start`.
+        """
+        return self._begin(lease, "forget_drift", {}, number, self._plugin.begin_forget_drift)
+
+    # -- taught objects ------------------------------------------------------------------------
+
+    @property
+    def taught_revision(self) -> int:
+        """A number that changes with the taught objects and their photos."""
+        return self._plugin.taught_revision + self.photos.revision
+
+    def taught(self) -> list[dict[str, Any]]:
+        """Return the taught objects as `TactileCellPlugin.taught`, with id and whether a photo."""
+        return [
+            one
+            | {
+                "label_id": self.label_id(one["label"]),
+                "photo": self.photos.get(one["label"]) is not None,
+            }
+            for one in self._plugin.taught()
+        ]
+
+    def forget(self, lease: int, label: str, *, last: bool = False) -> int:
+        """Start to forget a taught object, or its newest grasp; return the number of the job.
+
+        Raises as `start`.
+        """
+        return self._begin(
+            lease,
+            "forget",
+            {"label": label, "last": last},
+            0,
+            lambda: self._plugin.forget(
+                label, last=last, forgotten=lambda: self.photos.remove(label)
+            ),
+        )
+
+    def put_photo(self, lease: int, label: str, photo: bytes) -> None:
+        """Keep a photo of a taught object.
+
+        Raises
+        ------
+        NotInCommand
+            As `alive`.
+        RequestRefused, OSError
+            If it is not taught, or as `Photos.put`.
+        """
+        self.alive(lease)
+        if label not in self._plugin.labels:
+            raise RequestRefused(f"{label!r:.80} is not taught")
+        self.photos.put(label, photo)
+
     def hold(self, reason: str = "on request") -> None:
         """Stop what runs and keep the grip; anyone may."""
         with self._lock:
@@ -612,6 +680,7 @@ class Service:
             error=status.error,
             label=str(status.progress.get("best", "")),
             n_grasps=int(status.progress.get("grasps", 0)),
+            taught=status.progress.get("taught"),
             progress=status.progress,
         )
         answer = status.value

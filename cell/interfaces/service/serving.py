@@ -43,7 +43,9 @@ def open_service(
     As `TactileCellPlugin`.
     """
     plugin, poses = open_plugin(config, **cell)
-    return Service(plugin, config, poses=poses, note=note, clock=clock)
+    beside = cell.get("save") or cell.get("model")
+    photos_beside = None if beside is None else Path(beside)
+    return Service(plugin, config, poses=poses, photos_beside=photos_beside, note=note, clock=clock)
 
 
 def open_plugin(config: CellConfig, **cell: Any) -> tuple[TactileCellPlugin, PoseHandshake]:

@@ -33,6 +33,7 @@ def state_values(service: Service) -> dict[str, Any]:
                 for task, error in service.allowed().items()
             },
             "fault": _fault(service, now.status),
+            "taught_revision": service.taught_revision,
             "health": service.health(),
             "shift": service.shift.values(n_faults=now.status.n_faults),
             "replay": None if service.replay is None else service.replay.values(),

@@ -4,6 +4,7 @@ A job is over as it is started, unless the test has paused it: that one runs unt
 go on or fail, or a client holds it.
 """
 
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
@@ -43,7 +44,7 @@ class StubPlugin:
 
     def __init__(self) -> None:
         self.labels = ("ball", "box")
-        self.asked: list[Goal | tuple[Command, bool]] = []
+        self.asked: list[Goal | tuple[str, bool]] = []
         """What was accepted: goals, and commands with their ``reboot``."""
         self.remarks: list[tuple[str, str]] = []
         self._jobs: dict[Job, JobStatus] = {}
@@ -88,6 +89,25 @@ class StubPlugin:
 
     def watch_parts(self, on_part: OnPart) -> None:
         self.on_part = on_part
+
+    @property
+    def taught_revision(self) -> int:
+        return 0
+
+    def taught(self) -> list[dict[str, Any]]:
+        return [
+            {"label": label, "n_grasps": 5, "shape": "sphere", "size_mm": 9.5}
+            for label in self.labels
+        ]
+
+    def forget(self, label: str, *, last: bool, forgotten: Callable[[], None]) -> Job:
+        if not last:
+            self.labels = tuple(one for one in self.labels if one != label)
+            forgotten()
+        return self._accept(("forget", last), Command.GRASP, CellState.EXECUTE, self._end)
+
+    def begin_forget_drift(self) -> Job:
+        return self._accept(("forget_drift", False), None, self._cell, (self._cell, False, None))
 
     def health(self) -> dict[str, Any]:
         return {"servos": {"level": "ok"}}
@@ -152,7 +172,7 @@ class StubPlugin:
 
     def _accept(
         self,
-        asked: Goal | tuple[Command, bool],
+        asked: Goal | tuple[str, bool],
         needed: Command | None,
         acting: CellState,
         end: tuple[CellState, bool, Any],

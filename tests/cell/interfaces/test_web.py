@@ -49,6 +49,15 @@ class Client:
         link.close()
         return answer.status, json.loads(found) if found else None
 
+    def send(self, method: str, path: str, body: bytes | None = None) -> tuple[int, Any, str]:
+        """Return status, answer and its type; a JSON answer as what it is."""
+        link = HTTPConnection("127.0.0.1", self.port, timeout=20.0)
+        link.request(method, path, body, {"Authorization": f"Bearer {self.token}"})
+        answer = link.getresponse()
+        found, kind = answer.read(), answer.getheader("Content-Type", "")
+        link.close()
+        return answer.status, json.loads(found) if "json" in kind else found, kind
+
     def get(self, path: str) -> Any:
         status, found = self.ask("GET", path)
         assert status == 200, found
@@ -323,15 +332,42 @@ def check_newtons(served: Served, host: Client) -> None:
     assert force_n[:64].min() == 0.0
 
 
+def test_taught_objects_are_listed_shown_and_forgotten(connect: Any) -> None:
+    served, host = connect()
+    photo = b"\xff\xd8\xff\xe0" + bytes(200_000)
+    lease = host.post("/api/lease", name="host")["lease"]
+    assert [one["label"] for one in host.get("/api/taught")] == ["ball", "box"]
+    before = host.get("/api/state")["taught_revision"]
+    at = "/api/taught/ball/photo"
+    check_refusal(*host.ask("GET", at), status=404)
+    check_refusal(*host.send("PUT", f"{at}?lease={lease + 1}", photo)[:2], status=403)
+    check_refusal(*host.send("PUT", f"{at}?lease={lease}", b"GIF89a")[:2], status=422)
+    check_refusal(*host.send("PUT", f"{at}?lease={lease}", photo * 3)[:2], status=413)
+    check_refusal(*host.send("PUT", f"/api/taught/cup/photo?lease={lease}", photo)[:2], status=422)
+    assert host.send("PUT", f"{at}?lease={lease}", photo)[0] == 200
+    assert host.get("/api/state")["taught_revision"] == before + 1
+    first = host.get("/api/info")["objects"][0]
+    assert (first["photo"], first["label_id"], first["n_grasps"]) == (at, 1, 5)
+    status, found, kind = host.send("GET", at)
+    assert (status, found, kind) == (200, photo, "image/jpeg")
+    assert host.ask("DELETE", f"/api/taught/ball/last?lease={lease}") == (200, {"job": 1})
+    assert served.plugin.asked[-1] == ("forget", True)
+    check_refusal(*host.ask("DELETE", "/api/taught/ball"), status=422)
+    assert host.ask("DELETE", f"/api/taught/ball?lease={lease}") == (200, {"job": 2})
+    assert [one["label"] for one in host.get("/api/taught")] == ["box"]
+    check_refusal(*host.ask("GET", at), status=404)
+    assert host.post("/api/commands", lease=lease, command="forget_drift") == {"job": 3}
+
+
 def test_all_but_hold_needs_the_token(connect: Any) -> None:
     served, host = connect()
     paths = host.ask("GET", "/openapi.json", token=None)[1]["paths"]
     guarded = [(path, method) for path, ways in paths.items() for method in ways]
-    assert len(guarded) == 13
+    assert len(guarded) == 18
     for path, method in guarded:
         if path == "/api/hold":
             continue
-        place = path.format(lease=1, number=1)
+        place = path.format(lease=1, number=1, label="ball")
         for token in (None, "wrong"):
             assert host.ask(method.upper(), place, {}, token=token)[0] == 401, path
     served.plugin.pause()
@@ -390,7 +426,7 @@ def test_a_page_whose_name_leads_here_is_refused_everywhere(connect: Any) -> Non
     everything = [(way.upper(), path) for path, found in ways.items() for way in found]
     rebound = {"Host": f"evil.example:{host.port}", "Origin": f"http://evil.example:{host.port}"}
     for way, path in (*everything, ("GET", "/openapi.json"), ("GET", "/nothing")):
-        place = path.format(lease=1, number=1)
+        place = path.format(lease=1, number=1, label="ball")
         assert host.ask(way, place, {}, **rebound)[0] == 403, path
         assert host.ask(way, place, {}, Host="evil.example")[0] == 403, path
     assert host.ask("POST", "/api/hold", {}, Host="cell.lan:80")[0] == 200

@@ -129,7 +129,9 @@ def serve(
         plugin, poses = open_plugin(
             checked, model=model, training_set=training_set, save=save, folder=folder
         )
-        service = Service(plugin, checked, poses=poses, note=print_note)
+        service = Service(
+            plugin, checked, poses=poses, photos_beside=save or model, note=print_note
+        )
         with announced_doors(service):
             if untaught and model is None:
                 _teach_first(service, plugin, own, over)

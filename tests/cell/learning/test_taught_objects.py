@@ -1,0 +1,90 @@
+"""What a taught model shows of its objects, and how one is forgotten."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cell.errors import CellError, CellStateError
+from cell.interfaces.plugin.tasks import ModelFile, forget
+from cell.learning.taught_model import TaughtModel
+from cell.learning.teaching_summary import ToldApart, told_apart
+from recognition.grasp import Grasp
+from recognition.recognizer import Posterior
+
+
+@pytest.fixture
+def model(taught: Any) -> TaughtModel:
+    """Ball and box, five grasps each."""
+    return TaughtModel.load(taught.config, taught.result.model)
+
+
+def test_objects_have_their_grasps_and_the_size_of_the_newest(model: TaughtModel) -> None:
+    objects = model.objects()
+    assert {label: n for label, (n, _) in objects.items()} == {"ball": 5, "box": 5}
+    shape = objects["ball"][1]
+    assert shape is not None
+    assert 1e3 * shape.size_m == pytest.approx(9.5, abs=1.0)
+    assert model.objects()["ball"][1] is shape  # read once
+
+
+def test_the_newest_grasp_is_taken_back_and_an_object_forgotten(
+    model: TaughtModel, tmp_path: Any
+) -> None:
+    path = tmp_path / "parts.model.npz"
+    file, gone = ModelFile(model, path), []
+    revision = model.revision
+    forget(model, file, "box", last=True, forgotten=lambda: gone.append("box"))
+    assert (model.objects()["box"][0], model.labels, gone) == (4, ("ball", "box"), [])
+    forget(model, file, "box", last=False, forgotten=lambda: gone.append("box"))
+    assert (model.labels, gone, model.revision) == (("ball",), ["box"], revision + 2)
+    assert TaughtModel.load(model._config, path).labels == ("ball",)
+    with pytest.raises(CellStateError, match="'box' is not taught; ball"):
+        model.forget("box")
+    forget(model, file, "ball", last=False, forgotten=lambda: None)
+    assert model.labels == ()
+    assert not path.exists()  # the next start shall not find it
+
+
+def test_what_leaves_too_few_grasps_changes_nothing(model: TaughtModel) -> None:
+    for _ in range(2):
+        model.forget("box", last=True)
+    with pytest.raises(CellError, match="'box' stays as it is taught"):
+        model.forget("box", last=True)
+    assert model.objects()["box"][0] == 3
+    assert model.labels == ("ball", "box")
+
+
+@dataclass
+class Nearsighted:
+    """A recogniser that takes every second grasp of a pin for a bolt."""
+
+    labels: tuple[str, ...]
+
+    def fit(self, grasps: Sequence[Grasp]) -> "Nearsighted":
+        return Nearsighted(tuple(sorted({grasp.label for grasp in grasps})))
+
+    def posterior(self, grasp: Grasp) -> Posterior:
+        wrong = grasp.label == "pin" and grasp.start_ms % 2
+        likely = "bolt" if wrong else grasp.label
+        weights = np.array([10.0 if one == likely else 1.0 for one in self.labels])
+        if "bolt" in self.labels:
+            weights[self.labels.index("bolt")] += 0.5
+        return Posterior(labels=self.labels, probability=weights / weights.sum(), unknown=0.0)
+
+
+def test_the_nearest_object_is_that_which_grasps_look_like(
+    make_grasp: Callable[..., Grasp],
+) -> None:
+    grasps = [
+        make_grasp(label, start_ms=number)
+        for label in ("nut", "pin", "bolt")
+        for number in range(1, 9)
+    ]
+    trainer: Any = Nearsighted(())
+    assert told_apart(grasps, "pin", trainer) == ToldApart(nearest="bolt", mistaken_share=0.5)
+    assert told_apart(grasps, "nut", trainer) == ToldApart(nearest="bolt", mistaken_share=0.0)
+    alone = [grasp for grasp in grasps if grasp.label == "pin"]
+    assert told_apart(alone, "pin", trainer) == ToldApart(nearest=None, mistaken_share=None)
