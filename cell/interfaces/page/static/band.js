@@ -92,6 +92,7 @@ export function renderBand({ link, info, state }) {
     if (heldBy.length && level === "calm") [level, sign] = ["watch", "hold"];
     document.title = `${word} – ${info?.name ?? "tactile-cell"}`;
   }
+  setText(byId("told"), byId("state").textContent); // read out when it changes, and only then
   if (link.stale) document.title = `${t("state.away")} – ${info?.name ?? "tactile-cell"}`;
   if (band.dataset.level !== level) band.dataset.level = level;
   if (byId("sign").getAttribute("d") !== SIGNS[sign]) byId("sign").setAttribute("d", SIGNS[sign]);

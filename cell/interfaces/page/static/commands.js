@@ -58,12 +58,13 @@ export function setupCommands(view) {
     view.changed();
   };
   view.attempt = attempt;
-  view.start = (goal) => attempt(() => link.start(goal), t("said.started"));
+  view.start = (goal) => attempt(() => link.start(goal));
   view.send = (command, more = {}) => attempt(() => link.command("api/commands", {
     command, ...(command === "release" ? { key: RELEASE_KEY } : {}), ...more,
-  }), t("said.started"));
+  }));
 
   const hold = byId("hold");
+  hold.disabled = false;
   const doHold = () => {
     hold.classList.add("sent");
     attempt(() => link.hold(), t("said.held")).finally(() => setTimeout(() => hold.classList.remove("sent"), 600));

@@ -71,7 +71,7 @@ function drawPad(context, pad, values, { x, y, k, full_n, marks }) {
   context.fillStyle = colour("pad");
   context.fillRect(x, y, k * width, k * height);
   forces.forEach((force, i) => {
-    context.fillStyle = shadeOf(force > TOUCH_N ? 0.12 + 0.88 * (force / full_n) : 0);
+    context.fillStyle = shadeOf(force / full_n);
     context.fillRect(x + k * xy[i][0] + gap / 2, y + k * xy[i][1] + gap / 2, k * dx - gap, k * dy - gap);
   });
   if (!marks || sum < PAD_TOUCHED_N) return sum;
@@ -268,6 +268,7 @@ export function drawChart(canvas, series, { begin_s, end_s, levels_n = [], cap_n
     context.stroke();
     context.setLineDash([]);
     const right_edge = toX(at) > width - right - 70;
+    if (toX(at) < left + 110) continue; // there the axis has its name
     label(t("felt.contact"), toX(at) + (right_edge ? -5 : 5), openTop - 10, right_edge ? "right" : "left");
   }
   context.lineJoin = "round";

@@ -2,6 +2,8 @@
 
 const STALE_S = 1; // an older state is not shown as if it were live
 const RENEW_S = 2.5; // after so long without a message the connection is made anew
+const LATE_S = 10; // the same, with messages that all come late
+const MEASURE_S = 2; // least time between two looks at the clocks
 const TRY_S = 3; // a command whose answer was lost is repeated for so long
 const ANSWER_MS = 1500; // longest wait for one answer
 
@@ -32,6 +34,7 @@ export class Link {
     this.offset_s = Infinity;
     this.lag_s = 0;
     this.lateSince_s = 0;
+    this.measured_s = 0;
     this.socket = null;
     this.begun_s = 0;
     this.delay_ms = 250;
@@ -98,13 +101,26 @@ export class Link {
     this.state = state;
     this.heard_s = now;
     if (state.time_s !== undefined) {
-      // Clocks differ; the quickest message of this connection shows by how much.
+      // Clocks differ: by no more than with the quickest message of this connection.
       this.offset_s = Math.min(this.offset_s, now - state.time_s);
       this.lag_s = now - state.time_s - this.offset_s;
+      if (this.lag_s > STALE_S / 2 || this.measured_s < this.begun_s) this.measure();
     }
     this.lateSince_s = this.lag_s > STALE_S ? this.lateSince_s || now : 0;
     this.keepLease();
     this.on.state(state);
+  }
+
+  // The difference of the clocks, from the middle of a request: a line that is slow all the time
+  // shows, and so does a clock that was set.
+  async measure() {
+    const begin_s = now_s();
+    if (begin_s - this.measured_s < MEASURE_S) return;
+    this.measured_s = begin_s;
+    try {
+      const { time_s } = await this.call("GET", "api/state", { timeout_ms: 8000 });
+      this.offset_s = (begin_s + now_s()) / 2 - time_s;
+    } catch { /* the next message asks again */ }
   }
 
   drop() {
@@ -122,7 +138,7 @@ export class Link {
     const now = now_s();
     this.keepLease();
     const silent = this.socket && now - Math.max(this.heard_s, this.begun_s) > RENEW_S;
-    if (silent || (this.lateSince_s && now - this.lateSince_s > RENEW_S)) this.renew();
+    if (silent || (this.lateSince_s && now - this.lateSince_s > LATE_S)) this.renew();
   }
 
   async askWhy() {

@@ -60,7 +60,9 @@ def open_page(browser: Any, cell: FakeCell) -> Iterator[Callable[..., Any]]:
             page.goto(url or cell.url)
             if command:
                 page.click("#command")
-                page.wait_for_function("document.querySelector('#commander').textContent !== ''")
+                page.get_by_text("This page is in command").or_(
+                    page.get_by_text("Diese Seite hat das Kommando")
+                ).wait_for()
             return page
 
         yield make

@@ -94,6 +94,7 @@ class FakeCell:
         self.lease = 0
         self.alive_s = math.inf
         self.sends = True
+        self.n_messages = 0
         self.refusals: dict[str, tuple[int, int, str]] = {}
         app = FastAPI()
         app.add_api_websocket_route("/api/live", self._live)
@@ -288,6 +289,7 @@ class FakeCell:
             while True:
                 if self.sends:
                     await link.send_json(self.now())
+                    self.n_messages += 1
                     force_n = self.state["live"]["force_n"]
                     if force_n is not None:
                         await link.send_bytes(frame_n(force_n).astype("<f4").tobytes())
@@ -316,6 +318,8 @@ class FakeCell:
         match way, part:
             case "GET", ["info"]:
                 return self.info
+            case "GET", ["state"]:
+                return self.now()
             case "GET", ["taught"]:
                 return self.taught
             case "GET", ["taught", label, "photo"]:

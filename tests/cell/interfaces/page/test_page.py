@@ -1,35 +1,62 @@
 """The page in a browser, on a server with any state."""
 
+import base64
 import re
 from collections.abc import Callable
 from typing import Any
 
+import pytest
+
 from tests.cell.interfaces.conftest import until
-from tests.cell.interfaces.page.fake_cell import FakeCell
+from tests.cell.interfaces.page.fake_cell import NOT_NOW, FakeCell
 
 EVIL = '<img src=x onerror="window.evil=1">'
-LAST = 'document.querySelector("%s").textContent'
+PIXEL = base64.b64decode(
+    "iVBORw0KGgoAAAANSUhEUgAAAAEAAAABCAYAAAAfFcSJAAAADUlEQVR42mNk+M9QDwADhgGAWjR9awAAAABJRU5ErkJggg=="
+)
+"""A picture of one pixel."""
+STATES = ("idle", "working", "named", "unknown", "faulted", "teaching", "sorting")
 
-
-def text(page: Any, selector: str) -> str:
-    return str(page.text_content(selector)).strip()
+OpenPage = Callable[..., Any]
 
 
 def becomes(page: Any, selector: str, wanted: str) -> None:
-    """Wait until an element shows a text; a regular expression."""
+    """Wait until an element shows a text, a regular expression."""
     from playwright.sync_api import expect
 
     expect(page.locator(selector)).to_have_text(re.compile(wanted), timeout=10_000)
 
 
-def test_the_page_shows_the_state_and_commands_once(
-    open_page: Callable[..., Any], cell: FakeCell
-) -> None:
-    cell.state = cell.idle()
+def show(page: Any, cell: FakeCell, name: str, **changes: Any) -> dict[str, Any]:
+    """Have the server show a state, and wait until the page does."""
+    state = cell.named("UNKNOWN", 0.93) if name == "unknown" else getattr(cell, name)()
+    commander = cell.state["commander"]
+    cell.state = state | {"commander": commander} | changes
+    cell.state["job"]["number"] += len(cell.asked) + 1
+    before = cell.n_messages
+    until(lambda: cell.n_messages > before + 1)
+    page.evaluate("new Promise(go => requestAnimationFrame(() => requestAnimationFrame(go)))")
+    return cell.state
+
+
+def fits(page: Any) -> bool:
+    """Whether nothing stands out of the window at the side."""
+    return bool(page.evaluate("document.documentElement.scrollWidth <= innerWidth"))
+
+
+def press(page: Any, selector: str, seconds: float) -> None:
+    """Press a button for so long; the time is that of a person."""
+    page.hover(selector)
+    page.mouse.down()
+    page.wait_for_timeout(1e3 * seconds)
+    page.mouse.up()
+
+
+def test_the_page_shows_the_state_and_commands_once(open_page: OpenPage, cell: FakeCell) -> None:
     page = open_page()
     becomes(page, "#state", "Ready")
     becomes(page, "#held_name", "^nut$")
-    assert "#token" not in page.url
+    assert "token" not in page.url
     becomes(page, "#do_identify", "take command first")
     page.click("#do_identify", force=True)
     assert not cell.sent("POST", "jobs")
@@ -44,7 +71,277 @@ def test_the_page_shows_the_state_and_commands_once(
     ]
     page.keyboard.press("Escape")
     until(lambda: cell.sent("POST", "hold"))
-    height, width = page.evaluate(
-        "[document.documentElement.scrollHeight, document.documentElement.scrollWidth]"
+    page.click("#hold")
+    until(lambda: len(cell.sent("POST", "hold")) == 2)
+    until(lambda: cell.sent("POST", "lease/1/alive"))
+
+
+def test_a_name_is_text_wherever_it_stands(open_page: OpenPage, cell: FakeCell) -> None:
+    state = cell.named(EVIL)
+    answers = [
+        answer | {"label": EVIL, "place": EVIL, "runner_up": {"label": EVIL, "probability": 0.1}}
+        for answer in state["shift"]["answers"]
+    ]
+    state["shift"] |= {"answers": answers, "counts": {EVIL: 3}}
+    state["job"] |= {"task": EVIL, "progress": {"best": EVIL, "of": 3, "label": EVIL}}
+    state |= {"held_by": [EVIL], "commander": EVIL}
+    cell.info |= {"name": EVIL, "places": [EVIL, "rejects"]}
+    cell.taught = [{"label": EVIL, "n_grasps": 3, "shape": EVIL, "size_mm": 3.0, "photo": None}]
+    cell.state = state
+    page = open_page()
+    becomes(page, "#held_name", re.escape(EVIL))
+    page.click("#strip button >> nth=-1")
+    becomes(page, "#grasp_title", re.escape(EVIL))
+    page.click("#grasp_close")
+    for tab in ("teach", "sort"):
+        page.click(f"#tab_{tab}")
+    becomes(page, "#taught b", re.escape(EVIL))
+    cell.state = cell.faulted() | {"commander": EVIL}
+    cell.state["fault"] |= {"number": 999, "text": EVIL, "remedy": EVIL, "steps": [EVIL, "mend"]}
+    becomes(page, "#fault_title", re.escape(EVIL))
+    assert page.evaluate("[window.evil, document.querySelectorAll('[src=x]').length]") == [None, 0]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("wide", [True, False], ids=["wide", "narrow"])
+def test_all_states_fit_and_have_no_finding_of_axe(
+    open_page: OpenPage, cell: FakeCell, scheme: str, wide: bool
+) -> None:
+    axe = pytest.importorskip("axe_playwright_python.sync_playwright").Axe()
+    page = open_page(wide=wide, color_scheme=scheme, command=True)
+
+    def check(name: str) -> None:
+        found = axe.run(page).response["violations"]
+        assert not found, (name, [(one["id"], one["nodes"][0]["html"]) for one in found])
+        assert fits(page), name
+        if wide:
+            assert page.evaluate("document.documentElement.scrollHeight <= innerHeight"), name
+
+    for name in STATES:
+        show(page, cell, name)
+        check(name)
+        if name == "idle":
+            page.click("#strip button >> nth=-1")
+            check("grasp")
+            page.click("#grasp_close")
+            page.click("#tab_teach")
+            check("teach")
+            page.click("#taught button >> nth=1")
+            check("forget")
+            page.click("#sure_no")
+    cell.sends = False
+    becomes(page, "#state", "Not connected")
+    check("away")
+
+
+@pytest.mark.long
+def test_german_words_numbers_and_faults(open_page: OpenPage, cell: FakeCell) -> None:
+    page = open_page(locale="de-DE", command=True)
+    becomes(page, "#state", "Bereit")
+    show(page, cell, "named")
+    becomes(page, "#held_size", "eine Platte von 6,4 mm")
+    becomes(page, "#held_sure", "97\\s%")
+    show(page, cell, "faulted")
+    becomes(page, "#fault_title", "Das gehaltene Teil rutscht")
+    becomes(page, "#fault_grip", "Gehalten")
+    assert page.get_attribute("html", "lang") == "de"
+    for name in STATES:
+        show(page, cell, name)
+        assert fits(page)
+        assert page.evaluate("document.documentElement.scrollHeight <= innerHeight"), name
+
+
+@pytest.mark.long
+def test_an_unknown_part_is_an_answer(open_page: OpenPage, cell: FakeCell) -> None:
+    page = open_page()
+    becomes(page, "#state", "Ready")
+    show(page, cell, "unknown")
+    becomes(page, "#held_name", "Unknown")
+    becomes(page, "#held_sure", "Never taught; feels like a cylinder of 6.0 mm")
+    assert page.locator("#strip .unknown").count() == 2
+    assert page.locator("#held_shape .part").count() == 1
+
+
+@pytest.mark.long
+def test_it_is_taught_with_a_photograph(open_page: OpenPage, cell: FakeCell) -> None:
+    page = open_page(command=True)
+    page.click("#tab_teach")
+    page.fill("#teach_name", "washer")
+    page.fill("#teach_grasps", "10")
+    page.set_input_files(
+        "#teach_file", {"name": "washer.png", "mimeType": "image/png", "buffer": PIXEL}
     )
-    assert (height, width) == (900, 1400)
+    page.wait_for_selector("#teach_photo", state="visible")
+    page.click("#teach_start")
+    until(lambda: cell.sent("POST", "jobs"))
+    goal = cell.sent("POST", "jobs")[0]["goal"]
+    assert goal == {"task": "teach", "label": "washer", "grasps": 10}
+    show(page, cell, "teaching")
+    becomes(page, "#teach_progress", "washer: 6 of 10 grasps – 1 missed")
+    assert page.locator("#teach_each li").count() == 6
+    becomes(page, "#do_teach, #teach_start", "a job runs")
+
+    nearest = {"label": "washer", "n_grasps": 10, "nearest": "nut", "mistaken_share": 0.12}
+    cell.taught.append(
+        {"label": "washer", "n_grasps": 10, "shape": "flat", "size_mm": 2.0, "photo": None}
+    )
+    ended = {"outcome": "SUCCEEDED", "taught": nearest}
+    cell.state = cell.teaching(10) | {"commander": cell.state["commander"]} | {
+        "job": cell.state["job"] | ended, "status": cell.idle()["status"],
+    }  # fmt: skip
+    becomes(page, "#teach_end", "Near to nut: 12% would be mistaken")
+    until(lambda: cell.photos.get("washer", b"").startswith(b"\xff\xd8"))
+    page.wait_for_selector("#taught img")
+
+    page.click("[aria-label='Take the last grasp of washer back']")
+    page.click("#sure_yes")
+    becomes(page, "#taught li:last-child small", "9 grasps")
+    page.click("[aria-label='Forget washer']")
+    page.click("#sure_yes")
+    becomes(page, "#taught li:last-child b", "pin")
+    taken = [path for way, path, _ in cell.asked if way == "DELETE"]
+    assert taken == ["taught/washer/last", "taught/washer"]
+
+
+@pytest.mark.long
+def test_a_sort_shows_places_and_the_part_on_its_way(open_page: OpenPage, cell: FakeCell) -> None:
+    page = open_page(command=True)
+    page.click("#do_sort")
+    page.fill("#sort_parts", "40")
+    page.click("#sort_start")
+    until(lambda: cell.sent("POST", "jobs"))
+    assert cell.sent("POST", "jobs")[0]["goal"] == {"task": "sort", "parts": 40}
+    show(page, cell, "sorting")
+    becomes(page, "#sort_progress", "13 of 40 parts")
+    becomes(page, "#sort_way", "nut was brought to tray A")
+    assert page.locator("#sort_places b").all_text_contents() == ["7", "4", "1", "1"]
+    becomes(page, "#sort_places .reject span", "rejects")
+
+
+@pytest.mark.long
+def test_what_is_not_allowed_is_grey_with_its_reason(open_page: OpenPage, cell: FakeCell) -> None:
+    page = open_page(command=True)
+    for name, selector, reason in (
+        ("working", "#do_grip", "a job runs"),
+        ("named", "#do_identify", "a part is held"),
+        ("named", "#do_verify", "still the same part"),
+    ):
+        show(page, cell, name)
+        becomes(page, selector, reason)
+    cell.state["held_by"] = ["HTTP 10.0.0.7 gate"]
+    cell.state["allowed"] = {"verify": {"number": 515, "text": "", "remedy": ""}, "grip": NOT_NOW}
+    becomes(page, "#do_verify", "on hold by HTTP 10.0.0.7 gate")
+    becomes(page, "#doing", "Kept on hold by HTTP 10.0.0.7 gate")
+    becomes(page, "#do_sort", "not in this mode")
+    for selector in ("#do_verify", "#do_sort"):
+        page.click(selector, force=True)
+    assert not cell.sent("POST", "jobs")
+
+
+@pytest.mark.long
+def test_health_is_one_line_until_something_is_not_well(
+    open_page: OpenPage, cell: FakeCell
+) -> None:
+    page = open_page()
+    becomes(page, "#health", "All is well")
+    assert page.locator("#health").bounding_box()["height"] < 45
+    cell.state["health"]["servos"] |= {"level": "watch", "temperature_c": [64.0, 41.0]}
+    becomes(page, "#health span >> nth=0", "Look – Servos: 64 °C")
+    del cell.state["health"]
+    becomes(page, "#health", "No figures")
+
+
+@pytest.mark.long
+def test_a_server_without_the_newer_fields_is_borne(open_page: OpenPage, cell: FakeCell) -> None:
+    for state in (cell.working(), cell.named(), cell.faulted()):
+        for name in ("shift", "fault", "health", "allowed", "taught_revision"):
+            state.pop(name, None)
+        state["status"].pop("since_s")
+        state["job"].pop("since_s")
+        state["live"] = dict.fromkeys(state["live"])
+        cell.state = state
+        cell.now = lambda state=state: state  # type: ignore[method-assign,misc]
+        for name in ("pads", "levels_n", "places", "mode"):
+            cell.info.pop(name, None)
+        page = open_page()
+        becomes(page, "#state", "Working|Part held|Fault")
+        becomes(page, "#felt_force", "–")
+
+
+@pytest.mark.long
+def test_a_recording_is_replayed(open_page: OpenPage, cell: FakeCell) -> None:
+    cell.info |= {"mode": "replay"}
+    cell.state |= {"replay": {"paused": False, "speed": 1.0, "grasp": 3, "of": 12, "t_s": 1.4}}
+    page = open_page()
+    becomes(page, "#replay_at", "grasp 3 of 12, 1.4 s")
+    page.click("#replay_pause")
+    page.select_option("#replay_speed", "5")
+    page.evaluate(
+        "() => { const slider = document.querySelector('#replay_grasp');"
+        " slider.value = 7; slider.dispatchEvent(new Event('change')); }"
+    )
+    until(lambda: len(cell.sent("POST", "replay")) == 3)
+    assert cell.sent("POST", "replay") == [{"pause": True}, {"speed": 5}, {"grasp": 7}]
+    page.set_input_files(
+        "#replay_file",
+        {"name": "a.mcap", "mimeType": "application/octet-stream", "buffer": b"\x89MCAP0"},
+    )
+    until(lambda: cell.sent("PUT", "replay") == [b"\x89MCAP0"])
+    assert not page.is_visible("#hold")
+    assert not page.is_visible("#do_identify")
+
+
+@pytest.mark.long
+def test_the_keyboard_alone_is_enough(open_page: OpenPage, cell: FakeCell) -> None:
+    page = open_page()
+    becomes(page, "#state", "Ready")
+    focused = "document.activeElement.id || document.activeElement.textContent"
+
+    def tab_to(wanted: str) -> None:
+        for _ in range(80):
+            page.keyboard.press("Tab")
+            if page.evaluate(focused) == wanted:
+                return
+        raise AssertionError(f"Tab does not reach {wanted}")
+
+    tab_to("command")
+    page.keyboard.press("Enter")
+    becomes(page, "#commander", "This page")
+    tab_to("do_identify")
+    page.keyboard.press("Space")
+    until(lambda: cell.sent("POST", "jobs"))
+    show(page, cell, "named")
+    tab_to("do_release")
+    page.keyboard.press("Enter")
+    assert not cell.sent("POST", "commands")
+    page.keyboard.down("Space")
+    until(lambda: page.wait_for_timeout(100) or cell.sent("POST", "commands"))
+    page.keyboard.up("Space")
+    command = cell.sent("POST", "commands")[0]
+    assert (command["command"], command["key"]) == ("release", 20304)
+    tab_to("tab_held")
+    page.keyboard.press("ArrowRight")
+    assert page.is_visible("#teach_name")
+    tab_to("teach_name")
+    page.keyboard.type("washer")
+    page.keyboard.press("Escape")
+    until(lambda: cell.sent("POST", "hold"))
+
+
+@pytest.mark.long
+def test_a_wrong_token_is_asked_for_again(open_page: OpenPage, cell: FakeCell) -> None:
+    page = open_page(f"http://127.0.0.1:{cell.port}/#token=wrong")
+    becomes(page, "#login_wrong", "refused")
+    page.fill("#login_token", cell.url.partition("token=")[2])
+    page.keyboard.press("Enter")
+    becomes(page, "#state", "Ready")
+    assert not page.is_visible("#login")
+
+
+@pytest.mark.real_time
+def test_the_first_paint_is_quick(open_page: OpenPage) -> None:
+    page = open_page()
+    becomes(page, "#state", "Ready")
+    paint = "performance.getEntriesByName('first-contentful-paint')[0].startTime"
+    assert page.evaluate(paint) < 300

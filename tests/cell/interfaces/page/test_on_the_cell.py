@@ -1,0 +1,228 @@
+"""The page on the real door: on a stub of the cell, and once on the simulated cell."""
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+from cell.control.states import Command
+from gripper.errors import PartSlipped
+from tests.cell.interfaces.conftest import Served, until
+from tests.cell.interfaces.page.line import Line
+from tests.cell.interfaces.page.test_page import OpenPage, becomes, press
+
+pytestmark = pytest.mark.long
+
+SHORT_LEASE_S = 2.0
+
+
+@pytest.fixture
+def line() -> Iterator[Callable[[int], Line]]:
+    """Return the maker of lines to a port."""
+    made: list[Line] = []
+
+    def make(port: int) -> Line:
+        made.append(Line(port))
+        return made[-1]
+
+    yield make
+    for one in made:
+        one.close()
+
+
+def address(served: Served, port: int = 0) -> str:
+    return f"http://127.0.0.1:{port or served.doors['http_port']}/#token={served.doors['token']}"
+
+
+def test_a_part_is_named_kept_verified_and_let_go(serve: Any, open_page: OpenPage) -> None:
+    served = serve("http")
+    page = open_page(address(served), command=True)
+    page.select_option("#keep", "when_named")
+    page.click("#do_identify")
+    becomes(page, "#state", "Part held")
+    becomes(page, "#held_name", "ball")
+    becomes(page, "#do_identify", "a part is held")
+    page.click("#do_verify")
+    becomes(page, "#held_check", "Still the same part")
+    press(page, "#do_release", 0.3)
+    assert served.grip_n > 0.0
+    press(page, "#do_release", 1.3)
+    becomes(page, "#state", "Ready")
+    assert served.grip_n == 0.0
+    tasks = [one.task if hasattr(one, "task") else one[0] for one in served.plugin.asked]
+    assert tasks == ["identify", "verify", Command.RELEASE]
+
+
+def test_anybody_holds_from_a_second_page(serve: Any, open_page: OpenPage) -> None:
+    served = serve("http")
+    first = open_page(address(served), command=True)
+    second = open_page(address(served))
+    served.plugin.pause()
+    first.click("#do_grip")
+    becomes(second, "#state", "Working")
+    becomes(second, "#commander", "In command: page-")
+    becomes(second, "#do_verify", "take command first")
+    second.keyboard.press("Escape")
+    for page in (first, second):
+        becomes(page, "#state", "On hold")
+    assert served.grip_n > 0.0
+    assert len(served.plugin.asked) == 1
+
+
+def test_the_way_out_of_a_fault_step_by_step(serve: Any, open_page: OpenPage) -> None:
+    served = serve("http")
+    page = open_page(address(served), command=True)
+    served.plugin.pause()
+    page.click("#do_grip")
+    becomes(page, "#state", "Working")
+    served.plugin.fail(PartSlipped("the centre of force moved 3.1 mm, limit 2.0 mm"))
+    becomes(page, "#fault_title", "The held part slips")
+    becomes(page, "#fault_number", "Fault 206")
+    assert page.locator("#fault_steps li").evaluate_all(
+        "steps => steps.map(step => step.dataset.step)"
+    ) == ["look", "clear", "support_part", "release", "reset"]
+    assert not page.is_visible("#do_identify")
+    becomes(page, "[data-step=release] button", "after the fault is cleared")
+    becomes(page, ".next p", "Acknowledge the fault")
+    page.click("[data-step=clear] button")
+    becomes(page, "#state", "Reset needed")
+    becomes(page, ".next p", "Let the part go")
+    assert served.grip_n > 0.0
+    press(page, "[data-step=release] button", 0.3)
+    assert served.grip_n > 0.0
+    press(page, "[data-step=release] button", 1.3)
+    until(lambda: served.grip_n == 0.0)
+    page.click("[data-step=reset] button")
+    becomes(page, "#state", "Ready")
+    assert not page.is_visible("#fault")
+    assert page.is_visible("#do_identify")
+
+
+def test_a_lost_lease_is_told_and_taken_anew(serve: Any, open_page: OpenPage) -> None:
+    served = serve("http", serve__lease_timeout_s=SHORT_LEASE_S)
+    page = open_page(address(served), command=True)
+    served.plugin.pause()
+    page.click("#do_grip")
+    becomes(page, "#state", "Working")
+    served.pass_lease()
+    becomes(page, "#state", "On hold")
+    becomes(page, "#said", "no longer in command")
+    becomes(page, "#commander", "Nobody")
+    becomes(page, "#do_release", "take command first")
+    page.click("#command")
+    becomes(page, "#do_release", "the part may fall")
+
+
+def test_command_is_taken_over_and_given_up(serve: Any, open_page: OpenPage) -> None:
+    served = serve("http")
+    served.service.acquire("PLC")
+    page = open_page(address(served))
+    becomes(page, "#commander", "In command: PLC")
+    page.click("#command")
+    becomes(page, "#commander", "This page")
+    page.reload()
+    becomes(page, "#commander", "This page")
+    page.click("#command")
+    becomes(page, "#commander", "Nobody")
+
+
+def test_a_cut_line_is_red_at_once_and_returns_by_itself(
+    serve: Any, open_page: OpenPage, line: Callable[[int], Line]
+) -> None:
+    served = serve("http")
+    wire = line(served.doors["http_port"])
+    page = open_page(address(served, wire.port), command=True)
+    becomes(page, "#state", "Ready")
+    wire.cut()
+    becomes(page, "#state", "Not connected")
+    assert page.get_attribute("#band", "data-level") == "bad"
+    assert page.text_content("#felt_force") == "–"
+    becomes(page, "#do_identify", "not connected")
+    page.evaluate("window.same = true")
+    served.plugin.pause()
+    served.service.start(served.service._lease.number, {"task": "grip", "force_n": 3.0})
+    wire.mend()
+    becomes(page, "#state", "Working")
+    becomes(page, "#commander", "This page")
+    assert page.evaluate("window.same")
+    assert len(served.plugin.asked) == 1
+
+
+def test_a_command_whose_answer_is_lost_is_done_once(
+    serve: Any, open_page: OpenPage, line: Callable[[int], Line]
+) -> None:
+    served = serve("http")
+    wire = line(served.doors["http_port"])
+    page = open_page(address(served, wire.port), command=True)
+    wire.mute = True
+    page.click("#do_grip")
+    until(lambda: served.plugin.asked)
+    becomes(page, "#state", "Not connected")
+    wire.mute = False
+    becomes(page, "#state", "Part held")
+    becomes(page, "#do_verify", "still the same part")
+    assert len(served.plugin.asked) == 1
+    assert page.text_content("#said") == ""
+
+
+def test_a_slow_line_is_not_shown_as_live(
+    serve: Any, open_page: OpenPage, line: Callable[[int], Line]
+) -> None:
+    served = serve("http")
+    wire = line(served.doors["http_port"])
+    page = open_page(address(served, wire.port))
+    becomes(page, "#state", "Ready")
+    wire.delay_s = 1.5
+    becomes(page, "#state", "Not connected")
+    page.evaluate("window.came = 0")
+    # It stays so while messages come, each too late.
+    for _ in range(20):
+        page.wait_for_timeout(100)
+        assert page.text_content("#state") == "Not connected"
+    wire.delay_s = 0.0
+    becomes(page, "#state", "Ready")
+
+
+def test_a_page_that_slept_shows_now(
+    serve: Any, open_page: OpenPage, line: Callable[[int], Line]
+) -> None:
+    served = serve("http")
+    wire = line(served.doors["http_port"])
+    page = open_page("about:blank")
+    page.clock.install()
+    page.goto(address(served, wire.port))
+    becomes(page, "#state", "Ready")
+    wire.cut()
+    page.clock.fast_forward(3_600_000)
+    becomes(page, "#state", "Not connected")
+    served.plugin.pause()
+    lease = served.service.acquire("PLC")
+    served.service.start(lease, {"task": "grip", "force_n": 3.0})
+    wire.mend()
+    becomes(page, "#state", "Working")
+    becomes(page, "#commander", "In command: PLC")
+
+
+def test_a_part_of_the_simulated_cell_is_taught_named_and_let_go(
+    serve: Any, open_page: OpenPage
+) -> None:
+    served = serve("http", cell={})
+    page = open_page(address(served), command=True)
+    becomes(page, "#state", "Ready")
+    page.select_option("#keep", "always")
+    page.click("#do_identify")
+    becomes(page, "#state", "Part held")
+    becomes(page, "#held_name", "ball|box")
+    assert served.grip_n > 1.0
+    page.click("#strip button >> nth=-1")
+    page.wait_for_selector("#grasp_pads", state="visible")
+    page.click("#grasp_close")
+    press(page, "#do_release", 1.3)
+    becomes(page, "#state", "Ready")
+    assert served.grip_n == 0.0
+    page.click("#tab_teach")
+    page.fill("#teach_name", "box")
+    page.fill("#teach_grasps", "2")
+    page.click("#teach_start")
+    becomes(page, "#teach_progress", "box: 2 of 2 grasps")
+    becomes(page, "#state", "Ready")
