@@ -27,14 +27,15 @@ export function reasonOf({ link, state, taught }, command, any = false) {
   }
   const refusal = allowed[command];
   if (!refusal) return command in allowed ? "" : t("why.not_offered");
-  if (refusal.number === 505) {
-    if (status.state === "IDLE" && !runs(state.job)) return taught.length ? refusal.text : t("why.not_taught");
-    return runs(state.job) && status.state === "IDLE" ? t("why.state.EXECUTE") : ofState(status.state);
-  }
   if (refusal.number === 515) return t("why.held_by", { names: heldBy.join(", ") });
-  return faultText(refusal, "text");
+  if (runs(state.job)) return t("why.state.EXECUTE");
+  if (has(`why.only.${command}`) && !WITH_FAULT.includes(status.state)) return t(`why.only.${command}`);
+  if (refusal.number === 505 && status.state !== "IDLE") return ofState(status.state);
+  if (command === "sort" && refusal.number === 501) return t("why.no_place");
+  return taught.length || refusal.number !== 505 ? faultText(refusal, "text") : t("why.not_taught");
 }
 
+const WITH_FAULT = ["ABORTING", "ABORTED", "CLEARING", "RESETTING"];
 const ofState = (state) => (has(`why.state.${state}`) ? t(`why.state.${state}`) : state);
 
 // What went wrong with a request, in words.
@@ -95,6 +96,7 @@ export function setupCommands(view) {
 export function renderCommands(view) {
   for (const command of ["identify", "grip", "verify", "sort", "clear", "reset"]) {
     allow(byId(`do_${command}`), t(`do.${command}`), t(`hint.${command}`), reasonOf(view, command));
+    byId(`do_${command}`).title = view.state?.allowed?.[command]?.text ?? "";
   }
   allow(byId("do_release"), t("do.release"), t("release.hint"), reasonOf(view, "release"));
   setText(byId("hold").firstElementChild, t("hold.word"));

@@ -68,7 +68,7 @@ export function shapeParts(kind, size_mm, interval_mm) {
   parts.push(drawing("path", { class: "size", d: `M182 ${cy - h / 2}v${h}M177 ${cy - h / 2}h10M177 ${cy + h / 2}h10` }));
   parts.push(drawing("path", { class: "size", d: `M34 143v4h${10 * k}v-4` }));
   const ruler = drawing("text", { class: "ruler", x: 40 + 10 * k, y: 148 });
-  ruler.textContent = millimetres(10);
+  ruler.textContent = millimetres(10, 0);
   parts.push(ruler);
   return parts;
 }

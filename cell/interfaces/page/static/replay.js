@@ -36,6 +36,8 @@ export function renderReplay({ state, info }) {
   document.body.classList.toggle("replaying", on);
   show(byId("replay"), on);
   if (!replay) return;
+  setText(byId("replay_title"), replay.name ? t("replay.name", { name: replay.name }) : t("replay.title"));
+  setText(byId("replay_said"), replay.lost_reason ?? "");
   setText(byId("replay_pause"), t(replay.paused ? "replay.go" : "replay.pause"));
   const slider = byId("replay_grasp");
   slider.max = String(replay.of || 1);

@@ -47,8 +47,8 @@ export function number(value, digits) {
   return format({ minimumFractionDigits: digits, maximumFractionDigits: digits ?? 1 }).format(value);
 }
 
-export const newtons = (value) => (value == null ? "–" : `${number(value, 1)} N`);
-export const millimetres = (value) => (value == null ? "–" : `${number(value, 1)} mm`);
+export const newtons = (value) => (value == null ? "–" : `${number(value, 1)}\u00a0N`);
+export const millimetres = (value, digits = 1) => (value == null ? "–" : `${number(value, digits)}\u00a0mm`);
 
 export function percent(share) {
   if (share === null || share === undefined) return "–";

@@ -24,7 +24,9 @@ def becomes(page: Any, selector: str, wanted: str) -> None:
     """Wait until an element shows a text, a regular expression."""
     from playwright.sync_api import expect
 
-    expect(page.locator(selector)).to_have_text(re.compile(wanted), timeout=10_000)
+    # A space of a pattern is any: between number and unit it is one that does not break.
+    pattern = re.compile(re.sub(r"\\? ", r"\\s", wanted))
+    expect(page.locator(selector)).to_have_text(pattern, timeout=20_000)
 
 
 def show(page: Any, cell: FakeCell, name: str, **changes: Any) -> dict[str, Any]:

@@ -23,6 +23,7 @@ FAMILIES: dict[str, set[str]] = {
     "step.": set(get_args(Step)),
     "shape.": {*SHAPE_MODELS, UNCLEAR},
     "why.state.": set(CellState),
+    "why.only.": {"verify", "clear", "reset"},
     "do.": {*TASKS, "release", "clear", "clear_reboot", "reset"},
     "ended.": {"SUCCEEDED", "CANCELED", "ABORTED"},
     "teach.": {"CANCELED", "ABORTED"},
