@@ -58,6 +58,18 @@ class NumberedState(Protocol):
         ...
 
 
+class Tap(Protocol):
+    """Gets each message of a recording as it is made, in the thread that makes it."""
+
+    def wants(self, topic: str) -> bool:
+        """Whether anybody looks at a topic."""
+        ...
+
+    def take(self, topic: str, stamp_ns: int, data: bytes) -> None:
+        """Take a message: its topic, monotonic time in ns, and JSON. Must not wait."""
+        ...
+
+
 class Recorder:
     """Writes frames, cycles, poses, events, grasps and results of one sequence as they come.
 
@@ -68,7 +80,7 @@ class Recorder:
     Parameters
     ----------
     path
-        The new file; an existing one is never overwritten.
+        The new file; an existing one is never overwritten. None writes none, for a ``tap`` alone.
     clock
         Stamps poses, events and results; frames and cycles carry their own monotonic stamps.
     pads
@@ -79,6 +91,8 @@ class Recorder:
         Called once with the error when the recording stops.
     background
         Write from a thread of its own, for real time; in virtual time leave it off.
+    tap
+        Gets each message too, also after a fault of the file.
     vital
         Whether a grasp must not go on without its recording; `cell.control.journal` looks after
         that.
@@ -94,20 +108,22 @@ class Recorder:
 
     def __init__(
         self,
-        path: Path | str,
+        path: Path | str | None,
         clock: Clock,
         *,
         pads: PadArray,
         metadata: Mapping[str, str] | None = None,
         on_fault: Callable[[RecordingError], None] | None = None,
         background: bool = False,
+        tap: Tap | None = None,
         vital: bool = False,
         wall_clock_ns: Callable[[], int] = time.time_ns,
     ) -> None:
-        self.path = Path(path)
+        self.path = None if path is None else Path(path)
         self.vital = vital
         self._clock = clock
         self._pads = pads
+        self._tap = tap
         self._on_fault = on_fault
         self._wall_clock_ns = wall_clock_ns
         self._fault: RecordingError | None = None
@@ -117,6 +133,9 @@ class Recorder:
         self._sequence: dict[str, int] = {}
         self._marks: list[tuple[int, int]] = []
         self._newest: deque[tuple[float, int]] = deque(maxlen=_NEWEST_FRAMES)
+        self._writer: Writer | None = None
+        if self.path is None:
+            return
         try:
             self._sink: RecordSink = DirectFile(self.path)
         except FileExistsError as cause:
@@ -135,22 +154,21 @@ class Recorder:
             compression=CompressionType.ZSTD,
             enable_data_crcs=True,
         )
-        self._guarded(lambda: self._begin(wall_clock_ns(), dict(metadata or {})))
+        writer = self._writer
+        self._guarded(lambda: self._begin(writer, wall_clock_ns(), dict(metadata or {})))
         self._mark()
 
-    def _begin(self, wall_ns: int, metadata: dict[str, str]) -> None:
-        self._writer.start(profile="", library="tactile-cell")
+    def _begin(self, writer: Writer, wall_ns: int, metadata: dict[str, str]) -> None:
+        writer.start(profile="", library="tactile-cell")
         started_ns = to_ns(self._clock.monotonic())
         entries = metadata | metadata_values(self._pads, wall_ns, started_ns)
-        self._writer.add_metadata(
-            schema.METADATA, entries | {"crc32": schema.metadata_crc32(entries)}
-        )
+        writer.add_metadata(schema.METADATA, entries | {"crc32": schema.metadata_crc32(entries)})
         self._channels: dict[str, int] = {}
         for topic, content in schema.SCHEMAS.items():
-            number = self._writer.register_schema(
+            number = writer.register_schema(
                 content["title"], "jsonschema", to_json(content).encode()
             )
-            self._channels[topic] = self._writer.register_channel(topic, "json", number)
+            self._channels[topic] = writer.register_channel(topic, "json", number)
 
     @property
     def fault(self) -> RecordingError | None:
@@ -268,8 +286,11 @@ class Recorder:
         """Finish the file. Raises the RecordingError of a recording that stopped early."""
         if self._closed:
             return
-        self._guarded(self._writer.finish)
+        if self._writer is not None:
+            self._guarded(self._writer.finish)
         self._closed = True
+        if self._writer is None:
+            return
         if self._fault is None:
             self._guarded(self._sink.close)
         else:
@@ -297,16 +318,22 @@ class Recorder:
     def _put(self, topic: str, t_s: float, values: dict[str, Any]) -> None:
         if self._closed:
             raise RecordingError(f"{self.path} is closed; nothing more can be recorded")
-        if self._fault is not None:
-            self._n_dropped += 1
+        tap = self._tap if self._tap is not None and self._tap.wants(topic) else None
+        writer = self._writer if self._fault is None else None
+        self._n_dropped += self._fault is not None
+        if tap is None and writer is None:
             return
         stamp_ns = to_ns(t_s)
         data = to_json({"t_s": round(float(t_s), 9), **values}).encode()
+        if tap is not None:
+            tap.take(topic, stamp_ns, data)
+        if writer is None:
+            return
         number = self._sequence.get(topic, 0)
         self._sequence[topic] = number + 1
         channel = self._channels[topic]
         self._guarded(
-            lambda: self._writer.add_message(channel, stamp_ns, data, stamp_ns, sequence=number)
+            lambda: writer.add_message(channel, stamp_ns, data, stamp_ns, sequence=number)
         )
         self._mark()
 
