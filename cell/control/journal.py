@@ -31,21 +31,17 @@ def loop_values(statistics: LoopStatistics, *, undelivered: int = 0) -> dict[str
 
 
 def loop_line(statistics: LoopStatistics, period_s: float) -> str:
-    """Return how punctual the force loop was, as one line for people."""
-    late, read = statistics.lateness, statistics.transaction
+    """Return whether the force loop was on time, as one line for people."""
     if not statistics.cycles:
-        return "force loop: no period was run"
+        return "Force loop: not started."
+    late, missed = statistics.late + statistics.overruns, statistics.missed_reads
+    if not late and not missed:
+        return "Force loop: on time."
     return (
-        f"force loop: {statistics.cycles:,} periods of {period_s * 1e3:g} ms; late by "
-        f"p50 {_ms(late.p50_s)}, p99 {_ms(late.p99_s)}, p99.9 {_ms(late.p999_s)}, "
-        f"max {_ms(late.max_s)} ms; {statistics.overruns} overruns, {statistics.missed_reads} "
-        f"without feedback; reading the servos p50 {_ms(read.p50_s)}, p99 {_ms(read.p99_s)} ms; "
-        f"force up to {_ms(statistics.sensor_age.max_s)} ms old"
+        f"Force loop: of {statistics.cycles:,} periods of {period_s * 1e3:g} ms {late} were late, "
+        f"by up to {statistics.worst_lateness_s * 1e3:.1f} ms, {missed} without an answer of the "
+        "servos."
     )
-
-
-def _ms(duration_s: float) -> str:
-    return f"{duration_s * 1e3:.3g}"
 
 
 class Journal:

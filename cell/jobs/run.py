@@ -53,6 +53,15 @@ class Score:
     """(n_labels, n_labels + 1) int: row: what was held; column: the answer, the last one UNKNOWN.
     """
 
+    @property
+    def text(self) -> str:
+        """The counts as text: right, UNKNOWN and wrong ones of all."""
+        n_unknown = sum(row[-1] for row in self.confusion)
+        unknown = f", {n_unknown} {UNKNOWN}" if n_unknown else ""
+        return (
+            f"{self.n_right} of {self.n} right{unknown}, {self.n - self.n_right - n_unknown} wrong"
+        )
+
 
 @dataclass(slots=True, kw_only=True)
 class MainResult:

@@ -47,6 +47,15 @@ _RAMP_SHARES = tuple(np.linspace(0.2, 1.0, 9).tolist())
 """Shares of the grip force at which the eigenvalue along the ramp is drawn."""
 
 
+def score_title(result: MainResult, name: str) -> str:
+    """Return in words whose answers the score of that name counts."""
+    if name == result.default:
+        return "This cell, as many grasps as it takes"
+    if name == BASELINE:
+        return "The paper's method, first grasp alone"
+    return "This cell, first grasp alone"
+
+
 @one_blas_thread()
 def main_report(result: MainResult, config: CellConfig, cell: Cell, path: Path) -> Path:
     """Write the page and return its path. Raises cell.errors.ReportError."""
@@ -93,7 +102,7 @@ def _key_figures(result: MainResult, config: CellConfig) -> tuple[KeyFigure, ...
     figures = [
         KeyFigure(
             value=f"{score.accuracy:.0%}",
-            caption=f"right, {result.default}",
+            caption="right",
             note=f"{score.n_right} of {score.n}; 95 % interval "
             f"{score.interval[0]:.0%} to {score.interval[1]:.0%}",
         )
@@ -110,8 +119,8 @@ def _key_figures(result: MainResult, config: CellConfig) -> tuple[KeyFigure, ...
         figures.append(
             KeyFigure(
                 value=f"{baseline.accuracy:.0%}",
-                caption="the paper's level check",
-                note=f"{baseline.n_right} of {baseline.n}, the likeliest by one grasp",
+                caption="right by the paper's method",
+                note=f"{baseline.n_right} of {baseline.n}, with one grasp",
             )
         )
     per_trial = np.mean([len(trial.found.records) for trial in result.trials])
@@ -218,8 +227,8 @@ def _trajectories(result: MainResult) -> Trajectories | None:
     return Trajectories(
         objects=tuple(objects),
         windows=windows(recognizer.levels, recognizer.labels),
-        caption="Smallest eigenvalue in magnitude of the 4 x 4 matrix of form (7); sweep of "
-        "Algorithm 1 over scale, translation and rotation, and along the force ramp.",
+        caption="For readers of the paper: smallest eigenvalue in magnitude of the 4 x 4 matrix of "
+        "form (7); sweep of Algorithm 1 over scale, translation and rotation.",
     )
 
 
@@ -252,11 +261,11 @@ def _grasp_note(record: GraspRecord) -> str:
 def _confusions(result: MainResult) -> tuple[ConfusionTable, ...]:
     tables = [
         ConfusionTable(
-            name=name,
+            name=score_title(result, name),
             labels=result.labels,
             columns=(*result.labels, UNKNOWN),
             counts=np.array(score.confusion),
-            caption="all grasps until sure" if name == result.default else "the first grasp alone",
+            caption=score.text,
         )
         for name, score in result.scores.items()
     ]

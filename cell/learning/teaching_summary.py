@@ -40,16 +40,6 @@ class TeachingSummary:
     """Standard deviation in mm of the smallest opening over the grasps of an object, the median of
     all objects; None where no opening is known."""
 
-    def __str__(self) -> str:
-        minutes = self.longest_series_s / 60.0
-        took = f"{self.longest_series_s:.0f} s" if minutes < 1.0 else f"{minutes:.1f} minutes"
-        opening = (
-            ""
-            if self.opening_sd_mm is None
-            else f"; the opening of one object spreads by {self.opening_sd_mm:.1f} mm"
-        )
-        return f"taught in series of at most {took}{opening}"
-
     @property
     def notes(self) -> tuple[str, ...]:
         """What a user has to expect of such a teaching, and what it needs."""
@@ -68,18 +58,17 @@ class TeachingSummary:
         if not needs:
             return ""
         return (
-            f"names are uncertain until these are taught: {'; '.join(needs)}. Until then an object "
-            "that was never taught is UNKNOWN by its size or not at all, and some grasps of taught "
-            "objects are UNKNOWN too"
+            f"teach {'; '.join(needs)}. Until then taught objects are often UNKNOWN, and others "
+            "are not, unless their size differs"
         )
 
     @property
     def _series_note(self) -> str:
         if not self.again:
             return (
-                "each object was taught in one series: what varies from day to day, with the "
-                "placing and from cell to cell is not in it. Expect UNKNOWN and wrong names after "
-                "such a change, and gauge the model then (`tactile-cell calibrate --gauge LABEL`)"
+                "each object was taught in one go. On another day, with another placing or on "
+                "another cell expect UNKNOWN and wrong names; gauge the model then (`tactile-cell "
+                "calibrate --gauge LABEL`)"
             )
         once = self.n_objects - len(self.again)
         if once:

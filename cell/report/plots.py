@@ -221,7 +221,7 @@ def levels_figure(trajectories: Trajectories, colours: Mapping[str, int], name: 
                 if not window.closed:
                     axes.axhspan(window.low, window.high, color=INK, alpha=0.06, lw=0)
             bands.annotate(
-                window.name + (" (closed)" if window.closed else ""),
+                window.name + (" (overlap)" if window.closed else ""),
                 (1.0, window.threshold),
                 xycoords=("axes fraction", "data"),
                 xytext=(3, 0),

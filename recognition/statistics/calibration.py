@@ -16,6 +16,14 @@ _N_TEMPERATURES = 41
 """Temperatures that are tried before the search is refined: the loss may have several minima."""
 
 
+_USUAL_TEMPERATURE = 2.0
+"""Temperature that is expected before any grasp: features repeat each other, so that log odds as
+computed are too large."""
+_TEMPERATURE_SD = 0.5
+"""Standard deviation of the logarithm of that expectation: it holds where held-out grasps are few,
+or all of them are right, which would make any answer certain."""
+
+
 def blocked_folds(classes: NDArray[np.int64], n_folds: int) -> list[NDArray[np.bool_]]:
     """Return for each fold a mask of the rows held out: one run in time of each class.
 
@@ -52,12 +60,13 @@ def out_of_sample(
 
 
 def fit_temperature(scores: NDArray[np.float64], classes: NDArray[np.int64]) -> float:
-    """Return the temperature T for which softmax(scores / T) is likeliest, scores (n, C)."""
+    """Return the likeliest temperature T of softmax(scores / T), scores (n, C), with a prior."""
     rows = np.arange(len(classes))
 
     def loss(log_t: float) -> float:
         p = to_probability(scores, float(np.exp(log_t)))
-        return -float(np.log(p[rows, classes]).mean())
+        prior = 0.5 * ((log_t - np.log(_USUAL_TEMPERATURE)) / _TEMPERATURE_SD) ** 2
+        return float(prior - np.log(p[rows, classes]).sum())
 
     # The uniform share bounds the loss of each row, so there may be several minima.
     grid = np.linspace(*_LOG_TEMPERATURES, _N_TEMPERATURES)

@@ -96,6 +96,7 @@ def fit_lda(
     *,
     shrinkage: float | None = None,
     min_shrinkage: float = 0.0,
+    target: NDArray[np.float64] | None = None,
     nuisance: NDArray[np.float64] | None = None,
     keep_whitening: bool = False,
 ) -> LinearDiscriminant:
@@ -110,10 +111,12 @@ def fit_lda(
     n_classes
         Number of classes C.
     shrinkage
-        Share of the identity in the correlation matrix, 0 to 1; None for the oracle approximating
-        shrinkage (Chen et al. 2010, eq. 23).
+        Share of the target in the correlation matrix, 0 to 1; None for the oracle approximating
+        shrinkage (Chen et al. 2010, eq. 23), which falls with the number of rows.
     min_shrinkage
         The least share where it is not given.
+    target : (F,)
+        Diagonal of the target; None for the identity.
     nuisance : (m, F)
         Deviations that the rows do not show; the mean of their squares adds to the covariance.
     keep_whitening
@@ -147,7 +150,9 @@ def fit_lda(
         covariance += deviation.T @ deviation / len(deviation)
     level = float(np.trace(covariance)) / n_features
     covariance *= 1.0 - rho
-    covariance[np.diag_indices(n_features)] += rho * level + _DIAGONAL_FLOOR
+    covariance[np.diag_indices(n_features)] += (
+        rho * level * (1.0 if target is None else target) + _DIAGONAL_FLOOR
+    )
     lower = np.tril(cho_factor(covariance, lower=True)[0])
     whitening = None
     if keep_whitening or n_classes == 1:

@@ -300,7 +300,7 @@ class LinkSession:
             f"the force messages of {self.name} come {1e3 * late_s:.0f} ms late, allowed are "
             f"{1e3 * self._settings.force_late_s:.0f} ms: the unit sends them later or more "
             "seldom than it was set to, or many were lost at once; check its firmware and the bus "
-            "load, or set tactile.force_period_ms to 0, then start the link again"
+            "load, then start the link again"
         )
 
     def _check_forces(self, now_s: float) -> None:
@@ -310,8 +310,8 @@ class LinkSession:
         if silent_s > limit_s:
             raise FrameTimeout(
                 f"no force message from {self.name} for {1e3 * silent_s:.0f} ms, allowed are "
-                f"{1e3 * limit_s:.0f} ms: check bus load and cable, or set tactile.force_period_ms "
-                "to 0 to take the force from the frames, then start the link again"
+                f"{1e3 * limit_s:.0f} ms: check that the control unit has power, its cable and the "
+                "bus load, then start the link again"
             )
 
     def _on_emergency(self, data: bytes, t_s: float) -> None:

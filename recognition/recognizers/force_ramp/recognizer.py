@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from recognition.drift.drift import NO_DRIFT, Drift
 from recognition.drift.estimate import DriftEstimate, DriftMeasurement
-from recognition.features.aperture import sizes_mm
+from recognition.features.aperture import aperture_features, sizes_mm
 from recognition.features.footprint import PadGrid, pad_grid
 from recognition.features.groups import FEATURE_VERSION, FeatureView, check_version, features_of
 from recognition.grasp import CELL_SOURCE, Grasp, by_label
@@ -341,7 +341,10 @@ def _taught(levels: Levels, classes: NDArray[np.int64], rest: Rest, *, opening: 
     ]
     slopes_of_one = np.array(slopes) / (2.0 * steps.sum(axis=1)[:, None])
     sizes = _sizes_mm(levels, opening=opening)
-    return fit_view(features(levels), sizes, classes, slopes_of_one, n_pads=n_pads)
+    n_opening = aperture_features(levels).shape[1] if opening else 0
+    return fit_view(
+        features(levels), sizes, classes, slopes_of_one, n_pads=n_pads, n_opening=n_opening
+    )
 
 
 def _sizes_mm(levels: Levels, *, opening: bool) -> NDArray[np.float64]:

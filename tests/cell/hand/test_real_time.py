@@ -83,21 +83,23 @@ def test_garbage_is_collected_between_jobs_only() -> None:
         gc.unfreeze()
 
 
-def test_one_line_says_how_punctual_the_loop_was() -> None:
+def test_one_line_says_whether_the_loop_was_on_time() -> None:
     statistics = LoopStatistics(
         cycles=12_345,
         overruns=3,
+        late=2,
         missed_reads=1,
+        worst_lateness_s=1.25e-3,
         lateness=Distribution(n=9, p50_s=6e-5, p99_s=2e-4, p999_s=9e-4, max_s=1.25e-3),
         transaction=Distribution(n=9, p50_s=1.1e-3, p99_s=2e-3),
         sensor_age=Distribution(n=9, max_s=0.031),
     )
     assert loop_line(statistics, 0.005) == (
-        "force loop: 12,345 periods of 5 ms; late by p50 0.06, p99 0.2, p99.9 0.9, max 1.25 ms; "
-        "3 overruns, 1 without feedback; reading the servos p50 1.1, p99 2 ms; force up to 31 ms "
-        "old"
+        "Force loop: of 12,345 periods of 5 ms 5 were late, by up to 1.2 ms, 1 without an answer "
+        "of the servos."
     )
-    assert loop_line(LoopStatistics(), 0.005) == "force loop: no period was run"
+    assert loop_line(LoopStatistics(cycles=9), 0.005) == "Force loop: on time."
+    assert loop_line(LoopStatistics(), 0.005) == "Force loop: not started."
     values = loop_values(statistics, undelivered=2)
     assert (values["lateness_p999_s"], values["undelivered"]) == (9e-4, 2)
 

@@ -501,7 +501,7 @@ def test_train_writes_a_model(dataset: Path, tmp_path: Path) -> None:
         *("train", dataset, dataset, "-o", path, "--recognizer", "level_check"),
         *("--json", tmp_path / "t.json"),
     )
-    assert "taught 2 objects with 20 grasps" in text
+    assert "2 objects taught with 20 grasps" in text
     assert load_model(path).trainer_name == "level_check"
     written = read_json(tmp_path / "t.json")
     amount, series = written.pop("teaching")["notes"]

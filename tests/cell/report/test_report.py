@@ -322,7 +322,7 @@ def test_page_shows_every_part(demo_page: str) -> None:
     for words in (
         data.title, data.subtitle, data.created, "98.0 %", "rack and pinion", "8.0 N",
         "Paper, Table 1", "48 of 50 right", "49 of 50 right", "out/2026-11-20/run.mcap",
-        "7.4 MB", "named ball", "set-point", "goal current / mA", "opening / mm", "closed",
+        "7.4 MB", "named ball", "set-point", "goal current / mA", "opening / mm", "overlap",
         "The other 8 pads were not touched.", "91,344", *LABELS,
     ):  # fmt: skip
         assert words in text, words

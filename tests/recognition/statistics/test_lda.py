@@ -128,6 +128,22 @@ def test_temperature_is_found_again(truth):
     assert fit_temperature(scores, classes) == pytest.approx(truth, rel=0.1)
 
 
+def test_few_grasps_all_right_make_no_answer_certain():
+    scores = np.array([[0.0, -8.0], [-8.0, 0.0]] * 3)
+    assert 1.0 < fit_temperature(scores, np.array([0, 1] * 3)) < 2.0
+
+
+def test_a_feature_with_a_small_target_outweighs_many_that_repeat_each_other():
+    rng = np.random.default_rng(8)
+    classes = np.repeat([0, 1], 5)
+    repeated = rng.normal(0, 1, (10, 1)) + rng.normal(0, 0.3, (10, 60))
+    x = np.column_stack([repeated, rng.normal(0, 1, 10) + 4.0 * classes])
+    target = np.append(np.ones(60), 0.1)
+    axes = [fit_lda(x, classes, 2, target=t).projection[:, 0] for t in (None, target)]
+    plain, weighted = (abs(axis[-1]) / np.linalg.norm(axis) for axis in axes)
+    assert weighted > 1.1 * plain
+
+
 def test_no_taught_object_is_impossible():
     p = to_probability(np.array([[1000.0, 0.0, -1000.0]]), 1.0)
     assert p.sum() == pytest.approx(1.0)

@@ -153,6 +153,9 @@ def _identify_held(
     from cell.learning.model import load_model
     from cell.learning.shapes import NO_SHAPE, beside
     from cell.learning.taught_model import TaughtModel
+    from recognition.recognizer import UNKNOWN
+    from recognition.recognizers.force_ramp.recognizer import Occasion
+    from recognition.statistics.fusion import fuse
 
     taught = TaughtModel(config, load_model(model, pads_of(config)), known=known)
     folder = job_folder(folder, "identify")
@@ -167,17 +170,21 @@ def _identify_held(
     for number, (record, posterior, shape) in enumerate(
         zip_longest(found.records, found.posteriors, found.shapes), start=1
     ):
+        alone = fuse([posterior])
         print_line(
-            f"grasp {number}: {posterior.best} {percent(float(posterior.probability.max()))} "
-            f"if taught, untaught {percent(posterior.unknown)}"
+            f"grasp {number}: {alone.name} {percent(alone.name_probability)}"
+            + (f" (nearest: {alone.best})" if alone.name == UNKNOWN else "")
             + (f"; {shape or NO_SHAPE}" if found.shapes else "")
             + (f"; {record.ended}" if record.ended else "")
         )
     was = f" (it was {truth})" if truth else ""
     felt = beside(found.label, found.shape)
     print_line(f"answer: {found.label} {percent(found.fused.name_probability)}{felt}{was}")
-    if found.fused.occasion:
-        print_line(f"trust in the sensors: {found.fused.occasion}")
+    if found.fused.occasion in (Occasion.LATER.value, Occasion.ELSEWHERE.value):
+        print_line(
+            f"grasped {found.fused.occasion}: names are less sure. Gauge the model with a taught "
+            "object: `tactile-cell calibrate --gauge LABEL --model MODEL -o NEW.npz`"
+        )
     if found.kept and config_file is not None and not config.simulated:
         print_line(f"the part is kept; to let go of it: {release_command(config_file)}")
     elif found.kept:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rich.table import Table
 
     from cell.config.model import CellConfig
-    from cell.jobs.run import MainResult
+    from cell.jobs.run import MainResult, Score
     from cell.learning.taught_model import TaughtModel
 
 ObjectsOption = Annotated[
@@ -140,27 +140,26 @@ def _labels(
 
 def print_result(result: "MainResult") -> None:
     """Print confusion tables, shapes, times and files of a run, and the paper's table beside."""
-    from cell.interfaces.cli.terminal import percent, print_line, print_table
-    from cell.jobs.run_report import shape_rows
+    from cell.interfaces.cli.terminal import print_line, print_table
+    from cell.jobs.run_report import score_title, shape_rows
     from cell.report.paper_table import TABLE_1, TABLE_1_LABELS
     from cell.report.shapes import shapes_view
 
     if set(result.labels) == set(TABLE_1_LABELS):
         order = [TABLE_1_LABELS.index(label) for label in result.labels]
-        print_line("Paper, Table 1 (per cent)")
+        print_line("The paper's own cell (its Table 1), per cent:")
         rows = [[TABLE_1[row][column] for column in order] for row in order]
         print_table(confusion_table(result.labels, rows))
     for name, score in result.scores.items():
-        print_line(f"{name}: {percent(score.accuracy, score.interval)} of {score.n}")
+        print_line(f"{score_title(result, name)}: {score.text}; {_interval(score)}")
         print_table(confusion_table(result.labels, score.confusion))
-    ended = f", {result.n_ended_early} ended early" if result.n_ended_early else ""
-    print_line(f"{result.grasp_s:.2f} s a grasp, mean of {len(result.records)}{ended}")
+    print_line(f"One grasp takes {result.grasp_s:.1f} s.")
     for remark in result.remarks:
         print_line(remark)
     shapes = shapes_view(shape_rows(result))
     for group in [] if shapes is None else shapes["groups"]:
         sizes = f"; {group['text']}" if group["text"] else ""
-        print_line(f"{group['label']} felt like: {group['kinds']}{sizes}")
+        print_line(f"{group['label']} feels like: {group['kinds']}{sizes}")
     files = {
         "report": result.report,
         "recording": result.recording,
@@ -170,7 +169,13 @@ def print_result(result: "MainResult") -> None:
     for name, path in files.items():
         if path is not None:
             print_line(f"{name + ':':<10} {path}")
-    print_line(f"{result.seconds:.1f} s")
+    print_line(f"The whole run took {result.seconds:.0f} s.")
+
+
+def _interval(score: "Score") -> str:
+    from cell.interfaces.cli.terminal import percent
+
+    return f"{percent(score.accuracy, score.interval)}, in brackets the 95 % interval"
 
 
 def confusion_table(labels: Sequence[str], confusion: Sequence[Sequence[float]]) -> "Table":

@@ -58,12 +58,12 @@ def train(
         name for name, there in (("ramps cut short", early), ("poses", poses)) if there
     )
     print_line(
-        f"{recognizer} taught {len(labels)} objects with {len(grasps)} grasps"
+        f"{len(labels)} objects taught with {len(grasps)} grasps"
         + (f", with {also}" if also else "")
+        + ("" if recognizer == DEFAULT_TRAINER else f", recogniser {recognizer}")
         + f": {model}"
     )
     summary = summarise_teaching(grasps)
-    print_line(str(summary))
     for note in summary.notes:
         print_note(note)
     write_json(
