@@ -127,9 +127,7 @@ def trajectories_view(data: ReportData, colours: Mapping[str, int]) -> dict[str,
                 "below": window.below,
                 "above": window.above,
                 "threshold": f"{window.threshold:.3g}",
-                "width": "none, they overlap"
-                if window.closed
-                else f"{window.high - window.low:.2g}",
+                "width": "none" if window.closed else f"{window.high - window.low:.2g}",
                 "closed": window.closed,
             }
             for window in shown.windows
@@ -281,7 +279,6 @@ def page_view(data: ReportData) -> dict[str, Any]:
         raise ValueError("two trajectories have the same label")
     shown = data.sequences[:MAX_SEQUENCES]
     shapes = shapes_view(data.shapes)
-    shown_levels = bool(data.trajectories and data.trajectories.objects)
     sections = {
         "result": ("Confusion", bool(data.confusions)),
         "shapes": ("Shape and size", shapes is not None),
