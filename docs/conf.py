@@ -12,6 +12,7 @@ from typing import Any
 
 from docutils import nodes
 from docutils.utils.math.latex2mathml import tex2mathml
+from sphinx.ext.napoleon.docstring import NumpyDocstring
 
 sys.path.insert(0, str(Path(__file__).parent / "tools"))
 
@@ -51,6 +52,10 @@ napoleon_use_ivar = True
 suppress_warnings = ["ref.python"]  # words of types, as n_taxels, that several classes have too
 nitpicky = True
 nitpick_ignore_regex = [("py:.*", ".*")]  # types of other libraries: their sites are not asked
+
+
+# Texts under fields are whole sentences: without this, what stands before a colon becomes the type.
+NumpyDocstring._consume_inline_attribute = lambda self: ("", self._consume_to_end())  # noqa: SLF001
 
 
 def fill(_app: Any, _name: str, source: list[str]) -> None:

@@ -206,6 +206,11 @@ class CellController(CellView):
         return Measured() if self._life.state in _UNSUPERVISED else self._hand.measured
 
     @property
+    def carry_force_n(self) -> float:
+        """Force in N with which a kept part is held, whatever it was gripped with."""
+        return self._sequence.carry_force_n
+
+    @property
     def shows_nothing(self) -> bool:
         """Whether pads and current both showed at the last look that nothing is held."""
         measured, since_s = self._hand.measured, self._clock.monotonic() - FRESH_S

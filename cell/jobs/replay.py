@@ -56,6 +56,8 @@ class ReplayResult:
     n_train: int
     """Grasps that the recogniser was trained on, none of them replayed."""
     recognizer: str
+    unnamed: str
+    """Why no grasp was identified; empty where they were."""
     seconds: float
     """Time it took in s."""
 
@@ -72,6 +74,7 @@ class ReplayResult:
             "interval": None if self.interval is None else list(self.interval),
             "n_train": self.n_train,
             "recognizer": self.recognizer,
+            "unnamed": self.unnamed or None,
             "seconds": round(self.seconds, 2),
         }
 
@@ -92,7 +95,8 @@ def replay_grasps(
     Parameters
     ----------
     grasps
-        Recorded grasps. Without labels all of them are replayed and none is identified.
+        Recorded grasps. Without labels, or with too few to teach, all of them are replayed and none
+        is identified.
     config
         Servos and control unit to play with; by default rack-driven fingers that open far enough.
     split
@@ -107,16 +111,26 @@ def replay_grasps(
     Raises
     ------
     CellError
-        If the grasps cannot be split, trained on or played.
+        If the split is not understood, or the grasps cannot be played.
     """
     started_s = time.monotonic()
-    train_part, test_part = _split(grasps, split)
+    progress("train", 0, 1)
+    train_part: tuple[Grasp, ...] = ()
+    taught, test_part, unnamed = None, tuple(grasps), "a grasp has no label"
+    if all(grasp.label for grasp in grasps):
+        try:
+            divide = parse_split(split)
+        except ValueError as error:
+            raise CellError(str(error)) from error
+        try:
+            train_part, test_part = divide(grasps)
+            taught, unnamed = train(train_part, recognizer).recognizer, ""
+        except (CellError, ValueError) as error:
+            train_part, test_part, unnamed = (), tuple(grasps), str(error)
+    progress("train", 1, 1)
     if limit is not None and limit < len(test_part):
         chosen = np.linspace(0, len(test_part) - 1, limit).round().astype(int)
         test_part = tuple(test_part[i] for i in chosen)
-    progress("train", 0, 1)
-    taught = train(train_part, recognizer).recognizer if train_part else None
-    progress("train", 1, 1)
     received = []
     with _Rig(config or _wide_config(grasps), test_part, capture) as rig:
         for number, grasp in enumerate(test_part):
@@ -142,6 +156,7 @@ def replay_grasps(
         interval=None if right is None else wilson_interval(right, len(test_part)),
         n_train=len(train_part),
         recognizer=recognizer,
+        unnamed=unnamed,
         seconds=time.monotonic() - started_s,
     )
 
@@ -236,15 +251,6 @@ class _Rig:
     def _wait_for_frame(self) -> None:
         while not self._link.poll():
             self._cell.clock.sleep(_WAIT_S)
-
-
-def _split(grasps: Sequence[Grasp], split: str) -> tuple[tuple[Grasp, ...], tuple[Grasp, ...]]:
-    if not all(grasp.label for grasp in grasps):
-        return (), tuple(grasps)
-    try:
-        return parse_split(split)(grasps)
-    except ValueError as error:
-        raise CellError(str(error)) from error
 
 
 def _wide_config(grasps: Sequence[Grasp]) -> CellConfig:

@@ -114,6 +114,14 @@ class TareResult:
     t_s: float
     """Monotonic time of the last one in s."""
 
+    def __repr__(self) -> str:
+        """Return the means: of hundreds of taxels the values would fill pages."""
+        return (
+            f"TareResult(mean of {len(self.offset_counts)} taxels: offset "
+            f"{self.offset_counts.mean():.2f}, noise {self.noise_counts.mean():.2f} counts; "
+            f"{self.health.summary()}, n_frames={self.n_frames}, t_s={self.t_s:.3f})"
+        )
+
 
 def too_many_bad(n_bad: int, n_taxels: int, share: float) -> bool:
     """Return whether more taxels of a pad are bad than a share allows; 1 of a small pad may be."""

@@ -1,9 +1,9 @@
 """Goals of a host's jobs, as values or as mappings, and their checks."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from cell.config.simulator import checked_label
 from cell.errors import ConfigError
@@ -14,11 +14,15 @@ class _Goal(BaseModel):
     task: ClassVar[str]
     """Its name in requests."""
 
+    @field_validator("label", "present", "feed", check_fields=False)
+    @classmethod
+    def _labels(cls, value: str | tuple[str, ...] | None) -> str | tuple[str, ...] | None:
+        for label in value if isinstance(value, tuple) else (value,):
+            if label is not None:
+                checked_label(label)
+        return value
 
-Label = Annotated[str, AfterValidator(checked_label)]
-"""Name of an object."""
-ForceN = Annotated[float, Field(gt=0.0, le=50.0)]
-"""Force in N, up to 50; the limits of the config are below."""
+
 Keep = Literal["never", "when_named", "always"]
 """When an identification keeps the part in the grip."""
 
@@ -27,7 +31,7 @@ class TeachGoal(_Goal):
     """Grasp a known object."""
 
     task: ClassVar[str] = "teach"
-    label: Label = Field(min_length=1, max_length=60)
+    label: str = Field(min_length=1, max_length=60)
     """Name of the object."""
     grasps: int = Field(default=10, ge=1, le=1000)
     """How many times it is grasped, 1 to 1000."""
@@ -43,21 +47,22 @@ class IdentifyGoal(_Goal):
     """Most grasps, or None for the number in the config."""
     seed: int = Field(default=1, ge=0, le=2**32 - 1)
     """Seed of the plan of poses and forces."""
-    present: Label | None = None
+    present: str | None = None
     """Object to place first, where the positioner can do so (simulated cell)."""
     keep: Keep = "never"
     """Whether the part stays in the grip for the host: ``never``, ``when_named`` or ``always``."""
-    force_n: ForceN | None = None
-    """Force at the end of each ramp in N, or None for the forces of the plan."""
+    force_n: float | None = Field(default=None, gt=0.0, le=50.0)
+    """Force at the end of each ramp in N, up to 50, or None for the forces of the plan."""
 
 
 class GripGoal(_Goal):
     """Grip a part and keep it, without a name."""
 
     task: ClassVar[str] = "grip"
-    force_n: ForceN
-    """Force at the end of the ramp in N; it is then held with ``sequence.carry_force_n``."""
-    present: Label | None = None
+    force_n: float = Field(gt=0.0, le=50.0)
+    """Force at the end of the ramp in N, up to 50. The part is then held with another one, whatever
+    this is: ``sequence.carry_force_n`` of the config, 4 N by default."""
+    present: str | None = None
     """Object to place between the fingers first, where the positioner can do so (simulated cell);
     without one it does not move."""
 
@@ -74,15 +79,15 @@ class SortGoal(_Goal):
     task: ClassVar[str] = "sort"
     parts: int = Field(default=1, ge=1, le=1_000_000)
     """How many parts."""
-    feed: tuple[Label, ...] = Field(default=(), strict=False, max_length=1000)
+    feed: tuple[str, ...] = Field(default=(), strict=False, max_length=1000)
     """Objects to place, one for each part and then again from the first, where the positioner can
     do so (simulated cell)."""
     seed: int = Field(default=1, ge=0, le=2**32 - 1)
     """Seed of the poses and forces of the first part; each further one has the next."""
     max_grasps: int | None = Field(default=None, ge=1, le=100)
     """Most grasps of a part, or None for the number in the config."""
-    force_n: ForceN | None = None
-    """Force at the end of each ramp in N, or None for the forces of the plan."""
+    force_n: float | None = Field(default=None, gt=0.0, le=50.0)
+    """Force at the end of each ramp in N, up to 50, or None for the forces of the plan."""
 
 
 Goal = TeachGoal | IdentifyGoal | GripGoal | VerifyGoal | SortGoal

@@ -137,6 +137,14 @@ def test_grasps_without_labels_are_replayed_and_not_named(taught: Any) -> None:
     assert result.as_json()["accuracy"] is None
 
 
+@pytest.mark.parametrize("n", [1, 4])
+def test_what_is_too_short_to_teach_is_compared_all_the_same(taught: Any, n: int) -> None:
+    result = play(taught.grasps[:n])
+    assert result.frames_equal
+    assert (result.n_grasps, result.accuracy, result.n_train) == (n, None, 0)
+    assert "ball" in result.unnamed
+
+
 def test_other_pads_wide_openings_and_unknown_ones_are_replayed(
     make_grasp: Callable[..., Any],
 ) -> None:

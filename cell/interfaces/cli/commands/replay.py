@@ -52,7 +52,13 @@ def replay(
     from cell.config.file import load_config
     from cell.data.dataset import read_grasps
     from cell.errors import CellError
-    from cell.interfaces.cli.terminal import percent, print_line, progress_bar, write_json
+    from cell.interfaces.cli.terminal import (
+        percent,
+        print_line,
+        print_note,
+        progress_bar,
+        write_json,
+    )
     from cell.jobs.replay import replay_grasps
 
     with progress_bar() as progress:
@@ -65,15 +71,18 @@ def replay(
             capture=capture,
             progress=progress,
         )
-    same = "bit for bit the same" if result.frames_equal else "NOT the same"
+    same = "all the same, bit for bit" if result.frames_equal else "NOT the same"
     print_line(
         f"{result.n_grasps} grasps: {result.frames_sent} frames sent, "
         f"{result.frames_received} received, {same}"
     )
-    print_line(f"openings differ by at most {result.aperture_error_m * 1e3:.3f} mm (servo pulses)")
+    print_line(
+        f"openings differ by at most {result.aperture_error_m * 1e3:.3f} mm: servos report pulses"
+    )
     if result.accuracy is not None:
-        print_line(f"{recognizer}, one grasp: {percent(result.accuracy, result.interval)}")
-    print_line(f"{result.seconds:.1f} s")
+        print_line(f"named right by one grasp: {percent(result.accuracy, result.interval)}")
+    else:
+        print_note(f"no grasp is named: {result.unnamed}")
     write_json(json_file, result.as_json())
     if not result.frames_equal:
         raise CellError(f"frames differ: {result.difference}")
