@@ -68,10 +68,10 @@ function drawPad(context, pad, values, { x, y, k, full_n, marks }) {
   const gap = Math.max(0.5, 0.05 * k * Math.min(dx, dy));
   const forces = values.subarray(pad.first, pad.first + xy.length);
   const sum = forces.reduce((all, one) => all + one, 0);
-  context.fillStyle = colour("pad");
+  context.fillStyle = colour("line");
   context.fillRect(x, y, k * width, k * height);
   forces.forEach((force, i) => {
-    context.fillStyle = shadeOf(force / full_n);
+    context.fillStyle = shadeOf(Math.max(0, force / full_n) ** 0.75);
     context.fillRect(x + k * xy[i][0] + gap / 2, y + k * xy[i][1] + gap / 2, k * dx - gap, k * dy - gap);
   });
   if (!marks || sum < PAD_TOUCHED_N) return sum;
@@ -158,7 +158,7 @@ export function drawPads(canvas, pads, values, { full_n, note = "" }) {
   // The scale of the shades.
   const [bar, top] = [120, y + 9];
   for (let i = 0; i < bar; i += 4) {
-    context.fillStyle = shadeOf(i / bar);
+    context.fillStyle = shadeOf((i / bar) ** 0.75);
     context.fillRect(x0 + i, top, 4, 8);
   }
   context.fillStyle = colour("muted");

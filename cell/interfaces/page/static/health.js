@@ -26,7 +26,7 @@ function sentences(health) {
 export function renderHealth({ state, link }) {
   const node = byId("health");
   const found = state?.health && !link.stale ? sentences(state.health) : [];
-  const well = found.length > 0 && found.every(([level]) => level === "ok");
+  const well = !state?.fault && !state?.status.fault && found.length > 0 && found.every(([level]) => level === "ok");
   renew(node, [link.stale, found, document.documentElement.lang], () => {
     node.setAttribute("aria-label", t("health.title"));
     if (!found.length) return [make("span", { class: "muted" }, t(link.stale ? "health.not_now" : "health.none"))];

@@ -1,7 +1,7 @@
 // The page: everything that it shows comes from the state of the cell; this file joins the parts.
 
 import { byId, setText, show } from "./dom.js";
-import { Link } from "./link.js";
+import { Link, NoAnswer } from "./link.js";
 import { loadWords, millimetres, number, t } from "./words.js";
 import { renderBand, runs } from "./band.js";
 import { renderHeld } from "./held.js";
@@ -15,6 +15,7 @@ import { renderSort, setupSort } from "./sort.js";
 import { renderReplay, setupReplay } from "./replay.js";
 
 const TABS = ["held", "teach", "sort"];
+const TAB_OF = { identify: "held", grip: "held", verify: "held", teach: "teach", sort: "sort" };
 const photos = new Map(); // URL of each photograph that was fetched, by its address
 let dirty = true;
 let lastJob = null;
@@ -69,19 +70,22 @@ function photo(object) {
 
 async function refreshInfo() {
   try {
-    view.info = await view.link.call("GET", "api/info");
+    view.info = await view.link.call("GET", "api/info", { timeout_ms: 5000 });
     view.link.leaseTimeout_s = view.info.lease_timeout_s ?? 2;
-  } catch { /* the next connection asks again */ }
-  await refreshTaught();
+    await refreshTaught();
+  } catch {
+    setTimeout(refreshInfo, 1000);
+  }
 }
 
 async function refreshTaught() {
   for (const url of photos.values()) if (url) URL.revokeObjectURL(url);
   photos.clear();
   try {
-    view.taught = await view.link.call("GET", "api/taught");
-  } catch {
-    view.taught = (view.info?.labels ?? []).map((label) => ({ label }));
+    view.taught = await view.link.call("GET", "api/taught", { timeout_ms: 5000 });
+  } catch (error) {
+    if (error instanceof NoAnswer) setTimeout(refreshTaught, 1000);
+    else view.taught = (view.info?.labels ?? []).map((label) => ({ label }));
   }
   dirty = true;
 }
@@ -95,7 +99,7 @@ function take(state) {
   if (before && before.taught_revision !== state.taught_revision) refreshTaught();
   if (lastJob && (job.number !== lastJob.number || job.outcome !== lastJob.outcome)) {
     if (runs(job) && !(runs(lastJob) && lastJob.number === job.number)) {
-      chooseTab(TABS.includes(job.task) ? job.task : "held");
+      if (TAB_OF[job.task]) chooseTab(TAB_OF[job.task]);
       view.say("");
     }
     if (job.task === "teach" && !runs(job)) teachEnded(view, job);

@@ -65,7 +65,8 @@ export async function openGrasp({ link, info }, answer) {
   drawOpened();
   dialog.showModal();
   try {
-    opened = { info, grasp: await link.call("GET", `api/grasps/${encodeURIComponent(answer.id)}`) };
+    const grasp = await link.call("GET", `api/grasps/${encodeURIComponent(answer.id)}`, { timeout_ms: 5000 });
+    opened = { info, grasp };
   } catch {
     setText(byId("grasp_text"), `${facts} · ${t("shift.grasp_gone")}`);
   }
@@ -85,7 +86,7 @@ export function drawOpened() {
   byId("grasp_chart").setAttribute("aria-label", t("shift.chart_say", { force: newtons(highest) }));
   byId("grasp_pads").hidden = !frame;
   if (frame) {
-    drawPads(byId("grasp_pads"), opened.info.pads, frame, {
+    drawPads(byId("grasp_pads"), opened.info?.pads, frame, {
       full_n: Math.max(0.1, ...frame.map((one) => Math.ceil(10 * one) / 10)), note: "",
     });
   }

@@ -15,7 +15,6 @@ export function renderSort(view) {
   const { state, info } = view;
   if (!state) return;
   allow(byId("sort_start"), t("do.sort"), t("hint.sort_start"), view.why("sort"));
-  setText(byId("sort_why"), "");
   const { job } = state;
   const progress = (job?.task === "sort" && job.progress) || {};
   const parts = Array.isArray(progress.parts) ? progress.parts.length : progress.parts ?? 0;

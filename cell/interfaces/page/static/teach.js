@@ -95,7 +95,8 @@ export async function teachEnded(view, job) {
 }
 
 function result(taught) {
-  const share = taught.mistaken_share ?? 0;
+  const { mistaken_share: share } = taught;
+  if (share == null) return t("teach.done");
   if (!taught.nearest || share <= TOLD_APART) return t("teach.well");
   return t("teach.near", { label: taught.nearest, share: percent(share) });
 }
@@ -105,11 +106,11 @@ export function renderTeach(view) {
   if (!state) return;
   const reason = view.why("teach");
   allow(byId("teach_start"), t("do.teach"), t("hint.teach"), reason);
-  setText(byId("teach_why"), "");
   const { job } = state;
   const teaching = job?.task === "teach";
   const { label = "", grasps = 0, of = 0, missed = 0, each = [] } = (teaching && job.progress) || {};
   show(byId("teach_now"), teaching);
+  show(byId("teach_form"), !(teaching && runs(job)));
   if (teaching) {
     setText(byId("teach_progress"), t("teach.progress", { label, grasps, of }) + (missed ? ` – ${t("teach.missed", { n: missed })}` : ""));
     byId("teach_bar").style.width = `${of ? (100 * grasps) / of : 0}%`;

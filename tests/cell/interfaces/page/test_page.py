@@ -272,6 +272,21 @@ def test_a_server_without_the_newer_fields_is_borne(open_page: OpenPage, cell: F
 
 
 @pytest.mark.long
+def test_what_a_busy_server_does_not_answer_is_asked_again(
+    open_page: OpenPage, cell: FakeCell
+) -> None:
+    cell.refusals["info"] = (500, 599, "busy")
+    page = open_page()
+    becomes(page, "#state", "Ready")
+    page.click("#strip button >> nth=-1")
+    becomes(page, "#grasp_title", "nut")
+    page.click("#grasp_close")
+    becomes(page, "#cell", "^$")
+    del cell.refusals["info"]
+    becomes(page, "#cell", "Cell 3")
+
+
+@pytest.mark.long
 def test_a_recording_is_replayed(open_page: OpenPage, cell: FakeCell) -> None:
     cell.info |= {"mode": "replay"}
     cell.state |= {"replay": {"paused": False, "speed": 1.0, "grasp": 3, "of": 12, "t_s": 1.4}}

@@ -19,7 +19,7 @@ HTML = (FOLDER / "index.html").read_text()
 FAMILIES: dict[str, set[str]] = {
     "state.": {*CellState, "away"},
     "grip.": set(GraspState),
-    "task.": {*TASKS, "release", "clear", "reset", "shutdown", "forget_drift"},
+    "task.": {*TASKS, "release", "clear", "reset", "shutdown", "forget", "forget_drift"},
     "step.": set(get_args(Step)),
     "shape.": {*SHAPE_MODELS, UNCLEAR},
     "why.state.": set(CellState),
