@@ -59,9 +59,10 @@ campaign: $(DEV)  ## every fault, then a million inputs and random steps from wh
 damage: $(DEV)  ## each kind of damage to the bytes of both lines between two processes, five minutes
 	$(BIN)/python -m tests.hil.damage --all
 
-soak: $(DEV)  ## 10,000 connections to each door and 10,000 grasps, an hour: memory, files and threads stay flat
+soak: $(DEV)  ## 10,000 connections to each door, 10,000 grasps, a watched shift, an hour and more: memory, files, threads stay flat
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.performance.connects --connects $(or $(CONNECTS),10000)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.performance.soak --grasps $(or $(GRASPS),10000)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.performance.shift --hours $(or $(HOURS),8)
 
 vcan: $(DEV)  ## the CAN link on a real SocketCAN interface, in a virtual machine (qemu)
 	.ci/vcan

@@ -1,6 +1,6 @@
 """Run every benchmark, or those named: python -m benchmarks [NAME ...].
 
-`benchmarks.performance.soak` takes an hour and has a command of its own: `make soak`.
+What takes long, `connects`, `soak` and `shift` of `benchmarks.performance`, runs with `make soak`.
 """
 
 import importlib
