@@ -35,10 +35,11 @@ another client has let go."""
 
 LET_GO: tuple[Step, ...] = ("look", "clear", "support_part", "release", "reset")
 MEND: tuple[Step, ...] = ("look", "mend", "clear", "support_part", "release", "reset")
+LET_GO_FIRST: tuple[Step, ...] = ("look", "clear", "support_part", "release", "mend", "reset")
 REBOOT: tuple[Step, ...] = ("support_part", "look", "mend", "clear_reboot", "release", "reset")
 START: tuple[Step, ...] = ("mend", "clear", "reset")
 CONFIG: tuple[Step, ...] = ("look", "correct", "restart")
-EMPTY: tuple[Step, ...] = ("look", "clear", "reset")
+EMPTY: tuple[Step, ...] = ("look", "clear", "release", "reset")
 STOPPED: tuple[Step, ...] = ("support_part", "release")
 OPEN: tuple[Step, ...] = ("mend", "restart")
 FREE: tuple[Step, ...] = ("free_pads", "clear", "reset")
@@ -79,14 +80,14 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         "The servos' bus watchdog acts; a part may be held.", MEND),
     gripper.FingerSilent: Fault(103, "One servo is silent",
         "Its supply or cable, or it restarts.", "Check both, then clear and reset.",
-        "The other finger stands still.", MEND),
+        "The other finger stands still.", REBOOT),
     gripper.LinkTooSlow: Fault(104, "Servo line too slow for the loop rate",
         "Latency timer of the USB adapter, baud rate.",
         "Set the latency timer to 1 ms, raise the baud rate or lower the loop rate.", UNMOVED,
         START),
     gripper.BusCorrupt: Fault(105, "Damaged answers on the servo line",
         "Noise, ground, termination, two servos with one ID.", "Check cable, ground and IDs.",
-        KEPT, MEND),
+        KEPT, REBOOT),
     gripper.BusUnreliable: Fault(106, "Too many periods without servo feedback",
         "Noise or another device on the servo line.",
         "Check cable and ground; `gripper.feedback_loss_max_share` is the limit.", KEPT, MEND),
@@ -100,7 +101,7 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         "Remove the cause, clear, release; then clear with reboot, reset.",
         "The other finger stands still; a servo without torque does not hold.", REBOOT),
     gripper.VerificationFailed: Fault(110, "Servos do not match the config",
-        "Another servo, or changed settings.", "Correct the servo or the config.", UNMOVED, CONFIG),
+        "Another servo, or changed settings.", "Correct the servo or the config.", UNMOVED, START),
     gripper.ServoMissing: Fault(111, "A configured servo does not answer at the start",
         "Supply, cable, ID or baud rate.", "Run `doctor`; correct supply, cable, ID or baud rate.",
         UNMOVED, START),
@@ -109,10 +110,10 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         "Take the part out, restart the servo, check horn and encoder.", LIMP, REBOOT),
     gripper.WatchdogUnproven: Fault(113, "Servo bus watchdog failed its self-test",
         "Firmware without a working bus watchdog.", "Update the firmware or exchange the servo.",
-        UNMOVED, CONFIG),
+        UNMOVED, START),
     gripper.MechanicsContradicted: Fault(114, "Fingers do not move as the config says",
         "Wrong `gripper.servos[].direction`, `zero_pulse` or `gripper.linkage`; a blocked finger.",
-        "Look where the fingers stand, correct the key, clear and reset.", LIMP, CONFIG),
+        "Look where the fingers stand, correct the key, clear and reset.", LIMP, START),
     # -- 2xx: grip and force -------------------------------------------------------------------
     gripper.LimitExceeded: Fault(200, "Command or measured value outside a limit",
         "A request beyond the config, or heat.", "Read value and limit in the text.",
@@ -121,14 +122,15 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         "The part was pushed, or the force control is wrong.",
         "Look at the part; check cap and calibration after a risk assessment.", SET_OFF, MEND),
     gripper.PositionContradicted: Fault(202, "Pads contradict the reported finger position",
-        "Encoder or linkage drifts.", "Look, release, then check encoder and linkage.", KEPT, MEND),
+        "Encoder or linkage drifts.", "Look, release, then check encoder and linkage.", KEPT,
+        LET_GO_FIRST),
     gripper.GripperStateError: Fault(203, "Gripper command not allowed in its state",
         "A command out of order.", "Read the allowed commands in the text.", UNMOVED, LET_GO),
     gripper.ForceSensorStale: Fault(204, "No valid tactile force for too long",
         "CAN load, control unit, a busy machine.",
         "Check the CAN link; `gripper.force_stale_ms` is the limit.", KEPT, MEND),
     gripper.PartLost: Fault(205, "Part lost: both pads are empty",
-        "The part slipped out, broke or was taken.", "Look for the part; clear and reset.",
+        "The part slipped out, broke or was taken.", "Look for the part; clear, release, reset.",
         "The fingers stand still; nothing is held.", EMPTY),
     gripper.PartSlipped: Fault(206, "The held part slips",
         "Too little force, a smooth or heavy part, a push.",
@@ -152,7 +154,7 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         "Supply, cable, node-ID, bit rate.", "Check them; run `doctor`.", UNMOVED, START),
     tactile.IdentityMismatch: Fault(304, "Another control unit than configured",
         "Exchanged unit or firmware.",
-        "Correct `tactile` in the config, or connect the right unit.", UNMOVED, CONFIG),
+        "Correct `tactile` in the config, or connect the right unit.", UNMOVED, START),
     tactile.HeartbeatLost: Fault(305, "Heartbeat of the control unit lost",
         "Its supply or cable; a crash of its firmware.",
         "Check supply and cable, restart the unit.", KEPT, MEND),
@@ -163,7 +165,7 @@ CATALOGUE: dict[type[BaseException], Fault] = {
         MEND),
     tactile.NodeRebooted: Fault(308, "Control unit restarted in operation",
         "A dip of its supply.", "Check its supply; clear and reset take the zero anew.", KEPT,
-        LET_GO),
+        MEND),
     tactile.NodeStateChanged: Fault(309, "Control unit left the operational state",
         "Another CANopen master, or an error of the unit.",
         "Look for the other master; read the unit's error register.", KEPT, MEND),
