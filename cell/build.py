@@ -99,6 +99,11 @@ class Cell:
             self.controller.tick()
 
     @property
+    def records(self) -> bool:
+        """Whether anything takes what is recorded: a file, or a tap."""
+        return self._recorder is not None
+
+    @property
     def recording_path(self) -> Path | None:
         """The recording, if one is made."""
         return None if self._recorder is None else self._recorder.path

@@ -1,12 +1,13 @@
 """The taught model of the built-in simulated cell, kept for the next start in the user's cache.
 
-A model is found only by the version and the config that it was taught with.
+A model is found only by the config, the version and the very code that it was taught with.
 """
 
 import hashlib
 import os
 import shutil
 from collections.abc import Callable
+from importlib import import_module
 from importlib.metadata import version
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,6 +20,10 @@ MODEL_FILE = "model.npz"
 """Name of the model in its folder; its training set lies beside it under the name it gives."""
 _NOT_OF_THE_MODEL = {"serve", "recording"}
 """Sections of a config that change nothing about what is taught."""
+_CODE = ("cell", "gripper", "recognition", "simulator", "tactile")
+"""Packages whose code decides what is taught: a checkout changes without its version."""
+_KEPT_MAX = 4
+"""Models that are kept; the oldest go first."""
 
 
 def cached_model(config: CellConfig) -> Path | None:
@@ -61,6 +66,9 @@ def keep_model(config: CellConfig, write: Callable[[Path], object]) -> Path:
         write(Path(new))
         shutil.rmtree(folder, ignore_errors=True)
         Path(new).rename(folder)
+    kept = sorted(folder.parent.glob("taught-*"), key=lambda one: one.stat().st_mtime)
+    for old in kept[:-_KEPT_MAX]:
+        shutil.rmtree(old, ignore_errors=True)
     return folder / MODEL_FILE
 
 
@@ -68,6 +76,13 @@ def _folder(config: CellConfig) -> Path:
     """Return the folder of a config's model below ``XDG_CACHE_HOME`` (XDG Base Directory 0.8)."""
     named = Path(os.environ.get("XDG_CACHE_HOME", ""))
     cache = named if named.is_absolute() else Path.home() / ".cache"
-    taught_with = config.model_dump_json(exclude=_NOT_OF_THE_MODEL)
-    key = hashlib.sha256(taught_with.encode()).hexdigest()[:16]
-    return cache / "tactile-cell" / f"taught-{version('tactile-cell')}-{key}"
+    key = hashlib.sha256(config.model_dump_json(exclude=_NOT_OF_THE_MODEL).encode())
+    for file in _code():
+        key.update(file.read_bytes())
+    return cache / "tactile-cell" / f"taught-{version('tactile-cell')}-{key.hexdigest()[:16]}"
+
+
+def _code() -> list[Path]:
+    """Return the files of the packages that decide what is taught."""
+    folders = [folder for name in _CODE for folder in import_module(name).__path__]
+    return sorted(file for folder in folders for file in Path(folder).rglob("*.py"))

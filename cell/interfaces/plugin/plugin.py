@@ -561,7 +561,7 @@ class TactileCellPlugin:
 
     def remark(self, kind: str, text: str) -> None:
         """Write into the recording that something happened, with the next job or its end."""
-        if self._cell.recording_path is not None:
+        if self._cell.records:
             self._remarks.append((kind, text))
 
     def forget_drift(self, timeout_s: float = 5.0) -> None:

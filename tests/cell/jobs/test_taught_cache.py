@@ -33,13 +33,35 @@ def test_a_kept_model_is_found_and_replaced(kept: Path, taught: Any, tmp_path: P
     assert len(list(kept.parent.parent.iterdir())) == 1
 
 
-def test_a_model_of_another_config_or_version_is_not_found(
-    kept: Path, taught: Any, make_config: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+def test_a_model_of_another_config_version_or_code_is_not_found(
+    kept: Path,
+    taught: Any,
+    make_config: Callable[..., Any],
+    monkeypatch: pytest.MonkeyPatch,
+    tmp_path: Path,
 ) -> None:
     assert cached_model(make_config(serve__http_port=0, recording__directory="there")) == kept
     assert cached_model(make_config(simulator__noise_level=1.5)) is None
-    monkeypatch.setattr(taught_cache, "version", lambda _name: "99")
+    with monkeypatch.context() as patch:
+        patch.setattr(taught_cache, "version", lambda _name: "99")
+        assert cached_model(taught.config) is None
+    files = taught_cache._code()
+    assert {file.parts[-2] for file in files} >= {"ramp", "world", "hand", "force"}
+    changed = tmp_path / "changed.py"
+    changed.write_bytes(files[0].read_bytes() + b"#")
+    monkeypatch.setattr(taught_cache, "_code", lambda: [changed, *files[1:]])
     assert cached_model(taught.config) is None
+
+
+def test_few_models_are_kept(
+    kept: Path, make_config: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(taught_cache, "_code", list)
+    for seed in range(9):
+        made = keep_model(make_config(seed=seed), lambda folder: (folder / MODEL_FILE).touch())
+    folders = list(kept.parent.parent.iterdir())
+    assert len(folders) == 4
+    assert made.parent in folders
 
 
 @pytest.mark.parametrize("broken", [MODEL_FILE, "taught.npz"])
