@@ -47,7 +47,8 @@ def test_benchmarks_that_the_docs_name_exist() -> None:
     assert not [found for found in named if found[1] not in modules()]
 
 
-def test_the_readme_begins_with_the_two_commands() -> None:
+def test_the_readme_begins_with_the_three_commands() -> None:
     lines = [line for line in (ROOT / "README.md").read_text().splitlines() if line.strip()]
     assert lines[1].split("#")[0].strip() == "make run"
     assert lines[2].split("#")[0].strip() == "make test"
+    assert lines[3].split("#")[0].strip() == "make serve"

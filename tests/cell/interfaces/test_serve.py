@@ -9,6 +9,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 from urllib.request import Request, urlopen
 from xmlrpc.client import ServerProxy
@@ -194,50 +195,61 @@ def test_the_address_of_the_page_suits_a_browser(changes: dict[str, Any], addres
     assert page_address({"modbus_port": 7}, config) is None
 
 
-def test_the_first_start_teaches_visibly_and_keeps_the_model(
-    serve: Callable[..., Any], cache: Path, monkeypatch: pytest.MonkeyPatch
+def test_the_first_start_teaches_under_a_lease_and_keeps_the_model(
+    serve: Callable[..., Any], cache: Path, taught: Any
 ) -> None:
-    monkeypatch.setattr(serving, "_FIRST_GRASPS", 3)
-    monkeypatch.setattr(serving, "LOOK_S", 0.01)
-    served, seen = serve(cell={"model": None}), set()
-    service = served.service
-    plain_job = service.job
+    served = serve()
+    service, write = served.service, copied(taught.result.model)
+    model: Any = SimpleNamespace(save=lambda path: write(path.parent))
+    commanders, plain_start = [], service.start
 
-    def job(number: int | None = None) -> Any:
-        now = plain_job(number)
-        if number is not None:
-            seen.add((now.task, now.progress.get("label"), service.snapshot().commander))
-        return now
+    def start(lease: int, goal: Any) -> int:
+        commanders.append(service.snapshot().commander)
+        return plain_start(lease, goal)
 
-    monkeypatch.setattr(service, "job", job)
-    serving._teach_first(service, service._plugin, service.config, threading.Event())
-    assert {("teach", "ball", "first start"), ("teach", "box", "first start")} <= seen
+    service.start = start
+    serving._teach_first(service, model, service.config, threading.Event())
+    assert [(goal.label, goal.grasps) for goal in served.plugin.asked] == [
+        ("ball", serving._FIRST_GRASPS),
+        ("box", serving._FIRST_GRASPS),
+    ]
+    assert commanders == ["first start", "first start"]
     assert service.snapshot().commander == ""
     assert cached_model(service.config) is not None
-    assert service._plugin.labels == ("ball", "box")
 
 
-def test_a_first_start_that_is_interrupted_keeps_nothing(
+def test_a_first_start_whose_lease_is_taken_keeps_nothing(
     serve: Callable[..., Any],
     cache: Path,
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    monkeypatch.setattr(serving, "LOOK_S", 0.01)
-    served = serve(cell={"model": None})
+    monkeypatch.setattr(serving, "LOOK_S", 0.0)
+    served = serve()
     service = served.service
+    served.plugin.pause()
     plain_alive = service.alive
 
     def alive(lease: int) -> None:
-        monkeypatch.setattr(service, "alive", plain_alive)
+        service.alive = plain_alive
         service.acquire("operator", take=True)
         service.alive(lease)
 
-    monkeypatch.setattr(service, "alive", alive)
-    serving._teach_first(service, service._plugin, service.config, threading.Event())
+    service.alive = alive
+    model = SimpleNamespace(save=lambda _path: pytest.fail("nothing is to be kept"))
+    serving._teach_first(service, model, service.config, threading.Event())
     assert "not all objects are taught" in capsys.readouterr().err
     assert cached_model(service.config) is None
     assert service.snapshot().commander == "operator"
+
+
+def test_a_first_start_that_is_to_end_ends_at_once(serve: Callable[..., Any], cache: Path) -> None:
+    served, over = serve(), threading.Event()
+    served.plugin.pause()
+    over.set()
+    serving._teach_first(served.service, served.plugin, served.service.config, over)
+    assert len(served.plugin.asked) == 1
+    assert cached_model(served.service.config) is None
 
 
 def test_a_recording_is_shown_on_the_page(start: Callable[..., Any], taught: Any) -> None:
