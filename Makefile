@@ -9,7 +9,7 @@ INSTALL := $(BIN)/python -m pip install --quiet --constraint constraints.txt --e
 PYTEST_ARGS ?=
 TESTS = OPENBLAS_NUM_THREADS=1 $(BIN)/python -m pytest -n auto --dist worksteal $(PYTEST_ARGS)
 
-.PHONY: run serve test test-long test-real-time coverage wheel-test check format docs docs-pages bench paper campaign damage soak vcan clients help clean distclean
+.PHONY: run serve test test-long test-real-time coverage wheel-test check format docs docs-pages pictures bench paper campaign damage soak vcan clients help clean distclean
 
 run: $(RUN)  ## teach and identify the paper's five objects on the simulated cell
 	$(BIN)/tactile-cell run
@@ -48,6 +48,9 @@ docs: $(DOCS)  ## the site in out/docs; a warning or a broken link inside is an 
 
 docs-pages: $(DEV)  ## write the tables that are made from the code into the pages of docs
 	$(BIN)/python -m docs.tools
+
+pictures: $(DEV)  ## pictures of the docs and transcripts of the tutorial, of a new run (chromium)
+	$(BIN)/python -m docs.tools.pictures
 
 bench: $(DEV)  ## each figure that README and docs quote
 	$(BIN)/python -m benchmarks

@@ -491,11 +491,14 @@ class CellController(CellView):
         label: str,
         plan: Sequence[GraspStep],
         *,
+        present: str | None = None,
         on_missed: Callable[[NoPartFound], None] | None = None,
     ) -> Iterator[GraspRecord]:
         """Grasp a known object once for each step of the plan, yielding each record.
 
-        With ``on_missed`` a grasp that finds no part is handed to it, and the next step follows.
+        ``present`` is the object to place where it is called otherwise than the label (simulated
+        cell). With ``on_missed`` a grasp that finds no part is handed to it, and the next step
+        follows.
 
         Raises
         ------
@@ -504,10 +507,11 @@ class CellController(CellView):
         NoPartFound
             If a grasp finds no part; with ``on_missed`` only if `MISSES_IN_A_ROW` of them do.
         """
-        steps = self._checked(plan, label)
+        placed = present or label
+        steps = self._checked(plan, placed)
 
         def grasps() -> Iterator[GraspRecord]:
-            self.present(label)
+            self.present(placed)
             misses = 0
             for step in steps:
                 try:

@@ -265,7 +265,6 @@ def _confusions(result: MainResult) -> tuple[ConfusionTable, ...]:
             labels=result.labels,
             columns=(*result.labels, UNKNOWN),
             counts=np.array(score.confusion),
-            caption=score.text,
         )
         for name, score in result.scores.items()
     ]

@@ -20,6 +20,8 @@ class Collection:
     """Name of the object."""
     n_planned: int
     """Grasps that were asked for."""
+    present: str | None = None
+    """Object to place where it is called otherwise than the label (simulated cell)."""
     records: list[GraspRecord] = field(default_factory=list)
     """Grasps that held the object, in order."""
     n_missed: int = 0
@@ -79,7 +81,7 @@ class Collection:
             on_grasp(self)
 
         steps = plan(sequence, self.n_planned, seed=seed)
-        for record in controller.collect(self.label, steps, on_missed=missed):
+        for record in controller.collect(self.label, steps, present=self.present, on_missed=missed):
             self.records.append(record)
             on_grasp(self)
         if misses and not self.records:

@@ -19,20 +19,21 @@ UNITS = {
 
 
 def config_page() -> str:
-    """Return a section for each section of the config, a row for each key."""
+    """Return a section for each section of the config, an entry for each key.
+
+    A list, not a table: on a narrow screen the meaning would stand outside of it.
+    """
     return "\n".join(_sections(CellConfig, ""))
 
 
 def _sections(model: type[BaseModel], path: str) -> Iterator[str]:
     yield f"## `{path}`\n" if path else "## Top level\n"
     yield f"{_plain(model.__doc__)}\n"
-    yield "| key | type | default | range or choices | meaning |\n| --- | --- | --- | --- | --- |"
     below = []
     for name, field in model.model_fields.items():
         models = list(_models(field.annotation))
         below += [(inner, _path(path, name, field, inner, len(models))) for inner in models]
-        cells = (f"`{name}`", _type(name, field), _default(field), _limits(field), _meaning(field))
-        yield f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
+        yield f"- `{name}`: {_meaning(field)}\\\n  {_allowed(name, field)}"
     yield ""
     for inner, inner_path in below:
         yield from _sections(inner, inner_path)
@@ -100,6 +101,14 @@ def _limits(field: FieldInfo) -> str:
     elif "min_length" in limits:
         found.append("not empty")
     return ", ".join(found)
+
+
+def _allowed(name: str, field: FieldInfo) -> str:
+    """Return type, range or choices, and default of a key."""
+    parts = [_type(name, field), _limits(field)]
+    default = _default(field)
+    parts.append(default if default in {"required", "see below"} else f"default {default}")
+    return "; ".join(part for part in parts if part)
 
 
 def _default(field: FieldInfo) -> str:

@@ -517,6 +517,15 @@ def test_train_writes_a_model(dataset: Path, tmp_path: Path) -> None:
     }
 
 
+def test_an_object_of_the_simulated_cell_is_taught_under_another_name(
+    config: Path, tmp_path: Path
+) -> None:
+    dataset = tmp_path / "d.npz"
+    call("teach", "part_7", "--object", "box", "-n", 1, "-o", dataset, "-c", config)
+    (grasp,) = read_dataset(dataset)
+    assert grasp.label == "part_7"
+
+
 def test_train_takes_recordings_and_leaves_out_what_has_no_label(
     taught: Any, tmp_path: Path
 ) -> None:

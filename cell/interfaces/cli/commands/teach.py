@@ -18,6 +18,7 @@ from cell.interfaces.cli.options import (
 
 if TYPE_CHECKING:
     from cell.config.model import CellConfig
+    from cell.learning.collection import Collection
 
 _GRASPS = 20
 """Grasps of an object where no number is given."""
@@ -62,6 +63,12 @@ def teach(
             help="Recording or data set: its grasps without a label, instead of new ones.",
         ),
     ] = None,
+    present: Annotated[
+        str | None,
+        typer.Option(
+            "--object", help="Object that the simulated cell shall hold [default: that label]."
+        ),
+    ] = None,
     config: ConfigOption = None,
     out_folder: OutOption = None,
     seed: SeedOption = None,
@@ -72,6 +79,7 @@ def teach(
     from cell.config.simulator import checked_label
     from cell.errors import ConfigError
     from cell.interfaces.cli.session import cell_config
+    from cell.learning.collection import Collection
 
     try:
         checked_label(label)
@@ -85,7 +93,8 @@ def teach(
         if gauge is not None or gauge_shape is not None:
             raise ConfigError("a gauge serves drawings: add --shape or --mesh")
         folder = out_folder or Path(checked.recording.directory)
-        _teach_grasps(checked, config, label, dataset, grasps or _GRASPS, folder, json_file)
+        collection = Collection(label=label, n_planned=grasps or _GRASPS, present=present)
+        _teach_grasps(checked, config, collection, dataset, folder, json_file)
         return
     if shape is not None and mesh is not None:
         raise ConfigError("--shape and --mesh are two drawings; give one of them")
@@ -106,9 +115,8 @@ def teach(
 def _teach_grasps(
     config: "CellConfig",
     config_file: Path | None,
-    label: str,
+    collection: "Collection",
     dataset: Path,
-    n_grasps: int,
     folder: Path,
     json_file: Path | None,
 ) -> None:
@@ -116,10 +124,8 @@ def _teach_grasps(
     from cell.interfaces.cli.terminal import print_line, progress_bar, write_json
     from cell.jobs.common import job_folder
     from cell.jobs.teach import dataset_to_extend, teach_to_dataset
-    from cell.learning.collection import Collection
 
     before = dataset_to_extend(dataset, pads_of(config))
-    collection = Collection(label=label, n_planned=n_grasps)
     with (
         running_cell(
             config, job_folder(folder, "teach"), json_file=json_file, config_file=config_file
@@ -134,7 +140,7 @@ def _teach_grasps(
     write_json(
         json_file,
         {
-            "label": label,
+            "label": collection.label,
             "n_grasps": len(collection.records),
             "n_missed": collection.n_missed,
             "dataset": str(dataset),
