@@ -19,11 +19,11 @@ from typing import Annotated, Any, Literal
 from urllib.parse import quote
 
 import uvicorn
-from fastapi import APIRouter, Depends, FastAPI, HTTPException, Query, Request, WebSocket
+from fastapi import APIRouter, Body, Depends, FastAPI, HTTPException, Query, Request, WebSocket
 from fastapi.exceptions import RequestValidationError
 from fastapi.responses import JSONResponse, Response
 from fastapi.security import HTTPAuthorizationCredentials, HTTPBearer
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, WithJsonSchema
 from starlette.exceptions import HTTPException as StarletteHTTPException
 from starlette.websockets import WebSocketDisconnect
 from uvicorn.protocols.http.h11_impl import H11Protocol
@@ -42,6 +42,7 @@ from cell.errors import (
 from cell.fault_catalogue import BY_NUMBER, CATALOGUE, Refusal
 from cell.interfaces.live_socket import LiveFeed, LiveLink
 from cell.interfaces.page import mount_page
+from cell.interfaces.plugin.goals import goal_schema
 from cell.interfaces.service.doors import (
     Places,
     is_for_this_machine,
@@ -88,8 +89,21 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 """A number in a request."""
 
 
+JOB_EXAMPLES: dict[str, Any] = {
+    task: {"summary": summary, "value": {"lease": 1, "goal": {"task": task} | fields}}
+    for task, summary, fields in (
+        ("teach", "Grasp a known object ten times.", {"label": "bolt", "grasps": 10}),
+        ("identify", "Name a part and keep it in the grip.", {"keep": "always"}),
+        ("grip", "Grip a part with 3 N and keep it, without a name.", {"force_n": 3.0}),
+        ("verify", "Measure whether the kept part is still the one.", {}),
+        ("sort", "Name 20 parts and let each go at its place.", {"parts": 20}),
+    )
+}
+"""Examples of `POST /api/jobs` in the description."""
+
+
 class _Body(BaseModel):
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", use_attribute_docstrings=True)
 
 
 class AcquireBody(_Body):
@@ -109,7 +123,7 @@ class LeaseBody(_Body):
 class StartBody(LeaseBody):
     """A goal: ``task`` and its fields, as in `TactileCellPlugin.start`."""
 
-    goal: dict[str, Any]
+    goal: Annotated[dict[str, Any], WithJsonSchema(goal_schema())]
 
 
 class CommandBody(LeaseBody):
@@ -131,12 +145,27 @@ class ReplayBody(_Body):
 
 
 class PoseFields(_Body):
-    """Pose of the object: offset along and across the fingers in m, turns in rad."""
+    """Pose of the object in the grip frame."""
 
     x_m: Finite = 0.0
+    """Offset of its centre along the fingers in m."""
     y_m: Finite = 0.0
+    """Offset of its centre across the fingers in m."""
     rotation_rad: Finite = 0.0
+    """Turn about the closing axis in rad."""
     roll_rad: Finite = 0.0
+    """Turn about the object's own long axis in rad, before the rotation."""
+
+
+class RefusalBody(_Body):
+    """What is refused, in one shape for all paths."""
+
+    fault_number: int
+    """Number in the fault catalogue, `GET /api/faults`."""
+    error: str
+    """Cause, with value and limit."""
+    remedy: str
+    """What to do next."""
 
 
 class PoseBody(_Body):
@@ -193,7 +222,10 @@ class Api:
 
     def app(self) -> FastAPI:
         """Return the application."""
-        app = FastAPI(title="tactile-cell", docs_url=None, redoc_url=None)
+        refusals: dict[int | str, dict[str, Any]] = {
+            status: {"model": RefusalBody} for status in (401, 403, 404, 409, 413, 422, 500)
+        }
+        app = FastAPI(title="tactile-cell", docs_url=None, redoc_url=None, responses=refusals)
         for kind in (StarletteHTTPException, RequestValidationError, *_ERRORS):
             app.add_exception_handler(kind, _refused)
         guarded = APIRouter(prefix="/api", dependencies=[Depends(self._authorize)])
@@ -312,7 +344,9 @@ class Api:
         self._service.give_up(lease)
         return {"lease": 0}
 
-    def start(self, body: StartBody) -> dict[str, int]:
+    def start(
+        self, body: Annotated[StartBody, Body(openapi_examples=JOB_EXAMPLES)]
+    ) -> dict[str, int]:
         """Start a job."""
         return {"job": self._service.start(body.lease, body.goal, number=body.job)}
 
@@ -506,8 +540,8 @@ class Connection(H11Protocol):
     places
         Those of the door.
     limit_s
-        Longest time in s from the first byte of a request to the end of its answer; a new
-        connection has as much for its first one.
+        Longest time in s from the first to the last byte of a request; a new connection has as much
+        for its first one. What the cell takes for the answer does not count.
     """
 
     def __init__(self, places: Places[asyncio.Transport], limit_s: float, **server: Any) -> None:
@@ -533,10 +567,16 @@ class Connection(H11Protocol):
         self._end()
         super().handle_websocket_upgrade(event)
 
-    def on_response_complete(self) -> None:
-        """Go on to the next request."""
-        self._end()
-        super().on_response_complete()
+    def handle_events(self) -> None:
+        """Take what has come of requests; one that is whole keeps its place until its answer."""
+        super().handle_events()
+        if self.cycle is not None and not self.cycle.more_body:
+            self._end()
+
+    def send_400_response(self, msg: str) -> None:
+        """Refuse what is no request, in the shape of all refusals."""
+        self.transport.write(_NO_REQUEST)
+        self.transport.close()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """End."""
@@ -552,6 +592,13 @@ class Connection(H11Protocol):
         if self._limit is not None:
             self._limit.cancel()
             self._limit = None
+
+
+_REASON = bytes(refusal_answer(400, "this is no HTTP request").body)
+_NO_REQUEST = (
+    b"HTTP/1.1 400 Bad Request\r\nContent-Type: application/json\r\nConnection: close\r\n"
+    b"Content-Length: %d\r\n\r\n%b" % (len(_REASON), _REASON)
+)
 
 
 class WebDoor:

@@ -10,7 +10,9 @@ from cell.errors import ConfigError
 
 
 class _Goal(BaseModel):
-    model_config = ConfigDict(strict=True, extra="forbid", frozen=True)
+    model_config = ConfigDict(
+        strict=True, extra="forbid", frozen=True, use_attribute_docstrings=True
+    )
     task: ClassVar[str]
     """Its name in requests."""
 
@@ -97,6 +99,17 @@ TASKS: dict[str, type[_Goal]] = {
     goal.task: goal for goal in (TeachGoal, IdentifyGoal, GripGoal, VerifyGoal, SortGoal)
 }
 """Kind of goal of each task."""
+
+
+def goal_schema() -> dict[str, Any]:
+    """Return the JSON schema of a goal as a mapping: ``task`` and the fields of its kind."""
+    kinds = []
+    for task, kind in TASKS.items():
+        schema = kind.model_json_schema()
+        schema["properties"] = {"task": {"const": task}} | schema.get("properties", {})
+        schema["required"] = ["task", *schema.get("required", ())]
+        kinds.append(schema)
+    return {"oneOf": kinds}
 
 
 def checked_goal(goal: Goal | Mapping[str, Any]) -> Goal:

@@ -21,9 +21,12 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect as open_socket
 
 from cell.errors import CellError, ConfigError
+from cell.interfaces.live_socket import LiveLink
+from cell.interfaces.plugin.goals import TASKS, checked_goal
 from cell.interfaces.service.doors import BUSY_MAX
 from cell.interfaces.service.service import RELEASE_KEY, Service
 from cell.interfaces.service.serving import open_doors, warnings
+from cell.interfaces.web import WebDoor
 from tactile.errors import HeartbeatLost
 from tests.cell.interfaces.conftest import Served, ended, until
 
@@ -400,9 +403,38 @@ def test_a_hold_is_a_level_for_each_client(connect: Any) -> None:
 
 def test_the_description_has_a_text_for_each_path(connect: Any) -> None:
     _, host = connect()
-    paths = host.ask("GET", "/openapi.json", token=None)[1]["paths"]
+    described = host.ask("GET", "/openapi.json", token=None)[1]
+    paths = described["paths"]
     assert all(way["description"] for ways in paths.values() for way in ways.values())
-    assert "goal" in json.dumps(paths["/api/jobs"]["post"]) or "StartBody" in json.dumps(paths)
+    start = paths["/api/jobs"]["post"]["requestBody"]["content"]["application/json"]
+    examples = [one["value"] for one in start["examples"].values()]
+    assert {checked_goal(one["goal"]).task for one in examples} == set(TASKS)
+    schemas = described["components"]["schemas"]
+    kinds = schemas["StartBody"]["properties"]["goal"]["oneOf"]
+    assert [one["properties"]["task"]["const"] for one in kinds] == list(TASKS)
+    assert all(
+        field["description"]
+        for kind in (*kinds, schemas["PoseFields"], schemas["RefusalBody"])
+        for name, field in kind["properties"].items()
+        if name != "task"
+    )
+    assert "HTTPValidationError" not in json.dumps(paths)
+
+
+def test_what_is_no_request_is_refused_in_the_same_shape(connect: Any) -> None:
+    _, host = connect()
+    with socket.create_connection(("127.0.0.1", host.port), timeout=20.0) as link:
+        link.sendall(b"this is no request\r\n\r\n")
+        head, _, body = link.makefile("rb").read().partition(b"\r\n\r\n")
+    assert head.startswith(b"HTTP/1.1 400 ")
+    check_refusal(400, json.loads(body), status=400)
+
+
+def test_an_answer_may_take_longer_than_a_request(connect: Any) -> None:
+    served, host = connect(serve__request_timeout_s=0.1)
+    shown, waited = served.plugin.taught, threading.Event()
+    served.plugin.taught = lambda: waited.wait(0.3) or shown()
+    assert len(host.get("/api/taught")) == 2
 
 
 def test_a_page_from_elsewhere_is_refused(connect: Any) -> None:
@@ -438,7 +470,7 @@ def test_a_page_whose_name_leads_here_is_refused_everywhere(connect: Any) -> Non
 
 
 def test_half_sent_requests_keep_nobody_out(connect: Any) -> None:
-    _, host = connect(serve__request_timeout_s=0.2)
+    _, host = connect(serve__request_timeout_s=1.0)
     place = ("127.0.0.1", host.port)
     with ExitStack() as slow:
         links = [
@@ -510,6 +542,24 @@ def test_a_slow_socket_gets_the_newest_and_holds_nobody_up(connect: Any) -> None
                 other.recv(timeout=20)
         assert slow.recv(timeout=20)
     assert served.state == "IDLE"
+
+
+def test_a_socket_that_takes_nothing_is_cut(serve: Any) -> None:
+    door = WebDoor(serve(serve__http_port=0, serve__request_timeout_s=0.3).service)
+    link = socket.socket()
+    link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    link.connect(("127.0.0.1", door.port))
+    request = (
+        f"GET /api/live?frames=newtons&token={door.token} HTTP/1.1\r\nHost: localhost\r\n"
+        "Upgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Version: 13\r\n"
+        "Sec-WebSocket-Key: MDEyMzQ1Njc4OWFiY2RlZg==\r\n\r\n"
+    )
+    link.sendall(request.encode())
+    links = door._server.server_state.connections
+    until(lambda: any(isinstance(one, LiveLink) for one in links))
+    until(lambda: not links)
+    link.close()
+    door.close()
 
 
 def test_the_end_of_the_door_ends_sockets_and_threads(serve: Any) -> None:
