@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -13,7 +14,7 @@ from cell.data.dataset import read_dataset, read_grasps, write_dataset
 from cell.data.recording_reader import read_recording
 from cell.errors import CellError, CellStopped, DatasetError, NoPartFound
 from cell.jobs.common import job_folder, silent
-from cell.jobs.run import BASELINE, _scores, score, teach_and_identify
+from cell.jobs.run import BASELINE, _MainJob, _scores, score
 from cell.jobs.run_report import main_report
 from cell.jobs.teach import (
     append_to_dataset,
@@ -24,7 +25,6 @@ from cell.jobs.teach import (
 )
 from cell.learning.collection import Collection
 from cell.learning.model import load_model
-from cell.learning.taught_model import TaughtModel
 from cell.learning.training import train
 from gripper.state import GripperPhase
 from recognition.recognizer import UNKNOWN, Posterior
@@ -104,41 +104,15 @@ def test_json_has_what_was_promised(taught: Any) -> None:
     assert data["report"] is None
 
 
-def test_a_given_recognizer_is_not_taught(make_bench: Callable[..., Any], taught: Any) -> None:
-    bench = make_bench(taught.config)
-    bench.controller.start()
-    result = teach_and_identify(
-        bench.cell,
-        taught.config,
-        labels=["box"],
-        n_teach=99,
-        n_trials=1,
-        folder=Path("nowhere"),
-        progress=silent,
-        model=TaughtModel.load(taught.config, taught.result.model),
-    )
-    assert (result.n_taught, result.dataset, result.model) == (0, None, None)
-    assert set(result.scores) == {"force_ramp", "force_ramp_one_grasp"}
-    assert set(result.examples) == {"box"}
-
-
 def test_the_baseline_as_default_is_trained_once(
-    make_bench: Callable[..., Any], make_config: Callable[..., Any], tmp_path: Path
+    make_bench: Callable[..., Any], taught: Any, tmp_path: Path
 ) -> None:
-    config = make_config(recognition__recognizer=BASELINE, sequence__max_grasps=2)
-    bench = make_bench(config, folder=tmp_path)
-    bench.controller.start()
-    result = teach_and_identify(
-        bench.cell,
-        config,
-        labels=["ball", "box"],
-        n_teach=3,
-        n_trials=1,
-        folder=tmp_path,
-        progress=silent,
-    )
-    assert set(result.scores) == {BASELINE, f"{BASELINE}_one_grasp"}
-    page = main_report(result, config, bench.cell, tmp_path / "report.html").read_text()
+    bench, model = make_bench(taught.config), Mock(trainer_name=BASELINE)
+    job = _MainJob(cell=bench.cell, config=taught.config, model=model, labels=(), progress=silent)
+    assert job.train([], tmp_path / "model.npz") == {BASELINE: model.recognizer}
+    scores = {f"{BASELINE}{kind}": taught.result.scores[BASELINE] for kind in ("", "_one_grasp")}
+    result = replace(taught.result, default=BASELINE, scores=scores)
+    page = main_report(result, taught.config, bench.cell, tmp_path / "report.html").read_text()
     assert "the paper&#39;s level check" not in page
 
 
@@ -154,23 +128,6 @@ def test_the_page_shows_objects_figures_and_files(
     assert str(taught.result.recording) in page
     assert "Simulated cell" in page
     assert page.count("<svg") + page.count("data:image/png") > 3
-
-
-def test_a_cancelled_job_ends_at_the_grasp(make_bench: Callable[..., Any], taught: Any) -> None:
-    bench = make_bench(taught.config)
-    bench.controller.start()
-    bench.once_in(GripperPhase.RAMPING, bench.controller.cancel, 0.1)
-    with pytest.raises(CellStopped):
-        teach_and_identify(
-            bench.cell,
-            taught.config,
-            labels=["ball"],
-            n_teach=3,
-            n_trials=1,
-            folder=Path("nowhere"),
-            progress=silent,
-        )
-    assert bench.grip_n > 0.3
 
 
 # -- scores ------------------------------------------------------------------------------------
@@ -199,28 +156,18 @@ def test_nothing_asked_is_no_accuracy() -> None:
 # -- teaching ----------------------------------------------------------------------------------
 
 
-def test_teaching_tells_each_grasp(make_bench: Callable[..., Any], taught: Any) -> None:
-    bench = make_bench(taught.config)
-    bench.controller.start()
-    told: list[tuple[str, int, int]] = []
-    records = teach(
-        bench.cell, taught.config, "box", 2, seed=1, progress=lambda *step: told.append(step)
-    )
-    assert [record.grasp.label for record in records] == ["box", "box"]
-    assert told == [("teach box", 1, 2), ("teach box", 2, 2)]
-
-
 def test_teaching_goes_on_after_a_grasp_without_a_part_and_ends_where_none_has_one(
     make_bench: Callable[..., Any], taught: Any
 ) -> None:
     bench = make_bench(taught.config)
     bench.controller.start()
     bench.once_in(GripperPhase.APPROACHING, bench.simulated.remove)
-    told: list[tuple[int, int]] = []
+    told: list[tuple[str, int, int]] = []
     records = teach(
-        bench.cell, taught.config, "box", 2, seed=1, progress=lambda _task, *at: told.append(at)
+        bench.cell, taught.config, "box", 2, seed=1, progress=lambda *step: told.append(step)
     )
-    assert (len(records), told) == (1, [(1, 2), (2, 2)])
+    assert [record.grasp.label for record in records] == ["box"]
+    assert told == [("teach box", 1, 2), ("teach box", 2, 2)]
     bench.once_in(GripperPhase.APPROACHING, bench.simulated.remove)
     with pytest.raises(NoPartFound):
         teach(bench.cell, taught.config, "box", 1, seed=1, progress=silent)
