@@ -81,7 +81,10 @@ export function renderBand({ link, info, state }) {
   } else {
     const { status, held_by: heldBy = [] } = state;
     [level, sign] = LOOKS[status.state] ?? ["watch", "hold"];
-    const word = has(`state.${status.state}`) ? t(`state.${status.state}`) : status.state;
+    // The fingers are at rest, and what they felt is worked on.
+    const thinks = status.state === "IDLE" && runs(state.job);
+    const word = thinks ? t("state.evaluating") : has(`state.${status.state}`) ? t(`state.${status.state}`) : status.state;
+    if (thinks) [level, sign] = LOOKS.EXECUTE;
     setText(byId("state"), word);
     const since_s = runs(state.job) ? state.job.since_s ?? status.since_s : status.since_s;
     setText(byId("since"), since_s

@@ -47,7 +47,9 @@ export function number(value, digits) {
   return format({ minimumFractionDigits: digits, maximumFractionDigits: digits ?? 1 }).format(value);
 }
 
-export const newtons = (value) => (value == null ? "–" : `${number(value, 1)}\u00a0N`);
+// Noise about zero has no sign.
+export const newtons = (value) =>
+  (value == null ? "–" : `${number(Math.abs(value) < 0.05 ? 0 : value, 1)}\u00a0N`);
 export const millimetres = (value, digits = 1) => (value == null ? "–" : `${number(value, digits)}\u00a0mm`);
 
 export function percent(share) {
