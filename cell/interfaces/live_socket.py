@@ -102,7 +102,8 @@ class LiveLink(WebSocketsSansIOProtocol):
     def connection_made(self, transport: Any) -> None:
         """Begin, with little room for messages that are not the newest any more."""
         super().connection_made(transport)
-        transport.set_write_buffer_limits(high=0)
+        # Not 0: with TLS asyncio (3.11) would pause at an empty buffer, and nothing would end that.
+        transport.set_write_buffer_limits(high=1, low=0)
         link = transport.get_extra_info("socket")
         link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER_BYTES)
 

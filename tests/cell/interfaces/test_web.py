@@ -613,6 +613,10 @@ def test_tls_by_certificate_files(connect: Any, tmp_path: Path) -> None:
     link.request("GET", "/api/info", headers={"Authorization": f"Bearer {host.token}"})
     assert link.getresponse().status == 200
     link.close()
+    url = f"wss://127.0.0.1:{host.port}/api/live?token=a%20token%20of%20the%20operator"
+    with open_socket(url, ssl=trusted) as live:
+        for _ in range(20):
+            assert json.loads(live.recv(timeout=20))["status"]["state"] == "IDLE"
 
 
 # -- opening the doors -------------------------------------------------------------------------
