@@ -25,11 +25,12 @@ from cell.data.recording_reader import read_recording, recording_grasps
 from cell.data.recording_values import plain_fields
 from cell.errors import RecordingError
 from gripper.force.timing import LoopStatistics
-from gripper.state import Cycle, ForceSample, GripperPhase, GripperState, ServoState
+from gripper.state import ForceSample
 from recognition.grasp import Grasp, GraspCommand, PadArray
 from recognition.shape.answer import ShapeAnswer, Thickness
 from tactile.frames.codec import TactileFrame
 from tests.fuzz.harness import Clock
+from tests.values import make_cycle, make_servo, make_state
 
 PADS = PadArray(
     pad_shape=np.array([[4, 3], [4, 3]]),
@@ -37,48 +38,6 @@ PADS = PadArray(
     taxel_xy_m=np.arange(48).reshape(24, 2) * 1e-3,
     adc_max=255,
 )
-
-
-def make_servo(**changes: Any) -> ServoState:
-    values: dict[str, Any] = {
-        "servo_id": 1,
-        "angle_rad": 0.123456789,
-        "velocity_rad_s": -0.02,
-        "current_a": 0.4,
-        "position_raw": 2048,
-        "temperature_c": 31.0,
-        "voltage_v": 12.1,
-        "tick_ms": 4711,
-        "alert": False,
-    }
-    return ServoState(**(values | changes))
-
-
-def make_state(t_s: float, **changes: Any) -> GripperState:
-    values: dict[str, Any] = {
-        "t_s": t_s,
-        "aperture_m": 0.0234,
-        "aperture_velocity_m_s": -0.001,
-        "current_a": 0.4,
-        "force_from_current_n": 3.9,
-        "temperature_c": 31.0,
-        "voltage_v": 12.1,
-        "servos": (make_servo(), make_servo(servo_id=2)),
-    }
-    return GripperState(**(values | changes))
-
-
-def make_cycle(t_s: float, **changes: Any) -> Cycle:
-    values: dict[str, Any] = {
-        "t_s": t_s,
-        "phase": GripperPhase.RAMPING,
-        "state": make_state(t_s),
-        "force": ForceSample(t_s=t_s - 0.004, force_n=(3.9, 4.1)),
-        "setpoint_n": 4.0,
-        "goal_current_a": 0.41,
-        "level": 1,
-    }
-    return Cycle(**(values | changes))
 
 
 def make_frame(t_s: float, rng: np.random.Generator, n_taxels: int = 24) -> TactileFrame:

@@ -28,41 +28,21 @@ from gripper.dynamixel.transactions import BusStatistics
 from gripper.errors import BusTimeout, GraspStopped, LimitExceeded, fingers_left, note_fingers
 from gripper.force.ramp import ForceRamp
 from gripper.force.timing import LoopStatistics
-from gripper.state import Cycle, ForceSample, GripperPhase, GripperState
+from gripper.state import ForceSample, GripperPhase
 from tactile.errors import HeartbeatLost
-from tactile.frames.assembler import FrameStatistics
 from tactile.frames.codec import TactileFrame
-from tactile.unit.settings import LinkStatistics
+from tests.values import make_cycle, make_link_statistics
 
 RAMP = ForceRamp.linear(3.0, 5.0)
 STATISTICS = HandStatistics(
     loop=LoopStatistics(cycles=5),
     servo_bus=BusStatistics(),
-    link=LinkStatistics(
-        frames=FrameStatistics(),
-        recent_loss_rate=0.0,
-        syncs=0,
-        late_syncs=0,
-        foreign=0,
-        malformed=0,
-        error_frames=0,
-    ),
+    link=make_link_statistics(),
 )
 
 
 def period(phase: GripperPhase = GripperPhase.RAMPING) -> Progress:
-    state = GripperState(
-        t_s=1.0,
-        aperture_m=0.01,
-        aperture_velocity_m_s=0.0,
-        current_a=0.1,
-        force_from_current_n=0.0,
-        temperature_c=30.0,
-        voltage_v=12.0,
-        servos=(),
-    )
-    cycle = Cycle(t_s=1.0, phase=phase, state=state, force=None, setpoint_n=1.0, goal_current_a=0.1)
-    return Progress(cycle=cycle, frames=())
+    return Progress(cycle=make_cycle(phase=phase, force=None), frames=())
 
 
 class FakeLoop:

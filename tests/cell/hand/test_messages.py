@@ -42,11 +42,7 @@ from gripper.errors import BusTimeout, GraspStopped, ServoFault, ServoRejected, 
 from gripper.force.ramp import ForceRamp
 from gripper.force.timing import Distribution, LoopStatistics
 from gripper.state import (
-    Cycle,
-    ForceSample,
     GripperPhase,
-    GripperState,
-    ServoState,
     VerificationReport,
     VerificationRow,
 )
@@ -54,7 +50,7 @@ from tactile import errors as tactile_errors
 from tactile.errors import NodeEmergency
 from tactile.frames.assembler import FrameStatistics
 from tactile.frames.codec import TactileFrame
-from tactile.unit.settings import LinkStatistics
+from tests.values import make_cycle, make_link_statistics
 
 RAMP = ForceRamp.staircase((2.0, 4.0), 5.0, 0.2)
 
@@ -63,47 +59,7 @@ def statistics() -> HandStatistics:
     return HandStatistics(
         loop=LoopStatistics(cycles=9, lateness=Distribution(n=9, max_s=0.1)),
         servo_bus=BusStatistics(transactions=3),
-        link=LinkStatistics(
-            frames=FrameStatistics(complete=4),
-            recent_loss_rate=0.0,
-            syncs=1,
-            late_syncs=0,
-            foreign=0,
-            malformed=0,
-            error_frames=0,
-        ),
-    )
-
-
-def cycle(t_s: float = 1.0) -> Cycle:
-    servo = ServoState(
-        servo_id=1,
-        angle_rad=0.1,
-        velocity_rad_s=0.0,
-        current_a=0.2,
-        position_raw=2048,
-        temperature_c=30.0,
-        voltage_v=12.0,
-        tick_ms=5,
-        alert=False,
-    )
-    state = GripperState(
-        t_s=t_s,
-        aperture_m=0.01,
-        aperture_velocity_m_s=0.0,
-        current_a=0.2,
-        force_from_current_n=1.0,
-        temperature_c=30.0,
-        voltage_v=12.0,
-        servos=(servo, servo),
-    )
-    return Cycle(
-        t_s=t_s,
-        phase=GripperPhase.RAMPING,
-        state=state,
-        force=ForceSample(t_s=t_s, force_n=(1.0, 2.0)),
-        setpoint_n=2.0,
-        goal_current_a=0.2,
+        link=make_link_statistics(frames=FrameStatistics(complete=4)),
     )
 
 
@@ -168,7 +124,7 @@ def test_each_message_arrives_as_it_was_sent(message: Any) -> None:
 
 
 def test_a_period_arrives_with_its_frames() -> None:
-    sent = Progress(cycle=cycle(), frames=(frame(), frame()))
+    sent = Progress(cycle=make_cycle(), frames=(frame(), frame()))
     got: Progress = pickle.loads(pickle.dumps(sent))
     assert got.cycle == sent.cycle
     np.testing.assert_array_equal(got.frames[1].counts, frame().counts)
@@ -260,7 +216,7 @@ class FakeHand:
             if self.stopped:
                 raise GraspStopped("stopped on request")
             self.now_s = float(number)
-            watch(cycle(float(number)), [frame()])
+            watch(make_cycle(float(number)), [frame()])
         return "outcome"
 
     def inspect(self) -> Any:
@@ -268,7 +224,7 @@ class FakeHand:
 
     def tick(self) -> None:
         self.calls.append("tick")
-        self.measured = Measured(cycle=cycle(float(len(self.calls))), frame=frame())
+        self.measured = Measured(cycle=make_cycle(float(len(self.calls))), frame=frame())
         if self.tick_error is not None:
             raise self.tick_error
 

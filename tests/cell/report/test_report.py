@@ -53,7 +53,7 @@ from cell.report.page import (
 from cell.report.shapes import MAX_BARS, shapes_view
 from gripper.dynamixel.transactions import BusStatistics
 from gripper.force.timing import LoopStatistics
-from gripper.state import Cycle, ForceSample, GripperPhase, GripperState
+from gripper.state import Cycle, ForceSample
 from recognition.grasp import Grasp
 from recognition.quadric.thresholds import find_thresholds
 from recognition.quadric.trajectory import sweep
@@ -61,8 +61,8 @@ from recognition.recognizer import UNKNOWN, Posterior
 from recognition.shape.answer import ShapeAnswer, Thickness
 from tactile.frames.assembler import FrameStatistics
 from tactile.layout import paper_layout
-from tactile.unit.settings import LinkStatistics
 from tests.cell.conftest import plain_pads
+from tests.values import make_cycle, make_link_statistics
 
 LABELS = ("ball", "box", "cylinder", "dumbbell", "oval")
 LAYOUT = paper_layout()
@@ -542,10 +542,9 @@ def test_health_marks_what_is_wrong() -> None:
         states(loop_health(LoopStatistics(worst_lateness_s=0.004), 0.005))["worst lateness"]
         == "warn"
     )
-    link = LinkStatistics(
-        frames=FrameStatistics(complete=10), recent_loss_rate=0.0, syncs=10, late_syncs=1,
-        foreign=3, malformed=0, error_frames=11,
-    )  # fmt: skip
+    link = make_link_statistics(
+        frames=FrameStatistics(complete=10), syncs=10, late_syncs=1, foreign=3, error_frames=11
+    )
     marks = states(link_health(link))
     assert (marks["late SYNC"], marks["malformed"], marks["error frames"]) == ("warn", "ok", "bad")
     assert marks["whole frames"] == "ok"
@@ -554,19 +553,9 @@ def test_health_marks_what_is_wrong() -> None:
 def make_cycles(n: int) -> list[Cycle]:
     force = ForceSample(t_s=0.0, force_n=(1.0, 3.0))
     return [
-        Cycle(
-            t_s=50.0 + i * 0.005,
-            phase=GripperPhase.RAMPING,
-            state=GripperState(
-                t_s=50.0 + i * 0.005, aperture_m=0.02, aperture_velocity_m_s=0.0, current_a=0.1,
-                force_from_current_n=2.0, temperature_c=30.0, voltage_v=12.0, servos=(),
-            ),
-            force=force if i else None,
-            setpoint_n=2.0,
-            goal_current_a=0.1,
-        )
+        make_cycle(50.0 + i * 0.005, force=force if i else None, goal_current_a=0.1)
         for i in range(n)
-    ]  # fmt: skip
+    ]
 
 
 def test_timeline_starts_at_zero_and_keeps_gaps() -> None:

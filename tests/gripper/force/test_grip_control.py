@@ -20,7 +20,8 @@ from gripper.force.grip_control import StiffnessEstimate
 from gripper.force.loop import Moment
 from gripper.force.ramp import ForceRamp
 from gripper.settings import GripperSettings, ServoSettings
-from gripper.state import ForceSample, GraspResult, GripperPhase, GripperState
+from gripper.state import ForceSample, GraspResult, GripperPhase
+from tests.values import make_state
 
 RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
 
@@ -311,16 +312,7 @@ def test_a_soft_part_that_is_taken_in_the_ramp_is_lost(make_cell, make_part) -> 
 
 def slope_n_m(rate_hz: float, noise_n: float, seed: int = 0) -> float:
     """Return the stiffness found over 6 mm of a part of 200 N/m, from noisy samples."""
-    state = GripperState(
-        t_s=0.0,
-        aperture_m=0.05,
-        aperture_velocity_m_s=-0.012,
-        current_a=0.0,
-        force_from_current_n=0.0,
-        temperature_c=30.0,
-        voltage_v=12.0,
-        servos=(),
-    )
+    state = make_state(aperture_velocity_m_s=-0.012)
     estimate = StiffnessEstimate(GripperSettings(servos=(ServoSettings(servo_id=1),)))
     generator = random.Random(seed)
     for i in range(100):

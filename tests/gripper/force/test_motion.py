@@ -1,5 +1,6 @@
 import random
 from collections.abc import Sequence
+from dataclasses import replace
 
 import pytest
 
@@ -8,7 +9,8 @@ from gripper.force.motion import Approach, ApproachEvent, ContactDetector, Conta
 from gripper.force.ramp import ForceRamp
 from gripper.kinematics import ParallelLinkage
 from gripper.settings import GripperSettings, ServoSettings
-from gripper.state import Cycle, ForceSample, GripperState, ServoState
+from gripper.state import Cycle, ForceSample, GripperState
+from tests.values import make_servo, make_state
 
 LINKAGE = ParallelLinkage(link_m=0.06)
 SETTINGS = GripperSettings(
@@ -23,29 +25,15 @@ def sample(t_s: float, first_n: float, second_n: float, valid: bool = True) -> F
 
 def state(t_s: float, aperture_m: float, speed_m_s: float, current_a: float = 0.1) -> GripperState:
     angle_rad = LINKAGE.angles_rad(aperture_m)[0]
-    servos = tuple(
-        ServoState(
-            servo_id=i,
-            angle_rad=angle_rad,
-            velocity_rad_s=0.5 * speed_m_s / 0.06,
-            current_a=-current_a,
-            position_raw=2048,
-            temperature_c=30.0,
-            voltage_v=12.0,
-            tick_ms=0,
-            alert=False,
-        )
-        for i in (1, 2)
+    servo = make_servo(
+        angle_rad=angle_rad, velocity_rad_s=0.5 * speed_m_s / 0.06, current_a=-current_a
     )
-    return GripperState(
-        t_s=t_s,
+    return make_state(
+        t_s,
         aperture_m=aperture_m,
         aperture_velocity_m_s=speed_m_s,
         current_a=current_a,
-        force_from_current_n=0.0,
-        temperature_c=30.0,
-        voltage_v=12.0,
-        servos=servos,
+        servos=(servo, replace(servo, servo_id=2)),
     )
 
 
