@@ -225,6 +225,30 @@ def test_a_recording_is_no_data_set_and_called_what_it_is(tmp_path: Path) -> Non
         read_dataset(tmp_path / "r.npz")
 
 
+class Bomb:
+    exploded = False
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return setattr, (Bomb, "exploded", True)
+
+
+def test_pickle_in_disguise_is_refused_and_not_run(good: Path, tmp_path: Path) -> None:
+    arrays = arrays_of(good) | {"label": np.array([Bomb()] * 3, dtype=object)}
+    np.savez(tmp_path / "evil.npz", **arrays)  # type: ignore[arg-type]
+    with pytest.raises(DatasetError, match="no pickled objects"):
+        read_dataset(tmp_path / "evil.npz")
+    assert not Bomb.exploded
+
+
+def test_array_that_lies_about_its_size_is_refused(tmp_path: Path) -> None:
+    header = b"{'descr': '<u2', 'fortran_order': False, 'shape': (99999999999, 99), }\n"
+    body = b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header + bytes(64)
+    with zipfile.ZipFile(tmp_path / "lie.npz", "w") as archive:
+        archive.writestr("counts.npy", body)
+    with pytest.raises(DatasetError, match="do not fill shape"):
+        read_dataset(tmp_path / "lie.npz")
+
+
 def test_zip_bomb_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
     with zipfile.ZipFile(tmp_path / "bomb.npz", "w", zipfile.ZIP_DEFLATED) as archive:
         for i in range(4):

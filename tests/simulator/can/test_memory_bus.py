@@ -205,6 +205,34 @@ def test_filters_are_obeyed() -> None:
     assert [m.arbitration_id for m in drain(bus)] == [0x705]
 
 
+def test_all_that_has_arrived_is_taken_at_once_as_one_by_one() -> None:
+    echo, bus, clock = echo_bus()
+    data = bytes(range(1, 9))
+    step_s = mean_bits(data) * 1e-6
+    echo.send(10.0, 0x185, [data] * 5)
+    clock.sleep(2.5 * step_s)
+    assert [one.timestamp for one in bus.recv_all(9)] == pytest.approx(
+        [10 + step_s, 10 + 2 * step_s]
+    )
+    assert bus.recv_all(9) == []
+    clock.sleep(1.0)
+    assert len(bus.recv_all(2)) == 2
+    assert len(bus.recv_all(2)) == 1
+    bus.set_filters([{"can_id": 0x700, "can_mask": 0x780}])
+    echo.send(12.0, 0x185, [data])
+    echo.send(12.0, 0x705, [b"\x05"])
+    clock.sleep(2.0)
+    assert [one.arbitration_id for one in bus.recv_all(9)] == [0x705]
+    bus.set_filters(None)
+    bus.faults.delay_s = 1.0
+    echo.send(14.0, 0x185, [data, data])
+    clock.sleep(0.5)
+    assert bus.recv_all(9) == []
+    bus.faults.unplugged = True
+    with pytest.raises(can.CanOperationError, match="gone"):
+        bus.recv_all(9)
+
+
 def test_a_bus_that_was_shut_down_is_of_no_use() -> None:
     _, bus, clock = echo_bus()
     bus.shutdown()

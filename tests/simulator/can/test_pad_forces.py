@@ -1,8 +1,11 @@
 """The unit's sum of the force on its gripping pads."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from simulator.can.faults import ControlUnitFaults
 from simulator.can.pad_forces import PadForces
 from tactile.frames.force_message import (
     ForceMessage,
@@ -108,3 +111,20 @@ def test_a_unit_without_table_or_zero_says_so_and_full_scale_too() -> None:
     unit.forces.reset()
     found = unit.press({4: 1.0})
     assert (found.status, found.force_n) == (ForceStatus(0), (0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    ("knobs", "force_n", "centre"),
+    [
+        ({}, (2.0, 4.0), (1.0, 2.0)),
+        ({"force_gain": 0.5, "force_offset_n": 1.0}, (2.0, 3.0), (1.0, 2.0)),
+        ({"centre_shift_taxels": 3.0}, (2.0, 4.0), (4.0, 2.0)),
+        ({"centres_off": True}, (2.0, 4.0), None),
+    ],
+)
+def test_faults_change_force_and_centre_alone(knobs, force_n, centre) -> None:
+    sound = ForceMessage(
+        t_s=0.0, counter=3, status=ForceStatus.ZEROED, force_n=(2.0, 4.0), centre_taxels=(1.0, 2.0)
+    )
+    spoilt = ControlUnitFaults(**knobs).spoil(sound)
+    assert spoilt == replace(sound, force_n=force_n, centre_taxels=centre)

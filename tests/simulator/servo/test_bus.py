@@ -317,3 +317,10 @@ def test_chatter_comes_by_itself_and_into_answers(bench):
     assert heard.replace(b"\xa5", b"") == PONG
     bench.device.faults.chatter = None
     assert bench.exchange(PING)[-len(PONG) :] == PONG
+
+
+def test_an_adapter_that_loses_its_supply_forgets_half_a_packet(bench):
+    bench.device.receive(PING[:6], 0.0)
+    bench.device.drop_pending()
+    bench.device.receive(PING[6:], 0.0)
+    assert bench.device.next_event_s() is None
