@@ -4,7 +4,8 @@ The question is the state of the cell. The command is a reset, which goes all th
 and is refused there, because it is ready: nothing moves, so that nothing but the way is measured.
 Over Modbus it is one block and the reading of its result. The cell is the simulated one in virtual
 time. Then how late the periods of the force loop begin on pseudo-terminals while parts are gripped
-and let go, with nobody connected and with four clients that ask 200 times a second each, which are
+and let go: with nobody connected, with four clients that ask 200 times a second each, and with five
+pages that show everything 30 times a second, one of which takes nothing. Clients and pages are
 processes of their own.
 """
 
@@ -15,7 +16,7 @@ import struct
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 from xmlrpc.client import ServerProxy
@@ -33,6 +34,7 @@ from cell.interfaces.service.serving import open_doors, open_service
 _DOORS = {
     "serve.modbus_port": 0,
     "serve.xmlrpc_port": 0,
+    "serve.http_port": 0,
     "serve.lease_timeout_s": 60.0,
 }
 _REFUSED = 505
@@ -46,6 +48,15 @@ cell = ServerProxy(sys.argv[1])
 while True:
     cell.state()
     time.sleep(0.005)
+"""
+_PAGE = """
+import sys, time
+from websockets.sync.client import connect
+with connect(sys.argv[1], max_queue=1, open_timeout=60) as link:
+    while sys.argv[2] == "stalled":
+        time.sleep(1.0)
+    for _message in link:
+        pass
 """
 _GRIPS = 4
 """Grips of one run in real time."""
@@ -159,11 +170,14 @@ def measured(
 
 
 @contextlib.contextmanager
-def clients(n_clients: int, address: str) -> Iterator[None]:
-    """Run clients that ask without a pause."""
+def clients(n_clients: int, n_pages: int, doors: Mapping[str, Any]) -> Iterator[None]:
+    """Run clients that ask without a pause, and pages, the first of which takes nothing."""
+    robot = f"http://127.0.0.1:{doors['xmlrpc_port']}"
+    live = f"ws://127.0.0.1:{doors['http_port']}/api/live?frames=newtons&token={doors['token']}"
+    pages = [(_PAGE, live, "showing" if page else "stalled") for page in range(n_pages)]
     asking = [
-        subprocess.Popen([sys.executable, "-c", _CLIENT, address], stderr=subprocess.DEVNULL)
-        for _ in range(n_clients)
+        subprocess.Popen([sys.executable, "-c", *arguments], stderr=subprocess.DEVNULL)
+        for arguments in [(_CLIENT, robot)] * n_clients + pages
     ]
     try:
         yield
@@ -173,14 +187,14 @@ def clients(n_clients: int, address: str) -> Iterator[None]:
             client.wait()
 
 
-def lateness(n_clients: int) -> dict[str, Any]:
-    """Grip on pseudo-terminals while so many clients ask; return the loop's figures."""
+def lateness(n_clients: int, n_pages: int) -> dict[str, Any]:
+    """Grip on pseudo-terminals with so many clients and pages; return the loop's figures."""
     with simulated_cell() as hello:
         service = open_service(changed_config(load_config(Path(hello["config"])), _DOORS))
         with contextlib.closing(service), open_doors(service) as doors:
             lease = service.acquire("benchmark")
             grip = {"task": "grip", "force_n": 3.0, "present": "ball"}
-            with clients(n_clients, f"http://127.0.0.1:{doors['xmlrpc_port']}"):
+            with clients(n_clients, n_pages, doors):
                 for _ in range(_GRIPS):
                     wait_for(service, service.start(lease, grip))
                     release = service.command(lease, Command.RELEASE, key=RELEASE_KEY)
@@ -207,8 +221,11 @@ def main(effort: float = 1.0) -> None:
     compare(repeats(5, effort), repeats(_CALLS, effort, least=20))
     if effort < 1.0:
         return  # real time is for a machine that does nothing else
-    for n_clients in (0, 4):
-        line(f"force loop, {n_clients} clients", figures(lateness(n_clients)))
+    for n_clients, n_pages in ((0, 0), (4, 0), (0, 5)):
+        line(
+            f"force loop, {n_clients} clients, {n_pages} pages",
+            figures(lateness(n_clients, n_pages)),
+        )
 
 
 if __name__ == "__main__":
