@@ -1,5 +1,7 @@
 """Forces on the taxels of one frame by itself, for displays: by the law and the zero in use."""
 
+from copy import copy
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -30,12 +32,13 @@ class TaxelForces:
         for pad in range(layout.n_pads):
             taxels = layout.taxels_of(pad)
             noise[taxels] = np.median(noise[taxels])
-        self._noise_counts = noise
+        self._untouched = ActiveTaxels(self._hood, TouchThresholds(), noise)
 
     def of(self, counts: NDArray[np.uint16]) -> NDArray[np.float32]:
         """Return the force in N on each taxel, (n_taxels,) float32; 0 where nothing touches."""
         bad = self._zero.health.bad
         tared = fill_bad(self._hood, counts - self._zero.offset_counts, bad)
-        touch = ActiveTaxels(self._hood, TouchThresholds(), self._noise_counts)
-        force_n = np.where(touch.step(tared), self._calibration.force_n(tared), 0.0)
+        # A copy, because each frame stands by itself and frames come from several threads.
+        active = copy(self._untouched).step(tared)
+        force_n = np.where(active, self._calibration.force_n(tared), 0.0)
         return np.maximum(force_n, 0.0).astype(np.float32)
