@@ -790,6 +790,7 @@ def test_simulate_plays_records_that_fit(
         (["replay", "x.npz", "--recognizer", "magic"], "no recogniser is named 'magic'"),
         (["replay", "x.npz", "--limit", "0"], "--limit"),
         (["release"], "--confirm"),
+        (["serve", "--listen", "0.0.0.0", "--modbus", "0"], "serve.allow is empty"),
     ],
 )
 def test_wrong_use_is_two(

@@ -11,7 +11,6 @@ from cell.control.states import CellState
 from cell.errors import CellStopped, ConfigError, NoPartFound, PositionerError
 from cell.jobs.sort import Places, SortedPart, Tally, simulated_feed, sort_parts
 from cell.learning.taught_model import TaughtModel
-from gripper.errors import PartLost
 from recognition.recognizer import UNKNOWN
 
 BINS = [{"label": "ball", "place": "bin 1"}, {"label": "box", "place": "bin 2"}]
@@ -119,15 +118,6 @@ def test_a_place_that_is_refused_ends_the_sort_with_the_part_kept(sorter: Sorter
     assert [part.place for part in sorter.tally.parts] == ["bin 1"]
 
 
-def test_a_stop_ends_the_sort_with_the_part_kept(sorter: Sorter) -> None:
-    sorter.on_place = lambda _destination: sorter.controller.cancel()
-    with pytest.raises(CellStopped, match="the part is kept"):
-        sorter.sort("ball", "box")
-    assert sorter.controller.state is CellState.COMPLETE
-    assert sorter.bench.grip_n > 3.0
-    assert sorter.tally.parts == []
-
-
 def test_a_stop_just_before_a_part_is_let_go_keeps_it(sorter: Sorter) -> None:
     verify = sorter.controller.verify
 
@@ -141,14 +131,6 @@ def test_a_stop_just_before_a_part_is_let_go_keeps_it(sorter: Sorter) -> None:
         sorter.sort("ball", "box")
     assert sorter.controller.state is CellState.COMPLETE
     assert sorter.bench.grip_n > 3.0
-
-
-def test_a_part_that_is_lost_on_the_way_ends_the_sort(sorter: Sorter) -> None:
-    sorter.on_place = lambda _destination: sorter.bench.simulated.devices.physical.remove()
-    with pytest.raises(PartLost):
-        sorter.sort("ball", "box")
-    assert sorter.controller.state is CellState.ABORTED
-    assert sorter.tally.parts == []
 
 
 def test_turns_without_a_part_are_counted_and_three_in_a_row_end_the_sort(
