@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import re
 import socket
 import ssl
 import subprocess
@@ -419,6 +420,32 @@ def test_the_description_has_a_text_for_each_path(connect: Any) -> None:
         if name != "task"
     )
     assert "HTTPValidationError" not in json.dumps(paths)
+
+
+def test_the_example_of_the_page_runs(connect: Any, capsys: pytest.CaptureFixture[str]) -> None:
+    served, host = connect()
+    page = Path("docs/how-to/use-it-over-http.md").read_text(encoding="utf-8")
+    example = page.partition("```python\n")[2].partition("```")[0]
+    for there, here in (
+        ("http://127.0.0.1:8080", f"http://127.0.0.1:{host.port}"),
+        ("the token that serve prints", host.token),
+    ):
+        assert there in example
+        example = example.replace(there, here)
+    exec(compile(example, "use-it-over-http.md", "exec"), {})
+    assert [job.task for job in served.service.jobs()] == ["identify", "verify", "release", "sort"]
+    assert "ball 0.9 sphere 9.5" in capsys.readouterr().out
+    for path in re.findall(r"`(?:GET|POST|PUT|DELETE) ([a-z{][^`?]*)", page):
+        assert f"/api/{path.strip()}" in openapi_paths(host), path
+
+
+def openapi_paths(host: Client) -> set[str]:
+    """Return the paths of the description, with labels as they are written in texts."""
+    paths = host.ask("GET", "/openapi.json", token=None)[1]["paths"]
+    return {
+        path.replace("{label:path}", "{label}").replace("grasps/{number}", "grasps/{id}")
+        for path in paths
+    }
 
 
 def test_what_is_no_request_is_refused_in_the_same_shape(connect: Any) -> None:
