@@ -305,7 +305,10 @@ class Replay:
             self._paused = self._paused if pause is None else pause
 
     def values(self) -> dict[str, Any]:
-        """Return where the replay stands: times in s from the beginning, grasps from 1."""
+        """Return where the replay stands: times in s from the beginning, grasps from 1.
+
+        ``time_s`` is the unix time in s at which that was recorded.
+        """
         with self._lock:
             tape, at_s = self._tape, self._now()
             return {
@@ -314,6 +317,7 @@ class Replay:
                 "grasp": tape.grasp_at(at_s),
                 "of": len(tape.recording.grasps),
                 "t_s": at_s - tape.begin_s,
+                "time_s": tape.wall_s(at_s),
                 "duration_s": tape.end_s - tape.begin_s,
                 "name": self._name,
                 "lost_reason": tape.recording.lost_reason,

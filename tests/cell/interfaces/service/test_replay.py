@@ -65,6 +65,7 @@ def test_it_shows_what_was_measured_at_each_time(
         "grasp": 0,
         "of": len(recording.grasps),
         "t_s": 0.0,
+        "time_s": pytest.approx(1e-9 * recording.wall_clock_start_ns + recording.cycles.t_s[0]),
         "duration_s": recording.states[-1]["t_s"] - recording.cycles.t_s[0],
         "name": "recording.mcap",
         "lost_reason": "",
