@@ -132,8 +132,10 @@ class CheckedPacketHandler(Protocol2PacketHandler):  # type: ignore[misc]
     def receive(self, port: SdkPort) -> StatusPacket | None:
         """Return the next status packet whose CRC is right, None at the port's time-out.
 
-        A line on which bytes come without a pause is given up one longest packet after it.
+        A line on which bytes come without a pause is given up one longest packet after it. What
+        came while the program itself stood still is read once, however late that is.
         """
+        looked_late = False
         self.dropped_bytes, self.dropped_head = 0, b""
         # More bytes than one packet may have been read: the next one is among them.
         buffer, self._following = self._following, bytearray()
@@ -148,7 +150,8 @@ class CheckedPacketHandler(Protocol2PacketHandler):  # type: ignore[misc]
                     return status
                 self._skip(buffer)
                 continue
-            chatter = port.is_overdue(_BODY_AT + _LONGEST_LENGTH)
+            chatter = looked_late and port.is_overdue(_BODY_AT + _LONGEST_LENGTH)
+            looked_late = looked_late or port.isPacketTimeout()
             data = b"" if chatter else port.readPort(max(missing, _READ_AHEAD))
             buffer += data
             if not data and port.isPacketTimeout():

@@ -79,6 +79,8 @@ class Running:
     """Monotonic time of the last feedback in s."""
     fresh_s: float
     """Monotonic time of the newest valid force sample in s; of the beginning before one came."""
+    looked_s: float
+    """Monotonic time in s at which the last period began."""
     done: bool = False
     """Whether the last step was the last one."""
 
@@ -212,13 +214,20 @@ class LoopRunner:
             needs_force=needs_force,
             last_s=now_s - self._settings.period_s,
             fresh_s=now_s,
+            looked_s=now_s - self._settings.period_s,
         )
 
     def period(self, running: "Running") -> GripperState | None:
         """Run one period and return its feedback, None where an answer was lost.
 
-        Raises what `run` raises, but for a stop and for lateness: the caller keeps the time.
+        Raises what `run` raises, but for a stop and for lateness: the caller keeps the time. The
+        limits of servos and pads move by what the period begins late: that is the loop's own.
         """
+        begin_s = self._clock.monotonic()
+        late_s = max(0.0, begin_s - running.looked_s - self._settings.period_s)
+        running.looked_s = begin_s
+        running.fresh_s += late_s
+        self._bus_loss.wait_longer(late_s)
         with self._servos.in_loop():
             state = self.read()
             if state is None:
@@ -363,6 +372,10 @@ class BusLossMonitor:
     def begin(self) -> None:
         """Count the periods in a row anew: the servos were not asked for a while."""
         self._in_row = self._one_sided = 0
+
+    def wait_longer(self, late_s: float) -> None:
+        """Move the limit of a loss by a time in s in which the servos were not asked."""
+        self._since_s += late_s
 
     def answered(self) -> None:
         """Count a period with feedback."""

@@ -113,7 +113,7 @@ class LinkSession:
         )
         self._forces: ForceStream | None = None
         self._new_forces: list[ForceMessage] = []
-        self._force_s = 0.0
+        self._force_s = self._looked_s = 0.0
         self._frame_id = od.COB_TPDO1 + node_id
         self.last_frame_s: float | None = None
         self._frames: list[TactileFrame] = []
@@ -167,7 +167,7 @@ class LinkSession:
 
     def enter_operation(self) -> None:
         """Send SYNC from now on, and watch heartbeat, state, frames and force messages."""
-        now_s = self._force_s = self._clock.monotonic()
+        now_s = self._force_s = self._looked_s = self._clock.monotonic()
         self.supervisor.enter_operation(now_s)
         self._next_sync_s = now_s
 
@@ -180,7 +180,15 @@ class LinkSession:
         self._send(od.COB_NMT, bytes((NMT_COMMANDS[name], self._node_id)))
 
     def service(self) -> None:
-        """Take in what was received, look at the deadlines, send SYNC when due."""
+        """Take in what was received, look at the deadlines, send SYNC when due.
+
+        What this comes later than a period of SYNC after the time before is the host's own
+        lateness: all deadlines move by as much.
+        """
+        late_s = self._clock.monotonic() - self._looked_s - self._settings.sync_period_s
+        if self._next_sync_s is not None and late_s > 0.0:
+            self._force_s += late_s
+            self.supervisor.wait_longer(late_s)
         frame_id = self._frame_id
         push = self._assembler.push
         n_frame_messages = 0
@@ -197,7 +205,7 @@ class LinkSession:
             else:
                 self._dispatch(message, t_s)
         self._flow.messages(n_frame_messages)
-        now_s = self._clock.monotonic()
+        now_s = self._looked_s = self._clock.monotonic()
         self._check_unusable(now_s)
         if self._next_sync_s is None:
             self._check_answers()
@@ -288,7 +296,7 @@ class LinkSession:
         message = self._forces.push(data, t_s)
         if message is not None:
             self._new_forces.append(message)
-            self._force_s = t_s
+            self._force_s = max(self._force_s, t_s)
             if self._forces.behind_s > self._settings.force_late_s:
                 raise self.forces_late(self._forces.behind_s)
         self._lost_forces.add(t_s, self._forces.lost - lost)

@@ -189,6 +189,13 @@ class NodeSupervisor:
         self._in_operation = True
         self._heartbeat_at_s = now_s
 
+    def wait_longer(self, late_s: float) -> None:
+        """Move all deadlines by a time in s in which the host itself did not look."""
+        if self._heartbeat_at_s is not None:
+            self._heartbeat_at_s += late_s
+        if self._passive_since_s is not None:
+            self._passive_since_s += late_s
+
     def on_heartbeat(self, data: bytes, t_s: float) -> None:
         """Take a message of COB-ID 0x700 + node."""
         state = data[0] & _STATE_BITS if len(data) == 1 else None
@@ -197,7 +204,7 @@ class NodeSupervisor:
             self.unusable += 1
             return
         self.state = state
-        self._heartbeat_at_s = t_s
+        self._heartbeat_at_s = max(t_s, self._heartbeat_at_s or t_s)
         if self.state == BOOT_UP:
             self.boot_ups += 1
             if self._in_operation:

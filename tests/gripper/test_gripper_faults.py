@@ -104,6 +104,32 @@ def test_what_fails_in_the_ramp_keeps_the_grip_and_is_told(make_cell, what, erro
     assert cell.force_n == 0.0
 
 
+@pytest.mark.parametrize("dies", [False, True])
+def test_a_stall_of_the_loop_is_no_silence_of_the_pads(make_cell, dies) -> None:
+    cell = make_cell(stall_max_s=0.2)
+    cell.gripper.start()
+    newest = cell.sensor.latest_force
+    stalled_s: list[float] = []
+
+    def stall() -> None:
+        old = newest()
+        cell.sensor.latest_force = latest = lambda: old  # what receives stood still, too
+        stalled_s.append(cell.clock.monotonic())
+        cell.clock.sleep(0.09)
+        if not dies:
+            cell.sensor.latest_force = lambda: (
+                latest() if cell.clock.monotonic() < stalled_s[0] + 0.1 else newest()
+            )
+
+    if not dies:
+        result = cell.gripper.grasp(RAMP, at(cell, 5.0, stall)).result
+        assert result is GraspResult.FORCE_REACHED
+        return
+    with pytest.raises(ForceSensorStale):
+        cell.gripper.grasp(RAMP, at(cell, 5.0, stall))
+    assert cell.clock.monotonic() - stalled_s[0] < 0.1 + 0.09 + 0.01
+
+
 def test_no_sensor_no_approach(cell) -> None:
     cell.sensor.dead = True
     cell.gripper.start()

@@ -407,3 +407,25 @@ PONG_2 = "FFFFFD00 02 0700 55 00 060426 6F6D"
 
 def test_the_tests_own_crc_is_right() -> None:
     assert crc_of("313233343536373839") == "e8fe"
+
+
+def test_an_answer_that_came_while_the_program_stood_still_is_taken(
+    script, bus, clock, monkeypatch
+) -> None:
+    """The machine gives the program no time between request and answer."""
+    port = bus._transactions._port
+    start = port.setPacketTimeoutMillis
+
+    def stall(msec: float) -> None:
+        start(msec)
+        clock.sleep(0.057)
+
+    monkeypatch.setattr(port, "setPacketTimeoutMillis", stall)
+    for _ in range(3):
+        script.expect(SYNC_132, (0.0002, IS_166), (0.0004, TWO_IS_2079))
+        with bus.in_loop():
+            read = bus.sync_read([1, 2], RegisterBlock(PRESENT_POSITION))
+        assert read == {1: {"present_position": 166}, 2: {"present_position": 2079}}
+    script.expect(READ_132, IS_166)
+    assert bus.read(1, PRESENT_POSITION) == 166
+    assert (bus.statistics.timeouts, bus.statistics.retries) == (0, 0)

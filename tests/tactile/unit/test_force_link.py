@@ -11,7 +11,7 @@ import pytest
 from simulator.can.control_unit import ControlUnitSettings, SimulatedControlUnit
 from simulator.can.memory_bus import InMemoryCanBus
 from simulator.clock import VirtualClock
-from tactile.errors import BusDisturbed, FrameTimeout, IdentityMismatch
+from tactile.errors import BusDisturbed, FrameTimeout, IdentityMismatch, LinkFault
 from tactile.frames.force_message import ForceMessage, ForceStatus, encode_zero
 from tactile.layout import paper_layout
 from tactile.sensor.calibration import FoamCalibration
@@ -178,6 +178,41 @@ def test_force_messages_that_stay_away_are_a_fault_though_frames_come(bench: Ben
     with pytest.raises(FrameTimeout, match=r"no force message .* for 4[01] ms, allowed are 40 ms"):
         bench.run(0.2)
     assert bench.clock.monotonic() - start_s < 0.045
+
+
+def stall(bench: Bench, monkeypatch: pytest.MonkeyPatch, stall_s: float = 0.057) -> None:
+    """Stand still, and then find nothing: the thread that receives stood still, too."""
+    source = bench.link._source
+    with monkeypatch.context() as asleep:
+        asleep.setattr(source, "drain", lambda: [])
+        bench.clock.sleep(stall_s)
+        bench.link.poll()
+
+
+def test_a_stall_of_the_host_is_no_silence_of_the_unit(
+    make_bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bench = make_bench(heartbeat_s=0.02)
+    bench.link.start()
+    bench.link.write_zero(ZERO)
+    for _ in range(5):
+        bench.run(0.1)
+        stall(bench, monkeypatch)
+        assert bench.run(0.02)
+
+
+@pytest.mark.parametrize(("knob", "limit_s"), [("forces_off", 0.04), ("heartbeat_off", 0.25)])
+def test_a_silent_unit_is_found_within_its_limit_and_the_stall(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, knob: str, limit_s: float
+) -> None:
+    bench.run(0.1)
+    start_s = bench.clock.monotonic()
+    setattr(bench.unit.faults, knob, True)
+    bench.run(0.01)
+    stall(bench, monkeypatch)
+    with pytest.raises(LinkFault, match=r"no (force message|heartbeat) from"):
+        bench.run(1.0)
+    assert bench.clock.monotonic() - start_s < limit_s + 0.057 + 0.002
 
 
 def test_damaged_and_repeated_messages_are_dropped_and_counted(bench: Bench) -> None:
