@@ -97,6 +97,9 @@ class TactileConfig(Section):
     force_period_ms: int = setting_of(LinkSettings, "force_period_s", MILLI, number=int)
     """Time between two force messages in ms, 0 to 50: one period of the force loop, or less for a
     softer first touch and a bus load that grows; 0: none, the force comes from the frames."""
+    silence_ms: float = setting_of(LinkSettings, "silence_s", MILLI, at_most=1000.0)
+    """Silence of force messages or frames in ms after which the grip is held, 20 to 1000; below two
+    periods of SYNC (force messages) or three (frames) it counts as these."""
     heartbeat_ms: int = setting_of(
         LinkSettings, "heartbeat_s", MILLI, at_least=10, at_most=1000, number=int
     )

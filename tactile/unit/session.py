@@ -1,7 +1,7 @@
 """The session of a link, from one start to its end: messages, SYNC, supervision, statistics."""
 
 from collections.abc import Callable
-from math import inf
+from math import ceil, inf
 
 import can
 import canopen
@@ -339,12 +339,13 @@ def _supervisor(name: str, settings: LinkSettings) -> NodeSupervisor:
 
 
 def _flow(name: str, settings: LinkSettings, frame_format: FrameFormat) -> FrameFlow:
+    allowed = ceil(settings.silence_s / settings.sync_period_s)
     return FrameFlow(
         name,
-        timeout_periods=settings.frame_timeout_periods,
+        timeout_periods=max(settings.frame_timeout_periods, allowed),
         max_loss_rate=settings.max_loss_rate,
         window_frames=settings.loss_window_frames,
-        late_periods=settings.late_periods,
+        late_periods=max(settings.late_periods, allowed),
         burst_messages=frame_format.n_messages,
     )
 

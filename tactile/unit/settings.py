@@ -89,13 +89,19 @@ class LinkSettings:
     force_period_s: float = setting(0.005, 0.0, 0.05)
     """Period of the force messages in s, a whole number of ms; 0: none, the force comes from
     frames. By default that of a force loop at 200 Hz, which reads the newest one."""
+    silence_s: float = setting(0.04, 0.02, 2.0)
+    """Silence in s, at least, of force messages or frames that is a fault. More than two periods of
+    SYNC is for a simulated unit that shares the processors of the host."""
     threaded: bool = True
     """True: a thread receives (real buses). False: `poll` asks the bus (buses in memory)."""
 
     @property
     def force_timeout_s(self) -> float:
         """So long in s without a force message is a fault: what disturbs one frame is none."""
-        return max(_FORCE_TIMEOUT_SYNCS * self.sync_period_s, _LEAST_FORCES * self.force_period_s)
+        least_s = max(
+            _FORCE_TIMEOUT_SYNCS * self.sync_period_s, _LEAST_FORCES * self.force_period_s
+        )
+        return max(self.silence_s, least_s)
 
     @property
     def force_late_s(self) -> float:

@@ -8,6 +8,7 @@ import pytest
 
 from cell.config.file import changed_config, load_config
 from cell.config.model import CellConfig
+from cell.config.tactile import link_settings
 from cell.errors import CellError
 from cell.jobs import simulate
 from simulator.settings import SimulatorSettings
@@ -58,6 +59,8 @@ def test_a_client_gets_the_axes_at_their_ports_and_more_patience(
     monkeypatch.setattr(simulate, "serve", serve)
     simulate.serve_simulated_cell(config, frames=None, folder=tmp_path, announce=announced.append)
     client = load_config(Path(announced[0]["config"]))
+    link = link_settings(client.tactile)
+    assert (link.force_timeout_s, link.heartbeat_s) == (0.2, 0.4)
     positioner = client.positioner
     assert positioner.kind == "axes"
     assert positioner.ports == ("slcan", "wrist")

@@ -180,6 +180,20 @@ def test_force_messages_that_stay_away_are_a_fault_though_frames_come(bench: Ben
     assert bench.clock.monotonic() - start_s < 0.045
 
 
+@pytest.mark.parametrize(("knob", "silence_s"), [("forces_off", 0.2), ("dead", 0.2)])
+def test_a_longer_silence_is_allowed_where_that_is_set(
+    make_bench: Callable[..., Bench], knob: str, silence_s: float
+) -> None:
+    bench = make_bench(silence_s=silence_s, heartbeat_s=1.0)
+    bench.link.start()
+    bench.link.write_zero(ZERO)
+    bench.run(0.1)
+    setattr(bench.unit.faults, knob, True)
+    bench.run(silence_s - 0.04)
+    with pytest.raises(FrameTimeout, match=r"no (force message|whole frame)"):
+        bench.run(0.08)
+
+
 def stall(bench: Bench, monkeypatch: pytest.MonkeyPatch, stall_s: float = 0.057) -> None:
     """Stand still, and then find nothing: the thread that receives stood still, too."""
     source = bench.link._source
