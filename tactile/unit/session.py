@@ -34,6 +34,9 @@ _LATE_FORCES = 0.3
 twice, half and more are."""
 _LEAST_GAP = 0.9
 """Of the period: after a late SYNC the next one waits so long, or it would cut into the burst."""
+_STALL_SHOWS_S = 0.2
+"""Time in s after a stall of the host in which force messages of the stall count in
+`ForceStream.behind_s`, which looks back by half of it."""
 _SYNC_EARLY_S = 1e-6
 """A caller that polls in step with SYNC must not miss it by a rounding error."""
 
@@ -114,6 +117,7 @@ class LinkSession:
         self._forces: ForceStream | None = None
         self._new_forces: list[ForceMessage] = []
         self._force_s = self._looked_s = 0.0
+        self._stalled_s, self._stall_s = -inf, 0.0
         self._frame_id = od.COB_TPDO1 + node_id
         self.last_frame_s: float | None = None
         self._frames: list[TactileFrame] = []
@@ -187,6 +191,8 @@ class LinkSession:
         """
         late_s = self._clock.monotonic() - self._looked_s - self._settings.sync_period_s
         if self._next_sync_s is not None and late_s > 0.0:
+            self._stalled_s = self._looked_s + self._settings.sync_period_s + late_s
+            self._stall_s = self._settings.sync_period_s + late_s
             self._force_s += late_s
             self.supervisor.wait_longer(late_s)
         frame_id = self._frame_id
@@ -297,8 +303,6 @@ class LinkSession:
         if message is not None:
             self._new_forces.append(message)
             self._force_s = max(self._force_s, t_s)
-            if self._forces.behind_s > self._settings.force_late_s:
-                raise self.forces_late(self._forces.behind_s)
         self._lost_forces.add(t_s, self._forces.lost - lost)
         self._late_forces.add(t_s, self._forces.late - late)
 
@@ -312,7 +316,12 @@ class LinkSession:
         )
 
     def _check_forces(self, now_s: float) -> None:
-        """Raise FrameTimeout where force messages have stayed away for too long."""
+        """Raise FrameTimeout where force messages come too late, or not for too long."""
+        assert self._forces is not None
+        # All that came in a stall of the host was read at its end, and looks late for a while.
+        excuse_s = self._stall_s if now_s - self._stalled_s < _STALL_SHOWS_S else 0.0
+        if self._forces.behind_s - excuse_s > self._settings.force_late_s:
+            raise self.forces_late(self._forces.behind_s)
         silent_s = now_s - self._force_s
         limit_s = self._settings.force_timeout_s
         if silent_s > limit_s:

@@ -215,6 +215,21 @@ def test_a_stall_of_the_host_is_no_silence_of_the_unit(
         assert bench.run(0.02)
 
 
+@pytest.mark.parametrize("stall_s", [0.057, 0.115, 0.16])
+def test_what_came_in_a_stall_of_the_host_is_not_late(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch, stall_s: float
+) -> None:
+    source = bench.link._source
+    drain = source.drain
+    # The thread that receives stamps what it reads at the end of the stall.
+    monkeypatch.setattr(source, "drain", lambda: [(bench.clock.monotonic(), m) for _, m in drain()])
+    for _ in range(3):
+        bench.run(0.3)
+        bench.clock.sleep(stall_s)
+        bench.link.poll()
+    assert bench.run(0.3)
+
+
 @pytest.mark.parametrize(("knob", "limit_s"), [("forces_off", 0.04), ("heartbeat_off", 0.25)])
 def test_a_silent_unit_is_found_within_its_limit_and_the_stall(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, knob: str, limit_s: float
