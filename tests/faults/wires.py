@@ -310,7 +310,7 @@ WIRES: dict[str, Callable[[dict[str, Any]], Wire]] = {
 class WitnessModel:
     """A taught model whose recogniser looks at its frames."""
 
-    labels, max_grasps = ("ball", "box"), 1
+    labels, max_grasps, revision = ("ball", "box"), 1, 0
 
     def __init__(self, witness: Callable[[], FrameWitness]) -> None:
         self._witness = witness
