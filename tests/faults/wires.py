@@ -310,10 +310,13 @@ WIRES: dict[str, Callable[[dict[str, Any]], Wire]] = {
 class WitnessModel:
     """A taught model whose recogniser looks at its frames."""
 
-    labels, max_grasps, revision = ("ball", "box"), 1, 0
+    labels, max_grasps, revision, drift_estimate = ("ball", "box"), 1, 0, None
 
     def __init__(self, witness: Callable[[], FrameWitness]) -> None:
         self._witness = witness
+
+    def check_extendable(self) -> None:
+        """Do nothing: its training set is at hand."""
 
     def check_taught(self) -> None:
         """Do nothing: it is taught."""
