@@ -162,10 +162,11 @@ class OpcUaDoor:
         clients = Clients(trusted)
         server = CellServer(Sessions(clients, config))
         try:
-            await server.init()
             if trusted is not None:
                 trusted.mkdir(parents=True, exist_ok=True)
                 await clients.load()
+            await server.init()
+            if trusted is not None:
                 await server.use_certificate(trusted.parent)
             space = await self._add_nodes(server)
             await self._show(server, space)

@@ -1,11 +1,8 @@
 """OPC UA with asyncua's client: reading needs nothing, commands a trusted certificate."""
 
 import asyncio
-import json
-import signal
 import socket
 import struct
-import subprocess
 import sys
 from collections.abc import AsyncIterator, Callable, Iterator
 from contextlib import asynccontextmanager, suppress
@@ -580,31 +577,3 @@ def test_a_missing_extra_is_named(serve: Any, monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setitem(sys.modules, "cell.interfaces.opc_ua.door", None)
     with pytest.raises(ConfigError, match=r"tactile-cell\[opcua\]"):
         serve("opcua")
-
-
-def test_the_program_opens_the_door_and_keeps_the_console_clean(tmp_path: Path) -> None:
-    (tmp_path / "cell.yaml").write_text("tactile:\n  tare_frames: 25\n")
-    program = "from cell.interfaces.cli import main; main()"
-    command = [sys.executable, "-c", program, "serve", "-c", "cell.yaml", "--modbus", "0"]
-    command += ["--xml-rpc", "0", "--opcua", "0", "--opcua-folder", "pki"]
-    with subprocess.Popen(
-        command, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
-    ) as process:
-        try:
-            assert process.stdout is not None
-            doors = json.loads(process.stdout.readline())
-            assert set(doors) == {"listen", "modbus_port", "xmlrpc_port", "opcua_port"}
-
-            async def read(served: Any) -> None:
-                async with linked(served) as link:
-                    assert await link.read("State.Name") == "IDLE"
-                    with pytest.raises(BadUserAccessDenied):
-                        await link.call("hold")
-
-            asyncio.run(read(SimpleNamespace(doors=doors)))
-            process.send_signal(signal.SIGTERM)
-            assert process.wait(LIMIT_S) == 0
-            assert process.communicate()[1].splitlines()[1:] == []
-        finally:
-            process.kill()
-    assert (tmp_path / "pki" / "key.pem").exists()

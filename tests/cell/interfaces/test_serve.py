@@ -58,10 +58,15 @@ def start(tmp_path: Path) -> Iterator[Callable[..., Any]]:
 
 
 def test_the_program_ends_in_order_while_a_job_waits_and_clients_are_connected(
-    start: Callable[..., Any],
+    start: Callable[..., Any], tmp_path: Path
 ) -> None:
-    process, line = start("--modbus", "0", "--xml-rpc", "0", "--http", "0", config=CALLBACK)
-    assert set(line) == {"listen", "modbus_port", "xmlrpc_port", "http_port", "token"}
+    pytest.importorskip("asyncua", reason="the extra opcua is not installed")
+    ports = ("--modbus", "0", "--xml-rpc", "0", "--http", "0", "--opcua", "0")
+    process, line = start(*ports, "--opcua-folder", "pki", config=CALLBACK)
+    assert set(line) == {
+        *("listen", "modbus_port", "xmlrpc_port", "http_port", "token", "opcua_port")
+    }
+    assert (tmp_path / "pki" / "key.pem").exists()
     with ServerProxy(f"http://127.0.0.1:{line['xmlrpc_port']}") as cell:
         lease = cell.acquire("robot")
         assert cell.grip(lease, 3.0) == 1
