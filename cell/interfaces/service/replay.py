@@ -8,7 +8,6 @@ import threading
 import time
 from bisect import bisect_right
 from collections.abc import Callable, Mapping
-from functools import cached_property
 from pathlib import Path
 from typing import Any, NoReturn
 
@@ -23,6 +22,7 @@ from cell.control.records import pad_array
 from cell.control.states import CellState, GraspState
 from cell.data.recording_reader import Recording, read_recording
 from cell.errors import RecordingError, RequestRefused
+from cell.fault_catalogue import BY_NUMBER
 from cell.interfaces.plugin.answer import Answer, FeltShape, HostStatus
 from cell.interfaces.plugin.part_report import POINTS_MAX, OnPart, PartReport
 from cell.interfaces.plugin.plugin import cell_values
@@ -60,7 +60,7 @@ class Tape:
     Raises
     ------
     RecordingError
-        If nothing was measured in it.
+        If nothing was measured in it, or a message has values that no cell has.
     ConfigError
         If its pads are not those of two fingers.
     """
@@ -75,17 +75,26 @@ class Tape:
         if not pad_array(layout).same_as(recording.pads):
             layout = layout_from_pads(recording.pads)
         self.layout = layout
-        self._stamps = {
-            name: [float(row["t_s"]) for row in rows]
-            for name, rows in (
-                ("states", recording.states),
-                ("events", recording.events),
-                ("results", recording.results),
-            )
-        }
-        self.begin_s = float(min(frames.t_s[0], cycles.t_s[0]))
-        last = [stamps[-1] for stamps in self._stamps.values() if stamps]
-        self.end_s = float(max(frames.t_s[-1], cycles.t_s[-1], *last))
+        try:
+            self._stamps = {
+                name: [float(row["t_s"]) for row in rows]
+                for name, rows in (("states", recording.states), ("results", recording.results))
+            }
+            self._faults = [row for row in recording.events if row.get("fault_number") in BY_NUMBER]
+            self._fault_stamps = [float(row["t_s"]) for row in self._faults]
+            self.begin_s = float(min(frames.t_s[0], cycles.t_s[0]))
+            last = [stamps[-1] for stamps in self._stamps.values() if stamps]
+            self.end_s = float(max(frames.t_s[-1], cycles.t_s[-1], *last))
+            self._forces = self._zeroed()
+            for t_s in (*self._stamps["states"], *self._fault_stamps):
+                self.status_at(t_s)
+            for number in range(1, len(recording.results) + 1):
+                self.report(number)
+        except (KeyError, TypeError, ValueError, AttributeError, ArithmeticError) as cause:
+            raise RecordingError(
+                f"{recording.path}: a message has values that no cell has "
+                f"({type(cause).__name__}: {cause})"
+            ) from cause
 
     def grasp_at(self, t_s: float) -> int:
         """Return the number of the grasp that began last, from 1; 0 before the first one."""
@@ -117,9 +126,8 @@ class Tape:
         row = self.recording.states[n_states - 1] if n_states else {}
         state = CellState(row.get("state", CellState.STOPPED))
         grasp = GraspState(row.get("grasp", GraspState.IDLE))
-        n_events = bisect_right(self._stamps["events"], t_s)
-        faults = [one for one in self.recording.events[:n_events] if one.get("fault_number")]
-        fault = faults[-1] if faults and state in _LATCHED else None
+        n_faults = bisect_right(self._fault_stamps, t_s)
+        fault = self._faults[n_faults - 1] if n_faults and state in _LATCHED else None
         n_results = self.results_until(t_s)
         return HostStatus(
             state=state.value,
@@ -133,7 +141,7 @@ class Tape:
             live=self._live_at(t_s),
             since_s=self.wall_s(float(row.get("t_s", self.begin_s))),
             fault_since_s=None if fault is None else self.wall_s(float(fault["t_s"])),
-            n_faults=len(faults),
+            n_faults=n_faults,
             last_answer=self.answer(n_results) if n_results else None,
         )
 
@@ -168,9 +176,8 @@ class Tape:
         """Return the force in N on each taxel; None where the recording shows no zero."""
         return None if self._forces is None else self._forces.of(counts)
 
-    @cached_property
-    def _forces(self) -> TaxelForces | None:
-        """The taxels with the zero that they show before the first contact."""
+    def _zeroed(self) -> TaxelForces | None:
+        """Return the taxels with the zero that they show before the first contact, if they do."""
         phase = np.array(self.recording.cycles.phase)
         pressed = self.recording.cycles.t_s[phase == "RAMPING"]
         frames = self.recording.frames

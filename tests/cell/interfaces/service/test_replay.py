@@ -3,6 +3,7 @@
 import shutil
 from collections.abc import Callable, Iterator
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -230,3 +231,28 @@ def test_a_recording_of_other_pads_or_with_nothing_in_it(
     strange = Tape(recording)
     assert strange.config.name == recording.metadata["cell"]
     assert strange.info()["n_taxels"] == recording.pads.n_taxels
+
+
+@pytest.mark.parametrize(
+    "spoil",
+    [
+        {"states": ({"t_s": 1.0, "state": "DANCING", "grasp": "IDLE"},)},
+        {"states": ({"t_s": 1.0, "state": "IDLE", "grasp": None},)},
+        {"events": ({"t_s": "soon", "kind": "fault", "text": "", "fault_number": 311},)},
+        {"results": ({"t_s": 1.0, "label": "ball", "labels": ["ball"], "probabilities": []},)},
+        {"results": ({"t_s": 1.0, "label": "ball", "labels": 3, "unknown": 0.0},)},
+    ],
+)
+def test_values_that_no_cell_has_are_refused_before_they_are_shown(
+    recording: Any, spoil: dict[str, Any]
+) -> None:
+    Tape(recording)
+    with pytest.raises(RecordingError, match="values that no cell has"):
+        Tape(replace(recording, **spoil))
+
+
+def test_a_fault_that_the_catalogue_lacks_is_no_fault(recording: Any) -> None:
+    strange = {"t_s": 1.0, "kind": "fault", "text": "of the future", "fault_number": 99_999}
+    aborted = {"t_s": 1.0, "state": "ABORTED", "grasp": "ERROR"}
+    status = Tape(replace(recording, events=(strange,), states=(aborted,))).status_at(2.0)
+    assert (status.state, status.fault, status.fault_number) == ("ABORTED", None, 0)
