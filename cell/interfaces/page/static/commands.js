@@ -87,10 +87,12 @@ export function setupCommands(view) {
   click("do_reset", () => view.send("reset"));
   onLongPress(byId("do_release"), 1, () => view.send("release"));
 
-  byId("command").addEventListener("click", () => attempt(async () => {
-    if (link.commands) await link.giveUp();
-    else await link.acquire(Boolean(view.state?.commander));
-  }));
+  byId("command").addEventListener("click", () => {
+    const name = view.state?.commander;
+    if (link.commands) attempt(() => link.giveUp());
+    else if (!name) attempt(() => link.acquire());
+    else view.ask(t("who.take_sure", { name }), t("who.take_over"), () => attempt(() => link.acquire(true)));
+  });
 }
 
 export function renderCommands(view) {

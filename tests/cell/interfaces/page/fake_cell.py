@@ -95,6 +95,7 @@ class FakeCell:
         self.alive_s = math.inf
         self.sends = True
         self.n_messages = 0
+        self.late_s = 0.0
         self.refusals: dict[str, tuple[int, int, str]] = {}
         app = FastAPI()
         app.add_api_websocket_route("/api/live", self._live)
@@ -311,6 +312,8 @@ class FakeCell:
         if status:
             return JSONResponse({"fault_number": number, "error": text, "remedy": ""}, status)
         found = self._found(way, path, body)
+        if path == "jobs":
+            await asyncio.sleep(self.late_s)
         return found if isinstance(found, Response) else JSONResponse(found)
 
     def _found(self, way: str, path: str, body: Any) -> Any:  # noqa: PLR0911, PLR0912

@@ -121,6 +121,11 @@ def test_command_is_taken_over_and_given_up(serve: Any, open_page: OpenPage) -> 
     page = open_page(address(served))
     becomes(page, "#commander", "In command: PLC")
     page.click("#command")
+    becomes(page, "#sure_text", "PLC is in command. Take over?")
+    page.click("#sure_no")
+    becomes(page, "#commander", "In command: PLC")
+    page.click("#command")
+    page.click("#sure_yes")
     becomes(page, "#commander", "This page")
     page.reload()
     becomes(page, "#commander", "This page")
@@ -164,7 +169,6 @@ def test_a_command_whose_answer_is_lost_is_done_once(
     becomes(page, "#state", "Part held")
     becomes(page, "#do_verify", "still the same part")
     assert len(served.plugin.asked) == 1
-    assert page.text_content("#said") == ""
 
 
 def test_a_slow_line_is_not_shown_as_live(

@@ -287,6 +287,22 @@ def test_what_a_busy_server_does_not_answer_is_asked_again(
 
 
 @pytest.mark.long
+def test_a_command_without_an_answer_is_repeated_with_its_number(
+    open_page: OpenPage, cell: FakeCell
+) -> None:
+    cell.late_s = 3.0
+    page = open_page(command=True)
+    page.click("#do_grip")
+    becomes(page, "#do_identify", "sent, waits for an answer")
+    until(lambda: len(cell.sent("POST", "jobs")) == 2)
+    first, second = cell.sent("POST", "jobs")
+    assert first == second
+    assert first["job"] == 13
+    cell.late_s = 0.0
+    becomes(page, "#do_identify", "name what is there")
+
+
+@pytest.mark.long
 def test_a_recording_is_replayed(open_page: OpenPage, cell: FakeCell) -> None:
     cell.info |= {"mode": "replay"}
     cell.state |= {"replay": {"paused": False, "speed": 1.0, "grasp": 3, "of": 12, "t_s": 1.4}}
