@@ -15,12 +15,17 @@ let scale_n = 0.2;
 let peaks = [];
 const history = [];
 
+// A frame follows its state. Where none has come, none is measured, and an older one is not shown.
+let framed = false;
 export function takeFrame(values) {
   frame = values;
+  framed = true;
 }
 
 export function takeValues(state, now_s) {
   const { live } = state;
+  if (!framed) frame = null;
+  framed = false;
   const t_s = state.time_s ?? now_s;
   if (history.length && t_s < history.at(-1).t_s) history.length = 0;
   history.push({ t_s, force_n: live.force_n, setpoint_n: live.setpoint_n, opening_mm: live.opening_mm });

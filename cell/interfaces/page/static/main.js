@@ -25,8 +25,9 @@ const view = {
   changed: () => (dirty = true),
   why: (command, any) => reasonOf(view, command, any),
   say(text, bad = false) {
-    setText(byId("said"), text);
-    byId("said").classList.toggle("bad", bad);
+    const place = byId(view.info?.mode === "replay" ? "replay_said" : "said");
+    setText(place, text);
+    place.classList.toggle("bad", bad);
   },
   open: (answer) => openGrasp(view, answer),
   tab: chooseTab,

@@ -37,7 +37,7 @@ export function renderReplay({ state, info }) {
   show(byId("replay"), on);
   if (!replay) return;
   setText(byId("replay_title"), replay.name ? t("replay.name", { name: replay.name }) : t("replay.title"));
-  setText(byId("replay_said"), replay.lost_reason ?? "");
+  if (replay.lost_reason) setText(byId("replay_said"), replay.lost_reason);
   setText(byId("replay_pause"), t(replay.paused ? "replay.go" : "replay.pause"));
   const slider = byId("replay_grasp");
   slider.max = String(replay.of || 1);

@@ -303,6 +303,16 @@ def test_a_command_without_an_answer_is_repeated_with_its_number(
 
 
 @pytest.mark.long
+def test_an_old_frame_is_not_shown(open_page: OpenPage, cell: FakeCell) -> None:
+    page = open_page()
+    becomes(page, "#state", "Ready")
+    page.wait_for_selector("#pads", state="visible")
+    cell.state["live"] = dict.fromkeys(cell.state["live"])
+    page.wait_for_selector("#pads_none", state="visible")
+    becomes(page, "#pads_none", "No frames of the pads")
+
+
+@pytest.mark.long
 def test_a_recording_is_replayed(open_page: OpenPage, cell: FakeCell) -> None:
     cell.info |= {"mode": "replay"}
     cell.state |= {"replay": {"paused": False, "speed": 1.0, "grasp": 3, "of": 12, "t_s": 1.4}}
