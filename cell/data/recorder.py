@@ -129,7 +129,6 @@ class Recorder:
         self._fault: RecordingError | None = None
         self._closed = False
         self._n_frames = 0
-        self._n_dropped = 0
         self._sequence: dict[str, int] = {}
         self._marks: list[tuple[int, int]] = []
         self._newest: deque[tuple[float, int]] = deque(maxlen=_NEWEST_FRAMES)
@@ -174,11 +173,6 @@ class Recorder:
     def fault(self) -> RecordingError | None:
         """Why the recording stopped before its end; None while all is well."""
         return self._fault
-
-    @property
-    def n_dropped(self) -> int:
-        """Messages that came after the fault and were not written."""
-        return self._n_dropped
 
     def frame(self, frame: "TactileFrame") -> None:
         """Record a whole tactile frame of raw counts."""
@@ -234,7 +228,6 @@ class Recorder:
         The frames themselves are those given to `frame` before; ValueError if they are others.
         """
         if self._fault is not None:
-            self._n_dropped += 1
             return
         newest = list(self._newest)[-grasp.n_frames :]
         stamps_s = np.array([t_s for t_s, _ in newest])
@@ -320,7 +313,6 @@ class Recorder:
             raise RecordingError(f"{self.path} is closed; nothing more can be recorded")
         tap = self._tap if self._tap is not None and self._tap.wants(topic) else None
         writer = self._writer if self._fault is None else None
-        self._n_dropped += self._fault is not None
         if tap is None and writer is None:
             return
         stamp_ns = to_ns(t_s)

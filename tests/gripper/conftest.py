@@ -11,10 +11,11 @@ import pytest
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import REGISTERS
 from gripper.dynamixel.models import XM430_W350, ServoModel
+from gripper.force.ramp import ForceRamp
 from gripper.gripper import Gripper
 from gripper.kinematics import Linkage, ParallelLinkage, RackPinion
 from gripper.settings import HARD_FORCE_CAP_N, GripperSettings, ServoSettings
-from gripper.state import ForceSample
+from gripper.state import ForceSample, GraspResult
 from simulator.clock import VirtualClock
 from simulator.servo.bus import MemoryServoStream, ServoBusDevice
 from simulator.servo.device import SimulatedServo
@@ -264,6 +265,16 @@ class Cell:
             (abs(motor.current_a) * motor.kt_nm_a - motor.friction_nm) / 0.06
             for motor in self.motors
         )
+
+    def hold_part(self, ramp: ForceRamp) -> None:
+        """Start the gripper and grip the part."""
+        self.gripper.start()
+        assert self.gripper.grasp(ramp).result is GraspResult.FORCE_REACHED
+
+    @property
+    def torques(self) -> list[int]:
+        """Torque Enable of each servo."""
+        return [self.register(i, "torque_enable") for i in range(len(self.servos))]
 
     def register(self, index: int, name: str) -> int:
         return self.bus.read(index + 1, REGISTERS[name])

@@ -141,8 +141,7 @@ def test_wrong_torque_figures_are_made_up_for_by_the_sensor(
     make_cell, kt_error, friction_error
 ) -> None:
     cell = make_cell(kt_error=kt_error, friction_error=friction_error, approach_speed_m_s=0.01)
-    cell.gripper.start()
-    cell.gripper.grasp(RAMP)
+    cell.hold_part(RAMP)
     cell.gripper.hold(0.5)
     assert cell.force_n == pytest.approx(8.0, abs=0.45)
     assert cell.peak_n <= 8.5
@@ -168,8 +167,7 @@ def test_the_loop_keeps_its_rate_and_the_observer_sees_what_was_written(cell) ->
 
 
 def test_holding_does_not_hunt_and_gives_back_current(cell) -> None:
-    cell.gripper.start()
-    cell.gripper.grasp(RAMP)
+    cell.hold_part(RAMP)
     cell.peak_n, cell.least_n = 0.0, 99.0
     goals_a: list[float] = []
     cell.gripper.hold(5.0, lambda c: goals_a.append(c.goal_current_a))
@@ -178,8 +176,7 @@ def test_holding_does_not_hunt_and_gives_back_current(cell) -> None:
 
 
 def test_back_off_lowers_the_force_without_letting_go(cell) -> None:
-    cell.gripper.start()
-    cell.gripper.grasp(RAMP)
+    cell.hold_part(RAMP)
     with pytest.raises(LimitExceeded, match="letting go is done by release"):
         cell.gripper.back_off(0.1)
     with pytest.raises(LimitExceeded):
@@ -204,8 +201,7 @@ def ticks(cell, seconds: float, creep_m_s: float = 0.0) -> None:
 
 @pytest.mark.parametrize("force_n", [4.0, 10.0])
 def test_a_carried_part_is_controlled_by_each_tick(cell, force_n: float) -> None:
-    cell.gripper.start()
-    cell.gripper.grasp(RAMP)
+    cell.hold_part(RAMP)
     cell.least_n = 99.0
     cell.gripper.carry(force_n, 0.2)
     assert cell.least_n > min(force_n, 8.0) - 1.0
@@ -221,8 +217,7 @@ def test_a_carried_part_is_controlled_by_each_tick(cell, force_n: float) -> None
 
 
 def test_a_carried_part_that_is_taken_away_is_lost(cell) -> None:
-    cell.gripper.start()
-    cell.gripper.grasp(RAMP)
+    cell.hold_part(RAMP)
     cell.gripper.carry(4.0)
     ticks(cell, 0.5)
     cell.part.present = False
@@ -233,8 +228,7 @@ def test_a_carried_part_that_is_taken_away_is_lost(cell) -> None:
 
 
 def test_a_request_to_stop_does_not_end_a_carry(cell) -> None:
-    cell.gripper.start()
-    cell.gripper.grasp(RAMP)
+    cell.hold_part(RAMP)
     cell.gripper.carry(4.0)
     cell.gripper.request_stop()
     ticks(cell, 0.5)
@@ -285,8 +279,7 @@ def test_a_hard_stop_beside_the_pads_is_an_obstruction(make_cell, make_part) -> 
 
 
 def test_a_part_that_is_taken_away_is_lost_not_pursued(cell) -> None:
-    cell.gripper.start()
-    cell.gripper.grasp(RAMP)
+    cell.hold_part(RAMP)
     closed_m = cell.mechanics.aperture_m
 
     def take(_: Cycle) -> None:
@@ -403,8 +396,7 @@ def test_commands_out_of_turn_are_refused(cell) -> None:
 
 
 def test_close_with_a_part_keeps_torque_and_goals_and_disarms_the_watchdog(cell) -> None:
-    cell.gripper.start()
-    cell.gripper.grasp(RAMP)
+    cell.hold_part(RAMP)
     goal = cell.register(0, "goal_current")
     cell.gripper.close()
     cell.clock.sleep(5.0)
@@ -415,8 +407,7 @@ def test_close_with_a_part_keeps_torque_and_goals_and_disarms_the_watchdog(cell)
 
 
 def test_a_part_found_held_at_the_start_is_reported_and_released_on_purpose_only(cell) -> None:
-    cell.gripper.start()
-    cell.gripper.grasp(RAMP)
+    cell.hold_part(RAMP)
     cell.gripper.close()
     later = cell.new_gripper()
     report = later.start()
@@ -473,8 +464,7 @@ def test_without_ticks_and_without_a_part_the_next_command_restarts_the_watchdog
 
 
 def test_a_disarmed_watchdog_is_armed_by_the_next_command(cell) -> None:
-    cell.gripper.start()
-    cell.gripper.grasp(RAMP)
+    cell.hold_part(RAMP)
     cell.gripper.keep_grip()
     assert cell.register(0, "bus_watchdog") == 0
     cell.gripper.hold(0.1)

@@ -27,11 +27,6 @@ from gripper.state import Cycle, ForceSample, GraspResult, GripperPhase
 RAMP = ForceRamp.linear(8.0, rate_n_s=5.0, hold_s=0.3)
 
 
-def grasped(cell) -> None:
-    cell.gripper.start()
-    assert cell.gripper.grasp(RAMP).result is GraspResult.FORCE_REACHED
-
-
 def at(cell, setpoint_n: float, act) -> object:
     """Return an observer that acts once when the set-point is reached."""
     done: list[bool] = []
@@ -141,8 +136,7 @@ def test_no_sensor_no_approach(cell) -> None:
 
 def test_one_lost_answer_now_and_then_never_ends_a_grasp(cell) -> None:
     cell.device.faults.drop.every = 9
-    cell.gripper.start()
-    assert cell.gripper.grasp(RAMP).result is GraspResult.FORCE_REACHED
+    cell.hold_part(RAMP)
     assert cell.bus.statistics.timeouts > 20
     assert cell.force_n == pytest.approx(8.0, abs=0.6)
     assert cell.peak_n < 8.6
@@ -249,7 +243,7 @@ def test_force_above_the_cap_lowers_the_current_and_keeps_the_part(make_cell) ->
 
 
 def test_an_overloaded_servo_is_named_and_comes_back_by_reboot_only(cell) -> None:
-    grasped(cell)
+    cell.hold_part(RAMP)
     with pytest.raises(ServoFault, match=r"overload.*") as fault:
         cell.gripper.hold(1.0, at(cell, 1.0, cell.knobs[1].overload))
     assert fault.value.bits & 32
@@ -268,7 +262,7 @@ def test_an_overloaded_servo_is_named_and_comes_back_by_reboot_only(cell) -> Non
 
 
 def test_a_servo_that_reboots_by_itself_gets_no_torque_back(cell) -> None:
-    grasped(cell)
+    cell.hold_part(RAMP)
     with pytest.raises(GripperError):
         cell.gripper.hold(2.0, at(cell, 1.0, lambda: cell.knobs[0].reboot(cell.clock.monotonic())))
     cell.clock.sleep(1.0)
@@ -277,13 +271,13 @@ def test_a_servo_that_reboots_by_itself_gets_no_torque_back(cell) -> None:
 
 
 def test_torque_that_vanishes_is_noticed(cell) -> None:
-    grasped(cell)
+    cell.hold_part(RAMP)
     with pytest.raises(ServoFault, match="torque is off although it was not switched off here"):
         cell.gripper.hold(1.0, at(cell, 1.0, lambda: cell.bus.write(1, TORQUE_ENABLE, 0)))
 
 
 def test_a_watchdog_that_trips_while_a_part_is_held_is_a_fault(cell) -> None:
-    grasped(cell)
+    cell.hold_part(RAMP)
     cell.clock.sleep(1.0)
     assert cell.register(0, "bus_watchdog") == -1
     with pytest.raises(ServoFault, match="nobody called tick"):
@@ -295,7 +289,7 @@ def test_a_watchdog_that_trips_while_a_part_is_held_is_a_fault(cell) -> None:
 
 
 def test_a_tick_finds_a_tripped_watchdog_too(cell) -> None:
-    grasped(cell)
+    cell.hold_part(RAMP)
     cell.clock.sleep(1.0)
 
     def tick_for_a_while() -> None:
@@ -397,7 +391,7 @@ def test_the_servos_own_clock_shows_old_answers_and_restarts() -> None:
 
 
 def test_a_pause_before_three_lost_answers_is_no_lost_bus(cell) -> None:
-    grasped(cell)
+    cell.hold_part(RAMP)
     cell.gripper.tick()
     cell.clock.sleep(0.09)
     cell.device.faults.drop.next_packets = 9

@@ -20,14 +20,9 @@ from gripper.errors import (
 )
 from gripper.force.ramp import ForceRamp
 from gripper.settings import OverForce
-from gripper.state import GraspResult, GripperPhase
+from gripper.state import GripperPhase
 
 RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
-
-
-def held(cell) -> None:
-    cell.gripper.start()
-    assert cell.gripper.grasp(RAMP).result is GraspResult.FORCE_REACHED
 
 
 def after(cell, delay_s: float, act):
@@ -43,21 +38,17 @@ def after(cell, delay_s: float, act):
     return observe, done_s
 
 
-def torques(cell) -> list[int]:
-    return [cell.register(i, "torque_enable") for i in range(2)]
-
-
 def test_an_encoder_that_leaps_ends_in_limp_fingers_within_a_cycle(cell) -> None:
-    held(cell)
+    cell.hold_part(RAMP)
     observe, done_s = after(cell, 0.5, lambda: leap(cell, 0.3))
     with pytest.raises(FeedbackImplausible, match=r"servo 1: its position leapt by.*switched off"):
         cell.gripper.hold(2.0, observe)
     assert cell.clock.monotonic() - done_s[0] < 0.008
-    assert torques(cell) == [0, 0]
+    assert cell.torques == [0, 0]
     assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
     cell.gripper.clear_fault()
     assert cell.gripper.state is GripperPhase.OFF
-    assert torques(cell) == [0, 0]
+    assert cell.torques == [0, 0]
 
 
 def leap(cell, by_rad: float) -> None:
@@ -66,7 +57,7 @@ def leap(cell, by_rad: float) -> None:
 
 
 def test_a_finger_that_creeps_out_of_its_range_ends_in_limp_fingers(cell) -> None:
-    held(cell)
+    cell.hold_part(RAMP)
     motor = cell.motors[0]
 
     def creep(_) -> None:
@@ -75,11 +66,11 @@ def test_a_finger_that_creeps_out_of_its_range_ends_in_limp_fingers(cell) -> Non
 
     with pytest.raises(FeedbackImplausible, match="it can be from"):
         cell.gripper.hold(2.0, creep)
-    assert torques(cell) == [0, 0]
+    assert cell.torques == [0, 0]
 
 
 def test_a_current_that_cannot_be_ends_in_limp_fingers(cell, monkeypatch) -> None:
-    held(cell)
+    cell.hold_part(RAMP)
     model = type(cell.settings.servos[0].servo_model)
     real = model.current_a
 
@@ -89,13 +80,13 @@ def test_a_current_that_cannot_be_ends_in_limp_fingers(cell, monkeypatch) -> Non
     observe, _ = after(cell, 0.3, lambda: monkeypatch.setattr(model, "current_a", absurd))
     with pytest.raises(FeedbackImplausible, match=r"at most 1\.50 A are possible"):
         cell.gripper.hold(2.0, observe)
-    assert torques(cell) == [0, 0]
+    assert cell.torques == [0, 0]
 
 
 @pytest.mark.parametrize("way", list(OverForce))
 def test_too_much_force_is_answered_as_configured_and_never_pushed_on(make_cell, way) -> None:
     cell = make_cell(force_max_n=6.0, over_force=way, over_force_open_m=0.001)
-    held(cell)
+    cell.hold_part(RAMP)
     before_m, force_n = cell.mechanics.aperture_m, cell.force_n
     observe, done_s = after(cell, 0.5, lambda: swell(cell, 0.0012))
     with pytest.raises(ForceAboveCap, match="force_max_n is 6"):
@@ -105,7 +96,7 @@ def test_too_much_force_is_answered_as_configured_and_never_pushed_on(make_cell,
     peak_n = cell.peak_n
     cell.clock.sleep(1.0)
     assert cell.peak_n <= peak_n + 0.2
-    assert torques(cell) == ([0, 0] if way is OverForce.LIMP else [1, 1])
+    assert cell.torques == ([0, 0] if way is OverForce.LIMP else [1, 1])
     if way is OverForce.OPEN:
         assert 0.0 < cell.mechanics.aperture_m - before_m < 0.004
     assert cell.force_n < peak_n
@@ -117,7 +108,7 @@ def swell(cell, more_m: float) -> None:
 
 
 def test_the_other_finger_stands_still_when_a_servo_drops_its_torque(cell) -> None:
-    held(cell)
+    cell.hold_part(RAMP)
     observe, done_s = after(cell, 0.5, cell.knobs[1].overload)
     with pytest.raises(ServoFault, match="overload") as fault:
         cell.gripper.hold(2.0, observe)
@@ -134,7 +125,7 @@ def test_the_other_finger_stands_still_when_a_servo_drops_its_torque(cell) -> No
 
 @pytest.mark.parametrize("silent", [1, 2])
 def test_a_finger_that_falls_silent_in_a_hold_freezes_the_other_one(cell, silent) -> None:
-    held(cell)
+    cell.hold_part(RAMP)
     observe, done_s = after(cell, 0.5, lambda: cell.device.faults.silent.add(silent))
     with pytest.raises(FingerSilent, match="the part may still be gripped"):
         cell.gripper.hold(2.0, observe)
@@ -152,18 +143,18 @@ def torques_of(cell, servo_id: int) -> int:
 
 
 def test_a_dip_of_the_supply_is_told_and_the_grip_kept(cell) -> None:
-    held(cell)
+    cell.hold_part(RAMP)
     observe, done_s = after(cell, 0.5, lambda: cell.knobs[0].supply(9.0))
     with pytest.raises(ServoFault, match=r"input voltage") as fault:
         cell.gripper.hold(2.0, observe)
     assert cell.clock.monotonic() - done_s[0] < 0.015
     assert not fault.value.torque_lost
-    assert torques(cell) == [1, 1]
+    assert cell.torques == [1, 1]
     assert cell.force_n > 3.0
 
 
 def test_a_restart_too_short_to_be_silent_is_seen_by_the_servos_clock(cell) -> None:
-    held(cell)
+    cell.hold_part(RAMP)
     core = cell.servos[0].core
     observe, done_s = after(cell, 0.5, lambda: core.boot(cell.clock.monotonic(), blackout_s=0.0))
     with pytest.raises(ServoFault, match="its torque is off") as fault:
@@ -171,7 +162,7 @@ def test_a_restart_too_short_to_be_silent_is_seen_by_the_servos_clock(cell) -> N
     assert fault.value.torque_lost
     assert cell.clock.monotonic() - done_s[0] < 0.015
     cell.clock.sleep(1.0)
-    assert torques(cell) == [0, 1]
+    assert cell.torques == [0, 1]
 
 
 # Fingers on their way stop where they are.
@@ -218,7 +209,7 @@ def in_the_way(cell, how: str):
 def test_fingers_on_their_way_stop_where_they_are(make_cell, command, how, error, left) -> None:
     cell = make_cell(aperture_open_m=0.04)
     if command == "release":
-        held(cell)
+        cell.hold_part(RAMP)
     else:
         cell.gripper.start()
     with pytest.raises(error) as caught:
@@ -249,7 +240,7 @@ def test_fingers_on_their_way_stop_where_they_are(make_cell, command, how, error
 
 
 def test_a_stop_at_the_begin_of_a_release_lets_nothing_fall(cell) -> None:
-    held(cell)
+    cell.hold_part(RAMP)
     with pytest.raises(GraspStopped):
         cell.gripper.release(lambda _: cell.gripper.request_stop())
     cell.clock.sleep(1.0)
@@ -276,7 +267,7 @@ def test_a_stop_in_the_approach_goes_no_farther(make_cell, make_part) -> None:
 
 
 def test_no_note_is_made_where_fingers_hold(cell) -> None:
-    held(cell)
+    cell.hold_part(RAMP)
     with pytest.raises(GraspStopped) as caught:
         cell.gripper.hold(1.0, lambda _: cell.gripper.request_stop())
     assert fingers_left(caught.value) == ""

@@ -12,14 +12,13 @@ from gripper.errors import (
     fingers_left,
 )
 from gripper.force.ramp import ForceRamp
-from gripper.state import GraspResult, GripperPhase
+from gripper.state import GripperPhase
 
 RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
 
 
 def held(cell) -> None:
-    cell.gripper.start()
-    assert cell.gripper.grasp(RAMP).result is GraspResult.FORCE_REACHED
+    cell.hold_part(RAMP)
     cell.gripper.close()
 
 
@@ -27,10 +26,6 @@ def overload(cell, index: int) -> None:
     cell.knobs[index].overload()
     cell.clock.sleep(0.1)
     assert cell.register(index, "torque_enable") == 0
-
-
-def torques(cell) -> list[int]:
-    return [cell.register(i, "torque_enable") for i in range(len(cell.servos))]
 
 
 @pytest.mark.parametrize("limp", [0, 1])
@@ -50,7 +45,7 @@ def test_the_other_finger_opens_where_a_servo_has_shut_down(cell, limp) -> None:
     assert after_m[1 - limp] == pytest.approx(0.015, abs=0.001)
     # The limp finger gives way to the elastic part, and is not moved by more.
     assert abs(after_m[limp] - before_m[limp]) < 0.001
-    assert torques(cell) == [0, 0]
+    assert cell.torques == [0, 0]
     assert gripper.state is GripperPhase.OFF
     gripper.clear_fault(reboot=True)
     assert gripper.start().ok
@@ -66,7 +61,7 @@ def test_a_servo_that_another_program_made_limp_opens_again(cell, how) -> None:
         cell.clock.sleep(1.0)
     else:
         cell.bus.write(1, TORQUE_ENABLE, 0)
-    assert torques(cell) == [0, 1]
+    assert cell.torques == [0, 1]
     report = cell.new_gripper().release()
     assert (report.opened, report.left) == ((1, 2), ())
     assert str(report) == "the fingers are open"
@@ -85,8 +80,7 @@ def test_the_finger_that_answers_opens_where_the_other_is_silent(cell) -> None:
 
 
 def test_a_started_gripper_lets_go_after_a_clear_too(cell) -> None:
-    cell.gripper.start()
-    cell.gripper.grasp(RAMP)
+    cell.hold_part(RAMP)
     with pytest.raises(ServoFault) as fault:
         cell.gripper.hold(1.0, lambda _: cell.bus.write(1, TORQUE_ENABLE, 0))
     assert "may still be gripped (the pads measured" in fingers_left(fault.value)
@@ -104,7 +98,7 @@ def test_an_error_that_leaves_the_torque_on_hinders_no_release(cell) -> None:
     cell.knobs[0].supply(9.0)
     cell.clock.sleep(0.1)
     assert cell.register(0, "hardware_error_status") == 1
-    assert torques(cell) == [1, 1]
+    assert cell.torques == [1, 1]
     assert cell.new_gripper().release().opened == (1, 2)
     assert cell.force_n == 0.0
 
@@ -125,7 +119,7 @@ def test_a_servo_that_does_not_match_is_made_limp_and_the_message_says_so(cell) 
     cell.servos[1].core.registers.put("drive_mode", 1)
     with pytest.raises(VerificationFailed, match="torque is off now and the fingers did not open"):
         cell.new_gripper().release()
-    assert torques(cell) == [0, 0]
+    assert cell.torques == [0, 0]
 
 
 def test_a_release_of_one_finger_can_be_stopped_and_ended_later(make_cell) -> None:
@@ -147,7 +141,7 @@ def test_a_release_of_one_finger_can_be_stopped_and_ended_later(make_cell) -> No
     assert stood_m < 0.015
     cell.clock.sleep(1.0)
     assert cell.mechanics.finger_position_m[1] == pytest.approx(stood_m, abs=3e-4)
-    assert torques(cell) == [0, 1]
+    assert cell.torques == [0, 1]
     assert gripper.release().opened == (2,)
     assert cell.mechanics.finger_position_m[1] == pytest.approx(0.02, abs=0.001)
 
@@ -185,8 +179,7 @@ def test_a_release_closes_no_finger_that_stands_wide_open(make_cell, make_part) 
 
 
 def test_a_finger_whose_position_has_leapt_is_not_said_to_be_open(cell) -> None:
-    cell.gripper.start()
-    cell.gripper.grasp(RAMP)
+    cell.hold_part(RAMP)
     cell.knobs[0].jump_encoder(0.3)
     with pytest.raises(FeedbackImplausible, match="leapt"):
         cell.gripper.hold(1.0)

@@ -115,8 +115,7 @@ def test_a_machine_that_is_too_busy_is_refused(make_cell) -> None:
 def test_a_register_that_changes_while_a_part_is_held_is_found_and_the_grip_kept(
     cell, name, raw
 ) -> None:
-    cell.gripper.start()
-    cell.gripper.grasp(ForceRamp.linear(4.0, rate_n_s=5.0))
+    cell.hold_part(ForceRamp.linear(4.0, rate_n_s=5.0))
     changed_s: list[float] = []
 
     def change(cycle) -> None:

@@ -401,7 +401,6 @@ def test_full_disk_stops_the_recording_and_nothing_else(
     for i in range(12):
         record_grasp(recorder, clock, f"{i}")
     assert recorder.fault is not None
-    assert recorder.n_dropped > 100
     assert faults == [recorder.fault]
     with pytest.raises(RecordingError, match=r"No space left.*free space") as caught:
         recorder.close()

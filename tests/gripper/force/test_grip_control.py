@@ -38,8 +38,7 @@ def drifting(cell, index: int, raw_s: float):
 
 
 def held(cell) -> None:
-    cell.gripper.start()
-    assert cell.gripper.grasp(RAMP).result is GraspResult.FORCE_REACHED
+    cell.hold_part(RAMP)
     cell.least_n = cell.force_n
 
 

@@ -17,13 +17,8 @@ RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
 SETTINGS = GripperSettings(servos=(ServoSettings(servo_id=1),))
 
 
-def held(cell, ramp: ForceRamp = RAMP) -> None:
-    cell.gripper.start()
-    assert cell.gripper.grasp(ramp).result is GraspResult.FORCE_REACHED
-
-
 def test_a_part_that_slips_is_reported_and_not_gripped_again(cell) -> None:
-    held(cell)
+    cell.hold_part(RAMP)
     begun_s = cell.clock.monotonic()
     closed_m = []
 
@@ -46,7 +41,7 @@ def test_a_part_that_slips_is_reported_and_not_gripped_again(cell) -> None:
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_a_quiet_hold_with_a_noisy_sensor_shows_no_slip(make_cell, seed) -> None:
     cell = make_cell(noise_n=0.3, seed=seed)
-    held(cell)
+    cell.hold_part(RAMP)
     cell.gripper.hold(6.0)
     assert cell.force_n == pytest.approx(4.0, abs=0.3)
 
@@ -81,7 +76,7 @@ def test_fingers_that_close_after_the_part_show_a_slip() -> None:
 
 
 def test_a_finger_that_pushes_alone_freezes_both(cell, monkeypatch) -> None:
-    held(cell)
+    cell.hold_part(RAMP)
     measure = cell.sensor.measure
     monkeypatch.setattr(
         cell.sensor, "measure", lambda now_s, force_n: measure(now_s, (force_n[0], 0.2))
@@ -112,7 +107,7 @@ def test_a_warm_servo_gets_less_current_before_it_is_too_hot(make_cell) -> None:
 
 def test_the_step_down_from_too_much_force_is_as_configured(make_cell) -> None:
     cell = make_cell(force_max_n=6.0, over_force_share=0.8)
-    held(cell)
+    cell.hold_part(RAMP)
     written: list[int] = []
     cell.sensor.gain = 2.5
     with pytest.raises(ValueError, match="force_max_n is 6"):
@@ -189,8 +184,7 @@ def test_a_part_taken_away_in_the_ramp_is_lost_with_the_third_frame(cell) -> Non
 @pytest.mark.parametrize("final_n", [3.0, 8.0])
 def test_fast_force_shows_a_part_taken_away_at_once(make_cell, final_n) -> None:
     cell = make_cell(rate_hz=333.0, noise_n=0.3)
-    cell.gripper.start()
-    cell.gripper.grasp(ForceRamp.linear(final_n, rate_n_s=10.0))
+    cell.hold_part(ForceRamp.linear(final_n, rate_n_s=10.0))
     taken_s: list[float] = []
 
     def take(cycle) -> None:

@@ -4,7 +4,6 @@ from functools import partial
 
 import pytest
 
-from gripper.dynamixel.control_table import TORQUE_ENABLE
 from gripper.errors import (
     GripContradicted,
     MechanicsContradicted,
@@ -22,10 +21,6 @@ RAMP = ForceRamp.linear(4.0, rate_n_s=10.0)
 KEYS = r"gripper.servos\[\].direction \(.*zero_pulse \(.*gripper.linkage \(link_mm"
 LARGEST_N = 2.0
 """Force in N, by the current at a stop, that a first motion with wrong settings may make."""
-
-
-def torques(cell) -> list[int]:
-    return [cell.register(i, TORQUE_ENABLE.name) for i in range(len(cell.servos))]
 
 
 class Stop:
@@ -55,7 +50,7 @@ def refused_at_rest(cell) -> str:
     keys = r"gripper.servos\[[01]\].direction -?1, zero_pulse \d+, gripper.linkage link_mm 60"
     with pytest.raises(VerificationFailed, match=keys) as refused:
         cell.gripper.start()
-    assert torques(cell) == [0, 0]
+    assert cell.torques == [0, 0]
     return str(refused.value)
 
 
@@ -67,7 +62,7 @@ def told_by_motion(cell) -> str:
     with pytest.raises(MechanicsContradicted, match=KEYS) as told:
         cell.gripper.open()
     assert cell.clock.monotonic() - began_s < 1.5
-    assert torques(cell) == [0, 0]
+    assert cell.torques == [0, 0]
     assert stop.most_n < LARGEST_N
     assert "nothing is held" not in fingers_left(told.value)
     assert cell.gripper.state is GripperPhase.HELD_AFTER_FAULT
@@ -146,7 +141,7 @@ def test_a_wrong_direction_of_one_servo_that_drives_both_is_told(
     cell.gripper.start()
     with pytest.raises(MechanicsContradicted, match="free on its way back"):
         cell.gripper.open()
-    assert torques(cell) == [0]
+    assert cell.torques == [0]
 
 
 @pytest.mark.parametrize(
@@ -170,7 +165,7 @@ def test_a_zero_that_reads_too_closed_is_no_missing_part(
     cell.gripper.open()
     with pytest.raises(MechanicsContradicted, match=rf"found nothing.*{KEYS}"):
         cell.gripper.grasp(RAMP)
-    assert torques(cell) == [0, 0]
+    assert cell.torques == [0, 0]
 
 
 @pytest.mark.parametrize(
@@ -262,7 +257,7 @@ def test_a_release_after_it_goes_limp_again(make_cell, make_part, aperture_m, mo
     for gripper in (cell.gripper, cell.new_gripper()):
         with pytest.raises(MechanicsContradicted, match=KEYS):
             gripper.release()
-        assert torques(cell) == [0, 0]
+        assert cell.torques == [0, 0]
     assert stop.most_n < most_n
 
 
@@ -276,6 +271,6 @@ def test_pads_that_are_pressed_more_and_more_end_a_release(make_cell) -> None:
     gripper = cell.new_gripper()
     with pytest.raises((PositionContradicted, ServoFault), match=KEYS):
         gripper.release()
-    assert torques(cell) == [1, 1]
+    assert cell.torques == [1, 1]
     assert cell.peak_n < 8.0
     assert gripper.state is GripperPhase.HELD_AFTER_FAULT

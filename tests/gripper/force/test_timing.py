@@ -116,8 +116,7 @@ def test_fewer_overruns_in_a_row_only_count(make_cell: Any) -> None:
 
 def test_transactions_and_the_age_of_the_force_are_counted(make_cell: Any) -> None:
     cell = make_cell()
-    cell.gripper.start()
-    cell.gripper.grasp(RAMP)
+    cell.hold_part(RAMP)
     statistics = cell.gripper.statistics
     assert statistics.transaction.n >= statistics.cycles
     assert 2e-4 < statistics.transaction.p50_s < 3e-3

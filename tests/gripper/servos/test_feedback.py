@@ -5,24 +5,15 @@ import pytest
 from gripper.dynamixel.control_table import TORQUE_ENABLE
 from gripper.errors import FeedbackImplausible, fingers_left
 from gripper.force.ramp import ForceRamp
-from gripper.state import GraspResult, GripperPhase
+from gripper.state import GripperPhase
 
 RAMP = ForceRamp.linear(4.0, rate_n_s=5.0, hold_s=0.2)
-
-
-def held(cell) -> None:
-    cell.gripper.start()
-    assert cell.gripper.grasp(RAMP).result is GraspResult.FORCE_REACHED
-
-
-def torques(cell) -> list[int]:
-    return [cell.register(i, "torque_enable") for i in range(2)]
 
 
 @pytest.mark.parametrize("turns", [1, -1, 3])
 @pytest.mark.parametrize("index", [0, 1])
 def test_a_count_that_leaps_by_a_turn_moves_no_finger(cell, index, turns) -> None:
-    held(cell)
+    cell.hold_part(RAMP)
     due_s = cell.clock.monotonic() + 0.3
     leapt: list[tuple[float, int, float]] = []
 
@@ -39,7 +30,7 @@ def test_a_count_that_leaps_by_a_turn_moves_no_finger(cell, index, turns) -> Non
     then_s, goal_raw, aperture_m = leapt[0]
     assert cell.clock.monotonic() - then_s < 0.008
     assert cell.servos[index].core.registers.get("goal_position") == goal_raw
-    assert torques(cell) == [0, 0]
+    assert cell.torques == [0, 0]
     assert fingers_left(error.value).startswith("the fingers have no torque any more; a part may")
     assert "the pads measured" in fingers_left(error.value)
     cell.clock.sleep(1.0)
@@ -47,7 +38,7 @@ def test_a_count_that_leaps_by_a_turn_moves_no_finger(cell, index, turns) -> Non
 
 
 def test_a_leap_in_a_pause_is_found_before_the_next_goal(cell) -> None:
-    held(cell)
+    cell.hold_part(RAMP)
     cell.gripper.keep_grip()
     cell.clock.sleep(2.0)
     goal_raw = cell.register(0, "goal_position")
@@ -71,14 +62,14 @@ def test_a_servo_that_goes_by_another_count_than_it_reports_is_made_limp_at_once
     before_m = cell.mechanics.aperture_m
     with pytest.raises(FeedbackImplausible, match=r"servo 2: it has moved by .* is its goal"):
         cell.gripper.open()
-    assert torques(cell) == [0, 0]
+    assert cell.torques == [0, 0]
     cell.clock.sleep(1.0)
     assert abs(cell.mechanics.aperture_m - before_m) < 0.004
 
 
 @pytest.mark.parametrize("offset_raw", [-4096, 800])
 def test_no_goal_is_made_of_a_position_far_from_the_one_in_force(cell, offset_raw) -> None:
-    held(cell)
+    cell.hold_part(RAMP)
     cell.gripper.close()
     cell.knobs[0].offset_report(offset_raw)
     goal_raw = cell.register(0, "goal_position")

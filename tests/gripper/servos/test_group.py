@@ -86,8 +86,7 @@ def test_a_trip_is_not_cleared_by_what_arms_or_disarms(tripped) -> None:
 
 def test_a_silent_servo_does_not_keep_the_other_watchdog_armed(make_cell) -> None:
     cell = make_cell()
-    cell.gripper.start()
-    cell.gripper.grasp(ForceRamp.linear(6.0, rate_n_s=20.0, hold_s=0.3))
+    cell.hold_part(ForceRamp.linear(6.0, rate_n_s=20.0, hold_s=0.3))
     cell.device.faults.silent = {1}
     with pytest.raises(BusTimeout):
         cell.gripper.keep_grip()
@@ -97,8 +96,7 @@ def test_a_silent_servo_does_not_keep_the_other_watchdog_armed(make_cell) -> Non
 def test_a_trip_between_two_questions_is_found(make_cell, monkeypatch) -> None:
     """An answer that is lost for long enough lets the watchdog trip behind the last look at it."""
     cell = make_cell()
-    cell.gripper.start()
-    cell.gripper.grasp(ForceRamp.linear(6.0, rate_n_s=20.0, hold_s=0.3))
+    cell.hold_part(ForceRamp.linear(6.0, rate_n_s=20.0, hold_s=0.3))
     read, slept = cell.bus.read, []
 
     def late(servo_id, register):

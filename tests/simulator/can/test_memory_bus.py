@@ -225,7 +225,7 @@ def test_all_that_has_arrived_is_taken_at_once_as_one_by_one() -> None:
     assert [one.arbitration_id for one in bus.recv_all(9)] == [0x705]
     bus.set_filters(None)
     bus.faults.delay_s = 1.0
-    echo.send(14.0, 0x185, [data, data])
+    echo.send(clock.monotonic(), 0x185, [data, data])
     clock.sleep(0.5)
     assert bus.recv_all(9) == []
     bus.faults.unplugged = True
