@@ -39,6 +39,7 @@ from tactile.can.bus import CanBus, close_bus
 from tactile.unit import object_dictionary
 from tactile.unit.link import LinkSettings, TactileLink
 from tests.faults.scenarios.axes import CHANGES
+from tests.hil.relay import crc16
 
 ANSWER_S = 0.05
 BOOT_S = 3.0
@@ -46,16 +47,6 @@ POWER_UP_S = 0.2
 """The simulated unit has just got power and hears nothing before its first boot-up."""
 NMT_RESET_COMMUNICATION = 130
 EEPROM = [register for register in REGISTERS.values() if register.eeprom]
-
-
-def crc16(data: bytes) -> int:
-    """CRC of Protocol 2.0 bit by bit, as the manual defines it: polynomial 8005, from 0."""
-    value = 0
-    for byte in data:
-        value ^= byte << 8
-        for _ in range(8):
-            value = (value << 1 ^ 0x8005 if value & 0x8000 else value << 1) & 0xFFFF
-    return value
 
 
 @dataclass(frozen=True, kw_only=True)

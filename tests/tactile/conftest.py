@@ -8,6 +8,7 @@ import can
 import numpy as np
 import pytest
 
+from simulator.clock import VirtualClock
 from tactile.frames.codec import FrameFormat, encode_frame
 from tactile.layout import TaxelLayout, paper_layout
 from tactile.unit import object_dictionary as od
@@ -16,22 +17,15 @@ from tactile.unit.link import LinkSettings, TactileLink
 NODE = 5
 
 
-class JumpClock:
-    """Time passes only in ``sleep``; whoever listens is told of every step of at most 1 ms."""
+class JumpClock(VirtualClock):
+    """A virtual clock that begins at 100 s."""
 
     def __init__(self) -> None:
-        self.now_s = 100.0
-        self.on_advance: list[Callable[[float], None]] = []
+        super().__init__(100.0)
 
-    def monotonic(self) -> float:
-        return self.now_s
-
-    def sleep(self, seconds: float, /) -> None:
-        end_s = self.now_s + seconds
-        while self.now_s < end_s - 1e-12:
-            self.now_s = min(end_s, self.now_s + 0.001)
-            for listener in self.on_advance:
-                listener(self.now_s)
+    @property
+    def now_s(self) -> float:
+        return self.monotonic()
 
 
 class ScriptedBus(can.BusABC):

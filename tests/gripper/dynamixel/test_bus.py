@@ -24,6 +24,7 @@ from gripper.errors import (
     PortLost,
     ServoRejected,
 )
+from tests.hil.relay import crc16
 
 PING_1 = "FFFFFD00 01 0300 01 194E"
 PONG_1 = "FFFFFD00 01 0700 55 00 060426 655D"
@@ -384,13 +385,8 @@ def test_an_exception_in_the_stream_leaves_the_bus_usable(script, bus) -> None:
 
 
 def crc_of(text: str) -> str:
-    """CRC-16 with polynomial 0x8005 of a packet, as it goes over the wire."""
-    crc = 0
-    for byte in bytes.fromhex(text.replace(" ", "")):
-        crc ^= byte << 8
-        for _ in range(8):
-            crc = (crc << 1 ^ 0x8005 if crc & 0x8000 else crc << 1) & 0xFFFF
-    return crc.to_bytes(2, "little").hex()
+    """Checksum of a packet, as it goes over the wire."""
+    return crc16(bytes.fromhex(text.replace(" ", ""))).to_bytes(2, "little").hex()
 
 
 def ping_crc(servo_id: int) -> str:

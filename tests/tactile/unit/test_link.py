@@ -101,9 +101,18 @@ def test_a_node_that_never_appears_is_missing_and_the_message_says_who_is_there(
     assert bench.clock.now_s - start_s == pytest.approx(3.0, abs=0.01)
 
 
-def test_an_empty_bus_is_named_as_such(bench) -> None:
-    bench.unit.alive = False
-    with pytest.raises(NodeMissing, match="no node is heard"):
+@pytest.mark.parametrize(
+    ("knob", "value", "says"),
+    [
+        ("alive", False, "no node is heard"),
+        ("heartbeats", False, "did not become operational"),
+        ("boots", 2, "same node-ID"),
+        ("mute_sdo", 1000, r"failed 3 times: no SDO response within 0.3 s"),
+    ],
+)
+def test_a_unit_that_does_not_come_up_alone_is_a_missing_node(bench, knob, value, says) -> None:
+    setattr(bench.unit, knob, value)
+    with pytest.raises(NodeMissing, match=says):
         bench.link.start()
 
 
@@ -117,18 +126,6 @@ def test_a_unit_that_boots_late_is_waited_for(bench) -> None:
 
     bench.clock.on_advance.append(power_on)
     assert bench.link.start().serial == 4711
-
-
-def test_a_unit_that_does_not_become_operational_is_refused(bench) -> None:
-    bench.unit.heartbeats = False
-    with pytest.raises(NodeMissing, match="did not become operational"):
-        bench.link.start()
-
-
-def test_two_units_of_one_node_id_are_refused(bench) -> None:
-    bench.unit.boots = 2
-    with pytest.raises(NodeMissing, match="same node-ID"):
-        bench.link.start()
 
 
 @pytest.mark.parametrize(
@@ -203,12 +200,6 @@ def test_lost_sdo_responses_are_asked_for_again(bench) -> None:
     assert bench.link.start().vendor_id == od.VENDOR_ID
 
 
-def test_a_silent_sdo_server_is_a_missing_node(bench) -> None:
-    bench.unit.mute_sdo = 1000
-    with pytest.raises(NodeMissing, match=r"failed 3 times: no SDO response within 0.3 s"):
-        bench.link.start()
-
-
 def test_a_zero_held_by_the_unit_is_cleared(bench) -> None:
     bench.unit.objects[od.TARE, od.TARE_RESULT] = bytes([od.TareResult.DONE])
     bench.link.start()
@@ -236,19 +227,19 @@ def test_a_heartbeat_with_a_turned_bit_is_counted_and_no_other_state(bench) -> N
     assert bench.link.statistics.malformed == 1
 
 
-def test_boot_up_in_operation_is_a_reboot(bench) -> None:
+@pytest.mark.parametrize(
+    ("cob_id", "data", "error", "says"),
+    [
+        (0x700 + NODE, b"\0", NodeRebooted, "boot-up"),
+        (0x700 + NODE, b"\x7f", NodeStateChanged, "pre-operational"),
+        (0x700 + NODE, b"\4", NodeStateChanged, "stopped"),
+        (0x40, bytes(8), BusOff, "bus-off"),
+    ],
+)
+def test_a_message_that_ends_the_operation_is_a_fault(bench, cob_id, data, error, says) -> None:
     bench.link.start()
-    bench.run(0.1)
-    bench.unit.boot()
-    with pytest.raises(NodeRebooted, match="boot-up"):
-        bench.link.poll()
-
-
-@pytest.mark.parametrize(("state", "name"), [(127, "pre-operational"), (4, "stopped")])
-def test_leaving_operational_is_a_fault(bench, state, name) -> None:
-    bench.link.start()
-    bench.bus.put(0x700 + NODE, bytes([state]))
-    with pytest.raises(NodeStateChanged, match=name):
+    bench.bus.put(cob_id, data, is_error_frame=error is BusOff)
+    with pytest.raises(error, match=says):
         bench.link.poll()
 
 
@@ -267,13 +258,6 @@ def test_error_reset_and_short_emergencies_are_no_fault(bench) -> None:
     bench.bus.put(0x80 + NODE, b"\x10\x81")
     bench.link.poll()
     assert bench.link.statistics.malformed == 1
-
-
-def test_bus_off_is_a_fault(bench) -> None:
-    bench.link.start()
-    bench.bus.put(0x40, bytes(8), is_error_frame=True)
-    with pytest.raises(BusOff, match="bus-off"):
-        bench.link.poll()
 
 
 def test_error_passive_is_a_fault_when_it_lasts(bench) -> None:
@@ -467,28 +451,39 @@ def test_a_sync_that_the_unit_did_not_hear_is_forgotten_in_time(bench) -> None:
 # --- a second unit with the same node-ID ---------------------------------------------------------
 
 
-def test_two_answers_to_each_sdo_request_are_refused(bench) -> None:
-    put = bench.bus.put
+def double(bench, cob_id: int, *, times: float = np.inf) -> None:
+    """Let messages of an identifier come twice, so many of them."""
+    put, left = bench.bus.put, times
 
-    def twice(cob_id: int, data: bytes, **options: object) -> None:
-        for _ in range(2 if cob_id == 0x580 + NODE else 1):
-            put(cob_id, data, **options)
+    def twice(found: int, data: bytes, **options: object) -> None:
+        nonlocal left
+        put(found, data, **options)
+        if found == cob_id and left > 0:
+            left -= 1
+            put(found, data, **options)
 
     bench.bus.put = twice
+
+
+def test_two_answers_to_each_sdo_request_are_refused(bench) -> None:
+    double(bench, 0x580 + NODE)
     with pytest.raises(DuplicateNode, match="3 SDO answers more"):
         bench.link.start()
 
 
 def test_one_sdo_answer_that_comes_twice_is_no_second_unit(bench) -> None:
-    put, doubled = bench.bus.put, []
-
-    def once_twice(cob_id: int, data: bytes, **options: object) -> None:
-        put(cob_id, data, **options)
-        if cob_id == 0x580 + NODE and not doubled:
-            doubled.append(put(cob_id, data, **options))
-
-    bench.bus.put = once_twice
+    double(bench, 0x580 + NODE, times=1)
     assert bench.link.start().serial == 4711
+
+
+def test_doubled_heartbeats_are_a_second_unit(bench) -> None:
+    bench.link.start()
+    bench.run(0.2)
+    double(bench, 0x700 + NODE)
+    start_s = bench.clock.now_s
+    with pytest.raises(DuplicateNode, match="16 heartbeats"):
+        bench.run(2.0)
+    assert bench.clock.now_s - start_s <= 1.0
 
 
 @pytest.mark.parametrize("other_content", [False, True])
@@ -534,22 +529,6 @@ def test_every_third_message_twice_is_noted_only(bench) -> None:
     bench.unit.alter = lambda messages: sorted(messages + messages[::3], key=messages.index)
     assert len(bench.run(1.0)) >= 49
     assert bench.link.statistics.frames.duplicate >= 900
-
-
-def test_doubled_heartbeats_are_a_second_unit(bench) -> None:
-    bench.link.start()
-    bench.run(0.2)
-    put = bench.bus.put
-
-    def twice(cob_id: int, data: bytes, **options: object) -> None:
-        for _ in range(2 if cob_id == 0x700 + NODE else 1):
-            put(cob_id, data, **options)
-
-    bench.bus.put = twice
-    start_s = bench.clock.now_s
-    with pytest.raises(DuplicateNode, match="16 heartbeats"):
-        bench.run(2.0)
-    assert bench.clock.now_s - start_s <= 1.0
 
 
 # --- latching and life cycle ---------------------------------------------------------------------
