@@ -226,7 +226,7 @@ class Api:
             status: {"model": RefusalBody} for status in (401, 403, 404, 409, 413, 422, 500)
         }
         app = FastAPI(title="tactile-cell", docs_url=None, redoc_url=None, responses=refusals)
-        for kind in (StarletteHTTPException, RequestValidationError, *_ERRORS):
+        for kind in (StarletteHTTPException, RequestValidationError, *_ERRORS, Exception):
             app.add_exception_handler(kind, _refused)
         guarded = APIRouter(prefix="/api", dependencies=[Depends(self._authorize)])
         for path, method, call in (

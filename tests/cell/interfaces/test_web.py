@@ -457,6 +457,21 @@ def test_what_is_no_request_is_refused_in_the_same_shape(connect: Any) -> None:
     check_refusal(400, json.loads(body), status=400)
 
 
+def test_a_defect_is_answered_in_the_same_shape(
+    connect: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    served, host = connect()
+
+    def broken() -> Any:
+        raise ZeroDivisionError("a defect")
+
+    served.plugin.info = broken
+    status, found = host.ask("GET", "/api/info")
+    check_refusal(status, found, status=500)
+    assert (found["fault_number"], found["error"]) == (599, "ZeroDivisionError: a defect")
+    until(lambda: "a defect" in caplog.text)  # for those who mend it
+
+
 def test_an_answer_may_take_longer_than_a_request(connect: Any) -> None:
     served, host = connect(serve__request_timeout_s=0.1)
     shown, waited = served.plugin.taught, threading.Event()
