@@ -190,7 +190,7 @@ def test_the_paper_is_put_beside_its_five_objects(capsys: pytest.CaptureFixture[
     )
     print_result(result)
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith("Paper, Table 1")
+    assert "its Table 1): 48 of 50 right" in lines[0]
     assert "ball: ball 90, cylinder 10" in lines
 
 

@@ -142,12 +142,14 @@ def print_result(result: "MainResult") -> None:
     """Print confusion tables, shapes, times and files of a run, and the paper's table beside."""
     from cell.interfaces.cli.terminal import print_line, print_table
     from cell.jobs.run_report import score_title, shape_rows
-    from cell.report.paper_table import TABLE_1, TABLE_1_LABELS
+    from cell.report.paper_table import TABLE_1, TABLE_1_LABELS, TABLE_1_TRIALS
     from cell.report.shapes import shapes_view
 
     if set(result.labels) == set(TABLE_1_LABELS):
         order = [TABLE_1_LABELS.index(label) for label in result.labels]
-        print_line("The paper's own cell (its Table 1), per cent:")
+        n = TABLE_1_TRIALS * len(order)
+        right = sum(row[place] for place, row in enumerate(TABLE_1)) * TABLE_1_TRIALS // 100
+        print_line(f"The paper's own cell (its Table 1): {right} of {n} right; per cent:")
         rows = [[TABLE_1[row][column] for column in order] for row in order]
         print_table(confusion_table(result.labels, rows))
     for name, score in result.scores.items():

@@ -1,0 +1,97 @@
+"""Figures that README and docs quote, and transcripts of the tutorial, are those of today's run."""
+
+import json
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from docs.tools.pictures import TUTORIAL, today
+
+ROOT = Path(__file__).parents[2]
+PAGES = ("README.md", "docs/explanations/recogniser.md")
+PROGRAM = Path(sys.executable).with_name("tactile-cell")
+_NUMBER = re.compile(r"\d+(?:\.\d+)?")
+
+
+def numbers(text: str) -> list[float]:
+    return [float(number) for number in _NUMBER.findall(text.replace("95 %", ""))]
+
+
+def quoted(page: str, command: str) -> list[str]:
+    """Return the cells with figures of a page's table rows that belong to a command.
+
+    A command stands in the last cell of a row, or in the paragraph above the table.
+    """
+    found, above = [], ""
+    for line in page.splitlines():
+        if not line.startswith("|"):
+            above = line if line.strip() else above
+            continue
+        cells = [cell.strip() for cell in line.strip("|").split("|")]
+        if command in cells[-1]:
+            found.append(cells[-2])
+        elif command in above:
+            found += cells[1:]
+    return [cell for cell in found if numbers(cell)]
+
+
+def differing(cells: list[str], printed: str) -> list[str]:
+    """Return the cells some of whose figures stand in no printed line together."""
+    lines = [set(numbers(line)) for line in printed.splitlines()]
+    return [cell for cell in cells if not any(set(numbers(cell)) <= line for line in lines)]
+
+
+def printed(*arguments: object) -> str:
+    command = [PROGRAM, *map(str, arguments)]
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout
+
+
+def test_a_figure_that_is_printed_no_more_is_named() -> None:
+    page = "`x`:\n\n| | a |\n|---|---|\n| b | 97.7 % (95.5 to 98.8) |\n| c | 12 of 50 |\n"
+    cells = quoted(page, "`x`")
+    assert cells == ["97.7 % (95.5 to 98.8)", "12 of 50"]
+    assert differing(cells, "r: one grasp 97.7, 95 % 95.5 to 98.8") == ["12 of 50"]
+    assert quoted("| b | 3 | `x` |", "`x`") == ["3"]
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
+def test_the_run_of_today_prints_what_is_quoted(tmp_path: Path) -> None:
+    text = printed("run", "--out", tmp_path)
+    cells = quoted((ROOT / "README.md").read_text(encoding="utf-8"), "`make run`")
+    assert len(cells) == 3
+    assert differing(cells, text) == []
+
+
+@pytest.mark.long
+@pytest.mark.shared_data
+@pytest.mark.timeout(900)
+@pytest.mark.skipif(
+    "TACTILE_CELL_DATA" not in os.environ,
+    reason="TACTILE_CELL_DATA does not name the folder of recorded grasps",
+)
+def test_the_evaluation_of_today_prints_what_is_quoted(tmp_path: Path) -> None:
+    data = Path(os.environ["TACTILE_CELL_DATA"])
+    first, later, report = data / "pinch36.npz", data / "pinch_november.npz", tmp_path / "e.json"
+    text = printed("evaluate", first, "--json", report)
+    for full in json.loads(report.read_text(encoding="utf-8"))["recognizers"].values():
+        for of in (full, full["without_aperture"]):
+            for name in ("unknown_rejected", "known_rejected", "calibration_error"):
+                text += f"{100 * of[name]:.0f} {100 * of[name]:.1f} {of[name]:.3f}\n"
+    text_later = printed("evaluate", later, "--train", first, "--recognizer", "force_ramp")
+    for name in PAGES:
+        page = (ROOT / name).read_text(encoding="utf-8")
+        assert differing(quoted(page, "`tactile-cell evaluate FILE`"), text) == [], name
+        assert differing(quoted(page, "`tactile-cell evaluate LATER"), text_later) == [], name
+
+
+@pytest.mark.long
+@pytest.mark.timeout(900)
+def test_the_tutorial_shows_what_is_printed_today() -> None:
+    page = TUTORIAL.read_text(encoding="utf-8")
+    shown, new = (re.sub(r"\d{8}-\d{6}", "TIME", text) for text in (page, today(page)))
+    assert new == shown
