@@ -166,7 +166,7 @@ def _identify_held(
         found, truth = identify_on_cell(
             cell, config, taught, held=held, keep=keep, progress=progress
         )
-        recording = cell.recording_path
+        recording, health = cell.recording_path, cell.health()
     for number, (record, posterior, shape) in enumerate(
         zip_longest(found.records, found.posteriors, found.shapes), start=1
     ):
@@ -205,6 +205,7 @@ def _identify_held(
             "drift": None if found.drift is None else estimate_values(found.drift),
             "held": truth,
             "recording": str(recording),
+            "health": health,
         },
     )
 

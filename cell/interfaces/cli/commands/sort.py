@@ -74,10 +74,10 @@ def sort(
                 seed=checked.seed + 1,
                 on_part=lambda part, _found: progress("sort", part.number, parts),
             )
-            recording = cell.recording_path
+            recording, health = cell.recording_path, cell.health()
     finally:
         print_tally(tally)
-    write_json(json_file, tally.as_json() | {"recording": str(recording)})
+    write_json(json_file, tally.as_json() | {"recording": str(recording), "health": health})
 
 
 def _teach(

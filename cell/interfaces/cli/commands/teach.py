@@ -136,6 +136,7 @@ def _teach_grasps(
         teach_to_dataset(
             cell, config, collection, dataset, before, progress=progress, note=print_line
         )
+        health = cell.health()
     print_line(f"recording: {recording}")
     write_json(
         json_file,
@@ -145,6 +146,7 @@ def _teach_grasps(
             "n_missed": collection.n_missed,
             "dataset": str(dataset),
             "recording": str(recording),
+            "health": health,
         },
     )
 
