@@ -71,7 +71,7 @@ def replay(
             capture=capture,
             progress=progress,
         )
-    same = "all the same, bit for bit" if result.frames_equal else "NOT the same"
+    same = "bit for bit the same" if result.frames_equal else "NOT the same"
     print_line(
         f"{result.n_grasps} grasps: {result.frames_sent} frames sent, "
         f"{result.frames_received} received, {same}"
