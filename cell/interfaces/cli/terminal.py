@@ -76,7 +76,8 @@ def print_line(text: str) -> None:
 def print_table(table: Table) -> None:
     """Print a table; each row as one plain line where the terminal is too narrow or there is none.
 
-    Such a line names the column before each value, and leaves out what is empty or 0.
+    Above these lines stands the name of the first column. A line names the column before each
+    value, and leaves out what is empty or 0.
     """
     if (
         out.is_terminal
@@ -85,11 +86,12 @@ def print_table(table: Table) -> None:
         out.print(table)
         return
     names = [Text.from_markup(str(column.header)).plain for column in table.columns]
+    print_line(f"{names[0]}:")
     for row in zip(*(column.cells for column in table.columns), strict=True):
         first, *values = (Text.from_markup(str(cell)).plain for cell in row)
         named = zip(names[1:], values, strict=True)
         shown = [f"{name} {value}" for name, value in named if value not in ("", "0")]
-        print_line(f"{first}: {', '.join(shown)}")
+        print_line(f"  {first}: {', '.join(shown)}")
 
 
 def print_error(text: str) -> None:

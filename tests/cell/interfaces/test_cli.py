@@ -168,7 +168,7 @@ def test_tables_lose_nothing_on_narrow_terminals_and_in_pipes(
     assert all(label in text for label in labels)
     assert ("│" in text) == (width == 80)
     if width is None:
-        assert text.splitlines()[0] == "long_name: long_name 9, UNKNOWN 1"
+        assert text.splitlines()[:2] == ["held:", "  long_name: long_name 9, UNKNOWN 1"]
 
 
 def test_the_paper_is_put_beside_its_five_objects(capsys: pytest.CaptureFixture[str]) -> None:
@@ -191,7 +191,7 @@ def test_the_paper_is_put_beside_its_five_objects(capsys: pytest.CaptureFixture[
     print_result(result)
     lines = capsys.readouterr().out.splitlines()
     assert "its Table 1): 48 of 50 right" in lines[0]
-    assert "ball: ball 90, cylinder 10" in lines
+    assert "  ball: ball 90, cylinder 10" in lines
 
 
 def test_teach_extends_a_data_set_with_other_poses(config: Path, tmp_path: Path) -> None:
@@ -493,7 +493,7 @@ def test_train_writes_a_model(dataset: Path, tmp_path: Path) -> None:
     written = read_json(tmp_path / "t.json")
     amount, series = written.pop("teaching")["notes"]
     assert "4 objects (now 2)" in amount
-    assert "one series" in series
+    assert "in one go" in series
     assert written == {
         "model": str(path),
         "recognizer": "level_check",

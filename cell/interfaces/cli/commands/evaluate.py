@@ -146,7 +146,10 @@ def _print_evaluation(result: "EvaluationResult") -> None:
     fused = sorted({k for f in result.recognizers.values() for k in f.full.fused_accuracy} - {1})
     right, named = Table(header_style="bold"), Table(header_style="bold")
     for table, columns in (
-        (right, ("likeliest right, %", "one grasp", "95 %", *(f"{k} fused" for k in fused))),
+        (
+            right,
+            ("likeliest right, %", "one grasp", "95 % interval", *(f"{k} fused" for k in fused)),
+        ),
         (named, ("one grasp, %", "named right", "named wrong", UNKNOWN, "AUROC")),
     ):
         for column in columns:
@@ -185,8 +188,8 @@ def _print_evaluation(result: "EvaluationResult") -> None:
         shift = figures.full.shift
         if shift is not None:
             print_line(
-                f"{name} in a shift of mixed objects, after its first {shift.before} grasps: "
+                f"{name} that follows the drift of the grasps, after the first {shift.before}: "
                 f"{percent(shift.accuracy, shift.interval)}, "
                 f"{100 * shift.known_rejected:.1f} % called UNKNOWN"
             )
-    print_line(f"{result.seconds:.1f} s")
+    print_line(f"took {result.seconds:.1f} s")
