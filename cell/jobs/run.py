@@ -222,7 +222,7 @@ def teach_and_identify(
     )
     if model is None:
         files = {"dataset": folder / "taught.npz", "model": folder / "model.npz"}
-        taught = job.teach(n_teach)
+        taught = teach_objects(cell, config, job.model, job.labels, n_teach, progress=progress)
         job.model.save_training_set(files["dataset"])
         recognizers = job.train(taught, files["model"])
     default = job.model.trainer_name
@@ -251,6 +251,29 @@ def teach_and_identify(
     )
 
 
+def teach_objects(
+    cell: Cell,
+    config: CellConfig,
+    model: TaughtModel,
+    labels: Sequence[str],
+    n_grasps: int,
+    *,
+    progress: Progress,
+) -> list[Collection]:
+    """Grasp each object ``n_grasps`` times for the training set of the model.
+
+    Raises
+    ------
+    cell.errors.NoPartFound, cell.errors.CellStopped, and what the devices raise
+        As `TaughtModel.collect`.
+    """
+    taught = [Collection(label=label, n_planned=n_grasps) for label in labels]
+    for number, one in enumerate(taught):
+        seed = _seed(config, 0, number)
+        model.collect(cell.controller, one, seed=seed, on_grasp=progress_of(progress))
+    return taught
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _MainJob:
     """The steps of the main job."""
@@ -260,20 +283,6 @@ class _MainJob:
     model: TaughtModel
     labels: tuple[str, ...]
     progress: Progress
-
-    def teach(self, n_grasps: int) -> list[Collection]:
-        """Grasp each object ``n_grasps`` times for the training set of the model."""
-        taught = []
-        for number, label in enumerate(self.labels):
-            one = Collection(label=label, n_planned=n_grasps)
-            self.model.collect(
-                self.cell.controller,
-                one,
-                seed=_seed(self.config, 0, number),
-                on_grasp=progress_of(self.progress),
-            )
-            taught.append(one)
-        return taught
 
     def train(self, taught: Sequence[Collection], path: Path) -> dict[str, Recognizer]:
         """Train and write the model; train the paper's classifier to compare with."""

@@ -11,10 +11,9 @@ import pytest
 from cell.config.model import CellConfig
 from cell.control.states import CellState
 from cell.data.recorder_sink import DirectFile
-from cell.errors import CellStateError, RecordingError
+from cell.errors import RecordingError
 from cell.interfaces.plugin.host_watch import HostWatch
 from cell.interfaces.plugin.plugin import (
-    IdentifyGoal,
     JobFailed,
     TactileCellPlugin,
     TeachGoal,
@@ -117,16 +116,6 @@ def test_a_host_that_says_it_is_alive_is_left_alone(
         assert plugin.feedback(job).outcome is JobOutcome.EXECUTING
         plugin.cancel(job)
         until(lambda: not plugin._worker.running)
-
-
-def test_status_has_names_and_numbers(make_config: Callable[..., CellConfig]) -> None:
-    with TactileCellPlugin(make_config()) as plugin:
-        status = plugin.status()
-        assert (status.state, status.state_number) == ("IDLE", 4)
-        assert (status.grasp, status.grasp_number) == ("IDLE", 0)
-        assert (status.holding, status.fault) == (False, None)
-        with pytest.raises(CellStateError):
-            plugin.start(IdentifyGoal())
 
 
 @pytest.mark.parametrize("when_lost", ["finish", "hold"])

@@ -93,8 +93,11 @@ def test_a_gauge_says_under_which_foam_shapes_are_read(
 
 def test_a_plugin_is_ready_once_it_is_made(make_plugin: Callable[..., Any]) -> None:
     plugin = make_plugin()
-    assert plugin.state() == "IDLE"
-    assert plugin.fault() is None
+    status = plugin.status()
+    assert plugin.state() == status.state == "IDLE"
+    assert (status.state_number, status.grasp, status.grasp_number) == (4, "IDLE", 0)
+    assert plugin.fault() is status.fault is None
+    assert not status.holding
     assert plugin.labels == ()
     info = plugin.info()
     assert (info["name"], info["simulated"], info["n_taxels"]) == ("simulated cell", True, 408)

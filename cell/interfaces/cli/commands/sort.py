@@ -15,11 +15,7 @@ from cell.interfaces.cli.options import (
 )
 
 if TYPE_CHECKING:
-    from cell.build import Cell
-    from cell.config.model import CellConfig
-    from cell.jobs.common import Progress
     from cell.jobs.sort import Tally
-    from cell.learning.taught_model import TaughtModel
 
 
 def sort(
@@ -45,6 +41,7 @@ def sort(
     from cell.interfaces.cli.session import cell_config, pads_of, running_cell
     from cell.interfaces.cli.terminal import progress_bar, write_json
     from cell.jobs.common import job_folder
+    from cell.jobs.run import teach_objects
     from cell.jobs.sort import Places, Tally, simulated_feed, sort_parts
     from cell.learning.model import load_model
     from cell.learning.taught_model import TaughtModel
@@ -64,7 +61,8 @@ def sort(
             progress_bar() as progress,
         ):
             if model is None:
-                _teach(cell, checked, taught, objects, teach_grasps, progress)
+                teach_objects(cell, checked, taught, objects, teach_grasps, progress=progress)
+                taught.train()
             sort_parts(
                 cell.controller,
                 taught,
@@ -78,24 +76,6 @@ def sort(
     finally:
         print_tally(tally)
     write_json(json_file, tally.as_json() | {"recording": str(recording), "health": health})
-
-
-def _teach(
-    cell: "Cell",
-    config: "CellConfig",
-    model: "TaughtModel",
-    objects: list[str],
-    n_grasps: int,
-    progress: "Progress",
-) -> None:
-    from cell.jobs.common import progress_of
-    from cell.learning.collection import Collection
-
-    for number, label in enumerate(objects):
-        one = Collection(label=label, n_planned=n_grasps)
-        seed = config.seed + (number + 1) * config.sequence.max_grasps * n_grasps
-        model.collect(cell.controller, one, seed=seed, on_grasp=progress_of(progress))
-    model.train()
 
 
 def print_tally(tally: "Tally") -> None:
