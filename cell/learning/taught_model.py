@@ -289,20 +289,34 @@ class TaughtModel:
     def objects(self) -> dict[str, tuple[int, ShapeAnswer | None]]:
         """Return the taught objects with their number of grasps, and the shape by the newest one.
 
-        A grasp that is not at hand counts for none. The shape of a grasp is read once.
+        A grasp that is not at hand counts for none. No shape is known before `look_at_newest`.
         """
-        with self._lock:
-            grasps = list(self._training_set)
-        newest = {grasp.label: grasp for grasp in grasps}
-        counts = Counter(grasp.label for grasp in grasps)
+        newest, counts = self._newest()
         found: dict[str, tuple[int, ShapeAnswer | None]] = {}
         for label in dict.fromkeys((*self.labels, *newest)):
-            grasp = newest.get(label)
-            seen = self._looks.get(label)
-            if grasp is not None and (seen is None or seen[0] is not grasp):
-                seen = self._looks[label] = (grasp, self.read_shape(grasp))
-            found[label] = (counts[label], None if grasp is None or seen is None else seen[1])
+            grasp, shape = self._looks.get(label, (None, None))
+            found[label] = (counts[label], shape if grasp is newest.get(label) else None)
         return found
+
+    @property
+    def looked_at(self) -> bool:
+        """Whether `look_at_newest` has nothing to do."""
+        newest, _ = self._newest()
+        return all(self._looks.get(label, (None,))[0] is grasp for label, grasp in newest.items())
+
+    def look_at_newest(self) -> None:
+        """Read the shapes of `objects` that are not known yet: some tenths of a second for each."""
+        newest, _ = self._newest()
+        for label, grasp in newest.items():
+            if self._looks.get(label, (None,))[0] is not grasp:
+                self._looks[label] = (grasp, self.read_shape(grasp))
+                self.revision += 1
+
+    def _newest(self) -> tuple[dict[str, Grasp], Counter[str]]:
+        """Return the newest grasp of each object, and how many it has."""
+        with self._lock:
+            grasps = list(self._training_set)
+        return {grasp.label: grasp for grasp in grasps}, Counter(grasp.label for grasp in grasps)
 
     def read_shape(self, grasp: Grasp) -> ShapeAnswer | None:
         """Return shape and size by one grasp; None where it does not show them."""

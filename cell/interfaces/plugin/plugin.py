@@ -187,6 +187,7 @@ class TactileCellPlugin:
         self._file = tasks.ModelFile(self._model, None if save is None else Path(save))
         self._cell = build_cell(checked, folder=folder, mover=mover, places=places, tap=tap)
         self._part_listeners: list[OnPart] = []
+        self._looking: threading.Thread | None = None
         self._newtons = TaxelNewtons(checked, self._cell.controller)
         self._remarks: deque[tuple[str, str]] = deque(maxlen=_REMARKS_MAX)
         self._last_answer: deque[Answer] = deque(maxlen=1)
@@ -296,8 +297,13 @@ class TactileCellPlugin:
     def taught(self) -> list[dict[str, Any]]:
         """Return the taught objects as plain data: grasps at hand, shape and size in mm by one.
 
-        The first call after a model was loaded takes some tenths of a second for each object.
+        Shapes that are not known yet are None, and are read in a thread of their own;
+        `taught_revision` changes with each.
         """
+        if not self._model.looked_at and not (self._looking and self._looking.is_alive()):
+            look = self._model.look_at_newest
+            self._looking = threading.Thread(target=look, name="taught-shapes", daemon=True)
+            self._looking.start()
         return [
             {
                 "label": label,
@@ -600,6 +606,8 @@ class TactileCellPlugin:
             _write_remarks(self._cell.controller, self._remarks)
             self._cell.close()
             self._closed = True
+            if self._looking is not None:
+                self._looking.join()
             self._file.write()
 
     def __del__(self) -> None:

@@ -22,12 +22,18 @@ def model(taught: Any) -> TaughtModel:
 
 
 def test_objects_have_their_grasps_and_the_size_of_the_newest(model: TaughtModel) -> None:
+    assert model.objects()["ball"] == (5, None)  # who asks does not wait
+    assert not model.looked_at
+    model.look_at_newest()
+    assert model.looked_at
     objects = model.objects()
     assert {label: n for label, (n, _) in objects.items()} == {"ball": 5, "box": 5}
     shape = objects["ball"][1]
     assert shape is not None
     assert 1e3 * shape.size_m == pytest.approx(9.5, abs=1.0)
-    assert model.objects()["ball"][1] is shape  # read once
+    revision = model.revision
+    model.look_at_newest()
+    assert (model.objects()["ball"][1] is shape, model.revision) == (True, revision)  # read once
 
 
 def test_the_newest_grasp_is_taken_back_and_an_object_forgotten(
