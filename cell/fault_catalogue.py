@@ -190,7 +190,7 @@ CATALOGUE: dict[type[BaseException], Fault] = {
     tactile.FrameError: Fault(402, "Values do not fit into a tactile frame",
         "Wrong layout.", "Check it.", UNMOVED, CONFIG),
     tactile.LayoutError: Fault(403, "Pad layout impossible or not that of the unit",
-        "Config and unit differ.", "Correct `tactile.pads` or the unit.", UNMOVED, CONFIG),
+        "Config and unit differ.", "Correct `tactile.layout` or the unit.", UNMOVED, CONFIG),
     tactile.CalibrationError: Fault(404, "Calibration does not fit the sensor",
         "A calibration of other pads.", "Calibrate again.", UNMOVED, CONFIG),
     tactile.TareRefused: Fault(405, "Zero not taken: pads touched, noisy or drifting",

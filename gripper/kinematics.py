@@ -255,6 +255,7 @@ def motion_current_a(
     if current_a > settings.current_max_a:
         raise LimitExceeded(
             f"moving the fingers takes {current_a:.3f} A, current_max_a is "
-            f"{settings.current_max_a} A: raise it"
+            f"{settings.current_max_a} A: write at least that where servo and part bear it, or "
+            "take friction out of the linkage"
         )
     return current_a

@@ -38,7 +38,7 @@ def enter_real_time(config: LoopConfig) -> tuple[str, ...]:
             (
                 lock_memory,
                 "the memory of the force loop is not locked, paging may hold it up",
-                "raise `ulimit -l` (limits.conf: memlock), or set loop.lock_memory to false",
+                "raise `ulimit -l` (limits.conf: memlock)",
             )
         )
     if config.priority:
@@ -46,7 +46,7 @@ def enter_real_time(config: LoopConfig) -> tuple[str, ...]:
             (
                 lambda: os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(config.priority)),
                 "the force loop runs without real-time priority, other programs may hold it up",
-                "raise `ulimit -r` (limits.conf: rtprio), or set loop.priority to 0",
+                "raise `ulimit -r` (limits.conf: rtprio)",
             )
         )
     notes = []

@@ -51,8 +51,8 @@ def cap_by_current_n(settings: GripperSettings, linkage: Linkage) -> float:
     if not largest_setpoint_n(cap_n) > settings.contact_force_n:
         raise LimitExceeded(
             f"without a force sensor the grip force is known to {doubt_n:.1f} N, which leaves "
-            f"{max(cap_n, 0.0):.1f} N of force_max_n = {settings.force_max_n} N: raise it, or "
-            f"give the gripper a force sensor"
+            f"{max(cap_n, 0.0):.1f} N of force_max_n = {settings.force_max_n} N: give the "
+            "gripper a force sensor, or write a cap that parts and risk assessment allow"
         )
     return cap_n
 

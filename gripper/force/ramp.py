@@ -237,7 +237,7 @@ def check_ramp(ramp: ForceRamp, settings: GripperSettings, linkage: Linkage) -> 
     if needed_a > settings.current_max_a:
         raise LimitExceeded(
             f"{largest_n} N take {needed_a:.3f} A, current_max_a is {settings.current_max_a} "
-            f"A: lower the force, raise the cap or shorten the lever of the linkage"
+            f"A: lower the force or shorten the lever of the linkage"
         )
     check_approach(settings, linkage)
 
