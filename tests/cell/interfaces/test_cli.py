@@ -147,7 +147,9 @@ def test_run_with_a_model_teaches_nothing_and_says_what_it_is(
     pads = taught.grasps[0].pads
     model = tmp_path / "level.npz"
     save_model(model, trainer.fit(taught.grasps), trainer_name="level_check", pads=pads)
-    call("run", "-c", config, "--model", model, "--trials", 1, "--json", tmp_path / "r.json")
+    config.write_text(config_text(changed_config(taught.config, {"sequence.max_grasps": 1})))
+    out = ("--out", tmp_path / "out", "--json", tmp_path / "r.json")
+    call("run", "-c", config, "--model", model, "--trials", 1, *out)
     data = read_json(tmp_path / "r.json")
     assert (data["n_taught"], data["dataset"], data["model"]) == (0, None, None)
     assert data["default"] == "level_check"
