@@ -213,6 +213,16 @@ def test_the_first_start_teaches_under_a_lease_and_keeps_the_model(
     assert cached_model(service.config) is not None
 
 
+def test_what_is_taught_with_faults_injected_is_not_kept(
+    serve: Callable[..., Any], cache: Path
+) -> None:
+    served = serve()
+    served.plugin.save = lambda _path: pytest.fail("nothing is to be kept")
+    arguments = (served.service, served.plugin, served.service.config, threading.Event())
+    serving._teach_first(*arguments, keep=False)
+    assert len(served.plugin.asked) == 2
+
+
 def test_a_first_start_whose_lease_is_taken_keeps_nothing(
     serve: Callable[..., Any],
     cache: Path,

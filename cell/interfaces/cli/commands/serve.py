@@ -133,7 +133,7 @@ def serve(
     folder = None if out_folder is None else job_folder(out_folder, "serve")
     over = threading.Event()
     with stopping(over.set, end_within_s=END_WITHIN_S), _foxglove(checked) as tap:
-        untaught = config is None and model is None
+        untaught = config is None and model is None and training_set is None
         if untaught:
             model = cached_model(own)
         plugin, poses = open_plugin(
@@ -144,7 +144,7 @@ def serve(
         )
         with announced_doors(service, {} if tap is None else {"foxglove_port": tap.port}):
             if untaught and model is None:
-                _teach_first(service, plugin, own, over)
+                _teach_first(service, plugin, own, over, keep=not faults)
             plugin.follow_real_time(speed)
             while not over.wait(LOOK_S):
                 pass
@@ -206,9 +206,14 @@ def free_page_port(listen: str) -> int | None:
 
 
 def _teach_first(
-    service: "Service", plugin: "TactileCellPlugin", config: "CellConfig", over: threading.Event
+    service: "Service",
+    plugin: "TactileCellPlugin",
+    config: "CellConfig",
+    over: threading.Event,
+    *,
+    keep: bool = True,
 ) -> None:
-    """Teach the objects of the built-in cell before all eyes, and keep the model."""
+    """Teach the objects of the built-in cell before all eyes; keep the model of a sound one."""
     from cell.errors import CellError
     from cell.interfaces.cli.terminal import print_note
     from cell.interfaces.plugin.worker import JobOutcome
@@ -233,6 +238,8 @@ def _teach_first(
         service.give_up(lease)
     except CellError as error:
         print_note(f"not all objects are taught: {error}")
+        return
+    if not keep:
         return
     try:
         keep_model(config, lambda folder: plugin.save(folder / MODEL_FILE))
