@@ -9,6 +9,7 @@ import sys
 from collections.abc import Callable
 from pathlib import Path
 
+from docs.tools.api_page import names_page
 from docs.tools.catalogue_page import catalogue_page
 from docs.tools.command_page import command_page
 from docs.tools.config_page import config_page
@@ -23,6 +24,9 @@ MAKERS: dict[str, Callable[[], str]] = {
     "command line": command_page,
     "config": config_page,
     "faults": faults_page,
+    "names of gripper": lambda: names_page("gripper"),
+    "names of recognition": lambda: names_page("recognition"),
+    "names of tactile": lambda: names_page("tactile"),
     "opc-ua": opc_ua_page,
     "recording": recording_page,
     "states": states_page,

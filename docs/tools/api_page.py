@@ -24,6 +24,18 @@ def api_page(package: str) -> str:
     return "".join(f"\n```{{eval-rst}}\n{_directive(places[one], one)}\n```\n" for one in places)
 
 
+def names_page(package: str) -> str:
+    """Return one row for each name that a program takes from a package."""
+    face = import_module(package)
+    names = sorted(face.__all__, key=lambda name: name[0].isupper())
+    rows = ["| name | what it is |", "| --- | --- |"]
+    for name in names:
+        if not name.isupper():
+            first = (inspect.getdoc(getattr(face, name)) or "").partition("\n\n")[0]
+            rows.append(f"| `{package}.{name}` | {' '.join(first.split())} |")
+    return "\n".join(rows)
+
+
 def _directive(place: str, one: Any) -> str:
     if inspect.isfunction(one):
         return f".. autofunction:: {place}"
