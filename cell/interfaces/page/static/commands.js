@@ -72,7 +72,9 @@ export function setupCommands(view) {
   };
   hold.addEventListener("click", doHold);
   document.addEventListener("keydown", (event) => {
-    if (event.key === "Escape" && !event.repeat) doHold();
+    if (event.key !== "Escape" || event.repeat) return;
+    doHold();
+    for (const name of ["grasp", "sure", "camera"]) byId(name).close();
   });
 
   const click = (id, act) => byId(id).addEventListener("click", () => isAllowed(byId(id)) && act());

@@ -54,7 +54,7 @@ function ask(text, word, act) {
     byId("sure").close();
     act();
   };
-  byId("sure").showModal();
+  if (!byId("sure").open) byId("sure").show();
 }
 
 // Pictures need the token, so they are fetched like everything else.
@@ -93,7 +93,6 @@ async function refreshTaught() {
 
 function take(state) {
   const before = view.state;
-  if (before && (before.time_s ?? 0) + 2 < (state.time_s ?? 0)) forget();
   view.state = state;
   takeValues(state, Date.now() / 1000);
   const job = state.job ?? {};
@@ -158,7 +157,6 @@ function setup() {
   byId("grasp_close").addEventListener("click", () => byId("grasp").close());
   byId("sure_no").addEventListener("click", () => byId("sure").close());
   byId("login_form").addEventListener("submit", () => view.link.login(byId("login_token").value.trim()));
-  byId("login").addEventListener("cancel", (event) => event.preventDefault());
   window.addEventListener("resize", () => {
     dirty = true;
     drawOpened();
@@ -173,7 +171,7 @@ function setup() {
 
 function login(wrong) {
   setText(byId("login_wrong"), wrong ? t("login.wrong") : "");
-  if (!byId("login").open) byId("login").showModal();
+  if (!byId("login").open) byId("login").show();
 }
 
 view.link = new Link({

@@ -63,7 +63,7 @@ export async function openGrasp({ link, info }, answer) {
   setText(byId("grasp_text"), facts);
   opened = null;
   drawOpened();
-  dialog.showModal();
+  if (!dialog.open) dialog.show();
   try {
     const grasp = await link.call("GET", `api/grasps/${encodeURIComponent(answer.id)}`, { timeout_ms: 5000 });
     opened = { info, grasp };

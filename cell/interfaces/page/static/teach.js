@@ -35,10 +35,9 @@ function setPhoto(blob) {
   if (blob) image.src = URL.createObjectURL(blob);
 }
 
-function closeCamera() {
+function stopCamera() {
   stream?.getTracks().forEach((track) => track.stop());
   stream = null;
-  byId("camera").close();
 }
 
 export function setupTeach(view) {
@@ -70,16 +69,16 @@ export function setupTeach(view) {
       return;
     }
     byId("camera_video").srcObject = stream;
-    byId("camera").showModal();
+    byId("camera").show();
   });
   byId("camera_take").addEventListener("click", async () => {
     const video = byId("camera_video");
     const blob = await shrink(video, video.videoWidth || 1, video.videoHeight || 1);
-    closeCamera();
+    byId("camera").close();
     setPhoto(blob);
   });
-  byId("camera_close").addEventListener("click", closeCamera);
-  byId("camera").addEventListener("cancel", closeCamera);
+  byId("camera_close").addEventListener("click", () => byId("camera").close());
+  byId("camera").addEventListener("close", stopCamera);
 }
 
 // The photograph follows when its object is taught: before, there is none to have one.

@@ -303,6 +303,24 @@ def test_a_command_without_an_answer_is_repeated_with_its_number(
 
 
 @pytest.mark.long
+@pytest.mark.parametrize("wide", [True, False], ids=["wide", "narrow"])
+def test_no_dialog_stands_in_front_of_hold(open_page: OpenPage, cell: FakeCell, wide: bool) -> None:
+    page = open_page(wide=wide, command=True)
+    page.click("#tab_teach")
+    page.click("[aria-label='Forget nut']")
+    page.click("#hold")
+    until(lambda: len(cell.sent("POST", "hold")) == 1)
+    page.click("#sure_no")
+    page.click("#strip button >> nth=-1")
+    page.wait_for_selector("#grasp_pads", state="visible")
+    page.click("#hold")
+    until(lambda: len(cell.sent("POST", "hold")) == 2)
+    page.keyboard.press("Escape")
+    until(lambda: len(cell.sent("POST", "hold")) == 3)
+    page.wait_for_selector("#grasp", state="hidden")
+
+
+@pytest.mark.long
 def test_an_old_frame_is_not_shown(open_page: OpenPage, cell: FakeCell) -> None:
     page = open_page()
     becomes(page, "#state", "Ready")
