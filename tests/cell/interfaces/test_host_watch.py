@@ -1,7 +1,5 @@
 """A host that falls silent while a job runs."""
 
-import threading
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -19,9 +17,8 @@ from cell.interfaces.plugin.plugin import (
     TeachGoal,
 )
 from cell.interfaces.plugin.worker import JobOutcome
+from tests.cell.interfaces.conftest import LIMIT_S, until
 from tests.fuzz.harness import Clock
-
-LIMIT_S = 30.0
 
 
 @pytest.fixture
@@ -80,13 +77,6 @@ def test_silence_while_no_job_runs_is_no_silence(
     assert silences == []
 
 
-def until(true: Callable[[], bool]) -> None:
-    end_s = time.monotonic() + LIMIT_S
-    while not true():
-        assert time.monotonic() < end_s
-        threading.Event().wait(0.02)
-
-
 def test_the_job_of_a_silent_host_is_held_and_its_end_can_be_read(
     make_config: Callable[..., CellConfig],
 ) -> None:
@@ -105,17 +95,12 @@ def test_the_job_of_a_silent_host_is_held_and_its_end_can_be_read(
         assert plugin.status().state_number == CellState.IDLE.number
 
 
-def test_a_host_that_says_it_is_alive_is_left_alone(
-    make_config: Callable[..., CellConfig],
-) -> None:
-    with TactileCellPlugin(make_config(host_timeout_s=0.3)) as plugin:
-        job = plugin.start(TeachGoal(label="ball", grasps=1000))
-        for _ in range(15):
-            threading.Event().wait(0.05)
-            plugin.alive()
-        assert plugin.feedback(job).outcome is JobOutcome.EXECUTING
-        plugin.cancel(job)
-        until(lambda: not plugin._worker.running)
+def test_each_call_of_the_host_is_heard(make_config: Callable[..., CellConfig]) -> None:
+    with TactileCellPlugin(make_config(host_timeout_s=1000.0)) as plugin:
+        for call in (plugin.alive, plugin.state, plugin.status, plugin.fault, plugin.forget_drift):
+            plugin._watch._heard_s = -1.0
+            call()
+            assert plugin._watch._heard_s > 0.0, call
 
 
 @pytest.mark.parametrize("when_lost", ["finish", "hold"])
