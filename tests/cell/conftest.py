@@ -7,17 +7,26 @@ from typing import Any
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from cell.build import Cell, build_cell
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.data.dataset import read_dataset
+from cell.interfaces.cli.app import app
 from cell.jobs.run import MainResult, teach_and_identify
 from cell.pytest_plugin.virtual import VirtualCell
 from gripper.state import GripperPhase
 from recognition.grasp import Grasp, PadArray
 
 MakeConfig = Callable[..., CellConfig]
+
+
+def call(*arguments: object) -> str:
+    """Run a command that succeeds; return what it printed."""
+    result = CliRunner().invoke(app, [str(a) for a in arguments], catch_exceptions=False)
+    assert result.exit_code == 0, result.output
+    return result.stdout
 
 
 def small_config(**changes: Any) -> CellConfig:

@@ -45,6 +45,7 @@ from cell.learning.model import load_model, save_model
 from recognition.grasp import Grasp, PadArray
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers import TRAINERS, make_trainer
+from tests.cell.conftest import call
 from tests.faults.scenarios.axes import CHANGES as AXES
 from tests.fuzz.harness import Clock
 
@@ -53,13 +54,6 @@ BUILT_IN = "cell: the built-in simulated cell; --config FILE names another"
 LEFT_IGNORED = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 """Signals that the program ignores when it ends."""
 EVALUATION = {"single_accuracy", "interval", "fused_accuracy", "unknown_auroc", "confusion"}
-
-
-def call(*arguments: object) -> str:
-    """Run a command that succeeds; return what it printed."""
-    result = RUNNER.invoke(app, [str(a) for a in arguments], catch_exceptions=False)
-    assert result.exit_code == 0, result.output
-    return result.stdout
 
 
 @pytest.fixture

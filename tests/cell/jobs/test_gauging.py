@@ -7,27 +7,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from cell.config.file import changed_config, config_text
 from cell.data.dataset import read_dataset, write_dataset
 from cell.errors import CellError, ConfigError, ModelError
-from cell.interfaces.cli.app import app
 from cell.jobs.calibrate import calibrate_model
 from cell.jobs.common import silent
 from cell.jobs.evaluate import evaluate_recognizers
 from cell.learning.model import load_model
 from recognition.drift.drift import Drift
 from recognition.recognizers import make_trainer
+from tests.cell.conftest import call
 
-RUNNER = CliRunner()
 DRIFT = Drift(gains=(0.8,), aperture_offset_m=-1e-3)
-
-
-def call(*arguments: object) -> str:
-    result = RUNNER.invoke(app, [str(a) for a in arguments], catch_exceptions=False)
-    assert result.exit_code == 0, result.output
-    return result.output
 
 
 @pytest.fixture
