@@ -162,7 +162,7 @@ class FakeCell:
                 "temperature_c": 41.0, "frame_age_s": 0.01,
             },
             "commander": "", "held_by": [], "pose_seq": 0, "pose": None,
-            "taught_revision": 1,
+            "taught_revision": 1, "replay": None,
             "shift": {
                 "since_s": now_s - 3600 * 3, "parts": 128, "rejected": 3, "missed": 1, "faults": 0,
                 "cycle_s": 11.4, "parts_per_hour": 312.0,

@@ -23,25 +23,20 @@ class Line:
         self._is_cut = False
         self._writers: set[asyncio.StreamWriter] = set()
         self._tasks: set[asyncio.Task[None]] = set()
-        self._loop = asyncio.new_event_loop()
-        opened = threading.Event()
-
-        def run() -> None:
-            asyncio.set_event_loop(self._loop)
-            server = self._loop.run_until_complete(
-                asyncio.start_server(self._serve, "127.0.0.1", 0)
-            )
-            self.port = server.sockets[0].getsockname()[1]
-            opened.set()
-            self._loop.run_forever()
-            server.close()
-            if self._tasks:  # their connections are cut
-                self._loop.run_until_complete(asyncio.wait(self._tasks))
-            self._loop.close()
-
-        self._thread = threading.Thread(target=run, daemon=True)
+        self._opened = threading.Event()
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._run()), daemon=True)
         self._thread.start()
-        assert opened.wait(10)
+        assert self._opened.wait(10)
+
+    async def _run(self) -> None:
+        self._loop, self._over = asyncio.get_running_loop(), asyncio.Event()
+        server = await asyncio.start_server(self._serve, "127.0.0.1", 0)
+        self.port: int = server.sockets[0].getsockname()[1]
+        self._opened.set()
+        await self._over.wait()
+        server.close()
+        while self._tasks:  # their connections are cut
+            await asyncio.wait(self._tasks)
 
     def cut(self) -> None:
         """End all connections, and take none until `mend`."""
@@ -63,7 +58,7 @@ class Line:
     def close(self) -> None:
         """End."""
         self.cut()
-        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._loop.call_soon_threadsafe(self._over.set)
         self._thread.join()
 
     async def _serve(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
@@ -74,6 +69,8 @@ class Line:
             if not self._is_cut:
                 far_reader, far_writer = await asyncio.open_connection("127.0.0.1", self._to)
                 self._writers.add(far_writer)
+                if self._is_cut:
+                    far_writer.transport.abort()
                 await asyncio.gather(
                     self._pass(reader, far_writer, answers=False),
                     self._pass(far_reader, writer, answers=True),

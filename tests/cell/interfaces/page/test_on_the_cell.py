@@ -134,7 +134,7 @@ def test_command_is_taken_over_and_given_up(serve: Any, open_page: OpenPage) -> 
 
 
 def test_a_cut_line_is_red_at_once_and_returns_by_itself(
-    serve: Any, open_page: OpenPage, line: Callable[[int], Line]
+    serve: Any, line: Callable[[int], Line], open_page: OpenPage
 ) -> None:
     served = serve("http")
     wire = line(served.doors["http_port"])
@@ -156,7 +156,7 @@ def test_a_cut_line_is_red_at_once_and_returns_by_itself(
 
 
 def test_a_command_whose_answer_is_lost_is_done_once(
-    serve: Any, open_page: OpenPage, line: Callable[[int], Line]
+    serve: Any, line: Callable[[int], Line], open_page: OpenPage
 ) -> None:
     served = serve("http")
     wire = line(served.doors["http_port"])
@@ -172,7 +172,7 @@ def test_a_command_whose_answer_is_lost_is_done_once(
 
 
 def test_a_slow_line_is_not_shown_as_live(
-    serve: Any, open_page: OpenPage, line: Callable[[int], Line]
+    serve: Any, line: Callable[[int], Line], open_page: OpenPage
 ) -> None:
     served = serve("http")
     wire = line(served.doors["http_port"])
@@ -206,7 +206,7 @@ def test_over_tls(serve: Any, open_page: OpenPage, tmp_path: Path) -> None:
 
 
 def test_a_page_that_slept_shows_now(
-    serve: Any, open_page: OpenPage, line: Callable[[int], Line]
+    serve: Any, line: Callable[[int], Line], open_page: OpenPage
 ) -> None:
     served = serve("http")
     wire = line(served.doors["http_port"])

@@ -1,17 +1,20 @@
-"""The languages of the page: each text in each of them, each used, and German for each fault."""
+"""The files of the page: how they are served, their size, and each text in each language."""
 
 import json
 import re
+from dataclasses import fields
+from http.client import HTTPConnection
 from typing import Any, get_args
 
 import pytest
 
 from cell.control.states import CellState, GraspState
-from cell.fault_catalogue import CATALOGUE, Step
+from cell.fault_catalogue import CATALOGUE, Fault, Step
 from cell.interfaces.page import FOLDER
 from cell.interfaces.plugin.goals import TASKS
 from recognition.shape.answer import UNCLEAR
 from recognition.shape.models import SHAPE_MODELS
+from tests.cell.interfaces.page.fake_cell import FakeCell
 
 WORDS = {path.stem: json.loads(path.read_text()) for path in FOLDER.glob("*.json")}
 SOURCE = "\n".join(path.read_text() for path in FOLDER.glob("*.js"))
@@ -31,6 +34,8 @@ FAMILIES: dict[str, set[str]] = {
     "level.": {"watch", "bad"},
 }
 """Keys that end with what the cell reports."""
+FAULT = {field.name for field in fields(Fault)} | {"detail", "since_s", "recording"}
+"""Fields of a fault in the state."""
 
 
 def used() -> set[str]:
@@ -120,3 +125,54 @@ def test_nothing_is_written_as_html_and_nothing_comes_from_elsewhere() -> None:
     assert not re.search(r"\son[a-z]+=", HTML)
     for text in (SOURCE, HTML, (FOLDER / "style.css").read_text()):
         assert set(re.findall(r"https?://[\w./]+", text)) <= {"http://www.w3.org/2000/svg"}
+
+
+def test_files_are_served_without_token_and_with_their_headers(serve: Any) -> None:
+    served = serve("http")
+    link = HTTPConnection("127.0.0.1", served.doors["http_port"], timeout=20.0)
+
+    def ask(path: str, **headers: str) -> Any:
+        link.request("GET", path, headers=headers)
+        answer = link.getresponse()
+        answer.read()
+        return answer
+
+    for path, kind in (
+        ("/", "text/html"),
+        ("/page/main.js", "javascript"),
+        ("/page/de.json", "json"),
+    ):
+        answer = ask(path)
+        assert answer.status == 200
+        assert kind in answer.headers["Content-Type"]
+        assert "unsafe" not in answer.headers["Content-Security-Policy"]
+        assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
+        assert answer.headers["X-Content-Type-Options"] == "nosniff"
+        assert answer.headers["Cache-Control"] == "no-cache"
+        # What the browser has is asked for, and not sent again.
+        known = ask(path, **{"If-None-Match": answer.headers["ETag"]})
+        assert known.status == (200 if path == "/" else 304)
+        assert known.headers["Cache-Control"] == "no-cache"
+    for path in ("/page/../__init__.py", "/page/%2e%2e/__init__.py", "/page/", "/page/nothing.js"):
+        assert ask(path).status == 404, path
+    assert ask("/", Host="evil.example").status == 403
+    link.close()
+
+
+def test_the_fake_server_has_the_fields_of_the_real_one(serve: Any) -> None:
+    """Without this its tests could pass on a page that no cell can serve."""
+    served = serve("http")
+    link = HTTPConnection("127.0.0.1", served.doors["http_port"], timeout=20.0)
+    headers = {"Authorization": f"Bearer {served.doors['token']}"}
+    link.request("GET", "/api/state", headers=headers)
+    real = json.loads(link.getresponse().read())
+    link.close()
+    fake = FakeCell()
+    try:
+        state = fake.now()
+    finally:
+        fake.close()
+    assert set(state) == set(real)
+    for name in ("status", "live", "job", "shift", "allowed"):
+        assert set(state[name]) <= set(real[name]), name
+    assert set(state["fault"] or fake.faulted()["fault"]) == FAULT
