@@ -127,22 +127,20 @@ def test_current_velocity_and_pwm_modes(servo_bench, mode, goal_item, goal, show
     assert bench.motors[0].velocity_rad_s < 0.0
 
 
-def test_a_limit_lowered_afterwards_bounds_the_goal(servo_bench):
-    bench = servo_bench(settings={"operating_mode": 0})
-    bench.write(1, 102, 2, -300)
-    bench.write(1, 38, 2, 90)
+@pytest.mark.parametrize(
+    ("mode", "goal_address", "limit", "shown_address"),
+    [(0, 102, (38, 2, 90), 126), (16, 100, (36, 2, 300), 124)],
+    ids=["current", "pwm"],
+)
+def test_a_limit_lowered_afterwards_bounds_the_goal(
+    servo_bench, mode, goal_address, limit, shown_address
+):
+    bench = servo_bench(settings={"operating_mode": mode})
+    bench.write(1, goal_address, 2, -700)
+    bench.write(1, *limit)
     bench.write(1, 64, 1, 1)
     bench.clock.sleep(0.05)
-    assert bench.read(1, 126, 2, signed=True) == -90
-
-
-def test_a_pwm_limit_lowered_afterwards_bounds_the_goal(servo_bench):
-    bench = servo_bench(settings={"operating_mode": 16})
-    bench.write(1, 100, 2, -700)
-    bench.write(1, 36, 2, 300)
-    bench.write(1, 64, 1, 1)
-    bench.clock.sleep(0.05)
-    assert bench.read(1, 124, 2, signed=True) == pytest.approx(-300, abs=2)
+    assert bench.read(1, shown_address, 2, signed=True) == pytest.approx(-limit[-1], abs=2)
 
 
 def test_the_gains_reach_the_motor(servo_bench):
@@ -182,14 +180,6 @@ def test_torque_on_by_goal_update(servo_bench):
     assert bench.read(1, 64, 1) == 0
     assert bench.write(1, 116, 4, 2100) == 0
     assert bench.read(1, 64, 1) == 1
-
-
-def test_torque_off_leaves_the_winding_without_current(closing):
-    bench = closing()
-    bench.clock.sleep(0.2)
-    assert bench.write(1, 64, 1, 0) == 0
-    bench.clock.sleep(0.01)
-    assert bench.read(1, 126, 2, signed=True) == 0
 
 
 # Bus watchdog

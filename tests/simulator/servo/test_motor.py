@@ -188,13 +188,6 @@ def test_a_profile_turned_round_starts_slowly_again():
     assert -0.01 < motor.reference_velocity_rad_s < 0.0
 
 
-def test_a_stuck_encoder_hides_the_motion():
-    motor = ServoMotor(angle_rad=1.0)
-    motor.stuck_at_rad = 1.0
-    motor.angle_rad, motor.velocity_rad_s = 1.5, 3.0
-    assert (motor.sensed_rad, motor.sensed_velocity_rad_s) == (1.0, 0.0)
-
-
 def test_an_angle_that_is_no_number_is_refused():
     with pytest.raises(SimulatorSettingsError, match="finite"):
         ServoMotor(angle_rad=math.nan)
