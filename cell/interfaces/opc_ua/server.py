@@ -98,7 +98,8 @@ class Sessions(InternalServer):
         self.config = config
         self.allow_remote_admin = False
         self.supported_tokens = (ua.AnonymousIdentityToken,)
-        self.max_connections = 2 * BUSY_MAX  # `Places` has its limit: those beyond are leaving
+        # `Places` has the limit: those beyond are leaving, and many may come before they are gone.
+        self.max_connections = 100 * BUSY_MAX
         self.max_subscriptions = BUSY_MAX
         self.max_pending_activation_seconds = config.request_timeout_s
         self.places: Places[Any] = Places(lambda link: link.abort(), lambda link: link.is_closing())
