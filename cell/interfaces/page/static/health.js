@@ -27,7 +27,7 @@ export function renderHealth({ state, link }) {
   const node = byId("health");
   const found = state?.health && !link.stale ? sentences(state.health) : [];
   const well = !state?.fault && !state?.status.fault && found.length > 0 && found.every(([level]) => level === "ok");
-  renew(node, [link.stale, found, document.documentElement.lang], () => {
+  renew(node, [link.stale, well, found, document.documentElement.lang], () => {
     node.setAttribute("aria-label", t("health.title"));
     if (!found.length) return [make("span", { class: "muted" }, t(link.stale ? "health.not_now" : "health.none"))];
     const lines = found.map(([level, text]) => make("span", { class: `line ${level}` },

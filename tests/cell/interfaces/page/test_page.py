@@ -250,6 +250,8 @@ def test_health_is_one_line_until_something_is_not_well(
     assert page.locator("#health").bounding_box()["height"] < 45
     cell.state["health"]["servos"] |= {"level": "watch", "temperature_c": [64.0, 41.0]}
     becomes(page, "#health span >> nth=0", "Look – Servos: 64 °C")
+    cell.state = cell.faulted()
+    becomes(page, "#health", "^Servos")  # a fault is not well, whatever else is
     del cell.state["health"]
     becomes(page, "#health", "No figures")
 
