@@ -4,7 +4,11 @@ from typing import Any
 
 import pytest
 
+from cell.config.model import CellConfig
+from cell.errors import NoPartFound
+from cell.interfaces.plugin import tasks
 from cell.interfaces.plugin.answer import Answer
+from cell.interfaces.plugin.goals import IdentifyGoal, SortGoal
 from cell.interfaces.plugin.part_report import PartReport
 from cell.interfaces.service.shift import KEPT_ANSWERS, Shift
 
@@ -79,3 +83,25 @@ def test_the_ledger_stays_small() -> None:
     assert shift.grasp(5000) == {"t_s": [4999.0]}
     assert shift.grasp(5000 - KEPT_ANSWERS) is None
     assert (len(shift._times_s), len(shift._cycles_s), len(shift._answers)) == (1000, 1000, 20)
+
+
+class NothingThere:
+    """A taught model whose cell finds no part."""
+
+    max_grasps = 1
+
+    def identify(self, *_cell: Any, **_how: Any) -> None:
+        raise NoPartFound("no contact")
+
+
+def test_turns_without_a_part_are_reported_as_such() -> None:
+    seen: list[Any] = []
+    model: Any = NothingThere()
+    nothing: Any = None
+    with pytest.raises(NoPartFound):
+        tasks.identify(nothing, model, IdentifyGoal(), lambda _now: None, seen=seen.append)
+    places = tasks.SortPlaces(CellConfig(), ("ball",))
+    goal = SortGoal(parts=2)
+    answer = tasks.sort(nothing, model, places, goal, lambda _now: None, seen=seen.append)
+    assert (answer.n_missed, answer.n_parts) == (2, 0)
+    assert seen == [None, None, None]
