@@ -44,6 +44,7 @@ from cell.interfaces.live_socket import LiveFeed, LiveLink
 from cell.interfaces.page import mount_page
 from cell.interfaces.plugin.goals import goal_schema
 from cell.interfaces.service.doors import (
+    BUSY_MAX,
     Places,
     is_for_this_machine,
     may_connect,
@@ -60,6 +61,10 @@ from tactile.errors import TactileError
 
 LONGEST = 65536
 """Largest request in bytes, without a photo."""
+_ACCEPTED_AT_ONCE = BUSY_MAX // 4
+"""Connections that are accepted before those that are there are read again."""
+_WAITING_MAX = 256
+"""Connections that wait until they are accepted; for a further one the system asks again later."""
 _SUBPROTOCOL = "tactile-cell"
 """Subprotocol of the WebSocket."""
 _STATUS = {
@@ -601,6 +606,18 @@ _NO_REQUEST = (
 )
 
 
+class _Listener(socket.socket):
+    """A socket at which many connections may wait, however few the server accepts at once.
+
+    asyncio takes one number for both. Connections that are accepted in one go before any of them is
+    read could take all places, and with them that of a hold.
+    """
+
+    def listen(self, _accepted_at_once: int = 0) -> None:
+        """Let as many connections wait as are dealt with in some tenths of a second."""
+        super().listen(_WAITING_MAX)
+
+
 class WebDoor:
     """The cell behind HTTP and WebSocket.
 
@@ -632,12 +649,14 @@ class WebDoor:
             ws_max_size=LONGEST,
             ws_per_message_deflate=False,  # on a local network it costs more than it saves
             timeout_graceful_shutdown=1,
+            backlog=_ACCEPTED_AT_ONCE,
             ssl_certfile=config.tls_certificate or None,
             ssl_keyfile=config.tls_key or None,
         )
         settings.load()  # certificates are read here, not in the thread
         family = socket.AF_INET6 if ":" in config.listen else socket.AF_INET
-        self._socket = socket.create_server((config.listen, config.http_port or 0), family=family)
+        with socket.create_server((config.listen, config.http_port or 0), family=family) as made:
+            self._socket = _Listener(fileno=made.detach())
         # asyncio does so only where the protocol of the socket is named. Without it an answer waits
         # 40 ms for the client's delayed acknowledgement.
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)

@@ -7,6 +7,7 @@ import re
 import socket
 import ssl
 import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -527,6 +528,33 @@ def test_half_sent_requests_keep_nobody_out(connect: Any) -> None:
     with host.live() as live:
         for _ in range(20):  # a WebSocket has no such limit
             live.recv(timeout=20)
+
+
+FLOOD = """
+import socket, sys
+links = []
+while True:
+    link = socket.create_connection(("127.0.0.1", int(sys.argv[1])))
+    link.sendall(b"POST /api/hold HTTP/1.1\\r\\nHost: localhost\\r\\n")
+    links = [*links[-500:], link]
+    if len(links) == 500:
+        print("flooded", flush=True)
+"""
+"""Makes one connection after the other that never ends its request."""
+
+
+def test_a_hold_gets_through_a_flood_of_half_sent_requests(connect: Any) -> None:
+    _, host = connect()
+    command = [sys.executable, "-c", FLOOD, str(host.port)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL) as flood:
+        try:
+            assert flood.stdout is not None
+            assert flood.stdout.readline() == b"flooded\n"
+            for _ in range(20):
+                assert host.ask("POST", "/api/hold", token=None)[0] == 200
+            assert flood.poll() is None
+        finally:
+            flood.kill()
 
 
 def test_a_lease_is_taken_over_at_this_machine(connect: Any) -> None:
