@@ -575,8 +575,15 @@ class Connection(H11Protocol):
     def handle_events(self) -> None:
         """Take what has come of requests; one that is whole keeps its place until its answer."""
         super().handle_events()
-        if self.cycle is not None and not self.cycle.more_body:
+        cycle = self.cycle
+        if cycle is not None and not (cycle.more_body or cycle.response_complete):
             self._end()
+
+    def on_response_complete(self) -> None:
+        """Go on to the next request, of which bytes may be there already."""
+        super().on_response_complete()
+        if self.conn.trailing_data[0]:
+            self._begin()
 
     def send_400_response(self, msg: str) -> None:
         """Refuse what is no request, in the shape of all refusals."""

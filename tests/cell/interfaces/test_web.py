@@ -530,6 +530,17 @@ def test_half_sent_requests_keep_nobody_out(connect: Any) -> None:
             live.recv(timeout=20)
 
 
+def test_the_second_request_of_a_connection_has_its_limit_too(connect: Any) -> None:
+    _, host = connect(serve__request_timeout_s=0.3)
+    whole = b"POST /api/hold HTTP/1.1\r\nHost: localhost\r\n\r\n"
+    for first, second in ((whole, whole[:-2]), (whole + whole[:-2], b"")):
+        with socket.create_connection(("127.0.0.1", host.port), timeout=20.0) as link:
+            link.sendall(first)
+            assert link.recv(1000).startswith(b"HTTP/1.1 200 ")
+            link.sendall(second)
+            until(lambda link=link: ended(link))
+
+
 FLOOD = """
 import socket, sys
 links = []
