@@ -191,11 +191,13 @@ def grip(controller: CellController, goal: GripGoal, report: Report) -> Verifica
     cell.errors.NoPartFound, cell.errors.CellStopped, and what the devices raise
         As `CellController.grip`.
     """
-    carry_n = controller.carry_force_n
-    report({"task": "grip", "force_n": goal.force_n, "held_with_n": carry_n})
+    gripped = {"task": "grip", "force_n": goal.force_n, "held_with_n": controller.carry_force_n}
+    report(gripped)
     controller.present(goal.present)
     controller.grip(goal.force_n, None if goal.present is None else Pose())
-    return verify(controller, report)
+    found = verify(controller, report)
+    report(gripped)
+    return found
 
 
 def verify(controller: CellController, report: Report) -> Verification:

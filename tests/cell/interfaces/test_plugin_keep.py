@@ -59,6 +59,7 @@ def test_a_part_is_gripped_without_a_name_and_survives_the_end_of_the_host(
     job = plugin.start({"task": "grip", "force_n": 3.0, "present": "ball"})
     found = plugin.result(job, LIMIT_S)
     assert (found.held, found.same) == (True, True)
+    assert plugin.feedback(job).progress["held_with_n"] == 4.0
     plugin.cancel(job)  # changes nothing for a kept part
     plugin._cell.controller.cancel()
     plugin._cell.controller.tick()

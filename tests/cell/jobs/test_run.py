@@ -113,7 +113,7 @@ def test_the_baseline_as_default_is_trained_once(
     scores = {f"{BASELINE}{kind}": taught.result.scores[BASELINE] for kind in ("", "_one_grasp")}
     result = replace(taught.result, default=BASELINE, scores=scores)
     page = main_report(result, taught.config, bench.cell, tmp_path / "report.html").read_text()
-    assert "the paper&#39;s level check" not in page
+    assert "right by the paper&#39;s method" not in page
 
 
 def test_the_page_shows_objects_figures_and_files(
@@ -123,7 +123,8 @@ def test_the_page_shows_objects_figures_and_files(
     path = main_report(taught.result, taught.config, bench.cell, tmp_path / "report.html")
     page = path.read_text(encoding="utf-8")
     assert "10 grasps taught, 2 identifications" in page
-    assert "right, force_ramp" in page
+    assert "right by the paper&#39;s method" in page
+    assert "This cell, as many grasps as it takes" in page
     assert "XM430-W350 (id 1)" in page
     assert str(taught.result.recording) in page
     assert "Simulated cell" in page
