@@ -6,6 +6,7 @@ import threading
 import uuid
 import weakref
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from enum import StrEnum
 from typing import Any
@@ -112,7 +113,6 @@ class CellWorker:
         self._changed = threading.Condition()
         self._status: dict[Job, JobStatus] = {}
         self._newest = 0
-        self._idle_error: Exception | None = None
         self._thread = threading.Thread(
             target=_serve,
             args=(weakref.ref(self), self._queue),
@@ -184,11 +184,6 @@ class CellWorker:
         with self._changed:
             return any(not status.outcome.terminal for status in self._status.values())
 
-    @property
-    def idle_error(self) -> Exception | None:
-        """The last error of the supervision while no job ran."""
-        return self._idle_error
-
     def between_jobs(self, act: Callable[[], None]) -> None:
         """Have something done on the thread, after the jobs that are accepted; it must not fail."""
         self._queue.put(act)
@@ -235,11 +230,9 @@ class CellWorker:
             )
 
     def supervise(self) -> None:
-        """Look after the cell once, while no job runs."""
-        try:
+        """Look after the cell once, while no job runs; the cell latches what goes wrong."""
+        with suppress(Exception):
             self._idle()
-        except Exception as error:
-            self._idle_error = error
 
     def _execute(self, job: Job, work: Callable[[Report], Any]) -> None:
         def report(progress: dict[str, Any]) -> None:
