@@ -454,7 +454,7 @@ def test_teaching_beside_a_loaded_model_needs_the_grasps_that_trained_it(
     alone = tmp_path / "model.npz"
     alone.write_bytes(taught.result.model.read_bytes())
     plugin = make_plugin(model=alone)
-    with pytest.raises(CellStateError, match="teaching without them would lose these objects"):
+    with pytest.raises(CellStateError, match="teaching alone would lose ball, box"):
         plugin.start({"task": "teach", "label": "cone"})
     balls = [grasp for grasp in taught.grasps if grasp.label == "ball"]
     write_dataset(tmp_path / "balls.npz", balls)
