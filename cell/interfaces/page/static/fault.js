@@ -43,7 +43,9 @@ export function renderFault(view) {
     if (!steps.some((step) => COMMANDS[step] === command) && !why(command, true)) steps.push(command);
   }
   const commands = steps.filter((step) => COMMANDS[step]);
-  const next = commands.find((step) => !why(COMMANDS[step], true));
+  // A release stays allowed when the fingers are empty; it is no step any more.
+  const needed = (step) => step !== "release" || state.status.holding;
+  const next = commands.find((step) => needed(step) && !why(COMMANDS[step], true));
   const done = new Set(next ? steps.slice(0, steps.indexOf(next)).filter((step) => COMMANDS[step]) : []);
   const list = byId("fault_steps");
   const remedy = faultText(fault, "remedy");
@@ -65,6 +67,7 @@ export function renderFault(view) {
     const button = item.querySelector("button");
     if (!button) continue;
     const hint = step === "release" ? t("release.hint") : step === next ? t("fault.next") : " ";
-    allow(button, t(`do.${step}`), hint, done.has(step) ? t("fault.done") : why(COMMANDS[step]));
+    const reason = why(COMMANDS[step]);
+    allow(button, t(`do.${step}`), hint, reason && done.has(step) ? t("fault.done") : reason);
   }
 }

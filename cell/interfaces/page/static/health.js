@@ -1,6 +1,7 @@
 // Health in words: one calm line where all is well, otherwise what is not, first.
 
 import { byId, make, renew } from "./dom.js";
+import { dealtWith } from "./fault.js";
 import { number, t } from "./words.js";
 
 const LEVELS = ["bad", "watch", "ok"];
@@ -10,7 +11,7 @@ function sentences(health) {
   const { servos, can, loop, drift, recording } = health;
   const found = [];
   const add = (level, key, values) => found.push([LEVELS.includes(level) ? level : "watch", t(key, values)]);
-  if (servos) {
+  if (servos && (servos.level !== "ok" || servos.temperature_c?.length)) {
     add(servos.level, servos.load?.length ? "health.servos" : "health.servos_heat", {
       heat: number(most(servos.temperature_c), 0), load: number(100 * (most(servos.load) ?? 0), 0),
     });
@@ -26,7 +27,7 @@ function sentences(health) {
 export function renderHealth({ state, link }) {
   const node = byId("health");
   const found = state?.health && !link.stale ? sentences(state.health) : [];
-  const well = !state?.fault && !state?.status.fault && found.length > 0 && found.every(([level]) => level === "ok");
+  const well = !dealtWith(state) && found.length > 0 && found.every(([level]) => level === "ok");
   renew(node, [link.stale, well, found, document.documentElement.lang], () => {
     node.setAttribute("aria-label", t("health.title"));
     if (!found.length) return [make("span", { class: "muted" }, t(link.stale ? "health.not_now" : "health.none"))];

@@ -94,6 +94,7 @@ def test_the_way_out_of_a_fault_step_by_step(serve: Any, open_page: OpenPage) ->
     assert served.grip_n > 0.0
     press(page, "[data-step=release] button", 1.3)
     until(lambda: served.grip_n == 0.0)
+    becomes(page, ".next p", "Reset: devices are checked")
     page.click("[data-step=reset] button")
     becomes(page, "#state", "Ready")
     assert not page.is_visible("#fault")
