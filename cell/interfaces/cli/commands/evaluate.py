@@ -157,7 +157,7 @@ def _print_evaluation(result: "EvaluationResult") -> None:
     for name, figures in result.recognizers.items():
         rows = [(name, figures.full)]
         if figures.without_aperture not in (None, figures.full):
-            rows.append((f"{name}, tactile only", figures.without_aperture))
+            rows.append(("  tactile only", figures.without_aperture))
         for shown, evaluation in rows:
             low, high = evaluation.interval
             right.add_row(
