@@ -82,7 +82,9 @@ class Plain:
 
 
 def record(grasp: Grasp, result: GraspResult = GraspResult.FORCE_REACHED, early: bool = False):
-    outcome = SimpleNamespace(result=result, ended_early=early)
+    outcome = SimpleNamespace(
+        result=result, ended_early=early, final_force_n=5.0, final_aperture_m=0.01
+    )
     return SimpleNamespace(grasp=grasp, outcome=outcome, early=None)
 
 
@@ -182,7 +184,7 @@ class Grasping:
         pass
 
     def collect(self, label: str, steps: Sequence[object], **_options: object) -> list[Any]:
-        return [TaughtRecord(replace(self.given, label=label)) for _ in steps]
+        return [record(replace(self.given, label=label)) for _ in steps]
 
     def identify(self, recognizer: Follower, *_: object, **__: object) -> Any:
         posterior = recognizer.posterior(self.given)
@@ -198,11 +200,6 @@ class Grasping:
 
     def remark(self, kind: str, text: str) -> None:
         self.remarks.append((kind, text))
-
-
-@dataclass(frozen=True)
-class TaughtRecord:
-    grasp: Grasp
 
 
 def test_a_session_says_the_drift_and_takes_it_off_what_is_taught_then(
@@ -224,7 +221,11 @@ def test_a_session_says_the_drift_and_takes_it_off_what_is_taught_then(
     assert np.array_equal(taught_with[0][0].counts, controller.given.counts)
     answers = []
     for _ in range(3):
-        answers.append(tasks.identify(controller, model, IdentifyGoal(), told.append))
+        answers.append(
+            tasks.identify(
+                controller, model, IdentifyGoal(), told.append, seen=lambda *_, **__: None
+            )
+        )
     assert [bool(answer.remark) for answer in answers] == [False, True, False]
     assert controller.remarks == [("drift", answers[1].remark)]
     assert told[-1] == {"task": "identify", "remark": answers[1].remark}
