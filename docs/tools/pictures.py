@@ -1,13 +1,16 @@
 """Pictures and transcripts of the docs, made anew: `make pictures`.
 
-Pictures are cuts of the report page of `tactile-cell run`, drawn by a headless Chromium.
+Pictures are cuts of the report page of `tactile-cell run`, drawn by a headless Chromium, and the
+operator's page of `tactile-cell serve` while it holds a part that it has named.
 Transcripts are what the commands of the tutorial print: each line that the tutorial shows is
 replaced by the line of today that resembles it most.
 """
 
 import difflib
+import json
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -15,6 +18,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from PIL import Image, ImageChops
+from playwright.sync_api import sync_playwright
 
 DOCS = Path(__file__).parent.parent
 TUTORIAL = DOCS / "tutorials" / "simulated-cell.md"
@@ -26,6 +30,10 @@ CUTS = {
 """What each picture shows of the report, as a CSS selector."""
 _BROWSER = "chromium"
 _WIDTH_PX, _HEIGHT_PX = 1200, 2400
+_NAMED_BEFORE = 6
+"""Parts that the operator's page shows as named before the one in the grip."""
+_WAIT_MS = 300_000
+"""Longest wait in ms for what the page shows: a first start teaches five objects."""
 _LEAST_ALIKE = 0.5
 """Likeness from 0 to 1 from which a line of today is taken for the one that is shown."""
 _NOT_RUN = ("serve", "replay")
@@ -43,6 +51,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             subprocess.run([_program(), "run", "--out", folder], check=True)
             draw(next(Path(folder).glob("run-*/report.html")))
+    draw_page()
     TUTORIAL.write_text(today(TUTORIAL.read_text(encoding="utf-8")), encoding="utf-8")
 
 
@@ -71,6 +80,39 @@ def draw(report: Path) -> None:
             _, _, _, bottom = ImageChops.difference(image, empty).getbbox() or (0, 0, 0, 1)
             image = image.crop((0, 0, _WIDTH_PX, min(bottom + 16, _HEIGHT_PX)))
             image.quantize(256).save(DOCS / "images" / f"{name}.png", optimize=True)
+
+
+def draw_page() -> None:
+    """Write the picture of the operator's page, of a cell that has named parts and holds one."""
+    ports = ["--http", "0", "--modbus", "0", "--xml-rpc", "0"]
+    with (
+        subprocess.Popen([_program(), "serve", *ports], stdout=subprocess.PIPE, text=True) as cell,
+        sync_playwright() as playwright,
+    ):
+        try:
+            door = json.loads(cell.stdout.readline()) if cell.stdout else {}
+            browser = playwright.chromium.launch(
+                executable_path=shutil.which(_BROWSER), args=["--no-sandbox", "--disable-gpu"]
+            )
+            page = browser.new_page(viewport={"width": 1400, "height": 900}, locale="en-GB")
+            page.set_default_timeout(_WAIT_MS)
+            page.goto(f"http://127.0.0.1:{door['http_port']}/#token={door['token']}")
+            page.get_by_text("Nobody is in command").wait_for()
+            page.click("#command")
+            for number in range(_NAMED_BEFORE + 1):
+                if number == _NAMED_BEFORE:
+                    page.select_option("#keep", "always")
+                page.click("#do_identify[aria-disabled=false]")
+                page.wait_for_function(
+                    "n => document.querySelectorAll('#strip button').length > n", arg=number
+                )
+            page.get_by_text("Part held").first.wait_for()
+            shot = DOCS / "images" / "page.png"
+            page.screenshot(path=shot)
+            Image.open(shot).convert("RGB").quantize(256).save(shot, optimize=True)
+            browser.close()
+        finally:
+            cell.terminate()
 
 
 def today(text: str) -> str:
