@@ -31,7 +31,7 @@ from cell.learning.pad_knowledge import PadKnowledge
 from cell.learning.shapes import shape_reader
 from cell.learning.teaching_summary import ToldApart, told_apart
 from cell.learning.training import load_early, load_pose_memory, train, with_caution
-from recognition.drift.drift import NO_DRIFT
+from recognition.drift.drift import NO_DRIFT, Drift
 from recognition.drift.estimate import DriftEstimate
 from recognition.errors import RecognitionError
 from recognition.grasp import Grasp
@@ -242,6 +242,57 @@ class TaughtModel:
             self._sections = trained.sections
             self.tracker = tracker
             self.revision += 1
+
+    def check_gauge(self, label: str) -> ForceRamp:
+        """Return the taught recogniser, without a followed drift, that can be gauged.
+
+        Raises
+        ------
+        CellStateError
+            If the object was not taught, or the recogniser is of a kind that cannot be gauged.
+        """
+        taught = self.check_taught().taught
+        if not isinstance(taught, ForceRamp):
+            raise CellStateError(
+                f"a model of {self._trainer_name} cannot be gauged; train one of force_ramp"
+            )
+        if label not in taught.labels:
+            raise CellStateError(
+                f"{label!r:.80} was not taught: gauge with one of {', '.join(taught.labels)}"
+            )
+        return taught
+
+    def gauge(
+        self,
+        controller: CellController,
+        collection: Collection,
+        seed: int,
+        on_grasp: Callable[[Collection], None],
+    ) -> tuple[Drift, Drift]:
+        """Grasp a taught object and expect the drift since teaching that it shows.
+
+        Returns the drift that was expected before and the one from now on. Every gauge begins at
+        the teaching: corrections do not add up.
+
+        Raises
+        ------
+        CellStateError
+            As `check_gauge`.
+        cell.errors.NoPartFound, cell.errors.CellStopped, and what the devices raise
+            As `Collection.fill`; nothing changes then.
+        CellError
+            If no grasp touched both pads; nothing changes then.
+        """
+        taught = self.check_gauge(collection.label)
+        before = self.check_taught().drift
+        collection.fill(controller, self._config.sequence, seed=seed, on_grasp=on_grasp)
+        try:
+            found = taught.gauge(collection.label, collection.grasps)
+        except ValueError as error:
+            raise CellError(f"cannot gauge: {error}") from error
+        with self._lock:
+            self.tracker = self._tracker_of(taught.with_drift(found))
+        return before, found.drift
 
     def forget(self, label: str, *, last: bool = False) -> None:
         """Forget an object and train anew without it; with ``last`` its newest grasp alone.

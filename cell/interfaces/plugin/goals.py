@@ -41,6 +41,18 @@ class TeachGoal(_Goal):
     """Seed of the plan of poses and forces."""
 
 
+class GaugeGoal(_Goal):
+    """Grasp a taught object to measure the drift of the sensors since teaching."""
+
+    task: ClassVar[str] = "gauge"
+    label: str = Field(min_length=1, max_length=60)
+    """Name of the object."""
+    grasps: int = Field(default=3, ge=1, le=100)
+    """How many times it is grasped, 1 to 100."""
+    seed: int = Field(default=0, ge=0, le=2**32 - 1)
+    """Seed of the plan of poses and forces."""
+
+
 class IdentifyGoal(_Goal):
     """Grasp and classify an unknown object until its name is sure enough."""
 
@@ -92,11 +104,11 @@ class SortGoal(_Goal):
     """Force at the end of each ramp in N, up to 50, or None for the forces of the plan."""
 
 
-Goal = TeachGoal | IdentifyGoal | GripGoal | VerifyGoal | SortGoal
+Goal = TeachGoal | GaugeGoal | IdentifyGoal | GripGoal | VerifyGoal | SortGoal
 """Goal of a job."""
 
 TASKS: dict[str, type[_Goal]] = {
-    goal.task: goal for goal in (TeachGoal, IdentifyGoal, GripGoal, VerifyGoal, SortGoal)
+    goal.task: goal for goal in (TeachGoal, GaugeGoal, IdentifyGoal, GripGoal, VerifyGoal, SortGoal)
 }
 """Kind of goal of each task."""
 

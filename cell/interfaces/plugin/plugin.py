@@ -31,6 +31,7 @@ from cell.interfaces.plugin.answer import (
     Verification,
 )
 from cell.interfaces.plugin.goals import (
+    GaugeGoal,
     Goal,
     GripGoal,
     IdentifyGoal,
@@ -58,6 +59,7 @@ if TYPE_CHECKING:
 __all__ = [
     "Answer",
     "FeltShape",
+    "GaugeGoal",
     "GripGoal",
     "HostStatus",
     "IdentifyGoal",
@@ -74,6 +76,7 @@ __all__ = [
 
 _COMMANDS = {
     "teach": Command.GRASP,
+    "gauge": Command.GRASP,
     "identify": Command.GRASP,
     "grip": Command.GRIP,
     "verify": Command.VERIFY,
@@ -319,9 +322,9 @@ class TactileCellPlugin:
     def start(self, goal: Goal | Mapping[str, Any]) -> Job:
         """Start a job and return its handle at once.
 
-        A goal is a `TeachGoal`, `IdentifyGoal`, `GripGoal`, `VerifyGoal` or `SortGoal`, or a
-        mapping with ``task`` ``teach``, ``identify``, ``grip``, ``verify`` or ``sort`` and the
-        fields of these.
+        A goal is a `TeachGoal`, `GaugeGoal`, `IdentifyGoal`, `GripGoal`, `VerifyGoal` or
+        `SortGoal`, or a mapping with ``task`` ``teach``, ``gauge``, ``identify``, ``grip``,
+        ``verify`` or ``sort`` and the fields of these.
 
         Raises
         ------
@@ -349,6 +352,9 @@ class TactileCellPlugin:
         match checked:
             case TeachGoal():
                 work = functools.partial(tasks.teach, controller, model, self._file, checked)
+            case GaugeGoal():
+                model.check_gauge(checked.label)
+                work = functools.partial(tasks.gauge, controller, model, self._file, checked)
             case IdentifyGoal():
                 work = reported(tasks.identify, checked)
             case GripGoal():
@@ -378,7 +384,7 @@ class TactileCellPlugin:
         """Raise CellStateError or ConfigError where the taught objects do not allow a task."""
         if task == "teach":
             self._model.check_extendable()
-        elif task in _NAMING:
+        elif task in (*_NAMING, "gauge"):
             self._model.check_taught()
             if task == "sort":
                 self._places()
@@ -436,7 +442,7 @@ class TactileCellPlugin:
         """Wait for a job and return its result.
 
         That is an `Answer` of an identification, a `Verification` of a grip or a verify, a
-        `SortAnswer` of a sort, and the number of grasps taught.
+        `SortAnswer` of a sort, a `Drift` of a gauge, and the number of grasps taught.
 
         Raises
         ------

@@ -13,15 +13,26 @@ from cell.control.plan import Pose
 from cell.control.records import GraspRecord
 from cell.errors import CellError, NoPartFound
 from cell.interfaces.plugin.answer import Answer, SortAnswer, Verification
-from cell.interfaces.plugin.goals import GripGoal, IdentifyGoal, SortGoal, TeachGoal
+from cell.interfaces.plugin.goals import GaugeGoal, GripGoal, IdentifyGoal, SortGoal, TeachGoal
 from cell.interfaces.plugin.part_report import Seen
 from cell.interfaces.plugin.worker import Report
 from cell.jobs.sort import Places as SortPlaces, SortedPart, Tally, sort_parts
 from cell.learning.collection import Collection
 from cell.learning.taught_model import TaughtModel
+from recognition.drift.drift import Drift
 from recognition.recognizer import UNKNOWN, Posterior
 
-__all__ = ["ModelFile", "SortPlaces", "forget", "grip", "identify", "sort", "teach", "verify"]
+__all__ = [
+    "ModelFile",
+    "SortPlaces",
+    "forget",
+    "gauge",
+    "grip",
+    "identify",
+    "sort",
+    "teach",
+    "verify",
+]
 
 _SHOWN_GRASPS = 100
 """Newest grasps of a teaching that its progress lists."""
@@ -103,6 +114,41 @@ def teach(
             "the next job and at the end"
         ) from error
     return len(collection.records)
+
+
+def gauge(
+    controller: CellController,
+    model: TaughtModel,
+    file: ModelFile,
+    goal: GaugeGoal,
+    report: Report,
+) -> Drift:
+    """Grasp a taught object, expect the drift that it shows from now on, and return that drift.
+
+    Raises
+    ------
+    cell.errors.NoPartFound, cell.errors.CellStopped, and what the devices raise
+        As `Collection.fill`; nothing changes then.
+    CellError
+        If the grasps show no drift, or the model cannot be written; it is in use all the same.
+    """
+    shown: dict[str, Any] = {"task": "gauge", "label": goal.label, "grasps": 0, "missed": 0}
+
+    def progress(now: Collection) -> None:
+        shown.update(grasps=len(now.records), missed=now.n_missed)
+        report(dict(shown))
+
+    shown["of"] = goal.grasps
+    collection = Collection(label=goal.label, n_planned=goal.grasps)
+    found = model.gauge(controller, collection, goal.seed, progress)
+    drifts = {
+        when: {"gain": drift.gain, "opening_mm": 1e3 * drift.aperture_offset_m}
+        for when, drift in zip(("before", "after"), found, strict=True)
+    }
+    report(shown | {"gauged": {"label": goal.label} | drifts})
+    file.due = True
+    file.write()
+    return found[1]
 
 
 def _felt(record: GraspRecord, model: TaughtModel) -> dict[str, Any]:

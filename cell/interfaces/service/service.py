@@ -94,6 +94,9 @@ class JobView:
     taught: Mapping[str, Any] | None = None
     """Answer of a teaching: label, its grasps at hand, the nearest other object, and the share of
     grasps that look more like another one."""
+    gauged: Mapping[str, Any] | None = None
+    """Answer of a gauge: label, and the drift ``before`` and ``after`` it: ``gain``,
+    ``opening_mm``."""
     progress: Mapping[str, Any] = field(default_factory=dict)
     """Last report of the job."""
 
@@ -681,6 +684,7 @@ class Service:
             label=str(status.progress.get("best", "")),
             n_grasps=int(status.progress.get("grasps", 0)),
             taught=status.progress.get("taught"),
+            gauged=status.progress.get("gauged"),
             progress=status.progress,
         )
         answer = status.value

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -10,12 +11,16 @@ import pytest
 
 from cell.config.file import changed_config, config_text
 from cell.data.dataset import read_dataset, write_dataset
-from cell.errors import CellError, ConfigError, ModelError
+from cell.errors import CellError, CellStateError, ConfigError, ModelError
+from cell.interfaces.plugin import tasks
+from cell.interfaces.plugin.goals import GaugeGoal
 from cell.jobs.calibrate import calibrate_model
 from cell.jobs.common import silent
 from cell.jobs.evaluate import evaluate_recognizers
 from cell.learning.model import load_model
-from recognition.drift.drift import Drift
+from cell.learning.taught_model import TaughtModel
+from gripper.state import GraspResult
+from recognition.drift.drift import NO_DRIFT, Drift
 from recognition.recognizers import make_trainer
 from tests.cell.conftest import call
 
@@ -46,6 +51,38 @@ def test_evaluate_drifts_and_gauges(taught: Any, tmp_path: Path) -> None:
     # Box and ball differ by 0.5 mm, the gauged opening may be off by as much.
     assert np.sum(figures["confusion"]) == 2
     assert figures["single_accuracy"] >= 0.5
+
+
+def test_a_running_cell_is_gauged_and_expects_the_drift_from_then_on(
+    taught: Any, tmp_path: Path
+) -> None:
+    balls = [grasp for grasp in taught.grasps if grasp.label == "ball"]
+    model = TaughtModel.load(taught.config, taught.result.model)
+    path, told = tmp_path / "gauged.npz", list[Any]()
+    goal = GaugeGoal(label="ball", grasps=len(balls))
+
+    def gauge(drift: Drift) -> Drift:
+        outcome = SimpleNamespace(result=GraspResult.FORCE_REACHED)
+        records = [SimpleNamespace(grasp=drift.apply(g), outcome=outcome) for g in balls]
+        controller: Any = SimpleNamespace(collect=lambda *_, **__: iter(records))
+        return tasks.gauge(controller, model, tasks.ModelFile(model, path), goal, told.append)
+
+    found = gauge(DRIFT)
+    assert found.gain == pytest.approx(0.8, rel=0.25)
+    assert found.aperture_offset_m == pytest.approx(-1e-3, abs=0.5e-3)
+    assert [one["grasps"] for one in told] == [*range(1, len(balls) + 1), len(balls)]
+    shown = {"gain": found.gain, "opening_mm": 1e3 * found.aperture_offset_m}
+    before = {"gain": 1.0, "opening_mm": 0.0}
+    assert told[-1]["gauged"] == {"label": "ball", "before": before, "after": shown}
+    estimate = model.drift_estimate
+    assert estimate is not None
+    assert estimate.present == found
+    assert load_model(path).recognizer.drift_estimate.present == found  # type: ignore[attr-defined]
+    again = gauge(NO_DRIFT)
+    assert told[-1]["gauged"]["before"] == shown
+    assert again.gain == pytest.approx(1.0, rel=0.1)
+    with pytest.raises(CellStateError, match="'nut' was not taught: gauge with one of ball, box"):
+        model.check_gauge("nut")
 
 
 def test_a_gauge_that_the_data_set_does_not_hold_is_named_with_those_it_does(

@@ -11,11 +11,12 @@ import { renderHealth } from "./health.js";
 import { renderFault } from "./fault.js";
 import { reasonOf, renderCommands, setupCommands } from "./commands.js";
 import { renderTeach, setupTeach, teachEnded } from "./teach.js";
+import { renderGauge, setupGauge } from "./gauge.js";
 import { renderSort, setupSort } from "./sort.js";
 import { renderReplay, setupReplay } from "./replay.js";
 
 const TABS = ["held", "teach", "sort"];
-const TAB_OF = { identify: "held", grip: "held", verify: "held", teach: "teach", sort: "sort" };
+const TAB_OF = { identify: "held", grip: "held", verify: "held", teach: "teach", gauge: "teach", sort: "sort" };
 const photos = new Map(); // URL of each photograph that was fetched, by its address
 let dirty = true;
 let lastJob = null;
@@ -129,12 +130,13 @@ function render() {
   dirty = false;
   if (stale) forget();
   for (const part of [renderBand, renderFault, renderHeld, renderFelt, renderShift, renderHealth,
-    renderCommands, renderTeach, renderSort, renderReplay, renderPose]) part(view);
+    renderCommands, renderTeach, renderGauge, renderSort, renderReplay, renderPose]) part(view);
 }
 
 function setup() {
   setupCommands(view);
   setupTeach(view);
+  setupGauge(view);
   setupSort(view);
   setupReplay(view);
   byId("tabs").addEventListener("click", (event) => {

@@ -270,7 +270,7 @@ class FakeCell:
             "number": 12, "task": task, "outcome": outcome, "outcome_number": 4, "fault_number": 0,
             "error": "", "label": "", "label_id": 0, "probability": 0.0, "n_grasps": 2,
             "shape": "flat", "size_mm": 6.4, "kept": False, "held": None, "same": None,
-            "progress": {}, "since_s": time.time() - 42, "taught": None,
+            "progress": {}, "since_s": time.time() - 42, "taught": None, "gauged": None,
         } | more  # fmt: skip
 
     # -- the server ------------------------------------------------------------------------------
