@@ -6,15 +6,6 @@ import { runs } from "./band.js";
 import { faultText, has, t } from "./words.js";
 
 const RELEASE_KEY = 0x4f50;
-// What a state allows, for a server that does not say it itself.
-const BY_STATE = {
-  IDLE: ["teach", "identify", "grip", "sort", "release"],
-  COMPLETE: ["verify", "release"],
-  HELD: ["release"],
-  ABORTED: ["clear"],
-  RESETTING: ["release", "reset"],
-  STOPPED: ["release", "clear", "reset"],
-};
 
 // Why a command is not allowed now, in words; empty where it is. `any`: whoever is in command.
 export function reasonOf({ link, state, taught }, command, any = false) {
@@ -22,9 +13,6 @@ export function reasonOf({ link, state, taught }, command, any = false) {
   if (!any && !link.commands) return t("why.lease");
   if (!any && link.pending) return t("why.sent");
   const { status, allowed, held_by: heldBy = [] } = state;
-  if (!allowed) {
-    return BY_STATE[status.state]?.includes(command) && !runs(state.job) ? "" : ofState(status.state);
-  }
   const refusal = allowed[command];
   if (!refusal) return command in allowed ? "" : t("why.not_offered");
   if (refusal.number === 515) return t("why.held_by", { names: heldBy.join(", ") });

@@ -50,7 +50,8 @@ export function number(value, digits) {
 // Noise about zero has no sign.
 export const newtons = (value) =>
   (value == null ? "–" : `${number(Math.abs(value) < 0.05 ? 0 : value, 1)}\u00a0N`);
-export const millimetres = (value, digits = 1) => (value == null ? "–" : `${number(value, digits)}\u00a0mm`);
+export const millimetres = (value, digits = 1) =>
+  (value == null ? "–" : `${number(Math.abs(value) < 0.5 / 10 ** digits ? 0 : value, digits)}\u00a0mm`);
 
 export function percent(share) {
   if (share === null || share === undefined) return "–";

@@ -15,13 +15,14 @@ from starlette.websockets import WebSocketDisconnect
 
 from cell.fault_catalogue import CATALOGUE
 from cell.interfaces.page import mount_page
+from cell.interfaces.plugin.goals import TASKS
 from tactile.layout import paper_layout
 
 TOKEN = "token-of-the-test"
-COMMANDS = ("teach", "identify", "grip", "verify", "sort", "release", "clear", "reset", "shutdown")
+COMMANDS = (*TASKS, "release", "clear", "reset", "shutdown")
 NOT_NOW = {"number": 505, "text": "not allowed now", "remedy": "Read the allowed commands."}
 ALLOWED = {
-    "IDLE": {"teach", "identify", "grip", "sort", "release", "shutdown"},
+    "IDLE": {"teach", "gauge", "identify", "grip", "sort", "release", "shutdown"},
     "COMPLETE": {"verify", "release", "shutdown"},
     "HELD": {"release", "shutdown"},
     "ABORTED": {"clear"},

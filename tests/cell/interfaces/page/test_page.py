@@ -166,6 +166,26 @@ def test_an_unknown_part_is_an_answer(open_page: OpenPage, cell: FakeCell) -> No
 
 
 @pytest.mark.long
+def test_the_cell_is_gauged_with_a_taught_object(open_page: OpenPage, cell: FakeCell) -> None:
+    page = open_page(command=True)
+    page.click("#tab_teach")
+    becomes(page, "#gauge_now", "pads 1\u00a0%, opening 0.0\u00a0mm")
+    page.click("#gauge_now")
+    page.select_option("#gauge_label", "nut")
+    page.click("#gauge_start")
+    until(lambda: cell.sent("POST", "jobs"))
+    assert cell.sent("POST", "jobs")[0]["goal"] == {"task": "gauge", "label": "nut"}
+    before, after = {"gain": 1.01, "opening_mm": 0.0}, {"gain": 0.71, "opening_mm": -3.9}
+    gauged = {"label": "nut", "before": before, "after": after}
+    cell.state["job"] = cell.state["job"] | {
+        "task": "gauge", "outcome": "SUCCEEDED", "gauged": gauged, "number": 14,
+    }  # fmt: skip
+    cell.state["health"]["drift"] = {"level": "watch"} | after
+    becomes(page, "#gauge_end", "from 1\u00a0%, 0.0\u00a0mm to -29\u00a0%, -3.9\u00a0mm")
+    at = [float(page.get_attribute(f"#gauge_picture .{one}", "cx")) for one in ("before", "now")]
+    assert at == pytest.approx([152.6, 74.6])
+
+
 def test_it_is_taught_with_a_photograph(open_page: OpenPage, cell: FakeCell) -> None:
     page = open_page(command=True)
     page.click("#tab_teach")
@@ -256,21 +276,12 @@ def test_health_is_one_line_until_something_is_not_well(
     becomes(page, "#health", "No figures")
 
 
-@pytest.mark.long
-def test_a_server_without_the_newer_fields_is_borne(open_page: OpenPage, cell: FakeCell) -> None:
-    for state in (cell.working(), cell.named(), cell.faulted()):
-        for name in ("shift", "fault", "health", "allowed", "taught_revision"):
-            state.pop(name, None)
-        state["status"].pop("since_s")
-        state["job"].pop("since_s")
-        state["live"] = dict.fromkeys(state["live"])
-        cell.state = state
-        cell.now = lambda state=state: state  # type: ignore[method-assign,misc]
-        for name in ("pads", "levels_n", "places", "mode"):
-            cell.info.pop(name, None)
-        page = open_page()
-        becomes(page, "#state", "Working|Part held|Fault")
-        becomes(page, "#felt_force", "–")
+def test_what_is_not_measured_is_a_dash(open_page: OpenPage, cell: FakeCell) -> None:
+    cell.state = cell.working()
+    cell.state["live"] = dict.fromkeys(cell.state["live"])
+    page = open_page()
+    becomes(page, "#state", "Working")
+    becomes(page, "#felt_force", "–")
 
 
 @pytest.mark.long
