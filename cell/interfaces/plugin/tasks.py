@@ -21,6 +21,7 @@ from cell.learning.collection import Collection
 from cell.learning.taught_model import TaughtModel
 from recognition.drift.drift import Drift
 from recognition.recognizer import UNKNOWN, Posterior
+from recognition.statistics.fusion import fuse
 
 __all__ = [
     "ModelFile",
@@ -195,15 +196,18 @@ def identify(
     cell.errors.NoPartFound, cell.errors.CellStopped, and what the devices raise
         As `TaughtModel.identify`.
     """
+    posteriors: list[Posterior] = []
 
     def progress(number: int, record: GraspRecord, posterior: Posterior, shape: Any) -> None:
+        posteriors.append(posterior)
+        answer = fuse(posteriors)
         report(
             {
                 "task": "identify",
                 "grasps": number,
                 "of": goal.max_grasps or model.max_grasps,
-                "best": posterior.best,
-                "probability": float(posterior.probability.max()),
+                "best": answer.name,
+                "probability": answer.name_probability,
                 "force_n": record.step.force_n,
                 "shape": None if shape is None else str(shape),
                 "ended_early": record.early is not None,

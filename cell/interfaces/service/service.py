@@ -82,7 +82,7 @@ class JobView:
     label_id: int = 0
     probability: float = 0.0
     n_grasps: int = 0
-    """Answer of an identification; before its end what is likeliest so far, with label id 0."""
+    """Answer of an identification; before its end the answer so far, with label id 0."""
     shape: str = ""
     size_mm: float = 0.0
     """Shape of the part, empty where it is not known, and its size in mm, 0 then."""

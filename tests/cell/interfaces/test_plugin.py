@@ -145,7 +145,8 @@ def test_teach_then_identify(make_plugin: Callable[..., Any]) -> None:
         answer.n_grasps,
         3,
     )
-    assert progress["best"] == "box"
+    assert progress["best"] == answer.label
+    assert progress["probability"] == pytest.approx(answer.probability)
     assert plugin.state() == "IDLE"
 
 
