@@ -597,7 +597,7 @@ def test_an_absent_object_ends_teaching_and_the_grasps_before_it_are_kept(
         (["teach"], "goal is ['teach']; write"),
         ({"task": ["teach"]}, "goal has task ['teach']; write one of"),
         ({"task": "identify", 3: 1}, "goal identify: 3"),
-        ({}, "goal has task None; write one of teach, identify"),
+        ({}, "goal has task None; write one of teach, gauge, identify"),
         ({"task": "juggle"}, "goal has task 'juggle'"),
         ({"task": "teach"}, "goal teach: label"),
         ({"task": "teach", "label": ""}, "goal teach: label"),
