@@ -134,6 +134,7 @@ def test_messages_wait_for_each_other_on_the_wire() -> None:
     assert wire.end_s(1.0, TPDO_ID - 1) == 1.0
     ends_s = [end_s for burst_ends_s, *_ in wire.take(3.0) for end_s in burst_ends_s]
     assert ends_s == pytest.approx([1.0 + length_s, 1.0 + 2 * length_s, 2.0 + length_s + 4e-5])
+    assert wire.n_waiting == 0
     assert math.isinf(wire.next_end_s())
     with pytest.raises(SimulatorSettingsError, match="bit rate"):
         CanWire(0)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tactile.frames.assembler import FrameAssembler
-from tactile.frames.codec import FrameFormat, TactileFrame, encode_frame
+from tactile.frames.codec import PHASE_SHIFT, FrameFormat, TactileFrame, encode_frame
 
 N_FRAMES = 6
 N_MESSAGES = 59
@@ -146,6 +146,13 @@ def test_wrong_crc_is_refused_and_the_next_frame_is_taken() -> None:
     first[58] = first[58][:-1] + bytes([first[58][-1] ^ 1])
     assembler = FrameAssembler(PAPER)
     assert [frame.counter for frame in received(assembler, first + second)] == [5]
+    assert assembler.statistics.corrupt == 1
+
+
+def test_a_counter_of_another_phase_than_its_messages_is_refused() -> None:
+    sent = [bytes([m[0] ^ 1 << PHASE_SHIFT]) + m[1:] for m in stream_of({4: np.full(408, 7)})]
+    assembler = FrameAssembler(PAPER)
+    assert received(assembler, sent) == []
     assert assembler.statistics.corrupt == 1
 
 
