@@ -7,24 +7,17 @@ fails is run once more, and the last lines name it with the load of the machine.
 attempt on a quiet machine is a defect: of the test, or of the product.
 """
 
+import json
 import os
+import subprocess
 import sys
 from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 
 ATTEMPTS = 2
-
-
-class Failed:
-    """Plugin of pytest that collects the tests that fail."""
-
-    def __init__(self) -> None:
-        self.names: list[str] = []
-
-    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        if report.failed and report.nodeid not in self.names:
-            self.names.append(report.nodeid)
 
 
 def main(options: Sequence[str]) -> int:
@@ -32,13 +25,16 @@ def main(options: Sequence[str]) -> int:
     names: list[str] = []
     said: list[str] = []
     code = 0
-    for attempt in range(1, ATTEMPTS + 1):
-        load, failed = os.getloadavg()[0], Failed()
-        code = int(pytest.main(["-m", "real_time", *options, *names], plugins=[failed]))
-        said += [f"attempt {attempt}, load {load:.1f}: {name} failed" for name in failed.names]
-        if code != pytest.ExitCode.TESTS_FAILED:
-            break
-        names = failed.names
+    with TemporaryDirectory() as cache:
+        failed = Path(cache, "v", "cache", "lastfailed")
+        command = [sys.executable, "-m", "pytest", "-m", "real_time", "-o", f"cache_dir={cache}"]
+        for attempt in range(1, ATTEMPTS + 1):
+            load = os.getloadavg()[0]
+            code = subprocess.run([*command, *options, *names], check=False).returncode
+            if code != pytest.ExitCode.TESTS_FAILED:
+                break
+            names = list(json.loads(failed.read_text(encoding="utf-8")))
+            said += [f"attempt {attempt}, load {load:.1f}: {name} failed" for name in names]
     quiet = os.getloadavg()[0] <= (os.cpu_count() or 1)
     print(
         f"{'quiet' if quiet else 'NOT a quiet'} machine; {len(said)} attempts failed",

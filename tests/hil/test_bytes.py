@@ -160,7 +160,9 @@ def test_changed_bytes_of_a_line_end_in_a_fault_that_names_them(
             kept_n = simulator.grip_n()
             assert kept_n > 0.6 * GRIPPED_N
             threading.Event().wait(0.3)
-            assert simulator.grip_n() == pytest.approx(kept_n, abs=0.4)
+            # Servos that nobody reaches keep the goal of the ramp, which the force still nears.
+            most_n = kept_n + 0.4 if line == "can" else STEP.force_n
+            assert kept_n - 0.4 < simulator.grip_n() < most_n
             check_held(found, first_run)
     let_go(simulator, second_run)
 

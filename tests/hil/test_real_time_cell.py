@@ -123,7 +123,7 @@ def test_ctrl_c_keeps_the_grip_and_the_recording_and_release_lets_go(
     assert recording.complete
     assert len(recording.frames) > 10
     assert [e["kind"] for e in recording.events if e["kind"] != "note"] == ["held"]
-    assert "force loop: " in out
+    assert "Force loop: " in out
     ended = json.loads(report.read_text())
     assert "grip is kept" in ended["ended_early"]
     loop = ended["health"]["loop"]
