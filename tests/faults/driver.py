@@ -24,6 +24,8 @@ from tests.faults.invariants import (
 
 COMMAND_BOUND_S = 20.0
 """Every command has to be over within so many s of simulated time."""
+_REMOUNTED = ("servoN.jump", "servoN.horn", "servoN.turned")
+"""Faults whose end sends a finger to its goal from elsewhere: the world moves it, not the cell."""
 _UNTRUSTED = ("object.trapped", "servoN.jump", "servoN.stuck", "servoN.turn", "servoN.drift")
 """Faults after which position or force are not known: the torque may go off."""
 
@@ -80,7 +82,7 @@ class Driver:
         self._hosts = 0
         self._scanned: set[bytes] = set()
         self._counter = -1
-        self._untrusted = self._jumped = False
+        self._untrusted = self._remounted = False
         self.simulated.clock.on_advance.append(self._watch_scans)
         self.cell = self._new_host()
 
@@ -255,16 +257,16 @@ class Driver:
             self.log[-1] += f" -> {error}"
         else:
             self._untrusted = self._untrusted or fault.entry.name in _UNTRUSTED
-            self._jumped = self._jumped or fault.entry.name == "servoN.jump"
+            self._remounted = self._remounted or fault.entry.name in _REMOUNTED
         self._trust()
         self._end()
 
     def heal(self) -> None:
         """End all faults, and plug everything in."""
         self._begin("heal")
-        if self._jumped:
+        if self._remounted:
             self.monitor.pushed()
-        self._jumped = False
+        self._remounted = False
         self.simulated.injector.clear_all()
         for knobs in self.simulated.devices.faults.servos.values():
             knobs.clear()
