@@ -2,9 +2,10 @@
 
 from collections.abc import Sequence
 
-from cell.errors import CellError, ModelError
+from cell.errors import CellError
 from cell.jobs.identify import objects_in_turn
 from cell.learning.blas import one_blas_thread
+from cell.learning.drift import gaugeable
 from cell.learning.model import LoadedModel, check_pads
 from recognition.drift.drift import Drift
 from recognition.drift.estimate import DriftEstimate
@@ -95,10 +96,7 @@ def check_gauge(model: LoadedModel, label: str) -> None:
 
 
 def _force_ramp(model: LoadedModel, grasps: Sequence[Grasp]) -> ForceRamp:
-    if not isinstance(model.recognizer, ForceRamp):
-        raise ModelError(
-            f"a model of {model.trainer_name} cannot be gauged; train one of force_ramp"
-        )
+    recognizer = gaugeable(model.recognizer, model.trainer_name)
     if grasps:
         check_pads(model, grasps[0].pads)
-    return model.recognizer
+    return recognizer

@@ -5,14 +5,23 @@ from collections.abc import Sequence
 from typing import Any
 
 from cell.control.records import GraspRecord
+from cell.errors import ModelError
 from gripper.state import GraspResult
 from recognition.drift.drift import NO_DRIFT, Drift, drift_text, drift_values
 from recognition.drift.estimate import DriftEstimate, DriftTracking
 from recognition.grasp import Grasp
 from recognition.recognizer import Recognizer
+from recognition.recognizers.force_ramp.recognizer import ForceRamp
 
 _KEPT_SEQUENCES = 40
 """Sequences of grasps that a newly trained recogniser is given again; it counts the last 20."""
+
+
+def gaugeable(recognizer: Recognizer, trainer_name: str) -> ForceRamp:
+    """Return a recogniser that can be gauged. Raises ModelError for one of another kind."""
+    if not isinstance(recognizer, ForceRamp):
+        raise ModelError(f"a model of {trainer_name} cannot be gauged; train one of force_ramp")
+    return recognizer
 
 
 class DriftTracker:

@@ -24,7 +24,7 @@ from cell.data.dataset import read_dataset, write_dataset
 from cell.errors import CellError, CellStateError, ModelError, TrainingSetMissing
 from cell.learning.blas import one_blas_thread
 from cell.learning.collection import Collection
-from cell.learning.drift import DriftTracker
+from cell.learning.drift import DriftTracker, gaugeable
 from cell.learning.model import Arrays, LoadedModel, check_pads, load_model, save_model
 from cell.learning.next_grasp import ActiveChooser
 from cell.learning.pad_knowledge import PadKnowledge
@@ -249,13 +249,11 @@ class TaughtModel:
         Raises
         ------
         CellStateError
-            If the object was not taught, or the recogniser is of a kind that cannot be gauged.
+            If the object was not taught.
+        ModelError
+            If the recogniser is of a kind that cannot be gauged.
         """
-        taught = self.check_taught().taught
-        if not isinstance(taught, ForceRamp):
-            raise CellStateError(
-                f"a model of {self._trainer_name} cannot be gauged; train one of force_ramp"
-            )
+        taught = gaugeable(self.check_taught().taught, self._trainer_name)
         if label not in taught.labels:
             raise CellStateError(
                 f"{label!r:.80} was not taught: gauge with one of {', '.join(taught.labels)}"
@@ -276,7 +274,7 @@ class TaughtModel:
 
         Raises
         ------
-        CellStateError
+        CellStateError, ModelError
             As `check_gauge`.
         cell.errors.NoPartFound, cell.errors.CellStopped, and what the devices raise
             As `Collection.fill`; nothing changes then.

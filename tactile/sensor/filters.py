@@ -165,6 +165,18 @@ def smoothing_gain(hood: Neighbourhood, passes: int) -> Values:
     return gain
 
 
+def typical_noise(layout: TaxelLayout, noise_counts: Values, least_counts: float) -> Values:
+    """Return the typical noise of its pad for each taxel, (n_taxels,), and no less than a limit.
+
+    The noise of a single taxel is measured too poorly in a hundred frames.
+    """
+    noise = np.full(layout.n_taxels, least_counts)
+    for pad in range(layout.n_pads):
+        taxels = layout.taxels_of(pad)
+        noise[taxels] = np.maximum(noise[taxels], np.median(noise_counts[taxels]))
+    return noise
+
+
 class ActiveTaxels:
     """Connected regions that stand out of the noise, at two scales: 3 x 3 and 5 x 5 taxels.
 

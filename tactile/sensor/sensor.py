@@ -29,6 +29,7 @@ from tactile.sensor.filters import (
     TouchThresholds,
     Values,
     fill_bad,
+    typical_noise,
 )
 from tactile.sensor.force_check import ForceCentres, ForceCheck, FrameForces
 from tactile.sensor.quality import QualityLimits, QualityWatch
@@ -452,16 +453,9 @@ class TactileSensor:
                 raise ZeroDrifted(drift)
 
     def _new_touch(self, tare: TareResult) -> ActiveTaxels:
-        """Return a finder of touched taxels that takes the typical noise of each pad.
-
-        The noise of a single taxel is measured too poorly in a hundred frames.
-        """
-        noise = np.full(
-            self._layout.n_taxels, self._settings.noise_floor_share * self._layout.adc_max
-        )
-        for pad in range(self._layout.n_pads):
-            taxels = self._layout.taxels_of(pad)
-            noise[taxels] = np.maximum(noise[taxels], np.median(tare.noise_counts[taxels]))
+        """Return a finder of touched taxels that takes the typical noise of each pad."""
+        least = self._settings.noise_floor_share * self._layout.adc_max
+        noise = typical_noise(self._layout, tare.noise_counts, least)
         noise /= np.sqrt(self._settings.mean_frames)
         return ActiveTaxels(self._hood, self._settings.touch, noise)
 

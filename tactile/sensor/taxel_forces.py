@@ -7,7 +7,13 @@ from numpy.typing import NDArray
 
 from tactile.layout import TaxelLayout
 from tactile.sensor.calibration import Calibration
-from tactile.sensor.filters import ActiveTaxels, Neighbourhood, TouchThresholds, fill_bad
+from tactile.sensor.filters import (
+    ActiveTaxels,
+    Neighbourhood,
+    TouchThresholds,
+    fill_bad,
+    typical_noise,
+)
 from tactile.sensor.tare import TareResult
 
 
@@ -28,10 +34,8 @@ class TaxelForces:
         self._hood = Neighbourhood(layout)
         self._calibration = calibration
         self._zero = zero
-        noise = np.maximum(zero.noise_counts, 1.0)  # counts are whole: less noise is not seen
-        for pad in range(layout.n_pads):
-            taxels = layout.taxels_of(pad)
-            noise[taxels] = np.median(noise[taxels])
+        # Counts are whole: less noise is not seen.
+        noise = typical_noise(layout, zero.noise_counts, 1.0)
         self._untouched = ActiveTaxels(self._hood, TouchThresholds(), noise)
 
     def of(self, counts: NDArray[np.uint16]) -> NDArray[np.float32]:

@@ -47,6 +47,10 @@ class Photos:
                 photo = path.read_bytes()
         return None if photo is None else (photo, _kind(photo)[0])
 
+    def has(self, label: str) -> bool:
+        """Whether there is a photo of an object; no file is read."""
+        return label in self._kept or any(path.exists() for path in self._paths(label))
+
     def put(self, label: str, photo: bytes) -> None:
         """Keep the photo of an object in the place of an earlier one.
 

@@ -24,7 +24,7 @@ from cell.data.recording_reader import Recording, read_recording
 from cell.errors import RecordingError, RequestRefused
 from cell.fault_catalogue import BY_NUMBER
 from cell.interfaces.plugin.answer import Answer, FeltShape, HostStatus
-from cell.interfaces.plugin.part_report import POINTS_MAX, OnPart, PartReport
+from cell.interfaces.plugin.part_report import OnPart, PartReport, thinned_curves
 from cell.interfaces.plugin.plugin import cell_values
 from cell.interfaces.plugin.worker import Job, JobStatus
 from cell.interfaces.service.shift import Shift
@@ -224,19 +224,15 @@ class Tape:
         first, last = np.searchsorted(cycles.t_s, [begin_s, begin_s + grasp.t_s[-1]])
         if first == last:
             return None
-        at = np.unique(np.linspace(first, last - 1, POINTS_MAX).round().astype(int))
-        frame_n = self.newtons(grasp.counts[int(np.argmax(grasp.counts.sum(axis=1)))])
-
-        def column(values: NDArray[np.float64]) -> list[float | None]:
-            return [round(float(v), 3) if np.isfinite(v) else None for v in values]
-
-        return {
-            "t_s": column(cycles.t_s[at] - begin_s),
-            "force_n": column(cycles.force_n[at].mean(axis=1)),
-            "setpoint_n": column(cycles.setpoint_n[at]),
-            "opening_mm": column(1e3 * cycles.aperture_m[at]),
-            "frame": None if frame_n is None else [round(float(one), 3) for one in frame_n],
-        }
+        of_grasp = slice(first, last)
+        return thinned_curves(
+            grasp,
+            self.newtons,
+            t_s=cycles.t_s[of_grasp] - begin_s,
+            force_n=cycles.force_n[of_grasp].mean(axis=1),
+            setpoint_n=cycles.setpoint_n[of_grasp],
+            aperture_m=cycles.aperture_m[of_grasp],
+        )
 
 
 class Replay:

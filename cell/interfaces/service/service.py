@@ -468,7 +468,7 @@ class Service:
             one
             | {
                 "label_id": self.label_id(one["label"]),
-                "photo": self.photos.get(one["label"]) is not None,
+                "photo": self.photos.has(one["label"]),
             }
             for one in self._plugin.taught()
         ]
