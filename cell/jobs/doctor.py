@@ -5,13 +5,13 @@ import os
 import sys
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from enum import StrEnum
 from pathlib import Path
 from shlex import quote
 
 import numpy as np
 
 from cell.build import Cell, build_cell
+from cell.commissioning.engine import Verdict
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config, make_calibration
 from cell.errors import CellError
@@ -32,14 +32,6 @@ _TORQUE = "servo torque"
 """Name of the check whether the servos have torque."""
 _PRESSED_SIGMAS = 6.0
 """Spreads of the counts at rest above which the mean of a taxel shows that it is pressed."""
-
-
-class Verdict(StrEnum):
-    """How a check ended."""
-
-    PASS = "pass"
-    WARN = "warn"
-    FAIL = "fail"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,10 +12,11 @@ import pytest
 
 import cell.jobs.doctor
 from cell.build import build_cell
+from cell.commissioning.engine import Verdict
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
-from cell.jobs.doctor import Finding, Verdict, _boards, examine
+from cell.jobs.doctor import Finding, _boards, examine
 from cell.simulation import simulated_cell
 from tests.faults.scenarios.axes import CHANGES
 

@@ -8,10 +8,11 @@ def doctor(config: ConfigOption = None, json_file: JsonOption = None) -> None:
 
     Of two lines one may be missing: what the other one shows is listed.
     """
+    from cell.commissioning.engine import Verdict
     from cell.errors import CellError
     from cell.interfaces.cli.session import cell_config
     from cell.interfaces.cli.terminal import out, print_line, write_json
-    from cell.jobs.doctor import Verdict, examine
+    from cell.jobs.doctor import examine
 
     colours = {Verdict.PASS: "green", Verdict.WARN: "yellow", Verdict.FAIL: "bold red"}
     findings = []

@@ -1,0 +1,170 @@
+"""Bench of the commissioning wizard: the lines of the cell, its folder, and the config so far."""
+
+import json
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from cell.config.file import changed_config
+from cell.config.gripper import GripperConfig
+from cell.config.model import CellConfig
+from cell.config.tactile import TactileConfig
+from cell.errors import ConfigError
+from gripper.dynamixel.bus import ServoBus
+from gripper.dynamixel.serial_port import ByteStream, SerialStream, serial_candidates
+from gripper.state import Clock
+from tactile.can.bus import CanBus, close_bus, open_bus
+
+_Section = TypeVar("_Section", bound=BaseModel)
+_BASE: Mapping[str, Any] = {"positioner": {"kind": "operator"}}
+"""Config of a cell on real ports before anything was found: a person brings the objects."""
+_PATIENCE_S = 0.02
+"""Allowance in s for adapter and operating system: an adapter with a latency timer of 16 ms, set
+right only later, answers within it."""
+
+
+class Lines(Protocol):
+    """What opens the lines of a cell; real ports, or the simulator's in virtual time."""
+
+    @property
+    def clock(self) -> Clock:
+        """Time of the lines."""
+        ...
+
+    def serial_ports(self) -> tuple[str, ...]:
+        """Return the paths of the serial ports that are plugged in."""
+        ...
+
+    def open_servos(self, port: str, baud_rate: int) -> ByteStream:
+        """Open a serial port. Raises gripper.errors.PortLost."""
+        ...
+
+    def open_can(self, interface: str, channel: str, bitrate: int) -> CanBus:
+        """Open a CAN bus. Raises tactile.errors.BusNotOpened."""
+        ...
+
+
+class RealLines:
+    """Implements `Lines` with the ports of this machine."""
+
+    clock: Clock = time
+
+    def serial_ports(self) -> tuple[str, ...]:
+        """Return the paths of the serial ports that are plugged in."""
+        return serial_candidates()
+
+    def open_servos(self, port: str, baud_rate: int) -> ByteStream:
+        """Open a serial port."""
+        return SerialStream(port, baud_rate)
+
+    def open_can(self, interface: str, channel: str, bitrate: int) -> CanBus:
+        """Open a CAN bus."""
+        return open_bus(interface, channel, bitrate=bitrate)
+
+
+class Bench:
+    """What the steps work on. Each step opens the lines that it needs, and gives them back.
+
+    Parameters
+    ----------
+    folder
+        Folder of the cell: commissioning.json, config, record, backups.
+    lines
+        What opens ports and buses.
+    given
+        Values of the config by dotted key that the person named at the start, as
+        ``{"gripper.port": "/dev/ttyUSB0"}``; steps take them in the place of asking.
+
+    Attributes
+    ----------
+    settings
+        Values of the config by dotted key that the steps have found so far.
+    found
+        Values of the findings so far, by the key of the step.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        lines: Lines | None = None,
+        *,
+        given: Mapping[str, Any] | None = None,
+    ) -> None:
+        self.folder = folder
+        self.lines: Lines = lines or RealLines()
+        self.given: Mapping[str, Any] = given or {}
+        self.settings: Mapping[str, Any] = {}
+        self.found: Mapping[str, Mapping[str, Any]] = {}
+
+    @property
+    def clock(self) -> Clock:
+        """Time of the lines."""
+        return self.lines.clock
+
+    @property
+    def config(self) -> CellConfig:
+        """The whole config so far; ConfigError while it lacks what makes it valid."""
+        name = self.folder.resolve().name[:80] or "cell"
+        return changed_config(CellConfig(), {"name": name, **_BASE, **self.settings})
+
+    def gripper(self, **changes: Any) -> GripperConfig:
+        """Return the gripper's section so far, with some keys changed; raises ConfigError."""
+        return self._section("gripper", GripperConfig, changes)
+
+    def tactile(self, **changes: Any) -> TactileConfig:
+        """Return the control unit's section so far, with some keys changed; raises ConfigError."""
+        return self._section("tactile", TactileConfig, changes)
+
+    def _section(self, name: str, kind: type[_Section], changes: Mapping[str, Any]) -> _Section:
+        values = kind().model_dump(mode="json")
+        found = {
+            k.partition(".")[2]: v for k, v in self.settings.items() if k.startswith(f"{name}.")
+        }
+        for key, value in (found | dict(changes)).items():
+            owner = values
+            *way, last = key.split(".")
+            for part in way:
+                owner = owner[part]
+            owner[last] = value
+        try:
+            return kind.model_validate_json(json.dumps(values))
+        except ValidationError as error:
+            raise ConfigError(f"the config of the {name} that was found: {error}") from error
+
+    @contextmanager
+    def servo_bus(
+        self, port: str | None = None, baud_rate: int | None = None
+    ) -> Iterator[ServoBus]:
+        """Open the line of the servos, and close it at the end; goals and torque stay.
+
+        Without a port and baud rate those of the config so far.
+        """
+        gripper = self.gripper()
+        rate = baud_rate or gripper.baud_rate
+        stream = self.lines.open_servos(port or gripper.port, rate)
+        bus = ServoBus(stream, baudrate=rate, clock=self.clock, allowance_s=_PATIENCE_S)
+        try:
+            yield bus
+        finally:
+            bus.close()
+
+    @contextmanager
+    def can_bus(
+        self, interface: str | None = None, channel: str | None = None, bitrate: int | None = None
+    ) -> Iterator[CanBus]:
+        """Open the CAN bus of the control unit, and close it at the end.
+
+        What is not given is that of the config so far.
+        """
+        tactile = self.tactile()
+        bus = self.lines.open_can(
+            interface or tactile.interface, channel or tactile.channel, bitrate or tactile.bitrate
+        )
+        try:
+            yield bus
+        finally:
+            close_bus(bus)

@@ -1,0 +1,145 @@
+"""The engine of the wizard: left at any moment and taken up again, redone, finished."""
+
+import json
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cell.commissioning.bench import Bench
+from cell.commissioning.engine import (
+    CONFIG_NAME,
+    STORE_NAME,
+    Dialog,
+    Engine,
+    Finding,
+    Left,
+    Question,
+    Verdict,
+)
+from cell.config.file import load_config
+from cell.errors import CellError, ConfigError
+from tests.cell.commissioning.script import Script
+
+REAL = {
+    "gripper.port": "/dev/ttyUSB0",
+    "tactile.interface": "socketcan",
+    "tactile.channel": "can0",
+}
+
+
+@dataclass
+class Asking:
+    """A step that asks one question."""
+
+    key: str
+    needs: tuple[str, ...] = ()
+    settings: dict[str, Any] = field(default_factory=dict)
+    verdicts: list[Verdict] = field(default_factory=lambda: [Verdict.PASS])
+    figures: dict[str, Any] = field(default_factory=dict)
+    title: str = "a step"
+    purpose: str = "asks"
+    undo: str = "nothing to undo"
+    seen: list[dict[str, Any]] = field(default_factory=list)
+
+    def run(self, bench: Bench, dialog: Dialog) -> Finding:
+        self.seen.append(dict(bench.settings))
+        answer = dialog.ask(Question(key=f"{self.key}.q", text="?", default="yes"))
+        verdict = self.verdicts.pop(0) if len(self.verdicts) > 1 else self.verdicts[0]
+        return Finding(
+            status=verdict,
+            lines=(f"{self.key}: {answer}",),
+            values={"answer": answer},
+            settings=self.settings,
+            figures=self.figures,
+        )
+
+
+def steps() -> list[Asking]:
+    return [
+        Asking("ports", settings=REAL),
+        Asking("servos", needs=("ports",), settings={"gripper.baud_rate": 57600}),
+        Asking("unit", needs=("ports",)),
+        Asking("force", needs=("servos", "unit")),
+    ]
+
+
+def test_leaving_keeps_what_was_found_and_the_next_run_goes_on_there(tmp_path: Path) -> None:
+    first = Script(leave_at=["unit.q"])
+    with pytest.raises(Left):
+        Engine(steps(), Bench(tmp_path)).run(first)
+    assert first.asked == ["ports.q", "servos.q", "unit.q"]
+    assert not (tmp_path / CONFIG_NAME).exists()
+
+    again, walk = Script(), steps()
+    files = Engine(walk, Bench(tmp_path)).run(again)
+    assert again.asked == ["unit.q", "force.q"]
+    assert walk[2].seen == [{**REAL, "gripper.baud_rate": 57600}]
+    assert tmp_path / CONFIG_NAME in files
+    config = load_config(tmp_path / CONFIG_NAME)
+    assert (config.gripper.port, config.gripper.baud_rate) == ("/dev/ttyUSB0", 57600)
+    assert Engine(steps(), Bench(tmp_path)).run(third := Script())
+    assert third.asked == []
+
+
+def test_redo_forgets_a_step_and_all_that_need_it(tmp_path: Path) -> None:
+    engine = Engine(steps(), Bench(tmp_path))
+    engine.run(Script())
+    assert engine.redo("servos") == ("servos", "force")
+    assert list(Engine(steps(), Bench(tmp_path)).entries) == ["ports", "unit"]
+    Engine(steps(), Bench(tmp_path)).run(again := Script())
+    assert again.asked == ["servos.q", "force.q"]
+    with pytest.raises(CellError, match="the steps are ports, servos, unit, force"):
+        engine.redo("wheels")
+
+
+def test_a_failed_step_runs_again_or_is_left(tmp_path: Path) -> None:
+    step = Asking("ports", settings=REAL, verdicts=[Verdict.FAIL, Verdict.FAIL, Verdict.WARN])
+    with pytest.raises(Left, match="tactile-cell commission"):
+        Engine([step], Bench(tmp_path)).run(Script({"ports.again": ["again", "leave"]}))
+    engine = Engine([step], Bench(tmp_path))
+    assert engine.entries["ports"].finding.status is Verdict.FAIL
+    engine.run(script := Script())
+    assert script.asked == ["ports.q"]
+    assert engine.entries["ports"].finding.status is Verdict.WARN
+
+
+def test_figures_are_files_or_numbers(tmp_path: Path) -> None:
+    numbers = {"x": [1, 2]}
+    step = Asking("pads", settings=REAL, figures={"noise": b"\x89PNG1", "zero": numbers})
+    engine = Engine([step], Bench(tmp_path), finish=lambda e: [e.path])
+    assert engine.run(Script())[-1] == tmp_path / STORE_NAME
+    kept = Engine([step], Bench(tmp_path)).entries["pads"].finding.figures
+    assert kept == {"noise": {"file": "pads-noise.png"}, "zero": numbers}
+    assert (tmp_path / "pads-noise.png").read_bytes() == b"\x89PNG1"
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[1]", '{"version": 7}', '{"version": 1, "steps": 3}'])
+def test_a_damaged_store_is_named_and_kept(tmp_path: Path, text: str) -> None:
+    (tmp_path / STORE_NAME).write_text(text)
+    with pytest.raises(CellError, match="move it away"):
+        Engine(steps(), Bench(tmp_path))
+    assert (tmp_path / STORE_NAME).read_text() == text
+
+
+def test_steps_stand_behind_those_they_need(tmp_path: Path) -> None:
+    with pytest.raises(CellError, match="step force needs servos"):
+        Engine([Asking("force", needs=("servos",))], Bench(tmp_path))
+
+
+def test_the_store_is_written_after_each_step(tmp_path: Path) -> None:
+    with pytest.raises(Left):
+        Engine(steps(), Bench(tmp_path)).run(Script(leave_at=["servos.q"]))
+    assert list(json.loads((tmp_path / STORE_NAME).read_text())["steps"]) == ["ports"]
+
+
+def test_sections_are_there_before_the_config_is_whole(tmp_path: Path) -> None:
+    bench = Bench(tmp_path)
+    bench.settings = {"gripper.port": "/dev/ttyUSB0", "gripper.slip.drop_n": 0.5}
+    assert bench.gripper(baud_rate=57600).slip.drop_n == 0.5
+    assert bench.tactile(node_id=9).node_id == 9
+    with pytest.raises(ConfigError, match="must both be"):
+        _ = bench.config
+    with pytest.raises(ConfigError, match="gripper"):
+        bench.gripper(baud_rate=3)
