@@ -17,6 +17,7 @@ from docs.tools.faults_page import faults_page
 from docs.tools.opc_ua_page import opc_ua_page
 from docs.tools.recording_page import recording_page
 from docs.tools.states_page import states_page
+from docs.tools.unit_page import objects_page, start_page, vectors_page
 from docs.tools.xml_rpc_page import xml_rpc_page
 
 MAKERS: dict[str, Callable[[], str]] = {
@@ -30,6 +31,9 @@ MAKERS: dict[str, Callable[[], str]] = {
     "opc-ua": opc_ua_page,
     "recording": recording_page,
     "states": states_page,
+    "unit objects": objects_page,
+    "unit start": start_page,
+    "unit vectors": vectors_page,
     "xml-rpc": xml_rpc_page,
 }
 """What makes each table."""
