@@ -10,7 +10,12 @@ from numpy.typing import NDArray
 from cell.config.gripper import ParallelLinkageConfig
 from cell.config.model import CellConfig
 from cell.config.positioner import DriveAxisConfig, PositionerConfig, ServoAxisConfig
-from cell.config.tactile import LinearCalibrationConfig, layout_from_config, make_calibration
+from cell.config.tactile import (
+    LinearCalibrationConfig,
+    layout_from_config,
+    make_calibration,
+    pad_mounts,
+)
 from cell.control.axes import si_per_unit
 from cell.control.plan import Pose
 from cell.errors import ConfigError, PositionerError
@@ -98,6 +103,7 @@ def simulator_settings(
             if config.tactile.serial_number is None
             else config.tactile.serial_number,
             board_serial_numbers=config.tactile.board_serial_numbers or (1, 2),
+            mounts=() if grasps else pad_mounts(config.tactile),
             law=sensor_law(config),
             noise=NoiseModel(kind=settings.noise, level=settings.noise_level),
             seed=config.seed,

@@ -119,8 +119,10 @@ class SimulatedCell:
         self._servo_port.close()
         return self.servo_port
 
-    def open_can_bus(self) -> InMemoryCanBus:
+    def open_can_bus(self, bitrate: int | None = None) -> InMemoryCanBus:
         """Open the host's end of the CAN bus anew, as after its adapter was gone.
+
+        An adapter that is set to another ``bitrate`` in bit/s than the bus hears nothing.
 
         Raises SimulatorStateError while the adapter is out.
         """
@@ -128,7 +130,7 @@ class SimulatedCell:
             raise SimulatorStateError("the simulated CAN adapter is out: plug it in")
         capture = self.can_bus.capture
         self.can_bus.shutdown()
-        self.can_bus = self._new_bus()
+        self.can_bus = self._new_bus(bitrate)
         self.can_bus.capture.extend(capture)
         return self.can_bus
 
@@ -142,11 +144,12 @@ class SimulatedCell:
         self.axes_can_bus = self._new_axes_bus()
         self.axes_streams = self._new_axes_streams()
 
-    def _new_bus(self) -> InMemoryCanBus:
+    def _new_bus(self, host_bitrate: int | None = None) -> InMemoryCanBus:
         return InMemoryCanBus(
             self.devices.can_devices,
             self.clock,
             bitrate=self.settings.can_bitrate,
+            host_bitrate=host_bitrate,
             faults=self.devices.faults.can,
             seed=self.settings.seed,
         )

@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from simulator.can.control_unit import ControlUnitSettings, SimulatedControlUnit
 from simulator.can.drive import DriveMount, SimulatedDrive
 from simulator.can.faults import CanLinkFaults, ControlUnitFaults
@@ -18,6 +20,7 @@ from simulator.world.recorded import RecordedWorld
 from simulator.world.shapes import ObjectPose
 from simulator.world.stage import Stage
 from simulator.world.world import PhysicalWorld, WorldSettings
+from tactile.layout import taxel_order
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,6 +94,9 @@ class CellDevices:
         self.servo_bus = ServoBusDevice(servos, settings.servo_baud_rate)
         self.servo_bus.faults.seed = settings.seed
         unit_faults = ControlUnitFaults()
+        if settings.mounts:
+            order = taxel_order(settings.layout, settings.mounts)
+            unit_faults.mounted["mounts"] = np.argsort(order)
         self.unit = SimulatedControlUnit(
             self.world,
             settings.layout,

@@ -14,7 +14,7 @@ from simulator.servo.wrist import WristMount
 from simulator.world.foam import Foam
 from simulator.world.shapes import PAPER_OBJECTS, Shape
 from simulator.world.taxels import EQUATION_11, NoiseModel, SensorLaw
-from tactile.layout import TaxelLayout, paper_layout
+from tactile.layout import PadMount, TaxelLayout, paper_layout
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -62,6 +62,8 @@ class SimulatorSettings:
     """Node id, bit rate in bit/s and serial number of the control unit."""
     board_serial_numbers: tuple[int, int] = (1, 2)
     """Those of the pads' boards on finger 0 and finger 1."""
+    mounts: tuple[PadMount, ...] = ()
+    """Pads that sit otherwise than the layout has them."""
     foam: Foam = field(default_factory=Foam)
     law: SensorLaw = EQUATION_11
     noise: NoiseModel = field(default_factory=NoiseModel)

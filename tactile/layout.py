@@ -13,7 +13,7 @@ Pad plane: origin in the pad's centre, x along the rows' direction, y along the 
 import hashlib
 import json
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Literal, get_args
@@ -196,6 +196,62 @@ class TaxelLayout:
             raise IndexError(f"pad {pad} does not exist, layout {self.name} has {self.n_pads}")
         start = sum(p.n_taxels for p in self.pads[:pad])
         return slice(start, start + self.pads[pad].n_taxels)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PadMount:
+    """How a pad sits otherwise than the layout has it: exchanged, turned or mirrored."""
+
+    pad: int
+    """Number of the pad in the layout."""
+    sent_as: int
+    """Number of the pad in whose place the control unit sends its samples."""
+    rows_mirrored: bool = False
+    columns_mirrored: bool = False
+    """Whether the unit sends the last row first, and the last column of each row; both: the pad is
+    turned by 180 degrees."""
+
+
+def taxel_order(layout: TaxelLayout, mounts: Sequence[PadMount]) -> NDArray[np.int64]:
+    """Return the place in the unit's frames of each taxel of a layout, (n_taxels,) int64.
+
+    Parameters
+    ----------
+    layout
+        The taxels.
+    mounts
+        Pads that sit otherwise; the others sit as the layout has them.
+
+    Raises
+    ------
+    LayoutError
+        If a pad does not exist, differs in rows or columns from the one whose place it has, or if
+        two pads have the same place.
+    """
+    by_pad = {mount.pad: mount for mount in mounts}
+    places = [by_pad[pad].sent_as if pad in by_pad else pad for pad in range(layout.n_pads)]
+    if len(by_pad) < len(mounts) or sorted(places) != list(range(layout.n_pads)):
+        raise LayoutError(
+            f"mounts of layout {layout.name}: the pads 0 to {layout.n_pads - 1} are sent as "
+            f"{places}; each must exist, and stand there once"
+        )
+    order = np.arange(layout.n_taxels)
+    for mount in by_pad.values():
+        pad, other = layout.pads[mount.pad], layout.pads[mount.sent_as]
+        if (pad.rows, pad.columns) != (other.rows, other.columns):
+            raise LayoutError(
+                f"pad {pad.name} has {pad.rows} x {pad.columns} taxels, {other.name}, in whose "
+                f"place it is sent, {other.rows} x {other.columns}"
+            )
+        taxels = layout.taxels_of(mount.sent_as)
+        place = np.arange(taxels.start, taxels.stop).reshape(pad.rows, pad.columns)
+        if mount.rows_mirrored:
+            place = place[::-1]
+        if mount.columns_mirrored:
+            place = place[:, ::-1]
+        order[layout.taxels_of(mount.pad)] = place.ravel()
+    order.setflags(write=False)
+    return order
 
 
 def _layout_hash(layout: TaxelLayout) -> str:

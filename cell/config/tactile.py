@@ -9,7 +9,7 @@ from cell.config.section import MILLI, SIMULATED, OneOf, Section, declared_value
 from cell.errors import ConfigError
 from recognition.grasp import PadArray
 from tactile.errors import LayoutError
-from tactile.layout import LAYOUTS, Face, Pad, TaxelLayout
+from tactile.layout import LAYOUTS, Face, Pad, PadMount, TaxelLayout, taxel_order
 from tactile.sensor.calibration import Calibration, FoamCalibration, LinearCalibration
 from tactile.unit.settings import ExpectedIdentity, LinkSettings
 
@@ -60,6 +60,20 @@ class LinearCalibrationConfig(Section):
     """Force of one count on one taxel in N, up to 1."""
 
 
+class PadMountConfig(Section):
+    """A pad that sits otherwise than the layout has it."""
+
+    pad: int = Field(ge=0, le=31)
+    """Number of the pad in the layout, from 0."""
+    sent_as: int = Field(ge=0, le=31)
+    """Number of the pad in whose place the control unit sends its samples."""
+    rows_mirrored: bool = False
+    """Whether the unit sends the last row first."""
+    columns_mirrored: bool = False
+    """Whether the unit sends the last column of each row first; with rows_mirrored the pad is
+    turned by 180 degrees."""
+
+
 def _name_or_pads(value: object) -> str:
     """Return which kind of layout a value means: a name, or pads of one's own."""
     return "name" if isinstance(value, str) else "pads"
@@ -86,6 +100,8 @@ class TactileConfig(Section):
         Discriminator(_name_or_pads),
     ] = "paper"
     """paper: 408 taxels, ten pads; pinch: two pads of 13 x 6, 12 bit; or pads of one's own."""
+    mounting: tuple[PadMountConfig, ...] = Field(default=(), max_length=32)
+    """Pads that sit otherwise than the layout has them: exchanged, turned or mirrored."""
     calibration: Annotated[
         PaperCalibrationConfig | LinearCalibrationConfig, Field(discriminator="kind")
     ] = PaperCalibrationConfig()
@@ -132,13 +148,24 @@ class TactileConfig(Section):
                 f"{self.heartbeat_ms} the start of the control unit takes {least_s:g} s: raise the "
                 f"one or lower the other"
             )
+        if self.mounting:
+            try:
+                taxel_order(layout_from_config(self), pad_mounts(self))
+            except (ConfigError, LayoutError) as error:
+                raise ValueError(f"mounting: {error}") from error
         return self
+
+
+def pad_mounts(config: TactileConfig) -> tuple[PadMount, ...]:
+    """Return the pads that sit otherwise than the layout has them."""
+    return tuple(PadMount(**mount.model_dump()) for mount in config.mounting)
 
 
 def link_settings(config: TactileConfig) -> LinkSettings:
     """Return the settings of the link to the control unit in SI."""
     return LinkSettings(
         identity=ExpectedIdentity(serial=config.serial_number, boards=config.board_serial_numbers),
+        mounts=pad_mounts(config),
         **declared_values(config, LinkSettings),
     )
 

@@ -35,8 +35,8 @@ What it raises stops the command with the grip kept, and passes on.
 
 FORCE_FROM_FRAMES = (
     "the force comes from whole frames and is slower: the control unit has no force messages "
-    "(object 2140h), or tactile.force_period_ms is 0. A gripper.approach_speed_mm_s of 12 keeps "
-    "the impact of the contact small"
+    "(object 2140h), tactile.force_period_ms is 0, or the two inner pads are not mounted alike "
+    "(tactile.mounting). A gripper.approach_speed_mm_s of 12 keeps the impact of the contact small"
 )
 """Note on a control unit that sends no force messages."""
 

@@ -185,7 +185,10 @@ class _Rig:
                 layout=layout,
                 clock=self._cell.clock,
                 settings=replace(
-                    link_settings(config.tactile), sync_period_s=self._period_s, threaded=False
+                    link_settings(config.tactile),
+                    sync_period_s=self._period_s,
+                    threaded=False,
+                    mounts=(),
                 ),
             )
             self._gripper = undo.enter_context(

@@ -53,6 +53,9 @@ class CanLinkFaults:
     direction."""
     unplugged: bool = False
     """The host's adapter is gone: sending and receiving fail."""
+    bitrate: int = 0
+    """Bit rate in bit/s of the bus in the place of the settings' one, 0 for that; a host that is
+    set to another one hears and reaches nobody."""
 
     @property
     def disturbs(self) -> bool:
@@ -103,6 +106,11 @@ class ControlUnitFaults:
     """Factor on all taxels before the offset."""
     late_s: float = 0.0
     """The burst of a frame begins so long after its SYNC, in s."""
+    mounted: dict[str, NDArray[np.int64]] = field(default_factory=dict)
+    """Orders of the taxels (n_taxels,) by name: how pads sit otherwise than the layout has them.
+    The sample that is sent at a place is that of the taxel named there."""
+    noisy_taxels: dict[int, float] = field(default_factory=dict)
+    """Standard deviation in counts of further noise on taxels."""
     pads_swapped: bool = False
     """The connectors of the two fingers are exchanged: each half of a scan stands where the other
     belongs."""
@@ -134,14 +142,23 @@ class ControlUnitFaults:
     _n_spoiled: int = 0
     _empty_pads: deque[ForceMessage] = field(default_factory=lambda: deque(maxlen=_EMPTY_MESSAGES))
     _centre_taxels: tuple[float, float] | None = None
+    _rng: np.random.Generator = field(default_factory=lambda: np.random.default_rng(0))
 
     def apply(self, counts: NDArray[np.uint16], adc_max: int) -> NDArray[np.uint16]:
         """Return converted counts (n_taxels,) with these faults; IndexError for no taxel."""
+        for order in self.mounted.values():
+            counts = counts[order]
         if self.pads_swapped:
             counts = np.roll(counts, counts.size // 2)
         if self.offset_counts or self.gain != 1.0:
             shifted = np.rint(self.gain * counts + self.offset_counts)
             counts = np.clip(shifted, 0, adc_max).astype(np.uint16)
+        if self.noisy_taxels:
+            taxels = list(self.noisy_taxels)
+            noise = self._rng.normal(0.0, list(self.noisy_taxels.values()))
+            shaken = np.clip(np.rint(counts[taxels] + noise), 0, adc_max)
+            counts = counts.copy()
+            counts[taxels] = shaken.astype(np.uint16)
         for taxel, stuck in self.stuck_counts.items():
             counts[taxel] = stuck
         if self.dead_taxels:

@@ -100,12 +100,17 @@ class CanLink:
         self.faults = faults or CanLinkFaults()
         self.lost = 0
         self._device = device
+        self._bitrate = bitrate
         self._wire = CanWire(bitrate)
         self._disturber = Disturber(self.faults, np.random.default_rng(seed))
         self._inbox: deque[can.Message] = deque()
         self._flood_due_s = math.inf
         self._reported = (False, False)
         device.connect(self._deliver)
+
+    def deaf(self, bitrate: int) -> bool:
+        """Return whether a host that is set to this bit rate hears and reaches nobody."""
+        return bitrate != (self.faults.bitrate or self._bitrate)
 
     def send(self, can_id: int, data: bytes, now_s: float, *, extended: bool = False) -> None:
         """Send a message of the host; it reaches the device before this returns."""
@@ -131,8 +136,9 @@ class CanLink:
 
     def advance(self, now_s: float) -> None:
         """Let device and faults act until ``now_s`` s."""
-        self._device.advance(now_s)
         faults = self.faults
+        self._wire.bitrate = faults.bitrate or self._bitrate
+        self._device.advance(now_s)
         if faults.flood_hz:
             self._flood(now_s)
         elif self._flood_due_s != math.inf:

@@ -24,6 +24,8 @@ class InMemoryCanBus(can.BusABC):
         Whose time it is.
     bitrate
         Bits per second.
+    host_bitrate
+        What the host's adapter is set to, by default the same; with another one nothing passes.
     faults
         Knobs that may be turned at any time.
     seed
@@ -41,10 +43,12 @@ class InMemoryCanBus(can.BusABC):
         clock: VirtualClock,
         *,
         bitrate: int = 1_000_000,
+        host_bitrate: int | None = None,
         faults: CanLinkFaults | None = None,
         seed: int = 0,
     ) -> None:
         self.channel_info = f"simulated CAN bus at {bitrate} bit/s"
+        self._host_bitrate = bitrate if host_bitrate is None else host_bitrate
         self._link = CanLink(device, bitrate=bitrate, faults=faults, seed=seed)
         self.clock = clock
         self._lost = False
@@ -73,6 +77,8 @@ class InMemoryCanBus(can.BusABC):
         self._check_open()
         if self.faults.bus_off:
             raise can.CanOperationError("the CAN controller is bus-off: nothing was sent")
+        if self._link.deaf(self._host_bitrate):
+            return
         if msg.is_remote_frame or msg.is_error_frame or msg.is_fd:
             raise can.CanOperationError("the simulated bus carries classic data frames only")
         self._link.send(
@@ -101,6 +107,8 @@ class InMemoryCanBus(can.BusABC):
         while True:
             self._check_open()
             while (message := link.take(now_s)) is not None:
+                if link.deaf(self._host_bitrate):
+                    continue
                 if self._filters is None or self._matches_filters(message):
                     return message
             if not looked:
@@ -123,6 +131,8 @@ class InMemoryCanBus(can.BusABC):
         now_s = self.clock.monotonic()
         self._link.advance(now_s)
         messages = self._link.take_all(now_s, limit)
+        if self._link.deaf(self._host_bitrate):
+            return []
         return messages if self._filters is None else list(filter(self._matches_filters, messages))
 
     def flush(self) -> None:

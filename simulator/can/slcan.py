@@ -41,8 +41,8 @@ class SlcanAdapter:
     link
         The bus behind it.
     bitrate
-        Bit rate of the bus in bit/s; an adapter that is opened with another one hears and reaches
-        nobody.
+        Bit rate in bit/s that it is set to at first; with another one than that of the bus it hears
+        and reaches nobody.
     """
 
     def __init__(self, link: CanLink, *, bitrate: int) -> None:
@@ -94,7 +94,7 @@ class SlcanAdapter:
     def transmit(self, now_s: float) -> bytes:
         """Return the bytes for the client until ``now_s`` s."""
         self._link.advance(now_s)
-        deaf = not self._open or self._chosen != self._bitrate
+        deaf = not self._open or self._link.deaf(self._chosen)
         while (message := self._link.take(now_s)) is not None:
             if not (deaf or message.is_error_frame):
                 self._put(_text(message, stamped=self._stamps))
@@ -184,7 +184,7 @@ class SlcanAdapter:
             return _REFUSED
         if len(data) != (0 if remote else length):
             return _REFUSED
-        if not remote and self._chosen == self._bitrate:
+        if not remote and not self._link.deaf(self._chosen):
             self._link.send(can_id, data, now_s, extended=extended)
         return b"Z\r" if extended else b"z\r"
 

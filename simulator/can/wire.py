@@ -127,7 +127,6 @@ class CanWire:
         if bitrate <= 0:
             raise SimulatorSettingsError(f"CAN bit rate is {bitrate} bit/s, must be positive")
         self.bitrate = bitrate
-        self._bit_s = 1.0 / bitrate
         self._busy_until_s = -math.inf
         self._queues: dict[float, deque[_Queued]] = {}
         self.n_waiting = 0
@@ -139,7 +138,7 @@ class CanWire:
         # A 29 bit identifier loses against 11 equal bits (ISO 11898-1, arbitration).
         key = (burst.can_id >> 18) + 0.5 if burst.extended else float(burst.can_id)
         queue = self._queues.setdefault(-1.0 if first else key, deque())
-        queue.append(_Queued(burst, self._bit_s))
+        queue.append(_Queued(burst, 1.0 / self.bitrate))
         self.n_waiting += len(burst.messages)
         self._ends_s = []
 

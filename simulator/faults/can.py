@@ -1,13 +1,15 @@
 """Named faults of the CAN link, of the control unit and of its taxels."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from dataclasses import replace
 
 import numpy as np
 
 from simulator.errors import SimulatorSettingsError
 from simulator.faults.entry import (
     SHARE,
+    Apply,
     Effect,
     FaultEntry,
     FaultKind,
@@ -19,6 +21,7 @@ from simulator.faults.entry import (
     turned,
     unplugging,
 )
+from tactile.layout import PadMount, taxel_order
 from tactile.unit import object_dictionary
 
 _BURST_PERIOD_S = 0.5
@@ -56,6 +59,19 @@ def _hertz(default: float) -> Number:
     return Number("Hz", 0.1, 20_000.0, default=default)
 
 
+def _other_bit_rate(target: Target) -> Effect:
+    devices, bitrate = target.devices, int(target.number)
+    unit = devices.unit
+    slower = turned(unit, "settings", replace(unit.settings, bitrate=bitrate))
+    bus = turned(devices.faults.can, "bitrate", bitrate)
+
+    def undo() -> None:
+        slower()
+        bus()
+
+    return Effect(undo=undo)
+
+
 # fmt: off
 CAN = (
     _share("can.loss", FaultKind.INTERMITTENT, "messages to the host are lost", "drop_rate"),
@@ -83,6 +99,10 @@ CAN = (
                "error_passive"),
     knob_fault("can.off", FaultKind.OFF, "the host's controller is bus-off: nothing passes", "can",
                "bus_off"),
+    FaultEntry("can.bit_rate", FaultKind.WRONG,
+               "the control unit and its bus have this bit rate, whatever the config says",
+               _other_bit_rate, "bitrate",
+               Number("bit/s", 10_000, 1_000_000, default=500_000, whole=True)),
     FaultEntry("can.unplugged", FaultKind.UNPLUGGED, "the host's adapter is gone",
                unplugging("can"), "can_plug"),
 )
@@ -98,6 +118,8 @@ _IDENTITY = {
     "pads": (object_dictionary.LAYOUT, object_dictionary.LAYOUT_PADS),
 }
 """Names that ``unit.wrong`` takes, and the object that each of them changes."""
+_PAD = Number("pad", 0, 1000, default=0, whole=True)
+"""Number of a pad in the layout."""
 _TAXELS = re.compile(r"(\d{1,6})(?:-(\d{1,6}))?")
 """One taxel or a range of them, first and last."""
 
@@ -129,6 +151,17 @@ def _wrong_identity(target: Target) -> Effect:
     dictionary = target.devices.unit.dictionary
     index, subindex = _IDENTITY[name]
     before = dictionary.pretend(index, subindex, number)
+
+    def undo() -> None:
+        dictionary.pretend(index, subindex, before)
+
+    return Effect(undo=undo)
+
+
+def _other_layout(target: Target) -> Effect:
+    dictionary = target.devices.unit.dictionary
+    index, subindex = object_dictionary.LAYOUT, object_dictionary.LAYOUT_HASH
+    before = dictionary.pretend(index, subindex, "0" * 16)
 
     def undo() -> None:
         dictionary.pretend(index, subindex, before)
@@ -180,10 +213,56 @@ def _chosen_taxels(target: Target) -> tuple[range, int]:
     return range(first, last + 1), counts
 
 
-def _check_pad(target: Target) -> None:
+def _check_pad(name: str) -> Callable[[Target], None]:
+    """Return what refuses a pad that the layout does not have."""
+
+    def check(target: Target) -> None:
+        layout = target.devices.settings.layout
+        if target.number >= layout.n_pads:
+            raise SimulatorSettingsError(f"taxels.{name}: pads are 0 to {layout.n_pads - 1}")
+
+    return check
+
+
+def _noisy_pad(target: Target) -> tuple[range, int]:
+    """Return the taxels of the pad that ``taxels.noisy`` names, and the noise in counts."""
+    name, counts = target.setting
     layout = target.devices.settings.layout
-    if target.number >= layout.n_pads:
-        raise SimulatorSettingsError(f"taxels.saturated: pads are 0 to {layout.n_pads - 1}")
+    if not (name.isdecimal() and int(name) < layout.n_pads and 0 <= counts <= layout.adc_max):
+        raise SimulatorSettingsError(
+            f"taxels.noisy: pads are 0 to {layout.n_pads - 1}, counts 0 to {layout.adc_max}"
+        )
+    taxels = layout.taxels_of(int(name))
+    return range(taxels.start, taxels.stop), counts
+
+
+def _noisy(target: Target) -> Effect:
+    taxels, counts = _noisy_pad(target)
+    faults = target.devices.faults.unit
+    noisy = faults.noisy_taxels | dict.fromkeys(taxels, float(counts))
+    return Effect(undo=turned(faults, "noisy_taxels", noisy))
+
+
+def _mirrored(*, rows: bool = False, columns: bool = False) -> Apply:
+    """Return what turns a pad on its finger: rows, columns or both run the other way."""
+
+    def apply(target: Target) -> Effect:
+        layout, pad = target.devices.settings.layout, int(target.number)
+        mount = PadMount(pad=pad, sent_as=pad, rows_mirrored=rows, columns_mirrored=columns)
+        mounted = target.devices.faults.unit.mounted
+        name = f"{pad} {rows} {columns}"
+        mounted[name] = taxel_order(layout, (mount,))
+
+        def undo() -> None:
+            mounted.pop(name, None)
+
+        return Effect(undo=undo)
+
+    return apply
+
+
+def _force_gain(target: Target) -> Effect:
+    return Effect(undo=turned(target.devices.physical, "force_gain", target.number))
 
 
 def _saturated_pad(target: Target) -> Effect:
@@ -216,6 +295,9 @@ UNIT = (
                "the unit is another one (vendor, product, revision, serial, taxels, pads)",
                _wrong_identity, "identity", Setting(unit="name:number", default="serial:99"),
                check=_check_identity),
+    FaultEntry("unit.other_layout", FaultKind.WRONG,
+               "the unit has taxels of a layout that nobody knows (object 2100h:3)",
+               _other_layout, "layout_hash"),
     FaultEntry("unit.second_node", FaultKind.WRONG,
                "another unit with the same node id joins the bus", _second_node, "second_node"),
     knob_fault("unit.pads_swapped", FaultKind.WRONG,
@@ -265,8 +347,21 @@ TAXELS = (
     FaultEntry("taxels.off", FaultKind.OFF, "this share of the taxels reads 0", _dead_taxels,
                "dead_taxels", SHARE),
     FaultEntry("taxels.saturated", FaultKind.STUCK, "all taxels of this pad read full scale",
-               _saturated_pad, "stuck_counts", Number("pad", 0, 1000, default=0, whole=True),
-               check=_check_pad),
+               _saturated_pad, "stuck_counts", _PAD,
+               check=_check_pad("saturated")),
+    FaultEntry("taxels.rows_mirrored", FaultKind.WRONG, "the rows of this pad run the other way",
+               _mirrored(rows=True), "rows_mirrored", _PAD, check=_check_pad("rows_mirrored")),
+    FaultEntry("taxels.columns_mirrored", FaultKind.WRONG,
+               "the columns of this pad run the other way", _mirrored(columns=True),
+               "columns_mirrored", _PAD, check=_check_pad("columns_mirrored")),
+    FaultEntry("taxels.turned", FaultKind.WRONG, "this pad sits turned by 180 degrees",
+               _mirrored(rows=True, columns=True), "turned", _PAD, check=_check_pad("turned")),
+    FaultEntry("taxels.noisy", FaultKind.WRONG,
+               "a pad has further noise of so many counts (standard deviation)", _noisy,
+               "noisy_taxels", Setting(unit="pad:counts", default="0:30"), check=_noisy_pad),
+    FaultEntry("taxels.force_gain", FaultKind.WRONG,
+               "each taxel feels so many times its force: the law of other foam", _force_gain,
+               "force_gain", Number("factor", 0.0, 100.0, default=0.8)),
     knob_fault("taxels.offset", FaultKind.WRONG, "so many counts come on top of each taxel", "unit",
                "offset_counts", value=Number("counts", -65_535.0, 65_535.0, default=20.0)),
     knob_fault("taxels.gain", FaultKind.WRONG, "each taxel reads so many times its counts", "unit",

@@ -22,6 +22,8 @@ class CellRequests:
 
     - ``{"place": label, "pose": {"x_m": ..}}``: ``{"pose": {..}}``, where it came to rest
     - ``{"remove": true}``: ``{"removed": true}``
+    - ``{"press": pad, "x_m": 0.0, "y_m": 0.0, "force_n": 2.0}``: ``{"pressed": pad}``, a person's
+      fingertip on a pad; ``{"lift": true}``: ``{"lifted": true}``
     - ``{"play": index}``: ``{"frames": n}`` of that recorded grasp
     - ``{"state": true}``: what is placed, forces, opening, frames left, axes, faults
     - ``{"inject": "can.loss=0.05@2s"}``: the same back; see `simulator.faults.injector`
@@ -41,6 +43,8 @@ class CellRequests:
         self._requests: dict[str, Callable[[dict[str, Any]], dict[str, Any]]] = {
             "place": self._place,
             "remove": self._remove,
+            "press": self._press,
+            "lift": self._lift,
             "play": self._play,
             "state": self._state,
             "inject": self._inject,
@@ -85,6 +89,22 @@ class CellRequests:
         _is_true(request, "remove")
         self._devices.physical.remove()
         return {"removed": True}
+
+    def _press(self, request: dict[str, Any]) -> dict[str, Any]:
+        pad = request["press"]
+        if type(pad) is not int:
+            raise SimulatorSettingsError(f"press takes the number of a pad, got {pad!r:.40}")
+        x_m, y_m = (_number(name, request.get(name, 0.0)) for name in ("x_m", "y_m"))
+        if max(abs(x_m), abs(y_m)) > _FARTHEST:
+            raise SimulatorSettingsError(f"x_m, y_m are {x_m:g}, {y_m:g}, limit {_FARTHEST:g} m")
+        force_n = _number("force_n", request.get("force_n", 2.0))
+        self._devices.physical.press(pad, x_m, y_m, force_n)
+        return {"pressed": pad}
+
+    def _lift(self, request: dict[str, Any]) -> dict[str, Any]:
+        _is_true(request, "lift")
+        self._devices.physical.lift()
+        return {"lifted": True}
 
     def _play(self, request: dict[str, Any]) -> dict[str, Any]:
         index = request["play"]

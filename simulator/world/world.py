@@ -21,6 +21,10 @@ STEP_S = 1e-3
 """Length of a step of the world in s."""
 
 
+FINGERTIP_RADIUS_M = 5e-3
+"""Radius in m of the patch in which a person's fingertip touches a pad."""
+
+
 class Fingers(Protocol):
     """Mechanics that carry the pads, as the world needs them."""
 
@@ -75,6 +79,11 @@ class PhysicalWorld:
         Foam, noise, objects.
     start_s
         Time at the start in s.
+
+    Attributes
+    ----------
+    force_gain
+        Factor on the force that each taxel feels: 1 but for pads that follow another law.
     """
 
     def __init__(
@@ -100,6 +109,8 @@ class PhysicalWorld:
         self._placed: tuple[str, ObjectPose] | None = None
         self._force_n = (0.0, 0.0)
         self._stiffness_n_m = (0.0, 0.0)
+        self._fingertip_n: NDArray[np.float64] | None = None
+        self.force_gain = 1.0
 
     @property
     def placed(self) -> tuple[str, ObjectPose] | None:
@@ -199,6 +210,57 @@ class PhysicalWorld:
         if self._press is not None:
             self._press.swell_m = 0.5 * thickness_m
 
+    def press(
+        self,
+        pad: int,
+        x_m: float,
+        y_m: float,
+        force_n: float,
+        *,
+        radius_m: float = FINGERTIP_RADIUS_M,
+    ) -> None:
+        """Press a pad with a person's fingertip, or a round stamp, in the place of the last one.
+
+        The finger that carries the pad stands: whoever presses it holds it as well.
+
+        Parameters
+        ----------
+        pad
+            Number of the pad in the layout.
+        x_m, y_m
+            Place on the pad in its plane in m.
+        force_n
+            Force in N.
+        radius_m
+            Radius in m of the round patch.
+
+        Raises
+        ------
+        SimulatorSettingsError
+            If the layout has no such pad, or nothing of the patch is on it.
+        """
+        if not 0 <= pad < self._layout.n_pads:
+            raise SimulatorSettingsError(f"pad is {pad}, must be 0 to {self._layout.n_pads - 1}")
+        if not (math.isfinite(force_n) and force_n >= 0.0):
+            raise SimulatorSettingsError(f"force_n is {force_n}, must be at least 0")
+        grid = PadGrid(self._layout.pads[pad], self._settings.foam)
+        share = 1.0 - ((grid.x_m - x_m) ** 2 + (grid.y_m - y_m) ** 2) / radius_m**2
+        pressure = np.sqrt(np.maximum(share, 0.0))
+        if not pressure.any():
+            raise SimulatorSettingsError(
+                f"x = {1e3 * x_m:.1f} mm, y = {1e3 * y_m:.1f} mm is beside the pad {grid.pad.name}"
+            )
+        pressure *= force_n / (pressure.sum() * grid.cell_area_m2)
+        everything = (slice(None), slice(None))
+        self._fingertip_n = np.zeros(self._layout.n_taxels)
+        self._fingertip_n[self._layout.taxels_of(pad)] = grid.taxel_force_n(
+            pressure, grid.shares(everything)
+        )
+
+    def lift(self) -> None:
+        """Take the fingertip away; without one nothing changes."""
+        self._fingertip_n = None
+
     def advance_to(self, now_s: float) -> None:
         """Step the fingers and the object until ``now_s`` s; a rest below a step waits."""
         fingers, press, friction_n = self._fingers, self._press, self._settings.nest_friction_n
@@ -221,7 +283,9 @@ class PhysicalWorld:
     def taxel_force_n(self) -> NDArray[np.float64]:
         """Return the force in N on each taxel at this moment, shape (n_taxels,)."""
         force_n = np.zeros(self._layout.n_taxels)
-        if self._press is not None and self._pressed:
+        if self._fingertip_n is not None:
+            force_n += self._fingertip_n
+        if self._press is not None and max(self._force_n) > 0.0:
             position_m = self._fingers.finger_position_m
             for side, taxels in enumerate(self._grip_slices):
                 force_n[taxels] = self._press.taxel_force_n(side, position_m)
@@ -244,7 +308,8 @@ class PhysicalWorld:
 
     @property
     def _pressed(self) -> bool:
-        return self._press is not None and max(self._force_n) > 0.0
+        gripped = self._press is not None and max(self._force_n) > 0.0
+        return gripped or self._fingertip_n is not None
 
     def _converted(
         self, force_n: NDArray[np.float64] | None, n: int, rng: np.random.Generator
@@ -253,7 +318,7 @@ class PhysicalWorld:
         adc_max = self._layout.adc_max
         counts = self._settings.noise.sample(rng, n, adc_max)
         if force_n is not None:
-            counts += ideal_counts(force_n, adc_max, self._settings.law)
+            counts += ideal_counts(self.force_gain * force_n, adc_max, self._settings.law)
         np.maximum(counts, 0.0, out=counts)
         np.minimum(counts, adc_max, out=counts)
         return np.rint(counts, out=counts).astype(np.uint16)

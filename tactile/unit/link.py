@@ -29,6 +29,7 @@ from tactile.unit.commissioning import (
     set_up,
     set_up_forces,
 )
+from tactile.unit.mounting import Mounting
 from tactile.unit.sdo import read_last_frame, take_unit_tare
 from tactile.unit.session import LinkSession
 from tactile.unit.settings import ExpectedIdentity, LinkSettings, LinkStatistics, NodeIdentity
@@ -90,7 +91,10 @@ class TactileLink:
         self._layout = layout
         self._clock = clock
         self._settings = settings or LinkSettings()
-        self._force_table = force_table if self._settings.force_period_s else None
+        self._mounting = Mounting(layout, self._settings.mounts)
+        # What the unit sums is of use only where it sums the pads that grip, each as it sits.
+        sums = self._settings.force_period_s and self._mounting.unit_can_sum
+        self._force_table = force_table if sums else None
         self._source: MessageSource = source or self._new_source()
         self._session = self._new_session()
         self._running = False
@@ -186,11 +190,11 @@ class TactileLink:
     def poll(self) -> tuple[TactileFrame, ...]:
         """Return the whole frames that came since the last call, oldest first; does not wait."""
         self._guarded(self._session.service)
-        return self._session.take_frames()
+        return tuple(map(self._mounting.frame, self._session.take_frames()))
 
     def take_forces(self) -> tuple[ForceMessage, ...]:
         """Return the force messages that the polls since the last call took in, oldest first."""
-        return self._session.take_forces()
+        return tuple(map(self._mounting.force, self._session.take_forces()))
 
     @property
     def sends_forces(self) -> bool:
@@ -203,11 +207,12 @@ class TactileLink:
         Raises IdentityMismatch where the unit did not keep it, and FrameTimeout where messages from
         before it still come after it. Takes tens of ms; the messages of that time are dropped.
         """
+        sent = self._mounting.zero(zero)
 
         def write() -> None:
             session = self._session
             objects = session.objects
-            objects.write(object_dictionary.FORCE_ZERO, 0, zero)
+            objects.write(object_dictionary.FORCE_ZERO, 0, sent)
             session.take_forces()
             found = objects.read(object_dictionary.FORCE_ZERO)
             old = [one for one in session.take_forces() if not one.status & ForceStatus.ZEROED]
@@ -215,7 +220,7 @@ class TactileLink:
             if late_s > self._settings.force_late_s:
                 raise session.forces_late(late_s)
             refuse_mismatch(
-                [Check(what="zero of the force", expected=zero.hex(), found=found.hex())],
+                [Check(what="zero of the force", expected=sent.hex(), found=found.hex())],
                 f"{self._session.name} did not keep its zero and so",
             )
 
@@ -241,7 +246,10 @@ class TactileLink:
         For diagnosis, and to check the path of the frame messages. Frames that come meanwhile
         are handed out by the next `poll`.
         """
-        return self._guarded(lambda: read_last_frame(self._session.objects, self._layout))
+        counter, counts = self._guarded(
+            lambda: read_last_frame(self._session.objects, self._layout)
+        )
+        return counter, self._mounting.counts(counts)
 
     def close(self) -> None:
         """Stop the frames and the receiver; does not raise on a dead bus, leaves the bus open."""

@@ -9,6 +9,7 @@ from typing import Any
 
 from tactile.frames.assembler import FrameStatistics
 from tactile.frames.force_stream import ForceStatistics
+from tactile.layout import PadMount
 from tactile.unit import object_dictionary
 
 _FORCE_TIMEOUT_SYNCS, _LEAST_FORCES = 2.0, 4.0
@@ -92,6 +93,8 @@ class LinkSettings:
     silence_s: float = setting(0.04, 0.02, 2.0)
     """Silence in s, at least, of force messages or frames that is a fault. More than two periods of
     SYNC is for a simulated unit that shares the processors of the host."""
+    mounts: tuple[PadMount, ...] = ()
+    """Pads that sit otherwise than the layout has them."""
     threaded: bool = True
     """True: a thread receives (real buses). False: `poll` asks the bus (buses in memory)."""
 

@@ -129,8 +129,10 @@ def _knobs(cell: SimulatedCell) -> Any:
     """Return all that a fault may turn."""
     devices = cell.devices
     world = devices.physical
-    identity = [devices.unit.dictionary.pretend(0x1018, 4, 1)]
-    devices.unit.dictionary.pretend(0x1018, 4, identity[0])
+    identity = []
+    for place in ((0x1018, 4), (0x2100, 3)):
+        identity.append(devices.unit.dictionary.pretend(*place, 1))
+        devices.unit.dictionary.pretend(*place, identity[-1])
     servos = [
         (
             servo.core.watchdog_stop,
@@ -150,6 +152,7 @@ def _knobs(cell: SimulatedCell) -> Any:
     axes = (drive.dead, drive.forced_switch, drive.motion.blocked, wrist.blocked)
     return (
         axes,
+        world.force_gain,
         set(wrist.bus.faults.silent),
         repr(devices.faults.can),
         repr(devices.faults.unit),
@@ -291,3 +294,65 @@ def test_a_servo_that_sits_otherwise_leaves_its_finger_where_it_is(
     assert abs(mechanics.motors[0].angle_rad - before_rad) > 0.1
     cell.injector.end(fault)
     assert mechanics.motors[0].angle_rad == pytest.approx(before_rad)
+
+
+def test_a_bus_of_another_bit_rate_is_heard_by_an_adapter_that_is_set_to_it(
+    cell: SimulatedCell,
+) -> None:
+    fault = cell.inject("can.bit_rate=250000")
+    cell.clock.sleep(0.1)
+    cell.unit.emergency(0x5000)
+    assert cell.can_bus.recv(0.1) is None
+    with pytest.raises(SimulatorSettingsError, match="bit/s"):
+        cell.inject("can.bit_rate=1")
+    bus = cell.open_can_bus(250_000)
+    cell.unit.emergency(0x5000)
+    assert bus.recv(0.1) is not None
+    assert cell.unit.settings.bitrate == 250_000
+    fault.clear()
+    cell.unit.emergency(0x5000)
+    assert bus.recv(0.1) is None
+    assert cell.unit.settings.bitrate == 1_000_000
+
+
+def test_pads_that_sit_otherwise_and_noisy_ones_show_in_the_scan(cell: SimulatedCell) -> None:
+    world, faults = cell.devices.physical, cell.devices.faults.unit
+
+    def sent() -> np.ndarray:
+        return faults.apply(world.scan(), 4095).reshape(2, 13, 6).astype(int)
+
+    def highest() -> tuple[int, ...]:
+        mean = np.mean([sent()[0] for _ in range(10)], axis=0)
+        return tuple(map(int, np.unravel_index(mean.argmax(), (13, 6))))
+
+    world.press(0, 15e-3, 7e-3, 3.0)
+    row, column = highest()
+    assert row > 6
+    assert column > 3
+    mirrored = {
+        "taxels.rows_mirrored": (12 - row, column),
+        "taxels.columns_mirrored": (row, 5 - column),
+        "taxels.turned": (12 - row, 5 - column),
+    }
+    for name, place in mirrored.items():
+        fault = cell.inject(f"{name}=0")
+        assert highest() == place
+        fault.clear()
+    world.lift()
+    quiet = np.std([sent() for _ in range(30)], axis=0)
+    noisy = cell.inject("taxels.noisy=1:400")
+    loud = np.std([sent() for _ in range(30)], axis=0)
+    assert loud[0].mean() == pytest.approx(quiet[0].mean(), rel=0.2)
+    assert loud[1].mean() > 1.5 * quiet[1].mean()
+    noisy.clear()
+    with pytest.raises(SimulatorSettingsError, match="pads are 0 to 1"):
+        cell.inject("taxels.noisy=2:400")
+
+
+def test_pads_of_another_law_feel_another_force(cell: SimulatedCell) -> None:
+    world = cell.devices.physical
+    world.press(0, 0.0, 0.0, 2.0)
+    before = np.mean([world.scan().astype(float) for _ in range(20)], axis=0).max()
+    cell.inject("taxels.force_gain=0.5")
+    after = np.mean([world.scan().astype(float) for _ in range(20)], axis=0).max()
+    assert after < 0.8 * before

@@ -55,6 +55,23 @@ def test_objects_are_placed_and_the_reply_says_where_they_rest(
     assert devices.physical.placed is None
 
 
+def test_a_fingertip_presses_a_pad_and_lifts(requests: CellRequests, devices: CellDevices) -> None:
+    assert requests({"press": 3, "x_m": 0.02, "force_n": 1.5}) == {"pressed": 3}
+    force_n = devices.physical.taxel_force_n()
+    assert force_n.sum() == pytest.approx(1.5)
+    assert set(devices.settings.layout.taxel_pad[force_n > 1e-6]) == {3}
+    assert requests({"lift": True}) == {"lifted": True}
+    assert devices.physical.taxel_force_n().sum() == 0.0
+    for wrong in (
+        {"press": 10},
+        {"press": "a"},
+        {"press": 0, "x_m": 1.0},
+        {"press": 0, "y_m": 1e9},
+    ):
+        with pytest.raises(SimulatorSettingsError):
+            requests(wrong)
+
+
 def test_recorded_grasps_are_played_by_number() -> None:
     grasp = RecordedGrasp(counts=np.zeros((4, 156), np.uint16), aperture_m=np.full(4, 0.02))
     devices = CellDevices(SimulatorSettings(layout=pinch_layout(), grasps=(grasp,)))

@@ -1,0 +1,87 @@
+"""Pads that sit otherwise than the layout has them: samples and forces in both orders. Pure."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactile.frames.codec import TactileFrame
+from tactile.frames.force_message import ForceMessage, decode_zero, encode_zero
+from tactile.layout import PadMount, TaxelLayout, taxel_order
+
+
+class Mounting:
+    """Turns what a control unit sends into the order of the layout, and back.
+
+    Parameters
+    ----------
+    layout
+        The taxels.
+    mounts
+        Pads that sit otherwise; without any, all passes through as it is.
+
+    Attributes
+    ----------
+    unit_can_sum
+        Whether the unit's force messages are of use: it sums the two pads that it takes for the
+        gripping ones, and gives one centre for both.
+
+    Raises
+    ------
+    LayoutError
+        As `tactile.layout.taxel_order`.
+    """
+
+    def __init__(self, layout: TaxelLayout, mounts: Sequence[PadMount]) -> None:
+        self._adc_max = layout.adc_max
+        self._order = taxel_order(layout, mounts) if mounts else None
+        gripping = layout.gripping_pads
+        by_pad = {mount.pad: mount for mount in mounts}
+        first, second = (by_pad.get(pad, PadMount(pad=pad, sent_as=pad)) for pad in gripping)
+        self._exchanged = (first.sent_as, second.sent_as) == gripping[::-1]
+        turns = {(one.rows_mirrored, one.columns_mirrored) for one in (first, second)}
+        self.unit_can_sum = {first.sent_as, second.sent_as} == set(gripping) and len(turns) == 1
+        self._signs = (-1 if first.rows_mirrored else 1, -1 if first.columns_mirrored else 1)
+        own = np.concatenate([np.arange(layout.n_taxels)[layout.taxels_of(p)] for p in gripping])
+        order = own if self._order is None else self._order[own]
+        place = np.full(layout.n_taxels, -1)
+        place[own] = np.arange(len(own))
+        # Where the unit has each taxel of the layout's gripping pads among those that it sums.
+        self._zero_order = place[order] if self.unit_can_sum else np.arange(len(own))
+
+    def counts(self, counts: NDArray[np.uint16]) -> NDArray[np.uint16]:
+        """Return samples (n_taxels,) of the unit in the order of the layout."""
+        if self._order is None:
+            return counts
+        ordered: NDArray[np.uint16] = counts[self._order]
+        ordered.setflags(write=False)
+        return ordered
+
+    def frame(self, frame: TactileFrame) -> TactileFrame:
+        """Return a frame of the unit in the order of the layout."""
+        if self._order is None:
+            return frame
+        return replace(frame, counts=self.counts(frame.counts))
+
+    def force(self, message: ForceMessage) -> ForceMessage:
+        """Return a force message of the unit with the forces of the layout's fingers."""
+        if self._order is None:
+            return message
+        first_n, second_n = message.force_n
+        centre = message.centre_taxels
+        along, across = self._signs
+        return replace(
+            message,
+            force_n=(second_n, first_n) if self._exchanged else message.force_n,
+            centre_taxels=None if centre is None else (along * centre[0], across * centre[1]),
+        )
+
+    def zero(self, zero: bytes) -> bytes:
+        """Return object 0x2142 for the unit, given in the order of the layout."""
+        if self._order is None:
+            return zero
+        touch, counts, bad = decode_zero(zero, len(self._zero_order), self._adc_max)
+        sent, sent_bad = np.empty_like(counts), np.empty_like(bad)
+        sent[self._zero_order], sent_bad[self._zero_order] = counts, bad
+        return encode_zero(touch, sent, sent_bad, self._adc_max)
