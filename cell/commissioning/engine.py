@@ -6,7 +6,7 @@ cell's folder, and the next run begins with the first step that is not done.
 
 import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
@@ -105,7 +105,7 @@ class Finding:
     settings: Mapping[str, Any] = field(default_factory=dict)
     """Values of the config by dotted key, as ``{"gripper.baud_rate": 1000000}``."""
     figures: Mapping[str, bytes | Mapping[str, Any]] = field(default_factory=dict)
-    """Pictures by name: PNG or SVG bytes, or the numbers to draw one from (JSON)."""
+    """Pictures by name: PNG or SVG bytes, or one of `cell.commissioning.figures`."""
 
 
 class Dialog(Protocol):
@@ -192,6 +192,31 @@ class Entry:
     """Wall-clock times (ISO 8601, UTC)."""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Approved:
+    """A write or motion that a person approved; kept also where the step was left or redone."""
+
+    step: str
+    """Key of the step."""
+    at: str
+    """Wall-clock time (ISO 8601, UTC)."""
+    write: Write
+
+
+class _Logged:
+    """A dialog that logs what is approved; implements `Dialog`."""
+
+    def __init__(self, dialog: Dialog, log: Callable[[Sequence[Write]], None]) -> None:
+        self.begin, self.found, self.say = dialog.begin, dialog.found, dialog.say
+        self.live, self.ask = dialog.live, dialog.ask
+        self._approve, self._log = dialog.approve, log
+
+    def approve(self, writes: Sequence[Write]) -> None:
+        """Log the writes once they are approved."""
+        self._approve(writes)
+        self._log(writes)
+
+
 class Engine:
     """Steps in their order, and what they found so far.
 
@@ -228,7 +253,7 @@ class Engine:
                 raise CellError(f"step {step.key} needs {', '.join(missing)} before it")
             known.append(step.key)
         self.path = bench.folder / STORE_NAME
-        kept = _read_entries(self.path)
+        kept, self.approved = _read(self.path)
         self.entries: dict[str, Entry] = {k: kept[k] for k in known if k in kept}
         self._fill_bench()
 
@@ -283,8 +308,13 @@ class Engine:
         return (config, schema, *self._finish(self))
 
     def _run(self, step: Step, dialog: Dialog) -> None:
+        def log(writes: Sequence[Write]) -> None:
+            at = _now()
+            self.approved += [Approved(step=step.key, at=at, write=write) for write in writes]
+            self._store()
+
         began = _now()
-        finding = step.run(self.bench, dialog)
+        finding = step.run(self.bench, _Logged(dialog, log))
         self.entries[step.key] = Entry(finding=finding, began=began, ended=_now())
         self._store()
         dialog.found(step, self.entries[step.key].finding)
@@ -330,7 +360,8 @@ class Engine:
             }
             for key, entry in self.entries.items()
         }
-        text = json.dumps({"version": _VERSION, "steps": steps}, indent=2, allow_nan=False) + "\n"
+        content = {"version": _VERSION, "steps": steps, "approved": [*map(asdict, self.approved)]}
+        text = json.dumps(content, indent=2, allow_nan=False) + "\n"
         write_text(self.path, text, error=CellError, what="findings")
         self._fill_bench()
 
@@ -361,8 +392,8 @@ def _stored(folder: Path, step: str, name: str, figure: Any) -> Any:
     return {"file": file}
 
 
-def _read_entries(path: Path) -> dict[str, Entry]:
-    """Return the entries of commissioning.json; none where there is no such file."""
+def _read(path: Path) -> tuple[dict[str, Entry], list[Approved]]:
+    """Return entries and log of commissioning.json; none where there is no such file."""
     try:
         data = json.loads(path.read_text("utf-8"))
         if data["version"] != _VERSION:
@@ -370,7 +401,7 @@ def _read_entries(path: Path) -> dict[str, Entry]:
                 f"{path} is of version {data['version']}, this program reads {_VERSION}: "
                 "move it away to commission anew"
             )
-        return {
+        entries = {
             key: Entry(
                 finding=Finding(
                     status=Verdict(item["status"]),
@@ -384,10 +415,15 @@ def _read_entries(path: Path) -> dict[str, Entry]:
             )
             for key, item in data["steps"].items()
         }
+        approved = [
+            Approved(step=item["step"], at=item["at"], write=Write(**item["write"]))
+            for item in data["approved"]
+        ]
     except FileNotFoundError:
-        return {}
+        return {}, []
     except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
         raise CellError(
             f"{path} cannot be read ({type(error).__name__}: {error}): move it away to commission "
             "anew"
         ) from error
+    return entries, approved

@@ -5,6 +5,7 @@ A picture holds one path for each of `N_SHADES` shades (CSS classes ``s1`` to ``
 """
 
 from dataclasses import dataclass
+from html import escape
 
 import numpy as np
 from numpy.typing import NDArray
@@ -76,7 +77,9 @@ def _picture(
         finger=view.finger,
         peak=peak,
         touched=peak > UNTOUCHED_SHARE * pads.adc_max,
-        svg=_svg(pads.taxel_xy_m[taxels] * 1e3, values, full),
+        svg=pad_svg(
+            pads.taxel_xy_m[taxels] * 1e3, values, full, f"pressure map, peak {peak:.0f} counts"
+        ),
     )
 
 
@@ -85,7 +88,22 @@ def _pitch_mm(places_mm: NDArray[np.float64]) -> float:
     return float(steps.min()) if len(steps) else 0.0
 
 
-def _svg(xy_mm: NDArray[np.float64], values: NDArray[np.float64], full: float) -> str:
+def pad_svg(
+    xy_mm: NDArray[np.float64], values: NDArray[np.float64], full: float, label: str
+) -> str:
+    """Return one pad as SVG.
+
+    Parameters
+    ----------
+    xy_mm : (n, 2) float64
+        Places of the taxels in mm.
+    values : (n,) float64
+        Their values; 0 and less is the lightest shade.
+    full
+        Value of the darkest shade.
+    label
+        The picture in words.
+    """
     pitch_x, pitch_y = _pitch_mm(xy_mm[:, 0]), _pitch_mm(xy_mm[:, 1])
     pitch_x, pitch_y = pitch_x or pitch_y or 1.0, pitch_y or pitch_x or 1.0
     left, top = xy_mm.min(axis=0) - 0.5 * np.array([pitch_x, pitch_y])
@@ -100,5 +118,5 @@ def _svg(xy_mm: NDArray[np.float64], values: NDArray[np.float64], full: float) -
         paths.append(f'<path class="s{shade}" d="{d}"/>')
     return (
         f'<svg class="pad" viewBox="0 0 {width:.4g} {height:.4g}" role="img" '
-        f'aria-label="pressure map, peak {values.max():.0f} counts">{"".join(paths)}</svg>'
+        f'aria-label="{escape(label)}">{"".join(paths)}</svg>'
     )

@@ -1,0 +1,125 @@
+"""Record of a commissioning: one HTML file with every step, write and picture, to sign and file."""
+
+import platform
+from base64 import b64encode
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from cell.commissioning.engine import Engine, Entry, Verdict
+from cell.commissioning.figures import svg
+from cell.data.files import write_text
+from cell.errors import CellError
+from cell.report.page import page_template
+
+RECORD_NAME = "commissioning.html"
+"""File in the cell's folder."""
+_HARDWARE = ("serial", "firmware", "model", "revision", "hardware", "layout")
+"""Parts of the names of values that say which hardware was commissioned."""
+_LONGEST_LIST = 8
+"""Numbers of a list that are printed; longer ones are in the figures, or in commissioning.json."""
+_CLASSES = {Verdict.PASS: "ok", Verdict.WARN: "warn", Verdict.FAIL: "bad"}
+"""Style of each verdict."""
+_MEDIA = {".png": "image/png", ".svg": "image/svg+xml"}
+
+
+def write_record(engine: Engine) -> tuple[Path, ...]:
+    """Write the record of what the engine has found so far; return its path.
+
+    Raises
+    ------
+    CellError
+        If the disk refuses, or the packages of the extra ``report`` are missing (ReportError).
+    """
+    path = engine.bench.folder / RECORD_NAME
+    write_text(path, render_record(engine), error=CellError, what="record")
+    return (path,)
+
+
+def render_record(engine: Engine) -> str:
+    """Return the record as HTML that needs nothing else: no script, no font, no network."""
+    folder = engine.bench.folder
+    steps = [
+        _step_view(engine, number, step.key, step.title, step.undo)
+        for number, step in enumerate(engine.steps, start=1)
+    ]
+    verdicts = [entry.finding.status for entry in engine.entries.values()]
+    ends = [entry.ended for entry in engine.entries.values()]
+    return page_template("commissioning.html.j2").render(
+        cell=engine.bench.config.name,
+        began=min((entry.began for entry in engine.entries.values()), default=""),
+        ended=max(ends, default=""),
+        program=f"tactile-cell {version('tactile-cell')}",
+        machine=f"{platform.node()}, {platform.system()} {platform.release()}, "
+        f"Python {platform.python_version()}",
+        counts=[(_CLASSES[v], v.value, verdicts.count(v)) for v in Verdict],
+        n_steps=len(engine.steps),
+        hardware=[
+            (f"{step}: {name}", value)
+            for step, entry in engine.entries.items()
+            for name, value in _flat(entry.finding.values)
+            if any(part in name.lower() for part in _HARDWARE)
+        ],
+        steps=steps,
+        settings=[(name, _text(value)) for name, value in engine.bench.settings.items()],
+        folder=folder.resolve(),
+    )
+
+
+def _step_view(engine: Engine, number: int, key: str, title: str, undo: str) -> dict[str, Any]:
+    entry = engine.entries.get(key)
+    view: dict[str, Any] = {"number": number, "key": key, "title": title, "undo": undo}
+    view["writes"] = [
+        {"at": one.at, **asdict(one.write)} for one in engine.approved if one.step == key
+    ]
+    if entry is None:
+        empty = dict.fromkeys(("lines", "measured", "figures", "began"), ())
+        return view | empty | {"state": "", "status": "not done"}
+    finding = entry.finding
+    return view | {
+        "state": _CLASSES[finding.status],
+        "status": finding.status.value,
+        "began": entry.began,
+        "ended": entry.ended,
+        "lines": finding.lines,
+        "measured": list(_flat(finding.values)),
+        "figures": list(_figures(engine.bench.folder, key, entry)),
+    }
+
+
+def _figures(folder: Path, key: str, entry: Entry) -> Iterator[tuple[str, str]]:
+    """Yield the title and the HTML of each figure of a step."""
+    for name, figure in entry.finding.figures.items():
+        if isinstance(figure, Mapping) and "file" in figure:
+            path = folder / str(figure["file"])
+            try:
+                data = b64encode(path.read_bytes()).decode("ascii")
+            except OSError as error:
+                raise CellError(f"the figure {path} cannot be read: {error}") from error
+            media = _MEDIA[path.suffix]
+            yield name, f'<img class="plot" alt="" src="data:{media};base64,{data}">'
+        elif isinstance(figure, Mapping):
+            yield str(figure["title"]), svg(figure, f"{key}-{name}")
+
+
+def _flat(values: Mapping[str, Any], way: str = "") -> Iterator[tuple[str, str]]:
+    """Yield the name and text of each value, those of nested mappings by a dotted name."""
+    for name, value in values.items():
+        place = f"{way}.{name}" if way else str(name)
+        if isinstance(value, Mapping):
+            yield from _flat(value, place)
+        elif isinstance(value, list | tuple) and value and isinstance(value[0], Mapping):
+            for number, one in enumerate(value):
+                yield from _flat(one, f"{place}.{number}")
+        elif not (isinstance(value, list | tuple) and len(value) > _LONGEST_LIST):
+            yield place, _text(value)
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    if isinstance(value, list | tuple):
+        return ", ".join(map(_text, value))
+    return str(value)
