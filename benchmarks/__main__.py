@@ -27,7 +27,7 @@ BENCHMARKS = {
         "sequences",
         "shape_size",
     ),
-    "paper": ("full_sweep", "invariance", "numerics", "reproduction", "sweep"),
+    "paper": ("invariance", "numerics", "reproduction"),
 }
 """Chapter -> the benchmarks in it: modules whose ``main(effort=1.0)`` prints their figures."""
 

@@ -12,7 +12,6 @@ import numpy as np
 from benchmarks._measure import line, repeats, same, timed
 from benchmarks.paper import _solvers
 from recognition.quadric.quadric import height_field_matrix
-from recognition.quadric.trajectory import SweepSettings, sweep
 
 SOLVERS = {
     "characteristic polynomial": _solvers.closed_form,
@@ -79,12 +78,6 @@ def errors_of(name: str, matrices: np.ndarray, reference: np.ndarray) -> tuple[n
     return np.where(np.isfinite(error), error, np.inf), each_s
 
 
-def swept(matrices: np.ndarray, reference: np.ndarray) -> np.ndarray:
-    """Return the errors of the sweep's own solver, with one pose each."""
-    still = SweepSettings(scale=np.ones(1), translation=np.zeros(1), angle_rad=np.zeros(1))
-    return np.abs(sweep(matrices, still).value[:, 0] / np.abs(reference[:, 0]) - 1.0)
-
-
 def figures(error: np.ndarray) -> str:
     """Return median, worst, and how many are off by more than the noise that levels bear."""
     return f"{np.median(error):10.1e}{error.max():10.1e}{np.mean(error > _UNUSABLE):9.1%}"
@@ -106,7 +99,6 @@ def main(effort: float = 1.0) -> None:
             single, _ = errors_of(name, narrowed, of_narrowed)
             worst.setdefault(name, float(error.max()))
             print(f"  {name:<26}{figures(error)}{1e9 * each_s:8.0f}{figures(single)}")
-        print(f"  {'arrow, Laguerre (sweep)':<26}{figures(swept(matrices, reference))}")
     same(worst["QR, symmetric (eigvalsh)"] < _ALLOWED, "eigvalsh is off on graded matrices")
     by = worst["characteristic polynomial"] / worst["QR, symmetric (eigvalsh)"]
     print()

@@ -1,14 +1,13 @@
 """The paper's Algorithm 1: sweep the taught quadrics through poses, then check a level.
 
 The values stand in the order of the printed loops (scale, translation, rotation, the last
-innermost). What the printed text leaves open is a setting with a default. No matrix is formed: a
-pose is reduced to what its eigenvalues depend on, each distinct one is solved once, and the value
-is written wherever it belongs.
+innermost). What the printed text leaves open is a setting with a default.
 """
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from enum import StrEnum
+from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,25 +15,21 @@ from numpy.typing import ArrayLike, NDArray
 from recognition.errors import TrajectoryError
 from recognition.quadric.eigen import (
     Reading,
-    SmallestEigenvalue,
+    ascending,
     check_symmetric,
     smallest_eigenvalue,
+    smallest_of,
 )
-from recognition.quadric.quadric import DEFAULT_ORDER, check_order
-from recognition.quadric.sweep import (
-    ArrowForm,
-    arrow_form,
-    groups,
-    in_printed_order,
-    points,
-    rotates_translation,
-    scales_translation,
+from recognition.quadric.quadric import (
+    DEFAULT_ORDER,
+    by_inverse,
+    check_order,
+    compose,
+    rotation_xyz,
+    scaling,
+    translation,
 )
-from recognition.quadric.sweep_roots import smallest_of_arrow
 from recognition.quadric.thresholds import check_level, find_thresholds, with_noise
-
-_BLOCK = 8_192
-"""Matrices at a time: the arrays of the solver then stay in the processor's cache."""
 
 
 class Axes(StrEnum):
@@ -142,48 +137,37 @@ def sweep(D: ArrayLike, settings: SweepSettings = PAPER_SWEEP) -> Trajectory:
     D = check_symmetric(D)
     if D.ndim != 3 or D.shape[1:] != (4, 4):
         raise TrajectoryError(f"taught quadrics have shape {D.shape}, expected (n_objects, 4, 4)")
-    u = in_printed_order(
-        points(settings.translation, 2, separate=settings.translation_axes is Axes.SEPARATE),
-        points(settings.angle_rad, 3, separate=settings.rotation_axes is Axes.SEPARATE),
-        rotated=rotates_translation(settings.order),
-    )
     value = np.empty((len(D), settings.n_evaluations))
     degenerate = np.empty(value.shape, dtype=np.bool_)
-    for index, Q in enumerate(D):
-        form = arrow_form(Q)
-        features = form.features(u)
-        first, group = groups(features)
-        found = _over_scales(form, features[:, first], settings)
-        shape = (len(settings.scale), len(u))
-        np.take(found.value, group, axis=1, out=value[index].reshape(shape))
-        np.take(found.degenerate, group, axis=1, out=degenerate[index].reshape(shape))
+    begin = 0
+    for M_inv in inverse_poses(settings):
+        part = np.s_[:, begin : begin + len(M_inv)]
+        found = smallest_of(ascending(by_inverse(D[:, None], M_inv)), settings.reading)
+        value[part], degenerate[part] = found.value, found.degenerate
+        begin += len(M_inv)
     return Trajectory(value=value, degenerate=degenerate, settings=settings)
 
 
-def _over_scales(
-    form: ArrowForm, features: NDArray[np.float64], settings: SweepSettings
-) -> SmallestEigenvalue:
-    """Return the smallest eigenvalues of all scales (rows) and features (columns)."""
-    shape = (len(settings.scale), features.shape[1])
-    value, degenerate = np.empty(shape), np.empty(shape, dtype=np.bool_)
-    for rows, columns in blocks(*shape):
-        arrow = form.arrow(
-            features[:, columns],
-            settings.scale[rows],
-            scaled_shift=scales_translation(settings.order),
-        )
-        found = smallest_of_arrow(arrow, settings.reading).smallest
-        value[rows, columns], degenerate[rows, columns] = found.value, found.degenerate
-    return SmallestEigenvalue(value=value, degenerate=degenerate)
+def inverse_poses(settings: SweepSettings) -> Iterator[NDArray[np.float64]]:
+    """Yield M^-1 of all poses of each scale, (n, 4, 4), in the order of the printed loops."""
+    shift = _points(settings.translation, 2, settings.translation_axes)
+    turn = _points(settings.angle_rad, 3, settings.rotation_axes)
+    back = translation(np.column_stack([-shift, np.zeros(len(shift))]))[:, None]
+    turned = np.swapaxes(rotation_xyz(turn), -1, -2)
+    for factor in settings.scale:
+        yield compose(
+            translate=back,
+            rotate=turned,
+            scale=scaling(1.0 / factor),
+            order=settings.order[::-1],
+        ).reshape(-1, 4, 4)
 
 
-def blocks(n_rows: int, n_columns: int) -> Iterator[tuple[slice, slice]]:
-    """Yield parts of a table that fit the cache, row by row where it is wide."""
-    width = min(n_columns, _BLOCK)
-    height = max(1, _BLOCK // max(width, 1))
-    for column in range(0, n_columns, width):
-        for row in range(0, n_rows, height):
-            yield slice(row, row + height), slice(column, column + width)
+def _points(values: NDArray[np.float64], n_axes: int, axes: Axes) -> NDArray[np.float64]:
+    """Return a loop's points, (n, n_axes): its value on all axes, or a loop for each axis."""
+    if axes is Axes.SEPARATE:
+        return np.array(list(product(values, repeat=n_axes)))
+    return np.repeat(values[:, None], n_axes, axis=1)
 
 
 def contact_classify(

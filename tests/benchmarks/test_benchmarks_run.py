@@ -15,7 +15,6 @@ from threadpoolctl import threadpool_limits
 import benchmarks
 from benchmarks import __main__ as command
 from benchmarks._measure import in_turns, ratio, same
-from benchmarks.paper import sweep
 from benchmarks.performance import identify
 
 pytestmark = pytest.mark.no_cover  # to count lines takes as long again as to run them
@@ -48,7 +47,7 @@ def test_it_prints_its_ratios(
 
 
 def test_the_command_names_what_there_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    assert {"identify", "sweep"} <= set(MODULES)
+    assert {"identify", "numerics"} <= set(MODULES)
     monkeypatch.setattr(sys, "argv", ["benchmarks", "nothing"])
     with pytest.raises(SystemExit, match=", ".join(MODULES)):
         command.main()
@@ -60,13 +59,6 @@ def test_alternatives_take_turns_and_begin_in_turn() -> None:
     assert "".join(order) == "abcbca"
     assert found == {"a": ["a", "a"], "b": ["b", "b"], "c": ["c", "c"]}
     assert ratio([1.0, 9.0, 4.0], [1.0, 3.0, 2.0]) == 2.0
-
-
-def test_matrices_that_differ_end_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    right = sweep.plain_matrix
-    monkeypatch.setattr(sweep, "plain_matrix", lambda a, b, c: right(1.001 * a, b, c))
-    with pytest.raises(SystemExit, match="the values differ"):
-        sweep.main(EFFORT)
 
 
 def test_a_recogniser_that_changes_its_mind_ends_it(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -59,8 +59,3 @@ def test_what_the_study_states():
     polynomial, _ = numerics.errors_of("characteristic polynomial", narrowed, reference)
     assert np.mean(symmetric > 0.08) == 0.0
     assert np.mean(polynomial > 0.08) > 0.5
-
-
-def test_the_sweep_keeps_caps_to_the_last_digit():
-    caps = numerics.families(40)["caps, form (7)"]
-    assert numerics.swept(caps, numerics.precise(caps)).max() < 1e-14
