@@ -210,10 +210,13 @@ def open_servo_port(cell: SimulatedCell) -> ByteStream:
         raise PortLost(str(error)) from error
 
 
-def open_can_bus(cell: SimulatedCell) -> CanBus:
-    """Open the CAN bus of a simulated cell anew. Raises BusNotOpened while its adapter is out."""
+def open_can_bus(cell: SimulatedCell, bitrate: int | None = None) -> CanBus:
+    """Open the CAN bus of a simulated cell anew, with the adapter set to ``bitrate`` in bit/s.
+
+    Raises BusNotOpened while its adapter is out.
+    """
     try:
-        return cell.open_can_bus()
+        return cell.open_can_bus(bitrate)
     except SimulatorError as error:
         raise BusNotOpened(str(error)) from error
 

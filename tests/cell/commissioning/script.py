@@ -109,4 +109,4 @@ class SimulatedLines:
         return open_servo_port(self.cell)
 
     def open_can(self, interface: str, channel: str, bitrate: int) -> CanBus:
-        return open_can_bus(self.cell)
+        return open_can_bus(self.cell, bitrate)

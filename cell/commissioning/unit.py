@@ -1,0 +1,359 @@
+"""The control unit: its CAN interface and bit rate, its node-ID, its identity and its taxels."""
+
+import json
+import math
+import subprocess
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, get_args
+
+from cell.commissioning.bench import Bench
+from cell.commissioning.engine import (
+    Choice,
+    Dialog,
+    Finding,
+    Question,
+    Verdict,
+    Write,
+)
+from cell.config.section import SIMULATED
+from cell.config.tactile import TactileConfig, layout_from_config, link_settings
+from cell.errors import ConfigError
+from tactile.can.bus import CanBus
+from tactile.errors import TactileError
+from tactile.frames.codec import FrameFormat
+from tactile.layout import LAYOUTS, TaxelLayout
+from tactile.sensor.opening import open_sensor
+from tactile.unit.commissioning import Check, identity_checks
+from tactile.unit.search import FoundUnit, Heard, listen, read_unit, read_vendor, scan
+from tactile.unit.settings import ExpectedIdentity
+
+KEY = "unit"
+"""Name of the step."""
+BIT_RATES: tuple[int, ...] = tuple(
+    sorted(get_args(TactileConfig.model_fields["bitrate"].annotation), reverse=True)
+)
+"""Bit rates that are tried, in bit/s: those of the config, the fastest first."""
+_LISTEN_S = 0.5
+"""Time in s for which each bit rate is listened to: five heartbeats of a unit that was set up."""
+_MESSAGE_BITS = 135
+"""Longest message of 8 data bytes on the wire in bits, all stuff bits included (ISO 11898-1)."""
+_BURST_SHARE = 0.85
+"""Share of the period of SYNC in which a burst has to be through; see `LinkSettings.window_s`."""
+_CAN_INTERFACE = "280"
+"""Type of a CAN network interface in sysfs (ARPHRD_CAN of linux/if_arp.h)."""
+_FRAMES = 10
+"""Frames that show that the link runs."""
+
+
+@dataclass(frozen=True, slots=True)
+class FindUnit:
+    """Step that finds the control unit, sets it up as each start does, and keeps who it is."""
+
+    key = KEY
+    title = "Control unit and its CAN bus"
+    purpose = (
+        "Finds the CAN interface, its bit rate, the node-ID of the control unit, its identity and "
+        "its taxels. Other devices on the same bus may be disturbed for some seconds. Nothing "
+        "moves; what is set in the unit is shown before, and is gone when it is switched off."
+    )
+    needs: tuple[str, ...] = ()
+    undo = "Switch the control unit off and on: nothing is stored in it."
+
+    def run(self, bench: Bench, dialog: Dialog) -> Finding:
+        """Carry it out; see `Step.run`."""
+        lines: list[str] = []
+        try:
+            return self._run(bench, dialog, lines)
+        except (_Unusable, TactileError) as why:
+            return Finding(status=Verdict.FAIL, lines=(*lines, str(why)))
+
+    def _run(self, bench: Bench, dialog: Dialog, lines: list[str]) -> Finding:
+        interface, channel = _interface(bench, dialog)
+        bitrate, heard, how = _bit_rate(bench, dialog, interface, channel)
+        lines.append(f"Bit rate {bitrate:,} bit/s on {channel} ({interface}), found by {how}.")
+        settings: dict[str, Any] = {
+            "tactile.interface": interface,
+            "tactile.channel": channel,
+            "tactile.bitrate": bitrate,
+        }
+        with bench.can_bus(interface, channel, bitrate) as bus:
+            node_id = _node(bus, heard, dialog, lines)
+            unit = read_unit(bus, node_id)
+            layout, warned = _judge(unit, bench, lines, settings)
+            settings |= _period(layout, bitrate, bench, lines)
+            changes = {key.removeprefix("tactile."): value for key, value in settings.items()}
+            tactile = bench.tactile(**changes)
+            dialog.approve(_writes(unit, tactile))
+            lines.append(_started(bus, tactile, layout))
+        return Finding(
+            status=Verdict.WARN if warned else Verdict.PASS,
+            lines=tuple(lines),
+            values=_values(unit, bitrate, heard),
+            settings=settings,
+        )
+
+
+class _Unusable(Exception):
+    """Without a unit that can be used the step ends; the message has the cause and what to do."""
+
+
+def _interface(bench: Bench, dialog: Dialog) -> tuple[str, str]:
+    """Return interface and channel: as given, the only one there is, or as the person says."""
+    known: dict[str, Any] = {**bench.settings, **bench.given}
+    interface, channel = known.get("tactile.interface"), known.get("tactile.channel")
+    if interface and interface != SIMULATED:
+        return str(interface), str(channel or "")
+    servos = known.get("gripper.port")
+    places = [("socketcan", name) for name in _network_interfaces()]
+    places += [("slcan", port) for port in bench.lines.serial_ports() if port != servos]
+    if not places:
+        raise _Unusable(
+            "No CAN interface was found: neither a network interface of CAN (`ip link`) nor a "
+            "serial port that the servos do not use. Plug the adapter in; for SocketCAN "
+            "`ip link set can0 up type can bitrate 1000000`."
+        )
+    if len(places) == 1:
+        return places[0]
+    answer = dialog.ask(
+        Question(
+            key="unit.interface",
+            text="Which CAN interface leads to the control unit?",
+            choices=tuple(
+                Choice(key=f"{kind} {name}", text=f"{name} ({kind})") for kind, name in places
+            ),
+            default=" ".join(places[0]),
+        )
+    )
+    kind, _, name = str(answer).partition(" ")
+    return kind, name
+
+
+def _network_interfaces() -> list[str]:
+    """Return the names of the system's CAN interfaces."""
+    found = []
+    for path in sorted(Path("/sys/class/net").glob("*/type")):
+        try:
+            if path.read_text("ascii").strip() == _CAN_INTERFACE:
+                found.append(path.parent.name)
+        except OSError:
+            continue
+    return found
+
+
+def _system_bit_rate(interface: str, channel: str) -> int | None:
+    """Return the bit rate in bit/s that the system has set; None where the adapter takes one."""
+    if interface != "socketcan":
+        return None
+    try:
+        shown = subprocess.run(
+            ["ip", "-details", "-json", "link", "show", channel],
+            capture_output=True,
+            text=True,
+            check=True,
+            timeout=2.0,
+        ).stdout
+        rate = json.loads(shown)[0]["linkinfo"]["info_data"]["bittiming"]["bitrate"]
+    except (OSError, subprocess.SubprocessError, ValueError, LookupError, TypeError):
+        return None
+    return int(rate)
+
+
+def _bit_rate(bench: Bench, dialog: Dialog, interface: str, channel: str) -> tuple[int, Heard, str]:
+    """Return the bit rate at which something is heard: by listening first, and then by asking."""
+    fixed = _system_bit_rate(interface, channel)
+    rates = BIT_RATES if fixed is None else (fixed,)
+    for how in ("listening", "asking each node-ID"):
+        for rate in rates:
+            dialog.live("bit rate", f"{rate:,} bit/s, {how}")
+            with bench.can_bus(interface, channel, rate) as bus:
+                heard = listen(bus, _LISTEN_S) if how == "listening" else scan(bus)
+            if heard.messages:
+                return rate, heard, how
+    tried = ", ".join(f"{rate:,}" for rate in rates)
+    remedy = (
+        "a unit of another bit rate has to be set to one of these"
+        if fixed is None
+        else "the interface has the bit rate that the system gave it: set it to that of the unit "
+        f"with `ip link set {channel} down`, then `ip link set {channel} up type can bitrate RATE`"
+    )
+    raise _Unusable(
+        f"Nobody is heard and nobody answers on {channel} ({interface}) at {tried} bit/s. Check "
+        "the supply of the control unit, CAN_H and CAN_L, the common ground and both terminating "
+        f"resistors (60 Ohm between CAN_H and CAN_L, switched off); {remedy}."
+    )
+
+
+def _node(bus: CanBus, heard: Heard, dialog: Dialog, lines: list[str]) -> int:
+    """Return the node-ID of the control unit among those who are there."""
+    expected = ExpectedIdentity()
+    units, others = [], []
+    for node in sorted({*heard.nodes, *scan(bus).nodes}):
+        try:
+            vendor, product = read_vendor(bus, node)
+        except TactileError as error:
+            others.append(f"node {node} does not answer ({error})")
+            continue
+        if (vendor, product) == (expected.vendor_id, expected.product_code):
+            units.append(node)
+        else:
+            others.append(
+                f"node {node} is another device: vendor {vendor:#x}, product {product:#x}"
+            )
+    if not units:
+        there = "; ".join(others) or f"{heard.messages} messages were heard and no node answers"
+        raise _Unusable(
+            f"No control unit is on the bus: {there}. A control unit of this software has vendor "
+            f"{expected.vendor_id:#x}, product {expected.product_code:#x} (object 1018h): check "
+            "which device is plugged in, its supply and its firmware."
+        )
+    lines += [f"Beside it, {other}." for other in others]
+    if len(units) == 1:
+        return units[0]
+    answer = dialog.ask(
+        Question(
+            key="unit.node",
+            text="Several control units answer. Which one belongs to this gripper?",
+            choices=tuple(Choice(key=str(node), text=f"node {node}") for node in units),
+            default=str(units[0]),
+        )
+    )
+    return int(answer)
+
+
+def _judge(
+    unit: FoundUnit, bench: Bench, lines: list[str], settings: dict[str, Any]
+) -> tuple[TaxelLayout, bool]:
+    """Judge a unit by identity and taxels; returns its layout, and whether there is a warning."""
+    identity = unit.identity
+    lines.append(
+        f"Node {unit.node_id}: {identity.name}, serial number {identity.serial}, revision "
+        f"{identity.revision >> 16}.{identity.revision & 0xFFFF}; boards of the pads "
+        f"{identity.boards[0]} and {identity.boards[1]}."
+    )
+    wrong = [check for check in identity_checks(identity, ExpectedIdentity()) if not check.ok]
+    if wrong:
+        raise _Unusable(_revision(wrong))
+    layout, written = _layout(unit, bench)
+    lines.append(f"Layout {layout.name}: {layout.n_taxels} taxels on {layout.n_pads} pads.")
+    settings |= {
+        "tactile.node_id": unit.node_id,
+        "tactile.serial_number": identity.serial,
+        "tactile.layout": written,
+    }
+    warned = False
+    if identity.boards[0] != identity.boards[1]:
+        settings["tactile.board_serial_numbers"] = list(identity.boards)
+    else:
+        warned = True
+        lines.append(
+            "The boards of both fingers have the same serial number, so pads that are exchanged "
+            "later are not noticed: press each pad after every work on their cables."
+        )
+    if not unit.sends_forces:
+        warned = True
+        lines.append(
+            "The unit has no force messages (object 2140h): the force comes from whole frames and "
+            "is slower. New firmware of the unit brings them; without, set "
+            "gripper.approach_speed_mm_s to 12."
+        )
+    return layout, warned
+
+
+def _revision(wrong: Sequence[Check]) -> str:
+    rows = "; ".join(
+        f"{check.what}: expected {check.expected}, found {check.found}" for check in wrong
+    )
+    return (
+        f"Its EDS is not that of this software: {rows}. Another major revision behaves otherwise "
+        "on the bus: update the unit's firmware, or this software."
+    )
+
+
+def _layout(unit: FoundUnit, bench: Bench) -> tuple[TaxelLayout, Any]:
+    """Return the layout with the unit's taxels, and what the config is to have as tactile.layout."""
+    for name, make in LAYOUTS.items():
+        if unit.matches(layout := make()):
+            return layout, name
+    given = bench.given.get("tactile.layout")
+    if given is not None and unit.matches(own := layout_from_config(bench.tactile(layout=given))):
+        return own, given
+    shapes = ", ".join(f"{rows} x {columns}" for rows, columns in unit.pad_shapes)
+    raise _Unusable(
+        f"Its taxels are of no known layout (hash {unit.layout_hash}): {unit.n_taxels} taxels on "
+        f"{len(unit.pad_shapes)} pads of {shapes}, full scale {unit.adc_max}. Known are "
+        f"{', '.join(LAYOUTS)}: write the pads of another one with faces and pitches into "
+        "tactile.layout of a config, or plug in the unit of this gripper."
+    )
+
+
+def _period(layout: TaxelLayout, bitrate: int, bench: Bench, lines: list[str]) -> dict[str, Any]:
+    """Return the setting of a period of SYNC in which a frame fits; none where it does already."""
+    messages = FrameFormat.of(layout).n_messages
+    burst_ms = 1e3 * messages * _MESSAGE_BITS / bitrate
+    least_ms = float(math.ceil(burst_ms / _BURST_SHARE))
+    if least_ms <= bench.tactile().sync_period_ms:
+        return {}
+    taken = f"At {bitrate:,} bit/s a frame of {messages} messages takes {burst_ms:.0f} ms"
+    try:
+        bench.tactile(sync_period_ms=least_ms)
+    except ConfigError as error:
+        raise _Unusable(
+            f"{taken}, too long for a grip: set the control unit to a faster bit rate, 1,000,000 "
+            "bit/s at best."
+        ) from error
+    lines.append(
+        f"{taken}: the period of SYNC is set to {least_ms:g} ms. A faster bit rate makes the grip "
+        "softer."
+    )
+    return {"tactile.sync_period_ms": least_ms}
+
+
+def _writes(unit: FoundUnit, tactile: TactileConfig) -> list[Write]:
+    """Return what each start of the link writes to the unit."""
+    link = link_settings(tactile)
+    coming = (
+        round(1e6 * link.sync_period_s),
+        round(1e6 * link.window_s),
+        round(1e3 * link.heartbeat_s),
+        0x380 + unit.node_id,
+        round(1e3 * link.force_period_s),
+    )
+    where = f"control unit, node {unit.node_id}"
+    return [
+        Write(
+            where=where,
+            what=name,
+            before=str(before),
+            after=str(after),
+            undo="switch the unit off and on; it is not stored",
+        )
+        for (name, before), after in zip(unit.registers, coming, strict=False)
+    ]
+
+
+def _started(bus: CanBus, tactile: TactileConfig, layout: TaxelLayout) -> str:
+    """Start the link as a cell does, and return what came."""
+    link = link_settings(tactile)
+    with open_sensor(bus, layout, node_id=tactile.node_id, link=link) as sensor:
+        for _ in range(_FRAMES):
+            sensor.read()
+        forces = len(sensor.take_forces())
+    return f"The unit boots, keeps its set-up and sends frames ({forces} force messages)."
+
+
+def _values(unit: FoundUnit, bitrate: int, heard: Heard) -> dict[str, Any]:
+    identity = unit.identity
+    return {
+        "bitrate": bitrate,
+        "nodes_heard": list(heard.nodes),
+        "node_id": unit.node_id,
+        "name": identity.name,
+        "serial_number": identity.serial,
+        "revision": identity.revision,
+        "board_serial_numbers": list(identity.boards),
+        "layout_hash": unit.layout_hash,
+        "pads": [list(shape) for shape in unit.pad_shapes],
+        "sends_forces": unit.sends_forces,
+    }

@@ -1,0 +1,225 @@
+"""Search for a control unit: who is heard on a bus, who answers, and what a unit says of itself.
+
+For commissioning, before anything of the unit is known; nothing is written to it.
+"""
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+import can
+
+from tactile.can.receiver import MessageSource, PolledSource, ThreadedReceiver
+from tactile.clock import Clock
+from tactile.errors import BusOff, NodeMissing
+from tactile.layout import TaxelLayout, paper_layout
+from tactile.unit import object_dictionary as od
+from tactile.unit.commissioning import read_identity
+from tactile.unit.sdo import ObjectAccess
+from tactile.unit.session import LinkSession
+from tactile.unit.settings import LinkSettings, NodeIdentity
+
+_NODES = range(1, 128)
+"""Node-IDs that there are (CiA 301, 7.1.1)."""
+_FUNCTION_BITS, _NODE_BITS = 0x780, 0x07F
+"""Bits of a COB-ID that are its function and its node-ID (CiA 301, 7.3.5)."""
+_READ_DEVICE_TYPE = bytes((0x40, od.DEVICE_TYPE & 0xFF, od.DEVICE_TYPE >> 8, 0, 0, 0, 0, 0))
+"""SDO request for object 0x1000, which each CANopen node has."""
+_ANSWER_S = 0.1
+"""Time in s that the last node has for its answer."""
+_POLL_S = 0.005
+_GAP_S = 0.001
+"""Pause in s between two requests: more than both messages take at 125 kbit/s and one node."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Heard:
+    """What was heard on a bus."""
+
+    messages: int
+    """Whole messages of any kind: the bit rate is right where there is one."""
+    errors: int
+    """Error frames of the host's controller: the bit rate may be wrong."""
+    nodes: tuple[int, ...]
+    """Node-IDs of heartbeats, boot-up messages and answers."""
+
+
+class _Listener:
+    """What comes in on a bus from now until `close`."""
+
+    def __init__(self, bus: can.BusABC) -> None:
+        self.clock: Clock = getattr(bus, "clock", time)
+        self._source = _source(bus, self.clock)
+        self._messages = self._errors = 0
+        self._nodes: set[int] = set()
+        self._source.start()
+
+    def wait(self, duration_s: float) -> None:
+        end_s = self.clock.monotonic() + duration_s
+        while True:
+            for _, message in self._source.drain():
+                if message.is_error_frame:
+                    self._errors += 1
+                    continue
+                self._messages += 1
+                node = message.arbitration_id & _NODE_BITS
+                kind = message.arbitration_id & _FUNCTION_BITS
+                if node and kind in (od.COB_HEARTBEAT, od.COB_SDO_RESPONSE):
+                    self._nodes.add(node)
+            if (left_s := end_s - self.clock.monotonic()) <= 0.0:
+                return
+            self.clock.sleep(min(left_s, _POLL_S))
+
+    def heard(self) -> Heard:
+        return Heard(messages=self._messages, errors=self._errors, nodes=tuple(sorted(self._nodes)))
+
+    def close(self) -> None:
+        self._source.close()
+
+
+def listen(bus: can.BusABC, duration_s: float) -> Heard:
+    """Listen to a bus for ``duration_s`` s; nothing is sent. Raises BusOff as the receiver."""
+    listener = _Listener(bus)
+    try:
+        listener.wait(duration_s)
+    finally:
+        listener.close()
+    return listener.heard()
+
+
+def scan(bus: can.BusABC) -> Heard:
+    """Ask each of the 127 node-IDs for its device type (object 1000h); nothing is written.
+
+    At a wrong bit rate nobody acknowledges: an adapter that refuses to send is heard as nobody.
+    """
+    listener = _Listener(bus)
+    try:
+        for node in _NODES:
+            request = can.Message(
+                arbitration_id=od.COB_SDO_REQUEST + node,
+                data=_READ_DEVICE_TYPE,
+                is_extended_id=False,
+            )
+            bus.send(request)
+            listener.wait(_GAP_S)
+        listener.wait(_ANSWER_S)
+    except (can.CanError, OSError, BusOff):
+        return listener.heard()
+    finally:
+        listener.close()
+    return listener.heard()
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FoundUnit:
+    """What a control unit says of itself."""
+
+    node_id: int
+    """CANopen node-ID."""
+    identity: NodeIdentity
+    """Identity object, name, and boards of the pads."""
+    layout_hash: str
+    """Of its taxels; see `tactile.layout.TaxelLayout`."""
+    n_taxels: int
+    adc_max: int
+    """Number of taxels, and full scale of the counts."""
+    pad_shapes: tuple[tuple[int, int], ...]
+    """Rows and columns of each pad in the order in which it is sent."""
+    sends_forces: bool
+    """Whether it has force messages."""
+    registers: tuple[tuple[str, int], ...]
+    """What a start of the link will write over: name and present value."""
+
+    def matches(self, layout: TaxelLayout) -> bool:
+        """Return whether it has the taxels of a layout."""
+        return self.layout_hash == layout.layout_hash
+
+
+_WRITTEN = (
+    ("SYNC period (1006h) in us", od.SYNC_PERIOD_US, 0),
+    ("SYNC window (1007h) in us", od.SYNC_WINDOW_US, 0),
+    ("heartbeat (1017h) in ms", od.HEARTBEAT_MS, 0),
+)
+"""Objects that each start of the link writes: name, index, sub-index."""
+_WRITTEN_FORCES = (
+    ("COB-ID of frames (1800h:1)", od.TPDO1_PARAMETER, od.PDO_COB_ID),
+    ("period of force messages (1801h:5) in ms", od.TPDO2_PARAMETER, od.PDO_EVENT_TIMER),
+)
+"""The same where the unit has force messages."""
+
+
+def read_unit(bus: can.BusABC, node_id: int) -> FoundUnit:
+    """Read what a control unit says of itself; nothing is written.
+
+    Raises
+    ------
+    NodeMissing
+        If the node does not answer, or lacks the objects of a control unit.
+    BusOff
+        If the CAN interface fails.
+    """
+    with _objects_of(bus, node_id) as objects:
+        return _read(objects, node_id)
+
+
+def _read(objects: ObjectAccess, node_id: int) -> FoundUnit:
+    identity = read_identity(objects)
+    n_taxels = objects.read_unsigned(od.LAYOUT, od.LAYOUT_TAXELS)
+    shapes = objects.read(od.PAD_SHAPES)
+    if len(shapes) % 2:
+        raise NodeMissing(
+            f"object 2102h of node {node_id} has {len(shapes)} bytes, two for each pad are "
+            "expected: the unit's firmware does not fit this software's EDS"
+        )
+    sends_forces = objects.has(od.FORCE_MESSAGE)
+    written = _WRITTEN + (_WRITTEN_FORCES if sends_forces else ())
+    return FoundUnit(
+        node_id=node_id,
+        identity=identity,
+        layout_hash=objects.read_text(od.LAYOUT, od.LAYOUT_HASH),
+        n_taxels=n_taxels,
+        adc_max=objects.read_unsigned(od.LAYOUT, od.LAYOUT_ADC_MAX),
+        pad_shapes=tuple(zip(shapes[::2], shapes[1::2], strict=True)),
+        sends_forces=sends_forces,
+        registers=tuple((name, objects.read_unsigned(i, sub)) for name, i, sub in written),
+    )
+
+
+def read_vendor(bus: can.BusABC, node_id: int) -> tuple[int, int]:
+    """Return vendor-ID and product code of a node, which tell a control unit from a drive.
+
+    Raises
+    ------
+    NodeMissing
+        If the node does not answer.
+    """
+    with _objects_of(bus, node_id) as objects:
+        return (
+            objects.read_unsigned(od.IDENTITY, od.IDENTITY_VENDOR),
+            objects.read_unsigned(od.IDENTITY, od.IDENTITY_PRODUCT),
+        )
+
+
+def _source(bus: can.BusABC, clock: Clock) -> MessageSource:
+    return ThreadedReceiver(bus, clock) if clock is time else PolledSource(bus, clock)
+
+
+@contextmanager
+def _objects_of(bus: can.BusABC, node_id: int) -> Iterator[ObjectAccess]:
+    """Read the objects of a node, whatever it is; its frames are not looked at."""
+    clock: Clock = getattr(bus, "clock", time)
+    source = _source(bus, clock)
+    session = LinkSession(
+        bus,
+        source,
+        node_id=node_id,
+        layout=paper_layout(),
+        clock=clock,
+        settings=LinkSettings(threaded=clock is time),
+    )
+    try:
+        source.start()
+        yield session.objects
+    finally:
+        source.close()
