@@ -272,7 +272,7 @@ def _revision(wrong: Sequence[Check]) -> str:
 
 
 def _layout(unit: FoundUnit, bench: Bench) -> tuple[TaxelLayout, Any]:
-    """Return the layout with the unit's taxels, and what the config is to have as tactile.layout."""
+    """Return the layout with the unit's taxels, and the value of tactile.layout for it."""
     for name, make in LAYOUTS.items():
         if unit.matches(layout := make()):
             return layout, name
