@@ -184,6 +184,8 @@ def announced_doors(
         typer.echo(json.dumps({**found, **others}))
         if (page := page_address(found, service.config.serve)) is not None:
             print_page(page)
+        elif service.config.serve.http_port is None:
+            print_note("no page for a browser is open: --http 8080, or serve.http_port, opens it")
         yield
 
 
