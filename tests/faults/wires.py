@@ -531,8 +531,7 @@ class WireDriver(Driver):
             self.monitor.broken.append(complaint)
 
     def _lease(self) -> int:
-        lease = self._service._lease
-        return 0 if lease is None else lease.number
+        return self._service._lease.number
 
     def _seen(self) -> tuple[Any, ...]:
         """Return what a request that is refused or repeated may not change."""

@@ -7,7 +7,6 @@ nothing is resumed by itself.
 """
 
 import itertools
-import secrets
 import threading
 import time
 from collections.abc import Callable, Hashable, Mapping
@@ -23,7 +22,7 @@ from numpy.typing import NDArray
 from cell.config.model import CellConfig
 from cell.control.plan import Pose
 from cell.control.states import Command
-from cell.errors import CellError, HeldByClient, NotInCommand, RequestRefused, error_text
+from cell.errors import CellError, HeldByClient, RequestRefused, error_text
 from cell.interfaces.plugin.answer import Answer, HostStatus, Verification
 from cell.interfaces.plugin.goals import (
     TASKS,
@@ -35,6 +34,7 @@ from cell.interfaces.plugin.goals import (
 )
 from cell.interfaces.plugin.part_report import OnPart
 from cell.interfaces.plugin.worker import KEPT_JOBS, Job, JobOutcome, JobStatus
+from cell.interfaces.service.lease import Lease
 from cell.interfaces.service.photos import Photos
 from cell.interfaces.service.pose_handshake import PoseHandshake
 from cell.interfaces.service.replay import Replay
@@ -147,13 +147,6 @@ class _Plugin(Protocol):
 
 
 @dataclass(slots=True)
-class _Lease:
-    number: int
-    name: str
-    heard_s: float
-
-
-@dataclass(slots=True)
 class _Holder:
     """A client that keeps the cell on hold; inf for one whose connection stands."""
 
@@ -215,7 +208,13 @@ class Service:
         self._clock = clock
         self._note = note
         self._lock = threading.RLock()
-        self._lease: _Lease | None = None
+        self._lease = Lease(
+            config.serve.lease_timeout_s,
+            given=lambda name: plugin.remark("lease", f"{name!r} is in command"),
+            lost=self._lose,
+            clock=clock,
+            lock=self._lock,
+        )
         self._holders: dict[Hashable, _Holder] = {}
         self._jobs: dict[int, tuple[Job, str, int, float]] = {}
         self._newest = 0
@@ -249,7 +248,7 @@ class Service:
                 status=status,
                 job=job,
                 last_answer=self._answered(status),
-                commander="" if self._lease is None else self._lease.name,
+                commander=self._lease.name,
                 held_by=self.held_by,
                 pose_seq=seq,
                 pose=pose,
@@ -335,54 +334,25 @@ class Service:
         NotInCommand
             If another client has it.
         """
-        with self._lock:
-            self.look()
-            if self._lease is not None:
-                if not take:
-                    raise NotInCommand(
-                        f"{self._lease.name!r} is in command; wait until it gives the lease up or "
-                        f"is silent for {self.config.serve.lease_timeout_s:g} s"
-                    )
-                self._lose(f"because {name!r} took command")
-            self._lease = _Lease(
-                1 + secrets.randbelow(2**31 - 1), name[:60], self._clock.monotonic()
-            )
-            self._plugin.remark("lease", f"{self._lease.name!r} is in command")
-            return self._lease.number
+        return self._lease.acquire(name, take=take)
 
     def has(self, lease: int) -> bool:
         """Whether a lease is valid; looking does not keep it."""
-        with self._lock:
-            self.look()
-            return self._lease is not None and self._lease.number == lease
+        return self._lease.has(lease)
 
     def alive(self, lease: int) -> None:
         """Keep a lease. Raises NotInCommand if it is lost: acquire a new one."""
-        with self._lock:
-            if not self.has(lease) or self._lease is None:
-                raise NotInCommand(
-                    f"lease {lease} is not valid"
-                    + (f"; {self._lease.name!r} is in command" if self._lease else "; acquire one")
-                )
-            self._lease.heard_s = self._clock.monotonic()
+        self._lease.alive(lease)
 
     def give_up(self, lease: int) -> None:
         """Give a lease up; a job that runs is held. Raises NotInCommand as `alive`."""
-        with self._lock:
-            self.alive(lease)
-            self._lose("because its client gave the lease up")
+        self._lease.give_up(lease)
 
     def look(self) -> None:
         """Notice a lease whose client is silent for too long."""
-        with self._lock:
-            if self._lease is None:
-                return
-            silent_s = self._clock.monotonic() - self._lease.heard_s
-            if silent_s > self.config.serve.lease_timeout_s:
-                self._lose(f"because {self._lease.name!r} was silent for {silent_s:.2f} s")
+        self._lease.look()
 
     def _lose(self, reason: str) -> None:
-        self._lease = None
         self._plugin.remark("lease", f"nobody is in command, {reason}")
         self.hold(reason)
 
@@ -606,7 +576,7 @@ class Service:
                 raise RequestRefused(f"job {number} is another request; the next is {self._next}")
             if number > self._next:
                 raise RequestRefused(f"job {number} cannot be next; the next is {self._next}")
-            name = "" if self._lease is None else self._lease.name
+            name = self._lease.name
             values = "".join(f", {field} {value}" for field, value in given.items())
             self._plugin.remark("command", f"job {self._next}: {task}{values}, by {name!r}")
             try:

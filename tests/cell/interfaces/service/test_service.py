@@ -95,7 +95,7 @@ def test_the_watch_notices_a_silent_client_by_itself(serve: Any) -> None:
     served.plugin.pause()
     served.service.start(lease, IDENTIFY)
     served.clock.now_s += 1.0
-    until(lambda: served.service._lease is None)
+    until(lambda: not served.service._lease.number)
     assert served.ended().outcome == "CANCELED"
     assert served.state == "HELD"
 
