@@ -36,6 +36,8 @@ _ALL_SILENT_MISSES = 3
 _LONGEST_QUIET_WAIT = 10.0
 """Longest wait for a quiet line, in multiples of ``late_guard_s``: more than the answers that can
 be outstanding, so that only a line that never falls quiet reaches it."""
+_SLOT_MS = 3.0
+"""Time in ms that a servo may take for its answer to a broadcast ping, for each ID."""
 _HEARD_BYTES = 16
 """Bytes of what was heard on a line that an error shows: a header and what follows it."""
 _PRINTABLE = frozenset(range(0x20, 0x7F)) | {0x0A, 0x0D}
@@ -326,6 +328,26 @@ class Transactions:
                         found[servo_id] = status
             self._mark_suspect()
         return found
+
+    def ping_all(self) -> tuple[list[StatusPacket], bool]:
+        """Ping all IDs at once; return the answers, and whether bytes came that are none.
+
+        Servos answer one after the other, in the order of their IDs; the wait is that of the
+        vendor's SDK (`Protocol2PacketHandler.broadcastPing`).
+        """
+        found: list[StatusPacket] = []
+        damaged = False
+        with self.exclusive():
+            self._send(BROADCAST_ID, Instruction.PING, b"")
+            self._port.setPacketTimeout((STATUS_OVERHEAD + PING_SIZE) * (HIGHEST_ID + 1))
+            self._port.packet_timeout += _SLOT_MS * HIGHEST_ID
+            while (status := self._handler.receive(self._port)) is not None:
+                damaged |= self._handler.dropped_bytes > 0 or len(status.data) != PING_SIZE
+                if len(status.data) == PING_SIZE:
+                    found.append(status)
+            damaged |= self._handler.dropped_bytes > 0
+            self._mark_suspect()
+        return found, damaged
 
     def broadcast(self, instruction: Instruction, params: bytes) -> None:
         """Send an instruction to all servos, that none answers: a late answer does no harm."""

@@ -26,6 +26,8 @@ _LATE = Number("s", 0.0, 1.0, default=0.04)
 """How late an answer comes in s."""
 _SENTENCE = b"$GPGGA,092751.000,5321.6802,N,00630.3371,W,1,8,1.03,61.7,M,55.3,M,,*75\r\n"
 """What a GPS receiver sends again and again (NMEA 0183)."""
+_BOOT_APART_S = 0.003
+"""Time in s by which servos on one supply boot one after the other; an assumption."""
 _BURST_BYTES = 40
 """Bytes of a burst of noise: 0.4 ms at 1 Mbit/s."""
 
@@ -76,6 +78,12 @@ def _knobs(target: Target) -> ServoFaultKnobs:
 
 def _reboot(target: Target) -> None:
     _knobs(target).reboot(target.now_s)
+
+
+def _factory(target: Target) -> None:
+    core = target.devices.servo_bus.servos[target.servo].core
+    core.registers.load_factory(keep=())
+    core.boot(target.now_s + _BOOT_APART_S * target.servo)
 
 
 def _overload(target: Target) -> None:
@@ -228,6 +236,9 @@ SERVO = (
                lambda target: _late(target, frozenset({_id(target)})), "delay", _LATE),
     moment_fault("servoN.reboot", FaultKind.REBOOT,
                  "it reboots by itself: torque off, RAM at its defaults", _reboot),
+    moment_fault("servoN.factory", FaultKind.WRONG,
+                 "it is as it left the factory: ID 1, 57600 bit/s, position mode, return delay of "
+                 "500 us; with another one like it both answer at once", _factory),
     moment_fault("servoN.overload", FaultKind.OFF,
                  "its overload protection latches and switches the torque off", _overload),
     FaultEntry("servoN.overheat", FaultKind.WRONG,

@@ -25,6 +25,8 @@ class CellRequests:
     - ``{"press": pad, "x_m": 0.0, "y_m": 0.0, "force_n": 2.0}``: ``{"pressed": pad}``, a person's
       fingertip on a pad; ``{"lift": true}``: ``{"lifted": true}``
     - ``{"play": index}``: ``{"frames": n}`` of that recorded grasp
+    - ``{"hand": {"1": 0.02, "2": 0}}``: a person moves the fingers of these servos, without torque,
+      to half openings in m: ``{"moving": true}``; "state" shows when they are left
     - ``{"state": true}``: what is placed, forces, opening, frames left, axes, faults
     - ``{"inject": "can.loss=0.05@2s"}``: the same back; see `simulator.faults.injector`
     - ``{"clear": "can.loss"}``: ``{"cleared": n}``; by the whole text or by the name
@@ -46,6 +48,7 @@ class CellRequests:
             "press": self._press,
             "lift": self._lift,
             "play": self._play,
+            "hand": self._hand,
             "state": self._state,
             "inject": self._inject,
             "clear": self._clear,
@@ -112,6 +115,20 @@ class CellRequests:
             raise SimulatorSettingsError(f"play takes the number of a grasp, got {index!r}")
         return {"frames": self._devices.play(index)}
 
+    def _hand(self, request: dict[str, Any]) -> dict[str, Any]:
+        wanted = request["hand"]
+        if not isinstance(wanted, dict) or not wanted:
+            raise SimulatorSettingsError('hand takes an object, as {"1": 0.02}: servo, m')
+        _ = self._devices.physical
+        servos = {str(number): number for number in range(1, 1 + len(self._devices.settings.servos))}
+        unknown = set(wanted) - set(servos)
+        if unknown:
+            raise SimulatorSettingsError(f"there is no servo {', '.join(sorted(unknown))}")
+        moves = {servos[name] - 1: _number(name, value) for name, value in wanted.items()}
+        for axis, half_opening_m in moves.items():
+            self._devices.mechanics.move_by_hand(axis, half_opening_m)
+        return {"moving": True}
+
     def _state(self, request: dict[str, Any]) -> dict[str, Any]:
         _is_true(request, "state")
         devices = self._devices
@@ -121,6 +138,7 @@ class CellRequests:
             "placed": None if placed is None else placed[0],
             "contact_force_n": list(devices.world.contact_force_n()),
             "aperture_m": devices.mechanics.aperture_m,
+            "moved_by_hand": devices.mechanics.moved_by_hand,
             "frames_left": devices.recorded.remaining if plays else 0,
             "control_unit": devices.unit.state,
             "axes": {

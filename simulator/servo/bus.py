@@ -4,8 +4,10 @@ Wire time is ten bits a byte; an answer starts after the instruction has passed 
 return delay is over, and servos that answer one after the other wait for each other.
 """
 
+import functools
 import heapq
 import itertools
+import operator
 from collections.abc import Iterable, Sequence
 
 from simulator.clock import ROUNDING_S, VirtualClock
@@ -161,7 +163,7 @@ class ServoBusDevice:
         return (
             servo.baudrate == self.baudrate
             and now_s >= servo.core.silent_until_s
-            and not (silent and servo.servo_id in silent)
+            and not (silent and servo.made_as in silent)
         )
 
     def _answer_damaged(
@@ -175,6 +177,7 @@ class ServoBusDevice:
                 self._reply(servo, encode_status(servo.servo_id, error), now_s)
 
     def _unicast(self, packet: Packet, hearing: Iterable[SimulatedServo], now_s: float) -> None:
+        speakers: list[tuple[SimulatedServo, bytes, float]] = []
         for servo in hearing:
             own_id = servo.servo_id
             if packet.packet_id not in {own_id, servo.secondary_id}:
@@ -182,14 +185,20 @@ class ServoBusDevice:
             delay_s, speaks = servo.return_delay_s, servo.answers(packet.instruction)
             error, data = servo.execute(packet.instruction, packet.parameters, now_s)
             if packet.packet_id == own_id and speaks:
-                self._reply(servo, encode_status(own_id, error, data), now_s, delay_s)
+                speakers.append((servo, encode_status(own_id, error, data), delay_s))
+        if speakers:
+            servo, _, delay_s = speakers[0]
+            self._reply(servo, _at_once([packet for _, packet, _ in speakers]), now_s, delay_s)
 
     def _broadcast(self, packet: Packet, hearing: list[SimulatedServo], now_s: float) -> None:
         instruction, parameters = packet.instruction, packet.parameters
         if instruction == Instruction.PING:
-            for servo in sorted(hearing, key=lambda s: s.servo_id):
-                error, data = servo.execute(instruction, b"", now_s)
-                self._reply(servo, encode_status(servo.servo_id, error, data), now_s)
+            in_turn = sorted(hearing, key=lambda s: s.servo_id)
+            for _, sharing in itertools.groupby(in_turn, key=lambda s: s.servo_id):
+                same_id = list(sharing)
+                answers = [servo.execute(instruction, b"", now_s) for servo in same_id]
+                packets = [encode_status(same_id[0].servo_id, *answer) for answer in answers]
+                self._reply(same_id[0], _at_once(packets), now_s)
         elif instruction in {Instruction.SYNC_READ, Instruction.FAST_SYNC_READ}:
             self._chain(instruction, _sync_requests(parameters), hearing, now_s)
         elif instruction in {Instruction.BULK_READ, Instruction.FAST_BULK_READ}:
@@ -280,6 +289,16 @@ class ServoBusDevice:
 
     def _send_at(self, due_s: float, data: bytes) -> None:
         heapq.heappush(self._queue, (due_s, next(self._order), data))
+
+
+def _at_once(packets: Sequence[bytes]) -> bytes:
+    """Return what the host hears of answers that servos with the same ID send at the same time.
+
+    A driven 0 wins over the 1 of an idle line: equal answers pass for one, others are damaged.
+    """
+    longest = max(map(len, packets))
+    padded = (packet.ljust(longest, b"\xff") for packet in packets)
+    return bytes(functools.reduce(operator.and_, column) for column in zip(*padded, strict=True))
 
 
 def _refuses_broadcast(servo: SimulatedServo, packet: Packet) -> bool:

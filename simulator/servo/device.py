@@ -180,6 +180,8 @@ class SimulatedServo:
     ----------
     core
         Registers and their effects.
+    made_as
+        ID that it was made with, by which faults name it whatever its ID is now.
     """
 
     def __init__(
@@ -202,6 +204,7 @@ class SimulatedServo:
             settings=settings,
             watchdog_stop=watchdog_stop,
         )
+        self.made_as = servo_id
         self._registered: tuple[int, bytes] | None = None
 
     @property

@@ -13,7 +13,7 @@ from typing import Protocol
 
 from gripper.dynamixel.control_table import RAD_PER_PULSE
 from simulator.errors import SimulatorSettingsError, require_positive
-from simulator.servo.motor import ServoMotor
+from simulator.servo.motor import DriveMode, ServoMotor
 
 STICTION_RATIO = 1.05
 """Torque that sets an axis at rest in motion, over its Coulomb friction; an assumption."""
@@ -21,6 +21,10 @@ LONGEST_STEP_S = 1e-3
 """Longest step in s of the integration: stable for the stiffest foam against the lightest rotor."""
 FINGER_INERTIA_KG_M2 = 2e-4
 """Inertia of one finger and its link about the servo's axis in kg m²; an assumption."""
+HAND_SPEED_M_S = 0.05
+"""Speed in m/s at which a person moves a finger by hand; an assumption."""
+HAND_FORCE_N = 0.3
+"""Force in N on the pad at which a person who closes a finger lets go: both pads touch lightly."""
 _ROUNDING_STEPS = 1e-9
 """Part of a step that rounding may add to a whole number of steps."""
 _LARGEST_LINK_ANGLE_RAD = math.radians(80.0)
@@ -186,6 +190,7 @@ class FingerMechanics:
         self._axes = tuple((m.direction, m.zero_raw * RAD_PER_PULSE) for m in mounts)
         self._lower_rad = linkage.angle_rad(half_opening_min_m)
         self._upper_rad = linkage.angle_rad(linkage.half_opening_max_m)
+        self._hands_rad: dict[int, float] = {}
         self._driven = False
         self.drive_to(aperture_m)
         self._driven = False
@@ -218,6 +223,35 @@ class FingerMechanics:
         for motor, (direction, zero_rad) in zip(self.motors, self._axes, strict=True):
             motor.angle_rad = zero_rad + direction * theta
             motor.velocity_rad_s = motor.rotor_velocity_rad_s = motor.lead_rad = 0.0
+
+    def move_by_hand(self, axis: int, half_opening_m: float) -> None:
+        """Let a person move a finger without torque to a half opening in m, and let go of it there.
+
+        On its way the finger stops at what it touches (`HAND_FORCE_N`) and at its end stops; the
+        friction of the gearing keeps it where it is left. A person yields to a motor with torque.
+
+        Parameters
+        ----------
+        axis
+            Index of the servo; one servo takes both fingers along.
+        half_opening_m
+            Distance of the pad from the centre plane in m; beyond an end stop: up to the stop.
+
+        Raises
+        ------
+        SimulatorSettingsError
+            If there is no such servo.
+        """
+        if not 0 <= axis < len(self.motors):
+            raise SimulatorSettingsError(f"there is no servo {axis + 1} to move by hand")
+        lowest_m = self._linkage.half_opening_m(self._lower_rad)
+        reached_m = min(max(half_opening_m, lowest_m), self._linkage.half_opening_max_m)
+        self._hands_rad[axis] = self._linkage.angle_rad(reached_m)
+
+    @property
+    def moved_by_hand(self) -> bool:
+        """Whether a person still moves a finger."""
+        return bool(self._hands_rad)
 
     def remount(self, axis: int, *, turned: bool = False, off_rad: float = 0.0) -> None:
         """Mount a servo differently; its finger stays where it is.
@@ -290,6 +324,9 @@ class FingerMechanics:
         theta = direction * (motor.angle_rad - zero_rad)
         slope = direction * self._linkage.slope_m_rad(theta)
         driving_nm, load_nm = motor.torque_nm(dt_s), slope * force_n
+        if axis in self._hands_rad:
+            self._move_by_hand(axis, dt_s, theta, force_n)
+            return
         friction_nm = motor.friction_nm + motor.gearing.load_friction * abs(load_nm)
         spring = dt_s * dt_s * slope * slope * stiffness_n_m
         if motor.gearing.backlash_rad > 0.0:
@@ -314,6 +351,18 @@ class FingerMechanics:
             theta, new = self._upper_rad, 0.0
         motor.velocity_rad_s = new
         motor.angle_rad = zero_rad + direction * theta
+
+    def _move_by_hand(self, axis: int, dt_s: float, theta: float, force_n: float) -> None:
+        motor, (direction, zero_rad) = self.motors[axis], self._axes[axis]
+        left_rad = self._hands_rad[axis] - theta
+        longest_rad = HAND_SPEED_M_S * dt_s / abs(self._linkage.slope_m_rad(theta))
+        touching = left_rad < 0.0 and force_n >= HAND_FORCE_N * (3 - len(self.motors))
+        if touching or motor.command.mode is not DriveMode.OFF or abs(left_rad) < longest_rad:
+            del self._hands_rad[axis]
+            motor.velocity_rad_s = 0.0
+            return
+        motor.velocity_rad_s = direction * math.copysign(longest_rad, left_rad) / dt_s
+        motor.angle_rad = zero_rad + direction * (theta + math.copysign(longest_rad, left_rad))
 
     def _velocity(
         self, velocity: float, push: float, friction: float, inertia: float, damping: float

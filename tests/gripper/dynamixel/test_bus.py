@@ -24,6 +24,7 @@ from gripper.errors import (
     PortLost,
     ServoRejected,
 )
+from simulator.cell import SimulatedCell
 from tests.hil.relay import crc16
 
 PING_1 = "FFFFFD00 01 0300 01 194E"
@@ -425,3 +426,18 @@ def test_an_answer_that_came_while_the_program_stood_still_is_taken(
     script.expect(READ_132, IS_166)
     assert bus.read(1, PRESENT_POSITION) == 166
     assert (bus.statistics.timeouts, bus.statistics.retries) == (0, 0)
+
+
+def test_factory_new_servos_share_an_id_and_are_found_to() -> None:
+    cell = SimulatedCell()
+    for number in (1, 2):
+        cell.inject(f"servo{number}.factory")
+    cell.clock.sleep(0.5)
+    for baudrate, ids in ((1_000_000, []), (57600, [1])):
+        cell.devices.servo_bus.baudrate = baudrate
+        bus = ServoBus(cell.open_servo_port(), baudrate=baudrate, clock=cell.clock)
+        found, damaged = bus.scan_at_once()
+        assert ([one.servo_id for one in found], damaged) == (ids, False)
+    assert bus.shares_id(1)
+    cell.inject("servo2.off")
+    assert not bus.shares_id(1)

@@ -241,3 +241,15 @@ def test_faults_are_injected_and_cleared_by_their_text(
     assert began_s == pytest.approx(0.2)
     assert requests({"clear": "can.loss"}) == {"cleared": 1}
     assert devices.faults.can.drop_rate == 0.0
+
+
+def test_a_person_moves_the_fingers_by_hand(requests: CellRequests, devices: CellDevices) -> None:
+    assert requests({"hand": {"1": 0.01, "2": 0.02}}) == {"moving": True}
+    assert requests({"state": True})["moved_by_hand"] is True
+    devices.advance_to(2.0)
+    state = requests({"state": True})
+    assert state["moved_by_hand"] is False
+    assert state["aperture_m"] == pytest.approx(0.03, abs=2e-4)
+    for wrong in ({"3": 0.01}, {"1": "wide"}, {}, 7):
+        with pytest.raises(SimulatorSettingsError):
+            requests({"hand": wrong})

@@ -324,3 +324,18 @@ def test_an_adapter_that_loses_its_supply_forgets_half_a_packet(bench):
     bench.device.drop_pending()
     bench.device.receive(PING[6:], 0.0)
     assert bench.device.next_event_s() is None
+
+
+def test_servos_with_the_same_id_answer_at_once(bench):
+    second = bench.device.servos[1]
+    second.core.registers.put("id", 1)
+    ping = encode_instruction(1, Instruction.PING)
+    assert ids(bench.exchange(ping)) == [1]
+    assert ids(bench.exchange(encode_instruction(0xFE, Instruction.PING))) == [1]
+    second.core.registers.put("moving_threshold", 77)
+    read = encode_instruction(1, Instruction.READ, bytes.fromhex("1800 0400"))
+    answer = bench.exchange(read)
+    assert answer
+    assert ids(answer) == []
+    bench.device.faults.silent.add(2)
+    assert ids(bench.exchange(read)) == [1]

@@ -246,3 +246,35 @@ def test_impossible_builds_are_refused():
         linkage.angle_rad(0.07)
     with pytest.raises(SimulatorSettingsError, match="beyond"):
         RackLinkage().angle_rad(0.06)
+
+
+def by_hand(mechanics: FingerMechanics, *half_openings_m: float, force_n=(0.0, 0.0)) -> float:
+    """Let a person move the fingers, for 3 s at most; return how long they were moved in s."""
+    for axis, half_opening_m in enumerate(half_openings_m):
+        mechanics.move_by_hand(axis, half_opening_m)
+    for step in range(3000):
+        if not mechanics.moved_by_hand:
+            return step * STEP_S
+        mechanics.step(STEP_S, force_n)
+    return 3.0
+
+
+def test_a_person_moves_limp_fingers_and_friction_keeps_them():
+    mechanics = fingers(aperture_m=0.02)
+    assert by_hand(mechanics, 0.03, 0.005) == pytest.approx(0.4, abs=0.02)
+    assert mechanics.finger_position_m == pytest.approx((0.03, 0.005), abs=1e-4)
+    mechanics.step(0.5, (1.0, 1.0))
+    assert mechanics.finger_position_m == pytest.approx((0.03, 0.005), abs=1e-4)
+    by_hand(mechanics, -1.0, 1.0)
+    assert mechanics.finger_position_m == pytest.approx((0.0, 0.0591), abs=1e-3)
+    with pytest.raises(SimulatorSettingsError, match="servo 3"):
+        mechanics.move_by_hand(2, 0.0)
+
+
+def test_a_person_stops_at_what_is_touched_and_yields_to_torque():
+    mechanics = fingers(aperture_m=0.04)
+    by_hand(mechanics, 0.0, 0.0, force_n=(0.5, 0.1))
+    assert mechanics.finger_position_m == pytest.approx((0.02, 0.0), abs=1e-4)
+    mechanics.motors[1].drive(DriveCommand(DriveMode.CURRENT, current_a=0.0))
+    assert by_hand(mechanics, 0.02, 0.02) < 0.1
+    assert mechanics.finger_position_m[1] == pytest.approx(0.0, abs=1e-4)
