@@ -120,7 +120,9 @@ class CellRequests:
         if not isinstance(wanted, dict) or not wanted:
             raise SimulatorSettingsError('hand takes an object, as {"1": 0.02}: servo, m')
         _ = self._devices.physical
-        servos = {str(number): number for number in range(1, 1 + len(self._devices.settings.servos))}
+        servos = {
+            str(number): number for number in range(1, 1 + len(self._devices.settings.servos))
+        }
         unknown = set(wanted) - set(servos)
         if unknown:
             raise SimulatorSettingsError(f"there is no servo {', '.join(sorted(unknown))}")

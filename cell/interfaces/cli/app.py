@@ -10,6 +10,7 @@ from cell.errors import CellError, ConfigError
 from cell.interfaces.cli.commands import (
     calibrate,
     clear,
+    commission,
     config,
     dbc,
     doctor,
@@ -61,6 +62,7 @@ def options(
 
 
 for command in (
+    commission.commission,
     run.run,
     sort.sort,
     teach.teach,

@@ -61,6 +61,28 @@ def stopping(cancel: Callable[[], None], *, end_within_s: float | None = None) -
                 signal.signal(number, handler)
 
 
+@contextmanager
+def as_interrupts() -> Iterator[None]:
+    """Within the block the first signal raises KeyboardInterrupt, and further ones change nothing.
+
+    What cleans up behind it (servos that were moving go limp) is not interrupted once more.
+    """
+
+    def on_signal(_number: int, _frame: FrameType | None) -> None:
+        for number in before:
+            signal.signal(number, signal.SIG_IGN)
+        raise KeyboardInterrupt
+
+    before = {number: signal.getsignal(number) for number in _SIGNALS}
+    for number in before:
+        signal.signal(number, on_signal)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
 def _end_after(timeout_s: float) -> None:
     """End this program with exit code 1 after a time, also where it hangs outside the interpreter.
 

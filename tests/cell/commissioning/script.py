@@ -11,7 +11,7 @@ from gripper.state import Clock
 from simulator.cell import SimulatedCell
 from tactile.can.bus import CanBus
 
-Reply = str | float | Callable[[], str | float | None]
+Reply = str | float | Callable[[], object]
 """An answer, or the hands of the person: called, and the default is answered where None comes."""
 
 
@@ -60,7 +60,8 @@ class Script:
         reply = self.replies.get(question.key)
         if isinstance(reply, list):
             reply = reply.pop(0) if len(reply) > 1 else reply[0]
-        answer = reply() if callable(reply) else reply
+        done = reply() if callable(reply) else reply
+        answer = done if isinstance(done, str | float | int) else None
         if watch is not None:
             self.watched.append(watch())
         answer = question.default if answer is None else answer
@@ -106,6 +107,7 @@ class SimulatedLines:
         if port not in self.ports:
             raise PortLost(f"cannot open serial port {port}")
         self.opened.append((port, baud_rate))
+        self.cell.devices.servo_bus.baudrate = baud_rate
         return open_servo_port(self.cell)
 
     def open_can(self, interface: str, channel: str, bitrate: int) -> CanBus:

@@ -1,0 +1,604 @@
+"""Step `fingers`: directions, zero, ends and linkage by hand, then the first motion.
+
+A person moves the limp fingers while the angles run on the screen; known blocks between the pads
+make lengths of angles. Only then does a motor move, at the least current that moves it.
+"""
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from math import degrees
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from cell.commissioning.bench import Bench
+from cell.commissioning.engine import (
+    Choice,
+    Dialog,
+    Finding,
+    Number,
+    Question,
+    Verdict,
+    Write,
+    confirmation,
+)
+from cell.commissioning.servos import torque_off
+from cell.config.gripper import GripperConfig, gripper_settings, linkage_of
+from gripper.dynamixel.bus import ServoBus
+from gripper.dynamixel.control_table import PRESENT_BLOCK, RAD_PER_PULSE, TORQUE_ENABLE
+from gripper.dynamixel.models import PULSES_PER_TURN
+from gripper.errors import GripperError
+from gripper.kinematics import Linkage, ParallelLinkage, RackPinion
+from gripper.servos.goals import ServoGoal
+from gripper.servos.group import ServoGroup
+from gripper.servos.health import ServoHealth
+from gripper.settings import GripperSettings
+from gripper.state import GripperState
+
+Kind = Literal["parallel", "pinion", "swinging"]
+KINDS: dict[Kind, str] = {
+    "parallel": "the pads stay parallel, on links that point straight ahead when closed",
+    "pinion": "the fingers slide straight, on racks with a pinion",
+    "swinging": "the fingers swing, or their links stand askew when closed",
+}
+"""Kinds of linkage that are fitted, as a person sees them."""
+
+_MOVED_PULSES = 60
+"""Way of a servo in pulses, 5 degrees, from which a finger was moved."""
+_STILL_SHARE = 0.2
+"""Way of the other finger, as a share of that of the moved one, that still counts as none."""
+_END_MARGIN_M = 2e-3
+"""Opening in m that the cell keeps from the widest by hand."""
+_GOOD_FIT_M = 0.3e-3
+"""Largest residual in m with which the simplest linkage is taken: calliper, touch and encoder."""
+_BAD_FIT_M = 1e-3
+"""Largest residual in m that is passed without a warning."""
+_MID_PULSE, _OFF_PULSES = PULSES_PER_TURN // 2, 60
+"""Middle of the encoder, and distance of the zero from it that is named to the person."""
+_LEAST_ROOM_M = 6e-3
+"""Opening in m, and distance from the widest one, that the first motion needs."""
+_FIRST_WAY_RAD = 0.05
+"""Way of the first motion in rad: 3 mm with links of 60 mm."""
+_FRICTION_FACTOR = 2.0
+"""Largest current of the first motion, as a factor on that which friction takes."""
+_RAMP_A_S = 0.1
+"""Rise of the current in the first motion in A/s."""
+_WRONG_WAY_RAD = 0.01
+"""Way in rad against the expected direction at which all torque goes off: 0.6 mm."""
+_FIRST_FORCE_N = 0.1
+"""Force in N, beyond friction, with which the fingers hold still before the first motion."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Measured:
+    """Fingers on a block of known size."""
+
+    angles_rad: tuple[float, ...]
+    """Angle of each servo from the closed fingers, growing while they open."""
+    aperture_m: float
+    """Size of the block in m."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LinkageFit:
+    """A linkage fitted to closed fingers and blocks."""
+
+    kind: Kind
+    linkage: Linkage
+    closed_rad: float
+    """Angle of the linkage at which the pads meet."""
+    residual_m: float
+    """Largest difference between fitted and measured opening in m."""
+
+
+def directions(closed: Sequence[int], opened: Sequence[int]) -> tuple[Literal[1, -1], ...]:
+    """Return the direction of each servo: 1 where its position grows while its finger opens.
+
+    Raises
+    ------
+    ValueError
+        If a servo was moved by less than 5 degrees.
+    """
+    for before, after in zip(closed, opened, strict=True):
+        if abs(after - before) < _MOVED_PULSES:
+            raise ValueError(f"a servo was moved by {abs(after - before)} pulses only")
+    return tuple(1 if after > before else -1 for before, after in zip(closed, opened, strict=True))
+
+
+def moved_alone(before: Sequence[int], after: Sequence[int]) -> int | None:
+    """Return the index of the only servo that was moved; None where none or several were."""
+    ways = [abs(b - a) for a, b in zip(before, after, strict=True)]
+    index = int(np.argmax(ways))
+    others = [way for i, way in enumerate(ways) if i != index]
+    alone = ways[index] >= _MOVED_PULSES and all(w <= _STILL_SHARE * ways[index] for w in others)
+    return index if alone else None
+
+
+def fit_linkages(measured: Sequence[Measured]) -> tuple[LinkageFit, ...]:
+    """Return the linkages that fit closed fingers and blocks, the most probable first.
+
+    Closed fingers (opening 0 at angle 0) are a measurement of their own. A swinging finger follows
+    the law of a parallelogram at the middle of its pad, with links that stand askew when closed;
+    it has one more unknown and is fitted from two blocks on, and preferred only where the simpler
+    ones fail.
+
+    Parameters
+    ----------
+    measured
+        One or more blocks.
+
+    Raises
+    ------
+    ValueError
+        If there is no block, or an angle that does not grow with the opening.
+    """
+    if not measured or any(sum(one.angles_rad) <= 0.0 for one in measured):
+        raise ValueError("a linkage needs a block on which the fingers are open")
+    n = len(measured[0].angles_rad)
+    angles = np.array([one.angles_rad for one in measured])
+    sizes_m = np.array([one.aperture_m for one in measured])
+    mean = 2.0 * angles.mean(axis=1)
+    radius_m = float(mean @ sizes_m / (mean @ mean))
+    rack = RackPinion(pinion_radius_m=radius_m, n_servos=n)
+    rise = 2.0 * np.sin(angles).mean(axis=1)
+    parallel = ParallelLinkage(link_m=float(rise @ sizes_m / (rise @ rise)), n_servos=n)
+    fits = [
+        _fit("parallel", parallel, 0.0, angles, sizes_m),
+        _fit("pinion", rack, 0.0, angles, sizes_m),
+    ]
+    fits.sort(key=lambda fit: fit.residual_m)
+    if len(measured) > 1:
+        swinging = _swinging(angles, sizes_m, parallel.link_m)
+        first = fits[0].residual_m > _GOOD_FIT_M
+        fits.insert(0 if first else len(fits), swinging)
+    elif fits[0].kind != "parallel":
+        # One block fits both.
+        fits.reverse()
+    return tuple(fits)
+
+
+def _swinging(
+    angles: NDArray[np.float64], sizes_m: NDArray[np.float64], start_m: float
+) -> LinkageFit:
+    """Fit length of the links and their angle when closed."""
+
+    def residuals(unknown: NDArray[np.float64]) -> NDArray[np.float64]:
+        link_m, closed_rad = unknown
+        halves = np.sin(angles + closed_rad) - np.sin(closed_rad)
+        return np.asarray(1e3 * (2.0 * link_m * halves.mean(axis=1) - sizes_m))
+
+    found = least_squares(
+        residuals, (start_m, 0.0), bounds=((5e-3, -1.2), (0.5, 1.2)), x_scale=(0.01, 0.1)
+    )
+    link_m, closed_rad = (float(value) for value in found.x)
+    linkage = ParallelLinkage(
+        link_m=link_m,
+        offset_m=-link_m * float(np.sin(closed_rad)),
+        n_servos=angles.shape[1],
+    )
+    return _fit("swinging", linkage, closed_rad, angles, sizes_m)
+
+
+def _fit(
+    kind: Kind,
+    linkage: Linkage,
+    closed_rad: float,
+    angles: NDArray[np.float64],
+    sizes_m: NDArray[np.float64],
+) -> LinkageFit:
+    off_m = [
+        abs(linkage.aperture_m([closed_rad + float(a) for a in row]) - float(size_m))
+        for row, size_m in zip(angles, sizes_m, strict=True)
+    ]
+    return LinkageFit(kind=kind, linkage=linkage, closed_rad=closed_rad, residual_m=max(off_m))
+
+
+def zero_pulse(closed_raw: int, direction: int, closed_rad: float) -> int:
+    """Return Present Position at angle 0 of the linkage, from that of the closed fingers."""
+    return closed_raw - direction * round(closed_rad / RAD_PER_PULSE)
+
+
+def first_current_max_a(settings: GripperSettings) -> float:
+    """Return the largest current of the first motion in A: twice what friction takes."""
+    return max(
+        _FRICTION_FACTOR * servo.servo_model.friction_nm / servo.servo_model.kt_nm_a
+        for servo in settings.servos
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class FingersStep:
+    """Finds directions, zeros, ends and linkage by hand, then makes the first motion."""
+
+    key: str = "fingers"
+    title: str = "Fingers"
+    purpose: str = (
+        "You move the limp fingers by hand, then close them on blocks of known size: that gives "
+        "directions, zero, ends and linkage. At the end each finger opens by itself, by about "
+        "3 mm at the least current that moves it, and goes limp again."
+    )
+    needs: tuple[str, ...] = ("servos",)
+    undo: str = "nothing is written; run `tactile-cell commission --redo fingers`"
+
+    def run(self, bench: Bench, dialog: Dialog) -> Finding:
+        """Measure by hand, fit, move."""
+        gripper = bench.gripper()
+        ids = [servo.id for servo in gripper.servos]
+        with bench.servo_bus() as bus:
+            for servo_id in ids:
+                torque_off(bus, dialog, servo_id, bus.read(servo_id, TORQUE_ENABLE))
+            return _Hands(bench, dialog, bus, gripper).run()
+
+
+class _Hands:
+    """One run of the step."""
+
+    def __init__(self, bench: Bench, dialog: Dialog, bus: ServoBus, gripper: GripperConfig) -> None:
+        self._bench = bench
+        self._dialog = dialog
+        self._bus = bus
+        self._gripper = gripper
+        self._servos = list(gripper.servos)
+        self._shown: Callable[[], str] = self._pulses
+
+    def run(self) -> Finding:
+        closed, opened = self._ends()
+        if crossing := [
+            f"servo {s.id}: {a} to {b} pulses"
+            for s, a, b in zip(self._servos, closed, opened, strict=True)
+            if not (min(a, b) >= 0 and max(a, b) < PULSES_PER_TURN)
+        ]:
+            return self._failed(
+                f"a finger crosses the end of its encoder's turn ({'; '.join(crossing)}): take "
+                "off the horn, turn the servo by half a turn and mount it again"
+            )
+        signs = directions(closed, opened)
+        self._servos = [
+            servo.model_copy(update={"direction": sign})
+            for servo, sign in zip(self._servos, signs, strict=True)
+        ]
+        try:
+            fits = fit_linkages(self._blocks(closed, signs))
+        except ValueError as error:
+            return self._failed(f"{error}: close the fingers on the block, and type its size")
+        fit = self._chosen(fits)
+        zeros = [
+            zero_pulse(raw, sign, fit.closed_rad) for raw, sign in zip(closed, signs, strict=True)
+        ]
+        if any(not 0 <= zero < PULSES_PER_TURN for zero in zeros):
+            return self._failed(
+                f"the zero of the linkage lies at {zeros} pulses, beyond the encoder's turn (0 to "
+                f"{PULSES_PER_TURN - 1}): turn the horn so that the closed finger stands near "
+                f"{_MID_PULSE}"
+            )
+        self._servos = [
+            servo.model_copy(update={"zero_pulse": zero})
+            for servo, zero in zip(self._servos, zeros, strict=True)
+        ]
+        widest_m = fit.linkage.aperture_m(
+            [
+                fit.closed_rad + sign * (b - a) * RAD_PER_PULSE
+                for a, b, sign in zip(closed, opened, signs, strict=True)
+            ]
+        )
+        return self._finding(fit, fits, widest_m)
+
+    def _failed(self, line: str) -> Finding:
+        return Finding(status=Verdict.FAIL, lines=(line,))
+
+    # By hand
+
+    def _read(self) -> tuple[int, ...]:
+        """Return Present Position of each servo in pulses, in the order of the fingers."""
+        found = self._bus.sync_read([servo.id for servo in self._servos], PRESENT_BLOCK)
+        return tuple(found[servo.id]["present_position"] for servo in self._servos)
+
+    def _pulses(self) -> str:
+        return ", ".join(
+            f"servo {servo.id}: {degrees(raw * RAD_PER_PULSE):.1f} deg"
+            for servo, raw in zip(self._servos, self._read(), strict=True)
+        )
+
+    def _by_hand(self, key: str, text: str) -> tuple[int, ...]:
+        """Ask for a position by hand and return it in pulses."""
+        self._dialog.ask(confirmation(f"fingers.{key}", text), watch=self._shown)
+        return self._read()
+
+    def _ends(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        """Return the positions closed and wide open; puts the servos in the order of the fingers.
+
+        Finger 0 is the one that the person opens first.
+        """
+        closed = self._by_hand(
+            "close",
+            "The servos have no torque. Take out whatever is between the fingers and close them "
+            "by hand until their pads touch, in the middle.",
+        )
+        index, opened = None, closed
+        while index is None:
+            both = len(self._servos) == 1
+            opened = self._by_hand(
+                "open_first",
+                "Open the fingers by hand as far as they go."
+                if both
+                else "Open one finger by hand as far as it goes, and leave the other. This one is "
+                "finger 0 from now on: mark it.",
+            )
+            index = moved_alone(closed, opened)
+            if index is None:
+                self._dialog.say(
+                    f"One finger should have moved by 5 degrees or more. From closed: "
+                    f"{_ways(self._servos, closed, opened)}. Close both, then open one."
+                )
+        if len(self._servos) == 1:
+            return closed, opened
+        order = [index, 1 - index]
+        self._servos = [self._servos[i] for i in order]
+        closed, first = tuple(closed[i] for i in order), opened[index]
+        while True:
+            both_open = self._by_hand("open_second", "Now open the other one as far as it goes.")
+            if abs(both_open[1] - closed[1]) >= _MOVED_PULSES:
+                return closed, (first, both_open[1])
+            self._dialog.say(f"It has not moved: {_ways(self._servos, closed, both_open)}.")
+
+    def _blocks(self, closed: Sequence[int], signs: Sequence[int]) -> list[Measured]:
+        """Return the fingers on one or two blocks of known size."""
+
+        def turned(raws: Sequence[int]) -> tuple[float, ...]:
+            return tuple(
+                sign * (raw - zero) * RAD_PER_PULSE
+                for raw, zero, sign in zip(raws, closed, signs, strict=True)
+            )
+
+        self._shown = lambda: ", ".join(
+            f"finger {number}: {degrees(angle):.1f} deg open"
+            for number, angle in enumerate(turned(self._read()))
+        )
+        measured = []
+        for number, text, least in (
+            (
+                1,
+                "Take a stiff block with parallel faces, best of about 10 mm, and measure it.",
+                1.0,
+            ),
+            (2, "A second one, of about 30 mm; 0 if you have none.", 0.0),
+        ):
+            size_mm = self._dialog.ask(
+                Question(
+                    key=f"fingers.block{number}",
+                    text=f"{text} How thick is it?",
+                    number=Number(lowest=least, highest=400.0, unit="mm"),
+                    default=None if least else 0.0,
+                )
+            )
+            if float(size_mm) <= 0.0:
+                break
+            raws = self._by_hand(
+                f"on_block{number}",
+                f"Hold the block of {float(size_mm):g} mm between the pads and close both fingers "
+                "by hand until they just touch it, flat.",
+            )
+            measured.append(Measured(angles_rad=turned(raws), aperture_m=float(size_mm) * 1e-3))
+        return measured
+
+    def _chosen(self, fits: Sequence[LinkageFit]) -> LinkageFit:
+        """Return the linkage that the person sees; the fit proposes one."""
+        answer = self._dialog.ask(
+            Question(
+                key="fingers.kind",
+                text="How do the fingers move? The measurements fit the first one best.",
+                choices=tuple(
+                    Choice(
+                        key=fit.kind,
+                        text=f"{KINDS[fit.kind]} ({fit.linkage}; residual "
+                        f"{fit.residual_m * 1e3:.2f} mm)",
+                    )
+                    for fit in fits
+                ),
+                default=fits[0].kind,
+            )
+        )
+        return next(fit for fit in fits if fit.kind == answer)
+
+    # The result
+
+    def _finding(self, fit: LinkageFit, fits: Sequence[LinkageFit], widest_m: float) -> Finding:
+        n_blocks_tell = fit.kind != "swinging" and len(fits) > 2
+        drive = fit.linkage
+        if isinstance(drive, ParallelLinkage):
+            linkage = {
+                "kind": "parallel_linkage",
+                "link_mm": round(drive.link_m * 1e3, 3),
+                "offset_mm": round(drive.offset_m * 1e3, 3),
+            }
+        elif isinstance(drive, RackPinion):
+            linkage = {
+                "kind": "rack_pinion",
+                "pinion_radius_mm": round(drive.pinion_radius_m * 1e3, 3),
+                "offset_mm": 0.0,
+            }
+        open_mm = min(self._gripper.aperture_open_mm, (widest_m - _END_MARGIN_M) * 1e3)
+        settings = {
+            "gripper.servos": [servo.model_dump(mode="json") for servo in self._servos],
+            "gripper.linkage": linkage,
+            "gripper.aperture_open_mm": round(open_mm, 2),
+        }
+        lines = [
+            f"finger {number}: servo {servo.id}, direction {servo.direction:+d}, zero at "
+            f"{servo.zero_pulse} pulses"
+            for number, servo in enumerate(self._servos)
+        ]
+        lines += [
+            f"servo {servo.id}: its zero is {off:+d} pulses ({degrees(off * RAD_PER_PULSE):+.1f} "
+            "deg) from the middle of its encoder: the horn sits some splines off. The config makes "
+            "up for it"
+            for servo in self._servos
+            if abs(off := servo.zero_pulse - _MID_PULSE) > _OFF_PULSES
+        ]
+        lines.append(
+            f"linkage: {linkage['kind']}, {drive}; residual {fit.residual_m * 1e3:.2f} mm"
+            + (
+                ""
+                if n_blocks_tell
+                else " (as many blocks as unknowns: check an opening with a ruler)"
+            )
+        )
+        lines.append(f"widest opening by hand: {widest_m * 1e3:.1f} mm")
+        warned = fit.residual_m > _BAD_FIT_M
+        if warned:
+            lines.append(
+                f"the residual is above {_BAD_FIT_M * 1e3:g} mm: measure the blocks again, look "
+                "for play, and run `tactile-cell commission --redo fingers`"
+            )
+        moved, failure = self._first_motion(settings, fit.linkage, widest_m)
+        lines += moved
+        return Finding(
+            status=Verdict.FAIL if failure else Verdict.WARN if warned else Verdict.PASS,
+            lines=(*lines, *failure),
+            values={
+                "widest_mm": round(widest_m * 1e3, 2),
+                "residual_mm": round(fit.residual_m * 1e3, 3),
+                "fits": {one.kind: round(one.residual_m * 1e3, 3) for one in fits},
+            },
+            settings={} if failure else settings,
+        )
+
+    def _first_motion(
+        self, found: dict[str, object], linkage: Linkage, widest_m: float
+    ) -> tuple[list[str], list[str]]:
+        """Open each finger by a little, at the least current; return lines and failures."""
+        config = self._bench.gripper(
+            **{key.removeprefix("gripper."): value for key, value in found.items()}
+        )
+        linkage = linkage_of(config)
+        settings = gripper_settings(config, overruns_max=1)
+        cap_a = first_current_max_a(settings)
+        settings = replace(
+            settings,
+            current_max_a=cap_a,
+            aperture_open_m=widest_m,
+            approach_force_n=_FIRST_FORCE_N,
+        )
+        group = ServoGroup(
+            self._bus, linkage, settings, self._bench.clock, ServoHealth(self._bus, settings)
+        )
+
+        def opening_m() -> float:
+            return linkage.aperture_m(group.read_patiently().angles_rad)
+
+        self._shown = lambda: f"opening {opening_m() * 1e3:.1f} mm"
+        while True:
+            self._by_hand(
+                "free",
+                "Take the block out and open both fingers by hand to about half way. Keep your "
+                "hands off then.",
+            )
+            if _LEAST_ROOM_M <= opening_m() <= widest_m - _LEAST_ROOM_M:
+                break
+            self._dialog.say(
+                f"The opening is {opening_m() * 1e3:.1f} mm; {_LEAST_ROOM_M * 1e3:g} to "
+                f"{(widest_m - _LEAST_ROOM_M) * 1e3:.1f} mm leave room for the motion."
+            )
+        self._dialog.approve(
+            [
+                Write(
+                    where=f"finger {number} (servo {servo.id})",
+                    what="first motion",
+                    before="at rest, limp",
+                    after=f"opens by {degrees(_FIRST_WAY_RAD):.1f} deg at most, with "
+                    f"{cap_a:.2f} A at most, then limp",
+                    undo="by hand",
+                )
+                for number, servo in enumerate(self._servos)
+            ]
+        )
+        lines, failures = [], []
+        try:
+            group.make_ready(part_possible=False, releasing=False)
+            for number in range(len(self._servos)):
+                current_a, way_rad = self._open_a_little(group, settings, number)
+                name = f"finger {number} (servo {self._servos[number].id})"
+                if way_rad >= _FIRST_WAY_RAD / 2.0:
+                    lines.append(
+                        f"{name}: opened by {degrees(way_rad):.1f} deg with {current_a:.3f} A"
+                    )
+                elif way_rad <= -_WRONG_WAY_RAD:
+                    failures.append(
+                        f"{name}: closed instead of opening, and was switched off: its direction "
+                        "is wrong; run the step again"
+                    )
+                    break
+                else:
+                    failures.append(
+                        f"{name}: did not move with {cap_a:.2f} A: look for what blocks or pinches "
+                        "it, and check the supply"
+                    )
+                    break
+        except GripperError as error:
+            failures.append(f"the first motion ended, the servos are limp: {error}")
+        finally:
+            group.go_limp()
+        if not failures:
+            answer = self._dialog.ask(
+                Question(
+                    key="fingers.opened",
+                    text="Did each finger open by itself, one after the other?",
+                    choices=(
+                        Choice(key="yes", text="yes, both opened"),
+                        Choice(key="no", text="no: one closed, or did not move"),
+                    ),
+                )
+            )
+            if answer == "no":
+                failures.append(
+                    "what the servos report and what the fingers do differ: was a horn loose, or "
+                    "a finger moved by hand meanwhile? Fasten the horns and run the step again"
+                )
+        return lines, failures
+
+    def _open_a_little(
+        self, group: ServoGroup, settings: GripperSettings, index: int
+    ) -> tuple[float, float]:
+        """Raise the current of one servo until its finger opens; return current in A, way in rad.
+
+        The other one holds where it is. Limits stand beside the write, in `gripper.servos.goals`.
+        """
+        clock, period_s = self._bench.clock, settings.period_s
+        state = group.read_patiently()
+        start = state.angles_rad
+        hold_a = group.goal_current_a
+        current_a = 0.0
+        while current_a < settings.current_max_a:
+            current_a = min(current_a + _RAMP_A_S * period_s, settings.current_max_a)
+            group.write_goals(_goals(start, index, current_a, hold_a), state)
+            clock.sleep(period_s)
+            state = group.read_patiently()
+            way_rad = state.angles_rad[index] - start[index]
+            if way_rad <= -_WRONG_WAY_RAD or way_rad >= _FIRST_WAY_RAD / 2.0:
+                break
+        with suppress(GripperError):
+            group.hold_position()
+        return current_a, _way(state, start, index)
+
+
+def _goals(start: Sequence[float], index: int, current_a: float, hold_a: float) -> list[ServoGoal]:
+    return [
+        ServoGoal(angle_rad=angle + _FIRST_WAY_RAD, current_a=current_a)
+        if number == index
+        else ServoGoal(angle_rad=angle, current_a=hold_a)
+        for number, angle in enumerate(start)
+    ]
+
+
+def _way(state: GripperState, start: Sequence[float], index: int) -> float:
+    return state.angles_rad[index] - start[index]
+
+
+def _ways(servos: Sequence[object], before: Sequence[int], after: Sequence[int]) -> str:
+    return ", ".join(
+        f"servo {getattr(servo, 'id', '?')} by {degrees(abs(b - a) * RAD_PER_PULSE):.1f} deg"
+        for servo, a, b in zip(servos, before, after, strict=True)
+    )

@@ -1,0 +1,168 @@
+"""Step `ports`: finds the serial port of the servos and checks what keeps programs off it."""
+
+import grp
+import os
+import pwd
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from cell.commissioning.bench import Bench
+from cell.commissioning.engine import (
+    Dialog,
+    Finding,
+    Verdict,
+    confirmation,
+)
+from gripper.dynamixel.serial_port import latency_timer_file, latency_timer_ms
+from gripper.errors import PortLost
+
+BY_ID = Path("/dev/serial/by-id")
+"""Where udev names each adapter by its maker and serial number, whatever port it is plugged in."""
+_WAIT_S = 30.0
+"""Longest time in s for an adapter to vanish or come back after it was asked for."""
+_LOOK_S = 0.5
+"""Time in s between two looks at the ports: udev takes some tenths."""
+_LATENCY_MS = 1
+"""Latency timer in ms with which the force loop of 200 Hz works."""
+
+
+@dataclass(frozen=True, slots=True)
+class PortsStep:
+    """Finds the servos' port: named, the only one, or the one that vanishes when it is pulled."""
+
+    key: str = "ports"
+    title: str = "Ports"
+    purpose: str = (
+        "Finds the serial port of the servos' adapter and checks that this user may open it, that "
+        "no other program has it, and how fast it hands on answers. Writes and moves nothing."
+    )
+    needs: tuple[str, ...] = ()
+    undo: str = "nothing to undo"
+
+    def run(self, bench: Bench, dialog: Dialog) -> Finding:
+        """Find the port and check it."""
+        named = bench.given.get("gripper.port")
+        port = str(named) if named else _found(bench, dialog)
+        lines, failures = [f"servo port: {port}"], list(_obstacles(bench, port))
+        timer_ms = latency_timer_ms(port)
+        slow = timer_ms is not None and timer_ms > _LATENCY_MS
+        if timer_ms is not None:
+            lines.append(f"latency timer of its adapter: {timer_ms} ms")
+        if slow:
+            lines.append(
+                f"each answer waits {timer_ms} ms in the adapter, {_LATENCY_MS} ms is needed. "
+                f"Until the next start: echo {_LATENCY_MS} | sudo tee {latency_timer_file(port)}. "
+                f"For good: {udev_rule()}"
+            )
+        status = Verdict.FAIL if failures else Verdict.WARN if slow else Verdict.PASS
+        return Finding(
+            status=status,
+            lines=(*lines, *failures),
+            values={"port": port, "latency_timer_ms": timer_ms},
+            settings={"gripper.port": port},
+        )
+
+
+def by_id(port: str, folder: Path = BY_ID) -> str:
+    """Return the name below /dev/serial/by-id of a port; the port itself where it has none."""
+    device = os.path.realpath(port)
+    names = sorted(folder.iterdir()) if folder.is_dir() else []
+    return next((str(name) for name in names if os.path.realpath(name) == device), port)
+
+
+def udev_rule() -> str:
+    """Return the udev rule that sets the latency timer of each adapter that has one."""
+    return (
+        'ACTION=="add", SUBSYSTEM=="usb-serial", DRIVER=="ftdi_sio", '
+        f'ATTR{{latency_timer}}="{_LATENCY_MS}" in /etc/udev/rules.d/99-tactile-cell.rules'
+    )
+
+
+def users_of(port: str, processes: Path = Path("/proc")) -> tuple[str, ...]:
+    """Return the programs that have a port open, as ``name (process 12)``, without this one.
+
+    Programs of other users are seen by an administrator only.
+    """
+    device = os.path.realpath(port)
+    found = []
+    for process in sorted(processes.glob("[0-9]*")):
+        if process.name == str(os.getpid()):
+            continue
+        try:
+            open_files = [os.readlink(handle) for handle in (process / "fd").iterdir()]
+            if device in open_files:
+                name = (process / "comm").read_text("utf-8").strip()
+                found.append(f"{name} (process {process.name})")
+        except OSError:
+            # It has ended, or belongs to another user.
+            continue
+    return tuple(found)
+
+
+def _found(bench: Bench, dialog: Dialog) -> str:
+    """Return the only port, or the one that goes and comes back with its plug."""
+    ports = bench.lines.serial_ports()
+    while not ports:
+        dialog.ask(
+            confirmation(
+                "ports.plug_in",
+                "No serial port is there. Plug in the adapter of the servos.",
+                "it is plugged in",
+            )
+        )
+        ports = _changed(bench, ports)
+    if len(ports) == 1:
+        return by_id(ports[0])
+    gone: set[str] = set()
+    while len(gone) != 1:
+        dialog.say(f"Serial ports: {', '.join(map(by_id, ports))}")
+        dialog.ask(
+            confirmation(
+                "ports.unplug",
+                "Which one leads to the servos? Pull the USB plug of their adapter.",
+                "it is pulled",
+            )
+        )
+        gone = set(ports) - set(_changed(bench, ports))
+        if len(gone) != 1:
+            dialog.say(
+                f"{len(gone)} ports are gone, one should be. Pull the plug of the servos' adapter "
+                "alone; plug in the others first."
+            )
+            ports = bench.lines.serial_ports()
+    left = tuple(port for port in ports if port not in gone)
+    back: set[str] = set()
+    while len(back) != 1:
+        dialog.ask(confirmation("ports.plug_back", "Plug it in again.", "it is plugged in"))
+        # It may come back under another name.
+        back = set(_changed(bench, left)) - set(left)
+    return by_id(back.pop())
+
+
+def _changed(bench: Bench, before: tuple[str, ...]) -> tuple[str, ...]:
+    """Return the ports once they differ from ``before``, or those after 30 s."""
+    deadline_s = bench.clock.monotonic() + _WAIT_S
+    while (now := bench.lines.serial_ports()) == before and bench.clock.monotonic() < deadline_s:
+        bench.clock.sleep(_LOOK_S)
+    return now
+
+
+def _obstacles(bench: Bench, port: str) -> Iterator[str]:
+    """Return why a port cannot be opened, with the command that mends it."""
+    device = Path(port)
+    if device.exists() and not os.access(device, os.R_OK | os.W_OK):
+        group = grp.getgrgid(device.stat().st_gid).gr_name
+        user = pwd.getpwuid(os.getuid()).pw_name
+        yield (f"this user may not open it: sudo usermod -a -G {group} {user}, then log out and in")
+        return
+    try:
+        bench.lines.open_servos(port, 57600).close()
+    except PortLost as error:
+        yield str(error)
+    users = users_of(port) if device.exists() else ()
+    if users:
+        yield (
+            f"in use by {', '.join(users)}: end it (brltty takes such adapters: sudo apt remove "
+            "brltty)"
+        )

@@ -1,0 +1,483 @@
+"""Step `servos`: finds the servos at any baud rate, numbers new ones, checks and sets each."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from cell.commissioning.backup import Backup, keep, read_table
+from cell.commissioning.bench import Bench
+from cell.commissioning.engine import (
+    Choice,
+    Dialog,
+    Finding,
+    Question,
+    Verdict,
+    Write,
+    confirmation,
+    leave,
+)
+from gripper.dynamixel.bus import ServoBus, ServoIdentity
+from gripper.dynamixel.control_table import (
+    BAUD_CODES,
+    BAUD_RATE,
+    PRESENT_INPUT_VOLTAGE,
+    REGISTERS,
+    SERVO_ID,
+    TORQUE_ENABLE,
+)
+from gripper.dynamixel.latency import check_link
+from gripper.dynamixel.models import MODELS, ServoModel
+from gripper.dynamixel.serial_port import BAUD_RATES
+from gripper.errors import LinkTooSlow
+from gripper.servos.verification import Requirement, compare, requirements
+from gripper.state import hardware_error_names
+
+_OTHER_MODELS = {
+    350: "XL-320",
+    1000: "XH430-W350",
+    1010: "XH430-W210",
+    1040: "XH430-V350",
+    1050: "XH430-V210",
+    1060: "XL430-W250",
+    1070: "XC430-W150",
+    1080: "XC430-W240",
+    1090: "2XL430-W250",
+    1110: "XH540-W270",
+    1120: "XM540-W270",
+    1130: "XM540-W150",
+    1190: "XL330-M077",
+    1210: "XC330-T181",
+    1220: "XC330-T288",
+    1230: "XC330-M181",
+}
+"""Names of further models by Model Number (register 0), for messages (e-Manual)."""
+_RATES = (57600, 1_000_000, *(r for r in BAUD_RATES if r not in {57600, 1_000_000}))
+"""Order in which baud rates are scanned: the factory's and this package's first."""
+_SETTLE_S = 0.1
+"""Time in s after a change of ID or baud rate before the servo is asked."""
+_BOOT_S = 1.0
+"""Time in s after servos were connected: they boot."""
+_MOST_FINGER_SERVOS = 2
+"""Servos that drive fingers at most."""
+_VOLTAGE_MARGIN = 1.05
+"""Supply that is named as scarce, over the least of the model."""
+
+
+class Found(NamedTuple):
+    """A servo that a scan found."""
+
+    baud_rate: int
+    identity: ServoIdentity
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Scan:
+    """What answers on a line, at all baud rates."""
+
+    servos: tuple[Found, ...] = ()
+    """Servos that answer alone to their ID."""
+    shared: tuple[Found, ...] = ()
+    """IDs to which several servos answer."""
+    damaged: tuple[int, ...] = ()
+    """Baud rates in bit/s at which damaged bytes came."""
+
+    @property
+    def crowded(self) -> bool:
+        """Whether answers collide, so that nothing may be written."""
+        return bool(self.shared or self.damaged)
+
+
+def scan(bench: Bench, port: str, dialog: Dialog) -> Scan:
+    """Ping all IDs at each baud rate; takes about 8 s."""
+    servos: list[Found] = []
+    shared: list[Found] = []
+    damaged: list[int] = []
+    for rate in _RATES:
+        dialog.live("scan", f"{rate} bit/s")
+        with bench.servo_bus(port, rate) as bus:
+            identities, has_damaged = bus.scan_at_once()
+            if has_damaged:
+                # Once may be chance.
+                identities, has_damaged = bus.scan_at_once()
+            for identity in identities:
+                found = Found(rate, identity)
+                (shared if bus.shares_id(identity.servo_id) else servos).append(found)
+            if has_damaged:
+                damaged.append(rate)
+    return Scan(servos=tuple(servos), shared=tuple(shared), damaged=tuple(damaged))
+
+
+def model_name(number: int) -> str:
+    """Return the name of a model number, or the number where it has none here."""
+    known = {model.number: model.name for model in MODELS.values()} | _OTHER_MODELS
+    return known.get(number, f"of model number {number}")
+
+
+@dataclass(frozen=True, slots=True)
+class ServosStep:
+    """Finds, numbers, checks and sets the servos of the fingers."""
+
+    key: str = "servos"
+    title: str = "Servos"
+    purpose: str = (
+        "Scans all baud rates, gives new servos their IDs one at a time, compares model, firmware, "
+        "supply and registers. Keeps each control table in a backup before it writes; shows each "
+        "write before. Nothing moves."
+    )
+    needs: tuple[str, ...] = ("ports",)
+    undo: str = "`tactile-cell commission --restore` writes the backups back"
+
+    def run(self, bench: Bench, dialog: Dialog) -> Finding:
+        """Find, number, check and set the servos."""
+        port, rate = bench.gripper().port, bench.gripper().baud_rate
+        try:
+            placed = _numbered(bench, dialog, port, rate)
+        except _Nothing as nothing:
+            return Finding(status=Verdict.FAIL, lines=(str(nothing),))
+        fingers, others = _of_fingers(placed, dialog)
+        lines: list[str] = [
+            f"servo {one.servo_id}: {model_name(one.model_number)}, firmware {one.firmware}"
+            for one in placed
+        ]
+        failures = [_unusable(one) for one in fingers if _model(one) is None]
+        volts = {m.nominal_voltage_v for one in fingers if (m := _model(one)) is not None}
+        if len(volts) > 1:
+            failures.append(
+                f"the servos of the fingers need different supplies "
+                f"({', '.join(f'{v:g} V' for v in sorted(volts))}): use two of one model"
+            )
+        if failures:
+            return Finding(status=Verdict.FAIL, lines=(*lines, *failures))
+        with bench.servo_bus(port, rate) as bus:
+            found, failures, warnings = _set_up(bench, bus, dialog, fingers)
+            lines += found
+            try:
+                timing = check_link(bus, [one.servo_id for one in fingers], _period_s(bench))
+                lines.append(f"round trip of a ping: {timing.median_s * 1e3:.2f} ms (median)")
+            except LinkTooSlow as error:
+                failures.append(str(error))
+        for other in others:
+            lines.append(
+                f"servo {other.servo_id} drives no finger: an axis needs a port of its own, see "
+                "the step `axes`"
+            )
+        status = Verdict.FAIL if failures else Verdict.WARN if warnings else Verdict.PASS
+        return Finding(
+            status=status,
+            lines=(*lines, *warnings, *failures),
+            values={
+                "servos": [
+                    {
+                        "id": one.servo_id,
+                        "model": model_name(one.model_number),
+                        "firmware": one.firmware,
+                    }
+                    for one in placed
+                ],
+            },
+            settings={
+                "gripper.baud_rate": rate,
+                "gripper.servos": [
+                    {"id": one.servo_id, "model": model_name(one.model_number)} for one in fingers
+                ],
+            },
+        )
+
+
+class _Nothing(Exception):
+    """No servo answers, or their answers cannot be told apart."""
+
+
+def _period_s(bench: Bench) -> float:
+    return 1.0 / bench.gripper().loop_rate_hz
+
+
+def _model(identity: ServoIdentity) -> ServoModel | None:
+    """Return the model where it can limit its current, else None."""
+    return next((m for m in MODELS.values() if m.number == identity.model_number), None)
+
+
+def _unusable(identity: ServoIdentity) -> str:
+    return (
+        f"servo {identity.servo_id} is {model_name(identity.model_number)}, whose grip force "
+        f"cannot be bounded here. Use one of {', '.join(MODELS)}"
+    )
+
+
+# Finding and numbering
+
+
+def _numbered(bench: Bench, dialog: Dialog, port: str, rate: int) -> list[ServoIdentity]:
+    """Return the servos, each with an ID of its own at one baud rate."""
+    found, n_wanted = scan(bench, port, dialog), 0
+    while True:
+        if found.crowded:
+            n_wanted = _MOST_FINGER_SERVOS
+            _ask_for_one_alone(dialog, found)
+        elif not found.servos:
+            raise _Nothing(
+                "no servo answers at any baud rate: check the supply (12 V at the servos, its LED "
+                "flashes once at power-on), the three or four wires to the adapter, and that the "
+                "adapter is one for half-duplex lines (U2D2)"
+            )
+        else:
+            placed = _placed(bench, dialog, port, rate, found)
+            n_wanted = n_wanted or _count(dialog, placed)
+            if len(placed) >= n_wanted:
+                return placed
+            dialog.ask(
+                confirmation(
+                    "servos.connect_next",
+                    f"Servo {placed[-1].servo_id} has its number. Connect the next servo beside "
+                    "it, and switch its supply on.",
+                    "it is connected",
+                )
+            )
+        bench.clock.sleep(_BOOT_S)
+        found = scan(bench, port, dialog)
+
+
+def _ask_for_one_alone(dialog: Dialog, found: Scan) -> None:
+    shared = "; ".join(
+        f"several servos answer as ID {one.identity.servo_id} at {one.baud_rate} bit/s"
+        for one in found.shared
+    )
+    damaged = "; ".join(f"damaged answers at {rate} bit/s" for rate in found.damaged)
+    dialog.ask(
+        confirmation(
+            "servos.connect_one",
+            f"{'; '.join(filter(None, (shared, damaged)))}. New servos all have ID 1, and nothing "
+            "can be written to one of them. Disconnect all servos but one.",
+            "one servo is connected",
+        )
+    )
+
+
+def _count(dialog: Dialog, placed: Sequence[ServoIdentity]) -> int:
+    """Return how many servos the gripper has, asked only where one alone answers."""
+    if len(placed) > 1:
+        return len(placed)
+    answer = dialog.ask(
+        Question(
+            key="servos.count",
+            text=f"One servo answers: {model_name(placed[0].model_number)}. Does it drive both "
+            "fingers, or does a second servo drive the other finger?",
+            choices=(
+                Choice(key="1", text="one servo drives both fingers"),
+                Choice(key="2", text="there is a second one"),
+            ),
+            default="1",
+        )
+    )
+    return int(answer)
+
+
+def _placed(bench: Bench, dialog: Dialog, port: str, rate: int, found: Scan) -> list[ServoIdentity]:
+    """Give each servo an ID of its own and the baud rate; return them all by their IDs."""
+    at_home = [one.identity for one in found.servos if one.baud_rate == rate]
+    taken = {one.servo_id for one in at_home}
+    for servo in (one for one in found.servos if one.baud_rate != rate):
+        identity = servo.identity
+        used = taken | {one.identity.servo_id for one in found.servos if one is not servo}
+        new_id = identity.servo_id
+        if new_id in used:
+            new_id = next(number for number in range(1, 253) if number not in used)
+        _renumber(bench, dialog, port, servo, new_id=new_id, rate=rate)
+        taken.add(new_id)
+        at_home.append(
+            ServoIdentity(
+                servo_id=new_id, model_number=identity.model_number, firmware=identity.firmware
+            )
+        )
+    return sorted(at_home, key=lambda one: one.servo_id)
+
+
+def _renumber(
+    bench: Bench, dialog: Dialog, port: str, servo: Found, *, new_id: int, rate: int
+) -> None:
+    """Write ID and baud rate of one servo, after its backup and an approval; read them back."""
+    old_id = servo.identity.servo_id
+    with bench.servo_bus(port, servo.baud_rate) as bus:
+        table = read_table(bus, old_id)
+        torque_off(bus, dialog, old_id, table[TORQUE_ENABLE.name])
+        writes = [
+            Write(
+                where=f"servo {old_id} at {servo.baud_rate} bit/s",
+                what=f"{register.name} ({register.address})",
+                before=before,
+                after=after,
+                undo=ServosStep().undo,
+            )
+            for register, before, after in (
+                (SERVO_ID, str(old_id), str(new_id)),
+                (BAUD_RATE, f"{servo.baud_rate} bit/s", f"{rate} bit/s"),
+            )
+            if before != after
+        ]
+        dialog.approve(writes)
+        kept = keep(bench.folder, Backup(servo_id=new_id, baud_rate=rate, found=table))
+        if kept is not None:
+            dialog.say(f"backup of the servo: {kept}")
+        if new_id != old_id:
+            bus.write(old_id, SERVO_ID, new_id)
+            bench.clock.sleep(_SETTLE_S)
+        bus.write(new_id, BAUD_RATE, BAUD_CODES[rate])
+    bench.clock.sleep(_SETTLE_S)
+    with bench.servo_bus(port, rate) as bus:
+        bus.ping(new_id)
+
+
+def torque_off(bus: ServoBus, dialog: Dialog, servo_id: int, torque: int) -> None:
+    """Switch the torque of a servo off where it is on, once nothing is held any more."""
+    if not torque:
+        return
+    answer = dialog.ask(
+        Question(
+            key="servos.torque",
+            text=f"Servo {servo_id} has its torque on: it may hold a part. Its registers can be "
+            "written without torque only. Take the part out, or hold it: it falls otherwise.",
+            choices=(
+                Choice(key="off", text="nothing is held; switch the torque off"),
+                Choice(key="leave", text="leave it as it is"),
+            ),
+            default="leave",
+        )
+    )
+    if answer != "off":
+        leave(f"servo {servo_id} has its torque on")
+    write = Write(
+        where=f"servo {servo_id}",
+        what=f"{TORQUE_ENABLE.name} ({TORQUE_ENABLE.address})",
+        before="on",
+        after="off",
+        undo="release or start the cell",
+    )
+    dialog.approve([write])
+    bus.write(servo_id, TORQUE_ENABLE, 0)
+
+
+def _of_fingers(
+    placed: Sequence[ServoIdentity], dialog: Dialog
+) -> tuple[list[ServoIdentity], list[ServoIdentity]]:
+    """Return the servos of the fingers and the others; asked only where there are more than two."""
+    fingers = list(placed)
+    while len(fingers) > _MOST_FINGER_SERVOS:
+        answer = dialog.ask(
+            Question(
+                key="servos.other",
+                text="A gripper has one or two servos. Which one drives no finger?",
+                choices=tuple(
+                    Choice(
+                        key=str(one.servo_id),
+                        text=f"servo {one.servo_id} ({model_name(one.model_number)})",
+                    )
+                    for one in fingers
+                ),
+            )
+        )
+        fingers = [one for one in fingers if str(one.servo_id) != answer]
+    return fingers, [one for one in placed if one not in fingers]
+
+
+# Registers
+
+
+def _set_up(
+    bench: Bench, bus: ServoBus, dialog: Dialog, fingers: Sequence[ServoIdentity]
+) -> tuple[list[str], list[str], list[str]]:
+    """Compare the registers of the servos and set what differs; return lines, failures, warnings.
+
+    Nothing is set while a supply is too low or an error is latched: these are mended first.
+    """
+    tables = {one.servo_id: read_table(bus, one.servo_id) for one in fingers}
+    failures: list[str] = []
+    warnings: list[str] = []
+    changes: dict[int, dict[str, tuple[int, int]]] = {}
+    for one in fingers:
+        model = _model(one)
+        if model is None:
+            continue
+        table = tables[one.servo_id]
+        failure, warning = _supply(one.servo_id, model, table)
+        failures += failure
+        warnings += warning
+        error = table["hardware_error_status"]
+        if error:
+            failures.append(
+                f"servo {one.servo_id} reports {', '.join(hardware_error_names(error))}: remedy "
+                "the cause, switch its supply off and on"
+            )
+        changes[one.servo_id] = wanted_changes(model, bench, table)
+    if failures:
+        return [], failures, warnings
+    writes = [
+        Write(
+            where=f"servo {servo_id}",
+            what=f"{name} ({REGISTERS[name].address})",
+            before=str(before),
+            after=str(after),
+            undo=ServosStep().undo,
+        )
+        for servo_id, found in changes.items()
+        for name, (before, after) in found.items()
+    ]
+    if not writes:
+        return ["all registers are as the cell needs them"], failures, warnings
+    for one in fingers:
+        torque_off(bus, dialog, one.servo_id, tables[one.servo_id][TORQUE_ENABLE.name])
+    dialog.approve(writes)
+    for one in fingers:
+        servo_id = one.servo_id
+        backup = Backup(servo_id=servo_id, baud_rate=bus.baudrate, found=tables[servo_id])
+        if (kept := keep(bench.folder, backup)) is not None:
+            dialog.say(f"backup of servo {servo_id}: {kept}")
+        for name, (_, after) in changes[servo_id].items():
+            bus.write(servo_id, REGISTERS[name], after)
+        model = MODELS[model_name(one.model_number)]
+        found = {name: bus.read(servo_id, REGISTERS[name]) for name in tables[servo_id]}
+        rows = compare(servo_id, _required(model, bench), found, frozenset(changes[servo_id]))
+        failures += [f"{row}, after it was written" for row in rows if not row.ok]
+    return [f"{len(writes)} registers set and read back"], failures, warnings
+
+
+def _required(model: ServoModel, bench: Bench) -> tuple[Requirement, ...]:
+    gripper = bench.gripper()
+    current_a = min(gripper.current_max_a, model.current_a(model.current_limit_raw))
+    return requirements(model, current_a, min(gripper.temperature_max_c, model.temperature_limit_c))
+
+
+def wanted_changes(
+    model: ServoModel, bench: Bench, table: Mapping[str, int]
+) -> dict[str, tuple[int, int]]:
+    """Return the registers to set, present and wanted value: the factory's where that is allowed.
+
+    What cannot be written (model, firmware, latched errors) is left out.
+    """
+    changes = {}
+    for required in _required(model, bench):
+        register, present = REGISTERS[required.item], table[required.item]
+        if required.met_by(present) or not register.writable:
+            continue
+        factory = model.factory_defaults.get(required.item, 0)
+        wanted = present & ~required.mask | required.low if required.mask != -1 else factory
+        if not required.met_by(wanted):
+            wanted = required.low
+        changes[required.item] = (present, wanted)
+    return changes
+
+
+def _supply(
+    servo_id: int, model: ServoModel, table: Mapping[str, int]
+) -> tuple[list[str], list[str]]:
+    """Return what is wrong with the supply of a servo: failures, warnings."""
+    supply_v = table[PRESENT_INPUT_VOLTAGE.name] * PRESENT_INPUT_VOLTAGE.lsb
+    least_v, most_v = model.min_voltage_raw * 0.1, model.max_voltage_raw * 0.1
+    text = (
+        f"servo {servo_id} has {supply_v:.1f} V, a {model.name} takes {least_v:.1f} to "
+        f"{most_v:.1f} V"
+    )
+    if not least_v <= supply_v <= most_v:
+        return [f"{text}: check the power supply and the wires to the servo"], []
+    if supply_v < _VOLTAGE_MARGIN * least_v:
+        return [], [f"{text}: scarce, with load it drops; use {model.nominal_voltage_v:g} V"]
+    return [], []

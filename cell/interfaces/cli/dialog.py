@@ -1,0 +1,133 @@
+"""The commissioning wizard in a terminal: questions, choices by number, values that run."""
+
+import select
+import sys
+from collections.abc import Callable, Sequence
+
+from rich.table import Table
+
+from cell.commissioning.engine import Finding, Question, Step, Verdict, Write, leave
+from cell.interfaces.cli.terminal import ask, out, plain, print_line, print_table
+
+_LEAVE = "q"
+"""Answer with which a person leaves."""
+_LOOK_S = 0.1
+"""Time in s between two readings of a running value."""
+_LINE_START = "\r\x1b[2K"
+"""Back to the start of an emptied line (ECMA-48: CR, EL)."""
+_COLOURS = {Verdict.PASS: "green", Verdict.WARN: "yellow", Verdict.FAIL: "bold red"}
+
+
+class TerminalDialog:
+    """Implements `cell.commissioning.engine.Dialog` on standard input and output."""
+
+    def __init__(self) -> None:
+        self._running = False
+
+    def begin(self, step: Step, number: int, count: int) -> None:
+        """Print which step begins."""
+        self._end_line()
+        out.print(f"\n[bold]{number}/{count} {plain(step.title)}[/]")
+        print_line(step.purpose)
+
+    def found(self, step: Step, finding: Finding) -> None:
+        """Print what a step found."""
+        self._end_line()
+        verdict = finding.status
+        out.print(f"[{_COLOURS[verdict]}]{verdict.value}[/] {plain(step.title)}")
+        for line in finding.lines:
+            print_line(f"  {line}")
+
+    def say(self, text: str) -> None:
+        """Print a text."""
+        self._end_line()
+        print_line(text)
+
+    def live(self, name: str, value_text: str) -> None:
+        """Print a value over its previous one; nothing where no terminal is."""
+        if out.is_terminal:
+            # A line of the terminal only: a longer one could not be taken back.
+            text = f"{name} {value_text}".strip()[: out.width - 1]
+            out.file.write(f"{_LINE_START}{plain(text)}")
+            out.file.flush()
+            self._running = True
+
+    def ask(self, question: Question, *, watch: Callable[[], str] | None = None) -> str | float:
+        """Ask until the answer is one; raises `Left` at q and at the end of input."""
+        self.say(question.text)
+        for number, choice in enumerate(question.choices or (), start=1):
+            mark = " (Enter)" if choice.key == question.default else ""
+            print_line(f"  {number}  {choice.text}{mark}")
+        while True:
+            answer = self._answer(question, self._line(question, watch))
+            if answer is not None:
+                return answer
+
+    def approve(self, writes: Sequence[Write]) -> None:
+        """Print the writes, and ask for each batch of them once."""
+        self._end_line()
+        table = Table("where", "what", "now", "then", "taken back by", box=None)
+        for write in writes:
+            table.add_row(
+                *map(plain, (write.where, write.what, write.before, write.after, write.undo))
+            )
+        print_table(table)
+        while True:
+            typed = self._typed("Do this? y, or n to leave: ").lower()
+            if typed in {"y", "yes"}:
+                return
+            if typed in {"n", "no"}:
+                leave("refused, nothing of it was done")
+
+    def _line(self, question: Question, watch: Callable[[], str] | None) -> str:
+        unit = f" in {question.number.unit}" if question.number is not None else ""
+        default = "" if question.default is None or question.choices else f" [{question.default}]"
+        prompt = f"{_LEAVE} leaves{unit}{default}> "
+        if watch is None or not out.is_terminal:
+            return self._typed(prompt)
+        while not select.select([sys.stdin.fileno()], [], [], _LOOK_S)[0]:
+            self.live("", f"{watch()}  ({_how_to_answer(question)})")
+        self._end_line()
+        return self._typed("")
+
+    def _typed(self, prompt: str) -> str:
+        try:
+            typed = ask(prompt).strip()
+        except EOFError:
+            leave("the input ended")
+        if typed == _LEAVE:
+            leave("on request")
+        return typed
+
+    def _answer(self, question: Question, typed: str) -> str | float | None:
+        """Return the answer that was typed; None, with a word, where it is none."""
+        if not typed and question.default is not None:
+            return question.default
+        if question.choices is not None:
+            keys = [choice.key for choice in question.choices]
+            by_number = {str(number): key for number, key in enumerate(keys, start=1)}
+            answer = by_number.get(typed, typed if typed in keys else None)
+            if answer is None:
+                print_line(f"type a number from 1 to {len(keys)}")
+            return answer
+        if question.number is None:
+            return typed or None
+        low, high = question.number.lowest, question.number.highest
+        try:
+            value = float(typed.replace(",", "."))
+        except ValueError:
+            value = float("nan")
+        if low <= value <= high:
+            return value
+        print_line(f"type a number from {low:g} to {high:g} {question.number.unit}")
+        return None
+
+    def _end_line(self) -> None:
+        if self._running:
+            out.file.write("\n")
+            self._running = False
+
+
+def _how_to_answer(question: Question) -> str:
+    """Return how a person answers while a value runs."""
+    return f"Enter: {question.choices[0].text}" if question.choices else "type, then Enter"
