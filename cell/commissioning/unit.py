@@ -2,8 +2,10 @@
 
 import json
 import math
+import os
 import subprocess
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, get_args
@@ -18,19 +20,19 @@ from cell.commissioning.engine import (
     Write,
 )
 from cell.config.section import SIMULATED
-from cell.config.tactile import TactileConfig, layout_from_config, link_settings
+from cell.config.tactile import TactileConfig, layout_from_config, link_settings, make_calibration
 from cell.errors import ConfigError
+from cell.hand.build import sensor_settings
 from tactile.can.bus import CanBus
 from tactile.errors import TactileError
 from tactile.frames.codec import FrameFormat
 from tactile.layout import LAYOUTS, TaxelLayout
 from tactile.sensor.opening import open_sensor
+from tactile.sensor.sensor import TactileSensor
 from tactile.unit.commissioning import Check, identity_checks
 from tactile.unit.search import FoundUnit, Heard, listen, read_unit, read_vendor, scan
 from tactile.unit.settings import ExpectedIdentity
 
-KEY = "unit"
-"""Name of the step."""
 BIT_RATES: tuple[int, ...] = tuple(
     sorted(get_args(TactileConfig.model_fields["bitrate"].annotation), reverse=True)
 )
@@ -47,19 +49,51 @@ _FRAMES = 10
 """Frames that show that the link runs."""
 
 
-@dataclass(frozen=True, slots=True)
-class FindUnit:
-    """Step that finds the control unit, sets it up as each start does, and keeps who it is."""
+@contextmanager
+def unit_sensor(bench: Bench, *, mounted: bool = True) -> Iterator[TactileSensor]:
+    """Start the sensor of the config so far, and close it at the end.
 
-    key = KEY
-    title = "Control unit and its CAN bus"
-    purpose = (
+    Parameters
+    ----------
+    bench
+        Bus and config.
+    mounted
+        False: pads as the layout has them, whatever ``tactile.mounting`` says.
+
+    Raises
+    ------
+    TactileError
+        As `tactile.open_sensor`.
+    """
+    tactile = bench.tactile() if mounted else bench.tactile(mounting=[])
+    layout = layout_from_config(tactile)
+    with (
+        bench.can_bus() as bus,
+        open_sensor(
+            bus,
+            layout,
+            make_calibration(tactile, layout),
+            node_id=tactile.node_id,
+            link=link_settings(tactile),
+            settings=sensor_settings(tactile),
+        ) as sensor,
+    ):
+        yield sensor
+
+
+@dataclass(frozen=True, slots=True)
+class UnitStep:
+    """Finds the control unit, sets it up as each start does, and keeps who it is."""
+
+    key: str = "unit"
+    title: str = "Control unit and its CAN bus"
+    purpose: str = (
         "Finds the CAN interface, its bit rate, the node-ID of the control unit, its identity and "
         "its taxels. Other devices on the same bus may be disturbed for some seconds. Nothing "
         "moves; what is set in the unit is shown before, and is gone when it is switched off."
     )
-    needs: tuple[str, ...] = ()
-    undo = "Switch the control unit off and on: nothing is stored in it."
+    needs: tuple[str, ...] = ("ports",)
+    undo: str = "Switch the control unit off and on: nothing is stored in it."
 
     def run(self, bench: Bench, dialog: Dialog) -> Finding:
         """Carry it out; see `Step.run`."""
@@ -105,9 +139,11 @@ def _interface(bench: Bench, dialog: Dialog) -> tuple[str, str]:
     interface, channel = known.get("tactile.interface"), known.get("tactile.channel")
     if interface and interface != SIMULATED:
         return str(interface), str(channel or "")
-    servos = known.get("gripper.port")
+    servos = os.path.realpath(str(known.get("gripper.port", "")))
     places = [("socketcan", name) for name in _network_interfaces()]
-    places += [("slcan", port) for port in bench.lines.serial_ports() if port != servos]
+    places += [
+        ("slcan", port) for port in bench.lines.serial_ports() if os.path.realpath(port) != servos
+    ]
     if not places:
         raise _Unusable(
             "No CAN interface was found: neither a network interface of CAN (`ip link`) nor a "

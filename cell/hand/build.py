@@ -72,7 +72,7 @@ def make_hand(config: CellConfig, lines: Lines, *, notes: tuple[str, ...] = ()) 
         make_calibration(config.tactile, layout),
         node_id=config.tactile.node_id,
         link=link_settings(config.tactile),
-        settings=_sensor_settings(config.tactile),
+        settings=sensor_settings(config.tactile),
     )
     force = GripForce(sensor, ForceSample)
     gripper = open_gripper(
@@ -87,7 +87,8 @@ def make_hand(config: CellConfig, lines: Lines, *, notes: tuple[str, ...] = ()) 
     )
 
 
-def _sensor_settings(config: TactileConfig) -> SensorSettings:
+def sensor_settings(config: TactileConfig) -> SensorSettings:
+    """Return the settings of the way from frames to forces."""
     return SensorSettings(
         bad_share=config.bad_taxels_max_share,
         quality=QualityLimits(drift_share=config.drift_max_share),

@@ -253,6 +253,11 @@ class TactileSensor:
         return self._layout
 
     @property
+    def calibration(self) -> Calibration:
+        """Counts to forces."""
+        return self._calibration
+
+    @property
     def latest(self) -> TactileReading | None:
         """The newest reading that `poll` has given, None before; its age is in its ``t_s``."""
         return self._latest

@@ -7,7 +7,7 @@ import pytest
 
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Finding, Left, Verdict
-from cell.commissioning.unit import FindUnit
+from cell.commissioning.unit import UnitStep
 from simulator.can.drive import DriveMount
 from simulator.cell import SimulatedCell
 from simulator.devices import SimulatedDrive
@@ -29,7 +29,7 @@ def found(
     made = SimulatorSettings(**{"layout": pinch_layout()} | settings, faults=faults)
     with SimulatedCell(made) as cell:
         bench = Bench(tmp_path, SimulatedLines(cell), given=GIVEN if given is None else given)
-        return FindUnit().run(bench, script or Script())
+        return UnitStep().run(bench, script or Script())
 
 
 def test_a_unit_is_found_and_set_up_and_named(tmp_path: Path) -> None:
@@ -55,7 +55,7 @@ def test_nothing_is_written_that_is_refused(tmp_path: Path) -> None:
     with SimulatedCell(SimulatorSettings(layout=pinch_layout())) as cell:
         bench = Bench(tmp_path, SimulatedLines(cell), given=GIVEN)
         with pytest.raises(Left):
-            FindUnit().run(bench, Script(leave_at=["approve"]))
+            UnitStep().run(bench, Script(leave_at=["approve"]))
         assert cell.unit.dictionary.number(0x1017) == 0
 
 
@@ -103,7 +103,7 @@ def test_a_drive_on_the_same_bus_is_not_taken_for_the_unit(tmp_path: Path) -> No
         mount = DriveMount(node_id=3, increments=1e6, start=0.0, low_switch=-0.1, high_switch=0.1)
         cell.devices.can_devices.add(SimulatedDrive(mount))
         bench = Bench(tmp_path, SimulatedLines(cell), given=GIVEN)
-        finding = FindUnit().run(bench, Script())
+        finding = UnitStep().run(bench, Script())
     assert finding.status is Verdict.PASS, finding.lines
     assert finding.settings["tactile.node_id"] == 5
     assert "Beside it, node 3 is another device" in "\n".join(finding.lines)
@@ -114,9 +114,9 @@ def test_the_interface_is_asked_for_only_where_there_are_several(tmp_path: Path)
         ports = ("/dev/ttyUSB0", "/dev/ttyACM0", "/dev/ttyACM1")
         bench = Bench(tmp_path, SimulatedLines(cell, ports), given={"gripper.port": ports[0]})
         script = Script({"unit.interface": "slcan /dev/ttyACM1"})
-        finding = FindUnit().run(bench, script)
+        finding = UnitStep().run(bench, script)
         assert finding.settings["tactile.channel"] == "/dev/ttyACM1"
         one = Bench(tmp_path, SimulatedLines(cell, ports[:1]), given={"gripper.port": ports[0]})
-        finding = FindUnit().run(one, Script())
+        finding = UnitStep().run(one, Script())
         assert finding.status is Verdict.FAIL
         assert "No CAN interface was found" in finding.lines[0]

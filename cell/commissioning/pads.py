@@ -1,0 +1,526 @@
+"""The pads: their zero, noise and broken taxels at rest, and which pad sits where, by a fingertip.
+
+What is judged is judged by pure functions of frames: `rest_of`, `judged`, `pressed_at`,
+`mounts_of`.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.commissioning.bench import Bench
+from cell.commissioning.engine import Choice, Dialog, Finding, Question, Verdict
+from cell.commissioning.figures import pads as pads_figure
+from cell.commissioning.unit import unit_sensor
+from cell.config.model import TAXELS_OF_SMALL_PART, CellConfig
+from cell.errors import ConfigError
+from tactile.clock import Clock
+from tactile.errors import TactileError, TareRefused
+from tactile.layout import PadMount, TaxelLayout
+from tactile.sensor.calibration import Calibration
+from tactile.sensor.filters import Neighbourhood
+from tactile.sensor.sensor import TactileSensor
+from tactile.sensor.tare import TareLimits, assess_health, compute_tare, too_many_bad
+from tactile.unit.mounting import Mounting
+
+_REST_FRAMES = 100
+"""Frames at rest: the zero of a cell is taken from as many."""
+_MEAN_FRAMES = 3
+"""Frames that the sensor averages; see `SensorSettings.mean_frames`."""
+_NOISY_FACTOR = 2.0
+"""Noise of a pad over that of the quietest one from which it is worth a word: pads of one make
+differ by less than a third in the simulated cell."""
+_NOISE_PER_CONTACT = 1.5
+"""Largest noise of a pad's force over the contact force: above it contact cannot be felt; the same
+bound as for simulated noise."""
+_TAXELS_NAMED = 6
+"""Taxels that are named one by one; of more the number is given."""
+_PRESS_N = 0.5
+"""Force in N on a pad from which a fingertip is taken to press it, by whatever law."""
+_PRESS_FRAMES = 10
+"""Frames in a row, 0.2 s, in which the patch stays where it is."""
+_PRESS_APART = 0.3
+"""Distance within which it stays, in half extents of the pad."""
+_OFF_MIDDLE = 0.15
+"""Distance from the pad's middle, in half extents, from which a patch is on one side of it."""
+_PRESS_TIMEOUT_S = 30.0
+"""Longest wait in s for a pad to be pressed."""
+_LOOK_FRAMES = 5
+"""Frames between two words on the screen: ten a second."""
+
+Counts = NDArray[np.uint16]
+
+
+def sequence_forces_n(bench: Bench) -> tuple[float, float]:
+    """Return the smallest and largest force in N of the config's sequence."""
+    try:
+        return bench.config.sequence.forces_n
+    except ConfigError:
+        return CellConfig().sequence.forces_n
+
+
+def read_frames(sensor: TactileSensor, n_frames: int) -> Counts:
+    """Return the raw counts of the next frames, (n_frames, n_taxels) uint16."""
+    return np.stack([sensor.read(timeout_s=1.0).frame.counts for _ in range(n_frames)])
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Rest:
+    """Pads that nothing touches."""
+
+    zero_counts: NDArray[np.float64]
+    noise_counts: NDArray[np.float64]
+    """(n_taxels,) float64: mean and standard deviation of the counts."""
+    bad: NDArray[np.bool_]
+    """(n_taxels,) bool: dead, stuck or saturated taxels."""
+    noise_n: tuple[float, ...]
+    """Standard deviation in N of the force of each pad at rest, over the mean of three frames."""
+    full_n: tuple[float, ...]
+    """Force in N at which the taxels of each pad reach full scale, the median."""
+
+
+def rest_of(layout: TaxelLayout, calibration: Calibration, frames: Counts) -> Rest:
+    """Return what frames (n, n_taxels) at rest show."""
+    zero = frames.mean(axis=0, dtype=np.float64)
+    bad = assess_health(frames, layout.adc_max).bad
+    n = len(frames) // _MEAN_FRAMES
+    tared = np.where(bad, 0.0, frames[: n * _MEAN_FRAMES] - zero)
+    force_n = calibration.force_n(tared.reshape(n, _MEAN_FRAMES, -1).mean(axis=1))
+    full_n = calibration.force_n(layout.adc_max - zero)
+    slices = [layout.taxels_of(pad) for pad in range(layout.n_pads)]
+    return Rest(
+        zero_counts=zero,
+        noise_counts=frames.std(axis=0, dtype=np.float64),
+        bad=bad,
+        noise_n=tuple(float(force_n[:, one].sum(axis=1).std(ddof=1)) for one in slices),
+        full_n=tuple(float(np.median(full_n[one])) for one in slices),
+    )
+
+
+def _by_pad(layout: TaxelLayout, values: NDArray[np.float64]) -> list[float]:
+    """Return the median of one value for each taxel over each pad."""
+    return [float(np.median(values[layout.taxels_of(pad)])) for pad in range(layout.n_pads)]
+
+
+def taxel_names(layout: TaxelLayout, taxels: Sequence[int]) -> str:
+    """Return taxels by pad, row and column, the first few of many."""
+    named = []
+    for taxel in taxels[:_TAXELS_NAMED]:
+        pad = int(layout.taxel_pad[taxel])
+        row, column = divmod(taxel - layout.taxels_of(pad).start, layout.pads[pad].columns)
+        named.append(f"{layout.pads[pad].name} row {row} column {column}")
+    more = len(taxels) - len(named)
+    return ", ".join(named) + (f" and {more} more" if more > 0 else "")
+
+
+def judged(
+    layout: TaxelLayout,
+    frames: Counts,
+    rest: Rest,
+    *,
+    limits: TareLimits,
+    contact_force_n: float,
+    most_force_n: float,
+) -> tuple[Verdict, list[str]]:
+    """Return whether pads at rest are fit for grasps, and why not.
+
+    Parameters
+    ----------
+    layout, frames, rest
+        The taxels, frames (n, n_taxels) at rest, and what they show.
+    limits
+        Limits of the zero.
+    contact_force_n, most_force_n
+        Force in N that has to be felt, and the largest one that has to be measured.
+    """
+    failed, warned, lines = False, False, []
+    health = assess_health(frames, layout.adc_max)
+    for name, mask in (
+        ("dead", health.dead),
+        ("stuck", health.stuck),
+        ("at full scale", health.saturated),
+    ):
+        if mask.any():
+            warned = True
+            taxels = np.flatnonzero(mask).tolist()
+            lines.append(
+                f"{len(taxels)} taxel{'s are' if len(taxels) > 1 else ' is'} {name}: "
+                f"{taxel_names(layout, taxels)}. Their neighbours stand in for them."
+            )
+    for index, pad in enumerate(layout.pads):
+        n_bad = int(np.count_nonzero(health.bad[layout.taxels_of(index)]))
+        if too_many_bad(n_bad, pad.n_taxels, limits.bad_share):
+            failed = True
+            lines.append(
+                f"{n_bad} of {pad.n_taxels} taxels of {pad.name} are bad, allowed are "
+                f"{limits.bad_share:.0%}: check its plug and cable, then replace the pad."
+            )
+    if not health.noisy:
+        warned = True
+        lines.append(
+            "The counts do not move at rest: dead and stuck taxels show only under a press."
+        )
+    noise = _by_pad(layout, rest.noise_counts)
+    quiet = max(min(noise), 1.0)
+    for pad, counts in zip(layout.pads, noise, strict=True):
+        if counts > _NOISY_FACTOR * quiet:
+            warned = True
+            lines.append(
+                f"{pad.name} is noisy: {counts:.1f} counts, the quietest pad {quiet:.1f}. Check "
+                "the shield of its cable, its ground and its plug."
+            )
+    for pad_index in layout.gripping_pads:
+        pad, noise_n = layout.pads[pad_index], rest.noise_n[pad_index]
+        if noise_n > _NOISE_PER_CONTACT * contact_force_n:
+            failed = True
+            lines.append(
+                f"The force of {pad.name} at rest shakes by {noise_n:.2f} N, contact is to be felt "
+                f"at {contact_force_n:g} N: mend its noise, or raise gripper.contact_force_n."
+            )
+        largest_n = TAXELS_OF_SMALL_PART * rest.full_n[pad_index]
+        if most_force_n > largest_n:
+            warned = True
+            lines.append(
+                f"A small part saturates {pad.name} at {largest_n:.1f} N, the sequence asks for up "
+                f"to {most_force_n:g} N: ask for less, or grasp larger parts only."
+            )
+    if not failed:
+        try:
+            compute_tare(Neighbourhood(layout), frames, limits, 0.0)
+        except TareRefused as why:
+            failed = True
+            lines.append(f"No zero can be taken: {why}.")
+    return Verdict.FAIL if failed else Verdict.WARN if warned else Verdict.PASS, lines
+
+
+@dataclass(frozen=True, slots=True)
+class PadsAtRestStep:
+    """Takes zero and noise of each taxel, finds broken ones, compares full scale and forces."""
+
+    key: str = "pads_at_rest"
+    title: str = "Pads at rest"
+    purpose: str = (
+        "Reads the taxels for two seconds while nothing touches the pads: zero, noise, dead and "
+        "stuck taxels, and whether the forces of the config can be felt and measured. Nothing "
+        "moves."
+    )
+    needs: tuple[str, ...] = ("unit",)
+    undo: str = "nothing to undo"
+
+    def run(self, bench: Bench, dialog: Dialog) -> Finding:
+        """Carry it out; see `Step.run`."""
+        dialog.say("Keep your hands and everything else off the pads for two seconds.")
+        try:
+            with unit_sensor(bench) as sensor:
+                frames = read_frames(sensor, _REST_FRAMES)
+                layout, calibration = sensor.layout, sensor.calibration
+        except TactileError as error:
+            return Finding(status=Verdict.FAIL, lines=(str(error),))
+        rest = rest_of(layout, calibration, frames)
+        tactile, gripper = bench.tactile(), bench.gripper()
+        status, lines = judged(
+            layout,
+            frames,
+            rest,
+            limits=TareLimits(bad_share=tactile.bad_taxels_max_share),
+            contact_force_n=gripper.contact_force_n,
+            most_force_n=sequence_forces_n(bench)[1],
+        )
+        zero, noise = _by_pad(layout, rest.zero_counts), _by_pad(layout, rest.noise_counts)
+        grip = layout.gripping_pads
+        lines.insert(
+            0,
+            f"{layout.n_taxels} taxels read: zero {min(zero):.1f} to {max(zero):.1f}, noise "
+            f"{min(noise):.1f} to {max(noise):.1f} counts of {layout.adc_max} by pad; at rest the "
+            f"force of the inner pads shakes by {rest.noise_n[grip[0]]:.2f} and "
+            f"{rest.noise_n[grip[1]]:.2f} N.",
+        )
+        return Finding(
+            status=status,
+            lines=tuple(lines),
+            values={
+                "zero_counts": zero,
+                "noise_counts": noise,
+                "noise_n": list(rest.noise_n),
+                "full_n": list(rest.full_n),
+                "bad_taxels": np.flatnonzero(rest.bad).tolist(),
+            },
+            figures={
+                "zero": pads_figure("Zero", layout, rest.zero_counts, unit="counts"),
+                "noise": pads_figure("Noise", layout, rest.noise_counts, unit="counts"),
+            },
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Patch:
+    """Where a fingertip presses, in the order in which the unit sends the taxels."""
+
+    pad: int
+    """Pad whose taxels show it."""
+    along: float
+    across: float
+    """Place on that pad, -1 to 1 along its rows and its columns."""
+    force_n: float
+    """Force in N by the law so far."""
+
+
+def pressed_at(layout: TaxelLayout, force_n: NDArray[np.float64]) -> Patch | None:
+    """Return the patch of the pad that is pressed most, None where none is pressed.
+
+    Parameters
+    ----------
+    layout
+        The taxels.
+    force_n : (n_taxels,) float64
+        Force on each touched taxel in N.
+    """
+    sums = [float(force_n[layout.taxels_of(pad)].sum()) for pad in range(layout.n_pads)]
+    number = int(np.argmax(sums))
+    if sums[number] < _PRESS_N:
+        return None
+    pad, one = layout.pads[number], force_n[layout.taxels_of(number)]
+    half_m = 0.5 * np.array([pad.rows * pad.pitch_x_m, pad.columns * pad.pitch_y_m])
+    along, across = (one @ pad.taxel_xy_m() / sums[number] / half_m).tolist()
+    return Patch(pad=number, along=along, across=across, force_n=sums[number])
+
+
+def corner_text(layout: TaxelLayout, pad: int) -> str:
+    """Return in words where the last row and column of a pad are, seen by who looks at it."""
+    one = layout.pads[pad]
+    # Finger 1's frame is left-handed: what is on the left of finger 0 is on the right there.
+    side = "left" if one.finger == 0 else "right"
+    if abs(one.x_axis[0]) > 0.5:
+        return f"near the tip and at the {side} edge, as you look at it with the tip upwards"
+    return (
+        f"at the edge towards the other finger and on the {side}, as you look at the inner face "
+        "with the tip upwards"
+    )
+
+
+def mounts_of(layout: TaxelLayout, patches: Mapping[int, Patch]) -> tuple[PadMount, ...]:
+    """Return the pads that sit otherwise than the layout has them.
+
+    Parameters
+    ----------
+    layout
+        The taxels.
+    patches
+        Where the patch was by the pad that was pressed near its last row and column.
+    """
+    mounts = []
+    for pad, patch in patches.items():
+        mount = PadMount(
+            pad=pad,
+            sent_as=patch.pad,
+            rows_mirrored=layout.pads[pad].rows > 1 and patch.along < 0.0,
+            columns_mirrored=layout.pads[pad].columns > 1 and patch.across < 0.0,
+        )
+        if mount != PadMount(pad=pad, sent_as=pad):
+            mounts.append(mount)
+    return tuple(mounts)
+
+
+def mount_lines(layout: TaxelLayout, mounts: Sequence[PadMount]) -> list[str]:
+    """Return in words how pads sit otherwise than the layout has them."""
+    lines = []
+    by_pad = {mount.pad: mount.sent_as for mount in mounts}
+    first, second = layout.gripping_pads
+    if (by_pad.get(first), by_pad.get(second)) == (second, first):
+        lines.append(
+            "The pads of the two fingers are exchanged: set in tactile.mounting. Or exchange their "
+            "cables at the control unit and run this step again."
+        )
+    for mount in mounts:
+        name, sent = layout.pads[mount.pad].name, layout.pads[mount.sent_as].name
+        if sent != name and not (lines and mount.pad in (first, second)):
+            lines.append(f"{name} is plugged in the place of {sent}: set in tactile.mounting.")
+        if mount.rows_mirrored and mount.columns_mirrored:
+            lines.append(f"{name} is turned by 180 degrees: set in tactile.mounting.")
+        elif mount.rows_mirrored or mount.columns_mirrored:
+            what = "rows" if mount.rows_mirrored else "columns"
+            lines.append(f"The {what} of {name} run the other way: set in tactile.mounting.")
+    if not Mounting(layout, mounts).unit_can_sum:
+        lines.append(
+            "The inner pads are not mounted alike, so the unit's force messages cannot be used and "
+            "the force comes from whole frames, which is slower: turn the pad on its finger, run "
+            "this step again, or set gripper.approach_speed_mm_s to 12."
+        )
+    return lines
+
+
+@dataclass(frozen=True, slots=True)
+class PadsPressedStep:
+    """Has each pad pressed at a corner, and sets which pad sits where and how it is turned."""
+
+    key: str = "pads_pressed"
+    title: str = "Which pad is where"
+    purpose: str = (
+        "You press each pad with a fingertip, one after another: exchanged fingers, turned and "
+        "mirrored pads are found and set in the config. Nothing moves."
+    )
+    needs: tuple[str, ...] = ("pads_at_rest",)
+    undo: str = "nothing to undo: it is a setting of the config (tactile.mounting)"
+
+    def run(self, bench: Bench, dialog: Dialog) -> Finding:
+        """Carry it out; see `Step.run`."""
+        dialog.say(
+            "Finger 0 is the one that the first servo drives. Nothing may touch the pads at first."
+        )
+        try:
+            with unit_sensor(bench, mounted=False) as sensor:
+                layout = sensor.layout
+                sensor.tare(bench.tactile().tare_frames)
+                presses = _Presses(sensor, bench.clock, dialog)
+                grip = list(layout.gripping_pads)
+                others = [pad for pad in range(layout.n_pads) if pad not in grip]
+                missing = [pad for pad in (*grip, *others) if not presses.press(pad)]
+        except TactileError as error:
+            return Finding(status=Verdict.FAIL, lines=(str(error),))
+        return _pressed_finding(layout, presses.patches, missing, presses.shown_n)
+
+
+def _pressed_finding(
+    layout: TaxelLayout,
+    patches: Mapping[int, Patch],
+    missing: Sequence[int],
+    shown: NDArray[np.float64],
+) -> Finding:
+    """Return the finding of the pads that were pressed, and of those that showed nothing."""
+    lines = [f"{len(patches)} pads were pressed, one after another."]
+    mounts = mounts_of(layout, patches)
+    lines += mount_lines(layout, mounts)
+    for pad in missing:
+        lines.append(
+            f"{layout.pads[pad].name} was not seen: no pad of its size that was not found before "
+            "showed a patch. Check its plug and cable."
+        )
+    dead = set(missing) & set(layout.gripping_pads)
+    values = {layout.pads[pad].name: asdict(patch) for pad, patch in patches.items()}
+    return Finding(
+        status=Verdict.FAIL if dead else Verdict.WARN if mounts or missing else Verdict.PASS,
+        lines=tuple(lines),
+        values={"patches": values},
+        settings={} if dead else {"tactile.mounting": [asdict(mount) for mount in mounts]},
+        figures={"patches": pads_figure("Patches as the unit sends them", layout, shown, unit="N")},
+    )
+
+
+class _Presses:
+    """Has pads pressed one after another.
+
+    Attributes
+    ----------
+    patches
+        Where the patch was, by the pad that was asked for.
+    shown_n
+        (n_taxels,) float64: largest force in N on each taxel, for the picture.
+    """
+
+    def __init__(self, sensor: TactileSensor, clock: Clock, dialog: Dialog) -> None:
+        self._sensor, self._clock, self._dialog = sensor, clock, dialog
+        self.patches: dict[int, Patch] = {}
+        self.shown_n = np.zeros(sensor.layout.n_taxels)
+
+    def press(self, pad: int) -> bool:
+        """Have a pad pressed, and keep its patch; returns whether it was seen."""
+        layout, dialog = self._sensor.layout, self._dialog
+        name = layout.pads[pad].name
+        while True:
+            dialog.say(f"Press {name} with a fingertip {corner_text(layout, pad)}; hold it.")
+            patch = self._patch()
+            complaint = _complaint(layout, pad, patch, self.patches)
+            if patch is not None and not complaint:
+                self.patches[pad] = patch
+                dialog.say(f"{name} is found. Lift the fingertip.")
+                self._lifted()
+                return True
+            dialog.say(complaint)
+            answer = dialog.ask(
+                Question(
+                    key="pads_pressed.again",
+                    text=f"Press {name} again?",
+                    choices=(
+                        Choice(key="again", text="press it again"),
+                        Choice(key="skip", text="it shows nothing: go on without it"),
+                    ),
+                    default="again",
+                )
+            )
+            if answer == "skip":
+                return False
+            self._lifted()
+
+    def _patch(self) -> Patch | None:
+        """Wait until a fingertip rests on a pad, and return where; None after the time-out."""
+        deadline_s = self._clock.monotonic() + _PRESS_TIMEOUT_S
+        steady: list[Patch] = []
+        while self._clock.monotonic() < deadline_s:
+            for _ in range(_LOOK_FRAMES):
+                reading = self._sensor.read(timeout_s=1.0)
+                patch = pressed_at(self._sensor.layout, reading.force_n)
+                if patch is None or (steady and not _same_place(patch, steady[0])):
+                    steady = []
+                if patch is not None:
+                    steady.append(patch)
+            if len(steady) >= _PRESS_FRAMES:
+                np.maximum(self.shown_n, reading.force_n, out=self.shown_n)
+                return steady[-1]
+            shown = "nothing" if patch is None else _patch_text(self._sensor.layout, patch)
+            self._dialog.live("fingertip", shown)
+        return None
+
+    def _lifted(self) -> None:
+        """Wait until nothing presses a pad, or for so long as a press may take."""
+        deadline_s = self._clock.monotonic() + _PRESS_TIMEOUT_S
+        while self._clock.monotonic() < deadline_s:
+            for _ in range(_LOOK_FRAMES):
+                reading = self._sensor.read(timeout_s=1.0)
+            if pressed_at(self._sensor.layout, reading.force_n) is None:
+                return
+            self._dialog.live("fingertip", "still there")
+
+
+def _complaint(
+    layout: TaxelLayout, pad: int, patch: Patch | None, patches: Mapping[int, Patch]
+) -> str:
+    """Return why a patch cannot be that of the pad that was asked for; empty where it can."""
+    if patch is None:
+        return f"No pad showed a fingertip within {_PRESS_TIMEOUT_S:.0f} s."
+    asked, seen = layout.pads[pad], layout.pads[patch.pad]
+    taken = {found.pad: other for other, found in patches.items()}
+    if patch.pad in taken:
+        return (
+            f"The patch is where {layout.pads[taken[patch.pad]].name} was found: was another pad "
+            f"pressed than {asked.name}?"
+        )
+    if (asked.rows, asked.columns) != (seen.rows, seen.columns):
+        return (
+            f"The patch is on {seen.name} of {seen.rows} x {seen.columns} taxels, {asked.name} has "
+            f"{asked.rows} x {asked.columns}: was another pad pressed?"
+        )
+    off = [
+        abs(place)
+        for place, n in ((patch.along, asked.rows), (patch.across, asked.columns))
+        if n > 1
+    ]
+    if min(off, default=1.0) < _OFF_MIDDLE:
+        return "The patch is in the middle of the pad: press nearer to the corner."
+    return ""
+
+
+def _same_place(one: Patch, other: Patch) -> bool:
+    apart = max(abs(one.along - other.along), abs(one.across - other.across))
+    return one.pad == other.pad and apart < _PRESS_APART
+
+
+def _patch_text(layout: TaxelLayout, patch: Patch) -> str:
+    pad = layout.pads[patch.pad]
+    row = round((patch.along + 1.0) * 0.5 * pad.rows + 0.5)
+    column = round((patch.across + 1.0) * 0.5 * pad.columns + 0.5)
+    return (
+        f"{patch.force_n:.1f} N at row {row} of {pad.rows}, column {column} of {pad.columns} of "
+        f"the place of {pad.name}"
+    )
