@@ -6,8 +6,12 @@ of data) is two signals: its low and its high byte. That a burst belongs togethe
 counter and CRC agree stands in the comments, because a DBC has no other place for it.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections import OrderedDict
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from cantools.database.can import Database, Message, Node, Signal
+from cantools.database.conversion import BaseConversion
 
 from tactile.frames.codec import MESSAGE_BYTES, TRAILER, FrameFormat
 from tactile.frames.force_message import CENTRE_TAXELS, COUNTERS, FORCE_N, ForceStatus
@@ -29,98 +33,29 @@ _NMT_STATES = {state: state_name(state) for state in (0, 4, 5, 127)}
 """States that a heartbeat may have (CiA 301, 7.2.8.3.2)."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Signal:
-    """One signal of a message."""
-
-    name: str
-    """A C identifier."""
-    start: int
-    size: int
-    """Bits; a little-endian signal starts at its lowest bit, a big-endian one at its highest."""
-    multiplex: str = ""
-    """``M`` for the multiplexer, ``m12`` for what is there only while it is 12, else empty."""
-    big_endian: bool = False
-    """Whether the high byte comes first."""
-    signed: bool = False
-    """Whether the raw value is a two's complement."""
-    maximum: int | None = None
-    """Largest raw value, None for what fits."""
-    factor: str = "1"
-    """Physical value of one count, as it is to be written."""
-    unit: str = ""
-    comment: str = ""
-    """Text."""
-    values: Mapping[int, str] | None = None
-    """Names of raw values."""
-
-    def text(self, receivers: str) -> str:
-        """Return the signal's line, without a line end."""
-        top = (1 << self.size - self.signed) - 1 if self.maximum is None else self.maximum
-        bottom = -top - 1 if self.signed else 0
-        span = "|".join(f"{raw * float(self.factor):.10g}" for raw in (bottom, top))
-        sign = "-" if self.signed else "+"
-        order = f"{self.start}|{self.size}@{0 if self.big_endian else 1}{sign}"
-        name = f"{self.name} {self.multiplex}".rstrip()
-        return f' SG_ {name} : {order} ({self.factor},0) [{span}] "{self.unit}" {receivers}'
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Message:
-    """One message and who sends it."""
-
-    can_id: int
-    """Identifier of 11 bits."""
-    name: str
-    """A C identifier."""
-    size: int
-    """Bytes of data."""
-    sender: str
-    """Name of the node."""
-    signals: tuple[Signal, ...]
-    """What is in it."""
-    comment: str
-    """Text."""
-    period_ms: int = 0
-    """Cycle time in ms, 0 where it has none."""
-
-
-def file_text(messages: Sequence[Message], nodes: Sequence[str], comment: str) -> str:
-    """Return the text of a DBC file; a message is received by the nodes that do not send it."""
-    return "\n".join(_lines(messages, nodes, comment))
-
-
-def _lines(messages: Sequence[Message], nodes: Sequence[str], comment: str) -> Iterator[str]:
-    yield 'VERSION ""\n\nNS_ :\n\nBS_:\n'
-    yield f"BU_: {' '.join(nodes)}\n"
-    for message in messages:
-        yield f"BO_ {message.can_id} {message.name}: {message.size} {message.sender}"
-        receivers = ",".join(node for node in nodes if node != message.sender)
-        yield from (signal.text(receivers) for signal in message.signals)
-        yield ""
-    yield f'CM_ "{_quoted(comment)}";'
-    for message in messages:
-        yield f'CM_ BO_ {message.can_id} "{_quoted(message.comment)}";'
-        for signal in message.signals:
-            if signal.comment:
-                yield f'CM_ SG_ {message.can_id} {signal.name} "{_quoted(signal.comment)}";'
-    yield 'BA_DEF_ BO_ "GenMsgCycleTime" INT 0 65535;'
-    yield 'BA_DEF_DEF_ "GenMsgCycleTime" 0;'
-    for message in messages:
-        if message.period_ms:
-            yield f'BA_ "GenMsgCycleTime" BO_ {message.can_id} {message.period_ms};'
-    for message in messages:
-        for signal in message.signals:
-            if signal.values:
-                named = " ".join(f'{key} "{_quoted(v)}"' for key, v in signal.values.items())
-                yield f"VAL_ {message.can_id} {signal.name} {named} ;"
-    yield ""
-
-
-def _quoted(text: str) -> str:
-    """Return a text that can stand between quotes: ASCII, no quotes, no backslash."""
-    plain = text.replace('"', "'").replace("\\", "/")
-    return plain.encode("ascii", errors="replace").decode("ascii")
+def _signal(
+    name: str,
+    start: int,
+    length: int,
+    *,
+    maximum: int | None = None,
+    values: Mapping[int, str] | None = None,
+    factor: float = 1.0,
+    signed: bool = False,
+    **options: Any,
+) -> Signal:
+    """Return a signal: little-endian from its lowest bit, with its range as physical values."""
+    top = (1 << length - signed) - 1 if maximum is None else maximum
+    return Signal(
+        name,
+        start,
+        length,
+        is_signed=signed,
+        conversion=BaseConversion.factory(factor, 0, OrderedDict(values) if values else None),
+        minimum=(-top - 1) * factor if signed else 0,
+        maximum=top * factor,
+        **options,
+    )
 
 
 def dbc_text(
@@ -148,94 +83,95 @@ def dbc_text(
         raise ValueError(f"node-ID is {node_id}, must be 1 to 127")
     function = od.COB_TPDO3 if force_period_ms else od.COB_TPDO1
     frame_id = function + node_id
-    messages = (
+    messages = [
         *_network_messages(node_id, sync_period_ms, heartbeat_ms),
         *_sdo_messages(node_id),
         _frame_message(layout, frame_id),
         *([_force_message(node_id, force_period_ms)] if force_period_ms else []),
-    )
+    ]
+    for message in messages:
+        receiver = UNIT if message.senders == [HOST] else HOST
+        for signal in message.signals:
+            signal.receivers = [receiver]
     what = f"layout {layout.name}, {layout.n_taxels} taxels, layout hash {layout.layout_hash}"
-    return file_text(messages, (HOST, UNIT), f"Tactile control unit: {what}")
+    unit = Node(UNIT, comment=f"Tactile control unit: {what}")
+    text = Database(messages, [Node(HOST), unit], version="").as_dbc_string()
+    return text.encode("ascii", errors="replace").decode("ascii")
 
 
-def _network_messages(node_id: int, sync_period_ms: int, heartbeat_ms: int) -> tuple[Message, ...]:
+def _network_messages(node_id: int, sync_period_ms: int, heartbeat_ms: int) -> list[Message]:
     """Return the messages of CiA 301 beside SDO: NMT, SYNC, EMCY, heartbeat."""
-    return (
+    return [
         Message(
-            can_id=od.COB_NMT,
-            name="NMT",
-            size=2,
-            sender=HOST,
-            signals=(
-                Signal(name="nmt_command", start=0, size=8, values=_NMT_COMMANDS),
-                Signal(name="nmt_node", start=8, size=8, comment="node-ID, 0 for all"),
-            ),
+            od.COB_NMT,
+            "NMT",
+            2,
+            [
+                _signal("nmt_command", 0, 8, values=_NMT_COMMANDS),
+                _signal("nmt_node", 8, 8, comment="node-ID, 0 for all"),
+            ],
+            senders=[HOST],
             comment="CANopen network management",
         ),
         Message(
-            can_id=od.COB_SYNC,
-            name="SYNC",
-            size=0,
-            sender=HOST,
-            signals=(),
+            od.COB_SYNC,
+            "SYNC",
+            0,
+            [],
+            senders=[HOST],
             comment="the unit latches one scan of all taxels and sends it as a burst",
-            period_ms=sync_period_ms,
+            cycle_time=sync_period_ms,
         ),
         Message(
-            can_id=od.COB_EMCY + node_id,
-            name="EMCY",
-            size=8,
-            sender=UNIT,
-            signals=(
-                Signal(name="emcy_code", start=0, size=16, values=EMERGENCY_TEXTS),
-                Signal(name="emcy_register", start=16, size=8, comment="object 0x1001"),
-                Signal(name="emcy_manufacturer", start=24, size=40),
-            ),
+            od.COB_EMCY + node_id,
+            "EMCY",
+            8,
+            [
+                _signal("emcy_code", 0, 16, values=EMERGENCY_TEXTS),
+                _signal("emcy_register", 16, 8, comment="object 0x1001"),
+                _signal("emcy_manufacturer", 24, 40),
+            ],
+            senders=[UNIT],
             comment="emergency; code 0: no error any more",
         ),
         Message(
-            can_id=od.COB_HEARTBEAT + node_id,
-            name="Heartbeat",
-            size=1,
-            sender=UNIT,
-            signals=(Signal(name="nmt_state", start=0, size=8, values=_NMT_STATES),),
+            od.COB_HEARTBEAT + node_id,
+            "Heartbeat",
+            1,
+            [_signal("nmt_state", 0, 8, values=_NMT_STATES)],
+            senders=[UNIT],
             comment="a boot-up in operation means that the unit has restarted",
-            period_ms=heartbeat_ms,
+            cycle_time=heartbeat_ms,
         ),
-    )
+    ]
 
 
-def _sdo_messages(node_id: int) -> tuple[Message, ...]:
+def _sdo_messages(node_id: int) -> list[Message]:
     """Return the SDO channel as far as a DBC can describe it."""
-    sdo = (
-        Signal(name="sdo_command", start=0, size=8, comment="command specifier and flags"),
-        Signal(name="sdo_index", start=8, size=16),
-        Signal(name="sdo_subindex", start=24, size=8),
-        Signal(name="sdo_data", start=32, size=32, comment="up to 4 bytes, or an abort code"),
+    ways = (
+        ("Response", od.COB_SDO_RESPONSE, UNIT),
+        ("Request", od.COB_SDO_REQUEST, HOST),
     )
-    segments = "index and data are those of an initiate; segments have 7 bytes of data instead"
-    return (
+    return [
         Message(
-            can_id=od.COB_SDO_RESPONSE + node_id,
-            name="SdoResponse",
-            size=8,
-            sender=UNIT,
-            signals=tuple(_renamed(signal, "response") for signal in sdo),
-            comment=segments,
-        ),
-        Message(
-            can_id=od.COB_SDO_REQUEST + node_id,
-            name="SdoRequest",
-            size=8,
-            sender=HOST,
-            signals=tuple(_renamed(signal, "request") for signal in sdo),
-            comment=segments,
-        ),
-    )
-
-
-def _renamed(signal: Signal, kind: str) -> Signal:
-    return replace(signal, name=signal.name.replace("sdo_", f"sdo_{kind}_"))
+            cob_id + node_id,
+            f"Sdo{way}",
+            8,
+            [
+                _signal(f"sdo_{way.lower()}_{name}", start, size, comment=comment)
+                for name, start, size, comment in (
+                    ("command", 0, 8, "command specifier and flags"),
+                    ("index", 8, 16, None),
+                    ("subindex", 24, 8, None),
+                    ("data", 32, 32, "up to 4 bytes, or an abort code"),
+                )
+            ],
+            senders=[sender],
+            comment="index and data are those of an initiate; segments have 7 bytes of data "
+            "instead",
+        )
+        for way, cob_id, sender in ways
+    ]
 
 
 def _frame_message(layout: TaxelLayout, frame_id: int) -> Message:
@@ -248,28 +184,17 @@ def _frame_message(layout: TaxelLayout, frame_id: int) -> Message:
     )
     if layout.sample_bits == 16:
         comment += ". A sample cut in two by the end of a message is taxel_N_low + 256 taxel_N_high"
-    return Message(
-        can_id=frame_id,
-        name=FRAME_MESSAGE,
-        size=MESSAGE_BYTES,
-        sender=UNIT,
-        signals=(
-            *_header_signals(form, "frame"),
-            *_sample_signals(layout, form),
-            *_trailer_signals(form),
-        ),
-        comment=comment,
-    )
+    signals = [*_header_signals(form), *_sample_signals(layout, form), *_trailer_signals(form)]
+    return Message(frame_id, FRAME_MESSAGE, MESSAGE_BYTES, signals, senders=[UNIT], comment=comment)
 
 
-def _header_signals(form: FrameFormat, kind: str) -> tuple[Signal, ...]:
-    phase = Signal(name=f"{kind}_phase", start=6, size=2, comment="frame_counter modulo 4")
+def _header_signals(form: FrameFormat) -> Iterator[Signal]:
+    yield _signal("frame_phase", 6, 2, comment="frame_counter modulo 4")
     if form.header_bytes == 1:
-        index = Signal(name=f"{kind}_index", start=0, size=6, multiplex="M")
+        yield _signal("frame_index", 0, 6, is_multiplexer=True)
     else:
         # High byte first, as the header has it; a DBC counts from the top bit then.
-        index = Signal(name=f"{kind}_index", start=5, size=14, multiplex="M", big_endian=True)
-    return phase, index
+        yield _signal("frame_index", 5, 14, is_multiplexer=True, byte_order="big_endian")
 
 
 def _sample_signals(layout: TaxelLayout, form: FrameFormat) -> Iterator[Signal]:
@@ -278,38 +203,35 @@ def _sample_signals(layout: TaxelLayout, form: FrameFormat) -> Iterator[Signal]:
         first = layout.taxels_of(pad_index).start
         for place in range(pad.n_taxels):
             row, column = divmod(place, pad.columns)
-            whole = Signal(
-                name=f"taxel_{first + place:0{digits}}",
-                start=0,
-                size=8 * form.sample_bytes,
-                maximum=layout.adc_max,
-                unit="count",
-                comment=f"{pad.name}, row {row}, column {column}",
-            )
-            yield from _placed(whole, form, (first + place) * form.sample_bytes)
+            name = f"taxel_{first + place:0{digits}}"
+            comment = f"{pad.name}, row {row}, column {column}"
+            byte = (first + place) * form.sample_bytes
+            if _message_of(form, byte) == _message_of(form, byte + form.sample_bytes - 1):
+                size, top = 8 * form.sample_bytes, layout.adc_max
+                yield _multiplexed(form, name, byte, size, comment, maximum=top, unit="count")
+                continue
+            for part, part_byte in (("low", byte), ("high", byte + 1)):
+                yield _multiplexed(form, f"{name}_{part}", part_byte, 8, f"{comment}, {part} byte")
 
 
-def _placed(whole: Signal, form: FrameFormat, byte: int) -> Iterator[Signal]:
-    """Put a sample at its byte of the burst's data, as two signals where a message ends in it."""
-    message, start = _place(form, byte)
-    if message == _place(form, byte + form.sample_bytes - 1)[0]:
-        yield replace(whole, start=start, multiplex=f"m{message}")
-        return
-    for part, part_byte in (("low", byte), ("high", byte + 1)):
-        message, start = _place(form, part_byte)
-        yield Signal(
-            name=f"{whole.name}_{part}",
-            start=start,
-            size=8,
-            multiplex=f"m{message}",
-            comment=f"{whole.comment}, {part} byte",
-        )
+def _message_of(form: FrameFormat, byte: int) -> int:
+    return byte // form.data_bytes
 
 
-def _place(form: FrameFormat, byte: int) -> tuple[int, int]:
-    """Return message and start bit of a byte of the burst's data."""
+def _multiplexed(
+    form: FrameFormat, name: str, byte: int, size: int, comment: str, **options: Any
+) -> Signal:
+    """Return a signal at its byte of the burst's data."""
     message, offset = divmod(byte, form.data_bytes)
-    return message, 8 * (form.header_bytes + offset)
+    return _signal(
+        name,
+        8 * (form.header_bytes + offset),
+        size,
+        multiplexer_ids=[message],
+        multiplexer_signal="frame_index",
+        comment=comment,
+        **options,
+    )
 
 
 def _trailer_signals(form: FrameFormat) -> Iterator[Signal]:
@@ -320,55 +242,39 @@ def _trailer_signals(form: FrameFormat) -> Iterator[Signal]:
         ("frame_crc", 3, 16, "over all samples, padding, counter and status"),
     )
     for name, offset, size, comment in parts:
-        message, start = _place(form, first + offset)
-        yield Signal(name=name, start=start, size=size, multiplex=f"m{message}", comment=comment)
+        yield _multiplexed(form, name, first + offset, size, comment)
 
 
 def _force_message(node_id: int, period_ms: int) -> Message:
     """Return TPDO2: the force on both gripping pads, on its event timer."""
-    pitch = f"{CENTRE_TAXELS:.10g}"
+    status = ", ".join(f"{one.value} {str(one.name).lower()}" for one in ForceStatus)
+    centre = "the fingers from the middle of the pads; -8: nothing touches"
     return Message(
-        can_id=od.COB_TPDO2 + node_id,
-        name="PadForces",
-        size=8,
-        sender=UNIT,
-        signals=(
-            Signal(name="force_counter", start=0, size=4, comment=f"modulo {COUNTERS}"),
-            Signal(
-                name="force_status",
-                start=4,
-                size=4,
-                comment=", ".join(f"{one.value} {_words(one)}" for one in ForceStatus),
+        od.COB_TPDO2 + node_id,
+        "PadForces",
+        8,
+        [
+            _signal("force_counter", 0, 4, comment=f"modulo {COUNTERS}"),
+            _signal("force_status", 4, 4, comment=status.replace("_", " ")),
+            *(
+                _signal(f"force_finger{n}", 8 + 16 * n, 16, signed=True, factor=FORCE_N, unit="N")
+                for n in (0, 1)
             ),
             *(
-                Signal(
-                    name=f"force_finger{finger}",
-                    start=8 + 16 * finger,
-                    size=16,
+                _signal(
+                    f"centre_{way}",
+                    start,
+                    8,
                     signed=True,
-                    factor=f"{FORCE_N:.10g}",
-                    unit="N",
-                )
-                for finger in (0, 1)
-            ),
-            *(
-                Signal(
-                    name=f"centre_{way}",
-                    start=start,
-                    size=8,
-                    signed=True,
-                    factor=pitch,
+                    factor=CENTRE_TAXELS,
                     unit="taxel",
-                    comment=f"{way} the fingers from the middle of the pads; -8: nothing touches",
+                    comment=f"{way} {centre}",
                 )
                 for way, start in (("along", 40), ("across", 48))
             ),
-            Signal(name="force_crc", start=56, size=8, comment="CRC-8 SAE J1850 over bytes 0 to 6"),
-        ),
+            _signal("force_crc", 56, 8, comment="CRC-8 SAE J1850 over bytes 0 to 6"),
+        ],
+        senders=[UNIT],
         comment="force on the gripping pads in one scan of them, by the host's table and zero",
-        period_ms=period_ms,
+        cycle_time=period_ms,
     )
-
-
-def _words(status: ForceStatus) -> str:
-    return str(status.name).lower().replace("_", " ")

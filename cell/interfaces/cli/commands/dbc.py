@@ -8,13 +8,17 @@ from cell.interfaces.cli.options import ConfigOption, TextOutOption
 def dbc(config: ConfigOption = None, output: TextOutOption = None) -> None:
     """Write the cell's CAN traffic as a DBC file.
 
-    For cantools, SavvyCAN, CANalyzer and others.
+    For cantools, SavvyCAN, CANalyzer and others. Needs the extra `dbc`.
     """
     from cell.config.tactile import layout_from_config
     from cell.data.files import write_text
     from cell.errors import ConfigError
+    from cell.installation import missing_packages, remedy
     from cell.interfaces.cli.session import cell_config
     from cell.interfaces.cli.terminal import print_line
+
+    if missing_packages("dbc"):
+        raise ConfigError(f"a DBC file is written by cantools: {remedy('dbc')}")
     from tactile.unit.dbc import dbc_text
 
     tactile = cell_config(config).tactile
