@@ -1,0 +1,278 @@
+"""Quality of both lines for a minute, at the rate of the force loop: latency, losses, overruns."""
+
+import contextlib
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.commissioning.bench import Bench
+from cell.commissioning.engine import Dialog, Finding, Verdict
+from cell.commissioning.figures import curves
+from cell.commissioning.unit import unit_sensor
+from gripper.dynamixel.bus import ServoBus
+from gripper.dynamixel.control_table import PRESENT_BLOCK
+from gripper.dynamixel.latency import check_link
+from gripper.dynamixel.transactions import BusStatistics
+from gripper.errors import BusCorrupt, BusTimeout, GripperError
+from gripper.state import Clock
+from tactile.errors import TactileError
+from tactile.sensor.sensor import TactileSensor
+from tactile.unit.settings import LinkStatistics
+
+DURATION_S = 60.0
+"""Time in s for which the lines are watched: a loose plug shows now and then."""
+_LOSS_SHARE = 1e-3
+"""Share of messages, of frames or of answers from which losses are worth a word: on a sound bus
+none is lost, and one in a thousand already costs 6 % of the frames."""
+_OVERRUN_SHARE = 1e-3
+"""Share of the periods that may take too long here: this program has no real-time priority, the
+loop of the cell has."""
+_GAP_PERIODS = 4.0
+"""Periods of the force messages from which a gap between two of them is worth a word."""
+_LIVE_S = 1.0
+"""Time in s between two words on the screen, and between two points of the picture."""
+
+
+@dataclass(slots=True)
+class Quality:
+    """What both lines did, second by second."""
+
+    answer_s: list[float] = field(default_factory=list)
+    """Time in s from asking all servos to their answers, of each period; NaN without an answer."""
+    force_gap_s: list[float] = field(default_factory=list)
+    """Time in s between two force messages."""
+    frame_gap_s: list[float] = field(default_factory=list)
+    """Time in s between two frames."""
+    second_s: list[float] = field(default_factory=list)
+    worst_answer_ms: list[float] = field(default_factory=list)
+    worst_force_ms: list[float] = field(default_factory=list)
+    """End of each second in s, and in it the longest answer and gap between force messages, ms."""
+    periods: int = 0
+    """Periods of the force loop."""
+    overruns: int = 0
+    """Periods whose work took longer than the period."""
+
+
+def watch_lines(
+    sensor: TactileSensor,
+    bus: ServoBus,
+    ids: Sequence[int],
+    clock: Clock,
+    *,
+    period_s: float,
+    duration_s: float,
+    dialog: Dialog,
+) -> Quality:
+    """Ask all servos and take in the pads once a period, and return how both did.
+
+    Raises
+    ------
+    GripperError, TactileError
+        Where a line fails for good.
+    """
+    quality = Quality()
+    began_s = due_s = clock.monotonic()
+    end_s, shown_s = began_s + duration_s, began_s
+    force_s = frame_s = float("nan")
+    first_answer = first_gap = 0
+    sensor.take_forces()
+    while due_s < end_s - 0.5 * period_s:
+        asked_s = clock.monotonic()
+        try:
+            bus.sync_read(ids, PRESENT_BLOCK)
+            quality.answer_s.append(clock.monotonic() - asked_s)
+        except (BusTimeout, BusCorrupt):
+            quality.answer_s.append(float("nan"))
+        for reading in sensor.poll():
+            quality.frame_gap_s.append(reading.t_s - frame_s)
+            frame_s = reading.t_s
+        for message in sensor.take_forces():
+            quality.force_gap_s.append(message.t_s - force_s)
+            force_s = message.t_s
+        quality.periods += 1
+        due_s += period_s
+        now_s = clock.monotonic()
+        if now_s > due_s:
+            quality.overruns += 1
+            due_s = now_s
+        if now_s - shown_s >= _LIVE_S:
+            shown_s = now_s
+            answers = _known(quality.answer_s[first_answer:])
+            gaps = _known(quality.force_gap_s[first_gap:])
+            first_answer, first_gap = len(quality.answer_s), len(quality.force_gap_s)
+            quality.second_s.append(now_s - began_s)
+            quality.worst_answer_ms.append(1e3 * max(answers, default=float("nan")))
+            quality.worst_force_ms.append(1e3 * max(gaps, default=float("nan")))
+            dialog.live("lines", f"{now_s - began_s:.0f} of {duration_s:.0f} s")
+        clock.sleep(max(0.0, due_s - clock.monotonic()))
+    return quality
+
+
+def _known(values: Sequence[float]) -> list[float]:
+    return [value for value in values if np.isfinite(value)]
+
+
+@dataclass(frozen=True, slots=True)
+class LinkQualityStep:
+    """Watches both lines at the rate of the force loop."""
+
+    key: str = "link_quality"
+    title: str = "Quality of the lines"
+    purpose: str = (
+        "Asks the servos and takes in the pads at the rate of the force loop for a minute, and "
+        "counts what is late or lost. Move cables and plugs by hand meanwhile: a loose one shows. "
+        "Nothing moves by itself."
+    )
+    needs: tuple[str, ...] = ("servos", "unit")
+    undo: str = "nothing to undo"
+    duration_s: float = DURATION_S
+    """How long the lines are watched, in s."""
+
+    def run(self, bench: Bench, dialog: Dialog) -> Finding:
+        """Carry it out; see `Step.run`."""
+        gripper = bench.gripper()
+        ids = [servo.id for servo in gripper.servos]
+        period_s = 1.0 / gripper.loop_rate_hz
+        dialog.say(f"Both lines are watched for {self.duration_s:.0f} s. Move each cable a little.")
+        try:
+            with contextlib.ExitStack() as undo:
+                sensor = undo.enter_context(unit_sensor(bench))
+                bus = undo.enter_context(bench.servo_bus())
+                check_link(bus, ids, period_s)
+                before = bus.statistics
+                sensor.read(timeout_s=1.0)
+                quality = watch_lines(
+                    sensor,
+                    bus,
+                    ids,
+                    bench.clock,
+                    period_s=period_s,
+                    duration_s=self.duration_s,
+                    dialog=dialog,
+                )
+                statistics = sensor.link.statistics
+                servos = bus.statistics
+        except (GripperError, TactileError) as error:
+            return Finding(status=Verdict.FAIL, lines=(str(error),))
+        return quality_finding(
+            quality,
+            statistics,
+            before,
+            servos,
+            period_s=period_s,
+            force_period_s=1e-3 * bench.tactile().force_period_ms,
+        )
+
+
+def quality_finding(
+    quality: Quality,
+    link: LinkStatistics,
+    before: BusStatistics,
+    servos: BusStatistics,
+    *,
+    period_s: float,
+    force_period_s: float,
+) -> Finding:
+    """Return what was counted in words, numbers and one picture.
+
+    Parameters
+    ----------
+    quality, link
+        What was watched, and the counters of the link to the control unit.
+    before, servos
+        Counters of the servos' line at the start and at the end.
+    period_s, force_period_s
+        Periods of the force loop and of the force messages in s.
+    """
+    answers, gaps = _known(quality.answer_s), _known(quality.force_gap_s)
+    lost_answers = len(quality.answer_s) - len(answers)
+    retries = servos.retries - before.retries
+    damaged = servos.corrupt - before.corrupt
+    frames, forces = link.frames, link.forces
+    lost_frames = frames.lost + frames.torn + frames.corrupt
+    middle_s, high_s, worst_s = _quantiles(answers)
+    lines = [
+        f"Servos: {len(quality.answer_s)} questions, answers after {1e3 * middle_s:.2f} ms "
+        f"(median), {1e3 * high_s:.2f} ms (99 %), {1e3 * worst_s:.2f} ms at most; {lost_answers} "
+        f"without an answer, {retries} asked twice, {damaged} damaged."
+    ]
+    _, gap_high_s, gap_worst_s = _quantiles(gaps)
+    lines.append(
+        f"Pads: {frames.complete} frames, {lost_frames} lost or damaged; {forces.received} force "
+        f"messages, {forces.lost} lost, {1e3 * gap_high_s:.1f} ms between two (99 %), "
+        f"{1e3 * gap_worst_s:.1f} ms at most; {link.malformed} damaged messages, "
+        f"{link.error_frames} error frames."
+    )
+    lines.append(
+        f"Loop: {quality.overruns} of {quality.periods} periods of {1e3 * period_s:g} ms took too "
+        "long, without the real-time priority that the loop of the cell has."
+    )
+    words = []
+    n_messages = max(1, frames.complete + forces.received)
+    if (lost_answers + retries + damaged) > _LOSS_SHARE * len(quality.answer_s):
+        words.append(
+            "The servos' line loses answers: check its plugs, the ground between adapter and "
+            "servos, and keep its cable away from the motors' supply."
+        )
+    if high_s > 0.8 * period_s:
+        words.append(
+            f"The servos answer after {1e3 * high_s:.1f} ms, too late for a period of "
+            f"{1e3 * period_s:g} ms: set the latency timer of the adapter to 1 ms or raise the "
+            "baud rate."
+        )
+    if (lost_frames + forces.lost + link.malformed) > _LOSS_SHARE * n_messages:
+        words.append(
+            "The CAN bus loses messages: check both terminating resistors (60 Ohm between CAN_H "
+            "and CAN_L, switched off), the plugs, and the bus load."
+        )
+    if link.error_frames:
+        words.append("The CAN controller reports errors: check termination and cable.")
+    if force_period_s and gap_high_s > _GAP_PERIODS * force_period_s:
+        words.append(
+            f"Force messages come with gaps of {1e3 * gap_high_s:.0f} ms: another program or the "
+            "adapter holds them up."
+        )
+    if quality.overruns > _OVERRUN_SHARE * quality.periods:
+        words.append(
+            "This machine is too busy for the force loop: end other programs, and grant the loop "
+            "its real-time priority (`ulimit -r`, limits.conf: rtprio)."
+        )
+    return Finding(
+        status=Verdict.WARN if words else Verdict.PASS,
+        lines=(*lines, *words),
+        values={
+            "answer_ms": [round(1e3 * value, 4) for value in (middle_s, high_s, worst_s)],
+            "lost_answers": lost_answers,
+            "retries": retries,
+            "force_gap_ms": [round(1e3 * value, 3) for value in (gap_high_s, gap_worst_s)],
+            "frames": frames.complete,
+            "lost_frames": lost_frames,
+            "forces": forces.received,
+            "lost_forces": forces.lost,
+            "overruns": quality.overruns,
+            "periods": quality.periods,
+        },
+        figures={
+            "lines": curves(
+                "Longest wait of each second",
+                quality.second_s,
+                {
+                    "answer of the servos": quality.worst_answer_ms,
+                    "gap between force messages": quality.worst_force_ms,
+                },
+                x_label="time / s",
+                y_label="wait / ms",
+                limits={"period of the force loop": 1e3 * period_s},
+            )
+        },
+    )
+
+
+def _quantiles(values_s: Sequence[float]) -> tuple[float, float, float]:
+    """Return median, 99 % quantile and maximum; zeros without any."""
+    if not values_s:
+        return 0.0, 0.0, 0.0
+    found: NDArray[np.float64] = np.quantile(values_s, (0.5, 0.99, 1.0))
+    return float(found[0]), float(found[1]), float(found[2])
