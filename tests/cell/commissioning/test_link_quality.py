@@ -43,7 +43,7 @@ def test_sound_lines_pass(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("fault", "named"),
     [
-        ("can.loss=0.0005", "The CAN bus loses messages"),
+        ("can.lose_next=20@1s", "The CAN bus loses messages"),
         ("unit.forces_lost=0.02", "The CAN bus loses messages"),
         ("servos.loss=0.02", "The servos' line loses answers"),
     ],
@@ -57,10 +57,10 @@ def test_what_is_lost_or_late_is_named(tmp_path: Path, fault: str, named: str) -
 @pytest.mark.parametrize(
     ("fault", "named"),
     [
-        ("can.loss=0.01", "of the last 50 frames"),
+        ("can.loss=0.003@0.6s", "of the last 50 frames"),
         ("unit.forces_each=5", "ms late, allowed are 15 ms"),
         ("unit.off@0.5s", "no force message"),
-        ("servos.unplugged@0.5s", "adapter"),
+        ("servos.unplugged@0.5s", "the servo line is gone"),
     ],
 )
 def test_a_line_that_fails_ends_the_step(tmp_path: Path, fault: str, named: str) -> None:
