@@ -20,6 +20,7 @@ from cell.commissioning.engine import (
     confirmation,
 )
 from cell.commissioning.figures import Figure, curves
+from cell.commissioning.unit import gripper_alone
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
 from cell.config.sequence import force_ramp
@@ -56,11 +57,6 @@ _EMPTY_SHARE = 0.5
 """Share of the contact force up to which pads of empty fingers may show force."""
 _TICK_S = 0.08
 """Time in s for which the grip is controlled between two looks at the person's answer."""
-
-
-def gripper_alone(bench: Bench) -> bool:
-    """Return whether the gripper has no control unit, and its force is known by current alone."""
-    return bool(bench.found.get("unit", {}).get("gripper_alone", False))
 
 
 class Fingers(Protocol):

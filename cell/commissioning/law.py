@@ -11,7 +11,7 @@ from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Choice, Dialog, Finding, Number, Question, Verdict
 from cell.commissioning.figures import curves
 from cell.commissioning.pads import sequence_forces_n
-from cell.commissioning.unit import unit_sensor
+from cell.commissioning.unit import gripper_alone, unit_sensor, without_unit
 from cell.config.tactile import LinearCalibrationConfig, TactileConfig
 from tactile.errors import TactileError
 from tactile.sensor.sensor import TactileSensor
@@ -91,6 +91,8 @@ class LawStep:
 
     def run(self, bench: Bench, dialog: Dialog) -> Finding:
         """Carry it out; see `Step.run`."""
+        if gripper_alone(bench):
+            return without_unit()
         answer = dialog.ask(
             Question(
                 key="pads_law.with",

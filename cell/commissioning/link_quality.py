@@ -3,6 +3,7 @@
 import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Finding, Verdict
 from cell.commissioning.figures import curves
-from cell.commissioning.unit import unit_sensor
+from cell.commissioning.unit import gripper_alone, unit_sensor
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import PRESENT_BLOCK
 from gripper.dynamixel.latency import check_link
@@ -29,6 +30,8 @@ none is lost, and one in a thousand already costs 6 % of the frames."""
 _OVERRUN_SHARE = 1e-3
 """Share of the periods that may take too long here: this program has no real-time priority, the
 loop of the cell has."""
+_LATE_SHARE = 0.8
+"""Share of the period that answers may take; the bound of `gripper.dynamixel.latency` too."""
 _GAP_PERIODS = 4.0
 """Periods of the force messages from which a gap between two of them is worth a word."""
 _LIVE_S = 1.0
@@ -43,8 +46,6 @@ class Quality:
     """Time in s from asking all servos to their answers, of each period; NaN without an answer."""
     force_gap_s: list[float] = field(default_factory=list)
     """Time in s between two force messages."""
-    frame_gap_s: list[float] = field(default_factory=list)
-    """Time in s between two frames."""
     second_s: list[float] = field(default_factory=list)
     worst_answer_ms: list[float] = field(default_factory=list)
     worst_force_ms: list[float] = field(default_factory=list)
@@ -56,7 +57,7 @@ class Quality:
 
 
 def watch_lines(
-    sensor: TactileSensor,
+    sensor: TactileSensor | None,
     bus: ServoBus,
     ids: Sequence[int],
     clock: Clock,
@@ -65,7 +66,7 @@ def watch_lines(
     duration_s: float,
     dialog: Dialog,
 ) -> Quality:
-    """Ask all servos and take in the pads once a period, and return how both did.
+    """Ask all servos and take in the pads, if there are any, once a period; return how both did.
 
     Raises
     ------
@@ -75,9 +76,8 @@ def watch_lines(
     quality = Quality()
     began_s = due_s = clock.monotonic()
     end_s, shown_s = began_s + duration_s, began_s
-    force_s = frame_s = float("nan")
+    force_s = float("nan")
     first_answer = first_gap = 0
-    sensor.take_forces()
     while due_s < end_s - 0.5 * period_s:
         asked_s = clock.monotonic()
         try:
@@ -85,10 +85,9 @@ def watch_lines(
             quality.answer_s.append(clock.monotonic() - asked_s)
         except (BusTimeout, BusCorrupt):
             quality.answer_s.append(float("nan"))
-        for reading in sensor.poll():
-            quality.frame_gap_s.append(reading.t_s - frame_s)
-            frame_s = reading.t_s
-        for message in sensor.take_forces():
+        if sensor is not None:
+            sensor.poll()
+        for message in () if sensor is None else sensor.take_forces():
             quality.force_gap_s.append(message.t_s - force_s)
             force_s = message.t_s
         quality.periods += 1
@@ -138,11 +137,15 @@ class LinkQualityStep:
         dialog.say(f"Both lines are watched for {self.duration_s:.0f} s. Move each cable a little.")
         try:
             with contextlib.ExitStack() as undo:
-                sensor = undo.enter_context(unit_sensor(bench))
+                sensor = None
+                if not gripper_alone(bench):
+                    sensor = undo.enter_context(unit_sensor(bench))
                 bus = undo.enter_context(bench.servo_bus())
                 check_link(bus, ids, period_s)
                 before = bus.statistics
-                sensor.read(timeout_s=1.0)
+                if sensor is not None:
+                    sensor.read(timeout_s=1.0)
+                    sensor.take_forces()
                 quality = watch_lines(
                     sensor,
                     bus,
@@ -152,7 +155,7 @@ class LinkQualityStep:
                     duration_s=self.duration_s,
                     dialog=dialog,
                 )
-                statistics = sensor.link.statistics
+                statistics = None if sensor is None else sensor.link.statistics
                 servos = bus.statistics
         except (GripperError, TactileError) as error:
             return Finding(status=Verdict.FAIL, lines=(str(error),))
@@ -168,7 +171,7 @@ class LinkQualityStep:
 
 def quality_finding(
     quality: Quality,
-    link: LinkStatistics,
+    link: LinkStatistics | None,
     before: BusStatistics,
     servos: BusStatistics,
     *,
@@ -180,80 +183,32 @@ def quality_finding(
     Parameters
     ----------
     quality, link
-        What was watched, and the counters of the link to the control unit.
+        What was watched, and the counters of the link to the control unit; None without one.
     before, servos
         Counters of the servos' line at the start and at the end.
     period_s, force_period_s
         Periods of the force loop and of the force messages in s.
     """
-    answers, gaps = _known(quality.answer_s), _known(quality.force_gap_s)
-    lost_answers = len(quality.answer_s) - len(answers)
-    retries = servos.retries - before.retries
-    damaged = servos.corrupt - before.corrupt
-    frames, forces = link.frames, link.forces
-    lost_frames = frames.lost + frames.torn + frames.corrupt
-    middle_s, high_s, worst_s = _quantiles(answers)
-    lines = [
-        f"Servos: {len(quality.answer_s)} questions, answers after {1e3 * middle_s:.2f} ms "
-        f"(median), {1e3 * high_s:.2f} ms (99 %), {1e3 * worst_s:.2f} ms at most; {lost_answers} "
-        f"without an answer, {retries} asked twice, {damaged} damaged."
-    ]
-    _, gap_high_s, gap_worst_s = _quantiles(gaps)
-    lines.append(
-        f"Pads: {frames.complete} frames, {lost_frames} lost or damaged; {forces.received} force "
-        f"messages, {forces.lost} lost, {1e3 * gap_high_s:.1f} ms between two (99 %), "
-        f"{1e3 * gap_worst_s:.1f} ms at most; {link.malformed} damaged messages, "
-        f"{link.error_frames} error frames."
-    )
-    lines.append(
-        f"Loop: {quality.overruns} of {quality.periods} periods of {1e3 * period_s:g} ms took too "
-        "long, without the real-time priority that the loop of the cell has."
-    )
-    words = []
-    n_messages = max(1, frames.complete + forces.received)
-    if (lost_answers + retries + damaged) > _LOSS_SHARE * len(quality.answer_s):
-        words.append(
-            "The servos' line loses answers: check its plugs, the ground between adapter and "
-            "servos, and keep its cable away from the motors' supply."
-        )
-    if high_s > 0.8 * period_s:
-        words.append(
-            f"The servos answer after {1e3 * high_s:.1f} ms, too late for a period of "
-            f"{1e3 * period_s:g} ms: set the latency timer of the adapter to 1 ms or raise the "
-            "baud rate."
-        )
-    if (lost_frames + forces.lost + link.malformed) > _LOSS_SHARE * n_messages:
-        words.append(
-            "The CAN bus loses messages: check both terminating resistors (60 Ohm between CAN_H "
-            "and CAN_L, switched off), the plugs, and the bus load."
-        )
-    if link.error_frames:
-        words.append("The CAN controller reports errors: check termination and cable.")
-    if force_period_s and gap_high_s > _GAP_PERIODS * force_period_s:
-        words.append(
-            f"Force messages come with gaps of {1e3 * gap_high_s:.0f} ms: another program or the "
-            "adapter holds them up."
-        )
+    parts = [_servos(quality, before, servos, period_s)]
+    if link is not None:
+        parts.append(_pads(quality, link, force_period_s))
+    words = [word for part in parts for word in part.words]
     if quality.overruns > _OVERRUN_SHARE * quality.periods:
         words.append(
             "This machine is too busy for the force loop: end other programs, and grant the loop "
             "its real-time priority (`ulimit -r`, limits.conf: rtprio)."
         )
+    loop = (
+        f"Loop: {quality.overruns} of {quality.periods} periods of {1e3 * period_s:g} ms took too "
+        "long, without the real-time priority that the loop of the cell has."
+    )
+    values: dict[str, Any] = {"overruns": quality.overruns, "periods": quality.periods}
+    for part in parts:
+        values |= part.values
     return Finding(
         status=Verdict.WARN if words else Verdict.PASS,
-        lines=(*lines, *words),
-        values={
-            "answer_ms": [round(1e3 * value, 4) for value in (middle_s, high_s, worst_s)],
-            "lost_answers": lost_answers,
-            "retries": retries,
-            "force_gap_ms": [round(1e3 * value, 3) for value in (gap_high_s, gap_worst_s)],
-            "frames": frames.complete,
-            "lost_frames": lost_frames,
-            "forces": forces.received,
-            "lost_forces": forces.lost,
-            "overruns": quality.overruns,
-            "periods": quality.periods,
-        },
+        lines=(*(part.line for part in parts), loop, *words),
+        values=values,
         figures={
             "lines": curves(
                 "Longest wait of each second",
@@ -267,6 +222,81 @@ def quality_finding(
                 limits={"period of the force loop": 1e3 * period_s},
             )
         },
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Part:
+    """What was found of one line: in a sentence, in numbers, and what to mend."""
+
+    line: str
+    values: dict[str, Any]
+    words: list[str]
+
+
+def _servos(
+    quality: Quality, before: BusStatistics, servos: BusStatistics, period_s: float
+) -> _Part:
+    asked, answers = len(quality.answer_s), _known(quality.answer_s)
+    lost, retries = asked - len(answers), servos.retries - before.retries
+    damaged = servos.corrupt - before.corrupt
+    middle_s, high_s, worst_s = _quantiles(answers)
+    words = []
+    if lost + retries + damaged > _LOSS_SHARE * asked:
+        words.append(
+            "The servos' line loses answers: check its plugs, the ground between adapter and "
+            "servos, and keep its cable away from the motors' supply."
+        )
+    if high_s > _LATE_SHARE * period_s:
+        words.append(
+            f"The servos answer after {1e3 * high_s:.1f} ms, too late for a period of "
+            f"{1e3 * period_s:g} ms: set the latency timer of the adapter to 1 ms or raise the "
+            "baud rate."
+        )
+    return _Part(
+        line=f"Servos: {asked} questions, answers after {1e3 * middle_s:.2f} ms (median), "
+        f"{1e3 * high_s:.2f} ms (99 %), {1e3 * worst_s:.2f} ms at most; {lost} without an answer, "
+        f"{retries} asked twice, {damaged} damaged.",
+        values={
+            "answer_ms": [round(1e3 * value, 4) for value in (middle_s, high_s, worst_s)],
+            "lost_answers": lost,
+            "retries": retries,
+        },
+        words=words,
+    )
+
+
+def _pads(quality: Quality, link: LinkStatistics, force_period_s: float) -> _Part:
+    frames, forces = link.frames, link.forces
+    lost = frames.lost + frames.torn + frames.corrupt
+    _, high_s, worst_s = _quantiles(_known(quality.force_gap_s))
+    words = []
+    n_messages = max(1, frames.complete + forces.received)
+    if lost + forces.lost + link.malformed > _LOSS_SHARE * n_messages:
+        words.append(
+            "The CAN bus loses messages: check both terminating resistors (60 Ohm between CAN_H "
+            "and CAN_L, switched off), the plugs, and the bus load."
+        )
+    if link.error_frames:
+        words.append("The CAN controller reports errors: check termination and cable.")
+    if force_period_s and high_s > _GAP_PERIODS * force_period_s:
+        words.append(
+            f"Force messages come with gaps of {1e3 * high_s:.0f} ms: another program or the "
+            "adapter holds them up."
+        )
+    return _Part(
+        line=f"Pads: {frames.complete} frames, {lost} lost or damaged; {forces.received} force "
+        f"messages, {forces.lost} lost, {1e3 * high_s:.1f} ms between two (99 %), "
+        f"{1e3 * worst_s:.1f} ms at most; {link.malformed} damaged messages, "
+        f"{link.error_frames} error frames.",
+        values={
+            "force_gap_ms": [round(1e3 * value, 3) for value in (high_s, worst_s)],
+            "frames": frames.complete,
+            "lost_frames": lost,
+            "forces": forces.received,
+            "lost_forces": forces.lost,
+        },
+        words=words,
     )
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Choice, Dialog, Finding, Question, Verdict
 from cell.commissioning.figures import pads as pads_figure
-from cell.commissioning.unit import unit_sensor
+from cell.commissioning.unit import gripper_alone, unit_sensor, without_unit
 from cell.config.model import TAXELS_OF_SMALL_PART, CellConfig
 from cell.errors import ConfigError
 from tactile.clock import Clock
@@ -211,6 +211,8 @@ class PadsAtRestStep:
 
     def run(self, bench: Bench, dialog: Dialog) -> Finding:
         """Carry it out; see `Step.run`."""
+        if gripper_alone(bench):
+            return without_unit()
         dialog.say("Keep your hands and everything else off the pads for two seconds.")
         try:
             with unit_sensor(bench) as sensor:
@@ -366,6 +368,8 @@ class PadsPressedStep:
 
     def run(self, bench: Bench, dialog: Dialog) -> Finding:
         """Carry it out; see `Step.run`."""
+        if gripper_alone(bench):
+            return without_unit()
         dialog.say(
             "Finger 0 is the one that the first servo drives. Nothing may touch the pads at first."
         )

@@ -49,6 +49,19 @@ _FRAMES = 10
 """Frames that show that the link runs."""
 
 
+def gripper_alone(bench: Bench) -> bool:
+    """Return whether the gripper has no control unit: its force is known by current alone."""
+    return bool(bench.found.get("unit", {}).get("gripper_alone", False))
+
+
+def without_unit() -> Finding:
+    """Return the finding of a step of the pads on a gripper that has none."""
+    return Finding(
+        status=Verdict.WARN,
+        lines=("This gripper has no pads yet: `--redo unit` once its control unit is there.",),
+    )
+
+
 @contextmanager
 def unit_sensor(bench: Bench, *, mounted: bool = True) -> Iterator[TactileSensor]:
     """Start the sensor of the config so far, and close it at the end.
@@ -100,6 +113,17 @@ class UnitStep:
         lines: list[str] = []
         try:
             return self._run(bench, dialog, lines)
+        except _Alone:
+            return Finding(
+                status=Verdict.WARN,
+                lines=(
+                    "A gripper without pads: its force is known by the motors' current alone, "
+                    "which is less exact. The config names a bus that is none "
+                    "(tactile.channel: none); a cell needs the control unit.",
+                ),
+                values={"gripper_alone": True},
+                settings={"tactile.interface": "socketcan", "tactile.channel": "none"},
+            )
         except (_Unusable, TactileError) as why:
             return Finding(status=Verdict.FAIL, lines=(*lines, str(why)))
 
@@ -133,6 +157,10 @@ class _Unusable(Exception):
     """Without a unit that can be used the step ends; the message has the cause and what to do."""
 
 
+class _Alone(Exception):
+    """The person has a gripper without a control unit."""
+
+
 def _interface(bench: Bench, dialog: Dialog) -> tuple[str, str]:
     """Return interface and channel: as given, the only one there is, or as the person says."""
     known: dict[str, Any] = {**bench.settings, **bench.given}
@@ -145,6 +173,19 @@ def _interface(bench: Bench, dialog: Dialog) -> tuple[str, str]:
         ("slcan", port) for port in bench.lines.serial_ports() if os.path.realpath(port) != servos
     ]
     if not places:
+        answer = dialog.ask(
+            Question(
+                key="unit.none",
+                text="No CAN interface is there. Does this gripper have a control unit?",
+                choices=(
+                    Choice(key="yes", text="yes: its adapter has to be plugged in"),
+                    Choice(key="alone", text="no: a gripper without pads, for now"),
+                ),
+                default="yes",
+            )
+        )
+        if answer == "alone":
+            raise _Alone
         raise _Unusable(
             "No CAN interface was found: neither a network interface of CAN (`ip link`) nor a "
             "serial port that the servos do not use. Plug the adapter in; for SocketCAN "

@@ -20,10 +20,11 @@ BENCH = {
 }
 
 
-def watched(tmp_path: Path, *faults: str) -> Finding:
+def watched(tmp_path: Path, *faults: str, alone: bool = False) -> Finding:
     with SimulatedCell(SimulatorSettings(layout=pinch_layout())) as cell:
         bench = Bench(tmp_path, SimulatedLines(cell))
         bench.settings = BENCH
+        bench.found = {"unit": {"gripper_alone": alone}}
         for fault in faults:
             cell.inject(fault)
         return LinkQualityStep(duration_s=2.5).run(bench, Script())
@@ -67,3 +68,9 @@ def test_a_line_that_fails_ends_the_step(tmp_path: Path, fault: str, named: str)
     finding = watched(tmp_path, fault)
     assert finding.status is Verdict.FAIL
     assert named in finding.lines[0]
+
+
+def test_a_gripper_without_pads_has_one_line(tmp_path: Path) -> None:
+    finding = watched(tmp_path, "unit.off", alone=True)
+    assert finding.status is Verdict.PASS, finding.lines
+    assert len(finding.lines) == 2

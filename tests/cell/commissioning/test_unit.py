@@ -6,7 +6,9 @@ from typing import Any
 import pytest
 
 from cell.commissioning.bench import Bench
-from cell.commissioning.engine import Finding, Left, Verdict
+from cell.commissioning.engine import Finding, Left, Step, Verdict
+from cell.commissioning.law import LawStep
+from cell.commissioning.pads import PadsAtRestStep, PadsPressedStep
 from cell.commissioning.unit import UnitStep
 from simulator.can.drive import DriveMount
 from simulator.cell import SimulatedCell
@@ -120,3 +122,15 @@ def test_the_interface_is_asked_for_only_where_there_are_several(tmp_path: Path)
         finding = UnitStep().run(one, Script())
         assert finding.status is Verdict.FAIL
         assert "No CAN interface was found" in finding.lines[0]
+        finding = UnitStep().run(one, Script({"unit.none": "alone"}))
+    assert finding.status is Verdict.WARN
+    assert finding.values == {"gripper_alone": True}
+
+
+@pytest.mark.parametrize("step", [PadsAtRestStep(), PadsPressedStep(), LawStep()])
+def test_steps_of_the_pads_pass_by_where_there_are_none(tmp_path: Path, step: Step) -> None:
+    bench = Bench(tmp_path)
+    bench.found = {"unit": {"gripper_alone": True}}
+    finding = step.run(bench, Script())
+    assert finding.status is Verdict.WARN
+    assert "no pads yet" in finding.lines[0]
