@@ -65,7 +65,6 @@ export function doing(state) {
 }
 
 export function renderBand({ link, info, state }) {
-  const band = byId("band");
   setText(byId("cell"), info?.name ?? "");
   show(byId("simulated"), Boolean(info?.simulated) && info?.mode !== "replay");
   document.body.classList.toggle("stale", link.stale);
@@ -95,11 +94,20 @@ export function renderBand({ link, info, state }) {
     if (heldBy.length && level === "calm") [level, sign] = ["watch", "hold"];
     document.title = `${word} – ${info?.name ?? "tactile-cell"}`;
   }
-  setText(byId("told"), byId("state").textContent); // read out when it changes, and only then
   if (link.stale) document.title = `${t("state.away")} – ${info?.name ?? "tactile-cell"}`;
+  setSign(level, sign);
+  renderCommander({ link, state });
+}
+
+// Colour and symbol of the band.
+export function setSign(level, sign) {
+  setText(byId("told"), byId("state").textContent); // read out when it changes, and only then
+  const band = byId("band");
   if (band.dataset.level !== level) band.dataset.level = level;
   if (byId("sign").getAttribute("d") !== SIGNS[sign]) byId("sign").setAttribute("d", SIGNS[sign]);
+}
 
+export function renderCommander({ link, state }) {
   const commander = state?.commander ?? "";
   setText(byId("commander"), link.stale ? "" : link.commands ? t("who.you")
     : commander ? t("who.other", { name: commander }) : t("who.nobody"));

@@ -1,6 +1,6 @@
 // Commands: Hold for everybody, the others for the page in command; what is not allowed says why.
 
-import { allow, byId, isAllowed, onLongPress, setText } from "./dom.js";
+import { allow, ask, byId, isAllowed, onLongPress, setText } from "./dom.js";
 import { Refused } from "./link.js";
 import { runs } from "./band.js";
 import { faultText, has, t } from "./words.js";
@@ -35,7 +35,8 @@ export function complaint(error) {
   return t("said.refused", { text: remedy ? `${text} – ${remedy}` : text });
 }
 
-export function setupCommands(view) {
+// The lease and Hold, which all pages have; `dialogs` are closed by Escape.
+export function setupLease(view, dialogs) {
   const { link, say } = view;
   const attempt = async (act, done = "") => {
     try {
@@ -47,23 +48,33 @@ export function setupCommands(view) {
     view.changed();
   };
   view.attempt = attempt;
-  view.start = (goal) => attempt(() => link.start(goal));
-  view.send = (command, more = {}) => attempt(() => link.command("api/commands", {
-    command, ...(command === "release" ? { key: RELEASE_KEY } : {}), ...more,
-  }));
-
   const hold = byId("hold");
   hold.disabled = false;
   const doHold = () => {
     hold.classList.add("sent");
-    attempt(() => link.hold(), t("said.held")).finally(() => setTimeout(() => hold.classList.remove("sent"), 600));
+    attempt(() => link.hold(), view.heldText()).finally(() => setTimeout(() => hold.classList.remove("sent"), 600));
   };
   hold.addEventListener("click", doHold);
   document.addEventListener("keydown", (event) => {
     if (event.key !== "Escape" || event.repeat) return;
     doHold();
-    for (const name of ["grasp", "sure", "camera"]) byId(name).close();
+    for (const name of dialogs) byId(name).close();
   });
+
+  byId("command").addEventListener("click", () => {
+    const name = view.state?.commander;
+    if (link.commands) attempt(() => link.giveUp());
+    else if (!name) attempt(() => link.acquire());
+    else ask(t("who.take_sure", { name }), t("who.take_over"), () => attempt(() => link.acquire(true)));
+  });
+}
+
+export function setupCommands(view) {
+  const { attempt, link } = view;
+  view.start = (goal) => attempt(() => link.start(goal));
+  view.send = (command, more = {}) => attempt(() => link.command("api/commands", {
+    command, ...(command === "release" ? { key: RELEASE_KEY } : {}), ...more,
+  }));
 
   const click = (id, act) => byId(id).addEventListener("click", () => isAllowed(byId(id)) && act());
   click("do_identify", () => view.start({ task: "identify", keep: byId("keep").value }));
@@ -76,13 +87,6 @@ export function setupCommands(view) {
   click("do_clear", () => view.send("clear"));
   click("do_reset", () => view.send("reset"));
   onLongPress(byId("do_release"), 1, () => view.send("release"));
-
-  byId("command").addEventListener("click", () => {
-    const name = view.state?.commander;
-    if (link.commands) attempt(() => link.giveUp());
-    else if (!name) attempt(() => link.acquire());
-    else view.ask(t("who.take_sure", { name }), t("who.take_over"), () => attempt(() => link.acquire(true)));
-  });
 }
 
 export function renderCommands(view) {

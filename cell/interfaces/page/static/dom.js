@@ -92,3 +92,14 @@ export function colour(name) {
   return colours.getPropertyValue(`--${name}`).trim();
 }
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => (colours = null));
+
+// A question before what cannot be undone.
+export function ask(text, word, act) {
+  setText(byId("sure_text"), text);
+  setText(byId("sure_yes"), word);
+  byId("sure_yes").onclick = () => {
+    byId("sure").close();
+    act();
+  };
+  if (!byId("sure").open) byId("sure").show();
+}

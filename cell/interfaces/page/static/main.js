@@ -1,6 +1,6 @@
 // The page: everything that it shows comes from the state of the cell; this file joins the parts.
 
-import { byId, setText, show } from "./dom.js";
+import { ask, byId, setText, show } from "./dom.js";
 import { Link, NoAnswer } from "./link.js";
 import { loadWords, millimetres, number, t } from "./words.js";
 import { renderBand, runs } from "./band.js";
@@ -9,7 +9,7 @@ import { forget, renderFelt, takeFrame, takeValues } from "./felt.js";
 import { drawOpened, openGrasp, renderShift } from "./shift.js";
 import { renderHealth } from "./health.js";
 import { renderFault } from "./fault.js";
-import { reasonOf, renderCommands, setupCommands } from "./commands.js";
+import { reasonOf, renderCommands, setupCommands, setupLease } from "./commands.js";
 import { renderTeach, setupTeach, teachEnded } from "./teach.js";
 import { renderGauge, setupGauge } from "./gauge.js";
 import { renderSort, setupSort } from "./sort.js";
@@ -30,6 +30,7 @@ const view = {
     setText(place, text);
     place.classList.toggle("bad", bad);
   },
+  heldText: () => t("said.held"),
   open: (answer) => openGrasp(view, answer),
   tab: chooseTab,
   ask,
@@ -45,17 +46,6 @@ function chooseTab(name) {
     show(byId(one), chosen);
   }
   dirty = true;
-}
-
-// A question before what cannot be undone.
-function ask(text, word, act) {
-  setText(byId("sure_text"), text);
-  setText(byId("sure_yes"), word);
-  byId("sure_yes").onclick = () => {
-    byId("sure").close();
-    act();
-  };
-  if (!byId("sure").open) byId("sure").show();
 }
 
 // Pictures need the token, so they are fetched like everything else.
@@ -134,6 +124,7 @@ function render() {
 }
 
 function setup() {
+  setupLease(view, ["grasp", "sure", "camera"]);
   setupCommands(view);
   setupTeach(view);
   setupGauge(view);

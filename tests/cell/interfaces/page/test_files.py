@@ -8,17 +8,19 @@ from typing import Any, get_args
 
 import pytest
 
+from cell.commissioning.engine import Verdict
 from cell.control.states import CellState, GraspState
 from cell.fault_catalogue import CATALOGUE, Fault, Step
 from cell.interfaces.page import FOLDER
 from cell.interfaces.plugin.goals import TASKS
+from cell.interfaces.wizard import Phase
 from recognition.shape.answer import UNCLEAR
 from recognition.shape.models import SHAPE_MODELS
 from tests.cell.interfaces.page.fake_cell import FakeCell
 
 WORDS = {path.stem: json.loads(path.read_text()) for path in FOLDER.glob("*.json")}
 SOURCE = "\n".join(path.read_text() for path in FOLDER.glob("*.js"))
-HTML = (FOLDER / "index.html").read_text()
+HTML = "\n".join(path.read_text() for path in FOLDER.glob("*.html"))
 FAMILIES: dict[str, set[str]] = {
     "state.": {*CellState, "away"},
     "grip.": set(GraspState),
@@ -32,6 +34,8 @@ FAMILIES: dict[str, set[str]] = {
     "teach.": {"CANCELED", "ABORTED"},
     "kind.": {"sure", "unsure", "unknown"},
     "level.": {"watch", "bad"},
+    "wizard.": set(Phase),
+    "wizard.status.": {*Verdict, "open"},
 }
 """Keys that end with what the cell reports."""
 FAULT = {field.name for field in fields(Fault)} | {"detail", "since_s", "recording"}

@@ -1,0 +1,252 @@
+// The commissioning wizard: its steps, what it asks, what it is about to write, and what it found.
+
+import { allow, ask, byId, isAllowed, make, renew, setText, show } from "./dom.js";
+import { Link } from "./link.js";
+import { renderCommander, setSign } from "./band.js";
+import { setupLease } from "./commands.js";
+import { clock, loadWords, number, t } from "./words.js";
+
+const LOOKS = {
+  ready: ["calm", "ready"],
+  working: ["calm", "working"],
+  asking: ["watch", "part"],
+  approving: ["watch", "hold"],
+  left: ["calm", "stopped"],
+  failed: ["bad", "fault"],
+  finished: ["calm", "ready"],
+};
+const OPEN = ["ready", "left", "failed", "finished"]; // no step runs
+const pictures = new Map(); // URL of each figure that was fetched, by its address
+let dirty = true;
+let shownId = 0;
+
+const view = {
+  link: null, info: null, state: null,
+  changed: () => (dirty = true),
+  say(text, bad = false) {
+    setText(byId("said"), text);
+    byId("said").classList.toggle("bad", bad);
+  },
+  heldText: () => t("wizard.stopped"),
+};
+
+const why = () => (view.link.stale ? t("why.connection") : view.link.commands ? "" : t("why.lease"));
+const idle = () => OPEN.includes(view.state?.phase);
+const titleOf = (key) => view.state.steps.find((step) => step.key === key)?.title ?? key;
+
+function post(path, body = {}) {
+  return view.attempt(() => view.link.call("POST", path, { body: { lease: view.link.lease, ...body }, timeout_ms: 5000 }));
+}
+
+const answer = (value) => post("api/answer", { asked_id: view.state.asked_id, value });
+
+function renderBand() {
+  const { link, info, state } = view;
+  document.body.classList.toggle("stale", link.stale);
+  document.body.classList.toggle("starting", !state && Number.isFinite(link.age_s));
+  const phase = state?.phase ?? "ready";
+  const word = link.stale ? t("state.away") : t(`wizard.${phase}`);
+  const [level, sign] = link.stale ? ["bad", "away"] : LOOKS[phase];
+  setText(byId("cell"), info?.name ?? "");
+  byId("cell").title = info?.folder ?? "";
+  setText(byId("state"), word);
+  const done = state?.steps.filter((step) => ["pass", "warn"].includes(step.status)).length ?? 0;
+  setText(byId("since"), state ? t("wizard.done", { done, of: state.steps.length }) : "");
+  setText(byId("doing"), state?.step ? titleOf(state.step) : "");
+  document.title = `${word} – ${info?.name ?? "tactile-cell"}`;
+  setSign(level, sign);
+  renderCommander(view);
+}
+
+function picture(step, name) {
+  const path = `api/steps/${encodeURIComponent(step.key)}/figures/${encodeURIComponent(name)}`;
+  const key = `${path} ${step.ended}`;
+  const image = make("img", { alt: step.figures[name] });
+  if (!pictures.has(key)) {
+    pictures.set(key, view.link.fetch("GET", path, { timeout_ms: 20000 })
+      .then((found) => found.blob()).then((blob) => URL.createObjectURL(blob)));
+  }
+  pictures.get(key).then((url) => (image.src = url)).catch(() => pictures.delete(key));
+  return make("figure", {}, image, make("figcaption", { lang: "en" }, step.figures[name]));
+}
+
+function renderSteps() {
+  const { state } = view;
+  if (!state) return;
+  const list = byId("steps");
+  while (list.children.length < state.steps.length) {
+    const details = make("details", {}, make("summary"), make("div"));
+    details.addEventListener("toggle", view.changed);
+    list.append(make("li", {}, details));
+  }
+  state.steps.forEach((step, at) => {
+    const item = list.children[at];
+    const [summary, body] = item.firstElementChild.children;
+    const status = step.status || "open";
+    item.dataset.status = status;
+    if (step.key === state.step) item.setAttribute("aria-current", "step");
+    else item.removeAttribute("aria-current");
+    renew(summary, [step.title, status], () => [
+      make("b", { lang: "en" }, `${at + 1}. ${step.title}`), make("span", {}, t(`wizard.status.${status}`)),
+    ]);
+    if (!item.firstElementChild.open) return;
+    const may = status !== "open" && idle() && !why();
+    renew(body, [step, may], () => [
+      make("p", { class: "muted", lang: "en" }, step.purpose),
+      ...step.lines.map((line) => make("p", { lang: "en" }, line)),
+      ...Object.keys(step.figures).map((name) => picture(step, name)),
+      make("p", { class: "muted", lang: "en" }, step.ended ? `${clock(Date.parse(step.ended) / 1000)} – ${step.undo}` : step.undo),
+      ...(may ? [redoButton(step)] : []),
+    ]);
+  });
+}
+
+function redoButton(step) {
+  const button = make("button", { type: "button", class: "plain" }, t("wizard.redo"));
+  button.addEventListener("click", () => ask(t("wizard.redo_sure", { title: step.title }), t("wizard.redo"),
+    () => post("api/redo", { key: step.key })));
+  return button;
+}
+
+function renderNow() {
+  const { state, info } = view;
+  if (!state) return;
+  const step = state.steps.find((one) => one.key === state.step);
+  setText(byId("now_title"), step?.title ?? t("wizard.title", { name: info?.name ?? "" }));
+  setText(byId("now_purpose"), step?.purpose ?? (state.phase === "finished" ? "" : t("wizard.what")));
+  const error = state.error;
+  setText(byId("now_error"), error ? [error.text, error.number ? error.remedy : ""].filter(Boolean).join(" – ") : "");
+  // Between two runs: what needs a look.
+  const noted = state.steps.filter((one) => ["warn", "fail"].includes(one.status));
+  const said = step ? state.said : noted.flatMap((one) => one.lines.map((line) => `${one.title}: ${line}`));
+  renew(byId("now_said"), said, () => said.map((text) => make("li", {}, text)));
+  const live = Object.entries(state.live);
+  renew(byId("now_live"), live, () => live.flatMap(([name, value]) => [make("dt", {}, name), make("dd", {}, value)]));
+  setText(byId("files"), state.files.length ? t("wizard.files", { files: state.files.join(", ") }) : "");
+  renderQuestion();
+  renderApproval();
+}
+
+function renderQuestion() {
+  const { state } = view;
+  const question = state.phase === "asking" ? state.question : null;
+  show(byId("question"), Boolean(question));
+  if (!question) return;
+  setText(byId("question_text"), question.text);
+  const reason = why();
+  const choices = question.choices ?? [];
+  renew(byId("question_choices"), [state.asked_id, choices, reason], () => choices.map((choice) => {
+    const button = make("button", { type: "button", ...(choice.key === question.default ? { class: "first" } : {}) });
+    allow(button, choice.text, "", reason);
+    button.addEventListener("click", () => isAllowed(button) && answer(choice.key));
+    return button;
+  }));
+  show(byId("question_field"), !choices.length);
+  allow(byId("question_send"), t("wizard.send"), "", reason);
+  const range = question.number;
+  setText(byId("question_unit"), range?.unit ?? "");
+  setText(byId("question_range"), range
+    ? t("wizard.range", { low: number(range.lowest), high: number(range.highest), unit: range.unit }) : "");
+  if (shownId === state.asked_id) return;
+  shownId = state.asked_id;
+  const field = byId("question_value");
+  field.type = range ? "number" : "text";
+  if (range) Object.assign(field, { min: range.lowest, max: range.highest, step: "any" });
+  field.value = question.default ?? "";
+  field.required = Boolean(range);
+  if (!reason) (choices.length ? byId("question_choices").firstElementChild : field).focus({ preventScroll: true });
+  byId("question").scrollIntoView({ block: "nearest" });
+}
+
+function renderApproval() {
+  const { state } = view;
+  const wanted = state.phase === "approving";
+  show(byId("approval"), wanted);
+  if (!wanted) return;
+  renew(byId("writes"), [state.asked_id, state.writes], () => state.writes.map((write) => make("li", {},
+    make("b", {}, write.where), make("span", {}, write.what),
+    make("span", { class: "change" }, write.before, make("i", {}, " → "), write.after),
+    make("small", {}, t("wizard.undo", { text: write.undo })))));
+  allow(byId("approve"), t("wizard.approve"), t("wizard.approve_hint"), why());
+  allow(byId("refuse"), t("wizard.refuse"), t("wizard.refuse_hint"), why());
+  if (shownId === state.asked_id) return;
+  shownId = state.asked_id;
+  byId("approval").scrollIntoView({ block: "nearest" });
+}
+
+function renderCommands() {
+  const { state } = view;
+  const phase = state?.phase ?? "ready";
+  const begun = state?.steps.some((step) => step.status);
+  show(byId("run"), idle());
+  allow(byId("run"), t(phase === "finished" ? "wizard.again" : begun ? "wizard.go_on" : "wizard.begin"), t("wizard.run_hint"), why());
+  show(byId("leave"), !idle());
+  allow(byId("leave"), t("wizard.leave"), t("wizard.leave_hint"), why());
+  show(byId("record"), Boolean(begun) && idle());
+  allow(byId("record"), t("wizard.record"), t("wizard.record_hint"), view.link.stale ? t("why.connection") : "");
+}
+
+// The record is one file: it is saved as it is, and read where it was saved.
+async function saveRecord() {
+  const found = await view.link.fetch("GET", "api/record", { timeout_ms: 30000 });
+  const url = URL.createObjectURL(await found.blob());
+  make("a", { href: url, download: "commissioning.html" }).click();
+  setTimeout(() => URL.revokeObjectURL(url), 60000);
+}
+
+async function refreshInfo() {
+  try {
+    view.info = await view.link.call("GET", "api/info", { timeout_ms: 5000 });
+    view.link.leaseTimeout_s = view.info.lease_timeout_s;
+  } catch {
+    setTimeout(refreshInfo, 1000);
+  }
+  dirty = true;
+}
+
+function render() {
+  requestAnimationFrame(render);
+  if (!dirty) return;
+  dirty = false;
+  for (const part of [renderBand, renderSteps, renderNow, renderCommands]) part();
+}
+
+function setup() {
+  setupLease(view, ["sure"]);
+  const click = (id, act) => byId(id).addEventListener("click", () => isAllowed(byId(id)) && act());
+  click("run", () => post("api/run"));
+  click("leave", () => post("api/leave"));
+  click("record", () => view.attempt(saveRecord));
+  click("approve", () => answer(true));
+  click("refuse", () => answer(false));
+  byId("question").addEventListener("submit", (event) => {
+    event.preventDefault();
+    const field = byId("question_value");
+    if (isAllowed(byId("question_send"))) answer(field.type === "number" ? field.valueAsNumber : field.value);
+  });
+  byId("sure_no").addEventListener("click", () => byId("sure").close());
+  byId("login_form").addEventListener("submit", () => view.link.login(byId("login_token").value.trim()));
+  // What is not live any more is shown as such, whether a message comes or not.
+  setInterval(() => (dirty = true), 250);
+}
+
+function login(wrong) {
+  setText(byId("login_wrong"), wrong ? t("login.wrong") : "");
+  if (!byId("login").open) byId("login").show();
+}
+
+view.link = new Link({
+  state(state) {
+    view.state = state;
+    dirty = true;
+  },
+  frame: () => {},
+  connected: refreshInfo,
+  refused: () => login(true),
+  lost: () => view.say(t("wizard.lost"), true),
+});
+await loadWords();
+setup();
+render();
+if (view.link.token) view.link.connect();
+else login(false);

@@ -1,0 +1,444 @@
+"""The commissioning wizard in a browser: its engine in a thread, a person behind the web door.
+
+Needs the extras ``serve`` and ``report``. The page asks and shows; whoever has the lease answers,
+anybody may stop. A person who leaves, or falls silent while a step works, ends the step as a
+refusal does; an open question waits.
+"""
+
+import json
+import threading
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from enum import StrEnum
+from importlib.metadata import version
+from typing import Annotated, Any
+
+from fastapi import FastAPI, HTTPException, Query, Request
+from fastapi.responses import Response
+
+from cell.commissioning.engine import Engine, Finding, Left, Question, Step, Write
+from cell.commissioning.figures import standalone_svg
+from cell.commissioning.record import render_record
+from cell.config.serve import ServeConfig
+from cell.errors import RequestRefused
+from cell.fault_catalogue import Refusal
+from cell.interfaces.page import mount_page
+from cell.interfaces.service.lease import Lease
+from cell.interfaces.web_server import GuardedApi, Paths, RequestBody, WebServer
+
+_WATCH_S = 0.1
+"""Time in s between two looks at what a person moves by hand."""
+_WAIT_S = 0.25
+"""Longest time in s after which a wait looks whether it is to end."""
+_SAID_MAX = 30
+"""Texts of a step that the page keeps."""
+
+
+class Phase(StrEnum):
+    """What the wizard does."""
+
+    READY = "ready"
+    """Not begun."""
+    WORKING = "working"
+    ASKING = "asking"
+    APPROVING = "approving"
+    LEFT = "left"
+    """Left by a person; it can be taken up again."""
+    FAILED = "failed"
+    """Ended by an error; it can be taken up again."""
+    FINISHED = "finished"
+
+
+class Wizard:
+    """The wizard as the page sees it; implements `cell.commissioning.engine.Dialog`.
+
+    The engine's thread calls the methods of a dialog, the door's threads all others.
+
+    Parameters
+    ----------
+    engine
+        The steps and what they found.
+    config
+        Has the time-out of the lease.
+    """
+
+    def __init__(self, engine: Engine, config: ServeConfig) -> None:
+        self.engine = engine
+        self.config = config
+        self._changed = threading.Condition()
+        self.lease = Lease(
+            config.lease_timeout_s,
+            given=lambda _name: None,
+            lost=self._lost,
+            lock=self._changed,
+        )
+        self._thread: threading.Thread | None = None
+        self._phase = Phase.READY
+        self._step = ""
+        self._said: list[str] = []
+        self._live: dict[str, str] = {}
+        self._asked_id = 0
+        self._question: Question | None = None
+        self._writes: tuple[Write, ...] = ()
+        self._answer: str | float | bool | None = None
+        self._leaving = ""
+        self._refusal: Refusal | None = None
+        self._files: tuple[str, ...] = ()
+
+    # -- what clients do -----------------------------------------------------------------------
+
+    def run(self, lease: int) -> None:
+        """Begin, or go on with the first step that is not done.
+
+        Raises
+        ------
+        NotInCommand
+            As `cell.interfaces.service.lease.Lease.alive`, and so the other commands.
+        RequestRefused
+            While a step runs.
+        """
+        with self._changed:
+            self.lease.alive(lease)
+            self._refuse_while_running()
+            self._leaving, self._refusal, self._phase = "", None, Phase.WORKING
+            self._thread = threading.Thread(target=self._run, name="wizard", daemon=True)
+            self._thread.start()
+
+    def answer(self, lease: int, asked_id: int, value: str | float | bool) -> None:
+        """Answer the open question, or the writes that wait: true approves them.
+
+        Raises
+        ------
+        RequestRefused
+            If something else is asked by now, or the answer is none of those that are offered.
+        """
+        with self._changed:
+            self.lease.alive(lease)
+            if asked_id != self._asked_id or self._phase not in (Phase.ASKING, Phase.APPROVING):
+                raise RequestRefused(f"question {asked_id} is not asked any more")
+            if self._answer is not None:
+                raise RequestRefused(f"question {asked_id} is answered already")
+            self._answer = value if self._question is None else _checked(self._question, value)
+            self._phase = Phase.WORKING
+            self._changed.notify_all()
+
+    def leave(self, lease: int) -> None:
+        """End the step that runs; what was found before is kept."""
+        with self._changed:
+            self.lease.alive(lease)
+            self.stop("left by the person at the page")
+
+    def stop(self, reason: str) -> None:
+        """End the step that runs, at its next look; anybody may."""
+        with self._changed:
+            if self.running:
+                self._leaving = reason
+                self._changed.notify_all()
+
+    def redo(self, lease: int, key: str) -> tuple[str, ...]:
+        """Forget a step and all that need it; return their keys."""
+        with self._changed:
+            self.lease.alive(lease)
+            self._refuse_while_running()
+            self._phase, self._refusal = Phase.READY, None
+            return self.engine.redo(key)
+
+    @property
+    def running(self) -> bool:
+        """Whether a step runs or waits for an answer."""
+        return self._thread is not None and self._thread.is_alive()
+
+    def close(self) -> None:
+        """End the step that runs, and wait until it has ended."""
+        self.stop("the program ends")
+        if self._thread is not None:
+            self._thread.join()
+
+    def state(self) -> dict[str, Any]:
+        """Return everything that the page shows, as plain data."""
+        with self._changed:
+            self.lease.look()
+            question = self._question
+            return {
+                "time_s": time.time(),
+                "commander": self.lease.name,
+                "phase": self._phase.value,
+                "step": self._step,
+                "steps": [self._step_view(step) for step in self.engine.steps],
+                "said": list(self._said),
+                "live": dict(self._live),
+                "asked_id": self._asked_id,
+                "question": None if question is None else asdict(question),
+                "writes": [asdict(write) for write in self._writes],
+                "error": None if self._refusal is None else asdict(self._refusal),
+                "files": list(self._files),
+            }
+
+    # -- the dialog, in the engine's thread ----------------------------------------------------
+
+    def begin(self, step: Step, number: int, count: int) -> None:
+        """Show which step begins."""
+        with self._changed:
+            self._look()
+            self._step, self._said, self._live = step.key, [], {}
+
+    def found(self, step: Step, finding: Finding) -> None:
+        """Show what a step found: the state has the entries of the engine."""
+        with self._changed:
+            self._live = {}
+            self._look()
+
+    def say(self, text: str) -> None:
+        """Show a text."""
+        with self._changed:
+            self._look()
+            self._said = [*self._said, text][-_SAID_MAX:]
+
+    def live(self, name: str, value_text: str) -> None:
+        """Show a value in the place of its previous one."""
+        with self._changed:
+            self._look()
+            self._live[name] = value_text
+
+    def ask(self, question: Question, *, watch: Callable[[], str] | None = None) -> str | float:
+        """Wait for the answer of the page."""
+        self._question = question
+        try:
+            answer = self._wait(Phase.ASKING, watch)
+        finally:
+            self._question = None
+        assert isinstance(answer, str | float)
+        return answer
+
+    def approve(self, writes: Sequence[Write]) -> None:
+        """Wait until the writes are approved."""
+        self._writes = tuple(writes)
+        try:
+            if not self._wait(Phase.APPROVING):
+                raise Left("the writes were refused; none of them was done")
+        finally:
+            self._writes = ()
+
+    def _wait(self, phase: Phase, watch: Callable[[], str] | None = None) -> str | float | bool:
+        """Return the answer of the page; what is watched is shown under an empty name."""
+        with self._changed:
+            self._look()
+            self._asked_id += 1
+            self._answer, self._phase = None, phase
+        try:
+            while (answer := self._answer_so_far(_WAIT_S if watch is None else _WATCH_S)) is None:
+                if watch is not None:
+                    text = watch()
+                    with self._changed:
+                        self._live[""] = text
+            return answer
+        finally:
+            with self._changed:
+                self._phase = Phase.WORKING
+                self._live.pop("", None)
+
+    def _answer_so_far(self, wait_s: float) -> str | float | bool | None:
+        with self._changed:
+            self._look()
+            if self._answer is None:
+                self._changed.wait(wait_s)
+            return self._answer
+
+    def _look(self) -> None:
+        self.lease.look()
+        if self._leaving:
+            reason, self._leaving = self._leaving, ""
+            raise Left(reason)
+
+    def _lost(self, reason: str) -> None:
+        """End a step that works, which may move; a question waits for the next person."""
+        if self._phase is Phase.WORKING and self.running:
+            self._leaving = f"nobody is in command, {reason}"
+
+    def _run(self) -> None:
+        refusal: Refusal | None = None
+        files: list[str] = []
+        phase = Phase.FINISHED
+        try:
+            files = [str(path) for path in self.engine.run(self)]
+        except Left as left:
+            phase, refusal = Phase.LEFT, Refusal(text=str(left))
+        except Exception as error:
+            phase, refusal = Phase.FAILED, Refusal.of(error)
+        with self._changed:
+            self._phase, self._refusal, self._files = phase, refusal, tuple(files)
+            self._step, self._live, self._leaving = "", {}, ""
+
+    def _refuse_while_running(self) -> None:
+        if self.running:
+            raise RequestRefused("a step runs: answer it or leave it first")
+
+    def _step_view(self, step: Step) -> dict[str, Any]:
+        view = {
+            "key": step.key,
+            "title": step.title,
+            "purpose": step.purpose,
+            "needs": list(step.needs),
+            "undo": step.undo,
+        }
+        entry = self.engine.entries.get(step.key)
+        if entry is None:
+            return view | {"status": "", "ended": "", "lines": [], "figures": {}}
+        finding = entry.finding
+        return view | {
+            "status": finding.status.value,
+            "ended": entry.ended,
+            "lines": list(finding.lines),
+            "figures": {
+                name: figure.get("title", name) if isinstance(figure, dict) else name
+                for name, figure in finding.figures.items()
+            },
+        }
+
+
+def _checked(question: Question, value: str | float | bool) -> str | float:
+    """Return an answer that the question offers; RequestRefused for another one."""
+    if question.choices is not None:
+        keys = [choice.key for choice in question.choices]
+        if value in keys:
+            return str(value)
+        raise RequestRefused(f"{value!r} is no answer; the answers are {', '.join(keys)}")
+    if question.number is None:
+        if isinstance(value, str):
+            return value
+        raise RequestRefused(f"{value!r} is no text")
+    low, high, unit = question.number.lowest, question.number.highest, question.number.unit
+    if isinstance(value, int | float) and not isinstance(value, bool) and low <= value <= high:
+        return float(value)
+    raise RequestRefused(f"{value!r} is not within {low:g} and {high:g} {unit}")
+
+
+class _Moment:
+    """State of the wizard at one moment; implements `live_socket.Moment`."""
+
+    def __init__(self, wizard: Wizard) -> None:
+        self.text = json.dumps(wizard.state(), allow_nan=False)
+
+    def frame(self, kind: str) -> bytes | None:
+        """Return None: the wizard has no frames."""
+        return None
+
+
+class LeasedBody(RequestBody):
+    """A command under the lease."""
+
+    lease: int
+
+
+class AnswerBody(LeasedBody):
+    """Answer to the question with that id: a choice, a number, a text, or whether to write."""
+
+    asked_id: int
+    value: bool | float | str
+
+
+class RedoBody(LeasedBody):
+    """A step that is to be done again."""
+
+    key: str
+
+
+class WizardApi(GuardedApi):
+    """The paths of the wizard below ``/api``."""
+
+    def __init__(self, wizard: Wizard) -> None:
+        super().__init__(wizard.lease, wizard.config, lambda: _Moment(wizard))
+        self._wizard = wizard
+
+    def app(self) -> FastAPI:
+        """Return the application."""
+        paths: Paths = (
+            ("/info", "GET", self.info),
+            ("/state", "GET", self._wizard.state),
+            ("/steps/{key}/figures/{name}", "GET", self.figure),
+            ("/record", "GET", self.record),
+            ("/run", "POST", self.run),
+            ("/answer", "POST", self.answer),
+            ("/leave", "POST", self.leave),
+            ("/redo", "POST", self.redo),
+        )
+        app = self.guarded(paths)
+        app.add_api_route("/api/hold", self.hold, methods=["POST"])
+        mount_page(app, "commission.html")
+        return app
+
+    def info(self) -> dict[str, Any]:
+        """Version, folder of the cell, time-out of the lease."""
+        folder = self._wizard.engine.bench.folder.resolve()
+        return {
+            "mode": "commission",
+            "version": version("tactile-cell"),
+            "name": folder.name,
+            "folder": str(folder),
+            "lease_timeout_s": self._wizard.config.lease_timeout_s,
+        }
+
+    def figure(self, key: str, name: str) -> Response:
+        """Return a picture of a step, SVG or PNG."""
+        entry = self._wizard.engine.entries.get(key)
+        figure = None if entry is None else entry.finding.figures.get(name)
+        if not isinstance(figure, dict):
+            raise HTTPException(404, f"step {key!r:.40} has no figure {name!r:.40}")
+        headers = {"X-Content-Type-Options": "nosniff", "Cache-Control": "no-store"}
+        if "file" not in figure:
+            return Response(standalone_svg(figure), media_type="image/svg+xml", headers=headers)
+        path = self._wizard.engine.bench.folder / str(figure["file"])
+        media = "image/png" if path.suffix == ".png" else "image/svg+xml"
+        return Response(path.read_bytes(), media_type=media, headers=headers)
+
+    def record(self) -> Response:
+        """Return the record of what was found so far, HTML."""
+        return Response(render_record(self._wizard.engine), media_type="text/html")
+
+    def run(self, body: LeasedBody) -> dict[str, Any]:
+        """Begin, or go on with the first step that is not done."""
+        self._wizard.run(body.lease)
+        return {}
+
+    def answer(self, body: AnswerBody) -> dict[str, Any]:
+        """Answer what is asked; ``true`` approves the writes that are shown."""
+        self._wizard.answer(body.lease, body.asked_id, body.value)
+        return {}
+
+    def leave(self, body: LeasedBody) -> dict[str, Any]:
+        """End the step that runs; what was found before is kept."""
+        self._wizard.leave(body.lease)
+        return {}
+
+    def redo(self, body: RedoBody) -> dict[str, Any]:
+        """Forget a step and those that need it."""
+        return {"steps": self._wizard.redo(body.lease, body.key)}
+
+    def hold(
+        self, request: Request, name: Annotated[str, Query(max_length=60)] = ""
+    ) -> dict[str, Any]:
+        """End the step that runs, and with it its motion; anyone may, without token and lease."""
+        host = "" if request.client is None else request.client.host
+        self._wizard.stop(f"stopped by {f'{host} {name}'.strip()}")
+        return {"state": self._wizard.state()["phase"]}
+
+
+class WizardDoor(WebServer):
+    """The wizard behind HTTP and WebSocket.
+
+    Parameters
+    ----------
+    wizard
+        The wizard.
+
+    Raises
+    ------
+    OSError
+        As `WebServer`.
+    """
+
+    def __init__(self, wizard: Wizard) -> None:
+        api = WizardApi(wizard)
+        self.token = api.token
+        super().__init__(api.app(), wizard.config)

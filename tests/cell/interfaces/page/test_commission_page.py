@@ -1,0 +1,114 @@
+"""The commissioning wizard in a browser: the main way, left and taken up again."""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cell.commissioning.bench import Bench
+from cell.commissioning.engine import Engine
+from cell.commissioning.record import write_record
+from cell.config.serve import ServeConfig
+from cell.interfaces.wizard import Wizard, WizardDoor
+from tests.cell.interfaces.conftest import until
+from tests.cell.interfaces.page.test_page import OpenPage, becomes, fits
+from tests.cell.interfaces.test_wizard import Moving, Ports
+
+pytestmark = pytest.mark.long
+
+
+@pytest.fixture
+def walk() -> list[Any]:
+    """Steps of the wizard."""
+    return [Ports(), Moving()]
+
+
+@pytest.fixture
+def address(tmp_path: Path, walk: list[Any]) -> Iterator[str]:
+    """Address of a wizard's page, with its token."""
+    serve = ServeConfig(http_port=0)
+    wizard = Wizard(Engine(walk, Bench(tmp_path), finish=write_record), serve)
+    door = WizardDoor(wizard)
+    yield f"http://127.0.0.1:{door.port}/#token={door.token}"
+    wizard.close()
+    door.close()
+
+
+def first_motion(page: Any) -> None:
+    """Go from the start to the first motion."""
+    page.click("#run[aria-disabled=false]")
+    becomes(page, "#question_text", "Which port leads to the servos")
+    page.click("#question_choices button >> nth=1")
+    becomes(page, "#writes li:first-child .change", "57,600 bit/s → 1,000,000 bit/s")
+    page.click("#approve")
+    becomes(page, "#question_text", "Open both fingers by hand")
+    becomes(page, "#now_live dd", "servo 1: [1-9]")  # runs on while nobody answers
+    page.click("#question_choices button")
+    becomes(page, "#now_live", "opening.*12.3 mm")
+
+
+def test_a_cell_is_commissioned_left_and_taken_up_again(
+    open_page: OpenPage, address: str, walk: list[Any], tmp_path: Path
+) -> None:
+    page = open_page(address)
+    becomes(page, "#run", "take command first")
+    page.click("#command")
+    first_motion(page)
+    page.keyboard.press("Escape")
+    becomes(page, "#state", "^Left$")
+    becomes(page, "#now_error", "stopped by 127.0.0.1")
+    assert walk[1].limp
+    page.reload()
+    becomes(page, "#run", "Go on")
+    page.click("#run[aria-disabled=false]")
+    becomes(page, "#state", "Waits for approval")
+    page.click("#refuse")
+    becomes(page, "#now_error", "none of them was done")
+    walk[1].go.set()
+    page.click("#run")
+    page.click("#approve")
+    page.click("#question_choices button")
+    becomes(page, "#question_range", "1 to 40 mm")
+    page.fill("#question_value", "50")
+    page.click("#question_send")
+    assert page.text_content("#state") == "Waits for you"  # the browser holds it back
+    page.fill("#question_value", "12.5")
+    page.click("#question_send")
+    becomes(page, "#state", "Commissioned")
+    becomes(page, "#files", "commissioning.html")
+    page.click("#steps summary >> nth=1")
+    becomes(page, "#steps li:nth-child(2)", "A block of 12.5 mm")
+    drawn = "images => images.filter(image => image.naturalWidth).length"
+    until(lambda: page.locator("#steps img").evaluate_all(drawn) == 2)
+    with page.expect_download() as saved:
+        page.click("#record")
+    assert "A block of 12.5 mm" in Path(saved.value.path()).read_text("utf-8")
+    page.click("text=Do this step again")
+    page.click("#sure_yes")
+    becomes(page, "#steps li:nth-child(2) summary", "open")
+    assert fits(page)
+
+
+def test_a_second_page_stops_a_motion_and_a_narrow_german_one_has_all(
+    open_page: OpenPage, address: str, walk: list[Any]
+) -> None:
+    page = open_page(address, command=True)
+    other = open_page(address, wide=False, locale="de-DE")
+    first_motion(page)
+    becomes(other, "#state", "Arbeitet")
+    becomes(other, "#leave", "erst Kommando nehmen")
+    assert fits(other)
+    other.click("#hold")
+    for one, word in ((page, "^Left$"), (other, "Unterbrochen")):
+        becomes(one, "#state", word)
+    until(lambda: walk[1].limp)
+
+
+def test_a_closed_page_ends_a_motion(
+    open_page: OpenPage, address: str, walk: list[Any], browser: Callable[..., Any]
+) -> None:
+    page = open_page(address, command=True)
+    first_motion(page)
+    page.close()
+    until(lambda: walk[1].limp)

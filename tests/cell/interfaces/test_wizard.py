@@ -1,0 +1,330 @@
+"""The commissioning wizard behind the web door, without a browser."""
+
+import json
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from http.client import HTTPConnection
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cell.commissioning.bench import Bench
+from cell.commissioning.engine import (
+    Choice,
+    Dialog,
+    Engine,
+    Finding,
+    Number,
+    Question,
+    Verdict,
+    Write,
+)
+from cell.commissioning.figures import curves, pads
+from cell.commissioning.record import RECORD_NAME, write_record
+from cell.config.serve import ServeConfig
+from cell.errors import NotInCommand, RequestRefused
+from cell.interfaces.wizard import Wizard, WizardDoor
+from gripper.errors import PortLost
+from tactile.layout import paper_layout
+from tests.cell.commissioning.test_engine import REAL, Asking
+from tests.cell.interfaces.conftest import until
+
+WRITES = tuple(
+    Write(
+        where=f"servo {number}",
+        what="Baud Rate (8)",
+        before="57,600 bit/s",
+        after="1,000,000 bit/s",
+        undo="commission --restore",
+    )
+    for number in (1, 2)
+)
+LAYOUT = paper_layout()
+
+
+@dataclass
+class Ports(Asking):
+    """A step with choices, and a line that may be lost."""
+
+    key: str = "ports"
+    title: str = "Ports"
+    purpose: str = "Finds the serial port of the servos. Nothing moves."
+    settings: dict[str, Any] = field(default_factory=lambda: dict(REAL))
+    lost: int = 0
+
+    def run(self, bench: Bench, dialog: Dialog) -> Finding:
+        if self.lost:
+            self.lost -= 1
+            raise PortLost("the servo line /dev/ttyUSB0 is gone: plug the adapter in again")
+        names = ("/dev/ttyUSB0", "/dev/serial/by-id/usb-FTDI_USB__-__Serial_Converter_FT1-if00")
+        choices = tuple(Choice(key=str(n), text=name) for n, name in enumerate(names))
+        question = Question(
+            key="ports.which", text="Which port leads to the servos?", choices=choices, default="0"
+        )
+        return Finding(
+            status=Verdict.PASS,
+            lines=(f"The servos are at {names[int(dialog.ask(question))]}.",),
+            settings=self.settings,
+        )
+
+
+@dataclass
+class Moving(Asking):
+    """A step that writes, watches a hand, moves until it is stopped or done, and asks a number."""
+
+    key: str = "fingers"
+    title: str = "Directions, zero and ends"
+    purpose: str = "Finds which way each finger opens. Moves both fingers with the least current."
+    needs: tuple[str, ...] = ("ports",)
+    limp: bool = False
+    go: threading.Event = field(default_factory=threading.Event)
+
+    def run(self, bench: Bench, dialog: Dialog) -> Finding:
+        dialog.approve(WRITES)
+        dialog.say("Both servos answer at 1,000,000 bit/s.")
+        angles = iter(range(10_000))
+        dialog.ask(
+            Question(
+                key="fingers.open",
+                text="Open both fingers by hand.",
+                choices=(Choice(key="done", text="they are open"),),
+                default="done",
+            ),
+            watch=lambda: f"servo 1: {next(angles) / 10:.1f} deg, servo 2: 12.0 deg",
+        )
+        try:
+            while not self.go.wait(0.02):
+                dialog.live("opening", "12.3 mm")
+                dialog.live("current", "0.11 A")
+        finally:
+            self.limp = True
+        block = Question(
+            key="fingers.block",
+            text="Thickness of the block between the pads?",
+            number=Number(lowest=1.0, highest=40.0, unit="mm"),
+            default=10.0,
+        )
+        thick = float(dialog.ask(block))
+        t_s = np.linspace(0.0, 2.0, 200)
+        measured = 1.0 - np.exp(-t_s)
+        return Finding(
+            status=Verdict.WARN,
+            lines=(f"A block of {thick:g} mm closes the fingers.", "Finger 1 is a spline off."),
+            figures={
+                "ramp": curves(
+                    "Ramp",
+                    t_s,
+                    {"asked": t_s / 2, "measured": measured},
+                    x_label="time / s",
+                    y_label="force / N",
+                ),
+                "noise": pads("Noise", LAYOUT, np.arange(LAYOUT.n_taxels) / 100, unit="counts"),
+            },
+        )
+
+
+class Client:
+    """A page: HTTP with the token, and the lease."""
+
+    def __init__(self, door: WizardDoor) -> None:
+        self._link = HTTPConnection("127.0.0.1", door.port, timeout=20.0)
+        self.token = door.token
+        self.lease = 0
+
+    def ask(self, method: str, path: str, body: Any = None) -> tuple[int, bytes]:
+        headers = {"Authorization": f"Bearer {self.token}", "Content-Type": "application/json"}
+        data = None if body is None else json.dumps(body)
+        self._link.request(method, f"/api/{path}", body=data, headers=headers)
+        answer = self._link.getresponse()
+        return answer.status, answer.read()
+
+    def post(self, path: str, **body: Any) -> int:
+        return self.ask("POST", path, {"lease": self.lease, **body})[0]
+
+    def state(self) -> dict[str, Any]:
+        found: dict[str, Any] = json.loads(self.ask("GET", "state")[1])
+        return found
+
+    def becomes(self, phase: str) -> dict[str, Any]:
+        until(lambda: self.state()["phase"] == phase)
+        return self.state()
+
+    def answer(self, value: Any) -> int:
+        return self.post("answer", asked_id=self.state()["asked_id"], value=value)
+
+    def acquire(self) -> None:
+        self.lease = json.loads(self.ask("POST", "lease", {"name": "page"})[1])["lease"]
+
+    def close(self) -> None:
+        self._link.close()
+
+
+@pytest.fixture
+def walk() -> list[Any]:
+    """Steps of the wizard."""
+    return [Ports(), Moving()]
+
+
+@pytest.fixture
+def wizard(tmp_path: Path, walk: list[Any]) -> Iterator[Wizard]:
+    """A wizard in a folder of its own."""
+    serve = ServeConfig(http_port=0, lease_timeout_s=30.0)
+    made = Wizard(Engine(walk, Bench(tmp_path), finish=write_record), serve)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def client(wizard: Wizard) -> Iterator[Client]:
+    """A page on the door of the wizard."""
+    door = WizardDoor(wizard)
+    found = Client(door)
+    yield found
+    found.close()
+    door.close()
+
+
+@pytest.fixture
+def asked(client: Client) -> Callable[[Any], None]:
+    """Return what answers the next question."""
+
+    def answer(value: Any) -> None:
+        until(lambda: client.state()["phase"] in ("asking", "approving"))
+        assert client.answer(value) == 200
+
+    return answer
+
+
+def test_the_whole_way_left_once_and_taken_up_again(
+    client: Client, walk: list[Any], tmp_path: Path, asked: Callable[[Any], None]
+) -> None:
+    client.acquire()
+    assert client.post("run") == 200
+    state = client.becomes("asking")
+    assert state["question"]["text"] == "Which port leads to the servos?"
+    asked("0")
+    assert [w["where"] for w in client.becomes("approving")["writes"]] == ["servo 1", "servo 2"]
+    asked(False)
+    state = client.becomes("left")
+    assert "none of them was done" in state["error"]["text"]
+    assert [step["status"] for step in state["steps"]] == ["pass", ""]
+
+    assert client.post("run") == 200
+    asked(True)
+    until(lambda: "servo 1: " in client.state()["live"].get("", ""))
+    assert client.state()["said"] == ["Both servos answer at 1,000,000 bit/s."]
+    asked("done")
+    until(lambda: client.state()["live"].get("opening") == "12.3 mm")
+    walk[1].go.set()
+    asked(10)
+    state = client.becomes("finished")
+    assert [step["status"] for step in state["steps"]] == ["pass", "warn"]
+    assert str(tmp_path / RECORD_NAME) in state["files"]
+    assert state["steps"][1]["figures"] == {"ramp": "Ramp", "noise": "Noise"}
+    for name in ("ramp", "noise"):
+        status, picture = client.ask("GET", f"steps/fingers/figures/{name}")
+        assert status == 200
+        assert picture.startswith(b"<svg")
+    assert client.ask("GET", "steps/fingers/figures/none")[0] == 404
+    assert b"A block of 10 mm" in client.ask("GET", "record")[1]
+
+
+def test_anybody_stops_a_motion_without_token_and_lease(
+    client: Client, walk: list[Any], asked: Callable[[Any], None]
+) -> None:
+    client.acquire()
+    client.post("run")
+    for value in ("1", True, "done"):
+        asked(value)
+    until(lambda: "opening" in client.state()["live"])
+    client.token = "wrong-token"
+    assert client.ask("POST", "hold?name=another")[0] == 200
+    assert client.ask("GET", "state")[0] == 401
+    until(lambda: walk[1].limp)
+
+
+def test_a_person_who_falls_silent_ends_a_motion_and_no_question(
+    client: Client, wizard: Wizard, walk: list[Any], asked: Callable[[Any], None]
+) -> None:
+    client.acquire()
+    client.post("run")
+    client.becomes("asking")
+    wizard.lease.give_up(client.lease)
+    assert client.state()["phase"] == "asking"
+    assert client.post("answer", asked_id=1, value="0") == 403
+    client.acquire()
+    for value in ("0", True, "done"):
+        asked(value)
+    until(lambda: "opening" in client.state()["live"])
+    wizard.lease.give_up(client.lease)
+    state = client.becomes("left")
+    assert "nobody is in command" in state["error"]["text"]
+    assert walk[1].limp
+
+
+def test_only_what_is_offered_is_an_answer(client: Client, walk: list[Any]) -> None:
+    client.acquire()
+    client.post("run")
+    client.becomes("asking")
+    for wrong in ("7", 0, True, ""):
+        assert client.answer(wrong) == 422, wrong
+    assert client.post("answer", asked_id=99, value="0") == 422
+    assert client.post("run") == 422
+    assert client.post("redo", key="ports") == 422
+    client.lease += 1
+    assert client.answer("0") == 403
+
+
+@pytest.mark.parametrize("wrong", [0.5, 41, "ten", True])
+def test_a_number_has_its_range(wizard: Wizard, walk: list[Any], wrong: Any) -> None:
+    walk[1].go.set()
+    lease = wizard.lease.acquire("page")
+    wizard.run(lease)
+    for value in ("0", True, "done"):
+        until(lambda: wizard.state()["phase"] in ("asking", "approving"))
+        wizard.answer(lease, wizard.state()["asked_id"], value)
+    until(lambda: (wizard.state()["question"] or {}).get("number"))
+    until(lambda: wizard.state()["phase"] == "asking")
+    with pytest.raises(RequestRefused, match="within 1 and 40 mm"):
+        wizard.answer(lease, wizard.state()["asked_id"], wrong)
+
+
+def test_a_lost_line_is_named_and_the_step_is_taken_up_again(
+    client: Client, walk: list[Any]
+) -> None:
+    walk[0].lost = 1
+    client.acquire()
+    client.post("run")
+    state = client.becomes("failed")
+    assert "plug the adapter in again" in state["error"]["text"]
+    assert state["error"]["number"] > 0
+    client.post("run")
+    assert client.becomes("asking")["error"] is None
+
+
+def test_a_step_is_done_again_with_those_that_need_it(
+    client: Client, walk: list[Any], asked: Callable[[Any], None]
+) -> None:
+    walk[1].go.set()
+    client.acquire()
+    client.post("run")
+    for value in ("0", True, "done", 10.0):
+        asked(value)
+    client.becomes("finished")
+    status, answer = client.ask("POST", "redo", {"lease": client.lease, "key": "ports"})
+    assert (status, json.loads(answer)) == (200, {"steps": ["ports", "fingers"]})
+    assert [step["status"] for step in client.state()["steps"]] == ["", ""]
+    assert client.post("redo", key="wheels") == 500
+
+
+def test_the_end_of_the_program_ends_the_step(wizard: Wizard) -> None:
+    lease = wizard.lease.acquire("page")
+    wizard.run(lease)
+    until(lambda: wizard.state()["phase"] == "asking")
+    wizard.close()
+    assert not wizard.running
+    with pytest.raises(NotInCommand):
+        wizard.lease.alive(lease + 1)
