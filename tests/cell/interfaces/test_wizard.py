@@ -1,6 +1,9 @@
 """The commissioning wizard behind the web door, without a browser."""
 
 import json
+import signal
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -328,3 +331,20 @@ def test_the_end_of_the_program_ends_the_step(wizard: Wizard) -> None:
     assert not wizard.running
     with pytest.raises(NotInCommand):
         wizard.lease.alive(lease + 1)
+
+
+@pytest.mark.long
+def test_the_command_opens_the_page_until_it_is_ended(tmp_path: Path) -> None:
+    program = Path(sys.executable).with_name("tactile-cell")
+    command = [str(program), "commission", str(tmp_path), "--page", "--http", "0"]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        found = json.loads(process.stdout.readline())
+        link = HTTPConnection("127.0.0.1", found["http_port"], timeout=20.0)
+        link.request("GET", "/api/state", headers={"Authorization": f"Bearer {found['token']}"})
+        state = json.loads(link.getresponse().read())
+        link.close()
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(20.0) == 1  # not all steps are done
+    assert state["phase"] == "ready"
+    assert state["steps"][0]["key"] == "ports"

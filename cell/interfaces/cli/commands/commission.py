@@ -1,9 +1,15 @@
 """`commission`: brings a cell up from the box to its first grasp."""
 
+import json
+import time
+from contextlib import closing, suppress
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from cell.commissioning.engine import Engine
 
 
 def _can(text: str | None) -> str | None:
@@ -37,16 +43,26 @@ def commission(
         bool,
         typer.Option("--restore", help="Write the servos' registers back as they came, and end."),
     ] = False,
+    page: Annotated[
+        bool, typer.Option("--page", help="Ask on a page in the browser, until SIGTERM.")
+    ] = False,
+    http_port: Annotated[
+        int | None,
+        typer.Option("--http", help="Port of the page; 0: any [default: 8080 or the next free]."),
+    ] = None,
 ) -> None:
     """Bring a cell up from the box to its first grasp, step by step.
 
     Shows each write and motion before it is done. Leave at any moment, with q or Ctrl-C; the same
-    command goes on there. Writes tactile-cell.yaml into the folder at the end.
+    command goes on there. At the end tactile-cell.yaml and the record, commissioning.html, are in
+    the folder.
     """
     from cell.commissioning.backup import restore as restore_servos
     from cell.commissioning.bench import Bench
     from cell.commissioning.engine import Engine, Left
+    from cell.commissioning.record import write_record
     from cell.commissioning.walk import all_steps
+    from cell.installation import missing_packages, remedy
     from cell.interfaces.cli.dialog import TerminalDialog
     from cell.interfaces.cli.signals import as_interrupts
     from cell.interfaces.cli.terminal import print_line, print_note
@@ -55,7 +71,9 @@ def commission(
     if can is not None:
         given["tactile.interface"], _, given["tactile.channel"] = can.partition(":")
     bench = Bench(folder, given=given)
-    engine = Engine(all_steps(), bench)
+    if missing := missing_packages("report"):
+        print_note(f"no record: {' and '.join(missing)} missing; {remedy('report')}")
+    engine = Engine(all_steps(), bench, finish=(lambda _engine: ()) if missing else write_record)
     dialog = TerminalDialog()
     try:
         with as_interrupts():
@@ -66,6 +84,9 @@ def commission(
                 return
             for key in redo or ():
                 print_line(f"to be done again: {', '.join(engine.redo(key))}")
+            if page or http_port is not None:
+                _on_page(engine, http_port)
+                return
             files = engine.run(dialog)
     except KeyboardInterrupt:
         print_note("left; what was found is kept. The same command goes on there")
@@ -74,3 +95,34 @@ def commission(
         print_note(str(left))
         raise typer.Exit(1) from None
     print_line(f"commissioned: {', '.join(map(str, files))}")
+
+
+def _on_page(engine: "Engine", http_port: int | None) -> None:
+    """Open the page and wait until a signal ends the program; a step that runs is ended first."""
+    from cell.config.serve import ServeConfig
+    from cell.errors import ConfigError
+    from cell.interfaces.cli.commands.serve import LOOK_S, free_page_port
+    from cell.interfaces.cli.terminal import print_page
+    from cell.interfaces.service.serving import page_address
+
+    serve = ServeConfig()
+    port = free_page_port(serve.listen) if http_port is None else http_port
+    if port is None:
+        raise ConfigError("without its extra there is no page; leave --page out")
+    from cell.interfaces.wizard import Phase, Wizard, WizardDoor
+
+    serve = ServeConfig(http_port=port)
+    with (
+        suppress(KeyboardInterrupt),
+        closing(Wizard(engine, serve)) as wizard,
+        closing(WizardDoor(wizard)) as door,
+    ):
+        found = {"listen": serve.listen, "http_port": door.port, "token": door.token}
+        typer.echo(json.dumps(found))
+        address = page_address(found, serve)
+        assert address is not None
+        print_page(address)
+        while True:
+            time.sleep(LOOK_S)
+    if wizard.state()["phase"] != Phase.FINISHED:
+        raise typer.Exit(1)
