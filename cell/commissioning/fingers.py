@@ -263,7 +263,7 @@ class _Hands:
         try:
             fits = fit_linkages(self._blocks(closed, signs))
         except ValueError as error:
-            return self._failed(f"{error}: close the fingers on the block, and type its size")
+            return self._failed(str(error))
         fit = self._chosen(fits)
         zeros = [
             zero_pulse(raw, sign, fit.closed_rad) for raw, sign in zip(closed, signs, strict=True)
@@ -382,6 +382,12 @@ class _Hands:
                 "by hand until they just touch it, flat.",
             )
             measured.append(Measured(angles_rad=turned(raws), aperture_m=float(size_mm) * 1e-3))
+            if sum(measured[-1].angles_rad) <= 0.0:
+                raise ValueError(
+                    f"on the block of {float(size_mm):g} mm the fingers stand closer than when "
+                    "their pads were to touch: something was between them then, or the block is "
+                    "not. Run the step again"
+                )
         return measured
 
     def _chosen(self, fits: Sequence[LinkageFit]) -> LinkageFit:

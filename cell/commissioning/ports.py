@@ -82,9 +82,12 @@ def udev_rule() -> str:
 def users_of(port: str, processes: Path = Path("/proc")) -> tuple[str, ...]:
     """Return the programs that have a port open, as ``name (process 12)``, without this one.
 
-    Programs of other users are seen by an administrator only.
+    Programs of other users are seen by an administrator only. A pseudo-terminal has none here: who
+    makes it has it open.
     """
     device = os.path.realpath(port)
+    if device.startswith("/dev/pts/"):
+        return ()
     found = []
     for process in sorted(processes.glob("[0-9]*")):
         if process.name == str(os.getpid()):

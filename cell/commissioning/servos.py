@@ -51,7 +51,7 @@ _OTHER_MODELS = {
     1230: "XC330-M181",
 }
 """Names of further models by Model Number (register 0), for messages (e-Manual)."""
-_RATES = (57600, 1_000_000, *(r for r in BAUD_RATES if r not in {57600, 1_000_000}))
+SCAN_RATES = (57600, 1_000_000, *(r for r in BAUD_RATES if r not in {57600, 1_000_000}))
 """Order in which baud rates are scanned: the factory's and this package's first."""
 _SETTLE_S = 0.1
 """Time in s after a change of ID or baud rate before the servo is asked."""
@@ -87,12 +87,12 @@ class Scan:
         return bool(self.shared or self.damaged)
 
 
-def scan(bench: Bench, port: str, dialog: Dialog) -> Scan:
-    """Ping all IDs at each baud rate; takes about 8 s."""
+def scan(bench: Bench, port: str, dialog: Dialog, rates: Sequence[int] = SCAN_RATES) -> Scan:
+    """Ping all IDs at each baud rate; takes about 12 s for all of them."""
     servos: list[Found] = []
     shared: list[Found] = []
     damaged: list[int] = []
-    for rate in _RATES:
+    for rate in rates:
         dialog.live("scan", f"{rate} bit/s")
         with bench.servo_bus(port, rate) as bus:
             identities, has_damaged = bus.scan_at_once()
@@ -222,6 +222,7 @@ def _numbered(bench: Bench, dialog: Dialog, port: str, rate: int) -> list[ServoI
             )
         else:
             placed = _placed(bench, dialog, port, rate, found)
+            found = Scan(servos=tuple(Found(rate, one) for one in placed))
             n_wanted = n_wanted or _count(dialog, placed)
             if len(placed) >= n_wanted:
                 return placed
@@ -234,7 +235,11 @@ def _numbered(bench: Bench, dialog: Dialog, port: str, rate: int) -> list[ServoI
                 )
             )
         bench.clock.sleep(_BOOT_S)
-        found = scan(bench, port, dialog)
+        seen = {one.baud_rate for one in (*found.servos, *found.shared)}
+        rates = [one for one in SCAN_RATES if one in {rate, 57600, *seen, *found.damaged}]
+        found = scan(bench, port, dialog, rates)
+        if not found.servos and not found.crowded:
+            found = scan(bench, port, dialog)
 
 
 def _ask_for_one_alone(dialog: Dialog, found: Scan) -> None:
@@ -266,7 +271,6 @@ def _count(dialog: Dialog, placed: Sequence[ServoIdentity]) -> int:
                 Choice(key="1", text="one servo drives both fingers"),
                 Choice(key="2", text="there is a second one"),
             ),
-            default="1",
         )
     )
     return int(answer)

@@ -85,14 +85,18 @@ class TerminalDialog:
         prompt = f"{_LEAVE} leaves{unit}{default}> "
         if watch is None or not out.is_terminal:
             return self._typed(prompt)
-        while not select.select([sys.stdin.fileno()], [], [], _LOOK_S)[0]:
+        while not _input_waits():
             self.live("", f"{watch()}  ({_how_to_answer(question)})")
         self._end_line()
         return self._typed("")
 
     def _typed(self, prompt: str) -> str:
+        out.print(plain(prompt), end="")
         try:
-            typed = ask(prompt).strip()
+            # A signal that comes just before the reading begins would wait for a line to be typed.
+            while not _input_waits():
+                pass
+            typed = ask("").strip()
         except EOFError:
             leave("the input ended")
         if typed == _LEAVE:
@@ -126,6 +130,15 @@ class TerminalDialog:
         if self._running:
             out.file.write("\n")
             self._running = False
+
+
+def _input_waits() -> bool:
+    """Wait for input, for 0.1 s; return whether there is some, or its end."""
+    try:
+        return bool(select.select([sys.stdin], [], [], _LOOK_S)[0])
+    except (OSError, ValueError):
+        # No file of the system's: it does not wait.
+        return True
 
 
 def _how_to_answer(question: Question) -> str:

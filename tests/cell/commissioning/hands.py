@@ -51,6 +51,10 @@ class Hands:
 
         return act
 
+    def close(self) -> None:
+        self.cell.remove()
+        self.all_to(0.0)
+
     def free(self) -> None:
         self.cell.remove()
         self.all_to(0.02)
@@ -79,7 +83,7 @@ class Hands:
         return {
             "servos.connect_one": self.only(self.first),
             "servos.connect_next": self.connect_all,
-            "fingers.close": lambda: self.all_to(0.0),
+            "fingers.close": self.close,
             "fingers.open_first": lambda: self.move(**{f"servo{self.first}": WIDE_M}),
             "fingers.open_second": lambda: self.move(**{f"servo{second}": WIDE_M}),
             "fingers.block1": self.blocks_mm[0],

@@ -183,6 +183,14 @@ def test_a_finger_that_was_not_moved_is_asked_for_again(tmp_path: Path) -> None:
     assert "One finger should have moved" in walk.script.text
 
 
+def test_fingers_that_were_not_closed_are_found_out(tmp_path: Path) -> None:
+    walk = Walk(tmp_path)
+    found = walk.run(fingers__close=walk.hands.close_on(20.0))["fingers"]
+    assert found.status is Verdict.FAIL
+    assert "something was between them" in found.lines[0]
+    assert "fingers.block2" not in walk.script.asked
+
+
 def test_leaving_at_each_question_leaves_no_torque(tmp_path: Path) -> None:
     walk = Walk(tmp_path)
     walk.run()
