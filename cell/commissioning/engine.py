@@ -374,6 +374,18 @@ class Engine:
         self.bench.found = {key: entry.finding.values for key, entry in self.entries.items()}
 
 
+def kept_values(folder: Path) -> dict[str, Mapping[str, Any]]:
+    """Return the values that the steps of a folder have found, by their keys; none without a file.
+
+    Raises
+    ------
+    CellError
+        If commissioning.json cannot be read.
+    """
+    entries, _approved = _read(folder / STORE_NAME)
+    return {key: entry.finding.values for key, entry in entries.items()}
+
+
 def leave(why: str) -> NoReturn:
     """Raise `Left` with the word how to go on."""
     raise Left(f"left: {why}. What was found is kept; run `tactile-cell commission` again to go on")

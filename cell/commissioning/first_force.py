@@ -20,6 +20,7 @@ from cell.commissioning.engine import (
     confirmation,
 )
 from cell.commissioning.figures import Figure, curves
+from cell.commissioning.pads import WORSE
 from cell.commissioning.unit import gripper_alone
 from cell.config.file import changed_config
 from cell.config.model import CellConfig
@@ -459,13 +460,13 @@ class _Trial:
             f"opening {1e3 * outcome.final_aperture_m:.2f} mm."
         )
         if outcome.result is GraspResult.FORCE_NOT_REACHED:
-            self._status = max(self._status, Verdict.WARN, key=_WORSE.index)
+            self._status = max(self._status, Verdict.WARN, key=WORSE.index)
             self._lines.append(
                 "That force was not reached: raise gripper.servos[].current_limit_ma where servo "
                 "and parts allow it, or ask for less."
             )
         elif abs(held_n - asked_n) > max(_WRONG_N, _WRONG_SHARE * asked_n):
-            self._status = max(self._status, Verdict.WARN, key=_WORSE.index)
+            self._status = max(self._status, Verdict.WARN, key=WORSE.index)
             self._lines.append(
                 f"That is {held_n - asked_n:+.2f} N off: check the law of the pads (`tactile-cell "
                 "commission --redo pads_law`), and the linkage for friction."
@@ -485,7 +486,3 @@ class _Trial:
         return Finding(
             status=status, lines=tuple(self._lines), values=self._values, figures=figures
         )
-
-
-_WORSE = (Verdict.PASS, Verdict.WARN, Verdict.FAIL)
-"""Verdicts, the worse the later."""

@@ -6,6 +6,7 @@ What is judged is judged by pure functions of frames: `rest_of`, `judged`, `pres
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,6 +65,10 @@ def sequence_forces_n(bench: Bench) -> tuple[float, float]:
 def read_frames(sensor: TactileSensor, n_frames: int) -> Counts:
     """Return the raw counts of the next frames, (n_frames, n_taxels) uint16."""
     return np.stack([sensor.read(timeout_s=1.0).frame.counts for _ in range(n_frames)])
+
+
+WORSE = (Verdict.PASS, Verdict.WARN, Verdict.FAIL)
+"""Verdicts, the worse the later."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -218,6 +223,7 @@ class PadsAtRestStep:
             with unit_sensor(bench) as sensor:
                 frames = read_frames(sensor, _REST_FRAMES)
                 layout, calibration = sensor.layout, sensor.calibration
+                boards = (0, 0) if sensor.identity is None else sensor.identity.boards
         except TactileError as error:
             return Finding(status=Verdict.FAIL, lines=(str(error),))
         rest = rest_of(layout, calibration, frames)
@@ -230,6 +236,15 @@ class PadsAtRestStep:
             contact_force_n=gripper.contact_force_n,
             most_force_n=sequence_forces_n(bench)[1],
         )
+        settings: dict[str, Any] = {}
+        if boards[0] != boards[1]:
+            settings["tactile.board_serial_numbers"] = list(boards)
+        else:
+            status = max(status, Verdict.WARN, key=WORSE.index)
+            lines.append(
+                "The boards of both fingers have the same serial number, so pads that are "
+                "exchanged later are not noticed: press each pad after every work on their cables."
+            )
         zero, noise = _by_pad(layout, rest.zero_counts), _by_pad(layout, rest.noise_counts)
         grip = layout.gripping_pads
         lines.insert(
@@ -242,7 +257,9 @@ class PadsAtRestStep:
         return Finding(
             status=status,
             lines=tuple(lines),
+            settings=settings,
             values={
+                "board_serial_numbers": list(boards),
                 "zero_counts": zero,
                 "noise_counts": noise,
                 "noise_n": list(rest.noise_n),

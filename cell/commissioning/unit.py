@@ -320,14 +320,6 @@ def _judge(
         "tactile.layout": written,
     }
     warned = False
-    if identity.boards[0] != identity.boards[1]:
-        settings["tactile.board_serial_numbers"] = list(identity.boards)
-    else:
-        warned = True
-        lines.append(
-            "The boards of both fingers have the same serial number, so pads that are exchanged "
-            "later are not noticed: press each pad after every work on their cables."
-        )
     if not unit.sends_forces:
         warned = True
         lines.append(

@@ -219,6 +219,7 @@ class TactileSensor:
         self._forces = forces
         self._close_bus = close_bus
         self._running = False
+        self._identity: NodeIdentity | None = None
         self._layout = layout
         self._calibration = calibration
         self._clock = clock
@@ -251,6 +252,11 @@ class TactileSensor:
     def layout(self) -> TaxelLayout:
         """The taxels."""
         return self._layout
+
+    @property
+    def identity(self) -> NodeIdentity | None:
+        """Control unit that the last start found, None before one."""
+        return self._identity
 
     @property
     def calibration(self) -> Calibration:
@@ -290,9 +296,9 @@ class TactileSensor:
         """Start the link; the zero of an earlier start is forgotten."""
         self._running = False
         self._reset()
-        identity = self._link.start()
+        self._identity = self._link.start()
         self._running = True
-        return identity
+        return self._identity
 
     def close(self) -> None:
         """Close the link; the bus stays open for another start."""

@@ -78,6 +78,7 @@ def test_sound_pads_at_rest_pass_without_a_word(tmp_path: Path, layout: Any) -> 
     finding = at_rest(tmp_path, layout=layout)
     assert finding.status is Verdict.PASS, finding.lines
     assert len(finding.lines) == 1
+    assert finding.settings == {"tactile.board_serial_numbers": [1, 2]}
     assert set(finding.figures) == {"zero", "noise"}
 
 
@@ -100,6 +101,16 @@ def test_what_is_wrong_at_rest_is_named(
 ) -> None:
     finding = at_rest(tmp_path, fault)
     assert (finding.status, named in "\n".join(finding.lines)) == (status, True), finding.lines
+
+
+def test_boards_that_cannot_be_told_apart_are_a_word_to_the_operator(tmp_path: Path) -> None:
+    with SimulatedCell(
+        SimulatorSettings(layout=pinch_layout(), board_serial_numbers=(0, 0))
+    ) as cell:
+        finding = PadsAtRestStep().run(bench_of(cell, tmp_path), Script())
+    assert finding.status is Verdict.WARN
+    assert "press each pad after every work" in "\n".join(finding.lines)
+    assert finding.settings == {}
 
 
 def test_pads_where_the_layout_has_them_pass(tmp_path: Path) -> None:

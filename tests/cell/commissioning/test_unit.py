@@ -45,7 +45,6 @@ def test_a_unit_is_found_and_set_up_and_named(tmp_path: Path) -> None:
         "tactile.node_id": 17,
         "tactile.serial_number": 4711,
         "tactile.layout": "pinch",
-        "tactile.board_serial_numbers": [1, 2],
     }
     assert not script.asked
     assert [write.where for write in script.writes] == ["control unit, node 17"] * 5
@@ -91,13 +90,6 @@ def test_what_is_wrong_is_named(tmp_path: Path, fault: str, named: str) -> None:
     finding = found(tmp_path, fault)
     assert finding.status is Verdict.FAIL
     assert named in finding.lines[-1]
-
-
-def test_boards_that_cannot_be_told_apart_are_a_word_to_the_operator(tmp_path: Path) -> None:
-    finding = found(tmp_path, board_serial_numbers=(0, 0))
-    assert finding.status is Verdict.WARN
-    assert "press each pad after every work" in "\n".join(finding.lines)
-    assert "tactile.board_serial_numbers" not in finding.settings
 
 
 def test_a_drive_on_the_same_bus_is_not_taken_for_the_unit(tmp_path: Path) -> None:

@@ -1,0 +1,423 @@
+"""Baseline: how a gauge object feels in the new cell, and what has changed since then.
+
+`tactile-cell doctor` compares with it. What differs names the steps that are to be done again.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from math import isfinite
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cell.commissioning.bench import Bench
+from cell.commissioning.engine import Dialog, Finding, Left, Question, Verdict, Write, confirmation
+from cell.commissioning.figures import pads as pads_figure
+from cell.commissioning.first_force import bench_hand
+from cell.commissioning.unit import gripper_alone, without_unit
+from cell.config.model import CellConfig
+from cell.config.sequence import force_ramp
+from cell.config.tactile import layout_from_config, make_calibration
+from cell.errors import CellError
+from cell.hand.interface import Hand
+from gripper.errors import GripperError
+from gripper.state import Cycle, GraspResult
+from tactile.errors import TactileError
+from tactile.frames.codec import TactileFrame
+from tactile.layout import TaxelLayout
+from tactile.sensor.tare import assess_health
+from tactile.sensor.taxel_forces import TaxelForces
+
+_HOLD_S = 0.5
+"""Time in s for which the gauge object is held and measured."""
+_OPENING_MM = 0.3
+"""Difference of the opening in mm that placing a gauge object by hand does not make: a box that
+stands askew by 1 degree over 15 mm is 0.26 mm wider."""
+_FINGERS_SHARE = 0.15
+"""Difference of both fingers' forces, as a share of the grip force, that is none in equilibrium."""
+_CURRENT_SHARE = 0.3
+"""Change of the motors' current at the same force: friction that grows by more wears something."""
+_ZERO_SHARE = 0.03
+"""Change of the zero of a pad, as a share of the full scale: drift of hours is a third of it."""
+_NOISE_FACTOR = 2.0
+"""Noise of a pad over that at commissioning from which it is worth a word."""
+_LEAST_NOISE = 1.0
+"""Noise in counts below which the factor means nothing."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Change:
+    """Something that is not as it was at commissioning."""
+
+    what: str
+    was: str
+    found: str
+    """What it is, how it was, and how it was found."""
+    step: str
+    """Key of the step that is to be done again, with all that needs it; empty where none helps."""
+
+    @property
+    def advice(self) -> str:
+        """What to do."""
+        again = f"`tactile-cell commission --redo {self.step}`"
+        return f"{again} does again just what depends on it" if self.step else ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gauge:
+    """How a gauge object felt."""
+
+    gauge: str
+    """Its name, as the person typed it."""
+    force_n: float
+    """Force asked for in N."""
+    held_n: tuple[float, float]
+    """Force on finger 0 and 1 while it was held, in N."""
+    contact_mm: float
+    held_mm: float
+    """Opening at the contact and while it was held, in mm."""
+    current_ma: float
+    """Mean goal current of the motors while it was held, in mA."""
+    patch_taxels: tuple[int, int]
+    """Touched taxels of the inner pad of finger 0 and 1."""
+
+
+def changed_unit(
+    found: Mapping[str, Mapping[str, Any]],
+    *,
+    serial: int,
+    revision: int,
+    boards: tuple[int, int],
+) -> list[Change]:
+    """Return how a control unit and its pads differ from those that were commissioned.
+
+    Parameters
+    ----------
+    found
+        Values of the findings by the key of the step.
+    serial, revision, boards
+        Of the unit that answers now.
+    """
+    unit, pads = found.get("unit", {}), found.get("pads_at_rest", {})
+    changes = []
+    if unit.get("serial_number", serial) != serial:
+        changes.append(
+            Change(
+                what="control unit",
+                was=f"serial {unit['serial_number']}",
+                found=f"serial {serial}",
+                step="unit",
+            )
+        )
+    elif unit.get("revision", revision) != revision:
+        changes.append(
+            Change(
+                what="firmware of the control unit",
+                was=f"revision {unit['revision']:#x}",
+                found=f"revision {revision:#x}",
+                step="unit",
+            )
+        )
+    commissioned = tuple(pads.get("board_serial_numbers", boards))
+    if commissioned == boards[::-1] and commissioned != boards:
+        changes.append(
+            Change(
+                what="pads",
+                was=f"serial {commissioned[0]} on finger 0, {commissioned[1]} on finger 1",
+                found="exchanged",
+                step="pads_at_rest",
+            )
+        )
+    else:
+        changes += [
+            Change(
+                what=f"pads of finger {finger}",
+                was=f"serial {commissioned[finger]}",
+                found=f"serial {boards[finger]}",
+                step="pads_at_rest",
+            )
+            for finger in (0, 1)
+            if commissioned[finger] != boards[finger]
+        ]
+    return changes
+
+
+def changed_servos(
+    found: Mapping[str, Mapping[str, Any]], servos: Mapping[int, tuple[str, int]]
+) -> list[Change]:
+    """Return how servos differ from those that were commissioned; ``servos``: model, firmware."""
+    changes = []
+    for was in found.get("servos", {}).get("servos", ()):
+        now = servos.get(was["id"])
+        if now is not None and now != (was["model"], was["firmware"]):
+            changes.append(
+                Change(
+                    what=f"servo {was['id']}",
+                    was=f"{was['model']}, firmware {was['firmware']}",
+                    found=f"{now[0]}, firmware {now[1]}",
+                    step="servos",
+                )
+            )
+    return changes
+
+
+def changed_pads(
+    found: Mapping[str, Mapping[str, Any]], layout: TaxelLayout, frames: NDArray[np.uint16]
+) -> list[Change]:
+    """Return how pads at rest differ from those that were commissioned.
+
+    Parameters
+    ----------
+    found
+        Values of the findings by the key of the step.
+    layout, frames
+        The taxels, and frames (n, n_taxels) that nothing touched, at least 8.
+    """
+    was = found.get("pads_at_rest", {})
+    if len(was.get("zero_counts", ())) != layout.n_pads:
+        return []
+    zero, noise = frames.mean(axis=0), frames.std(axis=0)
+    bad = set(np.flatnonzero(assess_health(frames, layout.adc_max).bad).tolist())
+    new = sorted(bad - set(was["bad_taxels"]))
+    changes = []
+    if new:
+        changes.append(
+            Change(
+                what="broken taxels",
+                was=str(len(was["bad_taxels"])),
+                found=f"{len(bad)}, new ones {', '.join(map(str, new[:6]))}",
+                step="pads_at_rest",
+            )
+        )
+    for number, pad in enumerate(layout.pads):
+        taxels = layout.taxels_of(number)
+        before, now = was["zero_counts"][number], float(np.median(zero[taxels]))
+        if abs(now - before) > _ZERO_SHARE * layout.adc_max:
+            changes.append(
+                Change(
+                    what=f"zero of {pad.name}",
+                    was=f"{before:.1f} counts",
+                    found=f"{now:.1f} counts",
+                    step="pads_at_rest",
+                )
+            )
+        before, now = was["noise_counts"][number], float(np.median(noise[taxels]))
+        if now > _NOISE_FACTOR * max(before, _LEAST_NOISE):
+            changes.append(
+                Change(
+                    what=f"noise of {pad.name}",
+                    was=f"{before:.1f} counts",
+                    found=f"{now:.1f} counts",
+                    step="pads_at_rest",
+                )
+            )
+    return changes
+
+
+def changed_gauge(was: Gauge, now: Gauge) -> list[Change]:
+    """Return how the gauge object feels otherwise than at commissioning."""
+    changes = []
+    for what, before, after in (
+        ("opening at the contact", was.contact_mm, now.contact_mm),
+        ("opening on the gauge object", was.held_mm, now.held_mm),
+    ):
+        if abs(after - before) > _OPENING_MM:
+            changes.append(
+                Change(what=what, was=f"{before:.2f} mm", found=f"{after:.2f} mm", step="fingers")
+            )
+    ratio = [(one.held_n[0] - one.held_n[1]) / (0.5 * sum(one.held_n)) for one in (was, now)]
+    if abs(ratio[1] - ratio[0]) > _FINGERS_SHARE:
+        changes.append(
+            Change(
+                what="forces of both fingers",
+                was=f"{was.held_n[0]:.2f} and {was.held_n[1]:.2f} N",
+                found=f"{now.held_n[0]:.2f} and {now.held_n[1]:.2f} N",
+                step="pads_law",
+            )
+        )
+    if abs(now.current_ma - was.current_ma) > _CURRENT_SHARE * was.current_ma:
+        changes.append(
+            Change(
+                what="current of the motors at the same force",
+                was=f"{was.current_ma:.0f} mA",
+                found=f"{now.current_ma:.0f} mA: friction, or another law of the pads",
+                step="pads_law",
+            )
+        )
+    return changes
+
+
+def gauge_of(found: Mapping[str, Mapping[str, Any]]) -> Gauge | None:
+    """Return the gauge object of the commissioning; None where there is none."""
+    values = found.get("baseline", {}).get("gauge")
+    if values is None:
+        return None
+    pairs = {name: tuple(values[name]) for name in ("held_n", "patch_taxels")}
+    return Gauge(**{**values, **pairs})
+
+
+@dataclass(frozen=True, slots=True)
+class BaselineStep:
+    """Grasps a gauge object and keeps how it felt, for `tactile-cell doctor` to compare."""
+
+    key: str = "baseline"
+    title: str = "Gauge object"
+    purpose: str = (
+        "Grasps a stiff object that you keep for it, and notes opening, forces, current and "
+        "patches: from then on `tactile-cell doctor --gauge` says whether the cell is as it was."
+    )
+    needs: tuple[str, ...] = ("first_force",)
+    undo: str = "nothing is written; the torque goes off at the end"
+
+    def run(self, bench: Bench, dialog: Dialog) -> Finding:
+        """Carry it out; see `Step.run`."""
+        if gripper_alone(bench):
+            return without_unit()
+        try:
+            gauge, counts = measure_gauge(bench, bench.config, dialog)
+        except Left:
+            raise
+        except (CellError, GripperError, TactileError) as error:
+            return Finding(status=Verdict.FAIL, lines=(f"{type(error).__name__}: {error}",))
+        layout = layout_from_config(bench.config.tactile)
+        return Finding(
+            status=Verdict.PASS,
+            lines=(
+                f"{gauge.gauge} at {gauge.force_n:g} N: {gauge.held_n[0]:.2f} and "
+                f"{gauge.held_n[1]:.2f} N, opening {gauge.held_mm:.2f} mm, "
+                f"{gauge.current_ma:.0f} mA, {gauge.patch_taxels[0]} and {gauge.patch_taxels[1]} "
+                "taxels touched. Keep this object with the cell.",
+            ),
+            values={"gauge": asdict(gauge)},
+            figures={
+                "patch": pads_figure("The gauge object on the pads", layout, counts, unit="N")
+            },
+        )
+
+
+def measure_gauge(
+    bench: Bench, config: CellConfig, dialog: Dialog, gauge: str | None = None
+) -> tuple[Gauge, NDArray[np.float64]]:
+    """Grasp the gauge object once and let go; returns how it felt, and the force on each taxel.
+
+    Parameters
+    ----------
+    bench, config, dialog
+        Lines, cell and person.
+    gauge
+        Its name; None asks for it.
+
+    Raises
+    ------
+    Left
+        When the person leaves; a part that is held then stays held.
+    CellError, GripperError, TactileError
+        As the hand raises them; CellError when nothing is held.
+    """
+    if gauge is None:
+        gauge = str(
+            dialog.ask(
+                Question(
+                    key="baseline.name",
+                    text="Take a stiff object with parallel faces, as a block of 10 to 20 mm, and "
+                    "mark it as the gauge of this cell. What is its name?",
+                    default="gauge block",
+                )
+            )
+        )
+    force_n = round(float(np.mean(config.sequence.forces_n)), 2)
+    opening = f"{config.gripper.aperture_open_mm:g} mm open"
+    dialog.approve(
+        [
+            Write(
+                where="both fingers",
+                what=f"open, then grasp {gauge}",
+                before="where they stand",
+                after=f"{opening}, then {force_n:g} N",
+                undo="they open when you confirm it; the torque goes off at the end",
+            )
+        ]
+    )
+    dialog.ask(
+        confirmation("baseline.empty", "Take everything out of the fingers, and your hands away.")
+    )
+    with bench_hand(bench, config) as hand:
+        hand.start()
+        hand.start_sensor()
+        hand.open(lambda _cycle, _frames: None)
+        zero = hand.tare(config.tactile.tare_frames)
+        dialog.ask(
+            confirmation(
+                "baseline.place",
+                f"Hold {gauge} in the middle between the pads, until the fingers hold it.",
+            )
+        )
+        outcome = hand.grasp(force_ramp(config.sequence.ramp, force_n), lambda _c, _f: None)
+        if outcome.result is not GraspResult.FORCE_REACHED:
+            if outcome.result is GraspResult.FORCE_NOT_REACHED:
+                _let_go(hand, dialog)
+            raise CellError(
+                f"{gauge} was not gripped ({outcome.result.value}): hold it in the middle between "
+                "the pads, and run the step again"
+            )
+        held = _Held()
+        hand.carry(force_n, _HOLD_S, held.watch)
+        _let_go(hand, dialog)
+    layout = layout_from_config(config.tactile)
+    forces = TaxelForces(layout, make_calibration(config.tactile, layout), zero)
+    force_on_taxels_n = np.mean([forces.of(counts) for counts in held.counts], axis=0)
+    touched = [
+        int(np.count_nonzero(force_on_taxels_n[layout.taxels_of(pad)] > 0.0))
+        for pad in layout.gripping_pads
+    ]
+    return (
+        Gauge(
+            gauge=gauge,
+            force_n=force_n,
+            held_n=(_mean(held.first_n), _mean(held.second_n)),
+            contact_mm=round(1e3 * (outcome.contact_aperture_m or 0.0), 3),
+            held_mm=_mean(held.opening_mm),
+            current_ma=_mean(held.current_ma),
+            patch_taxels=(touched[0], touched[1]),
+        ),
+        force_on_taxels_n,
+    )
+
+
+def _let_go(hand: Hand, dialog: Dialog) -> None:
+    dialog.ask(
+        confirmation("baseline.release", "Take hold of the object; the fingers open then."),
+        watch=lambda: _tick(hand),
+    )
+    hand.release()
+
+
+def _tick(hand: Hand) -> str:
+    hand.tick()
+    return f"held ({hand.phase.value})"
+
+
+class _Held:
+    """What a hold showed, period by period."""
+
+    def __init__(self) -> None:
+        self.first_n: list[float] = []
+        self.second_n: list[float] = []
+        self.opening_mm: list[float] = []
+        self.current_ma: list[float] = []
+        self.counts: list[NDArray[np.uint16]] = []
+
+    def watch(self, cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
+        """Take one period of the loop."""
+        if cycle.force is not None and cycle.force.valid:
+            self.first_n.append(cycle.force.force_n[0])
+            self.second_n.append(cycle.force.force_n[1])
+        self.opening_mm.append(1e3 * cycle.state.aperture_m)
+        self.current_ma.append(1e3 * cycle.goal_current_a)
+        self.counts += [frame.counts for frame in frames]
+
+
+def _mean(values: Sequence[float]) -> float:
+    known = [value for value in values if isfinite(value)]
+    return round(float(np.mean(known)), 4) if known else 0.0

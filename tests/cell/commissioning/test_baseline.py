@@ -1,0 +1,132 @@
+"""Baseline of the wizard: a gauge object, and what has changed since, with the step it affects."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from cell.commissioning.baseline import (
+    BaselineStep,
+    Gauge,
+    changed_gauge,
+    changed_pads,
+    changed_servos,
+    changed_unit,
+    gauge_of,
+    measure_gauge,
+)
+from cell.commissioning.engine import Verdict
+from simulator.cell import SimulatedCell
+from simulator.settings import SimulatorSettings
+from simulator.world.taxels import NoiseModel
+from tactile.layout import pinch_layout
+from tests.cell.commissioning.script import Script
+from tests.cell.commissioning.test_first_force import bench_of
+
+FOUND: dict[str, Any] = {
+    "unit": {"serial_number": 7, "revision": 0x10001},
+    "pads_at_rest": {
+        "board_serial_numbers": [1, 2],
+        "zero_counts": [100.0, 100.0],
+        "noise_counts": [80.0, 80.0],
+        "bad_taxels": [3],
+    },
+    "servos": {
+        "servos": [
+            {"id": 1, "model": "XM430-W350", "firmware": 46},
+            {"id": 2, "model": "XM430-W350", "firmware": 46},
+        ]
+    },
+}
+SOUND: dict[str, Any] = {"serial": 7, "revision": 0x10001, "boards": (1, 2)}
+GAUGE = Gauge(
+    gauge="block",
+    force_n=4.0,
+    held_n=(4.0, 4.0),
+    contact_mm=10.2,
+    held_mm=9.6,
+    current_ma=400.0,
+    patch_taxels=(12, 12),
+)
+
+
+def test_the_same_hardware_has_not_changed() -> None:
+    assert changed_unit(FOUND, **SOUND) == []
+    assert changed_servos(FOUND, {1: ("XM430-W350", 46), 2: ("XM430-W350", 46)}) == []
+    assert changed_gauge(GAUGE, replace(GAUGE, contact_mm=10.3, current_ma=430.0)) == []
+    rng = np.random.default_rng(0)
+    frames = np.clip(rng.normal(100.0, 80.0, (10, 156)), 1, None).astype(np.uint16)
+    frames[:, 3] = 0
+    assert changed_pads(FOUND, pinch_layout(), frames) == []
+    assert changed_unit({}, **SOUND) == changed_servos({}, {1: ("other", 1)}) == []
+    assert changed_pads({}, pinch_layout(), frames) == []
+
+
+@pytest.mark.parametrize(
+    ("change", "what", "step"),
+    [
+        ({"serial": 8}, "control unit", "unit"),
+        ({"revision": 0x10002}, "firmware of the control unit", "unit"),
+        ({"boards": (1, 9)}, "pads of finger 1", "pads_at_rest"),
+        ({"boards": (2, 1)}, "pads", "pads_at_rest"),
+    ],
+)
+def test_another_unit_or_pad_names_the_step(change: Any, what: str, step: str) -> None:
+    (found,) = changed_unit(FOUND, **SOUND | change)
+    assert (found.what, found.step) == (what, step)
+    assert f"--redo {step}" in found.advice
+
+
+def test_another_servo_names_its_step() -> None:
+    (found,) = changed_servos(FOUND, {1: ("XM430-W210", 46), 2: ("XM430-W350", 46)})
+    assert (found.what, found.was, found.step) == ("servo 1", "XM430-W350, firmware 46", "servos")
+
+
+def test_pads_that_drift_shake_or_break_are_named() -> None:
+    rng = np.random.default_rng(0)
+    frames = rng.normal(600.0, 80.0, (10, 156))
+    frames[:, 78:] = 100.0 + 4.0 * (frames[:, 78:] - 600.0)
+    frames = np.clip(frames, 1, None).astype(np.uint16)
+    frames[:, 10] = 0
+    changes = changed_pads(FOUND, pinch_layout(), frames)
+    assert {change.what for change in changes} >= {
+        "broken taxels",
+        "zero of finger0.inner",
+        "noise of finger1.inner",
+    }
+
+
+@pytest.mark.parametrize(
+    ("change", "what", "step"),
+    [
+        ({"held_mm": 9.2}, "opening on the gauge object", "fingers"),
+        ({"held_n": (4.5, 3.5)}, "forces of both fingers", "pads_law"),
+        ({"current_ma": 600.0}, "current of the motors at the same force", "pads_law"),
+    ],
+)
+def test_a_gauge_object_that_feels_otherwise_names_the_step(
+    change: Any, what: str, step: str
+) -> None:
+    (found,) = changed_gauge(GAUGE, replace(GAUGE, **change))
+    assert (found.what, found.step) == (what, step)
+
+
+def test_the_gauge_object_is_grasped_and_kept_and_a_slipped_horn_shows(tmp_path: Path) -> None:
+    settings = SimulatorSettings(
+        layout=pinch_layout(), noise=NoiseModel(level=0.3), aperture_m=0.014
+    )
+    with SimulatedCell(settings) as cell:
+        script = Script({"baseline.place": lambda: cell.place("ball") and None})
+        bench = bench_of(cell, tmp_path)
+        finding = BaselineStep().run(bench, script)
+        assert finding.status is Verdict.PASS, finding.lines
+        was = gauge_of({"baseline": finding.values})
+        assert was is not None
+        assert was.held_n == pytest.approx((was.force_n, was.force_n), rel=0.1)
+        assert was.held_mm < was.contact_mm < 11.0
+        assert min(was.patch_taxels) > 5
+        cell.inject("servo1.horn=10")
+        now, _ = measure_gauge(bench, bench.config, script, gauge="block")
+        assert "fingers" in [change.step for change in changed_gauge(was, now)]
