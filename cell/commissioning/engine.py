@@ -21,6 +21,8 @@ STORE_NAME = "commissioning.json"
 """File in the cell's folder that keeps the entries of the steps."""
 CONFIG_NAME = "tactile-cell.yaml"
 """File in the cell's folder that the finished wizard writes; commands there take it unasked."""
+LOOK_S = 0.05
+"""Time in s between two calls of `Dialog.live` while motors move: a person may stop them there."""
 _PNG = b"\x89PNG"
 """First bytes of a PNG picture."""
 _VERSION = 1

@@ -16,6 +16,7 @@ from scipy.optimize import least_squares
 
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import (
+    LOOK_S,
     Choice,
     Dialog,
     Finding,
@@ -576,13 +577,19 @@ class _Hands:
         state = group.read_patiently()
         start = state.angles_rad
         hold_a = group.goal_current_a
-        current_a = 0.0
+        current_a, shown_s = 0.0, clock.monotonic()
         while current_a < settings.current_max_a:
             current_a = min(current_a + _RAMP_A_S * period_s, settings.current_max_a)
             group.write_goals(_goals(start, index, current_a, hold_a), state)
             clock.sleep(period_s)
             state = group.read_patiently()
             way_rad = state.angles_rad[index] - start[index]
+            if clock.monotonic() >= shown_s:
+                # The person may stop the motion here: the servos go limp then.
+                self._dialog.live(
+                    f"finger {index}", f"{degrees(way_rad):.1f} deg open, {current_a:.2f} A"
+                )
+                shown_s = clock.monotonic() + LOOK_S
             if way_rad <= -_WRONG_WAY_RAD or way_rad >= _FIRST_WAY_RAD / 2.0:
                 break
         with suppress(GripperError):

@@ -10,6 +10,7 @@ import numpy as np
 
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import (
+    LOOK_S,
     Dialog,
     Finding,
     Left,
@@ -30,7 +31,7 @@ from cell.hand.build import make_hand
 from cell.hand.client import HandProcess
 from cell.hand.interface import Hand, Watch
 from cell.hand.lines import Lines
-from gripper.errors import GripperError
+from gripper.errors import GraspStopped, GripperError
 from gripper.force.by_current import cap_by_current_n
 from gripper.force.ramp import ForceRamp
 from gripper.gripper import Gripper, open_gripper
@@ -100,6 +101,10 @@ class Fingers(Protocol):
         """Acknowledge a fault of the servos."""
         ...
 
+    def request_stop(self) -> None:
+        """Let the running command end with GraspStopped."""
+        ...
+
 
 class GripperAlone:
     """Implements `Fingers` with a gripper whose force is known by the motors' current."""
@@ -143,6 +148,10 @@ class GripperAlone:
     def clear_fault(self, *, reboot: bool) -> None:
         """Acknowledge a fault of the servos."""
         self._gripper.clear_fault(reboot=reboot)
+
+    def request_stop(self) -> None:
+        """Let the running command end with GraspStopped."""
+        self._gripper.request_stop()
 
 
 @contextmanager
@@ -352,9 +361,21 @@ class _Trial:
         self._cap_n = cap_n
         self._status = Verdict.PASS
         self._values: dict[str, object] = {}
+        self._fingers: Fingers | None = None
+        self._left: Left | None = None
+        self._shown_s = 0.0
 
     def run(self, fingers: Fingers, hand: Hand | None = None) -> Finding:
         """Open, prove, grasp, release; the hand is given where there are pads."""
+        self._fingers = fingers
+        try:
+            return self._run(fingers, hand)
+        except GraspStopped:
+            if self._left is None:
+                raise
+            raise self._left from None
+
+    def _run(self, fingers: Fingers, hand: Hand | None) -> Finding:
         self._let_go_of_old(fingers)
         fingers.start()
         if hand is not None:
@@ -374,6 +395,20 @@ class _Trial:
         )
         return self._grasp(fingers)
 
+    def _watch(self, cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
+        """Keep a period of the loop and show it; a person who leaves stops the motion."""
+        self._course.watch(cycle, frames)
+        if self._left is not None or cycle.t_s < self._shown_s:
+            return
+        self._shown_s = cycle.t_s + LOOK_S
+        force = "" if cycle.force is None else f"{min(cycle.force.force_n):.2f} N, "
+        try:
+            self._dialog.live("grip", f"{force}opening {1e3 * cycle.state.aperture_m:.1f} mm")
+        except Left as left:
+            self._left = left
+            assert self._fingers is not None
+            self._fingers.request_stop()
+
     def _let_go_of_old(self, fingers: Fingers) -> None:
         """Open fingers that an earlier run left with torque: they may hold a part."""
         fingers.start()
@@ -390,7 +425,7 @@ class _Trial:
     def _open(self, fingers: Fingers) -> None:
         """Open the empty fingers; where that fails their torque may go off at the end."""
         try:
-            fingers.open(lambda _cycle, _frames: None)
+            fingers.open(self._watch)
         except GripperError:
             with suppress(GripperError):
                 fingers.clear_fault(reboot=False)
@@ -420,7 +455,7 @@ class _Trial:
         measured, begun = [], False
         for force_n in forces_n:
             follow = fingers.squeeze if begun else fingers.grasp
-            outcome = follow(force_ramp(ramp, force_n), self._course.watch)
+            outcome = follow(force_ramp(ramp, force_n), self._watch)
             if outcome.result in (GraspResult.NO_CONTACT, GraspResult.PART_LOST):
                 self._lines.append(
                     f"The fingers hold nothing ({outcome.result.value}): hold the part in the "
@@ -429,11 +464,11 @@ class _Trial:
                 return self._finding(Verdict.FAIL)
             begun = True
             since = len(self._course.t_s)
-            fingers.carry(force_n, _HOLD_S, self._course.watch)
+            fingers.carry(force_n, _HOLD_S, self._watch)
             held_n, peak_n = self._course.held_n(since)
             measured.append([force_n, round(held_n, 3), round(peak_n, 3)])
             self._judge(force_n, held_n, outcome)
-        fingers.carry(first_n, 0.0, self._course.watch)
+        fingers.carry(first_n, 0.0, self._watch)
         peak_n = max((n for n in self._course.grip_n if np.isfinite(n)), default=0.0)
         self._values |= {"asked_held_peak_n": measured, "peak_n": round(peak_n, 3)}
         if peak_n > self._cap_n + _WRONG_N:

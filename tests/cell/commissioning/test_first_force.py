@@ -96,6 +96,32 @@ def test_a_person_who_leaves_with_the_part_held_finds_it_held_and_lets_go_next_t
     assert finding.status is Verdict.PASS, finding.lines
 
 
+@pytest.mark.parametrize("moment", ["while they open", "while they grasp"])
+def test_a_person_stops_a_motion_while_it_runs(
+    cell: SimulatedCell, tmp_path: Path, moment: str
+) -> None:
+    script = person(cell)
+    looks = 0
+
+    def stop() -> None:
+        nonlocal looks
+        grasping = "first_force.part" in script.asked
+        looks += grasping or moment == "while they open"
+        if looks == 3:
+            raise Left("stopped at the page")
+
+    script.moment = stop
+    with pytest.raises(Left, match="at the page"):
+        FirstForceStep().run(bench_of(cell, tmp_path), script)
+    stood_m = cell.devices.mechanics.aperture_m
+    cell.clock.sleep(1.0)
+    assert cell.devices.mechanics.aperture_m == pytest.approx(stood_m, abs=1e-4)
+    grasps = "grasp" in moment
+    assert script.asked[-1] == ("first_force.part" if grasps else "first_force.empty")
+    # Closing fingers may touch a part: they stand where they are until a person lets it go.
+    assert torque(cell) == ([1, 1] if grasps else [0, 0])
+
+
 @pytest.mark.parametrize(
     ("fault", "named"),
     [

@@ -1,6 +1,7 @@
 """The servos' half of the wizard, on simulated servos that are new, wrong or badly mounted."""
 
 import json
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -39,12 +40,14 @@ class Walk:
         *,
         leave_at: tuple[str, ...] = (),
         steps: tuple[PortsStep | ServosStep | FingersStep, ...] = STEPS,
+        moment: Callable[[], None] = lambda: None,
         **replies: Reply | list[Reply],
     ) -> dict[str, Finding]:
         """Run the steps once; the first that fails is left. Returns the findings."""
         named = {key.replace("__", "."): reply for key, reply in replies.items()}
         again = {f"{step.key}.again": "leave" for step in steps}
-        self.script = Script(self.hands.replies() | again | named, leave_at=list(leave_at))
+        replies_now = self.hands.replies() | again | named
+        self.script = Script(replies_now, leave_at=list(leave_at), moment=moment)
         engine = Engine(steps, self.bench())
         for number, step in enumerate(steps, start=1):
             if engine.done(step):
@@ -159,6 +162,18 @@ def test_a_motion_that_a_person_does_not_see_as_opening_is_no_success(tmp_path: 
     found = walk.run(fingers__opened="no")["fingers"]
     assert found.status is Verdict.FAIL
     assert found.settings == {}
+    assert walk.torques() == [0, 0]
+
+
+def test_a_person_stops_the_first_motion_while_it_runs(tmp_path: Path) -> None:
+    walk = Walk(tmp_path)
+
+    def stop() -> None:
+        if walk.torques() == [1, 1]:
+            raise Left("stopped at the page")
+
+    with pytest.raises(Left, match="at the page"):
+        walk.run(moment=stop)
     assert walk.torques() == [0, 0]
 
 
