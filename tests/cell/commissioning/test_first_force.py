@@ -115,7 +115,7 @@ def test_a_person_stops_a_motion_while_it_runs(
         FirstForceStep().run(bench_of(cell, tmp_path), script)
     stood_m = cell.devices.mechanics.aperture_m
     cell.clock.sleep(1.0)
-    assert cell.devices.mechanics.aperture_m == pytest.approx(stood_m, abs=1e-4)
+    assert cell.devices.mechanics.aperture_m == pytest.approx(stood_m, abs=5e-4)
     grasps = "grasp" in moment
     assert script.asked[-1] == ("first_force.part" if grasps else "first_force.empty")
     # Closing fingers may touch a part: they stand where they are until a person lets it go.
