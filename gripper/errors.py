@@ -152,6 +152,10 @@ class ForceSensorStale(GripperError):
     """The force sensor gave no valid sample for too long; the grip is kept."""
 
 
+class PartBetweenFingers(GripperError):
+    """Empty fingers were to meet, and something is between them; the grip is kept."""
+
+
 class PartLost(GripperError):
     """Both pads are empty although a part was held; the fingers stand still."""
 

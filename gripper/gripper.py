@@ -4,7 +4,7 @@ A part is let go by `Gripper.release` alone. Faults, exceptions, `keep_grip` and
 goals and torque as they are.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from typing import Self
 
@@ -324,21 +324,25 @@ class Gripper:
         ForceSensorStale, GraspStopped, ServoFault, BusTimeout, BusCorrupt
             With the grip kept.
         """
-        self._life.check_ready("grasp", GripperPhase.OFF, GripperPhase.IDLE)
-        if self._settings.watchdog_self_test and not self._watchdog_proofs:
-            raise GripperStateError(
-                "grasp is not possible before the bus watchdog has proven to stop the motors: "
-                "open the gripper, its self-test follows (watchdog_self_test is on)"
-            )
-        self.check_ramp(ramp)
-        with self._life.command(GripperPhase.APPROACHING):
-            self._make_ready()
-            self._life.part_possible = True
-            outcome = self._grasping.run(ramp, observer, self._life.set_phase)
-        held = outcome.result in (GraspResult.FORCE_REACHED, GraspResult.FORCE_NOT_REACHED)
-        self._life.part_possible = self._life.controlled = held
-        self._life.phase = GripperPhase.HOLDING if held else GripperPhase.IDLE
-        return outcome
+        return self._close(ramp, observer, self._grasping.run)
+
+    def meet(self, ramp: ForceRamp, observer: Observer | None = None) -> GraspOutcome:
+        """Close the empty fingers onto each other, follow the ramp to its end, return holding.
+
+        The way down is that of a grasp, and goes on below ``aperture_min_m`` until the pads meet.
+
+        Raises
+        ------
+        PartBetweenFingers
+            When they touch something farther open than a zero that is off explains; it is kept.
+        MechanicsContradicted
+            When nothing stops the fingers; they have no torque then.
+        GripContradicted
+            When they are stopped and the pads feel nothing.
+        LimitExceeded, ForceSensorStale, GraspStopped, ServoFault, BusTimeout, BusCorrupt
+            As `grasp`.
+        """
+        return self._close(ramp, observer, self._grasping.meet)
 
     def hold(self, duration_s: float, observer: Observer | None = None) -> GripperState:
         """Control the force at its last set-point for a time in s.
@@ -585,6 +589,31 @@ class Gripper:
             return
         if self._life.phase is GripperPhase.IDLE and self._life.fault is None:
             self._life.phase = GripperPhase.OFF
+
+    def _close(
+        self,
+        ramp: ForceRamp,
+        observer: Observer | None,
+        run: Callable[
+            [ForceRamp, Observer | None, Callable[[GripperPhase], None]], GraspOutcome
+        ],
+    ) -> GraspOutcome:
+        """Close with one of the runs of a grasp, and keep what is held after it."""
+        self._life.check_ready("grasp", GripperPhase.OFF, GripperPhase.IDLE)
+        if self._settings.watchdog_self_test and not self._watchdog_proofs:
+            raise GripperStateError(
+                "grasp is not possible before the bus watchdog has proven to stop the motors: "
+                "open the gripper, its self-test follows (watchdog_self_test is on)"
+            )
+        self.check_ramp(ramp)
+        with self._life.command(GripperPhase.APPROACHING):
+            self._make_ready()
+            self._life.part_possible = True
+            outcome = run(ramp, observer, self._life.set_phase)
+        held = outcome.result in (GraspResult.FORCE_REACHED, GraspResult.FORCE_NOT_REACHED)
+        self._life.part_possible = self._life.controlled = held
+        self._life.phase = GripperPhase.HOLDING if held else GripperPhase.IDLE
+        return outcome
 
     def _verify(self) -> VerificationReport:
         held_before = self._life.phase is not GripperPhase.IDLE

@@ -167,8 +167,9 @@ class GripperSettings:
     """Rate of the loop in Hz."""
     aperture_open_m: float = setting(0.018, low=0.002, high=0.4)
     """Opening of `Gripper.open` and `Gripper.release` in m."""
-    aperture_min_m: float = setting(0.0005, low=0.0, high=0.4)
-    """Opening in m below which nothing can be held: the end of an approach."""
+    aperture_min_m: float = setting(0.0005, low=-0.02, high=0.4)
+    """Opening in m below which nothing can be held: the end of an approach. Below 0 where the
+    fingers are to meet; the config allows none of these."""
     approach_speed_m_s: float = setting(0.02, low=0.004, high=0.2)
     open_speed_m_s: float = setting(0.06, low=0.002, high=0.2)
     """Rate of the aperture while closing and opening, in m/s."""

@@ -22,6 +22,9 @@ from simulator.world.stage import Stage
 from simulator.world.world import PhysicalWorld, WorldSettings
 from tactile.layout import taxel_order
 
+_PAST_MIDDLE_M = -0.01
+"""Half opening in m at which a finger has its end stop: past the middle, where the pads meet."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CellFaults:
@@ -77,6 +80,7 @@ class CellDevices:
             [servo.mount for servo in settings.servos],
             settings.linkage,
             aperture_m=settings.aperture_m,
+            half_opening_min_m=0.0 if settings.grasps else _PAST_MIDDLE_M,
         )
         self.world = self._make_world(start_s)
         if settings.servo_baud_rate not in BAUD_RATES:
@@ -148,6 +152,7 @@ class CellDevices:
             self.mechanics,
             WorldSettings(
                 foam=settings.foam,
+                pads=settings.pads,
                 law=settings.law,
                 noise=settings.noise,
                 seed=settings.seed,

@@ -12,6 +12,7 @@ from simulator.errors import SimulatorSettingsError
 from simulator.servo.mechanics import FingerLinkage, ParallelogramLinkage, ServoMount
 from simulator.servo.wrist import WristMount
 from simulator.world.foam import Foam
+from simulator.world.press import PadPair
 from simulator.world.shapes import PAPER_OBJECTS, Shape
 from simulator.world.taxels import EQUATION_11, NoiseModel, SensorLaw
 from tactile.layout import PadMount, TaxelLayout, paper_layout
@@ -65,10 +66,11 @@ class SimulatorSettings:
     mounts: tuple[PadMount, ...] = ()
     """Pads that sit otherwise than the layout has them."""
     foam: Foam = field(default_factory=Foam)
+    pads: PadPair = field(default_factory=PadPair)
     law: SensorLaw = EQUATION_11
     noise: NoiseModel = field(default_factory=NoiseModel)
     seed: int = 0
-    """The pads, how force becomes counts, the converter's noise, the seed of everything that comes
+    """The pads, how they stand to each other, how force becomes counts, the converter's noise, the seed of everything that comes
     by chance."""
     objects: Mapping[str, Shape] = field(default_factory=lambda: PAPER_OBJECTS)
     """Objects that can be placed by their name."""

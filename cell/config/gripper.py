@@ -165,7 +165,7 @@ class GripperConfig(Section):
     """Rate of the force loop in Hz, 20 to 500."""
     aperture_open_mm: float = setting_of(GripperSettings, "aperture_open_m", MILLI)
     """Opening between the pads before a grasp in mm, 2 to 400; a little more than the object."""
-    aperture_min_mm: float = setting_of(GripperSettings, "aperture_min_m", MILLI)
+    aperture_min_mm: float = setting_of(GripperSettings, "aperture_min_m", MILLI, at_least=0.0)
     """Smallest opening that the fingers are closed to in mm; below it there is no object."""
     approach_speed_mm_s: float = setting_of(GripperSettings, "approach_speed_m_s", MILLI)
     """Closing speed until contact in mm/s of opening, 4 to 200. The fingers close no faster than

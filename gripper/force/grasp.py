@@ -4,10 +4,15 @@ from collections.abc import Callable
 from dataclasses import replace
 from math import inf
 
-from gripper.errors import GripContradicted, LimitExceeded, PartLost
+from gripper.errors import GripContradicted, LimitExceeded, PartBetweenFingers, PartLost
 from gripper.force.grip_control import FrictionEstimate, GripControl, StiffnessEstimate
 from gripper.force.loop import Action, LoopRunner, Moment, Observer, Running
-from gripper.force.mechanics_proof import ClosedStop
+from gripper.force.mechanics_proof import (
+    ZERO_RANGE_M,
+    closes_farther,
+    meeting_settings,
+    not_met,
+)
 from gripper.force.motion import STALL_SPEED_M_S, Approach, ApproachEvent, ContactRest
 from gripper.force.part_loss import EmptyGrip
 from gripper.force.ramp import ForceRamp, RampEnd
@@ -94,19 +99,9 @@ class GraspRun:
                 set_phase(GripperPhase.APPROACHING)
                 self._prove_closed(contact, observer)
                 return _without_contact(contact)
-            set_phase(GripperPhase.RAMPING)
-            step = RampStep(
-                self._settings,
-                self._linkage,
-                ramp,
-                contact,
-                touch_m=approach.touch_m,
-                stiffness=stiffness,
-                friction_share=friction.friction_share(),
-                end=self._end,
+            step, final = self._press(
+                ramp, approach, contact, observer, set_phase, stiffness, friction
             )
-            self._ramp_step = step
-            final = self._runner.run(GripperPhase.RAMPING, step.step, observer, needs_force=True)
         if step.lost:
             ran = step.control is not None and step.control.ran
             self._confirm_empty(
@@ -114,6 +109,63 @@ class GraspRun:
             )
             self.forget()
         return step.outcome(final)
+
+    def meet(
+        self,
+        ramp: ForceRamp,
+        observer: Observer | None,
+        set_phase: Callable[[GripperPhase], None],
+    ) -> GraspOutcome:
+        """Close the empty fingers onto each other and follow a ramp; see `Gripper.meet`."""
+        run = GraspRun(
+            self._runner, self._servos, self._linkage, meeting_settings(self._settings)
+        )
+        stiffness = StiffnessEstimate(self._settings)
+        friction = FrictionEstimate(self._settings, self._linkage)
+        self.forget()
+        approach, contact = run._closed(stiffness, friction, observer)
+        self._closed_is_proven = True
+        if approach.event is ApproachEvent.OBSTRUCTED:
+            raise _obstructed(contact)
+        if contact.aperture_m > ZERO_RANGE_M:
+            raise PartBetweenFingers(
+                f"the empty fingers were to meet, and touch at an opening of "
+                f"{contact.aperture_m * 1e3:.1f} mm: something is between them, or the zero is off "
+                f"by more than {ZERO_RANGE_M * 1e3:.0f} mm, as by a tooth of a horn. The grip is "
+                f"kept with {self._settings.contact_force_n:g} N. Look; clear the fault and release"
+            )
+        step, final = run._press(
+            ramp, approach, contact, observer, set_phase, stiffness, friction
+        )
+        self._ramp_step = step
+        if step.lost:
+            raise _obstructed(final)
+        return step.outcome(final)
+
+    def _press(
+        self,
+        ramp: ForceRamp,
+        approach: Approach,
+        contact: GripperState,
+        observer: Observer | None,
+        set_phase: Callable[[GripperPhase], None],
+        stiffness: StiffnessEstimate,
+        friction: FrictionEstimate,
+    ) -> tuple["RampStep", GripperState]:
+        """Follow a ramp on what was touched; return its step and the last feedback."""
+        set_phase(GripperPhase.RAMPING)
+        self._ramp_step = step = RampStep(
+            self._settings,
+            self._linkage,
+            ramp,
+            contact,
+            touch_m=approach.touch_m,
+            stiffness=stiffness,
+            friction_share=friction.friction_share(),
+            end=self._end,
+        )
+        final = self._runner.run(GripperPhase.RAMPING, step.step, observer, needs_force=True)
+        return step, final
 
     def _confirm_empty(
         self,
@@ -193,12 +245,30 @@ class GraspRun:
         state = self._runner.run(GripperPhase.APPROACHING, step, observer, needs_force=True)
         return approach, state
 
+    def _closed(
+        self,
+        stiffness: StiffnessEstimate,
+        friction: FrictionEstimate,
+        observer: Observer | None,
+    ) -> tuple[Approach, GripperState]:
+        """Approach to the end of the way; MechanicsContradicted where nothing stops the fingers."""
+        approach, state = self._approach(stiffness, friction, observer)
+        if approach.event is ApproachEvent.LIMIT:
+            raise not_met(self._settings, self._linkage, state)
+        return approach, state
+
     def _prove_closed(self, state: GripperState, observer: Observer | None) -> None:
         """Look once whether the pads of fingers that have found nothing stop each other."""
-        if self._closed_is_proven or not ClosedStop.applies(self._settings, state):
+        if self._closed_is_proven or not closes_farther(self._settings, state):
             return
-        proof = ClosedStop(self._settings, self._linkage, state)
-        self._runner.run(GripperPhase.APPROACHING, proof.step, observer, needs_force=True)
+        run = GraspRun(
+            self._runner, self._servos, self._linkage, meeting_settings(self._settings)
+        )
+        run._closed(
+            StiffnessEstimate(self._settings),
+            FrictionEstimate(self._settings, self._linkage),
+            observer,
+        )
         self._closed_is_proven = True
 
 

@@ -9,8 +9,8 @@ the way are where the linkage has them. So it is looked for
 2. in the first opening after the torque has come on, by `FirstMotion`: with the least current that
    moves a finger, all the way; one that is blocked there, and free on its way back, is not where
    the settings have it. The torque goes off: nothing can be held;
-3. at the first approach after it that finds nothing, by `ClosedStop`: a little farther the pads
-   must stop each other.
+3. at the first approach after it that finds nothing, and at each self-zero: an approach that goes
+   on with `meeting_settings` must end where the pads stop each other.
 
 A release whose torque comes on for it closes no finger and so tries no way back: there fingers that
 stand closed, and do not move at all, get up to 5 N before the torque goes off.
@@ -40,6 +40,7 @@ length with o = 0             not by motion: opening and force   that of the for
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from gripper.dynamixel.control_table import RAD_PER_PULSE
 from gripper.dynamixel.models import PULSES_PER_TURN
@@ -83,10 +84,16 @@ _RISE_N, _RISE_SHARE = 1.0, 0.2
 opening makes."""
 _QUIET_N, _SAMPLES, _LONGEST_S = 0.15, 3, 0.06
 """Noise in N of a mean force that is compared, its least samples, and its longest time in s."""
+ZERO_RANGE_M = 0.006
+"""Largest error of the zero of the opening in m that counts as one, either way: empty fingers meet
+within it. A tooth of a horn is 15 mm on a link of 60 mm."""
 _LARGEST_MIN_M = 0.002
 """Largest ``aperture_min_m`` in m from which the fingers close farther to find each other."""
-_MISSED_M = 0.003
-"""Opening below 0 in m that fingers reach only if closed is not where the linkage has it."""
+
+
+def closes_farther(settings: GripperSettings, state: GripperState) -> bool:
+    """Return whether fingers that have found nothing there may close farther."""
+    return state.aperture_m <= settings.aperture_min_m <= _LARGEST_MIN_M
 
 
 def mechanics_text(settings: GripperSettings, linkage: Linkage) -> str:
@@ -335,62 +342,18 @@ class _Finger:
         return self._goal_rad
 
 
-class ClosedStop:
-    """Step of control that closes fingers, which have found nothing, until the pads meet.
+def meeting_settings(settings: GripperSettings) -> GripperSettings:
+    """Return settings with which an approach goes on until the pads of empty fingers meet."""
+    return replace(settings, aperture_min_m=-ZERO_RANGE_M)
 
-    Parameters
-    ----------
-    settings, linkage
-        Of the gripper.
-    state
-        Feedback at the start, near ``aperture_min_m``.
-    """
 
-    def __init__(self, settings: GripperSettings, linkage: Linkage, state: GripperState) -> None:
-        self._settings = settings
-        self._linkage = linkage
-        paths = transmissions(settings, linkage, state.angles_rad)
-        self._current_a = motion_current_a(settings, paths, settings.approach_force_n)
-        per_rad_m = sum(map(linkage.opening_per_rad_m, state.angles_rad))
-        rate_rad_s = settings.approach_speed_m_s / per_rad_m
-        # Each finger alone may be the one that nothing stops.
-        end_rad = linkage.angles_rad(-2.0 * _BEYOND_CLOSED_M)
-        self._fingers = [
-            _Finger(start_rad, min(start_rad, rad), rate_rad_s, least_rad)
-            for start_rad, rad, least_rad in zip(
-                state.angles_rad, end_rad, most_closed_rad(settings, linkage), strict=True
-            )
-        ]
-        self._deadline_s = state.t_s + settings.contact_timeout_s
-
-    @staticmethod
-    def applies(settings: GripperSettings, state: GripperState) -> bool:
-        """Return whether fingers that have found nothing there may close farther."""
-        return state.aperture_m <= settings.aperture_min_m <= _LARGEST_MIN_M
-
-    def step(self, moment: Moment) -> Action:
-        """Return the goals of one period; MechanicsContradicted when nothing stops the fingers."""
-        state, sample = moment.state, moment.sample
-        met = (
-            sample is not None
-            and sample.valid
-            and min(sample.force_n) >= self._settings.contact_force_n
-        )
-        goals_rad = [
-            finger.goal_rad(servo, moment.dt_s, back=False)
-            for finger, servo in zip(self._fingers, state.servos, strict=True)
-        ]
-        met = met or moment.now_s > self._deadline_s
-        done = met or all(finger.blocked or finger.there for finger in self._fingers)
-        if not done and state.aperture_m < -_MISSED_M:
-            raise MechanicsContradicted(
-                f"the fingers have found nothing, and stand at an opening of "
-                f"{state.aperture_m * 1e3:.1f} mm where the pads must have stopped each other: "
-                f"closed is not where the settings have it, so the torque is switched off. Look "
-                f"where the fingers stand, then check "
-                f"{mechanics_text(self._settings, self._linkage)}"
-            )
-        if done:
-            goals_rad = [servo.angle_rad for servo in state.servos]
-        goals = [ServoGoal(angle_rad=rad, current_a=self._current_a) for rad in goals_rad]
-        return Action(goals=goals, done=done)
+def not_met(
+    settings: GripperSettings, linkage: Linkage, state: GripperState
+) -> MechanicsContradicted:
+    """Return the error of empty fingers that nothing has stopped where their pads must meet."""
+    return MechanicsContradicted(
+        f"the fingers have found nothing, and stand at an opening of "
+        f"{state.aperture_m * 1e3:.1f} mm where the pads must have stopped each other: "
+        f"closed is not where the settings have it, so the torque is switched off. Look "
+        f"where the fingers stand, then check {mechanics_text(settings, linkage)}"
+    )

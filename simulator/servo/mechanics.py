@@ -157,7 +157,7 @@ class FingerMechanics:
     aperture_m
         Distance between the pads at the start, m.
     half_opening_min_m
-        Closed end stop in m, at least 0: there the fingers touch each other.
+        Closed end stop in m; below 0 a finger may pass the middle, until the other one stops it.
     stiction_ratio
         Torque that sets an axis at rest in motion, over its Coulomb friction; at least 1.
     """
@@ -177,9 +177,9 @@ class FingerMechanics:
                 f"a gripper has one or two motors, each with a mount; got {len(motors)} motors "
                 f"and {len(mounts)} mounts"
             )
-        if not 0.0 <= half_opening_min_m < linkage.half_opening_max_m:
+        if not abs(half_opening_min_m) < linkage.half_opening_max_m:
             raise SimulatorSettingsError(
-                f"half_opening_min_m is at least 0 and below {linkage.half_opening_max_m}, "
+                f"half_opening_min_m is within {linkage.half_opening_max_m} of 0, "
                 f"got {half_opening_min_m}"
             )
         if not 1.0 <= stiction_ratio < math.inf:
@@ -188,6 +188,7 @@ class FingerMechanics:
         self._stiction_ratio = stiction_ratio
         self._linkage = linkage
         self._axes = tuple((m.direction, m.zero_raw * RAD_PER_PULSE) for m in mounts)
+        self._lower_m = half_opening_min_m
         self._lower_rad = linkage.angle_rad(half_opening_min_m)
         self._upper_rad = linkage.angle_rad(linkage.half_opening_max_m)
         self._hands_rad: dict[int, float] = {}
@@ -200,7 +201,7 @@ class FingerMechanics:
         """Half openings of finger 0 and finger 1 from the centre plane in m."""
         half_opening_m = self._linkage.half_opening_m
         found_m = [
-            max(0.0, half_opening_m(direction * (motor.angle_rad - zero_rad)))
+            max(self._lower_m, half_opening_m(direction * (motor.angle_rad - zero_rad)))
             for motor, (direction, zero_rad) in zip(self.motors, self._axes, strict=True)
         ]
         return found_m[0], found_m[-1]

@@ -16,6 +16,9 @@ from simulator.errors import SimulatorSettingsError, require_positive
 TABLE_STEP_M = 10e-6
 """Spacing of the depths for which the force is worked out ahead, in m: 1/300 of the foam."""
 
+_SERIES_POINTS = 601
+"""Points of the law of two sheets in series: 5 µm of a sheet of 3 mm."""
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Foam:
@@ -69,13 +72,44 @@ class Foam:
         return pressure
 
 
+class FoamPair:
+    """Two sheets of foam that are pressed into each other: columns in series, one pressure.
+
+    Parameters
+    ----------
+    foams
+        The sheets.
+
+    Attributes
+    ----------
+    thickness_m
+        Of both together in m.
+    """
+
+    def __init__(self, foams: tuple[Foam, Foam]) -> None:
+        self.thickness_m = foams[0].thickness_m + foams[1].thickness_m
+        first_m = np.linspace(0.0, foams[0].thickness_m, _SERIES_POINTS)
+        second_m = np.linspace(0.0, foams[1].thickness_m, _SERIES_POINTS)
+        self._pressure_pa = foams[0].pressure_pa(first_m)
+        self._indentation_m = first_m + np.interp(
+            self._pressure_pa, foams[1].pressure_pa(second_m), second_m
+        )
+
+    def pressure_pa(self, indentation_m: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return the pressure in Pa of columns that give by ``indentation_m`` together."""
+        pressure: NDArray[np.float64] = np.interp(
+            indentation_m, self._indentation_m, self._pressure_pa
+        )
+        return pressure
+
+
 class ForceTable:
-    """Force over depth of one rigid surface against one pad, worked out ahead.
+    """Force over depth of one surface against foam, worked out ahead.
 
     Parameters
     ----------
     foam
-        The pad's foam.
+        The pad's foam, under a rigid surface, or that of two pads that meet.
     reach_m
         Reach of the surface towards the pad in m over a grid, -inf where there is none.
     cell_area_m2
@@ -87,7 +121,7 @@ class ForceTable:
         Highest point of the surface in m.
     """
 
-    def __init__(self, foam: Foam, reach_m: NDArray[np.float64], cell_area_m2: float) -> None:
+    def __init__(self, foam: Foam | FoamPair, reach_m: NDArray[np.float64], cell_area_m2: float) -> None:
         surface_m = reach_m[np.isfinite(reach_m)]
         if surface_m.size == 0:
             raise SimulatorSettingsError(

@@ -1,12 +1,14 @@
-"""One object at one pose between two pads: forces, equilibrium, pressures."""
+"""What the pads press on: one object at one pose, or each other; forces and pressures."""
 
 import math
+from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simulator.errors import SimulatorSettingsError
-from simulator.world.foam import Foam, ForceTable
+from simulator.world.foam import Foam, FoamPair, ForceTable
 from simulator.world.shapes import ObjectPose, Shape, posed_heights
 from simulator.world.taxels import PadGrid
 
@@ -14,6 +16,132 @@ _SETTLED_N = 1e-6
 """Difference of the pads' forces in N below which the object counts as settled."""
 _SETTLE_STEPS = 60
 """Most Newton or bisection steps: bisection alone reaches the limit of a float in so many."""
+_COARSE = 4
+"""Every so many cells of the grid, each way, stand for the others where the pads meet."""
+_LEAST_SHARE, _MOST_SHARE = 0.1, 10.0
+"""Range of the factors between pads: beyond it a pad is broken, not different."""
+_MOST_SHIFT_M, _MOST_TILT_RAD = 0.005, math.radians(10.0)
+"""Largest misalignment of the pads along each axis."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PadPair:
+    """How the two gripping pads stand to each other, and how they differ."""
+
+    shift_m: tuple[float, float] = (0.0, 0.0)
+    """How far the pad of finger 1 lies beside that of finger 0, along the fingers and across, in
+    m, at most 5 mm."""
+    tilt_rad: tuple[float, float] = (0.0, 0.0)
+    """How far the gap between them closes along the fingers and across, in rad, at most 10
+    degrees."""
+    gains: tuple[float, float] = (1.0, 1.0)
+    """Factors from 0.1 to 10 on the force that the taxels of finger 0 and of finger 1 feel."""
+    stiffness: tuple[float, float] = (1.0, 1.0)
+    """Factors from 0.1 to 10 on the modulus of their foam."""
+
+    def __post_init__(self) -> None:
+        for name, values in (("gains", self.gains), ("stiffness", self.stiffness)):
+            if not all(_LEAST_SHARE <= value <= _MOST_SHARE for value in values):
+                raise SimulatorSettingsError(
+                    f"{name} of the pads are {values}, must be from {_LEAST_SHARE} to {_MOST_SHARE}"
+                )
+        if not (
+            all(abs(value) <= _MOST_SHIFT_M for value in self.shift_m)
+            and all(abs(value) <= _MOST_TILT_RAD for value in self.tilt_rad)
+        ):
+            raise SimulatorSettingsError(
+                f"the pads are misaligned by {self.shift_m} m and {self.tilt_rad} rad, must be "
+                f"within {_MOST_SHIFT_M} m and {_MOST_TILT_RAD:.3f} rad"
+            )
+
+    def foams(self, foam: Foam) -> tuple[Foam, Foam]:
+        """Return the foam of each finger's pad, made of one sheet."""
+        first, second = (replace(foam, modulus_pa=foam.modulus_pa * s) for s in self.stiffness)
+        return first, second
+
+
+class Contact(Protocol):
+    """What the pads may press on."""
+
+    def settle(
+        self, position_m: tuple[float, float], friction_n: float
+    ) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Return force in N and stiffness in N/m on each pad at half openings in m."""
+        ...
+
+    def taxel_force_n(self, side: int, position_m: tuple[float, float]) -> NDArray[np.float64]:
+        """Return the force in N on each taxel of one pad, shape (rows * columns,), row-major."""
+        ...
+
+
+class PadsMeet:
+    """The two pads that press on each other, foam on foam; nothing is between them.
+
+    Parameters
+    ----------
+    grids
+        Inner pad of finger 0 and of finger 1.
+    foams
+        The sheets on them.
+    pair
+        How they stand to each other.
+    """
+
+    def __init__(
+        self, grids: tuple[PadGrid, ...], foams: tuple[Foam, Foam], pair: PadPair
+    ) -> None:
+        self._grids = grids
+        self._foam = FoamPair(foams)
+        self._pair = pair
+        # How far the fields that each pad's taxels lie in reach towards the other pad.
+        self._reach_m = tuple(self._reach(side) for side in (0, 1))
+        self.reach_m = float(self._reach_m[0].max())
+        self._table: ForceTable | None = None
+
+    def _reach(self, side: int) -> NDArray[np.float64]:
+        """Return how much deeper than their middle the cells of a pad meet the other one, in m."""
+        grid, other = self._grids[side], self._grids[1 - side]
+        (shift_x_m, shift_y_m), (tilt_x, tilt_y) = self._pair.shift_m, self._pair.tilt_rad
+        x_m, y_m = np.broadcast_arrays(grid.x_m, grid.y_m)
+        sign = 1.0 if side == 0 else -1.0
+        # Where the cells lie on the other pad.
+        there_x_m, there_y_m = x_m - sign * shift_x_m, y_m - sign * shift_y_m
+        met = (np.abs(there_x_m) <= other.half_x_m) & (np.abs(there_y_m) <= other.half_y_m)
+        # The gap is given in the coordinates of finger 0.
+        at_x_m, at_y_m = (x_m, y_m) if side == 0 else (there_x_m, there_y_m)
+        return np.where(met, math.tan(tilt_x) * at_x_m + math.tan(tilt_y) * at_y_m, -np.inf)
+
+    def settle(
+        self, position_m: tuple[float, float], friction_n: float
+    ) -> tuple[tuple[float, float], tuple[float, float]]:
+        """Return the forces and stiffnesses of pads that meet; see `Contact`."""
+        depth_m = self.reach_m - position_m[0] - position_m[1]
+        if depth_m <= 0.0:
+            return (0.0, 0.0), (0.0, 0.0)
+        force_n, stiffness_n_m = self._forces.lookup(depth_m)
+        return (force_n, force_n), (stiffness_n_m, stiffness_n_m)
+
+    @property
+    def _forces(self) -> ForceTable:
+        """Force over depth, worked out when the pads first meet."""
+        if self._table is None:
+            reach_m = self._reach_m[0]
+            coarse_m = reach_m[_COARSE // 2 :: _COARSE, _COARSE // 2 :: _COARSE]
+            area_m2 = self._grids[0].cell_area_m2 * np.isfinite(reach_m).sum()
+            self._table = ForceTable(self._foam, coarse_m, area_m2 / np.isfinite(coarse_m).sum())
+            self.reach_m = self._table.reach_max_m
+        return self._table
+
+    def taxel_force_n(self, side: int, position_m: tuple[float, float]) -> NDArray[np.float64]:
+        """Return the force in N on each taxel of one pad; see `Contact`."""
+        (total_n, _), _ = self.settle(position_m, 0.0)
+        depth_m = self._reach_m[side] - position_m[0] - position_m[1]
+        grid = self._grids[side]
+        whole = (slice(None), slice(None))
+        pressure_pa = self._foam.pressure_pa(np.maximum(depth_m, 0.0))
+        force_n = grid.taxel_force_n(pressure_pa, grid.shares(whole))
+        # Both pads feel the same force, whatever their grids make of an edge.
+        return force_n * (total_n / max(float(force_n.sum()), 1e-12))
 
 
 class Press:
@@ -29,8 +157,8 @@ class Press:
         The object and where it is.
     grids
         Inner pad of finger 0 and of finger 1.
-    foam
-        The sheet on both pads.
+    foams
+        The sheet on each pad.
 
     Attributes
     ----------
@@ -46,11 +174,15 @@ class Press:
     """
 
     def __init__(
-        self, shape: Shape, pose: ObjectPose, grids: tuple[PadGrid, ...], foam: Foam
+        self,
+        shape: Shape,
+        pose: ObjectPose,
+        grids: tuple[PadGrid, ...],
+        foams: tuple[Foam, Foam],
     ) -> None:
         self.z_m = pose.z_m
         self.swell_m = 0.0
-        self._foam = foam
+        self._foams = foams
         self._grids = grids
         tables: list[ForceTable] = []
         shares: list[tuple[NDArray[np.float64], NDArray[np.float64]]] = []
@@ -68,7 +200,7 @@ class Press:
                     f"beside the pad {grid.pad.name}"
                 )
             window = (_span(covered, axis=0), _span(covered, axis=1))
-            table = ForceTable(foam, reach_m[window], grid.cell_area_m2)
+            table = ForceTable(foams[side], reach_m[window], grid.cell_area_m2)
             tables.append(table)
             shares.append(grid.shares(window))
             lags_m.append(table.reach_max_m - reach_m[window])
@@ -141,7 +273,7 @@ class Press:
     def taxel_force_n(self, side: int, position_m: tuple[float, float]) -> NDArray[np.float64]:
         """Return the force in N on each taxel of one pad, shape (rows * columns,), row-major."""
         depth_m = self._depths_m(position_m)[side]
-        pressure_pa = self._foam.pressure_pa(depth_m - self._lag_m[side])
+        pressure_pa = self._foams[side].pressure_pa(depth_m - self._lag_m[side])
         return self._grids[side].taxel_force_n(pressure_pa, self._shares[side])
 
 

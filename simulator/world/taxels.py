@@ -128,6 +128,8 @@ class PadGrid:
     x_m : (n_x, 1) float64
     y_m : (1, n_y) float64
         Centres of the grid's cells in the plane of the pad in m.
+    half_x_m, half_y_m
+        Half of its extent in m.
     cell_area_m2
         Area of a cell in m².
     """
@@ -139,6 +141,8 @@ class PadGrid:
         self._across = across.T
         self.x_m = x_m[:, np.newaxis]
         self.y_m = y_m[np.newaxis, :]
+        self.half_x_m = 0.5 * pad.rows * pad.pitch_x_m
+        self.half_y_m = 0.5 * pad.columns * pad.pitch_y_m
         self.cell_area_m2 = float((x_m[1] - x_m[0]) * (y_m[1] - y_m[0]))
 
     def same_points_as(self, other: "PadGrid") -> bool:

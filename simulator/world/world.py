@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from simulator.clock import ROUNDING_S
 from simulator.errors import SimulatorSettingsError, SimulatorStateError
 from simulator.world.foam import Foam
-from simulator.world.press import Press
+from simulator.world.press import Contact, PadPair, PadsMeet, Press
 from simulator.world.shape_files import parse_shape
 from simulator.world.shapes import PAPER_OBJECTS, ObjectPose, Shape, resting_pose
 from simulator.world.taxels import EQUATION_11, NoiseModel, PadGrid, SensorLaw, ideal_counts
@@ -49,6 +49,8 @@ class WorldSettings:
 
     foam: Foam = field(default_factory=Foam)
     """The sheet on each inner pad."""
+    pads: PadPair = field(default_factory=PadPair)
+    """How the inner pads stand to each other, and how they differ."""
     law: SensorLaw = EQUATION_11
     """How force becomes counts."""
     noise: NoiseModel = field(default_factory=NoiseModel)
@@ -66,8 +68,8 @@ class PhysicalWorld:
     """Two opposing pads, moved by servos, and a rigid object that floats between them.
 
     Nothing here commands a force: the grip is what foam and object push back with at the positions
-    that the mechanics have reached. The other pads touch nothing, and the gripping pads do not
-    touch each other: the mechanics' end stop is where they would meet.
+    that the mechanics have reached. Without an object the gripping pads meet each other; the other
+    pads touch nothing.
 
     Parameters
     ----------
@@ -100,6 +102,10 @@ class PhysicalWorld:
         self._grids = tuple(
             PadGrid(layout.pads[pad], self._settings.foam) for pad in layout.gripping_pads
         )
+        pads = self._settings.pads
+        self._foams = pads.foams(self._settings.foam)
+        self._empty = PadsMeet(self._grids, self._foams, pads)
+        self._felt = np.array([pads.gains[pad.finger] for pad in layout.pads])[layout.taxel_pad]
         self._rng = np.random.default_rng(self._settings.seed)
         self._fast_rng = np.random.default_rng([self._settings.seed, 1])
         self._gripping = np.flatnonzero(np.isin(layout.taxel_pad, layout.gripping_pads))
@@ -151,7 +157,7 @@ class PhysicalWorld:
             )
         shape = self.shape(label)
         pose = resting_pose(shape, pose or ObjectPose())
-        press = Press(shape, pose, self._grids, self._settings.foam)
+        press = Press(shape, pose, self._grids, self._foams)
         near_m, far_m = self._fingers.finger_position_m
         need_m = press.reach_m
         if need_m[0] - pose.z_m > near_m or need_m[1] + pose.z_m > far_m:
@@ -197,7 +203,7 @@ class PhysicalWorld:
         if self._press is not None:
             pose = replace(pose, z_m=self._press.z_m)
         try:
-            press = Press(self.shape(label), pose, self._grids, self._settings.foam)
+            press = Press(self.shape(label), pose, self._grids, self._foams)
         except SimulatorSettingsError:
             self.remove()
             return False
@@ -263,14 +269,13 @@ class PhysicalWorld:
 
     def advance_to(self, now_s: float) -> None:
         """Step the fingers and the object until ``now_s`` s; a rest below a step waits."""
-        fingers, press, friction_n = self._fingers, self._press, self._settings.nest_friction_n
+        fingers, contact, friction_n = self._fingers, self._contact, self._settings.nest_friction_n
         while self._time_s + STEP_S <= now_s + ROUNDING_S:
             self._time_s += STEP_S
             fingers.step(STEP_S, self._force_n, self._stiffness_n_m)
-            if press is not None:
-                self._force_n, self._stiffness_n_m = press.settle(
-                    fingers.finger_position_m, friction_n
-                )
+            self._force_n, self._stiffness_n_m = contact.settle(
+                fingers.finger_position_m, friction_n
+            )
 
     def skip_to(self, now_s: float) -> None:
         """Leave out the time until ``now_s`` s: nothing has happened meanwhile."""
@@ -285,15 +290,15 @@ class PhysicalWorld:
         force_n = np.zeros(self._layout.n_taxels)
         if self._fingertip_n is not None:
             force_n += self._fingertip_n
-        if self._press is not None and max(self._force_n) > 0.0:
+        if max(self._force_n) > 0.0:
             position_m = self._fingers.finger_position_m
             for side, taxels in enumerate(self._grip_slices):
-                force_n[taxels] = self._press.taxel_force_n(side, position_m)
+                force_n[taxels] += self._contact.taxel_force_n(side, position_m)
         return force_n
 
     def scan(self) -> NDArray[np.uint16]:
         """Convert all taxels: the sensor's law, new noise, rounding; counts (n_taxels,)."""
-        force_n = self.taxel_force_n() if self._pressed else None
+        force_n = self._felt * self.taxel_force_n() if self._pressed else None
         return self._converted(force_n, self._layout.n_taxels, self._rng)
 
     def scan_gripping(self) -> NDArray[np.uint16]:
@@ -302,14 +307,19 @@ class PhysicalWorld:
         Counts (n_taxels,), 0 on the other pads. Its noise does not change that of `scan`.
         """
         counts = np.zeros(self._layout.n_taxels, dtype=np.uint16)
-        force_n = self.taxel_force_n()[self._gripping] if self._pressed else None
-        counts[self._gripping] = self._converted(force_n, len(self._gripping), self._fast_rng)
+        gripping = self._gripping
+        force_n = (self._felt * self.taxel_force_n())[gripping] if self._pressed else None
+        counts[gripping] = self._converted(force_n, len(gripping), self._fast_rng)
         return counts
 
     @property
     def _pressed(self) -> bool:
-        gripped = self._press is not None and max(self._force_n) > 0.0
-        return gripped or self._fingertip_n is not None
+        return max(self._force_n) > 0.0 or self._fingertip_n is not None
+
+    @property
+    def _contact(self) -> Contact:
+        """What the pads press on: the object, or each other."""
+        return self._empty if self._press is None else self._press
 
     def _converted(
         self, force_n: NDArray[np.float64] | None, n: int, rng: np.random.Generator
