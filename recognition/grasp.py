@@ -18,6 +18,8 @@ CELL_SOURCE = "cell "
 SERIES_PAUSE_MS = 3_600_000
 """Pause in ms between two grasps of one object from which on they are of two series."""
 
+_FARTHEST_ZERO_M = 0.05
+"""Largest zero of an opening in m: far beyond any that a hand has."""
 _SAME_PLACE_M = 1e-6
 """Taxels whose positions differ by less than this are the same, in m: files round positions."""
 
@@ -57,6 +59,62 @@ class GraspCommand:
     def from_values(cls, values: Sequence[float]) -> Self:
         """Rebuild from `values`. Raises ValueError where they are not five finite numbers."""
         return cls(**dict(zip(COMMAND_COLUMNS, map(float, values), strict=True)))
+
+
+ZERO_COLUMNS = (
+    "opening_m",
+    "opening_sd_m",
+    "log_gain_ratio",
+    "log_gain_ratio_sd",
+    "log_scale",
+    "log_scale_sd",
+    "log_stiffness",
+    "log_stiffness_sd",
+)
+"""Names of the numbers of a `SelfZero`, in their order."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SelfZero:
+    """What the empty fingers of a cell show when they press on each other; logarithms are natural.
+
+    Raises
+    ------
+    ValueError
+        A number is not finite, or a deviation not above 0.
+    """
+
+    opening_m: float
+    opening_sd_m: float
+    """Opening that is read where the middles of the pads just meet, in m, and its standard
+    deviation."""
+    log_gain_ratio: float
+    log_gain_ratio_sd: float
+    """Logarithm of the gain of finger 0's pad over that of finger 1's: both feel one force."""
+    log_scale: float
+    log_scale_sd: float
+    """Logarithm of the counts of a pad, mean of both, for each A more of the motors' current."""
+    log_stiffness: float
+    log_stiffness_sd: float
+    """Logarithm of the counts of a pad, mean of both, for each mm that both give together."""
+
+    def __post_init__(self) -> None:
+        for name in ZERO_COLUMNS:
+            value = getattr(self, name)
+            if not math.isfinite(value) or (name.endswith("_sd") and value <= 0.0):
+                raise ValueError(f"{name} of a self-zero is {value}, must be finite, an sd above 0")
+        if abs(self.opening_m) > _FARTHEST_ZERO_M:
+            raise ValueError(f"opening_m of a self-zero is {self.opening_m}: openings stand in m")
+
+    @property
+    def values(self) -> tuple[float, ...]:
+        """The numbers in the order of `ZERO_COLUMNS`."""
+        return tuple(getattr(self, name) for name in ZERO_COLUMNS)
+
+    @classmethod
+    def from_values(cls, values: Sequence[float]) -> Self:
+        """Rebuild from `values`. Raises ValueError where they do not fit."""
+        return cls(**dict(zip(ZERO_COLUMNS, map(float, values), strict=True)))
 
 
 def _frozen(values: ArrayLike, dtype: DTypeLike, shape: tuple[int, ...], name: str) -> NDArray[Any]:
@@ -181,6 +239,8 @@ class Grasp:
     """Thickness of the object along the closing axis in m by its drawing; NaN where unknown."""
     command: GraspCommand | None = None
     """Commanded pose and force; None where unknown. Recognisers do not use it."""
+    zero: SelfZero | None = None
+    """What the empty fingers showed last before the grasp; None where that was not measured."""
 
     def __post_init__(self) -> None:
         n_frames = len(self.counts)

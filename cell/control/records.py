@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cell.control.plan import GraspStep, Pose
 from gripper.state import Cycle, GraspOutcome
-from recognition.grasp import Grasp, GraspCommand, PadArray
+from recognition.grasp import Grasp, GraspCommand, PadArray, SelfZero
 from recognition.recognizers.early_classifiers import EarlyAnswer
 from tactile.frames.codec import TactileFrame
 from tactile.layout import TaxelLayout
@@ -82,6 +82,7 @@ class GraspCollector:
         self._frames: list[TactileFrame] = []
         self._apertures_m: list[float] = []
         self._forces_n: list[float] = []
+        self._currents_a: list[float] = []
         self._cycles: list[Cycle] = []
 
     def add(self, cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
@@ -91,6 +92,7 @@ class GraspCollector:
             self._frames.append(frame)
             self._apertures_m.append(cycle.state.aperture_m)
             self._forces_n.append(cycle.setpoint_n)
+            self._currents_a.append(cycle.state.current_a)
 
     @property
     def n_frames(self) -> int:
@@ -106,6 +108,11 @@ class GraspCollector:
         return mean
 
     @property
+    def current_a(self) -> NDArray[np.float64]:
+        """Current of the motors in A at each frame, (n_frames,)."""
+        return np.array(self._currents_a)
+
+    @property
     def cycles(self) -> tuple[Cycle, ...]:
         """All periods so far, in order."""
         return tuple(self._cycles)
@@ -119,6 +126,7 @@ class GraspCollector:
         source: str = "",
         start_ms: int,
         command: GraspCommand | None = None,
+        zero: SelfZero | None = None,
     ) -> Grasp:
         """Return the collected grasp. Raises ValueError if no frame came."""
         if not self._frames:
@@ -135,4 +143,5 @@ class GraspCollector:
             source=source,
             start_ms=start_ms,
             command=command,
+            zero=zero,
         )

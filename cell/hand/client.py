@@ -314,6 +314,11 @@ class HandProcess:
         outcome: GraspOutcome = self._call("grasp", watch, ramp=ramp)
         return outcome
 
+    def meet(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
+        """Close the empty fingers onto each other; see `Hand`."""
+        outcome: GraspOutcome = self._call("meet", watch, ramp=ramp)
+        return outcome
+
     def carry(self, force_n: float, duration_s: float, watch: Watch) -> None:
         """Hold the part with another force; see `Hand`."""
         self._call("carry", watch, force_n=force_n, duration_s=duration_s)

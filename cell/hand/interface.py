@@ -144,6 +144,10 @@ class Hand(Protocol):
         """Close until both pads touch, follow the ramp; return while holding."""
         ...
 
+    def meet(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
+        """Close the empty fingers onto each other, follow the ramp; return while they press."""
+        ...
+
     def carry(self, force_n: float, duration_s: float, watch: Watch) -> None:
         """Hold the part with another force for a time, and control it on between commands."""
         ...

@@ -135,6 +135,12 @@ class LocalHand:
         self._force.take()
         return self.gripper.grasp(ramp, observer=self._observer(watch))
 
+    def meet(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
+        """Close the empty fingers onto each other; see `Hand`."""
+        self._check_zero()
+        self._force.take()
+        return self.gripper.meet(ramp, observer=self._observer(watch))
+
     def carry(self, force_n: float, duration_s: float, watch: Watch) -> None:
         """Hold the part with another force; see `Hand`."""
         self._force.take()

@@ -29,7 +29,7 @@ class Boot:
     partial: bool = False
 
 
-WATCHED = frozenset({"open", "grasp", "carry", "squeeze", "release"})
+WATCHED = frozenset({"open", "grasp", "meet", "carry", "squeeze", "release"})
 """Methods of `Hand` that run the force loop; each period of it is sent as `Progress`."""
 UNWATCHED = frozenset(
     {"start", "start_sensor", "close_sensor", "tare", "conditions", "inspect", "read_sensor"}

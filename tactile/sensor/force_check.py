@@ -111,6 +111,9 @@ class FrameForces:
     """Centre of both pads along and across the fingers in pitches; None where nothing touches."""
     noise_n: float
     """Standard deviation of each force in N."""
+    whole_n: tuple[float, float] = (0.0, 0.0)
+    """Force on all taxels of finger 0 and finger 1 in N: a load that is spread over a pad leaves
+    each taxel below the threshold by noise."""
 
 
 class ForceCheck:
@@ -217,7 +220,10 @@ class _Pair:
         most_n = _OUTLIER_SIGMAS * frame.noise_n
         unseen_n = max(_UNSEEN_N, _UNSEEN_SIGMAS * taxel_noise_n)
         apart_n, above_n, below_n = [], [], []
-        for frame_n, message_n in zip(frame.force_n, (first_n, second_n), strict=True):
+        for active_n, whole_n, message_n in zip(
+            frame.force_n, frame.whole_n, (first_n, second_n), strict=True
+        ):
+            frame_n = max(active_n, min(whole_n, message_n))
             above = _LEAST_N + _LEAST_SHARE * max(frame_n, message_n)
             below = above + _BELOW_SIGMAS * taxel_noise_n
             if frame_n == 0.0:

@@ -491,11 +491,12 @@ class TactileSensor:
         active = np.zeros_like(bad) if self._touch is None else self._touch.step(tared)
         force_n = np.where(active, self._calibration.force_n(tared), 0.0)
         pad_force_n = np.add.reduceat(force_n, self._pad_starts)
-        scan_n = np.where(active, self._calibration.force_n(counts), 0.0)
+        all_n = self._calibration.force_n(counts)
+        scan_n = np.where(active, all_n, 0.0)
         first_n, second_n = (float(scan_n[taxels].sum()) for taxels in self._grips)
         reason = self._objection(frame, saturated & ~bad, bad, tared)
         if not reason and self.has_forces:
-            self._compare(frame, counts, active, scan_n)
+            self._compare(frame, counts, active, scan_n, all_n)
         for array in (tared, active, force_n, pad_force_n, saturated, bad):
             array.setflags(write=False)
         self._saturated_frames += bool((saturated & ~bad).any())
@@ -521,6 +522,7 @@ class TactileSensor:
         counts: Values,
         active: NDArray[np.bool_],
         scan_n: Values,
+        all_n: Values,
     ) -> None:
         pad = self._layout.pads[self._layout.gripping_pads[0]]
         centre_m = self._centres.of(scan_n)
@@ -531,6 +533,7 @@ class TactileSensor:
             if centre_m is None
             else (centre_m[0] / pad.pitch_x_m, centre_m[1] / pad.pitch_y_m),
             noise_n=self._frame_noise_n(counts, active),
+            whole_n=(float(all_n[self._grips[0]].sum()), float(all_n[self._grips[1]].sum())),
         )
         try:
             self._force_check.compare(shown)
