@@ -27,6 +27,7 @@ from cell.control.positioner import (
     Supervise,
 )
 from cell.control.records import pad_array
+from cell.control.self_zero import SelfZeros
 from cell.data.recorder import Recorder, Tap
 from cell.errors import ConfigError
 from cell.hand.build import SHARED_PROCESS, make_hand, open_hand
@@ -41,7 +42,9 @@ from cell.simulation import (
     simulated_cell,
 )
 from gripper.dynamixel.bus import ServoBus
+from gripper.dynamixel.control_table import RAD_PER_PULSE
 from gripper.dynamixel.serial_port import ByteStream, SerialStream
+from gripper.kinematics import Linkage
 from gripper.state import Clock, GripperPhase
 from motion.axes import Axes
 from simulator.cell import SimulatedCell
@@ -246,8 +249,15 @@ def build_cell(
             sequence=config.sequence,
             tare_frames=config.tactile.tare_frames,
             contact_force_n=config.gripper.contact_force_n,
+            zero_force_max_n=config.gripper.ramp_force_max_n,
+            opening_step_m=_opening_step_m(config.linkage),
             clock=clock,
             recorder=recorder,
+            zeros=SelfZeros(
+                config.self_zero,
+                pads_meet=config.gripper.pads_meet,
+                path=None if folder is None else _zero_path(config, folder.parent),
+            ),
         )
         undo.callback(controller.shutdown)
         return Cell(
@@ -258,6 +268,18 @@ def build_cell(
             _recorder=recorder,
             _closing=undo.pop_all(),
         )
+
+
+def _opening_step_m(linkage: Linkage) -> float:
+    """Return the step in m in which the servos read the opening of closed fingers."""
+    closed_rad = linkage.angles_rad(0.0)
+    return sum(map(linkage.opening_per_rad_m, closed_rad)) * RAD_PER_PULSE
+
+
+def _zero_path(config: CellConfig, directory: Path) -> Path:
+    """Return the file that keeps the self-zero of a cell beside the folders of its jobs."""
+    name = "".join(sign if sign.isalnum() else "-" for sign in config.name)
+    return directory / f"self-zero-{name}.json"
 
 
 def _hand(config: CellConfig, simulated: SimulatedCell | None, *, partial: bool) -> Hand:

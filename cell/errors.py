@@ -65,6 +65,10 @@ class PositionerFault(CellError):
     """An axis of the positioner is at fault or silent; all axes were stopped."""
 
 
+class ZeroRefused(CellError):
+    """A self-zero found pads or fingers beyond what may be undone; the fingers are open."""
+
+
 class NoPartFound(CellError):
     """The fingers closed to their limit and touched nothing."""
 

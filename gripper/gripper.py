@@ -594,9 +594,7 @@ class Gripper:
         self,
         ramp: ForceRamp,
         observer: Observer | None,
-        run: Callable[
-            [ForceRamp, Observer | None, Callable[[GripperPhase], None]], GraspOutcome
-        ],
+        run: Callable[[ForceRamp, Observer | None, Callable[[GripperPhase], None]], GraspOutcome],
     ) -> GraspOutcome:
         """Close with one of the runs of a grasp, and keep what is held after it."""
         self._life.check_ready("grasp", GripperPhase.OFF, GripperPhase.IDLE)

@@ -70,8 +70,8 @@ class SimulatorSettings:
     law: SensorLaw = EQUATION_11
     noise: NoiseModel = field(default_factory=NoiseModel)
     seed: int = 0
-    """The pads, how they stand to each other, how force becomes counts, the converter's noise, the seed of everything that comes
-    by chance."""
+    """The pads, how they stand to each other, how force becomes counts, the converter's noise, the
+    seed of everything that comes by chance."""
     objects: Mapping[str, Shape] = field(default_factory=lambda: PAPER_OBJECTS)
     """Objects that can be placed by their name."""
     aperture_m: float = 0.03

@@ -167,6 +167,8 @@ class GripperConfig(Section):
     """Opening between the pads before a grasp in mm, 2 to 400; a little more than the object."""
     aperture_min_mm: float = setting_of(GripperSettings, "aperture_min_m", MILLI, at_least=0.0)
     """Smallest opening that the fingers are closed to in mm; below it there is no object."""
+    pads_meet: bool = True
+    """Whether the pads of empty fingers can press flat on each other; a self-zero needs it."""
     approach_speed_mm_s: float = setting_of(GripperSettings, "approach_speed_m_s", MILLI)
     """Closing speed until contact in mm/s of opening, 4 to 200. The fingers close no faster than
     their momentum can be stopped below force_max_n; a note names the speed where that is less."""

@@ -81,6 +81,9 @@ class CellConfig(Section):
     """Seed of everything random: poses, noise of the simulated cell."""
     host_timeout_s: float | None = Field(default=None, ge=0.05, le=3600.0)
     """Longest silence of the host program during a job in s, 0.05 to 3600; none: any."""
+    self_zero: Literal["always", "daily", "on_demand", "never"] = "on_demand"
+    """When the empty fingers close on each other to measure zero, gains and foam: at each start, at
+    the first start of a day, when asked for (`tactile-cell zero`), or never."""
     gripper: GripperConfig = GripperConfig()
     """Servos, linkage and limits."""
     tactile: TactileConfig = TactileConfig()
@@ -158,6 +161,12 @@ class CellConfig(Section):
             raise ValueError(
                 "positioner.kind is simulated but the cell is not: choose operator or callback, "
                 "or name the socket of a simulated cell in another process"
+            )
+        if not self.gripper.pads_meet and self.self_zero in ("always", "daily"):
+            raise ValueError(
+                f"self_zero is {self.self_zero}, but gripper.pads_meet is false: fingers that "
+                "cannot meet are gauged with a taught object in a holder (`tactile-cell calibrate "
+                "--gauge`); write self_zero: never"
             )
         self._check_axes(simulated[0])
         self._check_motion(max(most_n, carry_n))

@@ -19,6 +19,7 @@ from cell.control.live import FRESH_S, LiveValues, live_values
 from cell.control.plan import GraspStep, Pose
 from cell.control.positioner import Destination, Positioner
 from cell.control.records import GraspRecord
+from cell.control.self_zero import SelfZeros
 from cell.control.states import CellState, CellStatus, Command, Event, GraspState
 from cell.data.recorder import Recorder
 from cell.errors import (
@@ -33,7 +34,8 @@ from cell.hand.interface import FORCE_FROM_FRAMES, Hand, Measured
 from cell.hand.local import LocalHand
 from gripper.gripper import Gripper
 from gripper.state import Clock, GripperPhase, ReleaseReport, shows_nothing
-from recognition.grasp import PadArray
+from recognition.drift.self_zero import ZeroMeasurement
+from recognition.grasp import PadArray, SelfZero
 from recognition.recognizer import Recognizer
 from recognition.recognizers.early_classifiers import EarlyClassifiers, EarlyDecider
 from tactile.sensor.sensor import TactileSensor
@@ -159,9 +161,13 @@ class CellController(CellView):
         sequence: SequenceConfig,
         tare_frames: int,
         contact_force_n: float,
+        zero_force_max_n: float,
+        opening_step_m: float,
         clock: Clock,
         recorder: Recorder | None = None,
+        zeros: SelfZeros | None = None,
     ) -> None:
+        self._zeros = zeros or SelfZeros()
         self._positioner = positioner
         self._clock = clock
         self._sequence = sequence
@@ -186,8 +192,11 @@ class CellController(CellView):
             journal=self._journal,
             sequence=sequence,
             contact_force_n=contact_force_n,
+            zero_force_max_n=zero_force_max_n,
+            opening_step_m=opening_step_m,
             clock=clock,
         )
+        self._grasper.zero = self._zeros.newest
         self.pads: PadArray = self._grasper.pads
 
     @property
@@ -228,6 +237,8 @@ class CellController(CellView):
     def start(self) -> None:
         """Verify servos and control unit, open the fingers, take the zero of the taxels.
 
+        Where a self-zero is due it follows, see `measure_zero`.
+
         Raises
         ------
         CellStateError
@@ -252,7 +263,41 @@ class CellController(CellView):
             self._hand.open(self._grasper.watch)
             self.zero = self._hand.tare(self._tare_frames)
             self._life.check_cancelled()
+            if self._zeros.due:
+                self._measure_zero()
             self._life.complete()
+
+    @property
+    def self_zero(self) -> SelfZero | None:
+        """What the empty fingers showed last; None where it was not measured."""
+        return self._zeros.newest
+
+    def check_zero(self) -> None:
+        """Raise PlanRefused where the config has no self-zero for these fingers."""
+        self._zeros.check()
+
+    def measure_zero(self) -> ZeroMeasurement:
+        """Close the empty fingers on each other and measure the zero of the opening, gains, foam.
+
+        The grasps that follow carry it: what has changed since teaching is undone.
+
+        Raises
+        ------
+        PlanRefused
+            If the config has no self-zero for these fingers; nothing has moved.
+        gripper.errors.PartBetweenFingers
+            If something is between them; the grip is kept.
+        ZeroRefused
+            If a pad or a finger is out of bounds; the fingers are open.
+        CellStopped
+            If it was cancelled. The fingers press on each other until `release`.
+        """
+        self.check_zero()
+        self._check_cancelled_between()
+        with self._executing(Event.EXECUTE):
+            found = self._measure_zero()
+            self._life.complete()
+        return found
 
     def clear(self, *, reboot: bool = False) -> None:
         """Acknowledge the fault, or before the start what an earlier run left in the servos.
@@ -583,6 +628,11 @@ class CellController(CellView):
         self._journal.note(kind, text)
 
     # -- inside --------------------------------------------------------------------------------
+
+    def _measure_zero(self) -> ZeroMeasurement:
+        found = self._grasper.measure_zero()
+        self._zeros.keep(found.zero)
+        return found
 
     def _grasp(
         self,

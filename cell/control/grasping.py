@@ -25,11 +25,18 @@ from cell.control.plan import GraspStep, Pose
 from cell.control.positioner import PatientCaller, Positioner
 from cell.control.records import GraspCollector, GraspRecord, pad_array
 from cell.data.dataset import text_refused
-from cell.errors import CellStateError, NoPartFound, PlanRefused
+from cell.control.self_zero import (
+    check_pads_met,
+    dead_taxels_text,
+    refuse_unsound,
+    zero_text,
+)
+from cell.errors import CellStateError, NoPartFound, PlanRefused, ZeroRefused
 from cell.hand.interface import Hand, Watch
 from gripper.force.ramp import ForceRamp
 from gripper.state import Clock, Cycle, GraspResult
-from recognition.grasp import CELL_SOURCE, Grasp, PadArray
+from recognition.drift.self_zero import ZeroMeasurement, measure_zero
+from recognition.grasp import CELL_SOURCE, Grasp, PadArray, SelfZero
 from recognition.recognizers.early_classifiers import EarlyDecider
 from tactile.frames.codec import TactileFrame
 
@@ -50,6 +57,10 @@ LEAST_CONTACTS = 2.0
 """Least force at which it begins, in contact forces: a part that is held with one alone passes for
 lost now and then (simulated cell, twice the noise)."""
 
+_ZERO_FORCE_N, _ZERO_RATE_N_S = 12.0, 10.0
+"""Force in N with which the empty fingers press on each other, and its growth in N/s: pads of 55 x
+20 mm give 0.4 mm together, and a ramp of a second shows that on each taxel."""
+
 
 class Grasper:
     """Takes hand and positioner through one grasp after the other, and records them.
@@ -68,8 +79,17 @@ class Grasper:
         How the force grows, and with which one a part is carried.
     contact_force_n
         Least force in N with which a part is held.
+    zero_force_max_n
+        Largest force in N with which the empty fingers may press on each other.
+    opening_step_m
+        Step in m in which the servos read the opening of closed fingers.
     clock
         Monotonic time.
+
+    Attributes
+    ----------
+    zero
+        The self-zero that grasps carry; None where none was measured.
     """
 
     def __init__(
@@ -82,6 +102,8 @@ class Grasper:
         journal: Journal,
         sequence: SequenceConfig,
         contact_force_n: float,
+        zero_force_max_n: float,
+        opening_step_m: float,
         clock: Clock,
     ) -> None:
         self._source = CELL_SOURCE + name
@@ -93,6 +115,9 @@ class Grasper:
         self._contact_n = contact_force_n
         self._held: tuple[NDArray[np.float64], HeldPart] | None = None
         self._last_start_ms = 0
+        self._zero_force_max_n = zero_force_max_n
+        self._opening_step_m = opening_step_m
+        self.zero: SelfZero | None = None
         self._patient = PatientCaller(clock, hand.period_s)
         self.pads: PadArray = pad_array(hand.layout)
 
@@ -158,6 +183,39 @@ class Grasper:
         zero, then = self._held
         return compared(self._look_at_held(zero), then, carry_n=self._sequence.carry_force_n)
 
+    def measure_zero(self) -> ZeroMeasurement:
+        """Close the empty fingers on each other, look at what they show, open them again.
+
+        Raises
+        ------
+        gripper.errors.PartBetweenFingers
+            If something is between them; the grip is kept.
+        ZeroRefused
+            If they show no sound pads; the fingers are open.
+        """
+        collector, watch = self._collecting()
+        self._held = None
+        self._hand.open(self.watch)
+        most_n = min(_ZERO_FORCE_N, self._zero_force_max_n)
+        self._hand.meet(ForceRamp.linear(most_n, rate_n_s=_ZERO_RATE_N_S), watch)
+        layout = self._hand.layout
+        grasp = collector.grasp(self.pads, source=self._source, start_ms=self._next_start_ms())
+        try:
+            found = measure_zero(
+                grasp, collector.current_a, layout.gripping_pads, step_m=self._opening_step_m
+            )
+        except ValueError as error:
+            self._hand.release(self.watch)
+            raise ZeroRefused(f"no self-zero: {error}; measure again") from error
+        check_pads_met(found)
+        self._hand.release(self.watch)
+        refuse_unsound(found)
+        self.zero = found.zero
+        self._journal.note("self_zero", zero_text(found))
+        if dead := dead_taxels_text(found, layout):
+            self._journal.note("taxels", dead)
+        return found
+
     def _close(
         self, step: GraspStep, reached: Pose, label: str, looks: EarlyDecider | None
     ) -> GraspRecord:
@@ -190,6 +248,7 @@ class Grasper:
                 source=self._source,
                 start_ms=start_ms,
                 command=step.command,
+                zero=self.zero,
             ),
             step=step,
             reached=reached,
@@ -229,7 +288,11 @@ class Grasper:
         start_ms = self._next_start_ms()
         outcome = self._hand.squeeze(self._ramp(step), watch)
         further = collector.grasp(
-            self.pads, source=self._source, start_ms=start_ms, command=step.command
+            self.pads,
+            source=self._source,
+            start_ms=start_ms,
+            command=step.command,
+            zero=self.zero,
         )
         self._journal.note("ramp", f"further ramp to {step.force_n:.1f} N in the same grip")
         return GraspRecord(

@@ -83,16 +83,20 @@ class GraspCollector:
         self._apertures_m: list[float] = []
         self._forces_n: list[float] = []
         self._currents_a: list[float] = []
+        self._since_frame_a: list[float] = []
         self._cycles: list[Cycle] = []
 
     def add(self, cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
         """Take one period of the force loop and the frames that arrived in it."""
         self._cycles.append(cycle)
+        self._since_frame_a.append(cycle.state.current_a)
         for frame in frames:
             self._frames.append(frame)
             self._apertures_m.append(cycle.state.aperture_m)
             self._forces_n.append(cycle.setpoint_n)
-            self._currents_a.append(cycle.state.current_a)
+            self._currents_a.append(sum(self._since_frame_a) / len(self._since_frame_a))
+        if frames:
+            self._since_frame_a.clear()
 
     @property
     def n_frames(self) -> int:
@@ -109,7 +113,7 @@ class GraspCollector:
 
     @property
     def current_a(self) -> NDArray[np.float64]:
-        """Current of the motors in A at each frame, (n_frames,)."""
+        """Mean current of the motors in A from one frame to the next, (n_frames,)."""
         return np.array(self._currents_a)
 
     @property

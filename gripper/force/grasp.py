@@ -117,9 +117,7 @@ class GraspRun:
         set_phase: Callable[[GripperPhase], None],
     ) -> GraspOutcome:
         """Close the empty fingers onto each other and follow a ramp; see `Gripper.meet`."""
-        run = GraspRun(
-            self._runner, self._servos, self._linkage, meeting_settings(self._settings)
-        )
+        run = GraspRun(self._runner, self._servos, self._linkage, meeting_settings(self._settings))
         stiffness = StiffnessEstimate(self._settings)
         friction = FrictionEstimate(self._settings, self._linkage)
         self.forget()
@@ -134,9 +132,7 @@ class GraspRun:
                 f"by more than {ZERO_RANGE_M * 1e3:.0f} mm, as by a tooth of a horn. The grip is "
                 f"kept with {self._settings.contact_force_n:g} N. Look; clear the fault and release"
             )
-        step, final = run._press(
-            ramp, approach, contact, observer, set_phase, stiffness, friction
-        )
+        step, final = run._press(ramp, approach, contact, observer, set_phase, stiffness, friction)
         self._ramp_step = step
         if step.lost:
             raise _obstructed(final)
@@ -261,9 +257,7 @@ class GraspRun:
         """Look once whether the pads of fingers that have found nothing stop each other."""
         if self._closed_is_proven or not closes_farther(self._settings, state):
             return
-        run = GraspRun(
-            self._runner, self._servos, self._linkage, meeting_settings(self._settings)
-        )
+        run = GraspRun(self._runner, self._servos, self._linkage, meeting_settings(self._settings))
         run._closed(
             StiffnessEstimate(self._settings),
             FrictionEstimate(self._settings, self._linkage),

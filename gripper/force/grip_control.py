@@ -11,7 +11,7 @@ from gripper.force.loop import Moment
 from gripper.force.part_loss import BREAKAWAY_SHARE, PartWatch
 from gripper.impact import impact_limit
 from gripper.kinematics import Linkage, Transmission, transmissions
-from gripper.servos.goals import ServoGoal, closing_margin_rad
+from gripper.servos.goals import ServoGoal, closing_margin_rad, most_closed_rad
 from gripper.settings import GripperSettings
 from gripper.state import ForceSample, GripperState
 
@@ -127,6 +127,7 @@ class GripControl:
         self._apertures.add(now_s, state.aperture_m)
         self._contact_rad = state.angles_rad
         self._deepest_rad = state.angles_rad
+        self._least_rad = most_closed_rad(settings, linkage)
         self._touch_m = touch_m
         self._stop_rad: tuple[float, ...] | None = None
         self._widest_m = state.aperture_m + _GIVE_RAD * sum(
@@ -352,13 +353,14 @@ class GripControl:
         elif self._stop_rad is None:
             self._stop_rad = state.angles_rad
         stop_rad = self._stop_rad or (inf,) * len(paths)
-        for servo, path, settings, contact_rad, deepest_rad, widest_rad in zip(
+        for servo, path, settings, contact_rad, deepest_rad, widest_rad, least_rad in zip(
             state.servos,
             paths,
             self._settings.servos,
             self._contact_rad,
             self._deepest_rad,
             stop_rad,
+            self._least_rad,
             strict=True,
         ):
             current_a = min(
@@ -368,7 +370,7 @@ class GripControl:
             # In mode 5 the goal current is a magnitude: the side of the goal position is its sign.
             # A position that drifts open must not take a closing goal to the open side with it.
             if drive_n >= 0.0:
-                angle_rad = deepest_rad - margin_rad
+                angle_rad = max(deepest_rad - margin_rad, min(least_rad, servo.angle_rad))
             else:
                 angle_rad = min(servo.angle_rad + margin_rad, contact_rad + _GIVE_RAD, widest_rad)
             goals.append(ServoGoal(angle_rad=angle_rad, current_a=current_a))

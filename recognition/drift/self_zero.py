@@ -1,11 +1,13 @@
 """Self-zero: what empty fingers that press on each other show of a hand, and what has changed.
 
-Both pads feel one force, foam on foam. Locally the pressure of column (x, y) at the opening a is
+Both pads feel one force, foam on foam. Locally the pressure of the column (x, y) is
 
-    K * max(0, z + s_x x + s_y y - a)
+    max(0, c + g_x x + g_y y)    with    c = K (z - a)
 
-with the stiffness K of both foams in series, the opening z at which the middles of the pads meet,
-and the tilt s of the pads: fitted to all frames of the ramp at once, it gives z whatever the tilt.
+at the opening a: K is the stiffness of both foams in series, z the opening at which the middles of
+the pads meet, g / K their tilt. The footprints give g, and c for each frame; its growth over the
+opening gives K and z. The encoders count in steps as large as half of the way: what is read is
+taken for what it is, the middle of a step.
 """
 
 from dataclasses import dataclass
@@ -24,15 +26,24 @@ _LEAST_FRAMES = 4
 """Fewest frames of rest, and of the ramp."""
 _TOP_SHARE = 0.7
 """Share of the largest load from which on frames show which taxels answer."""
-_LEAST_FIT = 0.6
+_LEAST_FIT = 0.9
 """Least share of the footprint's variance that pads on each other leave explained: a part between
 them makes another footprint."""
 _DEAD_SHARE, _DEAD_SIGMAS = 0.25, 6.0
 """Share of its neighbours' load below which a taxel counts as dead, where that stands out so far
 from the noise."""
+_RISING_SHARE = 0.1
+"""Share of the largest pressure from which on a frame shows the stiffness."""
+_MIDDLES, _STIFFNESSES, _ZEROS = 400, 81, 161
+"""Points of the tables and grids of the fit."""
+_LATE_MM = 0.03
+"""What an opening is off by beside the step of the encoders, in mm: foam that is not linear, frames
+that come after their opening."""
+_ALIKE = 5.0
+"""Frames in a row that repeat one error of the opening."""
 _MODEL_SD_M = 5e-5
 """Error of the opening in m by foam that is not linear, and by its edges; simulated pads."""
-_MODEL_RATIO_SD, _MODEL_SCALE_SD, _MODEL_STIFFNESS_SD = 0.01, 0.03, 0.05
+_MODEL_RATIO_SD, _MODEL_SCALE_SD, _MODEL_STIFFNESS_SD = 0.02, 0.03, 0.05
 """The same of the logarithms: pads that are misaligned, friction that grows with the load."""
 _TORQUE_SD = 0.05
 """Standard deviation of the logarithm of the torque of a servo for its current, between days and
@@ -61,7 +72,11 @@ class ZeroMeasurement:
 
 
 def measure_zero(
-    grasp: Grasp, current_a: NDArray[np.float64], gripping: tuple[int, int]
+    grasp: Grasp,
+    current_a: NDArray[np.float64],
+    gripping: tuple[int, int],
+    *,
+    step_m: float,
 ) -> ZeroMeasurement:
     """Return what a ramp of the empty fingers on each other shows.
 
@@ -73,6 +88,8 @@ def measure_zero(
         (n_frames,) float64: current of the motors in A at each frame.
     gripping
         Numbers of the two pads in the layout.
+    step_m
+        Step in which the opening is read, in m: of the encoders of both fingers.
 
     Raises
     ------
@@ -100,12 +117,12 @@ def measure_zero(
     alike = np.array_equal(*(grasp.pads.pad_shape[pad] for pad in gripping))
     footprint = 0.5 * (evened[0] + evened[1]) if alike else evened[0]
     xy_m = grasp.pads.taxel_xy_m[taxels[0]]
-    opening_m = grasp.aperture_m[pressing]
-    plane = _fit_plane(footprint, xy_m, opening_m)
+    gradient, middle = _gradient(footprint, xy_m * 1e3)
+    met = _meeting(middle, grasp.aperture_m[pressing] * 1e3, step_m * 1e3)
     both = np.stack([e.sum(axis=1) for e in evened]).mean(axis=0)
     log_scale, log_scale_sd = _scale(both, current_a[pressing])
     top = both >= _TOP_SHARE * both.max()
-    shown = plane.pressure(xy_m, opening_m)[top].mean(axis=0)
+    shown = np.maximum(middle[top].mean() + xy_m @ gradient * 1e3, 0.0)
     spread = footprint[top].mean(axis=0)
     noise = np.concatenate([b.std(axis=0) for b in before]).mean() / np.sqrt(top.sum())
     unexplained = max(float(((spread - shown) ** 2).mean()) - noise**2, 0.0)
@@ -116,19 +133,20 @@ def measure_zero(
         for taxel, one, expected in zip(t, felt[top].mean(axis=0), shown, strict=True)
         if one < _DEAD_SHARE * expected and expected > _DEAD_SIGMAS * noise
     ]
+    per_mm = np.exp(met.log_counts_mm)
     return ZeroMeasurement(
         zero=SelfZero(
-            opening_m=plane.opening_m,
-            opening_sd_m=float(np.hypot(plane.opening_sd_m, _MODEL_SD_M)),
+            opening_m=met.zero_mm * 1e-3,
+            opening_sd_m=float(np.hypot(met.zero_sd_mm * 1e-3, _MODEL_SD_M)),
             log_gain_ratio=float(np.log(ratio)),
             log_gain_ratio_sd=float(np.hypot(ratio_sd, _MODEL_RATIO_SD)),
             log_scale=log_scale,
             log_scale_sd=float(np.hypot(log_scale_sd, _MODEL_SCALE_SD)),
-            log_stiffness=float(np.log(plane.counts_mm * footprint.shape[1])),
-            log_stiffness_sd=float(np.hypot(plane.log_counts_mm_sd, _MODEL_STIFFNESS_SD)),
+            log_stiffness=met.log_counts_mm + float(np.log(footprint.shape[1])),
+            log_stiffness_sd=float(np.hypot(met.log_counts_mm_sd, _MODEL_STIFFNESS_SD)),
         ),
-        tilt_rad=plane.tilt_rad,
-        fit=1.0 - unexplained / float((spread**2).mean()),
+        tilt_rad=(float(gradient[0] / per_mm), float(gradient[1] / per_mm)),
+        fit=float(1.0 - unexplained / (spread**2).mean()),
         dead=tuple(dead),
     )
 
@@ -172,66 +190,74 @@ def _common(taught: SelfZero, today: SelfZero) -> tuple[float, float]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class _Plane:
-    """Two plane pads on each other."""
+class _Meeting:
+    """Stiffness and opening of pads that meet: means and standard deviations."""
 
-    counts_mm: float
+    log_counts_mm: float
     log_counts_mm_sd: float
-    opening_m: float
-    opening_sd_m: float
-    tilt_rad: tuple[float, float]
-
-    def pressure(
-        self, xy_m: NDArray[np.float64], opening_m: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
-        """Return counts (n_frames, n_taxels)."""
-        values = np.array([self.counts_mm, self.opening_m * 1e3, *self.tilt_rad])
-        return _pressure(values, xy_m * 1e3, opening_m * 1e3)
+    zero_mm: float
+    zero_sd_mm: float
 
 
-def _pressure(
-    values: NDArray[np.float64], xy_mm: NDArray[np.float64], opening_mm: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    counts_mm, zero_mm, tilt_x, tilt_y = values
-    reach_mm = zero_mm + xy_mm @ np.array([tilt_x, tilt_y])
-    pressure: NDArray[np.float64] = counts_mm * np.maximum(reach_mm - opening_mm[:, None], 0.0)
-    return pressure
+def _gradient(
+    footprint: NDArray[np.float64], xy_mm: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return g (2,) in counts/mm and c (n_frames,) in counts of footprints (n_frames, n_taxels)."""
+    load = np.maximum(footprint.mean(axis=1), 0.0)
+    top = footprint[load >= _TOP_SHARE * load.max()].mean(axis=0)
+
+    def plane(gradient: NDArray[np.float64], wanted: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return c at which the mean of the plane's pressures is as wanted."""
+        lean = xy_mm @ gradient
+        middle = np.linspace(-np.abs(lean).max(), np.abs(lean).max() + wanted.max(), _MIDDLES)
+        mean = np.maximum(middle[:, None] + lean, 0.0).mean(axis=1)
+        found: NDArray[np.float64] = np.interp(wanted, mean, middle)
+        return found
+
+    def misfit(gradient: NDArray[np.float64]) -> NDArray[np.float64]:
+        pressed = np.maximum(plane(gradient, top.mean(keepdims=True)) + xy_mm @ gradient, 0.0)
+        return pressed - top
+
+    start = np.linalg.lstsq(np.column_stack([xy_mm, np.ones(len(xy_mm))]), top, rcond=None)[0][:2]
+    gradient = least_squares(misfit, start).x
+    return gradient, plane(gradient, load)
 
 
-def _fit_plane(
-    footprint: NDArray[np.float64], xy_m: NDArray[np.float64], opening_m: NDArray[np.float64]
-) -> _Plane:
-    """Fit the pressure of two plane pads to the footprints (n_frames, n_taxels) of a ramp."""
-    xy_mm, opening_mm = xy_m * 1e3, opening_m * 1e3
-    mean = footprint.mean(axis=1)
-    closing_mm = max(float(np.ptp(opening_mm)), 1e-2)
-    start = np.array([float(np.ptp(mean)) / closing_mm, float(opening_mm.max()), 0.0, 0.0])
-    # The side that carries more shows the way of the tilt.
-    moment = footprint.mean(axis=0) @ xy_mm / max(float(footprint.mean(axis=0).sum()), 1e-9)
-    start[2:] = moment / np.maximum(xy_mm.var(axis=0), 1e-9) * closing_mm
-    found = least_squares(
-        lambda values: (_pressure(values, xy_mm, opening_mm) - footprint).ravel(),
-        start,
-        x_scale=[max(start[0], 1e-3), 0.1, 0.01, 0.01],
-    )
-    residual = float((found.fun**2).sum()) / max(len(found.fun) - 4, 1)
-    covariance = residual * np.linalg.pinv(found.jac.T @ found.jac)
-    sds = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    counts_mm = max(float(found.x[0]), 1e-6)
-    return _Plane(
-        counts_mm=counts_mm,
-        log_counts_mm_sd=float(sds[0]) / counts_mm,
-        opening_m=float(found.x[1]) * 1e-3,
-        opening_sd_m=float(sds[1]) * 1e-3,
-        tilt_rad=(float(found.x[2]), float(found.x[3])),
+def _meeting(
+    middle: NDArray[np.float64], opening_mm: NDArray[np.float64], step_mm: float
+) -> _Meeting:
+    """Return stiffness and zero by the middle's pressures and the openings read, both (n_frames,).
+
+    What is read lies within a step of the encoders, and frames come late by a little. Stiffness and
+    zero are hypotheses on a grid, all stiffnesses as likely by their logarithm.
+    """
+    rising = middle >= _RISING_SHARE * middle.max()
+    middle, opening_mm = middle[rising], opening_mm[rising]
+    least = np.ptp(middle) / (np.ptp(opening_mm) + 2.0 * step_mm)
+    log_k = np.log(max(least, 1e-6)) + np.linspace(-0.5, 1.0, _STIFFNESSES)
+    # The zero that each frame shows under each stiffness, up to what its step hides.
+    shown_mm = opening_mm + middle / np.exp(log_k)[:, None]
+    zero_mm = np.linspace(shown_mm.mean(axis=1).min(), shown_mm.mean(axis=1).max(), _ZEROS)
+    beyond = np.abs(shown_mm[:, None, :] - zero_mm[:, None]) - 0.5 * step_mm
+    misfit = (np.maximum(beyond, 0.0) ** 2).mean(axis=2) / (_LATE_MM**2)
+    weight = np.exp(-0.5 * len(middle) / _ALIKE * (misfit - misfit.min()))
+    weight /= weight.sum()
+    of_k, of_zero = weight.sum(axis=1), weight.sum(axis=0)
+    mean_k, mean_zero = float(of_k @ log_k), float(of_zero @ zero_mm)
+    return _Meeting(
+        log_counts_mm=mean_k,
+        log_counts_mm_sd=float(np.sqrt(of_k @ (log_k - mean_k) ** 2)),
+        zero_mm=mean_zero,
+        zero_sd_mm=float(np.sqrt(of_zero @ (zero_mm - mean_zero) ** 2)),
     )
 
 
 def _ratio(load: NDArray[np.float64]) -> tuple[float, float]:
     """Return the ratio of two loads (2, n_frames) and the deviation of its logarithm."""
-    ratio = float(load[0] @ load[0] / (load[0] @ load[1])) ** 0.5 * float(
-        load[0] @ load[1] / (load[1] @ load[1])
-    ) ** 0.5
+    ratio = (
+        float(load[0] @ load[0] / (load[0] @ load[1])) ** 0.5
+        * float(load[0] @ load[1] / (load[1] @ load[1])) ** 0.5
+    )
     off = load[0] / ratio - load[1]
     return ratio, float(off.std() / np.sqrt(load.shape[1]) / load.mean())
 

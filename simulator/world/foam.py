@@ -121,7 +121,9 @@ class ForceTable:
         Highest point of the surface in m.
     """
 
-    def __init__(self, foam: Foam | FoamPair, reach_m: NDArray[np.float64], cell_area_m2: float) -> None:
+    def __init__(
+        self, foam: Foam | FoamPair, reach_m: NDArray[np.float64], cell_area_m2: float
+    ) -> None:
         surface_m = reach_m[np.isfinite(reach_m)]
         if surface_m.size == 0:
             raise SimulatorSettingsError(

@@ -87,9 +87,7 @@ class PadsMeet:
         How they stand to each other.
     """
 
-    def __init__(
-        self, grids: tuple[PadGrid, ...], foams: tuple[Foam, Foam], pair: PadPair
-    ) -> None:
+    def __init__(self, grids: tuple[PadGrid, ...], foams: tuple[Foam, Foam], pair: PadPair) -> None:
         self._grids = grids
         self._foam = FoamPair(foams)
         self._pair = pair

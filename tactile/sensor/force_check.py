@@ -49,6 +49,9 @@ _CENTRE_N_TAXELS = 1.0
 cylinder of 4 mm in the simulated cell with twice its usual noise."""
 _CENTRE_LEAST_N = 1.0
 """Grip force in N from which on the centres are compared."""
+_SPREAD_TAXELS = 4.0
+"""Distance in pitches of the centre of the force below the threshold from that of all of it: a
+spread load leaves out other taxels in the frames than in the messages."""
 _KEPT = 64
 """Messages kept: 0.13 s at 500 a second, more than a burst takes."""
 _ADVICE = (
@@ -174,16 +177,18 @@ class ForceCheck:
 
     def _check_centre(self) -> None:
         """Raise ForceContradicted where the last frames have another centre than the messages."""
-        along = across = 0.0
+        along = across = below = 0.0
         force_n = inf
         for n, pair in enumerate(self._pairs, 1):
             if pair.apart_taxels is None:
                 return
             along += pair.apart_taxels[0]
             across += pair.apart_taxels[1]
+            below += pair.below_share
             force_n = min(force_n, sum(pair.frame_n) / 2.0)
             apart = max(abs(along), abs(across)) / n
             allowed = _CENTRE_TAXELS + _SIGMAS * _CENTRE_N_TAXELS / force_n / sqrt(n)
+            allowed += _SPREAD_TAXELS * max(below, 0.0) / n
             if n in _WINDOWS and apart > allowed:
                 where = f"is {apart:.2f} pitches of the taxels away from that in"
                 if isinf(apart):
@@ -199,7 +204,8 @@ class _Pair:
     """Frame and messages of one scan: what each shows, and how far they are apart.
 
     ``apart_n`` is the force in the frame less that in the messages; ``above_n`` and ``below_n`` are
-    what it may be either way however small the noise.
+    what it may be either way however small the noise. ``below_share`` is the share of the force on
+    taxels of the frame that are below their threshold, with its noise.
     """
 
     frame_n: tuple[float, float]
@@ -209,6 +215,7 @@ class _Pair:
     below_n: tuple[float, float]
     noise_n: float
     apart_taxels: tuple[float, float] | None
+    below_share: float
 
     @classmethod
     def of(
@@ -217,6 +224,7 @@ class _Pair:
         """Return the pair of a frame and the messages from around its scan."""
         first_n = _mean(message.force_n[0] for message in messages)
         second_n = _mean(message.force_n[1] for message in messages)
+        grip_n = 0.5 * (first_n + second_n)
         most_n = _OUTLIER_SIGMAS * frame.noise_n
         unseen_n = max(_UNSEEN_N, _UNSEEN_SIGMAS * taxel_noise_n)
         apart_n, above_n, below_n = [], [], []
@@ -238,7 +246,9 @@ class _Pair:
             above_n=(above_n[0], above_n[1]),
             below_n=(below_n[0], below_n[1]),
             noise_n=frame.noise_n,
-            apart_taxels=_centres_apart(messages, frame, 0.5 * (first_n + second_n)),
+            apart_taxels=_centres_apart(messages, frame, grip_n),
+            below_share=(0.5 * (sum(frame.whole_n) - sum(frame.force_n)))
+            / max(grip_n, _CENTRE_LEAST_N),
         )
 
 
