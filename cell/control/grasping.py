@@ -24,13 +24,13 @@ from cell.control.lifecycle import CellLifecycle
 from cell.control.plan import GraspStep, Pose
 from cell.control.positioner import PatientCaller, Positioner
 from cell.control.records import GraspCollector, GraspRecord, pad_array
-from cell.data.dataset import text_refused
 from cell.control.self_zero import (
     check_pads_met,
     dead_taxels_text,
     refuse_unsound,
     zero_text,
 )
+from cell.data.dataset import text_refused
 from cell.errors import CellStateError, NoPartFound, PlanRefused, ZeroRefused
 from cell.hand.interface import Hand, Watch
 from gripper.force.ramp import ForceRamp

@@ -16,7 +16,7 @@ from tactile.layout import TaxelLayout
 When = Literal["always", "daily", "on_demand", "never"]
 
 _MOST_TILT_RAD = math.radians(4.0)
-"""Largest tilt of pads that lie on each other, in rad: beyond it a finger is bent or a pad loose."""
+"""Largest tilt in rad of pads that lie on each other: beyond it a finger is bent, a pad loose."""
 _MOST_RATIO = 1.6
 """Largest ratio of the gains of both pads: beyond it a grasp ends with fingers that press
 differently (`gripper.limits.imbalance_share`)."""
@@ -93,9 +93,9 @@ def check_pads_met(found: ZeroMeasurement) -> None:
     if not found.pads_met:
         raise PartBetweenFingers(
             f"the empty fingers were to meet, and the pads show another footprint than their own "
-            f"(two plane pads explain {100 * max(found.fit, 0.0):.0f} % of it) at an opening of "
-            f"{found.zero.opening_m * 1e3:.1f} mm: something is between them, or a pad is damaged. "
-            f"The grip is kept. Look; clear the fault and release"
+            f"(two plane pads explain {100 * max(found.fit, 0.0):.0f} % of it) near an opening of "
+            f"{found.zero.opening_m * 1e3:.1f} mm: something is between them, or a pad is "
+            f"damaged. The grip is kept. Look; clear the fault and release"
         )
 
 

@@ -1,7 +1,7 @@
 """One grasp: approach, contact, ramp, settling; then holding, backing off and further ramps."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import inf
 
 from gripper.errors import GripContradicted, LimitExceeded, PartBetweenFingers, PartLost
@@ -80,13 +80,12 @@ class GraspRun:
     ) -> GraspOutcome:
         """Approach, then follow the ramp to its end, or until it is ended on request."""
         self.forget()
-        stiffness = StiffnessEstimate(self._settings)
-        friction = FrictionEstimate(self._settings, self._linkage)
         with self._end.counting():
-            approach, contact = self._approach(stiffness, friction, observer)
-            if approach.event is ApproachEvent.OBSTRUCTED:
+            reached = self._approach(self._settings, observer)
+            contact = reached.state
+            if reached.event is ApproachEvent.OBSTRUCTED:
                 raise _obstructed(contact)
-            if approach.event is not ApproachEvent.CONTACT:
+            if reached.event is not ApproachEvent.CONTACT:
                 closing = -contact.aperture_velocity_m_s > STALL_SPEED_M_S
                 closed = contact.aperture_m <= self._settings.aperture_min_m
                 self._confirm_empty(
@@ -99,13 +98,11 @@ class GraspRun:
                 set_phase(GripperPhase.APPROACHING)
                 self._prove_closed(contact, observer)
                 return _without_contact(contact)
-            step, final = self._press(
-                ramp, approach, contact, observer, set_phase, stiffness, friction
-            )
+            step, final = self._press(ramp, reached, observer, set_phase)
         if step.lost:
             ran = step.control is not None and step.control.ran
             self._confirm_empty(
-                final, observer, set_phase, ran=ran, stiffness_n_m=stiffness.stiffness_n_m
+                final, observer, set_phase, ran=ran, stiffness_n_m=reached.stiffness.stiffness_n_m
             )
             self.forget()
         return step.outcome(final)
@@ -117,13 +114,11 @@ class GraspRun:
         set_phase: Callable[[GripperPhase], None],
     ) -> GraspOutcome:
         """Close the empty fingers onto each other and follow a ramp; see `Gripper.meet`."""
-        run = GraspRun(self._runner, self._servos, self._linkage, meeting_settings(self._settings))
-        stiffness = StiffnessEstimate(self._settings)
-        friction = FrictionEstimate(self._settings, self._linkage)
         self.forget()
-        approach, contact = run._closed(stiffness, friction, observer)
+        reached = self._closed(observer)
+        contact = reached.state
         self._closed_is_proven = True
-        if approach.event is ApproachEvent.OBSTRUCTED:
+        if reached.event is ApproachEvent.OBSTRUCTED:
             raise _obstructed(contact)
         if contact.aperture_m > ZERO_RANGE_M:
             raise PartBetweenFingers(
@@ -132,8 +127,7 @@ class GraspRun:
                 f"by more than {ZERO_RANGE_M * 1e3:.0f} mm, as by a tooth of a horn. The grip is "
                 f"kept with {self._settings.contact_force_n:g} N. Look; clear the fault and release"
             )
-        step, final = run._press(ramp, approach, contact, observer, set_phase, stiffness, friction)
-        self._ramp_step = step
+        step, final = self._press(ramp, reached, observer, set_phase)
         if step.lost:
             raise _obstructed(final)
         return step.outcome(final)
@@ -141,23 +135,20 @@ class GraspRun:
     def _press(
         self,
         ramp: ForceRamp,
-        approach: Approach,
-        contact: GripperState,
+        reached: "_Reached",
         observer: Observer | None,
         set_phase: Callable[[GripperPhase], None],
-        stiffness: StiffnessEstimate,
-        friction: FrictionEstimate,
     ) -> tuple["RampStep", GripperState]:
         """Follow a ramp on what was touched; return its step and the last feedback."""
         set_phase(GripperPhase.RAMPING)
         self._ramp_step = step = RampStep(
-            self._settings,
+            reached.settings,
             self._linkage,
             ramp,
-            contact,
-            touch_m=approach.touch_m,
-            stiffness=stiffness,
-            friction_share=friction.friction_share(),
+            reached.state,
+            touch_m=reached.touch_m,
+            stiffness=reached.stiffness,
+            friction_share=reached.friction_share,
             end=self._end,
         )
         final = self._runner.run(GripperPhase.RAMPING, step.step, observer, needs_force=True)
@@ -224,14 +215,11 @@ class GraspRun:
         step = BackOffStep(self._settings, control, ramp)
         return self._runner.run(GripperPhase.BACKING_OFF, step.step, observer, needs_force=True)
 
-    def _approach(
-        self,
-        stiffness: StiffnessEstimate,
-        friction: FrictionEstimate,
-        observer: Observer | None,
-    ) -> tuple[Approach, GripperState]:
+    def _approach(self, settings: GripperSettings, observer: Observer | None) -> "_Reached":
         """Close until the contact, or the end of the way, and feed the estimates."""
-        approach = Approach(self._settings, self._linkage, self._servos.read_patiently())
+        approach = Approach(settings, self._linkage, self._servos.read_patiently())
+        stiffness = StiffnessEstimate(self._settings)
+        friction = FrictionEstimate(self._settings, self._linkage)
 
         def step(moment: Moment) -> Action:
             stiffness.push(moment)
@@ -239,31 +227,42 @@ class GraspRun:
             return approach.step(moment)
 
         state = self._runner.run(GripperPhase.APPROACHING, step, observer, needs_force=True)
-        return approach, state
+        return _Reached(
+            settings=settings,
+            event=approach.event,
+            state=state,
+            touch_m=approach.touch_m,
+            stiffness=stiffness,
+            friction_share=friction.friction_share(),
+        )
 
-    def _closed(
-        self,
-        stiffness: StiffnessEstimate,
-        friction: FrictionEstimate,
-        observer: Observer | None,
-    ) -> tuple[Approach, GripperState]:
-        """Approach to the end of the way; MechanicsContradicted where nothing stops the fingers."""
-        approach, state = self._approach(stiffness, friction, observer)
-        if approach.event is ApproachEvent.LIMIT:
-            raise not_met(self._settings, self._linkage, state)
-        return approach, state
+    def _closed(self, observer: Observer | None) -> "_Reached":
+        """Close until the pads meet; MechanicsContradicted where nothing stops the fingers."""
+        reached = self._approach(meeting_settings(self._settings), observer)
+        if reached.event is ApproachEvent.LIMIT:
+            raise not_met(self._settings, self._linkage, reached.state)
+        return reached
 
     def _prove_closed(self, state: GripperState, observer: Observer | None) -> None:
         """Look once whether the pads of fingers that have found nothing stop each other."""
-        if self._closed_is_proven or not closes_farther(self._settings, state):
-            return
-        run = GraspRun(self._runner, self._servos, self._linkage, meeting_settings(self._settings))
-        run._closed(
-            StiffnessEstimate(self._settings),
-            FrictionEstimate(self._settings, self._linkage),
-            observer,
-        )
-        self._closed_is_proven = True
+        if not self._closed_is_proven and closes_farther(self._settings, state):
+            self._closed(observer)
+            self._closed_is_proven = True
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Reached:
+    """How an approach ended: event, feedback, opening of the first touch, estimates on the way.
+
+    ``settings`` are those of the gripper, or those with which empty fingers meet.
+    """
+
+    settings: GripperSettings
+    event: ApproachEvent
+    state: GripperState
+    touch_m: float
+    stiffness: StiffnessEstimate
+    friction_share: float
 
 
 class RampStep:

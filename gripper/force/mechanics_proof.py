@@ -87,6 +87,10 @@ _QUIET_N, _SAMPLES, _LONGEST_S = 0.15, 3, 0.06
 ZERO_RANGE_M = 0.006
 """Largest error of the zero of the opening in m that counts as one, either way: empty fingers meet
 within it. A tooth of a horn is 15 mm on a link of 60 mm."""
+_PADS_GIVE_M = 0.001
+"""What pads give that press on each other, in m."""
+_LONGER = 3.0
+"""Factor on ``contact_timeout_s`` where the fingers are to go all the way."""
 _LARGEST_MIN_M = 0.002
 """Largest ``aperture_min_m`` in m from which the fingers close farther to find each other."""
 
@@ -344,7 +348,11 @@ class _Finger:
 
 def meeting_settings(settings: GripperSettings) -> GripperSettings:
     """Return settings with which an approach goes on until the pads of empty fingers meet."""
-    return replace(settings, aperture_min_m=-ZERO_RANGE_M)
+    return replace(
+        settings,
+        aperture_min_m=-(ZERO_RANGE_M + _PADS_GIVE_M),
+        contact_timeout_s=min(_LONGER * settings.contact_timeout_s, 60.0),
+    )
 
 
 def not_met(

@@ -215,8 +215,9 @@ def _gradient(
         return found
 
     def misfit(gradient: NDArray[np.float64]) -> NDArray[np.float64]:
-        pressed = np.maximum(plane(gradient, top.mean(keepdims=True)) + xy_mm @ gradient, 0.0)
-        return pressed - top
+        middle = plane(gradient, top.mean(keepdims=True))
+        off: NDArray[np.float64] = np.maximum(middle + xy_mm @ gradient, 0.0) - top
+        return off
 
     start = np.linalg.lstsq(np.column_stack([xy_mm, np.ones(len(xy_mm))]), top, rcond=None)[0][:2]
     gradient = least_squares(misfit, start).x
