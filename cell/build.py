@@ -27,7 +27,7 @@ from cell.control.positioner import (
     Supervise,
 )
 from cell.control.records import pad_array
-from cell.control.self_zero import SelfZeros
+from cell.control.self_zero import SelfZeros, zero_file
 from cell.data.recorder import Recorder, Tap
 from cell.errors import ConfigError
 from cell.hand.build import SHARED_PROCESS, make_hand, open_hand
@@ -256,7 +256,7 @@ def build_cell(
             zeros=SelfZeros(
                 config.self_zero,
                 pads_meet=config.gripper.pads_meet,
-                path=None if folder is None else _zero_path(config, folder.parent),
+                path=None if folder is None else zero_file(folder.parent, config.name),
             ),
         )
         undo.callback(controller.shutdown)
@@ -274,12 +274,6 @@ def _opening_step_m(linkage: Linkage) -> float:
     """Return the step in m in which the servos read the opening of closed fingers."""
     closed_rad = linkage.angles_rad(0.0)
     return sum(map(linkage.opening_per_rad_m, closed_rad)) * RAD_PER_PULSE
-
-
-def _zero_path(config: CellConfig, directory: Path) -> Path:
-    """Return the file that keeps the self-zero of a cell beside the folders of its jobs."""
-    name = "".join(sign if sign.isalnum() else "-" for sign in config.name)
-    return directory / f"self-zero-{name}.json"
 
 
 def _hand(config: CellConfig, simulated: SimulatedCell | None, *, partial: bool) -> Hand:

@@ -1,5 +1,6 @@
 """The simulated cell as the config describes it: the one place where the simulator is wired in."""
 
+import math
 from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
@@ -31,6 +32,7 @@ from simulator.faults.injector import VOCABULARY, check_fault
 from simulator.servo.mechanics import FingerLinkage, ParallelogramLinkage, RackLinkage, ServoMount
 from simulator.servo.wrist import WristMount
 from simulator.settings import RecordedGrasp, SimulatedServoSettings, SimulatorSettings
+from simulator.world.press import PadPair
 from simulator.world.shape_files import parse_shape
 from simulator.world.shapes import ObjectPose, Shape
 from simulator.world.taxels import NoiseModel, SensorLaw
@@ -104,6 +106,15 @@ def simulator_settings(
             else config.tactile.serial_number,
             board_serial_numbers=config.tactile.board_serial_numbers or (1, 2),
             mounts=() if grasps else pad_mounts(config.tactile),
+            pads=PadPair(
+                shift_m=(1e-3 * settings.pads.shift_mm[0], 1e-3 * settings.pads.shift_mm[1]),
+                tilt_rad=(
+                    math.radians(settings.pads.tilt_deg[0]),
+                    math.radians(settings.pads.tilt_deg[1]),
+                ),
+                gains=settings.pads.gains,
+                stiffness=settings.pads.stiffness,
+            ),
             law=sensor_law(config),
             noise=NoiseModel(kind=settings.noise, level=settings.noise_level),
             seed=config.seed,

@@ -40,6 +40,27 @@ class SimulatedObjectConfig(Section):
     """Shape as text, as `cylinder:diameter=6mm,length=20mm` or `mesh:file=part.stl`."""
 
 
+Share = Annotated[float, Field(ge=0.1, le=10.0)]
+
+
+class SimulatedPadsConfig(Section):
+    """How the two gripping pads of the simulated cell stand to each other, and how they differ."""
+
+    shift_mm: tuple[
+        Annotated[float, Field(ge=-5.0, le=5.0)], Annotated[float, Field(ge=-5.0, le=5.0)]
+    ] = (0.0, 0.0)
+    """How far finger 1's pad lies beside finger 0's, along the fingers and across, in mm, -5 to 5.
+    """
+    tilt_deg: tuple[
+        Annotated[float, Field(ge=-10.0, le=10.0)], Annotated[float, Field(ge=-10.0, le=10.0)]
+    ] = (0.0, 0.0)
+    """How far the gap between them closes along the fingers and across, in degrees, -10 to 10."""
+    gains: tuple[Share, Share] = (1.0, 1.0)
+    """Factors on the force that the taxels of finger 0 and finger 1 feel, 0.1 to 10."""
+    stiffness: tuple[Share, Share] = (1.0, 1.0)
+    """Factors on the stiffness of the foam of finger 0 and finger 1, 0.1 to 10."""
+
+
 class SimulatorConfig(Section):
     """The simulated cell; read only where a port is `simulated`, or by `simulate`."""
 
@@ -59,6 +80,8 @@ class SimulatorConfig(Section):
     """Noise of each taxel and frame; the paper's is a normal value clipped to 1 to 20 of 255."""
     noise_level: float = Field(default=1.0, ge=0.0, le=2.5)
     """Factor on the noise, 0 to 2.5; 1 is the paper's."""
+    pads: SimulatedPadsConfig = SimulatedPadsConfig()
+    """How the pads differ and stand; the fault `servo1.horn=20` moves the zero of the opening."""
     faults: tuple[Annotated[str, Field(min_length=1, max_length=200)], ...] = Field(
         default=(), max_length=100
     )

@@ -24,6 +24,12 @@ _MOST_BYTES = 10_000
 """Longest file of a self-zero."""
 
 
+def zero_file(directory: Path, cell_name: str) -> Path:
+    """Return the file that keeps the self-zero of a cell beside the folders of its jobs."""
+    name = "".join(sign if sign.isalnum() else "-" for sign in cell_name)
+    return directory / f"self-zero-{name}.json"
+
+
 class SelfZeros:
     """The newest self-zero of a cell, and when the next one is due.
 
@@ -36,6 +42,13 @@ class SelfZeros:
     path
         File that keeps it from program to program; None: this program alone has it. One that cannot
         be read counts as none.
+
+    Attributes
+    ----------
+    newest
+        The newest self-zero; None where there is none.
+    day
+        The day of its measurement, as 2027-05-31; empty where there is none.
     """
 
     def __init__(
@@ -44,7 +57,7 @@ class SelfZeros:
         self._when = when
         self._pads_meet = pads_meet
         self._path = path
-        self._day = ""
+        self.day = ""
         self.newest: SelfZero | None = None
         if path is not None and when != "never":
             self._read(path)
@@ -52,7 +65,7 @@ class SelfZeros:
     @property
     def due(self) -> bool:
         """Whether a start measures it now."""
-        return self._when == "always" or (self._when == "daily" and self._day != _today())
+        return self._when == "always" or (self._when == "daily" and self.day != _today())
 
     def check(self) -> None:
         """Raise PlanRefused where these fingers have no self-zero."""
@@ -66,10 +79,10 @@ class SelfZeros:
 
     def keep(self, zero: SelfZero) -> None:
         """Keep a self-zero that was measured now; raises CellError where it cannot be written."""
-        self.newest, self._day = zero, _today()
+        self.newest, self.day = zero, _today()
         if self._path is not None:
             self._path.parent.mkdir(parents=True, exist_ok=True)
-            text = json.dumps({"day": self._day} | zero_values(zero), indent=1)
+            text = json.dumps({"day": self.day} | zero_values(zero), indent=1)
             write_atomically(
                 self._path,
                 lambda file: file.write(text.encode()),
@@ -83,7 +96,7 @@ class SelfZeros:
                 return
             values = json.loads(path.read_text())
             self.newest = SelfZero.from_values([values[name] for name in ZERO_COLUMNS])
-            self._day = str(values["day"])
+            self.day = str(values["day"])
         except (OSError, ValueError, KeyError, TypeError):
             self.newest = None
 

@@ -21,6 +21,9 @@ thickness_mm   float32 (n_grasps,)         of the object along the closing axis 
                                            NaN where unknown; optional
 pose           float64 (n_grasps, 5)       commanded: ``recognition.grasp.COMMAND_COLUMNS``;
                                            a row of NaN where unknown; optional
+self_zero      float64 (n_grasps, 8)       what the empty fingers showed before:
+                                           ``recognition.grasp.ZERO_COLUMNS``; a row of NaN where
+                                           it was not measured; optional
 ============== =========================== ======================================================
 """
 
@@ -34,7 +37,14 @@ from numpy.typing import NDArray
 
 from cell.data.files import read_npz, savez, write_atomically
 from cell.errors import DatasetError
-from recognition.grasp import COMMAND_COLUMNS, Grasp, GraspCommand, PadArray
+from recognition.grasp import (
+    COMMAND_COLUMNS,
+    ZERO_COLUMNS,
+    Grasp,
+    GraspCommand,
+    PadArray,
+    SelfZero,
+)
 from recognition.recognizer import UNKNOWN
 
 RANGES = {
@@ -143,7 +153,7 @@ _REQUIRED = (
     "label",
     "start_ms",
 )
-_OPTIONAL = ("force_n", "shape", "source", "thickness_mm", "pose")
+_OPTIONAL = ("force_n", "shape", "source", "thickness_mm", "pose", "self_zero")
 _MAX_TEXT = 200
 """Characters of a text in a data set."""
 _MAX_TAXELS = 1 << 16
@@ -239,9 +249,13 @@ def _arrays_of(path: Path, grasps: Sequence[Grasp]) -> dict[str, NDArray[Any]]:
         texts = [getattr(grasp, name) for grasp in grasps]
         if any(texts):
             arrays[name] = np.array(texts, dtype=np.str_)
-    if any(grasp.command for grasp in grasps):
-        unknown = (np.nan,) * len(COMMAND_COLUMNS)
-        arrays["pose"] = np.array([g.command.values if g.command else unknown for g in grasps])
+    for name, columns, rows in (
+        ("pose", COMMAND_COLUMNS, [grasp.command for grasp in grasps]),
+        ("self_zero", ZERO_COLUMNS, [grasp.zero for grasp in grasps]),
+    ):
+        if any(rows):
+            unknown = (np.nan,) * len(columns)
+            arrays[name] = np.array([row.values if row else unknown for row in rows])
     for name in RANGES.keys() & arrays.keys():
         values = arrays[name][:, :2] if name == "pose" else arrays[name]
         if wrong := beyond_range(name, values):
@@ -317,15 +331,29 @@ class _Checker:
                 raise self._refuse(name, f"of grasp {i} {wrong}")
         return texts
 
-    def _placings(self, n_grasps: int) -> list[GraspCommand | None]:
-        if "pose" not in self._arrays:
+    def _rows(self, name: str, columns: Sequence[str], n_grasps: int) -> list[list[float] | None]:
+        """Return an optional array of a row for each grasp; None where a row is not known."""
+        if name not in self._arrays:
             return [None] * n_grasps
-        rows = self._floats("pose", (n_grasps, len(COMMAND_COLUMNS)), nan=True)
-        self._allow("pose", beyond_range("pose", rows[:, :2]))
+        rows = self._floats(name, (n_grasps, len(columns)), nan=True)
+        if name in RANGES:
+            self._allow(name, beyond_range(name, rows[:, :2]))
         unknown = np.isnan(rows)
         if np.any(unknown.any(axis=1) != unknown.all(axis=1)):
-            raise self._refuse("pose", "has a row that is known in part; write it or NaN alone")
-        return [None if np.isnan(row[0]) else GraspCommand.from_values(row) for row in rows]
+            raise self._refuse(name, "has a row that is known in part; write it or NaN alone")
+        return [None if np.isnan(row[0]) else row.tolist() for row in rows]
+
+    def _zeros(self, n_grasps: int) -> list[SelfZero | None]:
+        """Return the self-zeros; grasps of one session share one."""
+        known: dict[tuple[float, ...], SelfZero] = {}
+        found: list[SelfZero | None] = []
+        for row in self._rows("self_zero", ZERO_COLUMNS, n_grasps):
+            try:
+                zero = None if row is None else SelfZero.from_values(row)
+            except ValueError as error:
+                raise self._refuse("self_zero", str(error)) from error
+            found.append(None if zero is None else known.setdefault(zero.values, zero))
+        return found
 
     def _pads(self) -> PadArray:
         adc_max = int(self._ints("adc_max", ()))
@@ -384,7 +412,8 @@ class _Checker:
         start_ms = self._ints("start_ms", (n_grasps,))
         self._allow("start_ms", beyond_range("start_ms", start_ms))
         texts = [self._texts(name, n_grasps) for name in ("label", "shape", "source")]
-        placings = self._placings(n_grasps)
+        placings = self._rows("pose", COMMAND_COLUMNS, n_grasps)
+        zeros = self._zeros(n_grasps)
         return tuple(
             Grasp(
                 pads=pads,
@@ -397,7 +426,8 @@ class _Checker:
                 source=texts[2][i],
                 start_ms=int(start_ms[i]),
                 thickness_m=float(thickness_m[i]),
-                command=placings[i],
+                command=None if (asked := placings[i]) is None else GraspCommand.from_values(asked),
+                zero=zeros[i],
             )
             for i, (first, last) in enumerate(itertools.pairwise(offsets))
         )

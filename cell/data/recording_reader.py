@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from cell.data import recording_schema as schema
 from cell.data.dataset import text_refused
 from cell.errors import RecordingError
-from recognition.grasp import Grasp, GraspCommand, PadArray
+from recognition.grasp import Grasp, GraspCommand, PadArray, SelfZero
 
 MAX_FILE_BYTES = 1 << 30
 """Size of a recording that is read."""
@@ -404,6 +404,7 @@ class _Builder:
                     source=str(row["source"]),
                     start_ms=int(row["start_ms"]),
                     command=GraspCommand.from_values(row["asked"]) if "asked" in row else None,
+                    zero=SelfZero.from_values(row["self_zero"]) if "self_zero" in row else None,
                 )
             )
         return tuple(grasps), tuple(grasp_t_s), len(rows) - len(grasps)

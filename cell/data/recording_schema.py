@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from recognition.grasp import COMMAND_COLUMNS
+from recognition.grasp import COMMAND_COLUMNS, ZERO_COLUMNS
 
 if TYPE_CHECKING:
     pass
@@ -210,6 +210,7 @@ SCHEMAS: Final[Mapping[str, Mapping[str, Any]]] = {
         aperture_m=_numbers("opening at each frame, m; left out unless known for each"),
         force_n=_numbers("commanded grip force at each frame, N; left out unless known for each"),
         asked=_numbers("pose and force asked for: " + ", ".join(COMMAND_COLUMNS)),
+        self_zero=_numbers("what the empty fingers showed before: " + ", ".join(ZERO_COLUMNS)),
         counts_crc32=_integer("CRC-32 over the counts of all frames as uint16, little endian"),
     ),
     RESULT: _schema(

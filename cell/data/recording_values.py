@@ -84,6 +84,8 @@ def grasp_values(grasp: "Grasp", *, first_frame: int) -> dict[str, Any]:
             values[name] = array.round(9).tolist()
     if grasp.command is not None:
         values["asked"] = [round(value, 9) for value in grasp.command.values]
+    if grasp.zero is not None:
+        values["self_zero"] = [round(value, 9) for value in grasp.zero.values]
     return values
 
 

@@ -14,6 +14,7 @@ from cell.build import Cell, build_cell
 from cell.commissioning.engine import Verdict
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config, make_calibration
+from cell.control.self_zero import SelfZeros, zero_file
 from cell.errors import CellError
 from cell.hand.interface import FORCE_FROM_FRAMES
 from cell.hand.lines import MISSING
@@ -64,6 +65,7 @@ def examine(config: CellConfig, config_file: Path | None = None) -> Iterator[Fin
     if not config.simulated:
         yield from _ports(config)
     named = "" if config_file is None else f" --config {quote(str(config_file))}"
+    yield _self_zero(config, named)
     yield from _devices(config, named)
 
 
@@ -115,6 +117,33 @@ def _ports(config: CellConfig) -> Iterator[Finding]:
             found=f"{timer_ms} ms",
             advice="" if timer_ms <= 1 else f"echo 1 > {place} (a udev rule keeps it)",
         )
+
+
+def _self_zero(config: CellConfig, named: str) -> Finding:
+    """Return when the empty fingers were measured last, and what they showed."""
+    what = "self-zero"
+    if not config.gripper.pads_meet or config.self_zero == "never":
+        found = (
+            "none: gripper.pads_meet is false" if config.self_zero != "never" else "never wanted"
+        )
+        return Finding(what=what, verdict=Verdict.PASS, found=found)
+    kept = SelfZeros(path=zero_file(Path(config.recording.directory), config.name))
+    if kept.newest is None:
+        return Finding(
+            what=what,
+            verdict=Verdict.WARN,
+            found="not measured",
+            advice=f"take everything out of the grip, then `tactile-cell zero{named}`: at teaching "
+            "and after each change of pads or servos",
+        )
+    opening_mm = 1e3 * kept.newest.opening_m
+    ratio = float(np.exp(kept.newest.log_gain_ratio))
+    return Finding(
+        what=what,
+        verdict=Verdict.PASS,
+        found=f"of {kept.day}: pads meet at {opening_mm:+.2f} mm, finger 0 feels {ratio:.2f} times "
+        "finger 1",
+    )
 
 
 def _devices(config: CellConfig, named: str) -> Iterator[Finding]:

@@ -32,8 +32,6 @@ them makes another footprint."""
 _DEAD_SHARE, _DEAD_SIGMAS = 0.25, 6.0
 """Share of its neighbours' load below which a taxel counts as dead, where that stands out so far
 from the noise."""
-_RISING_SHARE = 0.1
-"""Share of the largest pressure from which on a frame shows the stiffness."""
 _MIDDLES, _STIFFNESSES, _ZEROS = 400, 81, 161
 """Points of the tables and grids of the fit."""
 _LATE_MM = 0.03
@@ -232,8 +230,6 @@ def _meeting(
     What is read lies within a step of the encoders, and frames come late by a little. Stiffness and
     zero are hypotheses on a grid, all stiffnesses as likely by their logarithm.
     """
-    rising = middle >= _RISING_SHARE * middle.max()
-    middle, opening_mm = middle[rising], opening_mm[rising]
     least = np.ptp(middle) / (np.ptp(opening_mm) + 2.0 * step_mm)
     log_k = np.log(max(least, 1e-6)) + np.linspace(-0.5, 1.0, _STIFFNESSES)
     # The zero that each frame shows under each stiffness, up to what its step hides.

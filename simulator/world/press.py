@@ -93,7 +93,7 @@ class PadsMeet:
         self._pair = pair
         # How far the fields that each pad's taxels lie in reach towards the other pad.
         self._reach_m = tuple(self._reach(side) for side in (0, 1))
-        self.reach_m = float(self._reach_m[0].max())
+        self._highest_m = float(self._reach_m[0].max())
         self._table: ForceTable | None = None
 
     def _reach(self, side: int) -> NDArray[np.float64]:
@@ -113,10 +113,11 @@ class PadsMeet:
         self, position_m: tuple[float, float], friction_n: float
     ) -> tuple[tuple[float, float], tuple[float, float]]:
         """Return the forces and stiffnesses of pads that meet; see `Contact`."""
-        depth_m = self.reach_m - position_m[0] - position_m[1]
-        if depth_m <= 0.0:
+        opening_m = position_m[0] + position_m[1]
+        if opening_m >= self._highest_m:
             return (0.0, 0.0), (0.0, 0.0)
-        force_n, stiffness_n_m = self._forces.lookup(depth_m)
+        table = self._forces
+        force_n, stiffness_n_m = table.lookup(table.reach_max_m - opening_m)
         return (force_n, force_n), (stiffness_n_m, stiffness_n_m)
 
     @property
@@ -127,7 +128,6 @@ class PadsMeet:
             coarse_m = reach_m[_COARSE // 2 :: _COARSE, _COARSE // 2 :: _COARSE]
             area_m2 = self._grids[0].cell_area_m2 * np.isfinite(reach_m).sum()
             self._table = ForceTable(self._foam, coarse_m, area_m2 / np.isfinite(coarse_m).sum())
-            self.reach_m = self._table.reach_max_m
         return self._table
 
     def taxel_force_n(self, side: int, position_m: tuple[float, float]) -> NDArray[np.float64]:

@@ -25,6 +25,7 @@ from cell.interfaces.cli.commands import (
     sort,
     teach,
     train,
+    zero,
 )
 from cell.interfaces.cli.signals import INTERRUPTED
 from gripper.errors import GripperError
@@ -68,6 +69,7 @@ for command in (
     teach.teach,
     train.train,
     identify.identify,
+    zero.zero,
     calibrate.calibrate,
     release.release,
     clear.clear,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from cell.data.dataset import read_dataset, write_dataset
 from cell.errors import CellError, DatasetError
-from recognition.grasp import Grasp, GraspCommand, PadArray
+from recognition.grasp import Grasp, GraspCommand, PadArray, SelfZero
 
 PADS = PadArray(
     pad_shape=np.array([[3, 2], [2, 2]]),
@@ -123,6 +123,16 @@ def test_placings_come_back_and_files_without_them_stay_valid(good: Path, tmp_pa
     assert [grasp.command for grasp in read_dataset(tmp_path / "d.npz")] == [None, asked]
     assert "pose" not in arrays_of(good)
     assert [grasp.command for grasp in read_dataset(good)] == [None] * 3
+
+
+def test_self_zeros_come_back_one_for_a_session(good: Path, tmp_path: Path) -> None:
+    zero = SelfZero.from_values([1e-3, 1e-4, 0.1, 0.02, 8.0, 0.05, 8.0, 0.2])
+    write_dataset(tmp_path / "d.npz", [make_grasp(0), *(make_grasp(i, zero=zero) for i in (1, 2))])
+    none, first, second = read_dataset(tmp_path / "d.npz")
+    assert none.zero is None
+    assert first.zero == zero
+    assert first.zero is second.zero
+    assert "self_zero" not in arrays_of(good)
 
 
 Change = Callable[[dict[str, NDArray[Any]]], Any]

@@ -26,7 +26,7 @@ from cell.data.recording_values import plain_fields
 from cell.errors import RecordingError
 from gripper.force.timing import LoopStatistics
 from gripper.state import ForceSample
-from recognition.grasp import Grasp, GraspCommand, PadArray
+from recognition.grasp import Grasp, GraspCommand, PadArray, SelfZero
 from recognition.shape.answer import ShapeAnswer, Thickness
 from tactile.frames.codec import TactileFrame
 from tests.fuzz.harness import Clock
@@ -67,6 +67,9 @@ def record_grasp(recorder: Recorder, clock: Clock, label: str, n_frames: int = 2
         source="test",
         start_ms=1_700_000_000_000,
         command=GraspCommand(x_m=1e-3, y_m=0.0, rotation_rad=0.3, roll_rad=0.0, force_n=8.0)
+        if label.endswith("1")
+        else None,
+        zero=SelfZero.from_values([1e-3, 1e-4, 0.1, 0.02, 8.0, 0.05, 8.0, 0.2])
         if label.endswith("1")
         else None,
     )

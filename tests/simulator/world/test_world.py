@@ -1,16 +1,49 @@
 import itertools
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from simulator.errors import SimulatorSettingsError, SimulatorStateError
+from simulator.world.press import PadPair
 from simulator.world.shapes import PAPER_OBJECTS, ObjectPose
 from simulator.world.taxels import NoiseModel
 from simulator.world.world import PhysicalWorld, WorldSettings
 from tactile.layout import TaxelLayout, paper_layout, pinch_layout
 
 QUIET = WorldSettings(noise=NoiseModel(kind="none"))
+
+
+def test_empty_pads_meet_foam_on_foam() -> None:
+    pads = PadPair(
+        shift_m=(1e-3, -1e-3),
+        tilt_rad=(math.radians(2.0), 0.0),
+        gains=(1.2, 0.8),
+        stiffness=(1.0, 0.5),
+    )
+    plain, leaning = Bench(), Bench(settings=replace(QUIET, pads=pads))
+    for bench in (plain, leaning):
+        assert bench.go(1e-3, 1e-3) == (0.0, 0.0)
+    # Two sheets in series: 150 kPa, 55 x 20 mm, 3 mm each; where they meet does not matter.
+    assert plain.go(-1e-4, 0.0)[0] == pytest.approx(150e3 * 1.1e-3 * 1e-4 / 6e-3, rel=0.02)
+    assert plain.go(4e-4, -5e-4)[0] == pytest.approx(plain.go(-1e-4, 0.0)[0])
+    # A pad that leans touches with one end first, and both pads feel one force.
+    first_n, second_n = leaning.go(3e-4, 3e-4)
+    assert first_n == second_n > 0.5
+    taxels = [leaning.pad_force_n(finger) for finger in (0, 1)]
+    assert [t.sum() for t in taxels] == pytest.approx([first_n, second_n])
+    assert taxels[0].reshape(16, 4)[0].sum() == 0.0
+    assert taxels[0].reshape(16, 4)[-1].sum() > 0.1
+    counts = leaning.world.scan()
+    felt = [counts[leaning.layout.taxels_of(pad)].sum() for pad in leaning.layout.gripping_pads]
+    assert felt[0] / felt[1] == pytest.approx(1.5, rel=0.05)
+
+
+@pytest.mark.parametrize("wrong", [{"gains": (0.0, 1.0)}, {"shift_m": (1.0, 0.0)}])
+def test_pads_beyond_what_a_hand_has_are_refused(wrong) -> None:
+    with pytest.raises(SimulatorSettingsError, match="pads are"):
+        PadPair(**wrong)
 
 
 class HandMovedFingers:

@@ -1,0 +1,130 @@
+"""The self-zero of a simulated cell: against its truth, with a part between, when it is due."""
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cell.control.plan import GraspStep, Pose
+from cell.control.self_zero import SelfZeros, zero_file
+from cell.control.states import CellState
+from cell.errors import PlanRefused, ZeroRefused
+from gripper.errors import MechanicsContradicted, PartBetweenFingers
+from recognition.grasp import SelfZero
+
+PULSE_MM = 60.0 * 2.0 * math.pi / 4096.0
+
+
+@pytest.mark.long
+def test_what_is_measured_is_what_the_hand_is(make_bench, make_config) -> None:
+    pads = {
+        "shift_mm": [0.8, -1.0],
+        "tilt_deg": [1.5, -1.0],
+        "gains": [1.1, 0.9],
+        "stiffness": [0.8, 1.3],
+    }
+    plain = make_bench().ready()
+    there = make_bench(
+        make_config(
+            simulator__pads=pads, simulator__faults=["servo1.horn=12", "servo2.horn=9"], seed=3
+        )
+    ).ready()
+    for bench in (plain, there):
+        bench.simulated.remove()
+    here, found = plain.controller.measure_zero().zero, there.controller.measure_zero().zero
+    assert here.opening_m * 1e3 == pytest.approx(0.0, abs=0.15)
+    assert found.opening_m * 1e3 == pytest.approx(21 * PULSE_MM, abs=0.15)
+    assert math.exp(found.log_gain_ratio) == pytest.approx(1.1 / 0.9, rel=0.06)
+    # Both gains are 0.995 in the mean: counts for each A are as before.
+    assert found.log_scale - here.log_scale == pytest.approx(math.log(0.995), abs=0.12)
+    assert there.controller.state is CellState.IDLE
+    assert not there.controller.holding
+    there.controller.present("ball")
+    step = GraspStep(pose=Pose(), force_n=6.0)
+    assert there.controller.grasp(step).grasp.zero == found
+
+
+@pytest.mark.parametrize(
+    "part",
+    [
+        "sphere:diameter=9.5mm",
+        "cylinder:diameter=3mm,length=60mm",
+        pytest.param("box:length=40mm,width=16mm,height=2mm", marks=pytest.mark.long),
+    ],
+)
+def test_a_part_that_was_left_is_named_and_kept_not_zeroed_on(make_bench, part: str) -> None:
+    bench = make_bench().ready()
+    bench.simulated.place(part)
+    with pytest.raises(PartBetweenFingers, match="something is between them"):
+        bench.controller.measure_zero()
+    assert bench.controller.state is CellState.ABORTED
+    assert bench.controller.holding
+    assert bench.controller.self_zero is None
+    assert bench.grip_n > 0.3
+    bench.controller.clear()
+    bench.controller.release_held()
+    bench.simulated.remove()
+    bench.controller.reset()
+    bench.controller.start()
+    assert abs(bench.controller.measure_zero().zero.opening_m) < 2e-4
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"simulator__faults": ["servo1.horn=-100"]}, MechanicsContradicted),
+        ({"simulator__faults": ["servo1.horn=90"]}, PartBetweenFingers),
+        ({"simulator__pads": {"tilt_deg": [6.0, 0.0]}}, ZeroRefused),
+    ],
+    ids=["horn closed", "horn open", "bent finger"],
+)
+def test_what_is_out_of_bounds_is_named(make_bench, make_config, changes, says) -> None:
+    bench = make_bench(make_config(**changes)).ready()
+    bench.simulated.remove()
+    with pytest.raises(says, match=r"zero_pulse|a tooth of a horn|a finger is bent"):
+        bench.controller.measure_zero()
+
+
+@pytest.mark.parametrize(("when", "times"), [("always", 2), ("daily", 1), ("on_demand", 0)])
+def test_it_is_measured_at_a_start_where_it_is_due(
+    make_bench, make_config, tmp_path: Path, when: str, times: int
+) -> None:
+    config = make_config(self_zero=when)
+    kept = zero_file(tmp_path, config.name)
+    seen: list[Any] = []
+    for job in ("first", "second"):
+        (tmp_path / job).mkdir()
+        bench = make_bench(config, folder=tmp_path / job)
+        before = bench.controller.self_zero
+        bench.controller.start()
+        seen.append((before, bench.controller.self_zero))
+    measured = sum(after is not None and after is not before for before, after in seen)
+    assert measured == times
+    assert kept.exists() == (times > 0)
+    if times:
+        assert seen[1][0] == seen[0][1]
+
+
+def test_fingers_that_cannot_meet_are_gauged(make_bench, make_config) -> None:
+    bench = make_bench(make_config(gripper__pads_meet=False)).ready()
+    with pytest.raises(PlanRefused, match="calibrate --gauge"):
+        bench.controller.measure_zero()
+    with pytest.raises(Exception, match=r"gripper\.pads_meet is false"):
+        make_config(gripper__pads_meet=False, self_zero="daily")
+    with pytest.raises(PlanRefused, match="self_zero is never"):
+        make_bench(make_config(self_zero="never")).ready().controller.measure_zero()
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[1]", '{"day": "2027-01-01"}', "x" * 20_000])
+def test_a_damaged_file_counts_as_none(tmp_path: Path, text: str) -> None:
+    path = tmp_path / "zero.json"
+    path.write_text(text)
+    assert SelfZeros("daily", path=path).newest is None
+    zero = SelfZero.from_values([1e-3, 1e-4, 0.1, 0.02, 8.0, 0.05, 8.0, 0.2])
+    SelfZeros("daily", path=path).keep(zero)
+    assert SelfZeros("daily", path=path).newest == zero
+    assert not SelfZeros("daily", path=path).due
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"day": "2020-01-01"}))
+    assert SelfZeros("daily", path=path).due

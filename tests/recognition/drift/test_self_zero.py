@@ -1,0 +1,126 @@
+"""Self-zero from made-up frames: what is found, what has changed between two, what is no zero."""
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from recognition.drift.drift import Drift
+from recognition.drift.self_zero import ZeroMeasurement, measure_zero, prior_since, since
+from recognition.grasp import ZERO_COLUMNS, Grasp, PadArray, SelfZero
+
+PADS = PadArray.grid(12, 5, 3.4e-3)
+XY_MM = PADS.taxel_xy_m[PADS.taxels_of(0)] * 1e3
+STEP_M = 0.09e-3
+
+
+def pressed(
+    *,
+    zero_mm: float = 0.0,
+    ratio: float = 1.0,
+    gain: float = 1.0,
+    per_mm: float = 300.0,
+    tilt: tuple[float, float] = (0.0, 0.0),
+    bump_mm: float | None = None,
+    dead: tuple[int, ...] = (),
+    seed: int = 0,
+) -> tuple[Grasp, np.ndarray]:
+    """Return frames of two pads that press on each other, and the current at each."""
+    rng = np.random.default_rng(seed)
+    way_mm = np.r_[np.linspace(10.0, 1.5, 20), np.linspace(0.0, -0.6, 50) + 0.05]
+    reach_mm = XY_MM @ np.array(tilt)
+    if bump_mm is not None:
+        reach_mm = np.where(np.hypot(*XY_MM.T) < bump_mm, 0.0, -9.0)
+    depth_mm = np.maximum(reach_mm - way_mm[:, None], 0.0)
+    depth_mm[:20] = 0.0
+    load = gain * per_mm * depth_mm
+    counts = 60.0 + np.hstack([load * math.sqrt(ratio), load / math.sqrt(ratio)])
+    counts[:, list(dead)] = 60.0
+    counts += rng.normal(0.0, 6.0, counts.shape)
+    aperture_mm = np.round((way_mm + zero_mm) / (1e3 * STEP_M)) * 1e3 * STEP_M
+    grasp = Grasp(
+        pads=PADS,
+        counts=np.clip(np.rint(counts), 0, 4095).astype(np.uint16),
+        t_s=0.02 * np.arange(len(way_mm)),
+        aperture_m=1e-3 * aperture_mm,
+        force_n=np.r_[np.zeros(20), np.linspace(1.0, 12.0, 50)],
+    )
+    return grasp, 0.1 + per_mm * depth_mm.sum(axis=1) / 2e4
+
+
+def measured(**changes: Any) -> ZeroMeasurement:
+    grasp, current_a = pressed(**changes)
+    return measure_zero(grasp, current_a, (0, 1), step_m=STEP_M)
+
+
+@pytest.mark.parametrize(
+    "hand",
+    [
+        {},
+        {"zero_mm": 1.9, "ratio": 1.2},
+        {"zero_mm": -3.4, "ratio": 0.8, "tilt": (0.03, 0.0)},
+        {"zero_mm": 0.4, "tilt": (-0.02, 0.03), "per_mm": 500.0},
+    ],
+)
+def test_zero_ratio_and_stiffness_are_found_whatever_the_tilt(hand: dict[str, Any]) -> None:
+    found = measured(**hand)
+    zero = found.zero
+    assert zero.opening_m * 1e3 == pytest.approx(hand.get("zero_mm", 0.0), abs=0.08)
+    assert math.exp(zero.log_gain_ratio) == pytest.approx(hand.get("ratio", 1.0), rel=0.03)
+    per_mm = hand.get("per_mm", 300.0) * len(XY_MM)
+    assert abs(zero.log_stiffness - math.log(per_mm)) < 3.0 * zero.log_stiffness_sd
+    assert found.tilt_rad == pytest.approx(hand.get("tilt", (0.0, 0.0)), abs=0.006)
+    assert found.pads_met
+    assert found.dead == ()
+
+
+def test_a_part_between_the_pads_has_another_footprint() -> None:
+    assert not measured(bump_mm=6.0).pads_met
+
+
+def test_dead_taxels_are_named() -> None:
+    assert measured(dead=(7, 70)).dead == (7, 70)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"force_n": np.zeros(70)}, "frames of the ramp"),
+        ({"aperture_m": np.full(70, 1e-3)}, "frames of open fingers"),
+        ({"counts": np.full((70, 120), 60)}, "has felt nothing"),
+    ],
+)
+def test_what_shows_no_zero_is_refused(change: dict[str, Any], says: str) -> None:
+    grasp, current_a = pressed()
+    values = {name: getattr(grasp, name) for name in ("pads", "counts", "t_s", "aperture_m")}
+    with pytest.raises(ValueError, match=says):
+        measure_zero(
+            Grasp(**(values | {"force_n": grasp.force_n} | change)),
+            current_a,
+            (0, 1),
+            step_m=STEP_M,
+        )
+
+
+def test_what_has_changed_is_undone_and_the_rest_is_known_so_well() -> None:
+    taught, today = (
+        measured(**hand).zero for hand in ({}, {"zero_mm": 1.9, "ratio": 1.2, "gain": 0.8})
+    )
+    drift, prior = since(taught, today, (0, 1), 2), prior_since(taught, today)
+    assert drift.aperture_offset_m * 1e3 == pytest.approx(1.9, abs=0.15)
+    assert drift.gains[0] / drift.gains[1] == pytest.approx(1.2, rel=0.04)
+    assert math.log(drift.gain) == pytest.approx(math.log(0.8), abs=2.0 * prior.log_gain_sd)
+    assert prior.offset_sd_mm < 0.3
+    assert prior.log_gain_sd < 0.12
+    assert since(taught, taught, (0, 1), 2) == Drift(gains=(1.0, 1.0))
+
+
+@pytest.mark.parametrize("name", ["opening_m", "log_scale_sd"])
+def test_a_self_zero_is_finite_and_in_m(name: str) -> None:
+    good = measured().zero.values
+    assert SelfZero.from_values(good).values == good
+    place = ZERO_COLUMNS.index(name)
+    for bad in (math.nan, 3.0 if name == "opening_m" else -0.1):
+        with pytest.raises(ValueError, match=name):
+            SelfZero.from_values([*good[:place], bad, *good[place + 1 :]])
