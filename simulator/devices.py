@@ -80,7 +80,9 @@ class CellDevices:
             [servo.mount for servo in settings.servos],
             settings.linkage,
             aperture_m=settings.aperture_m,
-            half_opening_min_m=0.0 if settings.grasps else _PAST_MIDDLE_M,
+            half_opening_min_m=0.0
+            if settings.grasps
+            else max(_PAST_MIDDLE_M, settings.linkage.half_opening_min_m),
         )
         self.world = self._make_world(start_s)
         if settings.servo_baud_rate not in BAUD_RATES:

@@ -44,6 +44,11 @@ class FingerLinkage(Protocol):
         """Largest half opening in m that the geometry allows."""
         ...
 
+    @property
+    def half_opening_min_m(self) -> float:
+        """Least half opening in m that it allows, mostly past the middle."""
+        ...
+
     def half_opening_m(self, angle_rad: float) -> float:
         """Return the half opening in m at a linkage angle in rad."""
         ...
@@ -73,6 +78,11 @@ class ParallelogramLinkage:
     def half_opening_max_m(self) -> float:
         """Half opening in m with the link at its largest angle."""
         return self.link_m * math.sin(_LARGEST_LINK_ANGLE_RAD) + self.offset_m
+
+    @property
+    def half_opening_min_m(self) -> float:
+        """Half opening in m with the link at its least angle."""
+        return self.offset_m - self.link_m * math.sin(_LARGEST_LINK_ANGLE_RAD)
 
     def half_opening_m(self, angle_rad: float) -> float:
         """Return the half opening in m at a linkage angle in rad."""
@@ -111,6 +121,11 @@ class RackLinkage:
     def half_opening_max_m(self) -> float:
         """Largest half opening in m."""
         return self.travel_m
+
+    @property
+    def half_opening_min_m(self) -> float:
+        """Least half opening in m."""
+        return -self.travel_m
 
     def half_opening_m(self, angle_rad: float) -> float:
         """Return the half opening in m at a pinion angle in rad."""
@@ -177,10 +192,10 @@ class FingerMechanics:
                 f"a gripper has one or two motors, each with a mount; got {len(motors)} motors "
                 f"and {len(mounts)} mounts"
             )
-        if not abs(half_opening_min_m) < linkage.half_opening_max_m:
+        low_m, high_m = linkage.half_opening_min_m, linkage.half_opening_max_m
+        if not low_m <= half_opening_min_m < high_m:
             raise SimulatorSettingsError(
-                f"half_opening_min_m is within {linkage.half_opening_max_m} of 0, "
-                f"got {half_opening_min_m}"
+                f"half_opening_min_m is {half_opening_min_m}, must be from {low_m} to {high_m}"
             )
         if not 1.0 <= stiction_ratio < math.inf:
             raise SimulatorSettingsError(f"stiction_ratio is at least 1, got {stiction_ratio}")

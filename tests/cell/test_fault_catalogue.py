@@ -39,6 +39,7 @@ FROZEN = {
     "CellError": 500, "ConfigError": 501, "DatasetError": 502, "RecordingError": 503,
     "ReportError": 504, "CellStateError": 505, "PartInGrip": 506, "PlanRefused": 507,
     "HandLost": 508, "HostSilent": 509, "PositionerError": 510, "NoPartFound": 511,
+    "PartBetweenFingers": 210, "ZeroRefused": 518,
     "CellStopped": 512, "RequestRefused": 513, "NotInCommand": 514, "HeldByClient": 515,
     "TrainingSetMissing": 517,
     "NotMeasured": 516, "OSError": 598,

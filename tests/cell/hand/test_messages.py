@@ -74,6 +74,7 @@ COMMANDS = [
     Command("open"),
     Command("tare", {"n_frames": 25}),
     Command("grasp", {"ramp": RAMP}),
+    Command("meet", {"ramp": RAMP}),
     Command("carry", {"force_n": 4.0, "duration_s": 0.3}),
     Command("squeeze", {"ramp": RAMP}),
     Command("release"),

@@ -158,6 +158,25 @@ def around(at_s: float, *force_n: float, centre=(0.0, 0.0)) -> list[ForceMessage
     return [replace(one, centre_taxels=centre) for one in shown]
 
 
+def test_a_load_that_is_spread_over_a_pad_is_no_difference() -> None:
+    """A flat part on 64 taxels: frames show none of 2.5 N above the noise of each."""
+    check, draw = ForceCheck(), np.random.default_rng(0)
+    check.reset(taxel_noise_n=0.045)
+    for n in range(100):
+        whole_n = 2.5 + draw.normal(0.0, 0.045 * 8.0, 2)
+        for one in around(0.02 * n, 2.5, 2.5):
+            check.add(one)
+        check.compare(
+            FrameForces(
+                scanned_s=0.02 * n,
+                force_n=(0.0, 0.8),
+                centre_taxels=(1.5, 0.0),
+                noise_n=0.2,
+                whole_n=(float(whole_n[0]), float(whole_n[1])),
+            )
+        )
+
+
 def frames_until_found(check: ForceCheck, shown_n: float, frame_n: float, **more: Any) -> int:
     """Return after how many frames a difference that stays is found; 100 for never."""
     centre = more.pop("message_centre", (0.0, 0.0))
