@@ -3,6 +3,7 @@
 import json
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -14,6 +15,7 @@ from cell.commissioning.ports import PortsStep
 from cell.commissioning.servos import ServosStep
 from cell.errors import CellError
 from gripper.dynamixel.control_table import TORQUE_ENABLE
+from gripper.servos.group import ServoGroup
 from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
 from tests.cell.commissioning.hands import Hands
@@ -224,4 +226,23 @@ def test_torque_that_holds_a_part_is_not_switched_off_unasked(tmp_path: Path) ->
         walk.run()
     assert walk.torques() == [1, 1]
     walk.run(servos__torque="off", steps=STEPS[:2])
+    assert walk.torques() == [0, 0]
+
+
+def test_an_interruption_of_the_first_motion_leaves_the_fingers_limp(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    walk = Walk(tmp_path)
+    write, seen = ServoGroup.write_goals, []
+
+    def interrupted(group: ServoGroup, goals: Any, state: Any, **options: Any) -> None:
+        seen.append(walk.torques())
+        if len(seen) > 20:
+            raise KeyboardInterrupt
+        write(group, goals, state, **options)
+
+    monkeypatch.setattr(ServoGroup, "write_goals", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        walk.run()
+    assert seen[-1] == [1, 1]
     assert walk.torques() == [0, 0]

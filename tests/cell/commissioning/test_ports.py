@@ -1,0 +1,116 @@
+"""The servos' port: found by its plug, named by id, and what keeps a program off it."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from cell.commissioning import ports
+from cell.commissioning.bench import Bench
+from cell.commissioning.engine import Verdict
+from cell.commissioning.ports import PortsStep, by_id, users_of
+from gripper.errors import PortLost
+from simulator.cell import SimulatedCell
+from tests.cell.commissioning.script import Script, SimulatedLines
+
+
+@pytest.fixture
+def lines() -> SimulatedLines:
+    return SimulatedLines(SimulatedCell(), ("/dev/ttyUSB0", "/dev/ttyUSB1", "/dev/ttyACM0"))
+
+
+def test_the_only_port_is_taken_unasked(tmp_path: Path) -> None:
+    bench = Bench(tmp_path, SimulatedLines(SimulatedCell()))
+    found = PortsStep().run(bench, script := Script())
+    assert found.settings == {"gripper.port": "/dev/ttyUSB0"}
+    assert script.asked == []
+
+
+def test_a_port_is_found_by_pulling_and_putting_back_its_plug(
+    tmp_path: Path, lines: SimulatedLines
+) -> None:
+    def without(*gone: str) -> None:
+        lines.ports = tuple(port for port in lines.ports if port not in gone)
+
+    def back() -> None:
+        # It comes back under another name.
+        lines.ports += ("/dev/ttyUSB2",)
+
+    both = [lambda: without("/dev/ttyUSB0", "/dev/ttyACM0"), lambda: without("/dev/ttyUSB1")]
+    script = Script({"ports.unplug": [*both], "ports.plug_back": [lambda: None, back]})
+    found = PortsStep().run(Bench(tmp_path, lines), script)
+    assert found.settings == {"gripper.port": "/dev/ttyUSB2"}
+    assert "2 ports are gone" in script.text
+    assert script.asked.count("ports.plug_back") == 2
+
+
+def test_a_cell_without_any_port_asks_for_the_plug(tmp_path: Path, lines: SimulatedLines) -> None:
+    lines.ports = ()
+
+    def plug_in() -> None:
+        lines.ports = ("/dev/ttyUSB0",)
+
+    script = Script({"ports.plug_in": [lambda: None, plug_in]})
+    assert PortsStep().run(Bench(tmp_path, lines), script).status is Verdict.PASS
+    assert script.asked == ["ports.plug_in"] * 2
+
+
+def test_a_slow_latency_timer_is_named_with_the_command_that_mends_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ports, "latency_timer_ms", lambda _port: 16)
+    found = PortsStep().run(Bench(tmp_path, SimulatedLines(SimulatedCell())), Script())
+    assert found.status is Verdict.WARN
+    advice = found.lines[-1]
+    assert "echo 1 | sudo tee /sys/bus/usb-serial/devices/ttyUSB0/latency_timer" in advice
+    assert 'ATTR{latency_timer}="1"' in advice
+
+
+def test_a_port_of_another_group_is_named_with_the_command(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    device = tmp_path / "tty"
+    device.touch(mode=0o600)
+    monkeypatch.setattr(ports.os, "access", lambda *_: False)
+    bench = Bench(tmp_path, given={"gripper.port": str(device)})
+    found = PortsStep().run(bench, Script())
+    assert found.status is Verdict.FAIL
+    assert "sudo usermod -a -G" in found.lines[-1]
+
+
+def test_a_port_that_is_taken_or_gone_is_named(tmp_path: Path, lines: SimulatedLines) -> None:
+    class Taken(SimulatedLines):
+        def open_servos(self, port: str, baud_rate: int) -> None:  # type: ignore[override]
+            raise PortLost(f"serial port {port} is used by another program")
+
+    bench = Bench(tmp_path, Taken(lines.cell))
+    found = PortsStep().run(bench, Script())
+    assert found.status is Verdict.FAIL
+    assert "used by another program" in found.lines[-1]
+
+
+def test_programs_that_have_a_port_open_are_named(tmp_path: Path) -> None:
+    device = tmp_path / "tty"
+    device.touch()
+    assert users_of(str(device)) == ()
+    waits = "import sys; file = open(sys.argv[1]); print(flush=True); sys.stdin.read()"
+    with subprocess.Popen(
+        [sys.executable, "-c", waits, str(device)], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    ) as other:
+        assert other.stdout is not None
+        other.stdout.readline()
+        (found,) = users_of(str(device))
+        assert found.endswith(f"(process {other.pid})")
+    assert os.path.exists(device)
+
+
+def test_ports_are_named_by_the_serial_number_of_their_adapter(tmp_path: Path) -> None:
+    device, names = tmp_path / "ttyUSB0", tmp_path / "by-id"
+    device.touch()
+    names.mkdir()
+    (names / "usb-FTDI_U2D2_FT123").symlink_to(device)
+    assert by_id(str(device), names) == str(names / "usb-FTDI_U2D2_FT123")
+    assert by_id("/dev/ttyUSB9", names) == "/dev/ttyUSB9"
+    assert by_id(str(device), tmp_path / "missing") == str(device)
