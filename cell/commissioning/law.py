@@ -96,7 +96,8 @@ class LawStep:
         answer = dialog.ask(
             Question(
                 key="pads_law.with",
-                text="Do you have weights of up to a kilogram, or a kitchen scale?",
+                text="Do you have weights of up to a kilogram, or a kitchen scale? Nothing may "
+                "touch the pads while you answer: their zero is taken next.",
                 choices=(
                     Choice(key="scale", text="yes"),
                     Choice(key="skip", text="no: forces stay unchecked"),

@@ -1,0 +1,133 @@
+"""The whole wizard on a simulated cell in virtual time: from the box to the baseline."""
+
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from cell.commissioning.bench import Bench
+from cell.commissioning.engine import CONFIG_NAME, Engine, Left, Step, Verdict
+from cell.commissioning.law import GRAVITY_N_KG
+from cell.commissioning.link_quality import LinkQualityStep
+from cell.commissioning.walk import all_steps
+from cell.config.file import load_config
+from simulator.cell import SimulatedCell
+from simulator.settings import SimulatorSettings
+from simulator.world.taxels import NoiseModel
+from tactile.layout import PadMount, pinch_layout
+from tests.cell.commissioning.hands import Hands
+from tests.cell.commissioning.script import Script, SimulatedLines
+
+pytestmark = pytest.mark.long
+
+PADS = ("taxels.force_gain=0.8", "unit.pads_swapped", "taxels.stuck_at=3:0", "can.bit_rate=500000")
+SERVOS = ("servo1.factory", "servo2.factory", "servo2.turned", "servo1.horn=164")
+
+
+def brisk_steps() -> list[Step]:
+    """Return all steps, with a shorter look at the lines."""
+    short = LinkQualityStep(duration_s=2.0)
+    return [short if step.key == short.key else step for step in all_steps()]
+
+
+class Person:
+    """Answers and hands of a person who does all that the wizard asks for."""
+
+    def __init__(self, cell: SimulatedCell) -> None:
+        self._cell = cell
+        self._hands = Hands(cell)
+        layout = cell.settings.layout
+        self._names = [pad.name for pad in layout.pads]
+        loads_n = (2.0, 5.0, 8.0)
+
+        def load(finger: int, force_n: float) -> Callable[[], float]:
+            # Whose finger it is, whatever the control unit calls it.
+            def reply() -> float:
+                pad = layout.gripping_pads[finger]
+                cell.devices.physical.press(pad, 0.0, 0.0, force_n)
+                return force_n / GRAVITY_N_KG * 1e3
+
+            return reply
+
+        replies: dict[str, Any] = {
+            f"pads_law.{finger}.{number}": load(finger, force_n)
+            for finger in (0, 1)
+            for number, force_n in enumerate(loads_n, start=1)
+        }
+        replies |= {
+            "pads_law.with": self._nothing,
+            "first_force.most": 4.0,
+            "first_force.empty": self._nothing,
+            "first_force.part": lambda: cell.place("ball") and None,
+            "baseline.empty": self._nothing,
+            "baseline.place": lambda: cell.place("ball") and None,
+        }
+        self.script = Script(self._hands.replies() | replies, moment=self._moment)
+
+    def _nothing(self) -> None:
+        self._cell.remove()
+        self._cell.devices.physical.lift()
+
+    def _moment(self) -> None:
+        last = next((t for t in reversed(self.script.said) if "fingertip" in t), "")
+        asked = re.match(r"Press (\S+) with", last)
+        world = self._cell.devices.physical
+        if asked is None:
+            world.lift()
+            return
+        pad = self._names.index(asked[1])
+        one = self._cell.settings.layout.pads[pad]
+        x_m, y_m = 0.4 * one.rows * one.pitch_x_m, 0.3 * one.columns * one.pitch_y_m
+        world.press(pad, x_m, y_m, 2.0)
+
+
+def brought_up(folder: Path, *faults: str, leave_at: tuple[str, ...] = ()) -> dict[str, Any]:
+    """Run the wizard until it is finished; returns the findings by step."""
+    settings = SimulatorSettings(
+        layout=pinch_layout(), noise=NoiseModel(level=0.4), faults=faults, aperture_m=0.03
+    )
+    with SimulatedCell(settings) as cell:
+        person = Person(cell)
+        person.script.leave_at = list(leave_at)
+        given = {"tactile.interface": "socketcan", "tactile.channel": "can0"}
+        for _ in range(len(leave_at) + 1):
+            bench = Bench(folder, SimulatedLines(cell), given=given)
+            try:
+                Engine(brisk_steps(), bench).run(person.script)
+            except Left:
+                continue
+        torque = [s.core.registers.get("torque_enable") for s in cell.devices.servo_bus.servos]
+        assert torque == [0, 0]
+    assert not person.script.leave_at
+    return dict(person.script.findings)
+
+
+def test_a_sound_cell_is_brought_up_without_a_warning(tmp_path: Path) -> None:
+    found = brought_up(tmp_path)
+    assert {key: one.lines for key, one in found.items() if one.status is not Verdict.PASS} == {}
+    config = load_config(tmp_path / CONFIG_NAME)
+    assert config.tactile.mounting == ()
+    assert config.tactile.board_serial_numbers == (1, 2)
+
+
+def test_a_cell_of_wrong_hardware_is_brought_up_with_three_interruptions(tmp_path: Path) -> None:
+    leave_at = ("fingers.kind", "pads_law.1.2", "first_force.part")
+    found = brought_up(tmp_path, *PADS, *SERVOS, leave_at=leave_at)
+    said = "\n".join(line for one in found.values() for line in one.lines)
+    for named in (
+        "Bit rate 500,000 bit/s",
+        "1 taxel is dead",
+        "The pads of the two fingers are exchanged",
+        "tactile.calibration.gain is set from 1 to 1.2",
+        "its zero is +16",
+    ):
+        assert named in said
+    assert all(one.status is not Verdict.FAIL for one in found.values())
+    config = load_config(tmp_path / CONFIG_NAME)
+    mounts = [PadMount(**mount.model_dump()) for mount in config.tactile.mounting]
+    assert mounts == [PadMount(pad=0, sent_as=1), PadMount(pad=1, sent_as=0)]
+    one, four = found["first_force"].values["asked_held_peak_n"]
+    assert one[1] == pytest.approx(1.0, abs=0.2)
+    assert four[1] == pytest.approx(4.0, abs=0.3)
