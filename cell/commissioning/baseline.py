@@ -15,6 +15,7 @@ from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Finding, Left, Question, Verdict, Write, confirmation
 from cell.commissioning.figures import pads as pads_figure
 from cell.commissioning.first_force import bench_hand
+from cell.commissioning.motion import WatchedMotion
 from cell.commissioning.unit import gripper_alone, without_unit
 from cell.config.model import CellConfig
 from cell.config.sequence import force_ramp
@@ -342,10 +343,10 @@ def measure_gauge(
     dialog.ask(
         confirmation("baseline.empty", "Take everything out of the fingers, and your hands away.")
     )
-    with bench_hand(bench, config) as hand:
+    with bench_hand(bench, config) as hand, WatchedMotion(dialog, hand.request_stop) as motion:
         hand.start()
         hand.start_sensor()
-        hand.open(lambda _cycle, _frames: None)
+        hand.open(motion)
         zero = hand.tare(config.tactile.tare_frames)
         dialog.ask(
             confirmation(
@@ -353,7 +354,7 @@ def measure_gauge(
                 f"Hold {gauge} in the middle between the pads, until the fingers hold it.",
             )
         )
-        outcome = hand.grasp(force_ramp(config.sequence.ramp, force_n), lambda _c, _f: None)
+        outcome = hand.grasp(force_ramp(config.sequence.ramp, force_n), motion)
         if outcome.result is not GraspResult.FORCE_REACHED:
             if outcome.result is GraspResult.FORCE_NOT_REACHED:
                 _let_go(hand, dialog)
@@ -362,7 +363,7 @@ def measure_gauge(
                 "the pads, and run the step again"
             )
         held = _Held()
-        hand.carry(force_n, _HOLD_S, held.watch)
+        hand.carry(force_n, _HOLD_S, motion.also(held.watch))
         _let_go(hand, dialog)
     layout = layout_from_config(config.tactile)
     forces = TaxelForces(layout, make_calibration(config.tactile, layout), zero)

@@ -10,7 +10,6 @@ import numpy as np
 
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import (
-    LOOK_S,
     Dialog,
     Finding,
     Left,
@@ -21,6 +20,7 @@ from cell.commissioning.engine import (
     confirmation,
 )
 from cell.commissioning.figures import Figure, curves
+from cell.commissioning.motion import WatchedMotion
 from cell.commissioning.pads import WORSE
 from cell.commissioning.unit import gripper_alone
 from cell.config.file import changed_config
@@ -31,7 +31,7 @@ from cell.hand.build import make_hand
 from cell.hand.client import HandProcess
 from cell.hand.interface import Hand, Watch
 from cell.hand.lines import Lines
-from gripper.errors import GraspStopped, GripperError
+from gripper.errors import GripperError
 from gripper.force.by_current import cap_by_current_n
 from gripper.force.ramp import ForceRamp
 from gripper.gripper import Gripper, open_gripper
@@ -361,19 +361,13 @@ class _Trial:
         self._cap_n = cap_n
         self._status = Verdict.PASS
         self._values: dict[str, object] = {}
-        self._fingers: Fingers | None = None
-        self._left: Left | None = None
-        self._shown_s = 0.0
+        self._watch: Watch = course.watch
 
     def run(self, fingers: Fingers, hand: Hand | None = None) -> Finding:
         """Open, prove, grasp, release; the hand is given where there are pads."""
-        self._fingers = fingers
-        try:
+        with WatchedMotion(self._dialog, fingers.request_stop) as motion:
+            self._watch = motion.also(self._course.watch)
             return self._run(fingers, hand)
-        except GraspStopped:
-            if self._left is None:
-                raise
-            raise self._left from None
 
     def _run(self, fingers: Fingers, hand: Hand | None) -> Finding:
         self._let_go_of_old(fingers)
@@ -394,20 +388,6 @@ class _Trial:
             )
         )
         return self._grasp(fingers)
-
-    def _watch(self, cycle: Cycle, frames: Sequence[TactileFrame]) -> None:
-        """Keep a period of the loop and show it; a person who leaves stops the motion."""
-        self._course.watch(cycle, frames)
-        if self._left is not None or cycle.t_s < self._shown_s:
-            return
-        self._shown_s = cycle.t_s + LOOK_S
-        force = "" if cycle.force is None else f"{min(cycle.force.force_n):.2f} N, "
-        try:
-            self._dialog.live("grip", f"{force}opening {1e3 * cycle.state.aperture_m:.1f} mm")
-        except Left as left:
-            self._left = left
-            assert self._fingers is not None
-            self._fingers.request_stop()
 
     def _let_go_of_old(self, fingers: Fingers) -> None:
         """Open fingers that an earlier run left with torque: they may hold a part."""

@@ -17,7 +17,7 @@ from cell.commissioning.baseline import (
     gauge_of,
     measure_gauge,
 )
-from cell.commissioning.engine import Verdict
+from cell.commissioning.engine import Left, Verdict
 from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
 from simulator.world.taxels import NoiseModel
@@ -130,3 +130,17 @@ def test_the_gauge_object_is_grasped_and_kept_and_a_slipped_horn_shows(tmp_path:
         cell.inject("servo1.horn=10")
         now, _ = measure_gauge(bench, bench.config, script, gauge="block")
         assert "fingers" in [change.step for change in changed_gauge(was, now)]
+
+
+def test_a_person_stops_the_grasp_of_the_gauge_object(tmp_path: Path) -> None:
+    with SimulatedCell(SimulatorSettings(layout=pinch_layout(), aperture_m=0.014)) as cell:
+        script = Script()
+
+        def stop() -> None:
+            if "baseline.place" in script.asked:
+                raise Left("stopped at the page")
+
+        script.moment = stop
+        with pytest.raises(Left, match="at the page"):
+            BaselineStep().run(bench_of(cell, tmp_path), script)
+        assert script.asked[-1] == "baseline.place"
