@@ -255,14 +255,10 @@ def test_each_request_line_gets_one_reply(tmp_path, lines):
 @pytest.mark.parametrize(
     ("data", "reason"),
     [
-        (b"[" * (LINE_LIMIT + 1), "at most 65536 bytes"),
-        (
-            b'{"place": "ball", "pose": {"y_m": 1%s}}\n' % (b"0" * 400),
-            "must be a finite number",
-        ),
+        (b'{"place": "ball", "pose": {"y_m": 1%s}}\n' % (b"0" * 400), "must be a finite number"),
         (b'{"place": "ball", "pose": {"y_m": 1e308}}\n', "y_m is 1e+308, limit 100 m"),
     ],
-    ids=["no end", "beyond any float", "beyond the cell"],
+    ids=["beyond any float", "beyond the cell"],
 )
 def test_requests_beyond_limits_are_refused(tmp_path: Path, data: bytes, reason: str) -> None:
     (reply,) = replies(tmp_path, data)

@@ -56,15 +56,7 @@ def test_the_sum_is_the_force_though_the_counts_are_not_linear(
     n_first = layout.pads[layout.gripping_pads[0]].n_taxels
     middle = 5 * columns + 1
     pressed = {middle: 2.0, middle + 1: 1.0, n_first + middle: 2.5, n_first + middle + 1: 0.5}
-    # The layouts' frames have finger 0's gripping pad first; here both lie one after the other.
-    unit.layout = layout
-    force_n = np.zeros(unit.n)
-    force_n[list(pressed)] = list(pressed.values())
-    law = calibration.counts(np.resize(force_n, layout.n_taxels))[: unit.n]
-    counts = np.rint(law + unit.zero).astype(np.uint16)
-    for _ in range(20):
-        data = unit.forces.message(counts, ForceStatus(0))
-    found = decode_force_message(data, 0.0)
+    found = unit.press(pressed, scans=20)
     assert found.status == ForceStatus.ZEROED
     assert found.force_n == pytest.approx((3.0, 3.0), abs=0.06)
     assert found.centre_taxels is not None
@@ -90,10 +82,8 @@ def test_noise_of_untouched_pads_is_no_force() -> None:
     for _ in range(3000):
         noise = np.clip(np.abs(10.0 * rng.standard_normal(unit.n)), 1.0, 20.0) - 8.0
         counts = np.rint(unit.zero + noise).astype(np.uint16)
-        assert decode_force_message(unit.forces.message(counts, ForceStatus(0)), 0.0).force_n == (
-            0.0,
-            0.0,
-        )
+        found = decode_force_message(unit.forces.message(counts, ForceStatus(0)), 0.0)
+        assert found.force_n == (0.0, 0.0)
 
 
 def test_neighbours_stand_in_for_a_taxel_that_fails() -> None:

@@ -1,44 +1,30 @@
-import math
 from random import Random
 
 import pytest
 from hypothesis import given, settings, strategies as st
 
-from simulator.can.control_unit import SendBurst
 from simulator.can.faults import CanLinkFaults
 from simulator.can.link import CanLink
 from simulator.can.slcan import OUTPUT_LIMIT, SlcanAdapter
 from simulator.devices import CellDevices
 from simulator.settings import SimulatorSettings
-
-
-class Device:
-    def __init__(self) -> None:
-        self.heard: list[tuple[int, bytes]] = []
-        self.heard_s: list[float] = []
-
-    def connect(self, send: SendBurst) -> None:
-        self.send = send
-
-    def receive(self, can_id: int, data: bytes, now_s: float) -> None:
-        self.heard.append((can_id, data))
-        self.heard_s.append(now_s)
-
-    def advance(self, now_s: float) -> None: ...
-
-    def next_event_s(self) -> float:
-        return math.inf
+from tests.simulator.can.conftest import Echo
 
 
 class Line:
     def __init__(self, *setup: bytes) -> None:
-        self.device = Device()
+        self.device = Echo()
         self.faults = CanLinkFaults()
         self.adapter = SlcanAdapter(
             CanLink(self.device, bitrate=1_000_000, faults=self.faults), bitrate=1_000_000
         )
         for command in setup:
             assert self.say(command + b"\r") == b"\r"
+
+    @property
+    def heard(self) -> list[tuple[int, bytes]]:
+        """Identifier and data of what the device heard."""
+        return [(can_id, data) for _, can_id, data in self.device.heard]
 
     def say(self, data: bytes, now_s: float = 1.0) -> bytes:
         self.adapter.receive(data, now_s)
@@ -50,7 +36,7 @@ def test_a_client_opens_with_the_commands_of_python_can() -> None:
     # Close, bit rate, no data rate, open, open again: what it sends; what is refused does no harm.
     assert line.say(b"C\rS8\r\rO\rO\r") == b"\a\r\r\a"
     assert line.say(b"t1232AABB\r") == b"z\r"
-    assert line.device.heard == [(0x123, b"\xaa\xbb")]
+    assert line.heard == [(0x123, b"\xaa\xbb")]
 
 
 def test_messages_come_as_lines_when_they_are_through() -> None:
@@ -76,7 +62,7 @@ def test_a_closed_channel_neither_hears_nor_sends() -> None:
 def test_another_bit_rate_reaches_nobody() -> None:
     line = Line(b"S6", b"O")
     assert line.say(b"t1230\r") == b"z\r"
-    assert line.device.heard == []
+    assert line.heard == []
     line.device.send(1.0, 0x185, [bytes(8)])
     assert line.say(b"", 2.0) == b""
 
@@ -168,7 +154,7 @@ def test_losing_power_closes_the_channel() -> None:
     line.adapter.reset()
     assert line.say(b"V\r") == b"V1013\r"
     assert line.say(b"O\rt1230\r") == b"\rz\r"
-    assert line.device.heard == [(0x123, b"")]
+    assert line.heard == [(0x123, b"")]
 
 
 @given(can_id=st.integers(0, 0x7FF), data=st.binary(max_size=8), lower=st.booleans())
@@ -177,18 +163,15 @@ def test_what_is_sent_in_text_arrives(can_id: int, data: bytes, lower: bool) -> 
     line = Line(b"O")
     text = f"{can_id:03X}{len(data)}{data.hex().upper()}"
     assert line.say(b"t" + (text.lower() if lower else text).encode() + b"\r") == b"z\r"
-    assert line.device.heard == [(can_id, data)]
+    assert line.heard == [(can_id, data)]
     line.device.send(1.0, can_id, [data])
     assert line.say(b"", 2.0) == f"t{text}\r".encode()
 
 
 def test_syncs_that_waited_are_spread_over_the_time_in_which_they_were_sent():
-    device = Device()
-    adapter = SlcanAdapter(CanLink(device, bitrate=1_000_000), bitrate=1_000_000)
-    adapter.receive(b"S8\rO\r", 1.0)
-    adapter.receive(b"t0800\rt0800\r", 1.06, sent_after_s=1.02)
-    assert device.heard == [(0x80, b"")] * 2
-    assert device.heard_s == pytest.approx([1.03, 1.05])
+    line = Line(b"O")
+    line.adapter.receive(b"t0800\rt0800\r", 1.06, sent_after_s=1.02)
+    assert [heard_s for heard_s, *_ in line.device.heard] == pytest.approx([1.03, 1.05])
 
 
 def test_a_simulator_that_stalls_takes_no_sync_for_one_within_a_burst() -> None:

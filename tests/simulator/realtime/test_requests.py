@@ -1,6 +1,7 @@
 import json
 import socket
 import struct
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -148,8 +149,14 @@ class Served:
         return client
 
 
-def test_each_request_is_answered_on_its_own_line(tmp_path: Path) -> None:
-    served = Served(tmp_path / "s")
+@pytest.fixture
+def served(tmp_path: Path) -> Iterator[Served]:
+    made = Served(tmp_path / "s")
+    yield made
+    made.server.close()
+
+
+def test_each_request_is_answered_on_its_own_line(served: Served) -> None:
     with served.connect() as client:
         client.sendall(b'{"a": 1}\n{"refuse": 1}\n\n{"b"')
         served.poll()
@@ -160,13 +167,11 @@ def test_each_request_is_answered_on_its_own_line(tmp_path: Path) -> None:
     served.poll()
     assert len(served.server.filenos()) == 1
     served.server.close()
-    served.server.close()
-    assert not (tmp_path / "s").exists()
+    assert not served.server.path.exists()
 
 
 @pytest.mark.parametrize("line", [b"no json", b"[1]", b"\xff\xfe", b"[" * 50_000, b"1" * 5000])
-def test_lines_that_are_no_request_get_an_error(tmp_path: Path, line: bytes) -> None:
-    served = Served(tmp_path / "s")
+def test_lines_that_are_no_request_get_an_error(served: Served, line: bytes) -> None:
     with served.connect() as client:
         client.sendall(line + b"\n")
         served.poll()
@@ -174,11 +179,9 @@ def test_lines_that_are_no_request_get_an_error(tmp_path: Path, line: bytes) -> 
         client.sendall(b'{"a": 1}\n')
         served.poll()
         assert json.loads(client.recv(4096)) == {"n": 1}
-    served.server.close()
 
 
-def test_a_request_without_an_end_is_cut_off(tmp_path: Path) -> None:
-    served = Served(tmp_path / "s")
+def test_a_request_without_an_end_is_cut_off(served: Served) -> None:
     with served.connect() as client:
         client.setblocking(False)
         sent = 0
@@ -188,27 +191,22 @@ def test_a_request_without_an_end_is_cut_off(tmp_path: Path) -> None:
         client.settimeout(5.0)
         assert b"at most" in client.recv(4096)
         assert client.recv(4096) == b""
-    served.server.close()
 
 
-def test_a_client_that_is_gone_is_forgotten(tmp_path: Path) -> None:
-    served = Served(tmp_path / "s")
+def test_a_client_that_is_gone_is_forgotten(served: Served) -> None:
     client = served.connect()
     client.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, struct.pack("ii", 1, 0))
     client.sendall(b'{"a": 1}\n')
     client.close()
     served.poll()
     assert len(served.server.filenos()) == 1
-    served.server.close()
 
 
-def test_only_so_many_clients_are_served(tmp_path: Path) -> None:
-    served = Served(tmp_path / "s")
+def test_only_so_many_clients_are_served(served: Served) -> None:
     clients = [served.connect() for _ in range(CLIENT_LIMIT + 1)]
     served.poll()
     assert len(served.server.filenos()) == CLIENT_LIMIT + 1
     assert clients[-1].recv(1) == b""
-    served.server.close()
     for client in clients:
         client.close()
 

@@ -122,22 +122,17 @@ def test_a_reboot_forgets_the_registered_instruction(bench):
     assert bench.ask(1, Instruction.ACTION) == (UNKNOWN, b"")
 
 
-@pytest.mark.parametrize(("level", "answered"), [(0, "p"), (1, "pr"), (2, "prw")])
+@pytest.mark.parametrize(("level", "answered"), [(0, "p"), (1, "prs"), (2, "prsw")])
 def test_status_return_level(bench, level: int, answered: str):
     bench.write(1, 68, 1, level)
     requests = {
         "p": encode_instruction(1, Instruction.PING),
         "r": encode_instruction(1, Instruction.READ, bytes((132, 0, 4, 0))),
+        "s": encode_instruction(0xFE, Instruction.SYNC_READ, bytes((132, 0, 4, 0, 1))),
         "w": encode_instruction(1, Instruction.WRITE, bytes((65, 0, 1))),
     }
     assert "".join(key for key, raw in requests.items() if bench.exchange(raw)) == answered
     assert bench.servos[0].core.table.data[65] == 1
-
-
-def test_level_0_silences_a_sync_read(bench):
-    bench.write(1, 68, 1, 0)
-    request = encode_instruction(0xFE, Instruction.SYNC_READ, bytes((132, 0, 4, 0, 1, 2)))
-    assert bench.exchange(request) == b""
 
 
 def test_the_secondary_id_is_obeyed_in_silence(bench):
@@ -231,23 +226,12 @@ def test_clear_falls_back_to_one_turn_unless_moving(servo_bench):
 @pytest.mark.parametrize("entry", ["mode", "torque"])
 def test_mode_3_falls_back_to_one_turn(servo_bench, entry: str):
     bench = multi_turn(servo_bench)
-    if entry == "mode":
-        bench.write(1, 11, 1, 3)
-    else:
-        bench.write(1, 11, 1, 3)
+    bench.write(1, 11, 1, 3)
+    if entry == "torque":
         bench.motors[0].angle_rad += math.tau
         assert bench.read(1, 132, 4, signed=True) > 4096
         bench.write(1, 64, 1, 1)
     assert 0 <= bench.read(1, 132, 4, signed=True) < 4096
-
-
-def test_old_firmware_lacks_clear_backup_and_fast_reads(servo_bench):
-    bench = servo_bench(firmware=38)
-    assert bench.ask(1, Instruction.PING)[1][2] == 38
-    assert bench.ask(1, Instruction.CLEAR, bytes.fromhex("0144584C22"))[0] == UNKNOWN
-    assert bench.ask(1, Instruction.BACKUP, bytes.fromhex("014354524C"))[0] == UNKNOWN
-    fast = encode_instruction(0xFE, Instruction.FAST_SYNC_READ, bytes((132, 0, 4, 0, 1)))
-    assert bench.exchange(fast) == b""
 
 
 @pytest.mark.parametrize(
@@ -266,7 +250,8 @@ def test_firmware_from_which_on(servo_bench, model, firmware: int, clear: bool, 
     known = {True: 0, False: UNKNOWN}
     assert bench.ask(1, Instruction.CLEAR, bytes.fromhex("0144584C22"))[0] == known[clear]
     assert bench.ask(1, Instruction.BACKUP, bytes.fromhex("014354524C"))[0] == known[backup]
-    assert bench.servos[0].has_fast_reads == backup
+    fast = encode_instruction(0xFE, Instruction.FAST_SYNC_READ, bytes((132, 0, 4, 0, 1)))
+    assert bool(bench.exchange(fast)) == backup
 
 
 def test_reboot_answers_first_then_is_deaf_and_loses_its_ram(bench):

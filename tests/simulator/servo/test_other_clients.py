@@ -1,0 +1,129 @@
+"""Clients written by others talk to the simulated servos over a real pseudo-terminal.
+
+rustypot, the vendor's own package, and dxl2 (dynamixel-python), which has the bulk reads.
+"""
+
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import dynamixel_sdk
+import pytest
+import rustypot
+from dxl2 import v2 as dxl2
+
+from gripper.dynamixel.models import XM430_W350
+
+TIMEOUT_S = 10.0
+"""Patience in s with an answer: other tests run beside this one."""
+LOOKS_LIKE_A_HEADER = bytes.fromhex("FFFFFDFF")
+
+
+@pytest.fixture
+def driver(serve: Any) -> Any:
+    return serve(settings={"operating_mode": 5})
+
+
+@pytest.fixture
+def rusty(driver: Any) -> Iterator[Any]:
+    controller = rustypot.Xl430PyController(driver.endpoint.path, 1_000_000, TIMEOUT_S)
+    yield controller
+    controller.close()
+
+
+@pytest.fixture
+def bus(driver: Any) -> Iterator[dxl2.MotorBus]:
+    opened = dxl2.MotorBus(driver.endpoint.path, 1_000_000, TIMEOUT_S)
+    opened.connect()
+    yield opened
+    opened.disconnect()
+
+
+def present(driver: Any, servo_id: int) -> int:
+    position: int = driver.bench.servos[servo_id - 1].core.position.present_raw()
+    return position
+
+
+def registers(driver: Any, servo_id: int) -> Any:
+    return driver.bench.servos[servo_id - 1].core.registers
+
+
+def test_ping_and_scan(rusty: Any) -> None:
+    assert rusty.ping(1)
+    assert rusty.scan([1, 2]) == {1: 1020, 2: 1020}
+
+
+@pytest.mark.parametrize("fast", [False, True])
+def test_sync_reads_of_positions_and_of_what_looks_like_a_header(
+    driver: Any, rusty: Any, fast: bool
+) -> None:
+    rusty.set_fast_sync_read(fast)
+    for block, servo_id in zip(rusty.sync_read_raw_data([1, 2], 126, 10), (1, 2), strict=True):
+        assert int.from_bytes(bytes(block)[6:], "little") == present(driver, servo_id)
+    assert rusty.write_raw_data_with_error(1, 116, list(LOOKS_LIKE_A_HEADER)) == 0
+    registers(driver, 2).put("goal_position", -131073)
+    blocks = rusty.sync_read_raw_data([1, 2], 116, 4)
+    assert [bytes(block) for block in blocks] == [LOOKS_LIKE_A_HEADER] * 2
+
+
+@pytest.mark.parametrize("fast", [False, True])
+def test_alert_and_access_errors(driver: Any, rusty: Any, fast: bool) -> None:
+    rusty.set_fast_sync_read(fast)
+    driver.bench.servos[1].core.injected_error = 0x20
+    driver.bench.device.advance_to(time.monotonic())
+    answers = rusty.sync_read_raw_data_with_error([1, 2], 132, 4)
+    assert [error for _, error in answers] == [0, 0x80]
+    assert [error for _, error in rusty.sync_read_raw_data_with_error([1], 71, 1)] == [7]
+
+
+def test_the_vendors_package_reads_and_writes(driver: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    # It waits for an answer for twice this time, in ms: other tests run beside this one.
+    monkeypatch.setattr(dynamixel_sdk.port_handler, "LATENCY_TIMER", 5000)
+    port, packets = dynamixel_sdk.PortHandler(driver.endpoint.path), dynamixel_sdk.PacketHandler(2)
+    assert port.openPort()
+    assert port.setBaudRate(1_000_000)
+    assert packets.ping(port, 1) == (1020, 0, 0)
+    assert packets.read4ByteTxRx(port, 2, 132) == (present(driver, 2), 0, 0)
+    assert packets.write2ByteTxRx(port, 1, 102, 1194) == (0, 6)
+    group = dynamixel_sdk.GroupSyncWrite(port, packets, 102, 2)
+    assert group.addParam(1, [100, 0])
+    assert group.addParam(2, [0x9C, 0xFF])
+    assert group.txPacket() == 0
+    assert packets.read2ByteTxRx(port, 2, 102) == (0xFF9C, 0, 0)
+    assert [registers(driver, i).get("goal_current") for i in (1, 2)] == [100, -100]
+    places = dynamixel_sdk.GroupSyncRead(port, packets, 126, 10)
+    for i in (1, 2):
+        assert places.addParam(i)
+    for read in (places.txRxPacket, places.fastSyncRead):
+        assert read() == 0
+        assert [places.getData(i, 132, 4) for i in (1, 2)] == [present(driver, i) for i in (1, 2)]
+    port.closePort()
+
+
+# dxl2
+
+
+def good(response: Any) -> Any:
+    assert response.ok, response
+    return response.data
+
+
+def test_ping_one_and_all(bus: dxl2.MotorBus) -> None:
+    identity = {"model_number": XM430_W350.number, "firmware_version": 48}
+    assert good(bus.ping(2)) == identity
+    bus.conn.serial.timeout = 1.0
+    assert good(bus.broadcast_ping()) == {1: identity, 2: identity}
+    assert bus.ping(9).timeout
+
+
+def test_bulk_reads_and_a_bulk_write(driver: Any, bus: dxl2.MotorBus) -> None:
+    wanted = dxl2.BulkParams()
+    wanted.add_value(1, 112, 4, 55)
+    wanted.add_value(2, 102, 2, -33, True)
+    bus.bulk_write(wanted)
+    asked = dxl2.BulkParams()
+    asked.add_address(2, 102, 2, True)
+    asked.add_address(1, 112, 4, True)
+    assert good(bus.bulk_read(asked)) == [-33, 55]
+    assert good(bus.fast_bulk_read(asked)) == [-33, 55]
+    assert registers(driver, 1).get("profile_velocity") == 55
