@@ -94,11 +94,7 @@ def test_a_tare_gives_the_unit_its_zero_and_a_threshold_above_the_noise() -> Non
 def test_a_taxel_that_fails_in_a_grip_sends_the_force_back_to_the_frames_until_it_is_free() -> None:
     sensor, frames, forces = tared()
     broken = LAYOUT.taxels_of(LAYOUT.gripping_pads[1]).start + 7
-
-    def stick(counts: np.ndarray) -> None:
-        counts[broken] = 33
-
-    frames.alter = stick
+    frames.stuck = {broken: 33}
     readings(sensor, frames, 40)
     assert not sensor.has_forces
     assert len(forces.zeros) == 1

@@ -47,6 +47,7 @@ class Frames:
         self.status = 0
         self.counter = 0
         self.running = True
+        self.stuck: dict[int, int] = {}
         self.alter: Callable[[np.ndarray], None] = lambda counts: None
         self.error: Exception | None = None
         self.closed = False
@@ -72,6 +73,7 @@ class Frames:
             if self.noise:
                 counts += np.clip(np.abs(self.rng.normal(0, 10, len(counts))), 1, 20)
             counts = np.clip(np.rint(counts), 0, self.adc_max).astype(np.uint16)
+            counts[list(self.stuck)] = list(self.stuck.values())
             self.alter(counts)
             frames.append(
                 TactileFrame(
@@ -234,11 +236,7 @@ def test_converter_fault_and_a_zero_of_the_unit_are_objections() -> None:
 
 def test_a_taxel_that_gets_stuck_is_filled_from_its_neighbours() -> None:
     sensor, frames = tared()
-
-    def stick(counts: np.ndarray) -> None:
-        counts[40] = 180
-
-    frames.alter = stick
+    frames.stuck = {40: 180}
     before = readings(sensor, frames, 10)[-1]
     assert before.finger_force_n[0] > 1.0
     after = readings(sensor, frames, 40)[-1]
@@ -249,17 +247,12 @@ def test_a_taxel_that_gets_stuck_is_filled_from_its_neighbours() -> None:
 def test_frozen_samples_are_a_fault_that_latches() -> None:
     sensor, frames = tared()
     readings(sensor, frames, 5)
-    frozen = readings(sensor, frames, 1)[0].frame.counts
-
-    def freeze(counts: np.ndarray) -> None:
-        counts[:] = frozen
-
-    frames.alter = freeze
+    frames.stuck = dict(enumerate(readings(sensor, frames, 1)[0].frame.counts.tolist()))
     start_s = frames.now_s
     with pytest.raises(FrameTimeout, match=r"identical for 0\.08"):
         readings(sensor, frames, 20)
     assert frames.now_s - start_s <= 0.1
-    frames.alter = lambda counts: None
+    frames.stuck = {}
     with pytest.raises(FrameTimeout, match="identical"):
         sensor.poll()
     sensor.start()
@@ -298,11 +291,7 @@ def test_a_taxel_that_jumps_beside_calm_neighbours_is_masked_at_once(
     sensor, frames = tared()
     frames.press(3.0)
     before = readings(sensor, frames, 5)[-1]
-
-    def stick(counts: np.ndarray) -> None:
-        counts[pressed] = stuck
-
-    frames.alter = stick
+    frames.stuck = {pressed: stuck}
     after = readings(sensor, frames, 5)
     assert all(r.ok for r in after)
     assert [np.flatnonzero(r.bad).tolist() for r in after] == [[pressed]] * 5
@@ -322,11 +311,7 @@ def test_a_hard_touch_is_no_broken_taxel() -> None:
 
 def test_more_broken_taxels_than_allowed_make_the_force_invalid() -> None:
     sensor, frames = tared()
-
-    def stick(counts: np.ndarray) -> None:
-        counts[[0, 12, 27, 61]] = 255
-
-    frames.alter = stick
+    frames.stuck = dict.fromkeys((0, 12, 27, 61), 255)
     reading = readings(sensor, frames, 4)[-1]
     assert (reading.ok, reading.reason) == (False, "4 taxels of finger 0 bad")
     assert sensor.statistics == SensorStatistics(bad_taxels=4, void_frames=2)
@@ -344,16 +329,11 @@ def test_a_saturated_pad_beside_the_grip_is_noted_only() -> None:
 
 def test_one_bad_taxel_of_a_small_pad_is_no_reason_to_refuse_a_zero() -> None:
     sensor, frames = make()
-    tip = LAYOUT.taxels_of(4).start
-
-    def stick(counts: np.ndarray) -> None:
-        counts[tip] = 0
-
-    frames.alter = stick
+    frames.stuck = {LAYOUT.taxels_of(4).start: 0}
     assert sensor.tare().health.dead.sum() == 1
     strict = SensorSettings(tare_limits=TareLimits(bad_share=0.0))
     sensor, frames = make(strict)
-    frames.alter = stick
+    frames.stuck = {LAYOUT.taxels_of(4).start: 0}
     with pytest.raises(TareRefused, match=r"8% of the taxels of pad finger0\.tip"):
         sensor.tare()
 
@@ -471,9 +451,7 @@ def test_tare_finds_the_mean_of_the_noise() -> None:
             r"finger0\.inner reads .* more than the pads that nothing grips, allowed are 4\.1",
         ),
         (
-            lambda frames: setattr(
-                frames, "alter", lambda counts: counts.__setitem__(slice(0, 10), 0)
-            ),
+            lambda frames: frames.stuck.update(dict.fromkeys(range(10), 0)),
             r"16% of the taxels of pad finger0\.inner are bad \(10 dead, 0 stuck",
         ),
     ],
@@ -514,11 +492,7 @@ def test_too_few_frames_for_a_tare_are_refused() -> None:
 
 def test_a_few_bad_taxels_are_masked_and_filled() -> None:
     sensor, frames = make()
-
-    def spoil(counts: np.ndarray) -> None:
-        counts[3], counts[100], counts[300] = 0, 77, 255
-
-    frames.alter = spoil
+    frames.stuck = {3: 0, 100: 77, 300: 255}
     result = sensor.tare()
     assert np.flatnonzero(result.health.dead).tolist() == [3]
     assert np.flatnonzero(result.health.stuck).tolist() == [100]

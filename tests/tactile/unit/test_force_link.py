@@ -1,91 +1,37 @@
 """The link to a unit that sends force messages: set-up, order on the bus, what goes wrong."""
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+import itertools
+from collections.abc import Callable
+from functools import partial
 
 import can
 import canopen
 import numpy as np
 import pytest
 
-from simulator.can.control_unit import ControlUnitSettings, SimulatedControlUnit
-from simulator.can.memory_bus import InMemoryCanBus
-from simulator.clock import VirtualClock
+from simulator.can.control_unit import ControlUnitSettings
 from tactile.errors import BusDisturbed, FrameTimeout, IdentityMismatch, LinkFault
-from tactile.frames.force_message import ForceMessage, ForceStatus, encode_zero
+from tactile.frames.force_message import ForceStatus, encode_zero
 from tactile.layout import paper_layout
 from tactile.sensor.calibration import FoamCalibration
 from tactile.sensor.force_check import force_table
 from tactile.unit import object_dictionary as od
-from tactile.unit.link import LinkSettings, TactileLink
+from tests.tactile.conftest import Bench
 
 LAYOUT = paper_layout()
 TABLE = force_table(LAYOUT, FoamCalibration(255))
 ZERO = encode_zero(4.0, np.zeros(128), np.zeros(128, dtype=np.bool_), 255)
 
 
-class Skin:
-    """Taxels that all read the same."""
-
-    counts = 0
-
-    def scan(self) -> np.ndarray:
-        return np.full(LAYOUT.n_taxels, self.counts, dtype=np.uint16)
-
-    scan_gripping = scan
-
-
-@dataclass
-class Bench:
-    link: TactileLink
-    unit: SimulatedControlUnit
-    bus: InMemoryCanBus
-    clock: VirtualClock
-    skin: Skin
-    traffic: list[tuple[float, int, bytes]] = field(default_factory=list)
-
-    def run(self, seconds: float) -> list[ForceMessage]:
-        found: list[ForceMessage] = []
-        end_s = self.clock.monotonic() + seconds
-        while self.clock.monotonic() < end_s:
-            self.clock.sleep(0.001)
-            self.link.poll()
-            found += self.link.take_forces()
-        return found
+@pytest.fixture
+def make_forces(make_bench: Callable[..., Bench]) -> Callable[..., Bench]:
+    """Return what makes a bench whose unit sends its force each 3 ms."""
+    return partial(make_bench, table=TABLE, force_period_s=0.003)
 
 
 @pytest.fixture
-def make_bench() -> Iterator[Callable[..., Bench]]:
-    benches: list[Bench] = []
-
-    def make(
-        *, table: bytes | None = TABLE, unit: ControlUnitSettings | None = None, **settings: float
-    ) -> Bench:
-        clock, skin = VirtualClock(), Skin()
-        device = SimulatedControlUnit(skin, LAYOUT, unit)
-        bus = InMemoryCanBus(device, clock)
-        link = TactileLink(
-            bus,
-            node_id=5,
-            layout=LAYOUT,
-            clock=clock,
-            settings=LinkSettings(**{"threaded": False, "force_period_s": 0.003} | settings),
-            force_table=table,
-        )
-        bench = Bench(link, device, bus, clock, skin)
-        bus.capture.append(lambda t_s, can_id, data: bench.traffic.append((t_s, can_id, data)))
-        benches.append(bench)
-        return bench
-
-    yield make
-    for bench in benches:
-        bench.link.close()
-        bench.bus.shutdown()
-
-
-@pytest.fixture
-def bench(make_bench: Callable[..., Bench]) -> Bench:
-    made = make_bench()
+def bench(make_forces: Callable[..., Bench]) -> Bench:
+    made = make_forces()
     made.link.start()
     made.link.write_zero(ZERO)
     return made
@@ -93,9 +39,9 @@ def bench(make_bench: Callable[..., Bench]) -> Bench:
 
 def test_the_force_comes_by_table_and_zero_each_three_milliseconds(bench: Bench) -> None:
     assert bench.link.sends_forces
-    bench.skin.counts = 20
-    bench.run(0.1)
-    found = bench.run(0.3)
+    bench.skin.counts[:] = 20
+    bench.forces(0.1)
+    found = bench.forces(0.3)
     assert len(found) == pytest.approx(100, abs=1)
     taxel_n = float(FoamCalibration(255).force_n(np.array([20.0]))[0])
     assert found[-1].force_n == pytest.approx((64 * taxel_n, 64 * taxel_n), rel=0.01)
@@ -131,10 +77,10 @@ def read_by_canopen(bench: Bench, index: int) -> bytes:
 
 
 def test_a_force_message_waits_for_one_message_of_a_burst_and_no_more(
-    make_bench: Callable[..., Bench],
+    make_forces: Callable[..., Bench],
 ) -> None:
     def worst_wait_s(frame_function: int) -> float:
-        bench = make_bench()
+        bench = make_forces()
         bench.link.start()
         if frame_function != od.COB_TPDO3:
             # As if the frames had stayed before the forces: TPDO1 and TPDO2 as in the EDS.
@@ -155,44 +101,44 @@ def test_a_force_message_waits_for_one_message_of_a_burst_and_no_more(
     assert worst_wait_s(od.COB_TPDO1) > 0.002
 
 
-def test_a_unit_without_force_messages_runs_as_before(make_bench: Callable[..., Bench]) -> None:
-    bench = make_bench(unit=ControlUnitSettings(force_messages=False))
+def test_a_unit_without_force_messages_runs_as_before(make_forces: Callable[..., Bench]) -> None:
+    bench = make_forces(unit=ControlUnitSettings(force_messages=False))
     bench.link.start()
     assert not bench.link.sends_forces
-    assert bench.run(0.2) == []
+    assert bench.forces(0.2) == []
     assert bench.link.statistics.frames.complete >= 9
     assert {can_id for _, can_id, _ in bench.traffic} >= {0x185}
 
 
-def test_a_table_that_the_unit_does_not_keep_is_refused(make_bench: Callable[..., Bench]) -> None:
-    bench = make_bench()
+def test_a_table_that_the_unit_does_not_keep_is_refused(make_forces: Callable[..., Bench]) -> None:
+    bench = make_forces()
     bench.unit.dictionary.pretend(od.FORCE_TABLE, 0, TABLE[:-2] + b"\0\0")
     with pytest.raises(IdentityMismatch, match="table of counts to force"):
         bench.link.start()
 
 
 def test_force_messages_that_stay_away_are_a_fault_though_frames_come(bench: Bench) -> None:
-    bench.run(0.1)
+    bench.forces(0.1)
     bench.unit.faults.forces_off = True
     start_s = bench.clock.monotonic()
     silent = r"no force message .* for 4[01] ms, allowed are 40 ms: check that .* has power"
     with pytest.raises(FrameTimeout, match=silent):
-        bench.run(0.2)
+        bench.forces(0.2)
     assert bench.clock.monotonic() - start_s < 0.045
 
 
 @pytest.mark.parametrize(("knob", "silence_s"), [("forces_off", 0.2), ("dead", 0.2)])
 def test_a_longer_silence_is_allowed_where_that_is_set(
-    make_bench: Callable[..., Bench], knob: str, silence_s: float
+    make_forces: Callable[..., Bench], knob: str, silence_s: float
 ) -> None:
-    bench = make_bench(silence_s=silence_s, heartbeat_s=1.0)
+    bench = make_forces(silence_s=silence_s, heartbeat_s=1.0)
     bench.link.start()
     bench.link.write_zero(ZERO)
-    bench.run(0.1)
+    bench.forces(0.1)
     setattr(bench.unit.faults, knob, True)
-    bench.run(silence_s - 0.04)
+    bench.forces(silence_s - 0.04)
     with pytest.raises(FrameTimeout, match=r"no (force message|whole frame)"):
-        bench.run(0.08)
+        bench.forces(0.08)
 
 
 def stall(bench: Bench, monkeypatch: pytest.MonkeyPatch, stall_s: float = 0.057) -> None:
@@ -205,15 +151,15 @@ def stall(bench: Bench, monkeypatch: pytest.MonkeyPatch, stall_s: float = 0.057)
 
 
 def test_a_stall_of_the_host_is_no_silence_of_the_unit(
-    make_bench: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
+    make_forces: Callable[..., Bench], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bench = make_bench(heartbeat_s=0.02)
+    bench = make_forces(heartbeat_s=0.02)
     bench.link.start()
     bench.link.write_zero(ZERO)
     for _ in range(5):
-        bench.run(0.1)
+        bench.forces(0.1)
         stall(bench, monkeypatch)
-        assert bench.run(0.02)
+        assert bench.forces(0.02)
 
 
 @pytest.mark.parametrize("stall_s", [0.057, 0.115, 0.16])
@@ -225,59 +171,50 @@ def test_what_came_in_a_stall_of_the_host_is_not_late(
     # The thread that receives stamps what it reads at the end of the stall.
     monkeypatch.setattr(source, "drain", lambda: [(bench.clock.monotonic(), m) for _, m in drain()])
     for _ in range(3):
-        bench.run(0.3)
+        bench.forces(0.3)
         bench.clock.sleep(stall_s)
         bench.link.poll()
-    assert bench.run(0.3)
+    assert bench.forces(0.3)
 
 
 @pytest.mark.parametrize(("knob", "limit_s"), [("forces_off", 0.04), ("heartbeat_off", 0.25)])
 def test_a_silent_unit_is_found_within_its_limit_and_the_stall(
     bench: Bench, monkeypatch: pytest.MonkeyPatch, knob: str, limit_s: float
 ) -> None:
-    bench.run(0.1)
+    bench.forces(0.1)
     start_s = bench.clock.monotonic()
     setattr(bench.unit.faults, knob, True)
-    bench.run(0.01)
+    bench.forces(0.01)
     stall(bench, monkeypatch)
     with pytest.raises(LinkFault, match=r"no (force message|heartbeat) from"):
-        bench.run(1.0)
+        bench.forces(1.0)
     assert bench.clock.monotonic() - start_s < limit_s + 0.057 + 0.002
 
 
 def test_damaged_and_repeated_messages_are_dropped_and_counted(bench: Bench) -> None:
-    bench.run(0.1)
+    bench.forces(0.1)
     bench.bus.faults.duplicate_rate = 0.02
-    bench.run(0.5)
+    bench.forces(0.5)
     bench.bus.faults.duplicate_rate = 0.0
     statistics = bench.link.statistics.forces
     assert statistics.repeated > 0
     assert (statistics.lost, statistics.damaged) == (0, 0)
-    bench.run(0.05)
+    bench.forces(0.05)
 
 
 @pytest.mark.parametrize("again_s", [0.01, 0.03, 0.25])
 def test_messages_that_are_sent_again_later_are_a_fault(bench: Bench, again_s: float) -> None:
-    bench.run(0.3)
+    bench.forces(0.3)
     bench.unit.faults.forces_again_s = again_s
     with pytest.raises(BusDisturbed, match="older than the one before"):
-        bench.run(again_s + 0.2)
+        bench.forces(again_s + 0.2)
 
 
-def test_too_many_lost_messages_are_a_fault(make_bench: Callable[..., Bench]) -> None:
-    bench = make_bench(max_loss_rate=0.05)
+def test_too_many_lost_messages_are_a_fault(make_forces: Callable[..., Bench]) -> None:
+    bench = make_forces(max_loss_rate=0.05)
     bench.link.start()
-    bench.run(0.1)
-    send, count = bench.unit.send, 0
-
-    def lossy(ready_s: float, can_id: int, burst: list[bytes]) -> float:
-        nonlocal count
-        if can_id == 0x285:
-            count += 1
-            if count % 3 == 0:
-                return ready_s
-        return send(ready_s, can_id, burst)
-
-    bench.unit.connect(lossy)
+    bench.forces(0.1)
+    count = itertools.count()
+    bench.alter(0x285, lambda burst: burst if next(count) % 3 else [])
     with pytest.raises(BusDisturbed, match="lost force messages"):
-        bench.run(1.0)
+        bench.forces(1.0)

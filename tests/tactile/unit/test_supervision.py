@@ -2,12 +2,11 @@
 
 import pytest
 
-from tactile.errors import BusErrorPassive, HeartbeatLost, LinkFault, NodeEmergency, TactileError
+from tactile.errors import BusErrorPassive, HeartbeatLost
 from tactile.unit.supervision import (
     Emergency,
     NodeSupervisor,
     SupervisionLimits,
-    decode_emergency,
 )
 
 
@@ -29,12 +28,6 @@ def test_texts(code: int, text: str) -> None:
     assert Emergency(code=code, register=0, detail=bytes(5)).text == text
 
 
-def test_emergency_bytes() -> None:
-    emergency = Emergency(code=0x8110, register=0x11, detail=b"abcde")
-    assert decode_emergency(b"\x10\x81\x11abcde") == emergency
-    assert decode_emergency(b"\x10\x81\x11abcd") is None
-
-
 def make() -> NodeSupervisor:
     return NodeSupervisor("the unit", SupervisionLimits(heartbeat_s=0.1))
 
@@ -49,11 +42,6 @@ def test_heartbeat_is_not_missed_before_operation() -> None:
         supervisor.check(100.251)
 
 
-def test_emergency_before_operation_is_a_fault_too() -> None:
-    with pytest.raises(NodeEmergency, match="the unit reports emergency 0x8120"):
-        make().on_emergency(b"\x20\x81\x11\0\0\0\0\0")
-
-
 def test_restart_of_the_controller_ends_error_passive() -> None:
     supervisor = make()
     supervisor.on_error_frame(0x04, bytes([0, 0x30]), 1.0)
@@ -65,8 +53,3 @@ def test_restart_of_the_controller_ends_error_passive() -> None:
     with pytest.raises(BusErrorPassive, match=r"0\.50 s"):
         supervisor.check(3.5)
     assert supervisor.error_frames == 5
-
-
-def test_error_tree() -> None:
-    assert issubclass(LinkFault, TactileError)
-    assert issubclass(NodeEmergency, LinkFault)
