@@ -36,7 +36,7 @@ from motion.axes import Axes
 from motion.bus import DriveBus
 from motion.drive import Cia402Drive
 from tactile.can.bus import CanBus, close_bus
-from tactile.unit import object_dictionary
+from tactile.unit import object_dictionary as unit_od
 from tactile.unit.link import LinkSettings, TactileLink
 from tests.faults.scenarios.axes import CHANGES
 from tests.hil.relay import crc16
@@ -131,13 +131,8 @@ class Unit:
 
     def forget_tare(self) -> None:
         """Let the unit send raw counts again, while the link runs."""
-        objects = self.link._session.objects
-        objects.write_unsigned(
-            object_dictionary.TARE,
-            object_dictionary.TARE_COMMAND,
-            object_dictionary.TARE_CLEAR_SIGNATURE,
-            4,
-        )
+        command = (unit_od.TARE, unit_od.TARE_COMMAND)
+        self.link._session.objects.write_unsigned(*command, unit_od.TARE_CLEAR_SIGNATURE, 4)
 
     def reset(self) -> None:
         """Let the unit boot, so that it forgets what was set up, and wait until it says so."""

@@ -27,10 +27,7 @@ def request(command: int, index: int, subindex: int, value: int = 0) -> bytes:
 
 def test_the_unit_is_what_its_eds_says(unit: Any) -> None:
     identity = unit.link.start()  # compares layout, formats and mapping, or raises
-    assert (identity.vendor_id, identity.product_code) == (
-        od.VENDOR_ID,
-        od.PRODUCT_CODE,
-    )
+    assert (identity.vendor_id, identity.product_code) == (od.VENDOR_ID, od.PRODUCT_CODE)
     assert identity.revision >> 16 == od.REVISION >> 16
     assert identity.name
 
@@ -97,10 +94,7 @@ def test_the_heartbeat_comes_as_often_as_it_is_set(unit: Any) -> None:
     [
         (request(READ, 0x5FFF, 0), NO_SUCH_OBJECT),
         (request(READ, od.IDENTITY, 9), NO_SUCH_SUBINDEX),
-        (
-            request(WRITE_4, od.IDENTITY, od.IDENTITY_VENDOR, 1),
-            READ_ONLY,
-        ),
+        (request(WRITE_4, od.IDENTITY, od.IDENTITY_VENDOR, 1), READ_ONLY),
         (request(0xE0, od.IDENTITY, 1), UNKNOWN_COMMAND),
     ],
     ids=["no object", "no sub-index", "read only", "no command"],

@@ -7,7 +7,7 @@ import socket
 import threading
 import time
 import tty
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import can
 import pytest
@@ -76,10 +76,11 @@ def test_thread_stamps_and_queues_in_order(bus: QueueBus) -> None:
         receiver.drain()
 
 
-def ended(bus: QueueBus, receiver: ThreadedReceiver, last: object) -> None:
+def ended(receiver: ThreadedReceiver, end: Callable[[], object]) -> None:
+    """Start the receiver, do what ends its thread, and wait for that."""
     receiver.start()
     thread = next(t for t in threading.enumerate() if t.name == "tactile-receive")
-    bus.queue.put(last)
+    end()
     thread.join(5.0)
     assert not thread.is_alive()
 
@@ -96,7 +97,7 @@ def test_an_error_in_the_thread_is_a_fault_every_time(
     bus: QueueBus, error: Exception, fault: type[LinkFault]
 ) -> None:
     receiver = ThreadedReceiver(bus, time)
-    ended(bus, receiver, error)
+    ended(receiver, lambda: bus.queue.put(error))
     for _ in range(2):
         with pytest.raises(fault, match=r"start the link again|the next start opens it anew"):
             receiver.drain()
@@ -110,12 +111,7 @@ def test_an_error_in_the_thread_is_a_fault_every_time(
 
 def test_a_queue_that_nobody_empties_is_a_fault(bus: QueueBus) -> None:
     receiver = ThreadedReceiver(bus, time, limit=5)
-    receiver.start()
-    for number in range(5):
-        bus.queue.put(message(number))
-    thread = next(t for t in threading.enumerate() if t.name == "tactile-receive")
-    bus.queue.put(message(5))
-    thread.join(5.0)
+    ended(receiver, lambda: [bus.queue.put(message(number)) for number in range(6)])
     with pytest.raises(ReceiveLoopDead, match="5 CAN messages wait"):
         receiver.drain()
     receiver.close()
@@ -359,10 +355,7 @@ def test_a_socketcand_server_that_goes_away_is_noticed(server: Server) -> None:
     assert (message.arbitration_id, bytes(message.data)) == (0x185, b"\1\2")
     assert bus.recv(0.01) is None
     receiver = ThreadedReceiver(bus, time)
-    receiver.start()
-    thread = next(t for t in threading.enumerate() if t.name == "tactile-receive")
-    server.client.close()
-    thread.join(5.0)
+    ended(receiver, server.client.close)
     with pytest.raises(BusOff, match="server has closed the connection"):
         receiver.drain()
     receiver.close()
