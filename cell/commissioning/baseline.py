@@ -4,8 +4,11 @@
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from math import isfinite
+from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import numpy as np
@@ -16,6 +19,7 @@ from cell.commissioning.engine import Dialog, Finding, Left, Question, Verdict, 
 from cell.commissioning.figures import pads as pads_figure
 from cell.commissioning.first_force import bench_hand
 from cell.commissioning.motion import WatchedMotion
+from cell.commissioning.servos import model_name
 from cell.commissioning.unit import gripper_alone, without_unit
 from cell.config.model import CellConfig
 from cell.config.sequence import force_ramp
@@ -29,6 +33,7 @@ from tactile.frames.codec import TactileFrame
 from tactile.layout import TaxelLayout
 from tactile.sensor.tare import assess_health
 from tactile.sensor.taxel_forces import TaxelForces
+from tactile.unit.search import read_unit
 
 _HOLD_S = 0.5
 """Time in s for which the gauge object is held and measured."""
@@ -56,13 +61,12 @@ class Change:
     found: str
     """What it is, how it was, and how it was found."""
     step: str
-    """Key of the step that is to be done again, with all that needs it; empty where none helps."""
+    """Key of the step that is to be done again, with all that needs it."""
 
-    @property
-    def advice(self) -> str:
-        """What to do."""
-        again = f"`tactile-cell commission --redo {self.step}`"
-        return f"{again} does again just what depends on it" if self.step else ""
+    def advice(self, folder: Path) -> str:
+        """Return what to do with the commissioning in a folder."""
+        place = "" if folder == Path() else f" {quote(str(folder))}"
+        return f"`tactile-cell commission{place} --redo {self.step}` does what depends on it again"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -256,6 +260,29 @@ def gauge_of(found: Mapping[str, Mapping[str, Any]]) -> Gauge | None:
         return None
     pairs = {name: tuple(values[name]) for name in ("held_n", "patch_taxels")}
     return Gauge(**{**values, **pairs})
+
+
+def changed_hardware(bench: Bench) -> list[Change]:
+    """Ask unit and servos of a bench who they are, and return who is not whom it was.
+
+    A line that cannot be opened or is silent tells nothing here: its own step finds out why.
+    """
+    changes: list[Change] = []
+    if "serial_number" in bench.found.get("unit", {}):
+        with suppress(TactileError), bench.can_bus() as can_bus:
+            identity = read_unit(can_bus, bench.tactile().node_id).identity
+            changes += changed_unit(
+                bench.found,
+                serial=identity.serial,
+                revision=identity.revision,
+                boards=identity.boards,
+            )
+    if "servos" in bench.found:
+        with suppress(GripperError), bench.servo_bus() as servo_bus:
+            pings = [servo_bus.ping(servo.id) for servo in bench.gripper().servos]
+            servos = {p.servo_id: (model_name(p.model_number), p.firmware) for p in pings}
+            changes += changed_servos(bench.found, servos)
+    return changes
 
 
 @dataclass(frozen=True, slots=True)

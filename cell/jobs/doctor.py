@@ -3,15 +3,27 @@
 import importlib.metadata
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from shlex import quote
+from typing import Any
 
 import numpy as np
 
 from cell.build import Cell, build_cell
-from cell.commissioning.engine import Verdict
+from cell.commissioning.baseline import (
+    Change,
+    changed_gauge,
+    changed_pads,
+    changed_servos,
+    changed_unit,
+    gauge_of,
+    measure_gauge,
+)
+from cell.commissioning.bench import Bench
+from cell.commissioning.engine import Dialog, Verdict, kept_values
+from cell.commissioning.servos import model_name
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config, make_calibration
 from cell.control.self_zero import SelfZeros, zero_file
@@ -19,14 +31,18 @@ from cell.errors import CellError
 from cell.hand.interface import FORCE_FROM_FRAMES
 from cell.hand.lines import MISSING
 from cell.installation import EXTRAS, remedy
-from gripper.dynamixel.control_table import HARDWARE_ERROR_STATUS
+from gripper.dynamixel.control_table import (
+    FIRMWARE_VERSION,
+    HARDWARE_ERROR_STATUS,
+    MODEL_NUMBER,
+)
 from gripper.dynamixel.serial_port import latency_timer_file, latency_timer_ms, serial_candidates
 from gripper.errors import GripperError, VerificationFailed
 from gripper.force.mechanics_proof import POSITION_ITEM
 from gripper.settings import CORRECTABLE
 from gripper.state import VerificationRow
 from motion.errors import MotionError
-from tactile.errors import TactileError
+from tactile.errors import IdentityMismatch, TactileError
 from tactile.frames.codec import TactileFrame
 
 _TORQUE = "servo torque"
@@ -66,7 +82,63 @@ def examine(config: CellConfig, config_file: Path | None = None) -> Iterator[Fin
         yield from _ports(config)
     named = "" if config_file is None else f" --config {quote(str(config_file))}"
     yield _self_zero(config, named)
-    yield from _devices(config, named)
+    yield from _devices(config, named, _kept(config_file))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class _Kept:
+    """What was found at commissioning, in which folder; nothing where there was none."""
+
+    folder: Path
+    found: Mapping[str, Mapping[str, Any]]
+
+    def findings(self, what: str, changes: Sequence[Change]) -> list[Finding]:
+        """Return what has changed since the commissioning, or one finding that nothing has."""
+        if not self.found:
+            return []
+        return [
+            Finding(
+                what=change.what,
+                verdict=Verdict.WARN,
+                found=f"{change.found}, at commissioning {change.was}",
+                advice=change.advice(self.folder),
+            )
+            for change in changes
+        ] or [Finding(what=what, verdict=Verdict.PASS, found="as at commissioning")]
+
+
+def _kept(config_file: Path | None) -> _Kept:
+    folder = Path() if config_file is None else config_file.parent
+    return _Kept(folder=folder, found={} if config_file is None else kept_values(folder))
+
+
+def gauge_again(bench: Bench, config: CellConfig, dialog: Dialog) -> list[Finding]:
+    """Grasp the gauge object of the commissioning again, and return what differs.
+
+    Parameters
+    ----------
+    bench
+        Lines and folder of the commissioning.
+    config
+        The cell.
+    dialog
+        Shows each motion before it is made, and asks for the object.
+
+    Raises
+    ------
+    CellError
+        If there is no gauge object, or it was not gripped; `Left` when the person leaves.
+    GripperError, TactileError
+        As the hand raises them.
+    """
+    kept = _Kept(folder=bench.folder, found=kept_values(bench.folder))
+    was = gauge_of(kept.found)
+    if was is None:
+        raise CellError(
+            f"no gauge object was kept in {bench.folder}: finish `tactile-cell commission` first"
+        )
+    now, _ = measure_gauge(bench, config, dialog, was.gauge)
+    return kept.findings(f"gauge object {was.gauge}", changed_gauge(was, now))
 
 
 def _machine() -> Iterator[Finding]:
@@ -146,7 +218,7 @@ def _self_zero(config: CellConfig, named: str) -> Finding:
     )
 
 
-def _devices(config: CellConfig, named: str) -> Iterator[Finding]:
+def _devices(config: CellConfig, named: str, kept: _Kept) -> Iterator[Finding]:
     """Check the devices; ``named`` is the option that names the cell in advised commands."""
     try:
         cell = build_cell(config, mover=lambda _pose: False, ask=str, partial=True)
@@ -161,8 +233,8 @@ def _devices(config: CellConfig, named: str) -> Iterator[Finding]:
     yield from _loop(cell)
     try:
         yield from _guarded(_TORQUE, lambda: _torque(cell, named))
-        yield from _guarded("servos", lambda: _servos(cell, named))
-        yield from _guarded("control unit", lambda: _control_unit(cell, config, named))
+        yield from _guarded("servos", lambda: _servos(cell, named, kept))
+        yield from _guarded("control unit", lambda: _control_unit(cell, config, named, kept))
         yield from _axes(cell)
     finally:
         cell.close()
@@ -224,15 +296,25 @@ def _torque(cell: Cell, named: str) -> list[Finding]:
     ]
 
 
-def _servos(cell: Cell, named: str) -> list[Finding]:
-    return [
+def _servos(cell: Cell, named: str, kept: _Kept) -> list[Finding]:
+    rows = cell.controller.hand.inspect().rows
+    read = {(row.servo_id, row.item): row.found for row in rows}
+    servos = {
+        servo_id: (
+            model_name(int(read[servo_id, MODEL_NUMBER.name])),
+            int(read[servo_id, FIRMWARE_VERSION.name]),
+        )
+        for servo_id in {row.servo_id for row in rows}
+    }
+    same = kept.findings("servos", changed_servos(kept.found, servos))
+    return same + [
         Finding(
             what=f"servo {row.servo_id} {row.item}",
             verdict=_verdict(row),
             found=f"{row.found} (expected {row.expected})",
             advice="" if row.ok else _advice(row, named),
         )
-        for row in cell.controller.hand.inspect().rows
+        for row in rows
     ]
 
 
@@ -255,15 +337,31 @@ def _advice(row: VerificationRow, named: str) -> str:
     return "correct it with the servo maker's wizard, or correct the config"
 
 
-def _control_unit(cell: Cell, config: CellConfig, named: str) -> list[Finding]:
+def _control_unit(cell: Cell, config: CellConfig, named: str, kept: _Kept) -> list[Finding]:
     hand = cell.controller.hand
-    identity = hand.start_sensor()
+    try:
+        identity = hand.start_sensor()
+    except IdentityMismatch as error:
+        advice = "check which unit and pads are plugged in"
+        if kept.found:
+            advice += (
+                "; for new pads `tactile-cell commission --redo pads_at_rest`, for a new unit "
+                "`--redo unit`, in the folder of the commissioning: what depends on it is done "
+                "again"
+            )
+        return [Finding(what="control unit", verdict=Verdict.FAIL, found=str(error), advice=advice)]
     readings = [hand.read_sensor(timeout_s=1.0) for _ in range(10)]
     n_saturated = int(readings[-1].saturated.sum())
     forces = hand.statistics.link.forces
     statistics = hand.statistics.link.frames
     lost = statistics.lost + statistics.torn + statistics.corrupt
+    changes = changed_unit(
+        kept.found, serial=identity.serial, revision=identity.revision, boards=identity.boards
+    )
+    frames = np.stack([reading.frame.counts for reading in readings])
+    changes += changed_pads(kept.found, hand.layout, frames)
     return [
+        *kept.findings("control unit and pads", changes),
         Finding(
             what="control unit",
             verdict=Verdict.PASS,

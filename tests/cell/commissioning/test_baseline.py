@@ -1,5 +1,6 @@
 """Baseline of the wizard: a gauge object, and what has changed since, with the step it affects."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -11,13 +12,15 @@ from cell.commissioning.baseline import (
     BaselineStep,
     Gauge,
     changed_gauge,
+    changed_hardware,
     changed_pads,
     changed_servos,
     changed_unit,
     gauge_of,
-    measure_gauge,
 )
-from cell.commissioning.engine import Left, Verdict
+from cell.commissioning.engine import STORE_NAME, Left, Verdict
+from cell.errors import CellError
+from cell.jobs.doctor import gauge_again
 from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
 from simulator.world.taxels import NoiseModel
@@ -76,7 +79,7 @@ def test_the_same_hardware_has_not_changed() -> None:
 def test_another_unit_or_pad_names_the_step(change: Any, what: str, step: str) -> None:
     (found,) = changed_unit(FOUND, **SOUND | change)
     assert (found.what, found.step) == (what, step)
-    assert f"--redo {step}" in found.advice
+    assert f"commission box --redo {step}`" in found.advice(Path("box"))
 
 
 def test_another_servo_names_its_step() -> None:
@@ -113,6 +116,22 @@ def test_a_gauge_object_that_feels_otherwise_names_the_step(
     assert (found.what, found.step) == (what, step)
 
 
+def test_a_changed_unit_pad_or_servo_is_found_on_the_lines(tmp_path: Path) -> None:
+    with SimulatedCell(SimulatorSettings(layout=pinch_layout())) as cell:
+        bench = bench_of(cell, tmp_path, **FOUND | {"unit": {"serial_number": 1}})
+        servos = [{"id": n, "model": "XM430-W350", "firmware": 0} for n in (1, 2)]
+        bench.found = {**bench.found, "servos": {"servos": servos}}
+        changes = changed_hardware(bench)
+        assert {change.what for change in changes} == {"servo 1", "servo 2"}
+        bench.found = FOUND | {"servos": {"servos": []}}
+        assert [change.what for change in changed_hardware(bench)] == ["control unit"]
+        cell.inject("unit.off")
+        cell.inject("servos.off")
+        assert changed_hardware(bench) == []
+        bench.found = {}
+        assert changed_hardware(bench) == []
+
+
 def test_the_gauge_object_is_grasped_and_kept_and_a_slipped_horn_shows(tmp_path: Path) -> None:
     settings = SimulatorSettings(
         layout=pinch_layout(), noise=NoiseModel(level=0.3), aperture_m=0.014
@@ -127,9 +146,17 @@ def test_the_gauge_object_is_grasped_and_kept_and_a_slipped_horn_shows(tmp_path:
         assert was.held_n == pytest.approx((was.force_n, was.force_n), rel=0.1)
         assert was.held_mm < was.contact_mm < 11.0
         assert min(was.patch_taxels) > 5
+        with pytest.raises(CellError, match="no gauge object was kept"):
+            gauge_again(bench, bench.config, script)
+        kept = {"status": "pass", "lines": [], "values": finding.values, "settings": {}}
+        entry = kept | {"figures": {}, "began": "", "ended": ""}
+        store = {"version": 1, "steps": {"baseline": entry}, "approved": []}
+        (tmp_path / STORE_NAME).write_text(json.dumps(store))
+        (same,) = gauge_again(bench, bench.config, script)
+        assert (same.verdict, same.found) == (Verdict.PASS, "as at commissioning")
         cell.inject("servo1.horn=10")
-        now, _ = measure_gauge(bench, bench.config, script, gauge="block")
-        assert "fingers" in [change.step for change in changed_gauge(was, now)]
+        changed = gauge_again(bench, bench.config, script)
+        assert any("--redo fingers" in one.advice for one in changed)
 
 
 def test_a_person_stops_the_grasp_of_the_gauge_object(tmp_path: Path) -> None:

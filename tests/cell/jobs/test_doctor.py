@@ -2,6 +2,7 @@
 
 import contextlib
 import importlib.metadata
+import json
 import re
 from collections.abc import Callable
 from functools import partial
@@ -45,6 +46,23 @@ def test_the_simulated_cell_is_well() -> None:
     assert "0.0 N on finger 0, 0.0 N on finger 1" in findings["pads' force"].found
     assert findings["pads' boards"].found == "serial 1 on finger 0, 2 on finger 1"
     assert "servo port" not in findings
+
+
+@pytest.mark.parametrize(
+    ("serial", "verdict", "found"),
+    [(1, Verdict.PASS, "as at commissioning"), (7, Verdict.WARN, "serial 1, at commissioning")],
+)
+def test_a_cell_that_was_commissioned_is_compared_with_it(
+    tmp_path: Path, serial: int, verdict: Verdict, found: str
+) -> None:
+    kept = {"status": "pass", "lines": [], "settings": {}, "figures": {}, "began": "", "ended": ""}
+    steps = {"unit": kept | {"values": {"serial_number": serial}}}
+    store = {"version": 1, "steps": steps, "approved": []}
+    (tmp_path / "commissioning.json").write_text(json.dumps(store))
+    everything = list(examine(CellConfig(), tmp_path / "tactile-cell.yaml"))
+    assert any(f.verdict is verdict and found in f.found for f in everything)
+    if verdict is Verdict.WARN:
+        assert any(f"commission {tmp_path} --redo unit" in f.advice for f in everything)
 
 
 def test_samples_that_never_move_are_a_warning(altered: Callable[..., list[Finding]]) -> None:

@@ -58,6 +58,7 @@ def commission(
     the folder.
     """
     from cell.commissioning.backup import restore as restore_servos
+    from cell.commissioning.baseline import changed_hardware
     from cell.commissioning.bench import Bench
     from cell.commissioning.engine import Engine, Left
     from cell.commissioning.record import write_record
@@ -84,6 +85,9 @@ def commission(
                 return
             for key in redo or ():
                 print_line(f"to be done again: {', '.join(engine.redo(key))}")
+            for change in changed_hardware(bench):
+                print_note(f"{change.what}: {change.found}, at commissioning {change.was}")
+                print_line(f"to be done again: {', '.join(engine.redo(change.step))}")
             if page or http_port is not None:
                 _on_page(engine, http_port)
                 return

@@ -1,22 +1,50 @@
 """`doctor`: checks machine, ports, servos and control unit."""
 
+from collections.abc import Iterator
+from typing import Annotated
+
+import typer
+
 from cell.interfaces.cli.options import ConfigOption, JsonOption
 
 
-def doctor(config: ConfigOption = None, json_file: JsonOption = None) -> None:
-    """Check machine, ports, servos and control unit; nothing moves.
+def doctor(
+    config: ConfigOption = None,
+    json_file: JsonOption = None,
+    gauge: Annotated[
+        bool,
+        typer.Option(
+            "--gauge",
+            help="Then grasp the gauge object of the commissioning, and compare: the fingers move.",
+        ),
+    ] = False,
+) -> None:
+    """Check machine, ports, servos and control unit; nothing moves without --gauge.
+
+    A cell that was commissioned is compared with what was found then.
 
     Of two lines one may be missing: what the other one shows is listed.
     """
+    from cell.commissioning.bench import Bench
     from cell.commissioning.engine import Verdict
     from cell.errors import CellError
+    from cell.interfaces.cli.dialog import TerminalDialog
     from cell.interfaces.cli.session import cell_config
     from cell.interfaces.cli.terminal import out, print_line, write_json
-    from cell.jobs.doctor import examine
+    from cell.jobs.doctor import Finding, examine, gauge_again
 
     colours = {Verdict.PASS: "green", Verdict.WARN: "yellow", Verdict.FAIL: "bold red"}
     findings = []
-    for finding in examine(cell_config(config), config):
+    cell = cell_config(config)
+
+    def checks() -> Iterator[Finding]:
+        yield from examine(cell, config)
+        if gauge:
+            if config is None or cell.simulated:
+                raise CellError("--gauge is for a commissioned cell with real ports: name --config")
+            yield from gauge_again(Bench(config.parent), cell, TerminalDialog())
+
+    for finding in checks():
         findings.append(finding)
         advice = f"  -> {finding.advice}" if finding.advice else ""
         out.print(f"[{colours[finding.verdict]}]{finding.verdict.value:<5}[/]", end="")
