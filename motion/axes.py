@@ -114,15 +114,7 @@ class Axis:
 
 
 class Axes:
-    """All axes of a positioner, moved together and stopped together.
-
-    Parameters
-    ----------
-    axes
-        The axes.
-    watch
-        Supervision of whatever waits.
-    """
+    """All axes of a positioner, moved together and stopped together."""
 
     def __init__(self, axes: Sequence[Axis], watch: Watch) -> None:
         self._axes = {axis.name: axis for axis in axes}

@@ -22,20 +22,14 @@ class Watch:
 
     Parameters
     ----------
-    clock
-        Monotonic time.
     period_s
         Between two calls so much time passes at least.
-
-    Attributes
-    ----------
-    supervise
-        What is called; what it raises ends the motion.
     """
 
     def __init__(self, clock: Clock, period_s: float) -> None:
         self.clock = clock
         self.supervise: Callable[[], None] = unwatched
+        """What is called; what it raises ends the motion."""
         self._period_s = period_s
         self._due_s = clock.monotonic()
 
@@ -67,10 +61,6 @@ class DriveBus:
 
     Parameters
     ----------
-    bus
-        An open bus.
-    watch
-        Called while somebody waits for an answer.
     loss_s
         Time in s without a heartbeat after which a drive is lost.
     """

@@ -88,19 +88,7 @@ _ZERO_SPEED_SHARE = 5
 
 
 class Cia402Drive:
-    """One drive on the bus; positions in increments.
-
-    Parameters
-    ----------
-    bus
-        Where it is.
-    node_id
-        Its CANopen node-ID.
-    name
-        The axis in messages.
-    settings
-        Its set-up.
-    """
+    """One drive on the bus; positions in increments."""
 
     def __init__(self, bus: DriveBus, node_id: int, name: str, settings: DriveSettings) -> None:
         self.name = f"{name} (drive {node_id})"

@@ -75,21 +75,7 @@ class ServoAxisSettings:
 
 
 class ServoAxis:
-    """One servo on a line of its own; positions in pulses from the zero of the axis.
-
-    Parameters
-    ----------
-    bus
-        Its line.
-    servo_id
-        Its ID.
-    name
-        The axis in messages.
-    settings
-        Its set-up.
-    watch
-        Supervision of whatever waits.
-    """
+    """One servo on a line of its own; positions in pulses from the zero of the axis."""
 
     def __init__(
         self, bus: ServoBus, servo_id: int, name: str, settings: ServoAxisSettings, watch: Watch

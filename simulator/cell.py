@@ -22,25 +22,8 @@ class SimulatedCell:
 
     Parameters
     ----------
-    settings
-        What the cell is made of.
     clock
         Its time; inject the same one into everything that talks to the cell.
-
-    Attributes
-    ----------
-    settings, clock
-        As given.
-    devices
-        World and devices.
-    injector
-        Faults by name.
-    can_bus
-        The host's end of the CAN bus; its ``clock`` is that of the cell.
-    axes_can_bus
-        The host's end of the bus of the axes' drives; None in a cell without any.
-    axes_streams
-        The host's ends of the lines of the axes' servos, by what they move.
     """
 
     def __init__(
@@ -56,8 +39,11 @@ class SimulatedCell:
         self._servo_port = MemoryServoStream(self.devices.servo_bus, self.clock)
         self._closed = False
         self.can_bus = self._new_bus()
+        """The host's end of the CAN bus; its ``clock`` is that of the cell."""
         self.axes_can_bus = self._new_axes_bus()
+        """The host's end of the bus of the axes' drives; None in a cell without any."""
         self.axes_streams = self._new_axes_streams()
+        """The host's ends of the lines of the axes' servos, by what they move."""
         for text in self.settings.faults:
             self.inject(text)
 

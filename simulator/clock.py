@@ -23,19 +23,6 @@ class VirtualClock:
     for that module wherever a clock is injected. Waiting moves the time in pieces of at most
     ``step_s`` and calls ``on_advance`` after each piece: whatever lives in the simulated world
     sees the time pass.
-
-    Parameters
-    ----------
-    start_s
-        First reading of the clock in s.
-    step_s
-        Longest piece in s by which the time moves at once.
-
-    Attributes
-    ----------
-    on_advance
-        Called in this order with the new time in s after each piece; a callback must not move
-        the clock itself.
     """
 
     def __init__(self, start_s: float = 0.0, *, step_s: float = STEP_S) -> None:
@@ -47,6 +34,8 @@ class VirtualClock:
         self._step_s = float(step_s)
         self._advancing = False
         self.on_advance: list[Callable[[float], None]] = []
+        """Called in this order with the new time in s after each piece; a callback must not move
+        the clock itself."""
 
     def monotonic(self) -> float:
         """Return the time in s."""
@@ -108,8 +97,6 @@ class Pace:
     ----------
     clock
         The virtual clock; it waits after a piece that leads by 10 ms.
-    real
-        The clock that it follows.
     speed
         Virtual seconds in a real one.
     """

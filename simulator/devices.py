@@ -41,36 +41,7 @@ class CellFaults:
 
 
 class CellDevices:
-    """World and devices, without the ends of the buses: what both kinds of time share.
-
-    Parameters
-    ----------
-    settings
-        What the cell is made of.
-    start_s
-        Time at the start in s.
-
-    Attributes
-    ----------
-    mechanics
-        The fingers.
-    world
-        What is between them.
-    servo_bus
-        The servos on their line.
-    unit
-        The control unit.
-    can_devices
-        The control unit, and who joins it on its bus.
-    axes
-        The drives and servos that carry the object, by what they move.
-    axes_can_devices
-        The drives on a bus of their own; None without any.
-    stage
-        What carries the object, None in a cell that plays recorded grasps.
-    faults
-        The knobs.
-    """
+    """World and devices, without the ends of the buses: what both kinds of time share."""
 
     def __init__(self, settings: SimulatorSettings, *, start_s: float = 0.0) -> None:
         self.settings = settings
@@ -85,6 +56,7 @@ class CellDevices:
             else max(_PAST_MIDDLE_M, settings.linkage.half_opening_min_m),
         )
         self.world = self._make_world(start_s)
+        """What is between them."""
         if settings.servo_baud_rate not in BAUD_RATES:
             raise SimulatorSettingsError(
                 f"servo_baud_rate is {settings.servo_baud_rate}, must be one of {BAUD_RATES}"
@@ -125,15 +97,19 @@ class CellDevices:
             unit=unit_faults,
         )
         self.can_devices = CanDevices(self.unit)
+        """The control unit, and who joins it on its bus."""
         self.axes: dict[str, SimulatedDrive | SimulatedWrist] = {
             moves: SimulatedDrive(mount, start_s=start_s)
             if isinstance(mount, DriveMount)
             else SimulatedWrist(mount, start_s=start_s)
             for moves, mount in settings.axes.items()
         }
+        """The drives and servos that carry the object, by what they move."""
         drives = [axis for axis in self.axes.values() if isinstance(axis, SimulatedDrive)]
         self.axes_can_devices = CanDevices(*drives) if drives else None
+        """The drives on a bus of their own; None without any."""
         self.stage = Stage(self.world, self.axes) if isinstance(self.world, PhysicalWorld) else None
+        """What carries the object, None in a cell that plays recorded grasps."""
 
     def second_unit(self, now_s: float) -> SimulatedControlUnit:
         """Return another control unit with the same node id, switched on at ``now_s`` s."""

@@ -217,8 +217,6 @@ def taxel_order(layout: TaxelLayout, mounts: Sequence[PadMount]) -> NDArray[np.i
 
     Parameters
     ----------
-    layout
-        The taxels.
     mounts
         Pads that sit otherwise; the others sit as the layout has them.
 

@@ -92,20 +92,15 @@ class DeviceNetwork:
     ----------
     send
         Takes time in s, identifier and data of each message.
-
-    Attributes
-    ----------
-    now_s
-        Present time in s; set by the owner.
-    next_due_s
-        Time in s at which the next periodic message is due, infinity without any.
     """
 
     def __init__(self, send: Callable[[float, int, bytes], None], now_s: float) -> None:
         self._send = send
         self._tasks: list[PeriodicTask] = []
         self.next_due_s = math.inf
+        """Time in s at which the next periodic message is due, infinity without any."""
         self.now_s = now_s
+        """Present time in s; set by the owner."""
 
     def subscribe(self, can_id: int, callback: Callable[..., Any]) -> None:
         """Do nothing: the owner hands messages to the node itself, by the rules of NMT."""
@@ -181,26 +176,7 @@ class ControlUnitSettings:
 
 
 class SimulatedControlUnit:
-    """One control unit; it has no clock, the time is an argument.
-
-    Parameters
-    ----------
-    world
-        Where the scans come from.
-    layout
-        The taxels.
-    settings
-        Node id, identity, bit rate.
-    faults
-        Knobs that may be turned at any time.
-    start_s
-        Time of power-on in s.
-
-    Attributes
-    ----------
-    dictionary, scanner
-        Its objects, and the scanner that makes messages of a scan.
-    """
+    """One control unit; it has no clock, the time is an argument."""
 
     def __init__(
         self,
@@ -292,15 +268,7 @@ class SimulatedControlUnit:
             self._time_forces()
 
     def command(self, state: str, now_s: float) -> None:
-        """Take the NMT command for a state at ``now_s`` s, as another master would send it.
-
-        Parameters
-        ----------
-        state
-            Name as in ``canopen.nmt.NMT_COMMANDS``.
-        now_s
-            Time in s.
-        """
+        """Take the NMT command for a state, named as in ``canopen.nmt.NMT_COMMANDS``."""
         command = bytes((NMT_COMMANDS[state], self.settings.node_id))
         self.receive(od.COB_NMT, command, now_s)
 

@@ -53,34 +53,19 @@ class DriveMount:
 
 
 class SimulatedDrive:
-    """One drive on its bus; it has no clock, the time is an argument.
-
-    Parameters
-    ----------
-    mount
-        Node-ID and axis.
-    start_s
-        Time of power-on in s.
-
-    Attributes
-    ----------
-    motion
-        Set-point and mechanism.
-    dead
-        Fault knob: it neither hears nor sends anything; its motion goes on.
-    forced_switch
-        Fault knob: -1 or 1 for a limit switch that is always active.
-    slipped
-        Fault knob: so much in m or rad the axis is off what the encoder shows.
-    """
+    """One drive on its bus; it has no clock, the time is an argument."""
 
     def __init__(self, mount: DriveMount, *, start_s: float = 0.0) -> None:
         self.mount = mount
         ends = sorted(mount.increments * end for end in (mount.low_switch, mount.high_switch))
         self.motion = ProfileMotion(mount.increments * mount.start, *ends)
+        """Set-point and mechanism."""
         self.dead = False
+        """Fault knob: it neither hears nor sends anything; its motion goes on."""
         self.forced_switch = 0
+        """Fault knob: -1 or 1 for a limit switch that is always active."""
         self.slipped = 0.0
+        """Fault knob: so much in m or rad the axis is off what the encoder shows."""
         self._send: SendBurst | None = None
         self._node = local_node(mount.node_id, od.of_node(mount.node_id))
         self._network = DeviceNetwork(self._emit, start_s)

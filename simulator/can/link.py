@@ -66,26 +66,6 @@ class CanLink:
 
     What the host sends reaches the device at once and in order, so it goes first on the wire. What
     the device sends arrives when its last bit is through.
-
-    Parameters
-    ----------
-    device
-        The control unit.
-    bitrate
-        Bits per second.
-    faults
-        Knobs that may be turned at any time.
-    seed
-        Seed of the faults that come by chance.
-
-    Attributes
-    ----------
-    capture
-        Called with each message that goes over the wire, lost ones included, in its order.
-    faults
-        The knobs.
-    lost
-        Messages that nobody fetched until the adapter's memory was full.
     """
 
     def __init__(
@@ -97,8 +77,10 @@ class CanLink:
         seed: int = 0,
     ) -> None:
         self.capture: list[Capture] = []
+        """Called with each message that goes over the wire, lost ones included, in its order."""
         self.faults = faults or CanLinkFaults()
         self.lost = 0
+        """Messages that nobody fetched until the adapter's memory was full."""
         self._device = device
         self._bitrate = bitrate
         self._wire = CanWire(bitrate)
@@ -232,13 +214,7 @@ def _arrival_s(message: can.Message) -> float:
 
 
 class CanDevices:
-    """The devices on the bus as one: those of the cell, and those that join them.
-
-    Parameters
-    ----------
-    devices
-        The cell's own, at least one.
-    """
+    """The devices on the bus as one: those of the cell, and those that join them."""
 
     def __init__(self, *devices: CanDevice) -> None:
         self._devices = list(devices)

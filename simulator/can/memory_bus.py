@@ -18,23 +18,8 @@ class InMemoryCanBus(can.BusABC):
 
     Parameters
     ----------
-    device
-        The control unit.
-    clock
-        Whose time it is.
-    bitrate
-        Bits per second.
     host_bitrate
         What the host's adapter is set to, by default the same; with another one nothing passes.
-    faults
-        Knobs that may be turned at any time.
-    seed
-        Seed of the faults that come by chance.
-
-    Attributes
-    ----------
-    clock
-        As given.
     """
 
     def __init__(

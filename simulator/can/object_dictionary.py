@@ -16,7 +16,7 @@ from canopen.objectdictionary import ODVariable
 from simulator.can.scanner import Scanner
 from tactile.errors import FrameError
 from tactile.layout import TaxelLayout
-from tactile.unit import object_dictionary
+from tactile.unit import object_dictionary as unit_od
 
 UNKNOWN_COMMAND = 0x0504_0001
 OUT_OF_MEMORY = 0x0504_0005
@@ -58,8 +58,8 @@ _EDS_FULL_SCALE = 255
 """Full scale in counts for which the thresholds of the EDS are given."""
 _COMMUNICATION_PROFILE = range(0x1000, 0x2000)
 """Objects that a reset of the communication sets to their defaults (CiA 301)."""
-_TPDO_PARAMETERS = (object_dictionary.TPDO1_PARAMETER, object_dictionary.TPDO2_PARAMETER)
-_TPDO_MAPPINGS = (object_dictionary.TPDO1_MAPPING, object_dictionary.TPDO2_MAPPING)
+_TPDO_PARAMETERS = (unit_od.TPDO1_PARAMETER, unit_od.TPDO2_PARAMETER)
+_TPDO_MAPPINGS = (unit_od.TPDO1_MAPPING, unit_od.TPDO2_MAPPING)
 """Communication and mapping parameters of TPDO1 and TPDO2."""
 _FORCE_FIELDS = {
     1: slice(0, 1),
@@ -206,10 +206,6 @@ class UnitDictionary:
     ----------
     node
         The canopen LocalNode, made from the unit's EDS; this class adds its callbacks to it.
-    layout
-        The taxels, for the objects that describe them.
-    scanner
-        Where tare and last frame live.
     serial_number
         Object 0x1018:04.
     identity
@@ -218,13 +214,6 @@ class UnitDictionary:
         Returns object 0x2103: the serial numbers of the pads' boards as they are plugged in.
     missing
         Objects of the EDS that an older unit does not have.
-
-    Attributes
-    ----------
-    errors
-        Error codes of 0x1003, the newest first.
-    error_register
-        Object 0x1001.
     """
 
     def __init__(
@@ -242,32 +231,34 @@ class UnitDictionary:
         self._scanner = scanner
         self._missing = missing
         self.errors: list[int] = []
+        """Error codes of 0x1003, the newest first."""
         self.error_register = 0
+        """Object 0x1001."""
         form = scanner.frame_format
         scale = layout.adc_max / _EDS_FULL_SCALE
         shapes = bytes(size for pad in layout.pads for size in (pad.rows, pad.columns))
         self._constants: dict[tuple[int, int], int | str | bytes] = {
-            (object_dictionary.LAYOUT, object_dictionary.LAYOUT_PADS): layout.n_pads,
-            (object_dictionary.LAYOUT, object_dictionary.LAYOUT_TAXELS): layout.n_taxels,
-            (object_dictionary.LAYOUT, object_dictionary.LAYOUT_HASH): layout.layout_hash,
-            (object_dictionary.LAYOUT, object_dictionary.LAYOUT_ADC_MAX): layout.adc_max,
-            (object_dictionary.FORMAT, object_dictionary.FORMAT_SAMPLE_BITS): layout.sample_bits,
-            (object_dictionary.FORMAT, object_dictionary.FORMAT_SAMPLE_BYTES): form.sample_bytes,
-            (object_dictionary.FORMAT, object_dictionary.FORMAT_MESSAGES): form.n_messages,
-            (object_dictionary.FORMAT, object_dictionary.FORMAT_HEADER_BYTES): form.header_bytes,
-            (object_dictionary.PAD_SHAPES, 0): shapes,
-            (object_dictionary.IDENTITY, object_dictionary.IDENTITY_SERIAL): serial_number,
+            (unit_od.LAYOUT, unit_od.LAYOUT_PADS): layout.n_pads,
+            (unit_od.LAYOUT, unit_od.LAYOUT_TAXELS): layout.n_taxels,
+            (unit_od.LAYOUT, unit_od.LAYOUT_HASH): layout.layout_hash,
+            (unit_od.LAYOUT, unit_od.LAYOUT_ADC_MAX): layout.adc_max,
+            (unit_od.FORMAT, unit_od.FORMAT_SAMPLE_BITS): layout.sample_bits,
+            (unit_od.FORMAT, unit_od.FORMAT_SAMPLE_BYTES): form.sample_bytes,
+            (unit_od.FORMAT, unit_od.FORMAT_MESSAGES): form.n_messages,
+            (unit_od.FORMAT, unit_od.FORMAT_HEADER_BYTES): form.header_bytes,
+            (unit_od.PAD_SHAPES, 0): shapes,
+            (unit_od.IDENTITY, unit_od.IDENTITY_SERIAL): serial_number,
         }
         for subindex, value in (identity or {}).items():
-            self._constants[(object_dictionary.IDENTITY, subindex)] = value
+            self._constants[(unit_od.IDENTITY, subindex)] = value
         self._live: dict[int, Callable[[int], int | bytes | None]] = {
-            object_dictionary.ERROR_REGISTER: lambda _subindex: self.error_register,
-            object_dictionary.ERROR_HISTORY: self._read_history,
-            object_dictionary.LAST_FRAME: self._read_frame,
-            object_dictionary.LAST_FRAME_COUNTER: lambda _subindex: scanner.read_counter,
-            object_dictionary.TARE: self._read_tare,
-            object_dictionary.FORCE_MESSAGE: self._read_force,
-            object_dictionary.BOARDS: lambda subindex: boards()[subindex - 1] if subindex else None,
+            unit_od.ERROR_REGISTER: lambda _subindex: self.error_register,
+            unit_od.ERROR_HISTORY: self._read_history,
+            unit_od.LAST_FRAME: self._read_frame,
+            unit_od.LAST_FRAME_COUNTER: lambda _subindex: scanner.read_counter,
+            unit_od.TARE: self._read_tare,
+            unit_od.FORCE_MESSAGE: self._read_force,
+            unit_od.BOARDS: lambda subindex: boards()[subindex - 1] if subindex else None,
         }
         # The EDS gives thresholds for 8 bit; a unit with a finer converter scales them.
         self._defaults(scale)
@@ -303,23 +294,23 @@ class UnitDictionary:
     @property
     def sync_cob_id(self) -> int:
         """Identifier of SYNC, object 0x1005."""
-        return self.number(object_dictionary.SYNC_COB_ID) & _COB_ID_BITS
+        return self.number(unit_od.SYNC_COB_ID) & _COB_ID_BITS
 
     def pdo_cob_id(self, pdo: int) -> int | None:
         """Return the identifier of TPDO ``pdo`` (1, 2), None while it is switched off."""
         value = self.number(_TPDO_PARAMETERS[pdo - 1], 1)
-        return None if value & object_dictionary.PDO_INVALID else value & _COB_ID_BITS
+        return None if value & unit_od.PDO_INVALID else value & _COB_ID_BITS
 
     def _defaults(self, scale: float) -> None:
         if scale == 1.0:
             return
         for subindex in (
-            object_dictionary.THRESHOLD_TOUCH,
-            object_dictionary.THRESHOLD_TARE_SPREAD,
+            unit_od.THRESHOLD_TOUCH,
+            unit_od.THRESHOLD_TARE_SPREAD,
         ):
-            default = self._node.object_dictionary[object_dictionary.THRESHOLDS][subindex].default
+            default = self._node.object_dictionary[unit_od.THRESHOLDS][subindex].default
             data = round(default * scale).to_bytes(2, "little")
-            self._node.data_store.setdefault(object_dictionary.THRESHOLDS, {})[subindex] = data
+            self._node.data_store.setdefault(unit_od.THRESHOLDS, {})[subindex] = data
 
     def _read(self, *, index: int, subindex: int, od: ODVariable) -> int | str | bytes | None:
         self._check_there(index, subindex, od)
@@ -351,9 +342,9 @@ class UnitDictionary:
         return None if part is None else self._scanner.last_force[part]
 
     def _read_tare(self, subindex: int) -> int | None:
-        if subindex == object_dictionary.TARE_RESULT:
+        if subindex == unit_od.TARE_RESULT:
             return int(self._scanner.tare_result)
-        return self._scanner.tare_largest if subindex == object_dictionary.TARE_LARGEST else None
+        return self._scanner.tare_largest if subindex == unit_od.TARE_LARGEST else None
 
     def _check(self, *, index: int, subindex: int, od: ODVariable, data: bytes) -> None:
         self._check_there(index, subindex, od)
@@ -363,12 +354,12 @@ class UnitDictionary:
         if od.min is not None and value < od.min:
             raise canopen.SdoAbortedError(VALUE_LOW)
         cob_id = value & _FRAME_BIT_AND_COB_ID
-        if index == object_dictionary.SYNC_COB_ID and not 1 <= cob_id <= _COB_ID_BITS:
+        if index == unit_od.SYNC_COB_ID and not 1 <= cob_id <= _COB_ID_BITS:
             raise canopen.SdoAbortedError(VALUE_RANGE)
-        if index == object_dictionary.SYNC_OVERFLOW:
+        if index == unit_od.SYNC_OVERFLOW:
             if value == 1:
                 raise canopen.SdoAbortedError(VALUE_RANGE)
-            if self.number(object_dictionary.SYNC_PERIOD_US):
+            if self.number(unit_od.SYNC_PERIOD_US):
                 raise canopen.SdoAbortedError(WRONG_STATE)
         if index in _TPDO_PARAMETERS and subindex == 1:
             self._check_cob_id(self.number(index, 1), value)
@@ -376,9 +367,7 @@ class UnitDictionary:
             self._check_mapping(_TPDO_MAPPINGS.index(index), subindex, value)
 
     def _check_cob_id(self, present: int, value: int) -> None:
-        both_on = not (
-            present & object_dictionary.PDO_INVALID or value & object_dictionary.PDO_INVALID
-        )
+        both_on = not (present & unit_od.PDO_INVALID or value & unit_od.PDO_INVALID)
         if not _LOWEST_PDO_COB_ID <= value & _FRAME_BIT_AND_COB_ID <= _HIGHEST_PDO_COB_ID:
             raise canopen.SdoAbortedError(VALUE_RANGE)
         if both_on and (present ^ value) & _COB_ID_BITS:
@@ -387,7 +376,7 @@ class UnitDictionary:
     def _check_mapping(self, pdo: int, subindex: int, value: int) -> None:
         """Let the fixed mapping be written again, in the order of CiA 301, but not changed."""
         mapping: Any = self._node.object_dictionary[_TPDO_MAPPINGS[pdo]]
-        if not self.number(_TPDO_PARAMETERS[pdo], 1) & object_dictionary.PDO_INVALID:
+        if not self.number(_TPDO_PARAMETERS[pdo], 1) & unit_od.PDO_INVALID:
             raise canopen.SdoAbortedError(WRONG_STATE)
         if subindex == 0 and value not in {0, mapping[0].default}:
             raise canopen.SdoAbortedError(NOT_MAPPABLE)
@@ -397,24 +386,24 @@ class UnitDictionary:
     def _act(self, *, index: int, subindex: int, od: ODVariable, data: bytes) -> None:
         del od
         take = {
-            object_dictionary.FORCE_TABLE: self._scanner.forces.take_table,
-            object_dictionary.FORCE_ZERO: self._scanner.forces.take_zero,
+            unit_od.FORCE_TABLE: self._scanner.forces.take_table,
+            unit_od.FORCE_ZERO: self._scanner.forces.take_zero,
         }.get(index)
         if take is not None:
             try:
                 take(bytes(data))
             except FrameError as error:
                 raise canopen.SdoAbortedError(VALUE_RANGE) from error
-        if (index, subindex) != (object_dictionary.TARE, object_dictionary.TARE_COMMAND):
+        if (index, subindex) != (unit_od.TARE, unit_od.TARE_COMMAND):
             return
         command = int.from_bytes(data, "little")
-        if command == object_dictionary.TARE_SIGNATURE:
+        if command == unit_od.TARE_SIGNATURE:
             self._scanner.start_tare(
-                self.number(object_dictionary.TARE, object_dictionary.TARE_FRAMES),
-                self.number(object_dictionary.THRESHOLDS, object_dictionary.THRESHOLD_TOUCH),
-                self.number(object_dictionary.THRESHOLDS, object_dictionary.THRESHOLD_TARE_SPREAD),
+                self.number(unit_od.TARE, unit_od.TARE_FRAMES),
+                self.number(unit_od.THRESHOLDS, unit_od.THRESHOLD_TOUCH),
+                self.number(unit_od.THRESHOLDS, unit_od.THRESHOLD_TARE_SPREAD),
             )
-        elif command == object_dictionary.TARE_CLEAR_SIGNATURE:
+        elif command == unit_od.TARE_CLEAR_SIGNATURE:
             self._scanner.clear_tare()
         else:
             raise canopen.SdoAbortedError(NOT_STORED)

@@ -45,13 +45,7 @@ def _smoothing(rows: int, columns: int) -> NDArray[np.float64]:
 
 
 class PadForces:
-    """Sum of the force on both gripping pads.
-
-    Parameters
-    ----------
-    layout
-        The taxels.
-    """
+    """Sum of the force on both gripping pads."""
 
     def __init__(self, layout: TaxelLayout) -> None:
         first, second = (layout.pads[pad] for pad in layout.gripping_pads)

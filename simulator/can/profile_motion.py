@@ -15,24 +15,16 @@ class ProfileMotion:
         Where the mechanism is at the start, in increments of the machine.
     low, high
         Where the limit switches are.
-
-    Attributes
-    ----------
-    demand, speed
-        Set-point and its velocity in increments and increments/s.
-    actual, actual_speed
-        Where the mechanism is, and its velocity.
-    blocked
-        Whether something holds the mechanism.
-    braking
-        Deceleration in increments/s² of a stop that is under way; 0 without one.
     """
 
     def __init__(self, position: float, low: float, high: float) -> None:
         self.demand = self.actual = position
         self.speed = self.actual_speed = 0.0
+        """Set-point and mechanism: place in increments, velocity in increments/s."""
         self.blocked = False
+        """Whether something holds the mechanism."""
         self.braking = 0.0
+        """Deceleration in increments/s² of a stop that is under way; 0 without one."""
         self._goal: float | None = None
         self._limits = (0.0, 0.0)
         self._switches = (low, high)

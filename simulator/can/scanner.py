@@ -37,32 +37,16 @@ class _Tare:
 
 
 class Scanner:
-    """Latches scans and turns them into messages.
-
-    Attributes
-    ----------
-    frame_format
-        How frames are cut into messages.
-    counter
-        Number of the last scan, modulo 65536.
-    read_counter
-        Number of the scan that `last_frame` last returned.
-    tare_result, tare_largest
-        Objects 0x2130:02 and 0x2130:04.
-    overrun
-        Whether the status of the next frame shows that the one before it was not sent in time.
-    forces
-        The sum of the force on the gripping pads.
-    force_overrun, last_force
-        As ``overrun``, of the force messages; the last of them.
-    """
+    """Latches scans and turns them into messages."""
 
     def __init__(self, world: ScannedWorld, layout: TaxelLayout, faults: ControlUnitFaults) -> None:
         self._world = world
         self._layout = layout
         self._faults = faults
         self.frame_format = FrameFormat.of(layout)
+        """How frames are cut into messages."""
         self.forces = PadForces(layout)
+        """The sum of the force on the gripping pads."""
         self._grip = np.concatenate(
             [np.arange(layout.n_taxels)[layout.taxels_of(pad)] for pad in layout.gripping_pads]
         )
@@ -71,12 +55,17 @@ class Scanner:
     def reset(self) -> None:
         """Go back to what a unit is after power-on: no zero, no frame, counter at 0."""
         self.counter = 0xFFFF
+        """Number of the last scan, modulo 65536."""
         self.read_counter = 0
+        """Number of the scan that `last_frame` last returned."""
         self.overrun = self.force_overrun = False
+        """Whether the status of the next message shows that the one before was not sent in time."""
         self.last_force = bytes(MESSAGE_BYTES)
+        """The last force message."""
         self.forces.reset()
         self.tare_result = TareResult.NONE
         self.tare_largest = 0
+        """Objects 0x2130:02 and 0x2130:04."""
         self._offsets: NDArray[np.int32] | None = None
         self._tare: _Tare | None = None
         self._raw: NDArray[np.uint16] | None = None

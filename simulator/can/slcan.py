@@ -38,8 +38,6 @@ class SlcanAdapter:
 
     Parameters
     ----------
-    link
-        The bus behind it.
     bitrate
         Bit rate in bit/s that it is set to at first; with another one than that of the bus it hears
         and reaches nobody.
@@ -62,10 +60,6 @@ class SlcanAdapter:
 
         Parameters
         ----------
-        data
-            The bytes.
-        now_s
-            Present time in s.
         sent_after_s
             Earliest time in s at which the client may have sent them, where an endpoint cannot
             date them better: commands that waited there are spread evenly between then and now, a

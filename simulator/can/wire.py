@@ -111,16 +111,6 @@ class CanWire:
     Messages of one identifier keep their order, as in a controller with one mailbox for each. The
     ends of a burst are worked out together, up to the message before which a lower identifier is
     ready.
-
-    Parameters
-    ----------
-    bitrate
-        Bits per second.
-
-    Attributes
-    ----------
-    n_waiting
-        Number of messages that wait.
     """
 
     def __init__(self, bitrate: int) -> None:
@@ -130,6 +120,7 @@ class CanWire:
         self._busy_until_s = -math.inf
         self._queues: dict[float, deque[_Queued]] = {}
         self.n_waiting = 0
+        """Number of messages that wait."""
         self._key, self._ends_s = 0.0, list[float]()
         """Queue whose messages go next, and the end in s of each; empty until worked out."""
 

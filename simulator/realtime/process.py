@@ -40,19 +40,8 @@ class RealTimeCell:
 
     Parameters
     ----------
-    settings
-        What the cell is made of.
     folder
         Where the links to the terminals and the socket are made.
-    now_s
-        Present time in s.
-
-    Attributes
-    ----------
-    devices
-        World and devices.
-    injector
-        Faults by name.
     """
 
     def __init__(self, settings: SimulatorSettings, folder: Path, now_s: float) -> None:
@@ -138,8 +127,6 @@ class RealTimeCell:
 
         Parameters
         ----------
-        now_s
-            Present time in s.
         readable
             Those of `descriptors` that have input.
         """
@@ -178,8 +165,6 @@ def serve(
 
     Parameters
     ----------
-    settings
-        What the cell is made of.
     announce
         Called once, when clients can connect, with plain values for JSON: ``servo_port``,
         ``servo_baud_rate``, ``servo_ids``, ``can_interface``, ``can_channel``, ``can_bitrate``,

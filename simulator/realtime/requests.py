@@ -30,13 +30,6 @@ class CellRequests:
     - ``{"state": true}``: what is placed, forces, opening, frames left, axes, faults
     - ``{"inject": "can.loss=0.05@2s"}``: the same back; see `simulator.faults.injector`
     - ``{"clear": "can.loss"}``: ``{"cleared": n}``; by the whole text or by the name
-
-    Parameters
-    ----------
-    devices
-        The cell.
-    injector
-        Its faults.
     """
 
     def __init__(self, devices: CellDevices, injector: FaultInjector) -> None:

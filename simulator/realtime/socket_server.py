@@ -34,8 +34,6 @@ class PositionerServer:
     ----------
     path
         Where the socket is made; a socket that is there already is replaced.
-    handle
-        Carries out requests.
 
     Raises
     ------

@@ -38,8 +38,6 @@ class Terminal:
 
     Parameters
     ----------
-    what
-        What it leads to, for messages.
     link_path
         Symbolic link that always names the current terminal; None makes none. An existing symbolic
         link is replaced, anything else is an EndpointError.
@@ -117,15 +115,7 @@ class Terminal:
 
 
 class ServoPty(Terminal):
-    """The host's end of the servo bus as a pseudo-terminal, for clients in other processes.
-
-    Parameters
-    ----------
-    device
-        The servos.
-    link_path
-        As `Terminal`.
-    """
+    """The host's end of the servo bus as a pseudo-terminal, for clients in other processes."""
 
     def __init__(self, device: ServoBusDevice, link_path: str | Path | None = None) -> None:
         super().__init__("the servos", None if link_path is None else Path(link_path))
@@ -148,11 +138,6 @@ class ServoPty(Terminal):
 
         Bytes that are found may have waited since the last call. An owner that stalls polls before
         it advances the servos, so that no watchdog trips over a packet that was there in time.
-
-        Parameters
-        ----------
-        now_s
-            Monotonic time in s.
         """
         if not self.plugged_in:
             return None
@@ -184,15 +169,7 @@ class ServoPty(Terminal):
 
 
 class SlcanPty(Terminal):
-    """The serial CAN adapter as a pseudo-terminal, for clients in other processes.
-
-    Parameters
-    ----------
-    adapter
-        The adapter.
-    link_path
-        As `Terminal`.
-    """
+    """The serial CAN adapter as a pseudo-terminal, for clients in other processes."""
 
     def __init__(self, adapter: SlcanAdapter, link_path: Path | None = None) -> None:
         super().__init__("the CAN adapter", link_path)

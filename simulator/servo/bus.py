@@ -45,21 +45,12 @@ class ServoBusDevice:
 
     Parameters
     ----------
-    servos
-        The servos; their IDs differ.
     baudrate
         Line rate of the host in baud; a servo with another Baud Rate (8) stays silent.
     usb_latency_s
         Time in s that the adapter adds to every answer.
     crc_error_reply
         Whether a servo answers a damaged packet that names it with a CRC Error; silence otherwise.
-
-    Attributes
-    ----------
-    baudrate
-        As above; an endpoint sets it to what the client chose.
-    faults
-        Knobs of the wire.
     """
 
     def __init__(
@@ -80,6 +71,7 @@ class ServoBusDevice:
             )
         self.servos = tuple(servos)
         self.baudrate = baudrate
+        """Line rate of the host in baud; an endpoint sets it to what the client chose."""
         self.faults = WireFaults()
         self._usb_latency_s = usb_latency_s
         self._crc_error_reply = crc_error_reply
@@ -99,10 +91,6 @@ class ServoBusDevice:
 
         Parameters
         ----------
-        data
-            The bytes.
-        now_s
-            Time in s at which their transfer begins.
         sent_after_s
             Earliest time in s at which the host may have sent them, where an endpoint cannot date
             them better: a watchdog that ran out since then was fed in time. None = ``now_s``.
@@ -360,20 +348,6 @@ class MemoryServoStream:
 
     Writing does not wait for the wire, as with a USB adapter; answers arrive whole when their last
     byte has passed.
-
-    Parameters
-    ----------
-    device
-        The servos.
-    clock
-        Its time; `read` waits by its ``sleep``.
-
-    Attributes
-    ----------
-    clock
-        As given.
-    closed
-        Whether it was closed.
     """
 
     def __init__(self, device: ServoBusDevice, clock: VirtualClock) -> None:

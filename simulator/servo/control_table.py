@@ -175,15 +175,7 @@ def _items(model: ServoModel, firmware: int) -> dict[int, Item]:
 
 
 class ControlTable:
-    """Bytes of one servo with the access rules of its items.
-
-    Parameters
-    ----------
-    model
-        The servo model.
-    firmware
-        Firmware version (register 6).
-    """
+    """Bytes of one servo with the access rules of its items."""
 
     def __init__(self, model: ServoModel, firmware: int) -> None:
         self.data = bytearray(TABLE_SIZE)
@@ -293,16 +285,9 @@ class ServoRegisters:
 
     Parameters
     ----------
-    model, firmware
-        Model and firmware version.
     settings
         Raw values of EEPROM items by register name, over the factory's; SimulatorSettingsError for
         an unknown name or a value out of range.
-
-    Attributes
-    ----------
-    table
-        The control table.
     """
 
     def __init__(self, model: ServoModel, firmware: int, settings: Mapping[str, int]) -> None:

@@ -161,12 +161,6 @@ class SimulatedServo:
 
     Parameters
     ----------
-    servo_id
-        ID, 0 to 252.
-    model
-        The servo model.
-    plant
-        Its motor.
     firmware
         Firmware version; None takes a recent one (48 on X430, 53 on X330) that has the fast
         reads and the backup.
@@ -175,13 +169,6 @@ class SimulatedServo:
         servo at 57600 baud with a return delay of 500 us.
     watchdog_stop
         What a tripped bus watchdog does to the motor.
-
-    Attributes
-    ----------
-    core
-        Registers and their effects.
-    made_as
-        ID that it was made with, by which faults name it whatever its ID is now.
     """
 
     def __init__(
@@ -204,7 +191,9 @@ class SimulatedServo:
             settings=settings,
             watchdog_stop=watchdog_stop,
         )
+        """Registers and their effects."""
         self.made_as = servo_id
+        """ID that it was made with, by which faults name it whatever its ID is now."""
         self._registered: tuple[int, bytes] | None = None
 
     @property

@@ -202,15 +202,7 @@ class WireFaults:
 
 
 class ServoFaultKnobs:
-    """Knobs of one servo: heat, load, supply, reboot, encoder.
-
-    Parameters
-    ----------
-    servo
-        The servo.
-    motor
-        Its motor.
-    """
+    """Knobs of one servo: heat, load, supply, reboot, encoder."""
 
     def __init__(self, servo: SimulatedServo, motor: ServoMotor) -> None:
         self._servo = servo

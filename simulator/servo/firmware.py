@@ -110,24 +110,12 @@ class ServoPlant(Protocol):
 
 
 class ServoPosition:
-    """Angle of the motor as position in counts, with turns and offsets, and the present values.
-
-    Parameters
-    ----------
-    registers
-        The servo's registers.
-    plant
-        Its motor.
-
-    Attributes
-    ----------
-    reported_offset_raw
-        What a fault adds to the counts that are reported; the servo itself follows its goals as
-        without it.
-    """
+    """Angle of the motor as position in counts, with turns and offsets, and the present values."""
 
     def __init__(self, registers: ServoRegisters, plant: ServoPlant) -> None:
         self.reported_offset_raw = 0
+        """What a fault adds to the counts that are reported; the servo itself follows its goals
+        as without it."""
         self._registers = registers
         self._plant = plant
         self._turn_offset = 0
@@ -167,8 +155,6 @@ class ServoPosition:
 
         Parameters
         ----------
-        uptime_s
-            Time since the boot in s.
         following
             Whether the motor follows Goal Position.
         """
@@ -211,8 +197,6 @@ def goal_command(
 
     Parameters
     ----------
-    registers, position
-        The servo's registers and counts.
     reference_rad
         Where the profile is now, rad; a time-based profile starts there.
     """
@@ -295,30 +279,7 @@ class WatchdogStop(Enum):
 
 
 class ServoCore:
-    """Firmware of one servo: its registers, and what follows from them.
-
-    Parameters
-    ----------
-    servo_id
-        Content of register 7.
-    model, firmware
-        Model and firmware version.
-    plant
-        The motor.
-    settings
-        Raw values of EEPROM items by register name, over the factory's.
-    watchdog_stop
-        What a tripped bus watchdog does to the motor.
-
-    Attributes
-    ----------
-    registers, table, position
-        The servo's registers, their control table, and counts.
-    injected_error
-        Bits of Hardware Error Status that a fault knob forces.
-    silent_until_s
-        End of a reboot's blackout.
-    """
+    """Firmware of one servo: its registers, and what follows from them."""
 
     def __init__(
         self,
@@ -333,10 +294,13 @@ class ServoCore:
         self.registers = ServoRegisters(model, firmware, {**(settings or {}), "id": servo_id})
         self.table = self.registers.table
         self.position = ServoPosition(self.registers, plant)
+        """The servo's registers, their control table, and counts."""
         self.plant = plant
         self.watchdog_stop = watchdog_stop
         self.injected_error = 0
+        """Bits of Hardware Error Status that a fault knob forces."""
         self.silent_until_s = -math.inf
+        """End of a reboot's blackout."""
         self._fed_s = 0.0
         self._watchdog_s = math.inf
         self._stopped = False  # by the watchdog, until the next goal

@@ -165,12 +165,6 @@ class FingerMechanics:
     ----------
     motors
         One or two motors; their angles are set to the start aperture.
-    mounts
-        How each motor sits in the gripper.
-    linkage
-        From servo angle to half opening.
-    aperture_m
-        Distance between the pads at the start, m.
     half_opening_min_m
         Closed end stop in m; below 0 a finger may pass the middle, until the other one stops it.
     stiction_ratio

@@ -137,30 +137,6 @@ class ServoMotor:
         friction takes from it there is added to what the motor makes.
     angle_rad
         Output angle at the start, rad.
-    gearing
-        What the gearing adds.
-
-    Attributes
-    ----------
-    angle_rad, velocity_rad_s
-        True motion of the output, where the encoder is; set by the mechanics.
-    lead_rad, rotor_velocity_rad_s
-        How far the motor is ahead of the output within the backlash, from -1/2 to 1/2 of it, and
-        the motor's velocity; set by the mechanics.
-    current_a
-        Winding current, A, positive towards growing angles.
-    duty
-        Applied voltage over supply voltage, -1 to 1.
-    temperature_c, voltage_v
-        Inside temperature and supply.
-    reference_rad, reference_velocity_rad_s
-        Where the profile is now.
-    load_excess_s
-        Integrated overload, trips at `OVERLOAD_BUDGET_S`.
-    stuck_at_rad
-        Angle at which the encoder is stuck, None when it works.
-    encoder_offset_rad
-        How much more than the true angle the encoder reports.
     """
 
     def __init__(
@@ -193,16 +169,25 @@ class ServoMotor:
         self._integral_a = 0.0
         self.angle_rad = angle_rad
         self.velocity_rad_s = 0.0
+        """True motion of the output, where the encoder is; set by the mechanics."""
         self.lead_rad = 0.0
         self.rotor_velocity_rad_s = 0.0
+        """How far the motor is ahead of the output within the backlash, from -1/2 to 1/2 of it,
+        and the motor's velocity; set by the mechanics."""
         self.current_a = 0.0
+        """Winding current, A, positive towards growing angles."""
         self.duty = 0.0
+        """Applied voltage over supply voltage, -1 to 1."""
         self.temperature_c = AMBIENT_C
         self.reference_rad = angle_rad
         self.reference_velocity_rad_s = 0.0
+        """Angle and velocity of the profile now."""
         self.load_excess_s = 0.0
+        """Integrated overload, trips at `OVERLOAD_BUDGET_S`."""
         self.stuck_at_rad: float | None = None
+        """Angle at which the encoder is stuck, None when it works."""
         self.encoder_offset_rad = 0.0
+        """How much more than the true angle the encoder reports."""
         self.command = DriveCommand()
 
     @property

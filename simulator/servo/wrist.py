@@ -35,26 +35,7 @@ class WristMount:
 
 
 class SimulatedWrist:
-    """One servo with its load, alone on its line; it has no clock, the time is an argument.
-
-    Parameters
-    ----------
-    mount
-        Servo and axis.
-    start_s
-        Time of power-on in s.
-
-    Attributes
-    ----------
-    bus
-        Its line.
-    knobs
-        Faults of the servo.
-    blocked
-        Fault knob: something holds it.
-    slipped
-        Fault knob: so much in m or rad the axis is off what the encoder shows.
-    """
+    """One servo with its load, alone on its line; it has no clock, the time is an argument."""
 
     def __init__(self, mount: WristMount, *, start_s: float = 0.0) -> None:
         self.mount = mount
@@ -64,8 +45,11 @@ class SimulatedWrist:
         servo = SimulatedServo(mount.servo_id, mount.model, self._motor, settings=rate)
         self.bus = ServoBusDevice([servo], mount.baud_rate)
         self.knobs = ServoFaultKnobs(servo, self._motor)
+        """Faults of the servo."""
         self.blocked = False
+        """Fault knob: something holds it."""
         self.slipped = 0.0
+        """Fault knob: so much in m or rad the axis is off what the encoder shows."""
         self._stepped_s = start_s
 
     @property

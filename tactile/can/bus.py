@@ -83,11 +83,6 @@ class BusLock:
     administrator, and a CAN interface of the system has none: both programs would command the same
     control unit. The operating system drops the lock when the program ends.
 
-    Parameters
-    ----------
-    interface, channel
-        As for `tactile.can.bus.open_bus`.
-
     Raises
     ------
     OSError
@@ -198,8 +193,6 @@ class BulkSlcanBus(slcanBus):
 
     Parameters
     ----------
-    channel
-        Serial port.
     bitrate
         CAN bit rate in bit/s.
     tty_baudrate

@@ -60,10 +60,6 @@ class PolledSource:
 
     Parameters
     ----------
-    bus
-        An open bus.
-    clock
-        Time of the messages; waits.
     limit
         Most messages handed out at once, so that a flooded bus does not hold up the caller.
     """
@@ -109,8 +105,6 @@ class ThreadedReceiver:
     ----------
     bus
         An open bus whose ``recv`` may block.
-    clock
-        Stamps the messages; real time.
     limit
         Most messages that wait to be taken; one more and the receiver gives up.
     hang_s

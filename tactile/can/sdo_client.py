@@ -33,12 +33,6 @@ class PolledSdoClient(SdoClient):
 
     Parameters
     ----------
-    node_id
-        The server's node-ID.
-    dictionary
-        Its object dictionary.
-    clock
-        Measures the time-out.
     service
         Takes in what was received and calls `on_response` with the responses.
     wait

@@ -62,11 +62,6 @@ class FrameAssembler:
     own phase only, so a message that comes late completes its own frame and never another one. A
     frame is handed out when all its messages are there, the CRC over all data holds, its counter
     fits its phase and is newer than the last frame's.
-
-    Parameters
-    ----------
-    frame_format
-        Size of the frames.
     """
 
     def __init__(self, frame_format: FrameFormat) -> None:
@@ -108,12 +103,8 @@ class FrameAssembler:
 
         Parameters
         ----------
-        data
-            Payload of the message.
         dlc
             Length that the message claims; must be 8 and fit ``data``.
-        t_s
-            Monotonic time of reception in s.
         """
         if dlc != MESSAGE_BYTES or len(data) != MESSAGE_BYTES:
             self._short += 1

@@ -24,8 +24,6 @@ class FrameFlow:
 
     Parameters
     ----------
-    name
-        The unit in messages.
     timeout_periods
         So many SYNCs without a whole frame are a fault.
     max_loss_rate, window_frames

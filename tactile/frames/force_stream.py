@@ -37,11 +37,6 @@ class ForceStream:
     ----------
     period_s
         Time between two messages in s: after a longer silence the counter alone says nothing.
-
-    Attributes
-    ----------
-    lost, late, damaged
-        See `ForceStatistics`.
     """
 
     def __init__(self, period_s: float) -> None:

@@ -186,8 +186,6 @@ class ActiveTaxels:
 
     Parameters
     ----------
-    hood
-        Neighbours of the taxels.
     thresholds
         In standard deviations.
     noise_counts : (n_taxels,) float64

@@ -72,13 +72,7 @@ def force_table(layout: TaxelLayout, calibration: Calibration) -> bytes:
 
 
 class ForceCentres:
-    """Centre of the grip force: the mean of both pads' centres, each weighted by its taxels.
-
-    Parameters
-    ----------
-    layout
-        The taxels.
-    """
+    """Centre of the grip force: the mean of both pads' centres, each weighted by its taxels."""
 
     def __init__(self, layout: TaxelLayout) -> None:
         self._taxels = tuple(np.flatnonzero(layout.taxel_pad == p) for p in layout.gripping_pads)

@@ -58,10 +58,6 @@ class QualityWatch:
 
     Parameters
     ----------
-    hood
-        Neighbours of the taxels.
-    limits
-        What is allowed.
     mean_frames
         Frames that the tared counts are averaged over.
     """

@@ -183,16 +183,8 @@ class TactileSensor:
 
     Parameters
     ----------
-    link
-        Source of frames.
-    layout
-        Its taxels.
     calibration
         Counts to forces; must be for the layout's full scale.
-    clock
-        Monotonic time.
-    settings
-        Filters and limits.
     forces
         Source of force messages, polled with the link; None without one.
     close_bus

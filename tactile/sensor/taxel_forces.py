@@ -18,17 +18,7 @@ from tactile.sensor.tare import TareResult
 
 
 class TaxelForces:
-    """Turns the counts of single frames into newtons, as the sensor does with the mean of several.
-
-    Parameters
-    ----------
-    layout
-        The taxels.
-    calibration
-        Counts to forces.
-    zero
-        The tare in use.
-    """
+    """Turns counts of single frames into newtons, as the sensor does with the mean of several."""
 
     def __init__(self, layout: TaxelLayout, calibration: Calibration, zero: TareResult) -> None:
         self._hood = Neighbourhood(layout)

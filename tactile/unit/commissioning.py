@@ -35,10 +35,7 @@ def read_identity(objects: ObjectAccess) -> NodeIdentity:
         revision=objects.read_unsigned(od.IDENTITY, od.IDENTITY_REVISION),
         serial=objects.read_unsigned(od.IDENTITY, od.IDENTITY_SERIAL),
         name=objects.read_text(od.DEVICE_NAME),
-        boards=(
-            objects.read_unsigned(od.BOARDS, 1),
-            objects.read_unsigned(od.BOARDS, 2),
-        ),
+        boards=(objects.read_unsigned(od.BOARDS, 1), objects.read_unsigned(od.BOARDS, 2)),
     )
 
 
@@ -79,24 +76,9 @@ def layout_checks(objects: ObjectAccess, layout: TaxelLayout, node_id: int) -> l
     unsigned = (
         ("taxels", od.LAYOUT, od.LAYOUT_TAXELS, layout.n_taxels),
         ("full scale", od.LAYOUT, od.LAYOUT_ADC_MAX, layout.adc_max),
-        (
-            "sample bytes",
-            od.FORMAT,
-            od.FORMAT_SAMPLE_BYTES,
-            layout.sample_bytes,
-        ),
-        (
-            "messages per frame",
-            od.FORMAT,
-            od.FORMAT_MESSAGES,
-            frame_format.n_messages,
-        ),
-        (
-            "header bytes",
-            od.FORMAT,
-            od.FORMAT_HEADER_BYTES,
-            frame_format.header_bytes,
-        ),
+        ("sample bytes", od.FORMAT, od.FORMAT_SAMPLE_BYTES, layout.sample_bytes),
+        ("messages per frame", od.FORMAT, od.FORMAT_MESSAGES, frame_format.n_messages),
+        ("header bytes", od.FORMAT, od.FORMAT_HEADER_BYTES, frame_format.header_bytes),
         ("TPDO1 entries", od.TPDO1_MAPPING, 0, len(od.TPDO1_ENTRIES)),
         *(
             (f"TPDO1 entry {sub}", od.TPDO1_MAPPING, sub, entry)
@@ -152,12 +134,7 @@ def set_up(objects: ObjectAccess, settings: LinkSettings) -> None:
     writes = (
         ("SYNC COB-ID", od.SYNC_COB_ID, od.COB_SYNC, 4),
         ("SYNC window in us", od.SYNC_WINDOW_US, round(settings.window_s * 1e6), 4),
-        (
-            "SYNC period in us",
-            od.SYNC_PERIOD_US,
-            round(settings.sync_period_s * 1e6),
-            4,
-        ),
+        ("SYNC period in us", od.SYNC_PERIOD_US, round(settings.sync_period_s * 1e6), 4),
         ("heartbeat in ms", od.HEARTBEAT_MS, round(settings.heartbeat_s * 1e3), 2),
     )
     checks = []
@@ -166,12 +143,7 @@ def set_up(objects: ObjectAccess, settings: LinkSettings) -> None:
         checks.append(Check(what=what, expected=value, found=objects.read_unsigned(index)))
     refuse_mismatch(checks, "the control unit did not keep its set-up and so")
     if objects.read_unsigned(od.TARE, od.TARE_RESULT) == od.TareResult.DONE:
-        objects.write_unsigned(
-            od.TARE,
-            od.TARE_COMMAND,
-            od.TARE_CLEAR_SIGNATURE,
-            4,
-        )
+        objects.write_unsigned(od.TARE, od.TARE_COMMAND, od.TARE_CLEAR_SIGNATURE, 4)
 
 
 def set_up_forces(objects: ObjectAccess, settings: LinkSettings, node_id: int, table: bytes) -> int:
@@ -182,8 +154,6 @@ def set_up_forces(objects: ObjectAccess, settings: LinkSettings, node_id: int, t
 
     Parameters
     ----------
-    objects, settings, node_id
-        Of the unit.
     table
         Object 0x2141, see `tactile.frames.force_message.encode_table`.
     """

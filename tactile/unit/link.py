@@ -61,12 +61,8 @@ class TactileLink:
         An open bus.
     node_id
         CANopen node-ID of the unit, 1 to 127.
-    layout
-        The taxels that the unit must have.
     clock
         Monotonic time; real time if ``settings.threaded``.
-    settings
-        Periods and limits.
     force_table
         Object 0x2141, the table by which the unit sums the force; None: no force messages.
     source

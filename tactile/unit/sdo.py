@@ -24,10 +24,6 @@ class ObjectAccess:
 
     Parameters
     ----------
-    client
-        The SDO client.
-    name
-        The unit in messages.
     attempts
         How often a transfer is tried when no response comes.
     """
@@ -109,14 +105,8 @@ def take_unit_tare(
 
     Parameters
     ----------
-    objects
-        The unit's objects.
-    clock
-        Measures the time-out.
     pump
         Called between two looks at the result; lets time pass and frames run.
-    timeout_s
-        Longest wait in s.
 
     Raises
     ------

@@ -46,18 +46,8 @@ class LinkSession:
 
     Parameters
     ----------
-    bus
-        An open bus.
     source
         Where its messages come from; already started.
-    node_id
-        CANopen node-ID of the unit.
-    layout
-        Its taxels.
-    clock
-        Monotonic time.
-    settings
-        Periods and limits.
     """
 
     def __init__(

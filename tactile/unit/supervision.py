@@ -119,9 +119,9 @@ class TrafficLimit:
     advice
         What to do about them.
     rate_hz
-        So many a second may come for ever.
+        Sustained rate allowed in 1/s.
     burst
-        So many may come at once.
+        Messages that may come at once.
     """
 
     def __init__(self, what: str, advice: str, *, rate_hz: float, burst: float) -> None:
@@ -162,15 +162,7 @@ class SupervisionLimits:
 
 
 class NodeSupervisor:
-    """Supervisor of one node: its state, its heartbeat, its emergencies, the host's controller.
-
-    Parameters
-    ----------
-    name
-        The node in messages.
-    limits
-        Deadlines.
-    """
+    """Supervisor of one node: its state, its heartbeat, its emergencies, the host's controller."""
 
     def __init__(self, name: str, limits: SupervisionLimits) -> None:
         self._name = name
