@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Finding, Left, Question, Verdict, Write, confirmation
 from cell.commissioning.figures import pads as pads_figure
-from cell.commissioning.first_force import bench_hand
+from cell.commissioning.first_force import bench_hand, look_after
 from cell.commissioning.motion import WatchedMotion
 from cell.commissioning.servos import model_name
 from cell.commissioning.unit import gripper_alone, without_unit
@@ -27,7 +27,7 @@ from cell.config.tactile import layout_from_config, make_calibration
 from cell.errors import CellError
 from cell.hand.interface import Hand
 from gripper.errors import GripperError
-from gripper.state import Cycle, GraspResult
+from gripper.state import Clock, Cycle, GraspResult
 from tactile.errors import TactileError
 from tactile.frames.codec import TactileFrame
 from tactile.layout import TaxelLayout
@@ -379,19 +379,20 @@ def measure_gauge(
             confirmation(
                 "baseline.place",
                 f"Hold {gauge} in the middle between the pads, until the fingers hold it.",
-            )
+            ),
+            watch=lambda: look_after(hand, bench.clock, hand.period_s),
         )
         outcome = hand.grasp(force_ramp(config.sequence.ramp, force_n), motion)
         if outcome.result is not GraspResult.FORCE_REACHED:
             if outcome.result is GraspResult.FORCE_NOT_REACHED:
-                _let_go(hand, dialog)
+                _let_go(hand, bench.clock, dialog)
             raise CellError(
                 f"{gauge} was not gripped ({outcome.result.value}): hold it in the middle between "
                 "the pads, and run the step again"
             )
         held = _Held()
         hand.carry(force_n, _HOLD_S, motion.also(held.watch))
-        _let_go(hand, dialog)
+        _let_go(hand, bench.clock, dialog)
     layout = layout_from_config(config.tactile)
     forces = TaxelForces(layout, make_calibration(config.tactile, layout), zero)
     force_on_taxels_n = np.mean([forces.of(counts) for counts in held.counts], axis=0)
@@ -413,17 +414,12 @@ def measure_gauge(
     )
 
 
-def _let_go(hand: Hand, dialog: Dialog) -> None:
+def _let_go(hand: Hand, clock: Clock, dialog: Dialog) -> None:
     dialog.ask(
         confirmation("baseline.release", "Take hold of the object; the fingers open then."),
-        watch=lambda: _tick(hand),
+        watch=lambda: look_after(hand, clock, hand.period_s),
     )
     hand.release()
-
-
-def _tick(hand: Hand) -> str:
-    hand.tick()
-    return f"held ({hand.phase.value})"
 
 
 class _Held:

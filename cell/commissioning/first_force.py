@@ -198,6 +198,15 @@ def _alone(bench: Bench, config: CellConfig) -> Iterator[GripperAlone]:
         gripper.bus.close()
 
 
+def look_after(fingers: Fingers, clock: Clock, period_s: float) -> str:
+    """Feed the watchdog, and control what is held, for a while; returns the phase as text."""
+    end_s = clock.monotonic() + _TICK_S
+    while clock.monotonic() < end_s:
+        fingers.tick()
+        clock.sleep(period_s)
+    return f"fingers: {fingers.phase.value.replace('_', ' ')}"
+
+
 @dataclass(slots=True)
 class Course:
     """Course of the force over a trial."""
@@ -385,7 +394,8 @@ class _Trial:
             confirmation(
                 "first_force.part",
                 "Hold the soft part between the pads, and keep it there until the fingers hold it.",
-            )
+            ),
+            watch=lambda: self._looked_after(fingers),
         )
         return self._grasp(fingers)
 
@@ -463,7 +473,7 @@ class _Trial:
                 "first_force.release",
                 "Take hold of the part; the fingers open when you confirm.",
             ),
-            watch=lambda: self._carried(fingers),
+            watch=lambda: self._looked_after(fingers),
         )
         fingers.release()
         return self._finding(self._status)
@@ -487,14 +497,8 @@ class _Trial:
                 "commission --redo pads_law`), and the linkage for friction."
             )
 
-    def _carried(self, fingers: Fingers) -> str:
-        """Control the grip for a while, and return what it does as text."""
-        end_s = self._clock.monotonic() + _TICK_S
-        period_s = 1.0 / self._config.gripper.loop_rate_hz
-        while self._clock.monotonic() < end_s:
-            fingers.tick()
-            self._clock.sleep(period_s)
-        return f"the part is held ({fingers.phase.value})"
+    def _looked_after(self, fingers: Fingers) -> str:
+        return look_after(fingers, self._clock, 1.0 / self._config.gripper.loop_rate_hz)
 
     def _finding(self, status: Verdict) -> Finding:
         figures = {"force": self._course.figure(self._cap_n)} if self._course.t_s else {}

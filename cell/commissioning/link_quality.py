@@ -247,9 +247,9 @@ def _servos(
             "The servos' line loses answers: check its plugs, the ground between adapter and "
             "servos, and keep its cable away from the motors' supply."
         )
-    if high_s > _LATE_SHARE * period_s:
+    if middle_s > _LATE_SHARE * period_s:
         words.append(
-            f"The servos answer after {1e3 * high_s:.1f} ms, too late for a period of "
+            f"The servos answer after {1e3 * middle_s:.1f} ms, too late for a period of "
             f"{1e3 * period_s:g} ms: set the latency timer of the adapter to 1 ms or raise the "
             "baud rate."
         )

@@ -468,7 +468,8 @@ class _Presses:
                         Choice(key="skip", text="it shows nothing: go on without it"),
                     ),
                     default="again",
-                )
+                ),
+                watch=self._seen,
             )
             if answer == "skip":
                 return False
@@ -492,6 +493,13 @@ class _Presses:
             shown = "nothing" if patch is None else _patch_text(self._sensor.layout, patch)
             self._dialog.live("fingertip", shown)
         return None
+
+    def _seen(self) -> str:
+        """Take in some frames, which keeps the link alive, and return what they show as text."""
+        for _ in range(_LOOK_FRAMES):
+            reading = self._sensor.read(timeout_s=1.0)
+        patch = pressed_at(self._sensor.layout, reading.force_n)
+        return "nothing" if patch is None else _patch_text(self._sensor.layout, patch)
 
     def _lifted(self) -> None:
         """Wait until nothing presses a pad, or for so long as a press may take."""

@@ -24,7 +24,7 @@ from cell.config.tactile import TactileConfig, layout_from_config, link_settings
 from cell.errors import ConfigError
 from cell.hand.build import sensor_settings
 from tactile.can.bus import CanBus
-from tactile.errors import TactileError
+from tactile.errors import BusNotOpened, TactileError
 from tactile.frames.codec import FrameFormat
 from tactile.layout import LAYOUTS, TaxelLayout
 from tactile.sensor.opening import open_sensor
@@ -241,14 +241,22 @@ def _bit_rate(bench: Bench, dialog: Dialog, interface: str, channel: str) -> tup
     """Return the bit rate at which something is heard: by listening first, and then by asking."""
     fixed = _system_bit_rate(interface, channel)
     rates = BIT_RATES if fixed is None else (fixed,)
+    refused: dict[int, BusNotOpened] = {}
     for how in ("listening", "asking each node-ID"):
-        for rate in rates:
+        for rate in (one for one in rates if one not in refused):
             dialog.live("bit rate", f"{rate:,} bit/s, {how}")
-            with bench.can_bus(interface, channel, rate) as bus:
-                heard = listen(bus, _LISTEN_S) if how == "listening" else scan(bus)
+            try:
+                with bench.can_bus(interface, channel, rate) as bus:
+                    heard = listen(bus, _LISTEN_S) if how == "listening" else scan(bus)
+            except BusNotOpened as error:
+                # Not every adapter has every bit rate.
+                refused[rate] = error
+                continue
             if heard.messages:
                 return rate, heard, how
-    tried = ", ".join(f"{rate:,}" for rate in rates)
+    if len(refused) == len(rates):
+        raise refused[rates[0]]
+    tried = ", ".join(f"{rate:,}" for rate in rates if rate not in refused)
     remedy = (
         "a unit of another bit rate has to be set to one of these"
         if fixed is None

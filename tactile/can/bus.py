@@ -215,10 +215,11 @@ class BulkSlcanBus(slcanBus):
         """Lock the port, then set the bit rate in bit/s: the first command to the adapter."""
         try:
             self.serialPortOrig.exclusive = True
-        except OSError:
+            super().set_bitrate(bitrate, data_bitrate)
+        except (OSError, ValueError):
+            # The driver would keep the port, and nobody else could open it.
             self.serialPortOrig.close()
             raise
-        super().set_bitrate(bitrate, data_bitrate)
 
     def _write(self, string: str) -> None:
         with can.exceptions.error_check("the serial port of the CAN adapter cannot be written"):
