@@ -402,7 +402,7 @@ def _set_up(
         if model is None:
             continue
         table = tables[one.servo_id]
-        failure, warning = _supply(one.servo_id, model, table)
+        failure, warning = supply_complaints(one.servo_id, model, table)
         failures += failure
         warnings += warning
         error = table["hardware_error_status"]
@@ -470,7 +470,7 @@ def wanted_changes(
     return changes
 
 
-def _supply(
+def supply_complaints(
     servo_id: int, model: ServoModel, table: Mapping[str, int]
 ) -> tuple[list[str], list[str]]:
     """Return what is wrong with the supply of a servo: failures, warnings."""

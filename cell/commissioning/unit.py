@@ -168,7 +168,7 @@ def _interface(bench: Bench, dialog: Dialog) -> tuple[str, str]:
     if interface and interface != SIMULATED:
         return str(interface), str(channel or "")
     servos = os.path.realpath(str(known.get("gripper.port", "")))
-    places = [("socketcan", name) for name in _network_interfaces()]
+    places = [("socketcan", name) for name in network_interfaces()]
     places += [
         ("slcan", port) for port in bench.lines.serial_ports() if os.path.realpath(port) != servos
     ]
@@ -207,7 +207,7 @@ def _interface(bench: Bench, dialog: Dialog) -> tuple[str, str]:
     return kind, name
 
 
-def _network_interfaces() -> list[str]:
+def network_interfaces() -> list[str]:
     """Return the names of the system's CAN interfaces."""
     found = []
     for path in sorted(Path("/sys/class/net").glob("*/type")):

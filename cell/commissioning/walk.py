@@ -1,5 +1,6 @@
 """Walk through a commissioning: its steps in their order."""
 
+from cell.commissioning.axes import AxesStep
 from cell.commissioning.baseline import BaselineStep
 from cell.commissioning.engine import Step
 from cell.commissioning.fingers import FingersStep
@@ -19,6 +20,7 @@ def all_steps() -> tuple[Step, ...]:
         ServosStep(),
         FingersStep(),
         UnitStep(),
+        AxesStep(),
         PadsAtRestStep(),
         PadsPressedStep(),
         LawStep(),

@@ -179,7 +179,7 @@ class SocketPlacer:
 
     def place(self, label: str, pose: Pose) -> Pose:
         """Place an object in the other process; see `ObjectPlacer`."""
-        reply = self._ask({"place": label, "pose": pose.as_dict()})
+        reply = self.ask({"place": label, "pose": pose.as_dict()})
         try:
             return Pose(**{name: float(reply["pose"][name]) for name in pose.as_dict()})
         except (KeyError, TypeError, ValueError, OverflowError) as error:
@@ -191,7 +191,11 @@ class SocketPlacer:
         """Close the connection; the object stays where it is."""
         self._socket.close()
 
-    def _ask(self, request: dict[str, Any]) -> dict[str, Any]:
+    def ask(self, request: dict[str, Any]) -> dict[str, Any]:
+        """Send one request of `simulator.realtime.requests`, return its reply.
+
+        Raises PositionerError where it is refused or the cell is gone.
+        """
         try:
             self._socket.sendall(json.dumps(request).encode() + b"\n")
             line = self._line()

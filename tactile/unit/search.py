@@ -12,7 +12,7 @@ import can
 
 from tactile.can.receiver import MessageSource, PolledSource, ThreadedReceiver
 from tactile.clock import Clock
-from tactile.errors import BusOff, NodeMissing
+from tactile.errors import BusOff, NodeMissing, TactileError
 from tactile.layout import TaxelLayout, paper_layout
 from tactile.unit import object_dictionary as od
 from tactile.unit.commissioning import read_identity
@@ -199,6 +199,24 @@ def read_vendor(bus: can.BusABC, node_id: int) -> tuple[int, int]:
             objects.read_unsigned(od.IDENTITY, od.IDENTITY_VENDOR),
             objects.read_unsigned(od.IDENTITY, od.IDENTITY_PRODUCT),
         )
+
+
+def read_device(bus: can.BusABC, node_id: int) -> tuple[int, str]:
+    """Return device profile (object 1000h, lower 16 bits) and name (1008h) of a CANopen node.
+
+    The name is empty where the node has none; it is an optional object.
+
+    Raises
+    ------
+    NodeMissing
+        If the node does not answer.
+    """
+    with _objects_of(bus, node_id) as objects:
+        profile = objects.read_unsigned(od.DEVICE_TYPE) & 0xFFFF
+        try:
+            return profile, objects.read_text(od.DEVICE_NAME)
+        except TactileError:
+            return profile, ""
 
 
 def _source(bus: can.BusABC, clock: Clock) -> MessageSource:

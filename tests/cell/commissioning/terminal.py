@@ -17,7 +17,7 @@ _PROGRAM = (
 )
 """The terminal becomes the program's own, so that Ctrl-C reaches it."""
 _CONTROL = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]|\r")
-Act = Callable[[], object]
+Answer = str | Callable[[re.Match[str]], object]
 
 
 class Person:
@@ -52,35 +52,44 @@ class Person:
         """Type a text; what ends it is typed too."""
         os.write(self._master, text.encode())
 
-    def meet(
-        self, answers: Mapping[str, str | Act | tuple[Act, str]], *, timeout_s: float = 60.0
-    ) -> int:
+    def meet(self, answers: Mapping[str, Answer], *, timeout_s: float = 60.0) -> int:
         """Answer each question as its text is seen, until the program ends; return its exit code.
 
-        An answer is typed with Enter; hands (a function) act first and confirm with Enter, or with
-        the text beside them. A function that raises StopIteration ends the meeting, and -1 is
-        returned: the program still runs.
+        Parameters
+        ----------
+        answers
+            What is typed, with Enter, by a pattern of the question; or hands that act, given the
+            match, and return what is typed then (Enter alone for None). A pattern that begins with
+            ``!`` is no question: hands act and nothing is typed. Hands that raise StopIteration end
+            the meeting; -1 is returned then, and the program still runs.
+        timeout_s
+            Longest time in s without anything to answer.
         """
         end_s = time.monotonic() + timeout_s
         while time.monotonic() < end_s:
             if not self._more(0.2):
                 return self._process.wait(10.0)
             fresh = self.text[self._read_to :]
-            found = [(fresh.rfind(key), key) for key in answers if key in fresh]
+            found = [
+                (match.start(), pattern.startswith("!"), match, answers[pattern])
+                for pattern in answers
+                for match in re.finditer(pattern.removeprefix("!"), fresh)
+            ]
             if not found:
                 continue
-            at, key = max(found)
+            at, seen, match, answer = max(found, key=lambda one: one[0])
             # The whole question has to be there.
-            if not re.search(r"> $|Enter: |leave: $", fresh[at:]):
+            if not seen and not re.search(r"> $|Enter: |leave: $", fresh[at:]):
                 continue
-            self._read_to = len(self.text)
-            answer = answers[key]
-            act, typed = answer if isinstance(answer, tuple) else (answer, "")
+            self._read_to += match.end() if seen else len(fresh)
+            end_s = time.monotonic() + timeout_s
             try:
-                typed = act if isinstance(act, str) else (act(), typed)[1]
+                typed = answer if isinstance(answer, str) else answer(match)
             except StopIteration:
                 return -1
-            self.type(typed if typed.endswith("\x03") else f"{typed}\n")
+            if not seen:
+                typed = typed if isinstance(typed, str) else ""
+                self.type(typed if typed.endswith("\x03") else f"{typed}\n")
         raise TimeoutError(f"no end after {timeout_s:g} s; it printed:\n{self.text[-3000:]}")
 
     def _more(self, timeout_s: float) -> bool:

@@ -2,26 +2,36 @@
 
 import contextlib
 import json
+import re
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from cell.config.file import changed_config
+from cell.config.file import changed_config, load_config
 from cell.config.model import CellConfig
 from cell.pytest_plugin.process import CellProcess
 from gripper.dynamixel.serial_port import SerialStream
-from tests.cell.commissioning.terminal import Act, Person
+from tactile.layout import pinch_layout
+from tests.cell.commissioning.terminal import Answer, Person
 
-pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
+pytestmark = [pytest.mark.long, pytest.mark.timeout(600)]
 
-WRONG = ("servo1.factory", "servo2.factory", "servo2.turned", "servo1.horn=164")
+WRONG = (
+    "servo1.factory", "servo2.factory", "servo2.turned", "servo1.horn=164", "unit.pads_swapped",
+)  # fmt: skip
 
 
 @pytest.fixture
 def cell() -> Iterator[CellProcess]:
-    process = CellProcess(changed_config(CellConfig(), {"simulator.faults": list(WRONG)}))
+    changes = {
+        "simulator.faults": list(WRONG),
+        "simulator.noise_level": 0.4,
+        "tactile.layout": "pinch",
+        "gripper.aperture_open_mm": 30.0,
+    }
+    process = CellProcess(changed_config(CellConfig(), changes))
     yield process
     process.end()
 
@@ -31,47 +41,68 @@ class RealHands:
 
     def __init__(self, cell: CellProcess) -> None:
         self.cell = cell
+        self.pads = [pad.name for pad in pinch_layout().pads]
 
     def move(self, **half_openings_m: float) -> None:
         self.cell.ask(hand={k.removeprefix("servo"): v for k, v in half_openings_m.items()})
         while self.cell.ask(state=True)["moved_by_hand"]:
             time.sleep(0.05)
 
-    def both(self, half_opening_m: float) -> Act:
-        return lambda: self.move(servo1=half_opening_m, servo2=half_opening_m)
+    def both(self, half_opening_m: float) -> None:
+        self.move(servo1=half_opening_m, servo2=half_opening_m)
 
-    def on_block(self, block_mm: float) -> Act:
-        def act() -> None:
-            self.both(0.05)()
-            self.cell.ask(place=f"box:length=20mm,width=12mm,height={block_mm}mm")
-            self.both(0.0)()
-
-        return act
-
-    def close(self) -> None:
+    def close(self, _match: object) -> None:
         self.cell.ask(remove=True)
-        self.both(0.0)()
+        self.both(0.0)
 
-    def free(self) -> None:
+    def on_block(self, match: re.Match[str]) -> None:
+        self.both(0.05)
+        self.cell.ask(place=f"box:length=20mm,width=12mm,height={match[1]}mm")
+        self.both(0.0)
+
+    def free(self, _match: object) -> None:
         self.cell.ask(remove=True)
-        self.both(0.02)()
+        self.both(0.02)
 
-    def answers(self) -> dict[str, str | Act]:
+    def empty(self, _match: object) -> None:
+        self.cell.ask(remove=True)
+        self.cell.ask(lift=True)
+
+    def press(self, match: re.Match[str]) -> None:
+        pad = pinch_layout().pads[self.pads.index(match[1])]
+        x_m, y_m = 0.4 * pad.rows * pad.pitch_x_m, 0.3 * pad.columns * pad.pitch_y_m
+        self.cell.ask(press=self.pads.index(match[1]), x_m=x_m, y_m=y_m, force_n=2.0)
+
+    def load(self, match: re.Match[str]) -> str:
+        force_n = int(match[2]) * 9.80665e-3
+        self.cell.ask(press=self.pads.index(match[1]), x_m=0.0, y_m=0.0, force_n=force_n)
+        time.sleep(0.3)
+        return match[2]
+
+    def answers(self) -> dict[str, Answer]:
+        """Return what a person types and does."""
         return {
-            "Disconnect all servos but one": lambda: self.cell.inject("servo2.off"),
-            "Connect the next servo": lambda: self.cell.ask(clear="servo2.off"),
+            "Disconnect all servos but one": lambda _: self.cell.inject("servo2.off") and None,
+            "Connect the next servo": lambda _: self.cell.ask(clear="servo2.off"),
             "Does it drive both": "2",
-            "Do this? y": "y",
+            "Do this\\? y": "y",
             "close them by hand": self.close,
-            "Open one finger by hand": lambda: self.move(servo1=0.05),
-            "open the other one": lambda: self.move(servo2=0.05),
-            "about 10 mm": "10",
-            "Hold the block of 10 mm": self.on_block(10.0),
-            "about 30 mm": "30",
-            "Hold the block of 30 mm": self.on_block(30.0),
-            "How do the fingers move?": "",
+            "Open one finger by hand": lambda _: self.move(servo1=0.05),
+            "open the other one": lambda _: self.move(servo2=0.05),
+            "of about (10|30) mm": lambda match: match[1],
+            "Hold the block of (\\d+) mm": self.on_block,
+            "How do the fingers move\\?": "",
             "Take the block out": self.free,
             "Did each finger open": "1",
+            "!Press (\\S+) with a fingertip": self.press,
+            "!Lift the fingertip|Take the load off": lambda _: self.cell.ask(lift=True),
+            "Do you have weights": "1",
+            "Load \\d of \\d on (\\S+): about (\\d+) g": self.load,
+            "With which force may it": "4",
+            "Take everything out": self.empty,
+            "Hold .*between the pads, (and keep|until)": lambda _: self.cell.ask(place="ball"),
+            "Take hold of the": "",
+            "What is its name": "ball",
         }
 
 
@@ -82,46 +113,67 @@ def findings(folder: Path) -> dict[str, dict[str, object]]:
     return found
 
 
-def test_new_and_badly_mounted_servos_are_brought_up_with_three_interruptions(
+@pytest.mark.real_time
+def test_a_cell_of_wrong_hardware_is_brought_up_with_three_interruptions(
     cell: CellProcess, tmp_path: Path
 ) -> None:
     hands = RealHands(cell)
-    command = ["commission", "box", "--servo-port", cell.servo_port]
+    can = f"{cell.can_interface}:{cell.can_channel}"
+    command = ["commission", "box", "--servo-port", cell.servo_port, "--can", can]
 
-    def end() -> None:
+    def end(_match: object) -> None:
         raise StopIteration
 
     # A person who presses q, then Ctrl-C, then closes the window, then goes on.
-    leaves = [{"Do this? y": "q"}, {"about 10 mm": "\x03"}, {"How do the fingers move?": end}]
+    leaves: list[dict[str, Answer]] = [
+        {"Do this\\? y": "q"},
+        {"of about (10|30) mm": "\x03"},
+        {"Load \\d of \\d on (\\S+): about (\\d+) g": end},
+    ]
     for leaving in leaves:
-        person = Person(command, tmp_path)
-        with contextlib.closing(person):
+        with contextlib.closing(Person(command, tmp_path)) as person:
             code = person.meet(hands.answers() | leaving)
-            if code == -1:
-                code = person.hang_up()
+            code = person.hang_up() if code == -1 else code
             assert code == 1, person.text
-    person = Person(command, tmp_path)
-    with contextlib.closing(person):
-        person.meet(hands.answers() | {"CAN": end, "control unit": end})
-        text = person.text
+    hands.empty(None)
+    with contextlib.closing(Person(command, tmp_path)) as person:
+        assert person.meet(hands.answers(), timeout_s=120.0) == 0, person.text[-6000:]
     steps = findings(tmp_path / "box")
-    assert [steps[key]["status"] for key in ("ports", "servos", "fingers")] == ["pass"] * 3, text
-    assert "servo 1: its zero is +16" in text
-    assert steps["fingers"]["settings"]["gripper.servos"][1]["direction"] == -1  # type: ignore[index]
+    assert not [key for key, step in steps.items() if step["status"] == "fail"]
+    said = json.dumps(steps)
+    assert "servo 1: its zero is +16" in said
+    assert "The pads of the two fingers are exchanged" in said
+    config = load_config(tmp_path / "box" / "tactile-cell.yaml")
+    assert [servo.direction for servo in config.gripper.servos] == [1, -1]
+    one, four = steps["first_force"]["values"]["asked_held_peak_n"]  # type: ignore[index]
+    assert one[1] == pytest.approx(1.0, abs=0.2)
+    assert four[1] == pytest.approx(4.0, abs=0.3)
+    check = ["config", "check", "tactile-cell.yaml"]
+    with contextlib.closing(Person(check, tmp_path / "box")) as person:
+        assert person.meet({}) == 0, person.text
 
 
 def test_a_port_that_another_program_holds_is_named(cell: CellProcess, tmp_path: Path) -> None:
     held = SerialStream(cell.servo_port, 57600)
-    person = Person(["commission", "box", "--servo-port", cell.servo_port], tmp_path)
-    with contextlib.closing(person):
+    command = ["commission", "box", "--servo-port", cell.servo_port]
+    with contextlib.closing(Person(command, tmp_path)) as person:
         assert person.meet({"Ports failed": "2"}) == 1
-    held.close()
-    assert "is used by another program" in person.text
+        held.close()
+        assert "is used by another program" in person.text
     assert findings(tmp_path / "box")["ports"]["status"] == "fail"
 
 
-def test_the_help_names_what_a_person_types(tmp_path: Path) -> None:
-    person = Person(["commission", "--help"], tmp_path)
-    with contextlib.closing(person):
-        assert person.meet({}) == 0
-    assert "--restore" in person.text
+def test_a_person_without_hardware_moves_the_fingers_from_a_second_terminal(
+    cell: CellProcess, tmp_path: Path
+) -> None:
+    folder = Path(cell.positioner_socket).parent
+    ask = ["simulate", "--out", str(folder), "--ask"]
+    for request, replied in (
+        ('{"hand": {"1": 0.02}}', '{"moving": true}'),
+        ('{"remove": true}', '{"removed": true}'),
+        ('{"hand": {"7": 0.02}}', "there is no servo 7"),
+        ("hand", "is no JSON"),
+    ):
+        with contextlib.closing(Person([*ask, request], tmp_path)) as person:
+            person.meet({})
+            assert replied in person.text

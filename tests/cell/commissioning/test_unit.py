@@ -14,6 +14,8 @@ from simulator.can.drive import DriveMount
 from simulator.cell import SimulatedCell
 from simulator.devices import SimulatedDrive
 from simulator.settings import SimulatorSettings
+from tactile.can.bus import CanBus
+from tactile.errors import BusNotOpened
 from tactile.layout import pinch_layout
 from tests.cell.commissioning.script import Script, SimulatedLines
 
@@ -67,6 +69,25 @@ def test_another_bit_rate_is_found_and_the_period_fits_it(tmp_path: Path, bitrat
     assert finding.settings["tactile.bitrate"] == bitrate
     assert f"{bitrate:,} bit/s" in finding.lines[0]
     assert ("tactile.sync_period_ms" in finding.settings) == (bitrate == 250_000)
+
+
+def test_an_adapter_without_some_bit_rate_is_asked_for_the_others(tmp_path: Path) -> None:
+    class Adapter(SimulatedLines):
+        rates = (500_000,)
+
+        def open_can(self, interface: str, channel: str, bitrate: int) -> CanBus:
+            if bitrate not in self.rates:
+                raise BusNotOpened(f"invalid bit rate {bitrate}")
+            return super().open_can(interface, channel, bitrate)
+
+    settings = SimulatorSettings(layout=pinch_layout(), faults=("can.bit_rate=500000",))
+    with SimulatedCell(settings) as cell:
+        lines = Adapter(cell)
+        finding = UnitStep().run(Bench(tmp_path, lines, given=GIVEN), Script())
+        assert finding.settings["tactile.bitrate"] == 500_000
+        lines.rates = ()
+        finding = UnitStep().run(Bench(tmp_path, lines, given=GIVEN), Script())
+        assert finding.lines == ("invalid bit rate 1000000",)
 
 
 def test_a_bit_rate_that_is_too_slow_for_a_frame_is_refused(tmp_path: Path) -> None:

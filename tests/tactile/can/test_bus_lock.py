@@ -90,3 +90,16 @@ def test_a_lock_file_of_another_user_is_used(
 def test_buses_within_a_program_are_shared() -> None:
     for lock in (BusLock("virtual", "a"), BusLock("virtual", "a")):
         lock.release()
+
+
+def test_a_bit_rate_that_an_adapter_lacks_leaves_its_port_free(port: str) -> None:
+    with pytest.raises(BusNotOpened, match="has no 800000 bit/s") as refused:
+        open_bus("slcan", port, bitrate=800_000)
+    handle = os.open(port, os.O_RDWR | os.O_NOCTTY)
+    try:
+        # As the driver locks it; the error above keeps all that it has seen alive.
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    finally:
+        os.close(handle)
+    assert refused.value.__cause__ is not None
+    BusLock("slcan", port).release()

@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -22,6 +22,16 @@ def simulate(
     list_faults: Annotated[
         bool, typer.Option("--list-faults", help="Print every fault that there is, and end.")
     ] = False,
+    ask: Annotated[
+        str | None,
+        typer.Option(
+            "--ask",
+            metavar="JSON",
+            help="Ask the cell that runs in --out, and end: "
+            """'{"place": "ball"}', '{"hand": {"1": 0.02, "2": 0}}' moves limp fingers to half """
+            "openings in m, 'state', 'remove', 'inject', 'clear' as in the docs.",
+        ),
+    ] = None,
     with_parent: Annotated[
         bool, typer.Option("--with-parent", help="End with the program that started this one.")
     ] = False,
@@ -35,6 +45,9 @@ def simulate(
     from cell.jobs.simulate import serve_simulated_cell
     from cell.simulation import fault_table
 
+    if ask is not None:
+        typer.echo(json.dumps(_asked(folder or Path(), ask)))
+        return
     if list_faults:
         for name, kind, value, meaning in fault_table():
             print_line(f"{name:<22} {kind:<13} {meaning}" + (f" [{value}]" if value else ""))
@@ -46,3 +59,20 @@ def simulate(
         announce=lambda line: typer.echo(json.dumps(line)),
         until_parent_ends=with_parent,
     )
+
+
+def _asked(folder: Path, text: str) -> dict[str, Any]:
+    """Send one request to the simulated cell whose devices are in a folder; return the reply."""
+    from contextlib import closing
+
+    from cell.control.positioner import SocketPlacer
+    from cell.errors import ConfigError
+
+    try:
+        request = json.loads(text)
+    except ValueError as error:
+        raise ConfigError(f"--ask {text!r:.80} is no JSON: {error}") from error
+    if not isinstance(request, dict):
+        raise ConfigError("--ask takes a JSON object, as '{\"state\": true}'")
+    with closing(SocketPlacer(str(folder / "positioner.sock"))) as client:
+        return client.ask(request)

@@ -1,0 +1,173 @@
+"""Step `axes`: finds a wrist servo on a port of its own, and CiA 402 drives; they are named."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from os.path import realpath
+from typing import Any
+
+from cell.commissioning.backup import read_table
+from cell.commissioning.bench import Bench
+from cell.commissioning.engine import Choice, Dialog, Finding, Question, Verdict
+from cell.commissioning.ports import by_id
+from cell.commissioning.servos import Scan, model_name, scan, supply_complaints
+from cell.commissioning.unit import gripper_alone, network_interfaces
+from gripper.dynamixel.models import MODELS
+from gripper.errors import GripperError
+from tactile.can.bus import CanBus
+from tactile.errors import TactileError
+from tactile.unit.search import read_device, scan as scan_nodes
+
+_DRIVES = 402
+"""Device profile of drives (CiA 402)."""
+_NO = "none"
+"""Answer that there is no further axis."""
+
+
+@dataclass(frozen=True, slots=True)
+class AxesStep:
+    """Finds the drives and servos that move the object or the gripper."""
+
+    key: str = "axes"
+    title: str = "Axes"
+    purpose: str = (
+        "Looks for a wrist servo on a further serial port and for CiA 402 drives on the CAN buses, "
+        "and names them. Nothing is written and nothing moves; a cell without axes passes by."
+    )
+    needs: tuple[str, ...] = ("ports", "unit")
+    undo: str = "nothing to undo"
+
+    def run(self, bench: Bench, dialog: Dialog) -> Finding:
+        """Look for both kinds of axes."""
+        lines: list[str] = []
+        failures: list[str] = []
+        axes: list[dict[str, Any]] = []
+        for port in _further_ports(bench):
+            if not _leads_to_a_servo(port, dialog):
+                continue
+            try:
+                found, said, wrong = _servo_axis(bench, dialog, port)
+            except GripperError as error:
+                found, said, wrong = [], [], [str(error)]
+            axes += found
+            lines += said
+            failures += wrong
+        for interface, channel, bitrate in _can_buses(bench, dialog):
+            try:
+                with bench.can_bus(interface, channel, bitrate) as bus:
+                    drives = list(_drives(bus))
+            except TactileError as error:
+                failures.append(f"{channel} ({interface}): {error}")
+                continue
+            for node_id, name in drives:
+                lines.append(f"drive {name or 'without a name'}, node {node_id} on {channel}")
+                axes.append({"kind": "cia402", "node_id": node_id, "channel": channel})
+        if axes:
+            lines.append(
+                "name what each of them moves, its increments and limits under positioner.axes in "
+                "the config: docs/how-to/move-the-object.md"
+            )
+        elif not failures:
+            lines.append("no axes: a person brings the parts, or a host program does")
+        return Finding(
+            status=Verdict.FAIL if failures else Verdict.PASS,
+            lines=(*lines, *failures),
+            values={"axes": axes},
+        )
+
+
+def _further_ports(bench: Bench) -> list[str]:
+    """Return the serial ports that neither the fingers nor the control unit use."""
+    used = {realpath(bench.gripper().port), realpath(bench.tactile().channel)}
+    return [port for port in bench.lines.serial_ports() if realpath(port) not in used]
+
+
+def _leads_to_a_servo(port: str, dialog: Dialog) -> bool:
+    """Ask before bytes are sent to a port of an unknown device."""
+    answer = dialog.ask(
+        Question(
+            key="axes.port",
+            text=f"Does the serial port {by_id(port)} lead to the servo of an axis? It is scanned "
+            "then.",
+            choices=(
+                Choice(key="no", text="no, or another device: leave it alone"),
+                Choice(key="yes", text="yes, scan it"),
+            ),
+            default="no",
+        )
+    )
+    return answer == "yes"
+
+
+def _servo_axis(
+    bench: Bench, dialog: Dialog, port: str
+) -> tuple[list[dict[str, Any]], list[str], list[str]]:
+    """Scan a port; return its axis as the config names it, lines and failures."""
+    found = scan(bench, port, dialog)
+    complaint = _complaint(port, found)
+    if complaint:
+        return [], [], [complaint]
+    (servo,) = found.servos
+    servo_id, name = servo.identity.servo_id, model_name(servo.identity.model_number)
+    line = f"servo {name}, ID {servo_id} at {servo.baud_rate} bit/s on {by_id(port)}"
+    model = MODELS.get(name)
+    if model is None:
+        return [], [line], [f"the cell drives {', '.join(MODELS)}; {name} is none of them"]
+    with bench.servo_bus(port, servo.baud_rate) as bus:
+        low, scarce = supply_complaints(servo_id, model, read_table(bus, servo_id))
+    axis = {
+        "kind": "dynamixel",
+        "port": by_id(port),
+        "baud_rate": servo.baud_rate,
+        "id": servo_id,
+        "model": name,
+    }
+    return [axis], [line, *scarce], low
+
+
+def _complaint(port: str, found: Scan) -> str:
+    """Return why the servos of a line cannot be an axis; empty for one servo."""
+    if found.crowded or len(found.servos) > 1:
+        return (
+            f"several servos answer on {port}: the servo of an axis is alone on its port. "
+            "Disconnect the others, then run the step again"
+        )
+    if not found.servos:
+        return (
+            f"no servo answers on {port} at any baud rate: check its supply and wires, then run "
+            "the step again"
+        )
+    return ""
+
+
+def _can_buses(bench: Bench, dialog: Dialog) -> Iterator[tuple[str, str, int]]:
+    """Return the buses on which drives may be: that of the control unit, and one more if named."""
+    tactile = bench.tactile()
+    own: tuple[str, ...] = ()
+    if not gripper_alone(bench):
+        own = (tactile.channel,)
+        yield tactile.interface, tactile.channel, tactile.bitrate
+    others = [name for name in network_interfaces() if name not in own]
+    if not others:
+        return
+    answer = dialog.ask(
+        Question(
+            key="axes.can",
+            text="Are there drives on a CAN bus of their own? Its nodes are asked who they are.",
+            choices=(
+                Choice(key=_NO, text="no"),
+                *(Choice(key=name, text=name) for name in others),
+            ),
+            default=_NO,
+        )
+    )
+    if answer != _NO:
+        # A network interface has its bit rate from the system.
+        yield "socketcan", str(answer), tactile.bitrate
+
+
+def _drives(bus: CanBus) -> Iterator[tuple[int, str]]:
+    """Return node-ID and name of each drive on a bus."""
+    for node_id in scan_nodes(bus).nodes:
+        profile, name = read_device(bus, node_id)
+        if profile == _DRIVES:
+            yield node_id, name
