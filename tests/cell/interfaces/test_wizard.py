@@ -57,8 +57,12 @@ class Ports(Asking):
     purpose: str = "Finds the serial port of the servos. Nothing moves."
     settings: dict[str, Any] = field(default_factory=lambda: dict(REAL))
     lost: int = 0
+    wrong: int = 0
 
     def run(self, bench: Bench, dialog: Dialog) -> Finding:
+        if self.wrong:
+            self.wrong -= 1
+            return Finding(status=Verdict.FAIL, lines=("No adapter is plugged in.",))
         if self.lost:
             self.lost -= 1
             raise PortLost("the servo line /dev/ttyUSB0 is gone: plug the adapter in again")

@@ -4,7 +4,7 @@ import { allow, ask, byId, isAllowed, make, renew, setText, show } from "./dom.j
 import { Link } from "./link.js";
 import { renderCommander, setSign } from "./band.js";
 import { setupLease } from "./commands.js";
-import { clock, loadWords, number, t } from "./words.js";
+import { clock, loadWords, number, stepText, t } from "./words.js";
 
 const LOOKS = {
   ready: ["calm", "ready"],
@@ -32,7 +32,6 @@ const view = {
 
 const why = () => (view.link.stale ? t("why.connection") : view.link.commands ? "" : t("why.lease"));
 const idle = () => OPEN.includes(view.state?.phase);
-const titleOf = (key) => view.state.steps.find((step) => step.key === key)?.title ?? key;
 
 function post(path, body = {}) {
   return view.attempt(() => view.link.call("POST", path, { body: { lease: view.link.lease, ...body }, timeout_ms: 5000 }));
@@ -52,7 +51,8 @@ function renderBand() {
   setText(byId("state"), word);
   const done = state?.steps.filter((step) => ["pass", "warn"].includes(step.status)).length ?? 0;
   setText(byId("since"), state ? t("wizard.done", { done, of: state.steps.length }) : "");
-  setText(byId("doing"), state?.step ? titleOf(state.step) : "");
+  const step = state?.steps.find((one) => one.key === state.step);
+  setText(byId("doing"), step ? stepText(step, "title") : "");
   document.title = `${word} – ${info?.name ?? "tactile-cell"}`;
   setSign(level, sign);
   renderCommander(view);
@@ -87,12 +87,12 @@ function renderSteps() {
     if (step.key === state.step) item.setAttribute("aria-current", "step");
     else item.removeAttribute("aria-current");
     renew(summary, [step.title, status], () => [
-      make("b", { lang: "en" }, `${at + 1}. ${step.title}`), make("span", {}, t(`wizard.status.${status}`)),
+      make("b", {}, `${at + 1}. ${stepText(step, "title")}`), make("span", {}, t(`wizard.status.${status}`)),
     ]);
     if (!item.firstElementChild.open) return;
     const may = status !== "open" && idle() && !why();
     renew(body, [step, may], () => [
-      make("p", { class: "muted", lang: "en" }, step.purpose),
+      make("p", { class: "muted" }, stepText(step, "purpose")),
       ...step.lines.map((line) => make("p", { lang: "en" }, line)),
       ...Object.keys(step.figures).map((name) => picture(step, name)),
       make("p", { class: "muted", lang: "en" }, step.ended ? `${clock(Date.parse(step.ended) / 1000)} – ${step.undo}` : step.undo),
@@ -103,7 +103,7 @@ function renderSteps() {
 
 function redoButton(step) {
   const button = make("button", { type: "button", class: "plain" }, t("wizard.redo"));
-  button.addEventListener("click", () => ask(t("wizard.redo_sure", { title: step.title }), t("wizard.redo"),
+  button.addEventListener("click", () => ask(t("wizard.redo_sure", { title: stepText(step, "title") }), t("wizard.redo"),
     () => post("api/redo", { key: step.key })));
   return button;
 }
@@ -112,13 +112,14 @@ function renderNow() {
   const { state, info } = view;
   if (!state) return;
   const step = state.steps.find((one) => one.key === state.step);
-  setText(byId("now_title"), step?.title ?? t("wizard.title", { name: info?.name ?? "" }));
-  setText(byId("now_purpose"), step?.purpose ?? (state.phase === "finished" ? "" : t("wizard.what")));
+  setText(byId("now_title"), step ? stepText(step, "title") : t("wizard.title", { name: info?.name ?? "" }));
+  setText(byId("now_purpose"), step ? stepText(step, "purpose") : state.phase === "finished" ? "" : t("wizard.what"));
   const error = state.error;
   setText(byId("now_error"), error ? [error.text, error.number ? error.remedy : ""].filter(Boolean).join(" – ") : "");
   // Between two runs: what needs a look.
   const noted = state.steps.filter((one) => ["warn", "fail"].includes(one.status));
-  const said = step ? state.said : noted.flatMap((one) => one.lines.map((line) => `${one.title}: ${line}`));
+  const failed = step && state.question?.key === `${step.key}.again`;
+  const said = failed ? step.lines : step ? state.said : noted.flatMap((one) => one.lines.map((line) => `${stepText(one, "title")}: ${line}`));
   renew(byId("now_said"), said, () => said.map((text) => make("li", {}, text)));
   const live = Object.entries(state.live);
   renew(byId("now_live"), live, () => live.flatMap(([name, value]) => [make("dt", {}, name), make("dd", {}, value)]));

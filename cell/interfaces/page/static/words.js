@@ -7,11 +7,12 @@ export const language = locale.slice(0, 2).toLowerCase();
 
 let texts = {};
 let faults = {};
+let steps = {};
 const plural = new Intl.PluralRules(locale);
 
 export async function loadWords() {
   const answer = await fetch(new URL(`${language}.json`, import.meta.url));
-  ({ faults = {}, ...texts } = await answer.json());
+  ({ faults = {}, steps = {}, ...texts } = await answer.json());
   document.documentElement.lang = language;
   for (const node of document.querySelectorAll("[data-t]")) node.textContent = t(node.dataset.t);
 }
@@ -34,6 +35,9 @@ export const has = (key) => key in texts;
 export function faultText(fault, field) {
   return faults[fault.number]?.[field] ?? fault[field] ?? "";
 }
+
+// A text of a step of the commissioning: the server's is English, the others stand here by key.
+export const stepText = (step, field) => steps[step.key]?.[field] ?? step[field];
 
 const formats = new Map();
 function format(options) {

@@ -54,6 +54,10 @@ def test_a_cell_is_commissioned_left_and_taken_up_again(
     page = open_page(address)
     becomes(page, "#run", "take command first")
     page.click("#command")
+    walk[0].wrong = 1
+    page.click("#run[aria-disabled=false]")
+    becomes(page, "#now_said", "No adapter is plugged in")
+    page.click("text=leave; what was found is kept")
     first_motion(page)
     page.keyboard.press("Escape")
     becomes(page, "#state", "^Left$")

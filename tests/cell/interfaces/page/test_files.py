@@ -9,6 +9,7 @@ from typing import Any, get_args
 import pytest
 
 from cell.commissioning.engine import Verdict
+from cell.commissioning.walk import all_steps
 from cell.control.states import CellState, GraspState
 from cell.fault_catalogue import CATALOGUE, Fault, Step
 from cell.interfaces.page import FOLDER
@@ -51,7 +52,7 @@ def used() -> set[str]:
 
 
 def texts(language: str) -> dict[str, str]:
-    return {key: text for key, text in WORDS[language].items() if key != "faults"}
+    return {key: text for key, text in WORDS[language].items() if key not in ("faults", "steps")}
 
 
 def all_keys() -> set[str]:
@@ -107,6 +108,19 @@ def test_german_has_each_fault_and_no_other() -> None:
             assert text != english, fault.number
             # Keys of the config and commands stand in both as they are.
             assert re.findall(r"`[^`]+`", text) == re.findall(r"`[^`]+`", english), fault.number
+
+
+def test_german_has_each_step_of_the_commissioning_and_no_other() -> None:
+    german = WORDS["de"]["steps"]
+    assert set(german) == {step.key for step in all_steps()}
+    for step in all_steps():
+        assert german[step.key].keys() == {"title", "purpose"}
+        assert german[step.key]["purpose"].strip() != step.purpose
+        # Commands and keys stand in both as they are.
+        commands = r"`[^`]+`"
+        assert re.findall(commands, german[step.key]["purpose"]) == re.findall(
+            commands, step.purpose
+        )
 
 
 def test_equal_english_texts_of_faults_are_equal_in_german() -> None:
