@@ -269,10 +269,7 @@ class InvariantMonitor:
         self._frozen_raw = goals_raw
 
     def _torque_changed(
-        self,
-        torque: tuple[bool, ...],
-        blame: tuple[object, ...],
-        controller: CellController | None,
+        self, torque: tuple[bool, ...], blame: tuple[object, ...], controller: CellController | None
     ) -> None:
         state = None if controller is None else controller.state
         for number, (before, after) in enumerate(zip(self._torque, torque, strict=True)):

@@ -67,7 +67,7 @@ def done(cell: Any, lease: int, job: int) -> int:
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_the_part_is_held_when_the_service_ends_and_is_let_go_on_purpose_by_the_next(
-    start: Callable[..., Program], tmp_path: Path, number: signal.Signals
+    start: Any, tmp_path: Path, number: signal.Signals
 ) -> None:
     (tmp_path / "cell.yaml").write_text(CONFIG + SERVE)
     simulated = start("simulate", "-c", tmp_path / "cell.yaml", "--out", tmp_path / "cell")
@@ -88,7 +88,7 @@ def test_the_part_is_held_when_the_service_ends_and_is_let_go_on_purpose_by_the_
         assert (cell.state(), cell.holding()) == (4, False)
 
 
-def start_again(start: Callable[..., Program], config: str) -> Program:
+def start_again(start: Any, config: str) -> Program:
     """Start the service as soon as the ports are free."""
     end_s = time.monotonic() + LIMIT_S
     while True:

@@ -2,7 +2,6 @@
 
 import json
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +14,11 @@ from cell.data.recording_reader import read_recording
 from cell.data.recording_recovery import RECOVERED, recover_recording
 from cell.errors import RecordingError
 from cell.interfaces.cli.app import app
-from recognition.grasp import Grasp
 from tactile.frames.codec import TactileFrame
 
 
 @pytest.fixture
-def recording(tmp_path: Path, make_grasp: Callable[..., Grasp]) -> Path:
+def recording(tmp_path: Path, make_grasp: Any) -> Path:
     """Forty grasps of twelve frames, in several chunks."""
     rng = np.random.default_rng(0)
     grasps = [make_grasp(f"object {i}", counts=rng.integers(0, 4096, (12, 24))) for i in range(40)]

@@ -107,6 +107,12 @@ def serving(
             yield served
 
 
+@pytest.fixture(scope="session")
+def anyio_backend() -> str:
+    """The event loop of tests that are coroutines."""
+    return "asyncio"
+
+
 @pytest.fixture
 def serve(request: pytest.FixtureRequest) -> Iterator[Callable[..., Served]]:
     """Return the maker of services; ``doors`` opens them.
@@ -125,7 +131,7 @@ def serve(request: pytest.FixtureRequest) -> Iterator[Callable[..., Served]]:
 
 
 @pytest.fixture
-def make_plugin(make_config: Callable[..., CellConfig]) -> Iterator[Callable[..., Any]]:
+def make_plugin(make_config: Any) -> Iterator[Callable[..., Any]]:
     """Return the maker of plugins on small simulated cells."""
     made: list[Any] = []
 
@@ -139,9 +145,14 @@ def make_plugin(make_config: Callable[..., CellConfig]) -> Iterator[Callable[...
 
 
 @pytest.fixture
-def plugin(make_plugin: Callable[..., Any], taught: Any) -> Any:
+def plugin(make_plugin: Any, taught: Any) -> Any:
     """A plugin that knows ball and box."""
     return make_plugin(model=taught.result.model)
+
+
+def done(plugin: Any, goal: Any) -> Any:
+    """Run a job of a plugin to its end and return what it gives."""
+    return plugin.result(plugin.start(goal), LIMIT_S)
 
 
 def grip_n(plugin: Any) -> float:

@@ -1,7 +1,6 @@
 """An independent witness: cantools decodes a whole simulated grasp by our DBC file."""
 
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,6 @@ from canopen.emcy import EMCY_STRUCT
 from typer.testing import CliRunner
 
 from cell.config.file import config_text
-from cell.config.model import CellConfig
 from cell.interfaces.cli.app import app
 from tactile.frames.assembler import FrameAssembler
 from tactile.frames.codec import FrameFormat, TactileFrame, crc16, encode_frame
@@ -60,7 +58,7 @@ class Listener:
 
 @pytest.mark.parametrize("layout", [paper_layout(), pinch_layout()], ids=lambda one: one.name)
 def test_a_whole_grasp_decodes_to_the_same_samples(
-    layout: TaxelLayout, make_config: Callable[..., CellConfig], make_bench: Callable[..., Any]
+    layout: TaxelLayout, make_config: Any, make_bench: Any
 ) -> None:
     bench = make_bench(make_config(tactile__layout=layout.name))
     traffic: list[tuple[int, bytes]] = []
@@ -205,9 +203,7 @@ def test_a_unit_without_force_messages_sends_its_frames_where_they_always_were()
     assert "PadForces" not in text
 
 
-def test_the_command_writes_the_file_of_a_config(
-    make_config: Callable[..., CellConfig], tmp_path: Path
-) -> None:
+def test_the_command_writes_the_file_of_a_config(make_config: Any, tmp_path: Path) -> None:
     config, output = tmp_path / "cell.yaml", tmp_path / "cell.dbc"
     config.write_text(config_text(make_config(tactile__layout="pinch", tactile__node_id=9)))
     call = CliRunner().invoke

@@ -3,7 +3,7 @@
 import json
 import struct
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from typing import Any
 
@@ -103,7 +103,7 @@ def test_messages_come_as_they_are_recorded_stamped_with_the_wall_clock(
 
 
 def test_a_grasp_of_a_cell_without_recording_is_streamed(
-    viewer: Viewer, door: FoxgloveDoor, make_bench: Callable[..., Any]
+    viewer: Viewer, door: FoxgloveDoor, make_bench: Any
 ) -> None:
     bench = make_bench(tap=door).ready()
     assert bench.cell.recording_path is None

@@ -15,7 +15,7 @@ MakeConfig = Callable[..., CellConfig]
     ("limit_c", "level"), [(80.0, "ok"), (None, "watch"), (-1.0, "bad")], ids=str
 )
 def test_heat_is_judged_by_the_limit_and_where_the_current_is_lowered(
-    make_bench: Callable[..., Any], limit_c: float | None, level: str
+    make_bench: Any, limit_c: float | None, level: str
 ) -> None:
     bench = make_bench().ready()
     warm_c = bench.controller.measured.cycle.state.temperature_c
@@ -28,9 +28,7 @@ def test_heat_is_judged_by_the_limit_and_where_the_current_is_lowered(
     assert health_values(config, bench.cell, None)["servos"]["level"] == level
 
 
-def test_lost_frames_are_judged_by_their_limit(
-    make_config: MakeConfig, make_bench: Callable[..., Any]
-) -> None:
+def test_lost_frames_are_judged_by_their_limit(make_config: Any, make_bench: Any) -> None:
     bench = make_bench(make_config(tactile__loss_max_share=0.5)).ready()
     assert health_values(bench.config, bench.cell, None)["can"]["level"] == "ok"
     bench.simulated.inject("can.lose_next=12")

@@ -50,6 +50,7 @@ from cell.interfaces.service.serving import open_doors
 from tactile.errors import FrameTimeout
 from tests.cell.interfaces.conftest import LIMIT_S, Served, serving
 
+pytestmark = pytest.mark.anyio
 ENCRYPTED = ua.MessageSecurityMode.SignAndEncrypt
 
 
@@ -162,49 +163,41 @@ def open_cell(serve: Any, folder: Path) -> Callable[..., Any]:
 # -- who may do what ---------------------------------------------------------------------------
 
 
-def test_an_anonymous_session_reads_and_does_nothing_else(opened: Served) -> None:
-
-    async def attack() -> None:
-        async with linked(opened) as link:
-            assert await link.read("State.Name") == "IDLE"
-            methods = await link.cell.get_children(nodeclassmask=ua.NodeClass.Method)
-            names = [(await node.read_browse_name()).Name for node in methods]
-            assert {"hold", "acquire", "identify", "release", "label"} <= set(names)
-            for name in names:
-                with pytest.raises(BadUserAccessDenied):
-                    await link.call(name)
+async def test_an_anonymous_session_reads_and_does_nothing_else(opened: Served) -> None:
+    async with linked(opened) as link:
+        assert await link.read("State.Name") == "IDLE"
+        methods = await link.cell.get_children(nodeclassmask=ua.NodeClass.Method)
+        names = [(await node.read_browse_name()).Name for node in methods]
+        assert {"hold", "acquire", "identify", "release", "label"} <= set(names)
+        for name in names:
             with pytest.raises(BadUserAccessDenied):
-                await link.call("acquire", "nobody")
-            for value in (*PLATE, *VALUES):
-                with pytest.raises(BadUserAccessDenied):
-                    await link.node(value.path).write_value(1)
+                await link.call(name)
+        with pytest.raises(BadUserAccessDenied):
+            await link.call("acquire", "nobody")
+        for value in (*PLATE, *VALUES):
             with pytest.raises(BadUserAccessDenied):
-                await link.cell.add_variable(link.space, "More", 1)
-            _, (status,) = await link.client.delete_nodes([link.cell])
-            assert status.value == ua.StatusCodes.BadUserAccessDenied
-            with pytest.raises(BadServiceUnsupported):
-                await link.client.register_server(Server())
-            assert await link.read("State.Commander") == ""
-
-    asyncio.run(attack())
+                await link.node(value.path).write_value(1)
+        with pytest.raises(BadUserAccessDenied):
+            await link.cell.add_variable(link.space, "More", 1)
+        _, (status,) = await link.client.delete_nodes([link.cell])
+        assert status.value == ua.StatusCodes.BadUserAccessDenied
+        with pytest.raises(BadServiceUnsupported):
+            await link.client.register_server(Server())
+        assert await link.read("State.Commander") == ""
     assert opened.service.job().number == 0
     opened.service.give_up(opened.service.acquire("free"))
 
 
-def test_no_name_and_no_password_opens_a_session(opened: Served) -> None:
-
-    async def attack(name: str) -> None:
+async def test_no_name_and_no_password_opens_a_session(opened: Served) -> None:
+    for name in ("admin", "Admin", "plc"):
         client = Client(url(opened), timeout=LIMIT_S)
         client.set_user(name)
         client.set_password("any")
         with pytest.raises(BadIdentityTokenRejected):
             await client.connect()
 
-    for name in ("admin", "Admin", "plc"):
-        asyncio.run(attack(name))
 
-
-def test_a_certificate_that_a_plain_channel_names_proves_nothing(
+async def test_a_certificate_that_a_plain_channel_names_proves_nothing(
     opened: Served, plc: Identity, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     honest = MessageChunk.message_to_chunks
@@ -217,58 +210,47 @@ def test_a_certificate_that_a_plain_channel_names_proves_nothing(
             named.append(plc.der)
         return chunks
 
-    async def attack() -> None:
-        async with linked(opened) as link:
-            assert await link.read("State.Name") == "IDLE"
-            with pytest.raises(BadUserAccessDenied):
-                await link.call("acquire", "nobody")
-
     monkeypatch.setattr(MessageChunk, "message_to_chunks", staticmethod(naming))
-    asyncio.run(attack())
+    async with linked(opened) as link:
+        assert await link.read("State.Name") == "IDLE"
+        with pytest.raises(BadUserAccessDenied):
+            await link.call("acquire", "nobody")
     assert named
 
 
-def test_a_session_without_a_channel_calls_nothing(opened: Served) -> None:
-
-    async def attack() -> None:
-        client = Client(url(opened), timeout=LIMIT_S)
-        await client.connect_socket()
-        await client.send_hello()
-        await client.create_session()
-        await client.activate_session()
-        link = Link(client, await client.get_namespace_index(NAMESPACE))
-        with pytest.raises(BadUserAccessDenied):
-            await link.call("acquire", "nobody")
-        with pytest.raises(BadUserAccessDenied):
-            await link.node("State.Name").write_value("RUN")
-        client.disconnect_socket()
-
-    asyncio.run(attack())
+async def test_a_session_without_a_channel_calls_nothing(opened: Served) -> None:
+    client = Client(url(opened), timeout=LIMIT_S)
+    await client.connect_socket()
+    await client.send_hello()
+    await client.create_session()
+    await client.activate_session()
+    link = Link(client, await client.get_namespace_index(NAMESPACE))
+    with pytest.raises(BadUserAccessDenied):
+        await link.call("acquire", "nobody")
+    with pytest.raises(BadUserAccessDenied):
+        await link.node("State.Name").write_value("RUN")
+    client.disconnect_socket()
 
 
-def test_a_session_of_another_client_cannot_be_taken(opened: Served, plc: Identity) -> None:
-
-    async def attack() -> None:
-        async with linked(opened, plc) as link:
-            thief = Client(url(opened), timeout=LIMIT_S)
-            await thief.connect_socket()
-            await thief.send_hello()
-            await thief.open_secure_channel()
-            thief._server_nonce = b""
-            # Numbers that asyncua itself gives to sessions.
-            for guess in range(1000, InternalSession._auth_counter + 1):
-                thief.uaclient.protocol.authentication_token = ua.NodeId(guess)
-                with pytest.raises(BadSessionIdInvalid):
-                    await thief.activate_session()
-                with pytest.raises(BadUserAccessDenied):
-                    await Link(thief, link.space).call("acquire", "thief")
-            thief.disconnect_socket()
-            assert await link.call("give_up", await link.call("acquire", "plc")) == 0
-
-    asyncio.run(attack())
+async def test_a_session_of_another_client_cannot_be_taken(opened: Served, plc: Identity) -> None:
+    async with linked(opened, plc) as link:
+        thief = Client(url(opened), timeout=LIMIT_S)
+        await thief.connect_socket()
+        await thief.send_hello()
+        await thief.open_secure_channel()
+        thief._server_nonce = b""
+        # Numbers that asyncua itself gives to sessions.
+        for guess in range(1000, InternalSession._auth_counter + 1):
+            thief.uaclient.protocol.authentication_token = ua.NodeId(guess)
+            with pytest.raises(BadSessionIdInvalid):
+                await thief.activate_session()
+            with pytest.raises(BadUserAccessDenied):
+                await Link(thief, link.space).call("acquire", "thief")
+        thief.disconnect_socket()
+        assert await link.call("give_up", await link.call("acquire", "plc")) == 0
 
 
-def test_only_encrypted_channels_of_trusted_certificates_command(
+async def test_only_encrypted_channels_of_trusted_certificates_command(
     open_cell: Any, folder: Path, plc: Identity
 ) -> None:
     served = open_cell()
@@ -287,197 +269,177 @@ def test_only_encrypted_channels_of_trusted_certificates_command(
         async with linked(served) as link:
             return {found.SecurityMode for found in await link.client.get_endpoints()}
 
-    async def walk() -> None:
-        assert await modes() == {ua.MessageSecurityMode.None_, ENCRYPTED}
-        assert await tried(plc) > 0
-        for who in (stranger, member, makers):
-            with pytest.raises(BadCertificateUntrusted):
-                await tried(who)
-        # The trust list counts as it is when a session begins.
-        (folder / "trusted" / "makers.der").write_bytes(makers.der)
-        assert await tried(member) > 0
-        (folder / "trusted" / "plc.der").unlink()
+    assert await modes() == {ua.MessageSecurityMode.None_, ENCRYPTED}
+    assert await tried(plc) > 0
+    for who in (stranger, member, makers):
         with pytest.raises(BadCertificateUntrusted):
-            await tried(plc)
-        (folder / "trusted" / "bad.der").write_bytes(b"no certificate")
-        with pytest.raises(BadCertificateUntrusted):
-            await tried(member)
-        for path in (folder / "trusted").iterdir():
-            path.unlink()
-        with pytest.raises(BadCertificateUntrusted):
-            await tried(member)
-
-    asyncio.run(walk())
+            await tried(who)
+    # The trust list counts as it is when a session begins.
+    (folder / "trusted" / "makers.der").write_bytes(makers.der)
+    assert await tried(member) > 0
+    (folder / "trusted" / "plc.der").unlink()
+    with pytest.raises(BadCertificateUntrusted):
+        await tried(plc)
+    (folder / "trusted" / "bad.der").write_bytes(b"no certificate")
+    with pytest.raises(BadCertificateUntrusted):
+        await tried(member)
+    for path in (folder / "trusted").iterdir():
+        path.unlink()
+    with pytest.raises(BadCertificateUntrusted):
+        await tried(member)
 
 
-def test_without_a_folder_the_door_is_read_only(serve: Any, plc: Identity) -> None:
+async def test_without_a_folder_the_door_is_read_only(serve: Any, plc: Identity) -> None:
     served = serve("opcua")
 
-    async def attack() -> None:
-        async with linked(served) as link:
-            (endpoint,) = await link.client.get_endpoints()
-            assert endpoint.SecurityMode == ua.MessageSecurityMode.None_
-            with pytest.raises(BadUserAccessDenied):
-                await link.call("hold")
-            assert await link.read("Identification.Labels") == ["ball", "box"]
-
-    asyncio.run(attack())
+    async with linked(served) as link:
+        (endpoint,) = await link.client.get_endpoints()
+        assert endpoint.SecurityMode == ua.MessageSecurityMode.None_
+        with pytest.raises(BadUserAccessDenied):
+            await link.call("hold")
+        assert await link.read("Identification.Labels") == ["ball", "box"]
 
 
 # -- commands and values -----------------------------------------------------------------------
 
 
-def test_a_trusted_client_walks_a_simulated_cell_through_all_commands(
+async def test_a_trusted_client_walks_a_simulated_cell_through_all_commands(
     open_cell: Any, plc: Identity
 ) -> None:
     served = open_cell(cell={})
 
-    async def work() -> None:
-        async with linked(served, plc) as link:
+    async with linked(served, plc) as link:
+        with pytest.raises(BadNoData):
+            await link.read("LastAnswer.Label")
+        lease = await link.call("acquire", "plc")
+        await link.until("State.Commander", lambda name: name == "plc")
+        assert await link.call("identify", lease, 1, 0.0, True, 1) == 1
+        assert await link.call("identify", lease, 1, 0.0, True, 1) == 1  # not done twice
+        await link.ended(1)
+        shown = {value.path: await link.read(value.path) for value in (*PLATE, *VALUES)}
+        job = served.service.job(1)
+        assert shown["Job.Label"] == await link.call("label", 1) == job.label == "ball"
+        assert shown["Job.LabelId"] == await link.call("label_id", 1) == 1
+        assert shown["Job.Probability"] == await link.call("probability", 1) > 0.5
+        assert shown["Job.Shape"] == job.shape == "sphere"
+        assert shown["Job.Size"] == job.size_mm > 1.0
+        assert shown["Job.Kept"]
+        assert (shown["State.Number"], shown["State.Name"]) == (17, "COMPLETE")
+        assert shown["Grip.Holding"]
+        assert shown["Grip.Force"] > 1.0
+        assert (shown["Grip.ForceAge"] < 0.1, shown["FrameAge"] < 0.1) == (True, True)
+        answer = [shown[f"LastAnswer.{name}"] for name in ("Job", "Label", "LabelId", "Kept")]
+        assert answer == [1, "ball", 1, True]
+        assert shown["LastAnswer.Probability"] == job.probability
+        assert len(shown["Taxels"]) == served.service.info()["n_taxels"]
+        assert max(shown["Taxels"]) > 0
+        assert shown["FaultNumber"] == 0
+        assert await link.call("release", lease, 0) == -513
+        assert await link.call("release", lease + 1, RELEASE_KEY) < 0
+        assert await link.call("release", lease) == -501  # an argument is missing
+        assert served.grip_n > 1.0
+        assert await link.call("release", lease, RELEASE_KEY, 2) == 2
+        await link.ended(2)
+        await link.until("State.Name", lambda name: name == "IDLE")
+        assert served.grip_n == 0.0
+        assert await link.read("LastAnswer.LabelId") == 1
+        assert await link.call("teach", lease, "ball", 1, 3) == 3
+        await link.ended(3)
+        fault = served.plugin._cell.simulated.inject("unit.off@contact+50ms")
+        assert await link.call("grip", lease, 3.0, 4) == 4
+        await link.until("State.Name", lambda name: name == "ABORTED")
+        assert await link.read("FaultNumber") == served.service.status().fault_number > 0
+        assert served.grip_n > 0.3
+        fault.clear()
+        assert await link.call("clear", lease, 5, False) == 5
+        await link.ended(5)
+        assert await link.call("release", lease, RELEASE_KEY, 6) == 6
+        await link.ended(6)
+        assert await link.call("reset", lease, 7) == 7
+        await link.ended(7)
+        await link.until("State.Name", lambda name: name == "IDLE")
+        served.service.command(lease, Command.SHUTDOWN)
+        await link.until("State.Name", lambda name: name == "STOPPED")
+        for path in ("Grip.Force", "Grip.ForceAge", "Grip.Opening", "FrameAge", "Taxels"):
             with pytest.raises(BadNoData):
-                await link.read("LastAnswer.Label")
-            lease = await link.call("acquire", "plc")
-            await link.until("State.Commander", lambda name: name == "plc")
-            assert await link.call("identify", lease, 1, 0.0, True, 1) == 1
-            assert await link.call("identify", lease, 1, 0.0, True, 1) == 1  # not done twice
-            await link.ended(1)
-            shown = {value.path: await link.read(value.path) for value in (*PLATE, *VALUES)}
-            job = served.service.job(1)
-            assert shown["Job.Label"] == await link.call("label", 1) == job.label == "ball"
-            assert shown["Job.LabelId"] == await link.call("label_id", 1) == 1
-            assert shown["Job.Probability"] == await link.call("probability", 1) > 0.5
-            assert shown["Job.Shape"] == job.shape == "sphere"
-            assert shown["Job.Size"] == job.size_mm > 1.0
-            assert shown["Job.Kept"]
-            assert (shown["State.Number"], shown["State.Name"]) == (17, "COMPLETE")
-            assert shown["Grip.Holding"]
-            assert shown["Grip.Force"] > 1.0
-            assert (shown["Grip.ForceAge"] < 0.1, shown["FrameAge"] < 0.1) == (True, True)
-            answer = [shown[f"LastAnswer.{name}"] for name in ("Job", "Label", "LabelId", "Kept")]
-            assert answer == [1, "ball", 1, True]
-            assert shown["LastAnswer.Probability"] == job.probability
-            assert len(shown["Taxels"]) == served.service.info()["n_taxels"]
-            assert max(shown["Taxels"]) > 0
-            assert shown["FaultNumber"] == 0
-            assert await link.call("release", lease, 0) == -513
-            assert await link.call("release", lease + 1, RELEASE_KEY) < 0
-            assert await link.call("release", lease) == -501  # an argument is missing
-            assert served.grip_n > 1.0
-            assert await link.call("release", lease, RELEASE_KEY, 2) == 2
-            await link.ended(2)
-            await link.until("State.Name", lambda name: name == "IDLE")
-            assert served.grip_n == 0.0
-            assert await link.read("LastAnswer.LabelId") == 1
-            assert await link.call("teach", lease, "ball", 1, 3) == 3
-            await link.ended(3)
-            fault = served.plugin._cell.simulated.inject("unit.off@contact+50ms")
-            assert await link.call("grip", lease, 3.0, 4) == 4
-            await link.until("State.Name", lambda name: name == "ABORTED")
-            assert await link.read("FaultNumber") == served.service.status().fault_number > 0
-            assert served.grip_n > 0.3
-            fault.clear()
-            assert await link.call("clear", lease, 5, False) == 5
-            await link.ended(5)
-            assert await link.call("release", lease, RELEASE_KEY, 6) == 6
-            await link.ended(6)
-            assert await link.call("reset", lease, 7) == 7
-            await link.ended(7)
-            await link.until("State.Name", lambda name: name == "IDLE")
-            served.service.command(lease, Command.SHUTDOWN)
-            await link.until("State.Name", lambda name: name == "STOPPED")
-            for path in ("Grip.Force", "Grip.ForceAge", "Grip.Opening", "FrameAge", "Taxels"):
-                with pytest.raises(BadNoData):
-                    await link.read(path)
-
-    asyncio.run(work())
+                await link.read(path)
 
 
-def test_a_lost_lease_holds_the_job_and_anyone_trusted_holds(open_cell: Any, plc: Identity) -> None:
+async def test_a_lost_lease_holds_the_job_and_anyone_trusted_holds(
+    open_cell: Any, plc: Identity
+) -> None:
     served = open_cell()
 
-    async def work() -> None:
-        async with linked(served, plc) as link, linked(served) as watcher:
-            for number, stop in enumerate((served.pass_lease, None), start=1):
+    async with linked(served, plc) as link, linked(served) as watcher:
+        for number, stop in enumerate((served.pass_lease, None), start=1):
+            lease = await link.call("acquire", "plc")
+            served.plugin.pause()
+            assert await link.call("identify", lease, 1, 0.0, False, 0) > 0
+            await (asyncio.to_thread(stop) if stop else link.call("hold"))
+            await watcher.until("State.Name", lambda name: name == "HELD")
+            assert await watcher.until("Job.State", lambda state: state >= 4) == 5
+            assert await watcher.read("Job.FaultNumber") == 512
+            assert served.grip_n > 1.0
+            if stop is not None:
+                assert await link.call("alive", lease) < 0
+                assert await link.call("release", lease, RELEASE_KEY, 0) < 0
                 lease = await link.call("acquire", "plc")
-                served.plugin.pause()
-                assert await link.call("identify", lease, 1, 0.0, False, 0) > 0
-                await (asyncio.to_thread(stop) if stop else link.call("hold"))
-                await watcher.until("State.Name", lambda name: name == "HELD")
-                assert await watcher.until("Job.State", lambda state: state >= 4) == 5
-                assert await watcher.read("Job.FaultNumber") == 512
-                assert served.grip_n > 1.0
-                if stop is not None:
-                    assert await link.call("alive", lease) < 0
-                    assert await link.call("release", lease, RELEASE_KEY, 0) < 0
-                    lease = await link.call("acquire", "plc")
-                assert await link.call("release", lease, RELEASE_KEY, 0) == 2 * number
-                await watcher.until("State.Name", lambda name: name == "IDLE")
-                await link.call("give_up", lease)
-
-    asyncio.run(work())
+            assert await link.call("release", lease, RELEASE_KEY, 0) == 2 * number
+            await watcher.until("State.Name", lambda name: name == "IDLE")
+            await link.call("give_up", lease)
 
 
-def test_faults_are_shown_and_taxels_follow_at_most_ten_times_a_second(
+async def test_faults_are_shown_and_taxels_follow_at_most_ten_times_a_second(
     open_cell: Any, plc: Identity
 ) -> None:
     served = open_cell()
     frames: list[ua.DataValue] = []
 
-    class Listener:
-        def datachange_notification(self, _node: Any, value: Any, data: Any) -> None:
-            if value is not None:
-                frames.append(data.monitored_item.Value)
+    def note(_node: Any, value: Any, data: Any) -> None:
+        if value is not None:
+            frames.append(data.monitored_item.Value)
 
-    async def work() -> None:
-        async with linked(served, plc) as link:
-            watch = await link.client.create_subscription(20, Listener())
-            await watch.subscribe_data_change(link.node("Taxels"))
-            lease = await link.call("acquire", "plc")
-            for job in (1, 2, 3):
-                await link.call("identify", lease, 1, 0.0, False, job)
-                await link.ended(job)
-                async with asyncio.timeout(LIMIT_S):
-                    while len(frames) < job:
-                        await asyncio.sleep(0.02)
-            served.plugin.pause()
-            await link.call("identify", lease, 1, 0.0, False, 4)
-            served.plugin.fail(FrameTimeout("no frame for 0.20 s"))
-            await link.until("State.Name", lambda name: name == "ABORTED")
-            status = served.service.status()
-            assert await link.read("FaultNumber") == status.fault_number > 0
-            assert await link.read("FaultText") == status.fault
-            await watch.delete()
-
-    asyncio.run(work())
+    async with linked(served, plc) as link:
+        watch = await link.client.create_subscription(
+            20, SimpleNamespace(datachange_notification=note)
+        )
+        await watch.subscribe_data_change(link.node("Taxels"))
+        lease = await link.call("acquire", "plc")
+        for job in (1, 2, 3):
+            await link.call("identify", lease, 1, 0.0, False, job)
+            await link.ended(job)
+            async with asyncio.timeout(LIMIT_S):
+                while len(frames) < job:
+                    await asyncio.sleep(0.02)
+        served.plugin.pause()
+        await link.call("identify", lease, 1, 0.0, False, 4)
+        served.plugin.fail(FrameTimeout("no frame for 0.20 s"))
+        await link.until("State.Name", lambda name: name == "ABORTED")
+        status = served.service.status()
+        assert await link.read("FaultNumber") == status.fault_number > 0
+        assert await link.read("FaultText") == status.fault
+        await watch.delete()
     taken_s = [frame.SourceTimestamp.timestamp() for frame in frames]
     assert len(taken_s) > 2
     assert all(b - a > 0.9 * PERIOD_S for a, b in pairwise(taken_s))
 
 
-def test_faults_refusals_and_the_end_reach_who_subscribes(open_cell: Any, plc: Identity) -> None:
+async def test_faults_refusals_and_the_end_reach_who_subscribes(
+    open_cell: Any, plc: Identity
+) -> None:
     served = open_cell()
     door = OpcUaDoor(served.service)
-    events: list[Any] = []
-
-    class Listener:
-        def event_notification(self, event: Any) -> None:
-            events.append(event)
-
-    async def came(number: int) -> Any:
-        async with asyncio.timeout(LIMIT_S):
-            while len(events) < number:
-                await asyncio.sleep(0.02)
-        return events[number - 1]
-
-    async def work() -> None:
-        own = SimpleNamespace(doors={"opcua_port": door.port})
-        async with linked(own, plc) as link:
+    events: asyncio.Queue[Any] = asyncio.Queue()
+    listener = SimpleNamespace(event_notification=events.put_nowait)
+    own = SimpleNamespace(doors={"opcua_port": door.port})
+    with suppress(ConnectionError):  # the door is closed before its client
+        async with linked(own, plc) as link, asyncio.timeout(LIMIT_S):
             types = link.client.nodes.base_event_type
             kinds = [
                 await types.get_child(f"{link.space}:{name}")
                 for name in (FAULT_EVENT, SHUTDOWN_EVENT)
             ]
-            watch = await link.client.create_subscription(20, Listener())
+            watch = await link.client.create_subscription(20, listener)
             await watch.subscribe_events(evtypes=kinds)
             assert await link.read("LastRefusal.Number") == 0
             lease = await link.call("acquire", "plc")
@@ -486,21 +448,18 @@ def test_faults_refusals_and_the_end_reach_who_subscribes(open_cell: Any, plc: I
             assert (await link.read("LastRefusal.Text")).startswith("release: 0x1 is not the key")
             assert await link.read("LastRefusal.Remedy") == "Correct the request."
             served.plugin.fail(FrameTimeout("no frame for 0.2 s"))
-            event = await came(1)
+            event = await events.get()
             assert event.FaultNumber == served.service.status().fault_number
             assert event.FaultText == event.Message.Text == served.service.status().fault
             assert (event.Remedy.startswith("Check"), event.SourceName) == (True, "Cell")
             closing = asyncio.create_task(asyncio.to_thread(door.close))
-            event = await came(2)
+            event = await events.get()
             assert event.Message.Text.startswith("The program of the cell ends")
             await closing
-
-    with suppress(ConnectionError):  # the door is closed before its client
-        asyncio.run(work())
-    assert len(events) == 2
+    assert events.empty()
 
 
-def test_values_are_bad_while_the_cell_cannot_be_asked(
+async def test_values_are_bad_while_the_cell_cannot_be_asked(
     opened: Served, monkeypatch: pytest.MonkeyPatch
 ) -> None:
 
@@ -511,23 +470,20 @@ def test_values_are_bad_while_the_cell_cannot_be_asked(
         data = await link.node("State.Name").read_data_value(raise_on_bad_status=False)
         return data.StatusCode.value == ua.StatusCodes.BadNoCommunication
 
-    async def work() -> None:
-        async with linked(opened) as link, asyncio.timeout(LIMIT_S):
-            monkeypatch.setattr(opened.service, "snapshot", silent)
-            while not await bad(link):
-                await asyncio.sleep(0.02)
-            monkeypatch.undo()
-            while await bad(link):
-                await asyncio.sleep(0.02)
-            assert await link.read("State.Name") == "IDLE"
-
-    asyncio.run(work())
+    async with linked(opened) as link, asyncio.timeout(LIMIT_S):
+        monkeypatch.setattr(opened.service, "snapshot", silent)
+        while not await bad(link):
+            await asyncio.sleep(0.02)
+        monkeypatch.undo()
+        while await bad(link):
+            await asyncio.sleep(0.02)
+        assert await link.read("State.Name") == "IDLE"
 
 
 # -- who may connect, and the folder -----------------------------------------------------------
 
 
-def test_other_hosts_and_endless_requests_are_cut_off(
+async def test_other_hosts_and_endless_requests_are_cut_off(
     opened: Served, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     async def never(_connection: Any) -> None:
@@ -546,11 +502,8 @@ def test_other_hosts_and_endless_requests_are_cut_off(
         with socket.create_connection(address, LIMIT_S) as link:
             assert link.recv(1) == b""
 
-    async def read() -> None:
-        async with linked(opened) as link:
-            assert await link.read("State.Name") == "IDLE"
-
-    asyncio.run(read())
+    async with linked(opened) as link:
+        assert await link.read("State.Name") == "IDLE"
 
 
 def test_the_folder_is_made_once_and_its_key_is_the_operators(serve: Any, tmp_path: Path) -> None:

@@ -1,6 +1,5 @@
 """Parts that a host has kept, through the plugin."""
 
-from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -17,13 +16,9 @@ from cell.interfaces.plugin.plugin import (
     TactileCellPlugin,
     VerifyGoal,
 )
-from tests.cell.interfaces.conftest import LIMIT_S, grip_n
+from tests.cell.interfaces.conftest import LIMIT_S, done, grip_n
 
 HELD = ("COMPLETE", 17, False, True)
-
-
-def run(plugin: TactileCellPlugin, goal: Any) -> Any:
-    return plugin.result(plugin.start(goal), LIMIT_S)
 
 
 def standing(plugin: TactileCellPlugin) -> tuple[Any, ...]:
@@ -34,11 +29,11 @@ def standing(plugin: TactileCellPlugin) -> tuple[Any, ...]:
 def test_a_kept_part_is_verified_and_let_go_where_the_host_wants_it(
     plugin: TactileCellPlugin,
 ) -> None:
-    answer = run(plugin, IdentifyGoal(present="box", keep="when_named", seed=9))
+    answer = done(plugin, IdentifyGoal(present="box", keep="when_named", seed=9))
     assert answer.label == "box"
     assert answer.kept
     assert standing(plugin) == HELD
-    found = run(plugin, VerifyGoal())
+    found = done(plugin, VerifyGoal())
     assert (found.held, found.same, found.reasons) == (True, True, ())
     assert found.force_n == pytest.approx(4.0, abs=0.7)
     assert found.opening_mm == pytest.approx(9.0, abs=0.5)
@@ -74,15 +69,12 @@ def test_the_force_of_the_grasps_is_the_hosts(plugin: TactileCellPlugin) -> None
     assert plugin.feedback(job).progress["force_n"] == 3.5
     with pytest.raises(ConfigError, match="force_n"):
         plugin.start({"task": "identify", "force_n": 0.0})
-    job = plugin.start(GripGoal(force_n=50.0))
     with pytest.raises(JobFailed, match="the ramp asks for 50"):
-        plugin.result(job, LIMIT_S)
+        done(plugin, GripGoal(force_n=50.0))
     assert plugin.fault() is None
 
 
-def test_the_host_brings_named_parts_to_their_places(
-    make_plugin: Callable[..., TactileCellPlugin], taught: Any
-) -> None:
+def test_the_host_brings_named_parts_to_their_places(make_plugin: Any, taught: Any) -> None:
     brought: list[Destination] = []
     plugin = make_plugin(model=taught.result.model, places=brought.append)
     job = plugin.start(SortGoal(parts=3, feed=("ball", "box"), seed=9))
@@ -114,5 +106,5 @@ def test_fingers_that_open_little_beyond_the_part_show_no_drift_of_the_zero(
     )
     with TactileCellPlugin(config) as plugin:
         for _ in range(4):
-            plugin.result(plugin.start(GripGoal(force_n=4.0, present="box")), LIMIT_S)
+            done(plugin, GripGoal(force_n=4.0, present="box"))
             plugin.release()

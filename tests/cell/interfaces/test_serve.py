@@ -58,7 +58,7 @@ def start(tmp_path: Path) -> Iterator[Callable[..., Any]]:
 
 
 def test_the_program_ends_in_order_while_a_job_waits_and_clients_are_connected(
-    start: Callable[..., Any], tmp_path: Path
+    start: Any, tmp_path: Path
 ) -> None:
     pytest.importorskip("asyncua", reason="the extra opcua is not installed")
     ports = ("--modbus", "0", "--xml-rpc", "0", "--http", "0", "--opcua", "0")
@@ -82,7 +82,7 @@ def test_the_program_ends_in_order_while_a_job_waits_and_clients_are_connected(
 
 
 def test_a_model_is_loaded_and_saved_after_a_teaching(
-    start: Callable[..., Any], taught: Any, tmp_path: Path
+    start: Any, taught: Any, tmp_path: Path
 ) -> None:
     model = ("--model", str(taught.result.model), "--save", "parts.npz")
     process, line = start("--modbus", "0", "--xml-rpc", "0", *model)
@@ -95,7 +95,7 @@ def test_a_model_is_loaded_and_saved_after_a_teaching(
         assert process.wait(LIMIT_S) == 0
 
 
-def test_other_addresses_get_a_warning(start: Callable[..., Any]) -> None:
+def test_other_addresses_get_a_warning(start: Any) -> None:
     options = ("--listen", "0.0.0.0", "--allow", "192.0.2.7", "--modbus", "0", "--xml-rpc", "0")
     process, line = start(*options)
     assert line["listen"] == "0.0.0.0"
@@ -122,7 +122,7 @@ def copied(model: Path) -> Callable[[Path], None]:
 
 
 def test_without_a_config_the_taught_cell_is_there_with_its_page(
-    start: Callable[..., Any], cache: Path, taught: Any
+    start: Any, cache: Path, taught: Any
 ) -> None:
     keep_model(CellConfig(), copied(taught.result.model))
     process, line = start("--modbus", "0", "--xml-rpc", "0", config=None)
@@ -160,7 +160,7 @@ def test_without_its_extra_there_is_no_page_but_a_note(
     [("modbus", "--modbus"), ("xmlrpc", "--xml-rpc"), ("http", "--http"), ("opcua", "--opcua")],
 )
 def test_a_taken_port_names_the_option_that_takes_another(
-    serve: Callable[..., Any], door: str, option: str
+    serve: Any, door: str, option: str
 ) -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = taken.getsockname()[1]
@@ -191,7 +191,7 @@ def test_the_address_of_the_page_suits_a_browser(changes: dict[str, Any], addres
 
 
 def test_the_first_start_teaches_under_a_lease_and_keeps_the_model(
-    serve: Callable[..., Any], cache: Path, taught: Any
+    serve: Any, cache: Path, taught: Any
 ) -> None:
     served = serve()
     service, write = served.service, copied(taught.result.model)
@@ -213,9 +213,7 @@ def test_the_first_start_teaches_under_a_lease_and_keeps_the_model(
     assert cached_model(service.config) is not None
 
 
-def test_what_is_taught_with_faults_injected_is_not_kept(
-    serve: Callable[..., Any], cache: Path
-) -> None:
+def test_what_is_taught_with_faults_injected_is_not_kept(serve: Any, cache: Path) -> None:
     served = serve()
     served.plugin.save = lambda _path: pytest.fail("nothing is to be kept")
     arguments = (served.service, served.plugin, served.service.config, threading.Event())
@@ -224,10 +222,7 @@ def test_what_is_taught_with_faults_injected_is_not_kept(
 
 
 def test_a_first_start_whose_lease_is_taken_keeps_nothing(
-    serve: Callable[..., Any],
-    cache: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
+    serve: Any, cache: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(serving, "LOOK_S", 0.0)
     served = serve()
@@ -248,7 +243,7 @@ def test_a_first_start_whose_lease_is_taken_keeps_nothing(
     assert service.snapshot().commander == "operator"
 
 
-def test_a_first_start_that_is_to_end_ends_at_once(serve: Callable[..., Any], cache: Path) -> None:
+def test_a_first_start_that_is_to_end_ends_at_once(serve: Any, cache: Path) -> None:
     served, over = serve(), threading.Event()
     served.plugin.pause()
     over.set()
@@ -257,7 +252,7 @@ def test_a_first_start_that_is_to_end_ends_at_once(serve: Callable[..., Any], ca
     assert cached_model(served.service.config) is None
 
 
-def test_a_recording_is_shown_on_the_page(start: Callable[..., Any], taught: Any) -> None:
+def test_a_recording_is_shown_on_the_page(start: Any, taught: Any) -> None:
     recording = str(taught.result.recording)
     process, line = start(recording, "--live", config=None, command=("replay",))
     assert set(line) == {"listen", "http_port", "token"}

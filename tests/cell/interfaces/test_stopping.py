@@ -6,7 +6,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -146,7 +146,7 @@ def test_a_third_signal_does_not_cut_off_what_the_second_leaves_time_for() -> No
 
 
 def test_a_stop_does_not_wait_for_whoever_moves_the_object(
-    make_bench: Callable[..., Any], make_config: Callable[..., Any]
+    make_bench: Any, make_config: Any
 ) -> None:
     answered = threading.Event()
     bench = make_bench(
@@ -172,7 +172,7 @@ def test_a_stop_does_not_wait_for_whoever_moves_the_object(
 
 
 def test_a_stop_while_the_object_is_moved_for_a_grasp_holds(
-    make_bench: Callable[..., Any], make_config: Callable[..., Any]
+    make_bench: Any, make_config: Any
 ) -> None:
     moving, go_on = threading.Event(), threading.Event()
 

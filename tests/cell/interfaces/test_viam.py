@@ -3,8 +3,7 @@
 import asyncio
 import importlib.util
 import json
-from collections.abc import AsyncIterator, Awaitable, Callable
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +22,7 @@ from viam.utils import dict_to_struct
 
 from tests.cell.interfaces.conftest import LIMIT_S
 
+pytestmark = pytest.mark.anyio
 EXAMPLE = Path(__file__).parents[3] / "docs" / "examples" / "viam"
 CONFIG = """\
 tactile: {tare_frames: 25}
@@ -49,97 +49,81 @@ def registered() -> Any:
 
 
 @pytest.fixture
-def on_viam(registered: Any, taught: Any, tmp_path: Path) -> Callable[..., None]:
-    """Return what runs a test with the client of Viam, and the gripper behind it."""
+async def on_viam(
+    registered: Any, taught: Any, tmp_path: Path
+) -> AsyncIterator[tuple[GripperClient, Any]]:
+    """A client of Viam, and the gripper behind it."""
     (tmp_path / "cell.yaml").write_text(CONFIG)
     attributes = {"config": str(tmp_path / "cell.yaml"), "model": str(taught.result.model)}
-
-    @asynccontextmanager
-    async def opened() -> AsyncIterator[tuple[GripperClient, Any]]:
-        made = ComponentConfig(name="hand", attributes=dict_to_struct(attributes))
-        gripper = registered.new(made, {})
-        try:
-            async with ChannelFor([GripperRPCService(ResourceManager([gripper]))]) as channel:
-                yield GripperClient("hand", channel), gripper
-        finally:
-            await gripper.close()
-
-    def run(test: Callable[[GripperClient, Any], Awaitable[None]]) -> None:
-        async def whole() -> None:
-            async with opened() as (client, gripper):
-                await test(client, gripper)
-
-        asyncio.run(whole())
-
-    return run
+    made = ComponentConfig(name="hand", attributes=dict_to_struct(attributes))
+    gripper = registered.new(made, {})
+    try:
+        async with ChannelFor([GripperRPCService(ResourceManager([gripper]))]) as channel:
+            yield GripperClient("hand", channel), gripper
+    finally:
+        await gripper.close()
 
 
 def grip_n(gripper: Any) -> float:
     return min(gripper.cell._cell.simulated.world.contact_force_n())
 
 
-def test_grab_holds_until_open(on_viam: Callable[..., None]) -> None:
-    async def use(client: GripperClient, gripper: Any) -> None:
-        assert not await client.grab()  # nothing is there
-        assert not (await client.is_holding_something()).is_holding_something
-        assert await client.grab(extra={"present": "ball"})
-        assert (await client.is_holding_something()).is_holding_something
-        assert not await client.is_moving()
-        assert grip_n(gripper) > 1.0
-        await client.stop()
-        assert grip_n(gripper) > 1.0
-        await client.open()
-        assert not (await client.is_holding_something()).is_holding_something
-        assert grip_n(gripper) == 0.0
-
-    on_viam(use)
+async def test_grab_holds_until_open(on_viam: Any) -> None:
+    client, gripper = on_viam
+    assert not await client.grab()  # nothing is there
+    assert not (await client.is_holding_something()).is_holding_something
+    assert await client.grab(extra={"present": "ball"})
+    assert (await client.is_holding_something()).is_holding_something
+    assert not await client.is_moving()
+    assert grip_n(gripper) > 1.0
+    await client.stop()
+    assert grip_n(gripper) > 1.0
+    await client.open()
+    assert not (await client.is_holding_something()).is_holding_something
+    assert grip_n(gripper) == 0.0
 
 
-def test_do_command_names_verifies_and_keeps(on_viam: Callable[..., None]) -> None:
-    async def use(client: GripperClient, gripper: Any) -> None:
-        named = await client.do_command(KEEP)
-        assert (named["label"], named["kept"]) == ("ball", True)
-        assert 0.5 < float(named["probability"]) <= 1.0
-        assert await client.do_command({"task": "verify"}) == {"held": True, "same": True}
-        with pytest.raises(GRPCError):  # the part is still held
-            await client.do_command(KEEP)
-        assert grip_n(gripper) > 1.0
-        await client.open()
-        taught = await client.do_command({"task": "teach", "label": "box", "grasps": 3, "seed": 4})
-        assert taught == {"grasps": 3, "labels": ["ball", "box"]}
-
-    on_viam(use)
-
-
-def test_a_fault_and_a_caller_that_goes_away_keep_the_part(on_viam: Callable[..., None]) -> None:
-    async def use(client: GripperClient, gripper: Any) -> None:
+async def test_do_command_names_verifies_and_keeps(on_viam: Any) -> None:
+    client, gripper = on_viam
+    named = await client.do_command(KEEP)
+    assert (named["label"], named["kept"]) == ("ball", True)
+    assert 0.5 < float(named["probability"]) <= 1.0
+    assert await client.do_command({"task": "verify"}) == {"held": True, "same": True}
+    with pytest.raises(GRPCError):  # the part is still held
         await client.do_command(KEEP)
-        fault = gripper.cell._cell.simulated.inject("unit.off")
-        with pytest.raises(GRPCError):
-            await client.do_command({"task": "verify"})
-        holding = await client.is_holding_something()
-        assert holding.is_holding_something
-        assert holding.meta is not None
-        assert (holding.meta["state"], holding.meta["number"] > 0) == ("ABORTED", True)
-        assert grip_n(gripper) > 1.0
-        fault.clear()
-        assert await client.do_command({"task": "clear"}) == {"state": "RESETTING"}
-        await client.open()
-        assert await client.do_command({"task": "reset"}) == {"state": "IDLE"}
-        goal = {"task": "teach", "label": "ball", "grasps": 500}
-        asked = asyncio.create_task(gripper.do_command(goal))
-        async with asyncio.timeout(LIMIT_S):
-            while not await client.is_moving():
-                await asyncio.sleep(0.01)
-            asked.cancel()
-            with pytest.raises(asyncio.CancelledError):
-                await asked
-            # Between two grasps nothing moves, and the job still runs.
-            while not gripper.cell.feedback(gripper.job).outcome.terminal:
-                await asyncio.sleep(0.01)
-        assert gripper.cell.feedback(gripper.job).outcome == "CANCELED"
+    assert grip_n(gripper) > 1.0
+    await client.open()
+    taught = await client.do_command({"task": "teach", "label": "box", "grasps": 3, "seed": 4})
+    assert taught == {"grasps": 3, "labels": ["ball", "box"]}
 
-    on_viam(use)
+
+async def test_a_fault_and_a_caller_that_goes_away_keep_the_part(on_viam: Any) -> None:
+    client, gripper = on_viam
+    await client.do_command(KEEP)
+    fault = gripper.cell._cell.simulated.inject("unit.off")
+    with pytest.raises(GRPCError):
+        await client.do_command({"task": "verify"})
+    holding = await client.is_holding_something()
+    assert holding.is_holding_something
+    assert holding.meta is not None
+    assert (holding.meta["state"], holding.meta["number"] > 0) == ("ABORTED", True)
+    assert grip_n(gripper) > 1.0
+    fault.clear()
+    assert await client.do_command({"task": "clear"}) == {"state": "RESETTING"}
+    await client.open()
+    assert await client.do_command({"task": "reset"}) == {"state": "IDLE"}
+    goal = {"task": "teach", "label": "ball", "grasps": 500}
+    asked = asyncio.create_task(gripper.do_command(goal))
+    async with asyncio.timeout(LIMIT_S):
+        while not await client.is_moving():
+            await asyncio.sleep(0.01)
+        asked.cancel()
+        with pytest.raises(asyncio.CancelledError):
+            await asked
+        # Between two grasps nothing moves, and the job still runs.
+        while not gripper.cell.feedback(gripper.job).outcome.terminal:
+            await asyncio.sleep(0.01)
+    assert gripper.cell.feedback(gripper.job).outcome == "CANCELED"
 
 
 def test_unknown_attributes_are_refused(registered: Any) -> None:

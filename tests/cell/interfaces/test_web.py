@@ -90,57 +90,33 @@ def connect(serve: Any) -> Callable[..., tuple[Served, Client]]:
     return make
 
 
-def test_a_host_walks_a_simulated_cell_through_all_commands(connect: Any) -> None:
-    served, host = connect(cell={})
+def test_each_value_of_the_cell_is_in_the_state(connect: Any) -> None:
+    served, host = connect()
     assert host.get("/api/info")["labels"] == ["ball", "box"]
     lease = host.post("/api/lease", name="host")["lease"]
     assert host.post(f"/api/lease/{lease}/alive") == {"lease": lease}
     goal = {"task": "identify", "max_grasps": 1, "present": "box", "keep": "always"}
-    assert host.post("/api/jobs", lease=lease, goal=goal, job=1) == {"job": 1}
-    assert host.post("/api/jobs", lease=lease, goal=goal, job=1) == {"job": 1}
-    served.ended()
+    for _ in range(2):
+        assert host.post("/api/jobs", lease=lease, goal=goal, job=1) == {"job": 1}
+    assert len(served.plugin.asked) == 1
     job = host.get("/api/jobs/1")
-    assert (job["outcome"], job["label"], job["kept"], job["n_grasps"]) == (
-        "SUCCEEDED",
-        "box",
-        True,
-        1,
-    )
+    found = {"outcome": "SUCCEEDED", "label": "box", "label_id": 2, "kept": True, "n_grasps": 1}
+    found |= {"probability": 0.9, "shape": "sphere", "size_mm": 9.5}
+    assert job.items() >= found.items()
     now = host.get("/api/state")
     assert now["status"]["state"] == "COMPLETE"
-    assert now["live"]["force_n"] > 1.0
-    assert now["live"].keys() == {
-        "force_n",
-        "force_age_s",
-        "setpoint_n",
-        "opening_mm",
-        "temperature_c",
-        "frame_age_s",
-    }
+    assert now["live"] == {
+        "force_n": 3.25, "force_age_s": 0.005, "setpoint_n": 3.25, "opening_mm": 9.5,
+        "temperature_c": 31.0, "frame_age_s": 0.02,
+    }  # fmt: skip
     assert (now["commander"], now["job"]) == ("host", job)
     assert now["last_answer"] == job | {"progress": {}}
     assert host.ask("POST", "/api/commands", {"lease": lease, "command": "release"})[0] == 422
     assert served.grip_n > 1.0
-    done = host.post("/api/commands", lease=lease, command="release", key=RELEASE_KEY)
-    assert served.ended(done["job"]).outcome == "SUCCEEDED"
+    host.post("/api/commands", lease=lease, command="release", key=RELEASE_KEY)
     assert served.grip_n == 0.0
     assert host.get("/api/state")["last_answer"]["label"] == "box"
-    for goal in ({"task": "teach", "label": "ball", "grasps": 1}, {"task": "grip", "force_n": 3.0}):
-        done = host.post("/api/jobs", lease=lease, goal=goal)
-        assert served.ended(done["job"]).outcome == "SUCCEEDED"
-    fault = served.plugin._cell.simulated.inject("unit.off")
-    done = host.post("/api/jobs", lease=lease, goal={"task": "verify"})
-    job, now = served.ended(done["job"]), host.get("/api/state")
-    assert (now["status"]["state"], now["status"]["holding"]) == ("ABORTED", True)
-    assert now["status"]["fault_number"] == job.fault_number > 0
-    assert served.grip_n > 1.0
-    fault.clear()
-    for command in ("clear", "release", "reset"):
-        done = host.post("/api/commands", lease=lease, command=command, key=RELEASE_KEY)
-        assert served.ended(done["job"]).error == ""
-    assert host.get("/api/state")["status"]["state"] == "IDLE"
-    done = host.post("/api/commands", lease=lease, command="shutdown")
-    served.ended(done["job"])
+    host.post("/api/commands", lease=lease, command="shutdown")
     assert set(host.get("/api/state")["live"].values()) == {None}
     assert host.ask("DELETE", f"/api/lease/{lease}") == (200, {"lease": 0})
 

@@ -129,9 +129,7 @@ def test_hardware_is_named_in_the_header_and_takes_no_faults(pytester: pytest.Py
     assert "REAL HARDWARE" not in run(pytester, "--collect-only").stdout.str()
 
 
-def test_faults_end_with_the_test_whatever_the_order_of_fixtures(
-    pytester: pytest.Pytester,
-) -> None:
+def test_faults_end_with_the_test_whatever_the_order_of_fixtures(pytester: pytest.Pytester) -> None:
     pytester.makepyfile(
         """
         faults = []

@@ -135,7 +135,7 @@ def test_command_is_taken_over_and_given_up(serve: Any, open_page: OpenPage) -> 
 
 
 def test_a_cut_line_is_red_at_once_and_returns_by_itself(
-    serve: Any, line: Callable[[int], Line], open_page: OpenPage
+    serve: Any, line: Any, open_page: OpenPage
 ) -> None:
     served = serve("http")
     wire = line(served.doors["http_port"])
@@ -157,7 +157,7 @@ def test_a_cut_line_is_red_at_once_and_returns_by_itself(
 
 
 def test_a_command_whose_answer_is_lost_is_done_once(
-    serve: Any, line: Callable[[int], Line], open_page: OpenPage
+    serve: Any, line: Any, open_page: OpenPage
 ) -> None:
     served = serve("http")
     wire = line(served.doors["http_port"])
@@ -172,9 +172,7 @@ def test_a_command_whose_answer_is_lost_is_done_once(
     assert len(served.plugin.asked) == 1
 
 
-def test_a_slow_line_is_not_shown_as_live(
-    serve: Any, line: Callable[[int], Line], open_page: OpenPage
-) -> None:
+def test_a_slow_line_is_not_shown_as_live(serve: Any, line: Any, open_page: OpenPage) -> None:
     served = serve("http")
     wire = line(served.doors["http_port"])
     page = open_page(address(served, wire.port))
@@ -206,9 +204,7 @@ def test_over_tls(serve: Any, open_page: OpenPage, tmp_path: Path) -> None:
     becomes(page, "#held_name", "ball")
 
 
-def test_a_page_that_slept_shows_now(
-    serve: Any, line: Callable[[int], Line], open_page: OpenPage
-) -> None:
+def test_a_page_that_slept_shows_now(serve: Any, line: Any, open_page: OpenPage) -> None:
     served = serve("http")
     wire = line(served.doors["http_port"])
     page = open_page("about:blank")

@@ -1,7 +1,7 @@
 """A recording in the place of a cell: what it shows when, its controls, and that nothing moves."""
 
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
@@ -139,7 +139,7 @@ def test_answers_stand_in_the_ledger_until_a_step_back(
         assert state_values(service)["last_answer"] is None
 
 
-def test_a_fault_is_shown_with_its_number(tmp_path: Path, make_bench: Callable[..., Any]) -> None:
+def test_a_fault_is_shown_with_its_number(tmp_path: Path, make_bench: Any) -> None:
     bench = make_bench(folder=tmp_path).ready()
     bench.inject("can.off@contact+0.3s")
     with pytest.raises(Exception, match="bus"):
@@ -208,7 +208,7 @@ def test_what_is_no_recording_is_refused_and_the_one_before_goes_on(
     assert client.ask("POST", "/api/replay", {"pause": True, "x": "y" * 70_000})[0] == 413
 
 
-def test_a_cell_takes_no_recording(serve: Callable[..., Any]) -> None:
+def test_a_cell_takes_no_recording(serve: Any) -> None:
     client = Client(serve("http"))
     assert send(client, b"no recording")[0] in (404, 405)
     assert send(client, bytes(70_000))[0] == 413
