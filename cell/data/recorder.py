@@ -14,6 +14,7 @@ from mcap.writer import CompressionType, Writer
 from cell.data import recording_schema as schema
 from cell.data.recorder_sink import BackgroundFile, DirectFile, RecordSink
 from cell.data.recording_values import (
+    begin,
     cycle_values,
     estimate_values,
     grasp_values,
@@ -50,12 +51,10 @@ class NumberedState(Protocol):
     @property
     def value(self) -> str:
         """Name of the state."""
-        ...
 
     @property
     def number(self) -> int:
         """Number of the state."""
-        ...
 
 
 class Tap(Protocol):
@@ -63,11 +62,9 @@ class Tap(Protocol):
 
     def wants(self, topic: str) -> bool:
         """Whether anybody looks at a topic."""
-        ...
 
     def take(self, topic: str, stamp_ns: int, data: bytes) -> None:
         """Take a message: its topic, monotonic time in ns, and JSON. Must not wait."""
-        ...
 
 
 class Recorder:
@@ -154,20 +151,11 @@ class Recorder:
             enable_data_crcs=True,
         )
         writer = self._writer
-        self._guarded(lambda: self._begin(writer, wall_clock_ns(), dict(metadata or {})))
-        self._mark()
-
-    def _begin(self, writer: Writer, wall_ns: int, metadata: dict[str, str]) -> None:
-        writer.start(profile="", library="tactile-cell")
-        started_ns = to_ns(self._clock.monotonic())
-        entries = metadata | metadata_values(self._pads, wall_ns, started_ns)
-        writer.add_metadata(schema.METADATA, entries | {"crc32": schema.metadata_crc32(entries)})
+        started = metadata_values(pads, wall_clock_ns(), to_ns(clock.monotonic()))
+        entries = dict(metadata or {}) | started
         self._channels: dict[str, int] = {}
-        for topic, content in schema.SCHEMAS.items():
-            number = writer.register_schema(
-                content["title"], "jsonschema", to_json(content).encode()
-            )
-            self._channels[topic] = writer.register_channel(topic, "json", number)
+        self._guarded(lambda: self._channels.update(begin(writer, entries)))
+        self._mark()
 
     @property
     def fault(self) -> RecordingError | None:

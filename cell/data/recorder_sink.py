@@ -16,23 +16,18 @@ class RecordSink(Protocol):
 
     def write(self, data: bytes, /) -> int:
         """Take the bytes. Raises OSError where they cannot be kept."""
-        ...
 
     def tell(self) -> int:
         """Return the number of bytes taken so far."""
-        ...
 
     def written_bytes(self) -> int:
         """Return the number of bytes that the file has."""
-        ...
 
     def flush(self) -> None:
         """Nothing is held back by a sink."""
-        ...
 
     def close(self) -> None:
         """Bring everything to the disk and end. Raises OSError where that fails."""
-        ...
 
 
 class DirectFile:

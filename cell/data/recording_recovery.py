@@ -10,7 +10,7 @@ from mcap.writer import CompressionType, Writer
 from cell.data import recording_schema as schema
 from cell.data.files import write_atomically
 from cell.data.recording_reader import Recording, read_raw, read_recording
-from cell.data.recording_values import to_json, to_ns
+from cell.data.recording_values import begin, to_json, to_ns
 from cell.errors import RecordingError
 
 RECOVERED = "recovered"
@@ -82,15 +82,10 @@ def _write(
     file: BinaryIO, recording: Recording, messages: list[tuple[str, dict[str, Any]]]
 ) -> None:
     writer = Writer(file, compression=CompressionType.ZSTD, enable_data_crcs=True)
-    writer.start(profile="", library="tactile-cell")
     entries = {key: value for key, value in recording.metadata.items() if key != "crc32"}
     if recording.lost_reason:
         entries[RECOVERED] = f"from {recording.path.name}: {recording.lost_reason}"
-    writer.add_metadata(schema.METADATA, entries | {"crc32": schema.metadata_crc32(entries)})
-    channels: dict[str, int] = {}
-    for topic, content in schema.SCHEMAS.items():
-        number = writer.register_schema(content["title"], "jsonschema", to_json(content).encode())
-        channels[topic] = writer.register_channel(topic, "json", number)
+    channels = begin(writer, entries)
     for sequence, (topic, content) in enumerate(messages):
         stamp_ns = to_ns(content["t_s"])
         data = to_json(content).encode()

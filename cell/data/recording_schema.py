@@ -11,16 +11,12 @@ the wall clock and describes the pads.
 
 import zlib
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from recognition.grasp import COMMAND_COLUMNS, ZERO_COLUMNS
-
-if TYPE_CHECKING:
-    pass
-
 
 FORMAT: Final = "tactile-cell-recording/1"
 """Format of a recording, in its metadata."""

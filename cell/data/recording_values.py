@@ -3,15 +3,17 @@
 import enum
 import json
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import fields
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from cell.data.recording_schema import FORMAT, counts_crc32
+from cell.data.recording_schema import FORMAT, METADATA, SCHEMAS, counts_crc32, metadata_crc32
 
 if TYPE_CHECKING:
+    from mcap.writer import Writer
+
     from gripper.state import Cycle
     from recognition.drift.estimate import DriftEstimate
     from recognition.grasp import Grasp, PadArray
@@ -127,6 +129,17 @@ def metadata_values(pads: "PadArray", wall_ns: int, monotonic_ns: int) -> dict[s
         "monotonic_start_ns": str(monotonic_ns),
         "pads": to_json(described),
     }
+
+
+def begin(writer: "Writer", entries: Mapping[str, str]) -> dict[str, int]:
+    """Write what stands at the begin of a recording; return the channel of each topic."""
+    writer.start(profile="", library="tactile-cell")
+    writer.add_metadata(METADATA, {**entries, "crc32": metadata_crc32(entries)})
+    channels = {}
+    for topic, content in SCHEMAS.items():
+        number = writer.register_schema(content["title"], "jsonschema", to_json(content).encode())
+        channels[topic] = writer.register_channel(topic, "json", number)
+    return channels
 
 
 def plain_fields(value: Any) -> dict[str, Any]:

@@ -6,14 +6,15 @@ import socket
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing.connection import Connection
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeVar
 
 from cell.config.model import CellConfig
 from cell.config.tactile import layout_from_config
 from cell.errors import HandLost
-from cell.hand.interface import HandStatistics, Measured, Watch
+from cell.hand.interface import Hand, HandStatistics, Measured, Watch
 from cell.hand.lines import MISSING
 from cell.hand.messages import (
     WATCHED,
@@ -43,6 +44,8 @@ from tactile.layout import TaxelLayout
 from tactile.sensor.sensor import TactileReading
 from tactile.sensor.tare import TareResult
 from tactile.unit.settings import NodeIdentity
+
+T = TypeVar("T")
 
 _BOOT_S = 60.0
 """Longest time in s until a process has loaded its libraries and opened both ports."""
@@ -283,27 +286,24 @@ class HandProcess:
 
     def start(self) -> VerificationReport:
         """Verify the servos; see `Hand`."""
-        report: VerificationReport = self._call("start")
-        return report
+        return self._call(Hand.start)
 
     def start_sensor(self) -> NodeIdentity:
         """Start the tactile link; see `Hand`."""
-        identity: NodeIdentity = self._call("start_sensor")
-        return identity
+        return self._call(Hand.start_sensor)
 
     def close_sensor(self) -> None:
         """End the tactile link; it has ended where the process is gone."""
         if self._loop.lost is None:
-            self._call("close_sensor")
+            self._call(Hand.close_sensor)
 
     def open(self, watch: Watch) -> None:
         """Open the empty fingers; see `Hand`."""
-        self._call("open", watch)
+        self._call(Hand.open, watch)
 
     def tare(self, n_frames: int) -> TareResult:
         """Take the zero of the taxels; see `Hand`."""
-        zero: TareResult = self._call("tare", n_frames=n_frames)
-        return zero
+        return self._call(Hand.tare, n_frames=n_frames)
 
     def check_ramp(self, ramp: ForceRamp) -> None:
         """Refuse a ramp beyond the limits; see `Hand`."""
@@ -311,8 +311,7 @@ class HandProcess:
 
     def grasp(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
         """Close and follow the ramp; see `Hand`."""
-        outcome: GraspOutcome = self._call("grasp", watch, ramp=ramp)
-        return outcome
+        return self._call(Hand.grasp, watch, ramp=ramp)
 
     def meet(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
         """Close the empty fingers onto each other; see `Hand`."""
@@ -321,12 +320,11 @@ class HandProcess:
 
     def carry(self, force_n: float, duration_s: float, watch: Watch) -> None:
         """Hold the part with another force; see `Hand`."""
-        self._call("carry", watch, force_n=force_n, duration_s=duration_s)
+        self._call(Hand.carry, watch, force_n=force_n, duration_s=duration_s)
 
     def squeeze(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
         """Follow a further ramp in the same grip; see `Hand`."""
-        outcome: GraspOutcome = self._call("squeeze", watch, ramp=ramp)
-        return outcome
+        return self._call(Hand.squeeze, watch, ramp=ramp)
 
     def end_ramp(self) -> None:
         """Let the running ramp end where it is; see `Hand`."""
@@ -334,23 +332,19 @@ class HandProcess:
 
     def release(self, watch: Watch | None = None) -> ReleaseReport:
         """Let go; see `Hand`."""
-        report: ReleaseReport = self._call("release", watch)
-        return report
+        return self._call(Hand.release, watch)
 
     def conditions(self) -> tuple[ServoCondition, ...]:
         """Read torque and errors of each servo; see `Hand`."""
-        conditions: tuple[ServoCondition, ...] = self._call("conditions")
-        return conditions
+        return self._call(Hand.conditions)
 
     def inspect(self) -> VerificationReport:
         """Compare the servos with the settings; reads only."""
-        report: VerificationReport = self._call("inspect")
-        return report
+        return self._call(Hand.inspect)
 
     def read_sensor(self, timeout_s: float) -> TactileReading:
         """Wait for a new reading of the taxels."""
-        reading: TactileReading = self._call("read_sensor", timeout_s=timeout_s)
-        return reading
+        return self._call(Hand.read_sensor, timeout_s=timeout_s)
 
     def tick(self) -> None:
         """Raise what went wrong since the last command; the process ticks by itself.
@@ -366,7 +360,7 @@ class HandProcess:
 
     def keep_grip(self) -> None:
         """Freeze in any state; see `Gripper.keep_grip`."""
-        self._call("keep_grip")
+        self._call(Hand.keep_grip)
 
     def clear_fault(self, *, reboot: bool) -> None:
         """Acknowledge a fault; where the process is gone, start another, which moves nothing."""
@@ -376,7 +370,7 @@ class HandProcess:
             self._heard_s = time.monotonic()
             if not reboot and not any(note.startswith(MISSING) for note in self.notes):
                 return
-        self._call("clear_fault", reboot=reboot)
+        self._call(Hand.clear_fault, reboot=reboot)
 
     def request_stop(self) -> None:
         """Let the running command end with GraspStopped."""
@@ -390,7 +384,7 @@ class HandProcess:
         found = ""
         if self._loop.lost is None:
             try:
-                self._call("shutdown")
+                self._call(Hand.shutdown)
             except (GripperError, TactileError) as error:
                 found = f"{type(error).__name__}: {error}"
         return found
@@ -401,12 +395,13 @@ class HandProcess:
 
     # -- inside --------------------------------------------------------------------------------
 
-    def _call(self, name: str, watch: Watch | None = None, **arguments: Any) -> Any:
+    def _call(self, method: Callable[..., T], watch: Watch | None = None, **arguments: Any) -> T:
         """Have a command carried out; what goes wrong here stops it and is raised at its end.
 
         A shutdown is carried out although a fault waits to be raised.
         """
-        if name != "shutdown":
+        name = method.__name__
+        if method is not Hand.shutdown:
             self.tick()
         self._number += 1
         self._loop.send(Request(number=self._number, command=Command(name, arguments)))
@@ -436,7 +431,8 @@ class HandProcess:
             raise failure
         if event.error is not None:
             raise received_error(event.error)
-        return event.value
+        value: T = event.value
+        return value
 
     def _next(self, patience_s: float) -> Event:
         """Wait for the next event and take in what it shows of the hand; a fault is raised."""

@@ -89,60 +89,47 @@ class Hand(Protocol):
     @property
     def layout(self) -> TaxelLayout:
         """The taxels."""
-        ...
 
     @property
     def period_s(self) -> float:
         """Period of the loop in s."""
-        ...
 
     @property
     def phase(self) -> GripperPhase:
         """What the gripper is doing, as of the last message."""
-        ...
 
     @property
     def notes(self) -> tuple[str, ...]:
         """Messages for the operator on how the loop runs; empty where all is as wanted."""
-        ...
 
     @property
     def statistics(self) -> HandStatistics:
         """Counters of loop and links; of a hand that is gone the last ones that came."""
-        ...
 
     @property
     def measured(self) -> Measured:
         """What motions and `tick` measured last, from any thread."""
-        ...
 
     def start(self) -> VerificationReport:
         """Verify the servos; nothing moves. See `Gripper.start`."""
-        ...
 
     def start_sensor(self) -> NodeIdentity:
         """Start the tactile link. From now on the loop gets forces."""
-        ...
 
     def close_sensor(self) -> None:
         """End the tactile link."""
-        ...
 
     def open(self, watch: Watch) -> None:
         """Open the empty fingers."""
-        ...
 
     def tare(self, n_frames: int) -> TareResult:
         """Take the zero of the taxels from so many frames, and return it."""
-        ...
 
     def check_ramp(self, ramp: ForceRamp) -> None:
         """Raise LimitExceeded for a ramp that `grasp` would refuse; no device is asked."""
-        ...
 
     def grasp(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
         """Close until both pads touch, follow the ramp; return while holding."""
-        ...
 
     def meet(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
         """Close the empty fingers onto each other, follow the ramp; return while they press."""
@@ -150,11 +137,9 @@ class Hand(Protocol):
 
     def carry(self, force_n: float, duration_s: float, watch: Watch) -> None:
         """Hold the part with another force for a time, and control it on between commands."""
-        ...
 
     def squeeze(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
         """Follow a further ramp in the same grip, up from the held force; return while holding."""
-        ...
 
     def end_ramp(self) -> None:
         """Let the ramp of the running grasp end where it is; see `Gripper.end_ramp`.
@@ -162,23 +147,18 @@ class Hand(Protocol):
         Safe from any thread, and meant for the watch of a grasp. One that comes too late changes
         nothing, neither this grasp nor the next.
         """
-        ...
 
     def release(self, watch: Watch | None = None) -> ReleaseReport:
         """Let go, without a start too: the only command that lets a part go."""
-        ...
 
     def conditions(self) -> tuple[ServoCondition, ...]:
         """Read torque and errors of each servo, of those too that another one hides."""
-        ...
 
     def inspect(self) -> VerificationReport:
         """Compare the servos with the settings; reads only."""
-        ...
 
     def read_sensor(self, timeout_s: float) -> TactileReading:
         """Wait for a new reading of the taxels."""
-        ...
 
     def tick(self) -> None:
         """Between commands, once a period: both links stay alive; what is wrong with them raises.
@@ -187,19 +167,15 @@ class Hand(Protocol):
 
         A loop in a process of its own ticks by itself; this then raises what it found.
         """
-        ...
 
     def keep_grip(self) -> None:
         """Freeze in any state; see `Gripper.keep_grip`."""
-        ...
 
     def clear_fault(self, *, reboot: bool) -> None:
         """Acknowledge a fault of the servos; a process that is gone is started anew."""
-        ...
 
     def request_stop(self) -> None:
         """Let the running command end with GraspStopped; safe from any thread and in signals."""
-        ...
 
     def shutdown(self) -> str:
         """Leave servos and sensor in a defined state, as `Gripper.close` does.
@@ -207,8 +183,6 @@ class Hand(Protocol):
         Returns what was found wrong since the last command, for the record: no command needs a
         sound hand any more. Empty where nothing was.
         """
-        ...
 
     def close(self) -> None:
         """Give ports, and the process of the loop, back; a held part stays held."""
-        ...

@@ -21,11 +21,9 @@ class Moment(Protocol):
     @property
     def text(self) -> str:
         """The state as JSON."""
-        ...
 
     def frame(self, kind: str) -> bytes | None:
         """Return the newest frame as a client has asked for it; None where there is none."""
-        ...
 
 
 class LiveFeed:

@@ -109,15 +109,12 @@ class Leased(Protocol):
 
     def acquire(self, name: str, *, take: bool = False) -> int:
         """Return the number of a new lease; raises NotInCommand while another client has it."""
-        ...
 
     def alive(self, lease: int) -> None:
         """Keep the lease; raises NotInCommand if it is lost."""
-        ...
 
     def give_up(self, lease: int) -> None:
         """Give the lease up; raises NotInCommand if it is lost."""
-        ...
 
 
 class GuardedApi:

@@ -63,23 +63,17 @@ class IdentifySequence:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ConfusionTable:
-    """What was held against what was named.
-
-    Attributes
-    ----------
-    name, caption
-        The recogniser, and what was counted.
-    labels, columns
-        Objects held (rows) and answers (columns).
-    counts : (n_labels, n_columns) int64
-        Trials.
-    """
+    """What was held against what was named."""
 
     name: str
+    """The recogniser."""
     labels: tuple[str, ...]
     columns: tuple[str, ...]
+    """Objects held (rows) and answers (columns)."""
     counts: NDArray[np.int64]
+    """(n_labels, n_columns) int64: trials."""
     caption: str = ""
+    """What was counted."""
 
     def __post_init__(self) -> None:
         counts = np.array(self.counts, dtype=np.int64)
@@ -244,44 +238,27 @@ class Trajectories:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReportData:
-    """All that the page shows; each part but the title may be empty.
-
-    Attributes
-    ----------
-    title, subtitle, created
-        Heading, a line below it, and when it was made.
-    key_figures
-        The result in a few large figures.
-    facts
-        Description of the cell: name and value.
-    examples
-        One grasp of each object in full.
-    trajectories
-        The paper's eigenvalue trajectories.
-    sequences
-        Identifications, grasp by grasp.
-    shapes
-        Shape and size by each identification, also of those that `sequences` leaves out.
-    confusions
-        One table for each recogniser; `build.paper_table` gives the paper's.
-    health
-        Of the links and the force loop.
-    files
-        Where recording, data set and model lie.
-    notes
-        What the figures rest on.
-    """
+    """All that the page shows; each part but the title may be empty."""
 
     title: str
     created: str
     subtitle: str = ""
+    """Heading, when it was made, and a line below."""
     key_figures: tuple[KeyFigure, ...] = ()
+    """The result in a few large figures."""
     facts: tuple[tuple[str, str], ...] = ()
+    """Description of the cell: name and value."""
     examples: tuple[ExampleGrasp, ...] = ()
+    """One grasp of each object in full."""
     trajectories: Trajectories | None = None
     sequences: tuple[IdentifySequence, ...] = ()
     shapes: tuple[ShapeRow, ...] = ()
+    """Shape and size by each identification, also of those that `sequences` leaves out."""
     confusions: tuple[ConfusionTable, ...] = ()
+    """One table for each recogniser; `build.paper_table` gives the paper's."""
     health: tuple[HealthGroup, ...] = ()
+    """Of the links and the force loop."""
     files: tuple[FileEntry, ...] = ()
+    """Where recording, data set and model lie."""
     notes: tuple[str, ...] = ()
+    """What the figures rest on."""

@@ -18,6 +18,7 @@ from cell.jobs.run import MainResult, teach_and_identify
 from cell.pytest_plugin.virtual import VirtualCell
 from gripper.state import GripperPhase
 from recognition.grasp import Grasp, PadArray
+from simulator.clock import VirtualClock
 
 MakeConfig = Callable[..., CellConfig]
 
@@ -42,6 +43,30 @@ def small_config(**changes: Any) -> CellConfig:
     return changed_config(CellConfig(), small | wanted)
 
 
+def once(
+    clock: VirtualClock,
+    happens: Callable[[], bool],
+    act: Callable[[], object],
+    after_s: float = 0.0,
+) -> list[float]:
+    """Do something once, when so long has passed since a condition was met first.
+
+    Returns the list that gets the time in s.
+    """
+    since_s: list[float] = []
+    done_s: list[float] = []
+
+    def look(now_s: float) -> None:
+        if not done_s and happens():
+            since_s.append(now_s)
+            if now_s - since_s[0] >= after_s:
+                done_s.append(now_s)
+                act()
+
+    clock.on_advance.append(look)
+    return done_s
+
+
 @dataclass(frozen=True, kw_only=True)
 class Bench(VirtualCell):
     """A cell in virtual time that can be acted on in its phases."""
@@ -50,19 +75,11 @@ class Bench(VirtualCell):
         self.start(label)
         return self
 
-    def once_in(self, phase: GripperPhase, act: Callable[[], object], after_s: float = 0.0) -> None:
-        """Do something once, when the gripper has been in a phase for so long."""
-        since_s: list[float] = []
-        done: list[bool] = []
-
-        def look(now_s: float) -> None:
-            if not done and self.controller.gripper.state is phase:
-                since_s.append(now_s)
-                if now_s - since_s[0] >= after_s:
-                    done.append(True)
-                    act()
-
-        self.simulated.clock.on_advance.append(look)
+    def once_in(
+        self, phase: GripperPhase, act: Callable[[], object], after_s: float = 0.0
+    ) -> list[float]:
+        """Do something once, when the gripper has been in a phase for so long; as `once`."""
+        return once(self.clock, lambda: self.controller.hand.phase is phase, act, after_s)
 
 
 @pytest.fixture

@@ -15,8 +15,8 @@ from cell.control.states import CellState
 from cell.errors import CellError
 from cell.pytest_plugin.virtual import VirtualCell
 from gripper.errors import GripperError, fingers_left
-from gripper.state import GripperPhase
 from tactile.errors import TactileError
+from tests.cell.conftest import Bench, once
 from tests.faults.invariants import InvariantMonitor
 
 COARSE_PADS = {
@@ -115,7 +115,7 @@ def campaign_config(changes: Mapping[str, Any] | None = None) -> CellConfig:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CampaignCell(VirtualCell):
+class CampaignCell(Bench):
     """A simulated cell in virtual time, its controller, and the monitor that watches both."""
 
     monitor: InvariantMonitor
@@ -136,6 +136,16 @@ class CampaignCell(VirtualCell):
         """Start the cell and bring the ball."""
         return super().start(present)
 
+    @contextmanager
+    def first_time(self, happens: Callable[[], bool]) -> Iterator[list[float]]:
+        """Give a list that gets the time in s at which something is so first in the block."""
+        found_s = once(self.clock, happens, lambda: None)
+        look = self.clock.on_advance[-1]
+        try:
+            yield found_s
+        finally:
+            self.clock.on_advance.remove(look)
+
     def idle(self, seconds: float) -> None:
         """Let time pass while the cell supervises its links, once a period."""
         end_s = self.now_s + seconds
@@ -144,38 +154,6 @@ class CampaignCell(VirtualCell):
             due_s = max(due_s + self.controller.hand.period_s, self.now_s)
             self.simulated.clock.sleep(due_s - self.now_s)
             self.controller.tick()
-
-    @contextmanager
-    def first_time(self, happens: Callable[[], bool]) -> Iterator[list[float]]:
-        """Give a list that gets the time in s at which something is so first in the block."""
-        found: list[float] = []
-
-        def look(now_s: float) -> None:
-            if not found and happens():
-                found.append(now_s)
-
-        self.simulated.clock.on_advance.append(look)
-        try:
-            yield found
-        finally:
-            self.simulated.clock.on_advance.remove(look)
-
-    def once_in(
-        self, phase: GripperPhase, act: Callable[[], object], *, after_s: float = 0.1
-    ) -> list[float]:
-        """Do something once, so long after a phase began; return the list that gets its time."""
-        began: list[float] = []
-        seen: list[float] = []
-
-        def look(now_s: float) -> None:
-            if not began and self.controller.hand.phase is phase:
-                seen.append(now_s)
-                if now_s - seen[0] >= after_s:
-                    began.append(now_s)
-                    act()
-
-        self.simulated.clock.on_advance.append(look)
-        return began
 
 
 @contextmanager
@@ -229,14 +207,8 @@ def carry_with_fault(row: FaultRow) -> Observed:
 def grasp_with_fault(row: FaultRow, *, look_again: bool = True, force_n: float = 3.0) -> Observed:
     """Inject what a row names, grasp, and look again later: nobody may have let go.
 
-    Parameters
-    ----------
-    row
-        Its text names one fault or several; the detection of the first one counts.
-    look_again
-        False where the fault goes on without an end, and later shows nothing.
-    force_n
-        Force of the grasp in N.
+    The detection of the first fault of the row counts. A fault that goes on without an end shows
+    nothing later: it is not looked at again.
     """
     first, *more = row.injected.split(", ")
     with campaign_cell(row.changes) as cell:
@@ -254,15 +226,8 @@ def observe(
 ) -> Observed:
     """Inject a fault, run a job, and return what became of both.
 
-    Parameters
-    ----------
-    cell
-        A cell that is not started, or one that is made ready for the job.
-    fault
-        Text of the vocabulary, or a function that brings it about at once; empty where the job
-        itself does.
-    job
-        What the cell shall do meanwhile.
+    The fault is a text of the vocabulary, or a function that brings it about at once; empty where
+    the job itself does.
     """
     monitor = cell.monitor
     injected = cell.simulated.inject(fault) if isinstance(fault, str) and fault else None

@@ -52,19 +52,8 @@ _FAST_FINGERS = {
 class Driver:
     """Hardware that stays, host programs that come and go.
 
-    Parameters
-    ----------
-    self_test
-        Whether the start proves the servos' bus watchdog.
-    fast
-        Whether the config asks for faster fingers than its cap of the force allows.
-
-    Attributes
-    ----------
-    steps
-        Steps so far.
-    log
-        What was done, to be read where an invariant was broken.
+    With ``self_test`` the start proves the servos' bus watchdog; with ``fast`` the config asks for
+    faster fingers than its cap of the force allows.
     """
 
     def __init__(self, *, self_test: bool, fast: bool = False) -> None:
@@ -88,7 +77,6 @@ class Driver:
 
     @property
     def controller(self) -> CellController:
-        """The product."""
         return self.cell.controller
 
     def command(
@@ -115,26 +103,21 @@ class Driver:
         return done
 
     def start(self) -> bool:
-        """Start the cell."""
         return self.command("start", self.controller.start)
 
     def grasp(self, x_mm: float, force_n: float, turn_rad: float) -> bool:
-        """Grasp once."""
         step = GraspStep(pose=Pose(x_m=1e-3 * x_mm, rotation_rad=turn_rad), force_n=force_n)
         return self.command(
             f"grasp x={x_mm} mm, {force_n} N, {turn_rad} rad", lambda: self.controller.grasp(step)
         )
 
     def grip(self, force_n: float) -> bool:
-        """Grip the part and keep it."""
         return self.command(f"grip {force_n} N", lambda: self.controller.grip(force_n, Pose()))
 
     def verify(self) -> bool:
-        """Look at a kept part."""
         return self.command("verify", self.controller.verify)
 
     def identify(self, force_n: float, keep: Keep = Keep.NEVER) -> bool:
-        """Grasp and classify, with a recogniser that looks at its frames."""
         step = GraspStep(pose=Pose(), force_n=force_n)
         return self.command(
             f"identify {force_n} N, keep {keep}",
@@ -167,7 +150,6 @@ class Driver:
         self._end()
 
     def release(self) -> bool:
-        """Let go."""
         return self.command("release", self.controller.release, release=True)
 
     def release_held(self) -> bool:
@@ -180,15 +162,12 @@ class Driver:
         return self.command(name, lambda: self.controller.clear(reboot=reboot), reboot=reboot)
 
     def reset(self) -> bool:
-        """Leave the cleared fault behind."""
         return self.command("reset", self.controller.reset)
 
     def shutdown(self) -> bool:
-        """End the work with the devices."""
         return self.command("shutdown", self.controller.shutdown)
 
     def wait(self, seconds: float) -> None:
-        """Let time pass while the host ticks."""
 
         def idle() -> None:
             clock = self.simulated.clock
@@ -200,7 +179,6 @@ class Driver:
         self.command(f"wait {seconds} s", idle)
 
     def restart(self) -> None:
-        """End the host program in order, and start another one."""
         self._begin("restart the host")
         self._finish_host()
         self.cell = self._new_host()
@@ -310,7 +288,6 @@ class Driver:
                 self.recover()
 
     def close(self) -> None:
-        """End everything; the last checks."""
         self.monitor.close()
         self._finish_host()
         self.simulated.close()

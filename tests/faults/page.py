@@ -3,7 +3,6 @@
 from collections import Counter
 from collections.abc import Sequence
 
-from simulator.faults.injector import VOCABULARY
 from tests.faults.campaign import FaultRow, Observed
 from tests.faults.results import AS_REQUIRED, Result
 from tests.faults.table import GROUPS, REACTIONS, ROWS
@@ -19,23 +18,11 @@ its job; what the cell did about it is compared with what it has to do. While a 
 invariants of docs/reference/fault-campaign.md hold, or the row is broken.
 
 """
-_NAMES = """
-## Faults by name
-
-`COMPONENT.FAULT[=VALUE][@START[..END]]`, as `can.loss=0.05@2s`, `servo1.reboot@contact+0.5s` or
-`unit.off@moving..3s`. Times count from the injection; `contact` is the first time after it that
-both pads touch the object, `moving` that a finger moves. Without an end a fault lasts until it is
-cleared. `servoN` is `servo1`, `servo2`, `axisN` is `axis1`, ...: their order in the config.
-
-"""
 
 
 def page(results: Sequence[Result]) -> str:
-    """Return the page: totals, reactions, one line for each row, the vocabulary of faults."""
-    return (
-        f"{_HEAD}{totals(results)}\n\n{_reactions()}\n## Rows\n\n"
-        f"{rows_table(results)}{_NAMES}{_vocabulary()}"
-    )
+    """Return the page: totals, reactions, one line for each row."""
+    return f"{_HEAD}{totals(results)}\n\n{_reactions()}\n## Rows\n\n{rows_table(results)}"
 
 
 def totals(results: Sequence[Result]) -> str:
@@ -105,19 +92,6 @@ def _ranges(numbers: set[int]) -> str:
 
 def _reactions() -> str:
     return _table(("reaction", "meaning"), list(REACTIONS.items()))
-
-
-def _vocabulary() -> str:
-    lines = [
-        (
-            f"`{entry.name}`",
-            entry.kind.value,
-            "" if entry.value is None else entry.value.text,
-            f"{entry.meaning}{'; a moment, without end' if entry.moment else ''}",
-        )
-        for entry in VOCABULARY.values()
-    ]
-    return _table(("fault", "kind", "value", "meaning"), lines)
 
 
 def _table(

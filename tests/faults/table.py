@@ -603,43 +603,24 @@ COMMANDS = (
     FaultRow(42, "cancel twice", "a grasp is cancelled twice in the ramp",
              "cancel", "HOLD", 2 * LOOP_S, host.grasp_cancelled_twice),
 )
-# fmt: on
-
 AXES = (
-    *(
-        FaultRow(43, variant, fault, text, "HOLD", limit_s, axes.axis_fails)
-        for variant, fault, text, limit_s in (
-            ("drive fault", "a drive goes to fault while it moves", "axis1.fault=0x2310", AXIS_S),
-            ("lost heartbeat", "a drive falls silent while it moves", "axis1.silence", HEARTBEAT_S),
-            ("limit switch", "a drive runs into its limit switch", "axis1.limit_switch=1", AXIS_S),
-            ("following error", "something holds an axis", "axis2.following_error", FOLLOWING_S),
-            (
-                "drive restarts",
-                "a drive loses its supply for a moment",
-                "axis2.reboot",
-                HEARTBEAT_S,
-            ),
-            ("wrist stalled", "something holds the wrist", "axis3.following_error", STALL_S),
-            ("wrist overloaded", "the wrist's overload protection latches", "axis3.fault", AXIS_S),
-            (
-                "wrist silent",
-                "the wrist falls silent while it moves",
-                "axis3.silence",
-                WRIST_LOST_S,
-            ),
-        )
-    ),
-    FaultRow(
-        43,
-        "drive fault in a hold",
-        "a drive goes to fault while the part is held: the grip is kept, the next motion is "
-        "refused",
-        "axis1.fault=0x2310@contact+0.2s",
-        "HOLD",
-        None,
-        axes.drive_fails_in_a_hold,
-    ),
+    *(FaultRow(43, variant, fault, text, "HOLD", limit_s, axes.axis_fails)
+      for variant, fault, text, limit_s in (
+          ("drive fault", "a drive goes to fault while it moves", "axis1.fault=0x2310", AXIS_S),
+          ("lost heartbeat", "a drive falls silent while it moves", "axis1.silence", HEARTBEAT_S),
+          ("limit switch", "a drive runs into its limit switch", "axis1.limit_switch=1", AXIS_S),
+          ("following error", "something holds an axis", "axis2.following_error", FOLLOWING_S),
+          ("drive restarts", "a drive loses its supply for a moment", "axis2.reboot", HEARTBEAT_S),
+          ("wrist stalled", "something holds the wrist", "axis3.following_error", STALL_S),
+          ("wrist overloaded", "the wrist's overload protection latches", "axis3.fault", AXIS_S),
+          ("wrist silent", "the wrist falls silent while it moves", "axis3.silence",
+           WRIST_LOST_S))),
+    FaultRow(43, "drive fault in a hold",
+             "a drive goes to fault while the part is held: the grip is kept, the next motion is "
+             "refused",
+             "axis1.fault=0x2310@contact+0.2s", "HOLD", None, axes.drive_fails_in_a_hold),
 )
+# fmt: on
 
 GROUPS = {
     "CAN bus": CAN_BUS,

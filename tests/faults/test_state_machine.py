@@ -1,5 +1,6 @@
 """Random commands and faults: after each step all invariants hold."""
 
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
@@ -17,6 +18,7 @@ from gripper.gripper import Gripper
 from gripper.servos.group import ServoGroup
 from gripper.state import GripperPhase
 from simulator.faults.injector import check_fault
+from tests.cell.conftest import once
 from tests.faults import driver
 from tests.faults.driver import Driver
 from tests.faults.invariants import InvariantBroken
@@ -27,6 +29,7 @@ WIRE_STEPS = 50
 """Steps through each door; `make campaign` takes more, from other seeds."""
 WALKS = [(1, STEPS), *((seed, 50) for seed in (2, 3, 4))]
 """Seed and steps of the walks of each change."""
+CAN_OFF = "can.off@contact+100ms"
 LONG_WALKS = [pytest.param(seed, STEPS, marks=pytest.mark.long) for seed in range(2, PIECES + 1)]
 
 
@@ -55,7 +58,7 @@ def test_the_machine_draws_faults_that_there_are(text: str) -> None:
 # What the machine is for: each of these defects, put in on purpose, is found.
 
 
-def drive(*, fault: str = "can.off@contact+100ms") -> None:
+def drive(*, fault: str = CAN_OFF) -> None:
     """Fail in a grasp, clear it, and go on."""
     cell = Driver(self_test=False)
     try:
@@ -73,17 +76,40 @@ def test_nothing_is_broken_as_it_is() -> None:
     drive()
 
 
-def test_a_grip_that_a_fault_opens_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    keep = Gripper.keep_grip
+WRITTEN = {
+    (Gripper, "keep_grip"): (
+        *("torque_enable", 0, CAN_OFF),
+        "torque of servo 1 off with a part in the grip",
+    ),
+    (Gripper, "clear_fault"): (
+        *("torque_enable", 1, "servo1.overload@contact+50ms"),
+        "torque of servo . on while CLEARING, without a reset",
+    ),
+    (CellController, "tick"): (
+        *("goal_current", 200, CAN_OFF),
+        r"goal currents from .* to \[200, .* while ABORTED",
+    ),
+}
+"""What a method writes to the servos after its work, the fault before it, and what is found."""
 
-    def open_instead(gripper: Gripper) -> None:
-        keep(gripper)
-        for servo in gripper._settings.servos:
-            gripper._bus.write(servo.servo_id, REGISTERS["torque_enable"], 0)
 
-    monkeypatch.setattr(Gripper, "keep_grip", open_instead)
-    with pytest.raises(InvariantBroken, match="torque of servo 1 off with a part in the grip"):
-        drive()
+@pytest.mark.parametrize(("owner", "method"), WRITTEN)
+def test_a_grip_that_a_fault_opens_and_torque_that_comes_by_itself_are_found(
+    monkeypatch: pytest.MonkeyPatch, owner: type, method: str
+) -> None:
+    register, value, fault, complaint = WRITTEN[owner, method]
+    plain = getattr(owner, method)
+
+    def spoilt(it: Any, **options: Any) -> None:
+        plain(it, **options)
+        if isinstance(it, Gripper) or it.fault is not None:
+            gripper = getattr(it, "gripper", it)
+            for servo in gripper._settings.servos:
+                gripper._bus.write(servo.servo_id, REGISTERS[register], value)
+
+    monkeypatch.setattr(owner, method, spoilt)
+    with pytest.raises(InvariantBroken, match=complaint):
+        drive(fault=fault)
 
 
 def test_a_part_that_the_cell_lets_go_by_itself_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -98,16 +124,13 @@ def test_a_part_that_the_cell_lets_go_by_itself_is_found(monkeypatch: pytest.Mon
 def test_fingers_that_a_cancel_does_not_stop_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
     def letting_go() -> None:
         cell = Driver(self_test=False)
-        done: list[float] = []
-
-        def cancel(now_s: float) -> None:
-            fast = cell.simulated.devices.mechanics.aperture_m > 0.008
-            if cell.controller.hand.phase is GripperPhase.RELEASING and fast and not done:
-                done.append(now_s)
-                cell.controller.cancel()
-
         cell.start()
-        cell.simulated.clock.on_advance.append(cancel)
+
+        def fast() -> bool:
+            wide = cell.simulated.devices.mechanics.aperture_m > 0.008
+            return cell.controller.hand.phase is GripperPhase.RELEASING and wide
+
+        once(cell.simulated.clock, fast, cell.controller.cancel)
         try:
             cell.grasp(0.0, 3.0, 0.0)
             cell.wait(0.2)
@@ -120,71 +143,40 @@ def test_fingers_that_a_cancel_does_not_stop_are_found(monkeypatch: pytest.Monke
         letting_go()
 
 
-def test_torque_that_comes_back_by_itself_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    clear = Gripper.clear_fault
-
-    def clear_and_restart(gripper: Gripper, *, reboot: bool) -> None:
-        clear(gripper, reboot=reboot)
-        for servo in gripper._settings.servos:
-            gripper._bus.write(servo.servo_id, REGISTERS["torque_enable"], 1)
-
-    monkeypatch.setattr(Gripper, "clear_fault", clear_and_restart)
-    complaint = r"torque of servo . on while CLEARING, without a reset"
-    with pytest.raises(InvariantBroken, match=complaint):
-        drive(fault="servo1.overload@contact+50ms")
+@pytest.fixture
+def cell() -> Iterator[Driver]:
+    """A driver that was started; what it has found broken counts no more at its end."""
+    made = Driver(self_test=False)
+    made.start()
+    yield made
+    made.monitor.broken.clear()
+    made.close()
 
 
-def test_a_push_after_a_fault_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    tick = CellController.tick
-
-    def tick_and_push(controller: CellController) -> None:
-        tick(controller)
-        if controller.fault is not None:
-            gripper = controller.gripper
-            for servo in gripper._settings.servos:
-                gripper._bus.write(servo.servo_id, REGISTERS["goal_current"], 200)
-
-    monkeypatch.setattr(CellController, "tick", tick_and_push)
-    with pytest.raises(InvariantBroken, match=r"goal currents from .* to \[200, .* while ABORTED"):
-        drive()
-
-
-def test_a_label_from_spoiled_taxels_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    cell = Driver(self_test=False)
-    cell.start()
+def test_a_label_from_spoiled_taxels_is_found(
+    cell: Driver, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(driver, "spoiling", lambda _faults, _now_s: ["taxels.off=0.9"])
     with pytest.raises(InvariantBroken, match=r"a label in spite of taxels.off=0.9"):
         cell.identify(3.0)
-    cell.monitor.broken.clear()
-    cell.close()
 
 
-def test_a_force_above_the_cap_is_found() -> None:
-    cell = Driver(self_test=False)
-    cell.start()
+def test_a_force_above_the_cap_is_found(cell: Driver) -> None:
     cell.grasp(0.0, 3.0, 0.0)
     cell.monitor._force_max_n = 2.0
     with pytest.raises(InvariantBroken, match="the cap is 2 N"):
         cell.grasp(0.0, 3.0, 0.0)
-    cell.monitor.broken.clear()
-    cell.close()
 
 
-def test_frames_that_nobody_scanned_are_found() -> None:
-    cell = Driver(self_test=False)
-    cell.start()
+def test_frames_that_nobody_scanned_are_found(cell: Driver) -> None:
     cell._watch_scans = lambda _now_s: None  # type: ignore[method-assign]
     cell._scanned.clear()
     cell.simulated.clock.on_advance.pop()
     with pytest.raises(InvariantBroken, match="never scanned"):
         cell.identify(3.0)
-    cell.monitor.broken.clear()
-    cell.close()
 
 
-def test_an_error_without_a_type_and_a_command_without_an_end_are_found() -> None:
-    cell = Driver(self_test=False)
-
+def test_an_error_without_a_type_and_a_command_without_an_end_are_found(cell: Driver) -> None:
     def fail() -> None:
         raise KeyError("nobody expects it")
 
@@ -195,8 +187,6 @@ def test_an_error_without_a_type_and_a_command_without_an_end_are_found() -> Non
     for call, complaint in ((fail, "ended with KeyError"), (hang, "did not end within its time")):
         with pytest.raises(InvariantBroken, match=complaint):
             cell.command("x", call)
-        cell.monitor.broken.clear()
-    cell.close()
 
 
 def test_a_defect_is_reported_with_its_seed_and_steps(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -237,19 +227,15 @@ def test_nothing_is_broken_behind_a_door(door: str) -> None:
     drive_through(door)
 
 
-@pytest.mark.parametrize("door", WIRES)
-def test_a_release_with_any_key_is_found(door: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def any_key(monkeypatch: pytest.MonkeyPatch) -> None:
     command = Service.command
     monkeypatch.setattr(
         Service, "command", lambda *given, **named: command(*given, **named | {"key": RELEASE_KEY})
     )
-    with pytest.raises(InvariantBroken, match="release is accepted in COMPLETE"):
-        drive_through(door)
 
 
-@pytest.mark.parametrize("door", WIRES)
-def test_a_command_that_is_done_twice_is_found(door: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    begin, run = Service._begin, ModbusDoor.write
+def done_twice(monkeypatch: pytest.MonkeyPatch) -> None:
+    begin, write = Service._begin, ModbusDoor.write
 
     def forgetful(service: Service, *given: Any) -> int:
         *asked, _number, act = given
@@ -258,43 +244,45 @@ def test_a_command_that_is_done_twice_is_found(door: str, monkeypatch: pytest.Mo
     def again(modbus: ModbusDoor, client: Any, address: int, values: Any) -> None:
         if len(values) > 1:
             modbus._seq = -1
-        run(modbus, client, address, values)
+        write(modbus, client, address, values)
 
     monkeypatch.setattr(Service, "_begin", forgetful)
     monkeypatch.setattr(ModbusDoor, "write", again)
-    with pytest.raises(InvariantBroken, match="a repeated request has another answer"):
-        drive_through(door)
 
 
-@pytest.mark.parametrize("door", WIRES)
-def test_a_client_without_the_lease_that_commands_is_found(
-    door: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def alive(service: Service, lease: int) -> None: ...
-
-    monkeypatch.setattr(Service, "alive", alive)
+def no_lease(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Service, "alive", lambda *_: None)
     monkeypatch.setattr(ModbusDoor, "_command", lambda *_: None)
-    with pytest.raises(InvariantBroken, match="for a client without the lease"):
-        drive_through(door)
 
 
-@pytest.mark.parametrize("door", WIRES)
-def test_a_hold_that_waits_for_the_next_command_is_found(
-    door: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def hold(service: Service, reason: str = "") -> None:
-        service._plugin._cell.controller.cancel()
-
-    monkeypatch.setattr(Service, "hold", hold)
+def hold_waits(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        Service, "hold", lambda service, _why="": service._plugin._cell.controller.cancel()
+    )
     monkeypatch.setattr(CellController, "forget_cancel", lambda _controller: None)
-    with pytest.raises(InvariantBroken, match="stopped, though nobody held it"):
-        drive_through(door)
 
 
-@pytest.mark.parametrize("door", WIRES)
-def test_a_button_that_holds_but_once_is_found(door: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def holds_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(Service, "_check_held", lambda *_: None)
-    with pytest.raises(InvariantBroken, match="grip: -505 while a button is pressed"):
+
+
+DEFECTS = {
+    any_key: "release is accepted in COMPLETE",
+    done_twice: "a repeated request has another answer",
+    no_lease: "for a client without the lease",
+    hold_waits: "stopped, though nobody held it",
+    holds_once: "grip: -505 while a button is pressed",
+}
+"""Defects behind a door, and how each is found."""
+
+
+@pytest.mark.parametrize("defect", DEFECTS, ids=lambda defect: defect.__name__)
+@pytest.mark.parametrize("door", WIRES)
+def test_a_defect_behind_a_door_is_found(
+    door: str, defect: Callable[[pytest.MonkeyPatch], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    defect(monkeypatch)
+    with pytest.raises(InvariantBroken, match=DEFECTS[defect]):
         drive_through(door)
 
 

@@ -91,27 +91,21 @@ class Wire(Protocol):
 
     def adopt(self) -> None:
         """Take command."""
-        ...
 
     def send(self, request: Request, number: int) -> int:
         """Send a request for the job of that number; return it, or a fault number, negative."""
-        ...
 
     def repeat(self) -> int:
         """Send the last request once more; return as `send`."""
-        ...
 
     def hold(self, latch: bool | None = None) -> None:
         """Hold over a connection of its own that has no lease: once, or begin or end it."""
-        ...
 
     def shown(self) -> Shown:
         """Return what the door shows."""
-        ...
 
     def close(self) -> None:
         """End the connections."""
-        ...
 
 
 # -- the wires ---------------------------------------------------------------------------------
@@ -436,12 +430,7 @@ class WireDriver(Driver):
     def ask(self, request: Request, command: Command | None) -> bool:
         """Send a request, wait for the end of its job, and judge both; whether it succeeded.
 
-        Parameters
-        ----------
-        request
-            What is sent.
-        command
-            Its command in the table of states; None where the request has to be refused.
+        The command is that of the table of states; None where the request has to be refused.
         """
         values = (f"{name}={value}" for name, value in asdict(request).items() if value)
         self._begin(f"{self.door}: {' '.join(values)}")

@@ -297,26 +297,9 @@ def instead(_relay: Relay, _packet: bytes) -> Pieces:
     return []
 
 
-DAMAGES: dict[str, Callable[[Relay, bytes], Pieces]] = {
-    act.__name__: act
-    for act in (
-        flip,
-        drop,
-        repeat,
-        cut,
-        lose_byte,
-        insert_byte,
-        foreign,
-        swap,
-        delay,
-        repeat_late,
-        lag,
-        split,
-        merge,
-        noise,
-        instead,
-    )
-}
+_ACTS = (flip, drop, repeat, cut, lose_byte, insert_byte, foreign, swap, delay, repeat_late)
+_ACTS += (lag, split, merge, noise, instead)
+DAMAGES: dict[str, Callable[[Relay, bytes], Pieces]] = {act.__name__: act for act in _ACTS}
 """What may happen to a packet on its way to the host, by name."""
 
 

@@ -10,7 +10,7 @@ import pytest
 from cell.config.file import changed_config, config_text
 from tests.hil import damage
 from tests.hil.damage import Bench
-from tests.hil.program import LIMIT_S, end, start
+from tests.hil.program import LIMIT_S, run
 
 pytestmark = pytest.mark.real_time
 
@@ -39,10 +39,9 @@ def test_a_port_on_which_a_gps_receiver_speaks_is_named_with_what_was_heard(
     relay.order("instead 0.03 sentence")
     began_s = time.monotonic()
     try:
-        code, _out, text = end(start("release", "--confirm", "-c", config))
+        text = run("release", "--confirm", "-c", config, code=1)
     finally:
         relay.order("pass")
-    assert code == 1
     assert time.monotonic() - began_s < LIMIT_S
     assert f"the servo line ({gps.gripper.port})" in text
     assert re.search(r"heard were \d+ bytes that are no packet, the first are .* \(b'", text), text

@@ -4,11 +4,11 @@ import contextlib
 import json
 import os
 import signal
-import subprocess
 import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -17,36 +17,12 @@ from cell.data.recording_reader import read_recording
 from cell.interfaces.plugin.plugin import GripGoal, JobFailed, TactileCellPlugin, TeachGoal
 from cell.pytest_plugin.process import CellProcess
 from gripper.errors import PortLost, ServoFault
-from tests.hil import program
 from tests.hil.damage import first
-from tests.hil.program import CONFIG, LIMIT_S, end
+from tests.hil.program import CONFIG, LIMIT_S, end, hurry, run, running
 
 pytestmark = pytest.mark.real_time
 
 SEQUENCE = "sequence: {x_mm: [0, 0], y_mm: [0, 0], force_n: [3, 5], max_grasps: 1}\n"
-
-
-def hurry(pid: int) -> None:
-    """Let a process go before others, where the machine permits it: it has deadlines of 3 ms."""
-    with contextlib.suppress(PermissionError):
-        os.setpriority(os.PRIO_PROCESS, pid, -10)
-
-
-def start(*arguments: object) -> subprocess.Popen[str]:
-    process = program.start(*arguments)
-    hurry(process.pid)
-    return process
-
-
-@contextlib.contextmanager
-def ending(process: subprocess.Popen[str]) -> Iterator[subprocess.Popen[str]]:
-    """End the process with the block, whatever happens."""
-    try:
-        yield process
-    finally:
-        if process.poll() is None:
-            process.kill()
-        process.communicate()
 
 
 @pytest.fixture
@@ -71,6 +47,12 @@ def only(folder: Path, pattern: str) -> Path:
     return path
 
 
+def teaching(simulator: CellProcess, folder: Path, n: int = 50, *more: object) -> tuple[Any, ...]:
+    """Return the command that teaches the box, with its files in a folder."""
+    command = ("teach", "box", "-n", n, "--config", simulator.config_path, *more)
+    return (*command, "-o", folder / "d.npz", "--out", folder / "out")
+
+
 def test_the_program_teaches_and_identifies_over_real_ports(
     simulator: CellProcess, tmp_path: Path
 ) -> None:
@@ -78,13 +60,10 @@ def test_the_program_teaches_and_identifies_over_real_ports(
     assert not config.simulated
     assert config.gripper.port == simulator.servo_port
     report = tmp_path / "run.json"
-    client = start(
+    run(
         *("run", "--config", simulator.config_path, "--object", "box", "--teach", 3, "--trials", 1),
         *("--out", tmp_path / "out", "--json", report),
     )
-    with ending(client):
-        code, _out, err = end(client)
-        assert code == 0, err
     data = json.loads(report.read_text())
     assert (data["n_taught"], data["n_trials"]) == (3, 1)
     health = data["health"]
@@ -98,32 +77,24 @@ def test_the_program_teaches_and_identifies_over_real_ports(
     state = simulator.ask(state=True)
     assert state["placed"] == "box"
     assert min(state["contact_force_n"]) == 0.0
-
-    code, out, err = end(start("doctor", "--config", simulator.config_path))
-    assert code == 0, err
-    assert "fail" not in out
+    assert "fail" not in run("doctor", "--config", simulator.config_path)
 
 
 def test_ctrl_c_keeps_the_grip_and_the_recording_and_release_lets_go(
     simulator: CellProcess, tmp_path: Path
 ) -> None:
     report = tmp_path / "ended.json"
-    client = start(
-        *("teach", "box", "-n", 50, "--config", simulator.config_path, "--json", report),
-        *("-o", tmp_path / "d.npz", "--out", tmp_path / "out"),
-    )
-    with ending(client):
+    with running(*teaching(simulator, tmp_path, 50, "--json", report)) as client:
         simulator.wait_for_grip(2.4)
         client.send_signal(signal.SIGINT)
-        code, out, err = end(client)
-    assert code == 1
-    assert "the grip is kept until it is released on purpose. Recording so far: " in err
-    assert "Traceback" not in err
+        said = end(client, 1)
+    assert "the grip is kept until it is released on purpose. Recording so far: " in said
+    assert "Traceback" not in said
+    assert "Force loop: " in said
     recording = read_recording(only(tmp_path / "out", "teach-*/recording.mcap"))
     assert recording.complete
     assert len(recording.frames) > 10
     assert [e["kind"] for e in recording.events if e["kind"] != "note"] == ["held"]
-    assert "Force loop: " in out
     ended = json.loads(report.read_text())
     assert "grip is kept" in ended["ended_early"]
     loop = ended["health"]["loop"]
@@ -132,38 +103,26 @@ def test_ctrl_c_keeps_the_grip_and_the_recording_and_release_lets_go(
     held_n = simulator.grip_n()
     assert held_n > 0.8
 
-    code, _out, err = end(
-        start(
-            *("teach", "box", "--config", simulator.config_path),
-            *("-o", tmp_path / "d.npz", "--out", tmp_path / "again"),
-        )
-    )
-    assert code == 1
-    assert "a part may be in the grip; nothing was moved" in err
-    assert "tactile-cell release" in err
+    said = run(*teaching(simulator, tmp_path, 20), code=1)
+    assert "a part may be in the grip; nothing was moved" in said
+    assert "tactile-cell release" in said
     assert simulator.grip_n() == pytest.approx(held_n, abs=0.5)
 
-    code, out, err = end(start("release", "--confirm", "--config", simulator.config_path))
-    assert code == 0, err
-    assert "the fingers are open" in out
+    said = run("release", "--confirm", "--config", simulator.config_path)
+    assert "the fingers are open" in said
     assert simulator.grip_n() == 0.0
 
 
 def test_a_part_that_one_finger_holds_alone_is_let_go(
     simulator: CellProcess, tmp_path: Path
 ) -> None:
+    config = ("--config", simulator.config_path)
     simulator.ask(inject="servo1.overload@contact+0.3s")
-    client = start(
-        *("teach", "box", "--config", simulator.config_path),
-        *("-o", tmp_path / "d.npz", "--out", tmp_path / "out"),
-    )
-    with ending(client):
-        code, _out, err = end(client)
-    assert code == 1
-    assert "Hardware Error Status 0x20: overload" in err
-    assert "one of them silent or without torque; a part may still be gripped" in err
-    assert "the grip is kept" not in err
-    assert f"tactile-cell clear --config {simulator.config_path} --reboot" in err
+    said = run(*teaching(simulator, tmp_path), code=1)
+    assert "Hardware Error Status 0x20: overload" in said
+    assert "one of them silent or without torque; a part may still be gripped" in said
+    assert "the grip is kept" not in said
+    assert f"tactile-cell clear --config {simulator.config_path} --reboot" in said
     assert simulator.grip_n() > 0.5
 
     with TactileCellPlugin(simulator.config_path) as plugin:
@@ -173,20 +132,13 @@ def test_a_part_that_one_finger_holds_alone_is_let_go(
             plugin.clear(LIMIT_S)
     assert simulator.grip_n() > 0.5
 
-    code, out, err = end(start("doctor", "--config", simulator.config_path))
-    assert code == 1
-    assert "fail servo torque: servo 1 has no torque (overload); servo 2 has its torque on" in out
-
-    code, out, err = end(start("release", "--confirm", "--config", simulator.config_path))
-    assert code == 0, err
-    assert "the finger of servo 2 is open, the other one was not moved: servo 1 has no" in out
+    said = run("doctor", *config, code=1)
+    assert "fail servo torque: servo 1 has no torque (overload); servo 2 has its torque on" in said
+    said = run("release", "--confirm", *config)
+    assert "the finger of servo 2 is open, the other one was not moved: servo 1 has no" in said
     assert simulator.grip_n() < 0.2
-
-    code, out, err = end(start("clear", "--reboot", "--config", simulator.config_path))
-    assert code == 0, err
-    assert "after the reboot servo 1 has no torque" in out
-    code, out, err = end(start("doctor", "--config", simulator.config_path))
-    assert code == 0, (out, err)
+    assert "after the reboot servo 1 has no torque" in run("clear", "--reboot", *config)
+    run("doctor", *config)
 
 
 def test_a_part_is_let_go_without_the_can_adapter_and_found_without_that_of_the_servos(
@@ -196,45 +148,31 @@ def test_a_part_is_let_go_without_the_can_adapter_and_found_without_that_of_the_
     config = ("--config", simulator.config_path)
     release = f"tactile-cell release --config {simulator.config_path} --confirm"
     unplugged = simulator.inject("can.unplugged@contact+0.3s")
-    with ending(
-        start("teach", "box", *config, "-o", tmp_path / "d.npz", "--out", tmp_path / "out")
-    ) as client:
-        code, _out, err = end(client)
-    assert code == 1
-    assert release in err
+    assert release in run(*teaching(simulator, tmp_path), code=1)
     held_n = simulator.grip_n()
     assert held_n > 0.5
 
-    code, out, err = end(start("doctor", *config))
-    said = " ".join(out.split())
-    assert code == 1
+    said = run("doctor", *config, code=1)
     assert "warn servo torque: servo 1 has its torque on; servo 2 has its torque on" in said
     assert f"a part may be in the grip: let go of it with `{release}`" in said
     assert "fail control unit: CAN interface" in said
-    code, out, err = end(start("clear", *config))
-    assert code == 0, err
-    assert "NOTE: CAN interface" in " ".join((out + err).split())
-    assert release in out
+    said = run("clear", *config)
+    assert "NOTE: CAN interface" in said
+    assert release in said
 
     unplugged.clear()
     simulator.inject("servos.unplugged")
-    code, out, err = end(start("doctor", *config))
-    said = " ".join(out.split())
-    assert code == 1
+    said = run("doctor", *config, code=1)
     assert "fail servo torque: cannot open serial port" in said
     assert "whether a part is held is not known" in said
     assert "warn pads' force: about " in said
     assert "a part may be held" in said
-    code, out, err = end(start("release", "--confirm", *config))
-    assert code == 1
-    assert "cannot open serial port" in err
+    assert "cannot open serial port" in run("release", "--confirm", *config, code=1)
     assert simulator.grip_n() == pytest.approx(held_n, abs=0.5)
 
     simulator.ask(clear="servos.unplugged")
     simulator.inject("can.unplugged")
-    code, out, err = end(start("release", "--confirm", *config))
-    assert code == 0, err
-    assert "the fingers are open" in out
+    assert "the fingers are open" in run("release", "--confirm", *config)
     assert simulator.grip_n() == 0.0
 
 
@@ -262,18 +200,13 @@ def test_a_line_that_comes_back_is_opened_anew_by_clear_and_reset(
 def test_a_killed_cell_is_named_and_what_was_recorded_can_be_read(
     simulator: CellProcess, tmp_path: Path
 ) -> None:
-    client = start(
-        *("teach", "box", "-n", 50, "--config", simulator.config_path),
-        *("-o", tmp_path / "d.npz", "--out", tmp_path / "out"),
-    )
-    with ending(client):
+    with running(*teaching(simulator, tmp_path)) as client:
         simulator.wait_for_grip(0.5)
         simulator.kill()
-        code, _out, err = end(client)
-    assert code == 1
-    assert "Traceback" not in err
-    assert "recording so far: " in err
-    assert any(name in err for name in ("serial port", "servo", "CAN", "control unit")), err
+        said = end(client, 1)
+    assert "Traceback" not in said
+    assert "recording so far: " in said
+    assert any(name in said for name in ("serial port", "servo", "CAN", "control unit")), said
     recording = read_recording(only(tmp_path / "out", "teach-*/recording.mcap"))
     assert len(recording.frames) > 10
     assert recording.events[0]["kind"] == "fault"
@@ -286,10 +219,9 @@ def test_wrong_ports_are_one_with_a_clear_message(tmp_path: Path) -> None:
         f"tactile: {{interface: slcan, channel: {tmp_path / 'can'}}}\n"
         "positioner: {kind: operator}\n"
     )
-    code, _out, err = end(start("run", "-c", config, "-o", "box", "--out", tmp_path / "out"))
-    assert code == 1
-    assert str(tmp_path / "can") in err
-    assert "Traceback" not in err
+    said = run("run", "-c", config, "-o", "box", "--out", tmp_path / "out", code=1)
+    assert str(tmp_path / "can") in said
+    assert "Traceback" not in said
 
 
 @pytest.mark.usefixtures("hurried")
@@ -297,11 +229,7 @@ def test_the_plugin_runs_in_real_time(simulator: CellProcess) -> None:
     with TactileCellPlugin(simulator.config_path) as plugin:
         assert not plugin.info()["simulated"]
         job = plugin.start(TeachGoal(label="box", grasps=2))
-        end_s = time.monotonic() + LIMIT_S
-        while simulator.grip_n() < 1.0:
-            assert not plugin.feedback(job).outcome.terminal, plugin.feedback(job)
-            assert time.monotonic() < end_s, plugin.feedback(job)
-            threading.Event().wait(0.05)
+        simulator.wait_for_grip(1.0)
         plugin.cancel(job)
         with pytest.raises(JobFailed, match="CANCELED"):
             plugin.result(job, LIMIT_S)

@@ -14,7 +14,7 @@ import pytest
 from cell.interfaces.service.service import RELEASE_KEY
 from tests.hil import program
 from tests.hil.damage import first
-from tests.hil.program import CONFIG, LIMIT_S, end
+from tests.hil.program import CONFIG, LIMIT_S
 
 pytestmark = pytest.mark.real_time
 
@@ -35,7 +35,8 @@ class Program:
 
     def end(self, number: signal.Signals) -> int:
         self.process.send_signal(number)
-        return end(self.process)[0]
+        self.process.communicate(timeout=LIMIT_S)
+        return self.process.returncode
 
 
 @pytest.fixture

@@ -42,19 +42,15 @@ class Registers(Protocol):
     @property
     def identification(self) -> Mapping[int, str]:
         """Objects of the device identification by number, ASCII: 0 to 2 basic, to 6 regular."""
-        ...
 
     def read(self, function: int, address: int, count: int) -> Sequence[int]:
         """Return holding (function 3) or input registers (4)."""
-        ...
 
     def write(self, address: int, values: Sequence[int]) -> None:
         """Write holding registers, all or none."""
-        ...
 
     def disconnected(self) -> None:
         """Take note that the connection has ended."""
-        ...
 
 
 def answer(request: bytes, registers: Registers) -> bytes:

@@ -62,11 +62,9 @@ class Door(Protocol):
     @property
     def port(self) -> int:
         """Its TCP port."""
-        ...
 
     def close(self) -> None:
         """End all connections."""
-        ...
 
 
 def warnings(service: Service) -> tuple[str, ...]:

@@ -42,10 +42,11 @@ from cell.interfaces.cli.terminal import (
     progress_bar,
 )
 from cell.learning.model import load_model, save_model
+from gripper.state import GripperPhase
 from recognition.grasp import Grasp, PadArray
 from recognition.recognizer import UNKNOWN
 from recognition.recognizers import TRAINERS, make_trainer
-from tests.cell.conftest import call
+from tests.cell.conftest import call, once
 from tests.faults.scenarios.axes import CHANGES as AXES
 from tests.fuzz.harness import Clock
 
@@ -805,14 +806,8 @@ def meddle(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[Any], None]],
 
 
 def when_pressed(made: Any, act: Callable[[], None]) -> None:
-    done: list[bool] = []
-
-    def look(_now_s: float) -> None:
-        if not done and min(made.simulated.world.contact_force_n()) > 2.0:
-            done.append(True)
-            act()
-
-    made.simulated.clock.on_advance.append(look)
+    world = made.simulated.world
+    once(made.simulated.clock, lambda: min(world.contact_force_n()) > 2.0, act)
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
@@ -941,13 +936,10 @@ def test_an_empty_gripper_tells_that_nothing_is_held(
     config: Path, tmp_path: Path, fail: Any, meddle: Any
 ) -> None:
     def take_away(made: Any) -> None:
-        from gripper.state import GripperPhase
+        def approaching() -> bool:
+            return made.controller.hand.phase is GripperPhase.APPROACHING
 
-        def look(_now_s: float) -> None:
-            if made.controller.gripper.state is GripperPhase.APPROACHING:
-                made.simulated.remove()
-
-        made.simulated.clock.on_advance.append(look)
+        once(made.simulated.clock, approaching, made.simulated.remove)
 
     meddle(take_away)
     said = fail("teach", "ball", "-o", tmp_path / "d.npz", "-c", config)

@@ -37,6 +37,7 @@ from gripper.errors import ServoFault, VerificationFailed
 from gripper.state import GripperPhase
 from recognition.recognizer import UNKNOWN
 from tactile.errors import FrameTimeout, NodeMissing
+from tests.cell.conftest import once
 from tests.cell.interfaces.conftest import LIMIT_S, done, grip_n, until
 
 
@@ -49,18 +50,12 @@ def plugin_class() -> Any:
 
 def when(plugin: Any, phase: GripperPhase, act: Callable[[], object], *, above_n: float = 0.0):
     """Do something once, in a phase of the gripper, with at least so much grip."""
-    done: list[bool] = []
-
-    def look(_now_s: float) -> None:
-        if (
-            not done
-            and plugin._cell.controller.gripper.state is phase
-            and grip_n(plugin) >= above_n
-        ):
-            done.append(True)
-            act()
-
-    plugin._cell.simulated.clock.on_advance.append(look)
+    hand = plugin._cell.controller.hand
+    once(
+        plugin._cell.simulated.clock,
+        lambda: hand.phase is phase and grip_n(plugin) >= above_n,
+        act,
+    )
 
 
 def test_a_gauge_says_under_which_foam_shapes_are_read(

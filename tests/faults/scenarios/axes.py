@@ -7,6 +7,7 @@ from cell.control.plan import GraspStep, Pose
 from cell.control.states import CellState
 from motion.object_dictionary import State
 from simulator.can.drive import SimulatedDrive
+from tests.cell.conftest import once
 from tests.faults.campaign import CampaignCell, FaultRow, Observed, campaign_cell, observe
 
 X_AXIS = {
@@ -41,7 +42,11 @@ def axis_fails(row: FaultRow) -> Observed:
         cell.grasp()
         axes = cell.simulated.devices.axes
         drives = [axis for axis in axes.values() if isinstance(axis, SimulatedDrive)]
-        began_s = _once_all_move(cell, row.injected)
+        began_s = once(
+            cell.clock,
+            lambda: all(axis.moving for axis in axes.values()),
+            lambda: cell.simulated.inject(row.injected),
+        )
 
         def stopped() -> bool:
             return any(drive.state is State.QUICK_STOP_ACTIVE for drive in drives)
@@ -64,20 +69,6 @@ def drive_fails_in_a_hold(row: FaultRow) -> Observed:
             return observed
         refused = observe(cell, job=lambda one: one.controller.grasp(STEP))
         return _goes_on(cell, refused)
-
-
-def _once_all_move(cell: CampaignCell, text: str) -> list[float]:
-    """Inject once every axis is under way; return the list that gets the time in s."""
-    began_s: list[float] = []
-    axes = cell.simulated.devices.axes
-
-    def look(now_s: float) -> None:
-        if not began_s and all(axis.moving for axis in axes.values()):
-            began_s.append(now_s)
-            cell.simulated.inject(text)
-
-    cell.simulated.clock.on_advance.append(look)
-    return began_s
 
 
 def _goes_on(cell: CampaignCell, observed: Observed) -> Observed:

@@ -232,7 +232,9 @@ def _grasp_with_clock(step_s: float) -> tuple[GraspRecord, float]:
         mock.patch("time.time_ns", jumping_ns),
         campaign_cell() as cell,
     ):
-        jumped = cell.once_in(GripperPhase.RAMPING, lambda: offset_s.__setitem__(0, step_s))
+        jumped = cell.once_in(
+            GripperPhase.RAMPING, lambda: offset_s.__setitem__(0, step_s), after_s=0.1
+        )
         cell.start()
         record = cell.grasp()
         assert jumped
@@ -253,7 +255,11 @@ def refused_while_moving(row: FaultRow) -> Observed:
     """Give a command in the ramp."""
     with campaign_cell(row.changes) as cell:
         refusals: list[Observed] = []
-        cell.once_in(GripperPhase.RAMPING, lambda: refusals.append(_refusal(cell, row.injected)))
+
+        def refuse() -> None:
+            refusals.append(_refusal(cell, row.injected))
+
+        cell.once_in(GripperPhase.RAMPING, refuse, after_s=0.1)
         grasp_job(cell)
         return refusals[0]
 
@@ -280,7 +286,7 @@ def _refusal(cell: CampaignCell, command: str) -> Observed:
 def start_cancelled(row: FaultRow) -> Observed:
     """Cancel the start as soon as the fingers open."""
     with campaign_cell(row.changes) as cell:
-        began = cell.once_in(GripperPhase.OPENING, cell.controller.cancel, after_s=0.0)
+        began = cell.once_in(GripperPhase.OPENING, cell.controller.cancel)
         return _stopped(cell, began, cell.controller.start)
 
 
@@ -292,7 +298,7 @@ def grasp_cancelled_twice(row: FaultRow) -> Observed:
             cell.controller.cancel()
             cell.controller.cancel()
 
-        began = cell.once_in(GripperPhase.RAMPING, cancel)
+        began = cell.once_in(GripperPhase.RAMPING, cancel, after_s=0.1)
         return _stopped(cell, began, lambda: grasp_job(cell))
 
 

@@ -33,6 +33,7 @@ from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import BUS_WATCHDOG
 from gripper.dynamixel.serial_port import SerialStream
 from gripper.errors import GripperError
+from tests.cell.conftest import once
 from tests.faults.campaign import FaultRow, Observed, campaign_config
 
 HOG_S = 0.5
@@ -124,18 +125,16 @@ def interpreter_lock_hogged(_row: FaultRow) -> Observed:
 def signal_in_the_ramp(row: FaultRow) -> Observed:
     """Send this process the signal of the row while a command presses a part, in virtual time."""
     with tempfile.TemporaryDirectory() as name, _hangup_not_ignored():
-        sent: list[float] = []
+        sent_s: list[float] = []
         try:
             with running_cell(campaign_config(row.changes), Path(name)) as cell:
                 simulated = cell.simulated
                 assert simulated is not None
-
-                def look(now_s: float) -> None:
-                    if not sent and min(simulated.world.contact_force_n()) > _GRIPPED_N:
-                        sent.append(now_s)
-                        signal.raise_signal(signal.Signals[row.variant])
-
-                simulated.clock.on_advance.append(look)
+                sent_s = once(
+                    simulated.clock,
+                    lambda: min(simulated.world.contact_force_n()) > _GRIPPED_N,
+                    lambda: signal.raise_signal(signal.Signals[row.variant]),
+                )
                 cell.controller.present("ball")
                 cell.controller.grasp(_STEP)
         except CellError as error:
@@ -146,7 +145,7 @@ def signal_in_the_ramp(row: FaultRow) -> Observed:
             whole = recording.complete and held and grip_n > _KEPT_N
             return Observed(
                 "HOLD" if whole else "LOST",
-                held[0]["t_s"] - sent[0] if held else None,
+                held[0]["t_s"] - sent_s[0] if held else None,
                 f"{message} ({grip_n:.1f} N); the recording is closed, exit code 1",
             )
     return Observed("NOTHING", None, "it went on")
