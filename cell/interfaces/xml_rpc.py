@@ -24,6 +24,7 @@ from cell.control.plan import Pose
 from cell.control.states import Command
 from cell.errors import ConfigError, NotMeasured, RequestRefused
 from cell.fault_catalogue import Refusal, for_display
+from cell.interfaces.plugin.goals import goal_of
 from cell.interfaces.service.doors import (
     BUSY_MAX,
     Places,
@@ -170,11 +171,8 @@ class Calls:
         self, lease: int, max_grasps: int, force_n: float, keep: bool, job: int = 0
     ) -> int:
         """Start an identification; return the job. 0 grasps and 0 N: as the config has it."""
-        goal: dict[str, Any] = {"task": "identify", "keep": "always" if keep else "never"}
-        if max_grasps:
-            goal["max_grasps"] = max_grasps
-        if force_n:
-            goal["force_n"] = float(force_n)
+        kept = "always" if keep else "never"
+        goal = goal_of("identify", max_grasps=max_grasps, force_n=float(force_n), keep=kept)
         return self._service.start(lease, goal, number=job)
 
     def grip(self, lease: int, force_n: float, job: int = 0) -> int:
@@ -188,11 +186,7 @@ class Calls:
 
     def sort(self, lease: int, parts: int, max_grasps: int, force_n: float, job: int = 0) -> int:
         """Start to name parts and let each go at its place of `sort.places`; return the job."""
-        goal: dict[str, Any] = {"task": "sort", "parts": parts}
-        if max_grasps:
-            goal["max_grasps"] = max_grasps
-        if force_n:
-            goal["force_n"] = float(force_n)
+        goal = goal_of("sort", parts=parts, max_grasps=max_grasps, force_n=float(force_n))
         return self._service.start(lease, goal, number=job)
 
     def release(self, lease: int, key: int, job: int = 0) -> int:

@@ -64,6 +64,7 @@ _SETTINGS = (
     "unit.wrong=taxels:400",
     "taxels.stuck_at=7:0",
     "taxels.stuck_at=3:200",
+    "taxels.noisy=0:30",
 )
 
 

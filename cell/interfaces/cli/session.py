@@ -95,10 +95,17 @@ def clear_command(config_file: Path) -> str:
     return f"tactile-cell clear --config {shlex.quote(str(config_file))} --reboot"
 
 
-def missing_lines(cell: Cell) -> None:
-    """Print which line of a cell that was built with one missing is not there."""
+@contextmanager
+def cell_of_earlier_run(config: CellConfig) -> Iterator[Cell]:
+    """Build a cell that is not started, of which a line may be missing; nobody moves the object."""
+    cell = build_cell(config, mover=lambda _pose: False, ask=ask, partial=True)
     for text in cell.missing:
         print_note(f"{text}; what needs it is left out")
+    try:
+        with stopping(cell.controller.cancel, end_within_s=END_WITHIN_S):
+            yield cell
+    finally:
+        cell.close()
 
 
 @contextmanager

@@ -10,7 +10,6 @@ import struct
 from collections.abc import Callable, Mapping, Sequence
 from importlib.metadata import version
 from math import degrees
-from typing import Any
 
 from cell.control.states import CellState, Command, GraspState
 from cell.errors import CellError, ConfigError, NotInCommand, RequestRefused
@@ -22,6 +21,7 @@ from cell.interfaces.modbus.protocol import (
     ModbusError,
     ModbusServer,
 )
+from cell.interfaces.plugin.goals import goal_of
 from cell.interfaces.service.doors import may_connect, read_secret, same_secret
 from cell.interfaces.service.service import JobView, Service, Snapshot
 from recognition.recognizer import UNKNOWN
@@ -328,16 +328,11 @@ class _Client:
         self._door.disconnected(self)
 
 
-def _goal(task: str, **fields: Any) -> dict[str, Any]:
-    """Return a goal without the fields that are not given."""
-    return {"task": task} | {name: value for name, value in fields.items() if value}
-
-
 def _teach(service: Service, lease: int, asked: Sequence[int]) -> None:
     number = asked[OBJECT]
     if not 1 <= number <= len(service.labels):
         raise RequestRefused(f"object {number} has no label; serve.objects names it")
-    goal = _goal("teach", label=service.labels[number - 1], grasps=asked[GRASPS], seed=number)
+    goal = goal_of("teach", label=service.labels[number - 1], grasps=asked[GRASPS], seed=number)
     service.start(lease, goal)
 
 
@@ -345,12 +340,14 @@ def _identify(service: Service, lease: int, asked: Sequence[int]) -> None:
     options = asked[OPTIONS]
     keep = "always" if options & KEEP_ALWAYS else "when_named" if options & KEEP_NAMED else ""
     force_n = 0.01 * asked[FORCE]
-    goal = _goal("identify", max_grasps=asked[GRASPS], force_n=force_n, keep=keep)
+    goal = goal_of("identify", max_grasps=asked[GRASPS], force_n=force_n, keep=keep)
     service.start(lease, goal)
 
 
 def _sort(service: Service, lease: int, asked: Sequence[int]) -> None:
-    goal = _goal("sort", parts=asked[OBJECT], max_grasps=asked[GRASPS], force_n=0.01 * asked[FORCE])
+    goal = goal_of(
+        "sort", parts=asked[OBJECT], max_grasps=asked[GRASPS], force_n=0.01 * asked[FORCE]
+    )
     service.start(lease, goal)
 
 

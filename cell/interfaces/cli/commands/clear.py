@@ -23,16 +23,14 @@ def clear(
     is rebooted. A part that other servos hold stays held. Drives of axes need no reboot, and the
     control unit need not be there.
     """
-    from cell.build import build_cell
     from cell.errors import CellError, ConfigError
     from cell.interfaces.cli.session import (
         cell_config,
+        cell_of_earlier_run,
         clear_command,
-        missing_lines,
         release_command,
     )
-    from cell.interfaces.cli.signals import END_WITHIN_S, stopping
-    from cell.interfaces.cli.terminal import ask, print_line
+    from cell.interfaces.cli.terminal import print_line
     from gripper.errors import ServoFault
     from motion.errors import MotionError
 
@@ -41,10 +39,8 @@ def clear(
             "name the cell whose servos are meant: `tactile-cell clear --config FILE`"
         )
     checked = cell_config(config)
-    cell = build_cell(checked, mover=lambda _pose: False, ask=ask, partial=True)
-    missing_lines(cell)
     try:
-        with stopping(cell.controller.cancel, end_within_s=END_WITHIN_S):
+        with cell_of_earlier_run(checked) as cell:
             before = cell.controller.hand.conditions()
             for condition in before:
                 print_line(f"{checked.name}: {condition}")
@@ -58,8 +54,6 @@ def clear(
         raise CellError(f"{error}: {clear_command(config)}") from error
     except MotionError as error:
         raise CellError(str(error)) from error
-    finally:
-        cell.close()
     for condition in after:
         if condition not in before:
             print_line(f"{checked.name}: after the reboot {condition}")

@@ -26,7 +26,7 @@ def release(
     """
     from cell.errors import ConfigError
     from cell.interfaces.cli.options import FOLDER_CONFIG
-    from cell.interfaces.cli.session import cell_config, missing_lines, release_command
+    from cell.interfaces.cli.session import cell_config, cell_of_earlier_run, release_command
 
     if config is None:
         example = FOLDER_CONFIG if FOLDER_CONFIG.exists() else Path("FILE")
@@ -38,18 +38,11 @@ def release(
         raise ConfigError(
             f"the part may fall; nothing was moved. If that is meant: `{release_command(config)}`"
         )
-    from cell.build import build_cell
-    from cell.interfaces.cli.signals import END_WITHIN_S, stopping
-    from cell.interfaces.cli.terminal import ask, print_line
+    from cell.interfaces.cli.terminal import print_line
 
     checked = cell_config(config)
-    cell = build_cell(checked, mover=lambda _pose: False, ask=ask, partial=True)
-    missing_lines(cell)
-    try:
-        with stopping(cell.controller.cancel, end_within_s=END_WITHIN_S):
-            report = cell.controller.release_held()
-    finally:
-        cell.close()
+    with cell_of_earlier_run(checked) as cell:
+        report = cell.controller.release_held()
     print_line(
         f"{checked.name}: released; {report}"
         + ("; it is simulated, nothing real was moved" if checked.simulated else "")
