@@ -315,8 +315,7 @@ class HandProcess:
 
     def meet(self, ramp: ForceRamp, watch: Watch) -> GraspOutcome:
         """Close the empty fingers onto each other; see `Hand`."""
-        outcome: GraspOutcome = self._call("meet", watch, ramp=ramp)
-        return outcome
+        return self._call(Hand.meet, watch, ramp=ramp)
 
     def carry(self, force_n: float, duration_s: float, watch: Watch) -> None:
         """Hold the part with another force; see `Hand`."""
