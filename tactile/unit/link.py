@@ -8,8 +8,6 @@ from dataclasses import replace
 from typing import TypeVar
 
 import can
-import numpy as np
-from numpy.typing import NDArray
 
 from tactile.can.bus import close_bus, open_bus
 from tactile.can.receiver import MessageSource, PolledSource, ThreadedReceiver
@@ -30,7 +28,6 @@ from tactile.unit.commissioning import (
     set_up_forces,
 )
 from tactile.unit.mounting import Mounting
-from tactile.unit.sdo import read_last_frame, take_unit_tare
 from tactile.unit.session import LinkSession
 from tactile.unit.settings import ExpectedIdentity, LinkSettings, LinkStatistics, NodeIdentity
 from tactile.unit.supervision import OPERATIONAL
@@ -221,31 +218,6 @@ class TactileLink:
             )
 
         self._guarded(write)
-
-    def tare_unit(self, *, timeout_s: float = 5.0) -> None:
-        """Let the unit take a zero of its own and subtract it; raises TareRefused if it will not.
-
-        Not needed for `TactileSensor`, which tares on the host: the unit clips at zero counts.
-        """
-        self._guarded(
-            lambda: take_unit_tare(
-                self._session.objects,
-                clock=self._clock,
-                pump=self._session.pump,
-                timeout_s=timeout_s,
-            )
-        )
-
-    def read_last_frame(self) -> tuple[int, NDArray[np.uint16]]:
-        """Read the last complete frame by SDO: its counter and its counts, shape (n_taxels,).
-
-        For diagnosis, and to check the path of the frame messages. Frames that come meanwhile
-        are handed out by the next `poll`.
-        """
-        counter, counts = self._guarded(
-            lambda: read_last_frame(self._session.objects, self._layout)
-        )
-        return counter, self._mounting.counts(counts)
 
     def close(self) -> None:
         """Stop the frames and the receiver; does not raise on a dead bus, leaves the bus open."""

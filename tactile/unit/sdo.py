@@ -4,16 +4,11 @@ from collections.abc import Callable
 from typing import Any
 
 import can
-import numpy as np
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
-from numpy.typing import NDArray
 
 from tactile.can.receiver import interface_failed
 from tactile.can.sdo_client import PolledSdoClient
-from tactile.clock import Clock
-from tactile.errors import FrameError, NodeMissing, TareRefused
-from tactile.layout import TaxelLayout
-from tactile.unit import object_dictionary as od
+from tactile.errors import NodeMissing
 
 _NO_OBJECT = 0x0602_0000
 """SDO abort code: the object does not exist (CiA 301, 7.2.4.3.17)."""
@@ -89,52 +84,3 @@ class ObjectAccess:
         raise NodeMissing(
             f"{what} failed {self._attempts} times: {failure}; check supply, CAN cable and node-ID"
         ) from failure
-
-
-_REFUSALS = {
-    int(od.TareResult.REFUSED_TOUCHED): "a taxel was touched",
-    int(od.TareResult.REFUSED_SPREAD): "the counts moved while the zero was taken",
-}
-"""Results of the unit's own tare in words."""
-
-
-def take_unit_tare(
-    objects: ObjectAccess, *, clock: Clock, pump: Callable[[], None], timeout_s: float
-) -> None:
-    """Let the unit take its own zero and wait for the result.
-
-    Parameters
-    ----------
-    pump
-        Called between two looks at the result; lets time pass and frames run.
-
-    Raises
-    ------
-    TareRefused
-        When the unit refuses, or does not come to an end.
-    """
-    deadline_s = clock.monotonic() + timeout_s
-    objects.write_unsigned(od.TARE, od.TARE_COMMAND, od.TARE_SIGNATURE, 4)
-    while (result := objects.read_unsigned(od.TARE, od.TARE_RESULT)) == od.TareResult.RUNNING:
-        if clock.monotonic() >= deadline_s:
-            raise TareRefused(
-                f"the unit did not finish its tare within {timeout_s:g} s: check that frames run"
-            )
-        pump()
-    if result != od.TareResult.DONE:
-        largest = objects.read_unsigned(od.TARE, od.TARE_LARGEST)
-        raise TareRefused(
-            f"the unit refused its tare: {_REFUSALS.get(result, f'result {result}')}, largest "
-            f"sample {largest} counts; clear the pads and try again"
-        )
-
-
-def read_last_frame(objects: ObjectAccess, layout: TaxelLayout) -> tuple[int, NDArray[np.uint16]]:
-    """Return counter and counts of the unit's last complete frame; FrameError if of wrong size."""
-    data = objects.read(od.LAST_FRAME)
-    counter = objects.read_unsigned(od.LAST_FRAME_COUNTER)
-    expected = layout.n_taxels * layout.sample_bytes
-    if len(data) != expected:
-        raise FrameError(f"the unit gave a last frame of {len(data)} bytes, expected {expected}")
-    counts = np.frombuffer(data, dtype="<u1" if layout.sample_bytes == 1 else "<u2")
-    return counter, counts.astype(np.uint16)

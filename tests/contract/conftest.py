@@ -36,7 +36,6 @@ from motion.axes import Axes
 from motion.bus import DriveBus
 from motion.drive import Cia402Drive
 from tactile.can.bus import CanBus, close_bus
-from tactile.unit import object_dictionary as unit_od
 from tactile.unit.link import LinkSettings, TactileLink
 from tests.faults.scenarios.axes import CHANGES
 from tests.hil.relay import crc16
@@ -128,11 +127,6 @@ class Unit:
         answer = self.receive(0x580 + self.node_id)
         assert answer is not None, "the SDO server is silent"
         return answer[1]
-
-    def forget_tare(self) -> None:
-        """Let the unit send raw counts again, while the link runs."""
-        command = (unit_od.TARE, unit_od.TARE_COMMAND)
-        self.link._session.objects.write_unsigned(*command, unit_od.TARE_CLEAR_SIGNATURE, 4)
 
     def reset(self) -> None:
         """Let the unit boot, so that it forgets what was set up, and wait until it says so."""

@@ -4,10 +4,8 @@ import struct
 from itertools import pairwise
 from typing import Any
 
-import numpy as np
 import pytest
 
-from tactile.errors import TareRefused
 from tactile.unit import object_dictionary as od
 
 PRE_OPERATIONAL, OPERATIONAL = 127, 5
@@ -60,10 +58,11 @@ def test_without_sync_no_frame_comes(unit: Any) -> None:
 def test_the_last_frame_can_be_read_by_sdo_too(unit: Any) -> None:
     unit.link.start()
     frames = unit.frames(0.1)
-    counter, counts = unit.link.read_last_frame()
+    samples = unit.link._session.objects.read(od.LAST_FRAME)
+    counter = unit.link._session.objects.read_unsigned(od.LAST_FRAME_COUNTER)
     frames += unit.frames(0.1)
     (same,) = [frame for frame in frames if frame.counter == counter]
-    assert np.array_equal(same.counts, counts)
+    assert same.counts.astype(f"<u{unit.link.layout.sample_bytes}").tobytes() == samples
 
 
 def test_a_reset_is_told_by_a_boot_up_and_ends_pre_operational(unit: Any) -> None:
@@ -107,26 +106,6 @@ def test_what_cannot_be_done_is_aborted_with_its_code(unit: Any, asked: bytes, c
     # and the server still serves
     vendor = unit.sdo(request(READ, od.IDENTITY, od.IDENTITY_VENDOR))
     assert int.from_bytes(vendor[4:], "little") == od.VENDOR_ID
-
-
-def test_the_unit_takes_a_zero_of_its_own_and_forgets_it(unit: Any) -> None:
-    """Nothing may touch the pads. A zero that the unit had before is taken anew, not kept."""
-    before = unit.sdo(request(READ, od.TARE, od.TARE_RESULT))[4]
-    unit.link.start()
-
-    def mean_counts() -> float:
-        return float(np.mean([frame.counts for frame in unit.frames(0.3)]))
-
-    raw = mean_counts()
-    try:
-        unit.link.tare_unit()
-    except TareRefused as refused:
-        pytest.skip(f"the pads are touched: {refused}")
-    tared = mean_counts()
-    assert tared < raw or raw == 0.0
-    if before != od.TareResult.DONE:
-        unit.forget_tare()
-        assert mean_counts() == pytest.approx(raw, rel=0.2, abs=0.5)
 
 
 def test_a_stray_write_takes_no_zero(unit: Any) -> None:

@@ -18,6 +18,7 @@ import pytest
 from tactile.can.bus import close_bus, open_bus
 from tactile.errors import BusNotOpened, FrameTimeout, HeartbeatLost, NodeMissing
 from tactile.layout import paper_layout
+from tactile.unit import object_dictionary as od
 from tactile.unit.link import LinkSettings, TactileLink
 
 CHANNEL = os.environ.get("TACTILE_CELL_VCAN", "")
@@ -69,9 +70,8 @@ def test_whole_frames_and_the_same_by_sdo(link: TactileLink, unit: "subprocess.P
     assert statistics.frames.lost == statistics.frames.torn == statistics.frames.corrupt == 0
     assert all(one.shape == (408,) for one in counts)
     assert any((a != b).any() for a, b in pairwise(counts))
-    counter, last = link.read_last_frame()
-    assert counter >= 11
-    assert last.shape == (408,)
+    assert len(link._session.objects.read(od.LAST_FRAME)) == 408
+    assert link._session.objects.read_unsigned(od.LAST_FRAME_COUNTER) >= 11
 
 
 def test_a_unit_that_dies_is_noticed(link: TactileLink, unit: "subprocess.Popen[str]") -> None:

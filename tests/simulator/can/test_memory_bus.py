@@ -9,7 +9,7 @@ import pytest
 from simulator.can.faults import CanLinkFaults
 from simulator.can.link import CanLink
 from simulator.can.memory_bus import InMemoryCanBus
-from simulator.can.wire import Burst, CanWire, crc15, exact_bits, mean_bits, stuff
+from simulator.can.wire import Burst, CanWire, mean_bits
 from simulator.clock import VirtualClock
 from simulator.errors import SimulatorSettingsError, SimulatorStateError
 from tests.simulator.can.conftest import Echo
@@ -33,34 +33,19 @@ def drain(bus: InMemoryCanBus) -> list[can.Message]:
     return found
 
 
-def bits_of(data: bytes) -> list[int]:
-    return [byte >> i & 1 for byte in data for i in range(7, -1, -1)]
-
-
-def test_the_checksum_is_that_of_can() -> None:
-    # CRC-15/CAN of the catalogue of parametrised CRC algorithms.
-    assert crc15(bits_of(b"123456789")) == 0x059E
-
-
-@pytest.mark.parametrize(
-    ("bits", "stuffed"),
-    [
-        ("0000", "0000"),
-        ("00000", "000001"),
-        ("111111", "1111101"),
-        ("0000011110", "000001111100"),
-    ],
-)
-def test_bits_are_stuffed_after_five_equal_ones(bits: str, stuffed: str) -> None:
-    assert "".join(map(str, stuff([int(bit) for bit in bits]))) == stuffed
-
-
-def test_exact_bits_stay_within_the_bounds_of_the_standard() -> None:
-    rng = random.Random(5)
-    for _ in range(300):
-        data = bytes(rng.choice((0, 255, rng.randrange(256))) for _ in range(rng.randrange(9)))
-        low = 47 + 8 * len(data)
-        assert low <= exact_bits(rng.randrange(0x800), data) <= low + (33 + 8 * len(data)) // 4
+def exact_bits(can_id: int, data: bytes) -> int:
+    """Return the bits of an 11-bit data frame with stuff bits and interframe space."""
+    fields = ((0, 1), (can_id, 11), (len(data), 7), (int.from_bytes(data, "big"), 8 * len(data)))
+    bits = "".join(f"{value:0{size}b}" for value, size in fields if size)
+    crc = 0
+    for bit in bits:
+        crc = (crc << 1 & 0x7FFF) ^ (0x4599 if int(bit) ^ (crc >> 14) else 0)
+    stuffed, run, last = 0, 0, ""
+    for bit in f"{bits}{crc:015b}":
+        run, last = run + 1 if bit == last else 1, bit
+        if run == 5:
+            stuffed, run, last = stuffed + 1, 1, "10"[int(bit)]
+    return len(bits) + 15 + stuffed + 13
 
 
 @pytest.mark.parametrize(

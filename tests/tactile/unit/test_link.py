@@ -15,7 +15,6 @@ from tactile.errors import (
     BusErrorPassive,
     BusOff,
     DuplicateNode,
-    FrameError,
     FrameTimeout,
     HeartbeatLost,
     IdentityMismatch,
@@ -24,7 +23,6 @@ from tactile.errors import (
     NodeMissing,
     NodeRebooted,
     NodeStateChanged,
-    TareRefused,
 )
 from tactile.frames.flow import FrameFlow
 from tactile.layout import paper_layout, pinch_layout
@@ -535,8 +533,6 @@ def test_a_fault_latches_until_closed_and_started_again(bench) -> None:
         bench.clock.sleep(0.02)
         with pytest.raises(NodeRebooted):
             bench.link.poll()
-        with pytest.raises(NodeRebooted):
-            bench.link.read_last_frame()
     assert isinstance(bench.link.fault, NodeRebooted)
     assert bench.link.statistics.syncs == syncs
     bench.link.close()
@@ -565,55 +561,6 @@ def test_a_failed_start_can_be_repeated_after_close(bench) -> None:
     bench.unit.faults.dead = False
     bench.link.close()
     assert bench.link.start().serial == 4711
-
-
-# --- services ------------------------------------------------------------------------------------
-
-
-def test_last_frame_by_sdo_is_the_frame_by_pdo_and_frames_go_on(bench) -> None:
-    bench.skin.noisy = True
-    bench.link.start()
-    bench.run(0.1)
-    bench.skin.noisy = False
-    bench.skin.counts = np.arange(408, dtype=np.uint16) % 250
-    frames = bench.run(0.1)
-    counter, counts = bench.link.read_last_frame()
-    np.testing.assert_array_equal(counts, bench.skin.counts)
-    frames += bench.link.poll()
-    frames += bench.run(0.1)
-    counters = [frame.counter for frame in frames]
-    assert counters == list(range(counters[0], counters[-1] + 1))
-    assert counter in counters
-
-
-def test_last_frame_of_wrong_size_is_refused(bench) -> None:
-    bench.link.start()
-    bench.unit.dictionary.pretend(od.LAST_FRAME, 0, bytes(100))
-    with pytest.raises(FrameError, match="100 bytes, expected 408"):
-        bench.link.read_last_frame()
-
-
-def test_unit_tare(bench) -> None:
-    bench.link.start()
-    bench.link.tare_unit()
-    assert written(bench)[od.TARE, od.TARE_COMMAND] == int.from_bytes(b"tare", "little")
-
-
-def test_unit_tare_refused_is_told_with_the_largest_sample(bench) -> None:
-    bench.link.start()
-    bench.skin.counts[7] = 93
-    with pytest.raises(TareRefused, match="touched, largest sample 93 counts"):
-        bench.link.tare_unit()
-    assert bench.link.fault is None
-
-
-def test_unit_tare_that_does_not_end_is_given_up(bench) -> None:
-    bench.link.start()
-    bench.unit.dictionary.pretend(od.TARE, od.TARE_RESULT, od.TareResult.RUNNING)
-    start_s = bench.clock.monotonic()
-    with pytest.raises(TareRefused, match="within 1 s"):
-        bench.link.tare_unit(timeout_s=1.0)
-    assert bench.clock.monotonic() - start_s == pytest.approx(1.0, abs=0.05)
 
 
 # --- settings ------------------------------------------------------------------------------------
