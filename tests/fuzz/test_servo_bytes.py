@@ -220,12 +220,3 @@ def test_what_followed_an_answer_is_forgotten_with_the_next_request() -> None:
     assert line.receive() is not None
     line.handler.send(line.port, 2, Instruction.READ, b"\0\0\4\0")
     assert line.receive() is None
-
-
-def test_the_search_for_whole_packets_finds_damage_with_a_right_checksum() -> None:
-    good = encode_status(7, 0, b"\xff\xff\xfdx")
-    forged = with_checksum(b"\xff\xff\xfd\0\x09\x05\0\x55\0a")
-    found = [
-        packet for _, _, packet in whole_packets(spoilt(good, [("cut", 9, 1, b"")]) + good + forged)
-    ]
-    assert found == [(7, b"\x55\0\xff\xff\xfdx"), (9, b"\x55\0a")]

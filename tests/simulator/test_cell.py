@@ -5,15 +5,13 @@ import pytest
 from gripper.dynamixel.control_table import REGISTERS
 from gripper.dynamixel.models import XL330_M288
 from simulator.cell import SimulatedCell
-from simulator.clock import VirtualClock
-from simulator.errors import PortUnplugged, SimulatorSettingsError, SimulatorStateError
+from simulator.errors import PortUnplugged
 from simulator.servo.mechanics import RackLinkage
 from simulator.servo.protocol2 import Instruction, encode_instruction
-from simulator.settings import RecordedGrasp, SimulatedServoSettings, SimulatorSettings
+from simulator.settings import SimulatedServoSettings, SimulatorSettings
 from simulator.world.shapes import ObjectPose
 from tactile.frames.assembler import FrameAssembler
 from tactile.frames.codec import FrameFormat, TactileFrame
-from tactile.layout import pinch_layout
 
 
 class Host:
@@ -114,38 +112,6 @@ def test_two_cells_of_one_seed_are_the_same_and_of_another_are_not() -> None:
     assert not np.array_equal(frames[0], frames[2])
 
 
-def test_everything_runs_on_the_clock_that_was_given() -> None:
-    clock = VirtualClock(start_s=1000.0)
-    with SimulatedCell(SimulatorSettings(layout=pinch_layout()), clock) as cell:
-        host = Host(cell)
-        host.start_unit()
-        assert clock.monotonic() == pytest.approx(1000.02, abs=1e-3)
-        start_s = clock.monotonic()
-        frame = host.frame()
-        assert frame.counts.shape == (156,)
-        assert clock.monotonic() - start_s == pytest.approx(5.3e-3, rel=0.05)
-    assert clock.on_advance == []
-
-
-def test_recorded_grasps_go_over_the_same_links() -> None:
-    layout = pinch_layout()
-    counts = (np.arange(5)[:, np.newaxis] * 100 + np.arange(156)).astype(np.uint16)
-    grasp = RecordedGrasp(counts=counts, aperture_m=np.linspace(0.03, 0.026, 5), label="ball")
-    with SimulatedCell(SimulatorSettings(layout=layout, grasps=(grasp,))) as cell:
-        host = Host(cell)
-        host.start_unit()
-        assert not host.frame().counts.any()
-        assert cell.play(0) == 5
-        for i in range(5):
-            assert np.array_equal(host.frame().counts, counts[i])
-            assert cell.devices.mechanics.aperture_m == pytest.approx(0.03 - 1e-3 * i)
-        assert cell.recorded.remaining == 0
-        with pytest.raises(SimulatorSettingsError, match="grasp 1 does not exist"):
-            cell.play(1)
-        with pytest.raises(SimulatorStateError, match="no objects to place"):
-            cell.place("ball")
-
-
 def test_a_closed_cell_is_of_no_use() -> None:
     cell = SimulatedCell()
     cell.close()
@@ -154,10 +120,3 @@ def test_a_closed_cell_is_of_no_use() -> None:
         cell.servo_port.write(b"\0")
     with pytest.raises(can.CanOperationError):
         cell.can_bus.recv(0)
-
-
-def test_impossible_settings_are_refused() -> None:
-    with pytest.raises(SimulatorSettingsError, match="aperture_m"):
-        SimulatorSettings(aperture_m=0.5)
-    with pytest.raises(SimulatorSettingsError, match="servo_baud_rate"):
-        SimulatedCell(SimulatorSettings(servo_baud_rate=12345))

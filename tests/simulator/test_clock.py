@@ -1,5 +1,3 @@
-import math
-
 import pytest
 
 from simulator.clock import Pace, VirtualClock
@@ -37,21 +35,6 @@ def test_the_past_changes_nothing() -> None:
     clock.advance_to(0.5)
     clock.sleep(0.0)
     assert clock.monotonic() == 1.0
-
-
-@pytest.mark.parametrize("seconds", [-1e-9, math.nan, math.inf])
-def test_impossible_waits_are_refused(seconds: float) -> None:
-    with pytest.raises(ValueError, match="sleep takes"):
-        VirtualClock().sleep(seconds)
-
-
-def test_impossible_times_are_refused() -> None:
-    with pytest.raises(ValueError, match="finite time"):
-        VirtualClock(start_s=math.nan)
-    with pytest.raises(ValueError, match="positive"):
-        VirtualClock(step_s=0.0)
-    with pytest.raises(ValueError, match="finite time"):
-        VirtualClock().advance_to(math.inf)
 
 
 def test_a_callback_cannot_move_the_clock() -> None:
@@ -100,9 +83,6 @@ def test_a_paced_clock_has_a_speed_and_an_end() -> None:
     real.waits.clear()
     clock.sleep(2.0)
     assert real.waits == []
-    for speed in (0.0, -1.0, math.inf):
-        with pytest.raises(ValueError, match="positive speed"):
-            Pace(clock, real, speed=speed)
 
 
 def test_a_slow_machine_makes_virtual_time_run_later_and_catches_up_only_a_little() -> None:

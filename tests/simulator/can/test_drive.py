@@ -8,7 +8,7 @@ import pytest
 from canopen.profiles.p402 import BaseNode402
 
 from motion import object_dictionary as od
-from motion.object_dictionary import Control, HomingMethod, OperatingMode, State, Status
+from motion.object_dictionary import Control, HomingMethod, State, Status
 from simulator.can.drive import DriveMount, SimulatedDrive
 
 NODE = 11
@@ -154,22 +154,6 @@ def test_a_target_beyond_the_software_limit_ends_at_the_limit(
     assert sdo[od.POSITION].raw == pytest.approx(1500, abs=2)
 
 
-def test_a_quick_stop_brakes_on_its_ramp_and_keeps_the_place(
-    witness: BaseNode402, drive: SimulatedDrive, network: StepNetwork
-) -> None:
-    sdo = enabled(witness)
-    sdo[od.TARGET_POSITION].raw = 7000
-    sdo[od.CONTROLWORD].raw = Control.NEW_SET_POINT
-    network.let_pass(0.2)
-    before = sdo[od.POSITION].raw
-    sdo[od.CONTROLWORD].raw = Control.QUICK_STOP
-    assert drive.state is State.QUICK_STOP_ACTIVE
-    network.let_pass(0.5)
-    # v²/2a = 500, and what the mechanism was behind (4 ms).
-    assert sdo[od.POSITION].raw - before == pytest.approx(580, abs=60)
-    assert sdo[od.VELOCITY].raw == 0
-
-
 @pytest.mark.parametrize("switch", [-1, 1])
 def test_a_limit_switch_stops_the_axis_into_it_and_lets_it_out(
     witness: BaseNode402, drive: SimulatedDrive, network: StepNetwork, switch: int
@@ -209,20 +193,6 @@ def test_what_it_does_not_have_is_refused(
     with pytest.raises(canopen.SdoAbortedError) as caught:
         write(witness.sdo)
     assert caught.value.code == code
-
-
-def test_a_restart_is_seen_and_forgets_all(
-    witness: BaseNode402, drive: SimulatedDrive, network: StepNetwork
-) -> None:
-    sdo = enabled(witness)
-    sdo[od.HEARTBEAT_MS].raw = 100
-    network.seen.clear()
-    witness.nmt.send_command(129)
-    network.let_pass(0.1)
-    assert (0x700 + NODE, b"\0") in network.seen
-    assert drive.state is State.SWITCH_ON_DISABLED
-    assert sdo[od.HEARTBEAT_MS].raw == 0
-    assert sdo[od.MODE].raw == OperatingMode.NONE
 
 
 def test_a_stopped_node_serves_nothing(

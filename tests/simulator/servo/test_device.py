@@ -7,9 +7,6 @@ import pytest
 
 from gripper.dynamixel.control_table import RAD_PER_PULSE, REGISTERS
 from gripper.dynamixel.models import XC330_M288, XL330_M288, XM430_W350
-from simulator.errors import SimulatorSettingsError
-from simulator.servo.device import SimulatedServo
-from simulator.servo.motor import ServoMotor
 from simulator.servo.protocol2 import Instruction, encode_instruction
 
 RANGE, LENGTH, LIMIT, ACCESS, FAIL, UNKNOWN = 4, 5, 6, 7, 1, 2
@@ -342,14 +339,6 @@ def test_time_based_profiles_have_a_smaller_range(servo_bench):
     bench = servo_bench(settings={"drive_mode": 4})
     assert bench.write(1, 112, 4, 32737) == 0
     assert bench.write(1, 112, 4, 32738) == RANGE
-
-
-@pytest.mark.parametrize(
-    "settings", [{"present_position": 1}, {"no_such_item": 1}, {"return_delay_time": 255}]
-)
-def test_impossible_settings_are_refused(settings):
-    with pytest.raises(SimulatorSettingsError):
-        SimulatedServo(1, XM430_W350, ServoMotor(), settings=settings)
 
 
 def test_goal_positions_of_extended_modes_have_a_wide_range(servo_bench):

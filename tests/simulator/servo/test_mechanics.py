@@ -222,32 +222,6 @@ def test_a_record_moves_the_fingers_exactly():
     assert mechanics.motors[0].current_a == pytest.approx(-0.5, abs=0.01)
 
 
-@pytest.mark.parametrize("aperture_m", [-0.001, 1.0, math.nan])
-def test_an_aperture_out_of_reach_is_refused(aperture_m: float):
-    with pytest.raises(SimulatorSettingsError):
-        fingers().drive_to(aperture_m)
-
-
-def test_impossible_builds_are_refused():
-    linkage = ParallelogramLinkage()
-    with pytest.raises(SimulatorSettingsError, match="one or two motors"):
-        FingerMechanics([], [], linkage, aperture_m=0.01)
-    with pytest.raises(SimulatorSettingsError, match="half_opening_min_m"):
-        fingers(half_opening_min_m=-0.1)
-    with pytest.raises(SimulatorSettingsError, match="stiction_ratio"):
-        fingers(stiction_ratio=0.9)
-    with pytest.raises(SimulatorSettingsError, match="direction"):
-        ServoMount(direction=0)
-    with pytest.raises(SimulatorSettingsError, match="link_m"):
-        ParallelogramLinkage(link_m=0.0)
-    with pytest.raises(SimulatorSettingsError, match="travel_m"):
-        RackLinkage(travel_m=math.inf)
-    with pytest.raises(SimulatorSettingsError, match="out of reach"):
-        linkage.angle_rad(0.07)
-    with pytest.raises(SimulatorSettingsError, match="beyond"):
-        RackLinkage().angle_rad(0.06)
-
-
 def by_hand(mechanics: FingerMechanics, *half_openings_m: float, force_n=(0.0, 0.0)) -> float:
     """Let a person move the fingers, for 3 s at most; return how long they were moved in s."""
     for axis, half_opening_m in enumerate(half_openings_m):

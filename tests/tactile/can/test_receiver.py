@@ -241,18 +241,6 @@ def test_an_unplugged_adapter_is_bus_off_and_can_be_closed(
     close_bus(slcan)
 
 
-def test_one_port_is_opened_once_only(adapter: Adapter, slcan: BulkSlcanBus) -> None:
-    opening = b""
-    while not opening.endswith(b"O\rO\r"):
-        opening += adapter.read()
-    with pytest.raises(BusNotOpened, match="used by another program"):
-        open_bus("slcan", adapter.path)
-    adapter.write(b"t1811AA\r")
-    assert [bytes(m.data) for m in received(slcan)] == [b"\xaa"]
-    slcan.send(can.Message(arbitration_id=0x80, is_extended_id=False))
-    assert adapter.read() == b"t0800\r"
-
-
 def test_an_adapter_that_is_error_passive_gives_an_error_frame_once(
     adapter: Adapter, slcan: BulkSlcanBus
 ) -> None:
