@@ -57,6 +57,16 @@ _WRONG_N, _WRONG_SHARE = 0.2, 0.08
 a cell's own ramps end within 0.2 N or 5 %."""
 _EMPTY_SHARE = 0.5
 """Share of the contact force up to which pads of empty fingers may show force."""
+MEET_FORCE_N = 8.0
+"""Force in N with which the empty fingers press on each other: foam on foam is so stiff that a step
+of the encoders, 0.18 mm, makes 4 N."""
+_MEET_N_S = 10.0
+"""Rise of that force in N/s."""
+_MEET_MM = 1.5
+"""Opening in mm, either way, at which the empty pads may meet: foam gives by 0.3 mm each, and a
+zero is set by hand."""
+_LAST_PERIODS = 20
+"""Periods of the loop, 0.1 s, whose mean is the force at the end of a motion."""
 _TICK_S = 0.08
 """Time in s for which the grip is controlled between two looks at the person's answer."""
 
@@ -228,6 +238,14 @@ class Course:
         self.first_n.append(first_n)
         self.second_n.append(second_n)
 
+    def last_n(self, since: int) -> tuple[float, float]:
+        """Return the force on finger 0 and 1 in N in the last periods, of those since one."""
+        means = [
+            float(np.nanmean(values[since:][-_LAST_PERIODS:]))
+            for values in (self.first_n, self.second_n)
+        ]
+        return round(means[0], 3), round(means[1], 3)
+
     @property
     def grip_n(self) -> list[float]:
         """Mean of both fingers in N."""
@@ -281,7 +299,7 @@ class FirstForceStep:
             if alone:
                 cap_n = cap_by_current_n(config.gripper_settings, config.linkage)
             most_n = _asked(dialog, round(largest_setpoint_n(cap_n), 1))
-            dialog.approve(_motions(config, most_n))
+            dialog.approve(_motions(config, most_n, alone=alone))
             dialog.ask(
                 confirmation(
                     "first_force.empty",
@@ -319,31 +337,41 @@ def _asked(dialog: Dialog, limit_n: float) -> float:
     return float(answer)
 
 
-def _motions(config: CellConfig, most_n: float) -> list[Write]:
+def meets(config: CellConfig) -> bool:
+    """Return whether the empty fingers may be pressed on each other."""
+    return config.gripper.pads_meet and config.gripper.ramp_force_max_n >= MEET_FORCE_N
+
+
+def _motions(config: CellConfig, most_n: float, *, alone: bool) -> list[Write]:
     gripper = config.gripper
-    limp = "the torque goes off at the end of the step; `Ctrl-C` stops the fingers where they are"
+    limp = "the torque goes off at the end of the step; who leaves stops the fingers where they are"
+    opened = f"{gripper.aperture_open_mm:g} mm open"
+    motions = [
+        (
+            "open, empty, at the least current that moves them",
+            "where they stand",
+            opened,
+            limp,
+        ),
+        (
+            "close by some mm until their bus watchdog stops them",
+            opened,
+            "at most 12 mm less, then open again",
+            limp,
+        ),
+        (
+            "grasp the soft part",
+            "0 N",
+            f"{FIRST_FORCE_N:g} N, then {most_n:g} N; never above {gripper.force_max_n:g} N",
+            "they open when you confirm it; a part that is held stays held where you leave",
+        ),
+    ]
+    if meets(config) and not alone:
+        after = f"pad on pad with {MEET_FORCE_N:g} N, then open again"
+        motions.append(("close, empty, until the pads meet", opened, after, limp))
     return [
-        Write(
-            where="both fingers",
-            what="open, empty, at the least current that moves them",
-            before="where they stand",
-            after=f"{gripper.aperture_open_mm:g} mm open",
-            undo=limp,
-        ),
-        Write(
-            where="both fingers",
-            what="close by some mm until their bus watchdog stops them",
-            before=f"{gripper.aperture_open_mm:g} mm open",
-            after="at most 12 mm less, then open again",
-            undo=limp,
-        ),
-        Write(
-            where="both fingers",
-            what="grasp the soft part",
-            before="0 N",
-            after=f"{FIRST_FORCE_N:g} N, then {most_n:g} N; never above {gripper.force_max_n:g} N",
-            undo="they open when you confirm it; a part that is held stays held where you leave",
-        ),
+        Write(where="both fingers", what=what, before=before, after=after, undo=undo)
+        for what, before, after, undo in motions
     ]
 
 
@@ -368,6 +396,7 @@ class _Trial:
         self._lines = lines
         self._most_n = most_n
         self._cap_n = cap_n
+        self._first_n = max(FIRST_FORCE_N, 1.5 * config.gripper.contact_force_n)
         self._status = Verdict.PASS
         self._values: dict[str, object] = {}
         self._watch: Watch = course.watch
@@ -397,7 +426,11 @@ class _Trial:
             ),
             watch=lambda: self._looked_after(fingers),
         )
-        return self._grasp(fingers)
+        if not self._grasp(fingers):
+            return self._finding(Verdict.FAIL)
+        if hand is not None and meets(self._config):
+            self._meet(hand)
+        return self._finding(self._status)
 
     def _let_go_of_old(self, fingers: Fingers) -> None:
         """Open fingers that an earlier run left with torque: they may hold a part."""
@@ -438,9 +471,36 @@ class _Trial:
         )
         return False
 
-    def _grasp(self, fingers: Fingers) -> Finding:
+    def _meet(self, hand: Hand) -> None:
+        """Close the empty fingers onto each other: the zero of the opening, and pad against pad."""
+        self._dialog.ask(
+            confirmation(
+                "first_force.empty_again",
+                "Take the part away, and your hands: the empty fingers press on each other next.",
+            ),
+            watch=lambda: self._looked_after(hand),
+        )
+        begun = len(self._course.t_s)
+        outcome = hand.meet(ForceRamp.linear(MEET_FORCE_N, _MEET_N_S, hold_s=_HOLD_S), self._watch)
+        first_n, second_n = self._course.last_n(since=begun)
+        hand.release(self._watch)
+        opening_mm = 1e3 * outcome.final_aperture_m
+        self._values |= {"meet_mm": round(opening_mm, 3), "meet_n": [first_n, second_n]}
+        self._lines.append(
+            f"The empty fingers met at an opening of {opening_mm:+.2f} mm, with {first_n:.2f} and "
+            f"{second_n:.2f} N."
+        )
+        if abs(opening_mm) > _MEET_MM:
+            self._status = max(self._status, Verdict.WARN, key=WORSE.index)
+            self._lines.append(
+                "The zero of the opening is off: close the fingers by hand again with "
+                "`tactile-cell commission --redo fingers`."
+            )
+
+    def _grasp(self, fingers: Fingers) -> bool:
+        """Press the soft part and let it go; returns whether it was held."""
         ramp = self._config.sequence.ramp
-        first_n = max(FIRST_FORCE_N, 1.5 * self._config.gripper.contact_force_n)
+        first_n = self._first_n
         forces_n = [first_n] + ([self._most_n] if self._most_n > first_n else [])
         measured, begun = [], False
         for force_n in forces_n:
@@ -451,7 +511,7 @@ class _Trial:
                     f"The fingers hold nothing ({outcome.result.value}): hold the part in the "
                     "middle between the pads, and run the step again."
                 )
-                return self._finding(Verdict.FAIL)
+                return False
             begun = True
             since = len(self._course.t_s)
             fingers.carry(force_n, _HOLD_S, self._watch)
@@ -476,7 +536,7 @@ class _Trial:
             watch=lambda: self._looked_after(fingers),
         )
         fingers.release()
-        return self._finding(self._status)
+        return True
 
     def _judge(self, asked_n: float, held_n: float, outcome: GraspOutcome) -> None:
         """Say how a force was reached and held."""
@@ -487,8 +547,8 @@ class _Trial:
         if outcome.result is GraspResult.FORCE_NOT_REACHED:
             self._status = max(self._status, Verdict.WARN, key=WORSE.index)
             self._lines.append(
-                "That force was not reached: raise gripper.servos[].current_limit_ma where servo "
-                "and parts allow it, or ask for less."
+                "That force was not reached: raise gripper.current_max_a where servos and parts "
+                "allow it, or ask for less."
             )
         elif abs(held_n - asked_n) > max(_WRONG_N, _WRONG_SHARE * asked_n):
             self._status = max(self._status, Verdict.WARN, key=WORSE.index)

@@ -50,7 +50,14 @@ def person(cell: SimulatedCell, most_n: float = 4.0, **replies: Any) -> Script:
     def part() -> None:
         cell.place("ball")
 
-    return Script({"first_force.most": most_n, "first_force.part": part} | replies)
+    return Script(
+        {
+            "first_force.most": most_n,
+            "first_force.part": part,
+            "first_force.empty_again": cell.remove,
+        }
+        | replies
+    )
 
 
 def torque(cell: SimulatedCell) -> list[int]:
@@ -68,7 +75,8 @@ def test_a_sound_cell_makes_its_first_grasp_within_the_force_asked(
     assert four == pytest.approx([4.0, 4.0, 4.0], abs=0.4)
     assert finding.values["empty_n"] == [0.0, 0.0]
     assert torque(cell) == [0, 0]
-    assert len(script.writes) == 3
+    assert len(script.writes) == 4
+    assert abs(finding.values["meet_mm"]) < 1.0
     assert finding.figures["force"]["limits"] == {"cap": 15.0}
 
 
@@ -81,6 +89,7 @@ def test_nothing_moves_that_was_not_shown(cell: SimulatedCell, tmp_path: Path) -
     assert cell.devices.mechanics.aperture_m == before
 
 
+@pytest.mark.long
 def test_a_person_who_leaves_with_the_part_held_finds_it_held_and_lets_go_next_time(
     cell: SimulatedCell, tmp_path: Path
 ) -> None:

@@ -61,6 +61,7 @@ class Person:
             "first_force.most": 4.0,
             "first_force.empty": self._nothing,
             "first_force.part": lambda: cell.place("ball") and None,
+            "first_force.empty_again": self._nothing,
             "baseline.empty": self._nothing,
             "baseline.place": lambda: cell.place("ball") and None,
         }
