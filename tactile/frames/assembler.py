@@ -1,6 +1,6 @@
 """The assembler of frames from bursts of messages; a frame that is not whole is dropped."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,7 +22,7 @@ _HALF_TURN = 0x8000
 """A counter that is this much or more ahead of the last one is behind it."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)
 class FrameStatistics:
     """Counts of messages and frames since the last reset."""
 
@@ -76,27 +76,13 @@ class FrameAssembler:
         self._current: _Burst | None = None
         self._previous: _Burst | None = None
         self._last_counter: int | None = None
-        self._complete = self._lost = self._torn = self._duplicate = 0
-        self._reordered = self._stale = self._short = self._corrupt = 0
+        self.counts = FrameStatistics()
+        """Counts so far; they go on."""
 
     @property
     def statistics(self) -> FrameStatistics:
         """Counts since the last reset."""
-        return FrameStatistics(
-            complete=self._complete,
-            lost=self._lost,
-            torn=self._torn,
-            duplicate=self._duplicate,
-            reordered=self._reordered,
-            stale=self._stale,
-            short=self._short,
-            corrupt=self._corrupt,
-        )
-
-    @property
-    def n_short(self) -> int:
-        """Messages that were not of 8 bytes; see `FrameStatistics.short`."""
-        return self._short
+        return replace(self.counts)
 
     def push(self, data: bytes | bytearray, dlc: int, t_s: float) -> TactileFrame | None:
         """Take one message and return the frame that it completes, if any.
@@ -107,14 +93,14 @@ class FrameAssembler:
             Length that the message claims; must be 8 and fit ``data``.
         """
         if dlc != MESSAGE_BYTES or len(data) != MESSAGE_BYTES:
-            self._short += 1
+            self.counts.short += 1
             return None
         head = data[0]
         index = head & INDEX_BITS
         if self._long_header:
             index = index << 8 | data[1]
         if index >= self._n:
-            self._corrupt += 1
+            self.counts.corrupt += 1
             return None
         burst = self._current
         phase = head >> PHASE_SHIFT
@@ -124,7 +110,7 @@ class FrameAssembler:
                 return None
         burst.parts[index] = bytes(data)
         if index < burst.next_index:
-            self._reordered += 1
+            self.counts.reordered += 1
         else:
             burst.next_index = index + 1
         burst.missing -= 1
@@ -142,16 +128,16 @@ class FrameAssembler:
                 burst.next_index = max(burst.next_index, index + 1)
                 return burst
             if part == data:
-                self._duplicate += 1
+                self.counts.duplicate += 1
                 return None
         if self._previous is not None and self._previous.missing:
-            self._torn += 1
+            self.counts.torn += 1
         self._previous = self._current
         self._current = _Burst(phase, self._n, t_s)
         if self._previous is not None and self._previous.phase == phase:
             # Same phase, other content: four scans later. The two must not share messages.
             if self._previous.missing:
-                self._torn += 1
+                self.counts.torn += 1
             self._previous = None
         return self._current
 
@@ -163,20 +149,20 @@ class FrameAssembler:
             # The burst before is over: what of its phase comes now is its late duplicate or, after
             # two lost frames, a new frame, which must not be compared with it.
             if self._previous is not None and self._previous.missing:
-                self._torn += 1
+                self.counts.torn += 1
             self._previous = None
         counter, status, crc = TRAILER.unpack(payload[-TRAILER.size :])
         if crc16(payload[:-CRC_BYTES]) != crc or counter % PHASES != burst.phase:
-            self._corrupt += 1
+            self.counts.corrupt += 1
             return None
         if self._last_counter is not None:
             step = (counter - self._last_counter) & _COUNTER_MASK
             if step == 0 or step >= _HALF_TURN:
-                self._stale += 1
+                self.counts.stale += 1
                 return None
-            self._lost += step - 1
+            self.counts.lost += step - 1
         self._last_counter = counter
-        self._complete += 1
+        self.counts.complete += 1
         counts = np.frombuffer(payload, dtype=self._dtype, count=self._format.n_taxels)
         counts = counts.astype(np.uint16)
         counts.setflags(write=False)

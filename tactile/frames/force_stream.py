@@ -1,7 +1,7 @@
 """The stream of force messages: each is handed out once, none after a newer one. Pure."""
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import inf
 from operator import itemgetter
 
@@ -15,7 +15,7 @@ _BEHIND_S, _LEAST_BEHIND = 0.1, 3
 """Time in s, and least number of messages, that must all come later than usual."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(slots=True, kw_only=True)
 class ForceStatistics:
     """Counts of force messages since the start."""
 
@@ -43,8 +43,8 @@ class ForceStream:
         self._period_s = period_s
         self._last_counter, self._last_data = 0, b""
         self._came_s = 0.0
-        self.lost = self.late = self.damaged = 0
-        self._received = self._repeated = 0
+        self.counts = ForceStatistics()
+        """Counts so far; they go on."""
         self._sent = 0
         self._delays: deque[tuple[float, float]] = deque()
         self._least_s = self._least_before_s = inf
@@ -52,27 +52,21 @@ class ForceStream:
     @property
     def statistics(self) -> ForceStatistics:
         """Counts since the start."""
-        return ForceStatistics(
-            received=self._received,
-            lost=self.lost,
-            repeated=self._repeated,
-            late=self.late,
-            damaged=self.damaged,
-        )
+        return replace(self.counts)
 
     def push(self, data: bytes | bytearray, t_s: float) -> ForceMessage | None:
         """Take a message received at ``t_s`` s and return it if it is whole and newer."""
         try:
             message = decode_force_message(data, t_s)
         except FrameError:
-            self.damaged += 1
+            self.counts.damaged += 1
             return None
         silence_s, self._came_s = t_s - self._came_s, t_s
         if self._last_data and not self._follows(message.counter, data, silence_s):
             return None
         self._note_delay(message)
         self._last_counter, self._last_data = message.counter, bytes(data)
-        self._received += 1
+        self.counts.received += 1
         return message
 
     @property
@@ -96,7 +90,7 @@ class ForceStream:
         while message.t_s - self._delays[0][0] > _BEHIND_S and len(self._delays) > _LEAST_BEHIND:
             # What was usual ends where the messages that may be late begin.
             self._least_s = min(self._least_s, self._delays.popleft()[1])
-        if self._received % _USUAL_MESSAGES == 0:
+        if self.counts.received % _USUAL_MESSAGES == 0:
             self._least_before_s, self._least_s = self._least_s, inf
 
     def _follows(self, counter: int, data: bytes | bytearray, silence_s: float) -> bool:
@@ -104,12 +98,13 @@ class ForceStream:
         # Since any message came: one that comes again and again never becomes a new one.
         if round(silence_s / self._period_s) < COUNTERS // 2:
             if data == self._last_data:
-                self._repeated += 1
+                self.counts.repeated += 1
                 return False
             if step == 0 or step >= COUNTERS // 2:
-                self.late += 1
-                self.lost = max(0, self.lost - 1)  # it was missed when the newer one came
+                self.counts.late += 1
+                # It was missed when the newer one came.
+                self.counts.lost = max(0, self.counts.lost - 1)
                 return False
         # After a silence so many are missing at least; the host may only have looked late.
-        self.lost += (step - 1) % COUNTERS
+        self.counts.lost += (step - 1) % COUNTERS
         return True

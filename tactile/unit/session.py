@@ -257,7 +257,7 @@ class LinkSession:
         return self._malformed + self.supervisor.unusable + bad_lines(self._bus) - self._bad_lines
 
     def _check_unusable(self, now_s: float) -> None:
-        unusable = self._unusable_now() + self._assembler.n_short
+        unusable = self._unusable_now() + self._assembler.counts.short
         if unusable > self._unusable:
             new, self._unusable = unusable - self._unusable, unusable
             self._malformed_limit.add(now_s, new)
@@ -288,13 +288,14 @@ class LinkSession:
 
     def _on_force(self, data: bytes, t_s: float) -> None:
         assert self._forces is not None
-        lost, late = self._forces.lost, self._forces.late
+        counts = self._forces.counts
+        lost, late = counts.lost, counts.late
         message = self._forces.push(data, t_s)
         if message is not None:
             self._new_forces.append(message)
             self._force_s = max(self._force_s, t_s)
-        self._lost_forces.add(t_s, self._forces.lost - lost)
-        self._late_forces.add(t_s, self._forces.late - late)
+        self._lost_forces.add(t_s, counts.lost - lost)
+        self._late_forces.add(t_s, counts.late - late)
 
     def forces_late(self, late_s: float) -> FrameTimeout:
         """Return the error of force messages that are so many s older than they seem."""

@@ -112,6 +112,12 @@ def servo_bench() -> Callable[..., ServoBench]:
     return ServoBench
 
 
+@pytest.fixture
+def bench(servo_bench: Callable[..., ServoBench]) -> ServoBench:
+    """Two XM430-W350 as they come."""
+    return servo_bench()
+
+
 class Driver:
     """Serves a servo terminal from a thread until it is stopped."""
 

@@ -1,7 +1,6 @@
 """What one simulated servo answers: access rules, errors, modes, service instructions."""
 
 import math
-from collections.abc import Callable
 
 import pytest
 
@@ -10,11 +9,6 @@ from gripper.dynamixel.models import XC330_M288, XL330_M288, XM430_W350
 from simulator.servo.protocol2 import Instruction, encode_instruction
 
 RANGE, LENGTH, LIMIT, ACCESS, FAIL, UNKNOWN = 4, 5, 6, 7, 1, 2
-
-
-@pytest.fixture
-def bench(servo_bench: Callable):
-    return servo_bench()
 
 
 @pytest.mark.parametrize("model", [XM430_W350, XL330_M288, XC330_M288])
