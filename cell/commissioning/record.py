@@ -46,10 +46,10 @@ def render_record(engine: Engine) -> str:
         for number, step in enumerate(engine.steps, start=1)
     ]
     verdicts = [entry.finding.status for entry in engine.entries.values()]
-    ends = [entry.ended for entry in engine.entries.values()]
+    ends = [_time(entry.ended) for entry in engine.entries.values()]
     return page_template("commissioning.html.j2").render(
         cell=engine.bench.config.name,
-        began=min((entry.began for entry in engine.entries.values()), default=""),
+        began=min((_time(entry.began) for entry in engine.entries.values()), default=""),
         ended=max(ends, default=""),
         program=f"tactile-cell {version('tactile-cell')}",
         machine=f"{platform.node()}, {platform.system()} {platform.release()}, "
@@ -72,7 +72,7 @@ def _step_view(engine: Engine, number: int, key: str, title: str, undo: str) -> 
     entry = engine.entries.get(key)
     view: dict[str, Any] = {"number": number, "key": key, "title": title, "undo": undo}
     view["writes"] = [
-        {"at": one.at, **asdict(one.write)} for one in engine.approved if one.step == key
+        {"at": _time(one.at), **asdict(one.write)} for one in engine.approved if one.step == key
     ]
     if entry is None:
         empty = dict.fromkeys(("lines", "measured", "figures", "began"), ())
@@ -81,8 +81,8 @@ def _step_view(engine: Engine, number: int, key: str, title: str, undo: str) -> 
     return view | {
         "state": _CLASSES[finding.status],
         "status": finding.status.value,
-        "began": entry.began,
-        "ended": entry.ended,
+        "began": _time(entry.began),
+        "ended": _time(entry.ended),
         "lines": finding.lines,
         "measured": list(_flat(finding.values)),
         "figures": list(_figures(engine.bench.folder, key, entry)),
@@ -117,9 +117,16 @@ def _flat(values: Mapping[str, Any], way: str = "") -> Iterator[tuple[str, str]]
             yield place, _text(value)
 
 
+def _time(iso: str) -> str:
+    """Return a wall-clock time of commissioning.json as people read it."""
+    return iso.replace("T", " ").replace("+00:00", " UTC")
+
+
 def _text(value: Any) -> str:
     if isinstance(value, float):
         return f"{value:.6g}"
     if isinstance(value, list | tuple):
         return ", ".join(map(_text, value))
+    if isinstance(value, Mapping):
+        return " ".join(f"{name}: {_text(one)};" for name, one in value.items()).rstrip(";")
     return str(value)

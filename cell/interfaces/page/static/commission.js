@@ -180,7 +180,9 @@ function renderCommands() {
   const phase = state?.phase ?? "ready";
   const begun = state?.steps.some((step) => step.status);
   show(byId("run"), idle());
-  allow(byId("run"), t(phase === "finished" ? "wizard.again" : begun ? "wizard.go_on" : "wizard.begin"), t("wizard.run_hint"), why());
+  const [word, hint] = phase === "finished" ? ["wizard.again", "wizard.again_hint"]
+    : [begun ? "wizard.go_on" : "wizard.begin", "wizard.run_hint"];
+  allow(byId("run"), t(word), t(hint), why());
   show(byId("leave"), !idle());
   allow(byId("leave"), t("wizard.leave"), t("wizard.leave_hint"), why());
   show(byId("record"), Boolean(begun) && idle());
