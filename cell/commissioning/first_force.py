@@ -67,6 +67,8 @@ _MEET_MM = 1.5
 zero is set by hand."""
 _LAST_PERIODS = 20
 """Periods of the loop, 0.1 s, whose mean is the force at the end of a motion."""
+_GAP_S = 0.1
+"""Time in s without an asked force that parts two curves in the picture."""
 _TICK_S = 0.08
 """Time in s for which the grip is controlled between two looks at the person's answer."""
 
@@ -232,6 +234,12 @@ class Course:
         if cycle.setpoint_n <= 0.0:
             return
         nan = float("nan")
+        if self.t_s and cycle.t_s - self.t_s[-1] > _GAP_S:
+            # No line goes from one motion to the next.
+            self.t_s.append(cycle.t_s)
+            self.asked_n.append(nan)
+            self.first_n.append(nan)
+            self.second_n.append(nan)
         first_n, second_n = (nan, nan) if cycle.force is None else cycle.force.force_n
         self.t_s.append(cycle.t_s)
         self.asked_n.append(cycle.setpoint_n)

@@ -10,6 +10,9 @@ from cell.commissioning.engine import Finding, Left, Step, Verdict
 from cell.commissioning.law import LawStep
 from cell.commissioning.pads import PadsAtRestStep, PadsPressedStep
 from cell.commissioning.unit import UnitStep
+from cell.config.file import changed_config
+from cell.config.model import CellConfig
+from cell.pytest_plugin.process import CellProcess
 from simulator.can.drive import DriveMount
 from simulator.cell import SimulatedCell
 from simulator.devices import SimulatedDrive
@@ -147,3 +150,26 @@ def test_steps_of_the_pads_pass_by_where_there_are_none(tmp_path: Path, step: St
     finding = step.run(bench, Script())
     assert finding.status is Verdict.WARN
     assert "no pads yet" in finding.lines[0]
+
+
+@pytest.mark.long
+def test_a_unit_of_another_bit_rate_is_found_over_a_real_serial_adapter(tmp_path: Path) -> None:
+    config = changed_config(
+        CellConfig(), {"tactile.layout": "pinch", "simulator.faults": ["can.bit_rate=500000"]}
+    )
+    cell = CellProcess(config)
+    try:
+        given = {"tactile.interface": "slcan", "tactile.channel": cell.can_channel}
+        bench = Bench(tmp_path, given=given)
+        finding = UnitStep().run(bench, Script())
+        assert finding.status is Verdict.PASS, finding.lines
+        assert finding.settings["tactile.bitrate"] == 500_000
+        bench.settings = finding.settings
+        cell.ask(press=1, x_m=0.015, y_m=0.006, force_n=2.0)
+        finding = PadsAtRestStep().run(bench, Script())
+        assert finding.status is Verdict.FAIL
+        assert "for an untouched taxel: clear the pads" in finding.lines[-1]
+        cell.ask(lift=True)
+        assert PadsAtRestStep().run(bench, Script()).status is Verdict.PASS
+    finally:
+        cell.end()

@@ -29,7 +29,9 @@ def simulate(
             metavar="JSON",
             help="Ask the cell that runs in --out, and end: "
             """'{"place": "ball"}', '{"hand": {"1": 0.02, "2": 0}}' moves limp fingers to half """
-            "openings in m, 'state', 'remove', 'inject', 'clear' as in the docs.",
+            """openings in m, '{"press": 0, "x_m": 0.01, "force_n": 2}' presses pad 0 with a """
+            """fingertip, '{"lift": true}' lifts it, 'state', 'remove', 'inject', 'clear' as in """
+            "the docs.",
         ),
     ] = None,
     with_parent: Annotated[
