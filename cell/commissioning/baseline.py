@@ -19,6 +19,7 @@ from cell.commissioning.engine import Dialog, Finding, Left, Question, Verdict, 
 from cell.commissioning.figures import pads as pads_figure
 from cell.commissioning.first_force import bench_hand, look_after
 from cell.commissioning.motion import WatchedMotion
+from cell.commissioning.pads import taxel_names
 from cell.commissioning.servos import model_name
 from cell.commissioning.unit import gripper_alone, without_unit
 from cell.config.model import CellConfig
@@ -30,7 +31,7 @@ from gripper.errors import GripperError
 from gripper.state import Clock, Cycle, GraspResult
 from tactile.errors import TactileError
 from tactile.frames.codec import TactileFrame
-from tactile.layout import TaxelLayout
+from tactile.layout import PadMount, TaxelLayout, taxel_order
 from tactile.sensor.tare import assess_health
 from tactile.sensor.taxel_forces import TaxelForces
 from tactile.unit.search import read_unit
@@ -168,7 +169,10 @@ def changed_servos(
 
 
 def changed_pads(
-    found: Mapping[str, Mapping[str, Any]], layout: TaxelLayout, frames: NDArray[np.uint16]
+    found: Mapping[str, Mapping[str, Any]],
+    layout: TaxelLayout,
+    frames: NDArray[np.uint16],
+    mounts: Sequence[PadMount] = (),
 ) -> list[Change]:
     """Return how pads at rest differ from those that were commissioned.
 
@@ -178,26 +182,31 @@ def changed_pads(
         Values of the findings by the key of the step.
     layout, frames
         The taxels, and frames (n, n_taxels) that nothing touched, at least 8.
+    mounts
+        How pads sit; what was found at rest is in the order in which the unit sends them.
     """
     was = found.get("pads_at_rest", {})
     if len(was.get("zero_counts", ())) != layout.n_pads:
         return []
     zero, noise = frames.mean(axis=0), frames.std(axis=0)
-    bad = set(np.flatnonzero(assess_health(frames, layout.adc_max).bad).tolist())
-    new = sorted(bad - set(was["bad_taxels"]))
+    sent_as = {mount.pad: mount.sent_as for mount in mounts}
+    known = np.isin(taxel_order(layout, mounts), was["bad_taxels"])
+    bad = assess_health(frames, layout.adc_max).bad
+    new = np.flatnonzero(bad & ~known).tolist()
     changes = []
     if new:
         changes.append(
             Change(
                 what="broken taxels",
                 was=str(len(was["bad_taxels"])),
-                found=f"{len(bad)}, new ones {', '.join(map(str, new[:6]))}",
+                found=f"{np.count_nonzero(bad)}, new: {taxel_names(layout, new)}",
                 step="pads_at_rest",
             )
         )
     for number, pad in enumerate(layout.pads):
         taxels = layout.taxels_of(number)
-        before, now = was["zero_counts"][number], float(np.median(zero[taxels]))
+        place = sent_as.get(number, number)
+        before, now = was["zero_counts"][place], float(np.median(zero[taxels]))
         if abs(now - before) > _ZERO_SHARE * layout.adc_max:
             changes.append(
                 Change(
@@ -207,7 +216,7 @@ def changed_pads(
                     step="pads_at_rest",
                 )
             )
-        before, now = was["noise_counts"][number], float(np.median(noise[taxels]))
+        before, now = was["noise_counts"][place], float(np.median(noise[taxels]))
         if now > _NOISE_FACTOR * max(before, _LEAST_NOISE):
             changes.append(
                 Change(

@@ -291,7 +291,8 @@ class FirstForceStep:
     purpose: str = (
         "The empty fingers open and prove direction and zero; their bus watchdog has to stop them "
         "when this program falls silent; then they press a soft part with 1 N, and with as much as "
-        "you allow. Measured and asked force are compared. Keep your hands away while they move."
+        "you allow, and, empty again, each other. Measured and asked force are compared. Keep your "
+        "hands away while they move."
     )
     needs: tuple[str, ...] = ("fingers", "unit", "pads_law", "link_quality")
     undo: str = "nothing is written; the torque goes off at the end"

@@ -25,7 +25,7 @@ from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Dialog, Verdict, kept_values
 from cell.commissioning.servos import model_name
 from cell.config.model import CellConfig
-from cell.config.tactile import layout_from_config, make_calibration
+from cell.config.tactile import layout_from_config, make_calibration, pad_mounts
 from cell.control.self_zero import SelfZeros, zero_file
 from cell.errors import CellError
 from cell.hand.interface import FORCE_FROM_FRAMES
@@ -359,7 +359,7 @@ def _control_unit(cell: Cell, config: CellConfig, named: str, kept: _Kept) -> li
         kept.found, serial=identity.serial, revision=identity.revision, boards=identity.boards
     )
     frames = np.stack([reading.frame.counts for reading in readings])
-    changes += changed_pads(kept.found, hand.layout, frames)
+    changes += changed_pads(kept.found, hand.layout, frames, pad_mounts(config.tactile))
     return [
         *kept.findings("control unit and pads", changes),
         Finding(

@@ -24,7 +24,7 @@ from cell.jobs.doctor import gauge_again
 from simulator.cell import SimulatedCell
 from simulator.settings import SimulatorSettings
 from simulator.world.taxels import NoiseModel
-from tactile.layout import pinch_layout
+from tactile.layout import PadMount, pinch_layout
 from tests.cell.commissioning.script import Script
 from tests.cell.commissioning.test_first_force import bench_of
 
@@ -99,6 +99,19 @@ def test_pads_that_drift_shake_or_break_are_named() -> None:
         "zero of finger0.inner",
         "noise of finger1.inner",
     }
+
+
+def test_what_was_found_at_rest_is_compared_taxel_by_taxel_where_pads_are_exchanged() -> None:
+    exchanged = (PadMount(pad=0, sent_as=1), PadMount(pad=1, sent_as=0))
+    found = {"pads_at_rest": FOUND["pads_at_rest"] | {"zero_counts": [100.0, 700.0]}}
+    rng = np.random.default_rng(0)
+    frames = rng.normal(700.0, 80.0, (10, 156))
+    frames[:, 78:] -= 600.0
+    frames = np.clip(frames, 1, None).astype(np.uint16)
+    frames[:, 78 + 3] = 0
+    assert changed_pads(found, pinch_layout(), frames, exchanged) == []
+    (broken, *_) = changed_pads(found, pinch_layout(), frames)
+    assert broken.found == "1, new: finger1.inner row 0 column 3"
 
 
 @pytest.mark.parametrize(
