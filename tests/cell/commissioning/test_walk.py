@@ -2,11 +2,13 @@
 
 import re
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from cell.commissioning.baseline import changed_hardware
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import CONFIG_NAME, Engine, Left, Step, Verdict
 from cell.commissioning.law import GRAVITY_N_KG
@@ -40,6 +42,7 @@ class Person:
         self._hands = Hands(cell)
         layout = cell.settings.layout
         self._names = [pad.name for pad in layout.pads]
+        self.pressed_n = 0.0
         loads_n = (2.0, 5.0, 8.0)
 
         def load(finger: int, force_n: float) -> Callable[[], float]:
@@ -72,22 +75,34 @@ class Person:
         self._cell.devices.physical.lift()
 
     def _moment(self) -> None:
+        asked = self.script.asked
+        if "first_force.part" in asked and "first_force.empty_again" not in asked:
+            self.pressed_n = max(self.pressed_n, *self._cell.world.contact_force_n())
         last = next((t for t in reversed(self.script.said) if "fingertip" in t), "")
-        asked = re.match(r"Press (\S+) with", last)
+        press = re.match(r"Press (\S+) with", last)
         world = self._cell.devices.physical
-        if asked is None:
+        if press is None:
             world.lift()
             return
-        pad = self._names.index(asked[1])
+        pad = self._names.index(press[1])
         one = self._cell.settings.layout.pads[pad]
         x_m, y_m = 0.4 * one.rows * one.pitch_x_m, 0.3 * one.columns * one.pitch_y_m
         world.press(pad, x_m, y_m, 2.0)
 
 
-def brought_up(folder: Path, *faults: str, leave_at: tuple[str, ...] = ()) -> dict[str, Any]:
-    """Run the wizard until it is finished; returns the findings by step."""
+def brought_up(
+    folder: Path,
+    *faults: str,
+    leave_at: tuple[str, ...] = (),
+    boards: tuple[int, int] = (1, 2),
+) -> Person:
+    """Run the wizard until it is finished, as the command does; returns who did it."""
     settings = SimulatorSettings(
-        layout=pinch_layout(), noise=NoiseModel(level=0.4), faults=faults, aperture_m=0.03
+        layout=pinch_layout(),
+        noise=NoiseModel(level=0.4),
+        faults=faults,
+        aperture_m=0.03,
+        board_serial_numbers=boards,
     )
     with SimulatedCell(settings) as cell:
         person = Person(cell)
@@ -95,27 +110,33 @@ def brought_up(folder: Path, *faults: str, leave_at: tuple[str, ...] = ()) -> di
         given = {"tactile.interface": "socketcan", "tactile.channel": "can0"}
         for _ in range(len(leave_at) + 1):
             bench = Bench(folder, SimulatedLines(cell), given=given)
-            try:
-                Engine(brisk_steps(), bench).run(person.script)
-            except Left:
-                continue
+            engine = Engine(brisk_steps(), bench)
+            for change in changed_hardware(bench):
+                engine.redo(change.step)
+            with suppress(Left):
+                engine.run(person.script)
         torque = [s.core.registers.get("torque_enable") for s in cell.devices.servo_bus.servos]
         assert torque == [0, 0]
     assert not person.script.leave_at
-    return dict(person.script.findings)
+    return person
 
 
 def test_a_sound_cell_is_brought_up_without_a_warning(tmp_path: Path) -> None:
-    found = brought_up(tmp_path)
+    found = brought_up(tmp_path).script.findings
     assert {key: one.lines for key, one in found.items() if one.status is not Verdict.PASS} == {}
     config = load_config(tmp_path / CONFIG_NAME)
     assert config.tactile.mounting == ()
     assert config.tactile.board_serial_numbers == (1, 2)
+    # The same cell with another pad on finger 1.
+    again = brought_up(tmp_path, boards=(1, 9)).script
+    assert again.began == ["pads_at_rest", "pads_pressed", "pads_law", "first_force", "baseline"]
+    assert load_config(tmp_path / CONFIG_NAME).tactile.board_serial_numbers == (1, 9)
 
 
 def test_a_cell_of_wrong_hardware_is_brought_up_with_three_interruptions(tmp_path: Path) -> None:
     leave_at = ("fingers.kind", "pads_law.1.2", "first_force.part")
-    found = brought_up(tmp_path, *PADS, *SERVOS, leave_at=leave_at)
+    person = brought_up(tmp_path, *PADS, *SERVOS, leave_at=leave_at)
+    found = person.script.findings
     said = "\n".join(line for one in found.values() for line in one.lines)
     for named in (
         "Bit rate 500,000 bit/s",
@@ -132,3 +153,4 @@ def test_a_cell_of_wrong_hardware_is_brought_up_with_three_interruptions(tmp_pat
     one, four = found["first_force"].values["asked_held_peak_n"]
     assert one[1] == pytest.approx(1.0, abs=0.2)
     assert four[1] == pytest.approx(4.0, abs=0.3)
+    assert person.pressed_n == pytest.approx(4.2, abs=0.4)
