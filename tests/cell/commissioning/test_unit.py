@@ -57,6 +57,15 @@ def test_a_unit_is_found_and_set_up_and_named(tmp_path: Path) -> None:
     assert "force messages" in finding.lines[-1]
 
 
+def test_a_unit_that_has_a_heartbeat_is_found_by_listening_alone(tmp_path: Path) -> None:
+    with SimulatedCell(SimulatorSettings(layout=pinch_layout())) as cell:
+        cell.clock.sleep(0.1)  # it has booted
+        bench = Bench(tmp_path, SimulatedLines(cell), given=GIVEN)
+        first, second = (UnitStep().run(bench, Script()) for _ in range(2))
+    assert "found by asking each node-ID" in first.lines[0]
+    assert "found by listening" in second.lines[0]
+
+
 def test_nothing_is_written_that_is_refused(tmp_path: Path) -> None:
     with SimulatedCell(SimulatorSettings(layout=pinch_layout())) as cell:
         bench = Bench(tmp_path, SimulatedLines(cell), given=GIVEN)
@@ -102,6 +111,7 @@ def test_a_bit_rate_that_is_too_slow_for_a_frame_is_refused(tmp_path: Path) -> N
 @pytest.mark.parametrize(
     ("fault", "named"),
     [
+        ("unit.second_node", "more came from"),
         ("unit.off", "Nobody is heard and nobody answers on can0"),
         ("unit.wrong=revision:0x00020001", "EDS is not that of this software: major revision"),
         ("unit.wrong=vendor:99", "node 5 is another device: vendor 0x63"),
