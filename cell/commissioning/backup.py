@@ -101,6 +101,8 @@ def restore(bench: Bench, dialog: Dialog, port: str) -> tuple[str, ...]:
         raise CellError(f"{bench.folder} holds no backup of a servo (backup-servo*.json)")
     changes = {}
     for backup in backups:
+        if _is_back(bench, port, backup):
+            continue
         with bench.servo_bus(port, backup.baud_rate) as bus:
             changes[backup.servo_id] = _differing(bus, backup)
     writes = [
@@ -118,7 +120,7 @@ def restore(bench: Bench, dialog: Dialog, port: str) -> tuple[str, ...]:
         return ("all servos are as they were found",)
     dialog.approve(writes)
     lines = []
-    for backup in backups:
+    for backup in (one for one in backups if one.servo_id in changes):
         _write_back(bench, port, backup, changes[backup.servo_id])
         lines.append(
             f"servo {backup.servo_id}: {len(changes[backup.servo_id])} items as they were found; "
@@ -141,6 +143,20 @@ def _read(path: Path) -> Backup:
 
 def _rate(found: Mapping[str, int]) -> int:
     return {code: rate for rate, code in BAUD_CODES.items()}[found[BAUD_RATE.name]]
+
+
+def _is_back(bench: Bench, port: str, backup: Backup) -> bool:
+    """Return whether a servo is no longer where the wizard put it, but where it was found.
+
+    So is one after a restore that was interrupted.
+    """
+    if (backup.servo_id, backup.baud_rate) == (backup.found[SERVO_ID.name], _rate(backup.found)):
+        return False
+    with bench.servo_bus(port, backup.baud_rate) as bus:
+        if bus.scan([backup.servo_id]):
+            return False
+    with bench.servo_bus(port, _rate(backup.found)) as bus:
+        return bool(bus.scan([backup.found[SERVO_ID.name]]))
 
 
 def _restorable() -> Sequence[Register]:

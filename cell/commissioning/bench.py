@@ -54,8 +54,11 @@ class RealLines:
     clock: Clock = time
 
     def serial_ports(self) -> tuple[str, ...]:
-        """Return the paths of the serial ports that are plugged in."""
-        return serial_candidates()
+        """Return the paths of the serial ports that are plugged in.
+
+        Those of the main board (ttyS) are left out: most of them lead nowhere.
+        """
+        return tuple(p for p in serial_candidates() if not Path(p).name.startswith("ttyS"))
 
     def open_servos(self, port: str, baud_rate: int) -> ByteStream:
         """Open a serial port."""

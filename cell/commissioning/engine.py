@@ -15,7 +15,9 @@ from typing import Any, NoReturn, Protocol
 from cell.commissioning.bench import Bench
 from cell.config.file import config_text, schema_text
 from cell.data.files import write_atomically, write_text
-from cell.errors import CellError
+from cell.errors import CellError, error_text
+from gripper.errors import GripperError
+from tactile.errors import TactileError
 
 STORE_NAME = "commissioning.json"
 """File in the cell's folder that keeps the entries of the steps."""
@@ -316,7 +318,13 @@ class Engine:
             self._store()
 
         began = _now()
-        finding = step.run(self.bench, _Logged(dialog, log))
+        try:
+            finding = step.run(self.bench, _Logged(dialog, log))
+        except Left:
+            raise
+        except (CellError, GripperError, TactileError) as error:
+            # A cable that was pulled, a disk that is full: mended, the step runs again.
+            finding = Finding(status=Verdict.FAIL, lines=(error_text(error),))
         self.entries[step.key] = Entry(finding=finding, began=began, ended=_now())
         self._store()
         dialog.found(step, self.entries[step.key].finding)

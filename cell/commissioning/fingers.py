@@ -362,10 +362,10 @@ class _Hands:
         for number, text, least in (
             (
                 1,
-                "Take a stiff block with parallel faces, best of about 10 mm, and measure it.",
+                "Take a stiff block with parallel faces, best about 10 mm thick; measure it.",
                 1.0,
             ),
-            (2, "A second one, of about 30 mm; 0 if you have none.", 0.0),
+            (2, "A second one, best about 30 mm thick; 0 if you have none.", 0.0),
         ):
             size_mm = self._dialog.ask(
                 Question(

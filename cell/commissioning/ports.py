@@ -110,7 +110,8 @@ def _found(bench: Bench, dialog: Dialog) -> str:
         dialog.ask(
             confirmation(
                 "ports.plug_in",
-                "No serial port is there. Plug in the adapter of the servos.",
+                "No serial adapter is there. Plug in that of the servos. (A port of the main board "
+                "is named with --servo-port.)",
                 "it is plugged in",
             )
         )

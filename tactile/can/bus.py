@@ -207,10 +207,6 @@ class BulkSlcanBus(slcanBus):
         self._flags_due_s = time.monotonic()
         self._flags_unanswered = 0
         self.bad_lines = 0
-        if bitrate not in self._BITRATES:
-            # Before the port is open: the driver would leave it so.
-            rates = ", ".join(f"{rate}" for rate in sorted(self._BITRATES))
-            raise ValueError(f"a serial adapter has no {bitrate} bit/s, it has {rates}")
         super().__init__(
             channel, bitrate=bitrate, tty_baudrate=tty_baudrate, sleep_after_open=0.0, timeout=0.0
         )

@@ -15,6 +15,8 @@ _LOOK_S = 0.1
 """Time in s between two readings of a running value."""
 _LINE_START = "\r\x1b[2K"
 """Back to the start of an emptied line (ECMA-48: CR, EL)."""
+_LINE_UP, _SAVE, _RESTORE = "\x1b[1A", "\x1b7", "\x1b8"
+"""One line up (ECMA-48: CUU); the place of the cursor kept and taken up again (DECSC, DECRC)."""
 _COLOURS = {Verdict.PASS: "green", Verdict.WARN: "yellow", Verdict.FAIL: "bold red"}
 
 
@@ -46,9 +48,7 @@ class TerminalDialog:
     def live(self, name: str, value_text: str) -> None:
         """Print a value over its previous one; nothing where no terminal is."""
         if out.is_terminal:
-            # A line of the terminal only: a longer one could not be taken back.
-            text = f"{name} {value_text}".strip()[: out.width - 1]
-            out.file.write(f"{_LINE_START}{plain(text)}")
+            out.file.write(f"{_LINE_START}{_one_line(f'{name} {value_text}')}")
             out.file.flush()
             self._running = True
 
@@ -82,20 +82,19 @@ class TerminalDialog:
     def _line(self, question: Question, watch: Callable[[], str] | None) -> str:
         unit = f" in {question.number.unit}" if question.number is not None else ""
         default = "" if question.default is None or question.choices else f" [{question.default}]"
-        prompt = f"{_LEAVE} leaves{unit}{default}> "
-        if watch is None or not out.is_terminal:
-            return self._typed(prompt)
-        while not _input_waits():
-            self.live("", f"{watch()}  ({_how_to_answer(question)})")
-        self._end_line()
-        return self._typed("")
+        return self._typed(f"{_LEAVE} leaves{unit}{default}> ", watch)
 
-    def _typed(self, prompt: str) -> str:
-        out.print(plain(prompt), end="")
+    def _typed(self, prompt: str, watch: Callable[[], str] | None = None) -> str:
+        """Return what is typed; above it runs what ``watch`` returns."""
+        shown = watch is not None and out.is_terminal
+        out.print(("\n" if shown else "") + plain(prompt), end="", soft_wrap=True)
         try:
             # A signal that comes just before the reading begins would wait for a line to be typed.
             while not _input_waits():
-                pass
+                text = "" if watch is None else watch()
+                if shown:
+                    out.file.write(f"{_SAVE}{_LINE_UP}{_LINE_START}{_one_line(text)}{_RESTORE}")
+                    out.file.flush()
             typed = ask("").strip()
         except EOFError:
             leave("the input ended")
@@ -141,6 +140,6 @@ def _input_waits() -> bool:
         return True
 
 
-def _how_to_answer(question: Question) -> str:
-    """Return how a person answers while a value runs."""
-    return f"Enter: {question.choices[0].text}" if question.choices else "type, then Enter"
+def _one_line(text: str) -> str:
+    """Return a text that fits on one line of the terminal: a longer one could not be taken back."""
+    return "".join(sign for sign in text.strip() if sign.isprintable())[: out.width - 1]

@@ -16,7 +16,7 @@ _PROGRAM = (
     "from cell.interfaces.cli import main; main()"
 )
 """The terminal becomes the program's own, so that Ctrl-C reaches it."""
-_CONTROL = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]|\r")
+_CONTROL = re.compile(r"\x1b\[[0-9;?]*[A-Za-z]|\x1b[78]|\r")
 Answer = str | Callable[[re.Match[str]], object]
 
 
@@ -79,7 +79,7 @@ class Person:
                 continue
             at, seen, match, answer = max(found, key=lambda one: one[0])
             # The whole question has to be there.
-            if not seen and not re.search(r"> $|Enter: |leave: $", fresh[at:]):
+            if not seen and not re.search(r"> |leave: $", fresh[at:]):
                 continue
             self._read_to += match.end() if seen else len(fresh)
             end_s = time.monotonic() + timeout_s
@@ -87,6 +87,8 @@ class Person:
                 typed = answer if isinstance(answer, str) else answer(match)
             except StopIteration:
                 return -1
+            except AssertionError as error:
+                raise AssertionError(f"{error}:\n{self.text[-3000:]}") from error
             if not seen:
                 typed = typed if isinstance(typed, str) else ""
                 self.type(typed if typed.endswith("\x03") else f"{typed}\n")

@@ -20,6 +20,7 @@ from cell.commissioning.engine import (
 )
 from cell.config.file import load_config
 from cell.errors import CellError, ConfigError
+from gripper.errors import PortLost
 from tests.cell.commissioning.script import Script
 
 REAL = {
@@ -103,6 +104,16 @@ def test_a_failed_step_runs_again_or_is_left(tmp_path: Path) -> None:
     engine.run(script := Script())
     assert script.asked == ["ports.q"]
     assert engine.entries["ports"].finding.status is Verdict.WARN
+
+
+def test_a_line_that_is_lost_fails_the_step(tmp_path: Path) -> None:
+    class Lost(Asking):
+        def run(self, bench: Bench, dialog: Dialog) -> Finding:
+            raise PortLost("the cable is out")
+
+    with pytest.raises(Left):
+        Engine([Lost("ports")], Bench(tmp_path)).run(script := Script({"ports.again": "leave"}))
+    assert script.findings["ports"].lines == ("PortLost: the cable is out",)
 
 
 def test_figures_are_files_or_numbers(tmp_path: Path) -> None:

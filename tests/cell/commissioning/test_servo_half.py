@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from cell.commissioning import backup
 from cell.commissioning.backup import restore
 from cell.commissioning.bench import Bench
 from cell.commissioning.engine import Engine, Finding, Left, Verdict
@@ -17,7 +18,8 @@ from cell.errors import CellError
 from gripper.dynamixel.control_table import TORQUE_ENABLE
 from gripper.servos.group import ServoGroup
 from simulator.cell import SimulatedCell
-from simulator.settings import SimulatorSettings
+from simulator.servo.mechanics import RackLinkage, ServoMount
+from simulator.settings import SimulatedServoSettings, SimulatorSettings
 from tests.cell.commissioning.hands import Hands
 from tests.cell.commissioning.script import Reply, Script, SimulatedLines
 
@@ -27,8 +29,14 @@ STEPS = (PortsStep(), ServosStep(), FingersStep())
 class Walk:
     """The servos' half on one simulated cell."""
 
-    def __init__(self, folder: Path, *faults: str, first: int = 1) -> None:
-        self.cell = SimulatedCell(SimulatorSettings(faults=faults))
+    def __init__(
+        self,
+        folder: Path,
+        *faults: str,
+        first: int = 1,
+        settings: SimulatorSettings | None = None,
+    ) -> None:
+        self.cell = SimulatedCell(settings or SimulatorSettings(faults=faults))
         self.cell.clock.sleep(1.0)
         self.hands = Hands(self.cell, first=first)
         self.folder = folder
@@ -94,10 +102,48 @@ def test_restore_brings_the_servos_back_as_they_came(tmp_path: Path) -> None:
     assert [bytes(s.core.table.data[:64]) for s in walk.cell.devices.servo_bus.servos] == before
     assert len(lines) == 2
     assert ("id (7)", "2", "1") in {(w.what, w.before, w.after) for w in script.writes}
-    # And again from there.
+    # Restored servos are left alone, and are brought up again from there.
+    again = restore(walk.bench(), Script(), "/dev/ttyUSB0")
+    assert again == ("all servos are as they were found",)
+    Engine(STEPS, walk.bench()).redo("servos")
     assert walk.run(steps=STEPS[:2])["servos"].status is Verdict.PASS
     with pytest.raises(CellError, match="no backup"):
         restore(Bench(tmp_path / "other", SimulatedLines(walk.cell)), Script(), "/dev/ttyUSB0")
+
+
+def test_a_restore_that_was_interrupted_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    walk = Walk(tmp_path, "servo1.factory", "servo2.factory")
+    before = [bytes(s.core.table.data[:64]) for s in walk.cell.devices.servo_bus.servos]
+    walk.run(steps=STEPS[:2])
+    write_back = backup._write_back
+
+    def first_only(*arguments: Any) -> None:
+        write_back(*arguments)
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(backup, "_write_back", first_only)
+        with pytest.raises(KeyboardInterrupt):
+            restore(walk.bench(), Script(), "/dev/ttyUSB0")
+    assert len(restore(walk.bench(), Script(), "/dev/ttyUSB0")) == 1
+    assert [bytes(s.core.table.data[:64]) for s in walk.cell.devices.servo_bus.servos] == before
+
+
+def test_one_servo_with_a_pinion(tmp_path: Path) -> None:
+    one = SimulatorSettings(
+        servos=(SimulatedServoSettings(servo_id=1, mount=ServoMount(direction=-1)),),
+        linkage=RackLinkage(pinion_radius_m=0.02),
+    )
+    walk = Walk(tmp_path, settings=one)
+    found = walk.run(servos__count="1")["fingers"]
+    assert found.status is Verdict.PASS, found.lines
+    assert "fingers.open_second" not in walk.script.asked
+    assert found.settings["gripper.servos"][0]["direction"] == -1
+    linkage = found.settings["gripper.linkage"]
+    assert linkage["kind"] == "rack_pinion"
+    assert linkage["pinion_radius_mm"] == pytest.approx(20.0, rel=0.02)
 
 
 def test_nothing_is_written_that_was_refused(tmp_path: Path) -> None:

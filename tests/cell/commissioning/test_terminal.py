@@ -89,7 +89,7 @@ class RealHands:
             "close them by hand": self.close,
             "Open one finger by hand": lambda _: self.move(servo1=0.05),
             "open the other one": lambda _: self.move(servo2=0.05),
-            "of about (10|30) mm": lambda match: match[1],
+            "best about (10|30) mm thick": lambda match: match[1],
             "Hold the block of (\\d+) mm": self.on_block,
             "How do the fingers move\\?": "",
             "Take the block out": self.free,
@@ -103,7 +103,11 @@ class RealHands:
             "Hold .*between the pads, (and keep|until)": lambda _: self.cell.ask(place="ball"),
             "Take hold of the": "",
             "What is its name": "ball",
+            "failed\\. Mend it": self.fail,
         }
+
+    def fail(self, _match: object) -> None:
+        raise AssertionError("a step failed")
 
 
 def findings(folder: Path) -> dict[str, dict[str, object]]:
@@ -127,7 +131,7 @@ def test_a_cell_of_wrong_hardware_is_brought_up_with_three_interruptions(
     # A person who presses q, then Ctrl-C, then closes the window, then goes on.
     leaves: list[dict[str, Answer]] = [
         {"Do this\\? y": "q"},
-        {"of about (10|30) mm": "\x03"},
+        {"best about (10|30) mm thick": "\x03"},
         {"Load \\d of \\d on (\\S+): about (\\d+) g": end},
     ]
     for leaving in leaves:

@@ -93,7 +93,7 @@ def test_buses_within_a_program_are_shared() -> None:
 
 
 def test_a_bit_rate_that_an_adapter_lacks_leaves_its_port_free(port: str) -> None:
-    with pytest.raises(BusNotOpened, match="has no 800000 bit/s") as refused:
+    with pytest.raises(BusNotOpened, match="bitrate") as refused:
         open_bus("slcan", port, bitrate=800_000)
     handle = os.open(port, os.O_RDWR | os.O_NOCTTY)
     try:

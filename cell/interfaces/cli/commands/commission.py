@@ -82,6 +82,7 @@ def commission(
                 lines = restore_servos(bench, dialog, servo_port or bench.gripper().port)
                 for line in lines:
                     print_line(line)
+                engine.redo("servos")
                 return
             for key in redo or ():
                 print_line(f"to be done again: {', '.join(engine.redo(key))}")
