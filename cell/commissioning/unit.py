@@ -124,7 +124,7 @@ class UnitStep:
                 values={"gripper_alone": True},
                 settings={"tactile.interface": "socketcan", "tactile.channel": "none"},
             )
-        except (_Unusable, TactileError) as why:
+        except (_Unusable, ConfigError, TactileError) as why:
             return Finding(status=Verdict.FAIL, lines=(*lines, str(why)))
 
     def _run(self, bench: Bench, dialog: Dialog, lines: list[str]) -> Finding:
@@ -242,6 +242,7 @@ def _bit_rate(bench: Bench, dialog: Dialog, interface: str, channel: str) -> tup
     fixed = _system_bit_rate(interface, channel)
     rates = BIT_RATES if fixed is None else (fixed,)
     refused: dict[int, BusNotOpened] = {}
+    errors = 0
     for how in ("listening", "asking each node-ID"):
         for rate in (one for one in rates if one not in refused):
             dialog.live("bit rate", f"{rate:,} bit/s, {how}")
@@ -252,6 +253,7 @@ def _bit_rate(bench: Bench, dialog: Dialog, interface: str, channel: str) -> tup
                 # Not every adapter has every bit rate.
                 refused[rate] = error
                 continue
+            errors += heard.errors
             if heard.messages:
                 return rate, heard, how
     if len(refused) == len(rates):
@@ -267,6 +269,7 @@ def _bit_rate(bench: Bench, dialog: Dialog, interface: str, channel: str) -> tup
         f"Nobody is heard and nobody answers on {channel} ({interface}) at {tried} bit/s. Check "
         "the supply of the control unit, CAN_H and CAN_L, the common ground and both terminating "
         f"resistors (60 Ohm between CAN_H and CAN_L, switched off); {remedy}."
+        + (f" {errors} error frames came: somebody is there at another bit rate." if errors else "")
     )
 
 
