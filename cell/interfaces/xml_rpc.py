@@ -461,11 +461,6 @@ def _end(request: socket) -> None:
 class XmlRpcDoor:
     """The cell behind XML-RPC.
 
-    Parameters
-    ----------
-    service
-        The cell.
-
     Raises
     ------
     OSError

@@ -123,7 +123,6 @@ class CampaignCell(Bench):
 
     @property
     def now_s(self) -> float:
-        """Simulated time in s."""
         return self.clock.monotonic()
 
     @property
@@ -133,7 +132,6 @@ class CampaignCell(Bench):
         return f"{self.controller.state.value}, {held} ({self.grip_n:.1f} N)"
 
     def start(self, present: str | None = "ball") -> VirtualCell:
-        """Start the cell and bring the ball."""
         return super().start(present)
 
     @contextmanager
@@ -181,7 +179,6 @@ def campaign_cell(
 
 
 def grasp_job(cell: CampaignCell, *, force_n: float = 3.0) -> None:
-    """Start, bring the ball, and grasp it."""
     cell.start()
     cell.grasp(force_n)
 

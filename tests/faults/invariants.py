@@ -178,12 +178,10 @@ class InvariantMonitor:
             self._break(f"a command is over and the cell is still {cell.controller.state.value}")
 
     def check(self) -> None:
-        """Raise InvariantBroken if anything was broken."""
         if self.broken:
             raise InvariantBroken("; ".join(self.broken[:3]))
 
     def close(self) -> None:
-        """Watch no longer."""
         if self._look in self._simulated.clock.on_advance:
             self._simulated.clock.on_advance.remove(self._look)
 

@@ -36,7 +36,6 @@ def totals(results: Sequence[Result]) -> str:
 
 
 def rows_table(results: Sequence[Result]) -> str:
-    """Return the table of rows."""
     lines = []
     for result in results:
         row, observed = result.row, result.observed or Observed("", None, "")

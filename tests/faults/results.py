@@ -16,10 +16,7 @@ AS_REQUIRED = "as required"
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What became of one row."""
-
     row: FaultRow
-    """The row."""
     observed: Observed | None
     """What was observed; None where the row itself failed."""
     failure: str = ""

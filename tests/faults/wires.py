@@ -5,17 +5,13 @@ A wire is a client of one door, as others write them: pymodbus, `xmlrpc.client`,
 answer is checked against the table of states, and each request is sent twice.
 """
 
-import json
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import partial
-from http.client import HTTPConnection
 from typing import Any, Protocol
 from unittest.mock import patch
 from xmlrpc.client import ServerProxy
-
-from pymodbus.client import ModbusTcpClient
 
 from cell.build import Cell, build_cell
 from cell.config.file import changed_config
@@ -27,16 +23,15 @@ from cell.errors import CellError, HeldByClient, NotInCommand
 from cell.fault_catalogue import fault_number
 from cell.interfaces.modbus.registers import (
     COMMAND,
-    COMMAND_SEQ,
     FAULT,
     HOLD,
     HOLDING,
-    LIFE,
     NEEDS_RESET,
     REBOOT,
 )
 from cell.interfaces.service.service import RELEASE_KEY, JobView, Service
 from cell.interfaces.service.serving import open_doors, open_service
+from tests.cell.interfaces.hosts import Client, Plc
 from tests.faults.campaign import PRODUCT_ERRORS
 from tests.faults.driver import COMMAND_BOUND_S, Driver
 from tests.faults.invariants import FrameWitness, InvariantBroken, Overrun
@@ -121,38 +116,31 @@ class ModbusWire:
     tasks = _ALL
 
     def __init__(self, doors: dict[str, Any]) -> None:
-        self._port = doors["modbus_port"]
-        self._link = self._connected()
-        self._panel = self._connected()
-        self._seq = 0
+        self._plc, self._panel = Plc(doors["modbus_port"]), Plc(doors["modbus_port"])
         self._block: list[int] = []
 
     def adopt(self) -> None:
-        life = self._link.read_holding_registers(LIFE, count=1).registers[0]
-        self._write(LIFE, (life + 1) & 0xFFFF)
-        self._seq = self._inputs()[5]
-        self._write(COMMAND_SEQ, self._seq)
+        self._plc.adopt()
 
     def send(self, request: Request, number: int) -> int:
-        self._seq = (self._seq + 1) & 0xFFFF
+        self._plc.seq = (self._plc.seq + 1) & 0xFFFF
         options = _KEEP_BITS[request.keep] | (REBOOT if request.reboot else 0)
         force, code = round(100 * request.force_n), _CODES[request.task]
-        self._block = [code, 0, force, request.max_grasps, options, request.key, 0, self._seq]
+        self._block = [code, 0, force, request.max_grasps, options, request.key, 0, self._plc.seq]
         return self.repeat()
 
     def repeat(self) -> int:
-        found = self._link.write_registers(COMMAND, self._block)
-        if found.isError():
+        if self._plc.write(COMMAND, *self._block):
             return -NOT_IN_COMMAND
-        inputs = self._inputs()
+        inputs = self._plc.inputs()
         return -inputs[6] if inputs[6] else inputs[8]
 
     def hold(self, latch: bool | None = None) -> None:
         for pressed in (True, False) if latch is None else (latch,):
-            self._panel.write_register(HOLD, int(pressed))
+            self._panel.write(HOLD, int(pressed))
 
     def shown(self) -> Shown:
-        inputs = self._inputs()
+        inputs = self._plc.inputs()
         return Shown(
             state_number=inputs[3],
             needs_reset=bool(inputs[2] & NEEDS_RESET),
@@ -164,21 +152,8 @@ class ModbusWire:
         )
 
     def close(self) -> None:
-        self._link.close()
-        self._panel.close()
-
-    def _connected(self) -> ModbusTcpClient:
-        link = ModbusTcpClient("127.0.0.1", port=self._port, timeout=PATIENCE_S, retries=0)
-        if not link.connect():
-            raise ConnectionError("the door does not let a client in")
-        return link
-
-    def _inputs(self) -> list[int]:
-        return list(self._link.read_input_registers(0, count=64).registers)
-
-    def _write(self, address: int, value: int) -> None:
-        if self._link.write_register(address, value).isError():
-            raise ConnectionError(f"register {address} = {value} is refused")
+        self._plc.link.close()
+        self._panel.link.close()
 
 
 class XmlRpcWire:
@@ -232,18 +207,17 @@ class XmlRpcWire:
 
 
 class HttpWire:
-    """A host with the token; each request has a connection of its own, the door ends idle ones."""
+    """A host with the token."""
 
     tasks = _ALL
 
     def __init__(self, doors: dict[str, Any]) -> None:
-        self._port = doors["http_port"]
-        self._token = doors["token"]
+        self._host = Client(doors)
         self._lease = 0
         self._last: tuple[str, dict[str, Any]] = ("", {})
 
     def adopt(self) -> None:
-        self._lease = self._ask("POST", "/api/lease", {"name": "host"})["lease"]
+        self._lease = self._host.post("/api/lease", name="host")["lease"]
 
     def send(self, request: Request, number: int) -> int:
         body: dict[str, Any] = {"lease": self._lease, "job": number}
@@ -264,14 +238,14 @@ class HttpWire:
         return self.repeat()
 
     def repeat(self) -> int:
-        found = self._ask("POST", *self._last)
+        _, found = self._host.ask("POST", *self._last)
         return int(found["job"]) if "job" in found else -int(found["fault_number"])
 
     def hold(self, latch: bool | None = None) -> None:
-        self._ask("POST", "/api/hold" if latch is None else f"/api/hold?latch={latch}")
+        self._host.ask("POST", "/api/hold" if latch is None else f"/api/hold?latch={latch}")
 
     def shown(self) -> Shown:
-        found = self._ask("GET", "/api/state")
+        found = self._host.get("/api/state")
         status, job = found["status"], found["job"]
         names = ("state_number", "needs_reset", "grasp_number", "holding", "fault_number")
         return Shown(
@@ -281,13 +255,6 @@ class HttpWire:
         )
 
     def close(self) -> None: ...
-
-    def _ask(self, method: str, path: str, body: Any = None) -> Any:
-        headers = {"Authorization": f"Bearer {self._token}", "Content-Type": "application/json"}
-        data = None if body is None else json.dumps(body)
-        with closing(HTTPConnection("127.0.0.1", self._port, timeout=PATIENCE_S)) as link:
-            link.request(method, path, data, headers)
-            return json.loads(link.getresponse().read())
 
 
 WIRES: dict[str, Callable[[dict[str, Any]], Wire]] = {

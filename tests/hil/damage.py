@@ -207,21 +207,21 @@ class Bench:
             )
             teach(base, model)
             self._model = model
-            self._simulator = CellProcess(base)
-            undo.callback(self._simulator.end)
-            first(self._simulator.pid)
-            self._relays = {
+            self.simulator = CellProcess(base)
+            undo.callback(self.simulator.end)
+            first(self.simulator.pid)
+            self.relays = {
                 line: undo.enter_context(relay_on(line, port))
                 for line, port in (
-                    ("servos", self._simulator.servo_port),
-                    ("can", self._simulator.can_channel),
+                    ("servos", self.simulator.servo_port),
+                    ("can", self.simulator.can_channel),
                 )
             }
-            self._config = changed_config(
-                load_config(self._simulator.config_path),
+            self.config = changed_config(
+                load_config(self.simulator.config_path),
                 {
-                    "gripper.port": self._relays["servos"].port,
-                    "tactile.channel": self._relays["can"].port,
+                    "gripper.port": self.relays["servos"].port,
+                    "tactile.channel": self.relays["can"].port,
                 },
             )
             self._undo = undo.pop_all()
@@ -229,19 +229,6 @@ class Bench:
 
     def __exit__(self, *_: object) -> None:
         self._undo.close()
-
-    @property
-    def config(self) -> CellConfig:
-        """The cell beyond the relays."""
-        return self._config
-
-    def relay(self, line: str) -> Relay:
-        """The relay on a line."""
-        return self._relays[line]
-
-    def grip_n(self) -> float:
-        """True force in N."""
-        return self._simulator.grip_n()
 
     def run(self, damage: Damage) -> Found:
         """Identify the box under damage. Raises Broken where something becomes what none may."""
@@ -254,7 +241,7 @@ class Bench:
     def _identify(self, damage: Damage) -> Found | None:
         """Run one job; None where the machine was too slow for it, with or before the damage."""
         plugin = self._ready()
-        relay = self._relays[damage.line]
+        relay = self.relays[damage.line]
         began_s = time.monotonic()
         if not damage.contact:
             relay.order(damage.order)
@@ -266,7 +253,9 @@ class Bench:
             try:
                 answer = plugin.result(job, JOB_S)
             except JobFailed as failed:
-                found = Found("", _cause(failed), self.grip_n(), time.monotonic() - began_s)
+                found = Found(
+                    "", _cause(failed), self.simulator.grip_n(), time.monotonic() - began_s
+                )
                 if isinstance(found.error, damage.errors) and begun:
                     self._check_grip(damage, found)
                     return found
@@ -275,7 +264,7 @@ class Bench:
                 raise Broken(f"{damage.name}: {found}") from found.error
             # Few grasps have taught it: the name may be UNKNOWN, the likeliest not another one.
             likeliest = max(LABELS, key=lambda label: answer.probabilities[label])
-            found = Found(likeliest, None, self.grip_n(), time.monotonic() - began_s)
+            found = Found(likeliest, None, self.simulator.grip_n(), time.monotonic() - began_s)
             if found.label != LABELS[0] or damage.fatal:
                 raise Broken(f"{damage.name}: the label {found.label!r} was given")
             return found
@@ -286,7 +275,7 @@ class Bench:
 
     def _wait_for_grip(self, plugin: TactileCellPlugin, job: Job) -> bool:
         """Wait until the box is gripped; False where the job ends before."""
-        while self.grip_n() < GRIPPED_N:
+        while self.simulator.grip_n() < GRIPPED_N:
             if plugin.feedback(job).outcome.terminal:
                 return False
             threading.Event().wait(0.01)
@@ -299,7 +288,7 @@ class Bench:
         if not damage.contact or on_their_way:
             return
         threading.Event().wait(0.5)
-        later_n = self.grip_n()
+        later_n = self.simulator.grip_n()
         if min(found.grip_n, later_n) < LEAST_SHARE * GRIPPED_N:
             raise Broken(f"{damage.name}: {later_n:.2f} N are left; {found}") from found.error
 
@@ -309,14 +298,14 @@ class Bench:
             if self._plugin is not None:
                 break
             try:
-                self._plugin = TactileCellPlugin(self._config, model=self._model)
+                self._plugin = TactileCellPlugin(self.config, model=self._model)
                 if self._plugin.state() != "IDLE" and left:
                     self._let_go(self._plugin)
             except (*SLOW_ERRORS, PartInGrip):
                 if not left:
                     raise
                 # What it had begun to open is opened.
-                cell = build_cell(self._config, folder=self._folder)
+                cell = build_cell(self.config, folder=self._folder)
                 with contextlib.closing(cell), contextlib.suppress(*SLOW_ERRORS):
                     cell.controller.release_held()
         assert self._plugin is not None
@@ -339,7 +328,7 @@ class Bench:
                         raise
         finally:
             self.drop_plugin()
-        if self.grip_n() > 0.0:
+        if self.simulator.grip_n() > 0.0:
             raise Broken("the part was not let go on purpose")
 
     def drop_plugin(self) -> None:

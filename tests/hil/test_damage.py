@@ -35,7 +35,7 @@ def test_a_port_on_which_a_gps_receiver_speaks_is_named_with_what_was_heard(
     gps = changed_config(bench.config, {"recording.directory": str(tmp_path)})
     config.write_text(config_text(gps))
     bench.drop_plugin()
-    relay = bench.relay("servos")
+    relay = bench.relays["servos"]
     relay.order("instead 0.03 sentence")
     began_s = time.monotonic()
     try:

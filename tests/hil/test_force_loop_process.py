@@ -3,8 +3,6 @@
 import contextlib
 import os
 import signal
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -236,46 +234,3 @@ def test_a_loop_that_hangs_is_lost_and_sigterm_keeps_the_grip(
         hand.release()
     assert time.monotonic() - begin_s < 8.0
     assert gone(stopped)
-
-
-CLIENT = """
-import sys, threading
-from pathlib import Path
-from cell.build import build_cell
-from cell.config.file import load_config, parse_config
-from cell.control.plan import Pose
-from cell.control.plan import GraspStep
-
-cell = build_cell(load_config(Path(sys.argv[1])))
-cell.controller.start()
-cell.controller.present("box")
-print(cell.controller.hand.pid, flush=True)
-cell.controller.grasp(GraspStep(pose=Pose(), force_n=14.0))
-"""
-"""A program of a host, without `if __name__ == "__main__"`: the loop's process does not run it."""
-
-
-def test_a_killed_program_leaves_the_part_held_and_no_process(
-    make_cell: Any, simulator: CellProcess, tmp_path: Path
-) -> None:
-    (tmp_path / "client.py").write_text(CLIENT)
-    client = subprocess.Popen(
-        [sys.executable, str(tmp_path / "client.py"), str(simulator.config_path)],
-        stdout=subprocess.PIPE,
-        text=True,
-    )
-    with client:
-        try:
-            assert client.stdout is not None
-            pid = int(client.stdout.readline())
-            wait_for(lambda: simulator.grip_n() > 2.0)
-            os.kill(pid, signal.SIGINT)
-            threading.Event().wait(0.1)
-            assert not gone(pid)
-        finally:
-            client.kill()
-    wait_for(lambda: gone(pid))
-    held_n = simulator.grip_n()
-    assert 1.5 < held_n < 13.0
-    threading.Event().wait(0.7)
-    assert simulator.grip_n() == pytest.approx(held_n, abs=0.5)

@@ -145,11 +145,6 @@ def input_registers(
 class ModbusDoor:
     """The cell behind Modbus TCP; one connection at a time writes.
 
-    Parameters
-    ----------
-    service
-        The cell.
-
     Raises
     ------
     OSError

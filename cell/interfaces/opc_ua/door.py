@@ -119,11 +119,6 @@ _EVENT_FIELDS = (("FaultNumber", _INT), ("FaultText", _TEXT), ("Remedy", _TEXT))
 class OpcUaDoor:
     """The cell behind OPC UA.
 
-    Parameters
-    ----------
-    service
-        The cell.
-
     Raises
     ------
     OSError

@@ -51,13 +51,7 @@ fields of `PartReport` by name."""
 
 
 class TaxelNewtons:
-    """Turns counts into newtons by the zero that the cell has at the time.
-
-    Parameters
-    ----------
-    config, controller
-        The cell.
-    """
+    """Turns counts into newtons by the zero that the cell has at the time."""
 
     def __init__(self, config: CellConfig, controller: CellController) -> None:
         self._controller = controller

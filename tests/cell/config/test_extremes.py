@@ -1,12 +1,11 @@
 """The ends of the range of each key: the cell works there, or the config is refused by that key.
 
-``python -m tests.cell.config.test_extremes`` grasps with each end alone, which takes minutes; the
-tests grasp with several at once.
+To grasp with each end alone takes minutes; the tests of each change grasp with several at once.
 """
 
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache
 from typing import Any
 
 import pytest
@@ -16,10 +15,8 @@ from pydantic import BaseModel
 from cell.build import build_cell
 from cell.config.model import CellConfig
 from cell.control.plan import GraspStep, Pose
-from cell.errors import CellError, ConfigError
+from cell.errors import ConfigError
 from cell.simulation import simulated_cell
-from gripper.errors import GripperError
-from tactile.errors import TactileError
 from tests.faults.campaign import COARSE_PADS, campaign_config
 
 _ELSEWHERE = ("serve.", "positioner.", "sort.", "recognition.", "loop.", "seed", "host_timeout_s")
@@ -121,6 +118,7 @@ def grasp(*at: End) -> None:
             cell.close()
 
 
+@cache
 def accepted() -> list[End]:
     """Return the ends that are not refused and matter for a grasp."""
     matter = [e for e in ENDS if not e.path.startswith(_ELSEWHERE) and str(e) not in _MINUTES]
@@ -155,18 +153,7 @@ def test_a_grasp_is_done_at_the_ends(at: tuple[End, ...]) -> None:
     grasp(*at)
 
 
-def main() -> None:
-    """Grasp with each end alone and print what goes wrong."""
-    wrong = 0
-    for end in accepted():
-        try:
-            grasp(end)
-        except (CellError, GripperError, TactileError, TooLong) as error:
-            wrong += 1
-            sys.stdout.write(f"{end}: {type(error).__name__}: {error}\n")
-    sys.stdout.write(f"{len(accepted())} ends, {wrong} wrong\n")
-    sys.exit(bool(wrong))
-
-
-if __name__ == "__main__":
-    main()
+@pytest.mark.long
+@pytest.mark.parametrize("end", accepted(), ids=str)
+def test_a_grasp_is_done_at_each_end_alone(end: End) -> None:
+    grasp(end)

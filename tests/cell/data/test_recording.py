@@ -26,18 +26,14 @@ from cell.data.recording_values import plain_fields
 from cell.errors import RecordingError
 from gripper.force.timing import LoopStatistics
 from gripper.state import ForceSample
-from recognition.grasp import Grasp, GraspCommand, PadArray, SelfZero
+from recognition.grasp import Grasp, GraspCommand, SelfZero
 from recognition.shape.answer import ShapeAnswer, Thickness
 from tactile.frames.codec import TactileFrame
+from tests.cell.conftest import plain_pads
 from tests.fuzz.harness import Clock
 from tests.values import make_cycle, make_servo, make_state
 
-PADS = PadArray(
-    pad_shape=np.array([[4, 3], [4, 3]]),
-    taxel_pad=np.repeat([0, 1], 12),
-    taxel_xy_m=np.arange(48).reshape(24, 2) * 1e-3,
-    adc_max=255,
-)
+PADS = plain_pads((4, 3), (4, 3), adc_max=255)
 
 
 def make_frame(t_s: float, rng: np.random.Generator, n_taxels: int = 24) -> TactileFrame:
@@ -536,12 +532,7 @@ def test_disk_that_fails_in_the_thread_is_reported(
 
 
 def test_long_sequence_is_written_in_little_space(tmp_path: Path) -> None:
-    pads = PadArray(
-        pad_shape=np.array([[51, 8]]),
-        taxel_pad=np.zeros(408),
-        taxel_xy_m=np.zeros((408, 2)),
-        adc_max=255,
-    )
+    pads = plain_pads((51, 8), adc_max=255)
     rng = np.random.default_rng(0)
     counts = np.clip(np.abs(rng.normal(0, 10, (8, 80, 408))), 1, 20).astype(np.uint16)
     clock = Clock(100.0)

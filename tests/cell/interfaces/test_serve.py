@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
-from urllib.request import Request, urlopen
 from xmlrpc.client import ServerProxy
 
 import pytest
@@ -23,6 +22,7 @@ from cell.interfaces.service.serving import open_doors, page_address
 from cell.jobs.taught_cache import MODEL_FILE, cached_model, keep_model
 from cell.learning.model import load_model
 from tests.cell.interfaces.conftest import LIMIT_S, until
+from tests.cell.interfaces.hosts import Client
 
 PROGRAM = "from cell.interfaces.cli import main; main()"
 SMALL = "tactile:\n  tare_frames: 25\nserve:\n  lease_timeout_s: 20\n"
@@ -127,10 +127,7 @@ def test_without_a_config_the_taught_cell_is_there_with_its_page(
     keep_model(CellConfig(), copied(taught.result.model))
     process, line = start("--modbus", "0", "--xml-rpc", "0", config=None)
     assert 8080 <= line["http_port"] < 8180
-    ask = Request(f"http://127.0.0.1:{line['http_port']}/api/info")
-    ask.add_header("Authorization", f"Bearer {line['token']}")
-    with urlopen(ask, timeout=20.0) as answer:
-        assert json.load(answer)["labels"] == ["ball", "box"]
+    assert Client(line).get("/api/info")["labels"] == ["ball", "box"]
     process.send_signal(signal.SIGTERM)
     assert process.wait(LIMIT_S) == 0
     lines = process.communicate()[1].splitlines()
@@ -256,10 +253,7 @@ def test_a_recording_is_shown_on_the_page(start: Any, taught: Any) -> None:
     recording = str(taught.result.recording)
     process, line = start(recording, "--live", config=None, command=("replay",))
     assert set(line) == {"listen", "http_port", "token"}
-    ask = Request(f"http://127.0.0.1:{line['http_port']}/api/state")
-    ask.add_header("Authorization", f"Bearer {line['token']}")
-    with urlopen(ask, timeout=20.0) as answer:
-        assert json.load(answer)["replay"]["name"] == "recording.mcap"
+    assert Client(line).get("/api/state")["replay"]["name"] == "recording.mcap"
     process.send_signal(signal.SIGTERM)
     assert process.wait(LIMIT_S) == 0
     page = f"page: http://127.0.0.1:{line['http_port']}/#token={line['token']}"

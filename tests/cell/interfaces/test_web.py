@@ -31,52 +31,7 @@ from cell.interfaces.service.serving import open_doors, warnings
 from cell.interfaces.web import WebDoor
 from tactile.errors import HeartbeatLost
 from tests.cell.interfaces.conftest import Served, ended, until
-
-
-class Client:
-    """A host with the token."""
-
-    def __init__(self, served: Served) -> None:
-        self.port = served.doors["http_port"]
-        self.token = served.doors["token"]
-
-    def ask(
-        self, method: str, path: str, body: Any = None, *, token: str | None = "", **headers: str
-    ) -> tuple[int, Any]:
-        """Return status and answer."""
-        link = HTTPConnection("127.0.0.1", self.port, timeout=20.0)
-        if token is not None:
-            headers["Authorization"] = f"Bearer {token or self.token}"
-        data = body if body is None or isinstance(body, bytes) else json.dumps(body).encode()
-        link.request(method, path, data, {"Content-Type": "application/json"} | headers)
-        answer = link.getresponse()
-        found = answer.read()
-        link.close()
-        return answer.status, json.loads(found) if found else None
-
-    def send(self, method: str, path: str, body: bytes | None = None) -> tuple[int, Any, str]:
-        """Return status, answer and its type; a JSON answer as what it is."""
-        link = HTTPConnection("127.0.0.1", self.port, timeout=20.0)
-        link.request(method, path, body, {"Authorization": f"Bearer {self.token}"})
-        answer = link.getresponse()
-        found, kind = answer.read(), answer.getheader("Content-Type", "")
-        link.close()
-        return answer.status, json.loads(found) if "json" in kind else found, kind
-
-    def get(self, path: str) -> Any:
-        status, found = self.ask("GET", path)
-        assert status == 200, found
-        return found
-
-    def post(self, path: str, **body: Any) -> Any:
-        status, found = self.ask("POST", path, body)
-        assert status == 200, found
-        return found
-
-    def live(self, query: str = "", **options: Any) -> Any:
-        return open_socket(
-            f"ws://127.0.0.1:{self.port}/api/live?token={self.token}{query}", **options
-        )
+from tests.cell.interfaces.hosts import Client
 
 
 @pytest.fixture
@@ -85,7 +40,7 @@ def connect(serve: Any) -> Callable[..., tuple[Served, Client]]:
 
     def make(**changes: Any) -> tuple[Served, Client]:
         served = serve("http", **changes)
-        return served, Client(served)
+        return served, Client(served.doors)
 
     return make
 
@@ -624,7 +579,7 @@ def test_the_end_of_the_door_ends_sockets_and_threads(serve: Any) -> None:
     served = serve()
     with ExitStack() as undo:
         served.doors = undo.enter_context(open_doors_with_http(served.service))
-        with Client(served).live() as link:
+        with Client(served.doors).live() as link:
             link.recv(timeout=20)
             undo.close()
             until(lambda: _closed(link))

@@ -485,12 +485,3 @@ def test_torn_requests_slow_clients_and_many_connects_change_nothing(connect: An
         # A byte now and then is no life sign either.
         until(lambda: all(ended(link) for link in links))
     assert (served.service.job().number, served.grip_n > 1.0) == (1, True)
-
-
-def test_other_hosts_are_refused(connect: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    from cell.interfaces import xml_rpc
-
-    served, _ = connect()
-    monkeypatch.setattr(xml_rpc, "may_connect", lambda _host, _config: False)
-    with pytest.raises(OSError, match=r".*"), ServerProxy(address(served)) as client:
-        client.state()

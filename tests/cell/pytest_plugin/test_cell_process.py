@@ -8,23 +8,14 @@ from typing import Any
 
 import pytest
 
-# In-process runs of pytester forget what they import; numpy does not bear being imported twice.
-import cell.build
-import cell.pytest_plugin.bench
-import cell.pytest_plugin.process  # noqa: F401
 from cell.config.file import load_config
 from cell.pytest_plugin.process import CellProcessError
 from gripper.dynamixel.bus import ServoBus
 from gripper.dynamixel.control_table import LED, TORQUE_ENABLE
 from gripper.dynamixel.serial_port import SerialStream
+from tests.cell.pytest_plugin.runs import run
 
 CONTRACT = Path(__file__).parents[2] / "contract"
-
-
-def run(pytester: pytest.Pytester, *arguments: str) -> pytest.RunResult:
-    # Each run would import hypothesis anew, which takes longer than the run.
-    quick = ("-p", "no:cacheprovider", "-p", "no:xdist", "-p", "no:hypothesispytest")
-    return pytester.runpytest_inprocess(*quick, *arguments)
 
 
 def gone(pid: int) -> bool:

@@ -8,11 +8,7 @@ from pathlib import Path
 
 import pytest
 
-# In-process runs of pytester forget what they import; numpy does not bear being imported twice.
-import cell.build
-import cell.pytest_plugin.bench
-import cell.pytest_plugin.process
-import cell.pytest_plugin.virtual  # noqa: F401
+from tests.cell.pytest_plugin.runs import run
 
 FIXTURES = (
     "cell_config",
@@ -26,12 +22,6 @@ FIXTURES = (
     "inject_fault",
 )
 HEAVY = ("numpy", "scipy", "pydantic", "can", "canopen", "serial", "simulator", "gripper", "rich")
-
-
-def run(pytester: pytest.Pytester, *arguments: str) -> pytest.RunResult:
-    # Each run would import hypothesis anew, which takes longer than the run.
-    quick = ("-p", "no:cacheprovider", "-p", "no:xdist", "-p", "no:hypothesispytest")
-    return pytester.runpytest_inprocess(*quick, *arguments)
 
 
 def test_pytest_finds_the_plugin_and_pays_nothing_for_it() -> None:

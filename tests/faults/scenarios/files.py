@@ -64,7 +64,6 @@ class _Disk:
         self.refused_s: float | None = None
 
     def write(self, file: DirectFile, data: bytes) -> int:
-        """Write as always until the part is touched."""
         if self.refused_s is None and self._cell.grip_n > 0.5:
             self.refused_s = self._cell.now_s
         if self.refused_s is None:
@@ -177,7 +176,6 @@ def damaged_recording(_row: FaultRow, *, damage: Callable[[bytes], bytes]) -> Ob
 
 
 def cut(data: bytes) -> bytes:
-    """Return the first three fifths."""
     return data[: len(data) * 3 // 5]
 
 
@@ -269,7 +267,6 @@ def bad_model(_row: FaultRow, *, content: Callable[[Path], bytes]) -> Observed:
 
 
 def model_of_other_version(_marker: Path) -> bytes:
-    """Return a model of a version that there is not."""
     with np.load(BytesIO(model_file()), allow_pickle=False) as archive:
         arrays = {name: archive[name] for name in archive.files}
     text = str(arrays["model"]).replace("tactile-cell-model/1", "tactile-cell-model/9")
@@ -279,7 +276,6 @@ def model_of_other_version(_marker: Path) -> bytes:
 
 
 def evil_pickle(marker: Path) -> bytes:
-    """Return a pickle that runs code."""
     data = pickle.dumps(_Evil(marker))
     pickle.loads(data)  # what the product must not do: it leaves the mark
     marker.rmdir()
@@ -287,7 +283,6 @@ def evil_pickle(marker: Path) -> bytes:
 
 
 def evil_archive(marker: Path) -> bytes:
-    """Return an archive with a pickle that runs code."""
     file = BytesIO()
     np.savez(file, model=np.array([_Evil(marker)], dtype=object))
     return file.getvalue()
@@ -316,12 +311,10 @@ def _port() -> Iterator[str]:
 
 
 def servo_port_opened_twice(_row: FaultRow) -> Observed:
-    """Open the port of the servos twice."""
     return _opened_twice(SerialStream, SerialStream.close, PortLost)
 
 
 def can_port_opened_twice(_row: FaultRow) -> Observed:
-    """Open the port of the CAN adapter twice."""
     return _opened_twice(lambda port: open_bus("slcan", port), close_bus, BusNotOpened)
 
 

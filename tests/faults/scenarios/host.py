@@ -51,7 +51,6 @@ class _HeldUp:
         self.worst_step_n = 0.0
 
     def add(self, collector: GraspCollector, cycle: Any, frames: Any) -> None:
-        """Collect as always, then sleep."""
         self._add(collector, cycle, frames)
         if self._setpoint_n > 0.0:
             self.worst_step_n = max(self.worst_step_n, cycle.setpoint_n - self._setpoint_n)
@@ -103,14 +102,12 @@ class SureRecognizer:
         self._error = error
 
     def posterior(self, grasp: Any) -> Posterior:
-        """Return the first label; raises the error that was given."""
         if self._error is not None:
             raise self._error
         return Posterior(labels=self.labels, probability=np.array([1.0 - 1e-9, 1e-9]), unknown=0.01)
 
 
 def broken_callback(*_given: object) -> None:
-    """Raise, as a window that was closed does."""
     raise ValueError("window closed")
 
 
@@ -252,7 +249,6 @@ def refused(row: FaultRow, *, prepare: Callable[[CampaignCell], object]) -> Obse
 
 
 def refused_while_moving(row: FaultRow) -> Observed:
-    """Give a command in the ramp."""
     with campaign_cell(row.changes) as cell:
         refusals: list[Observed] = []
 
@@ -284,14 +280,12 @@ def _refusal(cell: CampaignCell, command: str) -> Observed:
 
 
 def start_cancelled(row: FaultRow) -> Observed:
-    """Cancel the start as soon as the fingers open."""
     with campaign_cell(row.changes) as cell:
         began = cell.once_in(GripperPhase.OPENING, cell.controller.cancel)
         return _stopped(cell, began, cell.controller.start)
 
 
 def grasp_cancelled_twice(row: FaultRow) -> Observed:
-    """Cancel a grasp in its ramp, twice at the same moment."""
     with campaign_cell(row.changes) as cell:
 
         def cancel() -> None:

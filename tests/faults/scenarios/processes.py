@@ -76,7 +76,8 @@ plugin.start(dict(task="teach", label="box", grasps=50))
 sys.stdin.readline()
 raise RuntimeError("the host's own error")
 """
-"""A host program that ends by an error of its own while a job runs, and closes nothing."""
+"""A host program that ends by an error of its own while a job runs, and closes nothing. Its main
+module, which stands without `if __name__ == "__main__"`, is not run in the process of the loop."""
 
 # -- 31: a thread of the host holds the interpreter's lock -------------------------------------
 
@@ -162,7 +163,6 @@ def _hangup_not_ignored() -> Iterator[None]:
 
 
 def second_signal(_row: FaultRow) -> Observed:
-    """Send the program a second signal at once."""
     with _gripping() as client:
         client.process.send_signal(signal.SIGINT)
         client.process.send_signal(signal.SIGTERM)
@@ -179,7 +179,6 @@ def second_signal(_row: FaultRow) -> Observed:
 
 
 def parent_dies(_row: FaultRow) -> Observed:
-    """Kill the process that has started the program."""
     with _gripping(middle=True) as client:
         client.process.kill()
         began_s = time.monotonic()
@@ -198,7 +197,6 @@ def parent_dies(_row: FaultRow) -> Observed:
 
 
 def host_ends_by_an_error(_row: FaultRow) -> Observed:
-    """Let a host program end by an error of its own."""
     with _gripping(host=True) as client:
 
         def ends() -> None:
@@ -325,7 +323,9 @@ def _gripping(*, middle: bool = False, host: bool = False) -> Iterator[_Client]:
             *("-o", str(folder / "d.npz"), "--out", str(folder / "out")),
         ]
         if host:
-            command = [sys.executable, "-P", "-c", _HOST, str(cell.config_path)]
+            program = folder / "host.py"
+            program.write_text(_HOST)
+            command = [sys.executable, "-P", str(program), str(cell.config_path)]
         process = subprocess.Popen(
             [sys.executable, "-c", _MIDDLE, *command] if middle else command,
             stdin=subprocess.PIPE,
@@ -366,6 +366,10 @@ def _let_go() -> None:
 def _loop_left_alone(client: _Client, ends: Callable[[], Any], outcome: str) -> Observed:
     """End a program; the process of its force loop is left, and ends by itself."""
     loop = _child_of(client.pid)
+    os.kill(loop, signal.SIGINT)  # the business of the program, as Ctrl-C goes to both
+    threading.Event().wait(0.1)
+    if not _alive(loop):
+        return Observed("LOST", None, "the process of the force loop ends by SIGINT")
     ends()
     began_s = time.monotonic()
     after_s = _wait_for_end(loop) - began_s

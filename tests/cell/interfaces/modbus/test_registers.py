@@ -14,7 +14,6 @@ from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from pymodbus.client import ModbusTcpClient
 
 from cell.control.live import LiveValues
 from cell.control.plan import Pose
@@ -39,60 +38,16 @@ from cell.interfaces.modbus.registers import (
     RUNNING,
     SIGNATURE,
 )
-from cell.interfaces.service.doors import BUSY_MAX
 from cell.interfaces.service.service import RELEASE_KEY
 from tactile.errors import FrameTimeout
 from tests.cell.interfaces.conftest import LIMIT_S, Served, until
+from tests.cell.interfaces.hosts import Plc
 from tests.cell.interfaces.modbus.structured_text import BLOCK, KEYWORDS, FunctionBlock
 
 TEACH, IDENTIFY, GRIP, VERIFY, SORT = 20, 21, 22, 23, 24
 RELEASE, REACHED, REFUSE = 30, 40, 41
 CLEAR, RESET, STOP, HOLD = 9, 1, 3, 4
 KEEP = 1
-
-
-class Plc:
-    """A PLC that writes single registers or blocks, and follows the handshake."""
-
-    def __init__(self, port: int) -> None:
-        self.link = ModbusTcpClient("127.0.0.1", port=port, timeout=10, retries=0)
-        assert self.link.connect()
-        self.life = 0
-        self.seq = 0
-
-    def inputs(self) -> list[int]:
-        return self.link.read_input_registers(0, count=96).registers
-
-    def refusal(self) -> tuple[int, str]:
-        """Return number and text of the last refusal of this connection."""
-        inputs = self.inputs()
-        return inputs[26], struct.pack(">32H", *inputs[64:]).rstrip(b"\0").decode("ascii")
-
-    def write(self, address: int, *values: int) -> int:
-        """Write registers and return the exception code; 0 for none."""
-        found = self.link.write_registers(address, list(values))
-        return found.exception_code if found.isError() else 0
-
-    def live(self) -> int:
-        self.life = (self.life + 1) & 0xFFFF
-        return self.write(LIFE, self.life)
-
-    def adopt(self) -> "Plc":
-        """Take the lease and the acknowledged number."""
-        self.life = self.link.read_holding_registers(0, count=1).registers[0]
-        assert self.live() == 0
-        self.seq = self.inputs()[5]
-        assert self.write(COMMAND_SEQ, self.seq) == 0
-        return self
-
-    def command(self, number: int, *arguments: int) -> int:
-        """Run a command and return its result; arguments are registers 2 to 6."""
-        self.seq = (self.seq + 1) & 0xFFFF
-        values = [number, *arguments, *[0] * (6 - len(arguments)), self.seq]
-        assert self.write(COMMAND, *values) == 0
-        inputs = self.inputs()
-        assert inputs[5] == self.seq
-        return inputs[6]
 
 
 @pytest.fixture
@@ -266,19 +221,6 @@ def test_who_commands_writes_the_secret_first_where_there_is_one(
     assert second.write(32, *words, *[0] * 23) == 0
     until(lambda: second.write(LIFE, 11) == 0)
     assert served.service.snapshot().commander
-
-
-def test_connections_that_say_nothing_keep_nobody_out(connect: Any) -> None:
-    served, plc = connect()
-    plc.adopt()
-    with contextlib.ExitStack() as idle:
-        for _ in range(2 * BUSY_MAX):
-            place = ("127.0.0.1", served.doors["modbus_port"])
-            idle.enter_context(socket.create_connection(place, timeout=20.0))
-        _, second = connect(served)
-        assert second.write(7, 1) == 0
-        assert second.write(7, 0) == 0
-        assert plc.live() == 0  # the one in command was heard later than all of them
 
 
 def test_a_frozen_life_counter_holds_the_job(connect: Any) -> None:
@@ -720,13 +662,3 @@ def test_mbpoll_reads_the_cell(connect: Any) -> None:
     asked = ["mbpoll", "-1", "-q", "-t", "3", "-r", "1", "-c", "4", "-p", port, "127.0.0.1"]
     found = subprocess.run(asked, capture_output=True, text=True, timeout=30, check=True).stdout
     assert str(SIGNATURE) in found
-
-
-def test_other_hosts_are_refused(connect: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    from cell.interfaces.modbus import registers
-
-    served, _ = connect()
-    monkeypatch.setattr(registers, "may_connect", lambda _host, _config: False)
-    with socket.create_connection(("127.0.0.1", served.doors["modbus_port"])) as link:
-        link.settimeout(10.0)
-        assert link.recv(10) == b""

@@ -125,7 +125,6 @@ class FakeCell:
         return f"http://127.0.0.1:{self.port}/#token={TOKEN}"
 
     def close(self) -> None:
-        """End."""
         self._server.should_exit = True
         self._thread.join()
         self._socket.close()

@@ -6,13 +6,7 @@ from contextlib import suppress
 
 
 class Line:
-    """Passes bytes on to a port of this machine, from a port of its own.
-
-    Parameters
-    ----------
-    to
-        Port of the server.
-    """
+    """Passes bytes on to a port of this machine, from a port of its own."""
 
     def __init__(self, to: int) -> None:
         self.delay_s = 0.0
@@ -52,11 +46,9 @@ class Line:
         assert done.wait(10)
 
     def mend(self) -> None:
-        """Take connections again."""
         self._is_cut = False
 
     def close(self) -> None:
-        """End."""
         self.cut()
         self._loop.call_soon_threadsafe(self._over.set)
         self._thread.join()

@@ -17,6 +17,7 @@ from cell.interfaces.plugin.goals import TASKS
 from cell.interfaces.wizard import Phase
 from recognition.shape.answer import UNCLEAR
 from recognition.shape.models import SHAPE_MODELS
+from tests.cell.interfaces.hosts import Client
 from tests.cell.interfaces.page.fake_cell import FakeCell
 
 WORDS = {path.stem: json.loads(path.read_text()) for path in FOLDER.glob("*.json")}
@@ -180,11 +181,7 @@ def test_files_are_served_without_token_and_with_their_headers(serve: Any) -> No
 def test_the_fake_server_has_the_fields_of_the_real_one(serve: Any) -> None:
     """Without this its tests could pass on a page that no cell can serve."""
     served = serve("http")
-    link = HTTPConnection("127.0.0.1", served.doors["http_port"], timeout=20.0)
-    headers = {"Authorization": f"Bearer {served.doors['token']}"}
-    link.request("GET", "/api/state", headers=headers)
-    real = json.loads(link.getresponse().read())
-    link.close()
+    real = Client(served.doors).get("/api/state")
     fake = FakeCell()
     try:
         state = fake.now()

@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,7 +20,7 @@ from cell.interfaces.service.service import Service
 from cell.interfaces.service.serving import open_doors
 from cell.interfaces.service.state import state_values
 from tests.cell.conftest import plain_pads
-from tests.cell.interfaces.test_web import Client
+from tests.cell.interfaces.hosts import Client
 from tests.fuzz.harness import Clock
 
 
@@ -47,7 +46,7 @@ def host(replay: Replay) -> Iterator[tuple[Service, Client]]:
     doors = {"modbus_port": None, "xmlrpc_port": None, "http_port": 0}
     service = Service(replay, CellConfig(serve=doors))
     with closing(service), open_doors(service) as found:
-        yield service, Client(SimpleNamespace(doors=found))
+        yield service, Client(found)
 
 
 def go_to(replay: Replay, clock: Clock, t_s: float) -> None:
@@ -209,7 +208,7 @@ def test_what_is_no_recording_is_refused_and_the_one_before_goes_on(
 
 
 def test_a_cell_takes_no_recording(serve: Any) -> None:
-    client = Client(serve("http"))
+    client = Client(serve("http").doors)
     assert send(client, b"no recording")[0] in (404, 405)
     assert send(client, bytes(70_000))[0] == 413
     assert client.get("/api/state")["replay"] is None

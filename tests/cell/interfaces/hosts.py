@@ -1,0 +1,102 @@
+"""Hosts of the doors as others write them: a PLC with pymodbus, a program with http.client."""
+
+import json
+import struct
+from http.client import HTTPConnection
+from typing import Any
+
+from pymodbus.client import ModbusTcpClient
+from websockets.sync.client import connect as open_socket
+
+from cell.interfaces.modbus.registers import COMMAND, COMMAND_SEQ, LIFE
+from tests.cell.interfaces.conftest import LIMIT_S
+
+
+class Plc:
+    """A PLC that writes single registers or blocks, and follows the handshake."""
+
+    def __init__(self, port: int) -> None:
+        self.link = ModbusTcpClient("127.0.0.1", port=port, timeout=LIMIT_S, retries=0)
+        assert self.link.connect()
+        self.life = 0
+        self.seq = 0
+
+    def inputs(self) -> list[int]:
+        return self.link.read_input_registers(0, count=96).registers
+
+    def refusal(self) -> tuple[int, str]:
+        """Return number and text of the last refusal of this connection."""
+        inputs = self.inputs()
+        return inputs[26], struct.pack(">32H", *inputs[64:]).rstrip(b"\0").decode("ascii")
+
+    def write(self, address: int, *values: int) -> int:
+        """Write registers and return the exception code; 0 for none."""
+        found = self.link.write_registers(address, list(values))
+        return found.exception_code if found.isError() else 0
+
+    def live(self) -> int:
+        self.life = (self.life + 1) & 0xFFFF
+        return self.write(LIFE, self.life)
+
+    def adopt(self) -> "Plc":
+        """Take the lease and the acknowledged number."""
+        self.life = self.link.read_holding_registers(0, count=1).registers[0]
+        assert self.live() == 0
+        self.seq = self.inputs()[5]
+        assert self.write(COMMAND_SEQ, self.seq) == 0
+        return self
+
+    def command(self, number: int, *arguments: int) -> int:
+        """Run a command and return its result; arguments are registers 2 to 6."""
+        self.seq = (self.seq + 1) & 0xFFFF
+        values = [number, *arguments, *[0] * (6 - len(arguments)), self.seq]
+        assert self.write(COMMAND, *values) == 0
+        inputs = self.inputs()
+        assert inputs[5] == self.seq
+        return inputs[6]
+
+
+class Client:
+    """A host with the token; each request has a connection of its own, the door ends idle ones."""
+
+    def __init__(self, doors: dict[str, Any]) -> None:
+        self.port = doors["http_port"]
+        self.token = doors["token"]
+
+    def ask(
+        self, method: str, path: str, body: Any = None, *, token: str | None = "", **headers: str
+    ) -> tuple[int, Any]:
+        """Return status and answer."""
+        link = HTTPConnection("127.0.0.1", self.port, timeout=LIMIT_S)
+        if token is not None:
+            headers["Authorization"] = f"Bearer {token or self.token}"
+        data = body if body is None or isinstance(body, bytes) else json.dumps(body).encode()
+        link.request(method, path, data, {"Content-Type": "application/json"} | headers)
+        answer = link.getresponse()
+        found = answer.read()
+        link.close()
+        return answer.status, json.loads(found) if found else None
+
+    def send(self, method: str, path: str, body: bytes | None = None) -> tuple[int, Any, str]:
+        """Return status, answer and its type; a JSON answer as what it is."""
+        link = HTTPConnection("127.0.0.1", self.port, timeout=LIMIT_S)
+        link.request(method, path, body, {"Authorization": f"Bearer {self.token}"})
+        answer = link.getresponse()
+        found, kind = answer.read(), answer.getheader("Content-Type", "")
+        link.close()
+        return answer.status, json.loads(found) if "json" in kind else found, kind
+
+    def get(self, path: str) -> Any:
+        status, found = self.ask("GET", path)
+        assert status == 200, found
+        return found
+
+    def post(self, path: str, **body: Any) -> Any:
+        status, found = self.ask("POST", path, body)
+        assert status == 200, found
+        return found
+
+    def live(self, query: str = "", **options: Any) -> Any:
+        return open_socket(
+            f"ws://127.0.0.1:{self.port}/api/live?token={self.token}{query}", **options
+        )
