@@ -34,6 +34,12 @@ _SLOWEST_M_S = 0.004
 """Least rate of the opening in m/s of an approach: twice that below which the fingers count as
 standing."""
 
+_GOAL_PERIODS, _CURRENT_S = 1.5, 0.003
+"""Periods from a position to the goal that is made of the one after, on average at the worst, and
+time constant in s of a servo's current (assumed)."""
+_SLOWED_TIMES = 2.0
+"""Time constants after which fingers count as slowed down: 14 % of the difference is left."""
+
 
 class ImpactLimit(NamedTuple):
     """Speed of closing fingers whose momentum the cap of the force allows."""
@@ -115,12 +121,52 @@ def closing_current_max_a(settings: GripperSettings, paths: Sequence[Transmissio
 
 
 def approach_speed_m_s(
-    settings: GripperSettings, linkage: Linkage, angles_rad: Sequence[float]
+    settings: GripperSettings,
+    linkage: Linkage,
+    angles_rad: Sequence[float],
+    *,
+    travelling: bool = False,
 ) -> float:
-    """Return the rate of the opening in m/s of an approach at an angle of each servo in rad."""
+    """Return the rate of the opening in m/s of an approach at an angle of each servo in rad.
+
+    ``travelling`` is True where no part has begun so far; one that does is met below the cap too.
+    """
     # Each of the fingers closes at half the rate of the opening.
     allowed_m_s = 2.0 * impact_limit(settings, linkage, angles_rad).pad_speed_m_s()
-    return min(settings.approach_speed_m_s, max(allowed_m_s, _SLOWEST_M_S))
+    wanted_m_s = settings.approach_speed_m_s
+    if travelling:
+        wanted_m_s = max(wanted_m_s, settings.travel_speed_m_s)
+    return min(wanted_m_s, max(allowed_m_s, _SLOWEST_M_S))
+
+
+def slowing_way_m(
+    settings: GripperSettings,
+    linkage: Linkage,
+    angles_rad: Sequence[float],
+    *,
+    from_m_s: float,
+    to_m_s: float,
+) -> float:
+    """Return the change of the opening in m in which closing fingers slow down.
+
+    The goal of a servo is drawn back to the lead of the lower speed. Until that acts the fingers
+    go on; then the position controller, whose force falls with the speed as the voltage that the
+    motor makes, brings the moving mass to it with a time constant.
+    """
+    if to_m_s >= from_m_s:
+        return 0.0
+    mass_kg = impact_limit(settings, linkage, angles_rad).mass_kg
+    slowing_s = max(
+        mass_kg * path.radius_m**2 * model.no_load_rad_s / (path.kt_nm_a * model.stall_current_a)
+        for path, model in zip(
+            transmissions(settings, linkage, angles_rad),
+            (servo.servo_model for servo in settings.servos),
+            strict=True,
+        )
+    )
+    acts_s = _GOAL_PERIODS * settings.period_s + _CURRENT_S
+    lasts_s = _SLOWED_TIMES * slowing_s
+    return acts_s * from_m_s + slowing_s * (from_m_s - to_m_s) + lasts_s * to_m_s
 
 
 def check_approach(settings: GripperSettings, linkage: Linkage) -> float:

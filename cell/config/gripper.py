@@ -170,8 +170,13 @@ class GripperConfig(Section):
     pads_meet: bool = True
     """Whether the pads of empty fingers can press flat on each other; a self-zero needs it."""
     approach_speed_mm_s: float = setting_of(GripperSettings, "approach_speed_m_s", MILLI)
-    """Closing speed until contact in mm/s of opening, 4 to 200. The fingers close no faster than
-    their momentum can be stopped below force_max_n; a note names the speed where that is less."""
+    """Closing speed where a part may begin in mm/s of opening, 4 to 200. The fingers close no
+    faster than their momentum can be stopped below force_max_n; a note names the speed where that
+    is less."""
+    travel_speed_mm_s: float = setting_of(GripperSettings, "travel_speed_m_s", MILLI)
+    """Closing speed in mm/s of opening, 4 to 200, while the fingers are wider open than every part
+    that they have touched since the start; a wider one is met with it, below force_max_n too. One
+    that is no faster than approach_speed_mm_s changes nothing."""
     open_speed_mm_s: float = setting_of(GripperSettings, "open_speed_m_s", MILLI)
     """Opening speed in mm/s of opening, 2 to 200."""
     contact_force_n: float = setting_of(GripperSettings, "contact_force_n")

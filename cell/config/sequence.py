@@ -23,9 +23,9 @@ class LinearRampConfig(Section):
 
     kind: Literal["linear"] = "linear"
     """Shape of the force ramp."""
-    rate_n_s: float = Field(default=5.0, ge=0.1, le=50.0)
+    rate_n_s: float = Field(default=20.0, ge=0.1, le=50.0)
     """Growth of the force in N/s, 0.1 to 50."""
-    hold_s: float = Field(default=0.3, ge=0.0, le=60.0)
+    hold_s: float = Field(default=0.1, ge=0.0, le=60.0)
     """Time at the final force in s, up to 60."""
 
 

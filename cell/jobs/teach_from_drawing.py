@@ -101,9 +101,11 @@ def course_of(config: CellConfig, known: PadKnowledge) -> Course:
         period_s=1e-3 * config.tactile.sync_period_ms,
         aperture_open_m=1e-3 * config.gripper.aperture_open_mm,
         approach_speed_m_s=1e-3 * config.gripper.approach_speed_mm_s,
+        travel_speed_m_s=1e-3 * config.gripper.travel_speed_mm_s,
         aperture_step_m=1e-3 * step_mm,
         aperture_sd_m=known.aperture_sd_m,
-        impact_n=(config.gripper.contact_force_n, config.gripper.contact_force_n + 0.5),
+        # What stops a finger is a contact from half of that force on.
+        impact_n=(0.5 * config.gripper.contact_force_n, config.gripper.contact_force_n + 0.3),
         modulus_sd=(1.0 + _MODULUS_FURTHER * further) * known.modulus_sd,
         gain_sd=known.other_foams * known.gain_sd,
         spread_sd=known.other_foams * known.spread_sd,

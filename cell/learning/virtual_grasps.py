@@ -35,9 +35,11 @@ _FAR_M = 1.0
 """Distance in m in place of an infinite one, where nothing faces the pad."""
 SOURCE = "drawing"
 """Origin of such grasps, as a data set keeps it."""
-_SLOW_CONTACT_S = (0.02, 0.4)
-"""Shortest and longest time in s from the first touch to the ramp: a finger brakes and presses
+_SLOW_CONTACT_S = (0.0, 0.05)
+"""Shortest and longest time in s from the first touch to the ramp: a finger brakes, and presses
 slowly until the contact is sure (simulated cell; the rounder the object the longer)."""
+_SLOW_WAY_M = 3e-3
+"""Way in m before the touch in which fingers that travelled have slowed down."""
 _SLOW_S = 0.5
 """Time constant in s with which foam creeps."""
 
@@ -148,8 +150,9 @@ class Course:
     """Time between two frames in s."""
     aperture_open_m: float = 18e-3
     """Opening at the start in m."""
-    approach_speed_m_s: float = 20e-3
-    """Closing speed of the opening in m/s."""
+    approach_speed_m_s: float = 24e-3
+    travel_speed_m_s: float = 50e-3
+    """Closing speed of the opening in m/s, where a part may begin and before that."""
     aperture_step_m: float = 0.1e-3
     """Smallest step of the measured opening in m."""
     aperture_sd_m: float = 0.2e-3
@@ -310,13 +313,13 @@ class VirtualPads:
         The closing comes first, then the ramp: m is less than n.
         """
         course = self._course
-        closing_s, impact_n = self._approach(touch_m, presses, rng)
+        closed_m, impact_n = self._approach(touch_m, presses, rng)
         force_n, setpoint_n = _force_course(ramp, impact_n, course, rng)
-        closing_m = np.maximum(course.aperture_open_m - course.approach_speed_m_s * closing_s, 0.0)
+        closing_m = np.maximum(course.aperture_open_m - closed_m, 0.0)
         closing_n = shared_force(presses, np.maximum(touch_m - closing_m, 0.0))
         largest_n = min(float(p.force_n[-1]) for p in presses)
         force_n = np.minimum(np.concatenate([closing_n, force_n]), _LARGEST_SHARE * largest_n)
-        return force_n, np.concatenate([np.zeros(len(closing_s)), setpoint_n]), closing_m
+        return force_n, np.concatenate([np.zeros(len(closed_m)), setpoint_n]), closing_m
 
     def _counts(
         self,
@@ -349,16 +352,23 @@ class VirtualPads:
     def _approach(
         self, touch_m: float, presses: Sequence["Press"], rng: np.random.Generator
     ) -> tuple[NDArray[np.float64], float]:
-        """Return the times at which the fingers close in s, and the force they stop with in N."""
+        """Return how far in m the fingers have closed, and the force they stop with in N."""
         course = self._course
         impact_n = rng.uniform(*course.impact_n)
         depth_m = sum(float(np.interp(impact_n, p.force_n, p.depth_m)) for p in presses)
         way_m = course.aperture_open_m - touch_m + depth_m
-        wait_s = rng.uniform(0.05, 0.15)
+        wait_s = rng.uniform(0.01, 0.04)
         pause_s = rng.uniform(*_SLOW_CONTACT_S)
-        n_closing = math.ceil((wait_s + way_m / course.approach_speed_m_s) / course.period_s)
+        # Other parts begin wider: so far the fingers travel.
+        travel_m = rng.uniform(0.4, 1.0) * max(0.0, way_m - _SLOW_WAY_M)
+        travel_s = travel_m / max(course.travel_speed_m_s, course.approach_speed_m_s)
+        closing_s = travel_s + (way_m - travel_m) / course.approach_speed_m_s
+        n_closing = math.ceil((wait_s + closing_s) / course.period_s)
         times_s = course.period_s * np.arange(n_closing + round(pause_s / course.period_s))
-        return np.clip(times_s - wait_s, 0.0, way_m / course.approach_speed_m_s), impact_n
+        closed_m: NDArray[np.float64] = np.interp(
+            times_s - wait_s, [0.0, travel_s, closing_s], [0.0, travel_m, way_m]
+        )
+        return closed_m, impact_n
 
 
 def _slowly(values: NDArray[np.float64], n_frames: float) -> NDArray[np.float64]:
@@ -373,7 +383,7 @@ def _force_course(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Return force and set-point in N in each frame from the beginning of the ramp on."""
     actual = ramp.starting_from(impact_n)
-    n = math.ceil(actual.duration_s / course.period_s) + int(rng.integers(1, 8))
+    n = math.ceil(actual.duration_s / course.period_s) + int(rng.integers(1, 5))
     setpoint_n = np.array([actual.setpoint_n(course.period_s * i) for i in range(n)])
     scale = rng.normal(1.0, course.force_sd)
     force_n = np.empty(n)

@@ -127,6 +127,7 @@ class ForceController:
         motion_n: float = 0.0,
         standing: bool = True,
         taper: bool = False,
+        corrected: bool = False,
     ) -> float:
         """Advance by one period and return the driving force in N.
 
@@ -150,6 +151,8 @@ class ForceController:
             Whether the fingers have stood for a while: then no force grows suddenly.
         taper
             True during a long hold: give back what friction makes superfluous.
+        corrected
+            True where small errors of a hold are made up for elsewhere.
 
         Raises
         ------
@@ -175,7 +178,10 @@ class ForceController:
             self._held_since_s = now_s
         dither_share = self._settings.dither_share
         next_dither = dither_share if self._dither <= 0.0 else -dither_share
-        wanted_n = self._edge_n(now_s, setpoint_n, friction_n, rate_n_s=rate_n_s, held=held)
+        left_alone = held and corrected and not taper
+        wanted_n = None
+        if not left_alone:
+            wanted_n = self._edge_n(now_s, setpoint_n, friction_n, rate_n_s=rate_n_s, held=held)
         self._dither = 0.0 if wanted_n is None else next_dither
         if wanted_n is None:
             wanted_n = self._drive_n
@@ -190,6 +196,47 @@ class ForceController:
         self._move_model(now_s, friction_n)
         crest_n = min(self._dither * friction_n, drive_max_n - self._drive_n)
         return min(self._drive_n - braking_n + crest_n, drive_max_n)
+
+    def follow(
+        self,
+        now_s: float,
+        setpoint_n: float,
+        sample: ForceSample,
+        *,
+        force_n: float,
+        doubt_n: float,
+        drive_n: float,
+        lacking_n: float,
+        friction_n: float,
+    ) -> None:
+        """Take over what another law does while the force rises, so that control can go on here.
+
+        Parameters
+        ----------
+        now_s
+            Monotonic time in s.
+        setpoint_n, sample, friction_n
+            As for `step`.
+        force_n, doubt_n
+            Grip force and its standard deviation in N.
+        drive_n
+            Driving force in N.
+        lacking_n
+            By how much in N the drive makes less force than the model has it.
+
+        Raises
+        ------
+        LimitExceeded
+            When sensor and model disagree, as in `step`.
+        """
+        self._history.shift(self._bias_n + lacking_n)
+        self._bias_n, self._doubt_n2 = -lacking_n, doubt_n**2
+        self._model_n, self._drive_n = force_n + lacking_n, drive_n
+        self._history.add(now_s, self._model_n)
+        self._setpoint_n, self._rising, self._dither = setpoint_n, True, 0.0
+        self._held_since_s = self._breaking_since_s = now_s
+        self._sample_s = sample.t_s
+        self._check_bias(now_s, sample, setpoint_n, friction_n)
 
     def _edge_n(
         self, now_s: float, setpoint_n: float, friction_n: float, *, rate_n_s: float, held: bool
@@ -275,8 +322,8 @@ class ForceController:
         """
         settings = self._settings
         seen_n = sample.grip_n - self._history.at(sample.measured_s)
-        sticks_n = _STICKS_SHARE * friction_n if now_s - self._fell_s < _AFTER_FALL_S else 0.0
-        jumped = standing and self._jumps(sample, seen_n, setpoint_n, sticks_n)
+        sticking_n = friction_n if now_s - self._fell_s < _AFTER_FALL_S else 0.0
+        jumped = standing and self.jumps(sample, seen_n - self._bias_n, setpoint_n, sticking_n)
         if sample.t_s > self._sample_s and not jumped:
             step_s = sample.t_s - self._sample_s
             drift_n_rs = settings.bias_drift_n_rs * (1.0 + rate_n_s / settings.bias_rate_n_s)
@@ -293,16 +340,31 @@ class ForceController:
                 self._anchor(sample, setpoint_n, friction_n)
         self._check_bias(now_s, sample, setpoint_n, friction_n)
 
-    def _jumps(
-        self, sample: ForceSample, seen_n: float, setpoint_n: float, sticks_n: float
+    def jumps(
+        self, sample: ForceSample, jump_n: float, setpoint_n: float, sticking_n: float
     ) -> bool:
         """Return whether a sample shows far more force than before though no drive made it.
 
-        Following it would let a part go whose force has not changed. LimitExceeded when it lasts.
+        Following it would let a part go whose force has not changed.
+
+        Parameters
+        ----------
+        sample
+            Newest valid force sample; the same one may come again.
+        jump_n
+            What it shows beyond the force that the drive explains, in N.
+        setpoint_n
+            Grip force that is asked for in N.
+        sticking_n
+            Friction in N that may still hold more force, as after a fall.
+
+        Raises
+        ------
+        LimitExceeded
+            When it lasts.
         """
-        jump_n = seen_n - self._bias_n
         least_n = max(_JUMP_N, _JUMP_SHARE * setpoint_n) + _JUMP_SIGMAS * sample.noise_n
-        least_n += sticks_n
+        least_n += _STICKS_SHARE * sticking_n
         if jump_n <= least_n:
             self._jumped_s = None
             return False

@@ -25,6 +25,8 @@ from gripper.state import GraspOutcome, GraspResult, GripperPhase, GripperState
 
 _CONTACT_SHARE = 0.97
 """Where in the friction band the drive is at the contact: at its rising edge, with a reserve."""
+_BEGINS_M = 0.0015
+"""How much wider in m than all parts so far the next one may begin."""
 _REST_S = 0.08
 """Time in s that the fingers rest at the contact, so that the ramp begins at the force there."""
 _EQUAL_S = 1e-9
@@ -54,6 +56,8 @@ class GraspRun:
         self._end = RampEnd()
         self._ramp_step: RampStep | None = None
         self._closed_is_proven = False
+        self._widest_m: float | None = None
+        self._friction_share = 1.0
 
     @property
     def control(self) -> GripControl | None:
@@ -65,8 +69,9 @@ class GraspRun:
         self._ramp_step = None
 
     def begin(self) -> None:
-        """Prove anew where the fingers are closed: their torque comes on."""
+        """Prove anew where the fingers are closed, and learn anew: their torque comes on."""
         self._closed_is_proven = False
+        self._widest_m, self._friction_share = None, 1.0
 
     def end_ramp(self) -> None:
         """End the running ramp at its present set-point; see `Gripper.end_ramp`."""
@@ -98,6 +103,7 @@ class GraspRun:
                 set_phase(GripperPhase.APPROACHING)
                 self._prove_closed(contact, observer)
                 return _without_contact(contact)
+            self._widest_m = max(self._widest_m or 0.0, reached.touch_m)
             step, final = self._press(ramp, reached, observer, set_phase)
         if step.lost:
             ran = step.control is not None and step.control.ran
@@ -217,7 +223,14 @@ class GraspRun:
 
     def _approach(self, settings: GripperSettings, observer: Observer | None) -> "_Reached":
         """Close until the contact, or the end of the way, and feed the estimates."""
-        approach = Approach(settings, self._linkage, self._servos.read_patiently())
+        # Fingers that are to meet find no part on their way.
+        known = settings is self._settings and self._widest_m is not None
+        approach = Approach(
+            settings,
+            self._linkage,
+            self._servos.read_patiently(),
+            widest_m=(self._widest_m or 0.0) + _BEGINS_M if known else None,
+        )
         stiffness = StiffnessEstimate(self._settings)
         friction = FrictionEstimate(self._settings, self._linkage)
 
@@ -227,13 +240,15 @@ class GraspRun:
             return approach.step(moment)
 
         state = self._runner.run(GripperPhase.APPROACHING, step, observer, needs_force=True)
+        if friction.measured:
+            self._friction_share = friction.friction_share()
         return _Reached(
             settings=settings,
             event=approach.event,
             state=state,
             touch_m=approach.touch_m,
             stiffness=stiffness,
-            friction_share=friction.friction_share(),
+            friction_share=self._friction_share,
         )
 
     def _closed(self, observer: Observer | None) -> "_Reached":
@@ -263,6 +278,68 @@ class _Reached:
     touch_m: float
     stiffness: StiffnessEstimate
     friction_share: float
+
+
+class RampTime:
+    """Time on a ramp: it stands at the beginning of a level until the force has risen to it.
+
+    What is held is then the level, however far the force was behind a fast change.
+
+    Parameters
+    ----------
+    settings
+        Of the gripper.
+    ramp
+        The ramp.
+
+    Attributes
+    ----------
+    ramp
+        As the parameter.
+    elapsed_s
+        Time since the beginning of the ramp in s.
+    """
+
+    def __init__(self, settings: GripperSettings, ramp: ForceRamp) -> None:
+        self._settings = settings
+        self._waited_s: float | None = None
+        self.ramp = ramp
+        self.elapsed_s = 0.0
+
+    @property
+    def setpoint_n(self) -> float:
+        """Force in N that is asked for now."""
+        return self.ramp.setpoint_n(self.elapsed_s)
+
+    @property
+    def level(self) -> int | None:
+        """Index of the level that is held; None on the way to it."""
+        return None if self._waited_s is not None else self.ramp.level_at(self.elapsed_s)
+
+    def pass_by(self, dt_s: float, force_n: float) -> None:
+        """Let ``dt_s`` s pass, in which the force was ``force_n`` N."""
+        if self._waited_s is None:
+            changed = self.ramp.level_at(self.elapsed_s) is None
+            self.elapsed_s += dt_s
+            if not changed or self.ramp.level_at(self.elapsed_s) is None:
+                return
+            self._waited_s = 0.0
+        setpoint_n = self.setpoint_n
+        near_n = self._settings.settle_tolerance_at_n(setpoint_n)
+        self._waited_s += dt_s
+        if force_n >= setpoint_n - near_n or self._waited_s > self._settings.settle_timeout_s:
+            self._waited_s = None
+
+    def settled(self, force_n: float) -> bool:
+        """Return whether the ramp is over and its force reached, or the time for that is up."""
+        left_s = self.ramp.duration_s - self.elapsed_s
+        if left_s > _EQUAL_S or self._waited_s is not None:
+            return False
+        final_n = self.ramp.final_n
+        return (
+            abs(force_n - final_n) <= self._settings.settle_tolerance_at_n(final_n)
+            or -left_s >= self._settings.settle_timeout_s
+        )
 
 
 class RampStep:
@@ -307,7 +384,7 @@ class RampStep:
         self.lost = False
         self._settings = settings
         self._linkage = linkage
-        self._ramp = ramp
+        self._time = RampTime(settings, ramp)
         self._contact = contact
         self._touch_m = touch_m
         self._stiffness = stiffness
@@ -315,7 +392,6 @@ class RampStep:
         self._end = end
         self._rest = ContactRest(contact.t_s + _REST_S)
         self._slip = LevelSlip(settings)
-        self._elapsed_s = 0.0
         self._peak_n = 0.0
         self._ended = False
 
@@ -325,10 +401,10 @@ class RampStep:
         if self._rest.goes_on(moment):
             return Action()
         control = self._advance(moment)
-        setpoint_n = self._ramp.setpoint_n(self._elapsed_s)
-        level = self._ramp.level_at(self._elapsed_s)
+        setpoint_n, level = self._time.setpoint_n, self._time.level
         self.lost = control.part_lost(moment)
-        goals = control.goals(moment, setpoint_n, arrival_n=self._ramp.arrival_n(self._elapsed_s))
+        arrival_n = self._time.ramp.arrival_n(self._time.elapsed_s)
+        goals = control.goals(moment, setpoint_n, arrival_n=arrival_n)
         self._peak_n = max(self._peak_n, control.force_n)
         if self.lost:
             goals = tuple(
@@ -337,7 +413,7 @@ class RampStep:
             )
         elif not control.doubts:
             self._slip.check(moment, level, setpoint_n=setpoint_n)
-        done = self.lost or _settled(self._settings, self._ramp, self._elapsed_s, control)
+        done = self.lost or self._time.settled(control.force_n)
         return Action(goals=goals, setpoint_n=setpoint_n, level=level, done=done)
 
     def outcome(self, final: GripperState) -> GraspOutcome:
@@ -351,7 +427,7 @@ class RampStep:
         return _outcome(
             self._settings,
             self.control,
-            self._ramp,
+            self._time.ramp,
             final,
             contact=self._contact,
             peak_n=self._peak_n,
@@ -363,12 +439,14 @@ class RampStep:
         """Advance the time on the ramp: begin it, end it early, or go on."""
         if self.control is None:
             self.control = self._new_control(moment, self._rest.force_n)
-            self._ramp = self._ramp.starting_from(self._rest.force_n)
+            begun = self._time.ramp.starting_from(self._rest.force_n)
+            self._time = RampTime(self._settings, begun)
         elif not self._ended and self._ends_early():
-            self._ramp, self._elapsed_s = self._ramp.ended_at(self._elapsed_s), 0.0
+            ended = self._time.ramp.ended_at(self._time.elapsed_s)
+            self._time = RampTime(self._settings, ended)
             self._ended = True
         else:
-            self._elapsed_s += moment.dt_s
+            self._time.pass_by(moment.dt_s, self.control.force_n)
         return self.control
 
     def _new_control(self, moment: Moment, force_n: float) -> GripControl:
@@ -391,8 +469,8 @@ class RampStep:
         """Return whether the ramp is to end now: wanted, not over, and enough to hold a part."""
         return (
             self._end.requested
-            and self._ramp.duration_s - self._elapsed_s > _EQUAL_S
-            and self._ramp.setpoint_n(self._elapsed_s) >= self._settings.contact_force_n
+            and self._time.ramp.duration_s - self._time.elapsed_s > _EQUAL_S
+            and self._time.setpoint_n >= self._settings.contact_force_n
         )
 
 
@@ -446,20 +524,19 @@ class BackOffStep:
     def __init__(self, settings: GripperSettings, control: GripControl, ramp: ForceRamp) -> None:
         self._settings = settings
         self._control = control
-        self._ramp = ramp
-        self._elapsed_s = 0.0
+        self._time = RampTime(settings, ramp)
         control.resume()
 
     def step(self, moment: Moment) -> Action:
         """Return the action of one period; PartLost when the part goes."""
-        self._elapsed_s += moment.dt_s
         _check_part(self._control, moment)
-        setpoint_n = self._ramp.setpoint_n(self._elapsed_s)
-        goals = self._control.goals(
-            moment, setpoint_n, arrival_n=self._ramp.arrival_n(self._elapsed_s)
+        self._time.pass_by(moment.dt_s, self._control.force_n)
+        setpoint_n = self._time.setpoint_n
+        arrival_n = self._time.ramp.arrival_n(self._time.elapsed_s)
+        goals = self._control.goals(moment, setpoint_n, arrival_n=arrival_n)
+        return Action(
+            goals=goals, setpoint_n=setpoint_n, done=self._time.settled(self._control.force_n)
         )
-        done = _settled(self._settings, self._ramp, self._elapsed_s, self._control)
-        return Action(goals=goals, setpoint_n=setpoint_n, done=done)
 
 
 class SqueezeStep(BackOffStep):
@@ -479,7 +556,7 @@ class SqueezeStep(BackOffStep):
     def step(self, moment: Moment) -> Action:
         """Return the action of one period; PartLost, PartSlipped when the part goes."""
         action = super().step(moment)
-        level = self._ramp.level_at(self._elapsed_s)
+        level = self._time.level
         self._peak_n = max(self._peak_n, self._control.force_n)
         if not self._control.doubts:
             self._slip.check(moment, level, setpoint_n=action.setpoint_n)
@@ -488,22 +565,13 @@ class SqueezeStep(BackOffStep):
     def outcome(self, final: GripperState) -> GraspOutcome:
         """Return the outcome of the ramp, of which ``final`` is the last feedback."""
         return _outcome(
-            self._settings, self._control, self._ramp, final, contact=None, peak_n=self._peak_n
+            self._settings,
+            self._control,
+            self._time.ramp,
+            final,
+            contact=None,
+            peak_n=self._peak_n,
         )
-
-
-def _settled(
-    settings: GripperSettings, ramp: ForceRamp, elapsed_s: float, control: GripControl
-) -> bool:
-    """Return whether a ramp is over and its force reached, or the time for that is up."""
-    left_s = ramp.duration_s - elapsed_s
-    if left_s > _EQUAL_S:
-        return False
-    error_n = abs(control.force_n - ramp.final_n)
-    return (
-        error_n <= settings.settle_tolerance_at_n(ramp.final_n)
-        or -left_s >= settings.settle_timeout_s
-    )
 
 
 def _check_part(control: GripControl, moment: Moment) -> None:

@@ -9,6 +9,7 @@ from gripper.errors import ForceImbalance, PositionContradicted
 from gripper.force.controller import ForceController, History, SetpointFilter
 from gripper.force.loop import Moment
 from gripper.force.part_loss import BREAKAWAY_SHARE, PartWatch
+from gripper.force.ramp_motion import ContactObserver, RampMotion
 from gripper.impact import impact_limit
 from gripper.kinematics import Linkage, Transmission, transmissions
 from gripper.servos.goals import ServoGoal, closing_margin_rad, most_closed_rad
@@ -51,6 +52,16 @@ _DAMPED_SHARE = 0.25
 _STILL_M_S = 0.002
 """Rate of the opening in m/s below which the fingers stand."""
 
+_FAST_N_S = 6.0
+"""Rate in N/s from which on a rise is a planned motion: below, friction at rest decides."""
+_CORRECTED_N, _CORRECTED_DOUBT_N = 0.1, 0.06
+"""Error in N of a hold that is made up for by a motion, and how well the force must be known."""
+_PAUSE_S = 0.05
+"""Least time in s between two such motions."""
+_HARDENS, _WAY_DOUBT_M = 1.5, 1e-4
+"""Stiffness at the contact over the mean one up to it, as foam has it, and what the way up to the
+contact may be short by, in m: one count of the encoders."""
+
 _TOUCH_SHARE = 0.3
 """Share of ``contact_force_n`` below which a sample shows no touch."""
 _SLOPE_N = 0.7
@@ -62,14 +73,14 @@ _SHORTEST_M = 1e-4
 _STIFFEST_N_M = 1e5
 """Largest stiffness in N/m: a steel part between foam pads is far below it."""
 
-_AFTER_START_S = 0.12
+_AFTER_START_S = 0.06
 """Time in s from the start of free motion until its current is that of friction alone."""
-_BEFORE_CONTACT_S = 0.08
+_BEFORE_CONTACT_S = 0.05
 """Time in s before the end of free motion that is left out: the pads report a contact late."""
 _WINDOW_S = 0.4
 """Time in s of free motion that the friction is taken over."""
-_LEAST_PERIODS = 20
-"""Least periods of free motion that the friction is taken over: 0.1 s at 200 Hz."""
+_LEAST_PERIODS = 12
+"""Least periods of free motion that the friction is taken over: 0.06 s at 200 Hz."""
 _LOW_SHARE, _HIGH_SHARE = 0.5, 1.6
 """Range of the friction found, as a share of the model's: beyond it something else brakes."""
 
@@ -149,6 +160,15 @@ class GripControl:
         self._damping_n_s_m = min(0.5 * self._weight * tuning.damping_n_s_m, stable_n_s_m)
         self._inertia_n_s_m = min(self._weight * _INERTIA_N_S_M, stable_n_s_m)
         self._uneven_s = 0.0
+        self._mass_kg = impact_limit(settings, linkage).mass_kg
+        # Both pads yield by what the opening shrinks.
+        way_m = max(touch_m - state.aperture_m, 0.0) + _WAY_DOUBT_M
+        self._pad_n_m = 2.0 * _HARDENS * max(force_n, self._watch.empty_n) / way_m
+        self._observer: ContactObserver | None = None
+        self._motion: RampMotion | None = None
+        self._moved_s = now_s
+        self._falls = False
+        self._lacking_n = {False: 0.0, True: 0.0}
 
     @property
     def force_n(self) -> float:
@@ -201,6 +221,7 @@ class GripControl:
         PositionContradicted
             When the pads are loaded where the fingers, by their position, cannot press on a part.
         """
+        rises_n = setpoint_n - self.setpoint_n
         self.setpoint_n = setpoint_n
         sample, state = moment.sample, moment.state
         self._apertures.add(moment.now_s, state.aperture_m)
@@ -210,17 +231,39 @@ class GripControl:
             # show a part as gone and no other witness does yet. The crest of the square wave must
             # not stay meanwhile.
             self._drive_n = min(self._drive_n, self._controller.drive_n)
+            self._motion = None
             return self._servo_goals(state, paths)
         self._watch.take(sample)
         self._check_position(moment.dt_s, state)
         self._check_balance(moment.dt_s)
-        filtered_n = self._filter.step(
-            moment.dt_s, setpoint_n, setpoint_n if arrival_n is None else arrival_n
-        )
-        speed_m_s = 0.5 * abs(state.aperture_velocity_m_s)
+        end_n = setpoint_n if arrival_n is None else arrival_n
         friction_n = self._friction_share * sum(path.friction_n for path in paths) / len(paths)
         drive_max_n = self._drive_max_n(state, paths)
         inertia_n = self._inertia_n_s_m * max(0.0, -state.aperture_velocity_m_s)
+        young = moment.now_s - sample.measured_s <= _YOUNG_S
+        if self._motion is not None and (self._motion.over or rises_n < 0.0):
+            if self._motion.over:
+                self._filter.force_n = setpoint_n
+            self._motion, self._moved_s = None, moment.now_s
+        if self._motion is None and young and moment.dt_s > 0.0:
+            if rises_n > _FAST_N_S * moment.dt_s:
+                now_n = self._controller.model_n + self._controller.bias_n
+                self._begin_motion(moment, setpoint_n - rises_n, now_n)
+            elif rises_n == 0.0 and arrival_n in (None, setpoint_n) and not taper:
+                self._correct(moment, setpoint_n)
+        if self._motion is not None:
+            drive_n = self._rise(
+                moment,
+                sample,
+                end_n,
+                self._motion,
+                friction_n=friction_n,
+                drive_max_n=drive_max_n - inertia_n,
+            )
+            self._drive_n = drive_n
+            return self._servo_goals(state, paths)
+        filtered_n = self._filter.step(moment.dt_s, setpoint_n, end_n)
+        speed_m_s = 0.5 * abs(state.aperture_velocity_m_s)
         before_m = self._apertures.at(moment.now_s - _STANDING_S)
         drive_n = self._controller.step(
             moment.now_s,
@@ -234,9 +277,91 @@ class GripControl:
             drive_max_n=drive_max_n,
             standing=abs(state.aperture_m - before_m) < _STANDING_M,
             taper=taper,
+            corrected=young,
         )
         self._drive_n = min(drive_n, drive_max_n - inertia_n)
         return self._servo_goals(state, paths)
+
+    def _correct(self, moment: Moment, setpoint_n: float) -> None:
+        """Begin a motion that makes up for an error of a hold, where there is one."""
+        controller = self._controller
+        now_n = controller.model_n + controller.bias_n
+        known = controller.doubt_n <= _CORRECTED_DOUBT_N
+        if not known or moment.now_s - self._moved_s < _PAUSE_S:
+            return
+        falls = setpoint_n < now_n
+        if falls and self._stop_rad is not None:
+            # The fingers may not open any farther.
+            return
+        if abs(setpoint_n - now_n) > _CORRECTED_N:
+            self._begin_motion(moment, now_n, now_n, falls=falls)
+
+    def _begin_motion(
+        self, moment: Moment, setpoint_n: float, force_n: float, *, falls: bool = False
+    ) -> None:
+        """Begin a motion of the force from what it is now."""
+        before = self._observer
+        if before is not None:
+            self._pad_n_m = before.stiffness_n_m
+            self._lacking_n[self._falls] = before.lacking_n
+        self._falls = falls
+        self._observer = ContactObserver(
+            mass_kg=self._mass_kg,
+            now_s=moment.now_s - moment.dt_s,
+            force_n=max(0.0, force_n),
+            doubt_n=self._controller.doubt_n,
+            drive_n=self._drive_n,
+            lacking_n=self._lacking_n[falls],
+            stiffness_n_m=self._pad_n_m,
+        )
+        self._motion = RampMotion(
+            self._observer, mass_kg=self._mass_kg, setpoint_n=setpoint_n, falls=falls
+        )
+
+    def _rise(
+        self,
+        moment: Moment,
+        sample: ForceSample,
+        end_n: float,
+        motion: RampMotion,
+        *,
+        friction_n: float,
+        drive_max_n: float,
+    ) -> float:
+        """Return the driving force in N of one period of a fast rise."""
+        observer = self._observer
+        assert observer is not None
+        jumped = self._controller.jumps(
+            sample, observer.unexplained_n(sample), self.setpoint_n, friction_n
+        )
+        observer.step(
+            moment.now_s,
+            moment.dt_s,
+            drive_n=self._drive_n,
+            friction_n=friction_n,
+            speed_m_s=-0.5 * moment.state.aperture_velocity_m_s,
+            sample=None if jumped else sample,
+        )
+        drive_n = motion.drive_n(
+            moment.dt_s,
+            self.setpoint_n,
+            end_n,
+            friction_n=friction_n,
+            drive_max_n=drive_max_n,
+            acting_n=self._drive_n,
+        )
+        self._filter.force_n, self._filter.rate_n_s = motion.plan.force_n, motion.plan.rate_n_s
+        self._controller.follow(
+            moment.now_s,
+            self.setpoint_n,
+            sample,
+            force_n=observer.force_n,
+            doubt_n=observer.doubt_n,
+            drive_n=drive_n,
+            lacking_n=observer.lacking_n,
+            friction_n=friction_n,
+        )
+        return drive_n
 
     def part_lost(self, moment: Moment) -> bool:
         """Return whether the part is gone; see `PartWatch.lost`. Comes before `goals`."""

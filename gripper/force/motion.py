@@ -4,17 +4,22 @@ from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
-from math import sqrt
+from math import inf, sqrt
 
 from gripper.dynamixel.control_table import RAD_PER_PULSE, RAD_S_PER_VELOCITY_UNIT
 from gripper.errors import FeedbackImplausible, PositionContradicted, ServoFault
 from gripper.force.controller import History
 from gripper.force.loop import Action, Moment
 from gripper.force.mechanics_proof import ForceRise, mechanics_text
-from gripper.impact import approach_speed_m_s, closing_current_max_a
+from gripper.impact import approach_speed_m_s, closing_current_max_a, slowing_way_m
 from gripper.kinematics import Linkage, motion_current_a, transmissions
 from gripper.recent import RecentForce
-from gripper.servos.goals import OPENING_MARGIN_RAD, ServoGoal, closing_margin_rad
+from gripper.servos.goals import (
+    OPENING_MARGIN_RAD,
+    ServoGoal,
+    closing_margin_rad,
+    running_lead_rad,
+)
 from gripper.settings import GripperSettings
 from gripper.state import ForceSample, GripperState
 
@@ -48,6 +53,9 @@ _STALL_TIME_S = 0.5
 """Time in s for which both must last before the fingers are stalled."""
 LEAD_M = 0.006
 """How far in m the goal runs ahead of the fingers: how far they go on if nobody writes again."""
+_STARTING_S = 0.1
+"""Longest time in s in which fingers get to their speed; with more friction than their model's the
+goal runs on."""
 _RUNNING_SHARE = 0.8
 """Share of the nominal speed from which on a finger runs, and the inverse of the fastest one."""
 _SLOWED_SHARE = 0.6
@@ -83,6 +91,9 @@ _CREEP_RESERVE_N = 0.2
 _SOFT_M = 0.0002
 """Way in m of a braked finger after which it runs on: a part that yields so far without the force
 of a contact is soft, and no impact is to be feared."""
+_SURE_SHARE = 0.5
+"""Share of the force of a contact from which on the mean on the pad of a braked finger is one: it
+has stopped at what it touched."""
 _WRONG_FACTOR = 1.5
 """Factor on the force of a first touch after each one that was none."""
 _LEAD_SHARE = 0.75
@@ -95,8 +106,9 @@ _FREE_TIME_S = 0.05
 """Time constant in s of the current that moves an empty finger."""
 _CONTACT_QUIET_N, _CONTACT_LONGEST_S = 0.1, 0.018
 """Noise in N of the mean that shows a contact, and its longest time in s: one frame at 50 Hz."""
-_REST_QUIET_N = 0.08
-"""Noise in N of the mean that is the force at the contact; it ends the rest."""
+_REST_QUIET_N, _REST_QUIET_YOUNG_N = 0.08, 0.12
+"""Noise in N of the mean that is the force at the contact; it ends the rest. Where the samples are
+young the force is soon known better."""
 _REST_SAMPLES, _REST_LONGEST_S = 4, 0.07
 """Samples of that mean where the sensor is too slow for it, and its longest time in s."""
 _REST_SETTLING_S = 0.01
@@ -260,12 +272,12 @@ class ApproachEvent(Enum):
 class Approach:
     """Step of control that closes both fingers evenly; a finger that touches waits for the other.
 
-    The pads decide. A finger whose pad shows a first touch that is not old brakes to rest and then
-    presses ever harder, until the contact is sure; where it has touched nothing, or the part is
-    soft, it runs on. Where the fingers stand still at the current limit, one pad is enough (the
-    other may be touched beside its taxels); without any pad the way is obstructed. The current
-    grows by up to 60 % while the fingers stand still untouched: friction at rest differs from
-    servo to servo.
+    Where no part has begun so far the fingers travel, and slow down in time. The pads decide. A
+    finger whose pad shows a first touch that is not old brakes to rest and then presses ever
+    harder, until the contact is sure; where it has touched nothing, or the part is soft, it runs
+    on. Where the fingers stand still at the current limit, one pad is enough (the other may be
+    touched beside its taxels); without any pad the way is obstructed. The current grows by up to
+    60 % while the fingers stand still untouched: friction at rest differs from servo to servo.
 
     Parameters
     ----------
@@ -273,6 +285,8 @@ class Approach:
         Of the gripper.
     state
         Feedback at the start.
+    widest_m
+        Opening in m above which no part begins; None where that is not known.
 
     Attributes
     ----------
@@ -280,19 +294,38 @@ class Approach:
         Result of the last step.
     """
 
-    def __init__(self, settings: GripperSettings, linkage: Linkage, state: GripperState) -> None:
+    def __init__(
+        self,
+        settings: GripperSettings,
+        linkage: Linkage,
+        state: GripperState,
+        *,
+        widest_m: float | None = None,
+    ) -> None:
         self.event = ApproachEvent.CLOSING
         self._settings = settings
         self._linkage = linkage
         paths = transmissions(settings, linkage, state.angles_rad)
         self._current_max_a = closing_current_max_a(settings, paths)
-        self._speed_m_s = approach_speed_m_s(settings, linkage, state.angles_rad)
+        self._slow_at_m = inf
+        if widest_m is not None:
+            self._slow_at_m = widest_m + slowing_way_m(
+                settings,
+                linkage,
+                linkage.angles_rad(widest_m),
+                from_m_s=approach_speed_m_s(settings, linkage, state.angles_rad, travelling=True),
+                to_m_s=approach_speed_m_s(settings, linkage, state.angles_rad),
+            )
+        self._travels = state.aperture_m > self._slow_at_m
+        self._speed_m_s = self._new_speed_m_s(state)
         self._closing_a = min(
             motion_current_a(settings, paths, settings.approach_force_n), self._current_max_a
         )
         self._boost = 1.0
         self._detector = ContactDetector(settings.contact_force_n, settings.contact_samples)
         self._aperture_m = state.aperture_m
+        self._begins = True
+        self._started_s: float | None = None
         self._apertures = History()
         self._was_touched = False
         self._touch = FirstTouch()
@@ -331,14 +364,18 @@ class Approach:
     def step(self, moment: Moment) -> Action:
         """Return the goals of one period; an end leaves the fingers where they are or touch."""
         state, sample = moment.state, moment.sample
-        self._speed_m_s = approach_speed_m_s(self._settings, self._linkage, state.angles_rad)
+        travelled = self._travels
+        self._travels = travelled and state.aperture_m > self._slow_at_m and not self._was_touched
+        self._speed_m_s = self._new_speed_m_s(state)
+        if self._starts(moment) or (travelled and not self._travels):
+            self._aperture_m = state.aperture_m - self._lead_m(state)
         self._apertures.add(moment.now_s, state.aperture_m)
         if sample is not None and sample.valid:
             self._detector.push(sample)
             self._touch.push(sample, empty=not any(self._brakes))
             self._was_touched |= max(sample.force_n) >= self._settings.contact_force_n
         self._brake(moment)
-        touched = self._detector.touched
+        touched = self._touched()
         # The goal runs ahead of the fingers by a little only: that is how far they would go on
         # if nobody wrote a new one.
         self._aperture_m = max(
@@ -361,6 +398,47 @@ class Approach:
                 if brake is not None and not (touched[finger] and len(goals) > 1):
                     goals[finger] = self._slow_goal(moment, finger, brake)
         return Action(goals=goals, done=self.event is not ApproachEvent.CLOSING)
+
+    def _new_speed_m_s(self, state: GripperState) -> float:
+        return approach_speed_m_s(
+            self._settings, self._linkage, state.angles_rad, travelling=self._travels
+        )
+
+    def _starts(self, moment: Moment) -> bool:
+        """Return whether the fingers are still to get to their speed: the goal keeps its lead."""
+        if self._started_s is None:
+            self._started_s = moment.now_s
+        nominal_rad_s = self._nominal_rad_s(moment.state)
+        self._begins &= moment.now_s - self._started_s < _STARTING_S and any(
+            -servo.velocity_rad_s < _RUNNING_SHARE * nominal_rad_s for servo in moment.state.servos
+        )
+        return self._begins
+
+    def _lead_m(self, state: GripperState) -> float:
+        """Return how far in m the goal is ahead of fingers that run at the nominal speed."""
+        paths = transmissions(self._settings, self._linkage, state.angles_rad)
+        nominal_rad_s = self._nominal_rad_s(state)
+        return sum(
+            self._linkage.opening_per_rad_m(angle_rad)
+            * running_lead_rad(servo.servo_model, path.friction_nm / path.kt_nm_a, nominal_rad_s)
+            for servo, path, angle_rad in zip(
+                self._settings.servos, paths, state.angles_rad, strict=True
+            )
+        )
+
+    def _touched(self) -> tuple[bool, bool]:
+        """Return which fingers are in contact: what stopped a braked one need press half as hard.
+
+        A contact makes the rest of the way, as slow as a finger creeps, needless.
+        """
+        first, second = self._detector.touched
+        brakes = self._brakes if len(self._brakes) > 1 else self._brakes * 2
+        sure = self._touch.means_n(self._settings.contact_samples)
+        least_n = _SURE_SHARE * self._settings.contact_force_n
+        return (
+            first or (brakes[0] is not None and sure[0] >= least_n),
+            second or (brakes[1] is not None and sure[1] >= least_n),
+        )
 
     def _brake(self, moment: Moment) -> None:
         """Brake each finger whose pad shows a first touch; let those go on that touch nothing."""
@@ -510,6 +588,17 @@ class FirstTouch:
         least_n = _TOUCH_N * len(self._recent)
         return sums_n[0] > least_n, sums_n[1] > least_n
 
+    def means_n(self, samples: int) -> tuple[float, float]:
+        """Return the mean force in N on finger 0 and finger 1 in so many of the newest samples.
+
+        0 where there are fewer.
+        """
+        newest = list(self._recent)[-min(samples, _TOUCH_SAMPLES) :]
+        if len(newest) < min(samples, _TOUCH_SAMPLES):
+            return 0.0, 0.0
+        n = len(newest)
+        return sum(s.force_n[0] for s in newest) / n, sum(s.force_n[1] for s in newest) / n
+
     def was_wrong(self) -> None:
         """Show a touch only at a larger force from now on: the last one was none."""
         self._factor *= _WRONG_FACTOR
@@ -602,9 +691,10 @@ class ContactRest:
         sample = moment.sample
         if sample is not None and sample.valid:
             self._samples.push(sample)
+        young = sample is not None and moment.now_s - sample.measured_s <= _YOUNG_S
         known = (
             bool(self._samples)
-            and self._samples.noise_n <= _REST_QUIET_N
+            and self._samples.noise_n <= (_REST_QUIET_YOUNG_N if young else _REST_QUIET_N)
             and self._samples.oldest.measured_s >= self._begun_s + _REST_SETTLING_S
         )
         return moment.now_s < self._until_s and not known

@@ -306,7 +306,7 @@ class PartWatch:
         waited_s = motion.t_s - doubt.ripe.t_s
         if (
             waited_s >= _STAND_S
-            and abs(doubt.ripe.aperture_m - motion.aperture_m) <= _STAND_M
+            and abs(self._apertures.at(motion.t_s - _STAND_S) - motion.aperture_m) <= _STAND_M
             and abs(motion.closing_m_s) <= _STAND_M_S
         ):
             shows = (

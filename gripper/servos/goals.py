@@ -269,17 +269,19 @@ def closing_margin_rad(model: ServoModel, current_a: float) -> float:
 
 
 def lead_rad(model: ServoModel, current_a: float, speed_rad_s: float) -> float:
-    """Return how far in rad ahead a goal must lie for a current at rest and for a speed.
+    """Return how far in rad ahead a goal must lie, at the most, for a current and a speed."""
+    return closing_margin_rad(model, current_a) + running_lead_rad(model, 0.0, speed_rad_s)
 
-    What the speed adds to `closing_margin_rad` is the voltage that the motor makes itself, as a
-    share of the supply that of its no-load speed.
+
+def running_lead_rad(model: ServoModel, current_a: float, speed_rad_s: float) -> float:
+    """Return how far in rad ahead the goal of a servo is that runs steadily with a current.
+
+    The position controller is proportional, see `closing_margin_rad`; what the speed takes is the
+    voltage that the motor makes itself, as a share of the supply that of its no-load speed.
     """
     _, _, position_p_gain = model.position_gains
-    pwm = _WHOLE_PWM * speed_rad_s / model.no_load_rad_s
-    return (
-        closing_margin_rad(model, current_a)
-        + pwm * _ERROR_PER_PWM / position_p_gain * RAD_PER_PULSE
-    )
+    share = current_a / model.stall_current_a + speed_rad_s / model.no_load_rad_s
+    return _WHOLE_PWM * share * _ERROR_PER_PWM / position_p_gain * RAD_PER_PULSE
 
 
 class GoalWriter:

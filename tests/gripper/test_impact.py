@@ -106,12 +106,12 @@ def test_a_config_is_refused_or_slowed_with_the_reason() -> None:
 
 def test_the_limit_stands_beside_the_write_and_not_in_the_caller_alone() -> None:
     as_asked = mock.patch.object(
-        motion, "approach_speed_m_s", lambda settings, *_where: settings.approach_speed_m_s
+        motion, "approach_speed_m_s", lambda settings, *_where, **_how: settings.approach_speed_m_s
     )
     unguarded = mock.patch.object(GoalGuard, "slowed", lambda _self, goals, _state: tuple(goals))
     with as_asked:
-        kept = force_cap.trial(9005, HARMED)
+        kept = force_cap.trial(9008, HARMED)
         with unguarded:
-            passed = force_cap.trial(9005, HARMED)
+            passed = force_cap.trial(9008, HARMED)
     assert passed.broken, "the caller alone does not pass the cap: nothing is shown"
     assert not kept.broken, str(kept)

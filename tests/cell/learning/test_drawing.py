@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from cell.config.file import config_text
+from cell.config.file import changed_config, config_text
 from cell.config.model import CellConfig
 from cell.config.sequence import SequenceConfig
 from cell.config.tactile import layout_from_config, make_calibration
@@ -36,7 +36,9 @@ from simulator.world.taxels import ideal_counts
 BALL = "sphere:diameter=9.5mm"
 BOX = "box:length=15.9mm,width=10mm,height=10mm"
 CYLINDER = "cylinder:diameter=6mm,length=20mm"
-RATE_N_S, FRAME_S = 5.0, 0.02
+SLOW_RAMP = {"kind": "linear", "rate_n_s": 5.0, "hold_s": 0.3}
+"""A ramp with many frames: a size is known well from each grasp."""
+RATE_N_S, FRAME_S = 20.0, 0.02
 
 
 def call(*arguments: object) -> str:
@@ -127,7 +129,8 @@ def test_drawings_alone_name_what_the_cell_grasps(taught: Any, tmp_path: Path) -
 
 
 def test_a_size_that_the_drawing_excludes_is_no_name(taught: Any, tmp_path: Path) -> None:
-    path, config, read = tmp_path / "d.npz", CellConfig(), shape_reader(CellConfig())
+    config = changed_config(CellConfig(), {"sequence.ramp": SLOW_RAMP})
+    path, read = tmp_path / "d.npz", shape_reader(config)
     soon_ms = taught.grasps[-1].start_ms
 
     def drawn(label: str, text: str, n: int, at_ms: int, **known: Any) -> list[Any]:

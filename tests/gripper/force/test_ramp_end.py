@@ -155,7 +155,7 @@ def test_a_fault_while_the_force_settles_keeps_the_grip(make_cell) -> None:
     def blind() -> None:
         # The force seen last is not the wanted one, so that the ended ramp waits for another.
         cell.sensor.gain = 0.5
-        for _ in range(6):
+        for _ in range(12):
             cell.clock.sleep(0.005)
         cell.sensor.dead = True
 
