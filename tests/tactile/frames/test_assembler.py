@@ -39,23 +39,21 @@ def burst_loss(stream: Stream, rng: np.random.Generator) -> Stream:
     return stream[:start] + stream[start + length :]
 
 
-def loss_of_exactly_one_frame(stream: Stream, rng: np.random.Generator) -> Stream:
-    start = int(rng.integers(0, len(stream) - N_MESSAGES))
-    return stream[:start] + stream[start + N_MESSAGES :]
+def loss_of_frames(n_frames: int) -> Damage:
+    """Lose exactly so many messages as those frames have, from anywhere."""
 
+    def lose(stream: Stream, rng: np.random.Generator) -> Stream:
+        start = int(rng.integers(0, len(stream) - n_frames * N_MESSAGES))
+        return stream[:start] + stream[start + n_frames * N_MESSAGES :]
 
-def loss_of_exactly_four_frames(stream: Stream, rng: np.random.Generator) -> Stream:
-    start = int(rng.integers(0, len(stream) - 4 * N_MESSAGES))
-    return stream[:start] + stream[start + 4 * N_MESSAGES :]
+    return lose
 
 
 def random_loss(stream: Stream, rng: np.random.Generator) -> Stream:
     return [message for message in stream if rng.random() > 0.01]
 
 
-@pytest.mark.parametrize(
-    "damage", [burst_loss, loss_of_exactly_one_frame, loss_of_exactly_four_frames, random_loss]
-)
+@pytest.mark.parametrize("damage", [burst_loss, loss_of_frames(1), loss_of_frames(4), random_loss])
 def test_every_frame_that_lost_nothing_is_handed_out(damage: Damage) -> None:
     rng = np.random.default_rng(21)
     for _ in range(RUNS):

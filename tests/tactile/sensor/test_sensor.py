@@ -92,8 +92,11 @@ class Frames:
         self.base = CALIBRATION.counts(forces)
 
 
-def make(settings: SensorSettings | None = None, seed: int = 1) -> tuple[TactileSensor, Frames]:
+def make(
+    settings: SensorSettings | None = None, seed: int = 1, *, noise: bool = True
+) -> tuple[TactileSensor, Frames]:
     frames = Frames(seed=seed)
+    frames.noise = noise
     sensor = TactileSensor(frames, LAYOUT, CALIBRATION, clock=frames, settings=settings)
     sensor.start()
     return sensor, frames
@@ -106,11 +109,18 @@ def tared(settings: SensorSettings | None = None, seed: int = 1) -> tuple[Tactil
 
 
 def noiseless() -> tuple[TactileSensor, Frames]:
-    frames = Frames()
-    frames.noise = False
-    sensor = TactileSensor(frames, LAYOUT, CALIBRATION, clock=frames)
-    sensor.start()
+    sensor, frames = make(noise=False)
     sensor.tare(10)
+    return sensor, frames
+
+
+def pinching(*, noise: bool) -> tuple[TactileSensor, Frames]:
+    """Return a tared sensor of the layout that has the gripping pads alone, with a linear law."""
+    frames = Frames(n_taxels=156, adc_max=4095)
+    frames.noise = noise
+    sensor = TactileSensor(frames, pinch_layout(), LinearCalibration(0.001, 4095), clock=frames)
+    sensor.start()
+    sensor.tare(20)
     return sensor, frames
 
 
@@ -142,9 +152,7 @@ def test_force_of_a_five_taxel_footprint_under_the_papers_noise(shape: str) -> N
 
 
 def test_force_settles_within_60_ms() -> None:
-    sensor, frames = make()
-    frames.noise = False
-    sensor.tare(10)
+    sensor, frames = noiseless()
     readings(sensor, frames, 5)
     frames.press(4.0)
     pressed_s = frames.now_s
@@ -184,12 +192,7 @@ def test_a_light_contact_of_half_a_newton_is_seen() -> None:
 
 
 def test_pinch_layout_with_a_linear_law_and_little_noise() -> None:
-    layout = pinch_layout()
-    frames = Frames(n_taxels=156, adc_max=4095)
-    frames.noise = False
-    sensor = TactileSensor(frames, layout, LinearCalibration(0.001, 4095), clock=frames)
-    sensor.start()
-    sensor.tare(20)
+    sensor, frames = pinching(noise=False)
     frames.base[30:36] = 300.0
     reading = readings(sensor, frames, 4)[-1]
     assert reading.finger_force_n == pytest.approx((1.8, 0.0))
@@ -376,10 +379,7 @@ def test_noise_alone_is_no_drift() -> None:
 
 
 def test_without_pads_beside_the_grip_only_open_pads_are_judged() -> None:
-    frames = Frames(n_taxels=156, adc_max=4095)
-    sensor = TactileSensor(frames, pinch_layout(), LinearCalibration(0.001, 4095), clock=frames)
-    sensor.start()
-    sensor.tare(20)
+    sensor, frames = pinching(noise=True)
     frames.base[:] = 50.0
     assert readings(sensor, frames, 5)[-1].ok
     with pytest.raises(ZeroDrifted, match=r"\+50"):
