@@ -5,6 +5,7 @@ import pytest
 from gripper.dynamixel.control_table import REGISTERS
 from gripper.dynamixel.models import XL330_M288
 from simulator.cell import SimulatedCell
+from simulator.clock import VirtualClock
 from simulator.errors import PortUnplugged
 from simulator.servo.mechanics import RackLinkage
 from simulator.servo.protocol2 import Instruction, encode_instruction
@@ -12,6 +13,7 @@ from simulator.settings import SimulatedServoSettings, SimulatorSettings
 from simulator.world.shapes import ObjectPose
 from tactile.frames.assembler import FrameAssembler
 from tactile.frames.codec import FrameFormat, TactileFrame
+from tactile.layout import pinch_layout
 
 
 class Host:
@@ -110,6 +112,16 @@ def test_two_cells_of_one_seed_are_the_same_and_of_another_are_not() -> None:
             frames.append(host.frame().counts)
     assert np.array_equal(frames[0], frames[1])
     assert not np.array_equal(frames[0], frames[2])
+
+
+def test_everything_runs_on_the_clock_that_was_given() -> None:
+    clock = VirtualClock(start_s=1000.0)
+    with SimulatedCell(SimulatorSettings(layout=pinch_layout()), clock) as cell:
+        host = Host(cell)
+        host.start_unit()
+        assert clock.monotonic() == pytest.approx(1000.02, abs=1e-3)
+        assert host.frame().counts.shape == (156,)
+    assert clock.on_advance == []
 
 
 def test_a_closed_cell_is_of_no_use() -> None:

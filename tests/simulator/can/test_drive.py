@@ -8,7 +8,7 @@ import pytest
 from canopen.profiles.p402 import BaseNode402
 
 from motion import object_dictionary as od
-from motion.object_dictionary import Control, HomingMethod, State, Status
+from motion.object_dictionary import Control, HomingMethod, OperatingMode, State, Status
 from simulator.can.drive import DriveMount, SimulatedDrive
 
 NODE = 11
@@ -180,3 +180,15 @@ def test_a_stopped_node_serves_nothing(bench: StepNetwork) -> None:
     bench.seen.clear()
     bench.drive.receive(0x600 + NODE, bytes.fromhex("4041600000000000"), bench.now_s)
     assert bench.seen == []
+
+
+def test_a_restart_is_seen_and_forgets_all(bench: StepNetwork) -> None:
+    sdo = enabled(bench.witness)
+    sdo[od.HEARTBEAT_MS].raw = 100
+    bench.seen.clear()
+    bench.witness.nmt.send_command(129)
+    bench.let_pass(0.1)
+    assert (0x700 + NODE, b"\0") in bench.seen
+    assert bench.drive.state is State.SWITCH_ON_DISABLED
+    assert sdo[od.HEARTBEAT_MS].raw == 0
+    assert sdo[od.MODE].raw == OperatingMode.NONE
