@@ -20,6 +20,7 @@ from recognition.grasp import Grasp
 from recognition.recognizer import Posterior
 from simulator.cell import SimulatedCell
 from simulator.faults.injector import InjectedFault
+from simulator.world.world import PhysicalWorld
 
 CONTACT_N = 0.02
 """Force in N above which a pad touches the part."""
@@ -203,19 +204,23 @@ class InvariantMonitor:
         )
 
     def _look(self, now_s: float) -> None:
-        force_n = self._simulated.world.contact_force_n()
+        world = self._simulated.world
+        force_n = world.contact_force_n()
+        # Empty pads that press on each other hold nothing.
+        empty = isinstance(world, PhysicalWorld) and world.placed is None
+        part_n = 0.0 if empty else min(force_n)
         controller = None if self._cell is None else self._cell.controller
         phase = self._phase()
         if phase in _OPENING and phase is not self._phase_before:
-            self._look_at_opening(min(force_n))
+            self._look_at_opening(part_n)
         self._phase_before = phase
         if phase is not None and phase.moving:
             self._moving_s, self._motion = now_s, phase
         pushed = self._world_pushes(now_s)
         if max(force_n) > self._force_max_n * (1.0 + TOLERANCE) and not pushed:
             self._break(f"force {max(force_n):.2f} N, the cap is {self._force_max_n:g} N")
-        touching = min(force_n) > CONTACT_N
-        self._most_n = max(self._most_n, min(force_n)) if self._touching else 0.0
+        touching = part_n > CONTACT_N
+        self._most_n = max(self._most_n, part_n) if self._touching else 0.0
         torque, blame = self._torques(), self._self_inflicted()
         if torque != self._torque:
             self._torque_changed(torque, blame, controller)
