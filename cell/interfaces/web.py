@@ -51,6 +51,7 @@ JOB_EXAMPLES: dict[str, Any] = {
     for task, summary, fields in (
         ("teach", "Grasp a known object ten times.", {"label": "bolt", "grasps": 10}),
         ("gauge", "Measure the drift since teaching on a taught object.", {"label": "bolt"}),
+        ("zero", "Close the empty fingers on each other and measure what has changed.", {}),
         ("identify", "Name a part and keep it in the grip.", {"keep": "always"}),
         ("grip", "Grip a part with 3 N and keep it, without a name.", {"force_n": 3.0}),
         ("verify", "Measure whether the kept part is still the one.", {}),

@@ -184,6 +184,10 @@ class Calls:
         """Start to look whether the held part is still the same; return the job."""
         return self._service.start(lease, {"task": "verify"}, number=job)
 
+    def zero(self, lease: int, job: int = 0) -> int:
+        """Start to measure the zero with empty fingers on each other; return the job."""
+        return self._service.start(lease, {"task": "zero"}, number=job)
+
     def sort(self, lease: int, parts: int, max_grasps: int, force_n: float, job: int = 0) -> int:
         """Start to name parts and let each go at its place of `sort.places`; return the job."""
         goal = goal_of("sort", parts=parts, max_grasps=max_grasps, force_n=float(force_n))

@@ -365,10 +365,11 @@ _COMMANDS: dict[int, Callable[[Service, int, Sequence[int]], object]] = {
     ),
     23: lambda service, lease, _: service.start(lease, {"task": "verify"}),
     24: _sort,
+    25: lambda service, lease, _: service.start(lease, {"task": "zero"}),
     30: lambda service, lease, asked: service.command(lease, Command.RELEASE, key=asked[KEY]),
     40: lambda service, lease, asked: _pose(service, lease, asked, ok=True),
     41: lambda service, lease, asked: _pose(service, lease, asked, ok=False),
 }
 """Commands: below 20 CntrlCmd of PackTags (1 reset, 2 start, 3 stop, 4 hold, 9 clear), then those
-of the cell: 20 teach, 21 identify, 22 grip, 23 verify, 24 sort, 30 release, 40 pose reached, 41
-refused."""
+of the cell: 20 teach, 21 identify, 22 grip, 23 verify, 24 sort, 25 zero, 30 release, 40 pose
+reached, 41 refused."""

@@ -53,6 +53,12 @@ class GaugeGoal(_Goal):
     """Seed of the plan of poses and forces."""
 
 
+class ZeroGoal(_Goal):
+    """Close the empty fingers on each other: zero of the opening, gains of the pads, foam."""
+
+    task: ClassVar[str] = "zero"
+
+
 class IdentifyGoal(_Goal):
     """Grasp and classify an unknown object until its name is sure enough."""
 
@@ -104,11 +110,12 @@ class SortGoal(_Goal):
     """Force at the end of each ramp in N, up to 50, or None for the forces of the plan."""
 
 
-Goal = TeachGoal | GaugeGoal | IdentifyGoal | GripGoal | VerifyGoal | SortGoal
+Goal = TeachGoal | GaugeGoal | ZeroGoal | IdentifyGoal | GripGoal | VerifyGoal | SortGoal
 """Goal of a job."""
 
 TASKS: dict[str, type[_Goal]] = {
-    goal.task: goal for goal in (TeachGoal, GaugeGoal, IdentifyGoal, GripGoal, VerifyGoal, SortGoal)
+    goal.task: goal
+    for goal in (TeachGoal, GaugeGoal, ZeroGoal, IdentifyGoal, GripGoal, VerifyGoal, SortGoal)
 }
 """Kind of goal of each task."""
 

@@ -38,6 +38,7 @@ from cell.interfaces.plugin.goals import (
     SortGoal,
     TeachGoal,
     VerifyGoal,
+    ZeroGoal,
     checked_goal,
 )
 from cell.interfaces.plugin.host_watch import HostWatch
@@ -71,12 +72,14 @@ __all__ = [
     "TeachGoal",
     "Verification",
     "VerifyGoal",
+    "ZeroGoal",
 ]
 
 
 _COMMANDS = {
     "teach": Command.GRASP,
     "gauge": Command.GRASP,
+    "zero": Command.GRASP,
     "identify": Command.GRASP,
     "grip": Command.GRIP,
     "verify": Command.VERIFY,
@@ -322,9 +325,9 @@ class TactileCellPlugin:
     def start(self, goal: Goal | Mapping[str, Any]) -> Job:
         """Start a job and return its handle at once.
 
-        A goal is a `TeachGoal`, `GaugeGoal`, `IdentifyGoal`, `GripGoal`, `VerifyGoal` or
-        `SortGoal`, or a mapping with ``task`` ``teach``, ``gauge``, ``identify``, ``grip``,
-        ``verify`` or ``sort`` and the fields of these.
+        A goal is a `TeachGoal`, `GaugeGoal`, `ZeroGoal`, `IdentifyGoal`, `GripGoal`, `VerifyGoal`
+        or `SortGoal`, or a mapping with ``task`` ``teach``, ``gauge``, ``zero``, ``identify``,
+        ``grip``, ``verify`` or ``sort`` and the fields of these.
 
         Raises
         ------
@@ -355,6 +358,9 @@ class TactileCellPlugin:
             case GaugeGoal():
                 model.check_gauge(checked.label)
                 work = functools.partial(tasks.gauge, controller, model, self._file, checked)
+            case ZeroGoal():
+                controller.check_zero()
+                work = functools.partial(tasks.zero, controller)
             case IdentifyGoal():
                 work = reported(tasks.identify, checked)
             case GripGoal():
@@ -442,7 +448,8 @@ class TactileCellPlugin:
         """Wait for a job and return its result.
 
         That is an `Answer` of an identification, a `Verification` of a grip or a verify, a
-        `SortAnswer` of a sort, a `Drift` of a gauge, and the number of grasps taught.
+        `SortAnswer` of a sort, a `Drift` of a gauge, a `SelfZero` of a zero, and the number of
+        grasps taught.
 
         Raises
         ------

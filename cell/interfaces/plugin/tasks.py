@@ -11,6 +11,7 @@ from cell.control.identification import Identification
 from cell.control.keeping import Keep
 from cell.control.plan import Pose
 from cell.control.records import GraspRecord
+from cell.control.self_zero import zero_text, zero_values
 from cell.errors import CellError, NoPartFound
 from cell.interfaces.plugin.answer import Answer, SortAnswer, Verification
 from cell.interfaces.plugin.goals import GaugeGoal, GripGoal, IdentifyGoal, SortGoal, TeachGoal
@@ -20,6 +21,7 @@ from cell.jobs.sort import Places as SortPlaces, SortedPart, Tally, sort_parts
 from cell.learning.collection import Collection
 from cell.learning.taught_model import TaughtModel
 from recognition.drift.drift import Drift
+from recognition.grasp import SelfZero
 from recognition.recognizer import UNKNOWN, Posterior
 from recognition.statistics.fusion import fuse
 
@@ -33,6 +35,7 @@ __all__ = [
     "sort",
     "teach",
     "verify",
+    "zero",
 ]
 
 _SHOWN_GRASPS = 100
@@ -150,6 +153,20 @@ def gauge(
     file.due = True
     file.write()
     return found[1]
+
+
+def zero(controller: CellController, report: Report) -> SelfZero:
+    """Close the empty fingers on each other and return what they show.
+
+    Raises
+    ------
+    gripper.errors.PartBetweenFingers, ZeroRefused, and what the devices raise
+        As `CellController.measure_zero`.
+    """
+    report({"task": "zero"})
+    found = controller.measure_zero()
+    report({"task": "zero", "zero": zero_values(found.zero), "text": zero_text(found)})
+    return found.zero
 
 
 def _felt(record: GraspRecord, model: TaughtModel) -> dict[str, Any]:

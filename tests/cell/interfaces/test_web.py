@@ -144,7 +144,7 @@ def test_the_state_says_what_is_allowed_and_since_when(connect: Any) -> None:
     now = host.get("/api/state")
     assert begin_s - 1.0 <= now["time_s"] <= time.time() + 1.0
     may = {task for task, refused in now["allowed"].items() if refused is None}
-    assert may == {"teach", "gauge", "identify", "grip", "sort", "release", "shutdown"}
+    assert may == {"teach", "gauge", "zero", "identify", "grip", "sort", "release", "shutdown"}
     refused = now["allowed"]["reset"]
     assert refused["number"] == 505
     assert "the cell is IDLE; allowed: grasp" in refused["text"]

@@ -84,13 +84,14 @@ export function setupCommands(view) {
     view.tab("sort");
     byId("sort_parts").focus();
   });
+  click("do_zero", () => view.start({ task: "zero" }));
   click("do_clear", () => view.send("clear"));
   click("do_reset", () => view.send("reset"));
   onLongPress(byId("do_release"), 1, () => view.send("release"));
 }
 
 export function renderCommands(view) {
-  for (const command of ["identify", "grip", "verify", "sort", "clear", "reset"]) {
+  for (const command of ["identify", "grip", "verify", "sort", "zero", "clear", "reset"]) {
     allow(byId(`do_${command}`), t(`do.${command}`), t(`hint.${command}`), reasonOf(view, command));
     byId(`do_${command}`).title = view.state?.allowed?.[command]?.text ?? "";
   }

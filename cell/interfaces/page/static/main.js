@@ -16,7 +16,7 @@ import { renderSort, setupSort } from "./sort.js";
 import { renderReplay, setupReplay } from "./replay.js";
 
 const TABS = ["held", "teach", "sort"];
-const TAB_OF = { identify: "held", grip: "held", verify: "held", teach: "teach", gauge: "teach", sort: "sort" };
+const TAB_OF = { identify: "held", grip: "held", verify: "held", teach: "teach", gauge: "teach", zero: "teach", sort: "sort" };
 const photos = new Map(); // URL of each photograph that was fetched, by its address
 let dirty = true;
 let lastJob = null;

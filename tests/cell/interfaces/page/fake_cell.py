@@ -22,7 +22,7 @@ TOKEN = "token-of-the-test"
 COMMANDS = (*TASKS, "release", "clear", "reset", "shutdown")
 NOT_NOW = {"number": 505, "text": "not allowed now", "remedy": "Read the allowed commands."}
 ALLOWED = {
-    "IDLE": {"teach", "gauge", "identify", "grip", "sort", "release", "shutdown"},
+    "IDLE": {"teach", "gauge", "zero", "identify", "grip", "sort", "release", "shutdown"},
     "COMPLETE": {"verify", "release", "shutdown"},
     "HELD": {"release", "shutdown"},
     "ABORTED": {"clear"},
