@@ -2,25 +2,24 @@
 
 After each SYNC it latches one scan and sends it as one burst of TPDO1, at the rate of the wire; the
 force on the gripping pads goes out as TPDO2, on its event timer.
-canopen's LocalNode serves SDO and makes heartbeat, boot-up and EMCY; this module adds services by
-NMT state, resets, SYNC, the history of errors and the synchronous window.
+This module adds to `simulator.can.node` services by NMT state, resets, SYNC, the history of errors
+and the synchronous window.
 """
 
 import math
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
-import canopen
 from canopen.nmt import NMT_COMMANDS
 
 from simulator.can.faults import ControlUnitFaults
-from simulator.can.object_dictionary import SdoGate, UnitDictionary
+from simulator.can.node import RESETS, CanopenDevice
+from simulator.can.object_dictionary import UnitDictionary
 from simulator.can.scanner import ScannedWorld, Scanner
 from simulator.can.wire import mean_bits
 from simulator.clock import ROUNDING_S
-from simulator.errors import SimulatorSettingsError, SimulatorStateError
+from simulator.errors import SimulatorSettingsError
 from tactile.layout import TaxelLayout
 from tactile.unit import object_dictionary as od
 
@@ -33,7 +32,6 @@ REGISTER_MANUFACTURER = 0x80
 """Bits of the error register 0x1001 (CiA 301, 7.5.2.2)."""
 
 _OPERATIONAL, _STOPPED = "OPERATIONAL", "STOPPED"
-_RESETS = (NMT_COMMANDS["RESET"], NMT_COMMANDS["RESET COMMUNICATION"])
 _CHANGES_OF_STATE = tuple(
     NMT_COMMANDS[state] for state in ("OPERATIONAL", "STOPPED", "PRE-OPERATIONAL")
 )
@@ -54,97 +52,6 @@ _FORCE_OBJECTS = frozenset(
 """What the minor revision 1 of the unit brought."""
 _ON_EACH_SYNC, _MOST_SYNCS = 1, 240
 """Transmission type of a PDO (0x1800:02): after each SYNC, up to after each 240th (CiA 301)."""
-
-
-class PeriodicTask:
-    """A message that is sent again and again; canopen's heartbeat producer holds one."""
-
-    def __init__(
-        self,
-        can_id: int,
-        data: bytes,
-        period_s: float,
-        due_s: float,
-        stop: Callable[["PeriodicTask"], None],
-    ) -> None:
-        self.can_id = can_id
-        self.data = data
-        self.period_s = period_s
-        self.due_s = due_s
-        self._stop = stop
-
-    def update(self, data: Sequence[int]) -> None:
-        """Send other data from the next time on."""
-        self.data = bytes(data)
-
-    def stop(self) -> None:
-        """Send no more."""
-        self._stop(self)
-
-
-class DeviceNetwork:
-    """The network of one canopen LocalNode in the time of the simulation: no bus, no thread.
-
-    Takes the messages of the node and keeps its periodic ones. It has those methods of
-    ``canopen.Network`` that a LocalNode calls.
-
-    Parameters
-    ----------
-    send
-        Takes time in s, identifier and data of each message.
-    """
-
-    def __init__(self, send: Callable[[float, int, bytes], None], now_s: float) -> None:
-        self._send = send
-        self._tasks: list[PeriodicTask] = []
-        self.next_due_s = math.inf
-        """Time in s at which the next periodic message is due, infinity without any."""
-        self.now_s = now_s
-        """Present time in s; set by the owner."""
-
-    def subscribe(self, can_id: int, callback: Callable[..., Any]) -> None:
-        """Do nothing: the owner hands messages to the node itself, by the rules of NMT."""
-
-    def unsubscribe(self, can_id: int, callback: Callable[..., Any] | None = None) -> None:
-        """Do nothing, see `subscribe`."""
-
-    def send_message(self, can_id: int, data: Sequence[int], remote: bool = False) -> None:
-        """Send a message now; remote frames are not what this device sends."""
-        if remote:
-            raise ValueError(f"the device sends no remote frames (identifier 0x{can_id:03X})")
-        self._send(self.now_s, can_id, bytes(data))
-
-    def send_periodic(
-        self, can_id: int, data: Sequence[int], period: float, remote: bool = False
-    ) -> PeriodicTask:
-        """Send a message every ``period`` s, for the first time after one period."""
-        if remote:
-            raise ValueError(f"the device sends no remote frames (identifier 0x{can_id:03X})")
-        task = PeriodicTask(can_id, bytes(data), period, self.now_s + period, self._remove)
-        self._tasks.append(task)
-        self._find_next()
-        return task
-
-    def _remove(self, task: PeriodicTask) -> None:
-        self._tasks.remove(task)
-        self._find_next()
-
-    def _find_next(self) -> None:
-        self.next_due_s = min((task.due_s for task in self._tasks), default=math.inf)
-
-    def run(self, now_s: float, *, mute: bool) -> None:
-        """Send what is due until ``now_s`` s at its own times; ``mute`` skips the sending."""
-        for task in self._tasks:
-            while task.due_s <= now_s:
-                if not mute:
-                    self._send(task.due_s, task.can_id, task.data)
-                task.due_s += task.period_s
-        self._find_next()
-
-
-SendBurst = Callable[[float, int, list[bytes]], float]
-"""Takes the time in s at which messages are ready, their identifier and their data; sends them one
-after the other and returns when the last one is through, in s."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -175,7 +82,7 @@ class ControlUnitSettings:
             raise SimulatorSettingsError(f"boot_s is {self.boot_s}, must be at least 0")
 
 
-class SimulatedControlUnit:
+class SimulatedControlUnit(CanopenDevice):
     """One control unit; it has no clock, the time is an argument."""
 
     def __init__(
@@ -190,15 +97,11 @@ class SimulatedControlUnit:
         self.settings = settings or ControlUnitSettings()
         self.faults = faults or ControlUnitFaults()
         self._layout = layout
-        self._send: SendBurst | None = None
-        self._boot_due_s = math.inf
+        node_id = self.settings.node_id
+        super().__init__(node_id, od.of_node(node_id), start_s)
         self._sync_id = 0
         self._force_due_s = math.inf
         self.scanner = Scanner(world, layout, self.faults)
-        node_id = self.settings.node_id
-        self._node = local_node(node_id, od.of_node(node_id))
-        self._network = DeviceNetwork(self._emit, start_s)
-        self._node.associate_network(self._network)
         self.dictionary = UnitDictionary(
             self._node,
             layout,
@@ -208,11 +111,6 @@ class SimulatedControlUnit:
             boards=self._boards,
             missing=frozenset() if self.settings.force_messages else _FORCE_OBJECTS,
         )
-        sdo = self._node.sdo
-        self._gate = SdoGate(
-            serve=lambda data: sdo.on_request(sdo.rx_cobid, data, self._network.now_s),
-            respond=lambda data: self._network.send_message(sdo.tx_cobid, data),
-        )
         self.power_cycle()
 
     @property
@@ -220,32 +118,16 @@ class SimulatedControlUnit:
         """NMT state by the names of CiA 301: INITIALISING, PRE-OPERATIONAL, ..."""
         return str(self._node.nmt.state)
 
-    def connect(self, send: SendBurst) -> None:
-        """Plug the unit into a bus."""
-        self._send = send
-
-    @property
-    def send(self) -> SendBurst:
-        """What puts its messages on the bus; SimulatorStateError before `connect`."""
-        if self._send is None:
-            raise SimulatorStateError("the control unit is not connected to a bus: connect() first")
-        return self._send
-
     def next_event_s(self) -> float:
         """Return when the unit next sends something by itself, in s; infinity for never."""
-        return min(self._boot_due_s, self._network.next_due_s, self._force_due_s)
+        return min(super().next_event_s(), self._force_due_s)
 
     def advance(self, now_s: float) -> None:
         """Let the time pass until ``now_s`` s: boot-up, heartbeat."""
         if now_s < self.next_event_s():
             self._network.now_s = now_s
             return
-        if self._boot_due_s <= now_s:
-            self._network.now_s = self._boot_due_s
-            self._boot_due_s = math.inf
-            # canopen sends the boot-up on entering, and starts the heartbeat on leaving this state.
-            self._node.nmt.state = "INITIALISING"
-            self._node.nmt.state = "PRE-OPERATIONAL"
+        self._boot(now_s)
         self._network.run(now_s, mute=self.faults.dead or self.faults.heartbeat_off)
         self._network.now_s = now_s
         while self._force_due_s <= now_s:
@@ -320,7 +202,7 @@ class SimulatedControlUnit:
     def _nmt(self, data: bytes) -> None:
         if len(data) != 2 or data[1] not in {0, self.settings.node_id}:
             return
-        if data[0] in _RESETS:
+        if data[0] in RESETS:
             self._reset(everything=data[0] == NMT_COMMANDS["RESET"])
         elif data[0] in _CHANGES_OF_STATE:
             self._node.nmt.on_command(0, data, self._network.now_s)
@@ -416,14 +298,5 @@ class SimulatedControlUnit:
         if code not in self.dictionary.errors:
             self.emergency(code, register=REGISTER_MANUFACTURER)
 
-    def _emit(self, t_s: float, can_id: int, data: bytes) -> None:
-        if can_id == self._node.sdo.tx_cobid:
-            self._gate.response(data)
-        send = self.send
-        if not self.faults.dead:
-            send(t_s, can_id, [data])
-
-
-def local_node(node_id: int, dictionary: canopen.ObjectDictionary) -> Any:
-    """Return canopen's node on a dictionary; most of its interface has no types."""
-    return canopen.LocalNode(node_id, dictionary)
+    def _silenced(self) -> bool:
+        return self.faults.dead

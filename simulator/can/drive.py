@@ -1,7 +1,7 @@
 """A CiA 402 drive with one axis as a CANopen device.
 
-canopen's LocalNode serves SDO and makes heartbeat, boot-up and EMCY; this module adds the state
-machine, profile position with its handshake, homing to a limit switch, quick stop, following error.
+This module adds to `simulator.can.node` the state machine, profile position with its handshake,
+homing to a limit switch, quick stop, following error.
 What else a drive can do (PDOs, other modes, units of its own) is left out.
 """
 
@@ -10,20 +10,18 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import canopen
-from canopen.nmt import NMT_COMMANDS
 from canopen.objectdictionary import ODVariable
 
 from motion import object_dictionary as od
 from motion.object_dictionary import Control, HomingMethod, OperatingMode, State, Status
-from simulator.can.control_unit import DeviceNetwork, SendBurst, local_node
-from simulator.can.object_dictionary import NO_SUBINDEX, VALUE_RANGE, WRONG_STATE, SdoGate
+from simulator.can.node import RESETS, CanopenDevice
+from simulator.can.object_dictionary import NO_SUBINDEX, VALUE_RANGE, WRONG_STATE
 from simulator.can.profile_motion import ProfileMotion
 
 STEP_S = 1e-3
 """Period in s of the drive's position loop."""
 BOOT_S = 0.02
 """Time in s from power-on to the boot-up message."""
-_RESETS = (NMT_COMMANDS["RESET"], NMT_COMMANDS["RESET COMMUNICATION"])
 _REGISTER_GENERIC, _REGISTER_COMMUNICATION = 0x01, 0x11
 """Bits of the error register 1001h (CiA 301, 7.5.2.2)."""
 _SWITCHED_ON_BIT, _VOLTAGE_BIT, _NO_QUICK_STOP_BIT, _ENABLE_BIT = 0x1, 0x2, 0x4, 0x8
@@ -52,7 +50,7 @@ class DriveMount:
     """
 
 
-class SimulatedDrive:
+class SimulatedDrive(CanopenDevice):
     """One drive on its bus; it has no clock, the time is an argument."""
 
     def __init__(self, mount: DriveMount, *, start_s: float = 0.0) -> None:
@@ -66,17 +64,9 @@ class SimulatedDrive:
         """Fault knob: -1 or 1 for a limit switch that is always active."""
         self.slipped = 0.0
         """Fault knob: so much in m or rad the axis is off what the encoder shows."""
-        self._send: SendBurst | None = None
-        self._node = local_node(mount.node_id, od.of_node(mount.node_id))
-        self._network = DeviceNetwork(self._emit, start_s)
-        self._node.associate_network(self._network)
+        super().__init__(mount.node_id, od.of_node(mount.node_id), start_s)
         self._node.add_read_callback(self._read)
         self._node.add_write_callback(self._write)
-        sdo = self._node.sdo
-        self._gate = SdoGate(
-            serve=lambda data: sdo.on_request(sdo.rx_cobid, data, self._network.now_s),
-            respond=lambda data: self._network.send_message(sdo.tx_cobid, data),
-        )
         self._live: dict[int, Callable[[], int]] = {
             od.STATUSWORD: lambda: self.statusword,
             od.MODE_DISPLAY: lambda: self._number(od.MODE),
@@ -87,7 +77,7 @@ class SimulatedDrive:
             od.DIGITAL_INPUTS: self._inputs,
         }
         self._stepped_s = start_s
-        self._boot_due_s = self._host_due_s = math.inf
+        self._host_due_s = math.inf
         self._zero = 0.0
         self._error_code = self._control = 0
         self.power_cycle()
@@ -117,22 +107,9 @@ class SimulatedDrive:
 
     # -- device on the bus ---------------------------------------------------------------------
 
-    def connect(self, send: SendBurst) -> None:
-        """Plug the drive into a bus."""
-        self._send = send
-
-    def next_event_s(self) -> float:
-        """Return when the drive next sends something by itself, in s; infinity for never."""
-        return min(self._boot_due_s, self._network.next_due_s)
-
     def advance(self, now_s: float) -> None:
         """Let the time pass until ``now_s`` s: boot-up, heartbeat, motion."""
-        if self._boot_due_s <= now_s:
-            self._network.now_s = self._boot_due_s
-            self._boot_due_s = math.inf
-            # canopen sends the boot-up on entering, and starts the heartbeat on leaving this state.
-            self._node.nmt.state = "INITIALISING"
-            self._node.nmt.state = "PRE-OPERATIONAL"
+        if self._boot(now_s):
             self.state = State.SWITCH_ON_DISABLED
         self._network.run(now_s, mute=self.dead)
         self._network.now_s = now_s
@@ -152,7 +129,7 @@ class SimulatedDrive:
         if self.dead or math.isfinite(self._boot_due_s):
             return
         if can_id == od.COB_NMT and len(data) == 2 and data[1] in {0, self.mount.node_id}:
-            if data[0] in _RESETS:
+            if data[0] in RESETS:
                 self.power_cycle()
             else:
                 self._node.nmt.on_command(0, data, now_s)
@@ -361,8 +338,5 @@ class SimulatedDrive:
         self._zero = self.motion.actual - self._number(od.HOME_OFFSET)
         self.motion.stop(self._number(od.HOMING_ACCELERATION) or 1e6)
 
-    def _emit(self, t_s: float, can_id: int, data: bytes) -> None:
-        if can_id == self._node.sdo.tx_cobid:
-            self._gate.response(data)
-        if self._send is not None and not self.dead:
-            self._send(t_s, can_id, [data])
+    def _silenced(self) -> bool:
+        return self.dead

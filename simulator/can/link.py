@@ -15,8 +15,8 @@ from typing import Protocol
 import can
 import numpy as np
 
-from simulator.can.control_unit import SendBurst
 from simulator.can.faults import CanLinkFaults, Disturber
+from simulator.can.node import SendBurst
 from simulator.can.wire import Burst, CanWire
 from simulator.errors import SimulatorStateError
 

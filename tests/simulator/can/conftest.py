@@ -2,7 +2,7 @@
 
 import math
 
-from simulator.can.control_unit import SendBurst
+from simulator.can.node import SendBurst
 
 
 class Echo:

@@ -1,0 +1,152 @@
+"""A CANopen device in the time of the simulation: boot-up, heartbeat, EMCY, SDO, without a bus."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import canopen
+from canopen.nmt import NMT_COMMANDS
+
+from simulator.can.object_dictionary import SdoGate
+from simulator.errors import SimulatorStateError
+
+RESETS = (NMT_COMMANDS["RESET"], NMT_COMMANDS["RESET COMMUNICATION"])
+"""NMT commands that canopen's node does not carry out."""
+
+SendBurst = Callable[[float, int, list[bytes]], float]
+"""Takes the time in s at which messages are ready, their identifier and their data; sends them one
+after the other and returns when the last one is through, in s."""
+
+
+@dataclass(slots=True, eq=False)
+class _PeriodicTask:
+    """A message that is sent again and again; canopen's heartbeat producer holds one."""
+
+    network: "DeviceNetwork"
+    can_id: int
+    data: bytes
+    period_s: float
+    due_s: float
+
+    def update(self, data: Sequence[int]) -> None:
+        """Send other data from the next time on."""
+        self.data = bytes(data)
+
+    def stop(self) -> None:
+        """Send no more."""
+        self.network.remove(self)
+
+
+class DeviceNetwork:
+    """The network of one canopen LocalNode in the time of the simulation: no bus, no thread.
+
+    Takes the messages of the node and keeps its periodic ones. It has those methods of
+    ``canopen.Network`` that a LocalNode calls.
+
+    Parameters
+    ----------
+    send
+        Takes time in s, identifier and data of each message.
+    """
+
+    def __init__(self, send: Callable[[float, int, bytes], None], now_s: float) -> None:
+        self._send = send
+        self._tasks: list[_PeriodicTask] = []
+        self.next_due_s = math.inf
+        """Time in s at which the next periodic message is due, infinity without any."""
+        self.now_s = now_s
+        """Present time in s; set by the owner."""
+
+    def subscribe(self, can_id: int, callback: Callable[..., Any]) -> None:
+        """Do nothing: the owner hands messages to the node itself, by the rules of NMT."""
+
+    def unsubscribe(self, can_id: int, callback: Callable[..., Any] | None = None) -> None:
+        """Do nothing, see `subscribe`."""
+
+    def send_message(self, can_id: int, data: Sequence[int], remote: bool = False) -> None:
+        """Send a message now; remote frames are not what this device sends."""
+        self._send(self.now_s, can_id, bytes(data))
+
+    def send_periodic(
+        self, can_id: int, data: Sequence[int], period: float, remote: bool = False
+    ) -> _PeriodicTask:
+        """Send a message every ``period`` s, for the first time after one period."""
+        task = _PeriodicTask(self, can_id, bytes(data), period, self.now_s + period)
+        self._tasks.append(task)
+        self._find_next()
+        return task
+
+    def remove(self, task: "_PeriodicTask") -> None:
+        """Send a message no more."""
+        self._tasks.remove(task)
+        self._find_next()
+
+    def _find_next(self) -> None:
+        self.next_due_s = min((task.due_s for task in self._tasks), default=math.inf)
+
+    def run(self, now_s: float, *, mute: bool) -> None:
+        """Send what is due until ``now_s`` s at its own times; ``mute`` skips the sending."""
+        for task in self._tasks:
+            while task.due_s <= now_s:
+                if not mute:
+                    self._send(task.due_s, task.can_id, task.data)
+                task.due_s += task.period_s
+        self._find_next()
+
+
+class CanopenDevice:
+    """A device on canopen's LocalNode, which serves SDO and makes heartbeat, boot-up and EMCY.
+
+    It has no clock, the time is an argument.
+    """
+
+    def __init__(self, node_id: int, dictionary: canopen.ObjectDictionary, start_s: float) -> None:
+        self._send: SendBurst | None = None
+        self._boot_due_s = math.inf
+        make: Any = canopen.LocalNode  # most of its interface has no types
+        self._node = make(node_id, dictionary)
+        self._network = DeviceNetwork(self._emit, start_s)
+        self._node.associate_network(self._network)
+        sdo = self._node.sdo
+        self._gate = SdoGate(
+            serve=lambda data: sdo.on_request(sdo.rx_cobid, data, self._network.now_s),
+            respond=lambda data: self._network.send_message(sdo.tx_cobid, data),
+        )
+
+    def connect(self, send: SendBurst) -> None:
+        """Plug the device into a bus."""
+        self._send = send
+
+    @property
+    def send(self) -> SendBurst:
+        """What puts its messages on the bus; SimulatorStateError before `connect`."""
+        if self._send is None:
+            raise SimulatorStateError("the device is not connected to a bus: connect() first")
+        return self._send
+
+    def next_event_s(self) -> float:
+        """Return when the device next sends something by itself, in s; infinity for never."""
+        return min(self._boot_due_s, self._network.next_due_s)
+
+    def _boot(self, now_s: float) -> bool:
+        """Send the boot-up that is due by ``now_s`` s; return whether there was one."""
+        if self._boot_due_s > now_s:
+            return False
+        self._network.now_s = self._boot_due_s
+        self._boot_due_s = math.inf
+        # canopen sends the boot-up on entering, and starts the heartbeat on leaving this state.
+        self._node.nmt.state = "INITIALISING"
+        self._node.nmt.state = "PRE-OPERATIONAL"
+        return True
+
+    def _silenced(self) -> bool:
+        """Return whether a fault keeps the device from sending anything."""
+        return False
+
+    def _emit(self, t_s: float, can_id: int, data: bytes) -> None:
+        if can_id == self._node.sdo.tx_cobid:
+            self._gate.response(data)
+        send = self.send
+        if not self._silenced():
+            send(t_s, can_id, [data])
